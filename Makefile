@@ -1,0 +1,42 @@
+# Each target does its own set-up: a virtual environment in .venv with the pinned versions, nothing global.
+# Needs python3 (3.11 or later) with venv, and make.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/installed
+
+.PHONY: demo test lint types architecture generate bench clean
+
+demo: $(STAMP)  ## chassis, gateway and recorder together, for ten seconds
+	$(BIN)/cruiser demo --seconds 10 --out demo-log
+
+test: $(STAMP)  ## the whole test suite
+	$(BIN)/python -m pytest
+
+lint: $(STAMP)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+
+types: $(STAMP)
+	$(BIN)/mypy
+
+architecture: $(STAMP)
+	$(BIN)/lint-imports
+
+generate: $(STAMP)  ## what is generated from the tables: JSON Schemas, README and docs tables
+	$(BIN)/python -m schemas.json_schema
+	$(BIN)/python -m schemas.documents
+
+bench: $(STAMP)
+	$(BIN)/python -m tests.bench
+
+# ensurepip is a package of its own on Debian and Ubuntu (python3-venv); say so instead of a traceback.
+$(STAMP): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "needs Python 3.11 or later" >&2; exit 1; }
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); echo "python3 has no venv: apt-get install python3-venv" >&2; exit 1; }
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+clean:
+	rm -rf $(VENV) demo-log

@@ -1,0 +1,164 @@
+"""Frames to signals and messages, compiled from the layout when the process starts.
+
+For each frame of the layout one small function is generated and compiled, as ``dataclasses`` does it: the eight
+bytes become one integer, each signal is a shift and a mask. A test holds every one against cantools.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum
+from typing import Any, Final
+
+import msgspec
+
+from gateway.chassis.faults import FaultKind, FrameFault
+from gateway.chassis.frame import ERROR, IDENTIFIER_MASK, REMOTE, Frame, hex_identifier
+from gateway.chassis.layout import ALIVE_COUNTER, ChassisLayout, MessageLayout, SignalLayout
+from schemas.messages import Feedback
+from schemas.subjects import BY_DBC_MESSAGE, Subject
+
+Value = bool | int | float | str
+Signals = dict[str, Value]
+"""Signal values by name: a flag is a bool, a choice its name (or its raw value, if the table has no name for it)."""
+
+
+class Decoded(msgspec.Struct, frozen=True):
+    """A valid frame's signals."""
+
+    layout: MessageLayout
+    signals: Signals
+
+
+def check(frame: Frame, layout: MessageLayout) -> FaultKind | None:
+    """What is wrong with a frame that has this layout's identifier, or None."""
+    data = frame.data
+    if frame.fd_flags:
+        return FaultKind.FD_FRAME
+    if len(data) != 8:
+        return FaultKind.LENGTH
+    if data[0] ^ data[1] ^ data[2] ^ data[3] ^ data[4] ^ data[5] ^ data[6] != data[7]:
+        return FaultKind.CHECKSUM
+    return None
+
+
+class Decoder:
+    """Decodes every frame of a variant to signals; for people and tests. The loop uses ``MessageDecoder``."""
+
+    def __init__(self, layout: ChassisLayout) -> None:
+        self._by_can_id = {
+            message.can_id: (message, compile_signals(message)) for message in layout.messages.values()
+        }
+
+    def decode(self, frame: Frame) -> Decoded | FrameFault:
+        """The frame's signals, or its fault. Never raises, whatever the frame holds."""
+        row = self._by_can_id.get(frame.can_id)
+        if row is None:
+            return unknown_frame(frame, self._by_can_id)
+        layout, signals = row
+        kind = check(frame, layout)
+        if kind is not None:
+            return FrameFault(kind, frame.can_id, layout.name, f"data {frame.data.hex(' ')}")
+        return Decoded(layout, signals(frame.data))
+
+
+def unknown_frame(frame: Frame, known: dict[int, Any]) -> FrameFault:
+    """The fault of a frame whose ``can_id``, flags included, no layout has."""
+    if frame.can_id & ERROR:
+        return FrameFault(FaultKind.ERROR_FRAME, frame.can_id)
+    if frame.can_id & REMOTE and frame.can_id & ~REMOTE in known:
+        return FrameFault(FaultKind.REMOTE_FRAME, frame.can_id)
+    return FrameFault(
+        FaultKind.UNKNOWN_IDENTIFIER, frame.can_id & ~(REMOTE & ~IDENTIFIER_MASK), "", hex_identifier(frame.can_id)
+    )
+
+
+def compile_signals(layout: MessageLayout) -> Callable[[bytes], Signals]:
+    """A function from the eight data bytes to the signals by name."""
+    scope: dict[str, Any] = {}
+    items = ", ".join(f"{signal.name!r}: {_expression(signal, scope, unnamed='raw')}" for signal in layout.signals)
+    return _compile(f"{{{items}}}", "data", scope)
+
+
+MessageBuilder = Callable[[bytes, int, int], Feedback]
+"""(data, time_ns, sequence) to the typed message."""
+
+
+class MessageDecoder(msgspec.Struct, frozen=True):
+    """A feedback frame's way to its message.
+
+    Attributes:
+        build: makes the message.
+        undefined: a mask test: true if a choice of these data has no name in its value table.
+    """
+
+    layout: MessageLayout
+    subject: Subject
+    build: MessageBuilder
+    undefined: Callable[[bytes], bool]
+
+
+def compile_message(layout: MessageLayout) -> MessageDecoder:
+    """The decoder of a feedback frame, whose message class the subject table names.
+
+    Raises:
+        KeyError: no subject is made from this frame.
+        ValueError: the fields of the message class are not the signals of the frame.
+    """
+    subject = BY_DBC_MESSAGE[layout.name]
+    by_field = {signal.field: signal for signal in layout.signals}
+    annotations = {field.name: field.type for field in msgspec.structs.fields(subject.type)}
+    fields = [name for name in annotations if name not in {"time_ns", "sequence"}]
+    if set(fields) != {ALIVE_COUNTER_FIELD, *(signal.field for signal in layout.payload_signals)}:
+        raise ValueError(f"{subject.type.__name__} and {layout.name} do not have the same fields")
+    scope: dict[str, Any] = {"cls": subject.type}
+    values = ", ".join(
+        _expression(by_field[name], scope, unnamed="undefined", enum=annotations[name]) for name in fields
+    )
+    choices = [signal for signal in layout.payload_signals if signal.kind == "choice"]
+    tests = [f"{_raw(signal)} not in {set(signal.choices)!r}" for signal in choices]
+    return MessageDecoder(
+        layout=layout,
+        subject=subject,
+        build=_compile(f"cls(time_ns, sequence, {values})", "data, time_ns, sequence", scope),
+        undefined=_compile(" or ".join(tests) or "False", "data", {}),
+    )
+
+
+ALIVE_COUNTER_FIELD: Final = SignalLayout(ALIVE_COUNTER, 0, 4, False, 1, 0, 0, 15, "", {}, 0).field  # noqa: FBT003
+
+
+def _compile(expression: str, arguments: str, scope: dict[str, Any]) -> Callable[..., Any]:
+    source = f"lambda {arguments}: (w := from_bytes(data, 'little'), {expression})[1]"
+    scope["from_bytes"] = int.from_bytes
+    # The source is made of our own layout's numbers and identifiers alone; nothing from the wire reaches it.
+    function: Callable[..., Any] = eval(source, scope)  # noqa: S307
+    return function
+
+
+def _raw(signal: SignalLayout) -> str:
+    mask = (1 << signal.length) - 1
+    raw = f"(w >> {signal.start_bit} & {mask:#x})" if signal.start_bit else f"(w & {mask:#x})"
+    if signal.is_signed:
+        sign = 1 << signal.length - 1
+        raw = f"(({raw} ^ {sign:#x}) - {sign:#x})"
+    return raw
+
+
+def _expression(signal: SignalLayout, scope: dict[str, Any], *, unnamed: str, enum: Any = None) -> str:  # noqa: ANN401
+    raw = _raw(signal)
+    if signal.kind == "flag":
+        return f"{raw} == 1"
+    if signal.kind == "integer":
+        return raw
+    if signal.kind == "physical":
+        return f"{raw} * {signal.scale!r} + {signal.offset!r}"
+    table_name = f"choices_{signal.name}"
+    table = range(1 << signal.length)
+    if unnamed == "undefined":
+        if not (isinstance(enum, type) and issubclass(enum, Enum)):
+            raise ValueError(f"{signal.name} has a value table, so its field must be an enumeration")
+        scope[table_name] = [enum(signal.choices.get(raw_value, unnamed)) for raw_value in table]
+    else:
+        scope[table_name] = [signal.choices.get(raw_value, raw_value) for raw_value in table]
+    return f"{table_name}[{raw}]"

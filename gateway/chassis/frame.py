@@ -1,0 +1,50 @@
+"""A CAN frame, as the cores see it."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+
+EXTENDED: Final = 0x8000_0000
+REMOTE: Final = 0x4000_0000
+ERROR: Final = 0x2000_0000
+IDENTIFIER_MASK: Final = 0x1FFF_FFFF
+STANDARD_MASK: Final = 0x7FF
+
+FD: Final = 0x4
+BITRATE_SWITCH: Final = 0x1
+ERROR_STATE_INDICATOR: Final = 0x2
+
+
+class Frame(msgspec.Struct, frozen=True):
+    """A CAN frame. Flags are those of linux/can.h, so that one word holds identifier and kind.
+
+    Attributes:
+        can_id: identifier with the flags EXTENDED, REMOTE and ERROR.
+        data: 0 to 8 bytes, up to 64 for CAN FD; empty for a remote frame.
+        wall_ns: when the bus delivered it, nanoseconds since the epoch; 0 if that is not known.
+        fd_flags: 0 for classic CAN; FD, with BITRATE_SWITCH and ERROR_STATE_INDICATOR, for CAN FD.
+        remote_length: the data length that a remote frame asks for.
+    """
+
+    can_id: int
+    data: bytes
+    wall_ns: int = 0
+    fd_flags: int = 0
+    remote_length: int = 0
+
+    @property
+    def identifier(self) -> int:
+        """The 11-bit or 29-bit identifier without flags."""
+        return self.can_id & IDENTIFIER_MASK
+
+    @property
+    def length(self) -> int:
+        """Data length in bytes; for a remote frame the length asked for."""
+        return self.remote_length if self.can_id & REMOTE else len(self.data)
+
+
+def hex_identifier(can_id: int) -> str:
+    """The identifier as people write it: 8 digits if extended, else 3."""
+    return f"{can_id & IDENTIFIER_MASK:08X}" if can_id & EXTENDED else f"{can_id & STANDARD_MASK:03X}"

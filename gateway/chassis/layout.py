@@ -1,0 +1,159 @@
+"""The layout of every frame, read from the DBC: the one source of bits, scales, units and cycle times."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from importlib import resources
+from typing import Final, Literal
+
+import cantools
+import msgspec
+from cantools.database.can import Database, Message, Signal
+
+from gateway.chassis.frame import EXTENDED
+from schemas.messages import Variant
+
+DBC_FILES: Final = {Variant.COARSE: "cruiser-coarse.dbc", Variant.FINE: "cruiser-fine.dbc"}
+
+ALIVE_COUNTER: Final = "AliveCounter"
+CHECKSUM: Final = "Checksum"
+
+_UNIT_SUFFIX: Final = {"m/s": "_mps", "deg": "_deg", "km": "_km", "%": "_percent", "count": "", "": ""}
+
+
+class SignalLayout(msgspec.Struct, frozen=True):
+    """A signal: ``physical = raw * scale + offset``.
+
+    Attributes:
+        start_bit: from bit 0 of byte 0, least significant bit first (DBC ``@1``).
+        choices: the value table, raw value to name; empty if it has none.
+        start_raw: the raw value to send when nothing else is asked for.
+    """
+
+    name: str
+    start_bit: int
+    length: int
+    is_signed: bool
+    scale: float
+    offset: float
+    minimum: float
+    maximum: float
+    unit: str
+    choices: dict[int, str]
+    start_raw: int
+
+    @property
+    def field(self) -> str:
+        """The message field of this signal: snake_case, with the unit as a suffix."""
+        snake = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", self.name).lower()
+        return snake + _UNIT_SUFFIX[self.unit]
+
+    @property
+    def kind(self) -> Literal["flag", "choice", "integer", "physical"]:
+        """How a message shows it: one bit is a flag, a value table a choice, an unscaled number an integer."""
+        if self.length == 1:
+            return "flag"
+        if self.choices:
+            return "choice"
+        return "integer" if self.scale == 1 and self.offset == 0 else "physical"
+
+
+class MessageLayout(msgspec.Struct, frozen=True):
+    """A frame's layout.
+
+    Attributes:
+        can_id: identifier with the EXTENDED flag, as in Frame.
+        length: data bytes.
+        period_ns: nominal cycle time.
+        is_feedback: sent by the chassis; else a command to it.
+    """
+
+    name: str
+    can_id: int
+    length: int
+    period_ns: int
+    is_feedback: bool
+    signals: tuple[SignalLayout, ...]
+
+    def signal(self, name: str) -> SignalLayout:
+        """The signal of this name.
+
+        Raises:
+            KeyError: there is none.
+        """
+        for signal in self.signals:
+            if signal.name == name:
+                return signal
+        raise KeyError(name)
+
+    @property
+    def payload_signals(self) -> tuple[SignalLayout, ...]:
+        """The signals but for the alive counter and the checksum, which every frame ends with."""
+        return tuple(signal for signal in self.signals if signal.name not in {ALIVE_COUNTER, CHECKSUM})
+
+
+class ChassisLayout(msgspec.Struct, frozen=True):
+    """All frames of one firmware variant, by name."""
+
+    variant: Variant
+    messages: dict[str, MessageLayout]
+
+    @property
+    def feedback(self) -> tuple[MessageLayout, ...]:
+        """The frames that the chassis sends."""
+        return tuple(message for message in self.messages.values() if message.is_feedback)
+
+    @property
+    def commands(self) -> tuple[MessageLayout, ...]:
+        """The frames that the chassis obeys."""
+        return tuple(message for message in self.messages.values() if not message.is_feedback)
+
+
+def dbc_text(variant: Variant) -> str:
+    """The text of a variant's DBC."""
+    return resources.files("schemas").joinpath(DBC_FILES[variant]).read_text(encoding="ascii")
+
+
+@cache
+def load(variant: Variant) -> ChassisLayout:
+    """The layout of a variant, from its DBC.
+
+    Raises:
+        ValueError: the DBC says something that this chassis does not have.
+    """
+    database = cantools.database.load_string(dbc_text(variant), database_format="dbc")
+    if not isinstance(database, Database):
+        raise TypeError("not a CAN database")
+    return ChassisLayout(variant, {message.name: _message(message) for message in database.messages})
+
+
+def _message(message: Message) -> MessageLayout:
+    if not message.is_extended_frame or message.length != 8:
+        raise ValueError(f"{message.name}: every frame is extended and has 8 bytes")
+    return MessageLayout(
+        name=message.name,
+        can_id=message.frame_id | EXTENDED,
+        length=message.length,
+        period_ns=(message.cycle_time or 0) * 1_000_000,
+        is_feedback=message.senders == ["Chassis"],
+        signals=tuple(_signal(message.name, signal) for signal in message.signals),
+    )
+
+
+def _signal(message_name: str, signal: Signal) -> SignalLayout:
+    if signal.byte_order != "little_endian" or signal.is_float or signal.is_multiplexer:
+        raise ValueError(f"{message_name}.{signal.name}: every signal is a plain little-endian integer")
+    return SignalLayout(
+        name=signal.name,
+        start_bit=signal.start,
+        length=signal.length,
+        is_signed=signal.is_signed,
+        scale=signal.scale,
+        offset=signal.offset,
+        minimum=float(signal.minimum or 0),
+        maximum=float(signal.maximum or 0),
+        unit=signal.unit or "",
+        choices={raw: str(name) for raw, name in (signal.choices or {}).items()},
+        start_raw=int(signal.raw_initial or 0),
+    )

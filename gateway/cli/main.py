@@ -1,0 +1,141 @@
+"""Finds the command, reads the configuration, runs it, and turns every expected failure into one clear line.
+
+Each command is a module with ``EXAMPLE``, ``add_arguments`` and ``run``; it is imported only when it is asked
+for, so that ``cruiser --help`` answers at once. This table is the one place that names commands of both the
+gateway and the recorder; it does so by name, and neither package imports the other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from types import FrameType
+from typing import TYPE_CHECKING, Final, Protocol, cast
+
+if TYPE_CHECKING:
+    from schemas.settings import Settings
+
+COMMANDS: Final[dict[str, tuple[str, str]]] = {
+    "demo": ("gateway.cli.demo", "chassis, gateway and recorder together, then a summary"),
+    "sim": ("gateway.sim.command", "a virtual chassis on a CAN bus"),
+    "fault": ("gateway.sim.fault_command", "cause a fault in a running virtual chassis"),
+    "gateway": ("gateway.cli.gateway", "put a chassis on Zenoh"),
+    "record": ("recorder.cli.record", "write MCAP logs"),
+    "watch": ("gateway.remote.watch", "a live view of a robot"),
+    "list": ("gateway.remote.list_robots", "the robots that are connected, and their health"),
+    "decode": ("gateway.cli.decode", "candump lines to JSON lines"),
+    "review": ("recorder.cli.review", "turn a log into answers"),
+}
+"""Name of the command, its module, and its line in the help."""
+
+Stopped = Callable[[], bool]
+
+
+class CommandModule(Protocol):
+    """What a command's module offers."""
+
+    EXAMPLE: str
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the command's flags. A ``dest`` with a dot, ``can.channel``, sets that setting."""
+        ...
+
+    def run(self, arguments: argparse.Namespace, settings: Settings, stopped: Stopped) -> int:
+        """Do it. ``stopped()`` turns true at SIGINT or SIGTERM. Returns the exit code."""
+        ...
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The entry point of ``cruiser``. Returns the exit code."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    if not words or words[0] in {"-h", "--help", "help"}:
+        print(_help())  # noqa: T201 - the help is this command's output
+        return 0 if words else 2
+    if words[0] == "--version":
+        from importlib.metadata import version  # noqa: PLC0415 - only when asked for
+
+        print(f"cruiser {version('cruiser-gateway')}")  # noqa: T201 - the version is the output
+        return 0
+    if words[0] not in COMMANDS:
+        from difflib import get_close_matches  # noqa: PLC0415 - only for a mistake
+
+        near = get_close_matches(words[0], COMMANDS, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else "; 'cruiser --help' lists them"
+        sys.stderr.write(f"cruiser: there is no command {words[0]!r}{hint}\n")
+        return 2
+    return _run(words[0], words[1:])
+
+
+def _help() -> str:
+    lines = [
+        "usage: cruiser COMMAND [...]",
+        "",
+        "Puts a Cruiser chassis on Zenoh and its feedback into MCAP logs.",
+        "",
+    ]
+    width = max(map(len, COMMANDS))
+    lines += [f"  {name:{width}}  {about}" for name, (_, about) in COMMANDS.items()]
+    lines += ["", "'cruiser COMMAND --help' explains a command and shows an example."]
+    lines += ["exit codes: 0 ok, 1 findings or failure, 2 usage, 3 partial, 4 unreachable, 5 refused"]
+    return "\n".join(lines)
+
+
+def _run(name: str, words: list[str]) -> int:
+    module_name, about = COMMANDS[name]
+    module = cast("CommandModule", import_module(module_name))
+    # Imported late for the same reason as the commands: they cost more than the help itself.
+    from gateway.cli.configuration_file import load_settings  # noqa: PLC0415
+    from schemas.exit_codes import CommandError, ExitCode  # noqa: PLC0415
+
+    parser = argparse.ArgumentParser(
+        prog=f"cruiser {name}",
+        description=about[0].upper() + about[1:] + ".",
+        epilog=f"example:\n{module.EXAMPLE}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--config", metavar="FILE", help="a TOML file of settings (also CRUISER_CONFIG)")
+    parser.add_argument(
+        "--log-level",
+        default="warning",
+        choices=["debug", "info", "warning", "error"],
+        help="what goes to stderr",
+    )
+    module.add_arguments(parser)
+    arguments = parser.parse_args(words)
+    logging.basicConfig(
+        level=arguments.log_level.upper(),
+        stream=sys.stderr,
+        format="%(asctime)s %(levelname)s %(name)s: %(message)s",
+    )
+    flags = {key: value for key, value in vars(arguments).items() if "." in key and value is not None}
+    try:
+        settings = load_settings(arguments.config, os.environ, flags)
+        return module.run(arguments, settings, _stop_on_signals())
+    except CommandError as error:
+        sys.stderr.write(f"cruiser {name}: {error}\n")
+        return int(error.code)
+    except KeyboardInterrupt:
+        return 128 + signal.SIGINT
+    except BrokenPipeError:
+        # The reader of our output has gone, as with '| head'. Nothing is left to say to it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return int(ExitCode.OK)
+
+
+def _stop_on_signals() -> Stopped:
+    """A flag that SIGINT and SIGTERM raise; a second signal ends the process the usual way."""
+    raised = threading.Event()
+
+    def handle(number: int, _frame: FrameType | None) -> None:
+        raised.set()
+        signal.signal(number, signal.SIG_DFL if number == signal.SIGTERM else signal.default_int_handler)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handle)
+    return raised.is_set

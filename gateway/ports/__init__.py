@@ -1,0 +1,1 @@
+"""The only importers of python-can and Zenoh in this package."""

@@ -1,0 +1,1 @@
+"""A virtual chassis: it behaves as the manual says, with faults on demand."""

@@ -1,0 +1,1 @@
+"""Records Zenoh samples as MCAP, and reads the logs."""

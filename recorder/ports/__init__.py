@@ -1,0 +1,1 @@
+"""The only importers of Zenoh in this package."""

@@ -1,0 +1,1 @@
+"""Turns a log into answers."""

@@ -1,0 +1,29 @@
+"""How a command ends: its exit code, and the one line that says why."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """The exit codes of every command."""
+
+    OK = 0
+    FAILURE = 1
+    """Findings, or a failure that fits nothing below."""
+    USAGE = 2
+    """Wrong arguments or a wrong configuration."""
+    PARTIAL = 3
+    """Part of the input could be read or done."""
+    UNREACHABLE = 4
+    """A bus, a robot or a Zenoh node does not answer."""
+    REFUSED = 5
+    """The robot refused the request."""
+
+
+class CommandError(Exception):
+    """A command cannot go on: one clear line for the person, and an exit code."""
+
+    def __init__(self, message: str, code: ExitCode = ExitCode.FAILURE) -> None:
+        super().__init__(message)
+        self.code = code

@@ -1,0 +1,360 @@
+"""The typed messages, one class per subject.
+
+Every message is a MessagePack map whose keys are the field names below. A physical field carries its unit in
+its name (``speed_mps``, ``angle_deg``); a field without a unit is a count, a flag or a name. Axes are those of
+ISO 8855: x forward, y left, yaw positive from x to y, so left is positive.
+
+The fields of the chassis messages are the signals of the DBC: CamelCase becomes snake_case, the unit becomes a
+suffix, one bit becomes a bool, a value table becomes an enumeration. A test holds the two against each other.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Annotated, ClassVar
+
+import msgspec
+from msgspec import Meta
+
+_INT64_MAX = 2**63 - 1
+
+UNIT_KEYWORD = "unit"
+"""The JSON Schema keyword under which a field's unit is found."""
+
+
+def _unit(unit: str) -> dict[str, str]:
+    return {UNIT_KEYWORD: unit}
+
+
+TimeNs = Annotated[
+    int,
+    Meta(ge=0, le=_INT64_MAX, description="Nanoseconds since 1970-01-01 UTC.", extra_json_schema=_unit("ns")),
+]
+Count = Annotated[int, Meta(ge=0, le=_INT64_MAX)]
+Sequence = Annotated[
+    int, Meta(ge=0, le=2**32 - 1, description="+1 for each message of this key; a gap is a loss on the way.")
+]
+AliveCounter = Annotated[int, Meta(ge=0, le=15, description="The frame's 4-bit alive counter; 15 wraps to 0.")]
+Pulses = Annotated[int, Meta(ge=-32768, le=32767, description="Signed 16-bit encoder count that wraps.")]
+SpeedMps = Annotated[float, Meta(extra_json_schema=_unit("m/s"))]
+AngleDeg = Annotated[float, Meta(description="Left is positive.", extra_json_schema=_unit("deg"))]
+YawRateRadps = Annotated[float, Meta(description="Left is positive.", extra_json_schema=_unit("rad/s"))]
+MileageKm = Annotated[float, Meta(ge=0, extra_json_schema=_unit("km"))]
+DurationS = Annotated[float, Meta(extra_json_schema=_unit("s"))]
+DurationMs = Annotated[float, Meta(extra_json_schema=_unit("ms"))]
+RateHz = Annotated[float, Meta(ge=0, extra_json_schema=_unit("Hz"))]
+CanIdentifier = Annotated[int, Meta(ge=0, le=2**29 - 1, description="11-bit or 29-bit CAN identifier.")]
+CanWord = Annotated[
+    int,
+    Meta(
+        ge=0,
+        le=2**32 - 1,
+        description="Identifier and flags as in linux/can.h: bit 31 extended, bit 30 remote, bit 29 error.",
+    ),
+]
+
+
+class GearPosition(Enum):
+    """Gear. ``undefined``: no value yet, or one that the manual does not define."""
+
+    UNDEFINED = "undefined"
+    PARK = "park"
+    REVERSE = "reverse"
+    NEUTRAL = "neutral"
+    DRIVE = "drive"
+
+
+class BrakingStatus(Enum):
+    """Service brake. ``undefined``: no value yet, or one that the manual does not define."""
+
+    UNDEFINED = "undefined"
+    RELEASED = "released"
+    BRAKING = "braking"
+    FULLY_BRAKED = "fully_braked"
+
+
+class ParkingStatus(Enum):
+    """Parking brake. ``undefined``: no value yet, or one that the manual does not define."""
+
+    UNDEFINED = "undefined"
+    APPLIED = "applied"
+    RELEASED = "released"
+
+
+class Mode(Enum):
+    """Who commands the chassis. ``undefined``: no value yet, or one that the manual does not define."""
+
+    UNDEFINED = "undefined"
+    AUTO = "auto"
+    REMOTE = "remote"
+    STOP = "stop"
+
+
+class Variant(Enum):
+    """The chassis's firmware variant, which sets the scale of every speed. ``unknown``: no evidence yet."""
+
+    UNKNOWN = "unknown"
+    COARSE = "coarse"
+    FINE = "fine"
+
+
+class Message(msgspec.Struct, frozen=True):
+    """What every message begins with.
+
+    Attributes:
+        time_ns: when the fact became known to its sender: for a CAN frame, when the bus delivered it.
+        sequence: counts the messages of this key, so that a receiver sees its losses.
+    """
+
+    version: ClassVar[int] = 1
+
+    time_ns: TimeNs
+    sequence: Sequence
+
+
+class Feedback(Message, frozen=True):
+    """A decoded feedback frame of the chassis."""
+
+    alive_counter: AliveCounter
+
+
+class Gear(Feedback, frozen=True):
+    """Auto_GearFeedBack."""
+
+    active: bool
+    gear_position: GearPosition
+
+
+class Steering(Feedback, frozen=True):
+    """Auto_SteeringFeedBack."""
+
+    active: bool
+    angle_deg: AngleDeg
+
+
+class Drive(Feedback, frozen=True):
+    """Auto_DriveFeedBack. The speed is a magnitude: the gear gives the direction."""
+
+    active: bool
+    speed_mps: SpeedMps
+
+
+class Braking(Feedback, frozen=True):
+    """Auto_BrakingFeedBack."""
+
+    active: bool
+    braking_status: BrakingStatus
+
+
+class Parking(Feedback, frozen=True):
+    """Auto_ParkingFeedBack."""
+
+    active: bool
+    parking_status: ParkingStatus
+
+
+class WheelSpeed(Feedback, frozen=True):
+    """Auto_WheelSpdFeedback. Negative in reverse."""
+
+    valid: bool
+    rear_left_speed_mps: SpeedMps
+    rear_right_speed_mps: SpeedMps
+
+
+class WheelPulse(Feedback, frozen=True):
+    """Auto_WheelPulseFeedback. Forward counts up, reverse down."""
+
+    valid: bool
+    rear_left_pulses: Pulses
+    rear_right_pulses: Pulses
+
+
+class Body(Feedback, frozen=True):
+    """Auto_MileageAndBodyFeedback. The chassis reports a bumper hit and does nothing about it."""
+
+    valid: bool
+    total_mileage_km: MileageKm
+    front_bumper: bool
+    rear_bumper: bool
+    mode: Mode
+
+
+class Light(Feedback, frozen=True):
+    """Auto_LightFeedback."""
+
+    headlamp: bool
+    right_indicator: bool
+    left_indicator: bool
+
+
+class Speaker(Feedback, frozen=True):
+    """Auto_SpeakerFeedback."""
+
+    horn: bool
+
+
+class CanFrames(Message, frozen=True):
+    """Raw CAN frames in the order of the bus, as columns of equal length.
+
+    Attributes:
+        bus: the bus's name, as in the key.
+        dropped: frames lost before this batch because a buffer was full, since the start.
+        frame_time_ns: when each frame was received (or sent).
+        can_id: identifier and flags of each frame, as in linux/can.h.
+        fd_flags: 0 for classic CAN; else bit 2 set, bit 0 bit rate switch, bit 1 error state indicator.
+        length: data length in bytes; for a remote frame the length asked for.
+        data: the data bytes of each frame.
+    """
+
+    bus: str
+    dropped: Count
+    frame_time_ns: list[TimeNs]
+    can_id: list[CanWord]
+    fd_flags: list[Annotated[int, Meta(ge=0, le=7)]]
+    length: list[Annotated[int, Meta(ge=0, le=64)]]
+    data: list[bytes]
+
+
+class RobotState(Message, frozen=True):
+    """The whole robot in one message. A field is null, or ``undefined``, until its feedback is seen and fresh.
+
+    Attributes:
+        silent: names of the feedback frames that are missing or overdue.
+        speed_mps: signed, forward positive: the drive feedback with the direction of the wheels.
+        yaw_rate_radps: from speed and steering angle by the bicycle model, wheelbase 0.660 m.
+    """
+
+    bus_up: bool
+    variant: Variant
+    silent: list[str]
+    mode: Mode
+    gear_position: GearPosition
+    speed_mps: SpeedMps | None
+    angle_deg: AngleDeg | None
+    yaw_rate_radps: YawRateRadps | None
+    rear_left_speed_mps: SpeedMps | None
+    rear_right_speed_mps: SpeedMps | None
+    rear_left_pulses: Pulses | None
+    rear_right_pulses: Pulses | None
+    braking_status: BrakingStatus
+    parking_status: ParkingStatus
+    total_mileage_km: MileageKm | None
+    front_bumper: bool | None
+    rear_bumper: bool | None
+    headlamp: bool | None
+    right_indicator: bool | None
+    left_indicator: bool | None
+    horn: bool | None
+
+
+class FrameHealth(msgspec.Struct, frozen=True):
+    """Supervision of one feedback frame.
+
+    Attributes:
+        name: the frame's name in the DBC.
+        rate_hz: valid frames per second over the last second.
+        valid: valid frames since the start.
+        lost: frames missed since the start, by the alive counter and, across a silence, by the period.
+        silent: true while the frame is missing or overdue.
+        alive_faults: the fault count of the alive counter: +1 for each fault, -1 for each good frame.
+    """
+
+    name: str
+    rate_hz: RateHz
+    valid: Count
+    lost: Count
+    silent: bool
+    alive_faults: Count
+
+
+class GatewayHealth(Message, frozen=True):
+    """How the gateway is, each second.
+
+    Attributes:
+        faults: number of faults since the start, by kind.
+        unknown_identifiers: frames of identifiers that are not in the DBC, by hexadecimal identifier.
+        bus_losses: how often the bus was lost since the start.
+        zenoh_peers: Zenoh nodes connected directly to this one.
+        publish_failures: samples that Zenoh did not take.
+        tick_lateness_p50_ms: how late the ticks of the last second began (and _p99_, _max_).
+        cpu_percent: processor time of this process over the last second; 100 is one core.
+    """
+
+    gateway_version: str
+    uptime_s: DurationS
+    bus: str
+    bus_up: bool
+    bus_detail: str
+    bus_losses: Count
+    zenoh_peers: Count
+    publish_failures: Count
+    variant: Variant
+    frames: Count
+    frames_per_s: RateHz
+    faults: dict[str, Count]
+    unknown_identifiers: dict[str, Count]
+    feedback: list[FrameHealth]
+    tick_lateness_p50_ms: DurationMs
+    tick_lateness_p99_ms: DurationMs
+    tick_lateness_max_ms: DurationMs
+    cpu_percent: Annotated[float, Meta(ge=0, extra_json_schema=_unit("%"))]
+
+
+class GatewayInfo(Message, frozen=True):
+    """What the gateway is: the reply to a query on ``gateway/info``.
+
+    Attributes:
+        versions: of the gateway and of the packages it stands on.
+        configuration: the settings in force, as TOML; configuration_sha256 is the hash of that text.
+        dbc: the text of the DBC in force; empty while the variant is unknown.
+        schemas: JSON Schema text of every subject, by schema name.
+    """
+
+    robot: str
+    bus: str
+    listen_only: bool
+    started_ns: TimeNs
+    variant: Variant
+    versions: dict[str, str]
+    configuration: str
+    configuration_sha256: str
+    dbc_name: str
+    dbc: str
+    schemas: dict[str, str]
+
+
+class CanFrame(msgspec.Struct, frozen=True):
+    """One raw CAN frame in a log: a row of CanFrames.
+
+    Attributes:
+        identifier: 11 or 29 bits; is_extended tells which.
+        dlc: data length in bytes; for a remote frame the length asked for.
+    """
+
+    time_ns: TimeNs
+    bus: str
+    identifier: CanIdentifier
+    is_extended: bool
+    is_remote: bool
+    is_error: bool
+    is_fd: bool
+    bitrate_switch: bool
+    error_state_indicator: bool
+    dlc: Annotated[int, Meta(ge=0, le=64)]
+    data: bytes
+
+
+class RawSample(msgspec.Struct, frozen=True):
+    """A Zenoh sample in a log that fits no known subject, kept whole.
+
+    Attributes:
+        time_ns: the sample's own Zenoh timestamp; 0 if it has none.
+        reason: why it was not decoded.
+    """
+
+    time_ns: TimeNs
+    key: str
+    encoding: str
+    payload: bytes
+    attachment: bytes
+    reason: str

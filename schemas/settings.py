@@ -1,0 +1,188 @@
+"""Every setting and limit, with its unit, bounds and start value: the one file for them.
+
+``configuration`` fills these classes from a TOML file, the environment and flags; the table in
+``docs/configuration.md`` is generated from here.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal
+
+import msgspec
+from msgspec import Meta
+
+from schemas import keys
+
+DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
+"""Where a gateway listens and every other command connects. No router is needed for one robot."""
+
+TICK_NS: Final = 10_000_000
+"""The loop's tick and the chassis's command period, 10 ms."""
+
+SILENCE_PERIODS: Final = 10
+"""A feedback frame is silent after this many of its periods without a valid one..."""
+
+SILENCE_MIN_NS: Final = 100_000_000
+"""...but not before 100 ms. Both are below the 160 ms at which a 4-bit counter of a 10 ms frame aliases."""
+
+CHECKSUM_FAULTS: Final = 3
+"""This many checksum faults of one identifier within CHECKSUM_WINDOW_NS are a failure of that frame."""
+
+CHECKSUM_WINDOW_NS: Final = 1_000_000_000
+
+ALIVE_FAULTS: Final = 5
+"""The alive counter has failed when its fault count, +1 per fault and -1 per good frame, reaches this."""
+
+ALIVE_MAX_LOST_STEP: Final = 3
+"""A counter step of 2 up to this means lost frames, beyond it a wrong sequence (AUTOSAR E2E profile 1)."""
+
+ALIVE_STUCK_REPEATS: Final = 3
+"""The counter is stuck after this many repeats in a row."""
+
+PERIOD_WINDOW_FRAMES: Final = 20
+"""A frame's period is judged over this many frames."""
+
+PERIOD_TOLERANCE: Final = 1.5
+"""The mean period is at fault above this many nominal periods, or below the inverse."""
+
+VARIANT_EVIDENCE_FRAMES: Final = 5
+"""This many standstill wheel speed frames in a row that agree confirm a firmware variant."""
+
+STANDSTILL_MPS: Final = 0.05
+"""Wheels slower than this stand still."""
+
+STATE_PERIOD_NS: Final = 50_000_000
+"""`state` goes out every 50 ms, 20 Hz."""
+
+BATCH_PERIOD_NS: Final = 50_000_000
+"""Raw frames go out in batches of 50 ms."""
+
+BATCH_MAX_FRAMES: Final = 4096
+"""Raw frames held for a batch at most; beyond that the oldest are dropped and counted."""
+
+HEALTH_PERIOD_NS: Final = 1_000_000_000
+"""`gateway/health` goes out once a second."""
+
+RECONNECT_MIN_S: Final = 0.1
+"""First pause before a lost bus is opened again; it doubles up to RECONNECT_MAX_S."""
+
+RECONNECT_MAX_S: Final = 2.0
+
+WHEELBASE_M: Final = 0.660
+"""The Cruiser's wheelbase (manual V2.0, 2.2)."""
+
+
+class RobotSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Which robot this is."""
+
+    root: Annotated[str, Meta(pattern=f"^{keys.ROOT_PATTERN}$", description="first chunks of every key")] = "fleet"
+    name: Annotated[str, Meta(pattern=f"^{keys.ROBOT_PATTERN}$", description="the robot's chunk of the key")] = (
+        "cruiser-1"
+    )
+
+
+class CanSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The CAN bus, through python-can."""
+
+    interface: Annotated[
+        str, Meta(min_length=1, description="python-can interface: socketcan, socketcand, pcan, slcan, ...")
+    ] = "socketcan"
+    channel: Annotated[
+        str,
+        Meta(
+            min_length=1,
+            description="the interface's channel; for socketcand HOST:PORT or HOST:PORT/BUS",
+        ),
+    ] = "can0"
+    bitrate: Annotated[
+        int,
+        Meta(
+            ge=0,
+            le=1_000_000,
+            description="bit/s, for interfaces that set it; 0 leaves it alone. The manual gives none; "
+            "500000 is common for this family",
+        ),
+    ] = 0
+    bus: Annotated[
+        str, Meta(pattern=f"^{keys.BUS_PATTERN}$", description="the bus's name in keys: can/{bus}/rx")
+    ] = "can0"
+    options: Annotated[
+        dict[str, str | int | float | bool], Meta(description="further arguments of the python-can interface")
+    ] = {}
+
+
+class ChassisSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The chassis."""
+
+    variant: Annotated[
+        Literal["auto", "coarse", "fine"],
+        Meta(description="firmware variant; auto waits for evidence at standstill"),
+    ] = "auto"
+
+
+class ZenohSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The Zenoh session."""
+
+    mode: Annotated[Literal["peer", "client"], Meta(description="mode of the session")] = "peer"
+    connect: Annotated[
+        list[str],
+        Meta(description=f"endpoints to connect to; if empty, {DEFAULT_ENDPOINT} for all but the gateway"),
+    ] = []
+    listen: Annotated[
+        list[str],
+        Meta(
+            description=f"endpoints to listen on; if empty, the gateway listens on {DEFAULT_ENDPOINT}, or on a "
+            "free port of 127.0.0.1 where a Zenoh node already holds that one"
+        ),
+    ] = []
+    config: Annotated[
+        str,
+        Meta(description="a Zenoh configuration file (JSON5) to start from; the settings above win over it"),
+    ] = ""
+    lease_ms: Annotated[
+        int, Meta(ge=200, le=60_000, description="a link without a sign of life for this long is lost")
+    ] = 1000
+
+
+class GatewaySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The edge process."""
+
+    listen_only: Annotated[bool, Meta(description="send nothing on the bus, whatever is asked")] = True
+
+
+class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The recorder."""
+
+    keys: Annotated[
+        list[str], Meta(description="key expressions to record; if empty, everything under the root")
+    ] = []
+    directory: Annotated[str, Meta(min_length=1, description="where the logs go")] = "."
+    flush_s: Annotated[
+        float, Meta(ge=0.05, le=10, description="s; at most this much of the log is not yet on the disk")
+    ] = 0.5
+    chunk_bytes: Annotated[
+        int, Meta(ge=1024, le=16_777_216, description="bytes of a chunk before compression")
+    ] = 262_144
+    queue_samples: Annotated[
+        int,
+        Meta(ge=100, le=1_000_000, description="samples that may wait to be written; beyond it the oldest go"),
+    ] = 100_000
+
+
+class SimSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The virtual chassis."""
+
+    listen: Annotated[str, Meta(description="HOST:PORT of the socketcand server")] = "127.0.0.1:29536"
+    variant: Annotated[Literal["coarse", "fine"], Meta(description="firmware variant it plays")] = "coarse"
+
+
+class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """All settings; each field is a table of the TOML file."""
+
+    robot: RobotSettings = RobotSettings()
+    can: CanSettings = CanSettings()
+    chassis: ChassisSettings = ChassisSettings()
+    zenoh: ZenohSettings = ZenohSettings()
+    gateway: GatewaySettings = GatewaySettings()
+    recorder: RecorderSettings = RecorderSettings()
+    sim: SimSettings = SimSettings()
