@@ -18,6 +18,9 @@ from msgspec import Meta
 
 _INT64_MAX = 2**63 - 1
 
+SEQUENCE_MAX = 2**32 - 1
+"""The last sequence number; 0 follows."""
+
 UNIT_KEYWORD = "unit"
 """The JSON Schema keyword under which a field's unit is found."""
 
@@ -32,7 +35,7 @@ TimeNs = Annotated[
 ]
 Count = Annotated[int, Meta(ge=0, le=_INT64_MAX)]
 Sequence = Annotated[
-    int, Meta(ge=0, le=2**32 - 1, description="+1 for each message of this key; a gap is a loss on the way.")
+    int, Meta(ge=0, le=SEQUENCE_MAX, description="+1 for each message of this key; a gap is a loss on the way.")
 ]
 AliveCounter = Annotated[int, Meta(ge=0, le=15, description="The frame's 4-bit alive counter; 15 wraps to 0.")]
 Pulses = Annotated[int, Meta(ge=-32768, le=32767, description="Signed 16-bit encoder count that wraps.")]

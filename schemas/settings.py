@@ -148,6 +148,12 @@ class GatewaySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The edge process."""
 
     listen_only: Annotated[bool, Meta(description="send nothing on the bus, whatever is asked")] = True
+    wait_for_bus: Annotated[
+        bool, Meta(description="start although the bus is not there, and wait for it; else that is an error")
+    ] = False
+    realtime_priority: Annotated[
+        int, Meta(ge=0, le=99, description="SCHED_FIFO priority of the loop, where the system allows it; 0 is off")
+    ] = 10
 
 
 class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

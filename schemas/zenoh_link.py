@@ -12,6 +12,9 @@ from schemas.settings import ZenohSettings
 
 RECONNECT_MIN_MS: Final = 100
 RECONNECT_MAX_MS: Final = 500
+QUEUE_BATCHES: Final = 8
+"""Batches of 64 KiB that may wait on a link for each priority. A put never waits for room, it drops."""
+
 ANY_LOCAL_PORT: Final = "tcp/127.0.0.1:0"
 
 Json = dict[str, "Json"] | list["Json"] | str | int | float | bool | None
@@ -42,5 +45,10 @@ def session_settings(zenoh: ZenohSettings, connect: list[str], listen: list[str]
         "scouting/gossip/enabled": True,
         "transport/link/tx/lease": zenoh.lease_ms,
         "transport/link/tx/keep_alive": 4,
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+        "transport/link/tx/queue/size/data_high": QUEUE_BATCHES,
+        "transport/link/tx/queue/size/data": QUEUE_BATCHES,
+        "transport/link/tx/queue/size/data_low": QUEUE_BATCHES,
+        "transport/link/tx/queue/size/background": QUEUE_BATCHES,
         "timestamping/enabled": True,
     }

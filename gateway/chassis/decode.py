@@ -6,21 +6,21 @@ bytes become one integer, each signal is a shift and a mask. A test holds every 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from enum import Enum
 from typing import Any, Final
 
 import msgspec
 
 from gateway.chassis.faults import FaultKind, FrameFault
-from gateway.chassis.frame import ERROR, IDENTIFIER_MASK, REMOTE, Frame, hex_identifier
+from gateway.chassis.frame import ERROR, REMOTE, Frame
 from gateway.chassis.layout import ALIVE_COUNTER, ChassisLayout, MessageLayout, SignalLayout
 from schemas.messages import Feedback
 from schemas.subjects import BY_DBC_MESSAGE, Subject
 
 Value = bool | int | float | str
 Signals = dict[str, Value]
-"""Signal values by name: a flag is a bool, a choice its name (or its raw value, if the table has no name for it)."""
+"""Values by signal name: a flag is a bool, a choice its name, or its raw value if the table has no name for it."""
 
 
 class Decoded(msgspec.Struct, frozen=True):
@@ -30,8 +30,8 @@ class Decoded(msgspec.Struct, frozen=True):
     signals: Signals
 
 
-def check(frame: Frame, layout: MessageLayout) -> FaultKind | None:
-    """What is wrong with a frame that has this layout's identifier, or None."""
+def check(frame: Frame) -> FaultKind | None:
+    """What is wrong with a frame whose identifier the layout has, or None."""
     data = frame.data
     if frame.fd_flags:
         return FaultKind.FD_FRAME
@@ -56,21 +56,19 @@ class Decoder:
         if row is None:
             return unknown_frame(frame, self._by_can_id)
         layout, signals = row
-        kind = check(frame, layout)
+        kind = check(frame)
         if kind is not None:
             return FrameFault(kind, frame.can_id, layout.name, f"data {frame.data.hex(' ')}")
         return Decoded(layout, signals(frame.data))
 
 
-def unknown_frame(frame: Frame, known: dict[int, Any]) -> FrameFault:
-    """The fault of a frame whose ``can_id``, flags included, no layout has."""
+def unknown_frame(frame: Frame, known: Container[int]) -> FrameFault:
+    """The fault of a frame whose ``can_id``, flags included, is not among the known ones."""
     if frame.can_id & ERROR:
         return FrameFault(FaultKind.ERROR_FRAME, frame.can_id)
     if frame.can_id & REMOTE and frame.can_id & ~REMOTE in known:
         return FrameFault(FaultKind.REMOTE_FRAME, frame.can_id)
-    return FrameFault(
-        FaultKind.UNKNOWN_IDENTIFIER, frame.can_id & ~(REMOTE & ~IDENTIFIER_MASK), "", hex_identifier(frame.can_id)
-    )
+    return FrameFault(FaultKind.UNKNOWN_IDENTIFIER, frame.can_id)
 
 
 def compile_signals(layout: MessageLayout) -> Callable[[bytes], Signals]:
@@ -89,7 +87,7 @@ class MessageDecoder(msgspec.Struct, frozen=True):
 
     Attributes:
         build: makes the message.
-        undefined: a mask test: true if a choice of these data has no name in its value table.
+        undefined: whether a choice in these data has no name in its value table.
     """
 
     layout: MessageLayout

@@ -1,0 +1,170 @@
+"""Is a stream of frames whole? Pure state machines: checksum, alive counter, period and silence of each frame.
+
+The alive counter is judged as in AUTOSAR E2E profile 1, modulo 16: a step of 1 is right, 0 is a repetition, 2 to 3
+means that frames were lost, more is a wrong sequence. Sixteen lost frames would look like none, so silence is
+declared before that, and after a silence the counter starts anew.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final
+
+from gateway.chassis.faults import FaultKind
+from schemas import settings
+
+COUNTER_MODULO: Final = 16
+
+
+class AliveCounter:
+    """The alive counter of one frame.
+
+    Attributes:
+        faults: +1 for each fault, -1 for each good frame, from 0 to the limit.
+        lost: frames missed since the start.
+        repeats: frames in a row that repeated the counter.
+    """
+
+    __slots__ = ("_last", "faults", "lost", "repeats")
+
+    def __init__(self) -> None:
+        self._last = -1
+        self.faults = 0
+        self.lost = 0
+        self.repeats = 0
+
+    @property
+    def has_failed(self) -> bool:
+        """The fault count is at its limit."""
+        return self.faults >= settings.ALIVE_FAULTS
+
+    def forget(self) -> None:
+        """Accept whatever counter comes next: the stream begins anew."""
+        self._last = -1
+        self.repeats = 0
+
+    def receive(self, counter: int) -> FaultKind | None:
+        """Judge the counter of the next valid frame."""
+        step = (counter - self._last) % COUNTER_MODULO
+        is_first = self._last < 0
+        self._last = counter
+        if step == 1 or is_first:
+            self.repeats = 0
+            if self.faults:
+                self.faults -= 1
+            return None
+        if self.faults < settings.ALIVE_FAULTS:
+            self.faults += 1
+        if step == 0:
+            self.repeats += 1
+            stuck = self.repeats >= settings.ALIVE_STUCK_REPEATS
+            return FaultKind.ALIVE_STUCK if stuck else FaultKind.ALIVE_REPEATED
+        self.repeats = 0
+        self.lost += step - 1
+        lost_some = step <= settings.ALIVE_MAX_LOST_STEP
+        return FaultKind.ALIVE_LOST if lost_some else FaultKind.ALIVE_SEQUENCE
+
+
+class Period:
+    """The mean period of one frame, judged over a window of frames."""
+
+    __slots__ = ("_first_ns", "_frames", "_longest_ns", "_shortest_ns", "has_failed")
+
+    def __init__(self, nominal_ns: int) -> None:
+        window_ns = nominal_ns * settings.PERIOD_WINDOW_FRAMES
+        self._longest_ns = window_ns * settings.PERIOD_TOLERANCE
+        self._shortest_ns = window_ns / settings.PERIOD_TOLERANCE
+        self._frames = -1
+        self._first_ns = 0
+        self.has_failed = False
+
+    def forget(self) -> None:
+        """Begin a new window with the next frame."""
+        self._frames = -1
+
+    def receive(self, now_ns: int) -> FaultKind | None:
+        """Judge the window that ends with this frame, if one does."""
+        self._frames += 1
+        if self._frames == 0:
+            self._first_ns = now_ns
+            return None
+        if self._frames < settings.PERIOD_WINDOW_FRAMES:
+            return None
+        elapsed_ns = now_ns - self._first_ns
+        self._first_ns = now_ns
+        self._frames = 0
+        self.has_failed = not self._shortest_ns <= elapsed_ns <= self._longest_ns
+        return FaultKind.PERIOD if self.has_failed else None
+
+
+class Checksums:
+    """Checksum faults of one identifier, remembered for a second."""
+
+    __slots__ = ("_times_ns",)
+
+    def __init__(self) -> None:
+        self._times_ns: deque[int] = deque(maxlen=settings.CHECKSUM_FAULTS)
+
+    def fault(self, now_ns: int) -> None:
+        """A frame came with a wrong checksum."""
+        self._times_ns.append(now_ns)
+
+    def has_failed(self, now_ns: int) -> bool:
+        """Too many faults within the window that ends now."""
+        times = self._times_ns
+        return len(times) == settings.CHECKSUM_FAULTS and now_ns - times[0] <= settings.CHECKSUM_WINDOW_NS
+
+
+def silence_ns(period_ns: int) -> int:
+    """How long a frame may stay away before it counts as silent."""
+    return max(settings.SILENCE_PERIODS * period_ns, settings.SILENCE_MIN_NS)
+
+
+class FrameSupervisor:
+    """Everything that is watched about one feedback frame.
+
+    Attributes:
+        alive, period, checksums: the machines of each property.
+        is_silent: the frame is missing or overdue; true until the first one comes.
+        valid: valid frames since the start.
+    """
+
+    __slots__ = ("_last_ns", "_period_ns", "_silence_ns", "alive", "checksums", "is_silent", "period", "valid")
+
+    def __init__(self, period_ns: int, started_ns: int) -> None:
+        self._period_ns = period_ns
+        self._silence_ns = silence_ns(period_ns)
+        self._last_ns = started_ns
+        self.alive = AliveCounter()
+        self.period = Period(period_ns)
+        self.checksums = Checksums()
+        self.is_silent = True
+        self.valid = 0
+
+    @property
+    def lost(self) -> int:
+        """Frames missed since the start, by the alive counter and, across a silence, by the period."""
+        return self.alive.lost
+
+    def receive(self, alive_counter: int, now_ns: int) -> tuple[FaultKind | None, FaultKind | None]:
+        """A valid frame came. Returns the faults of the alive counter and of the period."""
+        if self.is_silent:
+            self._end_silence(now_ns)
+        self.valid += 1
+        self._last_ns = now_ns
+        return self.alive.receive(alive_counter), self.period.receive(now_ns)
+
+    def tick(self, now_ns: int) -> FaultKind | None:
+        """Time passes. Returns SILENCE once, when the frame has become overdue."""
+        if self.is_silent or now_ns - self._last_ns <= self._silence_ns:
+            return None
+        self.is_silent = True
+        self.alive.forget()
+        self.period.forget()
+        return FaultKind.SILENCE
+
+    def _end_silence(self, now_ns: int) -> None:
+        self.is_silent = False
+        if self.valid:
+            # The counter cannot tell how often it wrapped; the period can.
+            self.alive.lost += max(0, round((now_ns - self._last_ns) / self._period_ns) - 1)

@@ -1,0 +1,132 @@
+"""``cruiser gateway``: put a chassis on Zenoh."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+
+from gateway.chassis.layout import DBC_FILES, dbc_text
+from gateway.core import Core
+from gateway.loop import run as run_loop
+from gateway.ports.can_bus import BusLost, CanBus, ReconnectingBus, describe, open_bus
+from gateway.ports.realtime import request_realtime
+from gateway.ports.zenoh_node import open_node
+from schemas.codec import encode
+from schemas.configuration import to_toml
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.json_schema import schema_of
+from schemas.messages import GatewayInfo, Variant
+from schemas.settings import Settings
+from schemas.subjects import SUBJECTS
+
+EXAMPLE = """\
+  cruiser gateway --interface socketcan --channel can0 --robot cruiser-7
+  cruiser gateway --interface socketcand --channel 127.0.0.1:29536   (the virtual chassis of 'cruiser sim')"""
+
+VERSIONS_TOLD = ("cruiser-gateway", "eclipse-zenoh", "python-can", "msgspec", "cantools")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags of ``cruiser gateway``."""
+    parser.add_argument("--robot", dest="robot.name", metavar="NAME", help="the robot's chunk of every key")
+    parser.add_argument("--root", dest="robot.root", metavar="ROOT", help="first chunks of every key")
+    parser.add_argument("--interface", dest="can.interface", metavar="NAME", help="python-can interface")
+    parser.add_argument("--channel", dest="can.channel", metavar="CHANNEL", help="the interface's channel")
+    parser.add_argument(
+        "--bitrate", dest="can.bitrate", metavar="BIT/S", type=int, help="if the interface sets it"
+    )
+    parser.add_argument(
+        "--variant", dest="chassis.variant", metavar="V", help="auto (from evidence), coarse or fine"
+    )
+    parser.add_argument(
+        "--listen", dest="zenoh.listen", metavar="ENDPOINT", action="append", help="Zenoh endpoint"
+    )
+    parser.add_argument(
+        "--connect", dest="zenoh.connect", metavar="ENDPOINT", action="append", help="Zenoh endpoint"
+    )
+    parser.add_argument(
+        "--listen-only",
+        dest="gateway.listen_only",
+        action=argparse.BooleanOptionalAction,
+        help="send nothing on the bus (the only mode there is today)",
+    )
+    parser.add_argument(
+        "--wait-for-bus",
+        dest="gateway.wait_for_bus",
+        action=argparse.BooleanOptionalAction,
+        help="start although the bus is not there",
+    )
+    parser.add_argument("--seconds", type=float, metavar="N", help="end after this time")
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Run the gateway until it is stopped."""
+    if not settings.gateway.listen_only:
+        raise CommandError("gateway.listen_only = false: this version cannot send on the bus", ExitCode.USAGE)
+    bus = ReconnectingBus(lambda: open_bus(settings.can), _first_bus(settings))
+    try:
+        node, where = open_node(settings)
+        try:
+            core = Core(settings, version("cruiser-gateway"), time.monotonic_ns())
+            sys.stderr.write(
+                f"gateway: {settings.robot.name} {where}, bus {describe(settings.can)}, listen-only\n"
+            )
+            sys.stderr.flush()
+            request_realtime(settings.gateway.realtime_priority)
+            run_loop(bus, node, core, _info(settings, core), _until(stopped, arguments.seconds))
+        finally:
+            node.close()
+    finally:
+        bus.close()
+    return int(ExitCode.OK)
+
+
+def _first_bus(settings: Settings) -> CanBus | None:
+    try:
+        return open_bus(settings.can)
+    except BusLost as error:
+        if settings.gateway.wait_for_bus:
+            return None
+        raise CommandError(f"{error} (--wait-for-bus starts without it)", ExitCode.UNREACHABLE) from error
+
+
+def _until(stopped: Callable[[], bool], seconds: float | None) -> Callable[[], bool]:
+    if seconds is None:
+        return stopped
+    end_s = time.monotonic() + seconds
+    return lambda: stopped() or time.monotonic() >= end_s
+
+
+def _info(settings: Settings, core: Core) -> Callable[[], bytes]:
+    """The payload of gateway/info. All but the variant is the same for ever, so it is made once."""
+    configuration = to_toml(settings)
+    versions = {name: version(name) for name in VERSIONS_TOLD} | {"python": sys.version.split()[0]}
+    schemas = {subject.schema_name: json.dumps(schema_of(subject)) for subject in SUBJECTS}
+    started_ns = time.time_ns()
+
+    def payload(variant: Variant) -> bytes:
+        return encode(
+            GatewayInfo(
+                time_ns=started_ns,
+                sequence=0,
+                robot=settings.robot.name,
+                bus=settings.can.bus,
+                listen_only=settings.gateway.listen_only,
+                started_ns=started_ns,
+                variant=variant,
+                versions=versions,
+                configuration=configuration,
+                configuration_sha256=hashlib.sha256(configuration.encode()).hexdigest(),
+                dbc_name=DBC_FILES.get(variant, ""),
+                dbc=dbc_text(variant) if variant in DBC_FILES else "",
+                schemas=schemas,
+            )
+        )
+
+    payloads = {variant: payload(variant) for variant in Variant}
+    return lambda: payloads[core.variant]

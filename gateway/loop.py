@@ -1,0 +1,116 @@
+"""The one thread that owns both flows on the robot: a frame in, a sample out, and a tick every 10 ms."""
+
+from __future__ import annotations
+
+import gc
+import logging
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from gateway.chassis.frame import Frame
+from gateway.core import Core
+from gateway.telemetry.health import Links
+from gateway.telemetry.sample import Sample
+from schemas.settings import TICK_NS
+
+log = logging.getLogger(__name__)
+
+
+class FrameSource(Protocol):
+    """The bus, as the loop sees it: it never fails, it is up or it is not."""
+
+    is_up: bool
+    detail: str
+    losses: int
+
+    def receive(self, timeout_s: float) -> Frame | None:
+        """The next frame, or None if there was none in time."""
+        ...
+
+
+class SampleSink(Protocol):
+    """Zenoh, as the loop sees it: it never fails and never blocks."""
+
+    failures: int
+
+    def publish(self, sample: Sample) -> None:
+        """Hand a sample to Zenoh."""
+        ...
+
+    def peers(self) -> int:
+        """Nodes connected directly."""
+        ...
+
+    def answer(self, reply: Callable[[], bytes]) -> None:
+        """Answer the queries that wait, a bounded number."""
+        ...
+
+
+def run(
+    bus: FrameSource,
+    sink: SampleSink,
+    core: Core,
+    info: Callable[[], bytes],
+    stopped: Callable[[], bool],
+) -> None:
+    """Run until ``stopped()``.
+
+    Args:
+        bus: where the frames come from.
+        sink: where the samples go.
+        core: decides what a frame and a tick mean.
+        info: the payload of ``gateway/info``.
+        stopped: asked every tick.
+    """
+    # What start-up made lives for ever; a collection during the loop would be a pause at a random time.
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        _run(bus, sink, core, info, stopped)
+    finally:
+        gc.enable()
+        gc.unfreeze()
+
+
+def _run(
+    bus: FrameSource,
+    sink: SampleSink,
+    core: Core,
+    info: Callable[[], bytes],
+    stopped: Callable[[], bool],
+) -> None:
+    monotonic_ns = time.monotonic_ns
+    due_ns = monotonic_ns() + TICK_NS
+    links = Links()
+    while not stopped():
+        now_ns = monotonic_ns()
+        while now_ns < due_ns:
+            frame = bus.receive((due_ns - now_ns) / 1e9)
+            now_ns = monotonic_ns()
+            if frame is not None:
+                sample = core.receive_frame(frame, now_ns)
+                if sample is not None:
+                    sink.publish(sample)
+        links = _observe(bus, sink, links)
+        core.observe_links(links)
+        for sample in core.tick(now_ns, time.time_ns(), now_ns - due_ns):
+            sink.publish(sample)
+        sink.answer(info)
+        due_ns += TICK_NS * (1 + (now_ns - due_ns) // TICK_NS)
+
+
+def _observe(bus: FrameSource, sink: SampleSink, before: Links) -> Links:
+    if bus.is_up and not before.bus_up:
+        log.info("the bus is up")
+    elif before.bus_up and (not bus.is_up or bus.losses != before.bus_losses):
+        log.warning("the bus is lost: %s; trying again", bus.detail)
+    return Links(
+        bus_up=bus.is_up,
+        bus_detail=bus.detail,
+        bus_losses=bus.losses,
+        zenoh_peers=sink.peers(),
+        publish_failures=sink.failures,
+        cpu_ns=time.process_time_ns(),
+    )

@@ -1,0 +1,301 @@
+"""The CAN bus, through python-can: frames in and out, one exception when the bus is lost."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, Final, Protocol
+
+import can
+
+from gateway.chassis.frame import (
+    BITRATE_SWITCH,
+    ERROR,
+    ERROR_STATE_INDICATOR,
+    EXTENDED,
+    FD,
+    IDENTIFIER_MASK,
+    REMOTE,
+    Frame,
+)
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import RECONNECT_MAX_S, RECONNECT_MIN_S, CanSettings
+
+log = logging.getLogger(__name__)
+
+CONNECT_TIMEOUT_S: Final = 1.0
+HANDSHAKE_TIMEOUT_S: Final = 5.0
+TIMESTAMP_TOLERANCE_NS: Final = 2_000_000_000
+
+
+class BusLost(Exception):  # noqa: N818 - it is named for what happened; the caller opens the bus again
+    """The bus is gone: cable, interface down, server gone."""
+
+
+class Bus(Protocol):
+    """What the loops need of a bus."""
+
+    def receive(self, timeout_s: float) -> Frame | None:
+        """The next frame, or None if there was none in time. Raises BusLost."""
+        ...
+
+    def send(self, frame: Frame) -> None:
+        """Hand a frame to the bus. Raises BusLost."""
+        ...
+
+    def close(self) -> None:
+        """Give the bus back. Never raises."""
+        ...
+
+
+class CanBus:
+    """A bus that python-can has opened."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self._bus = bus
+        self._socket = _stream_socket(bus)
+
+    def receive(self, timeout_s: float) -> Frame | None:
+        """The next frame, or None if there was none in time.
+
+        Raises:
+            BusLost: the bus is gone.
+        """
+        try:
+            message = self._bus.recv(timeout_s)
+        except (can.CanError, OSError, ValueError) as error:
+            raise BusLost(str(error) or type(error).__name__) from error
+        if message is not None:
+            return to_frame(message, time.time_ns())
+        if self._socket is not None and _has_hung_up(self._socket):
+            raise BusLost("the server closed the connection")
+        return None
+
+    def send(self, frame: Frame) -> None:
+        """Hand a frame to the bus.
+
+        Raises:
+            BusLost: the bus is gone, or takes nothing.
+        """
+        try:
+            self._bus.send(to_message(frame))
+        except (can.CanError, OSError, ValueError) as error:
+            raise BusLost(str(error) or type(error).__name__) from error
+
+    def close(self) -> None:
+        """Give the bus back. Never raises."""
+        try:
+            self._bus.shutdown()
+        except (can.CanError, OSError) as error:
+            log.debug("closing the bus: %s", error)
+
+
+def open_bus(settings: CanSettings) -> CanBus:
+    """Open the bus of the settings.
+
+    Raises:
+        CommandError: the settings name an interface that python-can does not have.
+        BusLost: the bus is not there (yet).
+    """
+    # Its messages hold tracebacks; what matters of them is in the BusLost that we raise.
+    logging.getLogger("can").setLevel(logging.CRITICAL)
+    arguments = _bus_arguments(settings)
+    if "host" in arguments:
+        _probe(arguments["host"], arguments["port"])
+    try:
+        bus = can.Bus(**arguments, ignore_config=True)
+    except (can.CanInterfaceNotImplementedError, ImportError, TypeError, NotImplementedError) as error:
+        raise CommandError(
+            f"can.interface {settings.interface!r} cannot be used: {error}", ExitCode.USAGE
+        ) from error
+    except Exception as error:
+        # Each vendor's driver raises errors of its own.
+        raise BusLost(f"{describe(settings)}: {error}") from error
+    return CanBus(bus)
+
+
+def describe(settings: CanSettings) -> str:
+    """The bus in a few words, for people."""
+    return f"{settings.interface} {settings.channel}"
+
+
+def _bus_arguments(settings: CanSettings) -> dict[str, Any]:
+    arguments: dict[str, Any] = {"interface": settings.interface, **settings.options}
+    if settings.bitrate:
+        arguments["bitrate"] = settings.bitrate
+    if settings.interface != "socketcand":
+        return arguments | {"channel": settings.channel}
+    address, _, name = settings.channel.partition("/")
+    host, colon, port = address.rpartition(":")
+    if not colon or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise CommandError(
+            f"can.channel {settings.channel!r}: socketcand wants HOST:PORT or HOST:PORT/BUS", ExitCode.USAGE
+        )
+    return arguments | {"host": host.strip("[]"), "port": int(port), "channel": name or settings.bus}
+
+
+def _probe(host: str, port: int) -> None:
+    """Find out whether the server answers: python-can itself would try for 10 s, at full processor load."""
+    try:
+        with socket.create_connection((host, port), CONNECT_TIMEOUT_S) as probe:
+            probe.settimeout(HANDSHAKE_TIMEOUT_S)
+            if not probe.recv(16).startswith(b"< hi >"):
+                raise BusLost(f"{host}:{port} does not speak the socketcand protocol")
+    except OSError as error:
+        raise BusLost(f"no socketcand server at {host}:{port}: {error}") from error
+
+
+def _stream_socket(bus: can.BusABC) -> socket.socket | None:
+    """The TCP socket of a bus that has one.
+
+    python-can's socketcand reads an end of stream as "no message" for ever; only the socket itself can tell.
+    """
+    for value in vars(bus).values():
+        if isinstance(value, socket.socket) and value.type == socket.SOCK_STREAM:
+            return value
+    return None
+
+
+def _has_hung_up(stream: socket.socket) -> bool:
+    try:
+        return stream.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT) == b""
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+
+
+def to_frame(message: can.Message, received_ns: int) -> Frame:
+    """Our frame of python-can's message.
+
+    Its time is the interface's own timestamp; where that is not near the epoch time of receipt, because the
+    interface counts from its own start or not at all, it is the time of receipt.
+    """
+    wall_ns = int(message.timestamp * 1e9)
+    if abs(received_ns - wall_ns) > TIMESTAMP_TOLERANCE_NS:
+        wall_ns = received_ns
+    can_id = message.arbitration_id & IDENTIFIER_MASK
+    if message.is_extended_id:
+        can_id |= EXTENDED
+    if message.is_error_frame:
+        can_id |= ERROR
+    remote_length = 0
+    if message.is_remote_frame:
+        can_id |= REMOTE
+        remote_length = message.dlc
+    fd_flags = 0
+    if message.is_fd:
+        fd_flags = (
+            FD
+            | (BITRATE_SWITCH if message.bitrate_switch else 0)
+            | (ERROR_STATE_INDICATOR if message.error_state_indicator else 0)
+        )
+    return Frame(can_id, bytes(message.data), wall_ns, fd_flags, remote_length)
+
+
+def to_message(frame: Frame) -> can.Message:
+    """python-can's message of our frame."""
+    remote = bool(frame.can_id & REMOTE)
+    return can.Message(
+        timestamp=frame.wall_ns / 1e9,
+        arbitration_id=frame.identifier,
+        is_extended_id=bool(frame.can_id & EXTENDED),
+        is_remote_frame=remote,
+        is_error_frame=bool(frame.can_id & ERROR),
+        is_fd=bool(frame.fd_flags & FD),
+        bitrate_switch=bool(frame.fd_flags & BITRATE_SWITCH),
+        error_state_indicator=bool(frame.fd_flags & ERROR_STATE_INDICATOR),
+        dlc=frame.length,
+        data=None if remote else frame.data,
+    )
+
+
+class ReconnectingBus:
+    """A bus that is opened again when it is lost, with growing pauses, on a thread of its own.
+
+    Opening may take seconds, so it never happens on the caller's thread. While the bus is away ``receive`` waits
+    its time and returns None.
+
+    Attributes:
+        is_up: the bus is open.
+        detail: why it is not, for people.
+        losses: how often it was lost.
+    """
+
+    def __init__(
+        self,
+        opener: Callable[[], Bus],
+        bus: Bus | None,
+        *,
+        first_pause_s: float = RECONNECT_MIN_S,
+        longest_pause_s: float = RECONNECT_MAX_S,
+    ) -> None:
+        self._open = opener
+        self._bus = bus
+        self._first_pause_s = first_pause_s
+        self._longest_pause_s = longest_pause_s
+        self._opened: Bus | None = None
+        self._wake = threading.Event()
+        self._closing = threading.Event()
+        self._thread: threading.Thread | None = None
+        self.is_up = bus is not None
+        self.detail = "" if bus is not None else "not opened yet"
+        self.losses = 0
+        if bus is None:
+            self._start_opening()
+
+    def receive(self, timeout_s: float) -> Frame | None:
+        """The next frame, or None if there was none in time or the bus is away."""
+        bus = self._bus
+        if bus is None:
+            if self._wake.wait(timeout_s):
+                self._take_opened()
+            return None
+        try:
+            return bus.receive(timeout_s)
+        except BusLost as error:
+            self._lose(bus, str(error))
+            return None
+
+    def close(self) -> None:
+        """Give the bus back."""
+        self._closing.set()
+        if self._thread is not None:
+            self._thread.join(timeout=CONNECT_TIMEOUT_S + HANDSHAKE_TIMEOUT_S)
+        self._take_opened()
+        if self._bus is not None:
+            self._bus.close()
+
+    def _lose(self, bus: Bus, why: str) -> None:
+        bus.close()
+        self._bus = None
+        self.is_up = False
+        self.detail = why
+        self.losses += 1
+        self._start_opening()
+
+    def _start_opening(self) -> None:
+        self._wake.clear()
+        self._thread = threading.Thread(target=self._keep_opening, name="bus-opener", daemon=True)
+        self._thread.start()
+
+    def _keep_opening(self) -> None:
+        pause_s = self._first_pause_s
+        while not self._closing.wait(pause_s):
+            try:
+                self._opened = self._open()
+            except (BusLost, CommandError) as error:
+                self.detail = str(error)
+                pause_s = min(2 * pause_s, self._longest_pause_s)
+            else:
+                self._wake.set()
+                return
+
+    def _take_opened(self) -> None:
+        if self._opened is not None:
+            self._bus, self._opened = self._opened, None
+            self.is_up = True
+            self.detail = ""

@@ -1,0 +1,163 @@
+"""The gateway on Zenoh: publishers, the info queryable, the liveliness token.
+
+No Python of ours runs on Zenoh's threads: queries wait in a ring channel that the loop drains.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+import zenoh
+from zenoh import ext
+
+from gateway.ports.zenoh_client import open_session
+from gateway.telemetry.sample import Sample
+from schemas import keys
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import DEFAULT_ENDPOINT, Settings, ZenohSettings
+from schemas.subjects import BY_NAME, SUBJECTS, Pattern, Qos, Subject
+from schemas.zenoh_link import ANY_LOCAL_PORT
+
+log = logging.getLogger(__name__)
+
+QUERIES_WAITING: Final = 16
+"""Queries on gateway/info that may wait; beyond it the oldest go."""
+
+QUERIES_PER_TICK: Final = 2
+
+NEIGHBOUR_TIMEOUT_S: Final = 3.0
+"""A Zenoh node that holds our port is connected within this time, or it is none."""
+
+
+class ZenohNode:
+    """A gateway's place on Zenoh. Nothing here raises or blocks once it is open.
+
+    Attributes:
+        failures: samples and replies that Zenoh did not take.
+    """
+
+    def __init__(self, session: zenoh.Session, settings: Settings) -> None:
+        robot = settings.robot
+        self.failures = 0
+        self._session = session
+        self._puts: dict[str, Callable[[bytes], Any]] = {}
+        self._declared: list[Any] = []
+        for subject in SUBJECTS:
+            if subject.pattern is Pattern.PUBLISHED:
+                bus = settings.can.bus if "{bus}" in subject.name else ""
+                key = keys.build(robot.root, robot.name, subject, bus)
+                publisher = _declare_publisher(session, key, subject)
+                self._declared.append(publisher)
+                self._puts[subject.name] = publisher.put
+        info = BY_NAME["gateway/info"]
+        self._info_encoding = info.encoding
+        self._info_key = keys.build(robot.root, robot.name, info)
+        self._queries = session.declare_queryable(
+            self._info_key, zenoh.handlers.RingChannel(QUERIES_WAITING), complete=True
+        )
+        self._declared.append(self._queries)
+        token = session.liveliness().declare_token(keys.liveliness(robot.root, robot.name))
+        self._declared.append(token)
+
+    def publish(self, sample: Sample) -> None:
+        """Hand a sample to Zenoh. It goes out, or is dropped and counted by the link; this never waits."""
+        try:
+            self._puts[sample.subject](sample.payload)
+        except zenoh.ZError as error:
+            self._fail(error)
+
+    def peers(self) -> int:
+        """Nodes connected directly."""
+        info = self._session.info
+        return len(info.peers_zid()) + len(info.routers_zid())
+
+    def answer(self, reply: Callable[[], bytes]) -> None:
+        """Answer the queries on ``gateway/info`` that wait, a bounded number."""
+        for _ in range(QUERIES_PER_TICK):
+            query = self._queries.try_recv()
+            if query is None:
+                return
+            try:
+                with query:
+                    query.reply(self._info_key, reply(), encoding=self._info_encoding)
+            except zenoh.ZError as error:
+                self._fail(error)
+
+    def close(self) -> None:
+        """Leave Zenoh. Never raises."""
+        try:
+            for declared in self._declared:
+                declared.undeclare()
+            self._session.close()
+        except zenoh.ZError as error:
+            log.debug("closing Zenoh: %s", error)
+
+    def _fail(self, error: zenoh.ZError) -> None:
+        self.failures += 1
+        log.debug("Zenoh did not take a sample: %s", error)
+
+
+def open_node(settings: Settings) -> tuple[ZenohNode, str]:
+    """Open the gateway's node. Returns it and where it is, in words.
+
+    Raises:
+        CommandError: an endpoint is taken by something that is not Zenoh, or cannot be used.
+    """
+    session, where = _open_session(settings.zenoh)
+    return ZenohNode(session, settings), where
+
+
+def _open_session(zenoh_settings: ZenohSettings) -> tuple[zenoh.Session, str]:
+    connect = list(zenoh_settings.connect)
+    if zenoh_settings.mode == "client":
+        connect = connect or [DEFAULT_ENDPOINT]
+        return open_session(zenoh_settings, connect, []), f"client of {', '.join(connect)}"
+    listen = zenoh_settings.listen or [DEFAULT_ENDPOINT]
+    try:
+        return open_session(zenoh_settings, connect, listen), f"at {', '.join(listen)}"
+    except CommandError:
+        if zenoh_settings.listen:
+            raise
+    return _join_neighbour(zenoh_settings, connect), f"through the Zenoh node at {DEFAULT_ENDPOINT}"
+
+
+def _join_neighbour(zenoh_settings: ZenohSettings, connect: list[str]) -> zenoh.Session:
+    """Another Zenoh node holds our port: several robots on one bench. Connect to it."""
+    session = open_session(zenoh_settings, [*connect, DEFAULT_ENDPOINT], [ANY_LOCAL_PORT])
+    deadline_s = time.monotonic() + NEIGHBOUR_TIMEOUT_S
+    while time.monotonic() < deadline_s:
+        if session.info.peers_zid() or session.info.routers_zid():
+            return session
+        time.sleep(0.02)
+    session.close()
+    raise CommandError(
+        f"{DEFAULT_ENDPOINT} is taken, and not by a Zenoh node; choose another with --listen", ExitCode.UNREACHABLE
+    )
+
+
+def _declare_publisher(
+    session: zenoh.Session, key: str, subject: Subject
+) -> zenoh.Publisher | ext.AdvancedPublisher:
+    qos: Qos = subject.qos
+    priority: zenoh.Priority = getattr(zenoh.Priority, qos.priority.value)
+    if not qos.history:
+        return session.declare_publisher(
+            key,
+            encoding=subject.encoding,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=priority,
+            express=qos.express,
+        )
+    return ext.declare_advanced_publisher(
+        session,
+        key,
+        encoding=subject.encoding,
+        congestion_control=zenoh.CongestionControl.DROP,
+        priority=priority,
+        express=qos.express,
+        cache=ext.CacheConfig(qos.history),
+        publisher_detection=True,
+    )

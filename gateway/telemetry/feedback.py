@@ -1,0 +1,84 @@
+"""One feedback frame's stream: check, supervise, decode, make the sample."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from gateway.chassis.decode import MessageDecoder, check
+from gateway.chassis.faults import FaultKind
+from gateway.chassis.frame import Frame
+from gateway.chassis.supervision import FrameSupervisor
+from gateway.telemetry.sample import Sample
+from schemas.codec import encode
+from schemas.messages import SEQUENCE_MAX, Feedback, FrameHealth
+
+
+class FeedbackStream:
+    """The way of one feedback frame from the bus to a sample.
+
+    Attributes:
+        decoder: how its data become a message; None while the scale of its speeds is not known.
+        latest: the newest message; None before the first and while the frame is silent.
+        supervisor: what is watched about the frame.
+    """
+
+    def __init__(self, decoder: MessageDecoder, started_ns: int, faults: Counter[FaultKind]) -> None:
+        self.layout = decoder.layout
+        self.decoder: MessageDecoder | None = decoder
+        self.latest: Feedback | None = None
+        self.supervisor = FrameSupervisor(self.layout.period_ns, started_ns)
+        self._subject = decoder.subject.name
+        self._faults = faults
+        self._sequence = 0
+        self._rated_valid = 0
+
+    def receive(self, frame: Frame, now_ns: int) -> Sample | None:
+        """The sample of a frame of this stream, or None if the frame is not one to publish."""
+        fault = check(frame)
+        if fault is not None:
+            self._faults[fault] += 1
+            if fault is FaultKind.CHECKSUM:
+                self.supervisor.checksums.fault(now_ns)
+            return None
+        data = frame.data
+        alive_fault, period_fault = self.supervisor.receive(data[6] >> 4, now_ns)
+        if alive_fault is not None:
+            self._faults[alive_fault] += 1
+        if period_fault is not None:
+            self._faults[period_fault] += 1
+        decoder = self.decoder
+        if decoder is None:
+            self._faults[FaultKind.VARIANT_UNKNOWN] += 1
+            return None
+        if decoder.undefined(data):
+            self._faults[FaultKind.UNDEFINED_VALUE] += 1
+        message = decoder.build(data, frame.wall_ns, self._sequence)
+        self._sequence = (self._sequence + 1) & SEQUENCE_MAX
+        self.latest = message
+        return Sample(self._subject, encode(message))
+
+    def withhold(self) -> None:
+        """Publish nothing more until a decoder is set: its scale is in doubt."""
+        self.decoder = None
+        self.latest = None
+
+    def tick(self, now_ns: int) -> None:
+        """Time passes: the frame may have become silent."""
+        fault = self.supervisor.tick(now_ns)
+        if fault is not None:
+            self._faults[fault] += 1
+            self.latest = None
+
+    def health(self, elapsed_s: float) -> FrameHealth:
+        """How the stream is; the rate is that since the last call, which was ``elapsed_s`` ago."""
+        supervisor = self.supervisor
+        rate_hz = (supervisor.valid - self._rated_valid) / elapsed_s
+        self._rated_valid = supervisor.valid
+        return FrameHealth(
+            name=self.layout.name,
+            rate_hz=round(rate_hz, 2),
+            valid=supervisor.valid,
+            lost=supervisor.lost,
+            silent=supervisor.is_silent,
+            alive_faults=supervisor.alive.faults,
+        )

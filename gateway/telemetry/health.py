@@ -1,0 +1,109 @@
+"""The gateway's health, each second."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Final
+
+import msgspec
+
+from gateway.chassis.faults import FaultKind
+from gateway.chassis.frame import hex_identifier
+from gateway.telemetry.feedback import FeedbackStream
+from schemas.messages import SEQUENCE_MAX, GatewayHealth, Variant
+
+UNKNOWN_IDENTIFIERS_MAX: Final = 64
+"""Identifiers that are counted by name; a bus full of strangers must not fill the memory."""
+
+OTHER_IDENTIFIERS: Final = "other"
+
+
+class Links(msgspec.Struct, frozen=True):
+    """What the loop sees of the outside and tells the core.
+
+    Attributes:
+        bus_up, bus_detail, bus_losses: the CAN bus, as in GatewayHealth.
+        zenoh_peers: Zenoh nodes connected directly.
+        publish_failures: samples that Zenoh did not take, since the start.
+        cpu_ns: processor time of the process since its start.
+    """
+
+    bus_up: bool = False
+    bus_detail: str = ""
+    bus_losses: int = 0
+    zenoh_peers: int = 0
+    publish_failures: int = 0
+    cpu_ns: int = 0
+
+
+class HealthMeter:
+    """Counts what happens and tells it each second.
+
+    Attributes:
+        faults: faults since the start, by kind.
+        frames: frames received since the start, whatever they were.
+    """
+
+    def __init__(self, gateway_version: str, bus: str, started_ns: int) -> None:
+        self.faults: Counter[FaultKind] = Counter()
+        self.frames = 0
+        self._gateway_version = gateway_version
+        self._bus = bus
+        self._started_ns = started_ns
+        self._unknown: Counter[str] = Counter()
+        self._lateness_ns: list[int] = []
+        self._reported_ns = started_ns
+        self._reported_frames = 0
+        self._reported_cpu_ns = 0
+        self._sequence = 0
+
+    def unknown_identifier(self, can_id: int) -> None:
+        """A frame came whose identifier is not in the DBC."""
+        name = hex_identifier(can_id)
+        if name not in self._unknown and len(self._unknown) >= UNKNOWN_IDENTIFIERS_MAX:
+            name = OTHER_IDENTIFIERS
+        self._unknown[name] += 1
+
+    def tick_lateness(self, late_ns: int) -> None:
+        """A tick began this much after its time."""
+        self._lateness_ns.append(late_ns)
+
+    def report(
+        self, now_ns: int, wall_ns: int, links: Links, variant: Variant, streams: list[FeedbackStream]
+    ) -> GatewayHealth:
+        """The health of the time since the last report."""
+        elapsed_s = max(now_ns - self._reported_ns, 1) / 1e9
+        late_ns = sorted(self._lateness_ns) or [0]
+        health = GatewayHealth(
+            time_ns=wall_ns,
+            sequence=self._sequence,
+            gateway_version=self._gateway_version,
+            uptime_s=round((now_ns - self._started_ns) / 1e9, 3),
+            bus=self._bus,
+            bus_up=links.bus_up,
+            bus_detail=links.bus_detail,
+            bus_losses=links.bus_losses,
+            zenoh_peers=links.zenoh_peers,
+            publish_failures=links.publish_failures,
+            variant=variant,
+            frames=self.frames,
+            frames_per_s=round((self.frames - self._reported_frames) / elapsed_s, 1),
+            faults={kind.value: number for kind, number in self.faults.items()},
+            unknown_identifiers=dict(self._unknown),
+            feedback=[stream.health(elapsed_s) for stream in streams],
+            tick_lateness_p50_ms=_quantile_ms(late_ns, 0.50),
+            tick_lateness_p99_ms=_quantile_ms(late_ns, 0.99),
+            tick_lateness_max_ms=_quantile_ms(late_ns, 1),
+            cpu_percent=round((links.cpu_ns - self._reported_cpu_ns) / elapsed_s / 1e7, 1),
+        )
+        self._reported_ns = now_ns
+        self._reported_frames = self.frames
+        self._reported_cpu_ns = links.cpu_ns
+        self._lateness_ns.clear()
+        self._sequence = (self._sequence + 1) & SEQUENCE_MAX
+        return health
+
+
+def _quantile_ms(sorted_ns: list[int], share: float) -> float:
+    index = min(len(sorted_ns) - 1, int(share * len(sorted_ns)))
+    return round(sorted_ns[index] / 1e6, 3)

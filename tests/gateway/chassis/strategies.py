@@ -1,0 +1,45 @@
+"""Hypothesis strategies of the chassis tests."""
+
+from hypothesis import strategies as st
+
+from gateway.chassis.frame import Frame
+from gateway.chassis.layout import MessageLayout, load
+from schemas.messages import Variant
+
+VARIANTS = (Variant.COARSE, Variant.FINE)
+LAYOUTS = [message for variant in VARIANTS for message in load(variant).messages.values()]
+FEEDBACK = [message for message in LAYOUTS if message.is_feedback]
+KNOWN_IDS = sorted({message.can_id for message in LAYOUTS})
+
+payloads = st.binary(min_size=8, max_size=8)
+
+can_ids = st.one_of(
+    st.sampled_from(KNOWN_IDS),
+    st.sampled_from(KNOWN_IDS).map(lambda can_id: can_id ^ 0x8000_0000),
+    st.sampled_from(KNOWN_IDS).map(lambda can_id: can_id | 0x4000_0000),
+    st.sampled_from(KNOWN_IDS).map(lambda can_id: can_id | 0x2000_0000),
+    st.integers(0, 2**32 - 1),
+)
+
+frames = st.builds(
+    Frame,
+    can_id=can_ids,
+    data=st.one_of(payloads, st.binary(max_size=64)),
+    wall_ns=st.integers(0, 2**62),
+    fd_flags=st.sampled_from([0, 0, 0, 4, 5, 7]),
+    remote_length=st.integers(0, 8),
+)
+
+
+def with_checksum(data: bytes) -> bytes:
+    """The same data with the right checksum."""
+    checksum = 0
+    for byte in data[:7]:
+        checksum ^= byte
+    return data[:7] + bytes([checksum])
+
+
+def identify(layout: MessageLayout) -> str:
+    """A test's name for a layout."""
+    wheel = "fine" if layout in load(Variant.FINE).messages.values() else "coarse"
+    return f"{wheel}-{layout.name}"

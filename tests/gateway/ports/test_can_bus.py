@@ -1,0 +1,262 @@
+"""The CAN bus through python-can."""
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+
+import can
+import pytest
+from hypothesis import given
+
+from gateway.chassis.frame import ERROR, EXTENDED, REMOTE, Frame
+from gateway.ports.can_bus import BusLost, CanBus, ReconnectingBus, open_bus, to_frame, to_message
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import CanSettings
+from tests.gateway.chassis.strategies import frames
+
+DEADLINE_S = 10.0
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    """Wait for a condition that has to come true."""
+    deadline_s = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline_s, "it never came true"
+        time.sleep(0.002)
+
+
+def consistent(frame: Frame) -> Frame:
+    """The frame as a driver can deliver it: no remote FD frames, no remote data, 11 bits if standard."""
+    can_id = frame.can_id if frame.can_id & EXTENDED else frame.can_id & ~0x1FFF_F800
+    remote = bool(can_id & REMOTE) and not can_id & ERROR
+    can_id = can_id if remote else can_id & ~REMOTE
+    fd_flags = 0 if remote or can_id & ERROR else frame.fd_flags
+    data = b"" if remote else frame.data[: 64 if fd_flags else 8]
+    return Frame(can_id, data, frame.wall_ns, fd_flags, frame.remote_length if remote else 0)
+
+
+@given(frame=frames.map(consistent))
+def test_a_frame_survives_the_way_through_python_can(frame: Frame) -> None:
+    """Identifier, kind, data, FD flags and length are the same after python-can's message as before."""
+    back = to_frame(to_message(frame), frame.wall_ns)
+    assert (back.can_id, back.data, back.fd_flags, back.length) == (
+        frame.can_id,
+        frame.data,
+        frame.fd_flags,
+        frame.length,
+    )
+    assert abs(back.wall_ns - frame.wall_ns) < 2000
+
+
+@pytest.mark.parametrize("timestamp", [0.0, 12.5, 1e12])
+def test_a_timestamp_that_is_no_epoch_time_is_replaced(timestamp: float) -> None:
+    """Interfaces that count from their own start would put the frame into 1970 or the far future."""
+    received_ns = 1_700_000_000_000_000_000
+    assert to_frame(can.Message(timestamp=timestamp), received_ns).wall_ns == received_ns
+
+
+def test_a_kernel_timestamp_is_kept() -> None:
+    """A receive time near now is the interface's own, and better than ours."""
+    received_ns = 1_700_000_000_500_000_000
+    wall_ns = to_frame(can.Message(timestamp=1_700_000_000.25), received_ns).wall_ns
+    assert wall_ns == pytest.approx(1_700_000_000_250_000_000, abs=1000)
+
+
+def test_frames_go_from_bus_to_bus() -> None:
+    """Two buses on python-can's virtual interface hear each other."""
+    settings = CanSettings(interface="virtual", channel="test-two")
+    one, other = open_bus(settings), open_bus(settings)
+    try:
+        one.send(Frame(EXTENDED | 0x18C4D1EF, b"\x01\x04", 0))
+        received = other.receive(1)
+        assert received is not None
+        assert (received.can_id, received.data) == (EXTENDED | 0x18C4D1EF, b"\x01\x04")
+        assert other.receive(0) is None
+    finally:
+        one.close()
+        other.close()
+
+
+def test_an_unknown_interface_is_a_wrong_setting() -> None:
+    """It names the interface, and is a matter of usage."""
+    with pytest.raises(CommandError, match="no-such") as error:
+        open_bus(CanSettings(interface="no-such", channel="x"))
+    assert error.value.code is ExitCode.USAGE
+
+
+@pytest.mark.parametrize("channel", ["can0", "127.0.0.1", "127.0.0.1:", "127.0.0.1:0", "127.0.0.1:x/can0"])
+def test_a_socketcand_channel_needs_host_and_port(channel: str) -> None:
+    """Anything else is a wrong setting, and the line says what is wanted."""
+    with pytest.raises(CommandError, match="HOST:PORT"):
+        open_bus(CanSettings(interface="socketcand", channel=channel))
+
+
+def test_no_server_is_a_lost_bus() -> None:
+    """A refused connection is told at once (python-can alone would try for ten seconds)."""
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        with pytest.raises(BusLost, match="no socketcand server"):
+            open_bus(CanSettings(interface="socketcand", channel=f"127.0.0.1:{taken.getsockname()[1]}"))
+
+
+def test_a_missing_kernel_interface_is_a_lost_bus() -> None:
+    """The interface may come later, so this is no wrong setting."""
+    with pytest.raises(BusLost, match="socketcan nosuchcan"):
+        open_bus(CanSettings(interface="socketcan", channel="nosuchcan"))
+
+
+@contextmanager
+def server(greeting: bytes) -> Iterator[tuple[str, Callable[[], None]]]:
+    """A TCP server that greets, answers every line with ok, and hangs up when told to."""
+    hang_up = threading.Event()
+
+    def serve() -> None:
+        while not hang_up.is_set():
+            try:
+                client, _ = listener.accept()
+            except TimeoutError:
+                continue
+            client.settimeout(0.02)
+            with client, suppress(ConnectionError):
+                client.sendall(greeting)
+                while not hang_up.is_set():
+                    try:
+                        if not client.recv(256):
+                            break
+                        client.sendall(b"< ok >")
+                    except TimeoutError:
+                        continue
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        listener.settimeout(0.02)
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            yield f"127.0.0.1:{listener.getsockname()[1]}", hang_up.set
+        finally:
+            hang_up.set()
+            thread.join()
+
+
+def test_a_server_that_does_not_speak_socketcand_is_told() -> None:
+    """Whatever else listens there, the line says so."""
+    with (
+        server(b"SSH-2.0-OpenSSH_9.2\r\n") as (channel, _),
+        pytest.raises(BusLost, match="does not speak the socketcand protocol"),
+    ):
+        open_bus(CanSettings(interface="socketcand", channel=channel))
+
+
+def test_a_server_that_hangs_up_is_a_lost_bus() -> None:
+    """python-can reads the end of the stream as silence for ever; we read it as a loss."""
+    with server(b"< hi >") as (channel, hang_up):
+        bus = open_bus(CanSettings(interface="socketcand", channel=channel))
+        try:
+            assert bus.receive(0.01) is None
+            hang_up()
+            with pytest.raises(BusLost, match="closed the connection"):
+                wait_until(lambda: bus.receive(0.01) is not None)
+        finally:
+            bus.close()
+
+
+class FakeBus:
+    """A bus with failure knobs."""
+
+    def __init__(self) -> None:
+        self.frames: list[Frame] = []
+        self.lost = ""
+        self.closed = False
+
+    def receive(self, timeout_s: float) -> Frame | None:
+        if self.lost:
+            raise BusLost(self.lost)
+        if not self.frames:
+            time.sleep(min(timeout_s, 0.001))
+            return None
+        return self.frames.pop(0)
+
+    def send(self, frame: Frame) -> None:
+        self.frames.append(frame)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+FRAME = Frame(EXTENDED | 0x18C4D1EF, bytes(8))
+
+
+def test_a_lost_bus_is_opened_again() -> None:
+    """While it is away there are no frames and it says why; afterwards frames come again."""
+    first, second = FakeBus(), FakeBus()
+    outcomes: list[FakeBus | str] = ["no such device", "no such device", second]
+
+    def opener() -> FakeBus:
+        outcome = outcomes.pop(0)
+        if isinstance(outcome, str):
+            raise BusLost(outcome)
+        return outcome
+
+    bus = ReconnectingBus(opener, first, first_pause_s=0.001, longest_pause_s=0.004)
+    first.frames.append(FRAME)
+    assert bus.receive(0.01) == FRAME
+    first.lost = "Network is down"
+    assert bus.receive(0.01) is None
+    assert (bus.is_up, bus.losses) == (False, 1)
+    assert bus.detail
+    assert first.closed
+    wait_until(lambda: (bus.receive(0.001), bus.is_up)[1])
+    second.frames.append(FRAME)
+    assert bus.receive(0.01) == FRAME
+    assert (bus.is_up, bus.detail, bus.losses) == (True, "", 1)
+    bus.close()
+    assert second.closed
+
+
+def test_a_bus_that_is_not_there_at_the_start_is_awaited() -> None:
+    """Without a first bus it is down, not lost, and comes up when it can be opened."""
+    present = FakeBus()
+    bus = ReconnectingBus(lambda: present, None, first_pause_s=0.001)
+    wait_until(lambda: (bus.receive(0.001), bus.is_up)[1])
+    assert bus.losses == 0
+    bus.close()
+    assert present.closed
+
+
+def test_closing_ends_the_search() -> None:
+    """A bus that never comes does not keep the process alive."""
+
+    def opener() -> FakeBus:
+        raise BusLost("never")
+
+    bus = ReconnectingBus(opener, None, first_pause_s=0.001)
+    wait_until(lambda: bus.detail == "never")
+    bus.close()
+    assert not any(thread.name == "bus-opener" for thread in threading.enumerate())
+
+
+def test_sending_on_a_closed_bus_is_a_loss() -> None:
+    """python-can's own errors do not leave the port."""
+
+    class Failing(can.BusABC):
+        """A driver whose cable is out."""
+
+        def __init__(self) -> None:
+            super().__init__(channel=None)
+
+        def send(self, msg: can.Message, timeout: float | None = None) -> None:
+            raise can.CanOperationError(f"no cable for {msg} in {timeout}")
+
+        def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+            raise can.CanOperationError(f"no cable in {timeout}")
+
+    bus = CanBus(Failing())
+    try:
+        with pytest.raises(BusLost, match="no cable"):
+            bus.send(FRAME)
+        with pytest.raises(BusLost, match="no cable"):
+            bus.receive(0)
+    finally:
+        bus.close()

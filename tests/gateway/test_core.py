@@ -1,0 +1,283 @@
+"""The gateway without its surroundings."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.chassis.frame import EXTENDED, Frame
+from gateway.chassis.layout import load
+from gateway.core import SCALED_BY_VARIANT, Core
+from gateway.telemetry.health import Links
+from gateway.telemetry.sample import Sample
+from schemas import codec
+from schemas.messages import (
+    CanFrames,
+    Drive,
+    GatewayHealth,
+    Gear,
+    GearPosition,
+    Message,
+    Mode,
+    ParkingStatus,
+    RobotState,
+    Variant,
+)
+from schemas.settings import ChassisSettings, Settings
+from schemas.subjects import BY_NAME
+from tests.gateway.chassis.strategies import VARIANTS, frames
+from tests.gateway.frames import MS, STANDING, WALL_NS, Feedback
+
+UP = Links(bus_up=True)
+
+
+def core(variant: str = "auto") -> Core:
+    """A core whose bus is up."""
+    made = Core(Settings(chassis=ChassisSettings(variant=variant)), "1.2.3", 0)  # type: ignore[arg-type]
+    made.observe_links(UP)
+    return made
+
+
+def read(sample: Sample | None) -> Message:
+    """The message of a sample, by the codec."""
+    assert sample is not None
+    message = codec.decode(BY_NAME[sample.subject], sample.payload)
+    assert isinstance(message, Message), message
+    return message
+
+
+def ticks(made: Core, until_ms: int, from_ms: int = 0) -> dict[str, list[Message]]:
+    """What the ticks of this time publish, by subject."""
+    published: dict[str, list[Message]] = {}
+    for at_ms in range(from_ms, until_ms + 1, 10):
+        for sample in made.tick(at_ms * MS, WALL_NS + at_ms * MS, 0):
+            published.setdefault(sample.subject, []).append(read(sample))
+    return published
+
+
+def confirm(made: Core, feedback: Feedback) -> None:
+    """Show the standstill evidence."""
+    for _ in range(5):
+        made.receive_frame(feedback.frame("Auto_WheelSpdFeedback"), 0)
+
+
+def test_only_speeds_depend_on_the_variant() -> None:
+    """The frames that wait for the variant are exactly those whose layouts differ between the two DBCs."""
+    coarse, fine = load(Variant.COARSE), load(Variant.FINE)
+    differing = {layout.name for layout in coarse.feedback if layout != fine.messages[layout.name]}
+    assert differing == set(SCALED_BY_VARIANT)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_each_feedback_frame_becomes_its_sample(variant: Variant) -> None:
+    """All ten frames are published under their subjects, each with the frame's own time and a running sequence."""
+    made, feedback = core(variant.value), Feedback(variant)
+    for sequence in range(3):
+        for frame in feedback.all():
+            message = read(made.receive_frame(frame, 0))
+            assert (message.time_ns, message.sequence) == (WALL_NS, sequence)
+    subjects = [made.receive_frame(frame, 0) for frame in feedback.all()]
+    assert [sample.subject for sample in subjects if sample] == [
+        subject.name for subject in BY_NAME.values() if subject.dbc_message
+    ]
+
+
+def test_a_value_arrives_as_it_was_sent() -> None:
+    """Gear and speed of the frame are gear and speed of the message."""
+    made, feedback = core("fine"), Feedback(Variant.FINE)
+    gear = read(made.receive_frame(feedback.frame("Auto_GearFeedBack", {"GearPosition": "drive"}), 0))
+    drive = read(made.receive_frame(feedback.frame("Auto_DriveFeedBack", {"Speed": 1.234}), 0))
+    assert isinstance(gear, Gear)
+    assert gear.gear_position is GearPosition.DRIVE
+    assert isinstance(drive, Drive)
+    assert drive.speed_mps == pytest.approx(1.234)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_no_speed_is_published_before_its_scale_is_known(variant: Variant) -> None:
+    """Speeds wait for the evidence; everything else does not. The raw frames keep what was withheld."""
+    made, feedback = core(), Feedback(variant)
+    for name in SCALED_BY_VARIANT:
+        assert made.receive_frame(feedback.frame(name), 0) is None
+    assert made.receive_frame(feedback.frame("Auto_GearFeedBack"), 0) is not None
+    confirm(made, feedback)
+    assert made.variant is variant
+    speed = read(made.receive_frame(feedback.frame("Auto_DriveFeedBack", {"Speed": 2.0}), 0))
+    assert isinstance(speed, Drive)
+    assert speed.speed_mps == pytest.approx(2.0)
+
+
+def test_evidence_against_the_variant_withholds_the_speeds() -> None:
+    """A fine chassis under a coarse configuration shows no speed at all, rather than one 40 times too high."""
+    made, feedback = core("coarse"), Feedback(Variant.FINE)
+    confirm(made, feedback)
+    assert made.variant is Variant.UNKNOWN
+    assert made.receive_frame(feedback.frame("Auto_DriveFeedBack"), 0) is None
+    health = ticks(made, 1000)["gateway/health"][0]
+    assert isinstance(health, GatewayHealth)
+    assert health.faults["variant_contradicted"] == 5
+
+
+def test_a_bus_that_returns_has_to_prove_its_variant_again() -> None:
+    """Another chassis may be on it now."""
+    made, feedback = core(), Feedback(Variant.COARSE)
+    confirm(made, feedback)
+    made.observe_links(Links(bus_up=True, bus_losses=1))
+    assert made.variant is Variant.UNKNOWN
+    assert made.receive_frame(feedback.frame("Auto_DriveFeedBack"), 0) is None
+
+
+@given(frame=frames)
+def test_no_frame_raises_and_a_malformed_one_is_never_data(frame: Frame) -> None:
+    """Whatever comes is counted; a sample comes out only of a valid feedback frame; the raw frame is kept."""
+    made = core("coarse")
+    sample = made.receive_frame(frame, 0)
+    health = next(read(s) for s in made.tick(1000 * MS, WALL_NS, 0) if s.subject == "gateway/health")
+    assert isinstance(health, GatewayHealth)
+    assert health.frames == 1
+    commands = {layout.can_id for layout in load(Variant.COARSE).commands}
+    counted = sum(health.faults.values())
+    if sample is None and frame.can_id not in commands:
+        assert counted == 1
+    malformed = {"checksum", "length", "fd_frame", "remote_frame", "error_frame", "unknown_identifier"}
+    assert sample is None or not malformed & health.faults.keys()
+
+
+def test_raw_frames_come_in_batches_of_50_ms_in_their_order() -> None:
+    """Every frame is in exactly one batch, whatever it is, with its time and flags."""
+    made = core()
+    sent = [Frame(EXTENDED | number, bytes([number]), WALL_NS + number, 0, 0) for number in range(100)]
+    received: list[tuple[int, bytes, int]] = []
+    for number, frame in enumerate(sent):
+        made.receive_frame(frame, number * MS)
+        for sample in made.tick(number * MS, WALL_NS, 0):
+            if sample.subject == "can/{bus}/rx":
+                batch = read(sample)
+                assert isinstance(batch, CanFrames)
+                assert batch.sequence * 50 <= number
+                received += zip(batch.can_id, batch.data, batch.frame_time_ns, strict=True)
+    batch = next(read(s) for s in made.tick(150 * MS, WALL_NS, 0) if s.subject == "can/{bus}/rx")
+    assert isinstance(batch, CanFrames)
+    received += zip(batch.can_id, batch.data, batch.frame_time_ns, strict=True)
+    assert received == [(frame.can_id, frame.data, frame.wall_ns) for frame in sent]
+
+
+def test_state_says_nothing_that_was_not_seen() -> None:
+    """Before the first frame every field is null or undefined, and every frame is named as silent."""
+    state = ticks(core(), 0)["state"][0]
+    assert isinstance(state, RobotState)
+    assert set(state.silent) == set(STANDING)
+    assert state.mode is Mode.UNDEFINED
+    assert (state.speed_mps, state.angle_deg, state.front_bumper) == (None, None, None)
+
+
+def test_state_goes_out_20_times_a_second_and_health_once() -> None:
+    """The rates of the subject table, from ticks of 10 ms."""
+    published = ticks(core(), 1990)
+    assert len(published["state"]) == 40
+    assert len(published["gateway/health"]) == 1
+    sequences = [message.sequence for message in published["state"]]
+    assert sequences == list(range(40))
+
+
+def test_a_silent_frame_leaves_the_state() -> None:
+    """A value older than its frame's silence limit is not shown as current."""
+    made, feedback = core("coarse"), Feedback(Variant.COARSE)
+    for frame in feedback.all():
+        made.receive_frame(frame, 0)
+    states = ticks(made, 600)["state"]
+    assert all(isinstance(state, RobotState) for state in states)
+    by_time = {index * 50: state for index, state in enumerate(states) if isinstance(state, RobotState)}
+    assert by_time[100].parking_status is ParkingStatus.APPLIED
+    assert by_time[150].parking_status is ParkingStatus.UNDEFINED
+    assert by_time[200].mode is Mode.STOP
+    assert by_time[250].mode is Mode.UNDEFINED
+    assert by_time[500].rear_left_speed_mps == pytest.approx(0)
+    assert by_time[550].rear_left_speed_mps is None
+
+
+@pytest.mark.parametrize(
+    ("gear", "wheels_mps", "speed_mps"),
+    [
+        ("drive", 1.0, 1.0),
+        ("reverse", -1.0, -1.0),
+        ("neutral", -1.0, -1.0),
+        ("reverse", 0.0, -1.0),
+        ("park", 0.0, 1.0),
+    ],
+)
+def test_speed_is_signed_by_the_wheels_then_by_the_gear(gear: str, wheels_mps: float, speed_mps: float) -> None:
+    """The drive feedback is a magnitude; rolling backwards in neutral is seen by the wheels alone."""
+    made, feedback = core("coarse"), Feedback(Variant.COARSE)
+    made.receive_frame(feedback.frame("Auto_GearFeedBack", {"GearPosition": gear}), 0)
+    made.receive_frame(feedback.frame("Auto_DriveFeedBack", {"Speed": 1.0}), 0)
+    wheels = {"RearLeftSpeed": wheels_mps, "RearRightSpeed": wheels_mps}
+    made.receive_frame(feedback.frame("Auto_WheelSpdFeedback", wheels), 0)
+    state = ticks(made, 0)["state"][0]
+    assert isinstance(state, RobotState)
+    assert state.speed_mps == pytest.approx(speed_mps)
+
+
+def test_yaw_rate_is_that_of_the_bicycle_model() -> None:
+    """1 m/s at 24 degrees left with a wheelbase of 0.660 m turns at 0.6746 rad/s, left positive."""
+    made, feedback = core("fine"), Feedback(Variant.FINE)
+    made.receive_frame(feedback.frame("Auto_SteeringFeedBack", {"Angle": 24.0}), 0)
+    made.receive_frame(feedback.frame("Auto_DriveFeedBack", {"Speed": 1.0}), 0)
+    state = ticks(made, 0)["state"][0]
+    assert isinstance(state, RobotState)
+    assert state.yaw_rate_radps == pytest.approx(0.6746, abs=0.001)
+
+
+def test_health_counts_a_second_of_a_whole_bus() -> None:
+    """630 frames, each at its nominal rate, none lost, no fault."""
+    made, feedback = core("coarse"), Feedback(Variant.COARSE)
+    for at_ns, frame in feedback.second():
+        made.receive_frame(frame, at_ns)
+    health = next(read(s) for s in made.tick(1000 * MS, WALL_NS, 0) if s.subject == "gateway/health")
+    assert isinstance(health, GatewayHealth)
+    assert (health.frames, health.frames_per_s) == (630, 630)
+    assert health.faults == {}
+    layout = load(Variant.COARSE)
+    for row in health.feedback:
+        assert row.rate_hz == pytest.approx(1e9 / layout.messages[row.name].period_ns)
+        assert (row.lost, row.silent) == (0, False)
+
+
+@given(skips=st.lists(st.integers(0, 9), min_size=1, max_size=20))
+def test_health_counts_every_lost_frame(skips: list[int]) -> None:
+    """Up to nine frames lost in a row are counted exactly: silence is declared before the counter aliases."""
+    made, feedback = core("coarse"), Feedback(Variant.COARSE)
+    made.receive_frame(feedback.frame("Auto_GearFeedBack"), 0)
+    at_ms = 0
+    for skip in skips:
+        for _ in range(skip):
+            feedback.frame("Auto_GearFeedBack")
+        at_ms += 10 * (skip + 1)
+        made.tick(at_ms * MS, WALL_NS, 0)
+        made.receive_frame(feedback.frame("Auto_GearFeedBack"), at_ms * MS)
+    samples = made.tick((at_ms // 1000 + 1) * 1000 * MS, WALL_NS, 0)
+    health = next(read(s) for s in samples if s.subject == "gateway/health")
+    assert isinstance(health, GatewayHealth)
+    assert health.feedback[0].lost == sum(skips)
+
+
+def test_a_bus_full_of_strangers_does_not_fill_the_memory() -> None:
+    """Unknown identifiers are told by name up to 64, then together."""
+    made = core()
+    for number in range(1000):
+        made.receive_frame(Frame(EXTENDED | number, b""), 0)
+    health = next(read(s) for s in made.tick(1000 * MS, WALL_NS, 0) if s.subject == "gateway/health")
+    assert isinstance(health, GatewayHealth)
+    assert len(health.unknown_identifiers) == 65
+    assert health.unknown_identifiers["other"] == 1000 - 64
+    assert health.faults["unknown_identifier"] == 1000
+
+
+def test_lateness_is_told_as_quantiles() -> None:
+    """p50, p99 and the maximum of the ticks since the last report."""
+    made = core()
+    for number in range(100):
+        made.tick(number * MS, WALL_NS, number * MS)
+    health = next(read(s) for s in made.tick(1000 * MS, WALL_NS, 0) if s.subject == "gateway/health")
+    assert isinstance(health, GatewayHealth)
+    assert health.tick_lateness_p50_ms == pytest.approx(49)
+    assert health.tick_lateness_max_ms == pytest.approx(99)

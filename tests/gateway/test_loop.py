@@ -1,0 +1,99 @@
+"""The one thread, with a fake bus and a fake Zenoh."""
+
+import gc
+import time
+from collections.abc import Callable
+
+import pytest
+
+from gateway.chassis.frame import Frame
+from gateway.core import Core
+from gateway.loop import run
+from gateway.telemetry.sample import Sample
+from schemas import codec
+from schemas.messages import GatewayHealth, RobotState, Variant
+from schemas.settings import ChassisSettings, Settings
+from schemas.subjects import BY_NAME
+from tests.gateway.frames import Feedback
+
+
+class FakeBus:
+    """A bus that is up or not, and holds frames."""
+
+    def __init__(self, frames: list[Frame]) -> None:
+        self.frames = frames
+        self.is_up = True
+        self.detail = ""
+        self.losses = 0
+
+    def receive(self, timeout_s: float) -> Frame | None:
+        if self.frames and self.is_up:
+            return self.frames.pop(0)
+        time.sleep(timeout_s)
+        return None
+
+
+class FakeZenoh:
+    """Keeps what is published; fails when told to."""
+
+    def __init__(self) -> None:
+        self.failures = 0
+        self.samples: list[Sample] = []
+        self.answered = 0
+
+    def publish(self, sample: Sample) -> None:
+        self.samples.append(sample)
+
+    def peers(self) -> int:
+        return 3
+
+    def answer(self, reply: Callable[[], bytes]) -> None:
+        if reply() == b"info":
+            self.answered += 1
+
+    def of(self, subject: str) -> list[codec.Message | codec.PayloadFault]:
+        return [codec.decode(BY_NAME[subject], s.payload) for s in self.samples if s.subject == subject]
+
+
+def core() -> Core:
+    """A core of a known variant."""
+    return Core(Settings(chassis=ChassisSettings(variant="coarse")), "0", time.monotonic_ns())
+
+
+def test_frames_come_out_as_samples_and_ticks_go_on() -> None:
+    """Every frame is published, state and health come by time, queries are answered each tick."""
+    feedback = Feedback(Variant.COARSE)
+    bus, zenoh = FakeBus([frame for _ in range(20) for frame in feedback.all()]), FakeZenoh()
+    run(bus, zenoh, core(), lambda: b"info", lambda: bool(zenoh.of("gateway/health")))
+    chassis = [sample for sample in zenoh.samples if sample.subject.startswith("chassis/")]
+    assert len(chassis) == 200
+    health = zenoh.of("gateway/health")[0]
+    assert isinstance(health, GatewayHealth)
+    assert (health.frames, health.zenoh_peers, health.bus_up) == (200, 3, True)
+    assert zenoh.answered > 50
+    assert len(zenoh.of("state")) > 10
+
+
+def test_a_lost_bus_ends_nothing(caplog: pytest.LogCaptureFixture) -> None:
+    """The ticks go on, the state says that the bus is down, the log says so once."""
+    bus, zenoh = FakeBus([]), FakeZenoh()
+
+    def stopped() -> bool:
+        states = zenoh.of("state")
+        if len(states) == 2 and bus.is_up:
+            bus.is_up, bus.detail, bus.losses = False, "Network is down", 1
+        return len(states) >= 6
+
+    run(bus, zenoh, core(), lambda: b"", stopped)
+    states = [state for state in zenoh.of("state") if isinstance(state, RobotState)]
+    assert [state.bus_up for state in states[:2]] == [True, True]
+    assert states[-1].bus_up is False
+    assert [record.getMessage() for record in caplog.records] == ["the bus is lost: Network is down; trying again"]
+
+
+def test_the_garbage_collector_is_given_back() -> None:
+    """No collection runs in the loop, and everything is as before after it."""
+    seen: list[bool] = []
+    run(FakeBus([]), FakeZenoh(), core(), lambda: b"", lambda: bool(seen.append(gc.isenabled()) or len(seen) > 2))
+    assert not any(seen[1:])
+    assert gc.isenabled()
