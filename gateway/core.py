@@ -41,7 +41,7 @@ class Core:
         # Until the variant is known the coarse layout serves for the frames that are the same in both.
         layout = load(Variant.COARSE)
         self._streams = {
-            message.can_id: FeedbackStream(compile_message(message), now_ns, self._health.faults)
+            message.can_id: FeedbackStream(compile_message(message), self._health.faults)
             for message in layout.feedback
         }
         self._commands = {message.can_id for message in layout.commands}
@@ -58,7 +58,6 @@ class Core:
 
     def receive_frame(self, frame: Frame, now_ns: int) -> Sample | None:
         """A frame came from the bus. Returns the decoded sample, if the frame is a valid feedback frame."""
-        self._health.frames += 1
         self._batch.add(frame)
         stream = self._streams.get(frame.can_id)
         if stream is None:
@@ -80,7 +79,8 @@ class Core:
         due: list[Sample] = []
         self._health.tick_lateness(late_ns)
         for stream in self._streams.values():
-            stream.tick(now_ns)
+            if now_ns > stream.supervisor.overdue_ns:
+                stream.tick(now_ns)
         if now_ns >= self._batch_due_ns:
             self._batch_due_ns = _next_due(self._batch_due_ns, BATCH_PERIOD_NS, now_ns)
             batch = self._batch.take(wall_ns)
@@ -92,7 +92,8 @@ class Core:
         if now_ns >= self._health_due_ns:
             self._health_due_ns = _next_due(self._health_due_ns, HEALTH_PERIOD_NS, now_ns)
             streams = list(self._streams.values())
-            health = self._health.report(now_ns, wall_ns, self._links, self.variant, streams)
+            frames = self._batch.received
+            health = self._health.report(now_ns, wall_ns, self._links, self.variant, frames, streams)
             due.append(Sample("gateway/health", encode(health)))
         return due
 

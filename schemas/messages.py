@@ -106,7 +106,6 @@ class Message(msgspec.Struct, frozen=True):
 
     Attributes:
         time_ns: when the fact became known to its sender: for a CAN frame, when the bus delivered it.
-        sequence: counts the messages of this key, so that a receiver sees its losses.
     """
 
     version: ClassVar[int] = 1
@@ -203,7 +202,6 @@ class CanFrames(Message, frozen=True):
         bus: the bus's name, as in the key.
         dropped: frames lost before this batch because a buffer was full, since the start.
         frame_time_ns: when each frame was received (or sent).
-        can_id: identifier and flags of each frame, as in linux/can.h.
         fd_flags: 0 for classic CAN; else bit 2 set, bit 0 bit rate switch, bit 1 error state indicator.
         length: data length in bytes; for a remote frame the length asked for.
         data: the data bytes of each frame.
@@ -222,6 +220,8 @@ class RobotState(Message, frozen=True):
     """The whole robot in one message. A field is null, or ``undefined``, until its feedback is seen and fresh.
 
     Attributes:
+        bus_up: the gateway has the CAN bus open.
+        variant: the chassis's firmware variant; no speed is known before it is.
         silent: names of the feedback frames that are missing or overdue.
         speed_mps: signed, forward positive: the drive feedback with the direction of the wheels.
         yaw_rate_radps: from speed and steering angle by the bicycle model, wheelbase 0.660 m.
@@ -274,12 +274,22 @@ class GatewayHealth(Message, frozen=True):
     """How the gateway is, each second.
 
     Attributes:
+        uptime_s: since the gateway started.
+        bus: the CAN bus's name, as in the keys.
+        bus_up: the gateway has the CAN bus open.
+        bus_detail: why it has not.
+        variant: the firmware variant in force.
+        frames: CAN frames received since the start, whatever they were.
+        frames_per_s: the same over the last second.
         faults: number of faults since the start, by kind.
         unknown_identifiers: frames of identifiers that are not in the DBC, by hexadecimal identifier.
         bus_losses: how often the bus was lost since the start.
         zenoh_peers: Zenoh nodes connected directly to this one.
         publish_failures: samples that Zenoh did not take.
-        tick_lateness_p50_ms: how late the ticks of the last second began (and _p99_, _max_).
+        feedback: the supervision of each feedback frame.
+        tick_lateness_p50_ms: how late the ticks of the last second began: the median.
+        tick_lateness_p99_ms: the same, the 99th percentile.
+        tick_lateness_max_ms: the same, the latest.
         cpu_percent: processor time of this process over the last second; 100 is one core.
     """
 
@@ -307,8 +317,15 @@ class GatewayInfo(Message, frozen=True):
     """What the gateway is: the reply to a query on ``gateway/info``.
 
     Attributes:
+        robot: its chunk of the key.
+        bus: the CAN bus's name, as in the keys.
+        listen_only: it sends nothing on the bus.
+        started_ns: when it started.
+        variant: the firmware variant in force.
         versions: of the gateway and of the packages it stands on.
-        configuration: the settings in force, as TOML; configuration_sha256 is the hash of that text.
+        configuration: the settings in force, as TOML.
+        configuration_sha256: the hash of that text, in hexadecimal.
+        dbc_name: the file name of the DBC in force; empty while the variant is unknown.
         dbc: the text of the DBC in force; empty while the variant is unknown.
         schemas: JSON Schema text of every subject, by schema name.
     """

@@ -1,11 +1,13 @@
 """Frames to signals and messages, compiled from the layout when the process starts.
 
 For each frame of the layout one small function is generated and compiled, as ``dataclasses`` does it: the eight
-bytes become one integer, each signal is a shift and a mask. A test holds every one against cantools.
+bytes become one integer, each signal is a shift and a mask of it, or of its byte. A test holds every one against
+cantools.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Container
 from enum import Enum
 from typing import Any, Final
@@ -87,13 +89,13 @@ class MessageDecoder(msgspec.Struct, frozen=True):
 
     Attributes:
         build: makes the message.
-        undefined: whether a choice in these data has no name in its value table.
+        undefined: whether a choice in these data has no name in its value table; None if it has no choices.
     """
 
     layout: MessageLayout
     subject: Subject
     build: MessageBuilder
-    undefined: Callable[[bytes], bool]
+    undefined: Callable[[bytes], bool] | None
 
 
 def compile_message(layout: MessageLayout) -> MessageDecoder:
@@ -119,7 +121,7 @@ def compile_message(layout: MessageLayout) -> MessageDecoder:
         layout=layout,
         subject=subject,
         build=_compile(f"cls(time_ns, sequence, {values})", "data, time_ns, sequence", scope),
-        undefined=_compile(" or ".join(tests) or "False", "data", {}),
+        undefined=_compile(" or ".join(tests), "data", {}) if tests else None,
     )
 
 
@@ -127,16 +129,21 @@ ALIVE_COUNTER_FIELD: Final = SignalLayout(ALIVE_COUNTER, 0, 4, False, 1, 0, 0, 1
 
 
 def _compile(expression: str, arguments: str, scope: dict[str, Any]) -> Callable[..., Any]:
-    source = f"lambda {arguments}: (w := from_bytes(data, 'little'), {expression})[1]"
-    scope["from_bytes"] = int.from_bytes
+    """A function of the data that computes the expression, in which ``w`` is the data as one integer."""
+    if re.search(r"\bw\b", expression):
+        scope["from_bytes"] = int.from_bytes
+        expression = f"(w := from_bytes(data, 'little'), {expression})[1]"
     # The source is made of our own layout's numbers and identifiers alone; nothing from the wire reaches it.
-    function: Callable[..., Any] = eval(source, scope)  # noqa: S307
+    function: Callable[..., Any] = eval(f"lambda {arguments}: {expression}", scope)  # noqa: S307
     return function
 
 
 def _raw(signal: SignalLayout) -> str:
+    """The raw value: of one byte where the signal lies in one, for that is fastest, else of the whole integer."""
+    byte, bit = divmod(signal.start_bit, 8)
     mask = (1 << signal.length) - 1
-    raw = f"(w >> {signal.start_bit} & {mask:#x})" if signal.start_bit else f"(w & {mask:#x})"
+    source, shift = (f"data[{byte}]", bit) if bit + signal.length <= 8 else ("w", signal.start_bit)
+    raw = f"({source} >> {shift} & {mask:#x})" if shift else f"({source} & {mask:#x})"
     if signal.is_signed:
         sign = 1 << signal.length - 1
         raw = f"(({raw} ^ {sign:#x}) - {sign:#x})"

@@ -25,7 +25,7 @@ class Frame(msgspec.Struct, frozen=True):
         data: 0 to 8 bytes, up to 64 for CAN FD; empty for a remote frame.
         wall_ns: when the bus delivered it, nanoseconds since the epoch; 0 if that is not known.
         fd_flags: 0 for classic CAN; FD, with BITRATE_SWITCH and ERROR_STATE_INDICATOR, for CAN FD.
-        remote_length: the data length that a remote frame asks for.
+        remote_length: the data length that a remote frame asks for; 0 for every other.
     """
 
     can_id: int
@@ -42,7 +42,7 @@ class Frame(msgspec.Struct, frozen=True):
     @property
     def length(self) -> int:
         """Data length in bytes; for a remote frame the length asked for."""
-        return self.remote_length if self.can_id & REMOTE else len(self.data)
+        return self.remote_length or len(self.data)
 
 
 def hex_identifier(can_id: int) -> str:

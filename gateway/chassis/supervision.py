@@ -15,6 +15,8 @@ from schemas import settings
 
 COUNTER_MODULO: Final = 16
 
+NEVER_NS: Final = 2**63
+
 
 class AliveCounter:
     """The alive counter of one frame.
@@ -25,10 +27,10 @@ class AliveCounter:
         repeats: frames in a row that repeated the counter.
     """
 
-    __slots__ = ("_last", "faults", "lost", "repeats")
+    __slots__ = ("_expected", "faults", "lost", "repeats")
 
     def __init__(self) -> None:
-        self._last = -1
+        self._expected: int | None = None
         self.faults = 0
         self.lost = 0
         self.repeats = 0
@@ -40,29 +42,31 @@ class AliveCounter:
 
     def forget(self) -> None:
         """Accept whatever counter comes next: the stream begins anew."""
-        self._last = -1
+        self._expected = None
         self.repeats = 0
 
     def receive(self, counter: int) -> FaultKind | None:
         """Judge the counter of the next valid frame."""
-        step = (counter - self._last) % COUNTER_MODULO
-        is_first = self._last < 0
-        self._last = counter
-        if step == 1 or is_first:
+        expected = self._expected
+        self._expected = (counter + 1) % COUNTER_MODULO
+        if expected == counter or expected is None:
             self.repeats = 0
             if self.faults:
                 self.faults -= 1
             return None
+        return self._judge((counter - expected) % COUNTER_MODULO)
+
+    def _judge(self, beyond: int) -> FaultKind:
+        """The fault of a counter that is this far beyond the expected one; a repeated one is 15 beyond."""
         if self.faults < settings.ALIVE_FAULTS:
             self.faults += 1
-        if step == 0:
+        if beyond == COUNTER_MODULO - 1:
             self.repeats += 1
             stuck = self.repeats >= settings.ALIVE_STUCK_REPEATS
             return FaultKind.ALIVE_STUCK if stuck else FaultKind.ALIVE_REPEATED
         self.repeats = 0
-        self.lost += step - 1
-        lost_some = step <= settings.ALIVE_MAX_LOST_STEP
-        return FaultKind.ALIVE_LOST if lost_some else FaultKind.ALIVE_SEQUENCE
+        self.lost += beyond
+        return FaultKind.ALIVE_LOST if beyond < settings.ALIVE_MAX_LOST_STEP else FaultKind.ALIVE_SEQUENCE
 
 
 class Period:
@@ -126,19 +130,31 @@ class FrameSupervisor:
     Attributes:
         alive, period, checksums: the machines of each property.
         is_silent: the frame is missing or overdue; true until the first one comes.
+        overdue_ns: when it will have become overdue, if no valid one comes before.
         valid: valid frames since the start.
     """
 
-    __slots__ = ("_last_ns", "_period_ns", "_silence_ns", "alive", "checksums", "is_silent", "period", "valid")
+    __slots__ = (
+        "_last_ns",
+        "_period_ns",
+        "_silence_ns",
+        "alive",
+        "checksums",
+        "is_silent",
+        "overdue_ns",
+        "period",
+        "valid",
+    )
 
-    def __init__(self, period_ns: int, started_ns: int) -> None:
+    def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns
         self._silence_ns = silence_ns(period_ns)
-        self._last_ns = started_ns
+        self._last_ns = 0
         self.alive = AliveCounter()
         self.period = Period(period_ns)
         self.checksums = Checksums()
         self.is_silent = True
+        self.overdue_ns = NEVER_NS
         self.valid = 0
 
     @property
@@ -152,13 +168,15 @@ class FrameSupervisor:
             self._end_silence(now_ns)
         self.valid += 1
         self._last_ns = now_ns
+        self.overdue_ns = now_ns + self._silence_ns
         return self.alive.receive(alive_counter), self.period.receive(now_ns)
 
     def tick(self, now_ns: int) -> FaultKind | None:
         """Time passes. Returns SILENCE once, when the frame has become overdue."""
-        if self.is_silent or now_ns - self._last_ns <= self._silence_ns:
+        if now_ns <= self.overdue_ns:
             return None
         self.is_silent = True
+        self.overdue_ns = NEVER_NS
         self.alive.forget()
         self.period.forget()
         return FaultKind.SILENCE

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import json
 import sys
 import time
 from collections.abc import Callable
@@ -19,10 +18,9 @@ from gateway.ports.zenoh_node import open_node
 from schemas.codec import encode
 from schemas.configuration import to_toml
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.json_schema import schema_of
+from schemas.json_schema import schema_texts
 from schemas.messages import GatewayInfo, Variant
 from schemas.settings import Settings
-from schemas.subjects import SUBJECTS
 
 EXAMPLE = """\
   cruiser gateway --interface socketcan --channel can0 --robot cruiser-7
@@ -68,21 +66,23 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     """Run the gateway until it is stopped."""
     if not settings.gateway.listen_only:
         raise CommandError("gateway.listen_only = false: this version cannot send on the bus", ExitCode.USAGE)
-    bus = ReconnectingBus(lambda: open_bus(settings.can), _first_bus(settings))
+    core = Core(settings, version("cruiser-gateway"), time.monotonic_ns())
+    info = _info(settings, core)
+    node, where = open_node(settings)
     try:
-        node, where = open_node(settings)
+        # The bus comes last: frames that wait while the rest starts would come in one burst, too late.
+        bus = ReconnectingBus(lambda: open_bus(settings.can), _first_bus(settings))
         try:
-            core = Core(settings, version("cruiser-gateway"), time.monotonic_ns())
             sys.stderr.write(
                 f"gateway: {settings.robot.name} {where}, bus {describe(settings.can)}, listen-only\n"
             )
             sys.stderr.flush()
             request_realtime(settings.gateway.realtime_priority)
-            run_loop(bus, node, core, _info(settings, core), _until(stopped, arguments.seconds))
+            run_loop(bus, node, core, info, _until(stopped, arguments.seconds))
         finally:
-            node.close()
+            bus.close()
     finally:
-        bus.close()
+        node.close()
     return int(ExitCode.OK)
 
 
@@ -106,7 +106,7 @@ def _info(settings: Settings, core: Core) -> Callable[[], bytes]:
     """The payload of gateway/info. All but the variant is the same for ever, so it is made once."""
     configuration = to_toml(settings)
     versions = {name: version(name) for name in VERSIONS_TOLD} | {"python": sys.version.split()[0]}
-    schemas = {subject.schema_name: json.dumps(schema_of(subject)) for subject in SUBJECTS}
+    schemas = schema_texts()
     started_ns = time.time_ns()
 
     def payload(variant: Variant) -> bytes:

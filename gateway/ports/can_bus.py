@@ -70,7 +70,7 @@ class CanBus:
             raise BusLost(str(error) or type(error).__name__) from error
         if message is not None:
             return to_frame(message, time.time_ns())
-        if self._socket is not None and _has_hung_up(self._socket):
+        if timeout_s > 0 and self._socket is not None and _has_hung_up(self._socket):
             raise BusLost("the server closed the connection")
         return None
 

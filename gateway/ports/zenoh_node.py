@@ -13,7 +13,7 @@ from typing import Any, Final
 import zenoh
 from zenoh import ext
 
-from gateway.ports.zenoh_client import open_session
+from gateway.ports.zenoh_client import close_session, open_session, says_listen
 from gateway.telemetry.sample import Sample
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
@@ -91,9 +91,9 @@ class ZenohNode:
         try:
             for declared in self._declared:
                 declared.undeclare()
-            self._session.close()
         except zenoh.ZError as error:
-            log.debug("closing Zenoh: %s", error)
+            log.debug("leaving Zenoh: %s", error)
+        close_session(self._session)
 
     def _fail(self, error: zenoh.ZError) -> None:
         self.failures += 1
@@ -115,11 +115,13 @@ def _open_session(zenoh_settings: ZenohSettings) -> tuple[zenoh.Session, str]:
     if zenoh_settings.mode == "client":
         connect = connect or [DEFAULT_ENDPOINT]
         return open_session(zenoh_settings, connect, []), f"client of {', '.join(connect)}"
-    listen = zenoh_settings.listen or [DEFAULT_ENDPOINT]
+    if zenoh_settings.listen or says_listen(zenoh_settings):
+        session = open_session(zenoh_settings, connect, zenoh_settings.listen)
+        return session, f"at {', '.join(zenoh_settings.listen) or 'the endpoints of ' + zenoh_settings.config}"
     try:
-        return open_session(zenoh_settings, connect, listen), f"at {', '.join(listen)}"
-    except CommandError:
-        if zenoh_settings.listen:
+        return open_session(zenoh_settings, connect, [DEFAULT_ENDPOINT]), f"at {DEFAULT_ENDPOINT}"
+    except CommandError as error:
+        if error.code is ExitCode.USAGE:
             raise
     return _join_neighbour(zenoh_settings, connect), f"through the Zenoh node at {DEFAULT_ENDPOINT}"
 
@@ -132,7 +134,7 @@ def _join_neighbour(zenoh_settings: ZenohSettings, connect: list[str]) -> zenoh.
         if session.info.peers_zid() or session.info.routers_zid():
             return session
         time.sleep(0.02)
-    session.close()
+    close_session(session)
     raise CommandError(
         f"{DEFAULT_ENDPOINT} is taken, and not by a Zenoh node; choose another with --listen", ExitCode.UNREACHABLE
     )

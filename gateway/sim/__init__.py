@@ -1,1 +1,13 @@
-"""A virtual chassis: it behaves as the manual says, with faults on demand."""
+"""A virtual chassis: it behaves as the manual says, with faults on demand.
+
+- ``parameters``   its figures, with their units
+- ``motion``       how it moves
+- ``model``        what it obeys and what it reports: ``VirtualChassis``
+- ``feedback``     its frames: order, period, alive counter, checksum
+- ``faults``       the faults that can be asked for, and their words; ``disturbances`` are those in force
+- ``socketcand_protocol`` and ``socketcand``  a CAN bus on a TCP port, for python-can's own ``socketcand``
+- ``run``          the chassis in real time, the one place with clocks
+- ``command`` and ``fault_command``  ``cruiser sim`` and ``cruiser fault``
+
+All but ``socketcand``, ``typed_lines``, ``run`` and the commands is pure.
+"""

@@ -22,11 +22,11 @@ class FeedbackStream:
         supervisor: what is watched about the frame.
     """
 
-    def __init__(self, decoder: MessageDecoder, started_ns: int, faults: Counter[FaultKind]) -> None:
+    def __init__(self, decoder: MessageDecoder, faults: Counter[FaultKind]) -> None:
         self.layout = decoder.layout
         self.decoder: MessageDecoder | None = decoder
         self.latest: Feedback | None = None
-        self.supervisor = FrameSupervisor(self.layout.period_ns, started_ns)
+        self.supervisor = FrameSupervisor(self.layout.period_ns)
         self._subject = decoder.subject.name
         self._faults = faults
         self._sequence = 0
@@ -50,7 +50,7 @@ class FeedbackStream:
         if decoder is None:
             self._faults[FaultKind.VARIANT_UNKNOWN] += 1
             return None
-        if decoder.undefined(data):
+        if decoder.undefined is not None and decoder.undefined(data):
             self._faults[FaultKind.UNDEFINED_VALUE] += 1
         message = decoder.build(data, frame.wall_ns, self._sequence)
         self._sequence = (self._sequence + 1) & SEQUENCE_MAX

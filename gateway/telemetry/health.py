@@ -41,12 +41,10 @@ class HealthMeter:
 
     Attributes:
         faults: faults since the start, by kind.
-        frames: frames received since the start, whatever they were.
     """
 
     def __init__(self, gateway_version: str, bus: str, started_ns: int) -> None:
         self.faults: Counter[FaultKind] = Counter()
-        self.frames = 0
         self._gateway_version = gateway_version
         self._bus = bus
         self._started_ns = started_ns
@@ -69,9 +67,9 @@ class HealthMeter:
         self._lateness_ns.append(late_ns)
 
     def report(
-        self, now_ns: int, wall_ns: int, links: Links, variant: Variant, streams: list[FeedbackStream]
+        self, now_ns: int, wall_ns: int, links: Links, variant: Variant, frames: int, streams: list[FeedbackStream]
     ) -> GatewayHealth:
-        """The health of the time since the last report."""
+        """The health of the time since the last report; ``frames`` have been received since the start."""
         elapsed_s = max(now_ns - self._reported_ns, 1) / 1e9
         late_ns = sorted(self._lateness_ns) or [0]
         health = GatewayHealth(
@@ -86,8 +84,8 @@ class HealthMeter:
             zenoh_peers=links.zenoh_peers,
             publish_failures=links.publish_failures,
             variant=variant,
-            frames=self.frames,
-            frames_per_s=round((self.frames - self._reported_frames) / elapsed_s, 1),
+            frames=frames,
+            frames_per_s=round((frames - self._reported_frames) / elapsed_s, 1),
             faults={kind.value: number for kind, number in self.faults.items()},
             unknown_identifiers=dict(self._unknown),
             feedback=[stream.health(elapsed_s) for stream in streams],
@@ -97,7 +95,7 @@ class HealthMeter:
             cpu_percent=round((links.cpu_ns - self._reported_cpu_ns) / elapsed_s / 1e7, 1),
         )
         self._reported_ns = now_ns
-        self._reported_frames = self.frames
+        self._reported_frames = frames
         self._reported_cpu_ns = links.cpu_ns
         self._lateness_ns.clear()
         self._sequence = (self._sequence + 1) & SEQUENCE_MAX

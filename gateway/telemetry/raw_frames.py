@@ -13,20 +13,19 @@ class FrameBatch:
     """Holds frames until they are taken. Bounded: the oldest go first, and are counted.
 
     Attributes:
-        dropped: frames lost here since the start.
+        received: frames held since the start, those that were lost here included.
     """
 
     def __init__(self, bus: str, capacity: int = BATCH_MAX_FRAMES) -> None:
         self._bus = bus
         self._frames: deque[Frame] = deque(maxlen=capacity)
-        self._capacity = capacity
+        self._taken = 0
         self._sequence = 0
-        self.dropped = 0
+        self.received = 0
 
     def add(self, frame: Frame) -> None:
         """Hold a frame."""
-        if len(self._frames) == self._capacity:
-            self.dropped += 1
+        self.received += 1
         self._frames.append(frame)
 
     def take(self, wall_ns: int) -> CanFrames | None:
@@ -34,15 +33,16 @@ class FrameBatch:
         frames = self._frames
         if not frames:
             return None
+        self._taken += len(frames)
         batch = CanFrames(
             time_ns=wall_ns,
             sequence=self._sequence,
             bus=self._bus,
-            dropped=self.dropped,
+            dropped=self.received - self._taken,
             frame_time_ns=[frame.wall_ns for frame in frames],
             can_id=[frame.can_id for frame in frames],
             fd_flags=[frame.fd_flags for frame in frames],
-            length=[frame.length for frame in frames],
+            length=[frame.remote_length or len(frame.data) for frame in frames],
             data=[frame.data for frame in frames],
         )
         frames.clear()

@@ -81,7 +81,7 @@ def robot_state(
         speed_mps=speed_mps,
         angle_deg=steering.angle_deg if steering else None,
         yaw_rate_radps=(
-            round(yaw_rate_radps(speed_mps, steering.angle_deg), DECIMALS)
+            round(yaw_rate_radps(speed_mps, steering.angle_deg), DECIMALS) + 0.0  # + 0.0: no -0.0
             if steering and speed_mps is not None
             else None
         ),

@@ -1,1 +1,1 @@
-"""The only importers of Zenoh in this package."""
+"""What touches the world: Zenoh, and the directory of logs. The only importers of Zenoh in this package."""

@@ -2,7 +2,7 @@
 
 from hypothesis import strategies as st
 
-from gateway.chassis.frame import Frame
+from gateway.chassis.frame import REMOTE, Frame
 from gateway.chassis.layout import MessageLayout, load
 from schemas.messages import Variant
 
@@ -21,14 +21,20 @@ can_ids = st.one_of(
     st.integers(0, 2**32 - 1),
 )
 
-frames = st.builds(
-    Frame,
-    can_id=can_ids,
-    data=st.one_of(payloads, st.binary(max_size=64)),
-    wall_ns=st.integers(0, 2**62),
-    fd_flags=st.sampled_from([0, 0, 0, 4, 5, 7]),
-    remote_length=st.integers(0, 8),
-)
+
+@st.composite
+def _frames(draw: st.DrawFn) -> Frame:
+    can_id = draw(can_ids)
+    return Frame(
+        can_id,
+        draw(st.one_of(payloads, st.binary(max_size=64))),
+        draw(st.integers(0, 2**62)),
+        draw(st.sampled_from([0, 0, 0, 4, 5, 7])),
+        draw(st.integers(0, 8)) if can_id & REMOTE else 0,
+    )
+
+
+frames = _frames()
 
 
 def with_checksum(data: bytes) -> bytes:

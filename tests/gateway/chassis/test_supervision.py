@@ -90,7 +90,7 @@ def test_three_checksum_faults_within_a_second_are_a_failure() -> None:
 def test_silence_is_ten_periods_and_at_least_100_ms(period_ms: int, silence_ms: int) -> None:
     """So a 10 ms frame is silent before sixteen of them could be lost unseen."""
     assert silence_ns(period_ms * MS) == silence_ms * MS
-    supervisor = FrameSupervisor(period_ms * MS, 0)
+    supervisor = FrameSupervisor(period_ms * MS)
     supervisor.receive(0, 0)
     assert supervisor.tick(silence_ms * MS) is None
     assert supervisor.tick(silence_ms * MS + 1) is FaultKind.SILENCE
@@ -100,7 +100,7 @@ def test_silence_is_ten_periods_and_at_least_100_ms(period_ms: int, silence_ms: 
 
 def test_a_frame_is_silent_until_the_first_one_comes() -> None:
     """Missing from the start is silence too, but no fault of its own: nothing was there to be lost."""
-    supervisor = FrameSupervisor(10 * MS, 0)
+    supervisor = FrameSupervisor(10 * MS)
     assert supervisor.is_silent
     assert supervisor.tick(10_000 * MS) is None
     assert supervisor.receive(5, 10_000 * MS) == (None, None)
@@ -110,7 +110,7 @@ def test_a_frame_is_silent_until_the_first_one_comes() -> None:
 
 def test_frames_lost_in_a_silence_are_counted_by_the_period() -> None:
     """A second without a 10 ms frame is 99 lost ones, whatever the counter says after it."""
-    supervisor = FrameSupervisor(10 * MS, 0)
+    supervisor = FrameSupervisor(10 * MS)
     supervisor.receive(3, 0)
     supervisor.tick(500 * MS)
     assert supervisor.receive(9, 1000 * MS)[0] is None

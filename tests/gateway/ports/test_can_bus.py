@@ -244,7 +244,7 @@ def test_sending_on_a_closed_bus_is_a_loss() -> None:
         """A driver whose cable is out."""
 
         def __init__(self) -> None:
-            super().__init__(channel=None)
+            super().__init__(channel="none")
 
         def send(self, msg: can.Message, timeout: float | None = None) -> None:
             raise can.CanOperationError(f"no cable for {msg} in {timeout}")

@@ -1,0 +1,151 @@
+"""``cruiser decode``: candump lines in, a JSON object a line out.
+
+A valid frame gives ``time``, ``time_ns``, ``bus``, ``id``, ``name`` and ``signals``: the physical values under
+the field names of the messages, ``speed_mps``, ``gear_position``, and for command frames by the same rule. A frame
+that is not valid has ``fault`` instead of ``signals``, with ``kind`` and ``detail``. A line that is not candump's
+has ``line``, its number, and a fault of the kind ``not_candump``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import select
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any, Final
+
+from gateway.chassis import layout
+from gateway.chassis.decode import Decoded, Decoder
+from gateway.chassis.layout import CHECKSUM
+from gateway.cli import candump
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.messages import Variant
+from schemas.printable import plain
+from schemas.settings import Settings
+
+EXAMPLE = """\
+  candump -L can0 | cruiser decode --variant coarse
+  cruiser decode drive.log | jq -c 'select(.name == "Auto_DriveFeedBack") | .signals.speed_mps'
+  echo '(1436509052.249713) can0 18C4D1EF#0104000000000005' | cruiser decode
+    {"time": 1436509052.249713, "time_ns": 1436509052249713000, "bus": "can0", "id": "18C4D1EF",
+     "name": "Auto_GearFeedBack", "signals": {"active": true, "gear_position": "drive", "alive_counter": 0}}"""
+
+NOT_CANDUMP: Final = "not_candump"
+
+MAX_LINE_BYTES: Final = 1024
+"""The longest line that is looked at; candump's own, a CAN FD frame with its text, has under 400."""
+
+POLL_S: Final = 0.2
+"""How soon a signal ends the wait for more input."""
+
+_STANDARD_INPUT: Final = 0
+_READ_BYTES: Final = 65_536
+_SHOWN: Final = 60
+"""Characters of a wrong line that its fault shows."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    parser.add_argument(
+        "file", nargs="?", default="-", metavar="FILE", help="a candump log; standard input if left out"
+    )
+    parser.add_argument(
+        "--variant",
+        dest="chassis.variant",
+        choices=["coarse", "fine"],
+        help="firmware variant, which sets the scale of speeds (coarse)",
+    )
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Decode until the input ends. Exit code 3 if a line was not candump's.
+
+    Raises:
+        CommandError: the file cannot be read.
+    """
+    decoder = Decoder(layout.load(_variant(settings)))
+    all_read = True
+    source = _open(arguments.file)
+    name = "standard input" if source == _STANDARD_INPUT else repr(plain(arguments.file))
+    try:
+        for number, raw in enumerate(_lines(source, name, stopped), start=1):
+            record = describe(decoder, raw, number)
+            if record is not None:
+                all_read &= "line" not in record
+                sys.stdout.write(json.dumps(record) + "\n")
+                sys.stdout.flush()
+    finally:
+        if source != _STANDARD_INPUT:
+            os.close(source)
+    return int(ExitCode.OK if all_read else ExitCode.PARTIAL)
+
+
+def describe(decoder: Decoder, raw: bytes, number: int) -> dict[str, Any] | None:
+    """What a line says, ready for JSON; None for an empty line. Any bytes will do."""
+    if not raw.strip():
+        return None
+    text = raw.decode("latin-1")
+    line = candump.parse(text) if len(raw) <= MAX_LINE_BYTES else None
+    if line is None:
+        return {"line": number, "fault": {"kind": NOT_CANDUMP, "detail": plain(text.strip()[:_SHOWN])}}
+    record: dict[str, Any] = {
+        "time": None if line.time_ns is None else line.time_ns / 1e9,
+        "time_ns": line.time_ns,
+        "bus": line.bus,
+        "id": line.identifier,
+    }
+    decoded = decoder.decode(line.frame)
+    if isinstance(decoded, Decoded):
+        signals = {
+            signal.field: decoded.signals[signal.name]
+            for signal in decoded.layout.signals
+            if signal.name != CHECKSUM
+        }
+        return record | {"name": decoded.layout.name, "signals": signals}
+    name = {"name": decoded.name} if decoded.name else {}
+    return record | name | {"fault": {"kind": decoded.kind.value, "detail": decoded.detail}}
+
+
+def _variant(settings: Settings) -> Variant:
+    if settings.chassis.variant == "auto":
+        sys.stderr.write(
+            "cruiser decode: no variant is given, taking coarse; --variant fine for the other scale\n"
+        )
+        return Variant.COARSE
+    return Variant(settings.chassis.variant)
+
+
+def _open(file: str) -> int:
+    if file == "-":
+        return _STANDARD_INPUT
+    try:
+        return os.open(file, os.O_RDONLY)
+    except (OSError, ValueError) as error:  # ValueError: no file's name can hold a NUL
+        raise _unreadable(repr(plain(file)), error) from error
+
+
+def _lines(source: int, name: str, stopped: Callable[[], bool]) -> Iterator[bytes]:
+    """The lines of a file descriptor, each cut off where it is longer than any that would be looked at."""
+    rest = b""
+    while not stopped():
+        try:
+            # A wait with an end: a signal must not have to wait for the next line.
+            if not select.select([source], [], [], POLL_S)[0]:
+                continue
+            chunk = os.read(source, _READ_BYTES)
+        except OSError as error:
+            raise _unreadable(name, error) from error
+        if not chunk:
+            break
+        *whole, rest = (rest + chunk).split(b"\n")
+        yield from (line[: MAX_LINE_BYTES + 1] for line in whole)
+        rest = rest[: MAX_LINE_BYTES + 1]
+    if rest:
+        yield rest
+
+
+def _unreadable(name: str, error: OSError | ValueError) -> CommandError:
+    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return CommandError(f"cannot read {name}: {reason.lower()}", ExitCode.USAGE)

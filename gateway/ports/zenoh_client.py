@@ -1,0 +1,192 @@
+"""Opens Zenoh sessions, and listens to robots: what a command at the other end needs.
+
+No Python of ours runs on Zenoh's threads: what arrives waits in ring channels until ``drain`` is called.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+from collections.abc import Iterator
+from types import TracebackType
+from typing import Final, Self
+
+import zenoh
+from zenoh import ext
+
+from gateway.remote.heard import Heard, Received, TokenChange
+from schemas import keys
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
+from schemas.settings import DEFAULT_ENDPOINT, RobotSettings, Settings, ZenohSettings
+from schemas.subjects import BY_NAME
+from schemas.zenoh_link import session_settings
+
+log = logging.getLogger(__name__)
+
+SAMPLES_WAITING: Final = 4096
+"""Samples of one subscription that may wait to be drained; beyond it the oldest go."""
+
+_CONNECT: Final = "connect/endpoints"
+_LISTEN: Final = "listen/endpoints"
+_MULTICAST: Final = "scouting/multicast/enabled"
+
+
+def open_session(settings: ZenohSettings, connect: list[str], listen: list[str]) -> zenoh.Session:
+    """Open a session.
+
+    A peer's session opens although nobody answers, and goes on trying in the background. Endpoints of the Zenoh
+    configuration file hold where none are given here.
+
+    Raises:
+        CommandError: an endpoint or the configuration file is wrong, the client finds nobody to connect to, or an
+            endpoint to listen on is taken.
+    """
+    config = _configuration(settings, connect, listen)
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        raise CommandError(f"cannot open Zenoh: {_reason(error)}", ExitCode.UNREACHABLE) from error
+
+
+def client_endpoints(settings: ZenohSettings) -> list[str]:
+    """Where a command that only talks to robots connects; empty if the Zenoh configuration file says it.
+
+    Raises:
+        CommandError: the configuration file is wrong.
+    """
+    if settings.connect or _says(_base(settings), _CONNECT):
+        return list(settings.connect)
+    return [DEFAULT_ENDPOINT]
+
+
+def says_listen(settings: ZenohSettings) -> bool:
+    """Does the configuration file say where to listen?
+
+    Raises:
+        CommandError: the configuration file is wrong.
+    """
+    return _says(_base(settings), _LISTEN)
+
+
+def close_session(session: zenoh.Session) -> None:
+    """Leave Zenoh. Never raises."""
+    try:
+        session.close()
+    except zenoh.ZError as error:  # The session is of no use any more either way.
+        log.debug("closing Zenoh: %s", error)
+
+
+def _configuration(settings: ZenohSettings, connect: list[str], listen: list[str]) -> zenoh.Config:
+    config = _base(settings)
+    # Only what the file itself says is kept; Zenoh's own start values listen on every interface.
+    kept = {path for path, given in ((_CONNECT, connect), (_LISTEN, listen)) if not given and _says(config, path)}
+    if config.get_json(_MULTICAST) == "true":
+        kept.add(_MULTICAST)
+    for path, value in session_settings(settings, connect, listen).items():
+        if path in kept:
+            continue
+        try:
+            config.insert_json5(path, json.dumps(value))
+        except zenoh.ZError as error:
+            shown = plain(json.dumps(value))
+            raise CommandError(
+                f"Zenoh does not take {path} = {shown}: {_reason(error)}", ExitCode.USAGE
+            ) from error
+    return config
+
+
+def _says(config: zenoh.Config, path: str) -> bool:
+    """Does the configuration file say anything of this?"""
+    return bool(config.get_json(path) != zenoh.Config().get_json(path))
+
+
+def _base(settings: ZenohSettings) -> zenoh.Config:
+    if not settings.config:
+        return zenoh.Config()
+    try:
+        return zenoh.Config.from_file(settings.config)
+    except zenoh.ZError as error:
+        raise CommandError(
+            f"Zenoh configuration file {plain(settings.config)!r}: {_reason(error)}", ExitCode.USAGE
+        ) from error
+
+
+def _reason(error: zenoh.ZError) -> str:
+    """What Zenoh says, in one line, without the places in its own source."""
+    text = " ".join(re.sub(r" at /\S+?\.rs:\d+\.?", "", str(error)).split())
+    nested = re.search(r'msg: "([^"]*)', text)
+    return plain(nested[1] if nested else text).strip()
+
+
+def place(settings: ZenohSettings) -> str:
+    """Where a command connects, in words."""
+    endpoints = client_endpoints(settings)
+    return ", ".join(map(plain, endpoints)) or f"the endpoints of {plain(settings.config)}"
+
+
+class RobotListener:
+    """Hears ``state``, ``gateway/health`` and the liveliness tokens of one robot, or of all."""
+
+    def __init__(self, session: zenoh.Session, robot: RobotSettings, name: str = "") -> None:
+        """Subscribe on a session, which the listener then owns.
+
+        Args:
+            session: an open session.
+            robot: where the root is.
+            name: the robot; empty for all of them.
+        """
+        self._session = session
+        chunk = name or "*"
+        state, health = (
+            f"{robot.root}/{chunk}/{BY_NAME[subject].name}" for subject in ("state", "gateway/health")
+        )
+        self._samples = (
+            session.declare_subscriber(state, zenoh.handlers.RingChannel(SAMPLES_WAITING)),
+            # The last health is a second old; who comes in between shall not have to wait for the next.
+            ext.declare_advanced_subscriber(
+                session,
+                health,
+                zenoh.handlers.RingChannel(SAMPLES_WAITING),
+                history=ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
+            ),
+        )
+        self._tokens = session.liveliness().declare_subscriber(
+            keys.liveliness(robot.root, chunk), zenoh.handlers.RingChannel(SAMPLES_WAITING), history=True
+        )
+
+    @classmethod
+    def open(cls, settings: Settings, name: str = "") -> Self:
+        """Open a session to where the settings say, and listen.
+
+        Raises:
+            CommandError: see ``open_session``.
+        """
+        return cls(open_session(settings.zenoh, client_endpoints(settings.zenoh), []), settings.robot, name)
+
+    def connected(self) -> bool:
+        """Is any Zenoh node connected directly? A peer's session is open although none is."""
+        info = self._session.info
+        return bool(info.peers_zid() or info.routers_zid())
+
+    def drain(self) -> Iterator[Heard]:
+        """What has arrived since the last time."""
+        while (token := self._tokens.try_recv()) is not None:
+            yield TokenChange(str(token.key_expr), present=token.kind == zenoh.SampleKind.PUT)
+        for subscriber in self._samples:
+            while (sample := subscriber.try_recv()) is not None:
+                if sample.kind == zenoh.SampleKind.PUT:
+                    yield Received(str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes())
+
+    def close(self) -> None:
+        """Leave Zenoh."""
+        close_session(self._session)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

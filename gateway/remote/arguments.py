@@ -1,0 +1,36 @@
+"""Flags that the commands at the other end share."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+
+def add_zenoh_arguments(parser: argparse.ArgumentParser) -> None:
+    """Where the robots are."""
+    parser.add_argument(
+        "--connect",
+        dest="zenoh.connect",
+        action="append",
+        metavar="ENDPOINT",
+        help="Zenoh endpoint to connect to, such as tcp/10.0.0.5:7447; may be repeated",
+    )
+    parser.add_argument(
+        "--zenoh-config", dest="zenoh.config", metavar="FILE", help="a Zenoh configuration file to start from"
+    )
+    parser.add_argument("--root", dest="robot.root", metavar="ROOT", help="first chunks of every key")
+
+
+def seconds(text: str) -> float:
+    """A duration on the command line.
+
+    Raises:
+        argparse.ArgumentTypeError: it is not a number above 0.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds above 0")
+    return value

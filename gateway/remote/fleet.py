@@ -1,0 +1,128 @@
+"""What is known of each robot, and how old it is. Pure: what is heard goes in, reports come out.
+
+A report never gives an old value as a present one: a state or a health that is too old is not in it.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+
+from gateway.remote.heard import Heard, Received
+from schemas import codec, keys
+from schemas.codec import PayloadFault
+from schemas.messages import GatewayHealth, RobotState
+
+STATE_STALE_NS: Final = 1_000_000_000
+"""A state, due every 50 ms, is no longer shown after 1 s."""
+
+HEALTH_STALE_NS: Final = 3_500_000_000
+"""A health, due every second, is no longer shown after 3.5 s: two may be lost."""
+
+FORGOTTEN_NS: Final = 60_000_000_000
+"""A robot whose token is gone and of which nothing was heard for a minute is no longer listed."""
+
+
+class RobotReport(msgspec.Struct, frozen=True):
+    """A robot at one moment.
+
+    Attributes:
+        connected: its liveliness token is there. That is no proof of health.
+        state: the last state; null if it is too old, or if there was none.
+        state_age_s: time since the last state arrived; null if there was none.
+        health: the last health, with the same rule.
+        unreadable: why the last sample that could not be read could not; empty if all could.
+        linked: this end is connected to Zenoh.
+    """
+
+    robot: str
+    connected: bool
+    state: RobotState | None
+    state_age_s: float | None
+    health: GatewayHealth | None
+    health_age_s: float | None
+    unreadable: str
+    linked: bool
+
+
+class _Known:
+    """What was last heard of a robot."""
+
+    def __init__(self) -> None:
+        self.connected = False
+        self.state: RobotState | None = None
+        self.state_ns = 0
+        self.health: GatewayHealth | None = None
+        self.health_ns = 0
+        self.heard_ns = 0
+        self.unreadable = ""
+
+
+class Fleet:
+    """All robots under a root."""
+
+    def __init__(self, root: str) -> None:
+        self._root = root
+        self._known: dict[str, _Known] = {}
+        self._linked = True
+
+    def hear(self, heard: Heard, now_ns: int) -> None:
+        """Take in a sample or a change of a token. What is no robot's is ignored."""
+        if isinstance(heard, Received):
+            self._receive(heard, now_ns)
+            return
+        robot = keys.robot_of_liveliness(self._root, heard.key)
+        if robot is not None:
+            known = self._robot(robot, now_ns)
+            known.connected = heard.present
+
+    def link(self, *, connected: bool) -> None:
+        """This end is connected to Zenoh, or is not. Without a link no token says anything."""
+        self._linked = connected
+
+    def robots(self, now_ns: int) -> list[str]:
+        """The names of the robots that are there or were there a short while ago."""
+        self._known = {
+            robot: known
+            for robot, known in self._known.items()
+            if known.connected or now_ns - known.heard_ns < FORGOTTEN_NS
+        }
+        return sorted(self._known)
+
+    def report(self, robot: str, now_ns: int) -> RobotReport:
+        """A robot at this moment; one that was never heard of has an empty report."""
+        known = self._known.get(robot) or _Known()
+        state_age_ns = now_ns - known.state_ns
+        health_age_ns = now_ns - known.health_ns
+        return RobotReport(
+            robot=robot,
+            connected=known.connected and self._linked,
+            state=known.state if state_age_ns < STATE_STALE_NS else None,
+            state_age_s=None if known.state is None else state_age_ns / 1e9,
+            health=known.health if health_age_ns < HEALTH_STALE_NS else None,
+            health_age_s=None if known.health is None else health_age_ns / 1e9,
+            unreadable=known.unreadable,
+            linked=self._linked,
+        )
+
+    def _robot(self, robot: str, now_ns: int) -> _Known:
+        known = self._known.setdefault(robot, _Known())
+        known.heard_ns = now_ns
+        return known
+
+    def _receive(self, received: Received, now_ns: int) -> None:
+        parts = keys.parse(received.key)
+        if parts is None or parts.root != self._root:
+            return
+        known = self._robot(parts.robot, now_ns)
+        if received.encoding != parts.subject.encoding:
+            known.unreadable = f"{parts.subject.name} is {received.encoding}, not {parts.subject.encoding}"
+            return
+        message = codec.decode(parts.subject, received.payload)
+        known.unreadable = f"{parts.subject.name}: {message.detail}" if isinstance(message, PayloadFault) else ""
+        match message:
+            case RobotState():
+                known.state, known.state_ns = message, now_ns
+            case GatewayHealth():
+                known.health, known.health_ns = message, now_ns

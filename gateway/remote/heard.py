@@ -1,0 +1,23 @@
+"""What is heard of robots: samples and liveliness tokens, as they arrive."""
+
+from __future__ import annotations
+
+import msgspec
+
+
+class Received(msgspec.Struct, frozen=True):
+    """A sample, undecoded."""
+
+    key: str
+    encoding: str
+    payload: bytes
+
+
+class TokenChange(msgspec.Struct, frozen=True):
+    """A gateway's liveliness token has appeared or gone."""
+
+    key: str
+    present: bool
+
+
+Heard = Received | TokenChange

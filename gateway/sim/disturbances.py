@@ -1,0 +1,178 @@
+"""The faults in force: begun, counted down, ended. Pure; time is an argument."""
+
+from __future__ import annotations
+
+import heapq
+from itertools import count
+from typing import Final
+
+import msgspec
+
+from gateway.chassis.frame import ERROR, EXTENDED, IDENTIFIER_MASK, REMOTE, Frame
+from gateway.sim.faults import (
+    ALL_MESSAGES,
+    Bumper,
+    Clear,
+    Disturbance,
+    Fault,
+    FaultLine,
+    Firmware,
+    Foreign,
+    MessageFault,
+    Radio,
+    Scale,
+    Sticks,
+    Switch,
+    is_end,
+)
+from schemas.messages import Variant
+
+_NEVER_NS: Final = 2**63
+
+
+class _Active(msgspec.Struct):
+    """A fault in force.
+
+    Attributes:
+        frames_left: None if its frames do not count.
+        passed: frames of its message so far, for a fault of every n-th.
+        next_ns: for foreign frames, when the next is due.
+    """
+
+    fault: Fault
+    since_ns: int
+    until_ns: int
+    frames_left: int | None
+    passed: int = 0
+    next_ns: int = _NEVER_NS
+
+
+_Slot = tuple[str, str | int]
+"""What a fault takes hold of; a later fault of the same slot takes the place of the earlier."""
+
+
+class Disturbances:
+    """The faults in force, and those that wait for their time."""
+
+    def __init__(self, messages: tuple[str, ...]) -> None:
+        self._messages = messages
+        self._active: dict[_Slot, _Active] = {}
+        self._waiting: list[tuple[int, int, FaultLine]] = []
+        self._order = count()
+
+    def inject(self, line: FaultLine, at_ns: int) -> None:
+        """Begins a fault, once ``advance`` reaches its time."""
+        heapq.heappush(self._waiting, (at_ns, next(self._order), line))
+
+    def advance(self, now_ns: int) -> None:
+        """Begins and ends what is due."""
+        while self._waiting and self._waiting[0][0] <= now_ns:
+            at_ns, _, line = heapq.heappop(self._waiting)
+            self._begin(line, at_ns)
+        for slot in [slot for slot, active in self._active.items() if active.until_ns <= now_ns]:
+            del self._active[slot]
+
+    @property
+    def next_foreign_ns(self) -> int:
+        """When the next foreign frame is due; far away if there is none."""
+        return min((active.next_ns for active in self._active.values()), default=_NEVER_NS)
+
+    def foreign_frames(self, now_ns: int, wall_ns: int) -> list[Frame]:
+        """The foreign frames that are due, and the next ones planned."""
+        frames = []
+        for (_, can_id), active in self._active.items():
+            if active.next_ns <= now_ns and isinstance(active.fault, Foreign) and isinstance(can_id, int):
+                active.next_ns = max(active.next_ns + active.fault.period_ns, now_ns + 1)
+                frames.append(_foreign_frame(active.fault, can_id, wall_ns))
+        return frames
+
+    def strike(self, disturbance: Disturbance, message: str) -> int:
+        """Whether this frame of the message is disturbed: 0, or the fault's number. Counts the frame."""
+        slot = (disturbance.value, message)
+        active = self._active.get(slot)
+        if active is None or not isinstance(active.fault, MessageFault):
+            return 0
+        active.passed += 1
+        if disturbance is Disturbance.DROP and active.passed % active.fault.number:
+            return 0
+        if active.frames_left is not None:
+            active.frames_left -= 1
+            if not active.frames_left:
+                del self._active[slot]
+        return active.fault.number
+
+    @property
+    def quiet(self) -> bool:
+        """Nothing is disturbed."""
+        return not self._active
+
+    @property
+    def front_bumper(self) -> bool:
+        """The front bumper is hit."""
+        return ("bumper", "front") in self._active
+
+    @property
+    def rear_bumper(self) -> bool:
+        """The rear bumper is hit."""
+        return ("bumper", "rear") in self._active
+
+    @property
+    def remote(self) -> bool:
+        """The hand transmitter's SA switch is on remote."""
+        return ("switch", "") in self._active
+
+    @property
+    def sticks(self) -> Sticks:
+        """What the hand transmitter asks for."""
+        active = self._active.get(("sticks", ""))
+        return active.fault if active is not None and isinstance(active.fault, Sticks) else Sticks(0.0, 0.0)
+
+    @property
+    def wrong_scale(self) -> bool:
+        """Drive command and feedback have the other variant's scale."""
+        return ("scale", "") in self._active
+
+    @property
+    def firmware(self) -> Variant | None:
+        """The variant that took the place of the first one."""
+        active = self._active.get(("firmware", ""))
+        return active.fault.variant if active is not None and isinstance(active.fault, Firmware) else None
+
+    def transmitter_lost_for_ns(self, now_ns: int) -> int:
+        """How long the hand transmitter has been lost; 0 if it is not."""
+        active = self._active.get(("radio", ""))
+        return now_ns - active.since_ns if active is not None else 0
+
+    def _begin(self, line: FaultLine, now_ns: int) -> None:
+        if isinstance(line.fault, Clear):
+            self._active.clear()
+            return
+        for slot in self._slots(line.fault):
+            if is_end(line.fault):
+                self._active.pop(slot, None)
+                continue
+            until_ns = now_ns + line.duration_ns if line.duration_ns else _NEVER_NS
+            active = _Active(line.fault, now_ns, until_ns, line.frames or None)
+            if isinstance(line.fault, Foreign):
+                active.next_ns = now_ns
+            self._active[slot] = active
+
+    def _slots(self, fault: Fault) -> list[_Slot]:
+        match fault:
+            case MessageFault(disturbance, message):
+                names = self._messages if message == ALL_MESSAGES else (message,)
+                return [(disturbance.value, name) for name in names]
+            case Foreign(can_ids):
+                return [("foreign", can_id & (EXTENDED | IDENTIFIER_MASK)) for can_id in can_ids]
+            case Bumper(sides):
+                return [("bumper", side) for side in sides]
+            case Switch() | Radio() | Sticks() | Scale() | Firmware():
+                return [(type(fault).__name__.lower(), "")]
+            case Clear():
+                return []
+
+
+def _foreign_frame(fault: Foreign, can_id: int, wall_ns: int) -> Frame:
+    kind = fault.can_ids[0] & (REMOTE | ERROR)
+    data = b"" if kind & REMOTE else fault.data
+    return Frame(can_id | kind, data, wall_ns, remote_length=len(fault.data) if kind & REMOTE else 0)

@@ -1,0 +1,71 @@
+"""``cruiser fault``: causes a fault in a running virtual chassis."""
+
+from __future__ import annotations
+
+import argparse
+import socket
+import sys
+from collections.abc import Callable
+from typing import Final
+
+from gateway.sim.address import parse_address
+from gateway.sim.faults import GRAMMAR, FaultTextError, parse
+from gateway.sim.socketcand_protocol import HI, OK
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import Settings
+
+EXAMPLE: Final = """\
+  cruiser fault bumper front on
+  cruiser fault silence Auto_GearFeedBack for 2s
+  cruiser fault clear"""
+
+_TIMEOUT_S: Final = 3.0
+_MAX_ANSWER_BYTES: Final = 1024
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the flags."""
+    parser.description = f"{parser.description or ''}\n\n{GRAMMAR}"
+    parser.add_argument(
+        "--sim", dest="sim.listen", metavar="HOST:PORT", help="where the chassis is (default 127.0.0.1:29536)"
+    )
+    # The rest of the line, so that a negative number is no flag.
+    parser.add_argument("words", nargs=argparse.REMAINDER, metavar="WORDS", help="the fault")
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Sends the fault, and prints the answer."""
+    del stopped  # It takes no longer than _TIMEOUT_S.
+    text = " ".join(arguments.words)
+    line = parse(text)
+    if isinstance(line, FaultTextError):
+        raise CommandError(line.reason, ExitCode.USAGE)
+    host, port = parse_address(settings.sim.listen)
+    try:
+        with socket.create_connection((host, port), _TIMEOUT_S) as connection:
+            answer = _ask(connection, text)
+    except (OSError, UnicodeError) as error:  # UnicodeError: no host's name looks like that
+        why = getattr(error, "strerror", None) or str(error)
+        raise CommandError(f"no virtual chassis at {settings.sim.listen}: {why}", ExitCode.UNREACHABLE) from error
+    if answer != OK:
+        raise CommandError(f"the chassis answers {answer.decode('ascii', errors='replace')!r}", ExitCode.USAGE)
+    sys.stdout.write(f"ok: {text}\n")
+    return ExitCode.OK
+
+
+def _ask(connection: socket.socket, text: str) -> bytes:
+    if _message(connection) != HI:
+        raise OSError("it does not speak the socketcand protocol")
+    connection.sendall(f"< fault {text} >".encode())
+    return _message(connection)
+
+
+def _message(connection: socket.socket) -> bytes:
+    """One message. The peer speaks only when it is asked, so nothing follows it."""
+    data = b""
+    while not data.endswith(b">"):
+        received = connection.recv(_MAX_ANSWER_BYTES)
+        data += received
+        if not received or len(data) > _MAX_ANSWER_BYTES:
+            raise OSError("it ends the conversation")
+    return data

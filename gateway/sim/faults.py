@@ -1,0 +1,365 @@
+"""The faults that can be asked for while the chassis runs, and their words: one fault a line. Pure.
+
+``parse`` turns a line into a typed value, or into the reason why it is none with the nearest right word.
+``GRAMMAR`` is the list of lines that people see in the help.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from difflib import get_close_matches
+from enum import Enum
+from typing import Final
+
+import msgspec
+
+from gateway.chassis.frame import ERROR, EXTENDED, IDENTIFIER_MASK, REMOTE, STANDARD_MASK
+from gateway.sim.parameters import FOREIGN_PERIOD_NS, SIBLING_PERIOD_NS
+from schemas.messages import Variant
+from schemas.subjects import BY_DBC_MESSAGE
+
+GRAMMAR: Final = """\
+  silence MESSAGE              it is not sent; its counter stands still
+  checksum MESSAGE             its checksum is wrong
+  stuck MESSAGE                its alive counter stands still
+  skip MESSAGE [by N]          its alive counter rises by N, 2 unless told
+  drop MESSAGE every N         each N-th is lost on the way: the counter goes on
+  drop MESSAGE next N          the next N are lost on the way
+  foreign ID [HEX|remote|error] [every DURATION]
+                               frames of another identifier: 3 digits standard, 8 extended
+  foreign siblings             the battery frames 200, 201 and 202 of a sibling chassis
+  bumper front|rear|both on|off
+  transmitter remote|command   the hand transmitter takes over, or gives back
+  transmitter lost|found       its radio link
+  sticks SPEED_MPS ANGLE_DEG   what the hand transmitter asks for in remote mode
+  scale wrong|right            drive command and feedback in the other variant's scale, wheel speeds not
+  variant coarse|fine          another firmware
+  clear                        everything as it was at the start
+
+MESSAGE is a feedback frame's name in the DBC, or 'all'. A MESSAGE fault ends with 'MESSAGE off', 'clear', or by
+itself with 'for 3 frames'; every fault but 'clear' with 'for 2s'. Durations: 500ms, 2s, 1min."""
+
+ALL_MESSAGES: Final = "all"
+
+_WORD_MAX: Final = 40
+"""Characters of a wrong word that an error repeats."""
+
+
+class Disturbance(Enum):
+    """What can be wrong with a feedback frame."""
+
+    SILENCE = "silence"
+    CHECKSUM = "checksum"
+    STUCK = "stuck"
+    SKIP = "skip"
+    DROP = "drop"
+
+
+class MessageFault(msgspec.Struct, frozen=True):
+    """A fault of one feedback message.
+
+    Attributes:
+        message: its name in the DBC, or ALL_MESSAGES.
+        number: for SKIP the step of the counter, for DROP every how manieth frame is lost.
+        ended: the fault ends.
+    """
+
+    disturbance: Disturbance
+    message: str
+    number: int = 1
+    ended: bool = False
+
+
+class Foreign(msgspec.Struct, frozen=True):
+    """Frames that are not of this chassis, or not sent by it.
+
+    Attributes:
+        can_ids: with flags, as in Frame.
+    """
+
+    can_ids: tuple[int, ...]
+    data: bytes = bytes(8)
+    period_ns: int = FOREIGN_PERIOD_NS
+    ended: bool = False
+
+
+class Bumper(msgspec.Struct, frozen=True):
+    """Front, rear or both bumpers are hit, or free again."""
+
+    sides: tuple[str, ...]
+    hit: bool
+
+
+class Switch(msgspec.Struct, frozen=True):
+    """The hand transmitter's SA switch: on remote, or on command control."""
+
+    remote: bool
+
+
+class Radio(msgspec.Struct, frozen=True):
+    """The hand transmitter's radio link."""
+
+    lost: bool
+
+
+class Sticks(msgspec.Struct, frozen=True):
+    """What the hand transmitter asks for: signed speed, and angle with left positive."""
+
+    speed_mps: float
+    angle_deg: float
+
+
+class Scale(msgspec.Struct, frozen=True):
+    """The drive command and feedback have the other variant's scale."""
+
+    wrong: bool
+
+
+class Firmware(msgspec.Struct, frozen=True):
+    """The chassis has this firmware variant."""
+
+    variant: Variant
+
+
+class Clear(msgspec.Struct, frozen=True):
+    """Everything is as it was at the start."""
+
+
+Fault = MessageFault | Foreign | Bumper | Switch | Radio | Sticks | Scale | Firmware | Clear
+
+
+def is_end(fault: Fault) -> bool:
+    """True for what ends a fault instead of beginning one."""
+    match fault:
+        case MessageFault(ended=True) | Foreign(ended=True) | Bumper(hit=False):
+            return True
+        case Switch(remote=False) | Radio(lost=False) | Scale(wrong=False):
+            return True
+        case _:
+            return False
+
+
+class FaultLine(msgspec.Struct, frozen=True):
+    """A fault and how long it lasts.
+
+    Attributes:
+        duration_ns: 0 if it has no end.
+        frames: it ends after this many frames of its message; 0 if they do not count.
+    """
+
+    fault: Fault
+    duration_ns: int = 0
+    frames: int = 0
+
+
+class ScheduledFault(msgspec.Struct, frozen=True):
+    """A fault at a time after the start."""
+
+    after_ns: int
+    line: FaultLine
+
+
+class FaultTextError(msgspec.Struct, frozen=True):
+    """Why a text is no fault. A value: it may come from the network."""
+
+    reason: str
+
+
+class _WrongWordError(Exception):
+    """Inside the parser only."""
+
+
+_UNITS_NS: Final = {"ms": 1_000_000, "s": 1_000_000_000, "min": 60_000_000_000}
+
+_MESSAGES: Final = {name.lower(): name for name in [*BY_DBC_MESSAGE, ALL_MESSAGES]}
+
+
+def parse(text: str) -> FaultLine | FaultTextError:
+    """The fault that a line asks for, or why it is none. Never raises."""
+    try:
+        return _line(_Words(text.split()))
+    except _WrongWordError as error:
+        return FaultTextError(str(error))
+
+
+def parse_scheduled(text: str) -> ScheduledFault | FaultTextError:
+    """A fault after a duration, as in ``3s bumper front on``; without one it is meant at once."""
+    first, *rest = text.split(maxsplit=1) or [""]
+    after_ns = 0
+    if first[:1].isdigit():
+        try:
+            after_ns = _duration_ns(first)
+        except _WrongWordError as error:
+            return FaultTextError(str(error))
+        text = "".join(rest)
+    line = parse(text)
+    return line if isinstance(line, FaultTextError) else ScheduledFault(after_ns, line)
+
+
+def _line(words: _Words) -> FaultLine:
+    name = _one_of(words.take("a fault"), _PARSERS, "fault")
+    fault, frames = _PARSERS[name](words)
+    duration_ns = 0
+    if words.take_if("for"):
+        value = words.take("a duration such as 2s")
+        if isinstance(fault, MessageFault) and not frames and words.take_if("frames"):
+            frames = _whole(value)
+        else:
+            duration_ns = _duration_ns(value)
+    words.end()
+    if (duration_ns or frames) and (isinstance(fault, Clear) or is_end(fault)):
+        raise _WrongWordError("what ends a fault has no duration")
+    return FaultLine(fault, duration_ns, frames)
+
+
+class _Words:
+    """The words of a line, from left to right."""
+
+    def __init__(self, words: list[str]) -> None:
+        self._words = words
+
+    def take(self, wanted: str) -> str:
+        if not self._words:
+            raise _WrongWordError(f"the line ends where {wanted} is wanted")
+        return self._words.pop(0)
+
+    def take_if(self, word: str) -> bool:
+        if self._words and self._words[0].lower() == word:
+            del self._words[0]
+            return True
+        return False
+
+    @property
+    def next(self) -> str:
+        return self._words[0].lower() if self._words else ""
+
+    def end(self) -> None:
+        if self._words:
+            raise _WrongWordError(f"{_shown(self._words[0])} is more than the line needs")
+
+
+def _shown(word: str) -> str:
+    return repr(word if len(word) <= _WORD_MAX else word[:_WORD_MAX] + "...")
+
+
+def _one_of(word: str, right: Iterable[str], what: str) -> str:
+    choices = list(right)
+    if word.lower() in choices:
+        return word.lower()
+    near = get_close_matches(word[:_WORD_MAX].lower(), choices, n=1, cutoff=0.5)
+    known = ", ".join(choices)
+    hint = f"did you mean {_MESSAGES.get(near[0], near[0])!r}?" if near else f"there are: {known}"
+    raise _WrongWordError(f"there is no {what} {_shown(word)}; {hint}")
+
+
+def _whole(word: str) -> int:
+    if re.fullmatch(r"[1-9][0-9]{0,5}", word) is None:
+        raise _WrongWordError(f"{_shown(word)} is no whole number from 1 to 999999")
+    return int(word)
+
+
+def _number(word: str) -> float:
+    if re.fullmatch(r"[+-]?[0-9]{1,4}(\.[0-9]{1,6})?", word) is None:
+        raise _WrongWordError(f"{_shown(word)} is no number such as -0.5")
+    return float(word)
+
+
+def _duration_ns(word: str) -> int:
+    match = re.fullmatch(r"([0-9]{1,6}(?:\.[0-9]{1,6})?)(ms|s|min)", word, re.ASCII)
+    if match is None:
+        raise _WrongWordError(f"{_shown(word)} is no duration such as 500ms, 2s or 1min")
+    duration_ns = round(float(match[1]) * _UNITS_NS[match[2]])
+    if not duration_ns:
+        raise _WrongWordError(f"{_shown(word)} is no time at all")
+    return duration_ns
+
+
+_Parsed = tuple[Fault, int]
+"""A fault and the number of frames that it lasts, 0 if they do not count."""
+
+
+def _message_fault(disturbance: Disturbance) -> Callable[[_Words], _Parsed]:
+    def parse_words(words: _Words) -> _Parsed:
+        name = _MESSAGES[_one_of(words.take("a message"), _MESSAGES, "message")]
+        if words.take_if("off"):
+            return MessageFault(disturbance, name, ended=True), 0
+        if disturbance is Disturbance.SKIP:
+            return MessageFault(disturbance, name, _whole(words.take("a number")) if words.take_if("by") else 2), 0
+        if disturbance is Disturbance.DROP:
+            how = _one_of(words.take("'every' or 'next'"), ["every", "next"], "word")
+            number = _whole(words.take("a number"))
+            return MessageFault(disturbance, name, number if how == "every" else 1), number * (how == "next")
+        return MessageFault(disturbance, name), 0
+
+    return parse_words
+
+
+def _foreign(words: _Words) -> _Parsed:
+    word = words.take("an identifier")
+    if word.lower() == "siblings":
+        can_ids: tuple[int, ...] = (0x200, 0x201, 0x202)
+        period_ns = SIBLING_PERIOD_NS
+    else:
+        can_ids = (_can_id(word),)
+        period_ns = FOREIGN_PERIOD_NS
+    if words.take_if("off"):
+        return Foreign(can_ids, ended=True), 0
+    data = bytes(8)
+    if words.next in {"remote", "error"}:
+        flag = REMOTE if words.take("a kind").lower() == "remote" else ERROR
+        can_ids = tuple(can_id | flag for can_id in can_ids)
+    elif words.next not in {"", "every", "for"}:
+        data = _data(words.take("data"))
+    if words.take_if("every"):
+        period_ns = max(_duration_ns(words.take("a duration such as 2s")), _UNITS_NS["ms"])
+    return Foreign(can_ids, data, period_ns), 0
+
+
+def _can_id(word: str) -> int:
+    digits = word.removeprefix("0x").removeprefix("0X")
+    if re.fullmatch(r"[0-9A-Fa-f]{3}", digits) and int(digits, 16) <= STANDARD_MASK:
+        return int(digits, 16)
+    if re.fullmatch(r"[0-9A-Fa-f]{8}", digits) and int(digits, 16) <= IDENTIFIER_MASK:
+        return int(digits, 16) | EXTENDED
+    raise _WrongWordError(f"{_shown(word)} is no identifier of 3 (up to 7FF) or 8 (up to 1FFFFFFF) hex digits")
+
+
+def _data(word: str) -> bytes:
+    if re.fullmatch(r"([0-9A-Fa-f]{2}){1,8}", word) is None:
+        raise _WrongWordError(f"{_shown(word)} is not 1 to 8 bytes in hex digits, 'remote', 'error' or 'every'")
+    return bytes.fromhex(word)
+
+
+def _choice(words: _Words, *right: str) -> str:
+    return _one_of(words.take(" or ".join(map(repr, right))), right, "word")
+
+
+def _bumper(words: _Words) -> _Parsed:
+    side = _choice(words, "front", "rear", "both")
+    sides = ("front", "rear") if side == "both" else (side,)
+    return Bumper(sides, _choice(words, "on", "off") == "on"), 0
+
+
+def _transmitter(words: _Words) -> _Parsed:
+    word = _choice(words, "remote", "command", "lost", "found")
+    if word in {"remote", "command"}:
+        return Switch(word == "remote"), 0
+    return Radio(word == "lost"), 0
+
+
+def _sticks(words: _Words) -> _Parsed:
+    speed_mps = _number(words.take("a speed in m/s"))
+    return Sticks(speed_mps, _number(words.take("an angle in deg"))), 0
+
+
+_PARSERS: Final[dict[str, Callable[[_Words], _Parsed]]] = {
+    **{disturbance.value: _message_fault(disturbance) for disturbance in Disturbance},
+    "foreign": _foreign,
+    "bumper": _bumper,
+    "transmitter": _transmitter,
+    "sticks": _sticks,
+    "scale": lambda words: (Scale(_choice(words, "wrong", "right") == "wrong"), 0),
+    "variant": lambda words: (Firmware(Variant(_choice(words, "coarse", "fine"))), 0),
+    "clear": lambda _words: (Clear(), 0),
+}

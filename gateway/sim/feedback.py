@@ -1,0 +1,107 @@
+"""The chassis's feedback on its way out: which frame is due when, its alive counter, its faults. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Final
+
+import msgspec
+
+from gateway.chassis.decode import Value
+from gateway.chassis.encode import Encoder
+from gateway.chassis.frame import Frame
+from gateway.chassis.layout import ChassisLayout
+from gateway.sim.disturbances import Disturbances
+from gateway.sim.faults import Disturbance
+
+Values = Mapping[str, Value]
+
+_COUNTER_BYTE: Final = 6
+_COUNTER_SHIFT: Final = 4
+"""The alive counter is the high nibble of byte 6 (manual V2.0, 4.3.1)."""
+
+_CHECKSUM_BYTE: Final = 7
+_CHECKSUM_ERROR: Final = 0xA5
+"""What a bad checksum is off by. Any bits but none would do."""
+
+
+class _Row(msgspec.Struct):
+    """One feedback message.
+
+    Attributes:
+        sent: how often it was due so far.
+        values: those that ``data`` shows, with the counter at 0.
+    """
+
+    name: str
+    can_id: int
+    period_ns: int
+    next_ns: int
+    sent: int = 0
+    counter: int = 0
+    encoder: Encoder | None = None
+    values: Values | None = None
+    data: bytes = b""
+
+
+class FeedbackSender:
+    """Makes the feedback frames, in the DBC's order, each at its period."""
+
+    def __init__(self, layout: ChassisLayout, start_ns: int, rate_multiplier: float) -> None:
+        self._start_ns = start_ns
+        self._rate_multiplier = rate_multiplier
+        self._rows = [_Row(message.name, message.can_id, message.period_ns, 0) for message in layout.feedback]
+        for row in self._rows:
+            self._plan(row)
+
+    @property
+    def next_ns(self) -> int:
+        """When the next frame is due."""
+        return min(row.next_ns for row in self._rows)
+
+    def due(
+        self,
+        now_ns: int,
+        wall_ns: int,
+        encoder: Encoder,
+        reports: Mapping[str, Callable[[], Values]],
+        disturbances: Disturbances,
+    ) -> list[Frame]:
+        """The frames that are due at this instant; ``reports`` has the values of each message."""
+        frames = []
+        for row in self._rows:
+            if row.next_ns <= now_ns:
+                self._plan(row)
+                data = _data(row, encoder, reports[row.name](), disturbances)
+                if data:
+                    frames.append(Frame(row.can_id, data, wall_ns))
+        return frames
+
+    def _plan(self, row: _Row) -> None:
+        # From the start, not from the last time: rounding never adds up, and periods in ratio stay in step.
+        row.sent += 1
+        row.next_ns = self._start_ns + int(row.sent * row.period_ns / self._rate_multiplier)
+
+
+def _data(row: _Row, encoder: Encoder, values: Values, disturbances: Disturbances) -> bytes:
+    """The frame's bytes; none if it is not on the bus."""
+    if values != row.values or encoder is not row.encoder:
+        row.encoder, row.values, row.data = encoder, values, encoder.encode(row.name, values, 0).data
+    if disturbances.quiet:
+        data = _counted(row.data, row.counter)
+        row.counter += 1
+        return data
+    if disturbances.strike(Disturbance.SILENCE, row.name):
+        return b""
+    data = _counted(row.data, row.counter)
+    if disturbances.strike(Disturbance.CHECKSUM, row.name):
+        data = data[:_CHECKSUM_BYTE] + bytes([data[_CHECKSUM_BYTE] ^ _CHECKSUM_ERROR])
+    if not disturbances.strike(Disturbance.STUCK, row.name):
+        row.counter += disturbances.strike(Disturbance.SKIP, row.name) or 1
+    return b"" if disturbances.strike(Disturbance.DROP, row.name) else data
+
+
+def _counted(data: bytes, counter: int) -> bytes:
+    """The data with this alive counter, and the checksum that goes with it."""
+    nibble = (counter & 0xF) << _COUNTER_SHIFT
+    return data[:_COUNTER_BYTE] + bytes([data[_COUNTER_BYTE] | nibble, data[_CHECKSUM_BYTE] ^ nibble])

@@ -1,0 +1,284 @@
+"""The virtual chassis: what it obeys, what it reports. No I/O, no clock.
+
+It keeps to 'How the chassis behaves' of the protocol notes. Where those are silent, it does what is worst for the
+gateway and still plausible: above all it obeys the last command for ever when commands cease.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+import msgspec
+
+from gateway.chassis.decode import Decoded, Decoder, Signals
+from gateway.chassis.encode import Encoder
+from gateway.chassis.frame import Frame
+from gateway.chassis.layout import ChassisLayout, load
+from gateway.sim.disturbances import Disturbances
+from gateway.sim.faults import FaultLine
+from gateway.sim.feedback import FeedbackSender, Values
+from gateway.sim.motion import Demand, Motion
+from gateway.sim.parameters import FULL_PEDAL_PERCENT, STOP_MODE_PEDAL_PERCENT, TRANSMITTER_LOSS_NS
+from schemas.messages import BrakingStatus, GearPosition, Mode, ParkingStatus, Variant
+
+_FIVE: Final = ("Auto_GearCmd", "Auto_SteeringCmd", "Auto_DriveCmd", "Auto_BrakingCmd", "Auto_ParkingCmd")
+"""Auto mode needs the enable of each."""
+
+_LAMPS: Final = ("Headlamp", "RightIndicator", "LeftIndicator")
+
+_MAX_MILEAGE_KM: Final = 0xFF_FFFF * 0.001
+_NS_PER_S: Final = 1_000_000_000
+_GEARS: Final = {gear.value: gear for gear in (GearPosition.DRIVE, GearPosition.REVERSE)}
+_OTHER: Final = {Variant.COARSE: Variant.FINE, Variant.FINE: Variant.COARSE}
+
+
+class ChassisState(msgspec.Struct, frozen=True):
+    """How the chassis really is, whatever its frames say. For tests and demonstrations.
+
+    Attributes:
+        speed_mps: signed, forward positive.
+        x_m: position; with ``y_m`` and ``yaw_rad`` the pose since the start, by ISO 8855.
+        ignored_frames: frames received that were no valid command.
+    """
+
+    mode: Mode
+    variant: Variant
+    gear_position: GearPosition
+    speed_mps: float
+    angle_deg: float
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    mileage_m: float
+    braking_status: BrakingStatus
+    parking_status: ParkingStatus
+    ignored_frames: int
+
+
+class VirtualChassis:
+    """A Cruiser. Feed it frames with ``receive``, and call ``advance`` when ``next_due_ns`` has come."""
+
+    def __init__(self, layout: ChassisLayout, now_ns: int, *, rate_multiplier: float = 1.0) -> None:
+        """Powers up: standing, parked, nothing commanded, the hand transmitter on command control.
+
+        Args:
+            layout: the firmware variant.
+            now_ns: the time of the first ``advance``; the first frames are due one period later.
+            rate_multiplier: the feedback comes this many times as often as the DBC says, to load a bus.
+        """
+        self._first_layout = layout
+        self._disturbances = Disturbances(tuple(message.name for message in layout.feedback))
+        self._feedback = FeedbackSender(layout, now_ns, rate_multiplier)
+        self._motion = Motion()
+        self._commands: dict[str, Signals] = {}
+        self._last_ns = now_ns
+        self._mode = Mode.STOP
+        self._parked = True
+        self._pedal_percent = 0.0
+        self._ignored = 0
+        self._reports: dict[str, Callable[[], Values]] = {
+            "Auto_GearFeedBack": self._gear,
+            "Auto_SteeringFeedBack": self._steering,
+            "Auto_DriveFeedBack": self._drive,
+            "Auto_BrakingFeedBack": self._braking,
+            "Auto_ParkingFeedBack": self._parking,
+            "Auto_WheelSpdFeedback": self._wheel_speed,
+            "Auto_WheelPulseFeedback": self._wheel_pulse,
+            "Auto_MileageAndBodyFeedback": self._body,
+            "Auto_LightFeedback": self._light,
+            "Auto_SpeakerFeedback": self._speaker,
+        }
+        self._use_firmware(layout)
+
+    def receive(self, frame: Frame, now_ns: int) -> None:
+        """Takes a frame from the bus. What is no valid command of this chassis is ignored.
+
+        It takes effect at the next instant that ``advance`` comes to, as in a control unit with a fixed cycle.
+        """
+        del now_ns  # Commands have no timeout: their age never matters.
+        decoded = self._decoder.decode(frame)
+        if isinstance(decoded, Decoded) and not decoded.layout.is_feedback:
+            self._commands[decoded.layout.name] = decoded.signals
+        else:
+            self._ignored += 1
+
+    def inject(self, line: FaultLine, at_ns: int) -> None:
+        """Causes a fault at a time, which may be to come."""
+        self._disturbances.inject(line, at_ns)
+
+    @property
+    def next_due_ns(self) -> int:
+        """When ``advance`` has something to do next."""
+        return min(self._feedback.next_ns, self._disturbances.next_foreign_ns)
+
+    def advance(self, now_ns: int, wall_ns: int = 0) -> list[Frame]:
+        """Lives until now, and returns the frames that it sent meanwhile, in order.
+
+        However often this is called, the same frames come out: the chassis moves from one instant at which a
+        frame is due to the next.
+        """
+        frames: list[Frame] = []
+        while (instant_ns := self.next_due_ns) <= now_ns:
+            self._live(instant_ns)
+            frames += self._feedback.due(instant_ns, wall_ns, self._encoder, self._reports, self._disturbances)
+            frames += self._disturbances.foreign_frames(instant_ns, wall_ns)
+        return frames
+
+    @property
+    def state(self) -> ChassisState:
+        """How the chassis really is."""
+        motion = self._motion
+        return ChassisState(
+            mode=self._mode,
+            variant=self._layout.variant,
+            gear_position=self._gear_position,
+            speed_mps=motion.speed_mps,
+            angle_deg=motion.angle_deg,
+            x_m=motion.x_m,
+            y_m=motion.y_m,
+            yaw_rad=motion.yaw_rad,
+            mileage_m=motion.mileage_m,
+            braking_status=self._braking_status,
+            parking_status=self._parking_status,
+            ignored_frames=self._ignored,
+        )
+
+    # What it obeys.
+
+    def _live(self, instant_ns: int) -> None:
+        self._disturbances.advance(instant_ns)
+        firmware = self._disturbances.firmware
+        wanted = self._first_layout if firmware is None else load(firmware)
+        if wanted is not self._layout:
+            self._use_firmware(wanted)
+        demand = self._demand(instant_ns)
+        self._parked = demand.parked
+        self._pedal_percent = demand.pedal_percent
+        self._motion.step(demand, (instant_ns - self._last_ns) / _NS_PER_S)
+        self._last_ns = instant_ns
+        if self._flag("Auto_OdometerCmd", "Enable") and self._flag("Auto_OdometerCmd", "ClearMileage"):
+            self._motion.mileage_m = 0.0
+
+    def _demand(self, now_ns: int) -> Demand:
+        if self._disturbances.remote:
+            self._mode = Mode.REMOTE
+            # The mode stays remote: with the transmitter back, driving goes on (manual V2.0, 6.4).
+            lost = self._disturbances.transmitter_lost_for_ns(now_ns) >= TRANSMITTER_LOSS_NS
+            return self._stop_demand(parked=False) if lost else self._remote_demand()
+        if all(self._flag(name, "Enable") for name in _FIVE):
+            self._mode = Mode.AUTO
+            return self._auto_demand()
+        self._mode = Mode.STOP
+        return self._stop_demand(parked=self._parked)
+
+    def _auto_demand(self) -> Demand:
+        speed_mps = self._number("Auto_DriveCmd", "TargetVelocity") * self._drive_scale_ratio(command=True)
+        # Park is reserved, and the rest has no meaning: they count as the default, neutral.
+        gear = _GEARS.get(str(self._commands["Auto_GearCmd"]["TargetGear"]), GearPosition.NEUTRAL)
+        return Demand(
+            gear=gear,
+            speed_mps=speed_mps,
+            angle_deg=self._number("Auto_SteeringCmd", "TargetAngle"),
+            pedal_percent=self._number("Auto_BrakingCmd", "BrakePedal"),
+            parked=self._flag("Auto_ParkingCmd", "ParkingRequest"),
+        )
+
+    def _remote_demand(self) -> Demand:
+        sticks = self._disturbances.sticks
+        gear = GearPosition.NEUTRAL
+        if sticks.speed_mps:
+            gear = GearPosition.DRIVE if sticks.speed_mps > 0 else GearPosition.REVERSE
+        # Sticks let go stop the robot, as on the real one: in neutral it would roll.
+        pedal_percent = 0.0 if sticks.speed_mps or self._stands else STOP_MODE_PEDAL_PERCENT
+        return Demand(gear, abs(sticks.speed_mps), sticks.angle_deg, pedal_percent, parked=False)
+
+    def _stop_demand(self, *, parked: bool) -> Demand:
+        pedal_percent = 0.0 if self._stands else STOP_MODE_PEDAL_PERCENT
+        return Demand(GearPosition.NEUTRAL, 0.0, None, pedal_percent, parked)
+
+    @property
+    def _stands(self) -> bool:
+        return self._motion.speed_mps == 0
+
+    def _flag(self, message: str, signal: str) -> bool:
+        signals = self._commands.get(message)
+        return signals is not None and signals[signal] is True
+
+    def _number(self, message: str, signal: str) -> float:
+        return float(self._commands[message][signal])
+
+    def _use_firmware(self, layout: ChassisLayout) -> None:
+        self._layout = layout
+        self._decoder = Decoder(layout)
+        self._encoder = Encoder(layout)
+        own = layout.messages["Auto_DriveCmd"].signal("TargetVelocity").scale
+        other = load(_OTHER[layout.variant]).messages["Auto_DriveCmd"].signal("TargetVelocity").scale
+        self._other_scale_ratio = other / own
+
+    def _drive_scale_ratio(self, *, command: bool) -> float:
+        """What a drive speed in our scale is multiplied by: 1, unless the scale is the other variant's."""
+        if not self._disturbances.wrong_scale:
+            return 1.0
+        return self._other_scale_ratio if command else 1 / self._other_scale_ratio
+
+    # What it reports.
+
+    @property
+    def _gear_position(self) -> GearPosition:
+        return GearPosition.PARK if self._parked else self._motion.gear
+
+    @property
+    def _braking_status(self) -> BrakingStatus:
+        if self._pedal_percent >= FULL_PEDAL_PERCENT:
+            return BrakingStatus.FULLY_BRAKED
+        return BrakingStatus.BRAKING if self._pedal_percent > 0 else BrakingStatus.RELEASED
+
+    @property
+    def _parking_status(self) -> ParkingStatus:
+        return ParkingStatus.APPLIED if self._parked else ParkingStatus.RELEASED
+
+    def _active(self, command: str) -> bool:
+        return self._mode is not Mode.REMOTE and self._flag(command, "Enable")
+
+    def _gear(self) -> Values:
+        return {"Active": self._active("Auto_GearCmd"), "GearPosition": self._gear_position.value}
+
+    def _steering(self) -> Values:
+        return {"Active": self._active("Auto_SteeringCmd"), "Angle": self._motion.angle_deg}
+
+    def _drive(self) -> Values:
+        speed_mps = abs(self._motion.speed_mps) * self._drive_scale_ratio(command=False)
+        return {"Active": self._active("Auto_DriveCmd"), "Speed": speed_mps}
+
+    def _braking(self) -> Values:
+        return {"Active": self._active("Auto_BrakingCmd"), "BrakingStatus": self._braking_status.value}
+
+    def _parking(self) -> Values:
+        return {"Active": self._active("Auto_ParkingCmd"), "ParkingStatus": self._parking_status.value}
+
+    def _wheel_speed(self) -> Values:
+        left_mps, right_mps = self._motion.wheel_speeds_mps
+        return {"Valid": True, "RearLeftSpeed": left_mps, "RearRightSpeed": right_mps}
+
+    def _wheel_pulse(self) -> Values:
+        left, right = self._motion.wheel_pulses
+        return {"Valid": True, "RearLeftPulses": left, "RearRightPulses": right}
+
+    def _body(self) -> Values:
+        # An odometer shows the metres that are full.
+        mileage_km = min(math.floor(self._motion.mileage_m) / 1000, _MAX_MILEAGE_KM)
+        return {
+            "Valid": True,
+            "TotalMileage": mileage_km,
+            "FrontBumper": self._disturbances.front_bumper,
+            "RearBumper": self._disturbances.rear_bumper,
+            "Mode": self._mode.value,
+        }
+
+    def _light(self) -> Values:
+        return {name: self._flag("Auto_LightCmd", name) for name in _LAMPS}
+
+    def _speaker(self) -> Values:
+        return {"Horn": self._flag("Auto_SpeakerCmd", "Horn")}

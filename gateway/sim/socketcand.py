@@ -1,0 +1,275 @@
+"""A CAN bus on a TCP port, for the socketcand text protocol: the I/O around ``socketcand_protocol``.
+
+One thread, no queue without bound. ``wait`` blocks; everything else returns at once. Time is an argument.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import selectors
+import socket
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import Final
+
+from gateway.chassis.frame import Frame
+from gateway.sim.socketcand_protocol import (
+    HI,
+    OK,
+    FaultAsked,
+    Joined,
+    Reply,
+    Sent,
+    ServerConnection,
+    error_line,
+    frame_line,
+)
+
+_logger = logging.getLogger(__name__)
+
+MAX_CLIENTS: Final = 64
+"""Well below the 1024 descriptors that select() can watch."""
+
+MAX_QUEUED_BYTES: Final = 1 << 20
+"""What a client may leave unread here, besides what the kernel holds: about 25 s of nominal feedback."""
+
+MAX_REPLY_BYTES: Final = 64 * 1024
+"""A client that asks for more answers than this without reading them is cut off."""
+
+HOLD_NS: Final = 100_000_000
+"""How long frames are held back after a client has joined.
+
+python-can's handshake reads up to 256 bytes once and wants them to be exactly ``< ok >``: a frame in the same
+segment would fail it. The kernel gives no sign that an answer has been read, so a pause has to do.
+"""
+
+_RECEIVE_BYTES: Final = 65_536
+
+Inject = Callable[[str], str]
+"""Causes the fault that a text names; returns what is wrong with the text, or nothing."""
+
+
+class _Outbox:
+    """What a client has still to get: whole batches, the oldest frames dropped when it does not read."""
+
+    def __init__(self) -> None:
+        self._batches: deque[tuple[bytes, int]] = deque()
+        self._head = b""
+        self._queued_bytes = 0
+        self._reply_bytes = 0
+        self.dropped = 0
+
+    def __bool__(self) -> bool:
+        return bool(self._head or self._batches)
+
+    @property
+    def overflowing(self) -> bool:
+        """The client leaves even its answers unread."""
+        return self._reply_bytes > MAX_REPLY_BYTES
+
+    def put_reply(self, data: bytes) -> None:
+        """An answer: never dropped."""
+        self._batches.append((data, 0))
+        self._queued_bytes += len(data)
+        self._reply_bytes += len(data)
+
+    def put_frames(self, data: bytes, frames: int) -> bool:
+        """Frames, whole ones: the batch as it is may be dropped. True if others had to be dropped for it."""
+        self._batches.append((data, frames))
+        self._queued_bytes += len(data)
+        full = self._queued_bytes > MAX_QUEUED_BYTES
+        if full:
+            self._drop_oldest()
+        return full
+
+    def send(self, connection: socket.socket) -> None:
+        """Sends what the kernel takes.
+
+        Raises:
+            OSError: the client has gone.
+        """
+        while self:
+            if not self._head:
+                self._head, frames = self._batches.popleft()
+                self._queued_bytes -= len(self._head)
+                self._reply_bytes -= 0 if frames else len(self._head)
+            try:
+                sent = connection.send(self._head)
+            except BlockingIOError:
+                return
+            self._head = self._head[sent:]
+
+    def _drop_oldest(self) -> None:
+        kept: deque[tuple[bytes, int]] = deque()
+        # Down to half: dropping costs a pass over the queue, and must not be paid for each frame from here on.
+        while self._batches and self._queued_bytes > MAX_QUEUED_BYTES // 2:
+            data, frames = self._batches.popleft()
+            if frames:
+                self._queued_bytes -= len(data)
+                self.dropped += frames
+            else:
+                kept.append((data, frames))
+        self._batches.extendleft(reversed(kept))
+
+
+class _Client:
+    """A connection."""
+
+    def __init__(self, connection: socket.socket, name: str) -> None:
+        self.connection = connection
+        self.name = name
+        self.protocol = ServerConnection()
+        self.outbox = _Outbox()
+        self.joined = False
+        self.hold_until_ns = 0
+        self.watched = selectors.EVENT_READ
+
+
+class SocketcandServer:
+    """The bus. Each client gets the frames of the chassis and of the other clients, not its own."""
+
+    def __init__(self, host: str, port: int) -> None:
+        """Listens.
+
+        Raises:
+            OSError: the address cannot be had.
+        """
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        # socket.create_server sets SO_REUSEADDR where that does not let two servers share a port.
+        self._listener = socket.create_server((host, port), family=family, backlog=16)
+        self._listener.settimeout(0)
+        # select() takes microseconds; epoll's milliseconds would make every frame up to one late.
+        self._selector = selectors.SelectSelector()
+        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._clients: dict[socket.socket, _Client] = {}
+        self._ready: list[tuple[selectors.SelectorKey, int]] = []
+        self.dropped = 0
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port; the real port where 0 was asked for."""
+        host, port, *_ = self._listener.getsockname()
+        return host, port
+
+    @property
+    def clients(self) -> int:
+        """How many are connected."""
+        return len(self._clients)
+
+    def wait(self, timeout_s: float) -> None:
+        """Waits for a client, at most this long."""
+        self._ready = self._selector.select(timeout_s)
+
+    def read(self, now_ns: int, wall_ns: int, inject: Inject) -> list[Frame]:
+        """Does what the clients ask for, and returns the frames that they put on the bus."""
+        frames: list[Frame] = []
+        for key, events in self._ready:
+            client: _Client | None = key.data
+            if client is None:
+                self._accept()
+                continue
+            if events & selectors.EVENT_READ:
+                frames += self._read_client(client, now_ns, wall_ns, inject)
+            self._flush(client, now_ns)
+        self._ready = []
+        for client in list(self._clients.values()):
+            if client.outbox and client.joined and client.watched == selectors.EVENT_READ:
+                self._flush(client, now_ns)
+        return frames
+
+    def send(self, frames: Iterable[Frame], now_ns: int) -> None:
+        """Puts frames of the chassis on the bus."""
+        self._broadcast(frames, now_ns, None)
+
+    def close(self) -> None:
+        """Says good-bye to all."""
+        for client in list(self._clients.values()):
+            self._drop_client(client, "the server ends")
+        self._selector.close()
+        self._listener.close()
+
+    def _accept(self) -> None:
+        try:
+            connection, peer = self._listener.accept()
+        except OSError:
+            return  # It went away again before we came to it.
+        if len(self._clients) >= MAX_CLIENTS:
+            with contextlib.suppress(OSError):
+                connection.send(error_line(f"there are {MAX_CLIENTS} clients already"))
+            connection.close()
+            return
+        connection.settimeout(0)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        client = _Client(connection, f"{peer[0]}:{peer[1]}")
+        self._clients[connection] = client
+        self._selector.register(connection, selectors.EVENT_READ, client)
+        _logger.info("%s connected", client.name)
+        client.outbox.put_reply(HI)
+        self._flush(client, 0)
+
+    def _read_client(self, client: _Client, now_ns: int, wall_ns: int, inject: Inject) -> list[Frame]:
+        try:
+            data = client.connection.recv(_RECEIVE_BYTES)
+        except BlockingIOError:
+            return []
+        except OSError as error:
+            self._drop_client(client, str(error))
+            return []
+        if not data:
+            self._drop_client(client, "closed by the client")
+            return []
+        frames: list[Frame] = []
+        for event in client.protocol.receive_bytes(data):
+            match event:
+                case Sent(frame):
+                    frames.append(Frame(frame.can_id, frame.data, wall_ns, 0, frame.remote_length))
+                case Reply(reply):
+                    client.outbox.put_reply(reply)
+                case Joined():
+                    self._flush(client, now_ns)  # Its answer must not wait with the frames.
+                    client.joined = True
+                    client.hold_until_ns = now_ns + HOLD_NS
+                case FaultAsked(text):
+                    reason = inject(text)
+                    client.outbox.put_reply(error_line(reason) if reason else OK)
+        self._broadcast(frames, now_ns, client)
+        return frames
+
+    def _broadcast(self, frames: Iterable[Frame], now_ns: int, source: _Client | None) -> None:
+        receivers = [client for client in self._clients.values() if client.joined and client is not source]
+        lines = [line for line in map(frame_line, frames) if line is not None] if receivers else []
+        if not lines:
+            return
+        data = b"".join(lines)
+        for client in receivers:
+            if client.outbox.put_frames(data, len(lines)):
+                _logger.warning(
+                    "%s reads too slowly: %d frames dropped so far", client.name, client.outbox.dropped
+                )
+            self._flush(client, now_ns)
+
+    def _flush(self, client: _Client, now_ns: int) -> None:
+        """Sends what can be sent, and watches for room if some is left."""
+        if client.connection not in self._clients or now_ns < client.hold_until_ns:
+            return
+        try:
+            client.outbox.send(client.connection)
+        except OSError as error:
+            self._drop_client(client, str(error))
+            return
+        if client.outbox.overflowing:
+            self._drop_client(client, "it reads no answers")
+            return
+        watched = selectors.EVENT_READ | (selectors.EVENT_WRITE if client.outbox else 0)
+        if watched != client.watched:
+            client.watched = watched
+            self._selector.modify(client.connection, watched, client)
+
+    def _drop_client(self, client: _Client, reason: str) -> None:
+        if self._clients.pop(client.connection, None) is None:
+            return
+        self.dropped += client.outbox.dropped
+        _logger.info("%s gone: %s; %d frames dropped", client.name, reason, client.outbox.dropped)
+        self._selector.unregister(client.connection)
+        client.connection.close()

@@ -1,0 +1,72 @@
+"""Messages appended to one buffer and indexed: what becomes a chunk of an MCAP file. Pure."""
+
+from __future__ import annotations
+
+import struct
+from array import array
+from typing import Final
+
+import msgspec
+
+MESSAGE_OPCODE: Final = 0x05
+MESSAGE_HEADER: Final = struct.Struct("<BQHIQQ")
+"""A message record up to its data: opcode, length, channel, sequence, log time, publish time."""
+
+HEADER_IN_LENGTH: Final = MESSAGE_HEADER.size - 9
+"""The part of the header that a record's length counts: all but opcode and length."""
+
+
+class Chunk(msgspec.Struct, frozen=True):
+    """Messages ready to be written.
+
+    Attributes:
+        records: message records, one after the other.
+        index: per channel, log time and offset in ``records`` of each message, in turns.
+        start_ns: the earliest log time; ``end_ns`` the latest.
+    """
+
+    records: bytearray
+    index: dict[int, array[int]]
+    start_ns: int
+    end_ns: int
+
+
+class ChunkBuilder:
+    """Takes messages one by one; ``seal`` hands over what has come together and begins anew."""
+
+    def __init__(self) -> None:
+        self._records = bytearray()
+        self._index: dict[int, array[int]] = {}
+
+    def __len__(self) -> int:
+        """Bytes so far, before compression."""
+        return len(self._records)
+
+    def add(self, channel_id: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> None:
+        """Append a message. The times are unsigned 64-bit, the sequence 32-bit, the channel 16-bit."""
+        records = self._records
+        offset = len(records)
+        records += MESSAGE_HEADER.pack(
+            MESSAGE_OPCODE, HEADER_IN_LENGTH + len(data), channel_id, sequence, log_ns, publish_ns
+        )
+        records += data
+        index = self._index.get(channel_id)
+        if index is None:
+            index = self._index[channel_id] = array("Q")
+        index.append(log_ns)
+        index.append(offset)
+
+    def seal(self) -> Chunk | None:
+        """The messages so far, or None if there are none."""
+        if not self._records:
+            return None
+        times = [index[::2] for index in self._index.values()]
+        chunk = Chunk(
+            records=self._records,
+            index=self._index,
+            start_ns=min(map(min, times)),
+            end_ns=max(map(max, times)),
+        )
+        self._records = bytearray()
+        self._index = {}
+        return chunk

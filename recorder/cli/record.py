@@ -1,0 +1,113 @@
+"""``cruiser record``: write what is said on Zenoh into an MCAP log."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from importlib.metadata import version
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from recorder.loop import Recorded, Recorder
+from recorder.ports.log_directory import LogDirectory
+from recorder.ports.zenoh_source import ZenohSource
+from recorder.session import Plan, Session
+from schemas import keys
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import Settings
+
+EXAMPLE: Final = "  cruiser record -k 'fleet/cruiser-1/**' -o logs"
+
+FLEET_NAME: Final = "fleet"
+"""Begins the name of a log that may hold several robots."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    parser.add_argument(
+        "-k",
+        "--key",
+        dest="recorder.keys",
+        metavar="KEY",
+        nargs="+",
+        action="extend",
+        help="key expressions to record (all keys under the root)",
+    )
+    parser.add_argument("-o", "--out", dest="recorder.directory", metavar="DIR", help="where the log goes (.)")
+    parser.add_argument(
+        "--connect",
+        dest="zenoh.connect",
+        metavar="ENDPOINT",
+        action="append",
+        help="a Zenoh endpoint to connect to, tcp/127.0.0.1:7447; may be repeated",
+    )
+    parser.add_argument(
+        "--seconds", type=_seconds, metavar="N", help="stop after this long (at SIGINT or SIGTERM)"
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Record until stopped; print the log's path."""
+    recorder = settings.recorder
+    expressions = recorder.keys or [f"{settings.robot.root}/**"]
+    release = version("cruiser-gateway")
+    directory = LogDirectory(Path(recorder.directory))
+    session = Session(
+        Plan(
+            name=log_name(settings.robot.root, expressions),
+            chunk_bytes=recorder.chunk_bytes,
+            flush_ns=round(recorder.flush_s * 1e9),
+            version=release,
+        )
+    )
+    with closing(ZenohSource(settings.zenoh, expressions, recorder.queue_samples)) as source:
+        sys.stderr.write(f"record: waiting for samples of {', '.join(expressions)} into {recorder.directory}\n")
+        sys.stderr.flush()
+        recorded = Recorder(session, source, directory, f"cruiser-gateway {release}").run(
+            _until(stopped, arguments.seconds)
+        )
+    return _report(recorded, as_json=arguments.json)
+
+
+def log_name(root: str, expressions: Sequence[str]) -> str:
+    """How the log's name begins: with the robot, if the expressions can match but one."""
+    pattern = re.compile(rf"{re.escape(root)}/({keys.ROBOT_PATTERN})(/.*)?")
+    matches = [pattern.fullmatch(expression) for expression in expressions]
+    robots = {match[1] if match else FLEET_NAME for match in matches}
+    return robots.pop() if len(robots) == 1 else FLEET_NAME
+
+
+def _until(stopped: Callable[[], bool], seconds: float | None) -> Callable[[], bool]:
+    if seconds is None:
+        return stopped
+    end = time.monotonic() + seconds
+    return lambda: stopped() or time.monotonic() >= end
+
+
+def _report(recorded: Recorded, *, as_json: bool) -> int:
+    if as_json:
+        sys.stdout.write(msgspec.json.encode(recorded).decode() + "\n")
+    elif recorded.path is not None:
+        sys.stdout.write(f"{recorded.path}\n")
+    if recorded.path is None:
+        raise CommandError("no sample came, so there is no log", ExitCode.UNREACHABLE)
+    missed = sum(count.missed for count in recorded.keys.values())
+    sys.stderr.write(
+        f"record: {recorded.messages} messages on {recorded.channels} channels, {recorded.bytes} bytes, "
+        f"{missed} samples missed\n"
+    )
+    return int(ExitCode.OK)
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not 0 < seconds < float("inf"):
+        raise argparse.ArgumentTypeError("must be over 0")
+    return seconds

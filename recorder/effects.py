@@ -1,0 +1,68 @@
+"""What a recording session asks the ports to do, in this order."""
+
+from __future__ import annotations
+
+import msgspec
+
+from recorder.chunk import Chunk
+
+
+class LogChannel(msgspec.Struct, frozen=True):
+    """A channel of a log; ``schema_data`` is the serialised descriptor set of ``schema_name``."""
+
+    channel_id: int
+    topic: str
+    schema_name: str
+    schema_data: bytes
+
+
+class OpenLog(msgspec.Struct, frozen=True):
+    """Begin a log file whose name holds these."""
+
+    name: str
+    wall_ns: int
+
+
+class DeclareChannel(msgspec.Struct, frozen=True):
+    """Write the channel, and its schema if that is new."""
+
+    channel: LogChannel
+
+
+class WriteChunk(msgspec.Struct, frozen=True):
+    """Write these messages."""
+
+    chunk: Chunk
+
+
+class WriteMetadata(msgspec.Struct, frozen=True):
+    """Write a metadata record."""
+
+    name: str
+    entries: dict[str, str]
+
+
+class WriteAttachment(msgspec.Struct, frozen=True):
+    """Write an attachment."""
+
+    name: str
+    media_type: str
+    data: bytes
+    wall_ns: int
+
+
+class SyncLog(msgspec.Struct, frozen=True):
+    """Have all that is written reach the disk."""
+
+
+class CloseLog(msgspec.Struct, frozen=True):
+    """Make the file whole."""
+
+
+class AskInfo(msgspec.Struct, frozen=True):
+    """Query this key; the reply is a sample like any other."""
+
+    key: str
+
+
+Effect = OpenLog | DeclareChannel | WriteChunk | WriteMetadata | WriteAttachment | SyncLog | CloseLog | AskInfo

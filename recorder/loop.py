@@ -1,0 +1,145 @@
+"""The one thread of a recording: samples from Zenoh into the session, its effects out to the ports."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from typing import Final, Protocol
+
+import msgspec
+
+from recorder.effects import AskInfo, Effect, OpenLog
+from recorder.ports.log_directory import LogDirectory, LogFile
+from recorder.sample import Sample
+from recorder.session import KeyCount, Session
+from schemas.exit_codes import CommandError
+
+PASS_SAMPLES: Final = 2000
+"""Samples between two ticks at most."""
+
+IDLE_S: Final = 0.005
+"""Pause when nothing has come in."""
+
+LAST_ANSWERS_NS: Final = 500_000_000
+"""How long the end waits for robots that have not yet said who they are."""
+
+LAST_SAMPLES_NS: Final = 2_000_000_000
+"""How long the end goes on writing what had already come in."""
+
+
+class Source(Protocol):
+    """Where samples come from."""
+
+    @property
+    def is_asking(self) -> bool:
+        """Whether a query is still without its reply."""
+        ...
+
+    def drain(self, limit: int) -> Iterable[Sample]:
+        """The samples that have come in."""
+        ...
+
+    def ask(self, key: str) -> None:
+        """Query a key; the reply comes with the samples."""
+        ...
+
+
+class Recorded(msgspec.Struct, frozen=True):
+    """What a recording has come to.
+
+    Attributes:
+        path: the log; None if no sample came.
+        keys: per topic, what was recorded and what was missed.
+    """
+
+    path: str | None
+    messages: int
+    bytes: int
+    channels: int
+    keys: dict[str, KeyCount]
+
+
+class Recorder:
+    """Runs a session.
+
+    Args:
+        session: what to record.
+        source: where samples come from.
+        directory: where logs go.
+        library: who writes, for the file's header.
+    """
+
+    def __init__(self, session: Session, source: Source, directory: LogDirectory, library: str) -> None:
+        self._session = session
+        self._source = source
+        self._directory = directory
+        self._library = library
+        self._file: LogFile | None = None
+
+    def run(self, stopped: Callable[[], bool]) -> Recorded:
+        """Record until stopped.
+
+        Raises:
+            CommandError: the disk takes no more. What was recorded is kept.
+        """
+        is_closed = False
+        try:
+            while not stopped():
+                if not self._step():
+                    time.sleep(IDLE_S)
+            self._end()
+            is_closed = True
+        except CommandError as error:
+            self._salvage()
+            where = f"; the log until then is {self._file.path}" if self._file is not None else ""
+            raise CommandError(f"{error}{where}", error.code) from error
+        finally:
+            if not is_closed:
+                self._salvage()
+        return self._recorded()
+
+    def _step(self) -> bool:
+        """One pass. False if nothing had come in."""
+        receive = self._session.receive_sample
+        busy = False
+        for sample in self._source.drain(PASS_SAMPLES):
+            busy = True
+            effects = receive(sample, time.monotonic_ns(), time.time_ns())
+            if effects:
+                self._carry_out(effects)
+        self._carry_out(self._session.tick(time.monotonic_ns()))
+        return busy
+
+    def _end(self) -> None:
+        start_ns = time.monotonic_ns()
+        while self._step() and time.monotonic_ns() - start_ns < LAST_SAMPLES_NS:
+            pass
+        self._carry_out(self._session.ask_last())
+        asked_ns = time.monotonic_ns()
+        while self._source.is_asking and time.monotonic_ns() - asked_ns < LAST_ANSWERS_NS:
+            self._step()
+            time.sleep(IDLE_S)
+        self._carry_out(self._session.close())
+
+    def _carry_out(self, effects: Sequence[Effect]) -> None:
+        for effect in effects:
+            if isinstance(effect, AskInfo):
+                self._source.ask(effect.key)
+            elif isinstance(effect, OpenLog):
+                self._file = self._directory.open(effect.name, effect.wall_ns, self._library)
+            elif self._file is not None:
+                self._file.write(effect)
+
+    def _salvage(self) -> None:
+        if self._file is not None:
+            self._file.salvage()
+
+    def _recorded(self) -> Recorded:
+        counts = self._session.counts
+        return Recorded(
+            path=None if self._file is None else str(self._file.path),
+            messages=sum(count.messages for count in counts.values()),
+            bytes=0 if self._file is None else self._file.size,
+            channels=len(counts),
+            keys=counts,
+        )

@@ -1,0 +1,197 @@
+"""Samples from Zenoh. Zenoh's own threads fill its ring channels; no Python of ours runs on them."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime, timedelta
+from typing import Final
+
+import msgspec
+import zenoh
+
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
+from schemas.settings import DEFAULT_ENDPOINT, ZenohSettings
+from schemas.zenoh_link import session_settings
+
+REPLY_TIMEOUT_S: Final = 2.0
+"""How long a query may wait for its reply."""
+
+PENDING_MAX: Final = 64
+"""Queries on their way at once; beyond it the oldest is given up."""
+
+REPLIES_WAITING: Final = 8
+"""Replies to one query that may wait; one is expected, and the first one counts."""
+
+_CONNECT: Final = "connect/endpoints"
+_LISTEN: Final = "listen/endpoints"
+
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+_MICROSECOND: Final = timedelta(microseconds=1)
+
+_Samples = zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]]
+_Replies = zenoh.handlers.Handler[zenoh.Reply]
+
+
+class ZenohSample(msgspec.Struct, frozen=True):
+    """A sample as ``recorder.sample.Sample`` has it. What few ever ask for is fetched when they do."""
+
+    key: str
+    encoding: str
+    payload: bytes
+    received: zenoh.Sample
+
+    @property
+    def attachment(self) -> bytes:
+        """The attachment; empty if there is none."""
+        attachment = self.received.attachment
+        return b"" if attachment is None else attachment.to_bytes()
+
+    @property
+    def zenoh_time_ns(self) -> int:
+        """The sample's own Zenoh timestamp since 1970; 0 if it has none."""
+        timestamp = self.received.timestamp
+        return 0 if timestamp is None else _nanoseconds(timestamp.get_time())
+
+    @property
+    def deleted(self) -> bool:
+        """The sample says that the key was deleted."""
+        return self.received.kind == zenoh.SampleKind.DELETE
+
+
+def _take(received: zenoh.Sample) -> ZenohSample:
+    return ZenohSample(str(received.key_expr), str(received.encoding), received.payload.to_bytes(), received)
+
+
+class ZenohSource:
+    """A Zenoh session that subscribes to key expressions.
+
+    Args:
+        settings: of the session.
+        key_expressions: what to subscribe to. A key that several of them match is received once.
+        queue_samples: samples that may wait for each of them; beyond it the oldest go.
+
+    Raises:
+        CommandError: a key expression or an endpoint is wrong, or the session cannot be opened.
+    """
+
+    def __init__(self, settings: ZenohSettings, key_expressions: Sequence[str], queue_samples: int) -> None:
+        self._expressions = _distinct(key_expressions)
+        self._pending: list[tuple[str, _Replies]] = []
+        self._session = _open(settings)
+        self._subscribers: list[_Samples] = [
+            self._session.declare_subscriber(expression, zenoh.handlers.RingChannel(queue_samples))
+            for expression in self._expressions
+        ]
+        self._overlap = any(
+            one.intersects(other)
+            for index, one in enumerate(self._expressions)
+            for other in self._expressions[:index]
+        )
+        self._owners: dict[str, int] = {}
+
+    @property
+    def is_asking(self) -> bool:
+        """Whether a query is still without its reply."""
+        return bool(self._pending)
+
+    def drain(self, limit: int) -> Iterator[ZenohSample]:
+        """The samples and replies that have come in, at most about ``limit``."""
+        for index, subscriber in enumerate(self._subscribers):
+            receive = subscriber.try_recv
+            for _ in range(limit):
+                received = receive()
+                if received is None:
+                    break
+                if not self._overlap or self._owner(received.key_expr) == index:
+                    yield _take(received)
+        if self._pending:
+            yield from self._replies()
+
+    def ask(self, key: str) -> None:
+        """Query a key. The reply comes with the samples."""
+        # Not a ring: that one forgets the reply when the query ends before it is taken.
+        replies: zenoh.handlers.FifoChannel[zenoh.Reply] = zenoh.handlers.FifoChannel(REPLIES_WAITING)
+        handler = self._session.get(key, replies, timeout=REPLY_TIMEOUT_S, target=zenoh.QueryTarget.BEST_MATCHING)
+        self._pending = [*self._pending, (key, handler)][-PENDING_MAX:]
+
+    def close(self) -> None:
+        """End the session."""
+        self._session.close()
+
+    def _replies(self) -> Iterator[ZenohSample]:
+        waiting = []
+        for key, handler in self._pending:
+            try:
+                reply = handler.try_recv()
+            except zenoh.ZError:
+                continue  # Zenoh's way to say that nothing more will come.
+            if reply is None:
+                waiting.append((key, handler))
+            elif reply.ok is not None and str(reply.ok.key_expr) == key:
+                yield _take(reply.ok)
+        self._pending = waiting
+
+    def _owner(self, key: zenoh.KeyExpr) -> int:
+        """The first expression that matches the key: its subscriber's sample counts, the others' are copies."""
+        text = str(key)
+        owner = self._owners.get(text)
+        if owner is None:
+            owner = next(index for index, one in enumerate(self._expressions) if one.intersects(key))
+            self._owners[text] = owner
+        return owner
+
+
+def _open(settings: ZenohSettings) -> zenoh.Session:
+    config = _configuration(settings)
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        raise CommandError(f"cannot join Zenoh: {_brief(error)}", ExitCode.UNREACHABLE) from error
+
+
+def _configuration(settings: ZenohSettings) -> zenoh.Config:
+    """The configuration file, if one is set, with our settings over it.
+
+    Its endpoints hold where the settings give none; scouting by multicast stays off whatever it says.
+    """
+    start = zenoh.Config()
+    try:
+        config = zenoh.Config.from_file(settings.config) if settings.config else start
+        connect, listen = settings.connect, settings.listen
+        kept = {
+            path
+            for path, given in ((_CONNECT, connect), (_LISTEN, listen))
+            if not given and config.get_json(path) != start.get_json(path)
+        }
+        entries = session_settings(settings, connect or [DEFAULT_ENDPOINT], listen)
+        for path, value in entries.items():
+            if path not in kept:
+                config.insert_json5(path, json.dumps(value))
+    except zenoh.ZError as error:
+        raise CommandError(f"wrong Zenoh settings: {_brief(error)}", ExitCode.USAGE) from error
+    return config
+
+
+def _distinct(texts: Sequence[str]) -> list[zenoh.KeyExpr]:
+    """The key expressions, without those that another one includes."""
+    expressions: list[zenoh.KeyExpr] = []
+    for text in texts:
+        try:
+            one = zenoh.KeyExpr.autocanonize(text)
+        except zenoh.ZError as error:
+            raise CommandError(f"{plain(text)!r} is no key expression: {_brief(error)}", ExitCode.USAGE) from error
+        if not any(other.includes(one) for other in expressions):
+            expressions = [other for other in expressions if not one.includes(other)] + [one]
+    return expressions
+
+
+def _nanoseconds(time: datetime) -> int:
+    return (time - _EPOCH) // _MICROSECOND * 1000
+
+
+def _brief(error: Exception) -> str:
+    """Zenoh's message without the places in its source."""
+    return plain(" ".join(re.sub(r" at \S+\.rs:\d+\.?", "", str(error)).split()))

@@ -1,0 +1,84 @@
+"""Frames lost on the way from the chassis, by the alive counters that they carry.
+
+A counter of 4 bits cannot tell a loss of 16 frames from none, so it is believed only across gaps in time of
+fewer than 16 periods; a longer gap is an outage, and what it cost is not guessed.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import cache, reduce
+from importlib import resources
+from operator import xor
+from typing import Final
+
+import msgspec
+
+COUNTER_SPAN: Final = 16
+FRAME_BYTES: Final = 8
+
+FEEDBACK_MASK: Final = 0x1FFFF0FF
+FEEDBACK_IDENTIFIER: Final = 0x18C4D0EF
+"""The chassis's feedback: 0x18C4D?EF, extended."""
+
+_EXTENDED_FLAG: Final = 1 << 31
+_DBC: Final = "cruiser-coarse.dbc"
+"""Cycle times are the same in both variants."""
+
+
+class FeedbackFrame(msgspec.Struct, frozen=True):
+    """What the DBC says of a feedback frame."""
+
+    name: str
+    period_ns: int
+
+
+@cache
+def feedback_frames() -> dict[int, FeedbackFrame]:
+    """The chassis's feedback frames by identifier."""
+    text = resources.files("schemas").joinpath(_DBC).read_text(encoding="utf-8")
+    names = dict(re.findall(r"^BO_ (\d+) (\w+):", text, re.MULTILINE))
+    cycles = dict(re.findall(r'^BA_ "GenMsgCycleTime" BO_ (\d+) (\d+);', text, re.MULTILINE))
+    frames = {
+        int(number) & ~_EXTENDED_FLAG: FeedbackFrame(names[number], int(cycle) * 1_000_000)
+        for number, cycle in cycles.items()
+    }
+    return {
+        identifier: frame
+        for identifier, frame in frames.items()
+        if identifier & FEEDBACK_MASK == FEEDBACK_IDENTIFIER and frame.period_ns
+    }
+
+
+class AliveCount:
+    """Follows the alive counter of one identifier.
+
+    Attributes:
+        frames: frames seen.
+        lost: frames that the counter passed over.
+        repeated: frames with the counter of the one before.
+        corrupt: frames with a wrong checksum; their counter is not read.
+        outages: gaps in time too long for the counter.
+    """
+
+    def __init__(self, frame: FeedbackFrame) -> None:
+        self.name = frame.name
+        self.frames = self.lost = self.repeated = self.corrupt = self.outages = 0
+        self._window_ns = COUNTER_SPAN * frame.period_ns
+        self._counter = 0
+        self._time_ns = 0
+
+    def receive(self, time_ns: int, data: bytes) -> None:
+        """The next frame: when it was received, and its eight bytes."""
+        self.frames += 1
+        is_corrupt = reduce(xor, data) != 0
+        counter = (self._counter + 1) % COUNTER_SPAN if is_corrupt else data[6] >> 4
+        self.corrupt += is_corrupt
+        if self.frames > 1:
+            if not 0 <= time_ns - self._time_ns < self._window_ns:
+                self.outages += 1
+            elif counter == self._counter:
+                self.repeated += 1
+            else:
+                self.lost += (counter - self._counter - 1) % COUNTER_SPAN
+        self._counter, self._time_ns = counter, time_ns

@@ -1,0 +1,267 @@
+"""What a log holds, and what it lacks: one pass over the file, in memory that does not grow with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+from google.protobuf.message import DecodeError
+from mcap import records
+
+from recorder.mcap_file import MAGIC
+from recorder.protobuf_schema import message_class, schema_name
+from recorder.review.alive import FRAME_BYTES, AliveCount, feedback_frames
+from recorder.review.walk import End, Fault, LoggedMessage, Walked, walk
+from recorder.robots import METADATA_NAME
+from recorder.tally import Tally
+from schemas.exit_codes import CommandError
+from schemas.messages import CanFrame, GatewayInfo, RawSample
+from schemas.printable import plain
+from schemas.subjects import SCHEMA_PREFIX
+
+FAULTS_SHOWN: Final = 20
+"""Faults that are told one by one; the rest are only counted."""
+
+_CAN_FRAME: Final = schema_name(CanFrame)
+_WITHOUT_SEQUENCE: Final = {schema_name(RawSample), schema_name(GatewayInfo)}
+_CanFrameMessage: Final[Any] = message_class(CanFrame)
+
+
+class ChannelInfo(msgspec.Struct, frozen=True):
+    """A channel.
+
+    Attributes:
+        rate_hz: mean over the channel's own span; None for fewer than two messages.
+        missed: samples that never came, by the gaps in ``sequence``; None where a gap says nothing.
+    """
+
+    topic: str
+    schema: str
+    encoding: str
+    messages: int
+    first_ns: int | None
+    last_ns: int | None
+    rate_hz: float | None
+    missed: int | None
+
+
+class FrameInfo(msgspec.Struct, frozen=True):
+    """Raw frames of one identifier; see ``alive.AliveCount``."""
+
+    topic: str
+    identifier: str
+    name: str
+    frames: int
+    lost: int
+    repeated: int
+    corrupt: int
+    outages: int
+
+
+class AttachmentInfo(msgspec.Struct, frozen=True):
+    """An attachment."""
+
+    name: str
+    media_type: str
+    bytes: int
+
+
+class LogInfo(msgspec.Struct, frozen=True):
+    """A log.
+
+    Attributes:
+        whole: the file was closed properly and no checksum is wrong.
+        faults: what is wrong with the file; ``fault_count`` of them, the first ones told.
+        missed: samples missed on all channels; ``frames_lost`` likewise of raw frames.
+        robots: the robots' names.
+        variants: the firmware variant of each robot that has told it.
+        versions: of the recorder, and of each robot's gateway.
+        metadata: all metadata records by name, the last of each.
+    """
+
+    path: str
+    bytes: int
+    whole: bool
+    faults: list[str]
+    fault_count: int
+    messages: int
+    start_ns: int | None
+    end_ns: int | None
+    duration_s: float
+    missed: int
+    frames_lost: int
+    robots: list[str]
+    variants: dict[str, str]
+    versions: dict[str, str]
+    channels: list[ChannelInfo]
+    frames: list[FrameInfo]
+    attachments: list[AttachmentInfo]
+    metadata: dict[str, dict[str, str]]
+
+
+def read_info(path: Path) -> LogInfo:
+    """What a log holds.
+
+    Raises:
+        CommandError: there is no such file, or it is no MCAP file.
+    """
+    survey = _Survey()
+    shown = plain(str(path))
+    try:
+        with path.open("rb") as stream:
+            size = path.stat().st_size
+            if size == 0:
+                raise CommandError(f"{shown} is empty")
+            if stream.read(len(MAGIC)) != MAGIC:
+                raise CommandError(f"{shown} is no MCAP file")
+            for walked in walk(stream, size):
+                survey.take(walked)
+    except OSError as error:
+        raise CommandError(f"cannot read {shown}: {error.strerror or error}") from error
+    return survey.sum_up(str(path), size)
+
+
+class _Channel:
+    def __init__(self, record: records.Channel, schema: str) -> None:
+        self.topic = record.topic
+        self.encoding = record.message_encoding
+        self.schema = schema
+        self.messages = 0
+        self.first_ns = self.last_ns = 0
+        self.tally = Tally()
+        self.counts_sequence = schema.startswith(f"{SCHEMA_PREFIX}.") and schema not in _WITHOUT_SEQUENCE
+        self.frames: dict[int, AliveCount] = {}
+        self._sequence: int | None = None
+
+    def take(self, message: LoggedMessage) -> None:
+        self.first_ns = min(self.first_ns, message.log_ns) if self.messages else message.log_ns
+        self.last_ns = max(self.last_ns, message.log_ns)
+        self.messages += 1
+        # The frames of one batch share its sequence.
+        if self.counts_sequence and not (self.schema == _CAN_FRAME and message.sequence == self._sequence):
+            self.tally.count_sequence(message.sequence)
+            self._sequence = message.sequence
+        if self.schema == _CAN_FRAME:
+            self._take_frame(message.data)
+
+    def _take_frame(self, data: bytes) -> None:
+        frame = _CanFrameMessage.FromString(data)
+        known = feedback_frames().get(frame.identifier) if frame.is_extended else None
+        if known is None or frame.is_remote or frame.is_error or len(frame.data) != FRAME_BYTES:
+            return
+        count = self.frames.get(frame.identifier)
+        if count is None:
+            count = self.frames[frame.identifier] = AliveCount(known)
+        count.receive(frame.time_ns, frame.data)
+
+    def sum_up(self) -> ChannelInfo:
+        span_s = (self.last_ns - self.first_ns) / 1e9
+        return ChannelInfo(
+            topic=self.topic,
+            schema=self.schema,
+            encoding=self.encoding,
+            messages=self.messages,
+            first_ns=self.first_ns if self.messages else None,
+            last_ns=self.last_ns if self.messages else None,
+            rate_hz=(self.messages - 1) / span_s if self.messages > 1 and span_s > 0 else None,
+            missed=self.tally.missed if self.counts_sequence else None,
+        )
+
+    def sum_up_frames(self) -> list[FrameInfo]:
+        return [
+            FrameInfo(
+                topic=self.topic,
+                identifier=f"0x{identifier:08X}",
+                name=count.name,
+                frames=count.frames,
+                lost=count.lost,
+                repeated=count.repeated,
+                corrupt=count.corrupt,
+                outages=count.outages,
+            )
+            for identifier, count in sorted(self.frames.items())
+        ]
+
+
+class _Survey:
+    """Gathers what a walk brings."""
+
+    def __init__(self) -> None:
+        self._schemas: dict[int, str] = {}
+        self._channels: dict[int, _Channel] = {}
+        self._attachments: list[AttachmentInfo] = []
+        self._metadata: dict[str, dict[str, str]] = {}
+        self._faults: list[str] = []
+        self._fault_count = 0
+        self._messages = 0
+        self._promised: int | None = None
+        self._ended = False
+
+    def take(self, walked: Walked) -> None:
+        match walked:
+            case LoggedMessage():
+                self._take_message(walked)
+            case records.Schema():
+                self._schemas[walked.id] = walked.name
+            case records.Channel():
+                # The summary repeats them.
+                schema = self._schemas.get(walked.schema_id, "")
+                self._channels.setdefault(walked.id, _Channel(walked, schema))
+            case records.Attachment():
+                info = AttachmentInfo(walked.name, walked.media_type, len(walked.data))
+                self._attachments.append(info)
+            case records.Metadata():
+                self._metadata[walked.name] = walked.metadata
+            case records.Statistics():
+                self._promised = walked.message_count
+            case End():
+                self._ended = True
+            case Fault():
+                self._add_fault(f"byte {walked.offset}: {walked.detail}")
+
+    def _take_message(self, message: LoggedMessage) -> None:
+        channel = self._channels.get(message.channel_id)
+        self._messages += 1
+        if channel is None:
+            self._add_fault(f"a message of channel {message.channel_id}, which the file does not hold")
+            return
+        try:
+            channel.take(message)
+        except DecodeError:
+            self._add_fault(f"a message of {channel.topic} that cannot be read")
+
+    def _add_fault(self, detail: str) -> None:
+        self._fault_count += 1
+        if len(self._faults) < FAULTS_SHOWN:
+            self._faults.append(detail)
+
+    def sum_up(self, path: str, size: int) -> LogInfo:
+        if self._promised is not None and self._promised != self._messages:
+            self._add_fault(f"the file says that it holds {self._promised} messages; {self._messages} were read")
+        channels = sorted((channel.sum_up() for channel in self._channels.values()), key=lambda one: one.topic)
+        frames = [frame for channel in self._channels.values() for frame in channel.sum_up_frames()]
+        starts = [channel.first_ns for channel in channels if channel.first_ns is not None]
+        ends = [channel.last_ns for channel in channels if channel.last_ns is not None]
+        ours = self._metadata.get(METADATA_NAME, {})
+        robots = [name for name in ours.get("robots", "").split(",") if name]
+        return LogInfo(
+            path=path,
+            bytes=size,
+            whole=self._ended and not self._fault_count,
+            faults=self._faults,
+            fault_count=self._fault_count,
+            messages=self._messages,
+            start_ns=min(starts, default=None),
+            end_ns=max(ends, default=None),
+            duration_s=(max(ends) - min(starts)) / 1e9 if starts else 0.0,
+            missed=sum(channel.missed or 0 for channel in channels),
+            frames_lost=sum(frame.lost for frame in frames),
+            robots=robots,
+            variants={name: ours[f"{name}.variant"] for name in robots if f"{name}.variant" in ours},
+            versions={key: value for key, value in ours.items() if "version" in key},
+            channels=channels,
+            frames=frames,
+            attachments=self._attachments,
+            metadata=self._metadata,
+        )

@@ -1,0 +1,120 @@
+"""What is known of each robot in a log: when to ask for it, and how the log keeps it. Pure."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from recorder.effects import AskInfo, Effect, WriteAttachment, WriteMetadata
+from schemas import keys
+from schemas.messages import GatewayInfo, Variant
+from schemas.subjects import BY_TYPE
+
+METADATA_NAME: Final = "cruiser"
+"""The metadata record that says whose log it is; the last of this name in a file holds."""
+
+ASK_AGAIN_NS: Final = 2_000_000_000
+"""First pause before a gateway that has not answered, or does not know its variant, is asked again..."""
+
+ASK_AGAIN_MAX_NS: Final = 60_000_000_000
+"""...which doubles up to this."""
+
+ASK_PER_TICK: Final = 8
+"""Queries in one tick at most, however many robots turn up at once."""
+
+_INFO: Final = BY_TYPE[GatewayInfo]
+
+
+class _Robot:
+    def __init__(self, key: str, now_ns: int) -> None:
+        self.key = key
+        self.info: GatewayInfo | None = None
+        self.ask_at_ns: int | None = now_ns
+        self.pause_ns = ASK_AGAIN_NS
+
+    @property
+    def is_known(self) -> bool:
+        """Whether nothing is left to ask: the DBC is there only when the variant is known."""
+        return self.info is not None and self.info.variant is not Variant.UNKNOWN
+
+
+class Robots:
+    """The robots of a log.
+
+    Args:
+        recorder_version: goes into the metadata.
+    """
+
+    def __init__(self, recorder_version: str) -> None:
+        self._version = recorder_version
+        self._robots: dict[str, _Robot] = {}
+        self._written: dict[str, str] = {}
+
+    def see(self, root: str, robot: str, now_ns: int) -> str:
+        """A sample of this robot came in: ask who it is, if it is new. Returns its name in this log."""
+        key = keys.build(root, robot, _INFO)
+        known = self._robots.get(robot)
+        # Two roots may hold a robot of the same name; the second is called by its root too.
+        name = robot if known is None or known.key == key else f"{root}/{robot}"
+        if name not in self._robots:
+            self._robots[name] = _Robot(key, now_ns)
+        return name
+
+    def see_restart(self, name: str, now_ns: int) -> None:
+        """The robot's gateway has begun anew, perhaps as another version: ask again."""
+        robot = self._robots.get(name)
+        if robot is not None and robot.ask_at_ns is None:
+            robot.ask_at_ns = now_ns
+            robot.pause_ns = ASK_AGAIN_NS
+
+    def ask(self, now_ns: int) -> list[Effect]:
+        """The queries that are due."""
+        effects: list[Effect] = []
+        for robot in self._robots.values():
+            if robot.ask_at_ns is None or now_ns < robot.ask_at_ns:
+                continue
+            effects.append(AskInfo(robot.key))
+            robot.ask_at_ns = now_ns + robot.pause_ns
+            robot.pause_ns = min(2 * robot.pause_ns, ASK_AGAIN_MAX_NS)
+            if len(effects) == ASK_PER_TICK:
+                break
+        return effects
+
+    def ask_last(self) -> list[Effect]:
+        """A last query to each robot of which something is not known."""
+        return [AskInfo(robot.key) for robot in self._robots.values() if not robot.is_known]
+
+    def take_info(self, name: str, info: GatewayInfo, wall_ns: int) -> list[Effect]:
+        """What a robot's answer adds to the log."""
+        robot = self._robots[name]
+        before, robot.info = robot.info, info
+        if robot.is_known:
+            robot.ask_at_ns = None
+        effects: list[Effect] = []
+        if info.configuration and (before is None or before.configuration != info.configuration):
+            effects.append(
+                _attachment(f"{name}/configuration.toml", "application/toml", info.configuration, wall_ns)
+            )
+        if info.dbc and (before is None or before.dbc != info.dbc):
+            effects.append(_attachment(f"{name}/{info.dbc_name}", "text/plain", info.dbc, wall_ns))
+        return effects + self.describe()
+
+    def describe(self) -> list[Effect]:
+        """The metadata record, unless the log already ends with the same."""
+        entries = {"recorder_version": self._version, "robots": ",".join(sorted(self._robots))}
+        for name, robot in sorted(self._robots.items()):
+            info = robot.info
+            if info is not None:
+                entries[f"{name}.variant"] = info.variant.value
+                entries[f"{name}.bus"] = info.bus
+                entries[f"{name}.started_ns"] = str(info.started_ns)
+                entries[f"{name}.configuration_sha256"] = info.configuration_sha256
+                for package, version in sorted(info.versions.items()):
+                    entries[f"{name}.versions.{package}"] = version
+        if entries == self._written:
+            return []
+        self._written = entries
+        return [WriteMetadata(METADATA_NAME, dict(entries))]
+
+
+def _attachment(name: str, media_type: str, text: str, wall_ns: int) -> WriteAttachment:
+    return WriteAttachment(name, media_type, text.encode(), wall_ns)

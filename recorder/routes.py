@@ -1,0 +1,125 @@
+"""Which channel a key's samples go to, and how they become records. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import msgspec
+
+from recorder.sample import Sample
+from recorder.tally import Tally
+from recorder.transcode import Encoder, compile_encoder, compile_row_encoder
+from schemas.codec import PayloadFault, decode
+from schemas.messages import CanFrame, CanFrames, Message, RawSample
+from schemas.subjects import SUBJECTS, Pattern, Subject
+
+RAW_CHUNK: Final = "@raw"
+"""A broken sample of a known key goes to ``{key}/@raw``: viewers want one schema per topic."""
+
+_CAN_EXTENDED, _CAN_REMOTE, _CAN_ERROR = 1 << 31, 1 << 30, 1 << 29
+_CAN_IDENTIFIER: Final = _CAN_EXTENDED - 1 & ~(_CAN_REMOTE | _CAN_ERROR)
+_FD, _BITRATE_SWITCH, _ERROR_STATE = 4, 1, 2
+
+Record = tuple[int, bytes]
+"""Publish time in nanoseconds, and protobuf bytes."""
+
+Transcoder = Callable[[Any], Sequence[Record]]
+"""A message to its records: one each, but one per frame of a batch of raw frames."""
+
+
+class Route:
+    """From a key to its channel.
+
+    Attributes:
+        subject: the key's row in the subject table; None if it has none.
+        robot: the key's robot, as ``Robots`` calls it; empty if the key is not known.
+        encoding: the Zenoh encoding that a sample must have to be decoded.
+        counts_sequence: whether a gap in ``sequence`` is a loss: replies to others' queries are none.
+        kind: the class of the channel's records.
+        transcode: from a decoded message to its records.
+    """
+
+    __slots__ = ("channel_id", "counts_sequence", "encoding", "kind", "robot", "subject", "tally", "transcode")
+
+    def __init__(self, channel_id: int, subject: Subject | None, robot: str) -> None:
+        self.channel_id = channel_id
+        self.subject = subject
+        self.robot = robot
+        self.tally = Tally()
+        self.encoding = ""
+        self.counts_sequence = subject is not None and subject.pattern is Pattern.PUBLISHED
+        self.kind: type[msgspec.Struct] = RawSample
+        self.transcode: Transcoder = _one_record(_ENCODE_RAW)
+        if subject is not None:
+            self.encoding = subject.encoding
+            self.kind = CanFrame if subject.type is CanFrames else subject.type
+            self.transcode = _TRANSCODERS[subject.type]
+
+    def decode(self, sample: Sample) -> Message | str:
+        """The sample's message, or why it is kept as it is."""
+        if self.subject is None:
+            return "deleted" if sample.deleted else "the key is no known subject"
+        if sample.encoding != self.encoding:
+            return "deleted" if sample.deleted else f"the encoding is not {self.encoding}"
+        message = decode(self.subject, sample.payload)
+        if isinstance(message, PayloadFault):
+            return message.detail
+        if isinstance(message, CanFrames) and not _has_equal_columns(message):
+            return "the columns differ in length"
+        return message
+
+
+def _has_equal_columns(batch: CanFrames) -> bool:
+    count = len(batch.frame_time_ns)
+    return count == len(batch.can_id) == len(batch.fd_flags) == len(batch.length) == len(batch.data)
+
+
+def unfold(batch: CanFrames) -> list[Record]:
+    """One CanFrame record for each frame of a batch."""
+    bus = batch.bus
+    columns = (batch.frame_time_ns, batch.can_id, batch.fd_flags, batch.length, batch.data)
+    return [
+        (
+            time_ns,
+            _ENCODE_CAN_FRAME(
+                time_ns,
+                bus,
+                word & _CAN_IDENTIFIER,
+                word & _CAN_EXTENDED != 0,
+                word & _CAN_REMOTE != 0,
+                word & _CAN_ERROR != 0,
+                fd_flags & _FD != 0,
+                fd_flags & _BITRATE_SWITCH != 0,
+                fd_flags & _ERROR_STATE != 0,
+                length,
+                data,
+            ),
+        )
+        for time_ns, word, fd_flags, length, data in zip(*columns, strict=True)
+    ]
+
+
+def keep_raw(sample: Sample, reason: str, time_ns: int) -> bytes:
+    """The RawSample record of a sample that is not decoded."""
+    raw = RawSample(
+        time_ns=time_ns,
+        key=sample.key,
+        encoding=sample.encoding,
+        payload=sample.payload,
+        attachment=sample.attachment,
+        reason=reason,
+    )
+    return _ENCODE_RAW(raw)
+
+
+def _one_record(encode: Encoder) -> Transcoder:
+    return lambda message: ((message.time_ns, encode(message)),)
+
+
+_ENCODE_RAW: Final = compile_encoder(RawSample)
+_ENCODE_CAN_FRAME: Final[Callable[..., bytes]] = compile_row_encoder(CanFrame)
+_TRANSCODERS: Final[dict[type[Message], Transcoder]] = {
+    subject.type: unfold if subject.type is CanFrames else _one_record(compile_encoder(subject.type))
+    for subject in SUBJECTS
+}

@@ -1,0 +1,39 @@
+"""A Zenoh sample as it was received: untrusted."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+
+class Sample(Protocol):
+    """One sample, or one reply to a query. Key, encoding and payload are at hand, the rest may cost something."""
+
+    @property
+    def key(self) -> str:
+        """The key."""
+        ...
+
+    @property
+    def encoding(self) -> str:
+        """Zenoh's encoding string, schema included."""
+        ...
+
+    @property
+    def payload(self) -> bytes:
+        """The payload."""
+        ...
+
+    @property
+    def attachment(self) -> bytes:
+        """The attachment; empty if there is none."""
+        ...
+
+    @property
+    def zenoh_time_ns(self) -> int:
+        """The sample's own Zenoh timestamp since 1970; 0 if it has none."""
+        ...
+
+    @property
+    def deleted(self) -> bool:
+        """The sample says that the key was deleted, and carries nothing else."""
+        ...

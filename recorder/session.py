@@ -1,0 +1,191 @@
+"""A recording, without I/O: samples and ticks in, effects out.
+
+``receive_sample`` finds the sample's route by its key, decodes it, and appends protobuf records to the chunk in
+hand; what fits no subject is kept whole. ``tick`` hands the chunk over before ``flush_ns`` of the log are at
+risk. The caller carries the effects out, in order.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Final
+
+import msgspec
+
+from recorder.chunk import ChunkBuilder
+from recorder.effects import (
+    CloseLog,
+    DeclareChannel,
+    Effect,
+    LogChannel,
+    OpenLog,
+    SyncLog,
+    WriteChunk,
+    WriteMetadata,
+)
+from recorder.protobuf_schema import descriptor_set, schema_name
+from recorder.robots import Robots
+from recorder.routes import RAW_CHUNK, Route, keep_raw
+from recorder.sample import Sample
+from schemas import keys
+from schemas.messages import CanFrames, GatewayInfo, Message
+from schemas.subjects import Subject
+
+INT64_MAX: Final = 2**63 - 1
+"""The latest time that a log may hold: many readers take MCAP's unsigned times for signed ones."""
+
+CHANNEL_LIMIT: Final = 65_000
+"""Below MCAP's 65,535 channels. Keys beyond it share one channel of RawSamples, each with its key."""
+
+OVERFLOW_TOPIC: Final = "@more"
+
+RECEIVED_NAME: Final = "cruiser.received"
+"""The metadata record with what was received and missed, per topic, as JSON."""
+
+
+class Plan(msgspec.Struct, frozen=True):
+    """What to record.
+
+    Attributes:
+        name: begins the file's name.
+        chunk_bytes: a chunk is handed over at this size.
+        flush_ns: at most this much of the log is at risk.
+        version: the recorder's.
+    """
+
+    name: str
+    chunk_bytes: int
+    flush_ns: int
+    version: str
+
+
+class KeyCount(msgspec.Struct, frozen=True):
+    """What was recorded of one topic; see ``routes.Tally``."""
+
+    messages: int
+    missed: int
+    dropped: int
+
+
+class Session:
+    """One recording."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._chunk = ChunkBuilder()
+        self._routes: dict[str, Route] = {}
+        self._raw_routes: dict[str, Route] = {}
+        self._channels: dict[str, Route] = {}
+        self._robots = Robots(plan.version)
+        self._opened = False
+        self._at_risk_since_ns: int | None = None
+        # Half for what comes together, half for the ticks, the write and the sync.
+        self._patience_ns = plan.flush_ns // 2
+
+    @property
+    def counts(self) -> dict[str, KeyCount]:
+        """Per topic, what was recorded."""
+        tallies = sorted((topic, route.tally) for topic, route in self._channels.items())
+        return {topic: KeyCount(tally.messages, tally.missed, tally.dropped) for topic, tally in tallies}
+
+    def receive_sample(self, sample: Sample, now_ns: int, wall_ns: int) -> Sequence[Effect]:
+        """Record a sample. It may hold anything: nothing in it raises."""
+        effects: list[Effect] = []
+        log_ns = _clamp(wall_ns)
+        route = self._routes.get(sample.key) or self._find_route(sample.key, now_ns, log_ns, effects)
+        message = route.decode(sample)
+        if isinstance(message, str):
+            self._add_raw(sample, message, route, log_ns, effects)
+        else:
+            self._add_message(message, route, now_ns, log_ns, effects)
+        if self._at_risk_since_ns is None:
+            self._at_risk_since_ns = now_ns
+        if len(self._chunk) >= self._plan.chunk_bytes:
+            self._seal(effects)
+        return effects
+
+    def tick(self, now_ns: int) -> Sequence[Effect]:
+        """What is due: queries, and handing the chunk over to the disk."""
+        effects = self._robots.ask(now_ns)
+        since = self._at_risk_since_ns
+        if since is not None and now_ns - since >= self._patience_ns:
+            self._seal(effects)
+            effects.append(SyncLog())
+            self._at_risk_since_ns = None
+        return effects
+
+    def ask_last(self) -> Sequence[Effect]:
+        """What is worth asking once more before ``close``."""
+        return self._robots.ask_last()
+
+    def close(self) -> Sequence[Effect]:
+        """End the recording. Nothing at all if nothing was recorded."""
+        if not self._opened:
+            return []
+        effects: list[Effect] = []
+        self._seal(effects)
+        effects += self._robots.describe()
+        received = {topic: json.dumps(msgspec.to_builtins(count)) for topic, count in self.counts.items()}
+        return [*effects, WriteMetadata(RECEIVED_NAME, received), CloseLog()]
+
+    def _add_message(
+        self, message: Message, route: Route, now_ns: int, log_ns: int, effects: list[Effect]
+    ) -> None:
+        if route.counts_sequence and not route.tally.count_sequence(message.sequence):
+            self._robots.see_restart(route.robot, now_ns)
+        if isinstance(message, CanFrames):
+            route.tally.dropped = max(route.tally.dropped, message.dropped)
+        elif isinstance(message, GatewayInfo):
+            effects += self._robots.take_info(route.robot, message, log_ns)
+        records = route.transcode(message)
+        for publish_ns, data in records:
+            self._chunk.add(route.channel_id, message.sequence, log_ns, publish_ns, data)
+        route.tally.messages += len(records)
+
+    def _add_raw(self, sample: Sample, reason: str, route: Route, log_ns: int, effects: list[Effect]) -> None:
+        if route.subject is not None:
+            route = self._raw_routes.get(sample.key) or self._find_raw_route(sample.key, effects)
+        time_ns = _clamp(sample.zenoh_time_ns)
+        # Without a time of the source's, the receipt's is the best there is.
+        self._chunk.add(route.channel_id, 0, log_ns, time_ns or log_ns, keep_raw(sample, reason, time_ns))
+        route.tally.messages += 1
+
+    def _find_route(self, key: str, now_ns: int, log_ns: int, effects: list[Effect]) -> Route:
+        if not self._opened:
+            self._opened = True
+            effects.append(OpenLog(self._plan.name, log_ns))
+            effects += self._robots.describe()
+        parts = keys.parse(key)
+        if parts is None:
+            route = self._channel(key, None, "", effects)
+        else:
+            robot = self._robots.see(parts.root, parts.robot, now_ns)
+            route = self._channel(key, parts.subject, robot, effects)
+        self._routes[key] = route
+        return route
+
+    def _find_raw_route(self, key: str, effects: list[Effect]) -> Route:
+        route = self._raw_routes[key] = self._channel(f"{key}/{RAW_CHUNK}", None, "", effects)
+        return route
+
+    def _channel(self, topic: str, subject: Subject | None, robot: str, effects: list[Effect]) -> Route:
+        """The topic's channel, declared when it is new."""
+        if len(self._channels) >= CHANNEL_LIMIT and topic not in self._channels:
+            topic, subject = OVERFLOW_TOPIC, None
+        route = self._channels.get(topic)
+        if route is None:
+            route = self._channels[topic] = Route(len(self._channels) + 1, subject, robot)
+            kind = route.kind
+            channel = LogChannel(route.channel_id, topic, schema_name(kind), descriptor_set(kind))
+            effects.append(DeclareChannel(channel))
+        return route
+
+    def _seal(self, effects: list[Effect]) -> None:
+        chunk = self._chunk.seal()
+        if chunk is not None:
+            effects.append(WriteChunk(chunk))
+
+
+def _clamp(time_ns: int) -> int:
+    return min(max(time_ns, 0), INT64_MAX)

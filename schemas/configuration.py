@@ -1,0 +1,270 @@
+"""Merges the sources of the settings: TOML file, environment, flags, in rising order. Pure: it reads nothing.
+
+Whatever is wrong is one line that names the key, where it stands, and the nearest right key or the bounds.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
+from typing import Any, Final
+
+import msgspec
+from msgspec import inspect
+
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
+from schemas.setting_table import CONFIG_VARIABLE, SECTIONS, SETTINGS, VARIABLE_PREFIX, Setting
+from schemas.settings import Settings
+from schemas.toml_text import Path, lines_of_keys, write_key, write_value
+
+_FLAG_WORDS: Final = {
+    **dict.fromkeys(("true", "yes", "on", "1"), True),
+    **dict.fromkeys(("false", "no", "off", "0"), False),
+}
+_SHOWN_LENGTH: Final = 60
+"""An error shows at most this many characters of a value."""
+
+
+class TomlSource(msgspec.Struct, frozen=True):
+    """The text of a TOML file, and the file's name for messages."""
+
+    file: str
+    text: str
+
+
+class Given(msgspec.Struct, frozen=True):
+    """A value that a source gives for a setting.
+
+    Attributes:
+        where: how a message begins: ``robot.toml:3``, ``environment CRUISER_CAN_BUS``, ``flag can.bus``.
+    """
+
+    setting: Setting
+    value: object
+    where: str
+
+
+def merge(toml: TomlSource | None, environ: Mapping[str, str], flags: Mapping[str, object]) -> Settings:
+    """The settings in force. Later sources win: file, environment, flags.
+
+    Args:
+        toml: the file, if there is one.
+        environ: all environment variables; only those of ours are looked at.
+        flags: values by dotted key; a text is read as in the environment, anything else taken as it is.
+
+    Raises:
+        CommandError: a key or a value is wrong.
+    """
+    values: dict[str, object] = {}
+    sources = (
+        _from_toml(toml) if toml is not None else iter(()),
+        _from_environment(environ),
+        _from_flags(flags),
+    )
+    for source in sources:
+        for given in source:
+            values[given.setting.key] = _checked(given)
+    sections: dict[str, dict[str, object]] = {section: {} for section in SECTIONS}
+    for key, value in values.items():
+        setting = SETTINGS[key]
+        sections[setting.section][setting.name] = value
+    return msgspec.convert(sections, Settings)
+
+
+def to_toml(settings: Settings) -> str:
+    """The settings in force as TOML, every one of them."""
+    lines: list[str] = []
+    for section in SECTIONS:
+        lines += ["", f"[{section}]"] if lines else [f"[{section}]"]
+        table = getattr(settings, section)
+        lines += [
+            f"{write_key(field.name)} = {write_value(getattr(table, field.name))}"
+            for field in msgspec.structs.fields(table)
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _from_toml(toml: TomlSource) -> Iterator[Given]:
+    document = _parse(toml)
+    lines: dict[Path, int] = {}
+
+    def where(*path: str) -> str:
+        if not lines:
+            lines.update(lines_of_keys(toml.text))
+        line = lines.get(path)
+        return f"{plain(toml.file)}:{line}" if line else plain(toml.file)
+
+    for section, table in document.items():
+        if section not in SECTIONS:
+            raise _wrong(f"{where(section)}: there is no table {plain(section)!r}{_nearest(section, SECTIONS)}")
+        if not isinstance(table, dict):
+            raise _wrong(f"{where(section)}: {section} is a table of settings, as in [{section}]")
+        for name, value in table.items():
+            key = f"{section}.{name}"
+            if key not in SETTINGS:
+                raise _wrong(f"{where(section, name)}: there is no setting {plain(key)!r}{_nearest_key(key)}")
+            # Only a wrong value asks for its line: finding lines costs more than reading the file.
+            try:
+                _checked(Given(SETTINGS[key], value, ""))
+            except CommandError:
+                _checked(Given(SETTINGS[key], value, where(section, name)))
+            yield Given(SETTINGS[key], value, "")
+
+
+def _parse(toml: TomlSource) -> dict[str, Any]:
+    try:
+        return tomllib.loads(toml.text)
+    except tomllib.TOMLDecodeError as error:
+        detail = str(error)
+        position = re.search(r" \(at (?:line (\d+), column (\d+)|end of document)\)$", detail)
+        what = plain(detail[: position.start()] if position else detail)
+        if position and position[1]:
+            raise _wrong(f"{plain(toml.file)}:{position[1]}: not TOML, column {position[2]}: {what}") from error
+        line = toml.text.rstrip("\n").count("\n") + 1
+        raise _wrong(f"{plain(toml.file)}:{line}: not TOML, at the end of the file: {what}") from error
+    except (ValueError, RecursionError) as error:  # tomllib lets these through: endless digits, endless brackets.
+        raise _wrong(f"{plain(toml.file)}: not TOML that can be read: {plain(str(error))}") from error
+
+
+def _from_environment(environ: Mapping[str, str]) -> Iterator[Given]:
+    by_variable = {setting.variable: setting for setting in SETTINGS.values()}
+    for variable in sorted(environ):
+        if not variable.startswith(VARIABLE_PREFIX) or variable == CONFIG_VARIABLE:
+            continue
+        where = f"environment {plain(variable)}"
+        if variable not in by_variable:
+            near = _nearest(variable.upper(), (*by_variable, CONFIG_VARIABLE))
+            raise _wrong(f"{where}: there is no such setting{near}")
+        setting = by_variable[variable]
+        yield Given(setting, _typed(setting, environ[variable]), where)
+
+
+def _from_flags(flags: Mapping[str, object]) -> Iterator[Given]:
+    for key, value in flags.items():
+        where = f"flag {plain(key)}"
+        if key not in SETTINGS:
+            raise _wrong(f"{where}: there is no such setting{_nearest_key(key)}")
+        yield Given(SETTINGS[key], _typed(SETTINGS[key], value), where)
+
+
+def _typed(setting: Setting, given: object) -> object:
+    """A text from an environment variable or a flag in the setting's type; the text itself if it is wrong.
+
+    A list is comma separated, a table is NAME=VALUE, comma separated; a list of texts, from a flag that may be
+    repeated, will do as well.
+    """
+    match setting.kind, given:
+        case inspect.ListType(), str(text):
+            return _items(text)
+        case inspect.DictType(), str(text):
+            return _pairs(_items(text), given)
+        case inspect.DictType(), list(items) if all(isinstance(item, str) for item in items):
+            return _pairs(items, given)
+        case inspect.BoolType(), str(text):
+            return _FLAG_WORDS.get(text.strip().lower(), text)
+        case inspect.IntType() | inspect.FloatType(), str(text):
+            return _number(text, whole=isinstance(setting.kind, inspect.IntType))
+        case _:
+            return given
+
+
+def _items(text: str) -> list[str]:
+    return [item.strip() for item in text.split(",") if item.strip()]
+
+
+def _number(text: str, *, whole: bool) -> int | float | str:
+    try:
+        return int(text) if whole else float(text)
+    except ValueError:
+        return text
+
+
+def _pairs(items: list[str], given: object) -> object:
+    """A table of NAME=VALUE; a value is a TOML number or truth value, else a text."""
+    pairs: dict[str, object] = {}
+    for item in items:
+        name, equals, text = item.partition("=")
+        if not equals:
+            return given
+        number = _number(text, whole=True)
+        if isinstance(number, str):
+            number = _number(text, whole=False)
+        pairs[name.strip()] = {"true": True, "false": False}.get(text.strip().lower(), number)
+    return pairs
+
+
+def _checked(given: Given) -> object:
+    """The value, if it is right.
+
+    Raises:
+        CommandError: it is not.
+    """
+    setting, value = given.setting, given.value
+    problem = _bad_text(value)
+    if problem:
+        raise _wrong(f"{given.where}: {setting.key} {problem}")
+    try:
+        right = msgspec.convert(value, setting.annotation)
+    except (msgspec.ValidationError, RecursionError, OverflowError) as error:
+        raise _wrong_value(given) from error
+    # '$' in a pattern also matches before a line end, which msgspec lets through.
+    if isinstance(setting.kind, inspect.StrType) and setting.kind.pattern and str(value).endswith("\n"):
+        raise _wrong_value(given)
+    return right
+
+
+def _bad_text(value: object) -> str:
+    """What makes a text unfit for a file name and for UTF-8, wherever it stands in the value."""
+    match value:
+        case str():
+            if "\0" in value:
+                return "holds a NUL character"
+            return "is not right UTF-8" if any("\ud800" <= character <= "\udfff" for character in value) else ""
+        case list():
+            return next(filter(None, map(_bad_text, value)), "")
+        case dict():
+            return next(filter(None, map(_bad_text, [*value, *value.values()])), "")
+        case _:
+            return ""
+
+
+def _wrong_value(given: Given) -> CommandError:
+    setting = given.setting
+    near = _nearest(str(given.value), setting.choices) if setting.choices else ""
+    return _wrong(f"{given.where}: {setting.key} must be {setting.wants}, not {_shown(given.value)}{near}")
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, dict | list):
+        return "a table" if isinstance(value, dict) else "a list"
+    try:
+        text = write_value(value)
+    except (TypeError, ValueError):  # a date, or a number with more digits than Python prints
+        return f"a {type(value).__name__}"
+    text = plain(text)
+    return text if len(text) <= _SHOWN_LENGTH else f"{text[:_SHOWN_LENGTH]}..."
+
+
+def _nearest_key(key: str) -> str:
+    """The nearest right key: in the same section, else the same name in another, else by the whole key."""
+    section, _, name = key.partition(".")
+    siblings = [setting.key for setting in SETTINGS.values() if setting.section == section]
+    near = get_close_matches(key, siblings, n=1, cutoff=0.75)
+    near = near or [setting.key for setting in SETTINGS.values() if setting.name == name]
+    return _hint(near[0]) if near else _nearest(key, tuple(SETTINGS))
+
+
+def _nearest(word: str, words: tuple[str, ...]) -> str:
+    near = get_close_matches(word, words, n=1)
+    return _hint(near[0]) if near else ""
+
+
+def _hint(word: str) -> str:
+    return f"; did you mean {word!r}?"
+
+
+def _wrong(message: str) -> CommandError:
+    return CommandError(message, ExitCode.USAGE)

@@ -1,0 +1,36 @@
+"""``cruiser gateway`` with one thing added: each tick's lateness and processor time, written down at the end.
+
+Usage: python -m tests.bench.gateway_probe FILE [flags of cruiser gateway]
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import gateway.cli.gateway as command
+from gateway.cli.main import main
+from gateway.core import Core
+from gateway.telemetry.sample import Sample
+
+LATE_NS: list[int] = []
+CPU_S: list[float] = []
+
+
+class ProbedCore(Core):
+    """A core that remembers how late its ticks began."""
+
+    def tick(self, now_ns: int, wall_ns: int, late_ns: int) -> list[Sample]:
+        LATE_NS.append(late_ns)
+        CPU_S.append(time.process_time())
+        return super().tick(now_ns, wall_ns, late_ns)
+
+
+if __name__ == "__main__":
+    setattr(command, "Core", ProbedCore)  # noqa: B010 - an assignment would be an error of types
+    code = main(["gateway", *sys.argv[2:]])
+    measured = {"late_ns": LATE_NS, "cpu_s": CPU_S[-1] - CPU_S[0]}
+    Path(sys.argv[1]).write_text(json.dumps(measured), encoding="utf-8")
+    sys.exit(code)

@@ -1,0 +1,141 @@
+"""What a frame costs on its way to Zenoh: our path against the one that a user would write first.
+
+Both take the same frames, on the same machine, in turns, with the same subscriber connected over TCP. The peer:
+cantools decodes, json.dumps writes, session.put sends. Ours also supervises, batches the raw frames, and makes
+state and health.
+"""
+
+from __future__ import annotations
+
+import gc
+import itertools
+import json
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from statistics import median
+
+import cantools
+import msgspec
+from cantools.database.can import Database
+
+from gateway.chassis.frame import Frame
+from gateway.chassis.layout import dbc_text
+from gateway.core import Core
+from gateway.loop import receive_burst
+from gateway.ports.zenoh_client import close_session, open_session
+from gateway.ports.zenoh_node import ZenohNode
+from gateway.telemetry.health import Links
+from schemas.messages import Variant
+from schemas.settings import TICK_NS, ChassisSettings, Settings, ZenohSettings
+from tests.bench.processes import free_port
+from tests.gateway.frames import WALL_NS, Feedback
+
+ROUNDS = 9
+SECONDS_OF_FRAMES = 40
+
+SUBSCRIBER = """
+import sys, zenoh
+from gateway.ports.zenoh_client import open_session
+from schemas.settings import ZenohSettings
+session = open_session(ZenohSettings(), [sys.argv[1]], [])
+subscriber = session.declare_subscriber("**", zenoh.handlers.RingChannel(1000))
+print("ready", flush=True)
+sys.stdin.read()
+"""
+
+
+class PathCost(msgspec.Struct, frozen=True):
+    """Processor time of the process, all threads, in microseconds for a frame: medians, and of the ratios."""
+
+    ours_us: float
+    peer_us: float
+    ratio: float
+
+
+def measure() -> PathCost:
+    """Measure both in turns."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    session = open_session(ZenohSettings(), [], [endpoint])
+    subscriber = subprocess.Popen(
+        [sys.executable, "-c", SUBSCRIBER, endpoint], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert subscriber.stdout is not None
+        assert subscriber.stdout.readline() == "ready\n"
+        feedback = Feedback(Variant.COARSE)
+        frames = [
+            (second * 1_000_000_000 + at_ns, frame)
+            for second in range(SECONDS_OF_FRAMES)
+            for at_ns, frame in feedback.second()
+        ]
+        settings = Settings(chassis=ChassisSettings(variant="coarse"))
+        node = ZenohNode(session, settings)
+        database = cantools.database.load_string(dbc_text(Variant.COARSE), database_format="dbc")
+        assert isinstance(database, Database)
+
+        core = Core(settings, "bench", 0)
+        core.observe_links(Links(bus_up=True))
+        begin_ns = itertools.count(0, 1_000_000_000 * SECONDS_OF_FRAMES)
+
+        def ours() -> None:
+            run_ours(frames, core, node, next(begin_ns))
+
+        def peer() -> None:
+            for _, frame in frames:
+                values = database.decode_message(frame.identifier, frame.data, decode_choices=False)
+                session.put(f"peer/{frame.identifier:x}", json.dumps(values))
+
+        # The frames themselves are the bench's, and no collection walks them. Ours runs without, as the loop does.
+        gc.collect()
+        gc.freeze()
+        pairs = [(_cost_us(ours, len(frames)), _cost_us(peer, len(frames))) for _ in range(ROUNDS)]
+    finally:
+        subscriber.communicate()
+        close_session(session)
+    return PathCost(
+        ours_us=median(a for a, _ in pairs),
+        peer_us=median(b for _, b in pairs),
+        ratio=median(b / a for a, b in pairs),
+    )
+
+
+class BurstyBus:
+    """Gives frames as a chassis sends them: some every 10 ms, then none for a while. Nobody waits for it."""
+
+    is_up = True
+    detail = ""
+    losses = 0
+
+    def __init__(self, frames: list[tuple[int, Frame]]) -> None:
+        self._frames = deque(frames)
+        self._burst_ns = -1
+
+    def receive(self, timeout_s: float) -> Frame | None:
+        """The next frame; with no time to wait, only if it belongs to the burst of the one before."""
+        if not self._frames or (timeout_s == 0 and self._frames[0][0] != self._burst_ns):
+            return None
+        self._burst_ns, frame = self._frames.popleft()
+        return frame
+
+
+def run_ours(frames: list[tuple[int, Frame]], core: Core, node: ZenohNode, begin_ns: int) -> None:
+    """Our path at the pace of the processor: a burst of frames, then the tick of its 10 ms, as in the loop."""
+    gc.disable()
+    bus = BurstyBus(frames)
+    for now_ns in range(begin_ns, begin_ns + SECONDS_OF_FRAMES * 1_000_000_000, TICK_NS):
+        for sample in receive_burst(bus, core, 1):
+            node.publish(sample)
+        for sample in core.tick(now_ns, WALL_NS + now_ns, 0):
+            node.publish(sample)
+    gc.enable()
+
+
+def _cost_us(run: Callable[[], None], frames: int) -> float:
+    begin_ns = time.process_time_ns()
+    run()
+    # Zenoh's own threads may still be sending; their work belongs to this run.
+    time.sleep(0.2)
+    return (time.process_time_ns() - begin_ns) / 1000 / frames

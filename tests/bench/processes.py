@@ -1,0 +1,144 @@
+"""Chassis, gateway and recorder as three processes, with a subscriber that watches the clock."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import IO, Any
+
+import msgspec
+import zenoh
+
+from gateway.ports.zenoh_client import close_session, open_session
+from schemas import codec
+from schemas.messages import Message
+from schemas.settings import ZenohSettings
+from schemas.subjects import BY_NAME
+
+NOMINAL_FRAMES_PER_S = 630
+WARM_UP_S = 2.0
+WATCHED = BY_NAME["chassis/gear"]
+
+
+class Load(msgspec.Struct, frozen=True):
+    """What one run at one load showed.
+
+    Attributes:
+        frames: raw frames in the log; ``lost`` of them missing by the alive counters, ``missed`` samples.
+        gateway_cpu_percent, gateway_cpu_us: of one core, and for a frame: the whole process.
+        latency_us: from the chassis's send to the subscriber's callback, sorted.
+        lateness_us: of every tick of the gateway, sorted.
+    """
+
+    frames_per_s: float
+    frames: int
+    lost: int
+    missed: int
+    gateway_cpu_percent: float
+    gateway_cpu_us: float
+    latency_us: list[float]
+    lateness_us: list[float]
+
+
+def quantile(values: list[float], share: float) -> float:
+    """The value below which this share of the sorted values lies."""
+    return values[min(len(values) - 1, int(share * len(values)))] if values else float("nan")
+
+
+def free_port() -> int:
+    """A TCP port of 127.0.0.1 that nobody holds."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def run_load(frames_per_s: float, seconds: float) -> Load:
+    """Run the three for this long, after a warm-up, and read the log."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        multiplier = str(frames_per_s / NOMINAL_FRAMES_PER_S)
+        sim = ["-m", "gateway", "sim", "--listen", "127.0.0.1:0", "--rate-multiplier", multiplier]
+        ready = _start(stack, sim, "sim: ")[1]
+        address = re.search(r"127\.0\.0\.1:\d+", ready)
+        assert address is not None, ready
+        bus = ["--interface", "socketcand", "--channel", address[0], "--listen", endpoint]
+        probe = ["-m", "tests.bench.gateway_probe", str(folder / "probe.json"), *bus, "--variant", "coarse"]
+        gateway, _ = _start(stack, probe, "gateway: ")
+        time.sleep(WARM_UP_S)
+        latency_us: list[float] = []
+        session = open_session(ZenohSettings(), [endpoint], [])
+        stack.callback(close_session, session)
+        subscriber = session.declare_subscriber(f"**/{WATCHED.name}", _watch(latency_us))
+        record = ["-m", "gateway", "record", "-o", str(folder), "--connect", endpoint, "--json"]
+        recorder, _ = _start(stack, record, "record: ")
+        time.sleep(seconds)
+        recorder.terminate()
+        assert recorder.stdout is not None
+        log = json.loads(recorder.stdout.read())["path"]
+        subscriber.undeclare()
+        gateway.terminate()
+        gateway.wait(20)
+        measured = json.loads((folder / "probe.json").read_text(encoding="utf-8"))
+        info = _info(log)
+    frames = sum(row["frames"] for row in info["frames"])
+    lateness_us = sorted(late_ns / 1000 for late_ns in measured["late_ns"])
+    handled = len(measured["late_ns"]) / 100 * frames_per_s
+    return Load(
+        frames_per_s=frames_per_s,
+        frames=frames,
+        lost=info["frames_lost"],
+        missed=info["missed"],
+        gateway_cpu_percent=measured["cpu_s"] / (len(measured["late_ns"]) / 100) * 100,
+        gateway_cpu_us=measured["cpu_s"] * 1e6 / handled,
+        latency_us=sorted(latency_us),
+        lateness_us=lateness_us,
+    )
+
+
+def _watch(latency_us: list[float]) -> Any:  # noqa: ANN401 - Zenoh's own callback type
+    def watch(sample: zenoh.Sample) -> None:
+        now_ns = time.time_ns()
+        message = codec.decode(WATCHED, sample.payload.to_bytes())
+        if isinstance(message, Message):
+            latency_us.append((now_ns - message.time_ns) / 1000)
+
+    return watch
+
+
+def _start(stack: ExitStack, words: list[str], ready: str) -> tuple[subprocess.Popen[str], str]:
+    process = subprocess.Popen(
+        [sys.executable, *words],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    stack.enter_context(process)
+    stack.callback(process.terminate)
+    assert process.stderr is not None
+    for line in process.stderr:
+        if line.startswith(ready):
+            threading.Thread(target=_drain, args=(process.stderr,), daemon=True).start()
+            return process, line
+    raise RuntimeError(f"{words} ended with {process.wait()}")
+
+
+def _drain(stream: IO[str]) -> None:
+    for _ in stream:
+        pass
+
+
+def _info(log: str) -> dict[str, Any]:
+    command = [sys.executable, "-m", "gateway", "review", "info", "--json", log]
+    info: dict[str, Any] = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
+    return info

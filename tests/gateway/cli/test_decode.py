@@ -1,0 +1,191 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.chassis import layout
+from gateway.chassis.decode import Decoder
+from gateway.chassis.encode import Encoder
+from gateway.chassis.frame import hex_identifier
+from gateway.chassis.layout import MessageLayout
+from gateway.cli.decode import MAX_LINE_BYTES, describe
+from schemas.messages import Variant
+from schemas.subjects import BY_DBC_MESSAGE
+
+VARIANTS = (Variant.COARSE, Variant.FINE)
+DECODERS = {variant: Decoder(layout.load(variant)) for variant in VARIANTS}
+DECODER = DECODERS[Variant.COARSE]
+FRAMES = [(variant, frame) for variant in VARIANTS for frame in layout.load(variant).messages.values()]
+GEAR = "(1436509052.249713) vcan0 18C4D1EF#0104000000000005"
+# Python must not be told to leave its output unbuffered: the command has to see to that itself.
+ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+COMMAND = [sys.executable, "-c", "import sys; from gateway.cli.main import main; sys.exit(main())", "decode"]
+
+
+def decode(text: bytes | str, *flags: str) -> tuple[int, list[dict[str, Any]], str]:
+    """Run the command on this input. Returns its exit code, its records and its standard error."""
+    given_bytes = text.encode() if isinstance(text, str) else text
+    done = subprocess.run([*COMMAND, *flags], input=given_bytes, capture_output=True, check=False, timeout=60)
+    return done.returncode, [json.loads(line) for line in done.stdout.splitlines()], done.stderr.decode()
+
+
+def test_a_valid_frame_has_its_signals_under_the_field_names() -> None:
+    """Time, bus, identifier, name, and the signals as in the message: names with units, choices by name."""
+    assert describe(DECODER, GEAR.encode(), 1) == {
+        "time": 1436509052.249713,
+        "time_ns": 1436509052249713000,
+        "bus": "vcan0",
+        "id": "18C4D1EF",
+        "name": "Auto_GearFeedBack",
+        "signals": {"active": True, "gear_position": "drive", "alive_counter": 0},
+    }
+
+
+@pytest.mark.parametrize(("variant", "frame"), FRAMES, ids=[f"{v.value}-{f.name}" for v, f in FRAMES])
+def test_every_frame_of_either_variant_is_decoded(variant: Variant, frame: MessageLayout) -> None:
+    """Each frame has all its signals but the checksum, and feedback has the fields of its message."""
+    sent = Encoder(layout.load(variant)).encode(frame.name, {}, alive_counter=5)
+    record = describe(DECODERS[variant], f"(1.0) c {hex_identifier(sent.can_id)}#{sent.data.hex()}".encode(), 1)
+    assert record is not None
+    assert record["name"] == frame.name
+    assert record["signals"]["alive_counter"] == 5
+    assert set(record["signals"]) == {signal.field for signal in frame.payload_signals} | {"alive_counter"}
+    if frame.is_feedback:
+        message = BY_DBC_MESSAGE[frame.name].type
+        assert set(record["signals"]) == set(message.__struct_fields__) - {"time_ns", "sequence"}
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "name"),
+    [
+        ("18C4D1EF#0104000000000006", "checksum", "Auto_GearFeedBack"),
+        ("18C4D1EF#01", "length", "Auto_GearFeedBack"),
+        ("18C4D1EF##10104000000000005", "fd_frame", "Auto_GearFeedBack"),
+        ("18C4D1EF#R8", "remote_frame", None),
+        ("123#00", "unknown_identifier", None),
+        ("20000004#0004000000000000", "error_frame", None),
+    ],
+)
+def test_a_frame_that_is_not_valid_has_its_fault(text: str, kind: str, name: str | None) -> None:
+    """The fault's kind stands where the signals would, and with the frame's name if it has one."""
+    record = describe(DECODER, f"(1.0) can0 {text}".encode(), 1)
+    assert record is not None
+    assert record["fault"]["kind"] == kind
+    assert record.get("name") == name
+    assert "signals" not in record
+
+
+def test_a_line_that_is_not_candumps_says_which_line() -> None:
+    """The line's number and its beginning help to find it; a line far too long is not looked at."""
+    assert describe(DECODER, b"junk\x1b[31m", 7) == {
+        "line": 7,
+        "fault": {"kind": "not_candump", "detail": "junk\\x1b[31m"},
+    }
+    padded = GEAR.encode() + b" " * MAX_LINE_BYTES
+    record = describe(DECODER, padded, 1)
+    assert record is not None
+    assert record["fault"]["kind"] == "not_candump"
+
+
+@given(raw=st.binary() | st.text("()0123456789. canRTX[]#_ABCDEF'\t").map(str.encode))
+def test_no_bytes_make_decoding_raise(raw: bytes) -> None:
+    """Any line gives a record that JSON can hold, or nothing if it is empty."""
+    record = describe(DECODER, raw, 1)
+    assert record is None or json.loads(json.dumps(record)) == record
+
+
+@given(data=st.binary(max_size=8), identifier=st.sampled_from([f"{i:02X}" for i in range(0xD0, 0xDF)]))
+def test_no_data_make_decoding_raise(data: bytes, identifier: str) -> None:
+    """Whatever an identifier of the chassis carries, it is signals or a fault."""
+    record = describe(DECODER, f"(1.0) can0 18C4{identifier}EF#{data.hex()}".encode(), 1)
+    assert record is not None
+    assert ("signals" in record) != ("fault" in record)
+
+
+def test_the_command_reads_standard_input_to_its_end() -> None:
+    """One object a line, blank lines and a missing last line end are fine; exit code 0; coarse is said once."""
+    code, records, errors = decode(f"{GEAR}\n\n{GEAR}\r\n{GEAR}")
+    assert code == 0
+    assert [record["name"] for record in records] == ["Auto_GearFeedBack"] * 3
+    assert errors.count("coarse") == 1
+
+
+def test_a_line_that_is_not_candumps_makes_the_result_partial() -> None:
+    """Any bytes at all end with exit code 3 and no traceback, and the lines around them are still decoded."""
+    noise = bytes(range(256)) * 1000
+    code, records, errors = decode(GEAR.encode() + b"\n" + noise + b"\n" + GEAR.encode())
+    assert code == 3
+    assert records[0] == records[-1]
+    assert {record["fault"]["kind"] for record in records[1:-1]} == {"not_candump"}
+    assert "Traceback" not in errors
+
+
+def test_a_file_is_read_in_the_variant_that_is_asked_for(tmp_path: Path) -> None:
+    """The same frame is 40 times as fast in the coarse variant."""
+    log = tmp_path / "drive.log"
+    log.write_text("(1.0) can0 18C4D3EF#01190000000000 18\n(1.0) can0 18C4D3EF#0119000000000018\n")
+    speeds = []
+    for variant in ("coarse", "fine"):
+        code, records, errors = decode("", "--variant", variant, str(log))
+        assert (code, errors) == (3, "")
+        speeds.append(records[1]["signals"]["speed_mps"])
+    assert speeds == [pytest.approx(1.0), pytest.approx(0.025)]
+
+
+@pytest.mark.parametrize("name", ["missing.log", "."])
+def test_a_file_that_cannot_be_read_is_one_clear_line(tmp_path: Path, name: str) -> None:
+    """A missing file and a directory end in one line and exit code 2."""
+    code, records, errors = decode("", "--variant", "coarse", str(tmp_path / name))
+    assert (code, records) == (2, [])
+    assert errors.startswith("cruiser decode: cannot read")
+    assert errors.count("\n") == 1
+
+
+def test_a_reader_that_goes_away_ends_it_quietly(tmp_path: Path) -> None:
+    """As with '| head': no traceback, although most of the output has nowhere to go."""
+    log = tmp_path / "long.log"
+    log.write_text(f"{GEAR}\n" * 20_000)
+    with subprocess.Popen(
+        [*COMMAND, "--variant", "coarse", str(log)], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert json.loads(process.stdout.readline())["name"] == "Auto_GearFeedBack"
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait(60) == 0
+
+
+def test_each_line_comes_out_as_soon_as_it_went_in_and_a_signal_ends_the_wait() -> None:
+    """In a live pipe a record does not wait for the next line, nor does the end wait for one."""
+    with subprocess.Popen(
+        [*COMMAND, "--variant", "coarse"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=ENVIRONMENT,
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        assert process.stderr is not None
+        for _ in range(3):
+            process.stdin.write(f"{GEAR}\n".encode())
+            process.stdin.flush()
+            assert json.loads(process.stdout.readline())["bus"] == "vcan0"
+        os.kill(process.pid, signal.SIGTERM)
+        assert process.wait(60) == 0
+        assert process.stderr.read() == b""
+
+
+def test_the_help_shows_an_example() -> None:
+    """--help names the variants and shows a command line."""
+    done = subprocess.run([*COMMAND, "--help"], capture_output=True, check=True, timeout=60)
+    assert b"example:" in done.stdout
+    assert b"candump -L can0 | cruiser decode" in done.stdout

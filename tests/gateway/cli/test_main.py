@@ -1,0 +1,56 @@
+import subprocess
+import sys
+
+import pytest
+
+from gateway.cli.main import COMMANDS
+
+HEAVY = ("msgspec", "zenoh", "can", "cantools", "rich", "mcap", "google.protobuf", "msgpack")
+
+
+def cruiser(*words: str) -> subprocess.CompletedProcess[str]:
+    """Run the command line in a process of its own; the modules that it imported are its last line of output."""
+    program = (
+        "import sys\n"
+        "from gateway.cli.main import main\n"
+        "code = main(sys.argv[1:])\n"
+        "print()\n"
+        "print(' '.join(sys.modules))\n"
+        "sys.exit(code)\n"
+    )
+    return subprocess.run(
+        [sys.executable, "-c", program, *words], capture_output=True, text=True, check=False, timeout=60
+    )
+
+
+@pytest.mark.parametrize("words", [["--help"], ["-h"], ["help"], [], ["--version"], ["wach"]])
+def test_help_and_mistakes_are_answered_without_what_only_commands_need(words: list[str]) -> None:
+    """The help, the version and a misspelt command import none of the packages that take long to import."""
+    done = cruiser(*words)
+    modules = done.stdout.splitlines()[-1].split()
+    assert not set(HEAVY) & set(modules)
+    assert not [module for module in modules if module.startswith(("schemas", "recorder"))]
+
+
+def test_the_help_names_every_command() -> None:
+    """Whoever asks for help sees each command, and no error."""
+    done = cruiser("--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert all(f"  {name} " in done.stdout for name in COMMANDS)
+
+
+def test_a_misspelt_command_is_told_the_nearest() -> None:
+    """A command that does not exist is a usage error that names the nearest one."""
+    done = cruiser("wach")
+    assert done.returncode == 2
+    assert done.stderr == "cruiser: there is no command 'wach'; did you mean 'watch'?\n"
+
+
+@pytest.mark.parametrize("command", ["decode", "list", "watch"])
+def test_a_wrong_configuration_stops_any_command_with_one_line(command: str) -> None:
+    """A configuration file that is not there ends in one line and exit code 2, whichever the command."""
+    done = cruiser(command, "--config", "/nowhere/robot.toml")
+    assert done.returncode == 2
+    assert done.stderr == (
+        f"cruiser {command}: cannot read the configuration file '/nowhere/robot.toml': no such file or directory\n"
+    )

@@ -1,0 +1,129 @@
+"""A gateway's voice on Zenoh without a gateway: state, health and token, as the subject table says."""
+
+import socket
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any, Self
+
+from zenoh import ext
+
+from gateway.ports.zenoh_client import close_session, open_session
+from schemas import codec, keys
+from schemas.messages import (
+    BrakingStatus,
+    FrameHealth,
+    GatewayHealth,
+    GearPosition,
+    Message,
+    Mode,
+    ParkingStatus,
+    RobotState,
+    Variant,
+)
+from schemas.settings import ZenohSettings
+from schemas.subjects import BY_TYPE
+
+ROOT = "fleet"
+
+STATE = RobotState(
+    time_ns=1,
+    sequence=0,
+    bus_up=True,
+    variant=Variant.COARSE,
+    silent=[],
+    mode=Mode.AUTO,
+    gear_position=GearPosition.DRIVE,
+    speed_mps=1.25,
+    angle_deg=-3.5,
+    yaw_rate_radps=-0.1,
+    rear_left_speed_mps=1.25,
+    rear_right_speed_mps=1.25,
+    rear_left_pulses=7,
+    rear_right_pulses=8,
+    braking_status=BrakingStatus.RELEASED,
+    parking_status=ParkingStatus.RELEASED,
+    total_mileage_km=12.345,
+    front_bumper=False,
+    rear_bumper=False,
+    headlamp=True,
+    right_indicator=False,
+    left_indicator=False,
+    horn=False,
+)
+HEALTH = GatewayHealth(
+    time_ns=1,
+    sequence=0,
+    gateway_version="0.1.0",
+    uptime_s=12.0,
+    bus="can0",
+    bus_up=True,
+    bus_detail="",
+    bus_losses=0,
+    zenoh_peers=1,
+    publish_failures=0,
+    variant=Variant.COARSE,
+    frames=630,
+    frames_per_s=630.0,
+    faults={"checksum": 0},
+    unknown_identifiers={},
+    feedback=[FrameHealth(name="Auto_GearFeedBack", rate_hz=100, valid=99, lost=0, silent=False, alive_faults=0)],
+    tick_lateness_p50_ms=0.1,
+    tick_lateness_p99_ms=0.2,
+    tick_lateness_max_ms=0.3,
+    cpu_percent=5.0,
+)
+
+
+def free_endpoint() -> str:
+    """A TCP endpoint of this machine that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@dataclass
+class FakeGateway:
+    """A gateway that says what it is told to say."""
+
+    robot: str
+    listen: str = field(default_factory=free_endpoint)
+    connect: str = ""
+    token: bool = True
+
+    def __enter__(self) -> Self:
+        connect = [self.connect] if self.connect else []
+        self._session = open_session(ZenohSettings(), connect, [self.listen])
+        if self.token:
+            # Zenoh takes a token back when nothing refers to it any more.
+            self._token = self._session.liveliness().declare_token(keys.liveliness(ROOT, self.robot))
+        subject = BY_TYPE[GatewayHealth]
+        self._health = ext.declare_advanced_publisher(
+            self._session,
+            keys.build(ROOT, self.robot, subject),
+            encoding=subject.encoding,
+            cache=ext.CacheConfig(1),
+            publisher_detection=True,
+        )
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        close_session(self._session)
+
+    def say(self, message: Message, encoding: str = "") -> None:
+        """Publish a state or a health."""
+        if isinstance(message, GatewayHealth):
+            self._health.put(codec.encode(message))
+            return
+        subject = BY_TYPE[type(message)]
+        key = keys.build(ROOT, self.robot, subject)
+        self._session.put(key, codec.encode(message), encoding=encoding or subject.encoding)
+
+    def say_raw(self, name: str, payload: bytes, encoding: str) -> None:
+        """Publish bytes under a subject's name."""
+        self._session.put(f"{ROOT}/{self.robot}/{name}", payload, encoding=encoding)
+
+    def peers(self) -> list[Any]:
+        """Who is connected."""
+        return list(self._session.info.peers_zid())

@@ -1,0 +1,169 @@
+import io
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console, RenderableType
+
+from gateway.remote import view
+from gateway.remote.fleet import RobotReport
+from schemas.messages import GatewayHealth, Mode, RobotState, Variant
+from tests.gateway.remote.fake_gateway import HEALTH, STATE
+from tests.schemas.random_messages import TEXTS, message_of
+
+FRESH = RobotReport(
+    robot="cruiser-1",
+    connected=True,
+    state=STATE,
+    state_age_s=0.04,
+    health=HEALTH,
+    health_age_s=0.5,
+    unreadable="",
+    linked=True,
+)
+STALE = msgspec.structs.replace(FRESH, state=None, state_age_s=3.21)
+
+REPORTS = st.builds(
+    RobotReport,
+    robot=st.just("cruiser-1"),
+    connected=st.booleans(),
+    state=st.none() | message_of(RobotState),
+    state_age_s=st.none() | st.floats(0, 1e6),
+    health=st.none() | message_of(GatewayHealth),
+    health_age_s=st.none() | st.floats(0, 1e6),
+    unreadable=TEXTS,
+    linked=st.booleans(),
+)
+
+
+def drawn(renderable: RenderableType, width: int = 200) -> str:
+    """What a terminal of this width shows."""
+    console = Console(file=io.StringIO(), width=width, color_system=None, force_terminal=False)
+    with console.capture() as capture:
+        console.print(renderable)
+    return capture.get()
+
+
+def every_view(report: RobotReport) -> list[str]:
+    """A report as a line, as a panel and as a row of a table."""
+    return [view.line(report), drawn(view.panel(report)), drawn(view.table([report]))]
+
+
+def test_a_fresh_state_shows_what_the_robot_does() -> None:
+    """Mode, gear, signed speed and angle, brakes, bumpers, lamps, variant, bus, faults and age are all there."""
+    for text in (view.line(FRESH), drawn(view.panel(FRESH))):
+        for part in (
+            "auto",
+            "drive",
+            "+1.25 m/s",
+            "-3.5 deg",
+            "released",
+            "clear",
+            "headlamp",
+            "coarse",
+            "up",
+            "0.04 s",
+        ):
+            assert part in text
+        assert "STALE" not in text
+
+
+def test_a_stale_view_says_so_and_shows_no_value() -> None:
+    """When no state comes any more, every view says so loudly, and no old value stands as a present one."""
+    for text in every_view(STALE):
+        assert "STALE" in text
+        assert "3.2" in text
+        for value in ("auto", "1.25", "-3.5"):
+            assert value not in text
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"linked": False, "connected": False}, "this end is not connected"),
+        ({"connected": False}, "its gateway is not connected"),
+        ({"health": None}, "sends no health"),
+        ({}, "sends health"),
+        ({"unreadable": "state is of version 2"}, "state is of version 2"),
+        ({"state_age_s": None}, "no state yet"),
+    ],
+)
+def test_an_alarm_says_what_is_known_of_the_cause(change: dict[str, object], reason: str) -> None:
+    """Why no state comes: this end, the gateway, its health, or what it sends."""
+    assert reason in view.alarm(msgspec.structs.replace(STALE, **change))
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"front_bumper": True}, "bumpers front HIT"),
+        ({"front_bumper": True, "rear_bumper": True}, "bumpers front and rear HIT"),
+        ({"bus_up": False}, "bus DOWN"),
+        ({"silent": ["Auto_DriveFeedBack"]}, "silent Auto_DriveFeedBack"),
+        ({"variant": Variant.UNKNOWN}, "variant unknown"),
+    ],
+)
+def test_what_is_wrong_is_in_every_view(change: dict[str, object], word: str) -> None:
+    """A bumper hit, a bus that is down, silent frames and an unknown variant are never left out."""
+    report = msgspec.structs.replace(FRESH, state=msgspec.structs.replace(STATE, **change))
+    assert word in view.line(report)
+    assert word in drawn(view.table([report]))
+    assert word.split(" ", 1)[1] in drawn(view.panel(report))
+
+
+def test_what_is_wrong_with_the_gateway_is_shown() -> None:
+    """Faults by kind, losses and a lost bus are shown with the reason that the gateway gives."""
+    sick = msgspec.structs.replace(
+        HEALTH, bus_up=False, bus_detail="no such device", faults={"checksum": 3, "length": 0}
+    )
+    report = msgspec.structs.replace(FRESH, health=sick)
+    for text in (view.health_line(report), drawn(view.panel(report)), drawn(view.table([report]))):
+        assert "checksum 3" in text
+        assert "length" not in text
+        assert "no such device" in text
+    assert "faults checksum 3" in view.line(report)
+
+
+def test_a_value_that_is_not_known_is_no_zero() -> None:
+    """A field that is null is shown as missing."""
+    unknown = msgspec.structs.replace(
+        STATE, speed_mps=None, angle_deg=None, mode=Mode.UNDEFINED, front_bumper=None
+    )
+    text = view.line(msgspec.structs.replace(FRESH, state=unknown))
+    assert "mode undefined  gear drive  --  --" in text
+    assert "bumpers --" in text
+
+
+def test_a_robot_without_health_is_said_to_have_none() -> None:
+    """Connected is not healthy: the list says what it has not heard."""
+    report = msgspec.structs.replace(FRESH, health=None)
+    assert view.health_line(report) == "cruiser-1  connected, but no health"
+    assert "no health" in drawn(view.table([report]))
+
+
+def test_an_empty_fleet_is_said_to_be_empty() -> None:
+    """A table without robots says that there are none."""
+    assert "no robot is connected" in drawn(view.table([]))
+
+
+def test_the_table_keeps_what_matters_in_80_columns() -> None:
+    """In a small terminal the names, the motion and the alarm are still whole."""
+    text = drawn(view.table([FRESH, STALE]), width=80)
+    for part in ("cruiser-1", "auto", "drive", "+1.25 m/s", "-3.5 deg", "STALE"):
+        assert part in text
+
+
+@given(report=REPORTS)
+def test_any_report_can_be_shown(report: RobotReport) -> None:
+    """Whatever a robot sends, a line is one printable line, and panel and table are drawn."""
+    assert view.line(report).isprintable()
+    assert view.health_line(report).isprintable()
+    for text in (drawn(view.panel(report), 80), drawn(view.table([report]), 80)):
+        assert text.replace("\n", "").isprintable()
+
+
+def test_nothing_is_shown_as_less_than_zero_when_it_rounds_to_zero() -> None:
+    """An angle a hair right of straight ahead is shown as zero, not as minus zero."""
+    straight = msgspec.structs.replace(STATE, angle_deg=-0.0006, speed_mps=-0.001)
+    assert "+0.00 m/s  +0.0 deg" in view.line(msgspec.structs.replace(FRESH, state=straight))

@@ -1,0 +1,150 @@
+"""The words of the faults."""
+
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.chassis.frame import EXTENDED, REMOTE
+from gateway.sim.faults import (
+    GRAMMAR,
+    Bumper,
+    Clear,
+    Disturbance,
+    FaultLine,
+    FaultTextError,
+    Firmware,
+    Foreign,
+    MessageFault,
+    Radio,
+    Scale,
+    ScheduledFault,
+    Sticks,
+    Switch,
+    is_end,
+    parse,
+    parse_scheduled,
+)
+from schemas.messages import Variant
+
+S = 1_000_000_000
+GEAR = "Auto_GearFeedBack"
+
+RIGHT = {
+    f"silence {GEAR} for 2s": FaultLine(MessageFault(Disturbance.SILENCE, GEAR), 2 * S),
+    "checksum auto_gearfeedback": FaultLine(MessageFault(Disturbance.CHECKSUM, GEAR)),
+    f"stuck {GEAR} for 3 frames": FaultLine(MessageFault(Disturbance.STUCK, GEAR), 0, 3),
+    f"skip {GEAR}": FaultLine(MessageFault(Disturbance.SKIP, GEAR, 2)),
+    "skip all by 5 for 500ms": FaultLine(MessageFault(Disturbance.SKIP, "all", 5), S // 2),
+    "drop all every 10 for 1min": FaultLine(MessageFault(Disturbance.DROP, "all", 10), 60 * S),
+    f"drop {GEAR} next 4": FaultLine(MessageFault(Disturbance.DROP, GEAR), 0, 4),
+    "silence all off": FaultLine(MessageFault(Disturbance.SILENCE, "all", ended=True)),
+    "foreign 123": FaultLine(Foreign((0x123,))),
+    "foreign 0x18C4D6EF 00ff every 1.5s": FaultLine(Foreign((0x18C4D6EF | EXTENDED,), b"\x00\xff", 3 * S // 2)),
+    "foreign 7ff remote": FaultLine(Foreign((0x7FF | REMOTE,))),
+    "foreign siblings": FaultLine(Foreign((0x200, 0x201, 0x202), period_ns=S)),
+    "foreign siblings off": FaultLine(Foreign((0x200, 0x201, 0x202), ended=True)),
+    "bumper front on": FaultLine(Bumper(("front",), hit=True)),
+    "Bumper BOTH off": FaultLine(Bumper(("front", "rear"), hit=False)),
+    "transmitter remote": FaultLine(Switch(remote=True)),
+    "transmitter command": FaultLine(Switch(remote=False)),
+    "transmitter lost for 4s": FaultLine(Radio(lost=True), 4 * S),
+    "transmitter found": FaultLine(Radio(lost=False)),
+    "sticks -0.5 +10": FaultLine(Sticks(-0.5, 10.0)),
+    "scale wrong": FaultLine(Scale(wrong=True)),
+    "scale right": FaultLine(Scale(wrong=False)),
+    "variant fine": FaultLine(Firmware(Variant.FINE)),
+    "clear": FaultLine(Clear()),
+}
+
+WRONG = {
+    "": "a fault",
+    "bumpr front on": "did you mean 'bumper'?",
+    "bumper frot on": "did you mean 'front'?",
+    "bumper front": "'on' or 'off'",
+    "silence": "a message",
+    "silence Auto_GearFeedbak": f"did you mean '{GEAR}'?",
+    "silence Auto_GearCmd": "did you mean",
+    "silence zzz": "there are: Auto_GearFeedBack".lower(),
+    f"silence {GEAR} for ever": "no duration",
+    f"silence {GEAR} for 0s": "no time",
+    f"silence {GEAR} for": "a duration",
+    f"silence {GEAR} for 2s now": "'now' is more",
+    f"silence {GEAR} off for 2s": "no duration",
+    "bumper front off for 2s": "no duration",
+    "clear for 2s": "no duration",
+    f"drop {GEAR}": "'every' or 'next'",
+    f"drop {GEAR} every 0": "whole number",
+    f"skip {GEAR} by x": "whole number",
+    "foreign 800": "identifier",
+    "foreign 20000000": "identifier",
+    "foreign 1234": "identifier",
+    "foreign 123 xyz": "hex digits",
+    "foreign 123 001122334455667788": "hex digits",
+    "sticks 1": "angle",
+    "sticks nan 0": "no number",
+    "variant medium": "there are: coarse, fine",
+    "transmitter remoto": "did you mean 'remote'?",
+}
+
+
+@pytest.mark.parametrize(("text", "line"), RIGHT.items())
+def test_a_line_says_what_it_says(text: str, line: FaultLine) -> None:
+    """Each form of the grammar has its value; letter case does not matter."""
+    assert parse(text) == line
+
+
+@pytest.mark.parametrize(("text", "hint"), WRONG.items())
+def test_a_wrong_line_names_the_word_and_the_cure(text: str, hint: str) -> None:
+    """The reason says what is wrong, and the nearest right word."""
+    error = parse(text)
+    assert isinstance(error, FaultTextError)
+    assert hint in error.reason or hint in error.reason.lower()
+
+
+@given(st.text() | st.lists(st.sampled_from([*" ".join([*RIGHT, *WRONG]).split(), "é", "\ud800"])).map(" ".join))
+def test_no_text_raises(text: str) -> None:
+    """Faults come from the network too: any text is a fault or an error of one bounded line."""
+    outcome = parse(text)
+    if isinstance(outcome, FaultTextError):
+        assert outcome.reason
+        assert len(outcome.reason) < 500
+        assert "\n" not in outcome.reason
+    parse_scheduled(text)
+
+
+def test_the_help_names_every_fault() -> None:
+    """What can be asked for is in the grammar that people see, and the other way round."""
+    shown = set(re.findall(r"^ {2}(\w+)", GRAMMAR, re.MULTILINE))
+    assert shown == {text.split()[0].lower() for text in RIGHT}
+
+
+@pytest.mark.parametrize(
+    ("text", "after_ns"),
+    [("3s bumper front on", 3 * S), (" 0.5s  clear", S // 2), ("clear", 0), ("250ms clear", S // 4)],
+)
+def test_a_scheduled_fault_has_its_delay_first(text: str, after_ns: int) -> None:
+    """Without a delay it is meant at once."""
+    fault = parse_scheduled(text)
+    assert isinstance(fault, ScheduledFault)
+    assert fault.after_ns == after_ns
+
+
+@pytest.mark.parametrize("text", ["3 bumper front on", "3s", "3s bumpr front on", "", "-1s clear"])
+def test_a_wrong_schedule_is_an_error(text: str) -> None:
+    """A delay has a unit, and a fault after it."""
+    assert isinstance(parse_scheduled(text), FaultTextError)
+
+
+def test_what_ends_a_fault_is_known() -> None:
+    """Off, command, found and right end; the rest begins."""
+    ends = {text for text, line in RIGHT.items() if is_end(line.fault)}
+    assert ends == {
+        "silence all off",
+        "foreign siblings off",
+        "Bumper BOTH off",
+        "transmitter command",
+        "transmitter found",
+        "scale right",
+    }

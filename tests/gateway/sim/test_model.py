@@ -1,0 +1,349 @@
+"""How the chassis behaves: the protocol notes, sentence by sentence."""
+
+from collections import Counter
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gateway.chassis.decode import Decoded, Decoder
+from gateway.chassis.frame import EXTENDED, REMOTE, Frame
+from gateway.chassis.layout import load
+from gateway.sim.model import VirtualChassis
+from schemas.messages import BrakingStatus, GearPosition, Mode, ParkingStatus, Variant
+from tests.gateway.chassis.strategies import frames as any_frames
+from tests.gateway.sim.rig import ENABLES, MS, Rig, S
+
+VARIANTS = pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
+
+
+@VARIANTS
+def test_a_second_has_630_valid_frames(variant: Variant) -> None:
+    """Every feedback message comes at its period, with its counter running and its checksum right."""
+    rig = Rig(variant)
+    frames = rig.run(1)
+    assert len(frames) == 630
+    decoded = [rig.decoder.decode(frame) for frame in frames]
+    assert all(isinstance(one, Decoded) for one in decoded)
+    rates = Counter(one.layout.name for one in decoded if isinstance(one, Decoded))
+    assert rates == {message.name: S // message.period_ns for message in load(variant).feedback}
+    for name in rates:
+        counters = rig.counters(name, frames)
+        assert counters == [number % 16 for number in range(len(counters))]
+
+
+@given(cuts=st.lists(st.integers(0, 300 * MS), max_size=20))
+@settings(deadline=None)
+def test_frames_do_not_depend_on_how_often_they_are_asked_for(cuts: list[int]) -> None:
+    """Asked in one go or in slices, the chassis sends the same."""
+    whole, sliced = Rig(), Rig()
+    for rig in (whole, sliced):
+        rig.command("drive", 1.0, 10.0)
+        rig.fault("drop all every 3 for 20 frames")
+        rig.fault("foreign siblings")
+    frames = [frame for cut in sorted(cuts) for frame in sliced.chassis.advance(cut)]
+    frames += sliced.chassis.advance(300 * MS)
+    assert frames == whole.chassis.advance(300 * MS)
+
+
+def test_the_next_due_time_is_when_frames_come() -> None:
+    """Nothing comes before the time it names, and something at that time."""
+    chassis = VirtualChassis(load(Variant.COARSE), 5)
+    assert chassis.next_due_ns == 10 * MS + 5
+    assert chassis.advance(chassis.next_due_ns - 1) == []
+    assert len(chassis.advance(chassis.next_due_ns)) == 5
+
+
+def test_frames_carry_the_wall_time_they_are_given() -> None:
+    """The caller's clock is the only clock."""
+    chassis = VirtualChassis(load(Variant.COARSE), 0)
+    assert {frame.wall_ns for frame in chassis.advance(50 * MS, 77)} == {77}
+
+
+def test_the_rate_can_be_raised_to_a_saturated_bus() -> None:
+    """With a multiplier the frames come that many times as often, and the chassis moves no faster for it."""
+    nominal, fast = Rig(), Rig(rate_multiplier=11.905)
+    for rig in (nominal, fast):
+        rig.command("drive", 1.0)
+    assert len(nominal.run(2)) == 1260
+    assert len(fast.run(2)) == pytest.approx(15_000, abs=5)
+    assert fast.speed_mps == pytest.approx(nominal.speed_mps, abs=0.01)
+
+
+def test_it_starts_standing_parked_and_stopped() -> None:
+    """At power-up nobody has commanded anything."""
+    rig = Rig()
+    rig.run(0.1)
+    assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "stop"
+    assert rig.seen["Auto_GearFeedBack"]["GearPosition"] == "park"
+    assert rig.seen["Auto_ParkingFeedBack"]["ParkingStatus"] == "applied"
+    assert rig.seen["Auto_WheelSpdFeedback"]["RearLeftSpeed"] == 0
+    assert rig.seen["Auto_GearFeedBack"]["Active"] is False
+
+
+@pytest.mark.parametrize("missing", ENABLES)
+def test_auto_needs_all_five_enables(missing: str) -> None:
+    """Any enable missing is stop mode, and a moving chassis stops."""
+    rig = Rig()
+    rig.command("drive", 1.0)
+    rig.run(2)
+    assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "auto"
+    assert rig.speed_mps == 1.0
+    rig.send(missing, Enable=False)
+    rig.run(2)
+    assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "stop"
+    assert rig.speed_mps == 0
+
+
+@VARIANTS
+def test_it_reports_what_it_does(variant: Variant) -> None:
+    """In auto mode the feedback shows gear, angle, speed, wheels and pulses."""
+    rig = Rig(variant)
+    rig.command("reverse", 1.0, -10.0)
+    rig.run(3)
+    assert rig.seen["Auto_GearFeedBack"] | {"AliveCounter": 0, "Checksum": 0} == {
+        "Active": True,
+        "GearPosition": "reverse",
+        "AliveCounter": 0,
+        "Checksum": 0,
+    }
+    assert rig.seen["Auto_SteeringFeedBack"]["Angle"] == pytest.approx(-10, abs=0.05)
+    assert rig.seen["Auto_DriveFeedBack"]["Speed"] == pytest.approx(1.0)
+    left, right = (rig.seen["Auto_WheelSpdFeedback"][name] for name in ("RearLeftSpeed", "RearRightSpeed"))
+    assert isinstance(left, float)
+    assert isinstance(right, float)
+    assert (left + right) / 2 == pytest.approx(-1.0, abs=0.04)
+    assert right > left, "reversing with the wheels to the right, the nose goes left"
+    pulses = rig.seen["Auto_WheelPulseFeedback"]["RearLeftPulses"]
+    assert isinstance(pulses, int)
+    assert pulses < -1000
+
+
+def test_it_keeps_obeying_when_commands_cease() -> None:
+    """The last command holds for ever: nobody else will stop the robot."""
+    rig = Rig()
+    rig.command("drive", 1.0)
+    rig.run(600)
+    assert rig.speed_mps == 1.0
+    assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "auto"
+
+
+def test_it_limits_itself() -> None:
+    """It turns no further than 24 degrees and drives no faster than 8 km/h, whatever the frame says."""
+    rig = Rig()
+    rig.command("drive", 40.0, 60.0)
+    rig.run(5)
+    assert rig.chassis.state.angle_deg == 24
+    assert rig.speed_mps == pytest.approx(2.222, abs=0.001)
+
+
+@pytest.mark.parametrize("gear", ["neutral", "park"])
+def test_without_a_driving_gear_it_stands(gear: str) -> None:
+    """Direction comes from the gear alone; park is reserved and counts as neutral."""
+    rig = Rig()
+    rig.command(gear, 1.0)
+    rig.run(1)
+    assert rig.speed_mps == 0
+    assert rig.seen["Auto_GearFeedBack"]["GearPosition"] == "neutral"
+
+
+def test_parked_reads_park_and_does_not_move() -> None:
+    """The electromagnetic brake wins, the gear feedback shows P, and releasing it lets it go."""
+    rig = Rig()
+    rig.command("drive", 1.0, park=True)
+    rig.run(1)
+    assert rig.seen["Auto_GearFeedBack"]["GearPosition"] == "park"
+    assert rig.seen["Auto_ParkingFeedBack"]["ParkingStatus"] == "applied"
+    assert rig.speed_mps == 0
+    rig.command("drive", 1.0)
+    rig.run(1)
+    assert rig.seen["Auto_GearFeedBack"]["GearPosition"] == "drive"
+    assert rig.seen["Auto_ParkingFeedBack"]["ParkingStatus"] == "released"
+    assert rig.speed_mps > 0.5
+
+
+@pytest.mark.parametrize(
+    ("pedal_percent", "status"), [(0.0, "released"), (30.0, "braking"), (99.6, "fully_braked")]
+)
+def test_the_brake_is_reported(pedal_percent: float, status: str) -> None:
+    """Released, braking, fully braked, by the pedal."""
+    rig = Rig()
+    rig.command("drive", 0.0, pedal_percent=pedal_percent)
+    rig.run(0.1)
+    assert rig.seen["Auto_BrakingFeedBack"]["BrakingStatus"] == status
+
+
+def test_in_remote_the_hand_transmitter_drives() -> None:
+    """Whatever CAN says; given back, the last command on CAN holds again."""
+    rig = Rig()
+    rig.command("drive", 1.0)
+    rig.run(2)
+    rig.fault("transmitter remote")
+    rig.fault("sticks -0.5 8")
+    rig.run(3)
+    assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "remote"
+    assert rig.seen["Auto_GearFeedBack"] | {"AliveCounter": 0, "Checksum": 0} == {
+        "Active": False,
+        "GearPosition": "reverse",
+        "AliveCounter": 0,
+        "Checksum": 0,
+    }
+    assert rig.speed_mps == pytest.approx(-0.5)
+    assert rig.chassis.state.angle_deg == pytest.approx(8)
+    rig.fault("transmitter command")
+    rig.run(3)
+    assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "auto"
+    assert rig.speed_mps == pytest.approx(1.0)
+
+
+def test_sticks_let_go_stop_it() -> None:
+    """A takeover with the sticks at rest brings it to a stand."""
+    rig = Rig()
+    rig.command("drive", 2.0)
+    rig.run(3)
+    rig.fault("transmitter remote")
+    rig.run(2)
+    assert rig.speed_mps == 0
+
+
+def test_losing_the_hand_transmitter_stops_it_after_three_seconds() -> None:
+    """Only in remote mode; with the radio back, it drives on."""
+    rig = Rig()
+    rig.fault("transmitter remote")
+    rig.fault("sticks 1.0 0")
+    rig.run(2)
+    rig.fault("transmitter lost")
+    rig.run(2.9)
+    assert rig.speed_mps == pytest.approx(1.0)
+    rig.run(2)
+    assert rig.speed_mps == 0
+    assert rig.chassis.state.mode is Mode.REMOTE
+    rig.fault("transmitter found")
+    rig.run(2)
+    assert rig.speed_mps == pytest.approx(1.0)
+
+
+def test_in_auto_a_lost_transmitter_changes_nothing() -> None:
+    """The manual promises nothing for it."""
+    rig = Rig()
+    rig.command("drive", 1.0)
+    rig.fault("transmitter lost")
+    rig.run(10)
+    assert rig.speed_mps == 1.0
+
+
+def test_a_bumper_does_not_stop_it() -> None:
+    """A hit is reported and nothing more."""
+    rig = Rig()
+    rig.command("drive", 1.0)
+    rig.run(2)
+    rig.fault("bumper front on")
+    rig.run(2)
+    assert rig.seen["Auto_MileageAndBodyFeedback"]["FrontBumper"] is True
+    assert rig.seen["Auto_MileageAndBodyFeedback"]["RearBumper"] is False
+    assert rig.speed_mps == 1.0
+    rig.fault("bumper front off")
+    rig.fault("bumper rear on")
+    rig.run(0.1)
+    assert rig.seen["Auto_MileageAndBodyFeedback"]["FrontBumper"] is False
+    assert rig.seen["Auto_MileageAndBodyFeedback"]["RearBumper"] is True
+
+
+def test_mileage_is_cleared_by_bit_16_with_enable() -> None:
+    """Neither the flag nor the enable alone clears it; once cleared it counts from zero."""
+    rig = Rig()
+    rig.run(0.1)
+    start_km = rig.seen["Auto_MileageAndBodyFeedback"]["TotalMileage"]
+    rig.send("Auto_OdometerCmd", Enable=False, ClearMileage=True)
+    rig.run(0.1)
+    rig.send("Auto_OdometerCmd", Enable=True, ClearMileage=False)
+    rig.run(0.1)
+    assert rig.seen["Auto_MileageAndBodyFeedback"]["TotalMileage"] == start_km != 0
+    rig.send("Auto_OdometerCmd", Enable=True, ClearMileage=True)
+    rig.run(0.1)
+    assert rig.seen["Auto_MileageAndBodyFeedback"]["TotalMileage"] == 0
+    rig.send("Auto_OdometerCmd")
+    rig.command("drive", 1.0)
+    rig.run(5)
+    assert rig.seen["Auto_MileageAndBodyFeedback"]["TotalMileage"] == pytest.approx(0.004)
+
+
+def test_lamps_and_horn_are_the_upper_layers() -> None:
+    """They follow their commands in any mode."""
+    rig = Rig()
+    rig.send("Auto_LightCmd", Headlamp=True, LeftIndicator=True)
+    rig.send("Auto_SpeakerCmd", Horn=True)
+    rig.run(0.1)
+    light = rig.seen["Auto_LightFeedback"]
+    assert (light["Headlamp"], light["RightIndicator"], light["LeftIndicator"]) == (True, False, True)
+    assert rig.seen["Auto_SpeakerFeedback"]["Horn"] is True
+
+
+def test_a_bad_command_frame_is_ignored() -> None:
+    """Wrong checksum, wrong length, remote and feedback frames change nothing, and are counted."""
+    rig = Rig()
+    good = rig.encoder.encode("Auto_SpeakerCmd", {"Horn": True}, 0)
+    for bad in (
+        Frame(good.can_id, good.data[:7] + bytes([good.data[7] ^ 1])),
+        Frame(good.can_id, good.data[:7]),
+        Frame(good.can_id & ~EXTENDED, good.data),
+        Frame(good.can_id | REMOTE, b"", remote_length=8),
+        rig.encoder.encode("Auto_SpeakerFeedback", {"Horn": True}, 0),
+    ):
+        rig.chassis.receive(bad, rig.now_ns)
+    rig.run(0.1)
+    assert rig.seen["Auto_SpeakerFeedback"]["Horn"] is False
+    assert rig.chassis.state.ignored_frames == 5
+
+
+@given(script=st.lists(any_frames, max_size=30))
+@settings(deadline=None)
+def test_no_frame_upsets_it(script: list[Frame]) -> None:
+    """Whatever is on the bus, it goes on sending valid feedback."""
+    rig = Rig()
+    rig.command("drive", 1.0)
+    for frame in script:
+        rig.chassis.receive(frame, rig.now_ns)
+        assert all(isinstance(rig.decoder.decode(sent), Decoded) for sent in rig.run(0.02))
+
+
+def test_the_true_state_is_at_hand() -> None:
+    """Tests and demonstrations can see the pose, and what no frame says."""
+    rig = Rig(Variant.FINE)
+    rig.command("drive", 1.0, pedal_percent=0.0)
+    rig.run(5)
+    state = rig.chassis.state
+    assert (state.mode, state.variant, state.gear_position) == (Mode.AUTO, Variant.FINE, GearPosition.DRIVE)
+    assert (state.braking_status, state.parking_status) == (BrakingStatus.RELEASED, ParkingStatus.RELEASED)
+    assert 4 < state.x_m < 5
+    assert state.y_m == pytest.approx(0, abs=0.01)
+    assert state.mileage_m == pytest.approx(12_345 + state.x_m)
+
+
+@VARIANTS
+def test_the_wrong_scale_shows_in_drive_and_not_in_the_wheels(variant: Variant) -> None:
+    """Drive command and feedback have the other variant's scale; the wheels tell the truth."""
+    rig = Rig(variant)
+    rig.command("drive", 1.0)
+    rig.run(3)
+    rig.fault("scale wrong")
+    rig.run(3)
+    other = Decoder(load(Variant.FINE if variant is Variant.COARSE else Variant.COARSE))
+    drive = other.decode(rig.named("Auto_DriveFeedBack", rig.run(0.05))[-1])
+    assert isinstance(drive, Decoded)
+    assert drive.signals["Speed"] == pytest.approx(abs(rig.speed_mps), abs=0.04)
+    assert rig.seen["Auto_WheelSpdFeedback"]["RearLeftSpeed"] == pytest.approx(rig.speed_mps, abs=0.04)
+    assert rig.speed_mps == pytest.approx(0.025 if variant is Variant.COARSE else 2.222, abs=0.001)
+    rig.fault("scale right")
+    rig.run(3)
+    assert rig.seen["Auto_DriveFeedBack"]["Speed"] == pytest.approx(1.0)
+
+
+def test_the_firmware_can_change() -> None:
+    """A standing chassis of the other variant shows raw 32768 where the coarse one showed 200."""
+    rig = Rig()
+    assert rig.named("Auto_WheelSpdFeedback", rig.run(0.1))[-1].data[1:5] == bytes.fromhex("c800c800")
+    rig.fault("variant fine for 1s")
+    assert rig.named("Auto_WheelSpdFeedback", rig.run(0.1))[-1].data[1:5] == bytes.fromhex("00800080")
+    rig.run(1)
+    assert rig.chassis.state.variant is Variant.COARSE

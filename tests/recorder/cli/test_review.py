@@ -1,0 +1,106 @@
+"""``cruiser review``."""
+
+import argparse
+import json
+from pathlib import Path
+
+import pytest
+
+from recorder.cli import review
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import Settings
+from tests.recorder.fakes import FakeSample, Log, small_log
+
+
+def run(*words: str) -> int:
+    """The command's exit code."""
+    parser = argparse.ArgumentParser()
+    review.add_arguments(parser)
+    return review.run(parser.parse_args(words), Settings(), lambda: False)
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> Path:
+    """A whole log."""
+    path = tmp_path / "whole.mcap"
+    path.write_bytes(small_log())
+    return path
+
+
+@pytest.fixture
+def cut(tmp_path: Path) -> Path:
+    """The log of a recorder that was killed."""
+    path = tmp_path / "cut.mcap.part"
+    path.write_bytes(small_log()[:-200])
+    return path
+
+
+def test_a_whole_log_is_described(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """For people, in lines; exit code 0."""
+    assert run("info", str(whole)) == ExitCode.OK
+    out = capsys.readouterr().out
+    assert f"{whole}: whole" in out
+    assert "robot cruiser-1, variant coarse" in out
+    assert "fleet/cruiser-1/chassis/gear" in out
+    assert "0 samples missed, 0 raw frames lost" in out
+
+
+def test_json_is_an_object_a_line(whole: Path, cut: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """For programs: one for each file."""
+    assert run("info", "--json", str(whole), str(cut)) == ExitCode.PARTIAL
+    first, second = map(json.loads, capsys.readouterr().out.splitlines())
+    assert (first["whole"], second["whole"]) == (True, False)
+    assert first["messages"] == second["messages"] == 12
+
+
+def test_a_partial_log_is_shown_as_far_as_it_goes(cut: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit code 3, and what is wrong."""
+    assert run("info", str(cut)) == ExitCode.PARTIAL
+    out = capsys.readouterr().out
+    assert "NOT WHOLE" in out
+    assert "fault: byte" in out
+    assert "fleet/cruiser-1/chassis/gear" in out
+
+
+def test_one_file_that_is_none_is_an_error(tmp_path: Path) -> None:
+    """Exit code 1, one line."""
+    with pytest.raises(CommandError, match="No such file") as caught:
+        run("info", str(tmp_path / "none.mcap"))
+    assert caught.value.code == ExitCode.FAILURE
+
+
+def test_of_several_files_the_readable_are_shown(
+    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The others are named on stderr; part of the input could be read."""
+    assert run("info", str(tmp_path / "none.mcap"), str(whole)) == ExitCode.PARTIAL
+    captured = capsys.readouterr()
+    assert "whole.mcap: whole" in captured.out
+    assert "none.mcap: No such file" in captured.err
+
+
+def test_when_no_file_can_be_read_it_is_a_failure(tmp_path: Path) -> None:
+    """Exit code 1."""
+    assert run("info", str(tmp_path / "one"), str(tmp_path / "two")) == ExitCode.FAILURE
+
+
+def test_a_logs_names_do_not_reach_the_terminal_as_commands(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A key may hold anything."""
+    log = Log()
+    log.receive(FakeSample("k/\x1b[2J\x07", "x", b""))
+    path = tmp_path / "log.mcap"
+    path.write_bytes(log.close())
+    assert run("info", str(path)) == ExitCode.OK
+    assert "\x1b" not in capsys.readouterr().out
+
+
+def test_a_log_of_absurd_times_is_described(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Times reach further than the calendar."""
+    log = Log()
+    log.receive(FakeSample("k", "x", b""), wall_ns=2**63 - 1)
+    path = tmp_path / "log.mcap"
+    path.write_bytes(log.close())
+    assert run("info", str(path)) == ExitCode.OK
+    assert "2262-" in capsys.readouterr().out

@@ -1,0 +1,239 @@
+"""Samples, disks that fail on demand, and sources that need no Zenoh."""
+
+import errno
+import time
+from collections.abc import Callable, Iterable, Iterator
+from io import BytesIO
+from pathlib import Path
+
+import msgspec
+
+from recorder.effects import (
+    AskInfo,
+    CloseLog,
+    DeclareChannel,
+    Effect,
+    OpenLog,
+    SyncLog,
+    WriteAttachment,
+    WriteChunk,
+    WriteMetadata,
+)
+from recorder.mcap_file import McapFile
+from recorder.sample import Sample
+from recorder.session import Plan, Session
+from schemas import codec, keys
+from schemas.messages import CanFrames, GatewayInfo, Gear, GearPosition, Message, Variant
+from schemas.subjects import BY_TYPE
+
+ROOT = "fleet"
+ROBOT = "cruiser-1"
+WALL_NS = 1_800_000_000_000_000_000
+SECOND = 1_000_000_000
+MS = 1_000_000
+PLAN = Plan(name="cruiser-1", chunk_bytes=262_144, flush_ns=SECOND // 2, version="0.1.0")
+
+GEAR_FEEDBACK = 0x18C4D1EF
+EXTENDED = 1 << 31
+
+
+class FakeSample(msgspec.Struct, frozen=True):
+    """A sample that never was on Zenoh."""
+
+    key: str
+    encoding: str
+    payload: bytes
+    attachment: bytes = b""
+    zenoh_time_ns: int = 0
+    deleted: bool = False
+
+
+def key_of(kind: type[Message], robot: str = ROBOT, root: str = ROOT) -> str:
+    """The key of a subject's samples."""
+    subject = BY_TYPE[kind]
+    return keys.build(root, robot, subject, "can0" if "{bus}" in subject.name else "")
+
+
+def sample_of(message: Message, robot: str = ROBOT, root: str = ROOT) -> Sample:
+    """The sample that a gateway publishes of a message."""
+    kind = type(message)
+    return FakeSample(key_of(kind, robot, root), BY_TYPE[kind].encoding, codec.encode(message))
+
+
+def gear(sequence: int, time_ns: int = WALL_NS) -> Gear:
+    """A gear message."""
+    return Gear(
+        time_ns=time_ns,
+        sequence=sequence,
+        alive_counter=sequence % 16,
+        active=True,
+        gear_position=GearPosition.DRIVE,
+    )
+
+
+def feedback(counter: int) -> bytes:
+    """A gear feedback frame's data, checksum included."""
+    data = bytes([1, 4, 0, 0, 0, 0, counter % 16 << 4])
+    checksum = 0
+    for byte in data:
+        checksum ^= byte
+    return data + bytes([checksum])
+
+
+def batch(sequence: int, frames: list[tuple[int, bytes]], dropped: int = 0) -> CanFrames:
+    """A batch of gear feedback frames: receive time and data of each."""
+    return CanFrames(
+        time_ns=WALL_NS,
+        sequence=sequence,
+        bus="can0",
+        dropped=dropped,
+        frame_time_ns=[time_ns for time_ns, _ in frames],
+        can_id=[EXTENDED | GEAR_FEEDBACK] * len(frames),
+        fd_flags=[0] * len(frames),
+        length=[len(data) for _, data in frames],
+        data=[data for _, data in frames],
+    )
+
+
+def info(variant: Variant = Variant.COARSE, sequence: int = 0, dbc: str = 'VERSION "1"\n') -> GatewayInfo:
+    """A gateway's answer."""
+    return GatewayInfo(
+        time_ns=WALL_NS,
+        sequence=sequence,
+        robot=ROBOT,
+        bus="can0",
+        listen_only=True,
+        started_ns=WALL_NS - SECOND,
+        variant=variant,
+        versions={"cruiser-gateway": "0.1.0"},
+        configuration="[can]\n",
+        configuration_sha256="ab" * 32,
+        dbc_name="cruiser-coarse.dbc",
+        dbc=dbc,
+        schemas={"cruiser.Gear": "{}"},
+    )
+
+
+class Disk(BytesIO):
+    """A stream with so much room, which takes at most so many bytes in one write."""
+
+    def __init__(self, room: int | None = None, at_once: int | None = None) -> None:
+        super().__init__()
+        self.room = room
+        self.at_once = at_once
+
+    def write(self, data: memoryview | bytes, /) -> int:  # type: ignore[override]  # the fewer types the clearer
+        data = memoryview(data)[: self.at_once]
+        if self.room is not None:
+            data = data[: max(0, self.room - self.tell())]
+            if not data:
+                raise OSError(errno.ENOSPC, "No space left on device")
+        return super().write(data)
+
+
+class Log:
+    """Carries a session's effects out in memory, and remembers them."""
+
+    def __init__(self, session: Session | None = None) -> None:
+        self.session = session or Session(PLAN)
+        self.disk = Disk()
+        self.done: list[Effect] = []
+        self._file: McapFile | None = None
+
+    def receive(self, *samples: Sample, now_ns: int = 0, wall_ns: int = WALL_NS) -> None:
+        for sample in samples:
+            self.carry_out(self.session.receive_sample(sample, now_ns, wall_ns))
+
+    def tick(self, now_ns: int) -> list[Effect]:
+        effects = list(self.session.tick(now_ns))
+        self.carry_out(effects)
+        return effects
+
+    def close(self) -> bytes:
+        """Close the session; the file's bytes."""
+        self.carry_out(self.session.close())
+        return self.disk.getvalue()
+
+    def carry_out(self, effects: Iterable[Effect]) -> None:
+        for effect in effects:
+            self.done.append(effect)
+            if isinstance(effect, OpenLog):
+                assert self._file is None, "opened twice"
+                self._file = McapFile(self.disk, "test")
+            elif isinstance(effect, AskInfo):
+                pass
+            else:
+                assert self._file is not None, "written before it is open"
+                _write(self._file, effect)
+
+
+def _write(file: McapFile, effect: Effect) -> None:
+    match effect:
+        case DeclareChannel():
+            file.add_channel(effect.channel)
+        case WriteChunk():
+            file.write_chunk(effect.chunk)
+        case WriteMetadata():
+            file.add_metadata(effect.name, effect.entries)
+        case WriteAttachment():
+            file.add_attachment(effect.name, effect.media_type, effect.data, effect.wall_ns)
+        case CloseLog():
+            file.finish()
+        case SyncLog() | _:
+            pass
+
+
+def small_log() -> bytes:
+    """A whole log of a few messages of each sort, with metadata and attachments."""
+    log = Log()
+    log.receive(*(sample_of(gear(number)) for number in range(5)))
+    log.receive(sample_of(batch(0, [(WALL_NS + number * 10 * MS, feedback(number)) for number in range(5)])))
+    log.tick(SECOND)
+    log.receive(FakeSample("fleet/elsewhere", "text/plain", b"hello"), sample_of(info()))
+    return log.close()
+
+
+class FakeSource:
+    """A source that brings these samples, and answers queries with these replies."""
+
+    def __init__(self, samples: Iterable[Sample] = (), replies: dict[str, Sample] | None = None) -> None:
+        self.asked: list[str] = []
+        self._samples = iter(samples)
+        self._replies = replies or {}
+        self._answers: list[Sample] = []
+        self.is_exhausted = False
+
+    @property
+    def is_asking(self) -> bool:
+        return bool(self._answers)
+
+    def drain(self, limit: int) -> Iterator[Sample]:
+        for _ in range(limit):
+            sample = next(self._samples, None)
+            if sample is None:
+                self.is_exhausted = True
+                break
+            yield sample
+        answers, self._answers = self._answers, []
+        yield from answers
+
+    def ask(self, key: str) -> None:
+        self.asked.append(key)
+        if key in self._replies:
+            self._answers.append(self._replies[key])
+
+
+DEADLINE_S = 30.0
+
+
+def wait_until(condition: Callable[[], bool], deadline_s: float = DEADLINE_S) -> None:
+    """Wait for a condition; fail when it does not come true in time."""
+    end = time.monotonic() + deadline_s
+    while not condition():
+        assert time.monotonic() < end, "it did not come true in time"
+        time.sleep(0.01)
+
+
+def logs_in(directory: Path) -> list[str]:
+    """The names of the files in a directory."""
+    return sorted(path.name for path in directory.iterdir())

@@ -1,0 +1,169 @@
+"""The directory of logs."""
+
+import errno
+import os
+import resource
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from recorder.chunk import Chunk, ChunkBuilder
+from recorder.effects import CloseLog, DeclareChannel, LogChannel, SyncLog, WriteChunk
+from recorder.ports.log_directory import LogDirectory, LogFile, safe_name
+from recorder.protobuf_schema import descriptor_set
+from recorder.review.info import read_info
+from schemas.exit_codes import CommandError
+from schemas.messages import Gear
+from tests.recorder.fakes import WALL_NS, logs_in
+
+CHANNEL = LogChannel(1, "t", "cruiser.Gear", descriptor_set(Gear))
+STEM = "cruiser-1-20270115T080000Z"
+
+
+def chunk(number: int, data: bytes = b"") -> WriteChunk:
+    """A chunk of one message."""
+    builder = ChunkBuilder()
+    builder.add(1, number, number, number, data)
+    sealed = builder.seal()
+    assert isinstance(sealed, Chunk)
+    return WriteChunk(sealed)
+
+
+def opened(path: Path) -> LogFile:
+    """A log with a channel."""
+    log = LogDirectory(path).open("cruiser-1", WALL_NS, "test")
+    log.write(DeclareChannel(CHANNEL))
+    return log
+
+
+def sequences(path: Path) -> list[int]:
+    """The messages of a file that may be partial."""
+    reader = make_reader(BytesIO(path.read_bytes()), validate_crcs=True)
+    return [message.sequence for _, _, message in reader.iter_messages()]
+
+
+def test_a_log_is_a_part_until_it_is_whole(tmp_path: Path) -> None:
+    """Its name holds the robot and the start in UTC; the directory is made."""
+    directory = tmp_path / "deep" / "logs"
+    log = opened(directory)
+    log.write(chunk(1))
+    log.write(SyncLog())
+    assert logs_in(directory) == [f"{STEM}.mcap.part"]
+    log.write(CloseLog())
+    assert logs_in(directory) == [f"{STEM}.mcap"]
+    assert log.path == directory / f"{STEM}.mcap"
+    assert log.size == log.path.stat().st_size
+    assert sequences(log.path) == [1]
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    """Logs of one name and second, whole or not, live side by side."""
+    first, second = opened(tmp_path), opened(tmp_path)
+    first.write(CloseLog())
+    third = opened(tmp_path)
+    second.write(CloseLog())
+    assert logs_in(tmp_path) == [f"{STEM}-2.mcap", f"{STEM}-3.mcap.part", f"{STEM}.mcap"]
+    third.write(CloseLog())
+
+
+@given(st.text(max_size=50))
+def test_a_name_is_safe_on_any_system(text: str) -> None:
+    """No path, no hidden file, nothing that a shell would see."""
+    name = safe_name(text)
+    assert name
+    assert not name.startswith(".")
+    assert set(name) <= set("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789._-")
+
+
+def test_a_directory_that_cannot_be_made_is_one_clear_error(tmp_path: Path) -> None:
+    """A file is in its place."""
+    (tmp_path / "logs").write_text("")
+    with pytest.raises(CommandError, match=r"cannot write .*logs: (File exists|Not a directory)"):
+        LogDirectory(tmp_path / "logs")
+    with pytest.raises(CommandError, match="Not a directory"):
+        LogDirectory(tmp_path / "logs" / "deeper")
+
+
+def test_a_directory_that_is_not_writable_is_one_clear_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is found before the first sample. Root may write anywhere, so the answer is the system's by knob."""
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(CommandError, match="no permission to write there"):
+        LogDirectory(tmp_path)
+
+
+def test_a_vanished_directory_is_one_clear_error(tmp_path: Path) -> None:
+    """At opening and at closing."""
+    directory = LogDirectory(tmp_path / "logs")
+    log = directory.open("x", WALL_NS, "test")
+    log.path.unlink()
+    (tmp_path / "logs").rmdir()
+    with pytest.raises(CommandError, match="No such file"):
+        directory.open("x", WALL_NS, "test")
+    with pytest.raises(CommandError, match="No such file"):
+        log.write(CloseLog())
+    log.salvage()
+
+
+def fill(log: LogFile) -> int:
+    """Write until the disk takes no more; the number of chunks that it took."""
+    number = 0
+    try:
+        while True:
+            log.write(chunk(number + 1, os.urandom(50 if log.size > 7500 else 500)))
+            number += 1
+    except CommandError:
+        return number
+
+
+@pytest.fixture
+def full_disk() -> Iterator[None]:
+    """No file may grow beyond 8,192 bytes: the system itself says so, with EFBIG."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (8192, hard))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.usefixtures("full_disk")
+def test_a_log_that_can_grow_no_more_is_closed_as_well_as_possible(tmp_path: Path) -> None:
+    """The chunk that fits no more goes; if there is room for the end, the file is whole."""
+    log = opened(tmp_path)
+    log.write(chunk(1))
+    with pytest.raises(CommandError, match=os.strerror(errno.EFBIG)):
+        log.write(chunk(2, os.urandom(20_000)))
+    log.salvage()
+    assert log.path == tmp_path / f"{STEM}.mcap"
+    assert sequences(log.path) == [1]
+
+
+@pytest.mark.usefixtures("full_disk")
+def test_without_room_for_the_end_the_part_stays_readable(tmp_path: Path) -> None:
+    """It ends with its last whole chunk."""
+    log = opened(tmp_path)
+    written = fill(log)
+    log.salvage()
+    log.salvage()
+    assert log.path == tmp_path / f"{STEM}.mcap.part"
+    info = read_info(log.path)
+    assert not info.whole
+    assert info.messages == written
+    assert [fault.partition(": ")[2] for fault in info.faults] == ["the file ends without a footer"]
+
+
+def test_a_disk_without_room_for_a_header_leaves_no_file(tmp_path: Path) -> None:
+    """There is nothing to keep."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4, hard))
+    try:
+        with pytest.raises(CommandError, match="too large"):
+            LogDirectory(tmp_path).open("x", WALL_NS, "test")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert logs_in(tmp_path) == []

@@ -1,0 +1,64 @@
+"""Frames lost, by their alive counters."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from recorder.review.alive import COUNTER_SPAN, AliveCount, FeedbackFrame, feedback_frames
+from tests.recorder.fakes import GEAR_FEEDBACK, MS, feedback
+
+PERIOD_NS = 10 * MS
+
+
+def gear_count() -> AliveCount:
+    """The count of a frame of 10 ms."""
+    return AliveCount(FeedbackFrame("Auto_GearFeedBack", PERIOD_NS))
+
+
+def test_the_frames_and_their_periods_come_from_the_dbc() -> None:
+    """All ten feedback frames, none of the commands."""
+    frames = feedback_frames()
+    assert frames[GEAR_FEEDBACK] == FeedbackFrame("Auto_GearFeedBack", PERIOD_NS)
+    assert frames[0x18C4DBEF].period_ns == 50 * MS
+    assert len(frames) == 10
+
+
+@given(st.integers(0, 15), st.lists(st.booleans(), min_size=1, max_size=200))
+def test_what_is_lost_is_counted_exactly_while_gaps_are_short(first: int, arrives: list[bool]) -> None:
+    """Any pattern of losses without a gap of 16 periods."""
+    count = gear_count()
+    numbers = [0]
+    for number, comes in enumerate(arrives, start=1):
+        if comes or number - numbers[-1] == COUNTER_SPAN - 1:
+            numbers.append(number)
+    for number in numbers:
+        count.receive(number * PERIOD_NS, feedback(first + number))
+    assert (count.frames, count.lost) == (len(numbers), numbers[-1] + 1 - len(numbers))
+    assert (count.repeated, count.corrupt, count.outages) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("gap_ns", [COUNTER_SPAN * PERIOD_NS, 10**12, -1])
+def test_a_gap_too_long_for_the_counter_is_an_outage(gap_ns: int) -> None:
+    """As is a step back of the clock: what it cost is not guessed."""
+    count = gear_count()
+    count.receive(0, feedback(0))
+    count.receive(gap_ns, feedback(5))
+    assert (count.outages, count.lost) == (1, 0)
+
+
+def test_a_repeated_counter_is_no_loss() -> None:
+    """It is told apart from fifteen lost frames."""
+    count = gear_count()
+    count.receive(0, feedback(3))
+    count.receive(PERIOD_NS, feedback(3))
+    assert (count.repeated, count.lost) == (1, 0)
+
+
+def test_the_counter_of_a_corrupt_frame_is_not_read() -> None:
+    """It counts as the one that was due."""
+    count = gear_count()
+    corrupt = bytearray(feedback(1))
+    corrupt[6] ^= 0x70
+    for number, data in enumerate((feedback(0), bytes(corrupt), feedback(2))):
+        count.receive(number * PERIOD_NS, data)
+    assert (count.corrupt, count.lost, count.repeated) == (1, 0, 0)

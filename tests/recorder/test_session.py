@@ -1,0 +1,301 @@
+"""A recording, without I/O."""
+
+import json
+from collections.abc import Callable
+from io import BytesIO
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.records import Message as McapMessage
+from mcap_protobuf.decoder import DecoderFactory
+
+from recorder import session as session_module
+from recorder.effects import (
+    AskInfo,
+    CloseLog,
+    DeclareChannel,
+    Effect,
+    OpenLog,
+    SyncLog,
+    WriteAttachment,
+    WriteChunk,
+    WriteMetadata,
+)
+from recorder.sample import Sample
+from recorder.session import KeyCount, Plan, Session
+from schemas.messages import CanFrames, Gear, Message
+from schemas.subjects import BY_TYPE, SUBJECTS, Subject
+from tests.recorder.fakes import (
+    GEAR_FEEDBACK,
+    MS,
+    PLAN,
+    SECOND,
+    WALL_NS,
+    FakeSample,
+    Log,
+    batch,
+    feedback,
+    gear,
+    info,
+    key_of,
+    sample_of,
+)
+from tests.schemas.random_messages import TEXTS, subjects_and_messages
+
+ENCODINGS = st.one_of(st.sampled_from([subject.encoding for subject in SUBJECTS]), TEXTS)
+KEYS = st.one_of(st.sampled_from([key_of(subject.type) for subject in SUBJECTS]), TEXTS)
+TIMES = st.one_of(st.integers(-(2**70), 2**70), st.just(WALL_NS))
+GEAR_KEY = key_of(Gear)
+FRAMES_KEY = key_of(CanFrames)
+
+
+def read(data: bytes) -> list[tuple[str, str, McapMessage, Any]]:
+    """Topic, schema, record and content of every message."""
+    reader = make_reader(BytesIO(data), validate_crcs=True, decoder_factories=[DecoderFactory()])
+    return [
+        (channel.topic, schema.name if schema else "", message, content)
+        for schema, channel, message, content in reader.iter_decoded_messages(log_time_order=False)
+    ]
+
+
+def kinds(effects: list[Effect]) -> list[type[Effect]]:
+    """What sort of effect each is."""
+    return [type(effect) for effect in effects]
+
+
+@given(subjects_and_messages())
+def test_a_sample_of_any_subject_becomes_its_message(pair: tuple[Subject, Message]) -> None:
+    """One channel of the key's own, with the subject's schema; times and sequence are kept."""
+    subject, message = pair
+    log = Log()
+    log.receive(sample_of(message))
+    records = read(log.close())
+    if isinstance(message, CanFrames):
+        return  # has tests of its own
+    topic, schema, record, content = records[0]
+    assert len(records) == 1
+    assert (topic, schema) == (key_of(subject.type), subject.schema_name)
+    assert (record.log_time, record.publish_time, record.sequence) == (WALL_NS, message.time_ns, message.sequence)
+    assert content.time_ns == message.time_ns
+
+
+@given(
+    st.lists(
+        st.builds(FakeSample, KEYS, ENCODINGS, st.binary(max_size=60), st.binary(max_size=9), TIMES), max_size=9
+    ),
+    TIMES,
+)
+def test_whatever_comes_is_kept_in_a_file_that_others_read(samples: list[Sample], wall_ns: int) -> None:
+    """Any key, encoding, payload, attachment and time, and any clock of ours: nothing raises, nothing is lost."""
+    log = Log()
+    log.receive(*samples, wall_ns=wall_ns)
+    if not samples:
+        assert log.close() == b""
+        return
+    records = read(log.close())
+    assert len(records) == len(samples)
+    for sample, (topic, schema, record, content) in zip(samples, records, strict=True):
+        assert schema == "cruiser.RawSample"
+        assert (content.key, content.encoding) == (sample.key, sample.encoding)
+        assert (content.payload, content.attachment) == (sample.payload, sample.attachment)
+        assert content.reason
+        assert topic in {sample.key, f"{sample.key}/@raw"}
+        assert 0 <= record.publish_time <= 2**63 - 1
+        assert 0 <= record.log_time <= 2**63 - 1
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda sample: FakeSample(sample.key, sample.encoding, b"\xc1"), ""),
+        (lambda sample: FakeSample(sample.key, "text/plain", sample.payload), "encoding"),
+        (lambda sample: FakeSample(sample.key, sample.encoding.replace("/1", "/2"), sample.payload), "encoding"),
+        (lambda sample: FakeSample(sample.key, "zenoh/bytes", b"", deleted=True), "deleted"),
+        (lambda sample: FakeSample(sample.key, sample.encoding, b""), ""),
+    ],
+)
+def test_a_broken_sample_of_a_known_key_is_kept_beside_the_good_ones(
+    change: Callable[[Sample], Sample], reason: str
+) -> None:
+    """On a channel of its own, so that the key's channel keeps one schema; with the reason."""
+    log = Log()
+    good = sample_of(gear(0))
+    log.receive(good, change(good), sample_of(gear(1)))
+    records = [(topic, schema) for topic, schema, _, _ in read(log.close())]
+    assert records == [
+        (GEAR_KEY, "cruiser.Gear"),
+        (f"{GEAR_KEY}/@raw", "cruiser.RawSample"),
+        (GEAR_KEY, "cruiser.Gear"),
+    ]
+    assert reason in read(log.disk.getvalue())[1][3].reason
+
+
+@pytest.mark.parametrize("time", [-1, 2**63, 2**64 - 1, None, 1.5, "now"])
+def test_an_absurd_time_is_kept_raw(time: object) -> None:
+    """A time that no log can hold never becomes a publish time."""
+    log = Log()
+    good = sample_of(gear(0))
+    payload = msgspec.msgpack.encode({**msgspec.to_builtins(gear(0)), "time_ns": time})
+    log.receive(good, FakeSample(good.key, good.encoding, payload))
+    records = read(log.close())
+    assert [schema for _, schema, _, _ in records] == ["cruiser.Gear", "cruiser.RawSample"]
+
+
+def test_a_batch_is_unfolded_into_its_frames() -> None:
+    """One record for each frame, published when the bus delivered it, with flags and bytes as received."""
+    log = Log()
+    frames = [(WALL_NS - number * MS, feedback(number)) for number in range(3)]
+    log.receive(sample_of(batch(7, frames, dropped=2)))
+    records = read(log.close())
+    assert {(topic, schema) for topic, schema, _, _ in records} == {(FRAMES_KEY, "cruiser.CanFrame")}
+    assert [(record.publish_time, content.data) for _, _, record, content in records] == frames
+    assert {(record.sequence, record.log_time) for _, _, record, _ in records} == {(7, WALL_NS)}
+    content = records[0][3]
+    assert (content.identifier, content.is_extended, content.dlc, content.bus) == (GEAR_FEEDBACK, True, 8, "can0")
+    assert log.session.counts[FRAMES_KEY] == KeyCount(messages=3, missed=0, dropped=2)
+
+
+@pytest.mark.parametrize(
+    ("word", "fd", "expected"),
+    [
+        (0x7FF, 0, (0x7FF, False, False, False, False, False, False)),
+        (0x9FFFFFFF, 0, (0x1FFFFFFF, True, False, False, False, False, False)),
+        (0x40000001, 0, (1, False, True, False, False, False, False)),
+        (0x20000004, 0, (4, False, False, True, False, False, False)),
+        (1, 0b111, (1, False, False, False, True, True, True)),
+        (1, 0b100, (1, False, False, False, True, False, False)),
+    ],
+)
+def test_the_flags_of_a_frame_are_told_apart(word: int, fd: int, expected: tuple[object, ...]) -> None:
+    """Extended, remote and error as in linux/can.h; FD with bit rate switch and error state."""
+    log = Log()
+    message = CanFrames(WALL_NS, 0, "can0", 0, [1], [word], [fd], [0], [b""])
+    log.receive(sample_of(message))
+    content = read(log.close())[0][3]
+    flags = (content.is_extended, content.is_remote, content.is_error)
+    fd_flags = (content.is_fd, content.bitrate_switch, content.error_state_indicator)
+    assert (content.identifier, *flags, *fd_flags) == expected
+
+
+def test_a_batch_of_uneven_columns_is_kept_raw() -> None:
+    """Frames are not invented and not lost."""
+    log = Log()
+    message = CanFrames(WALL_NS, 0, "can0", 0, [1, 2], [1], [0], [0], [b""])
+    log.receive(sample_of(message))
+    records = read(log.close())
+    assert [(schema, content.reason) for _, schema, _, content in records] == [
+        ("cruiser.RawSample", "the columns differ in length")
+    ]
+
+
+def test_the_file_is_opened_by_the_first_sample() -> None:
+    """A recorder that waits leaves no file; the opening comes before all else."""
+    log = Log()
+    assert log.tick(SECOND) == []
+    assert list(Session(PLAN).close()) == []
+    log.receive(sample_of(gear(0)))
+    assert kinds(log.done) == [OpenLog, WriteMetadata, DeclareChannel]
+    assert log.done[0] == OpenLog("cruiser-1", WALL_NS)
+
+
+def test_a_channel_is_declared_once_before_its_messages() -> None:
+    """One channel for each key."""
+    log = Log(Session(Plan("x", 1, SECOND, "1")))
+    log.receive(*(sample_of(gear(number)) for number in range(3)))
+    assert kinds(log.done) == [OpenLog, WriteMetadata, DeclareChannel, WriteChunk, WriteChunk, WriteChunk]
+
+
+@given(st.lists(st.tuples(st.integers(1, 300), st.booleans()), max_size=60))
+def test_no_message_waits_longer_than_the_setting(steps: list[tuple[int, bool]]) -> None:
+    """With a tick every 10 ms, whatever comes when, half the setting is left to the disk."""
+    log = Log()
+    now, oldest = 0, None
+    for wait_ms, comes in steps:
+        for _ in range(-(-wait_ms // 10)):
+            now += 10 * MS
+            if SyncLog in kinds(log.tick(now)):
+                oldest = None
+            assert oldest is None or now - oldest < PLAN.flush_ns // 2
+        if comes:
+            log.receive(sample_of(gear(0)), now_ns=now)
+            oldest = now if oldest is None else oldest
+
+
+def test_a_sync_comes_after_the_chunk_and_only_when_there_is_something() -> None:
+    """An idle recorder leaves the disk alone."""
+    log = Log()
+    log.receive(sample_of(gear(0)))
+    assert kinds(log.tick(PLAN.flush_ns // 2 - 1)) == [AskInfo]
+    assert kinds(log.tick(PLAN.flush_ns // 2)) == [WriteChunk, SyncLog]
+    assert kinds(log.tick(PLAN.flush_ns)) == []
+
+
+def test_full_chunks_that_are_written_early_are_synced_in_time() -> None:
+    """A chunk that went out by size is at risk until it is synced."""
+    log = Log(Session(Plan("x", 1, SECOND, "1")))
+    log.receive(sample_of(gear(0)))
+    assert kinds(log.tick(SECOND // 2)) == [AskInfo, SyncLog]
+
+
+def test_a_gateways_answer_is_recorded_described_and_attached() -> None:
+    """The answer to the query that a new robot causes comes as a sample."""
+    log = Log()
+    log.receive(sample_of(gear(0)))
+    assert log.tick(0) == [AskInfo("fleet/cruiser-1/gateway/info")]
+    log.receive(sample_of(info()))
+    assert [one.name for one in log.done if isinstance(one, WriteAttachment)] == [
+        "cruiser-1/configuration.toml",
+        "cruiser-1/cruiser-coarse.dbc",
+    ]
+    assert log.session.ask_last() == []
+    assert "cruiser.GatewayInfo" in {schema for _, schema, _, _ in read(log.close())}
+
+
+def test_a_restarted_gateway_is_asked_again() -> None:
+    """Its sequence falls back; that is no loss, but it may be another version."""
+    log = Log()
+    log.receive(sample_of(gear(900)), sample_of(info()))
+    log.tick(0)
+    log.receive(sample_of(gear(0)))
+    assert log.tick(0) == [AskInfo("fleet/cruiser-1/gateway/info")]
+    assert log.session.counts[GEAR_KEY].missed == 0
+
+
+def test_missed_samples_are_counted_for_each_key() -> None:
+    """By the gaps in sequence, and told in the log's own metadata; answers to others' queries are no gaps."""
+    log = Log()
+    log.receive(*(sample_of(gear(number)) for number in (0, 1, 5)))
+    log.receive(sample_of(info(sequence=1)), sample_of(info(sequence=9)))
+    assert log.session.counts[GEAR_KEY] == KeyCount(messages=3, missed=3, dropped=0)
+    data = log.close()
+    metadata = {one.name: one.metadata for one in make_reader(BytesIO(data)).iter_metadata()}
+    assert json.loads(metadata["cruiser.received"][GEAR_KEY]) == {"messages": 3, "missed": 3, "dropped": 0}
+    assert log.session.counts["fleet/cruiser-1/gateway/info"].missed == 0
+
+
+def test_more_keys_than_channels_share_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """MCAP has 65,535 channels; samples beyond are kept with their key."""
+    monkeypatch.setattr(session_module, "CHANNEL_LIMIT", 2)
+    log = Log()
+    log.receive(*(FakeSample(f"k/{number}", "x", b"") for number in range(4)), sample_of(gear(0)))
+    records = read(log.close())
+    assert [topic for topic, _, _, _ in records] == ["k/0", "k/1", "@more", "@more", "@more"]
+    assert [content.key for _, _, _, content in records][2:] == ["k/2", "k/3", GEAR_KEY]
+
+
+def test_the_close_writes_what_is_in_hand_and_ends() -> None:
+    """Everything received is in the file; the closing is the last effect."""
+    log = Log()
+    log.receive(sample_of(gear(0)))
+    effects = list(log.session.close())
+    assert kinds(effects)[0] == WriteChunk
+    assert kinds(effects)[-1] == CloseLog
+
+
+def test_schemas_hold_for_every_subject() -> None:
+    """The encoding that a route expects is the subject's own."""
+    assert BY_TYPE[Gear].encoding == sample_of(gear(0)).encoding

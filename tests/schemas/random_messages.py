@@ -1,0 +1,56 @@
+"""Hypothesis strategies for every message, made from its own types and bounds."""
+
+from enum import Enum
+from typing import Any
+
+from hypothesis import strategies as st
+from msgspec import inspect
+
+from schemas.messages import Message
+from schemas.subjects import SUBJECTS, Subject
+
+INT64 = st.integers(-(2**63), 2**63 - 1)
+TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+
+
+def message_of(kind: type[Message]) -> st.SearchStrategy[Message]:
+    """Any message of this class."""
+    return _values(inspect.type_info(kind))
+
+
+@st.composite
+def subjects_and_messages(draw: st.DrawFn) -> tuple[Subject, Message]:
+    """Any subject and any message of it."""
+    subject = draw(st.sampled_from(SUBJECTS))
+    return subject, draw(message_of(subject.type))
+
+
+def _values(info: inspect.Type) -> st.SearchStrategy[Any]:
+    match info:
+        case inspect.Metadata():
+            values = _values(info.type)
+        case inspect.StructType():
+            values = st.builds(info.cls, **{field.name: _values(field.type) for field in info.fields})
+        case inspect.EnumType():
+            values = st.sampled_from(list[Enum](info.cls))
+        case inspect.IntType():
+            values = st.integers(info.ge, info.le) if info.ge is not None else INT64
+        case inspect.FloatType():
+            values = st.floats(min_value=info.ge, allow_nan=False, allow_infinity=False)
+        case inspect.ListType():
+            values = st.lists(_values(info.item_type), max_size=4)
+        case inspect.DictType():
+            values = st.dictionaries(_values(info.key_type), _values(info.value_type), max_size=4)
+        case inspect.UnionType():
+            values = st.one_of([_values(part) for part in info.types])
+        case _:
+            values = _SIMPLE[type(info)]
+    return values
+
+
+_SIMPLE: dict[type[inspect.Type], st.SearchStrategy[Any]] = {
+    inspect.BoolType: st.booleans(),
+    inspect.StrType: TEXTS,
+    inspect.BytesType: st.binary(max_size=64),
+    inspect.NoneType: st.none(),
+}

@@ -1,0 +1,212 @@
+import string
+import tomllib
+
+import msgspec
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from schemas.configuration import TomlSource, merge, to_toml
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.setting_table import SETTINGS
+from schemas.settings import CanSettings, RecorderSettings, RobotSettings, Settings, ZenohSettings
+
+TEXTS = st.text(st.characters(exclude_categories=["Cs"]))
+OPTIONS = st.dictionaries(
+    TEXTS, TEXTS | st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False) | st.booleans()
+)
+
+
+def merged(
+    text: str = "", environ: dict[str, str] | None = None, flags: dict[str, object] | None = None
+) -> Settings:
+    """The settings that these sources give."""
+    return merge(TomlSource("robot.toml", text), environ or {}, flags or {})
+
+
+def problem(text: str = "", environ: dict[str, str] | None = None, flags: dict[str, object] | None = None) -> str:
+    """The one line that a wrong configuration gives."""
+    with pytest.raises(CommandError) as caught:
+        merged(text, environ, flags)
+    assert caught.value.code is ExitCode.USAGE
+    message = str(caught.value)
+    assert message.isprintable()
+    return message
+
+
+def test_without_any_source_the_start_values_are_in_force() -> None:
+    """No file, no variable and no flag give the start values."""
+    assert merge(None, {}, {}) == Settings()
+
+
+def test_a_flag_wins_over_the_environment_and_that_over_the_file() -> None:
+    """The sources rise: file, environment, flags; each leaves alone what it does not name."""
+    text = '[can]\nchannel = "file"\nbus = "file"\ninterface = "file"\n'
+    settings = merged(text, {"CRUISER_CAN_BUS": "env", "CRUISER_CAN_INTERFACE": "env"}, {"can.interface": "flag"})
+    assert settings.can == CanSettings(interface="flag", channel="file", bus="env")
+
+
+def _complaint(text: str, environ: dict[str, str]) -> str:
+    try:
+        merged(text, environ)
+    except CommandError as error:
+        return str(error)
+    return "right"
+
+
+@pytest.mark.parametrize(
+    ("variable", "text", "key", "value"),
+    [
+        ("CRUISER_CAN_BITRATE", "500000", "can.bitrate", 500_000),
+        ("CRUISER_RECORDER_FLUSH_S", "0.25", "recorder.flush_s", 0.25),
+        ("CRUISER_RECORDER_FLUSH_S", "2", "recorder.flush_s", 2.0),
+        ("CRUISER_GATEWAY_LISTEN_ONLY", "No", "gateway.listen_only", False),
+        ("CRUISER_GATEWAY_LISTEN_ONLY", "1", "gateway.listen_only", True),
+        ("CRUISER_ZENOH_CONNECT", "tcp/a:1, tcp/b:2", "zenoh.connect", ["tcp/a:1", "tcp/b:2"]),
+        ("CRUISER_ZENOH_CONNECT", "", "zenoh.connect", []),
+        (
+            "CRUISER_CAN_OPTIONS",
+            "a=1, b=x=y, c=true, d=0.5",
+            "can.options",
+            {"a": 1, "b": "x=y", "c": True, "d": 0.5},
+        ),
+        ("CRUISER_CHASSIS_VARIANT", "fine", "chassis.variant", "fine"),
+    ],
+)
+def test_a_variable_is_read_in_the_type_of_its_setting(variable: str, text: str, key: str, value: object) -> None:
+    """The environment has texts only; each is read in the setting's type, and a flag's text likewise."""
+    for settings in (merged(environ={variable: text}), merged(flags={key: text})):
+        section, name = key.split(".")
+        assert getattr(getattr(settings, section), name) == value
+
+
+def test_a_repeated_flag_gives_a_list_or_a_table() -> None:
+    """A flag that may be repeated gives a list of texts, which fits a list and, as NAME=VALUE, a table."""
+    settings = merged(flags={"zenoh.connect": ["tcp/a:1", "tcp/b:2"], "can.options": ["a=1", "b=c"]})
+    assert settings.zenoh.connect == ["tcp/a:1", "tcp/b:2"]
+    assert settings.can.options == {"a": 1, "b": "c"}
+
+
+def test_other_variables_are_nobodys_business() -> None:
+    """Variables without the prefix, and the one that names the file, are no settings."""
+    assert merged(environ={"PATH": "/bin", "CRUISER_CONFIG": "x", "CRUISERS": "y"}) == Settings()
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("[can]\n\nbitrat = 1\n", ("robot.toml:3:", "can.bitrat'", "did you mean 'can.bitrate'")),
+        ("[cann]\nbitrate = 1\n", ("robot.toml:1:", "'cann'", "did you mean 'can'")),
+        ('[robot]\nchannel = "x"\n', ("robot.toml:2:", "'robot.channel'", "did you mean 'can.channel'")),
+        ('can."bit rate" = 1\n', ("robot.toml:1:", "'can.bit rate'", "did you mean 'can.bitrate'")),
+        ("can = { bus = 'a', bitrat = 1 }\n", ("robot.toml:1:", "did you mean 'can.bitrate'")),
+        (
+            '[can]\nbitrate = "fast"\n',
+            ("robot.toml:2:", "can.bitrate", "a whole number from 0 to 1000000", '"fast"'),
+        ),
+        ("[can]\nbitrate = true\n", ("robot.toml:2:", "can.bitrate", "a whole number")),
+        ("[can]\nbitrate = 2000000\n", ("robot.toml:2:", "can.bitrate", "from 0 to 1000000", "2000000")),
+        ("[recorder]\nflush_s = nan\n", ("robot.toml:2:", "recorder.flush_s", "from 0.05 to 10", "nan")),
+        (
+            '[chassis]\nvariant = "corse"\n',
+            ("robot.toml:2:", "one of auto, coarse, fine", "did you mean 'coarse'"),
+        ),
+        ('[robot]\nname = "A B"\n', ("robot.toml:2:", "robot.name", "[a-z0-9-]+", '"A B"')),
+        ('[robot]\nname = "a\\n"\n', ("robot.toml:2:", "robot.name", "[a-z0-9-]+")),
+        ("[robot]\nname = 2020-01-01\n", ("robot.toml:2:", "robot.name", "a date")),
+        ('[can]\nchannel = ""\n', ("robot.toml:2:", "can.channel", "not empty")),
+        ('[recorder]\ndirectory = "a\\u0000"\n', ("robot.toml:2:", "recorder.directory", "NUL")),
+        ("[zenoh]\nconnect = [\n1,\n]\n", ("robot.toml:2:", "zenoh.connect", "a list of texts")),
+        ("[can.options]\nx = [1]\n", ("robot.toml:1:", "can.options", "a table of texts")),
+        ("can = 3\n", ("robot.toml:1:", "can is a table")),
+        ("[[can]]\nbus = 'a'\n", ("robot.toml:1:", "can is a table")),
+        ("[can]\nbus = \n", ("robot.toml:2:", "not TOML")),
+        ("[can]\nbus = [1,\n", ("robot.toml:2:", "not TOML", "end of the file")),
+        (f"x = {'9' * 5000}\n", ("robot.toml:", "not TOML")),
+        (f"x = {'[' * 5000}\n", ("robot.toml:", "not TOML")),
+    ],
+)
+def test_a_wrong_file_names_the_line_the_key_and_the_cure(text: str, parts: tuple[str, ...]) -> None:
+    """What is wrong in a file is one line: file and line, key, and the nearest right key or the bounds."""
+    message = problem(text)
+    for part in parts:
+        assert part in message
+
+
+@pytest.mark.parametrize(
+    ("environ", "parts"),
+    [
+        ({"CRUISER_CAN_CHANEL": "x"}, ("CRUISER_CAN_CHANEL", "did you mean 'CRUISER_CAN_CHANNEL'")),
+        ({"CRUISER_CONFG": "x"}, ("CRUISER_CONFG", "did you mean 'CRUISER_CONFIG'")),
+        ({"CRUISER_CAN_BITRATE": "fast"}, ("CRUISER_CAN_BITRATE", "can.bitrate", "from 0 to 1000000")),
+        ({"CRUISER_CAN_BITRATE": "9" * 5000}, ("CRUISER_CAN_BITRATE", "from 0 to 1000000", "...")),
+        ({"CRUISER_GATEWAY_LISTEN_ONLY": "maybe"}, ("CRUISER_GATEWAY_LISTEN_ONLY", "true or false")),
+        ({"CRUISER_CAN_OPTIONS": "a"}, ("CRUISER_CAN_OPTIONS", "a table")),
+        ({"CRUISER_RECORDER_DIRECTORY": "\udcff"}, ("CRUISER_RECORDER_DIRECTORY", "UTF-8")),
+    ],
+)
+def test_a_wrong_variable_is_named_with_its_cure(environ: dict[str, str], parts: tuple[str, ...]) -> None:
+    """A variable with our prefix that is no setting, or holds a wrong value, is an error that names it."""
+    message = problem(environ=environ)
+    for part in ("environment", *parts):
+        assert part in message
+
+
+def test_a_wrong_flag_is_named_with_its_cure() -> None:
+    """A flag's unknown key and its wrong value are errors too."""
+    assert "did you mean 'can.bitrate'" in problem(flags={"can.bitrat": 1})
+    assert "flag can.bitrate" in problem(flags={"can.bitrate": -1})
+
+
+def test_a_wrong_value_is_an_error_even_where_a_later_source_overrides_it() -> None:
+    """A file that is wrong stays wrong, so that it does not surprise on the day the flag is left out."""
+    assert "robot.toml:2" in problem("[can]\nbitrate = -1\n", flags={"can.bitrate": 5})
+
+
+@given(text=st.text() | st.text("abcnrobus.=[]{}'\"\\\n #1,"))
+@example("[can]\nbus = '\x1b[31m'\n")
+@example('"\\u001b[31m" = 1\n')
+def test_no_file_does_more_than_fail_with_one_line(text: str) -> None:
+    """Any text is either a configuration or one printable line."""
+    message = _complaint(text, {})
+    assert message.isprintable()
+    assert message.startswith(("robot.toml", "right"))
+
+
+@given(
+    variable=st.sampled_from([setting.variable for setting in SETTINGS.values()])
+    | st.text(string.ascii_uppercase + "_").map("CRUISER_{}".format),
+    text=st.text(st.characters()),
+)
+def test_no_environment_does_more_than_fail_with_one_line(variable: str, text: str) -> None:
+    """Any environment is either a configuration or one printable line that names the variable."""
+    message = _complaint("", {variable: text})
+    assert message.isprintable()
+    assert variable in message or message == "right"
+
+
+@given(
+    root=st.from_regex(r"[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*", fullmatch=True),
+    channel=TEXTS.filter(lambda text: bool(text) and "\0" not in text),
+    flush_s=st.floats(0.05, 10),
+    connect=st.lists(TEXTS),
+    options=OPTIONS,
+)
+def test_settings_as_toml_read_back_equal(
+    root: str, channel: str, flush_s: float, connect: list[str], options: dict[str, str | int | float | bool]
+) -> None:
+    """The settings in force, written as TOML, are the same settings again."""
+    settings = Settings(
+        robot=RobotSettings(root=root),
+        can=CanSettings(channel=channel, options=options),
+        zenoh=ZenohSettings(connect=connect),
+        recorder=RecorderSettings(flush_s=flush_s),
+    )
+    assert msgspec.convert(tomllib.loads(to_toml(settings)), Settings) == settings
+
+
+def test_written_settings_name_every_setting() -> None:
+    """A person who looks at a robot's settings sees all of them, also those at their start value."""
+    document = tomllib.loads(to_toml(Settings()))
+    keys = [f"{section}.{name}" for section, table in document.items() for name in table]
+    assert keys == list(SETTINGS)

@@ -1,0 +1,144 @@
+"""The DBC files: right for cantools, and plain enough for SavvyCAN, which reads them line by line."""
+
+import re
+from importlib import resources
+from itertools import pairwise
+
+import cantools
+import pytest
+from cantools.database.can import Database, Message
+
+FILES = ("cruiser-coarse.dbc", "cruiser-fine.dbc")
+UNITS = {None, "", "m/s", "deg", "km", "%", "count"}
+STATEMENTS = r"VERSION|NS_|BS_|BU_|BO_| SG_|CM_|BA_DEF_|BA_DEF_DEF_|BA_|VAL_"
+
+
+def text_of(file: str) -> str:
+    """The text of a DBC."""
+    return resources.files("schemas").joinpath(file).read_text(encoding="ascii")
+
+
+def load(file: str) -> Database:
+    """A DBC, read by cantools with every check that it has."""
+    database = cantools.database.load_string(text_of(file), database_format="dbc", strict=True)
+    assert isinstance(database, Database)
+    return database
+
+
+FRAMES = [(file, message) for file in FILES for message in load(file).messages]
+FRAME_IDS = [f"{file}-{message.name}" for file, message in FRAMES]
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_every_statement_is_one_line(file: str) -> None:
+    """SavvyCAN reads line by line: each line is a whole statement, plain ASCII, quotes closed, no tabs."""
+    for line in text_of(file).splitlines():
+        assert line == "" or re.match(rf"({STATEMENTS})(\W|$)", line), line
+        assert line.count('"') % 2 == 0, line
+        assert line.isprintable(), line
+        assert not line.startswith(("CM_", "BA_", "VAL_")) or line.endswith(";"), line
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_every_signal_line_is_of_the_one_form_that_all_readers_know(file: str) -> None:
+    """Intel byte order, numbers without exponents, a range, a unit in quotes, a declared node as receiver."""
+    text = text_of(file)
+    nodes = re.findall(r"^BU_: (.*)$", text, re.MULTILINE)[0].split()
+    number = r"-?\d+(\.\d+)?"
+    form = re.compile(
+        rf' SG_ [A-Za-z]\w{{0,31}} : \d+\|\d+@1[+-] \({number},{number}\) \[{number}\|{number}\] "[^"]*" (\w+)'
+    )
+    lines = [line for line in text.splitlines() if line.lstrip().startswith("SG_")]
+    assert lines
+    for line in lines:
+        match = form.fullmatch(line)
+        assert match, line
+        assert match[match.lastindex or 0] in nodes, line
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_what_is_said_of_a_signal_is_said_of_one_that_exists(file: str) -> None:
+    """Comments, attributes and value tables name frames and signals of the same file."""
+    text = text_of(file)
+    known: set[tuple[str, str]] = set()
+    identifier = ""
+    for line in text.splitlines():
+        if match := re.match(r"BO_ (\d+) ", line):
+            identifier = match[1]
+        elif match := re.match(r" SG_ (\w+) ", line):
+            known.add((identifier, match[1]))
+    named = re.findall(r"^(?:CM_ SG_|VAL_|BA_ \"\w+\" SG_) (\d+) (\w+) ", text, re.MULTILINE)
+    assert named
+    assert set(named) <= known
+    assert set(re.findall(r"^(?:CM_ BO_|BA_ \"\w+\" BO_) (\d+) ", text, re.MULTILINE)) == {key for key, _ in known}
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_no_two_frames_share_a_name_or_an_identifier(file: str) -> None:
+    """Names and identifiers each say which frame it is."""
+    frames = load(file).messages
+    assert len({frame.name for frame in frames}) == len({frame.frame_id for frame in frames}) == len(frames) == 18
+
+
+@pytest.mark.parametrize(("file", "frame"), FRAMES, ids=FRAME_IDS)
+def test_every_frame_is_described(file: str, frame: Message) -> None:
+    """A frame has a cycle time, a sender that is a declared node, and a comment; it is extended with 8 bytes."""
+    nodes = {node.name for node in load(file).nodes}
+    assert frame.cycle_time in {10, 20, 50}
+    assert len(frame.senders) == 1
+    assert set(frame.senders) <= nodes
+    assert frame.comment
+    assert frame.is_extended_frame
+    assert frame.length == 8
+
+
+@pytest.mark.parametrize(("file", "frame"), FRAMES, ids=FRAME_IDS)
+def test_every_signal_is_described(file: str, frame: Message) -> None:
+    """A signal has a name of its own in the frame, a known unit or none, a range, a comment and a receiver."""
+    nodes = {node.name for node in load(file).nodes}
+    assert len({signal.name.lower() for signal in frame.signals}) == len(frame.signals)
+    for signal in frame.signals:
+        assert signal.unit in UNITS, signal.name
+        assert signal.minimum is not None, signal.name
+        assert signal.maximum is not None, signal.name
+        assert signal.minimum < signal.maximum, signal.name
+        assert signal.comment, signal.name
+        assert signal.receivers, signal.name
+        assert set(signal.receivers) <= nodes - set(frame.senders), signal.name
+
+
+@pytest.mark.parametrize(("file", "frame"), FRAMES, ids=FRAME_IDS)
+def test_no_two_signals_share_a_bit(file: str, frame: Message) -> None:
+    """Signals lie one after the other in the 64 bits, and a start value and every named value fit into theirs."""
+    del file
+    spans = sorted((signal.start, signal.start + signal.length) for signal in frame.signals)
+    assert all(end <= start for (_, end), (start, _) in pairwise(spans))
+    assert spans[-1] == (56, 64)
+    for signal in frame.signals:
+        assert all(0 <= raw < 1 << signal.length for raw in signal.choices or {})
+        assert 0 <= int(signal.raw_initial or 0) < 1 << signal.length
+
+
+def test_the_variants_differ_in_scales_alone() -> None:
+    """Both files have the same frames, signals, value tables and cycle times; only speeds are scaled otherwise."""
+    coarse, fine = (
+        {
+            (frame.name, signal.name): (
+                frame.frame_id,
+                frame.cycle_time,
+                signal.unit,
+                signal.choices,
+                signal.scale,
+            )
+            for frame in load(file).messages
+            for signal in frame.signals
+        }
+        for file in FILES
+    )
+    assert coarse.keys() == fine.keys()
+    assert {key for key in coarse if coarse[key] != fine[key]} == {
+        ("Auto_DriveCmd", "TargetVelocity"),
+        ("Auto_DriveFeedBack", "Speed"),
+        ("Auto_WheelSpdFeedback", "RearLeftSpeed"),
+        ("Auto_WheelSpdFeedback", "RearRightSpeed"),
+    }

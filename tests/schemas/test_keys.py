@@ -1,0 +1,64 @@
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from schemas import keys
+from schemas.subjects import BY_NAME, SUBJECTS, Subject
+
+ROOTS = st.from_regex(keys.ROOT_PATTERN, fullmatch=True)
+ROBOTS = st.from_regex(keys.ROBOT_PATTERN, fullmatch=True)
+BUSES = st.from_regex(keys.BUS_PATTERN, fullmatch=True)
+
+
+@given(root=ROOTS, robot=ROBOTS, subject=st.sampled_from(SUBJECTS), bus=BUSES)
+@example(root="fleet/chassis", robot="gear", subject=BY_NAME["chassis/gear"], bus="can0")
+@example(root="can/rx", robot="state", subject=BY_NAME["can/{bus}/rx"], bus="state")
+def test_parsing_undoes_building(root: str, robot: str, subject: Subject, bus: str) -> None:
+    """A key that was built says what it was built from, whatever the names are."""
+    own_bus = bus if "{bus}" in subject.name else ""
+    key = keys.build(root, robot, subject, own_bus)
+    assert keys.parse(key) == keys.KeyParts(root, robot, subject, own_bus)
+
+
+@given(key=st.text() | st.text("abc0-_./*$#?{}@ \n"))
+@example(key="fleet/cruiser-1/state\n")
+def test_no_text_makes_parsing_raise(key: str) -> None:
+    """Any text is a key of ours or it is not; if it is, building gives it back."""
+    parts = keys.parse(key)
+    assert parts is None or keys.build(parts.root, parts.robot, parts.subject, parts.bus) == key
+
+
+@given(root=ROOTS, robot=ROBOTS)
+def test_a_liveliness_key_names_its_robot(root: str, robot: str) -> None:
+    """The robot can be read from the liveliness key under its root, and from no other root's."""
+    key = keys.liveliness(root, robot)
+    assert keys.robot_of_liveliness(root, key) == robot
+    assert keys.robot_of_liveliness(f"{root}x", key) is None
+    assert keys.parse(key) is None
+
+
+@given(root=st.text(), key=st.text())
+def test_no_text_makes_reading_a_liveliness_key_raise(root: str, key: str) -> None:
+    """Any text under any root is a liveliness key or it is not."""
+    robot = keys.robot_of_liveliness(root, key)
+    assert robot is None or keys.liveliness(root, robot) == key
+
+
+@pytest.mark.parametrize(
+    ("root", "robot", "name", "bus"),
+    [
+        ("", "cruiser-1", "state", ""),
+        ("/fleet", "cruiser-1", "state", ""),
+        ("fleet/*", "cruiser-1", "state", ""),
+        ("fleet", "Cruiser", "state", ""),
+        ("fleet", "a/b", "state", ""),
+        ("fleet", "cruiser-1\n", "state", ""),
+        ("fleet", "cruiser-1", "state", "can0"),
+        ("fleet", "cruiser-1", "can/{bus}/rx", ""),
+        ("fleet", "cruiser-1", "can/{bus}/rx", "can/0"),
+    ],
+)
+def test_a_part_that_does_not_fit_is_not_built_into_a_key(root: str, robot: str, name: str, bus: str) -> None:
+    """Wildcards, empty chunks and buses where none belong never reach a key."""
+    with pytest.raises(ValueError, match=r"form|fit"):
+        keys.build(root, robot, BY_NAME[name], bus)
