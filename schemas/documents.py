@@ -28,6 +28,9 @@ _UNBOUNDED: Final = 2**63 - 1
 _DETAILS: Final = re.compile(r" (from )?[\d.-]+$| (from )?[\d.-]+(?= or)| or null")
 """What a type's words hold besides the type."""
 
+FIELDS_LISTED: Final = 7
+"""A message with more fields than this has them in docs/messages.md alone."""
+
 _DBC_FILES: Final = ("cruiser-coarse.dbc", "cruiser-fine.dbc")
 
 _COMMON_FIELDS: Final = tuple(field.name for field in msgspec.structs.fields(Message))
@@ -178,12 +181,14 @@ def _field_table(properties: dict[str, Any], comments: dict[str, str]) -> str:
 
 
 def _field_list(subject: Subject) -> str:
-    """The fields in one line: each with its unit, else with its type in a word."""
+    """The fields in one line: each with its unit, else with its type in a word; many fields are only counted."""
     properties = json_schema.schema(subject)["properties"]
+    fields = {name: part for name, part in properties.items() if name not in _COMMON_FIELDS}
+    if len(fields) > FIELDS_LISTED:
+        return f"{len(fields)} fields, in [docs/messages.md](docs/messages.md)"
     return ", ".join(
         f"`{name}` {part.get(UNIT_KEYWORD) or re.sub(_DETAILS, '', _type_words(part))}"
-        for name, part in properties.items()
-        if name not in _COMMON_FIELDS
+        for name, part in fields.items()
     )
 
 

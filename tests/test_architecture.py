@@ -23,12 +23,27 @@ IO_MODULES = {
     "time",
 }
 
+PURE_SIM = ("disturbances", "faults", "feedback", "model", "motion", "parameters", "socketcand_protocol")
+PURE_RECORDER = (
+    "chunk",
+    "effects",
+    "mcap_file",
+    "protobuf_schema",
+    "robots",
+    "routes",
+    "sample",
+    "session",
+    "tally",
+    "transcode",
+)
+
 PURE = [
     *sorted((ROOT / "gateway" / "chassis").glob("*.py")),
     *sorted((ROOT / "gateway" / "telemetry").glob("*.py")),
     ROOT / "gateway" / "core.py",
-    ROOT / "gateway" / "sim" / "model.py",
-    ROOT / "recorder" / "session.py",
+    *(ROOT / "gateway" / "sim" / f"{name}.py" for name in PURE_SIM),
+    *(ROOT / "gateway" / "remote" / f"{name}.py" for name in ("fleet", "heard", "view")),
+    *(ROOT / "recorder" / f"{name}.py" for name in PURE_RECORDER),
     *(
         path
         for path in sorted((ROOT / "schemas").glob("*.py"))

@@ -105,8 +105,7 @@ def _record(seconds: float, out: Path, robot: RobotSettings, stopped: Callable[[
     """Run chassis, gateway and recorder for this long. Returns what the recorder says of its log."""
     endpoint = f"tcp/127.0.0.1:{_free_port()}"
     with ExitStack() as stack:
-        faults = [word for share, fault in HAND_DRIVE for word in ("--fault", f"{share * seconds:.2f}s {fault}")]
-        chassis = stack.enter_context(Child("sim", ["--listen", "127.0.0.1:0", *faults]))
+        chassis = stack.enter_context(Child("sim", ["--listen", "127.0.0.1:0"]))
         ready = re.search(r" on (127\.0\.0\.1:\d+)", chassis.wait_ready())
         if ready is None:
             raise CommandError("the virtual chassis does not say where it is")
@@ -122,7 +121,7 @@ def _record(seconds: float, out: Path, robot: RobotSettings, stopped: Callable[[
             )
         )
         recorder.wait_ready()
-        _wait(seconds, [chassis, gateway, recorder], stopped)
+        _drive(seconds, chassis, [chassis, gateway, recorder], stopped)
         # The recorder ends first: what it has not heard by then was not meant for the log.
         result: dict[str, Any] = json.loads(recorder.end())
         gateway.end()
@@ -130,13 +129,17 @@ def _record(seconds: float, out: Path, robot: RobotSettings, stopped: Callable[[
     return result
 
 
-def _wait(seconds: float, children: Sequence[Child], stopped: Callable[[], bool]) -> None:
+def _drive(seconds: float, chassis: Child, children: Sequence[Child], stopped: Callable[[], bool]) -> None:
+    """Let the time pass, with a progress bar, while the chassis is driven by hand."""
+    to_come = deque(HAND_DRIVE)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     begin_s = time.monotonic()
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("chassis, gateway, recorder", total=seconds)
         while (elapsed_s := time.monotonic() - begin_s) < seconds and not stopped():
             progress.update(task, completed=elapsed_s)
+            while to_come and elapsed_s >= to_come[0][0] * seconds:
+                chassis.type(to_come.popleft()[1])
             for child in children:
                 child.check()
             time.sleep(0.1)
@@ -165,7 +168,7 @@ class Child:
         self._name = name
         command = [sys.executable, "-m", "gateway", name, *words]
         self._process = subprocess.Popen(  # noqa: S603 - our own command
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
         self._said: deque[str] = deque(maxlen=LINES_KEPT)
         self._spoke = threading.Event()
@@ -182,7 +185,7 @@ class Child:
             self._process.kill()
         self._process.wait()
         self._thread.join()
-        for stream in (self._process.stdout, self._process.stderr):
+        for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
             if stream is not None:
                 stream.close()
 
@@ -210,6 +213,12 @@ class Child:
         last = self._said[-1] if self._said else f"{self._name} ended with {code}"
         known = {exit_code.value for exit_code in ExitCode} - {ExitCode.OK.value}
         raise CommandError(last, ExitCode(code) if code in known else ExitCode.FAILURE)
+
+    def type(self, line: str) -> None:
+        """Type a line into it."""
+        if self._process.stdin is not None:
+            self._process.stdin.write(f"{line}\n")
+            self._process.stdin.flush()
 
     def end(self) -> str:
         """Ask it to stop. Returns its stdout.

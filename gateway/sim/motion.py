@@ -25,9 +25,9 @@ from gateway.sim.parameters import (
     TOP_SPEED_MPS,
     TRACK_M,
     TYRE_DIAMETER_M,
-    WHEELBASE_M,
 )
 from schemas.messages import GearPosition
+from schemas.settings import WHEELBASE_M
 
 _PULSES_PER_M = PULSES_PER_TURN / (math.pi * TYRE_DIAMETER_M)
 _DIRECTION = {GearPosition.DRIVE: 1.0, GearPosition.REVERSE: -1.0}

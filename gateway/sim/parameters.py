@@ -1,16 +1,13 @@
 """The figures of the virtual chassis, each with its unit: the one file for them.
 
 What the manual states is cited. What it leaves open is marked *chosen*: plausible for 116 kg on four wheels, and
-nothing outside the simulation may rest on it.
+nothing outside the simulation may rest on it. The wheelbase, which the gateway needs too, is in
+``schemas.settings``.
 """
 
 from __future__ import annotations
 
 from typing import Final
-
-from schemas.settings import WHEELBASE_M
-
-__all__ = ["WHEELBASE_M"]
 
 TOP_SPEED_MPS: Final = 8 / 3.6
 """8 km/h (manual V2.0, 2.2). The chassis holds itself to it, whatever the frame asks for."""

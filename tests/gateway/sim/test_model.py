@@ -1,6 +1,8 @@
 """How the chassis behaves: the protocol notes, sentence by sentence."""
 
+import json
 from collections import Counter
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -14,6 +16,7 @@ from schemas.messages import BrakingStatus, GearPosition, Mode, ParkingStatus, V
 from tests.gateway.chassis.strategies import frames as any_frames
 from tests.gateway.sim.rig import ENABLES, MS, Rig, S
 
+EXAMPLES = Path(__file__).parents[1] / "chassis" / "manual_examples.json"
 VARIANTS = pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
 
 
@@ -117,6 +120,27 @@ def test_it_reports_what_it_does(variant: Variant) -> None:
     pulses = rig.seen["Auto_WheelPulseFeedback"]["RearLeftPulses"]
     assert isinstance(pulses, int)
     assert pulses < -1000
+
+
+@pytest.mark.parametrize("example", ["gear D", "steering +24 deg", "parking apply"])
+def test_it_answers_the_manuals_examples_as_the_manual_does(example: str) -> None:
+    """The printed commands get the printed feedback; the counter, which the manual leaves at 0, aside."""
+    rows = json.loads(EXAMPLES.read_text(encoding="utf-8"))
+    frames = {
+        role: [
+            Frame(int(row["id"], 16) | EXTENDED, bytes.fromhex(row["data"]))
+            for row in rows
+            if row["example"] == example and (row["role"] == "feedback") == (role == "feedback")
+        ]
+        for role in ("command", "feedback")
+    }
+    rig = Rig()
+    for frame in frames["command"]:
+        rig.chassis.receive(frame, 0)
+    sent = {frame.can_id: frame.data for frame in rig.run(1)}
+    assert frames["feedback"]
+    for frame in frames["feedback"]:
+        assert sent[frame.can_id][:6] == frame.data[:6]
 
 
 def test_it_keeps_obeying_when_commands_cease() -> None:
