@@ -27,7 +27,6 @@ PURE_SIM = ("disturbances", "faults", "feedback", "model", "motion", "parameters
 PURE_RECORDER = (
     "chunk",
     "effects",
-    "mcap_file",
     "protobuf_schema",
     "robots",
     "routes",

@@ -37,8 +37,8 @@ MAX_QUEUED_BYTES: Final = 1 << 20
 MAX_REPLY_BYTES: Final = 64 * 1024
 """A client that asks for more answers than this without reading them is cut off."""
 
-HOLD_NS: Final = 100_000_000
-"""How long frames are held back after a client has joined.
+JOIN_NS: Final = 100_000_000
+"""How long after its handshake a client is on the bus; frames before that are not for it.
 
 python-can's handshake reads up to 256 bytes once and wants them to be exactly ``< ok >``: a frame in the same
 segment would fail it. The kernel gives no sign that an answer has been read, so a pause has to do.
@@ -121,8 +121,7 @@ class _Client:
         self.name = name
         self.protocol = ServerConnection()
         self.outbox = _Outbox()
-        self.joined = False
-        self.hold_until_ns = 0
+        self.joins_ns: int | None = None
         self.watched = selectors.EVENT_READ
 
 
@@ -171,11 +170,8 @@ class SocketcandServer:
                 continue
             if events & selectors.EVENT_READ:
                 frames += self._read_client(client, now_ns, wall_ns, inject)
-            self._flush(client, now_ns)
+            self._flush(client)
         self._ready = []
-        for client in list(self._clients.values()):
-            if client.outbox and client.joined and client.watched == selectors.EVENT_READ:
-                self._flush(client, now_ns)
         return frames
 
     def send(self, frames: Iterable[Frame], now_ns: int) -> None:
@@ -206,7 +202,7 @@ class SocketcandServer:
         self._selector.register(connection, selectors.EVENT_READ, client)
         _logger.info("%s connected", client.name)
         client.outbox.put_reply(HI)
-        self._flush(client, 0)
+        self._flush(client)
 
     def _read_client(self, client: _Client, now_ns: int, wall_ns: int, inject: Inject) -> list[Frame]:
         try:
@@ -227,9 +223,7 @@ class SocketcandServer:
                 case Reply(reply):
                     client.outbox.put_reply(reply)
                 case Joined():
-                    self._flush(client, now_ns)  # Its answer must not wait with the frames.
-                    client.joined = True
-                    client.hold_until_ns = now_ns + HOLD_NS
+                    client.joins_ns = now_ns + JOIN_NS
                 case FaultAsked(text):
                     reason = inject(text)
                     client.outbox.put_reply(error_line(reason) if reason else OK)
@@ -237,7 +231,11 @@ class SocketcandServer:
         return frames
 
     def _broadcast(self, frames: Iterable[Frame], now_ns: int, source: _Client | None) -> None:
-        receivers = [client for client in self._clients.values() if client.joined and client is not source]
+        receivers = [
+            client
+            for client in self._clients.values()
+            if client is not source and client.joins_ns is not None and now_ns >= client.joins_ns
+        ]
         lines = [line for line in map(frame_line, frames) if line is not None] if receivers else []
         if not lines:
             return
@@ -247,11 +245,11 @@ class SocketcandServer:
                 _logger.warning(
                     "%s reads too slowly: %d frames dropped so far", client.name, client.outbox.dropped
                 )
-            self._flush(client, now_ns)
+            self._flush(client)
 
-    def _flush(self, client: _Client, now_ns: int) -> None:
+    def _flush(self, client: _Client) -> None:
         """Sends what can be sent, and watches for room if some is left."""
-        if client.connection not in self._clients or now_ns < client.hold_until_ns:
+        if client.connection not in self._clients:
             return
         try:
             client.outbox.send(client.connection)

@@ -10,7 +10,7 @@ import pytest
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import EXTENDED, Frame
 from gateway.chassis.layout import load
-from gateway.sim.socketcand import HOLD_NS, MAX_CLIENTS, MAX_QUEUED_BYTES, SocketcandServer, _Outbox
+from gateway.sim.socketcand import JOIN_NS, MAX_CLIENTS, MAX_QUEUED_BYTES, SocketcandServer, _Outbox
 from schemas.messages import Mode, Variant
 from tests.gateway.sim.served import DEADLINE_S, Served, receive, served, wait_until
 
@@ -47,7 +47,7 @@ def turn(server: SocketcandServer, now_ns: int = 0, wall_ns: int = 0) -> list[Fr
 def turn_quickly(server: SocketcandServer) -> None:
     """One turn that waits for nobody."""
     server.wait(0)
-    server.read(HOLD_NS, 0, no_faults)
+    server.read(JOIN_NS, 0, no_faults)
 
 
 def join(server: SocketcandServer, now_ns: int = 0) -> socket.socket:
@@ -92,6 +92,8 @@ def test_python_can_drives_it(running: Served) -> None:
 def test_each_client_sees_the_others_and_not_itself(running: Served) -> None:
     """As on a wire: standard and extended identifiers, any length."""
     with running.bus() as first, running.bus() as second, running.bus() as third:
+        for bus in (first, second, third):
+            assert receive(bus, lambda message: message.arbitration_id == 0x18C4D1EF)  # It is on the bus now.
         first.send(can.Message(arbitration_id=0x123, is_extended_id=False, data=b"\x01\x02\x03"))
         second.send(can.Message(arbitration_id=0x1ABCDEF0, data=b""))
         # Which of two clients is heard first is open.
@@ -117,18 +119,17 @@ def test_a_fault_can_be_caused_over_the_connection(running: Served) -> None:
         assert receive(bus, lambda message: message.arbitration_id == 0x18C4D9EF).data[4] & 1
 
 
-def test_frames_wait_until_the_handshake_is_read(server: SocketcandServer) -> None:
-    """No frame may stick to the ok that python-can's handshake compares; after the pause all of them come."""
+def test_a_client_is_on_the_bus_after_its_handshake(server: SocketcandServer) -> None:
+    """No frame may stick to the ok that python-can's handshake compares, and none comes later in a burst."""
     client = join(server, now_ns=1000)
     server.send([FRAME], 1001)
-    server.send([FRAME], 1000 + HOLD_NS - 1)
+    server.send([FRAME], 1000 + JOIN_NS - 1)
     client.settimeout(0)
     with pytest.raises(BlockingIOError):
         client.recv(1)
+    server.send([FRAME], 1000 + JOIN_NS)
     client.settimeout(DEADLINE_S)
-    server.wait(0)
-    assert server.read(1000 + HOLD_NS, 0, no_faults) == []
-    assert client.recv(300) == 2 * LINE
+    assert client.recv(300) == LINE
     client.close()
 
 
@@ -136,7 +137,7 @@ def test_frames_of_clients_are_stamped_on_arrival(server: SocketcandServer) -> N
     """The time is the server's, as a CAN controller's would be."""
     client = join(server)
     client.sendall(b"< send 123 1 ff >")
-    assert turn(server, HOLD_NS, 77) == [Frame(0x123, b"\xff", 77)]
+    assert turn(server, JOIN_NS, 77) == [Frame(0x123, b"\xff", 77)]
     client.close()
 
 
@@ -163,7 +164,7 @@ def test_a_slow_client_costs_the_others_nothing(server: SocketcandServer) -> Non
     current = Reader(quick)
     sent = 0
     while not any(outbox.dropped for outbox in outboxes):
-        server.send([Frame(0x123, sent.to_bytes(4, "big"), sent) for _ in range(1000)], HOLD_NS)
+        server.send([Frame(0x123, sent.to_bytes(4, "big"), sent) for _ in range(1000)], JOIN_NS)
         sent += 1000
         while len(current.lines) < sent:
             turn_quickly(server)
@@ -198,7 +199,7 @@ def test_a_client_that_reads_no_answers_is_cut_off(server: SocketcandServer) -> 
         except (ConnectionResetError, BrokenPipeError):
             break
         server.wait(0)
-        server.read(HOLD_NS, 0, no_faults)
+        server.read(JOIN_NS, 0, no_faults)
         if not server.clients:
             break
     assert server.clients == 0
