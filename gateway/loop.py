@@ -122,11 +122,16 @@ def _observe(bus: FrameSource, sink: SampleSink, before: Links) -> Links:
         log.info("the bus is up")
     elif before.bus_up and (not bus.is_up or bus.losses != before.bus_losses):
         log.warning("the bus is lost: %s; trying again", bus.detail)
+    peers = sink.peers()
+    if before.zenoh_peers and not peers:
+        log.warning("no Zenoh node is connected any more")
+    elif peers and not before.zenoh_peers:
+        log.info("a Zenoh node is connected")
     return Links(
         bus_up=bus.is_up,
         bus_detail=bus.detail,
         bus_losses=bus.losses,
-        zenoh_peers=sink.peers(),
+        zenoh_peers=peers,
         publish_failures=sink.failures,
         cpu_ns=time.process_time_ns(),
     )

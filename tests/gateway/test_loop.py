@@ -40,12 +40,13 @@ class FakeZenoh:
         self.failures = 0
         self.samples: list[Sample] = []
         self.answered = 0
+        self.connected = 3
 
     def publish(self, sample: Sample) -> None:
         self.samples.append(sample)
 
     def peers(self) -> int:
-        return 3
+        return self.connected
 
     def answer(self, reply: Callable[[], bytes]) -> None:
         if reply() == b"info":
@@ -89,6 +90,18 @@ def test_a_lost_bus_ends_nothing(caplog: pytest.LogCaptureFixture) -> None:
     assert [state.bus_up for state in states[:2]] == [True, True]
     assert states[-1].bus_up is False
     assert [record.getMessage() for record in caplog.records] == ["the bus is lost: Network is down; trying again"]
+
+
+def test_a_lost_zenoh_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+    """When the last node goes the log says so, once; the ticks go on."""
+    zenoh = FakeZenoh()
+
+    def stopped() -> bool:
+        zenoh.connected = 0 if zenoh.samples else 1
+        return len(zenoh.of("state")) >= 4
+
+    run(FakeBus([]), zenoh, core(), lambda: b"", stopped)
+    assert [record.getMessage() for record in caplog.records] == ["no Zenoh node is connected any more"]
 
 
 def test_the_garbage_collector_is_given_back() -> None:
