@@ -106,14 +106,16 @@ def receive_burst(bus: FrameSource, core: Core, timeout_s: float) -> list[Sample
 
     Published one right after the other, samples share Zenoh's batches and wake its sending thread once.
     """
+    receive, receive_frame, monotonic_ns = bus.receive, core.receive_frame, time.monotonic_ns
     samples: list[Sample] = []
-    for number in range(BURST_MAX_FRAMES):
-        frame = bus.receive(0 if number else timeout_s)
+    for _ in range(BURST_MAX_FRAMES):
+        frame = receive(timeout_s)
         if frame is None:
             break
-        sample = core.receive_frame(frame, time.monotonic_ns())
+        sample = receive_frame(frame, monotonic_ns())
         if sample is not None:
             samples.append(sample)
+        timeout_s = 0
     return samples
 
 

@@ -101,7 +101,7 @@ class Variant(Enum):
     FINE = "fine"
 
 
-class Message(msgspec.Struct, frozen=True):
+class Message(msgspec.Struct, frozen=True, gc=False):
     """What every message begins with.
 
     Attributes:
@@ -114,48 +114,48 @@ class Message(msgspec.Struct, frozen=True):
     sequence: Sequence
 
 
-class Feedback(Message, frozen=True):
+class Feedback(Message, frozen=True, gc=False):
     """A decoded feedback frame of the chassis."""
 
     alive_counter: AliveCounter
 
 
-class Gear(Feedback, frozen=True):
+class Gear(Feedback, frozen=True, gc=False):
     """Auto_GearFeedBack."""
 
     active: bool
     gear_position: GearPosition
 
 
-class Steering(Feedback, frozen=True):
+class Steering(Feedback, frozen=True, gc=False):
     """Auto_SteeringFeedBack."""
 
     active: bool
     angle_deg: AngleDeg
 
 
-class Drive(Feedback, frozen=True):
+class Drive(Feedback, frozen=True, gc=False):
     """Auto_DriveFeedBack. The speed is a magnitude: the gear gives the direction."""
 
     active: bool
     speed_mps: SpeedMps
 
 
-class Braking(Feedback, frozen=True):
+class Braking(Feedback, frozen=True, gc=False):
     """Auto_BrakingFeedBack."""
 
     active: bool
     braking_status: BrakingStatus
 
 
-class Parking(Feedback, frozen=True):
+class Parking(Feedback, frozen=True, gc=False):
     """Auto_ParkingFeedBack."""
 
     active: bool
     parking_status: ParkingStatus
 
 
-class WheelSpeed(Feedback, frozen=True):
+class WheelSpeed(Feedback, frozen=True, gc=False):
     """Auto_WheelSpdFeedback. Negative in reverse."""
 
     valid: bool
@@ -163,7 +163,7 @@ class WheelSpeed(Feedback, frozen=True):
     rear_right_speed_mps: SpeedMps
 
 
-class WheelPulse(Feedback, frozen=True):
+class WheelPulse(Feedback, frozen=True, gc=False):
     """Auto_WheelPulseFeedback. Forward counts up, reverse down."""
 
     valid: bool
@@ -171,7 +171,7 @@ class WheelPulse(Feedback, frozen=True):
     rear_right_pulses: Pulses
 
 
-class Body(Feedback, frozen=True):
+class Body(Feedback, frozen=True, gc=False):
     """Auto_MileageAndBodyFeedback. The chassis reports a bumper hit and does nothing about it."""
 
     valid: bool
@@ -181,7 +181,7 @@ class Body(Feedback, frozen=True):
     mode: Mode
 
 
-class Light(Feedback, frozen=True):
+class Light(Feedback, frozen=True, gc=False):
     """Auto_LightFeedback."""
 
     headlamp: bool
@@ -189,7 +189,7 @@ class Light(Feedback, frozen=True):
     left_indicator: bool
 
 
-class Speaker(Feedback, frozen=True):
+class Speaker(Feedback, frozen=True, gc=False):
     """Auto_SpeakerFeedback."""
 
     horn: bool

@@ -17,7 +17,7 @@ BITRATE_SWITCH: Final = 0x1
 ERROR_STATE_INDICATOR: Final = 0x2
 
 
-class Frame(msgspec.Struct, frozen=True):
+class Frame(msgspec.Struct, frozen=True, gc=False):
     """A CAN frame. Flags are those of linux/can.h, so that one word holds identifier and kind.
 
     Attributes:

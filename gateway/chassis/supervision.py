@@ -16,6 +16,7 @@ from schemas import settings
 COUNTER_MODULO: Final = 16
 
 NEVER_NS: Final = 2**63
+NO_FAULTS: Final[tuple[FaultKind, ...]] = ()
 
 
 class AliveCounter:
@@ -162,20 +163,24 @@ class FrameSupervisor:
         """Frames missed since the start, by the alive counter and, across a silence, by the period."""
         return self.alive.lost
 
-    def receive(self, alive_counter: int, now_ns: int) -> tuple[FaultKind | None, FaultKind | None]:
-        """A valid frame came. Returns the faults of the alive counter and of the period."""
+    def receive(self, alive_counter: int, now_ns: int) -> tuple[FaultKind, ...]:
+        """A valid frame came. Returns what is wrong with its alive counter and its period."""
         if self.is_silent:
             self._end_silence(now_ns)
         self.valid += 1
-        self._last_ns = now_ns
         self.overdue_ns = now_ns + self._silence_ns
-        return self.alive.receive(alive_counter), self.period.receive(now_ns)
+        alive_fault = self.alive.receive(alive_counter)
+        period_fault = self.period.receive(now_ns)
+        if alive_fault is None and period_fault is None:
+            return NO_FAULTS
+        return tuple(fault for fault in (alive_fault, period_fault) if fault is not None)
 
     def tick(self, now_ns: int) -> FaultKind | None:
         """Time passes. Returns SILENCE once, when the frame has become overdue."""
         if now_ns <= self.overdue_ns:
             return None
         self.is_silent = True
+        self._last_ns = self.overdue_ns - self._silence_ns
         self.overdue_ns = NEVER_NS
         self.alive.forget()
         self.period.forget()

@@ -41,11 +41,9 @@ class FeedbackStream:
                 self.supervisor.checksums.fault(now_ns)
             return None
         data = frame.data
-        alive_fault, period_fault = self.supervisor.receive(data[6] >> 4, now_ns)
-        if alive_fault is not None:
-            self._faults[alive_fault] += 1
-        if period_fault is not None:
-            self._faults[period_fault] += 1
+        faults = self.supervisor.receive(data[6] >> 4, now_ns)
+        if faults:
+            self._faults.update(faults)
         decoder = self.decoder
         if decoder is None:
             self._faults[FaultKind.VARIANT_UNKNOWN] += 1
