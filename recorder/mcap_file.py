@@ -250,7 +250,7 @@ class McapFile:
 def _encode(record: records.McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
-    return cast("bytes", builder.end())  # type: ignore[no-untyped-call]  # mcap leaves this one without types
+    return cast("bytes", builder.end())
 
 
 def _encode_index(channel_id: int, entries: array[int]) -> bytes:

@@ -132,16 +132,14 @@ class _Channel:
         self.tally = Tally()
         self.counts_sequence = schema.startswith(f"{SCHEMA_PREFIX}.") and schema not in _WITHOUT_SEQUENCE
         self.frames: dict[int, AliveCount] = {}
-        self._sequence: int | None = None
 
     def take(self, message: LoggedMessage) -> None:
         self.first_ns = min(self.first_ns, message.log_ns) if self.messages else message.log_ns
         self.last_ns = max(self.last_ns, message.log_ns)
         self.messages += 1
-        # The frames of one batch share its sequence.
-        if self.counts_sequence and not (self.schema == _CAN_FRAME and message.sequence == self._sequence):
+        if self.counts_sequence:
+            # The frames of one batch share its sequence, which to the tally is a step back, and no loss.
             self.tally.count_sequence(message.sequence)
-            self._sequence = message.sequence
         if self.schema == _CAN_FRAME:
             self._take_frame(message.data)
 

@@ -194,9 +194,9 @@ def small_log() -> bytes:
 
 
 class FakeSource:
-    """A source that brings these samples, and answers queries with these replies."""
+    """A source that brings these samples, and answers the queries on a key with its replies, the last for ever."""
 
-    def __init__(self, samples: Iterable[Sample] = (), replies: dict[str, Sample] | None = None) -> None:
+    def __init__(self, samples: Iterable[Sample] = (), replies: dict[str, list[Sample]] | None = None) -> None:
         self.asked: list[str] = []
         self._samples = iter(samples)
         self._replies = replies or {}
@@ -220,7 +220,8 @@ class FakeSource:
     def ask(self, key: str) -> None:
         self.asked.append(key)
         if key in self._replies:
-            self._answers.append(self._replies[key])
+            replies = self._replies[key]
+            self._answers.append(replies.pop(0) if len(replies) > 1 else replies[0])
 
 
 DEADLINE_S = 30.0

@@ -1,6 +1,7 @@
 """The run loop, with a source of its own and a real directory."""
 
 import errno
+import os
 from collections.abc import Callable
 from io import FileIO
 from pathlib import Path
@@ -13,8 +14,8 @@ from recorder.ports.log_directory import LogDirectory
 from recorder.review.info import read_info
 from recorder.session import KeyCount, Plan, Session
 from schemas.exit_codes import CommandError
-from schemas.messages import GatewayInfo, Gear
-from tests.recorder.fakes import PLAN, FakeSource, gear, info, key_of, logs_in, sample_of
+from schemas.messages import GatewayInfo, Gear, Variant
+from tests.recorder.fakes import PLAN, FakeSample, FakeSource, gear, info, key_of, logs_in, sample_of
 
 INFO_KEY = key_of(GatewayInfo)
 
@@ -49,10 +50,20 @@ def test_without_samples_there_is_no_file(tmp_path: Path) -> None:
 
 def test_a_robot_is_asked_and_its_answer_recorded(tmp_path: Path) -> None:
     """Even if the recording ends before the answer is there."""
-    source = FakeSource([sample_of(gear(0))], {INFO_KEY: sample_of(info())})
+    source = FakeSource([sample_of(gear(0))], {INFO_KEY: [sample_of(info())]})
     recorded = record(source, tmp_path)
     assert INFO_KEY in source.asked
     found = read_info(Path(recorded.path or ""))
+    assert found.variants == {"cruiser-1": "coarse"}
+    assert len(found.attachments) == 2
+
+
+def test_a_robot_that_did_not_know_its_variant_is_asked_at_the_end(tmp_path: Path) -> None:
+    """It may know by then, and the DBC comes with it."""
+    replies = [sample_of(info(Variant.UNKNOWN, dbc="")), sample_of(info())]
+    source = FakeSource((sample_of(gear(number)) for number in range(5000)), {INFO_KEY: replies})
+    found = read_info(Path(record(source, tmp_path).path or ""))
+    assert source.asked == [INFO_KEY, INFO_KEY]
     assert found.variants == {"cruiser-1": "coarse"}
     assert len(found.attachments) == 2
 
@@ -87,11 +98,28 @@ def test_a_full_disk_ends_the_recording_with_one_clear_error(
     with pytest.raises(CommandError, match=r"No space left on device; the log until then is .*\.mcap") as caught:
         record(source, tmp_path, Plan("x", 1024, 10**9, "1"))
     (left,) = tmp_path.iterdir()
-    assert str(left) in str(caught.value)
+    assert str(caught.value).endswith(f"; the log until then is {left}")
     found = read_info(left)
     assert found.whole == (left.suffix == ".mcap")
     assert all("footer" in fault for fault in found.faults)
     assert "\n" not in str(caught.value)
+
+
+def test_where_the_end_still_fits_the_log_is_whole_and_named_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only the chunk that was too much is lost; the error names the file as it is called at last."""
+    monkeypatch.setattr(log_directory, "FileIO", FailingFile)
+    monkeypatch.setattr(FailingFile, "room", 8000)
+    source = FakeSource([sample_of(gear(0)), FakeSample("k", "x", os.urandom(20_000))])
+    with pytest.raises(CommandError) as caught:
+        record(source, tmp_path, Plan("x", 1, 10**9, "1"))
+    (left,) = tmp_path.iterdir()
+    assert left.suffix == ".mcap"
+    assert str(caught.value).endswith(f"; the log until then is {left}")
+    found = read_info(left)
+    assert found.whole
+    assert found.messages == 1
 
 
 def test_a_fault_of_our_own_leaves_a_readable_file(tmp_path: Path) -> None:

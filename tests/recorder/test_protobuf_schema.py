@@ -57,6 +57,14 @@ def test_what_may_be_null_has_presence() -> None:
     fields = message_class(RobotState).DESCRIPTOR.fields_by_name
     assert fields["speed_mps"].has_presence
     assert not fields["bus_up"].has_presence
+    (proto,) = [
+        message
+        for file in FileDescriptorSet.FromString(descriptor_set(RobotState)).file
+        for message in file.message_type
+    ]
+    optional = {field.name for field in proto.field if field.proto3_optional}
+    assert optional == {field.name for field in proto.field if field.HasField("oneof_index")}
+    assert "speed_mps" in optional
 
 
 def test_types_follow_bounds() -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from recorder.protobuf_schema import LOGGED, message_class
 from recorder.transcode import compile_encoder, compile_row_encoder, varint
-from schemas.messages import CanFrame, Gear, GearPosition, Message, RobotState
+from schemas.messages import CanFrame, Gear, GearPosition, Message, RawSample, RobotState
 from tests.schemas.random_messages import message_of
 
 CLASSES = {kind: message_class(kind) for kind in LOGGED}
@@ -62,6 +62,14 @@ def test_a_varint_holds_seven_bits_a_byte(number: int) -> None:
     assert sum((byte & 0x7F) << 7 * index for index, byte in enumerate(data)) == number
     assert all(byte & 0x80 for byte in data[:-1])
     assert not data[-1] & 0x80
+
+
+@pytest.mark.parametrize("length", [0, 127, 128, 16_383, 16_384, 100_000])
+def test_any_length_is_told(length: int) -> None:
+    """Of texts and of bytes: one byte of length, two, or three."""
+    raw = RawSample(time_ns=1, key="k" * length, encoding="", payload=bytes(length), attachment=b"", reason="")
+    parsed: Any = CLASSES[RawSample].FromString(ENCODERS[RawSample](raw))
+    assert (parsed.key, parsed.payload) == (raw.key, raw.payload)
 
 
 def test_null_is_absent_and_zero_is_present() -> None:

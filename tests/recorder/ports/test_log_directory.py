@@ -3,6 +3,7 @@
 import errno
 import os
 import resource
+import stat
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -59,6 +60,21 @@ def test_a_log_is_a_part_until_it_is_whole(tmp_path: Path) -> None:
     assert log.path == directory / f"{STEM}.mcap"
     assert log.size == log.path.stat().st_size
     assert sequences(log.path) == [1]
+
+
+def test_a_sync_reaches_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The data at each sync; data, file and name at the end."""
+    synced: list[str] = []
+    monkeypatch.setattr(os, "fdatasync", lambda _: synced.append("data"))
+    monkeypatch.setattr(
+        os, "fsync", lambda fd: synced.append("name" if stat.S_ISDIR(os.fstat(fd).st_mode) else "file")
+    )
+    log = opened(tmp_path)
+    assert synced == ["name"]
+    log.write(chunk(1))
+    log.write(SyncLog())
+    log.write(CloseLog())
+    assert synced == ["name", "data", "file", "name"]
 
 
 def test_nothing_is_overwritten(tmp_path: Path) -> None:

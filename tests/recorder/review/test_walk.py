@@ -119,7 +119,7 @@ def test_files_of_others_are_read(compression: CompressionType, chunked: bool) -
         for number in range(3):
             writer.add_message(channel, number, b"{}", number, number)
         writer.add_attachment(1, 1, "a", "text/plain", b"abc")
-        writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves this one without types
+        writer.finish()
         found = walked(stream.getvalue())
         assert [one.sequence for one in found if isinstance(one, LoggedMessage)] == [0, 1, 2]
         assert isinstance(found[-1], End)
