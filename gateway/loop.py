@@ -5,7 +5,8 @@ from __future__ import annotations
 import gc
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Final, Protocol
 
 from gateway.chassis.frame import Frame
@@ -50,6 +51,20 @@ class SampleSink(Protocol):
         ...
 
 
+@contextmanager
+def _no_collections() -> Iterator[None]:
+    """No garbage collection meanwhile: what start-up made lives on, and a pause would come at any time."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()
+
+
+@_no_collections()
 def run(
     bus: FrameSource,
     sink: SampleSink,
@@ -66,24 +81,6 @@ def run(
         info: the payload of ``gateway/info``.
         stopped: asked every tick.
     """
-    # What start-up made lives for ever; a collection during the loop would be a pause at a random time.
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    try:
-        _run(bus, sink, core, info, stopped)
-    finally:
-        gc.enable()
-        gc.unfreeze()
-
-
-def _run(
-    bus: FrameSource,
-    sink: SampleSink,
-    core: Core,
-    info: Callable[[], bytes],
-    stopped: Callable[[], bool],
-) -> None:
     monotonic_ns = time.monotonic_ns
     due_ns = monotonic_ns() + TICK_NS
     links = Links()

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import logging
-import re
 from collections.abc import Iterator
 from types import TracebackType
 from typing import Final, Self
@@ -21,16 +20,12 @@ from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import DEFAULT_ENDPOINT, RobotSettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME
-from schemas.zenoh_link import session_settings
+from schemas.zenoh_link import CONNECT, LISTEN, reason, session_settings
 
 log = logging.getLogger(__name__)
 
 SAMPLES_WAITING: Final = 4096
 """Samples of one subscription that may wait to be drained; beyond it the oldest go."""
-
-_CONNECT: Final = "connect/endpoints"
-_LISTEN: Final = "listen/endpoints"
-_MULTICAST: Final = "scouting/multicast/enabled"
 
 
 def open_session(settings: ZenohSettings, connect: list[str], listen: list[str]) -> zenoh.Session:
@@ -47,7 +42,7 @@ def open_session(settings: ZenohSettings, connect: list[str], listen: list[str])
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        raise CommandError(f"cannot open Zenoh: {_reason(error)}", ExitCode.UNREACHABLE) from error
+        raise CommandError(f"cannot open Zenoh: {reason(str(error))}", ExitCode.UNREACHABLE) from error
 
 
 def client_endpoints(settings: ZenohSettings) -> list[str]:
@@ -56,7 +51,7 @@ def client_endpoints(settings: ZenohSettings) -> list[str]:
     Raises:
         CommandError: the configuration file is wrong.
     """
-    if settings.connect or _says(_base(settings), _CONNECT):
+    if settings.connect or _says(_base(settings), CONNECT):
         return list(settings.connect)
     return [DEFAULT_ENDPOINT]
 
@@ -67,7 +62,7 @@ def says_listen(settings: ZenohSettings) -> bool:
     Raises:
         CommandError: the configuration file is wrong.
     """
-    return _says(_base(settings), _LISTEN)
+    return _says(_base(settings), LISTEN)
 
 
 def close_session(session: zenoh.Session) -> None:
@@ -80,19 +75,13 @@ def close_session(session: zenoh.Session) -> None:
 
 def _configuration(settings: ZenohSettings, connect: list[str], listen: list[str]) -> zenoh.Config:
     config = _base(settings)
-    # Only what the file itself says is kept; Zenoh's own start values listen on every interface.
-    kept = {path for path, given in ((_CONNECT, connect), (_LISTEN, listen)) if not given and _says(config, path)}
-    if config.get_json(_MULTICAST) == "true":
-        kept.add(_MULTICAST)
-    for path, value in session_settings(settings, connect, listen).items():
-        if path in kept:
-            continue
+    for path, value in session_settings(settings, connect, listen, lambda path: _says(config, path)).items():
         try:
             config.insert_json5(path, json.dumps(value))
         except zenoh.ZError as error:
             shown = plain(json.dumps(value))
             raise CommandError(
-                f"Zenoh does not take {path} = {shown}: {_reason(error)}", ExitCode.USAGE
+                f"Zenoh does not take {path} = {shown}: {reason(str(error))}", ExitCode.USAGE
             ) from error
     return config
 
@@ -109,15 +98,8 @@ def _base(settings: ZenohSettings) -> zenoh.Config:
         return zenoh.Config.from_file(settings.config)
     except zenoh.ZError as error:
         raise CommandError(
-            f"Zenoh configuration file {plain(settings.config)!r}: {_reason(error)}", ExitCode.USAGE
+            f"Zenoh configuration file {plain(settings.config)!r}: {reason(str(error))}", ExitCode.USAGE
         ) from error
-
-
-def _reason(error: zenoh.ZError) -> str:
-    """What Zenoh says, in one line, without the places in its own source."""
-    text = " ".join(re.sub(r" at /\S+?\.rs:\d+\.?", "", str(error)).split())
-    nested = re.search(r'msg: "([^"]*)', text)
-    return plain(nested[1] if nested else text).strip()
 
 
 def place(settings: ZenohSettings) -> str:

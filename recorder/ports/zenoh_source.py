@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Final
@@ -14,7 +13,7 @@ import zenoh
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import DEFAULT_ENDPOINT, ZenohSettings
-from schemas.zenoh_link import session_settings
+from schemas.zenoh_link import CONNECT, reason, session_settings
 
 REPLY_TIMEOUT_S: Final = 2.0
 """How long a query may wait for its reply."""
@@ -24,9 +23,6 @@ PENDING_MAX: Final = 64
 
 REPLIES_WAITING: Final = 8
 """Replies to one query that may wait; one is expected, and the first one counts."""
-
-_CONNECT: Final = "connect/endpoints"
-_LISTEN: Final = "listen/endpoints"
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _MICROSECOND: Final = timedelta(microseconds=1)
@@ -149,29 +145,23 @@ def _open(settings: ZenohSettings) -> zenoh.Session:
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        raise CommandError(f"cannot join Zenoh: {_brief(error)}", ExitCode.UNREACHABLE) from error
+        raise CommandError(f"cannot join Zenoh: {reason(str(error))}", ExitCode.UNREACHABLE) from error
 
 
 def _configuration(settings: ZenohSettings) -> zenoh.Config:
-    """The configuration file, if one is set, with our settings over it.
-
-    Its endpoints hold where the settings give none; scouting by multicast stays off whatever it says.
-    """
+    """The configuration file, if one is set, with our settings over it."""
     start = zenoh.Config()
     try:
-        config = zenoh.Config.from_file(settings.config) if settings.config else start
-        connect, listen = settings.connect, settings.listen
-        kept = {
-            path
-            for path, given in ((_CONNECT, connect), (_LISTEN, listen))
-            if not given and config.get_json(path) != start.get_json(path)
-        }
-        entries = session_settings(settings, connect or [DEFAULT_ENDPOINT], listen)
-        for path, value in entries.items():
-            if path not in kept:
-                config.insert_json5(path, json.dumps(value))
+        config = zenoh.Config.from_file(settings.config) if settings.config else zenoh.Config()
+
+        def says(path: str) -> bool:
+            return bool(config.get_json(path) != start.get_json(path))
+
+        connect = settings.connect or ([] if says(CONNECT) else [DEFAULT_ENDPOINT])
+        for path, value in session_settings(settings, connect, settings.listen, says).items():
+            config.insert_json5(path, json.dumps(value))
     except zenoh.ZError as error:
-        raise CommandError(f"wrong Zenoh settings: {_brief(error)}", ExitCode.USAGE) from error
+        raise CommandError(f"wrong Zenoh settings: {reason(str(error))}", ExitCode.USAGE) from error
     return config
 
 
@@ -182,7 +172,9 @@ def _distinct(texts: Sequence[str]) -> list[zenoh.KeyExpr]:
         try:
             one = zenoh.KeyExpr.autocanonize(text)
         except zenoh.ZError as error:
-            raise CommandError(f"{plain(text)!r} is no key expression: {_brief(error)}", ExitCode.USAGE) from error
+            raise CommandError(
+                f"{plain(text)!r} is no key expression: {reason(str(error))}", ExitCode.USAGE
+            ) from error
         if not any(other.includes(one) for other in expressions):
             expressions = [other for other in expressions if not one.includes(other)] + [one]
     return expressions
@@ -190,8 +182,3 @@ def _distinct(texts: Sequence[str]) -> list[zenoh.KeyExpr]:
 
 def _nanoseconds(time: datetime) -> int:
     return (time - _EPOCH) // _MICROSECOND * 1000
-
-
-def _brief(error: Exception) -> str:
-    """Zenoh's message without the places in its source."""
-    return plain(" ".join(re.sub(r" at \S+\.rs:\d+\.?", "", str(error)).split()))

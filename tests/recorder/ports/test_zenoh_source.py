@@ -196,12 +196,10 @@ def test_a_client_without_a_router_is_told_so(endpoint: str) -> None:
     assert caught.value.code == ExitCode.UNREACHABLE
 
 
-def test_a_zenoh_file_gives_endpoints_but_never_multicast(endpoint: str, tmp_path: Path) -> None:
-    """Its endpoints hold where none are given; a missing or broken file is a usage error."""
+def test_a_zenoh_file_gives_what_it_says(endpoint: str, tmp_path: Path) -> None:
+    """Its endpoints hold where none are given; of multicast it says nothing, so that is off; a broken one is usage."""
     path = tmp_path / "zenoh.json5"
-    path.write_text(
-        json.dumps({"connect": {"endpoints": [endpoint]}, "scouting": {"multicast": {"enabled": True}}})
-    )
+    path.write_text(json.dumps({"connect": {"endpoints": [endpoint]}, "mode": "client"}))
     config = zenoh_source._configuration(ZenohSettings(config=str(path)))
     assert json.loads(config.get_json("connect/endpoints")) == [endpoint]
     assert config.get_json("scouting/multicast/enabled") == "false"
