@@ -197,7 +197,7 @@ def test_a_client_without_a_router_is_told_so(endpoint: str) -> None:
 
 
 def test_a_zenoh_file_gives_what_it_says(endpoint: str, tmp_path: Path) -> None:
-    """Its endpoints hold where none are given; of multicast it says nothing, so that is off; a broken one is usage."""
+    """Its endpoints hold where none are given; it says nothing of multicast, so that is off."""
     path = tmp_path / "zenoh.json5"
     path.write_text(json.dumps({"connect": {"endpoints": [endpoint]}, "mode": "client"}))
     config = zenoh_source._configuration(ZenohSettings(config=str(path)))
