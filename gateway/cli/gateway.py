@@ -15,6 +15,7 @@ from gateway.loop import run as run_loop
 from gateway.ports.can_bus import BusLost, CanBus, ReconnectingBus, describe, open_bus
 from gateway.ports.realtime import request_realtime
 from gateway.ports.zenoh_node import open_node
+from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.codec import encode
 from schemas.configuration import to_toml
 from schemas.exit_codes import CommandError, ExitCode
@@ -32,7 +33,6 @@ VERSIONS_TOLD = ("cruiser-gateway", "eclipse-zenoh", "python-can", "msgspec", "c
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags of ``cruiser gateway``."""
     parser.add_argument("--robot", dest="robot.name", metavar="NAME", help="the robot's chunk of every key")
-    parser.add_argument("--root", dest="robot.root", metavar="ROOT", help="first chunks of every key")
     parser.add_argument("--interface", dest="can.interface", metavar="NAME", help="python-can interface")
     parser.add_argument("--channel", dest="can.channel", metavar="CHANNEL", help="the interface's channel")
     parser.add_argument(
@@ -44,9 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--listen", dest="zenoh.listen", metavar="ENDPOINT", action="append", help="Zenoh endpoint"
     )
-    parser.add_argument(
-        "--connect", dest="zenoh.connect", metavar="ENDPOINT", action="append", help="Zenoh endpoint"
-    )
+    add_zenoh_arguments(parser)
     parser.add_argument(
         "--listen-only",
         dest="gateway.listen_only",
@@ -59,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action=argparse.BooleanOptionalAction,
         help="start although the bus is not there",
     )
-    parser.add_argument("--seconds", type=float, metavar="N", help="end after this time")
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after this time")
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
@@ -78,7 +76,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             )
             sys.stderr.flush()
             request_realtime(settings.gateway.realtime_priority)
-            run_loop(bus, node, core, info, _until(stopped, arguments.seconds))
+            run_loop(bus, node, core, info, ending_after(stopped, arguments.seconds, time.monotonic))
         finally:
             bus.close()
     finally:
@@ -93,13 +91,6 @@ def _first_bus(settings: Settings) -> CanBus | None:
         if settings.gateway.wait_for_bus:
             return None
         raise CommandError(f"{error} (--wait-for-bus starts without it)", ExitCode.UNREACHABLE) from error
-
-
-def _until(stopped: Callable[[], bool], seconds: float | None) -> Callable[[], bool]:
-    if seconds is None:
-        return stopped
-    end_s = time.monotonic() + seconds
-    return lambda: stopped() or time.monotonic() >= end_s
 
 
 def _info(settings: Settings, core: Core) -> Callable[[], bytes]:

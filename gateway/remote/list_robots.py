@@ -12,8 +12,8 @@ import msgspec
 
 from gateway.ports.zenoh_client import RobotListener, place
 from gateway.remote import view
-from gateway.remote.arguments import add_zenoh_arguments, seconds
 from gateway.remote.fleet import Fleet, RobotReport
+from schemas.arguments import add_zenoh_arguments, seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
 

@@ -15,8 +15,8 @@ from rich.live import Live
 
 from gateway.ports.zenoh_client import RobotListener, place
 from gateway.remote import view
-from gateway.remote.arguments import add_zenoh_arguments, seconds
 from gateway.remote.fleet import Fleet, RobotReport
+from schemas.arguments import add_zenoh_arguments, seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.keys import ROBOT_PATTERN
 from schemas.printable import plain

@@ -18,6 +18,7 @@ from gateway.sim.parameters import MAX_RATE_MULTIPLIER, MIN_RATE_MULTIPLIER
 from gateway.sim.run import CanBusLink, Clock, Link, live
 from gateway.sim.socketcand import SocketcandServer
 from gateway.sim.typed_lines import TypedLines
+from schemas.arguments import seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import Variant
 from schemas.settings import CanSettings, Settings
@@ -52,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--fault", action="append", default=[], metavar="TEXT", help="cause a fault; may be given repeatedly"
     )
-    parser.add_argument("--seconds", type=_seconds, metavar="N", help="end after this time")
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after this time")
     parser.add_argument(
         "--rate-multiplier",
         type=_rate_multiplier,
@@ -132,10 +133,6 @@ def _scheduled(text: str) -> ScheduledFault:
     if isinstance(fault, FaultTextError):
         raise CommandError(f"--fault {text!r}: {fault.reason}", ExitCode.USAGE)
     return fault
-
-
-def _seconds(text: str) -> float:
-    return _bounded(text, 0.001, 1e9)
 
 
 def _rate_multiplier(text: str) -> float:

@@ -19,6 +19,7 @@ from recorder.ports.log_directory import LogDirectory
 from recorder.ports.zenoh_source import ZenohSource
 from recorder.session import Plan, Session
 from schemas import keys
+from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
 
@@ -40,16 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="key expressions to record (all keys under the root)",
     )
     parser.add_argument("-o", "--out", dest="recorder.directory", metavar="DIR", help="where the log goes (.)")
-    parser.add_argument(
-        "--connect",
-        dest="zenoh.connect",
-        metavar="ENDPOINT",
-        action="append",
-        help="a Zenoh endpoint to connect to, tcp/127.0.0.1:7447; may be repeated",
-    )
-    parser.add_argument(
-        "--seconds", type=_seconds, metavar="N", help="stop after this long (at SIGINT or SIGTERM)"
-    )
+    add_zenoh_arguments(parser)
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="stop after this long (at SIGINT or SIGTERM)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
@@ -71,7 +64,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         sys.stderr.write(f"record: waiting for samples of {', '.join(expressions)} into {recorder.directory}\n")
         sys.stderr.flush()
         recorded = Recorder(session, source, directory, f"cruiser-gateway {release}").run(
-            _until(stopped, arguments.seconds)
+            ending_after(stopped, arguments.seconds, time.monotonic)
         )
     return _report(recorded, as_json=arguments.json)
 
@@ -82,13 +75,6 @@ def log_name(root: str, expressions: Sequence[str]) -> str:
     matches = [pattern.fullmatch(expression) for expression in expressions]
     robots = {match[1] if match else FLEET_NAME for match in matches}
     return robots.pop() if len(robots) == 1 else FLEET_NAME
-
-
-def _until(stopped: Callable[[], bool], seconds: float | None) -> Callable[[], bool]:
-    if seconds is None:
-        return stopped
-    end = time.monotonic() + seconds
-    return lambda: stopped() or time.monotonic() >= end
 
 
 def _report(recorded: Recorded, *, as_json: bool) -> int:
@@ -104,10 +90,3 @@ def _report(recorded: Recorded, *, as_json: bool) -> int:
         f"{missed} samples missed\n"
     )
     return int(ExitCode.OK)
-
-
-def _seconds(text: str) -> float:
-    seconds = float(text)
-    if not 0 < seconds < float("inf"):
-        raise argparse.ArgumentTypeError("must be over 0")
-    return seconds

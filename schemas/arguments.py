@@ -1,9 +1,10 @@
-"""Flags that the commands at the other end share."""
+"""What the command lines of several commands share."""
 
 from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Callable
 
 
 def add_zenoh_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,3 +35,13 @@ def seconds(text: str) -> float:
     if not 0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds above 0")
     return value
+
+
+def ending_after(
+    stopped: Callable[[], bool], duration_s: float | None, clock_s: Callable[[], float]
+) -> Callable[[], bool]:
+    """``stopped``, or true once the duration has passed since now; None is no end."""
+    if duration_s is None:
+        return stopped
+    end_s = clock_s() + duration_s
+    return lambda: stopped() or clock_s() >= end_s

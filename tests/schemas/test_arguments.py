@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.remote.arguments import add_zenoh_arguments, seconds
+from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 
 
 @given(value=st.floats(min_value=1e-9, max_value=1e9))
@@ -29,3 +29,18 @@ def test_flags_set_the_settings_that_they_name() -> None:
         "zenoh.config": None,
         "robot.root": "lab",
     }
+
+
+def test_an_end_comes_with_the_signal_or_with_the_time() -> None:
+    """Whichever is first; without a duration only the signal counts."""
+    now_s, signalled = [100.0], [False]
+    ends = ending_after(lambda: signalled[0], 5.0, lambda: now_s[0])
+    for_ever = ending_after(lambda: signalled[0], None, lambda: now_s[0])
+    assert not ends()
+    now_s[0] = 104.9
+    assert not ends()
+    now_s[0] = 105.0
+    assert ends()
+    assert not for_ever()
+    signalled[0] = True
+    assert for_ever()
