@@ -13,9 +13,14 @@ from gateway.chassis.frame import Frame
 from gateway.core import Core
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
-from schemas.settings import TICK_NS
+from schemas.settings import LATE_NS, TICK_NS
 
 log = logging.getLogger(__name__)
+
+MS: Final = 1_000_000
+
+COMPLAINT_PERIOD_NS: Final = 1_000_000_000
+"""A loop that is always late says so no more often than this."""
 
 BURST_MAX_FRAMES: Final = 32
 """Frames taken at a time, so that a bus that never falls silent cannot keep the tick waiting."""
@@ -84,12 +89,18 @@ def run(
     monotonic_ns = time.monotonic_ns
     due_ns = monotonic_ns() + TICK_NS
     links = Links()
+    complained_ns = 0
     while not stopped():
         now_ns = monotonic_ns()
         while now_ns < due_ns:
             for sample in receive_burst(bus, core, (due_ns - now_ns) / 1e9):
                 sink.publish(sample)
             now_ns = monotonic_ns()
+        if now_ns - due_ns > LATE_NS and now_ns - complained_ns > COMPLAINT_PERIOD_NS:
+            complained_ns = now_ns
+            log.warning(
+                "the loop was %d ms late; frames that waited keep their own times", (now_ns - due_ns) // MS
+            )
         links = _observe(bus, sink, links)
         core.observe_links(links)
         for sample in core.tick(now_ns, time.time_ns(), now_ns - due_ns):
@@ -118,12 +129,12 @@ def receive_burst(bus: FrameSource, core: Core, timeout_s: float) -> list[Sample
 
 def _observe(bus: FrameSource, sink: SampleSink, before: Links) -> Links:
     if bus.is_up and not before.bus_up:
-        log.info("the bus is up")
+        log.info("the bus is up%s", " again" if bus.losses else "")
     elif before.bus_up and (not bus.is_up or bus.losses != before.bus_losses):
         log.warning("the bus is lost: %s; trying again", bus.detail)
     peers = sink.peers()
     if before.zenoh_peers and not peers:
-        log.warning("no Zenoh node is connected any more")
+        log.info("no Zenoh node is connected any more")
     elif peers and not before.zenoh_peers:
         log.info("a Zenoh node is connected")
     return Links(

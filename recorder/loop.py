@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Final, Protocol
@@ -13,6 +14,8 @@ from recorder.ports.log_directory import LogDirectory, LogFile
 from recorder.sample import Sample
 from recorder.session import KeyCount, Session
 from schemas.exit_codes import CommandError
+
+log = logging.getLogger(__name__)
 
 PASS_SAMPLES: Final = 2000
 """Samples between two ticks at most."""
@@ -33,6 +36,11 @@ class Source(Protocol):
     @property
     def is_asking(self) -> bool:
         """Whether a query is still without its reply."""
+        ...
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether any Zenoh node is connected."""
         ...
 
     def drain(self, limit: int) -> Iterable[Sample]:
@@ -75,6 +83,7 @@ class Recorder:
         self._directory = directory
         self._library = library
         self._file: LogFile | None = None
+        self._was_connected: bool | None = None
 
     def run(self, stopped: Callable[[], bool]) -> Recorded:
         """Record until stopped.
@@ -108,7 +117,21 @@ class Recorder:
             if effects:
                 self._carry_out(effects)
         self._carry_out(self._session.tick(time.monotonic_ns()))
+        self._watch_link()
         return busy
+
+    def _watch_link(self) -> None:
+        """Say when the link to Zenoh comes and goes: a silent recorder must not look like a silent robot."""
+        is_connected = self._source.is_connected
+        if is_connected == self._was_connected:
+            return
+        if is_connected:
+            log.info("connected to Zenoh")
+        else:
+            log.warning(
+                "no Zenoh node is connected%s; trying on", "" if self._was_connected is None else " any more"
+            )
+        self._was_connected = is_connected
 
     def _end(self) -> None:
         start_ns = time.monotonic_ns()

@@ -29,6 +29,7 @@ class _Robot:
         self.key = key
         self.info: GatewayInfo | None = None
         self.ask_at_ns: int | None = now_ns
+        self.asked_ns = now_ns
         self.pause_ns = ASK_AGAIN_NS
 
     @property
@@ -63,7 +64,8 @@ class Robots:
         """The robot's gateway has begun anew, perhaps as another version: ask again."""
         robot = self._robots.get(name)
         if robot is not None and robot.ask_at_ns is None:
-            robot.ask_at_ns = now_ns
+            # Two gateways of one name look like a restart with every sample: no storm of queries.
+            robot.ask_at_ns = max(now_ns, robot.asked_ns + ASK_AGAIN_NS)
             robot.pause_ns = ASK_AGAIN_NS
 
     def ask(self, now_ns: int) -> list[Effect]:
@@ -73,6 +75,7 @@ class Robots:
             if robot.ask_at_ns is None or now_ns < robot.ask_at_ns:
                 continue
             effects.append(AskInfo(robot.key))
+            robot.asked_ns = now_ns
             robot.ask_at_ns = now_ns + robot.pause_ns
             robot.pause_ns = min(2 * robot.pause_ns, ASK_AGAIN_MAX_NS)
             if len(effects) == ASK_PER_TICK:

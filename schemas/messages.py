@@ -257,17 +257,24 @@ class FrameHealth(msgspec.Struct, frozen=True):
         name: the frame's name in the DBC.
         rate_hz: valid frames per second over the last second.
         valid: valid frames since the start.
-        lost: frames missed since the start, by the alive counter and, across a silence, by the period.
+        lost: valid frames that should have come since the start and did not, by the alive counter and, once a
+            silence has ended, by the period. A frame with a wrong checksum is lost too.
+        withheld: valid frames that were not published because the scale of their speeds was not known.
+        checksum_faults: frames with a wrong checksum since the start.
         silent: true while the frame is missing or overdue.
         alive_faults: the fault count of the alive counter: +1 for each fault, -1 for each good frame.
+        failures: what is beyond its threshold now: checksum, alive_counter, period, silence.
     """
 
     name: str
     rate_hz: RateHz
     valid: Count
     lost: Count
+    withheld: Count
+    checksum_faults: Count
     silent: bool
     alive_faults: Count
+    failures: list[str]
 
 
 class GatewayHealth(Message, frozen=True):
@@ -290,6 +297,7 @@ class GatewayHealth(Message, frozen=True):
         tick_lateness_p50_ms: how late the ticks of the last second began: the median.
         tick_lateness_p99_ms: the same, the 99th percentile.
         tick_lateness_max_ms: the same, the latest.
+        tick_lateness_worst_ms: the latest since the start.
         cpu_percent: processor time of this process over the last second; 100 is one core.
     """
 
@@ -310,6 +318,7 @@ class GatewayHealth(Message, frozen=True):
     tick_lateness_p50_ms: DurationMs
     tick_lateness_p99_ms: DurationMs
     tick_lateness_max_ms: DurationMs
+    tick_lateness_worst_ms: DurationMs
     cpu_percent: Annotated[float, Meta(ge=0, extra_json_schema=_unit("%"))]
 
 

@@ -19,6 +19,9 @@ DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 TICK_NS: Final = 10_000_000
 """The loop's tick and the chassis's command period, 10 ms."""
 
+LATE_NS: Final = 50_000_000
+"""A tick that begins later than this is told in the log."""
+
 SILENCE_PERIODS: Final = 10
 """A feedback frame is silent after this many of its periods without a valid one..."""
 

@@ -15,6 +15,10 @@ from schemas.settings import ZenohSettings
 
 RECONNECT_MIN_MS: Final = 100
 RECONNECT_MAX_MS: Final = 500
+
+OPEN_TIMEOUT_MS: Final = 2000
+"""Who accepts a connection and then says nothing for this long does not speak Zenoh."""
+
 QUEUE_BATCHES: Final = 8
 """Batches of 64 KiB that may wait on a link for each priority. A put never waits for room, it drops."""
 
@@ -82,6 +86,7 @@ def _entries(zenoh: ZenohSettings, connect: list[str], listen: list[str]) -> dic
         "listen/exit_on_failure": True,
         MULTICAST: False,
         "scouting/gossip/enabled": True,
+        "transport/unicast/open_timeout": OPEN_TIMEOUT_MS,
         "transport/link/tx/lease": zenoh.lease_ms,
         "transport/link/tx/keep_alive": 4,
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,

@@ -20,8 +20,6 @@ class FaultKind(Enum):
     CHECKSUM = "checksum"
     UNDEFINED_VALUE = "undefined_value"
     """A value that the value table does not name. The message is published and says ``undefined``."""
-    VARIANT_UNKNOWN = "variant_unknown"
-    """A speed whose scale is not known yet: withheld, not published."""
     VARIANT_CONTRADICTED = "variant_contradicted"
     """A standstill wheel speed frame of the other firmware variant."""
     ALIVE_REPEATED = "alive_repeated"

@@ -103,15 +103,21 @@ class Period:
 
 
 class Checksums:
-    """Checksum faults of one identifier, remembered for a second."""
+    """Checksum faults of one identifier, remembered for a second.
 
-    __slots__ = ("_times_ns",)
+    Attributes:
+        faults: since the start.
+    """
+
+    __slots__ = ("_times_ns", "faults")
 
     def __init__(self) -> None:
+        self.faults = 0
         self._times_ns: deque[int] = deque(maxlen=settings.CHECKSUM_FAULTS)
 
     def fault(self, now_ns: int) -> None:
         """A frame came with a wrong checksum."""
+        self.faults += 1
         self._times_ns.append(now_ns)
 
     def has_failed(self, now_ns: int) -> bool:
@@ -162,6 +168,16 @@ class FrameSupervisor:
     def lost(self) -> int:
         """Frames missed since the start, by the alive counter and, across a silence, by the period."""
         return self.alive.lost
+
+    def failures(self, now_ns: int) -> list[str]:
+        """What is beyond its threshold now, by name."""
+        failed = {
+            "checksum": self.checksums.has_failed(now_ns),
+            "alive_counter": self.alive.has_failed,
+            "period": self.period.has_failed,
+            "silence": self.is_silent,
+        }
+        return [name for name, has_failed in failed.items() if has_failed]
 
     def receive(self, alive_counter: int, now_ns: int) -> tuple[FaultKind, ...]:
         """A valid frame came. Returns what is wrong with its alive counter and its period."""

@@ -77,10 +77,11 @@ class VariantDetector:
         self._candidate = evidence
         if evidence is Variant.UNKNOWN:
             return None
+        contrary = self.variant not in {Variant.UNKNOWN, evidence}
         if self._streak >= VARIANT_EVIDENCE_FRAMES:
-            if self.variant is Variant.UNKNOWN:
+            if self._configured is Variant.UNKNOWN:
+                # Nobody has said which it is, so the evidence decides, also when the chassis has been changed.
                 self.variant = evidence
             self.confirmed = evidence == self.variant
             self.contradicted = not self.confirmed
-        contrary = self.variant not in {Variant.UNKNOWN, evidence}
         return FaultKind.VARIANT_CONTRADICTED if contrary else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import logging
 import sys
 import time
 from collections.abc import Callable
@@ -23,6 +24,8 @@ from schemas.json_schema import schema_texts
 from schemas.messages import GatewayInfo, Variant
 from schemas.settings import Settings
 
+log = logging.getLogger(__name__)
+
 EXAMPLE = """\
   cruiser gateway --interface socketcan --channel can0 --robot cruiser-7
   cruiser gateway --interface socketcand --channel 127.0.0.1:29536   (the virtual chassis of 'cruiser sim')"""
@@ -32,6 +35,8 @@ VERSIONS_TOLD = ("cruiser-gateway", "eclipse-zenoh", "python-can", "msgspec", "c
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags of ``cruiser gateway``."""
+    # It runs for hours, and who looks into its log wants to see links come and go.
+    parser.set_defaults(log_level="info")
     parser.add_argument("--robot", dest="robot.name", metavar="NAME", help="the robot's chunk of every key")
     parser.add_argument("--interface", dest="can.interface", metavar="NAME", help="python-can interface")
     parser.add_argument("--channel", dest="can.channel", metavar="CHANNEL", help="the interface's channel")
@@ -75,6 +80,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
                 f"gateway: {settings.robot.name} {where}, bus {describe(settings.can)}, listen-only\n"
             )
             sys.stderr.flush()
+            if settings.zenoh.connect and not node.peers():
+                log.warning("no Zenoh node answers at %s yet; trying on", ", ".join(settings.zenoh.connect))
             request_realtime(settings.gateway.realtime_priority)
             run_loop(bus, node, core, info, ending_after(stopped, arguments.seconds, time.monotonic))
         finally:

@@ -15,6 +15,7 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from importlib import import_module
+from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Final, Protocol, cast
 
@@ -53,7 +54,33 @@ class CommandModule(Protocol):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The entry point of ``cruiser``. Returns the exit code."""
+    # Until a command takes its signals, Ctrl-C ends the process at once: a traceback tells nobody anything.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    if sys.stdout is None or sys.stderr is None:
+        # A closed stream is None. Nothing is left to say there, but a command need not know that.
+        nowhere = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - it lives as long as the process
+        sys.stdout, sys.stderr = sys.stdout or nowhere, sys.stderr or nowhere
     words = list(sys.argv[1:] if argv is None else argv)
+    try:
+        code = _answer(words)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _silence_stdout()
+        return 0
+    except OSError as error:
+        _silence_stdout()
+        logging.getLogger(__name__).debug("where that came from", exc_info=True)
+        sys.stderr.write(f"cruiser {' '.join(words[:1])}: {error.strerror or error}\n")
+        return 1
+    return code
+
+
+def _silence_stdout() -> None:
+    """The reader of our output has gone, as with '| head', or it is full: let the rest go nowhere."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _answer(words: list[str]) -> int:
     if not words or words[0] in {"-h", "--help", "help"}:
         print(_help())  # noqa: T201 - the help is this command's output
         return 0 if words else 2
@@ -91,7 +118,7 @@ def _run(name: str, words: list[str]) -> int:
     module = cast("CommandModule", import_module(module_name))
     # Imported late for the same reason as the commands: they cost more than the help itself.
     from gateway.cli.configuration_file import load_settings  # noqa: PLC0415
-    from schemas.exit_codes import CommandError, ExitCode  # noqa: PLC0415
+    from schemas.exit_codes import CommandError  # noqa: PLC0415
 
     parser = argparse.ArgumentParser(
         prog=f"cruiser {name}",
@@ -122,10 +149,6 @@ def _run(name: str, words: list[str]) -> int:
         return int(error.code)
     except KeyboardInterrupt:
         return 128 + signal.SIGINT
-    except BrokenPipeError:
-        # The reader of our output has gone, as with '| head'. Nothing is left to say to it.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return int(ExitCode.OK)
 
 
 def _stop_on_signals() -> Stopped:

@@ -57,6 +57,7 @@ class CanBus:
     def __init__(self, bus: can.BusABC) -> None:
         self._bus = bus
         self._socket = _stream_socket(bus)
+        self._keeps_epoch: bool | None = None
 
     def receive(self, timeout_s: float) -> Frame | None:
         """The next frame, or None if there was none in time.
@@ -69,10 +70,21 @@ class CanBus:
         except (can.CanError, OSError, ValueError) as error:
             raise BusLost(str(error) or type(error).__name__) from error
         if message is not None:
-            return to_frame(message, time.time_ns())
+            return to_frame(message, self._time_ns(message.timestamp))
         if timeout_s > 0 and self._socket is not None and _has_hung_up(self._socket):
             raise BusLost("the server closed the connection")
         return None
+
+    def _time_ns(self, timestamp_s: float) -> int:
+        """When a frame was received, since the epoch: by the interface's clock, if that keeps epoch time.
+
+        Some interfaces count from their own start, or give no time. The first frame tells, for as long as the bus
+        is open: judged one by one, frames that waited while this process stood still would be taken for new ones.
+        """
+        wall_ns = int(timestamp_s * 1e9)
+        if self._keeps_epoch is None:
+            self._keeps_epoch = abs(time.time_ns() - wall_ns) <= TIMESTAMP_TOLERANCE_NS
+        return wall_ns if self._keeps_epoch else time.time_ns()
 
     def send(self, frame: Frame) -> None:
         """Hand a frame to the bus.
@@ -168,15 +180,8 @@ def _has_hung_up(stream: socket.socket) -> bool:
         return True
 
 
-def to_frame(message: can.Message, received_ns: int) -> Frame:
-    """Our frame of python-can's message.
-
-    Its time is the interface's own timestamp; where that is not near the epoch time of receipt, because the
-    interface counts from its own start or not at all, it is the time of receipt.
-    """
-    wall_ns = int(message.timestamp * 1e9)
-    if abs(received_ns - wall_ns) > TIMESTAMP_TOLERANCE_NS:
-        wall_ns = received_ns
+def to_frame(message: can.Message, wall_ns: int) -> Frame:
+    """Our frame of python-can's message, received at this time since the epoch."""
     can_id = message.arbitration_id & IDENTIFIER_MASK
     if message.is_extended_id:
         can_id |= EXTENDED

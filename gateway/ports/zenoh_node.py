@@ -28,6 +28,9 @@ QUERIES_WAITING: Final = 16
 
 QUERIES_PER_TICK: Final = 2
 
+TOKEN_TIMEOUT_S: Final = 1.0
+"""How long the question may take whether a gateway of our name is there."""
+
 NEIGHBOUR_TIMEOUT_S: Final = 3.0
 """A Zenoh node that holds our port is connected within this time, or it is none."""
 
@@ -104,10 +107,32 @@ def open_node(settings: Settings) -> tuple[ZenohNode, str]:
     """Open the gateway's node. Returns it and where it is, in words.
 
     Raises:
-        CommandError: an endpoint is taken by something that is not Zenoh, or cannot be used.
+        CommandError: an endpoint is taken by something that is not Zenoh, or cannot be used; or a gateway of the
+            same name is there.
     """
     session, where = _open_session(settings.zenoh)
+    try:
+        _check_name_is_free(session, settings)
+    except CommandError:
+        close_session(session)
+        raise
     return ZenohNode(session, settings), where
+
+
+def _check_name_is_free(session: zenoh.Session, settings: Settings) -> None:
+    """Two gateways of one name would publish two robots as one that is in two places.
+
+    The token of a gateway that has just died goes within the lease, so it is looked for more than once.
+    """
+    key = keys.liveliness(settings.robot.root, settings.robot.name)
+    deadline_s = time.monotonic() + 2 * settings.zenoh.lease_ms / 1000
+    while any(reply.ok is not None for reply in session.liveliness().get(key, timeout=TOKEN_TIMEOUT_S)):
+        if time.monotonic() > deadline_s:
+            raise CommandError(
+                f"a gateway of the name {settings.robot.name} is connected already; choose another with --robot",
+                ExitCode.REFUSED,
+            )
+        time.sleep(0.1)
 
 
 def _open_session(zenoh_settings: ZenohSettings) -> tuple[zenoh.Session, str]:

@@ -127,7 +127,8 @@ def panel(report: RobotReport) -> RenderableType:
         top = Text(f"state {report.state_age_s or 0:.2f} s old", style=GOOD)
     else:
         top = Text(alarm(report), style=LOUD)
-    return Panel(Group(top, grid, _health_text(report)), title=Text(report.robot), expand=False)
+    # What is wrong comes first: a small window cuts the rest off.
+    return Panel(Group(top, _health_text(report), grid), title=Text(report.robot), expand=False)
 
 
 def table(reports: Sequence[RobotReport]) -> RenderableType:

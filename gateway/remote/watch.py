@@ -121,9 +121,9 @@ class _Watching:
 
 
 def _live(watching: _Watching, console: Console, end_s: float, stopped: Callable[[], bool]) -> None:
-    # Drawn from this thread alone, so that rich needs none of its own. What was drawn last goes from the terminal
-    # with the view: nobody shall read it as current.
-    with Live(console=console, auto_refresh=False, transient=True) as live:
+    # Drawn from this thread alone, so that rich needs none of its own. On the terminal's other screen: neither a
+    # window that changes its size nor the end of the view may leave old values that somebody reads as current.
+    with Live(console=console, auto_refresh=False, screen=True) as live:
 
         def draw(reports: list[RobotReport]) -> None:
             live.update(view.panel(reports[0]) if watching.robot else view.table(reports), refresh=True)

@@ -31,6 +31,7 @@ class FeedbackStream:
         self._faults = faults
         self._sequence = 0
         self._rated_valid = 0
+        self._withheld = 0
 
     def receive(self, frame: Frame, now_ns: int) -> Sample | None:
         """The sample of a frame of this stream, or None if the frame is not one to publish."""
@@ -46,7 +47,7 @@ class FeedbackStream:
             self._faults.update(faults)
         decoder = self.decoder
         if decoder is None:
-            self._faults[FaultKind.VARIANT_UNKNOWN] += 1
+            self._withheld += 1
             return None
         if decoder.undefined is not None and decoder.undefined(data):
             self._faults[FaultKind.UNDEFINED_VALUE] += 1
@@ -67,7 +68,7 @@ class FeedbackStream:
             self._faults[fault] += 1
             self.latest = None
 
-    def health(self, elapsed_s: float) -> FrameHealth:
+    def health(self, elapsed_s: float, now_ns: int) -> FrameHealth:
         """How the stream is; the rate is that since the last call, which was ``elapsed_s`` ago."""
         supervisor = self.supervisor
         rate_hz = (supervisor.valid - self._rated_valid) / elapsed_s
@@ -77,6 +78,9 @@ class FeedbackStream:
             rate_hz=round(rate_hz, 2),
             valid=supervisor.valid,
             lost=supervisor.lost,
+            withheld=self._withheld,
+            checksum_faults=supervisor.checksums.faults,
             silent=supervisor.is_silent,
             alive_faults=supervisor.alive.faults,
+            failures=supervisor.failures(now_ns),
         )

@@ -50,6 +50,7 @@ class HealthMeter:
         self._started_ns = started_ns
         self._unknown: Counter[str] = Counter()
         self._lateness_ns: list[int] = []
+        self._worst_ns = 0
         self._reported_ns = started_ns
         self._reported_frames = 0
         self._reported_cpu_ns = 0
@@ -65,6 +66,7 @@ class HealthMeter:
     def tick_lateness(self, late_ns: int) -> None:
         """A tick began this much after its time."""
         self._lateness_ns.append(late_ns)
+        self._worst_ns = max(self._worst_ns, late_ns)
 
     def report(
         self, now_ns: int, wall_ns: int, links: Links, variant: Variant, frames: int, streams: list[FeedbackStream]
@@ -88,10 +90,11 @@ class HealthMeter:
             frames_per_s=round((frames - self._reported_frames) / elapsed_s, 1),
             faults={kind.value: number for kind, number in self.faults.items()},
             unknown_identifiers=dict(self._unknown),
-            feedback=[stream.health(elapsed_s) for stream in streams],
+            feedback=[stream.health(elapsed_s, now_ns) for stream in streams],
             tick_lateness_p50_ms=_quantile_ms(late_ns, 0.50),
             tick_lateness_p99_ms=_quantile_ms(late_ns, 0.99),
             tick_lateness_max_ms=_quantile_ms(late_ns, 1),
+            tick_lateness_worst_ms=round(self._worst_ns / 1e6, 3),
             cpu_percent=round((links.cpu_ns - self._reported_cpu_ns) / elapsed_s / 1e7, 1),
         )
         self._reported_ns = now_ns

@@ -31,6 +31,8 @@ FLEET_NAME: Final = "fleet"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
+    # It runs for hours, and who looks into its log wants to see links come and go.
+    parser.set_defaults(log_level="info")
     parser.add_argument(
         "-k",
         "--key",

@@ -28,6 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         description="What a log holds: channels, rates, robots, versions, attachments; what it lacks: samples "
         "missed by their sequence, raw frames lost by their alive counters, and whether the file is whole. "
         "Exit code 3 if a file is not.",
+        epilog=f"example:\n{EXAMPLE}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     info.add_argument("files", nargs="+", type=Path, metavar="FILE")
     info.add_argument("--json", action="store_true", help="print a JSON object a line, one for each file")
@@ -83,12 +85,12 @@ def describe(info: LogInfo) -> str:
         ],
     )
     lines += _table(
-        ("raw frames", "identifier", "frames", "lost", "repeated", "corrupt", "outages"),
+        ("raw frames", "identifier", "frames", "lost", "repeated", "corrupt", "outages", "unseen"),
         [
             (
                 f"{one.topic} {one.name}",
                 one.identifier,
-                *map(str, (one.frames, one.lost, one.repeated, one.corrupt, one.outages)),
+                *map(str, (one.frames, one.lost, one.repeated, one.corrupt, one.outages, one.unseen)),
             )
             for one in info.frames
         ],
@@ -96,7 +98,10 @@ def describe(info: LogInfo) -> str:
     lines += _table(
         ("attachment", "type", "bytes"), [(one.name, one.media_type, str(one.bytes)) for one in info.attachments]
     )
-    lines.append(f"  {info.missed} samples missed, {info.frames_lost} raw frames lost")
+    unseen = sum(one.unseen for one in info.frames)
+    lines.append(
+        f"  {info.missed} samples missed, {info.frames_lost} raw frames lost ({unseen} of them in outages)"
+    )
     # A log's names come from anywhere, and may try to rule the terminal.
     return "\n".join(map(plain, lines))
 

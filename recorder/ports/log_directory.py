@@ -71,6 +71,8 @@ class LogFile:
                     self._mcap.write_chunk(effect.chunk)
                 case SyncLog():
                     os.fdatasync(self._stream.fileno())
+                    if os.fstat(self._stream.fileno()).st_nlink == 0:
+                        raise FileNotFoundError(0, "somebody has removed the log while it was written")
                 case DeclareChannel():
                     self._mcap.add_channel(effect.channel)
                 case WriteMetadata():

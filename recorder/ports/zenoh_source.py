@@ -93,6 +93,12 @@ class ZenohSource:
         """Whether a query is still without its reply."""
         return bool(self._pending)
 
+    @property
+    def is_connected(self) -> bool:
+        """Whether any Zenoh node is connected."""
+        info = self._session.info
+        return bool(info.peers_zid() or info.routers_zid())
+
     def drain(self, limit: int) -> Iterator[ZenohSample]:
         """The samples and replies that have come in, at most about ``limit``."""
         for index, subscriber in enumerate(self._subscribers):

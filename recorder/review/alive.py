@@ -1,7 +1,7 @@
 """Frames lost on the way from the chassis, by the alive counters that they carry.
 
 A counter of 4 bits cannot tell a loss of 16 frames from none, so it is believed only across gaps in time of
-fewer than 16 periods; a longer gap is an outage, and what it cost is not guessed.
+fewer than 16 periods; a longer gap is an outage, and what it cost is told by the period.
 """
 
 from __future__ import annotations
@@ -59,11 +59,13 @@ class AliveCount:
         repeated: frames with the counter of the one before.
         corrupt: frames with a wrong checksum; their counter is not read.
         outages: gaps in time too long for the counter.
+        unseen: frames that the outages would have held, by the period.
     """
 
     def __init__(self, frame: FeedbackFrame) -> None:
         self.name = frame.name
-        self.frames = self.lost = self.repeated = self.corrupt = self.outages = 0
+        self.frames = self.lost = self.repeated = self.corrupt = self.outages = self.unseen = 0
+        self._period_ns = frame.period_ns
         self._window_ns = COUNTER_SPAN * frame.period_ns
         self._counter = 0
         self._time_ns = 0
@@ -77,6 +79,7 @@ class AliveCount:
         if self.frames > 1:
             if not 0 <= time_ns - self._time_ns < self._window_ns:
                 self.outages += 1
+                self.unseen += max(0, round((time_ns - self._time_ns) / self._period_ns) - 1)
             elif counter == self._counter:
                 self.repeated += 1
             else:

@@ -57,6 +57,7 @@ class FrameInfo(msgspec.Struct, frozen=True):
     repeated: int
     corrupt: int
     outages: int
+    unseen: int
 
 
 class AttachmentInfo(msgspec.Struct, frozen=True):
@@ -73,7 +74,8 @@ class LogInfo(msgspec.Struct, frozen=True):
     Attributes:
         whole: the file was closed properly and no checksum is wrong.
         faults: what is wrong with the file; ``fault_count`` of them, the first ones told.
-        missed: samples missed on all channels; ``frames_lost`` likewise of raw frames.
+        missed: samples missed on all channels; ``frames_lost`` likewise of raw frames,
+            by their alive counters and, across outages, by their period.
         robots: the robots' names.
         variants: the firmware variant of each robot that has told it.
         versions: of the recorder, and of each robot's gateway.
@@ -177,6 +179,7 @@ class _Channel:
                 repeated=count.repeated,
                 corrupt=count.corrupt,
                 outages=count.outages,
+                unseen=count.unseen,
             )
             for identifier, count in sorted(self.frames.items())
         ]
@@ -254,7 +257,7 @@ class _Survey:
             end_ns=max(ends, default=None),
             duration_s=(max(ends) - min(starts)) / 1e9 if starts else 0.0,
             missed=sum(channel.missed or 0 for channel in channels),
-            frames_lost=sum(frame.lost for frame in frames),
+            frames_lost=sum(frame.lost + frame.unseen for frame in frames),
             robots=robots,
             variants={name: ours[f"{name}.variant"] for name in robots if f"{name}.variant" in ours},
             versions={key: value for key, value in ours.items() if "version" in key},

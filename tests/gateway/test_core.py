@@ -98,6 +98,10 @@ def test_no_speed_is_published_before_its_scale_is_known(variant: Variant) -> No
     made, feedback = core(), Feedback(variant)
     for name in SCALED_BY_VARIANT:
         assert made.receive_frame(feedback.frame(name), 0) is None
+    health = ticks(made, 1000)["gateway/health"][0]
+    assert isinstance(health, GatewayHealth)
+    assert {row.name for row in health.feedback if row.withheld} == set(SCALED_BY_VARIANT)
+    assert health.faults.get("variant_contradicted") is None
     assert made.receive_frame(feedback.frame("Auto_GearFeedBack"), 0) is not None
     confirm(made, feedback)
     assert made.variant is variant
@@ -258,6 +262,24 @@ def test_health_counts_every_lost_frame(skips: list[int]) -> None:
     health = next(read(s) for s in samples if s.subject == "gateway/health")
     assert isinstance(health, GatewayHealth)
     assert health.feedback[0].lost == sum(skips)
+
+
+def test_each_failure_is_told_of_its_own_frame() -> None:
+    """Three checksum faults within a second, a stuck counter and a silence are named where they are."""
+    made, feedback = core("coarse"), Feedback(Variant.COARSE)
+    for number in range(100):
+        good = feedback.frame("Auto_GearFeedBack")
+        made.receive_frame(good, number * 10 * MS)
+        made.receive_frame(Frame(good.can_id, good.data[:7] + bytes([good.data[7] ^ 1])), number * 10 * MS)
+        stuck = Feedback(Variant.COARSE).frame("Auto_SteeringFeedBack")
+        made.receive_frame(stuck, number * 10 * MS)
+    health = ticks(made, 1000, 1000)["gateway/health"][0]
+    assert isinstance(health, GatewayHealth)
+    rows = {row.name: row for row in health.feedback}
+    assert rows["Auto_GearFeedBack"].failures == ["checksum"]
+    assert rows["Auto_GearFeedBack"].checksum_faults == 100
+    assert rows["Auto_SteeringFeedBack"].failures == ["alive_counter"]
+    assert rows["Auto_DriveFeedBack"].failures == ["silence"]
 
 
 def test_a_bus_full_of_strangers_does_not_fill_the_memory() -> None:

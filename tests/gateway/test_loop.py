@@ -1,6 +1,7 @@
 """The one thread, with a fake bus and a fake Zenoh."""
 
 import gc
+import logging
 import time
 from collections.abc import Callable
 
@@ -85,11 +86,16 @@ def test_a_lost_bus_ends_nothing(caplog: pytest.LogCaptureFixture) -> None:
             bus.is_up, bus.detail, bus.losses = False, "Network is down", 1
         return len(states) >= 6
 
-    run(bus, zenoh, core(), lambda: b"", stopped)
+    with caplog.at_level(logging.INFO):
+        run(bus, zenoh, core(), lambda: b"", stopped)
     states = [state for state in zenoh.of("state") if isinstance(state, RobotState)]
     assert [state.bus_up for state in states[:2]] == [True, True]
     assert states[-1].bus_up is False
-    assert [record.getMessage() for record in caplog.records] == ["the bus is lost: Network is down; trying again"]
+    assert [record.getMessage() for record in caplog.records] == [
+        "the bus is up",
+        "a Zenoh node is connected",
+        "the bus is lost: Network is down; trying again",
+    ]
 
 
 def test_a_lost_zenoh_is_logged(caplog: pytest.LogCaptureFixture) -> None:
@@ -100,8 +106,32 @@ def test_a_lost_zenoh_is_logged(caplog: pytest.LogCaptureFixture) -> None:
         zenoh.connected = 0 if zenoh.samples else 1
         return len(zenoh.of("state")) >= 4
 
-    run(FakeBus([]), zenoh, core(), lambda: b"", stopped)
-    assert [record.getMessage() for record in caplog.records] == ["no Zenoh node is connected any more"]
+    with caplog.at_level(logging.INFO):
+        run(FakeBus([]), zenoh, core(), lambda: b"", stopped)
+    assert [record.getMessage() for record in caplog.records][1:] == [
+        "a Zenoh node is connected",
+        "no Zenoh node is connected any more",
+    ]
+
+
+def test_a_loop_that_stood_still_says_so(caplog: pytest.LogCaptureFixture) -> None:
+    """A stall is in the log, and stays in health as the worst lateness since the start."""
+    zenoh, stalls = FakeZenoh(), [0.12]
+
+    class StallingBus(FakeBus):
+        """Holds the loop once."""
+
+        def receive(self, timeout_s: float) -> Frame | None:
+            time.sleep(stalls.pop() if stalls else timeout_s)
+            return None
+
+    run(StallingBus([]), zenoh, core(), lambda: b"", lambda: len(zenoh.of("gateway/health")) == 2)
+    assert any("ms late" in record.getMessage() for record in caplog.records)
+    first, second = zenoh.of("gateway/health")
+    assert isinstance(first, GatewayHealth)
+    assert isinstance(second, GatewayHealth)
+    assert first.tick_lateness_worst_ms > 100
+    assert second.tick_lateness_worst_ms >= first.tick_lateness_worst_ms
 
 
 def test_the_garbage_collector_is_given_back() -> None:

@@ -207,6 +207,10 @@ class FakeSource:
     def is_asking(self) -> bool:
         return bool(self._answers)
 
+    @property
+    def is_connected(self) -> bool:
+        return not self.is_exhausted
+
     def drain(self, limit: int) -> Iterator[Sample]:
         for _ in range(limit):
             sample = next(self._samples, None)

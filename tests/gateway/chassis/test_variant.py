@@ -79,6 +79,17 @@ def test_evidence_against_the_configured_variant_is_a_contradiction() -> None:
     assert not detector.contradicted
 
 
+def test_without_a_configured_variant_the_evidence_decides_again() -> None:
+    """A chassis that was changed is found out by five frames; each of them counts as a contradiction."""
+    detector = VariantDetector(Variant.UNKNOWN)
+    for _ in range(5):
+        detector.receive_wheel_speed(FINE_STANDING)
+    faults = [detector.receive_wheel_speed(COARSE_STANDING) for _ in range(5)]
+    assert faults == [FaultKind.VARIANT_CONTRADICTED] * 5
+    assert detector.variant is Variant.COARSE
+    assert not detector.contradicted
+
+
 def test_a_reset_forgets_what_was_found_but_not_what_was_configured() -> None:
     """After the bus was away another chassis may be on it."""
     detector = VariantDetector(Variant.UNKNOWN)

@@ -54,3 +54,31 @@ def test_a_wrong_configuration_stops_any_command_with_one_line(command: str) -> 
     assert done.stderr == (
         f"cruiser {command}: cannot read the configuration file '/nowhere/robot.toml': no such file or directory\n"
     )
+
+
+@pytest.mark.parametrize(
+    ("redirection", "code", "says"),
+    [(">&-", 0, ""), ("2>&-", 0, ""), (">/dev/full", 1, "No space left on device"), ("| true", 0, "")],
+)
+@pytest.mark.parametrize("words", ["--help", "decode"])
+def test_an_output_that_takes_nothing_is_no_traceback(words: str, redirection: str, code: int, says: str) -> None:
+    """Closed, full, or a reader that has gone: at most one line, never a traceback."""
+    line = "'(1.0) can0 18C4D1EF#0104000000000005'"
+    command = f"echo {line} | {sys.executable} -m gateway {words} {redirection}"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False, timeout=60)  # noqa: S607
+    assert done.returncode == code
+    complaints = [said for said in done.stderr.splitlines() if "no variant is given" not in said]
+    assert len(complaints) <= 1
+    assert says in "".join(complaints)
+
+
+def test_ctrl_c_before_a_command_has_begun_is_no_traceback() -> None:
+    """Until a command takes its signals, SIGINT ends the process at once."""
+    program = (
+        "import os\n"
+        "from gateway.cli import main\n"
+        "main._answer = lambda words: os.kill(os.getpid(), 2)\n"
+        "main.main([])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stderr) == (-2, "")

@@ -50,18 +50,38 @@ def test_a_frame_survives_the_way_through_python_can(frame: Frame) -> None:
     assert abs(back.wall_ns - frame.wall_ns) < 2000
 
 
-@pytest.mark.parametrize("timestamp", [0.0, 12.5, 1e12])
-def test_a_timestamp_that_is_no_epoch_time_is_replaced(timestamp: float) -> None:
-    """Interfaces that count from their own start would put the frame into 1970 or the far future."""
-    received_ns = 1_700_000_000_000_000_000
-    assert to_frame(can.Message(timestamp=timestamp), received_ns).wall_ns == received_ns
+class StampedBus(can.BusABC):
+    """A driver that stamps its frames as told."""
+
+    def __init__(self, timestamps: list[float]) -> None:
+        super().__init__(channel="stamped")
+        self.timestamps = timestamps
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        raise can.CanOperationError(f"{msg} {timeout}")
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        return can.Message(timestamp=self.timestamps.pop(0)), timeout is None
 
 
-def test_a_kernel_timestamp_is_kept() -> None:
-    """A receive time near now is the interface's own, and better than ours."""
-    received_ns = 1_700_000_000_500_000_000
-    wall_ns = to_frame(can.Message(timestamp=1_700_000_000.25), received_ns).wall_ns
-    assert wall_ns == pytest.approx(1_700_000_000_250_000_000, abs=1000)
+@pytest.mark.parametrize("start_s", [0.0, 12.5, 1e12])
+def test_a_clock_that_does_not_keep_epoch_time_is_not_believed(start_s: float) -> None:
+    """Interfaces that count from their own start would put frames into 1970 or the far future."""
+    bus = CanBus(StampedBus([start_s, start_s + 1, time.time()]))
+    for _ in range(3):
+        frame = bus.receive(1)
+        assert frame is not None
+        assert abs(frame.wall_ns - time.time_ns()) < 10**10
+    bus.close()
+
+
+def test_frames_that_waited_keep_their_times() -> None:
+    """Once the interface's clock is known to keep epoch time, a frame that comes late is old, not new."""
+    now_s = time.time()
+    bus = CanBus(StampedBus([now_s, now_s - 20, now_s - 19.99]))
+    times_ns = [frame.wall_ns for _ in range(3) if (frame := bus.receive(1)) is not None]
+    assert times_ns == pytest.approx([now_s * 1e9, (now_s - 20) * 1e9, (now_s - 19.99) * 1e9], abs=1000)
+    bus.close()
 
 
 def test_frames_go_from_bus_to_bus() -> None:

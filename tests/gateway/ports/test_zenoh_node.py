@@ -59,6 +59,18 @@ def test_the_second_gateway_joins_the_first(default_endpoint: str, watcher: zeno
     first.close()
 
 
+def test_a_second_gateway_of_the_same_name_is_refused(default_endpoint: str) -> None:
+    """One name is one robot; the second gateway says so and leaves, the first goes on."""
+    first, _ = open_node(settings("r-1"))
+    with pytest.raises(CommandError, match="r-1 is connected already") as error:
+        open_node(settings("r-1"))
+    assert error.value.code is ExitCode.REFUSED
+    first.close()
+    again, where = open_node(settings("r-1"))
+    assert where == f"at {default_endpoint}"
+    again.close()
+
+
 def test_a_port_that_something_else_holds_is_told(default_endpoint: str) -> None:
     """What listens there does not speak Zenoh: the gateway says so instead of waiting for ever."""
     host, port = default_endpoint.removeprefix("tcp/").split(":")

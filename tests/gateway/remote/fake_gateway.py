@@ -66,10 +66,23 @@ HEALTH = GatewayHealth(
     frames_per_s=630.0,
     faults={"checksum": 0},
     unknown_identifiers={},
-    feedback=[FrameHealth(name="Auto_GearFeedBack", rate_hz=100, valid=99, lost=0, silent=False, alive_faults=0)],
+    feedback=[
+        FrameHealth(
+            name="Auto_GearFeedBack",
+            rate_hz=100,
+            valid=99,
+            lost=0,
+            withheld=0,
+            checksum_faults=0,
+            silent=False,
+            alive_faults=0,
+            failures=[],
+        )
+    ],
     tick_lateness_p50_ms=0.1,
     tick_lateness_p99_ms=0.2,
     tick_lateness_max_ms=0.3,
+    tick_lateness_worst_ms=0.4,
     cpu_percent=5.0,
 )
 

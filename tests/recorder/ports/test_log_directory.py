@@ -183,3 +183,16 @@ def test_a_disk_without_room_for_a_header_leaves_no_file(tmp_path: Path) -> None
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert logs_in(tmp_path) == []
+
+
+def test_a_log_that_was_removed_is_not_written_in_silence(tmp_path: Path) -> None:
+    """The disk takes the bytes of a file without a name; nobody will ever read them, so that is an error."""
+    log = opened(tmp_path)
+    log.write(chunk(1))
+    log.write(SyncLog())
+    (tmp_path / f"{STEM}.mcap.part").unlink()
+    log.write(chunk(2))
+    with pytest.raises(CommandError, match="removed the log"):
+        log.write(SyncLog())
+    log.salvage()
+    assert logs_in(tmp_path) == []
