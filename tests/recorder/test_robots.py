@@ -91,6 +91,6 @@ def test_a_gateway_that_began_anew_is_asked_again() -> None:
 def test_robots_of_one_name_under_two_roots_are_told_apart() -> None:
     """The second is called by its root too."""
     robots = seen()
-    assert robots.see("other/root", "cruiser-1", 0) == "other/root/cruiser-1"
+    assert robots.see("other/base", "cruiser-1", 0) == "other/base/cruiser-1"
     assert robots.see("fleet", "cruiser-1", 0) == "cruiser-1"
-    assert robots.ask(0) == [AskInfo(KEY), AskInfo("other/root/cruiser-1/gateway/info")]
+    assert robots.ask(0) == [AskInfo(KEY), AskInfo("other/base/cruiser-1/gateway/info")]
