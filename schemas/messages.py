@@ -223,7 +223,8 @@ class RobotState(Message, frozen=True):
         bus_up: the gateway has the CAN bus open.
         variant: the chassis's firmware variant; no speed is known before it is.
         silent: names of the feedback frames that are missing or overdue.
-        speed_mps: signed, forward positive: the drive feedback with the direction of the wheels.
+        speed_mps: signed, forward positive: the drive feedback with the direction of the wheels, or of the gear
+            where the wheels do not tell; null if neither does.
         yaw_rate_radps: from speed and steering angle by the bicycle model, wheelbase 0.660 m.
     """
 

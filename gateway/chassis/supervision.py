@@ -84,8 +84,9 @@ class Period:
         self.has_failed = False
 
     def forget(self) -> None:
-        """Begin a new window with the next frame."""
+        """Begin a new window with the next frame; what was found before no longer holds."""
         self._frames = -1
+        self.has_failed = False
 
     def receive(self, now_ns: int) -> FaultKind | None:
         """Judge the window that ends with this frame, if one does."""

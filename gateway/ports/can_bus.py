@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import socket
 import threading
@@ -156,7 +157,7 @@ def _probe(host: str, port: int) -> None:
             probe.settimeout(HANDSHAKE_TIMEOUT_S)
             if not probe.recv(16).startswith(b"< hi >"):
                 raise BusLost(f"{host}:{port} does not speak the socketcand protocol")
-    except OSError as error:
+    except (OSError, UnicodeError) as error:  # A host name that cannot be one is a UnicodeError.
         raise BusLost(f"no socketcand server at {host}:{port}: {error}") from error
 
 
@@ -242,6 +243,8 @@ class ReconnectingBus:
         self._bus = bus
         self._first_pause_s = first_pause_s
         self._longest_pause_s = longest_pause_s
+        self._pause_s = first_pause_s
+        self._opened_s = time.monotonic()
         self._opened: Bus | None = None
         self._wake = threading.Event()
         self._closing = threading.Event()
@@ -280,7 +283,13 @@ class ReconnectingBus:
         self.is_up = False
         self.detail = why
         self.losses += 1
+        # A bus that opens and is lost again at once needs the growing pauses as much as one that does not open.
+        lasted = time.monotonic() - self._opened_s > self._longest_pause_s
+        self._pause_s = self._first_pause_s if lasted else self._next_pause_s()
         self._start_opening()
+
+    def _next_pause_s(self) -> float:
+        return min(2 * self._pause_s, self._longest_pause_s)
 
     def _start_opening(self) -> None:
         self._wake.clear()
@@ -288,13 +297,14 @@ class ReconnectingBus:
         self._thread.start()
 
     def _keep_opening(self) -> None:
-        pause_s = self._first_pause_s
-        while not self._closing.wait(pause_s):
+        while not self._closing.wait(self._pause_s):
             try:
                 self._opened = self._open()
             except (BusLost, CommandError) as error:
                 self.detail = str(error)
-                pause_s = min(2 * pause_s, self._longest_pause_s)
+                self._pause_s = self._next_pause_s()
+                # The loop runs without collections, and each failure leaves a traceback that refers to itself.
+                gc.collect()
             else:
                 self._wake.set()
                 return
@@ -302,5 +312,6 @@ class ReconnectingBus:
     def _take_opened(self) -> None:
         if self._opened is not None:
             self._bus, self._opened = self._opened, None
+            self._opened_s = time.monotonic()
             self.is_up = True
             self.detail = ""

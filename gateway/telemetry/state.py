@@ -45,15 +45,20 @@ class LatestMessages:
 
 
 def signed_speed_mps(drive: Drive | None, wheels: WheelSpeed | None, gear: Gear | None) -> float | None:
-    """The drive feedback, a magnitude, with the direction of the wheels if they turn, else of the gear."""
+    """The drive feedback, a magnitude, with the direction of the wheels if they turn, else of the gear.
+
+    None if the robot moves and neither tells the direction: half of the guesses would be wrong.
+    """
     if drive is None:
         return None
     if wheels is not None and wheels.valid:
         mean_mps = (wheels.rear_left_speed_mps + wheels.rear_right_speed_mps) / 2
         if abs(mean_mps) > STANDSTILL_MPS:
             return -drive.speed_mps if mean_mps < 0 else drive.speed_mps
-    in_reverse = gear is not None and gear.gear_position is GearPosition.REVERSE
-    return -drive.speed_mps if in_reverse and drive.speed_mps else drive.speed_mps
+    if drive.speed_mps <= STANDSTILL_MPS:
+        return drive.speed_mps
+    direction = 0 if gear is None else {GearPosition.DRIVE: 1, GearPosition.REVERSE: -1}.get(gear.gear_position, 0)
+    return direction * drive.speed_mps if direction else None
 
 
 def yaw_rate_radps(speed_mps: float, angle_deg: float) -> float:

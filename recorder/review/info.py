@@ -260,7 +260,9 @@ class _Survey:
             frames_lost=sum(frame.lost + frame.unseen for frame in frames),
             robots=robots,
             variants={name: ours[f"{name}.variant"] for name in robots if f"{name}.variant" in ours},
-            versions={key: value for key, value in ours.items() if "version" in key},
+            versions={
+                key: value for key, value in ours.items() if key == "recorder_version" or ".versions." in key
+            },
             channels=channels,
             frames=frames,
             attachments=self._attachments,

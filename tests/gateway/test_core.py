@@ -206,11 +206,13 @@ def test_a_silent_frame_leaves_the_state() -> None:
         ("reverse", -1.0, -1.0),
         ("neutral", -1.0, -1.0),
         ("reverse", 0.0, -1.0),
-        ("park", 0.0, 1.0),
+        ("neutral", 0.0, None),
     ],
 )
-def test_speed_is_signed_by_the_wheels_then_by_the_gear(gear: str, wheels_mps: float, speed_mps: float) -> None:
-    """The drive feedback is a magnitude; rolling backwards in neutral is seen by the wheels alone."""
+def test_speed_is_signed_by_the_wheels_then_by_the_gear(
+    gear: str, wheels_mps: float, speed_mps: float | None
+) -> None:
+    """The drive feedback is a magnitude; in neutral the wheels alone tell the direction, or nobody does."""
     made, feedback = core("coarse"), Feedback(Variant.COARSE)
     made.receive_frame(feedback.frame("Auto_GearFeedBack", {"GearPosition": gear}), 0)
     made.receive_frame(feedback.frame("Auto_DriveFeedBack", {"Speed": 1.0}), 0)
@@ -224,6 +226,7 @@ def test_speed_is_signed_by_the_wheels_then_by_the_gear(gear: str, wheels_mps: f
 def test_yaw_rate_is_that_of_the_bicycle_model() -> None:
     """1 m/s at 24 degrees left with a wheelbase of 0.660 m turns at 0.6746 rad/s, left positive."""
     made, feedback = core("fine"), Feedback(Variant.FINE)
+    made.receive_frame(feedback.frame("Auto_GearFeedBack", {"GearPosition": "drive"}), 0)
     made.receive_frame(feedback.frame("Auto_SteeringFeedBack", {"Angle": 24.0}), 0)
     made.receive_frame(feedback.frame("Auto_DriveFeedBack", {"Speed": 1.0}), 0)
     state = ticks(made, 0)["state"][0]

@@ -280,3 +280,20 @@ def test_sending_on_a_closed_bus_is_a_loss() -> None:
             bus.receive(0)
     finally:
         bus.close()
+
+
+def test_a_bus_that_opens_and_is_lost_at_once_is_not_tried_without_end() -> None:
+    """The pauses grow for it too."""
+    opened: list[FakeBus] = []
+
+    def opener() -> FakeBus:
+        bus = FakeBus()
+        bus.lost = "Network is down"
+        opened.append(bus)
+        return bus
+
+    bus = ReconnectingBus(opener, opener(), first_pause_s=0.001, longest_pause_s=60)
+    wait_until(lambda: (bus.receive(0.001), bus.losses >= 5)[1])
+    assert bus._pause_s >= 0.001 * 2**4
+    bus.close()
+    assert all(one.closed for one in opened)
