@@ -182,11 +182,13 @@ class FrameSupervisor:
 
     def receive(self, alive_counter: int, now_ns: int) -> tuple[FaultKind, ...]:
         """A valid frame came. Returns what is wrong with its alive counter and its period."""
-        if self.is_silent:
-            self._end_silence(now_ns)
         self.valid += 1
-        self.overdue_ns = now_ns + self._silence_ns
         alive_fault = self.alive.receive(alive_counter)
+        if not self.alive.repeats:
+            # A frame that only repeats its counter says nothing new: it becomes overdue like one that stays away.
+            if self.is_silent:
+                self._end_silence(now_ns)
+            self.overdue_ns = now_ns + self._silence_ns
         period_fault = self.period.receive(now_ns)
         if alive_fault is None and period_fault is None:
             return NO_FAULTS
@@ -199,12 +201,13 @@ class FrameSupervisor:
         self.is_silent = True
         self._last_ns = self.overdue_ns - self._silence_ns
         self.overdue_ns = NEVER_NS
-        self.alive.forget()
+        if not self.alive.repeats:
+            self.alive.forget()
         self.period.forget()
         return FaultKind.SILENCE
 
     def _end_silence(self, now_ns: int) -> None:
         self.is_silent = False
-        if self.valid:
+        if self.valid > 1:
             # The counter cannot tell how often it wrapped; the period can.
             self.alive.lost += max(0, round((now_ns - self._last_ns) / self._period_ns) - 1)

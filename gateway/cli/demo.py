@@ -168,7 +168,13 @@ class Child:
         self._name = name
         command = [sys.executable, "-m", "gateway", name, *words]
         self._process = subprocess.Popen(  # noqa: S603 - our own command
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            # Ctrl-C is for the demo, which ends its children in their order.
+            command,
+            start_new_session=True,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
         )
         self._said: deque[str] = deque(maxlen=LINES_KEPT)
         self._spoke = threading.Event()
@@ -217,8 +223,11 @@ class Child:
     def type(self, line: str) -> None:
         """Type a line into it."""
         if self._process.stdin is not None:
-            self._process.stdin.write(f"{line}\n")
-            self._process.stdin.flush()
+            try:
+                self._process.stdin.write(f"{line}\n")
+                self._process.stdin.flush()
+            except BrokenPipeError as error:
+                raise CommandError(f"{self._name} has ended") from error
 
     def end(self) -> str:
         """Ask it to stop. Returns its stdout.
@@ -229,9 +238,9 @@ class Child:
         self.check()
         self._process.terminate()
         try:
-            # Its stderr has a reader already, and communicate() would take it away.
-            out = self._process.stdout.read() if self._process.stdout else ""
+            # What it prints is short and waits in the pipe.
             self._process.wait(END_TIMEOUT_S)
+            out = self._process.stdout.read() if self._process.stdout else ""
         except subprocess.TimeoutExpired as error:
             raise CommandError(f"{self._name} does not stop") from error
         if self._process.returncode != ExitCode.OK:

@@ -30,6 +30,9 @@ log = logging.getLogger(__name__)
 CONNECT_TIMEOUT_S: Final = 1.0
 HANDSHAKE_TIMEOUT_S: Final = 5.0
 TIMESTAMP_TOLERANCE_NS: Final = 2_000_000_000
+TIMESTAMP_MAX_S: Final = 2**33
+DATA_MAX_BYTES: Final = 64
+"""A CAN FD frame has no more; a text protocol may say so all the same, and the rest is cut off."""
 
 
 class BusLost(Exception):  # noqa: N818 - it is named for what happened; the caller opens the bus again
@@ -69,7 +72,7 @@ class CanBus:
         try:
             message = self._bus.recv(timeout_s)
         except (can.CanError, OSError, ValueError) as error:
-            raise BusLost(str(error) or type(error).__name__) from error
+            raise BusLost(_first_line(error)) from error
         if message is not None:
             return to_frame(message, self._time_ns(message.timestamp))
         if timeout_s > 0 and self._socket is not None and _has_hung_up(self._socket):
@@ -82,7 +85,8 @@ class CanBus:
         Some interfaces count from their own start, or give no time. The first frame tells, for as long as the bus
         is open: judged one by one, frames that waited while this process stood still would be taken for new ones.
         """
-        wall_ns = int(timestamp_s * 1e9)
+        # Not a number, infinite or absurd, as a broken server may send it: no time at all.
+        wall_ns = int(timestamp_s * 1e9) if 0 <= timestamp_s < TIMESTAMP_MAX_S else 0
         if self._keeps_epoch is None:
             self._keeps_epoch = abs(time.time_ns() - wall_ns) <= TIMESTAMP_TOLERANCE_NS
         return wall_ns if self._keeps_epoch else time.time_ns()
@@ -96,7 +100,7 @@ class CanBus:
         try:
             self._bus.send(to_message(frame))
         except (can.CanError, OSError, ValueError) as error:
-            raise BusLost(str(error) or type(error).__name__) from error
+            raise BusLost(_first_line(error)) from error
 
     def close(self) -> None:
         """Give the bus back. Never raises."""
@@ -161,6 +165,11 @@ def _probe(host: str, port: int) -> None:
         raise BusLost(f"no socketcand server at {host}:{port}: {error}") from error
 
 
+def _first_line(error: Exception) -> str:
+    """What an error says; python-can puts whole tracebacks behind it."""
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
 def _stream_socket(bus: can.BusABC) -> socket.socket | None:
     """The TCP socket of a bus that has one.
 
@@ -199,7 +208,7 @@ def to_frame(message: can.Message, wall_ns: int) -> Frame:
             | (BITRATE_SWITCH if message.bitrate_switch else 0)
             | (ERROR_STATE_INDICATOR if message.error_state_indicator else 0)
         )
-    return Frame(can_id, bytes(message.data), wall_ns, fd_flags, remote_length)
+    return Frame(can_id, bytes(message.data[:DATA_MAX_BYTES]), wall_ns, fd_flags, remote_length)
 
 
 def to_message(frame: Frame) -> can.Message:

@@ -6,8 +6,10 @@ No Python of ours runs on Zenoh's threads: queries wait in a ring channel that t
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from collections.abc import Callable
+from queue import SimpleQueue
 from typing import Any, Final
 
 import zenoh
@@ -27,6 +29,9 @@ QUERIES_WAITING: Final = 16
 """Queries on gateway/info that may wait; beyond it the oldest go."""
 
 QUERIES_PER_TICK: Final = 2
+
+REPLY_TIMEOUT_S: Final = 1.0
+"""How long the end waits for replies that are under way."""
 
 TOKEN_TIMEOUT_S: Final = 1.0
 """How long the question may take whether a gateway of our name is there."""
@@ -62,6 +67,9 @@ class ZenohNode:
             self._info_key, zenoh.handlers.RingChannel(QUERIES_WAITING), complete=True
         )
         self._declared.append(self._queries)
+        self._replies: SimpleQueue[tuple[zenoh.Query, bytes] | None] = SimpleQueue()
+        self._replier = threading.Thread(target=self._send_replies, name="info-replies", daemon=True)
+        self._replier.start()
         token = session.liveliness().declare_token(keys.liveliness(robot.root, robot.name))
         self._declared.append(token)
 
@@ -83,20 +91,28 @@ class ZenohNode:
             query = self._queries.try_recv()
             if query is None:
                 return
-            try:
-                with query:
-                    query.reply(self._info_key, reply(), encoding=self._info_encoding)
-            except zenoh.ZError as error:
-                self._fail(error)
+            self._replies.put((query, reply()))
 
     def close(self) -> None:
         """Leave Zenoh. Never raises."""
+        self._replies.put(None)
+        self._replier.join(REPLY_TIMEOUT_S)
         try:
             for declared in self._declared:
                 declared.undeclare()
         except zenoh.ZError as error:
             log.debug("leaving Zenoh: %s", error)
         close_session(self._session)
+
+    def _send_replies(self) -> None:
+        """On a thread of its own: a reply has the congestion control of its query, and may wait for seconds."""
+        while (waiting := self._replies.get()) is not None:
+            query, payload = waiting
+            try:
+                with query:
+                    query.reply(self._info_key, payload, encoding=self._info_encoding)
+            except zenoh.ZError as error:
+                self._fail(error)
 
     def _fail(self, error: zenoh.ZError) -> None:
         self.failures += 1

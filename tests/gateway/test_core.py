@@ -281,7 +281,7 @@ def test_each_failure_is_told_of_its_own_frame() -> None:
     rows = {row.name: row for row in health.feedback}
     assert rows["Auto_GearFeedBack"].failures == ["checksum"]
     assert rows["Auto_GearFeedBack"].checksum_faults == 100
-    assert rows["Auto_SteeringFeedBack"].failures == ["alive_counter"]
+    assert rows["Auto_SteeringFeedBack"].failures == ["alive_counter", "silence"]
     assert rows["Auto_DriveFeedBack"].failures == ["silence"]
 
 

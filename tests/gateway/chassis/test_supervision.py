@@ -134,3 +134,16 @@ def test_jitter_is_not_a_wrong_period() -> None:
     period = Period(10 * MS)
     verdicts = [period.receive(frame // 10 * 100 * MS) for frame in range(100)]
     assert set(verdicts) == {None}
+
+
+def test_a_frame_that_repeats_its_counter_becomes_overdue() -> None:
+    """A stuck sender shows the same old value for ever; that is silence, whatever the rate of its frames."""
+    supervisor = FrameSupervisor(10 * MS)
+    supervisor.receive(3, 0)
+    for at_ms in range(10, 101, 10):
+        supervisor.receive(3, at_ms * MS)
+    assert supervisor.tick(100 * MS + 1) is FaultKind.SILENCE
+    supervisor.receive(3, 110 * MS)
+    assert supervisor.is_silent
+    supervisor.receive(4, 120 * MS)
+    assert not supervisor.is_silent
