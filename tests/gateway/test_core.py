@@ -110,6 +110,15 @@ def test_no_speed_is_published_before_its_scale_is_known(variant: Variant) -> No
     assert speed.speed_mps == pytest.approx(2.0)
 
 
+def test_a_wheel_frame_with_a_wrong_checksum_is_no_evidence() -> None:
+    """Nothing may be concluded from a malformed frame, least of all the scale of every speed."""
+    made, feedback = core(), Feedback(Variant.COARSE)
+    for _ in range(10):
+        good = feedback.frame("Auto_WheelSpdFeedback")
+        made.receive_frame(Frame(good.can_id, good.data[:7] + bytes([good.data[7] ^ 1])), 0)
+    assert made.variant is Variant.UNKNOWN
+
+
 def test_evidence_against_the_variant_withholds_the_speeds() -> None:
     """A fine chassis under a coarse configuration shows no speed at all, rather than one 40 times too high."""
     made, feedback = core("coarse"), Feedback(Variant.FINE)
