@@ -45,6 +45,7 @@ class Core:
             for message in layout.feedback
         }
         self._commands = {message.can_id for message in layout.commands}
+        self._known = self._streams.keys() | self._commands
         self._wheel_speed = layout.messages[WHEEL_SPEED].can_id
         self._apply_variant()
         self._state_due_ns = self._batch_due_ns = now_ns
@@ -101,7 +102,7 @@ class Core:
         """A frame that is no feedback. A command frame of another computer is no fault: it may own the bus."""
         if frame.can_id in self._commands:
             return
-        fault = unknown_frame(frame, self._streams.keys() | self._commands)
+        fault = unknown_frame(frame, self._known)
         self._health.faults[fault.kind] += 1
         if fault.kind is FaultKind.UNKNOWN_IDENTIFIER:
             self._health.unknown_identifier(frame.can_id)

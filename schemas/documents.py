@@ -18,7 +18,7 @@ import msgspec
 from schemas import json_schema, keys, messages
 from schemas.messages import UNIT_KEYWORD, Message
 from schemas.setting_table import SETTINGS
-from schemas.subjects import BY_DBC_MESSAGE, LIVELINESS_CHUNK, SUBJECTS, Qos, Subject
+from schemas.subjects import BY_DBC_MESSAGE, LIVELINESS_CHUNK, SUBJECTS, Pattern, Subject
 from schemas.toml_text import write_value
 
 ROOT: Final = Path(__file__).parent.parent
@@ -63,7 +63,7 @@ def key_table() -> str:
             f"`{subject.name}`",
             subject.about,
             subject.rate,
-            _qos(subject.qos),
+            _qos(subject),
             f"{subject.type.__name__}: {_field_list(subject)}",
         )
         for subject in SUBJECTS
@@ -218,7 +218,10 @@ def _range(part: dict[str, Any]) -> str:
     return f" from {low}" if high is None or high >= _UNBOUNDED else f" {low}..{high}"
 
 
-def _qos(qos: Qos) -> str:
+def _qos(subject: Subject) -> str:
+    if subject.pattern is Pattern.QUERIED:
+        return "that of the query"
+    qos = subject.qos
     words = [qos.priority.value.lower().replace("_", " "), "drop"]
     if qos.express:
         words.append("express")
