@@ -82,6 +82,7 @@ class McapFile:
     """
 
     def __init__(self, stream: LogStream, library: str) -> None:
+        self._is_finished = False
         self._stream = stream
         self._size = 0
         self._data_crc = 0
@@ -194,7 +195,9 @@ class McapFile:
         self._groups[Opcode.METADATA_INDEX].add(index)
 
     def finish(self) -> None:
-        """Write what makes the file whole: the end of the data, the summary and the footer."""
+        """Write what makes the file whole: the end of the data, the summary and the footer; but once."""
+        if self._is_finished:
+            return
         data_end = _encode(records.DataEnd(self._data_crc))
         start = self._size + len(data_end)
         self._groups[Opcode.STATISTICS] = _Group()
@@ -213,6 +216,7 @@ class McapFile:
         footer = _RECORD_HEADER.pack(Opcode.FOOTER, 20) + struct.pack("<QQ", start, offset_start)
         crc = zlib.crc32(footer, zlib.crc32(summary))
         self._write(data_end + summary + footer + struct.pack("<I", crc) + MAGIC)
+        self._is_finished = True
 
     def cut_back(self) -> None:
         """After a failed write: take the stream back to the end of the last whole record.

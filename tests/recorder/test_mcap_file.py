@@ -15,7 +15,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from recorder.chunk import MESSAGE_HEADER, ChunkBuilder
 from recorder.effects import LogChannel
-from recorder.mcap_file import McapFile
+from recorder.mcap_file import MAGIC, McapFile
 from recorder.protobuf_schema import descriptor_set
 from schemas.messages import CanFrame, Gear, GearPosition, RawSample
 from tests.recorder.fakes import MS, WALL_NS, Disk, small_log
@@ -211,3 +211,13 @@ def test_after_a_full_disk_the_file_is_cut_back_to_whole_records(data: st.DataOb
     file.finish()
     read = [message for _, _, message in make_reader(BytesIO(disk.getvalue()), validate_crcs=True).iter_messages()]
     assert [message.sequence for message in read] == list(range(1, written + 1))
+
+
+def test_a_file_is_finished_once() -> None:
+    """After a failed sync the end may be asked for again; the file still has one summary and one footer."""
+    stream = BytesIO()
+    log = McapFile(stream, "test")
+    log.finish()
+    log.cut_back()
+    log.finish()
+    assert stream.getvalue().count(MAGIC) == 2
