@@ -21,6 +21,7 @@ from gateway.telemetry.raw_frames import FrameBatch
 from gateway.telemetry.sample import Sample
 from gateway.telemetry.state import LatestMessages, robot_state
 from schemas.codec import encode
+from schemas.dbc_files import DBC_FILES
 from schemas.messages import SEQUENCE_MAX, Variant
 from schemas.settings import BATCH_PERIOD_NS, HEALTH_PERIOD_NS, STATE_PERIOD_NS, Settings
 
@@ -46,6 +47,14 @@ class Core:
         }
         self._commands = {message.can_id for message in layout.commands}
         self._known = self._streams.keys() | self._commands
+        # Both variants, here and once: to compile a decoder takes a millisecond, too long for the loop.
+        self._scaled = [
+            (
+                self._streams[layout.messages[name].can_id],
+                {variant: compile_message(load(variant).messages[name]) for variant in DBC_FILES},
+            )
+            for name in SCALED_BY_VARIANT
+        ]
         self._wheel_speed = layout.messages[WHEEL_SPEED].can_id
         self._apply_variant()
         self._state_due_ns = self._batch_due_ns = now_ns
@@ -118,13 +127,9 @@ class Core:
     def _apply_variant(self) -> None:
         """Give the frames whose scale depends on the variant their decoder, or none while it is in doubt."""
         variant = self.variant
-        for name in SCALED_BY_VARIANT:
-            layout = load(variant if variant is not Variant.UNKNOWN else Variant.COARSE).messages[name]
-            stream = self._streams[layout.can_id]
-            if variant is Variant.UNKNOWN:
-                stream.withhold()
-            else:
-                stream.decoder = compile_message(layout)
+        for stream, decoders in self._scaled:
+            stream.withhold()
+            stream.decoder = decoders.get(variant)
 
     def _state(self, wall_ns: int) -> Sample:
         streams = self._streams.values()

@@ -25,6 +25,9 @@ COMPLAINT_PERIOD_NS: Final = 1_000_000_000
 BURST_MAX_FRAMES: Final = 32
 """Frames taken at a time, so that a bus that never falls silent cannot keep the tick waiting."""
 
+PEERS_TICKS: Final = 10
+"""Who is connected is asked in every tenth tick: asking takes Zenoh tens of microseconds."""
+
 
 class FrameSource(Protocol):
     """The bus, as the loop sees it: it never fails, it is up or it is not."""
@@ -90,6 +93,7 @@ def run(
     due_ns = monotonic_ns() + TICK_NS
     links = Links()
     complained_ns = 0
+    ticks = 0
     while not stopped():
         now_ns = monotonic_ns()
         while now_ns < due_ns:
@@ -101,7 +105,8 @@ def run(
             log.warning(
                 "the loop was %d ms late; frames that waited keep their own times", (now_ns - due_ns) // MS
             )
-        links = _observe(bus, sink, links)
+        links = _observe(bus, sink, links, links.zenoh_peers if ticks % PEERS_TICKS else sink.peers())
+        ticks += 1
         core.observe_links(links)
         for sample in core.tick(now_ns, time.time_ns(), now_ns - due_ns):
             sink.publish(sample)
@@ -127,12 +132,11 @@ def receive_burst(bus: FrameSource, core: Core, timeout_s: float) -> list[Sample
     return samples
 
 
-def _observe(bus: FrameSource, sink: SampleSink, before: Links) -> Links:
+def _observe(bus: FrameSource, sink: SampleSink, before: Links, peers: int) -> Links:
     if bus.is_up and not before.bus_up:
         log.info("the bus is up%s", " again" if bus.losses else "")
     elif before.bus_up and (not bus.is_up or bus.losses != before.bus_losses):
         log.warning("the bus is lost: %s; trying again", bus.detail)
-    peers = sink.peers()
     if before.zenoh_peers and not peers:
         log.info("no Zenoh node is connected any more")
     elif peers and not before.zenoh_peers:

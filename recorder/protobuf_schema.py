@@ -9,7 +9,6 @@ Numbers are fixed-width: an encoder then packs all of them in one call. Enumerat
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from enum import Enum
 from typing import Final, TypeAlias
@@ -28,6 +27,7 @@ from google.protobuf.message_factory import GetMessageClass
 from msgspec import inspect
 
 from schemas import messages
+from schemas.snake_case import snake_case
 from schemas.subjects import SCHEMA_PREFIX, SUBJECTS
 
 INT32_MIN: Final = -(2**31)
@@ -97,7 +97,7 @@ def _type_name(kind: type) -> str:
 
 def _enum_prefix(kind: type[Enum]) -> str:
     # The names of an enumeration's values belong to the package in protobuf, so they carry the enumeration's.
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", kind.__name__).upper()
+    return snake_case(kind.__name__).upper()
 
 
 class _Files:

@@ -7,6 +7,7 @@ from typing import Final
 from recorder.effects import AskInfo, Effect, WriteAttachment, WriteMetadata
 from schemas import keys
 from schemas.messages import GatewayInfo, Variant
+from schemas.settings import ROBOT_LIMIT
 from schemas.subjects import BY_TYPE
 
 METADATA_NAME: Final = "cruiser"
@@ -39,7 +40,7 @@ class _Robot:
 
 
 class Robots:
-    """The robots of a log.
+    """The robots of a log, up to ROBOT_LIMIT: anybody on the network can make up names.
 
     Args:
         recorder_version: goes into the metadata.
@@ -56,7 +57,7 @@ class Robots:
         known = self._robots.get(robot)
         # Two roots may hold a robot of the same name; the second is called by its root too.
         name = robot if known is None or known.key == key else f"{root}/{robot}"
-        if name not in self._robots:
+        if name not in self._robots and len(self._robots) < ROBOT_LIMIT:
             self._robots[name] = _Robot(key, now_ns)
         return name
 
@@ -87,8 +88,10 @@ class Robots:
         return [AskInfo(robot.key) for robot in self._robots.values() if not robot.is_known]
 
     def take_info(self, name: str, info: GatewayInfo, wall_ns: int) -> list[Effect]:
-        """What a robot's answer adds to the log."""
-        robot = self._robots[name]
+        """What a robot's answer adds to the log; nothing if it is one of too many."""
+        robot = self._robots.get(name)
+        if robot is None:
+            return []
         before, robot.info = robot.info, info
         if robot.is_known:
             robot.ask_at_ns = None

@@ -10,16 +10,21 @@ import msgspec
 from recorder.sample import Sample
 from recorder.tally import Tally
 from recorder.transcode import Encoder, compile_encoder, compile_row_encoder
+from schemas.can_word import (
+    BITRATE_SWITCH,
+    ERROR,
+    ERROR_STATE_INDICATOR,
+    EXTENDED,
+    FD,
+    IDENTIFIER_MASK,
+    REMOTE,
+)
 from schemas.codec import PayloadFault, decode
 from schemas.messages import CanFrame, CanFrames, Message, RawSample
 from schemas.subjects import SUBJECTS, Pattern, Subject
 
 RAW_CHUNK: Final = "@raw"
 """A broken sample of a known key goes to ``{key}/@raw``: viewers want one schema per topic."""
-
-_CAN_EXTENDED, _CAN_REMOTE, _CAN_ERROR = 1 << 31, 1 << 30, 1 << 29
-_CAN_IDENTIFIER: Final = _CAN_EXTENDED - 1 & ~(_CAN_REMOTE | _CAN_ERROR)
-_FD, _BITRATE_SWITCH, _ERROR_STATE = 4, 1, 2
 
 Record = tuple[int, bytes]
 """Publish time in nanoseconds, and protobuf bytes."""
@@ -85,13 +90,13 @@ def unfold(batch: CanFrames) -> list[Record]:
             _ENCODE_CAN_FRAME(
                 time_ns,
                 bus,
-                word & _CAN_IDENTIFIER,
-                word & _CAN_EXTENDED != 0,
-                word & _CAN_REMOTE != 0,
-                word & _CAN_ERROR != 0,
-                fd_flags & _FD != 0,
-                fd_flags & _BITRATE_SWITCH != 0,
-                fd_flags & _ERROR_STATE != 0,
+                word & IDENTIFIER_MASK,
+                word & EXTENDED != 0,
+                word & REMOTE != 0,
+                word & ERROR != 0,
+                fd_flags & FD != 0,
+                fd_flags & BITRATE_SWITCH != 0,
+                fd_flags & ERROR_STATE_INDICATOR != 0,
                 length,
                 data,
             ),

@@ -30,15 +30,14 @@ from recorder.routes import RAW_CHUNK, Route, keep_raw
 from recorder.sample import Sample
 from schemas import keys
 from schemas.messages import CanFrames, GatewayInfo, Message
+from schemas.settings import CHANNEL_LIMIT
 from schemas.subjects import Subject
 
 INT64_MAX: Final = 2**63 - 1
 """The latest time that a log may hold: many readers take MCAP's unsigned times for signed ones."""
 
-CHANNEL_LIMIT: Final = 65_000
-"""Below MCAP's 65,535 channels. Keys beyond it share one channel of RawSamples, each with its key."""
-
 OVERFLOW_TOPIC: Final = "@more"
+"""The topic of the channel that all keys beyond CHANNEL_LIMIT share."""
 
 RECEIVED_NAME: Final = "cruiser.received"
 """The metadata record with what was received and missed, per topic, as JSON."""
@@ -74,8 +73,7 @@ class Session:
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
         self._chunk = ChunkBuilder()
-        self._routes: dict[str, Route] = {}
-        self._raw_routes: dict[str, Route] = {}
+        # By topic, which is the key but for broken samples; the one memory of keys, and a bounded one.
         self._channels: dict[str, Route] = {}
         self._robots = Robots(plan.version)
         self._opened = False
@@ -93,7 +91,7 @@ class Session:
         """Record a sample. It may hold anything: nothing in it raises."""
         effects: list[Effect] = []
         log_ns = _clamp(wall_ns)
-        route = self._routes.get(sample.key) or self._find_route(sample.key, now_ns, log_ns, effects)
+        route = self._channels.get(sample.key) or self._find_route(sample.key, now_ns, log_ns, effects)
         message = route.decode(sample)
         if isinstance(message, str):
             self._add_raw(sample, message, route, log_ns, effects)
@@ -145,7 +143,7 @@ class Session:
 
     def _add_raw(self, sample: Sample, reason: str, route: Route, log_ns: int, effects: list[Effect]) -> None:
         if route.subject is not None:
-            route = self._raw_routes.get(sample.key) or self._find_raw_route(sample.key, effects)
+            route = self._channel(f"{sample.key}/{RAW_CHUNK}", None, "", effects)
         time_ns = _clamp(sample.zenoh_time_ns)
         # Without a time of the source's, the receipt's is the best there is.
         self._chunk.add(route.channel_id, 0, log_ns, time_ns or log_ns, keep_raw(sample, reason, time_ns))
@@ -158,16 +156,9 @@ class Session:
             effects += self._robots.describe()
         parts = keys.parse(key)
         if parts is None:
-            route = self._channel(key, None, "", effects)
-        else:
-            robot = self._robots.see(parts.root, parts.robot, now_ns)
-            route = self._channel(key, parts.subject, robot, effects)
-        self._routes[key] = route
-        return route
-
-    def _find_raw_route(self, key: str, effects: list[Effect]) -> Route:
-        route = self._raw_routes[key] = self._channel(f"{key}/{RAW_CHUNK}", None, "", effects)
-        return route
+            return self._channel(key, None, "", effects)
+        robot = self._robots.see(parts.root, parts.robot, now_ns)
+        return self._channel(key, parts.subject, robot, effects)
 
     def _channel(self, topic: str, subject: Subject | None, robot: str, effects: list[Effect]) -> Route:
         """The topic's channel, declared when it is new."""

@@ -4,8 +4,10 @@
 - ``subjects``  the one table of subjects: key, type, quality of service, rate, origin
 - ``keys``      building and parsing Zenoh keys
 - ``codec``     MessagePack, and the encoding string that names a schema
+- ``can_word``  the words that describe a CAN frame; ``dbc_files`` the DBC files' names and text
 - ``settings``  every setting and limit, with unit and bounds; ``configuration`` merges its sources, with
   ``setting_table`` and ``toml_text`` behind it
+- ``snake_case`` a field's name from the DBC's
 - ``printable`` text from outside, made safe for a terminal
 - ``zenoh_link`` the Zenoh session settings that every process shares
 - ``exit_codes`` how a command ends

@@ -16,7 +16,7 @@ from msgspec import inspect
 
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
-from schemas.setting_table import CONFIG_VARIABLE, SECTIONS, SETTINGS, VARIABLE_PREFIX, Setting
+from schemas.setting_table import CONFIG_VARIABLE, GIVEN, SECTIONS, SETTINGS, VARIABLE_PREFIX, Setting
 from schemas.settings import Settings
 from schemas.toml_text import Path, lines_of_keys, write_key, write_value
 
@@ -71,6 +71,8 @@ def merge(toml: TomlSource | None, environ: Mapping[str, str], flags: Mapping[st
     for key, value in values.items():
         setting = SETTINGS[key]
         sections[setting.section][setting.name] = value
+    # A Zenoh configuration file is a source too, below all others, which only a port can read.
+    sections["zenoh"][GIVEN] = list(sections["zenoh"])
     return msgspec.convert(sections, Settings)
 
 
@@ -81,8 +83,9 @@ def to_toml(settings: Settings) -> str:
         lines += ["", f"[{section}]"] if lines else [f"[{section}]"]
         table = getattr(settings, section)
         lines += [
-            f"{write_key(field.name)} = {write_value(getattr(table, field.name))}"
-            for field in msgspec.structs.fields(table)
+            f"{write_key(setting.name)} = {write_value(getattr(table, setting.name))}"
+            for setting in SETTINGS.values()
+            if setting.section == section
         ]
     return "\n".join(lines) + "\n"
 

@@ -9,15 +9,16 @@ import argparse
 import re
 import sys
 from collections.abc import Iterable, Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
 from schemas import json_schema, keys, messages
+from schemas.dbc_files import DBC_FILES, dbc_text, signal_comments
 from schemas.messages import UNIT_KEYWORD, Message
 from schemas.setting_table import SETTINGS
+from schemas.snake_case import snake_case
 from schemas.subjects import BY_DBC_MESSAGE, LIVELINESS_CHUNK, SUBJECTS, Pattern, Subject
 from schemas.toml_text import write_value
 
@@ -30,8 +31,6 @@ _DETAILS: Final = re.compile(r" (from )?[\d.-]+$| (from )?[\d.-]+(?= or)| or nul
 
 FIELDS_LISTED: Final = 7
 """A message with more fields than this has them in docs/messages.md alone."""
-
-_DBC_FILES: Final = ("cruiser-coarse.dbc", "cruiser-fine.dbc")
 
 _COMMON_FIELDS: Final = tuple(field.name for field in msgspec.structs.fields(Message))
 
@@ -133,7 +132,8 @@ def _signal_comments() -> dict[str, dict[str, str]]:
     A sentence that only one variant's file has is about that variant's scale, not about the field.
     """
     coarse, fine = (
-        {key: _sentences(comment) for key, comment in dbc_comments(name).items()} for name in _DBC_FILES
+        {key: _sentences(comment) for key, comment in signal_comments(dbc_text(variant)).items()}
+        for variant in DBC_FILES
     )
     comments: dict[str, dict[str, str]] = {}
     for (frame, signal), sentences in coarse.items():
@@ -141,19 +141,11 @@ def _signal_comments() -> dict[str, dict[str, str]]:
         if subject is None:
             continue
         text = " ".join(sentence for sentence in sentences if sentence in fine[frame, signal])
-        snake = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", signal).lower()
+        snake = snake_case(signal)
         fields = [field.name for field in msgspec.structs.fields(subject.type)]
         named = [field for field in fields if field == snake or field.startswith(f"{snake}_")]
         comments.setdefault(frame, {}).update(dict.fromkeys(named, text))
     return comments
-
-
-def dbc_comments(file: str) -> dict[tuple[str, str], str]:
-    """The comment of each signal of a DBC by the names of frame and signal."""
-    text = resources.files("schemas").joinpath(file).read_text(encoding="ascii")
-    frames = dict(re.findall(r"^BO_ (\d+) (\w+):", text, re.MULTILINE))
-    found = re.findall(r'^CM_ SG_ (\d+) (\w+) "(.*)";$', text, re.MULTILINE)
-    return {(frames[identifier], signal): comment for identifier, signal, comment in found}
 
 
 def _sentences(comment: str) -> list[str]:
@@ -225,8 +217,6 @@ def _qos(subject: Subject) -> str:
     words = [qos.priority.value.lower().replace("_", " "), "drop"]
     if qos.express:
         words.append("express")
-    if qos.history:
-        words.append(f"last {qos.history} for late joiners")
     return ", ".join(words)
 
 

@@ -217,7 +217,7 @@ class CanFrames(Message, frozen=True):
 
 
 class RobotState(Message, frozen=True):
-    """The whole robot in one message. A field is null, or ``undefined``, until its feedback is seen and fresh.
+    """The whole robot in one message. A field is null, or ``undefined``, until its feedback is seen, fresh, valid.
 
     Attributes:
         bus_up: the gateway has the CAN bus open.
@@ -259,12 +259,14 @@ class FrameHealth(msgspec.Struct, frozen=True):
         rate_hz: valid frames per second over the last second.
         valid: valid frames since the start.
         lost: valid frames that should have come since the start and did not, by the alive counter and, once a
-            silence has ended, by the period. A frame with a wrong checksum is lost too.
+            silence has ended, by the period. A frame with a wrong checksum or an implausible value is lost too.
         withheld: valid frames that were not published because the scale of their speeds was not known.
         checksum_faults: frames with a wrong checksum since the start.
+        implausible: frames with a right checksum and a value that this chassis cannot have, since the start. They
+            are not published.
         silent: true while the frame is missing or overdue.
         alive_faults: the fault count of the alive counter: +1 for each fault, -1 for each good frame.
-        failures: what is beyond its threshold now: checksum, alive_counter, period, silence.
+        failures: what is beyond its threshold now: checksum, implausible, alive_counter, period, silence.
     """
 
     name: str
@@ -273,6 +275,7 @@ class FrameHealth(msgspec.Struct, frozen=True):
     lost: Count
     withheld: Count
     checksum_faults: Count
+    implausible: Count
     silent: bool
     alive_faults: Count
     failures: list[str]

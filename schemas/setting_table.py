@@ -16,6 +16,9 @@ VARIABLE_PREFIX: Final = "CRUISER_"
 CONFIG_VARIABLE: Final = "CRUISER_CONFIG"
 """Names the TOML file; the one variable with the prefix that is no setting."""
 
+GIVEN: Final = "given"
+"""The field that is no setting: which settings of its table a source gave."""
+
 Kind = inspect.Type
 
 
@@ -93,6 +96,8 @@ def _table() -> dict[str, Setting]:
     table = {}
     for section in msgspec.structs.fields(Settings):
         for field in msgspec.structs.fields(section.type):
+            if field.name == GIVEN:
+                continue
             info = inspect.type_info(field.type)
             if not isinstance(info, inspect.Metadata):
                 raise TypeError(f"{section.name}.{field.name} has no description")

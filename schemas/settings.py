@@ -1,5 +1,7 @@
-"""Every setting and limit, with its unit, bounds and start value: the one file for them.
+"""Every setting, and every limit that decides what the robot or the log does, with unit, bounds and start value.
 
+What bounds the work of one module alone (the timeout of a port, the length of a queue, how often a view is drawn)
+is a named constant at the top of that module, and what the virtual chassis can do in ``gateway.sim.parameters``.
 ``configuration`` fills these classes from a TOML file, the environment and flags; the table in
 ``docs/configuration.md`` is generated from here.
 """
@@ -32,6 +34,17 @@ CHECKSUM_FAULTS: Final = 3
 """This many checksum faults of one identifier within CHECKSUM_WINDOW_NS are a failure of that frame."""
 
 CHECKSUM_WINDOW_NS: Final = 1_000_000_000
+
+STEERING_PLAUSIBLE_DEG: Final = 25.0
+"""Steering feedback beyond this is implausible: 24 deg to either side, to within 1 (manual V2.0, 2.2)."""
+
+SPEED_PLAUSIBLE_MPS: Final = 3.0
+"""Speed feedback beyond this is implausible: 2.222 m/s is the top, 2.68 m/s for the outer wheel at full lock."""
+
+IMPLAUSIBLE_FAULTS: Final = 3
+"""This many implausible frames of one identifier within IMPLAUSIBLE_WINDOW_NS are a failure of that frame."""
+
+IMPLAUSIBLE_WINDOW_NS: Final = 1_000_000_000
 
 ALIVE_FAULTS: Final = 5
 """The alive counter has failed when its fault count, +1 per fault and -1 per good frame, reaches this."""
@@ -70,6 +83,15 @@ RECONNECT_MIN_S: Final = 0.1
 """First pause before a lost bus is opened again; it doubles up to RECONNECT_MAX_S."""
 
 RECONNECT_MAX_S: Final = 2.0
+
+CHANNEL_LIMIT: Final = 65_000
+"""Channels of a log, below MCAP's 65,535. Keys beyond it share one channel of RawSamples, each with its key."""
+
+ROBOT_LIMIT: Final = 1024
+"""Robots that a log describes; those beyond it are recorded like the others, but not asked who they are."""
+
+OWNED_KEY_LIMIT: Final = 65_536
+"""Keys of which the recorder remembers the expression that they belong to; beyond it, it begins anew."""
 
 WHEELBASE_M: Final = 0.660
 """The Cruiser's wheelbase (manual V2.0, 2.2)."""
@@ -140,11 +162,16 @@ class ZenohSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = []
     config: Annotated[
         str,
-        Meta(description="a Zenoh configuration file (JSON5) to start from; the settings above win over it"),
+        Meta(
+            description="a Zenoh configuration file (JSON5); what it says holds, unless a setting of this table "
+            "is given too"
+        ),
     ] = ""
     lease_ms: Annotated[
         int, Meta(ge=200, le=60_000, description="a link without a sign of life for this long is lost")
     ] = 1000
+    given: frozenset[str] = frozenset()
+    """No setting: the names of those that a source gave, which may also be their start values."""
 
 
 class GatewaySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -36,12 +36,10 @@ class Qos(msgspec.Struct, frozen=True):
     Attributes:
         priority: Zenoh's priority.
         express: sent at once instead of batched with others.
-        history: how many last samples a late joiner can still get.
     """
 
     priority: Priority
     express: bool = False
-    history: int = 0
 
 
 class Subject(msgspec.Struct, frozen=True):
@@ -114,7 +112,7 @@ SUBJECTS: Final[tuple[Subject, ...]] = (
         messages.GatewayHealth,
         "frame rates, losses, faults by kind, bus and Zenoh connection, loop lateness",
         "1 Hz",
-        Qos(Priority.BACKGROUND, history=1),
+        Qos(Priority.BACKGROUND),
     ),
     Subject(
         "gateway/info",

@@ -27,6 +27,8 @@ ANY_LOCAL_PORT: Final = "tcp/127.0.0.1:0"
 Json = dict[str, "Json"] | list["Json"] | str | int | float | bool | None
 
 
+MODE: Final = "mode"
+LEASE: Final = "transport/link/tx/lease"
 CONNECT: Final = "connect/endpoints"
 LISTEN: Final = "listen/endpoints"
 MULTICAST: Final = "scouting/multicast/enabled"
@@ -45,7 +47,8 @@ def session_settings(
 ) -> dict[str, Json]:
     """What to set over the user's Zenoh configuration file, or over Zenoh's start values.
 
-    The file keeps its endpoints where none are given here, and its own word on multicast.
+    What the file says holds, unless a setting of ours says it too: endpoints that are given here, and a mode or
+    a lease that a source of the settings gave.
 
     Args:
         zenoh: the settings; its own ``connect`` and ``listen`` are not read here.
@@ -56,11 +59,14 @@ def session_settings(
     Returns:
         Values by their path in Zenoh's configuration, ``scouting/multicast/enabled``.
     """
+    given = {
+        MODE: "mode" in zenoh.given,
+        LEASE: "lease_ms" in zenoh.given,
+        CONNECT: bool(connect),
+        LISTEN: bool(listen),
+    }
     entries = _entries(zenoh, connect, listen)
-    for path, is_given in ((CONNECT, bool(connect)), (LISTEN, bool(listen)), (MULTICAST, False)):
-        if not is_given and says(path):
-            del entries[path]
-    return entries
+    return {path: value for path, value in entries.items() if given.get(path) or not says(path)}
 
 
 def reason(message: str) -> str:
@@ -72,10 +78,11 @@ def reason(message: str) -> str:
 
 def _entries(zenoh: ZenohSettings, connect: list[str], listen: list[str]) -> dict[str, Json]:
     return {
-        "mode": zenoh.mode,
+        MODE: zenoh.mode,
         CONNECT: list(connect),
-        "connect/timeout_ms": -1 if zenoh.mode == "peer" else 0,
-        "connect/exit_on_failure": zenoh.mode == "client",
+        # By mode, whoever says which it is.
+        "connect/timeout_ms": {"router": -1, "peer": -1, "client": 0},
+        "connect/exit_on_failure": {"router": False, "peer": False, "client": True},
         "connect/retry": {
             "period_init_ms": RECONNECT_MIN_MS,
             "period_max_ms": RECONNECT_MAX_MS,
@@ -87,7 +94,7 @@ def _entries(zenoh: ZenohSettings, connect: list[str], listen: list[str]) -> dic
         MULTICAST: False,
         "scouting/gossip/enabled": True,
         "transport/unicast/open_timeout": OPEN_TIMEOUT_MS,
-        "transport/link/tx/lease": zenoh.lease_ms,
+        LEASE: zenoh.lease_ms,
         "transport/link/tx/keep_alive": 4,
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
         "transport/link/tx/queue/size/data_high": QUEUE_BATCHES,

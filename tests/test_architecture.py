@@ -23,7 +23,16 @@ IO_MODULES = {
     "time",
 }
 
-PURE_SIM = ("disturbances", "faults", "feedback", "model", "motion", "parameters", "socketcand_protocol")
+PURE_SIM = (
+    "address",
+    "disturbances",
+    "faults",
+    "feedback",
+    "model",
+    "motion",
+    "parameters",
+    "socketcand_protocol",
+)
 PURE_RECORDER = (
     "chunk",
     "effects",
@@ -40,8 +49,9 @@ PURE = [
     *sorted((ROOT / "gateway" / "chassis").glob("*.py")),
     *sorted((ROOT / "gateway" / "telemetry").glob("*.py")),
     ROOT / "gateway" / "core.py",
+    ROOT / "gateway" / "cli" / "candump.py",
     *(ROOT / "gateway" / "sim" / f"{name}.py" for name in PURE_SIM),
-    *(ROOT / "gateway" / "remote" / f"{name}.py" for name in ("fleet", "heard", "view")),
+    *(ROOT / "gateway" / "remote" / f"{name}.py" for name in ("fleet", "view")),
     *(ROOT / "recorder" / f"{name}.py" for name in PURE_RECORDER),
     *(
         path

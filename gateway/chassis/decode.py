@@ -2,11 +2,12 @@
 
 For each frame of the layout one small function is generated and compiled, as ``dataclasses`` does it: the eight
 bytes become one integer, each signal is a shift and a mask of it, or of its byte. A test holds every one against
-cantools.
+cantools. The rules of ``plausibility`` become comparisons of raw integers in the same function.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Container
 from enum import Enum
@@ -17,6 +18,7 @@ import msgspec
 from gateway.chassis.faults import FaultKind, FrameFault
 from gateway.chassis.frame import ERROR, REMOTE, Frame
 from gateway.chassis.layout import ALIVE_COUNTER, ChassisLayout, MessageLayout, SignalLayout
+from gateway.chassis.plausibility import Named, Requires, Rule, Within, rules
 from schemas.messages import Feedback
 from schemas.subjects import BY_DBC_MESSAGE, Subject
 
@@ -80,8 +82,8 @@ def compile_signals(layout: MessageLayout) -> Callable[[bytes], Signals]:
     return _compile(f"{{{items}}}", "data", scope)
 
 
-MessageBuilder = Callable[[bytes, int, int], Feedback]
-"""(data, time_ns, sequence) to the typed message."""
+MessageBuilder = Callable[[bytes, int, int], Feedback | None]
+"""(data, time_ns, sequence) to the typed message, or None if a value is not plausible."""
 
 
 class MessageDecoder(msgspec.Struct, frozen=True):
@@ -89,7 +91,7 @@ class MessageDecoder(msgspec.Struct, frozen=True):
 
     Attributes:
         build: makes the message.
-        undefined: whether a choice in these data has no name in its value table; None if it has no choices.
+        undefined: whether a choice in these plausible data has no name in its value table; None if all have one.
     """
 
     layout: MessageLayout
@@ -115,15 +117,23 @@ def compile_message(layout: MessageLayout) -> MessageDecoder:
     values = ", ".join(
         _expression(by_field[name], scope, unnamed="undefined", enum=annotations[name]) for name in fields
     )
-    choices = [signal for signal in layout.payload_signals if signal.kind == "choice"]
+    judged = rules(layout.name)
+    message = f"cls(time_ns, sequence, {values})"
+    if judged:
+        message += f" if {' and '.join(_condition(layout, name, rule) for name, rule in judged)} else None"
+    named = {name for name, rule in judged if isinstance(rule, Named)}
+    choices = [signal for signal in layout.payload_signals if signal.kind == "choice" and signal.name not in named]
     tests = [f"{_raw(signal)} not in {set(signal.choices)!r}" for signal in choices]
     return MessageDecoder(
         layout=layout,
         subject=subject,
-        build=_compile(f"cls(time_ns, sequence, {values})", "data, time_ns, sequence", scope),
+        build=_compile(message, "data, time_ns, sequence", scope),
         undefined=_compile(" or ".join(tests), "data", {}) if tests else None,
     )
 
+
+ROUNDING_STEPS: Final = 1e-6
+"""Of a signal's own steps: far below one, far above what floating point adds."""
 
 ALIVE_COUNTER_FIELD: Final = SignalLayout(ALIVE_COUNTER, 0, 4, False, 1, 0, 0, 15, "", {}, 0).field  # noqa: FBT003
 
@@ -148,6 +158,22 @@ def _raw(signal: SignalLayout) -> str:
         sign = 1 << signal.length - 1
         raw = f"(({raw} ^ {sign:#x}) - {sign:#x})"
     return raw
+
+
+def _condition(layout: MessageLayout, signal_name: str, rule: Rule) -> str:
+    """The rule as a comparison of raw values, which costs less than one of physical values."""
+    signal = layout.signal(signal_name)
+    match rule:
+        case Within(minimum, maximum):
+            # A bound that is a raw value's own may come out beside it by a rounding error.
+            lowest = math.ceil((minimum - signal.offset) / signal.scale - ROUNDING_STEPS)
+            highest = math.floor((maximum - signal.offset) / signal.scale + ROUNDING_STEPS)
+            return f"{lowest} <= {_raw(signal)} <= {highest}"
+        case Named():
+            return f"{_raw(signal)} in {set(signal.choices)!r}"
+        case Requires(choice, flag):
+            raw = next(raw for raw, name in signal.choices.items() if name == choice)
+            return f"({_raw(signal)} != {raw} or {_raw(layout.signal(flag))})"
 
 
 def _expression(signal: SignalLayout, scope: dict[str, Any], *, unnamed: str, enum: Any = None) -> str:  # noqa: ANN401

@@ -1,20 +1,32 @@
-"""A CAN frame, as the cores see it."""
+"""A CAN frame, as the cores see it, with the flags of its words."""
 
 from __future__ import annotations
 
-from typing import Final
-
 import msgspec
 
-EXTENDED: Final = 0x8000_0000
-REMOTE: Final = 0x4000_0000
-ERROR: Final = 0x2000_0000
-IDENTIFIER_MASK: Final = 0x1FFF_FFFF
-STANDARD_MASK: Final = 0x7FF
+from schemas.can_word import (
+    BITRATE_SWITCH,
+    ERROR,
+    ERROR_STATE_INDICATOR,
+    EXTENDED,
+    FD,
+    IDENTIFIER_MASK,
+    REMOTE,
+    STANDARD_MASK,
+)
 
-FD: Final = 0x4
-BITRATE_SWITCH: Final = 0x1
-ERROR_STATE_INDICATOR: Final = 0x2
+__all__ = [
+    "BITRATE_SWITCH",
+    "ERROR",
+    "ERROR_STATE_INDICATOR",
+    "EXTENDED",
+    "FD",
+    "IDENTIFIER_MASK",
+    "REMOTE",
+    "STANDARD_MASK",
+    "Frame",
+    "hex_identifier",
+]
 
 
 class Frame(msgspec.Struct, frozen=True, gc=False):

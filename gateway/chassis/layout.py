@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 from functools import cache
-from importlib import resources
 from typing import Final, Literal
 
 import cantools
@@ -12,9 +10,9 @@ import msgspec
 from cantools.database.can import Database, Message, Signal
 
 from gateway.chassis.frame import EXTENDED
+from schemas.dbc_files import CHASSIS_NODE, dbc_text
 from schemas.messages import Variant
-
-DBC_FILES: Final = {Variant.COARSE: "cruiser-coarse.dbc", Variant.FINE: "cruiser-fine.dbc"}
+from schemas.snake_case import snake_case
 
 ALIVE_COUNTER: Final = "AliveCounter"
 CHECKSUM: Final = "Checksum"
@@ -46,8 +44,7 @@ class SignalLayout(msgspec.Struct, frozen=True):
     @property
     def field(self) -> str:
         """The message field of this signal: snake_case, with the unit as a suffix."""
-        snake = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", self.name).lower()
-        return snake + _UNIT_SUFFIX[self.unit]
+        return snake_case(self.name) + _UNIT_SUFFIX[self.unit]
 
     @property
     def kind(self) -> Literal["flag", "choice", "integer", "physical"]:
@@ -110,11 +107,6 @@ class ChassisLayout(msgspec.Struct, frozen=True):
         return tuple(message for message in self.messages.values() if not message.is_feedback)
 
 
-def dbc_text(variant: Variant) -> str:
-    """The text of a variant's DBC."""
-    return resources.files("schemas").joinpath(DBC_FILES[variant]).read_text(encoding="ascii")
-
-
 @cache
 def load(variant: Variant) -> ChassisLayout:
     """The layout of a variant, from its DBC.
@@ -136,7 +128,7 @@ def _message(message: Message) -> MessageLayout:
         can_id=message.frame_id | EXTENDED,
         length=message.length,
         period_ns=(message.cycle_time or 0) * 1_000_000,
-        is_feedback=message.senders == ["Chassis"],
+        is_feedback=message.senders == [CHASSIS_NODE],
         signals=tuple(_signal(message.name, signal) for signal in message.signals),
     )
 

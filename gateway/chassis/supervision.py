@@ -1,4 +1,4 @@
-"""Is a stream of frames whole? Pure state machines: checksum, alive counter, period and silence of each frame.
+"""Is a stream of frames whole? Pure state machines: checksum, plausibility, alive counter, period and silence.
 
 The alive counter is judged as in AUTOSAR E2E profile 1, modulo 16: a step of 1 is right, 0 is a repetition, 2 to 3
 means that frames were lost, more is a wrong sequence. Sixteen lost frames would look like none, so silence is
@@ -103,28 +103,29 @@ class Period:
         return FaultKind.PERIOD if self.has_failed else None
 
 
-class Checksums:
-    """Checksum faults of one identifier, remembered for a second.
+class FaultWindow:
+    """Faults of one kind and one identifier, remembered for a while.
 
     Attributes:
         faults: since the start.
     """
 
-    __slots__ = ("_times_ns", "faults")
+    __slots__ = ("_times_ns", "_window_ns", "faults")
 
-    def __init__(self) -> None:
+    def __init__(self, limit: int, window_ns: int) -> None:
         self.faults = 0
-        self._times_ns: deque[int] = deque(maxlen=settings.CHECKSUM_FAULTS)
+        self._window_ns = window_ns
+        self._times_ns: deque[int] = deque(maxlen=limit)
 
     def fault(self, now_ns: int) -> None:
-        """A frame came with a wrong checksum."""
+        """A frame came with the fault."""
         self.faults += 1
         self._times_ns.append(now_ns)
 
     def has_failed(self, now_ns: int) -> bool:
-        """Too many faults within the window that ends now."""
+        """As many faults as the limit within the window that ends now."""
         times = self._times_ns
-        return len(times) == settings.CHECKSUM_FAULTS and now_ns - times[0] <= settings.CHECKSUM_WINDOW_NS
+        return len(times) == times.maxlen and now_ns - times[0] <= self._window_ns
 
 
 def silence_ns(period_ns: int) -> int:
@@ -136,10 +137,10 @@ class FrameSupervisor:
     """Everything that is watched about one feedback frame.
 
     Attributes:
-        alive, period, checksums: the machines of each property.
-        is_silent: the frame is missing or overdue; true until the first one comes.
+        alive, period, checksums, implausible: the machines of each property.
+        is_silent: the frame is missing, or a tick has found it overdue; true until the first one comes.
         overdue_ns: when it will have become overdue, if no valid one comes before.
-        valid: valid frames since the start.
+        valid: valid frames since the start: neither the checksum nor a value is at fault.
     """
 
     __slots__ = (
@@ -148,6 +149,7 @@ class FrameSupervisor:
         "_silence_ns",
         "alive",
         "checksums",
+        "implausible",
         "is_silent",
         "overdue_ns",
         "period",
@@ -160,7 +162,8 @@ class FrameSupervisor:
         self._last_ns = 0
         self.alive = AliveCounter()
         self.period = Period(period_ns)
-        self.checksums = Checksums()
+        self.checksums = FaultWindow(settings.CHECKSUM_FAULTS, settings.CHECKSUM_WINDOW_NS)
+        self.implausible = FaultWindow(settings.IMPLAUSIBLE_FAULTS, settings.IMPLAUSIBLE_WINDOW_NS)
         self.is_silent = True
         self.overdue_ns = NEVER_NS
         self.valid = 0
@@ -170,10 +173,26 @@ class FrameSupervisor:
         """Frames missed since the start, by the alive counter and, across a silence, by the period."""
         return self.alive.lost
 
+    @property
+    def is_seen(self) -> bool:
+        """A valid frame has come since the start."""
+        return self.valid > 0
+
+    def is_fresh(self, now_ns: int) -> bool:
+        """Seen, and not overdue at this very time, whether or not a tick has yet found it so."""
+        return not self.is_silent and now_ns <= self.overdue_ns
+
+    def age_ns(self, now_ns: int) -> int | None:
+        """How old the last frame is that said something new; None before the first."""
+        if not self.is_seen:
+            return None
+        return now_ns - (self._last_ns if self.is_silent else self.overdue_ns - self._silence_ns)
+
     def failures(self, now_ns: int) -> list[str]:
         """What is beyond its threshold now, by name."""
         failed = {
             "checksum": self.checksums.has_failed(now_ns),
+            "implausible": self.implausible.has_failed(now_ns),
             "alive_counter": self.alive.has_failed,
             "period": self.period.has_failed,
             "silence": self.is_silent,

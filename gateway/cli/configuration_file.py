@@ -23,6 +23,9 @@ def load_settings(path: str | None, environ: Mapping[str, str], flags: Mapping[s
     Raises:
         CommandError: the file cannot be read, or a key or a value is wrong.
     """
+    if path == "":
+        # As with --config "$FILE" where FILE is not set: a robot must not start with settings that nobody meant.
+        raise CommandError("--config names no file: its value is empty", ExitCode.USAGE)
     file = path if path is not None else environ.get(CONFIG_VARIABLE) or None
     return merge(None if file is None else _read(file), environ, flags)
 

@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Run the three, then say what was recorded."""
-    recorded = _record(arguments.seconds, arguments.out, settings.robot, stopped)
+    recorded = _record(arguments, settings.robot, stopped)
     info = _review(Path(recorded["path"]))
     summary = {
         "path": recorded["path"],
@@ -101,27 +101,33 @@ def _seconds(text: str) -> float:
     return seconds
 
 
-def _record(seconds: float, out: Path, robot: RobotSettings, stopped: Callable[[], bool]) -> dict[str, Any]:
-    """Run chassis, gateway and recorder for this long. Returns what the recorder says of its log."""
+def _record(arguments: argparse.Namespace, robot: RobotSettings, stopped: Callable[[], bool]) -> dict[str, Any]:
+    """Run chassis, gateway and recorder for the time. Returns what the recorder says of its log.
+
+    All three read the configuration that the demo was given; only where they find each other is the demo's own.
+    """
     endpoint = f"tcp/127.0.0.1:{_free_port()}"
+    configuration = [] if arguments.config is None else ["--config", arguments.config]
     with ExitStack() as stack:
-        chassis = stack.enter_context(Child("sim", ["--listen", "127.0.0.1:0"]))
+        chassis = stack.enter_context(Child("sim", [*configuration, "--listen", "127.0.0.1:0"]))
         ready = re.search(r" on (127\.0\.0\.1:\d+)", chassis.wait_ready())
         if ready is None:
             raise CommandError("the virtual chassis does not say where it is")
         bus = ["--interface", "socketcand", "--channel", ready[1]]
-        gateway = stack.enter_context(
-            Child("gateway", [*bus, "--root", robot.root, "--robot", robot.name, "--listen", endpoint])
-        )
+        gateway = stack.enter_context(Child("gateway", [*configuration, *bus, "--listen", endpoint]))
         gateway.wait_ready()
         recorder = stack.enter_context(
             Child(
                 "record",
-                ["-k", f"{robot.root}/{robot.name}/**", "-o", str(out), "--connect", endpoint, "--json"],
+                [
+                    *configuration,
+                    *("-k", f"{robot.root}/{robot.name}/**", "-o", str(arguments.out)),
+                    *("--connect", endpoint, "--json"),
+                ],
             )
         )
         recorder.wait_ready()
-        _drive(seconds, chassis, [chassis, gateway, recorder], stopped)
+        _drive(arguments.seconds, chassis, [chassis, gateway, recorder], stopped)
         # The recorder ends first: what it has not heard by then was not meant for the log.
         result: dict[str, Any] = json.loads(recorder.end())
         gateway.end()

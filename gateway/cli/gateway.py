@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable
 from importlib.metadata import version
 
-from gateway.chassis.layout import DBC_FILES, dbc_text
 from gateway.core import Core
 from gateway.loop import run as run_loop
 from gateway.ports.can_bus import BusLost, CanBus, ReconnectingBus, describe, open_bus
@@ -19,6 +18,7 @@ from gateway.ports.zenoh_node import open_node
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.codec import encode
 from schemas.configuration import to_toml
+from schemas.dbc_files import DBC_FILES, dbc_text
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.json_schema import schema_texts
 from schemas.messages import GatewayInfo, Variant

@@ -130,6 +130,12 @@ def open_bus(settings: CanSettings) -> CanBus:
         ) from error
     except Exception as error:
         # Each vendor's driver raises errors of its own.
+        if _is_library_missing(error):
+            raise CommandError(
+                f"can.interface {settings.interface!r} cannot be used: its driver is not installed "
+                f"({_first_line(error)})",
+                ExitCode.USAGE,
+            ) from error
         raise BusLost(f"{describe(settings)}: {error}") from error
     return CanBus(bus)
 
@@ -163,6 +169,15 @@ def _probe(host: str, port: int) -> None:
                 raise BusLost(f"{host}:{port} does not speak the socketcand protocol")
     except (OSError, UnicodeError) as error:  # A host name that cannot be one is a UnicodeError.
         raise BusLost(f"no socketcand server at {host}:{port}: {error}") from error
+
+
+def _is_library_missing(error: Exception) -> bool:
+    """Whether the vendor's library could not be loaded: waiting for the bus is then in vain.
+
+    ctypes, and python-can's pcan, say so with an OSError that has no number, as no system call failed. Its kvaser
+    goes on without the library, and stumbles over the first name from it.
+    """
+    return (type(error) is OSError and error.errno is None) or isinstance(error, NameError)
 
 
 def _first_line(error: Exception) -> str:
@@ -231,8 +246,8 @@ def to_message(frame: Frame) -> can.Message:
 class ReconnectingBus:
     """A bus that is opened again when it is lost, with growing pauses, on a thread of its own.
 
-    Opening may take seconds, so it never happens on the caller's thread. While the bus is away ``receive`` waits
-    its time and returns None.
+    Opening may take seconds, and so may closing a lost one: neither happens on the caller's thread. While the bus
+    is away ``receive`` waits its time and returns None.
 
     Attributes:
         is_up: the bus is open.
@@ -262,7 +277,7 @@ class ReconnectingBus:
         self.detail = "" if bus is not None else "not opened yet"
         self.losses = 0
         if bus is None:
-            self._start_opening()
+            self._start_opening(lost=None)
 
     def receive(self, timeout_s: float) -> Frame | None:
         """The next frame, or None if there was none in time or the bus is away."""
@@ -287,7 +302,6 @@ class ReconnectingBus:
             self._bus.close()
 
     def _lose(self, bus: Bus, why: str) -> None:
-        bus.close()
         self._bus = None
         self.is_up = False
         self.detail = why
@@ -295,17 +309,20 @@ class ReconnectingBus:
         # A bus that opens and is lost again at once needs the growing pauses as much as one that does not open.
         lasted = time.monotonic() - self._opened_s > self._longest_pause_s
         self._pause_s = self._first_pause_s if lasted else self._next_pause_s()
-        self._start_opening()
+        self._start_opening(lost=bus)
 
     def _next_pause_s(self) -> float:
         return min(2 * self._pause_s, self._longest_pause_s)
 
-    def _start_opening(self) -> None:
+    def _start_opening(self, lost: Bus | None) -> None:
         self._wake.clear()
-        self._thread = threading.Thread(target=self._keep_opening, name="bus-opener", daemon=True)
+        self._thread = threading.Thread(target=self._keep_opening, args=[lost], name="bus-opener", daemon=True)
         self._thread.start()
 
-    def _keep_opening(self) -> None:
+    def _keep_opening(self, lost: Bus | None) -> None:
+        # A lost bus is given back before it is opened again: an interface may allow one user only.
+        if lost is not None:
+            lost.close()
         while not self._closing.wait(self._pause_s):
             try:
                 self._opened = self._open()

@@ -12,15 +12,14 @@ from types import TracebackType
 from typing import Final, Self
 
 import zenoh
-from zenoh import ext
 
-from gateway.remote.heard import Heard, Received, TokenChange
+from gateway.telemetry.heard import Heard, Received, TokenChange
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import DEFAULT_ENDPOINT, RobotSettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME
-from schemas.zenoh_link import CONNECT, LISTEN, reason, session_settings
+from schemas.zenoh_link import CONNECT, LEASE, LISTEN, MODE, reason, session_settings
 
 log = logging.getLogger(__name__)
 
@@ -65,6 +64,24 @@ def says_listen(settings: ZenohSettings) -> bool:
     return _says(_base(settings), LISTEN)
 
 
+def mode_in_force(settings: ZenohSettings) -> str:
+    """The mode of a session of these settings, which the configuration file may say.
+
+    Raises:
+        CommandError: the configuration file is wrong.
+    """
+    return str(json.loads(_configuration(settings, [], []).get_json(MODE)))
+
+
+def lease_in_force_ms(settings: ZenohSettings) -> int:
+    """The lease of a session of these settings, which the configuration file may say.
+
+    Raises:
+        CommandError: the configuration file is wrong.
+    """
+    return int(json.loads(_configuration(settings, [], []).get_json(LEASE)))
+
+
 def close_session(session: zenoh.Session) -> None:
     """Leave Zenoh. Never raises."""
     try:
@@ -87,7 +104,7 @@ def _configuration(settings: ZenohSettings, connect: list[str], listen: list[str
 
 
 def _says(config: zenoh.Config, path: str) -> bool:
-    """Does the configuration file say anything of this?"""
+    """Does the configuration file say anything of this? Zenoh's own start value cannot be told from silence."""
     return bool(config.get_json(path) != zenoh.Config().get_json(path))
 
 
@@ -126,13 +143,8 @@ class RobotListener:
         )
         self._samples = (
             session.declare_subscriber(state, zenoh.handlers.RingChannel(SAMPLES_WAITING)),
-            # The last health is a second old; who comes in between shall not have to wait for the next.
-            ext.declare_advanced_subscriber(
-                session,
-                health,
-                zenoh.handlers.RingChannel(SAMPLES_WAITING),
-                history=ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
-            ),
+            # Without history: Zenoh's threads would hand out the last health of a gateway that hangs, for ever.
+            session.declare_subscriber(health, zenoh.handlers.RingChannel(SAMPLES_WAITING)),
         )
         self._tokens = session.liveliness().declare_subscriber(
             keys.liveliness(robot.root, chunk), zenoh.handlers.RingChannel(SAMPLES_WAITING), history=True

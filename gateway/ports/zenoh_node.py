@@ -13,14 +13,21 @@ from queue import SimpleQueue
 from typing import Any, Final
 
 import zenoh
-from zenoh import ext
 
-from gateway.ports.zenoh_client import close_session, open_session, says_listen
+from gateway.ports.zenoh_client import (
+    client_endpoints,
+    close_session,
+    lease_in_force_ms,
+    mode_in_force,
+    open_session,
+    place,
+    says_listen,
+)
 from gateway.telemetry.sample import Sample
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import DEFAULT_ENDPOINT, Settings, ZenohSettings
-from schemas.subjects import BY_NAME, SUBJECTS, Pattern, Qos, Subject
+from schemas.subjects import BY_NAME, SUBJECTS, Pattern, Subject
 from schemas.zenoh_link import ANY_LOCAL_PORT
 
 log = logging.getLogger(__name__)
@@ -141,7 +148,7 @@ def _check_name_is_free(session: zenoh.Session, settings: Settings) -> None:
     The token of a gateway that has just died goes within the lease, so it is looked for more than once.
     """
     key = keys.liveliness(settings.robot.root, settings.robot.name)
-    deadline_s = time.monotonic() + 2 * settings.zenoh.lease_ms / 1000
+    deadline_s = time.monotonic() + 2 * lease_in_force_ms(settings.zenoh) / 1000
     while any(reply.ok is not None for reply in session.liveliness().get(key, timeout=TOKEN_TIMEOUT_S)):
         if time.monotonic() > deadline_s:
             raise CommandError(
@@ -153,9 +160,10 @@ def _check_name_is_free(session: zenoh.Session, settings: Settings) -> None:
 
 def _open_session(zenoh_settings: ZenohSettings) -> tuple[zenoh.Session, str]:
     connect = list(zenoh_settings.connect)
-    if zenoh_settings.mode == "client":
-        connect = connect or [DEFAULT_ENDPOINT]
-        return open_session(zenoh_settings, connect, []), f"client of {', '.join(connect)}"
+    if mode_in_force(zenoh_settings) == "client":
+        return open_session(
+            zenoh_settings, client_endpoints(zenoh_settings), []
+        ), f"client of {place(zenoh_settings)}"
     if zenoh_settings.listen or says_listen(zenoh_settings):
         session = open_session(zenoh_settings, connect, zenoh_settings.listen)
         return session, f"at {', '.join(zenoh_settings.listen) or 'the endpoints of ' + zenoh_settings.config}"
@@ -181,26 +189,12 @@ def _join_neighbour(zenoh_settings: ZenohSettings, connect: list[str]) -> zenoh.
     )
 
 
-def _declare_publisher(
-    session: zenoh.Session, key: str, subject: Subject
-) -> zenoh.Publisher | ext.AdvancedPublisher:
-    qos: Qos = subject.qos
-    priority: zenoh.Priority = getattr(zenoh.Priority, qos.priority.value)
-    if not qos.history:
-        return session.declare_publisher(
-            key,
-            encoding=subject.encoding,
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=priority,
-            express=qos.express,
-        )
-    return ext.declare_advanced_publisher(
-        session,
+def _declare_publisher(session: zenoh.Session, key: str, subject: Subject) -> zenoh.Publisher:
+    priority: zenoh.Priority = getattr(zenoh.Priority, subject.qos.priority.value)
+    return session.declare_publisher(
         key,
         encoding=subject.encoding,
         congestion_control=zenoh.CongestionControl.DROP,
         priority=priority,
-        express=qos.express,
-        cache=ext.CacheConfig(qos.history),
-        publisher_detection=True,
+        express=subject.qos.express,
     )

@@ -9,7 +9,7 @@ from typing import Final
 
 import msgspec
 
-from gateway.remote.heard import Heard, Received
+from gateway.telemetry.heard import Heard, Received
 from schemas import codec, keys
 from schemas.codec import PayloadFault
 from schemas.messages import GatewayHealth, RobotState

@@ -99,12 +99,16 @@ class _Watching:
         return ""
 
     def show(self, show: Show, every_s: float, end_s: float, stopped: Callable[[], bool]) -> None:
-        """Show the reports at once and then regularly, until the end or until stopped."""
+        """Show the reports at once and then regularly, until the end or until stopped.
+
+        What a pause left out (Ctrl-Z, a machine that slept) is not made up for.
+        """
         due_s = time.monotonic() + min(every_s, 2 * REFRESH_S)  # The first state is on its way.
         while not stopped() and time.monotonic() < end_s:
             self._poll()
-            if time.monotonic() >= due_s:
-                due_s += every_s
+            late_s = time.monotonic() - due_s
+            if late_s >= 0:
+                due_s += every_s * (1 + late_s // every_s)
                 show(self._reports())
             time.sleep(POLL_S)
 

@@ -1,4 +1,4 @@
-"""``HOST:PORT``, as people write it."""
+"""``HOST:PORT``, as people write it. Pure."""
 
 from __future__ import annotations
 

@@ -248,7 +248,8 @@ def _one_of(word: str, right: Iterable[str], what: str) -> str:
     if word.lower() in choices:
         return word.lower()
     near = get_close_matches(word[:_WORD_MAX].lower(), choices, n=1, cutoff=0.5)
-    known = ", ".join(choices)
+    # Messages are found in any letter case, and told in the DBC's.
+    known = ", ".join(_MESSAGES.get(choice, choice) for choice in choices)
     hint = f"did you mean {_MESSAGES.get(near[0], near[0])!r}?" if near else f"there are: {known}"
     raise _WrongWordError(f"there is no {what} {_shown(word)}; {hint}")
 

@@ -6,6 +6,7 @@ One thread, no queue without bound. ``wait`` blocks; everything else returns at 
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
 import selectors
 import socket
@@ -37,12 +38,17 @@ MAX_QUEUED_BYTES: Final = 1 << 20
 MAX_REPLY_BYTES: Final = 64 * 1024
 """A client that asks for more answers than this without reading them is cut off."""
 
+ACCEPT_PAUSE_NS: Final = 1_000_000_000
+"""How long nobody is let in after this process, or the machine, has run out of descriptors or memory."""
+
 JOIN_NS: Final = 100_000_000
 """How long after its handshake a client is on the bus; frames before that are not for it.
 
 python-can's handshake reads up to 256 bytes once and wants them to be exactly ``< ok >``: a frame in the same
 segment would fail it. The kernel gives no sign that an answer has been read, so a pause has to do.
 """
+
+_EXHAUSTED: Final = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
 
 _RECEIVE_BYTES: Final = 65_536
 
@@ -143,6 +149,7 @@ class SocketcandServer:
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._clients: dict[socket.socket, _Client] = {}
         self._ready: list[tuple[selectors.SelectorKey, int]] = []
+        self._accepts_again_ns: int | None = None
         self.dropped = 0
 
     @property
@@ -163,10 +170,13 @@ class SocketcandServer:
     def read(self, now_ns: int, wall_ns: int, inject: Inject) -> list[Frame]:
         """Does what the clients ask for, and returns the frames that they put on the bus."""
         frames: list[Frame] = []
+        if self._accepts_again_ns is not None and now_ns >= self._accepts_again_ns:
+            self._accepts_again_ns = None
+            self._selector.register(self._listener, selectors.EVENT_READ)
         for key, events in self._ready:
             client: _Client | None = key.data
             if client is None:
-                self._accept()
+                self._accept(now_ns)
                 continue
             if events & selectors.EVENT_READ:
                 frames += self._read_client(client, now_ns, wall_ns, inject)
@@ -185,11 +195,16 @@ class SocketcandServer:
         self._selector.close()
         self._listener.close()
 
-    def _accept(self) -> None:
+    def _accept(self, now_ns: int) -> None:
         try:
             connection, peer = self._listener.accept()
-        except OSError:
-            return  # It went away again before we came to it.
+        except OSError as error:
+            if error.errno in _EXHAUSTED:
+                # The client stays in the queue and would wake us without end.
+                _logger.warning("nobody is let in for a while: %s", error.strerror)
+                self._selector.unregister(self._listener)
+                self._accepts_again_ns = now_ns + ACCEPT_PAUSE_NS
+            return  # Else it went away again before we came to it.
         if len(self._clients) >= MAX_CLIENTS:
             with contextlib.suppress(OSError):
                 connection.send(error_line(f"there are {MAX_CLIENTS} clients already"))

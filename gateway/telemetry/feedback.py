@@ -42,16 +42,20 @@ class FeedbackStream:
                 self.supervisor.checksums.fault(now_ns)
             return None
         data = frame.data
+        decoder = self.decoder
+        message = None if decoder is None else decoder.build(data, frame.wall_ns, self._sequence)
+        if message is None and decoder is not None:
+            self._faults[FaultKind.IMPLAUSIBLE] += 1
+            self.supervisor.implausible.fault(now_ns)
+            return None
         faults = self.supervisor.receive(data[6] >> 4, now_ns)
         if faults:
             self._faults.update(faults)
-        decoder = self.decoder
-        if decoder is None:
+        if decoder is None or message is None:
             self._withheld += 1
             return None
         if decoder.undefined is not None and decoder.undefined(data):
             self._faults[FaultKind.UNDEFINED_VALUE] += 1
-        message = decoder.build(data, frame.wall_ns, self._sequence)
         self._sequence = (self._sequence + 1) & SEQUENCE_MAX
         self.latest = message
         return Sample(self._subject, encode(message))
@@ -80,6 +84,7 @@ class FeedbackStream:
             lost=supervisor.lost,
             withheld=self._withheld,
             checksum_faults=supervisor.checksums.faults,
+            implausible=supervisor.implausible.faults,
             silent=supervisor.is_silent,
             alive_faults=supervisor.alive.faults,
             failures=supervisor.failures(now_ns),

@@ -69,7 +69,10 @@ def yaw_rate_radps(speed_mps: float, angle_deg: float) -> float:
 def robot_state(
     messages: LatestMessages, *, time_ns: int, sequence: int, bus_up: bool, variant: Variant, silent: list[str]
 ) -> RobotState:
-    """The state. A field whose feedback is missing or silent is None, or ``undefined``."""
+    """The state. A field whose feedback is missing, silent or marked invalid is None, or ``undefined``.
+
+    That holds for the mode too: that of an invalid frame is no evidence that the chassis obeys.
+    """
     gear, steering, drive = messages.of(Gear), messages.of(Steering), messages.of(Drive)
     braking, parking, body = messages.of(Braking), messages.of(Parking), messages.of(Body)
     wheels, pulses = messages.of(WheelSpeed), messages.of(WheelPulse)
@@ -81,7 +84,7 @@ def robot_state(
         bus_up=bus_up,
         variant=variant,
         silent=silent,
-        mode=body.mode if body else Mode.UNDEFINED,
+        mode=body.mode if body and body.valid else Mode.UNDEFINED,
         gear_position=gear.gear_position if gear else GearPosition.UNDEFINED,
         speed_mps=speed_mps,
         angle_deg=steering.angle_deg if steering else None,

@@ -12,7 +12,7 @@ import zenoh
 
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
-from schemas.settings import DEFAULT_ENDPOINT, ZenohSettings
+from schemas.settings import DEFAULT_ENDPOINT, OWNED_KEY_LIMIT, ZenohSettings
 from schemas.zenoh_link import CONNECT, reason, session_settings
 
 REPLY_TIMEOUT_S: Final = 2.0
@@ -142,6 +142,8 @@ class ZenohSource:
         owner = self._owners.get(text)
         if owner is None:
             owner = next(index for index, one in enumerate(self._expressions) if one.intersects(key))
+            if len(self._owners) >= OWNED_KEY_LIMIT:
+                self._owners.clear()
             self._owners[text] = owner
         return owner
 

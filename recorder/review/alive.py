@@ -6,47 +6,26 @@ fewer than 16 periods; a longer gap is an outage, and what it cost is told by th
 
 from __future__ import annotations
 
-import re
 from functools import cache, reduce
-from importlib import resources
 from operator import xor
 from typing import Final
 
-import msgspec
+from schemas.can_word import IDENTIFIER_MASK
+from schemas.dbc_files import DbcFrame, dbc_text, frames
+from schemas.messages import Variant
 
 COUNTER_SPAN: Final = 16
 FRAME_BYTES: Final = 8
 
-FEEDBACK_MASK: Final = 0x1FFFF0FF
-FEEDBACK_IDENTIFIER: Final = 0x18C4D0EF
-"""The chassis's feedback: 0x18C4D?EF, extended."""
-
-_EXTENDED_FLAG: Final = 1 << 31
-_DBC: Final = "cruiser-coarse.dbc"
-"""Cycle times are the same in both variants."""
-
-
-class FeedbackFrame(msgspec.Struct, frozen=True):
-    """What the DBC says of a feedback frame."""
-
-    name: str
-    period_ns: int
-
 
 @cache
-def feedback_frames() -> dict[int, FeedbackFrame]:
-    """The chassis's feedback frames by identifier."""
-    text = resources.files("schemas").joinpath(_DBC).read_text(encoding="utf-8")
-    names = dict(re.findall(r"^BO_ (\d+) (\w+):", text, re.MULTILINE))
-    cycles = dict(re.findall(r'^BA_ "GenMsgCycleTime" BO_ (\d+) (\d+);', text, re.MULTILINE))
-    frames = {
-        int(number) & ~_EXTENDED_FLAG: FeedbackFrame(names[number], int(cycle) * 1_000_000)
-        for number, cycle in cycles.items()
-    }
+def feedback_frames() -> dict[int, DbcFrame]:
+    """The chassis's periodic feedback frames by identifier; all are extended."""
+    # Either variant would do: both have the same frames and cycle times.
     return {
-        identifier: frame
-        for identifier, frame in frames.items()
-        if identifier & FEEDBACK_MASK == FEEDBACK_IDENTIFIER and frame.period_ns
+        frame.can_id & IDENTIFIER_MASK: frame
+        for frame in frames(dbc_text(Variant.COARSE))
+        if frame.is_feedback and frame.period_ns
     }
 
 
@@ -62,7 +41,7 @@ class AliveCount:
         unseen: frames that the outages would have held, by the period.
     """
 
-    def __init__(self, frame: FeedbackFrame) -> None:
+    def __init__(self, frame: DbcFrame) -> None:
         self.name = frame.name
         self.frames = self.lost = self.repeated = self.corrupt = self.outages = self.unseen = 0
         self._period_ns = frame.period_ns

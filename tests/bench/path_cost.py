@@ -22,12 +22,12 @@ import msgspec
 from cantools.database.can import Database
 
 from gateway.chassis.frame import Frame
-from gateway.chassis.layout import dbc_text
 from gateway.core import Core
 from gateway.loop import receive_burst
 from gateway.ports.zenoh_client import close_session, open_session
 from gateway.ports.zenoh_node import ZenohNode
 from gateway.telemetry.health import Links
+from schemas.dbc_files import dbc_text
 from schemas.messages import Variant
 from schemas.settings import TICK_NS, ChassisSettings, Settings, ZenohSettings
 from tests.bench.processes import free_port

@@ -1,9 +1,13 @@
 """The gateway without its surroundings."""
 
+from dataclasses import dataclass
+
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway import core as core_module
 from gateway.chassis.frame import EXTENDED, Frame
 from gateway.chassis.layout import load
 from gateway.core import SCALED_BY_VARIANT, Core
@@ -20,12 +24,14 @@ from schemas.messages import (
     Mode,
     ParkingStatus,
     RobotState,
+    Steering,
     Variant,
 )
 from schemas.settings import ChassisSettings, Settings
 from schemas.subjects import BY_NAME
 from tests.gateway.chassis.strategies import VARIANTS, frames
 from tests.gateway.frames import MS, STANDING, WALL_NS, Feedback
+from tests.gateway.sim.rig import Rig
 
 UP = Links(bus_up=True)
 
@@ -139,6 +145,153 @@ def test_a_bus_that_returns_has_to_prove_its_variant_again() -> None:
     assert made.receive_frame(feedback.frame("Auto_DriveFeedBack"), 0) is None
 
 
+def health_after(made: Core, at_ms: int = 1000) -> GatewayHealth:
+    """The health of this time."""
+    health = next(read(s) for s in made.tick(at_ms * MS, WALL_NS, 0) if s.subject == "gateway/health")
+    assert isinstance(health, GatewayHealth)
+    return health
+
+
+@dataclass
+class Zeros:
+    """What becomes of a frame of eight zero bytes."""
+
+    fault: str
+    says: dict[str, object]
+
+
+ALL_ZERO = {
+    "Auto_GearFeedBack": Zeros("implausible", {}),  # gear 0
+    "Auto_SteeringFeedBack": Zeros("implausible", {}),  # -90 deg
+    "Auto_DriveFeedBack": Zeros(
+        "", {"active": False, "speed_mps": 0}
+    ),  # as of any robot that stands, switched off
+    "Auto_BrakingFeedBack": Zeros("", {"active": False, "braking_status": "released"}),
+    "Auto_ParkingFeedBack": Zeros("undefined_value", {"active": False, "parking_status": "undefined"}),
+    "Auto_WheelSpdFeedback": Zeros("implausible", {}),  # -8 m/s coarse, -32.768 m/s fine
+    "Auto_WheelPulseFeedback": Zeros("", {"valid": False, "rear_left_pulses": 0, "rear_right_pulses": 0}),
+    "Auto_MileageAndBodyFeedback": Zeros("implausible", {}),  # mode auto of a frame that is not valid
+    "Auto_LightFeedback": Zeros("", {"headlamp": False, "right_indicator": False, "left_indicator": False}),
+    "Auto_SpeakerFeedback": Zeros("", {"horn": False}),
+}
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("name", STANDING)
+def test_eight_zero_bytes_do_not_pass_for_a_driving_robot(variant: Variant, name: str) -> None:
+    """They have a right checksum. What no robot can be is a fault; what remains says that nothing is on."""
+    made, zeros = core(variant.value), ALL_ZERO[name]
+    sample = made.receive_frame(Frame(load(variant).messages[name].can_id, bytes(8), WALL_NS), 0)
+    health = health_after(made)
+    row = next(row for row in health.feedback if row.name == name)
+    assert health.faults.get("implausible", 0) == row.implausible == (zeros.fault == "implausible")
+    if zeros.fault == "implausible":
+        assert sample is None
+        assert (row.valid, row.silent) == (0, True)
+        return
+    assert health.faults.get("undefined_value", 0) == (zeros.fault == "undefined_value")
+    fields = msgspec.to_builtins(read(sample))
+    assert {key: value for key, value in fields.items() if key in zeros.says} == zeros.says
+    assert fields.keys() == zeros.says.keys() | {"time_ns", "sequence", "alive_counter"}
+
+
+@pytest.mark.parametrize("name", STANDING)
+def test_zero_bytes_without_end_are_silence(name: str) -> None:
+    """Implausible or not, they repeat their counter: soon none of them is current any more."""
+    made = core("coarse")
+    for at_ms in range(0, 1001, 10):
+        made.receive_frame(Frame(load(Variant.COARSE).messages[name].can_id, bytes(8), WALL_NS), at_ms * MS)
+        published = made.tick(at_ms * MS, WALL_NS, 0)
+    state = next(read(sample) for sample in published if sample.subject == "state")
+    assert isinstance(state, RobotState)
+    assert name in state.silent
+
+
+def test_implausible_frames_are_lost_and_a_failure_of_their_own() -> None:
+    """The third within a second is a failure; the value shown is the last plausible one, until that is too old."""
+    made, feedback = core("coarse"), Feedback(Variant.COARSE)
+    made.receive_frame(feedback.frame("Auto_SteeringFeedBack", {"Angle": 10.0}), 0)
+    for number in range(1, 4):
+        frame = feedback.frame("Auto_SteeringFeedBack", {"Angle": -26.0})
+        assert made.receive_frame(frame, number * 10 * MS) is None
+    state = ticks(made, 50, 50)["state"][0]
+    assert isinstance(state, RobotState)
+    assert state.angle_deg == pytest.approx(10, abs=0.05)
+    made.receive_frame(feedback.frame("Auto_SteeringFeedBack", {"Angle": 10.0}), 50 * MS)
+    row = next(row for row in health_after(made).feedback if row.name == "Auto_SteeringFeedBack")
+    assert (row.valid, row.lost, row.implausible) == (2, 3, 3)
+    assert "implausible" in row.failures
+    assert row.checksum_faults == 0
+
+
+def test_what_is_withheld_is_not_judged() -> None:
+    """A speed whose scale is not known cannot be too high; a standing fine chassis is not -8 m/s."""
+    made, feedback = core(), Feedback(Variant.FINE)
+    made.receive_frame(feedback.frame("Auto_WheelSpdFeedback"), 0)
+    made.receive_frame(feedback.frame("Auto_DriveFeedBack", {"Speed": 2.2}), 0)
+    health = health_after(made)
+    assert "implausible" not in health.faults
+    assert [row.withheld for row in health.feedback if row.name in SCALED_BY_VARIANT] == [1, 1]
+
+
+def test_a_speed_in_the_other_scale_is_implausible() -> None:
+    """0.5 m/s fine would be 20 m/s coarse."""
+    made, feedback = core("coarse"), Feedback(Variant.FINE)
+    assert made.receive_frame(feedback.frame("Auto_DriveFeedBack", {"Speed": 0.5}), 0) is None
+    assert health_after(made).faults == {"implausible": 1}
+
+
+@pytest.mark.parametrize(
+    ("fault", "name"),
+    [
+        ("scale wrong", "Auto_DriveFeedBack"),
+        ("foreign 18C4D2EF 0000000000000000 every 10ms", "Auto_SteeringFeedBack"),
+    ],
+)
+def test_the_virtual_chassis_can_be_implausible(fault: str, name: str) -> None:
+    """A speed in the wrong scale, and zero bytes under a name of the chassis: none comes out as data."""
+    made, rig = core("coarse"), Rig()
+    rig.fault(fault)
+    rig.command("drive", 1.0)
+    rig.fault("transmitter remote")
+    rig.fault("sticks 1 10")
+    for frame in rig.run(3):
+        sample = made.receive_frame(frame, frame.wall_ns)
+        message = read(sample) if sample is not None else None
+        assert not isinstance(message, Steering) or abs(message.angle_deg) <= 25
+        assert not isinstance(message, Drive) or message.speed_mps <= 3
+    health = health_after(made)
+    assert [row.name for row in health.feedback if row.implausible] == [name]
+
+
+def test_no_decoder_is_compiled_in_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To compile one takes a millisecond: both variants' are made at the start, and changed for one another."""
+    made, fine, coarse = core(), Feedback(Variant.FINE), Feedback(Variant.COARSE)
+    monkeypatch.setattr(core_module, "compile_message", None)
+    monkeypatch.setattr(core_module, "load", None)
+    for feedback, variant in ((fine, Variant.FINE), (coarse, Variant.COARSE)):
+        confirm(made, feedback)
+        assert made.variant is variant
+        drive = read(made.receive_frame(feedback.frame("Auto_DriveFeedBack", {"Speed": 2.0}), 0))
+        assert isinstance(drive, Drive)
+        assert drive.speed_mps == pytest.approx(2.0)
+    made.observe_links(Links(bus_up=True, bus_losses=1))
+    assert made.variant is Variant.UNKNOWN
+
+
+def test_a_speed_of_the_former_scale_is_not_shown() -> None:
+    """When the evidence turns, what was decoded in the other scale is forgotten."""
+    made, fine = core(), Feedback(Variant.FINE)
+    confirm(made, Feedback(Variant.COARSE))
+    made.receive_frame(fine.frame("Auto_GearFeedBack", {"GearPosition": "drive"}), 0)
+    made.receive_frame(fine.frame("Auto_DriveFeedBack", {"Speed": 0.05}), 0)
+    confirm(made, fine)
+    state = ticks(made, 0)["state"][0]
+    assert isinstance(state, RobotState)
+    assert state.variant is Variant.FINE
+    assert state.speed_mps is None
+
+
 @given(frame=frames)
 def test_no_frame_raises_and_a_malformed_one_is_never_data(frame: Frame) -> None:
     """Whatever comes is counted; a sample comes out only of a valid feedback frame; the raw frame is kept."""
@@ -151,7 +304,15 @@ def test_no_frame_raises_and_a_malformed_one_is_never_data(frame: Frame) -> None
     counted = sum(health.faults.values())
     if sample is None and frame.can_id not in commands:
         assert counted == 1
-    malformed = {"checksum", "length", "fd_frame", "remote_frame", "error_frame", "unknown_identifier"}
+    malformed = {
+        "checksum",
+        "length",
+        "fd_frame",
+        "remote_frame",
+        "error_frame",
+        "unknown_identifier",
+        "implausible",
+    }
     assert sample is None or not malformed & health.faults.keys()
 
 

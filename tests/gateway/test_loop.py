@@ -9,13 +9,14 @@ import pytest
 
 from gateway.chassis.frame import Frame
 from gateway.core import Core
-from gateway.loop import run
+from gateway.loop import BURST_MAX_FRAMES, PEERS_TICKS, run
 from gateway.telemetry.sample import Sample
 from schemas import codec
 from schemas.messages import GatewayHealth, Message, RobotState, Variant
 from schemas.settings import ChassisSettings, Settings
 from schemas.subjects import BY_NAME
 from tests.gateway.frames import Feedback
+from tests.gateway.remote.waiting import StopWhen
 
 
 class FakeBus:
@@ -42,11 +43,13 @@ class FakeZenoh:
         self.samples: list[Sample] = []
         self.answered = 0
         self.connected = 3
+        self.asked = 0
 
     def publish(self, sample: Sample) -> None:
         self.samples.append(sample)
 
     def peers(self) -> int:
+        self.asked += 1
         return self.connected
 
     def answer(self, reply: Callable[[], bytes]) -> None:
@@ -102,12 +105,12 @@ def test_a_lost_zenoh_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     """When the last node goes the log says so, once; the ticks go on."""
     zenoh = FakeZenoh()
 
-    def stopped() -> bool:
+    def go() -> None:
         zenoh.connected = 0 if zenoh.samples else 1
-        return len(zenoh.of("state")) >= 4
 
+    asked_enough = StopWhen(lambda: zenoh.asked >= 4, go)
     with caplog.at_level(logging.INFO):
-        run(FakeBus([]), zenoh, core(), lambda: b"", stopped)
+        run(FakeBus([]), zenoh, core(), lambda: b"", asked_enough)
     assert [record.getMessage() for record in caplog.records][1:] == [
         "a Zenoh node is connected",
         "no Zenoh node is connected any more",
@@ -132,6 +135,35 @@ def test_a_loop_that_stood_still_says_so(caplog: pytest.LogCaptureFixture) -> No
     assert isinstance(second, GatewayHealth)
     assert first.tick_lateness_worst_ms > 100
     assert second.tick_lateness_worst_ms >= first.tick_lateness_worst_ms
+
+
+def test_a_bus_that_is_never_empty_does_not_keep_the_tick_waiting() -> None:
+    """Frames are taken a bounded number at a time, also where there is always one more."""
+    frame = next(Feedback(Variant.COARSE).all())
+    longest = 0
+
+    class BusyBus(FakeBus):
+        """Always has a frame; counts how many are taken one after the other without looking at the time."""
+
+        taken = 0
+
+        def receive(self, timeout_s: float) -> Frame | None:
+            nonlocal longest
+            self.taken = 1 if timeout_s else self.taken + 1
+            longest = max(longest, self.taken)
+            assert self.taken <= 100 * BURST_MAX_FRAMES, "the loop forgets its tick"
+            return frame
+
+    zenoh = FakeZenoh()
+    run(BusyBus([]), zenoh, core(), lambda: b"info", StopWhen(lambda: zenoh.answered >= 3))
+    assert longest == BURST_MAX_FRAMES
+
+
+def test_zenoh_is_asked_who_is_there_in_every_tenth_tick() -> None:
+    """The answer costs more than it changes; between two questions the last one holds."""
+    zenoh = FakeZenoh()
+    run(FakeBus([]), zenoh, core(), lambda: b"info", StopWhen(lambda: zenoh.answered == 3 * PEERS_TICKS))
+    assert zenoh.asked == 3
 
 
 def test_the_garbage_collector_is_given_back() -> None:

@@ -23,6 +23,7 @@ from recorder.mcap_file import McapFile
 from recorder.sample import Sample
 from recorder.session import Plan, Session
 from schemas import codec, keys
+from schemas.can_word import EXTENDED
 from schemas.messages import CanFrames, GatewayInfo, Gear, GearPosition, Message, Variant
 from schemas.subjects import BY_TYPE
 
@@ -34,7 +35,6 @@ MS = 1_000_000
 PLAN = Plan(name="cruiser-1", chunk_bytes=262_144, flush_ns=SECOND // 2, version="0.1.0")
 
 GEAR_FEEDBACK = 0x18C4D1EF
-EXTENDED = 1 << 31
 
 
 class FakeSample(msgspec.Struct, frozen=True):

@@ -2,6 +2,9 @@
 
 from itertools import pairwise
 
+import pytest
+
+from recorder import robots as robots_module
 from recorder.effects import AskInfo, Effect, WriteAttachment, WriteMetadata
 from recorder.robots import ASK_AGAIN_MAX_NS, ASK_AGAIN_NS, ASK_PER_TICK, Robots
 from schemas.messages import Variant
@@ -44,6 +47,17 @@ def test_many_robots_at_once_are_asked_in_turns() -> None:
         assert len(effects) == ASK_PER_TICK
         asked.update(effects)
     assert len(asked) == 3 * ASK_PER_TICK
+
+
+def test_robots_beyond_the_limit_are_neither_asked_nor_described(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Names can be made up without end; the robots that came first keep their places."""
+    monkeypatch.setattr(robots_module, "ROBOT_LIMIT", 2)
+    robots = Robots("1.0")
+    assert [robots.see("fleet", f"r{number}", 0) for number in (0, 1, 2, 0)] == ["r0", "r1", "r2", "r0"]
+    assert robots.ask(0) == [AskInfo(f"fleet/r{number}/gateway/info") for number in (0, 1)]
+    assert robots.take_info("r2", info(), WALL_NS) == []
+    robots.see_restart("r2", 0)
+    assert robots.describe() == [WriteMetadata("cruiser", {"recorder_version": "1.0", "robots": "r0,r1"})]
 
 
 def test_an_answer_becomes_metadata_and_attachments() -> None:

@@ -1,6 +1,7 @@
 """A recording, without I/O."""
 
 import json
+import tracemalloc
 from collections.abc import Callable
 from io import BytesIO
 from typing import Any
@@ -13,6 +14,7 @@ from mcap.reader import make_reader
 from mcap.records import Message as McapMessage
 from mcap_protobuf.decoder import DecoderFactory
 
+from recorder import robots as robots_module
 from recorder import session as session_module
 from recorder.effects import (
     AskInfo,
@@ -27,7 +29,7 @@ from recorder.effects import (
 )
 from recorder.sample import Sample
 from recorder.session import KeyCount, Plan, Session
-from schemas.messages import CanFrames, Gear, Message
+from schemas.messages import CanFrames, GatewayInfo, Gear, Message
 from schemas.subjects import BY_TYPE, SUBJECTS, Subject
 from tests.recorder.fakes import (
     GEAR_FEEDBACK,
@@ -285,6 +287,40 @@ def test_more_keys_than_channels_share_one(monkeypatch: pytest.MonkeyPatch) -> N
     records = read(log.close())
     assert [topic for topic, _, _, _ in records] == ["k/0", "k/1", "@more", "@more", "@more"]
     assert [content.key for _, _, _, content in records][2:] == ["k/2", "k/3", GEAR_KEY]
+
+
+def test_ever_new_keys_and_robots_cost_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beyond the limits a sample is written, and nothing of it is kept: neither its key, its robot nor a route."""
+    monkeypatch.setattr(session_module, "CHANNEL_LIMIT", 20)
+    monkeypatch.setattr(robots_module, "ROBOT_LIMIT", 10)
+    session = Session(Plan("x", 1, SECOND, "1"))  # Every sample is a chunk of its own, and goes.
+
+    def receive(first: int, last: int) -> None:
+        for number in range(first, last):
+            session.receive_sample(sample_of(gear(number), f"robot-{number}"), 0, WALL_NS)
+            session.receive_sample(FakeSample(f"any/{number}", "x", b""), 0, WALL_NS)
+            session.receive_sample(FakeSample(key_of(Gear, f"broken-{number}"), "x", b""), 0, WALL_NS)
+
+    receive(0, 500)
+    tracemalloc.start()
+    try:
+        before, _ = tracemalloc.get_traced_memory()
+        receive(500, 3000)
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert after - before < 50_000  # 7,500 keys would be a million and more.
+    assert len(session.counts) == 21
+    assert sum(count.messages for count in session.counts.values()) == 3 * 3000
+
+
+def test_the_answer_of_a_robot_too_many_is_a_sample_like_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is recorded; the log's metadata holds nothing of it."""
+    monkeypatch.setattr(robots_module, "ROBOT_LIMIT", 1)
+    log = Log()
+    log.receive(sample_of(gear(0)), sample_of(info(), "another"))
+    assert not [one for one in log.done if isinstance(one, WriteAttachment)]
+    assert key_of(GatewayInfo, "another") in {topic for topic, _, _, _ in read(log.close())}
 
 
 def test_the_close_writes_what_is_in_hand_and_ends() -> None:

@@ -46,6 +46,13 @@ def test_a_flag_wins_over_the_environment_and_that_over_the_file() -> None:
     assert settings.can == CanSettings(interface="flag", channel="file", bus="env")
 
 
+def test_which_zenoh_settings_a_source_gave_is_known() -> None:
+    """Whatever the source and the value: a start value that is given counts as given."""
+    assert merged().zenoh.given == frozenset()
+    settings = merged("[zenoh]\nmode = 'peer'\n", {"CRUISER_ZENOH_LEASE_MS": "1000"}, {"zenoh.listen": []})
+    assert settings.zenoh.given == {"mode", "lease_ms", "listen"}
+
+
 def _complaint(text: str, environ: dict[str, str]) -> str:
     try:
         merged(text, environ)

@@ -7,7 +7,7 @@ from gateway.chassis import layout
 from gateway.chassis.layout import MessageLayout
 from schemas import messages
 from schemas.messages import Variant
-from schemas.subjects import BY_DBC_MESSAGE, SUBJECTS, Pattern, Subject
+from schemas.subjects import BY_DBC_MESSAGE, SUBJECTS, Subject
 
 VARIANTS = (Variant.COARSE, Variant.FINE)
 FRAMES = [(variant, frame) for variant in VARIANTS for frame in layout.load(variant).feedback]
@@ -35,11 +35,6 @@ def test_every_message_class_says_what_it_is(subject: Subject) -> None:
     """Each message class has a docstring of its own, and a version that its encoding names."""
     assert subject.type.__doc__ != messages.Message.__doc__
     assert subject.encoding == f"application/msgpack;cruiser.{subject.type.__name__}/{subject.type.version}"
-
-
-def test_what_is_queried_has_no_rate_of_its_own() -> None:
-    """A subject that answers queries keeps no history: the answer is always the present."""
-    assert all(not subject.qos.history for subject in SUBJECTS if subject.pattern is Pattern.QUERIED)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)

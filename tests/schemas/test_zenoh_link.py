@@ -3,7 +3,7 @@
 import pytest
 
 from schemas.settings import ZenohSettings
-from schemas.zenoh_link import CONNECT, LISTEN, MULTICAST, reason, session_settings
+from schemas.zenoh_link import CONNECT, LEASE, LISTEN, MODE, MULTICAST, reason, session_settings
 
 ENDPOINT = "tcp/127.0.0.1:7447"
 
@@ -21,6 +21,15 @@ def test_a_files_endpoints_hold_where_none_are_given(path: str) -> None:
     assert given[path] == [ENDPOINT]
     assert path not in session_settings(ZenohSettings(), [], [], lambda _: True)
     assert session_settings(ZenohSettings(), [], [])[path] == []
+
+
+@pytest.mark.parametrize(("name", "path"), [("mode", MODE), ("lease_ms", LEASE)])
+def test_a_files_word_holds_against_a_start_value_not_against_a_given_one(name: str, path: str) -> None:
+    """A setting that a source gave wins over the file, even with its start value."""
+    assert path in session_settings(ZenohSettings(), [], [])
+    assert path not in session_settings(ZenohSettings(), [], [], lambda _: True)
+    given = ZenohSettings(given=frozenset({name}))
+    assert list(session_settings(given, [], [], lambda _: True)) == [path]
 
 
 def test_a_reason_is_one_clean_line() -> None:

@@ -2,6 +2,7 @@
 
 from hypothesis import strategies as st
 
+from gateway.chassis.encode import to_raw
 from gateway.chassis.frame import REMOTE, Frame
 from gateway.chassis.layout import MessageLayout, load
 from schemas.messages import Variant
@@ -35,6 +36,31 @@ def _frames(draw: st.DrawFn) -> Frame:
 
 
 frames = _frames()
+
+
+PLAUSIBLE_VALUES = {
+    "Angle": st.floats(-24.9, 24.9),
+    "Speed": st.floats(0, 3),
+    "RearLeftSpeed": st.floats(-3, 3),
+    "RearRightSpeed": st.floats(-3, 3),
+    "GearPosition": st.integers(1, 4),
+    "Mode": st.integers(0, 2),
+}
+"""Of those signals of which not every value can be; physical or of the value table."""
+
+
+@st.composite
+def plausible_payloads(draw: st.DrawFn, layout: MessageLayout) -> bytes:
+    """Any data of a frame whose values this chassis can have."""
+    word = int.from_bytes(draw(payloads), "little")
+    for signal in layout.signals:
+        if signal.name in PLAUSIBLE_VALUES:
+            mask = (1 << signal.length) - 1
+            raw = to_raw(signal, draw(PLAUSIBLE_VALUES[signal.name]))
+            word = word & ~(mask << signal.start_bit) | raw << signal.start_bit
+            if signal.name == "Mode":
+                word |= 1  # Valid: mode auto needs it
+    return word.to_bytes(8, "little")
 
 
 def with_checksum(data: bytes) -> bytes:

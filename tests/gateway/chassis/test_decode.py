@@ -12,13 +12,26 @@ from cantools.database.can import Database
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.chassis import decode
 from gateway.chassis.decode import Decoded, Decoder, Value, compile_message, compile_signals
 from gateway.chassis.encode import Encoder
 from gateway.chassis.faults import FaultKind, FrameFault
 from gateway.chassis.frame import ERROR, EXTENDED, FD, REMOTE, Frame
-from gateway.chassis.layout import MessageLayout, SignalLayout, dbc_text, load
+from gateway.chassis.layout import MessageLayout, SignalLayout, load
+from gateway.chassis.plausibility import Within
+from schemas.dbc_files import dbc_text
 from schemas.messages import Variant
-from tests.gateway.chassis.strategies import FEEDBACK, LAYOUTS, VARIANTS, frames, identify, payloads, with_checksum
+from schemas.settings import SPEED_PLAUSIBLE_MPS, STEERING_PLAUSIBLE_DEG
+from tests.gateway.chassis.strategies import (
+    FEEDBACK,
+    LAYOUTS,
+    VARIANTS,
+    frames,
+    identify,
+    payloads,
+    plausible_payloads,
+    with_checksum,
+)
 
 EXAMPLES = json.loads(Path(__file__).with_name("manual_examples.json").read_text(encoding="utf-8"))
 
@@ -31,6 +44,7 @@ def reference(variant: Variant) -> Database:
     return database
 
 
+COARSE = load(Variant.COARSE).messages.values()
 READERS = {
     variant: {name: compile_signals(row) for name, row in load(variant).messages.items()} for variant in VARIANTS
 }
@@ -55,10 +69,10 @@ def test_every_message_decodes_as_cantools_decodes_it(variant: Variant, data: by
 
 
 @pytest.mark.parametrize("layout", FEEDBACK, ids=identify)
-@given(data=payloads)
-def test_a_message_says_what_the_signals_say(layout: MessageLayout, data: bytes) -> None:
+@given(drawn=st.data())
+def test_a_message_says_what_the_signals_say(layout: MessageLayout, drawn: st.DataObject) -> None:
     """The typed message holds the same values as the signals, under the fields' names."""
-    decoder = compile_message(layout)
+    decoder, data = compile_message(layout), drawn.draw(plausible_payloads(layout))
     message = decoder.build(data, 17, 4)
     fields: dict[str, Any] = msgspec.to_builtins(message)
     assert (fields.pop("time_ns"), fields.pop("sequence")) == (17, 4)
@@ -73,13 +87,67 @@ def test_a_message_says_what_the_signals_say(layout: MessageLayout, data: bytes)
 
 
 @pytest.mark.parametrize("layout", FEEDBACK, ids=identify)
-@given(data=payloads)
-def test_undefined_is_told_when_a_value_table_has_no_name(layout: MessageLayout, data: bytes) -> None:
+@given(drawn=st.data())
+def test_undefined_is_told_when_a_value_table_has_no_name(layout: MessageLayout, drawn: st.DataObject) -> None:
     """``undefined`` is true exactly when the message says ``undefined`` somewhere."""
-    decoder = compile_message(layout)
+    decoder, data = compile_message(layout), drawn.draw(plausible_payloads(layout))
     fields = msgspec.to_builtins(decoder.build(data, 0, 0))
     has_undefined = decoder.undefined is not None and decoder.undefined(data)
     assert has_undefined == ("undefined" in fields.values())
+
+
+BOUNDS = {"Angle": STEERING_PLAUSIBLE_DEG} | dict.fromkeys(
+    ("Speed", "RearLeftSpeed", "RearRightSpeed"), SPEED_PLAUSIBLE_MPS
+)
+BOUNDED = [(layout, signal) for layout in FEEDBACK for signal in layout.signals if signal.name in BOUNDS]
+ROUNDING = 1e-9
+
+
+@pytest.mark.parametrize(("layout", "signal"), BOUNDED, ids=lambda one: one.name)
+def test_a_number_beyond_its_bound_makes_no_message(layout: MessageLayout, signal: SignalLayout) -> None:
+    """Every raw value of a steering angle or a speed: 25 deg and 3 m/s, in either direction, and no step more."""
+    assert len(BOUNDED) == 8
+    build = compile_message(layout).build
+    standing = int.from_bytes(
+        Encoder(load(Variant.COARSE if layout in COARSE else Variant.FINE))
+        .encode(layout.name, dict.fromkeys((s.name for s in layout.signals if s.name in BOUNDS), 0.0), 0)
+        .data,
+        "little",
+    )
+    others = standing & ~((1 << signal.length) - 1 << signal.start_bit)
+    for raw in range(1 << signal.length):
+        value = raw * signal.scale + signal.offset
+        data = (others | raw << signal.start_bit).to_bytes(8, "little")
+        assert (build(data, 0, 0) is not None) == (abs(value) <= BOUNDS[signal.name] + ROUNDING), value
+
+
+@pytest.mark.parametrize(
+    ("name", "signal", "rule", "last_raw", "beyond_raw"),
+    [
+        ("Auto_DriveFeedBack", "Speed", Within(0, 2.8), 2800, 2801),
+        ("Auto_WheelSpdFeedback", "RearLeftSpeed", Within(-0.3, 3), 32468, 32467),
+    ],
+)
+def test_a_bound_that_is_a_raw_values_own_includes_it(
+    monkeypatch: pytest.MonkeyPatch, name: str, signal: str, rule: Within, last_raw: int, beyond_raw: int
+) -> None:
+    """Floating point makes 2.8 / 0.001 a little less than 2800; the bound is meant, not its rounding error."""
+    monkeypatch.setattr(decode, "rules", lambda _: [(signal, rule)])
+    build = compile_message(load(Variant.FINE).messages[name]).build
+    assert build((last_raw << 8).to_bytes(8, "little"), 0, 0) is not None
+    assert build((beyond_raw << 8).to_bytes(8, "little"), 0, 0) is None
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@given(data=payloads)
+def test_a_gear_or_a_mode_that_the_manual_does_not_know_makes_no_message(variant: Variant, data: bytes) -> None:
+    """Gears are 1 to 4 and modes 0 to 2; auto, which is 0, only in a frame that says that it is valid."""
+    messages = load(variant).messages
+    gear = compile_message(messages["Auto_GearFeedBack"]).build(data, 0, 0)
+    assert (gear is not None) == (data[1] & 7 in {1, 2, 3, 4})
+    mode, valid = data[5] & 3, data[0] & 1
+    body = compile_message(messages["Auto_MileageAndBodyFeedback"]).build(data, 0, 0)
+    assert (body is not None) == (mode in {1, 2} or (mode == 0 and valid == 1))
 
 
 @given(frame=frames)

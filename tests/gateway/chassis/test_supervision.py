@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.chassis.faults import FaultKind
-from gateway.chassis.supervision import AliveCounter, Checksums, FrameSupervisor, Period, silence_ns
+from gateway.chassis.supervision import AliveCounter, FaultWindow, FrameSupervisor, Period, silence_ns
 
 MS = 1_000_000
 
@@ -73,17 +73,32 @@ def test_the_fault_count_stays_in_its_bounds(counters: list[int]) -> None:
         lost = alive.lost
 
 
-def test_three_checksum_faults_within_a_second_are_a_failure() -> None:
+def test_three_faults_within_a_second_are_a_failure() -> None:
     """Two are not, three are while they lie within one second, and time heals."""
-    checksums = Checksums()
+    window = FaultWindow(3, 1000 * MS)
     for at_ms in (0, 500):
-        checksums.fault(at_ms * MS)
-    assert not checksums.has_failed(500 * MS)
-    checksums.fault(1000 * MS)
-    assert checksums.has_failed(1000 * MS)
-    assert not checksums.has_failed(1000 * MS + 1)
-    checksums.fault(1400 * MS)
-    assert checksums.has_failed(1500 * MS)
+        window.fault(at_ms * MS)
+    assert not window.has_failed(500 * MS)
+    window.fault(1000 * MS)
+    assert window.has_failed(1000 * MS)
+    assert not window.has_failed(1000 * MS + 1)
+    window.fault(1400 * MS)
+    assert window.has_failed(1500 * MS)
+
+
+@pytest.mark.parametrize("kind", ["checksum", "implausible"])
+def test_corrupt_frames_and_impossible_ones_are_failures_of_their_own(kind: str) -> None:
+    """The third within a second, and each is named by its own name."""
+    supervisor = FrameSupervisor(10 * MS)
+    supervisor.receive(0, 0)
+    window = {"checksum": supervisor.checksums, "implausible": supervisor.implausible}[kind]
+    for _ in range(2):
+        window.fault(0)
+    assert supervisor.failures(0) == []
+    window.fault(0)
+    assert supervisor.failures(0) == [kind]
+    assert supervisor.failures(1000 * MS) == [kind]
+    assert supervisor.failures(1000 * MS + 1) == []
 
 
 @pytest.mark.parametrize(("period_ms", "silence_ms"), [(10, 100), (20, 200), (50, 500), (1, 100)])
@@ -147,3 +162,36 @@ def test_a_frame_that_repeats_its_counter_becomes_overdue() -> None:
     assert supervisor.is_silent
     supervisor.receive(4, 120 * MS)
     assert not supervisor.is_silent
+
+
+def test_freshness_does_not_wait_for_the_tick() -> None:
+    """A frame is fresh up to its limit and not a nanosecond longer, also before a tick declares the silence."""
+    supervisor = FrameSupervisor(10 * MS)
+    assert not supervisor.is_fresh(0)
+    assert not supervisor.is_seen
+    supervisor.receive(3, 50 * MS)
+    assert supervisor.is_seen
+    assert supervisor.is_fresh(150 * MS)
+    assert not supervisor.is_silent
+    assert not supervisor.is_fresh(150 * MS + 1)
+    supervisor.tick(150 * MS + 1)
+    assert not supervisor.is_fresh(150 * MS)
+    supervisor.receive(4, 200 * MS)
+    assert supervisor.is_fresh(200 * MS)
+
+
+def test_age_is_that_of_the_last_frame_that_said_something_new() -> None:
+    """A repeated counter does not make a value younger, nor does the declaration of its silence."""
+    supervisor = FrameSupervisor(10 * MS)
+    assert supervisor.age_ns(7 * MS) is None
+    supervisor.receive(3, 10 * MS)
+    assert supervisor.age_ns(10 * MS) == 0
+    supervisor.receive(3, 20 * MS)
+    assert supervisor.age_ns(30 * MS) == 20 * MS
+    supervisor.tick(500 * MS)
+    assert supervisor.is_silent
+    assert supervisor.age_ns(500 * MS) == 490 * MS
+    supervisor.receive(3, 510 * MS)
+    assert supervisor.age_ns(510 * MS) == 500 * MS
+    supervisor.receive(4, 520 * MS)
+    assert supervisor.age_ns(525 * MS) == 5 * MS

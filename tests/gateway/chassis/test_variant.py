@@ -39,6 +39,19 @@ def test_no_frame_is_evidence_for_both(data: bytes) -> None:
             assert alone.of(data) is Variant.UNKNOWN
 
 
+@pytest.mark.parametrize(("data", "variant"), [(COARSE_STANDING, Variant.COARSE), (FINE_STANDING, Variant.FINE)])
+def test_a_frame_with_a_bit_that_the_variant_does_not_have_is_no_evidence(data: bytes, variant: Variant) -> None:
+    """Whatever sets a bit outside the signals is another layout, and its speeds may lie elsewhere too."""
+    evidence = StandstillEvidence()
+    signals = load(variant).messages["Auto_WheelSpdFeedback"].signals
+    used = {signal.start_bit + bit for signal in signals for bit in range(signal.length)}
+    unused = set(range(64)) - used
+    assert len(unused) == {Variant.COARSE: 33, Variant.FINE: 19}[variant]
+    for bit in unused:
+        strange = (int.from_bytes(data, "little") | 1 << bit).to_bytes(8, "little")
+        assert evidence.of(strange) is Variant.UNKNOWN, bit
+
+
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize("speed_mps", [-2.222, -0.5, -0.12, 0.12, 0.5, 2.222])
 def test_a_moving_robot_is_no_evidence(variant: Variant, speed_mps: float) -> None:

@@ -30,6 +30,13 @@ def test_no_file_is_asked_for_none_is_read() -> None:
     assert load_settings(None, {"CRUISER_CONFIG": ""}, {}) == Settings()
 
 
+def test_an_empty_path_is_told_as_one() -> None:
+    """An empty flag comes from a shell variable that is not set: it names no file, and no directory either."""
+    with pytest.raises(CommandError, match=r"^--config names no file: its value is empty$") as caught:
+        load_settings("", {}, {})
+    assert caught.value.code is ExitCode.USAGE
+
+
 def test_the_path_wins_over_the_variable(tmp_path: Path) -> None:
     """The variable names the file only where no path does."""
     file = _written(tmp_path, b"[can]\nchannel = 'vcan7'\n")

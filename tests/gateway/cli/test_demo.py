@@ -25,6 +25,28 @@ def test_the_demo_records_everything(tmp_path: Path) -> None:
     assert any(state.front_bumper for state in states)
 
 
+def test_the_demo_is_of_the_robot_that_the_configuration_says(tmp_path: Path) -> None:
+    """Chassis, gateway and recorder read the demo's --config: names, variants, all of it."""
+    file, out = tmp_path / "robot.toml", tmp_path / "log"
+    file.write_text(
+        '[robot]\nroot = "yard"\nname = "r-7"\n[can]\nbus = "can7"\n[chassis]\nvariant = "fine"\n'
+        '[sim]\nvariant = "fine"\n[recorder]\nchunk_bytes = 2048\n'
+    )
+    done = run(["demo", "--config", str(file), "--seconds", "2", "--out", str(out), "--json"])
+    assert done.returncode == 0, done.stderr
+    with Path(json.loads(done.stdout)["path"]).open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        summary = reader.get_summary()
+        assert summary is not None
+        topics = {channel.topic for channel in summary.channels.values()}
+        states = [message for _, _, _, message in reader.iter_decoded_messages(topics=["yard/r-7/state"])]
+    # The wheel speeds of a chassis that plays the other variant would be evidence against it.
+    variants = states[0].DESCRIPTOR.fields_by_name["variant"].enum_type.values_by_number
+    assert {variants[state.variant].name for state in states} == {"VARIANT_FINE"}
+    assert "yard/r-7/can/can7/rx" in topics
+    assert len(summary.chunk_indexes) > 10
+
+
 def test_the_summary_is_for_people(tmp_path: Path) -> None:
     """Without --json it says frames, messages, losses, the log's path and what opens it."""
     done = run(["demo", "--seconds", "1", "--out", str(tmp_path)])

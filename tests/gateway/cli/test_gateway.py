@@ -9,8 +9,8 @@ import msgpack
 import pytest
 import zenoh
 
-from gateway.chassis.layout import dbc_text
 from gateway.ports.zenoh_client import close_session, open_session
+from schemas.dbc_files import dbc_text
 from schemas.messages import Variant
 from schemas.settings import ZenohSettings
 from schemas.subjects import SUBJECTS, Pattern

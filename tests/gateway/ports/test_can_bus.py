@@ -127,6 +127,33 @@ def test_a_missing_kernel_interface_is_a_lost_bus() -> None:
         open_bus(CanSettings(interface="socketcan", channel="nosuchcan"))
 
 
+@pytest.mark.parametrize(
+    "error", [OSError("pcanbasic library not found."), NameError("name 'canOpenChannel' is not defined")]
+)
+def test_a_missing_driver_is_no_matter_of_waiting(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    """A library that is not installed will not come by itself: a matter of usage, which names the driver."""
+
+    def without_library(**_arguments: object) -> can.BusABC:
+        raise error
+
+    monkeypatch.setattr(can, "Bus", without_library)
+    with pytest.raises(CommandError, match=r"'pcan' cannot be used: its driver is not installed \(.*n") as caught:
+        open_bus(CanSettings(interface="pcan", channel="PCAN_USBBUS1"))
+    assert caught.value.code is ExitCode.USAGE
+    assert str(error) in str(caught.value)
+
+
+def test_a_vendors_device_that_is_missing_is_a_lost_bus(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may be plugged in later."""
+
+    def without_device(**_arguments: object) -> can.BusABC:
+        raise can.CanInitializationError("A PCAN Channel has not been initialized yet")
+
+    monkeypatch.setattr(can, "Bus", without_device)
+    with pytest.raises(BusLost, match="pcan PCAN_USBBUS1: A PCAN Channel"):
+        open_bus(CanSettings(interface="pcan", channel="PCAN_USBBUS1"))
+
+
 @contextmanager
 def server(greeting: bytes) -> Iterator[tuple[str, Callable[[], None]]]:
     """A TCP server that greets, answers every line with ok, and hangs up when told to."""
@@ -189,6 +216,8 @@ class FakeBus:
         self.frames: list[Frame] = []
         self.lost = ""
         self.closed = False
+        self.may_close = threading.Event()
+        self.may_close.set()
 
     def receive(self, timeout_s: float) -> Frame | None:
         if self.lost:
@@ -202,6 +231,7 @@ class FakeBus:
         self.frames.append(frame)
 
     def close(self) -> None:
+        assert self.may_close.wait(DEADLINE_S)
         self.closed = True
 
 
@@ -226,13 +256,35 @@ def test_a_lost_bus_is_opened_again() -> None:
     assert bus.receive(0.01) is None
     assert (bus.is_up, bus.losses) == (False, 1)
     assert bus.detail
-    assert first.closed
     wait_until(lambda: (bus.receive(0.001), bus.is_up)[1])
     second.frames.append(FRAME)
     assert bus.receive(0.01) == FRAME
     assert (bus.is_up, bus.detail, bus.losses) == (True, "", 1)
+    assert first.closed
     bus.close()
     assert second.closed
+
+
+def test_a_lost_bus_that_is_slow_to_close_does_not_stop_the_loop() -> None:
+    """The caller goes on at once; the bus is opened again only when the lost one is closed."""
+    first, second = FakeBus(), FakeBus()
+    closed_before: list[bool] = []
+
+    def opener() -> FakeBus:
+        closed_before.append(first.closed)
+        return second
+
+    bus = ReconnectingBus(opener, first, first_pause_s=0.001)
+    first.may_close.clear()
+    first.lost = "Network is down"
+    assert bus.receive(0.01) is None
+    assert (bus.losses, bus.is_up, first.closed) == (1, False, False)
+    assert bus.receive(0.01) is None
+    assert closed_before == []
+    first.may_close.set()
+    wait_until(lambda: (bus.receive(0.001), bus.is_up)[1])
+    assert closed_before == [True]
+    bus.close()
 
 
 def test_a_bus_that_is_not_there_at_the_start_is_awaited() -> None:

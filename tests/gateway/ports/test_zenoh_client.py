@@ -1,6 +1,7 @@
 import json
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from gateway.ports.zenoh_client import (
@@ -8,11 +9,14 @@ from gateway.ports.zenoh_client import (
     _configuration,
     client_endpoints,
     close_session,
+    lease_in_force_ms,
+    mode_in_force,
     open_session,
     place,
 )
-from gateway.remote.heard import Heard, Received, TokenChange
+from gateway.telemetry.heard import Heard, Received, TokenChange
 from schemas import codec
+from schemas.configuration import merge
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import DEFAULT_ENDPOINT, Settings, ZenohSettings
 from schemas.subjects import BY_NAME
@@ -22,6 +26,9 @@ from tests.gateway.remote.waiting import wait_until
 HEALTH_SAMPLE = Received(
     "fleet/cruiser-1/gateway/health", BY_NAME["gateway/health"].encoding, codec.encode(HEALTH)
 )
+
+NEXT_HEALTH = msgspec.structs.replace(HEALTH, sequence=1)
+TOKEN = TokenChange("fleet/cruiser-1/gateway", present=True)
 
 
 def settings_for(*endpoints: str) -> Settings:
@@ -53,6 +60,36 @@ def test_a_zenoh_file_that_says_nothing_of_it_changes_neither(tmp_path: Path) ->
     assert json.loads(config.get_json("connect/endpoints")) == ["tcp/127.0.0.1:7501"]
     config = _configuration(ZenohSettings(config=str(file)), ["tcp/127.0.0.1:7502"], [])
     assert json.loads(config.get_json("connect/endpoints")) == ["tcp/127.0.0.1:7502"]
+
+
+def test_what_a_zenoh_file_says_holds_unless_a_setting_is_given(tmp_path: Path) -> None:
+    """Mode, lease and what is no setting of ours are the file's; a given setting wins, as its start value too."""
+    file = tmp_path / "zenoh.json5"
+    file.write_text(
+        "{ mode: 'client', timestamping: { enabled: false },"
+        " transport: { link: { tx: { lease: 3000, queue: { size: { data: 4 } } } } } }"
+    )
+    others = ("timestamping/enabled", "transport/link/tx/queue/size/data")
+
+    def in_force_with(flags: dict[str, object]) -> list[object]:
+        settings = merge(None, {"CRUISER_ZENOH_CONFIG": str(file)}, flags).zenoh
+        config = _configuration(settings, [], [])
+        read = [json.loads(config.get_json(path)) for path in others]
+        return [mode_in_force(settings), lease_in_force_ms(settings), *read]
+
+    assert in_force_with({}) == ["client", 3000, False, 4]
+    assert in_force_with({"zenoh.mode": "peer", "zenoh.lease_ms": 1000}) == ["peer", 1000, False, 4]
+    file.write_text("{}")
+    assert in_force_with({}) == ["peer", 1000, True, 8]
+
+
+def test_a_client_by_its_zenoh_file_finds_somebody_or_fails(tmp_path: Path) -> None:
+    """Who waits and who does not is a matter of the mode, whoever says it."""
+    file = tmp_path / "zenoh.json5"
+    file.write_text("{ mode: 'client' }")
+    with pytest.raises(CommandError, match="cannot open Zenoh") as caught:
+        close_session(open_session(ZenohSettings(config=str(file)), [free_endpoint()], []))
+    assert caught.value.code is ExitCode.UNREACHABLE
 
 
 def test_a_command_connects_to_this_machine_unless_told_otherwise(tmp_path: Path) -> None:
@@ -116,30 +153,26 @@ def test_state_health_and_token_are_heard() -> None:
             gateway.say_raw("chassis/gear", b"", "")
             heard.extend(listener.drain())
 
-        wanted = [state, HEALTH_SAMPLE, TokenChange("fleet/cruiser-1/gateway", present=True)]
+        wanted = [state, HEALTH_SAMPLE, TOKEN]
         wait_until(lambda: all(one in heard for one in wanted), speak)
         assert all(one in wanted for one in heard)
 
 
-def test_the_last_health_reaches_whoever_comes_later() -> None:
-    """A health that was said before the listener was there is heard all the same, once."""
-    with FakeGateway("cruiser-1") as gateway:
+def test_a_health_of_before_is_not_heard() -> None:
+    """Only a gateway that says its health now is heard: its last one may be of before it hung."""
+    newer = Received(HEALTH_SAMPLE.key, HEALTH_SAMPLE.encoding, codec.encode(NEXT_HEALTH))
+    with FakeGateway("cruiser-1", caches_health=True) as gateway:
         gateway.say(HEALTH)
         with RobotListener.open(settings_for(gateway.listen)) as listener:
             heard: list[Heard] = []
-            wait_until(lambda: HEALTH_SAMPLE in heard, lambda: heard.extend(listener.drain()))
+            wait_until(lambda: TOKEN in heard, lambda: heard.extend(listener.drain()))
 
+            def speak() -> None:
+                gateway.say(NEXT_HEALTH)
+                heard.extend(listener.drain())
 
-def test_the_last_health_of_a_gateway_that_comes_later_is_heard() -> None:
-    """A health that was said before the link stood is heard when it does, whoever was there first."""
-    endpoint = free_endpoint()
-    with (
-        RobotListener.open(settings_for(endpoint)) as listener,
-        FakeGateway("cruiser-1", listen=endpoint) as gateway,
-    ):
-        gateway.say(HEALTH)
-        heard: list[Heard] = []
-        wait_until(lambda: HEALTH_SAMPLE in heard, lambda: heard.extend(listener.drain()))
+            wait_until(lambda: newer in heard, speak)
+            assert HEALTH_SAMPLE not in heard
 
 
 def test_a_token_that_goes_is_heard() -> None:

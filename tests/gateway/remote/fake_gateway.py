@@ -74,6 +74,7 @@ HEALTH = GatewayHealth(
             lost=0,
             withheld=0,
             checksum_faults=0,
+            implausible=0,
             silent=False,
             alive_faults=0,
             failures=[],
@@ -102,6 +103,8 @@ class FakeGateway:
     listen: str = field(default_factory=free_endpoint)
     connect: str = ""
     token: bool = True
+    caches_health: bool = False
+    """Zenoh keeps its last health and gives it to whoever asks for the history, whatever became of the gateway."""
 
     def __enter__(self) -> Self:
         connect = [self.connect] if self.connect else []
@@ -109,14 +112,15 @@ class FakeGateway:
         if self.token:
             # Zenoh takes a token back when nothing refers to it any more.
             self._token = self._session.liveliness().declare_token(keys.liveliness(ROOT, self.robot))
-        subject = BY_TYPE[GatewayHealth]
-        self._health = ext.declare_advanced_publisher(
-            self._session,
-            keys.build(ROOT, self.robot, subject),
-            encoding=subject.encoding,
-            cache=ext.CacheConfig(1),
-            publisher_detection=True,
-        )
+        if self.caches_health:
+            subject = BY_TYPE[GatewayHealth]
+            self._health = ext.declare_advanced_publisher(
+                self._session,
+                keys.build(ROOT, self.robot, subject),
+                encoding=subject.encoding,
+                cache=ext.CacheConfig(1),
+                publisher_detection=True,
+            )
         return self
 
     def __exit__(
@@ -126,7 +130,7 @@ class FakeGateway:
 
     def say(self, message: Message, encoding: str = "") -> None:
         """Publish a state or a health."""
-        if isinstance(message, GatewayHealth):
+        if self.caches_health and isinstance(message, GatewayHealth):
             self._health.put(codec.encode(message))
             return
         subject = BY_TYPE[type(message)]

@@ -1,5 +1,6 @@
 import argparse
 import json
+from collections.abc import Callable
 
 import pytest
 
@@ -7,25 +8,28 @@ from gateway.remote.list_robots import add_arguments, run
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from tests.gateway.remote.fake_gateway import HEALTH, FakeGateway, free_endpoint
-from tests.gateway.remote.waiting import StopWhen
+from tests.gateway.remote.waiting import StopWhen, nothing
 
 Capture = pytest.CaptureFixture[str]
 
 
-def list_robots(endpoint: str, *words: str, root: str = "fleet") -> int:
-    """Run the command in this process."""
+def list_robots(endpoint: str, *words: str, root: str = "fleet", meanwhile: Callable[[], None] = nothing) -> int:
+    """Run the command in this process. ``meanwhile`` is done again and again until it ends."""
     parser = argparse.ArgumentParser()
     add_arguments(parser)
     settings = Settings(robot=RobotSettings(root=root), zenoh=ZenohSettings(connect=[endpoint]))
-    return run(parser.parse_args(list(words)), settings, StopWhen(lambda: False))
+    return run(parser.parse_args(list(words)), settings, StopWhen(lambda: False, meanwhile))
 
 
 def test_robots_are_listed_with_their_health(capsys: Capture) -> None:
     """Both robots of a bench are found through the first one's node, each with what its health says."""
     with FakeGateway("cruiser-1") as first, FakeGateway("cruiser-2", connect=first.listen) as second:
-        first.say(HEALTH)
-        second.say(HEALTH)
-        assert list_robots(first.listen, "--timeout", "20") == 0
+
+        def speak() -> None:
+            first.say(HEALTH)
+            second.say(HEALTH)
+
+        assert list_robots(first.listen, "--timeout", "20", meanwhile=speak) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == ["cruiser-1", "cruiser-2"]
     assert all("connected" in line and "630/s" in line for line in lines)
@@ -38,19 +42,26 @@ def test_a_robot_that_sends_no_health_is_said_to_send_none(capsys: Capture) -> N
     assert capsys.readouterr().out == "cruiser-1  connected, but no health\n"
 
 
+@pytest.mark.parametrize("caches_health", [False, True])
+def test_a_gateway_that_hangs_is_not_shown_as_well(capsys: Capture, caches_health: bool) -> None:  # noqa: FBT001
+    """What it said before it hung is no health now, although Zenoh's threads still answer for it."""
+    with FakeGateway("cruiser-1", caches_health=caches_health) as gateway:
+        gateway.say(HEALTH)
+        assert list_robots(gateway.listen, "--timeout", "2") == 0
+    assert capsys.readouterr().out == "cruiser-1  connected, but no health\n"
+
+
 def test_a_robot_without_a_token_is_listed_by_its_health(capsys: Capture) -> None:
     """Health without a token is odd, and the list says so too."""
     with FakeGateway("cruiser-1", token=False) as gateway:
-        gateway.say(HEALTH)
-        assert list_robots(gateway.listen, "--timeout", "20") == 0
+        assert list_robots(gateway.listen, "--timeout", "20", meanwhile=lambda: gateway.say(HEALTH)) == 0
     assert "health, but no liveliness token" in capsys.readouterr().out
 
 
 def test_the_list_as_json_has_an_object_a_line(capsys: Capture) -> None:
     """--json writes the report of each robot."""
     with FakeGateway("cruiser-1") as gateway:
-        gateway.say(HEALTH)
-        assert list_robots(gateway.listen, "--json", "--timeout", "20") == 0
+        assert list_robots(gateway.listen, "--json", "--timeout", "20", meanwhile=lambda: gateway.say(HEALTH)) == 0
     record = json.loads(capsys.readouterr().out)
     assert (record["robot"], record["connected"]) == ("cruiser-1", True)
     assert record["health"]["frames_per_s"] == 630.0

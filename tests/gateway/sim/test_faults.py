@@ -66,7 +66,7 @@ WRONG = {
     "silence": "a message",
     "silence Auto_GearFeedbak": f"did you mean '{GEAR}'?",
     "silence Auto_GearCmd": "did you mean",
-    "silence zzz": "there are: Auto_GearFeedBack".lower(),
+    "silence zzz": "there are: Auto_GearFeedBack, Auto_SteeringFeedBack, ",
     f"silence {GEAR} for ever": "no duration",
     f"silence {GEAR} for 0s": "no time",
     f"silence {GEAR} for": "a duration",

@@ -1,6 +1,8 @@
 """The served bus, with python-can's own socketcand interface as the client."""
 
 import contextlib
+import os
+import resource
 import socket
 from collections.abc import Iterator
 
@@ -10,7 +12,14 @@ import pytest
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import EXTENDED, Frame
 from gateway.chassis.layout import load
-from gateway.sim.socketcand import JOIN_NS, MAX_CLIENTS, MAX_QUEUED_BYTES, SocketcandServer, _Outbox
+from gateway.sim.socketcand import (
+    ACCEPT_PAUSE_NS,
+    JOIN_NS,
+    MAX_CLIENTS,
+    MAX_QUEUED_BYTES,
+    SocketcandServer,
+    _Outbox,
+)
 from schemas.messages import Mode, Variant
 from tests.gateway.sim.served import DEADLINE_S, Served, receive, served, wait_until
 
@@ -250,6 +259,39 @@ def test_the_number_of_clients_is_bounded(server: SocketcandServer) -> None:
     assert server.clients == MAX_CLIENTS
     for client in clients:
         client.close()
+
+
+@contextlib.contextmanager
+def no_descriptor_left() -> Iterator[None]:
+    """This process can open nothing more."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    lowest_free = os.dup(0)
+    os.close(lowest_free)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (lowest_free, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_without_descriptors_it_pauses_and_goes_on(server: SocketcandServer) -> None:
+    """A client that cannot be let in does not wake the server without end, and is let in after the pause."""
+    first = join(server)
+    with socket.create_connection(server.address, DEADLINE_S) as waiting:
+        with no_descriptor_left():
+            turn(server, JOIN_NS)
+            assert server.clients == 1
+            server.wait(0)
+            assert server._ready == []
+        server.send([FRAME], JOIN_NS)
+        assert first.recv(300) == LINE  # The others go on.
+        server.read(JOIN_NS + ACCEPT_PAUSE_NS - 1, 0, no_faults)
+        server.wait(0)
+        assert server._ready == []
+        server.read(JOIN_NS + ACCEPT_PAUSE_NS, 0, no_faults)
+        turn(server, JOIN_NS + ACCEPT_PAUSE_NS)
+        assert waiting.recv(64) == b"< hi >"
+    first.close()
 
 
 def test_a_port_has_one_server(server: SocketcandServer) -> None:

@@ -7,6 +7,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+import zenoh
 
 from recorder.ports import zenoh_source
 from recorder.ports.zenoh_source import ZenohSource
@@ -135,6 +136,16 @@ def test_a_key_that_several_expressions_match_is_received_once(endpoint: str) ->
         wait_until(lambda: inbox.holds("other/last") and inbox.holds("fleet/b/x") and inbox.holds("fleet/a/y"))
         counted = sorted(sample.key for sample in inbox.samples if sample.payload == b"counted")
         assert counted == sorted([*keys, "other/last"])
+
+
+def test_ever_new_keys_are_not_remembered_without_end(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which expression a key belongs to is found again as often as it takes."""
+    monkeypatch.setattr(zenoh_source, "OWNED_KEY_LIMIT", 10)
+    with closing(source(endpoint, "fleet/a/*", "fleet/*/x")) as origin:
+        for number in range(100):
+            assert origin._owner(zenoh.KeyExpr(f"fleet/a/{number}")) == 0
+            assert origin._owner(zenoh.KeyExpr(f"fleet/{number}/x")) == 1
+            assert 0 < len(origin._owners) <= 10
 
 
 def test_of_too_many_samples_the_oldest_go(endpoint: str) -> None:

@@ -1,25 +1,37 @@
 """Frames lost, by their alive counters."""
 
+import cantools
 import pytest
+from cantools.database.can import Database
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.review.alive import COUNTER_SPAN, AliveCount, FeedbackFrame, feedback_frames
+from recorder.review.alive import COUNTER_SPAN, AliveCount, feedback_frames
+from schemas.can_word import EXTENDED
+from schemas.dbc_files import DBC_FILES, DbcFrame, dbc_text
+from schemas.messages import Variant
 from tests.recorder.fakes import GEAR_FEEDBACK, MS, feedback
 
 PERIOD_NS = 10 * MS
+GEAR = DbcFrame(EXTENDED | GEAR_FEEDBACK, "Auto_GearFeedBack", "Chassis", PERIOD_NS)
 
 
 def gear_count() -> AliveCount:
     """The count of a frame of 10 ms."""
-    return AliveCount(FeedbackFrame("Auto_GearFeedBack", PERIOD_NS))
+    return AliveCount(GEAR)
 
 
-def test_the_frames_and_their_periods_come_from_the_dbc() -> None:
-    """All ten feedback frames, none of the commands."""
+@pytest.mark.parametrize("variant", DBC_FILES)
+def test_the_frames_and_their_periods_come_from_the_dbc(variant: Variant) -> None:
+    """All that the chassis sends, none of the commands; a log of either variant is read by the same."""
     frames = feedback_frames()
-    assert frames[GEAR_FEEDBACK] == FeedbackFrame("Auto_GearFeedBack", PERIOD_NS)
-    assert frames[0x18C4DBEF].period_ns == 50 * MS
+    assert frames[GEAR_FEEDBACK] == GEAR
+    database = cantools.database.load_string(dbc_text(variant), database_format="dbc")
+    assert isinstance(database, Database)
+    sent = [message for message in database.messages if message.senders == ["Chassis"]]
+    assert {identifier: (frame.name, frame.period_ns) for identifier, frame in frames.items()} == {
+        message.frame_id: (message.name, (message.cycle_time or 0) * MS) for message in sent
+    }
     assert len(frames) == 10
 
 
