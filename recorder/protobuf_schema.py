@@ -3,8 +3,8 @@
 Every message and enumeration is a file of its own, so that the descriptor set of a channel holds what that
 channel needs and nothing else. Field numbers are positions in the class, from 1: a new field goes to the end.
 
-Numbers are fixed-width: an encoder then packs all of them in one call. Enumerations keep their order, so the
-``UNDEFINED`` or ``UNKNOWN`` that each of ours begins with is protobuf's 0.
+Numbers are fixed-width: an encoder then packs all of them in one call. Enumerations keep their order, so what one
+begins with is protobuf's 0: ``UNDEFINED``, ``UNKNOWN`` or ``NONE`` wherever there may be nothing to say.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """What is said, under which key, in which bytes. Pure: no I/O, no clocks, no other package of ours.
 
-- ``messages``  the typed messages, with units in their names
-- ``subjects``  the one table of subjects: key, type, quality of service, rate, origin
+- ``messages``  the typed messages, with units in their names; ``decisions`` those of the arbiter, and its replies
+- ``requests``  what may be asked of a robot, untrusted; ``reasons`` why it is refused, or the robot stopped
+- ``subjects``  the one table of subjects: key, type, quality of service, rate, origin; and that of the verbs
 - ``keys``      building and parsing Zenoh keys
 - ``codec``     MessagePack, and the encoding string that names a schema
 - ``can_word``  the words that describe a CAN frame; ``dbc_files`` the DBC files' names and text
@@ -13,6 +14,6 @@
 - ``exit_codes`` how a command ends
 
 ``cruiser-coarse.dbc`` and ``cruiser-fine.dbc`` are the one source of the chassis's bits, scales, units and
-cycle times. ``json/`` holds the JSON Schema of every subject; ``json_schema`` generates it, and ``documents`` the
-tables of the README and of ``docs/`` (``make generate``).
+cycle times. ``json/`` holds a JSON Schema for each of them; ``json_schema`` generates it, and ``documents`` the
+tables of the README and of ``docs/`` (``make generate``; ``gateway.documents`` adds those of the arbiter).
 """

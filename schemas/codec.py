@@ -6,12 +6,14 @@ and ignores fields that it does not know, so that a newer sender is still unders
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Final
 
 import msgspec
 
 from schemas.messages import Message
-from schemas.subjects import SUBJECTS, Subject
+from schemas.requests import Request
+from schemas.subjects import COMMANDS, SUBJECTS, Command, Subject
 
 
 class PayloadFault(msgspec.Struct, frozen=True):
@@ -32,3 +34,23 @@ def decode(subject: Subject, payload: bytes) -> Message | PayloadFault:
         return _DECODERS[subject.type].decode(payload)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         return PayloadFault(str(error))
+
+
+_REQUEST_DECODERS: Final = {command.verb: msgspec.msgpack.Decoder(command.request) for command in COMMANDS}
+
+
+def decode_request(command: Command, payload: bytes) -> Request | PayloadFault:
+    """The typed request of a payload, or what is wrong with it. Every number in it is finite."""
+    try:
+        # A verb that needs nothing may be sent with no payload at all.
+        request = _REQUEST_DECODERS[command.verb].decode(payload or _EMPTY_MAP)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        return PayloadFault(str(error))
+    for name in request.__struct_fields__:
+        value = getattr(request, name)
+        if isinstance(value, float) and not isfinite(value):
+            return PayloadFault(f"{name} is not a finite number")
+    return request
+
+
+_EMPTY_MAP: Final = b"\x80"

@@ -1,31 +1,54 @@
 """The generated parts of README.md and docs/*.md: ``python -m schemas.documents`` rewrites them.
 
 A part stands between ``<!-- generated: NAME -->`` and ``<!-- end -->``; the text around it is written by hand.
+Parts that are made from the gateway's tables are left to ``gateway.documents``, which rewrites these too.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from enum import Enum
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
-from schemas import json_schema, keys, messages
+from schemas import json_schema, keys
 from schemas.dbc_files import DBC_FILES, dbc_text, signal_comments
 from schemas.messages import UNIT_KEYWORD, Message
+from schemas.reasons import TEXTS
+from schemas.requests import Leased
 from schemas.setting_table import SETTINGS
 from schemas.snake_case import snake_case
-from schemas.subjects import BY_DBC_MESSAGE, LIVELINESS_CHUNK, SUBJECTS, Pattern, Subject
+from schemas.subjects import (
+    BY_DBC_MESSAGE,
+    BY_VERB,
+    COMMAND_CHUNK,
+    COMMAND_QOS,
+    COMMANDS,
+    LIVELINESS_CHUNK,
+    SUBJECTS,
+    Asking,
+    Command,
+    Pattern,
+    Qos,
+    Subject,
+)
 from schemas.toml_text import write_value
 
 ROOT: Final = Path(__file__).parent.parent
 
+Part = Callable[[], str]
+"""Makes the text of a part."""
+
 _PART: Final = re.compile(r"<!-- generated: ([\w-]+) -->\n(.*?)<!-- end -->", re.DOTALL)
-_UNBOUNDED: Final = 2**63 - 1
+_UNBOUNDED: Final = 2**53 - 1
+"""From here on an upper bound is only what a number can hold, and says nothing."""
+
 _DETAILS: Final = re.compile(r" (from )?[\d.-]+$| (from )?[\d.-]+(?= or)| or null")
 """What a type's words hold besides the type."""
 
@@ -39,18 +62,25 @@ class UnknownPartError(Exception):
     """A document asks for a part that is not generated."""
 
 
-def rewrite(text: str) -> str:
+def rewrite(text: str, parts: Mapping[str, Part] | None = None) -> str:
     """The document with every generated part current; one without markers is returned as it is.
+
+    Args:
+        text: the document.
+        parts: the parts by their names; those of this module if not given. One from elsewhere stays as it is.
 
     Raises:
         UnknownPartError: a marker names no part.
     """
+    known = PARTS if parts is None else parts
 
     def replace(match: re.Match[str]) -> str:
         name = match[1]
-        if name not in PARTS:
-            raise UnknownPartError(f"there is no generated part {name!r}; there are {', '.join(PARTS)}")
-        return f"<!-- generated: {name} -->\n\n{PARTS[name]()}\n\n<!-- end -->"
+        if name in known:
+            return f"<!-- generated: {name} -->\n\n{known[name]()}\n\n<!-- end -->"
+        if name in FROM_ELSEWHERE:
+            return match[0]
+        raise UnknownPartError(f"there is no generated part {name!r}; there are {', '.join(known)}")
 
     return _PART.sub(replace, text)
 
@@ -62,7 +92,7 @@ def key_table() -> str:
             f"`{subject.name}`",
             subject.about,
             subject.rate,
-            _qos(subject),
+            "that of the query" if subject.pattern is Pattern.QUERIED else _qos(subject.qos),
             f"{subject.type.__name__}: {_field_list(subject)}",
         )
         for subject in SUBJECTS
@@ -74,7 +104,7 @@ def key_table() -> str:
         f"MessagePack map, which also has {common}; the Zenoh encoding is `{SUBJECTS[0].encoding}`, and so on. A "
         "field with a unit is a number. Bounds, enumerations, and which fields may be null: docs/messages.md."
     )
-    return f"{_table(('key', 'what', 'rate', 'QoS', 'payload'), [*rows, token])}\n\n{notes}"
+    return f"{table(('key', 'what', 'rate', 'QoS', 'payload'), [*rows, token])}\n\n{notes}"
 
 
 def settings_table() -> str:
@@ -90,39 +120,103 @@ def settings_table() -> str:
         )
         for setting in SETTINGS.values()
     ]
-    return _table(("setting", "environment variable", "value", "start value", "meaning"), rows)
+    return table(("setting", "environment variable", "value", "start value", "meaning"), rows)
 
 
 def message_tables() -> str:
     """Every message with its fields, then what stands within messages, then the enumerations."""
     signals = _signal_comments()
     everywhere = {field: text for texts in signals.values() for field, text in texts.items()}
-    blocks = ["## Messages", "### In every message", _field_table(_common_properties(), {})]
-    definitions: dict[str, Any] = {}
-    for subject in SUBJECTS:
-        schema = json_schema.schema(subject)
-        definitions |= schema.get("$defs", {})
+    blocks = ["## Messages", "### In every message", field_table(_common_properties(), {})]
+    for kind in dict.fromkeys(subject.type for subject in SUBJECTS):
+        subjects = [subject for subject in SUBJECTS if subject.type is kind]
+        first = subjects[0]
+        schema = json_schema.schema(first.schema_name)
         own = {name: part for name, part in schema["properties"].items() if name not in _COMMON_FIELDS}
+        places = " and ".join(f"`{{root}}/{{robot}}/{subject.name}`, {subject.rate}," for subject in subjects)
         blocks += [
-            f"### {subject.type.__name__}",
-            f"{subject.about[0].upper()}{subject.about[1:]}. {schema['description']}"
-            if subject.dbc_message
+            f"### {kind.__name__}",
+            f"{first.about[0].upper()}{first.about[1:]}. {schema['description']}"
+            if first.dbc_message
             else schema["description"],
-            f"Key `{{root}}/{{robot}}/{subject.name}`, {subject.rate}, encoding `{subject.encoding}`.",
-            _field_table(own, signals.get(subject.dbc_message, everywhere)),
+            f"Key {places} encoding `{first.encoding}`.",
+            field_table(own, signals.get(first.dbc_message, everywhere)),
         ]
-    structs = {name: part for name, part in sorted(definitions.items()) if "properties" in part}
-    blocks.append("## Records within messages")
-    for name, part in structs.items():
-        blocks += [f"### {name}", part["description"], _field_table(part["properties"], {})]
-    blocks.append("## Enumerations")
-    for name in sorted(definitions.keys() - structs.keys()):
-        blocks += [f"### {name}", definitions[name]["description"], _values(name)]
-    return "\n\n".join(blocks)
+    names = [subject.schema_name for subject in SUBJECTS]
+    return "\n\n".join([*blocks, *_records(names), *_enumerations(names)])
+
+
+def command_table() -> str:
+    """Every verb: how it is sent, what it carries, what comes back."""
+    rows = [
+        (
+            f"`{command.verb}`",
+            command.asking.value,
+            _request_fields(command),
+            command.reply.__name__ if command.asking is not Asking.PUT else "none",
+            command.about,
+        )
+        for command in COMMANDS
+    ]
+    notes = (
+        f"Every key is `{{root}}/{{robot}}/{COMMAND_CHUNK}/{{operator}}/{{verb}}`; the operator is "
+        f"`{keys.OPERATOR_PATTERN}`. QoS: {_qos(COMMAND_QOS)}. A request is a MessagePack map; a field in "
+        "brackets may be left out, and a field that the verb does not have is refused. The Zenoh encoding is "
+        f"`{COMMANDS[0].encoding}`, and so on; a reply's is `{COMMANDS[0].reply_encoding}`."
+    )
+    return f"{table(('verb', 'sent as', 'request', 'reply', 'what it does'), rows)}\n\n{notes}"
+
+
+def request_tables() -> str:
+    """Every request and every reply with its fields."""
+    lease = {"lease": json_schema.schema(BY_VERB["renew"].schema_name)["properties"]["lease"]}
+    blocks = ["## Requests", "### In every request that wants the lease", field_table(lease, {})]
+    for command in COMMANDS:
+        schema = json_schema.schema(command.schema_name)
+        wants = " Wants the lease." if issubclass(command.request, Leased) else ""
+        blocks += [f"### {command.verb}", schema["description"] + wants]
+        own = {name: part for name, part in schema["properties"].items() if name not in lease}
+        if own:
+            blocks.append(field_table(own, {}))
+    blocks.append("## Replies")
+    for name in dict.fromkeys(command.reply_schema_name for command in COMMANDS):
+        schema = json_schema.schema(name)
+        blocks += [f"### {json_schema.KINDS[name].__name__}", schema["description"]]
+        blocks.append(field_table(schema["properties"], {}))
+    return "\n\n".join([*blocks, *_enumerations(command.schema_name for command in COMMANDS)])
+
+
+def reason_table() -> str:
+    """Every reason in words, and what would cure it."""
+    rows = [(f"`{reason.value}`", text.means, text.cure) for reason, text in TEXTS.items()]
+    return table(("reason", "it means", "what would cure it"), rows)
+
+
+def _records(names: Iterable[str]) -> list[str]:
+    """The records that stand within the fields of these classes."""
+    definitions: dict[str, Any] = {}
+    for name in names:
+        definitions |= json_schema.schema(name).get("$defs", {})
+    blocks = ["## Records within messages"]
+    for name, part in sorted(definitions.items()):
+        if "properties" in part:
+            blocks += [f"### {name}", part["description"], field_table(part["properties"], {})]
+    return blocks
+
+
+def _enumerations(names: Iterable[str]) -> list[str]:
+    """The enumerations of the fields of these classes; values in the order of the class, which has a meaning."""
+    kinds = {kind for name in names for kind in json_schema.classes(json_schema.KINDS[name])}
+    blocks = ["## Enumerations"]
+    for kind in sorted(kinds, key=lambda kind: kind.__name__):
+        if issubclass(kind, Enum):
+            values = ", ".join(f"`{member.value}`" for member in kind)
+            blocks += [f"### {kind.__name__}", json_schema.summary(kind), f"Values: {values}."]
+    return blocks
 
 
 def _common_properties() -> dict[str, Any]:
-    properties = json_schema.schema(SUBJECTS[0])["properties"]
+    properties = json_schema.schema(SUBJECTS[0].schema_name)["properties"]
     return {name: properties[name] for name in _COMMON_FIELDS}
 
 
@@ -154,27 +248,45 @@ def _sentences(comment: str) -> list[str]:
     return re.split(r"(?<=\.) (?=[A-Za-z])", text[0].upper() + text[1:])
 
 
-def _values(name: str) -> str:
-    """The values in the order of the class, which is the order of meaning."""
-    return "Values: " + ", ".join(f"`{member.value}`" for member in getattr(messages, name)) + "."
-
-
-def _field_table(properties: dict[str, Any], comments: dict[str, str]) -> str:
+def field_table(properties: dict[str, Any], comments: dict[str, str]) -> str:
+    """A row for each field of a JSON Schema; ``comments`` say what the schema does not."""
     rows = [
         (
             f"`{name}`",
-            _type_words(part),
+            _type_words(part) + _left_out(part),
             part.get(UNIT_KEYWORD, ""),
             part.get("description") or comments.get(name, ""),
         )
         for name, part in properties.items()
     ]
-    return _table(("field", "type", "unit", "meaning"), rows)
+    return table(("field", "type", "unit", "meaning"), rows)
+
+
+def _left_out(part: dict[str, Any]) -> str:
+    """What a field is when it is left out, if it may be."""
+    if "default" not in part:
+        return ""
+    return "; may be left out" if part["default"] is None else f"; `{_written(part['default'])}` if left out"
+
+
+def _written(value: object) -> str:
+    return json.dumps(value).strip('"')
+
+
+def _request_fields(command: Command) -> str:
+    """The fields of a request in one line, those in brackets that may be left out."""
+    schema = json_schema.schema(command.schema_name)
+    fields = {
+        name: f"`{name}` {part.get(UNIT_KEYWORD) or re.sub(_DETAILS, '', _type_words(part))}"
+        for name, part in schema["properties"].items()
+    }
+    required = schema["required"]
+    return ", ".join(words if name in required else f"[{words}]" for name, words in fields.items()) or "nothing"
 
 
 def _field_list(subject: Subject) -> str:
     """The fields in one line: each with its unit, else with its type in a word; many fields are only counted."""
-    properties = json_schema.schema(subject)["properties"]
+    properties = json_schema.schema(subject.schema_name)["properties"]
     fields = {name: part for name, part in properties.items() if name not in _COMMON_FIELDS}
     if len(fields) > FIELDS_LISTED:
         return f"{len(fields)} fields, in [docs/messages.md](docs/messages.md)"
@@ -210,25 +322,37 @@ def _range(part: dict[str, Any]) -> str:
     return f" from {low}" if high is None or high >= _UNBOUNDED else f" {low}..{high}"
 
 
-def _qos(subject: Subject) -> str:
-    if subject.pattern is Pattern.QUERIED:
-        return "that of the query"
-    qos = subject.qos
+def _qos(qos: Qos) -> str:
     words = [qos.priority.value.lower().replace("_", " "), "drop"]
     if qos.express:
         words.append("express")
+    if qos.history == 1:
+        words.append("late joiners get the last")
+    elif qos.history:
+        words.append(f"late joiners get the last {qos.history}")
     return ", ".join(words)
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 
 
-PARTS: Final = {"keys": key_table, "settings": settings_table, "messages": message_tables}
+PARTS: Final[dict[str, Part]] = {
+    "keys": key_table,
+    "settings": settings_table,
+    "messages": message_tables,
+    "commands": command_table,
+    "requests": request_tables,
+    "reasons": reason_table,
+}
+
+FROM_ELSEWHERE: Final = frozenset({"states", "stops"})
+"""Parts that only ``gateway.documents`` can make."""
 
 
-def main(words: Sequence[str] | None = None) -> int:
+def main(words: Sequence[str] | None = None, parts: Mapping[str, Part] | None = None) -> int:
     """Rewrites the documents, or with ``--check`` only says which ones are not current."""
     parser = argparse.ArgumentParser(description="Rewrite the generated parts of README.md and docs/*.md.")
     parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if a document is not current")
@@ -241,7 +365,7 @@ def main(words: Sequence[str] | None = None) -> int:
             continue
         text = path.read_text(encoding="utf-8")
         try:
-            current = rewrite(text)
+            current = rewrite(text, parts)
         except UnknownPartError as error:
             sys.stderr.write(f"{path}: {error}\n")
             return 1

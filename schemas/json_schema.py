@@ -1,4 +1,4 @@
-"""The JSON Schema of every subject: ``python -m schemas.json_schema`` writes them to ``schemas/json/``.
+"""The JSON Schema of every message, request and reply: ``python -m schemas.json_schema`` writes ``schemas/json/``.
 
 They describe the MessagePack map as it decodes. A field's unit is under the keyword ``unit``. MessagePack's bytes
 have no JSON type: such a field says what it is not, and its ``contentEncoding`` holds wherever the message is
@@ -18,14 +18,17 @@ from typing import Any, Final
 
 import msgspec
 
-from schemas.messages import UNIT_KEYWORD
-from schemas.subjects import SUBJECTS, Subject
+from schemas.decisions import Reply
+from schemas.messages import UNIT_KEYWORD, Message
+from schemas.requests import Request
+from schemas.subjects import COMMANDS, SUBJECTS
 
 DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 DIRECTORY: Final = Path(__file__).parent / "json"
 FILE_SUFFIX: Final = ".schema.json"
 
 Schema = dict[str, Any]
+Kind = type[Message] | type[Request] | type[Reply]
 
 _DEFS: Final = "#/$defs/"
 _BYTES: Final[Schema] = {
@@ -35,18 +38,29 @@ _BYTES: Final[Schema] = {
 }
 
 
-def file_name(subject: Subject) -> str:
-    """The file of a subject's schema: ``cruiser.Gear-1.schema.json``."""
-    return f"{subject.schema_name}-{subject.type.version}{FILE_SUFFIX}"
+KINDS: Final[dict[str, Kind]] = (
+    {subject.schema_name: subject.type for subject in SUBJECTS}
+    | {command.schema_name: command.request for command in COMMANDS}
+    | {command.reply_schema_name: command.reply for command in COMMANDS}
+)
+"""Every class that goes over Zenoh, by its schema's name."""
 
 
-def schema(subject: Subject) -> Schema:
-    """A subject's JSON Schema."""
-    definitions = msgspec.json.schema(subject.type)["$defs"]
-    structs = {kind.__name__: kind for kind in _structs(subject.type)}
-    described = {name: _definition(part, structs.get(name)) for name, part in sorted(definitions.items())}
-    root = described.pop(subject.type.__name__)
-    head = {"$schema": DIALECT, "$id": file_name(subject), "title": subject.schema_name}
+def file_name(name: str) -> str:
+    """The file of a schema: ``cruiser.Gear-1.schema.json``."""
+    return f"{name}-{KINDS[name].version}{FILE_SUFFIX}"
+
+
+def schema(name: str) -> Schema:
+    """The JSON Schema of this name."""
+    kind = KINDS[name]
+    definitions = msgspec.json.schema(kind)["$defs"]
+    within = {inner.__name__: inner for inner in classes(kind)}
+    described = {key: _definition(part, within.get(key)) for key, part in sorted(definitions.items())}
+    root = described.pop(kind.__name__)
+    if not issubclass(kind, Request):
+        root = _with_every_field(root)
+    head = {"$schema": DIALECT, "$id": file_name(name), "title": name}
     return (
         head
         | {key: value for key, value in root.items() if key != "title"}
@@ -54,14 +68,14 @@ def schema(subject: Subject) -> Schema:
     )
 
 
-def schema_text(subject: Subject) -> str:
-    """A subject's JSON Schema as text, always the same for the same message class."""
-    return json.dumps(schema(subject), indent=2, ensure_ascii=False) + "\n"
+def schema_text(name: str) -> str:
+    """A JSON Schema as text, always the same for the same class."""
+    return json.dumps(schema(name), indent=2, ensure_ascii=False) + "\n"
 
 
 def schema_texts() -> dict[str, str]:
-    """The text of every subject's JSON Schema by schema name."""
-    return {subject.schema_name: schema_text(subject) for subject in SUBJECTS}
+    """The text of every JSON Schema by schema name."""
+    return {name: schema_text(name) for name in KINDS}
 
 
 def attribute_texts(kind: type) -> dict[str, str]:
@@ -79,11 +93,11 @@ def summary(kind: type) -> str:
     return _plain(inspect.cleandoc(kind.__doc__ or "").partition("\n\nAttributes:")[0])
 
 
-def _structs(kind: Any) -> list[type]:  # noqa: ANN401 - msgspec's own type descriptions
-    """The message class and every class within its fields."""
+def classes(kind: type[msgspec.Struct]) -> list[type]:
+    """The class and every class within its fields, enumerations too."""
     found: list[type] = []
 
-    def visit(info: Any) -> None:  # noqa: ANN401
+    def visit(info: msgspec.inspect.Type) -> None:
         match info:
             case msgspec.inspect.Metadata():
                 visit(info.type)
@@ -114,6 +128,15 @@ def _definition(part: Mapping[str, Any], kind: type | None) -> Schema:
             name: _property(value, texts.get(name, "")) for name, value in part["properties"].items()
         }
     return described
+
+
+def _with_every_field(root: Schema) -> Schema:
+    """What the gateway sends has every field, whatever its class would make up for one that is left out."""
+    properties = {
+        name: {key: value for key, value in part.items() if key != "default"}
+        for name, part in root["properties"].items()
+    }
+    return root | {"properties": properties, "required": list(properties)}
 
 
 def _property(part: Mapping[str, Any], about: str) -> Schema:
@@ -154,18 +177,18 @@ def _plain(text: str) -> str:
 
 def files() -> dict[str, str]:
     """The text of every file by its name."""
-    return {file_name(subject): schema_text(subject) for subject in SUBJECTS}
+    return {file_name(name): schema_text(name) for name in KINDS}
 
 
 def stale(present: Mapping[str, str]) -> list[str]:
-    """The names of the files that are missing, out of date, or of a subject that is no more."""
+    """The names of the files that are missing, out of date, or of a class that is no more."""
     wanted = files()
     return sorted(name for name in present.keys() | wanted.keys() if present.get(name) != wanted.get(name))
 
 
 def main(words: Sequence[str] | None = None) -> int:
     """Writes the files, or with ``--check`` only says which ones are not current."""
-    parser = argparse.ArgumentParser(description="Write the JSON Schema of every subject.")
+    parser = argparse.ArgumentParser(description="Write the JSON Schema of every message, request and reply.")
     parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if a file is not current")
     parser.add_argument("--directory", type=Path, default=DIRECTORY, help="where the files are")
     arguments = parser.parse_args(words)

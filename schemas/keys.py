@@ -11,10 +11,11 @@ from typing import Final
 
 import msgspec
 
-from schemas.subjects import LIVELINESS_CHUNK, SUBJECTS, Subject
+from schemas.subjects import COMMAND_CHUNK, LIVELINESS_CHUNK, SUBJECTS, Subject
 
 ROBOT_PATTERN: Final = r"[a-z0-9-]+"
 BUS_PATTERN: Final = r"[A-Za-z0-9_.-]+"
+OPERATOR_PATTERN: Final = r"[A-Za-z0-9_.-]{1,64}"
 ROOT_PATTERN: Final = r"[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*"
 
 
@@ -52,7 +53,10 @@ def _compile(subject: Subject) -> re.Pattern[str]:
     return re.compile(rf"(?P<root>{ROOT_PATTERN})/(?P<robot>{ROBOT_PATTERN})/{name}")
 
 
-_PATTERNS: Final = tuple((subject, _compile(subject)) for subject in SUBJECTS)
+# The longest names first: "safety/state" is not the "state" of a robot that is called safety.
+_PATTERNS: Final = tuple(
+    (subject, _compile(subject)) for subject in sorted(SUBJECTS, key=lambda one: -one.name.count("/"))
+)
 
 
 def parse(key: str) -> KeyParts | None:
@@ -74,3 +78,35 @@ def robot_of_liveliness(root: str, key: str) -> str | None:
     """The robot of a liveliness key under this root, or None if it is no such key."""
     match = re.fullmatch(rf"{re.escape(root)}/({ROBOT_PATTERN})/{LIVELINESS_CHUNK}", key)
     return match[1] if match else None
+
+
+ALL: Final = "*"
+"""Any robot, any operator or any verb, in a key expression."""
+
+
+def command(root: str, robot: str, operator: str, verb: str) -> str:
+    """The key of a verb, whatever the verb is; ALL may stand for robot, operator and verb.
+
+    Raises:
+        ValueError: a part is not of its form.
+    """
+    for text, pattern, what in (
+        (root, ROOT_PATTERN, "root"),
+        (robot, ROBOT_PATTERN, "robot"),
+        (operator, OPERATOR_PATTERN, "operator"),
+    ):
+        if re.fullmatch(pattern, text) is None and (text != ALL or what == "root"):
+            raise ValueError(f"{what} {text!r} is not of the form {pattern}")
+    return f"{root}/{robot}/{COMMAND_CHUNK}/{operator}/{verb}"
+
+
+_COMMAND: Final = re.compile(rf".+/{COMMAND_CHUNK}/([^/]+)/([^/]+)")
+
+
+def parse_command(key: str) -> tuple[str, str]:
+    """Operator and verb of a command key. Whatever is not of the form is an empty operator: never an exception."""
+    match = _COMMAND.fullmatch(key)
+    if match is None:
+        return "", ""
+    operator = match[1] if re.fullmatch(OPERATOR_PATTERN, match[1]) else ""
+    return operator, match[2]

@@ -25,13 +25,19 @@ UNIT_KEYWORD = "unit"
 """The JSON Schema keyword under which a field's unit is found."""
 
 
-def _unit(unit: str) -> dict[str, str]:
+def unit_keyword(unit: str) -> dict[str, str]:
+    """The annotation of a unit, for ``Meta(extra_json_schema=...)``."""
     return {UNIT_KEYWORD: unit}
 
 
 TimeNs = Annotated[
     int,
-    Meta(ge=0, le=_INT64_MAX, description="Nanoseconds since 1970-01-01 UTC.", extra_json_schema=_unit("ns")),
+    Meta(
+        ge=0,
+        le=_INT64_MAX,
+        description="Nanoseconds since 1970-01-01 UTC.",
+        extra_json_schema=unit_keyword("ns"),
+    ),
 ]
 Count = Annotated[int, Meta(ge=0, le=_INT64_MAX)]
 Sequence = Annotated[
@@ -39,13 +45,13 @@ Sequence = Annotated[
 ]
 AliveCounter = Annotated[int, Meta(ge=0, le=15, description="The frame's 4-bit alive counter; 15 wraps to 0.")]
 Pulses = Annotated[int, Meta(ge=-32768, le=32767, description="Signed 16-bit encoder count that wraps.")]
-SpeedMps = Annotated[float, Meta(extra_json_schema=_unit("m/s"))]
-AngleDeg = Annotated[float, Meta(description="Left is positive.", extra_json_schema=_unit("deg"))]
-YawRateRadps = Annotated[float, Meta(description="Left is positive.", extra_json_schema=_unit("rad/s"))]
-MileageKm = Annotated[float, Meta(ge=0, extra_json_schema=_unit("km"))]
-DurationS = Annotated[float, Meta(extra_json_schema=_unit("s"))]
-DurationMs = Annotated[float, Meta(extra_json_schema=_unit("ms"))]
-RateHz = Annotated[float, Meta(ge=0, extra_json_schema=_unit("Hz"))]
+SpeedMps = Annotated[float, Meta(extra_json_schema=unit_keyword("m/s"))]
+AngleDeg = Annotated[float, Meta(description="Left is positive.", extra_json_schema=unit_keyword("deg"))]
+YawRateRadps = Annotated[float, Meta(description="Left is positive.", extra_json_schema=unit_keyword("rad/s"))]
+MileageKm = Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("km"))]
+DurationS = Annotated[float, Meta(extra_json_schema=unit_keyword("s"))]
+DurationMs = Annotated[float, Meta(extra_json_schema=unit_keyword("ms"))]
+RateHz = Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("Hz"))]
 CanIdentifier = Annotated[int, Meta(ge=0, le=2**29 - 1, description="11-bit or 29-bit CAN identifier.")]
 CanWord = Annotated[
     int,
@@ -297,6 +303,7 @@ class GatewayHealth(Message, frozen=True):
         bus_losses: how often the bus was lost since the start.
         zenoh_peers: Zenoh nodes connected directly to this one.
         publish_failures: samples that Zenoh did not take.
+        inbox_drops: requests that were dropped unread since the start, because too many came.
         feedback: the supervision of each feedback frame.
         tick_lateness_p50_ms: how late the ticks of the last second began: the median.
         tick_lateness_p99_ms: the same, the 99th percentile.
@@ -313,6 +320,7 @@ class GatewayHealth(Message, frozen=True):
     bus_losses: Count
     zenoh_peers: Count
     publish_failures: Count
+    inbox_drops: Count
     variant: Variant
     frames: Count
     frames_per_s: RateHz
@@ -323,7 +331,7 @@ class GatewayHealth(Message, frozen=True):
     tick_lateness_p99_ms: DurationMs
     tick_lateness_max_ms: DurationMs
     tick_lateness_worst_ms: DurationMs
-    cpu_percent: Annotated[float, Meta(ge=0, extra_json_schema=_unit("%"))]
+    cpu_percent: Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("%"))]
 
 
 class GatewayInfo(Message, frozen=True):
@@ -340,7 +348,7 @@ class GatewayInfo(Message, frozen=True):
         configuration_sha256: the hash of that text, in hexadecimal.
         dbc_name: the file name of the DBC in force; empty while the variant is unknown.
         dbc: the text of the DBC in force; empty while the variant is unknown.
-        schemas: JSON Schema text of every subject, by schema name.
+        schemas: JSON Schema text of every message, request and reply, by schema name.
     """
 
     robot: str

@@ -93,8 +93,99 @@ ROBOT_LIMIT: Final = 1024
 OWNED_KEY_LIMIT: Final = 65_536
 """Keys of which the recorder remembers the expression that they belong to; beyond it, it begins anew."""
 
+ENGAGE_TIMEOUT_NS: Final = 1_000_000_000
+"""The chassis reads auto within this time of the first five enables, or engaging has failed."""
+
+HOLD_NS: Final = 1_000_000_000
+"""A stop holds the standing robot, brake and parking brake applied, for 1 s..."""
+
+DISABLE_NS: Final = 500_000_000
+"""...then sends disabled frames for 0.5 s, then nothing."""
+
+REST_TIMEOUT_NS: Final = 10_000_000_000
+"""A gateway that is told to end waits this long for the robot to come to rest; the longest stop takes 7 s."""
+
+NEUTRAL_NS: Final = 100_000_000
+"""A stop gives neutral this long before the parking brake."""
+
+BRAKE_UNSEEN_NS: Final = 3_000_000_000
+"""A stop that cannot see the robot stand (no feedback) brakes for this long before it goes on."""
+
+STANDSTILL_TICKS: Final = 5
+"""The robot stands when its speed was under STANDSTILL_MPS for this many ticks, 50 ms."""
+
+RESET_MIN_NS: Final = 500_000_000
+"""A reset that comes sooner after a latch was not meant for it."""
+
+LOOP_LATE_STOP_NS: Final = 100_000_000
+"""A tick that begins later than this stops the robot."""
+
+IMPLAUSIBLE_MPS: Final = 0.3
+"""Speeds that differ by more than this..."""
+
+IMPLAUSIBLE_RATIO: Final = 1.5
+"""...and by more than this factor..."""
+
+IMPLAUSIBLE_NS: Final = 300_000_000
+"""...for 300 ms do not fit each other."""
+
+REFERENCE_DECELERATION_MPS2: Final = 0.8
+"""A commanded speed that falls is held against the measured one no faster than this: the chassis lags."""
+
+SEND_FAILURES: Final = 5
+"""This many ticks in a row whose frames the bus did not take are a failure."""
+
+TURNING_RAW_MIN: Final = 2
+"""A drive feedback of this raw value or more is one of a robot that moves, in either scale."""
+
+FOUND_MOVING_NS: Final = 200_000_000
+"""A chassis that is in auto and moves for this long, while nobody is heard to command it, is stopped."""
+
+COMMANDER_NS: Final = 100_000_000
+"""Another computer commands the chassis if a command frame of it was heard this lately."""
+
+ODOMETER_TIMEOUT_NS: Final = 2_000_000_000
+"""The mileage reads zero within this time of the first clearing frame, or it failed."""
+
+TAIL_NS: Final = 100_000_000
+"""When lamps, horn or odometer are no longer asked for, frames that say so go out for this long."""
+
+DRIVES_PER_TICK: Final = 16
+"""Drive commands judged in a tick at most; the rest wait in their ring, where the oldest go first."""
+
+VERBS_PER_TICK: Final = 8
+"""The same of verbs."""
+
+STOPS_PER_TICK: Final = 16
+"""The same of remote stops. One is enough; the others are answered too."""
+
+REQUEST_MAX_BYTES: Final = 1024
+"""No request is larger."""
+
+SAFETY_STATE_PERIOD_NS: Final = 50_000_000
+"""`safety/state` goes out every 50 ms, and on change."""
+
 WHEELBASE_M: Final = 0.660
 """The Cruiser's wheelbase (manual V2.0, 2.2)."""
+
+GUARD_POLL_NS: Final = 5_000_000
+"""The guard looks at the loop's heartbeat every 5 ms."""
+
+GUARD_LATE_NS: Final = 70_000_000
+"""A heartbeat older than this, twice in a row, is late: the guard stops the robot. The first stop frame has to be
+on the bus within 100 ms of the last good one."""
+
+GUARD_SILENT_NS: Final = 200_000_000
+"""A guard that gave no sign for this long, or heard no feedback, does not watch."""
+
+GUARD_GIVES_UP_NS: Final = 30_000_000_000
+"""A guard whose gateway is gone, and that gets no bus to stop the robot on, tries for this long."""
+
+HALT_LISTEN_NS: Final = 300_000_000
+"""`cruiser halt` listens to the bus for this long before it judges the chassis."""
+
+HALT_YIELD_NS: Final = 15_000_000_000
+"""`cruiser halt` waits this long for another sender, which may be the guard at work, to have done."""
 
 
 class RobotSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -160,6 +251,13 @@ class ZenohSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             "free port of 127.0.0.1 where a Zenoh node already holds that one"
         ),
     ] = []
+    command_listen: Annotated[
+        list[str],
+        Meta(
+            description="endpoints on which the gateway listens for commands; if empty, free ports of the "
+            "addresses above"
+        ),
+    ] = []
     config: Annotated[
         str,
         Meta(
@@ -177,13 +275,46 @@ class ZenohSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class GatewaySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The edge process."""
 
-    listen_only: Annotated[bool, Meta(description="send nothing on the bus, whatever is asked")] = True
+    listen_only: Annotated[bool, Meta(description="send nothing on the bus, whatever is asked")] = False
+    accept_unguarded: Annotated[
+        bool, Meta(description="engage although no guard process can watch on this interface")
+    ] = False
     wait_for_bus: Annotated[
         bool, Meta(description="start although the bus is not there, and wait for it; else that is an error")
     ] = False
     realtime_priority: Annotated[
         int, Meta(ge=0, le=99, description="SCHED_FIFO priority of the loop, where the system allows it; 0 is off")
     ] = 10
+
+
+class CommandSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The safety arbiter. At run time its limits scale down, never up."""
+
+    lease_s: Annotated[float, Meta(ge=0.5, le=10, description="s; a lease that is not renewed expires")] = 2.0
+    deadman_s: Annotated[
+        float, Meta(ge=0.05, le=0.5, description="s; without an acceptable drive command for this long: a stop")
+    ] = 0.3
+    max_age_s: Annotated[
+        float, Meta(ge=0.1, le=1.0, description="s; a drive command that may be older, by its echo, is refused")
+    ] = 0.4
+    speed_limit_mps: Annotated[float, Meta(ge=0.05, le=2.222, description="m/s; highest speed, either way")] = (
+        2.222
+    )
+    acceleration_mps2: Annotated[float, Meta(ge=0.1, le=1.5, description="m/s2; most it speeds up")] = 0.8
+    deceleration_mps2: Annotated[
+        float, Meta(ge=0.3, le=2.0, description="m/s2; how it slows down, and stops in a controlled way")
+    ] = 1.2
+    emergency_deceleration_mps2: Annotated[
+        float, Meta(ge=0.5, le=3.0, description="m/s2; how it stops at once")
+    ] = 2.0
+    steering_limit_deg: Annotated[float, Meta(ge=1, le=24, description="deg; furthest steering angle")] = 24.0
+    steering_rate_degps: Annotated[float, Meta(ge=5, le=60, description="deg/s; fastest change of it")] = 60.0
+    lateral_acceleration_mps2: Annotated[
+        float, Meta(ge=0.2, le=3.0, description="m/s2; v^2 tan(angle) / wheelbase; speed is reduced to keep it")
+    ] = 1.5
+    brake_pedal_percent: Annotated[
+        float, Meta(ge=10, le=100, description="%; pressed in a stop, and while it stands engaged")
+    ] = 30.0
 
 
 class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -220,5 +351,6 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     chassis: ChassisSettings = ChassisSettings()
     zenoh: ZenohSettings = ZenohSettings()
     gateway: GatewaySettings = GatewaySettings()
+    command: CommandSettings = CommandSettings()
     recorder: RecorderSettings = RecorderSettings()
     sim: SimSettings = SimSettings()

@@ -10,7 +10,7 @@ from typing import Final
 
 import msgspec
 
-from schemas import messages
+from schemas import decisions, messages, requests
 
 
 class Priority(Enum):
@@ -30,16 +30,26 @@ class Pattern(Enum):
     QUERIED = "queried"
 
 
+class Asking(Enum):
+    """How a verb reaches a robot: by a query, whose reply says what became of it, or by a put."""
+
+    QUERY = "query"
+    PUT = "put"
+    EITHER = "query or put"
+
+
 class Qos(msgspec.Struct, frozen=True):
     """Quality of service. Congestion control is always drop: a blocked put would block the loop.
 
     Attributes:
         priority: Zenoh's priority.
         express: sent at once instead of batched with others.
+        history: how many last samples a late joiner can still get.
     """
 
     priority: Priority
     express: bool = False
+    history: int = 0
 
 
 class Subject(msgspec.Struct, frozen=True):
@@ -75,6 +85,9 @@ class Subject(msgspec.Struct, frozen=True):
 
 SCHEMA_PREFIX: Final = "cruiser"
 
+SAFETY_HISTORY: Final = 2000
+"""Decisions and events kept for late joiners and for those whose link was cut."""
+
 _FEEDBACK: Final = Qos(Priority.DATA)
 
 
@@ -101,11 +114,46 @@ SUBJECTS: Final[tuple[Subject, ...]] = (
         Qos(Priority.DATA_LOW),
     ),
     Subject(
+        "can/{bus}/tx",
+        messages.CanFrames,
+        "every frame sent, raw, in batches",
+        "20 Hz while there are any",
+        Qos(Priority.DATA_LOW),
+    ),
+    Subject(
         "state",
         messages.RobotState,
         "the whole robot in one message, for thin links and for people",
         "20 Hz",
         Qos(Priority.DATA_HIGH),
+    ),
+    Subject(
+        "safety/state",
+        decisions.SafetyState,
+        "the arbiter: who holds the lease, the limits in force, the tick to echo, why it stands still",
+        "20 Hz and on change",
+        Qos(Priority.INTERACTIVE_HIGH, express=True, history=1),
+    ),
+    Subject(
+        "safety/decision",
+        decisions.Decision,
+        "every decision: request, verdict, reason, what was sent",
+        "each",
+        Qos(Priority.DATA_HIGH, history=SAFETY_HISTORY),
+    ),
+    Subject(
+        "safety/event",
+        decisions.SafetyEvent,
+        "what a person should know: stops, latches, faults, takeovers",
+        "each",
+        Qos(Priority.DATA_HIGH, history=SAFETY_HISTORY),
+    ),
+    Subject(
+        "journal",
+        decisions.Journal,
+        "all that the core was given, in its order: enough to run it again",
+        "20 Hz",
+        Qos(Priority.DATA_LOW),
     ),
     Subject(
         "gateway/health",
@@ -129,4 +177,70 @@ LIVELINESS_CHUNK: Final = "gateway"
 
 BY_NAME: Final = {subject.name: subject for subject in SUBJECTS}
 BY_DBC_MESSAGE: Final = {subject.dbc_message: subject for subject in SUBJECTS if subject.dbc_message}
-BY_TYPE: Final = {subject.type: subject for subject in SUBJECTS}
+BY_TYPE: Final = {subject.type: subject for subject in reversed(SUBJECTS)}
+"""A type's first subject: frames are received before they are sent."""
+
+
+class Command(msgspec.Struct, frozen=True):
+    """A verb: a row of the command table.
+
+    Attributes:
+        verb: the last chunk of the key ``{root}/{robot}/@cmd/{operator}/{verb}``.
+        request: the class of its payload.
+        reply: the class of the reply to a query.
+        about: what it does, for people.
+        asking: how it is sent.
+    """
+
+    verb: str
+    request: type[requests.Request]
+    reply: type[decisions.Reply]
+    about: str
+    asking: Asking = Asking.QUERY
+
+    @property
+    def encoding(self) -> str:
+        """The Zenoh encoding of the request."""
+        return f"application/msgpack;{self.schema_name}/{self.request.version}"
+
+    @property
+    def schema_name(self) -> str:
+        """The request's schema: ``cruiser.request.Drive``."""
+        return f"{SCHEMA_PREFIX}.request.{self.request.__name__}"
+
+    @property
+    def reply_schema_name(self) -> str:
+        """The reply's schema: ``cruiser.LeaseReply``."""
+        return f"{SCHEMA_PREFIX}.{self.reply.__name__}"
+
+    @property
+    def reply_encoding(self) -> str:
+        """The Zenoh encoding of the reply."""
+        return f"application/msgpack;{self.reply_schema_name}/{self.reply.version}"
+
+
+COMMAND_CHUNK: Final = "@cmd"
+"""A verbatim chunk of Zenoh: no wildcard reaches a command by accident."""
+
+COMMAND_QOS: Final = Qos(Priority.INTERACTIVE_HIGH, express=True)
+
+_Reply, _LeaseReply = decisions.Reply, decisions.LeaseReply
+
+COMMANDS: Final[tuple[Command, ...]] = (
+    Command("acquire", requests.Acquire, _LeaseReply, "the lease, if nobody holds it"),
+    Command("renew", requests.Renew, _LeaseReply, "keep the lease; driving does so too"),
+    Command("release", requests.Release, _Reply, "give the lease back; an engaged robot is stopped"),
+    Command("take", requests.Take, _LeaseReply, "the lease, from whoever holds it; an engaged robot is stopped"),
+    Command("engage", requests.Engage, _Reply, "take command of the standing chassis; replies when it reads auto"),
+    Command("disengage", requests.Disengage, _Reply, "stop in a controlled way and give up command"),
+    Command("stop", requests.Stop, _Reply, "the remote stop, from anyone; latched", Asking.EITHER),
+    Command("reset", requests.Reset, _Reply, "clear what is latched"),
+    Command("park", requests.Park, _Reply, "apply the parking brake"),
+    Command("unpark", requests.Unpark, _Reply, "release the parking brake"),
+    Command("light", requests.Light, _Reply, "headlamp and indicators"),
+    Command("horn", requests.Horn, _Reply, "the horn"),
+    Command("clear_odometer", requests.ClearOdometer, _Reply, "total mileage to zero; replies when it reads so"),
+    Command("drive", requests.Drive, _Reply, "the stream that moves the robot, 10 to 50 Hz", Asking.PUT),
+)
+
+BY_VERB: Final = {command.verb: command for command in COMMANDS}

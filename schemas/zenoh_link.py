@@ -97,6 +97,8 @@ def _entries(zenoh: ZenohSettings, connect: list[str], listen: list[str]) -> dic
         LEASE: zenoh.lease_ms,
         "transport/link/tx/keep_alive": 4,
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+        # Zenoh's own one batch drops a command whenever the one before it is still being sent.
+        "transport/link/tx/queue/size/interactive_high": QUEUE_BATCHES,
         "transport/link/tx/queue/size/data_high": QUEUE_BATCHES,
         "transport/link/tx/queue/size/data": QUEUE_BATCHES,
         "transport/link/tx/queue/size/data_low": QUEUE_BATCHES,

@@ -18,7 +18,14 @@ class Encoder:
     """Encodes every frame of a variant."""
 
     def __init__(self, layout: ChassisLayout) -> None:
-        self._messages = layout.messages
+        self._messages = {
+            message.name: (message, {signal.name: signal for signal in message.payload_signals})
+            for message in layout.messages.values()
+        }
+        first = next(iter(layout.messages.values()))
+        # Every frame ends with these two, at the same bits (manual V2.0, section 5).
+        self._alive_bit = first.signal(ALIVE_COUNTER).start_bit
+        self._checksum_bit = first.signal(CHECKSUM).start_bit
 
     def encode(self, name: str, values: Mapping[str, Value], alive_counter: int, wall_ns: int = 0) -> Frame:
         """The frame of this name.
@@ -33,16 +40,16 @@ class Encoder:
             KeyError: no such frame or signal.
             ValueError: a value does not fit into its signal.
         """
-        layout = self._messages[name]
-        word = (alive_counter & 0xF) << layout.signal(ALIVE_COUNTER).start_bit
-        unknown = values.keys() - {signal.name for signal in layout.payload_signals}
-        if unknown:
+        layout, signals = self._messages[name]
+        word = (alive_counter & 0xF) << self._alive_bit
+        if not values.keys() <= signals.keys():
+            unknown = values.keys() - signals.keys()
             raise KeyError(f"{name} has no signal {', '.join(sorted(unknown))}")
-        for signal in layout.payload_signals:
-            raw = to_raw(signal, values[signal.name]) if signal.name in values else signal.start_raw
+        for signal_name, signal in signals.items():
+            raw = to_raw(signal, values[signal_name]) if signal_name in values else signal.start_raw
             word |= (raw & ((1 << signal.length) - 1)) << signal.start_bit
         data = word.to_bytes(layout.length, "little")
-        word |= checksum(data) << layout.signal(CHECKSUM).start_bit
+        word |= checksum(data) << self._checksum_bit
         return Frame(layout.can_id, word.to_bytes(layout.length, "little"), wall_ns)
 
 

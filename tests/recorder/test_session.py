@@ -3,6 +3,7 @@
 import json
 import tracemalloc
 from collections.abc import Callable
+from enum import Enum
 from io import BytesIO
 from typing import Any
 
@@ -29,8 +30,11 @@ from recorder.effects import (
 )
 from recorder.sample import Sample
 from recorder.session import KeyCount, Plan, Session
+from schemas import codec, keys
+from schemas.decisions import Decision, Journal, SafetyEvent, SafetyState
 from schemas.messages import CanFrames, GatewayInfo, Gear, Message
-from schemas.subjects import BY_TYPE, SUBJECTS, Subject
+from schemas.snake_case import snake_case
+from schemas.subjects import BY_NAME, BY_TYPE, SUBJECTS, Subject
 from tests.recorder.fakes import (
     GEAR_FEEDBACK,
     MS,
@@ -46,7 +50,7 @@ from tests.recorder.fakes import (
     key_of,
     sample_of,
 )
-from tests.schemas.random_messages import TEXTS, subjects_and_messages
+from tests.schemas.random_messages import TEXTS, message_of, subjects_and_messages
 
 ENCODINGS = st.one_of(st.sampled_from([subject.encoding for subject in SUBJECTS]), TEXTS)
 KEYS = st.one_of(st.sampled_from([key_of(subject.type) for subject in SUBJECTS]), TEXTS)
@@ -62,6 +66,11 @@ def read(data: bytes) -> list[tuple[str, str, McapMessage, Any]]:
         (channel.topic, schema.name if schema else "", message, content)
         for schema, channel, message, content in reader.iter_decoded_messages(log_time_order=False)
     ]
+
+
+def enumerated(value: Enum) -> str:
+    """What protobuf calls a value of an enumeration."""
+    return f"{snake_case(type(value).__name__).upper()}_{value.name}"
 
 
 def kinds(effects: list[Effect]) -> list[type[Effect]]:
@@ -83,6 +92,45 @@ def test_a_sample_of_any_subject_becomes_its_message(pair: tuple[Subject, Messag
     assert (topic, schema) == (key_of(subject.type), subject.schema_name)
     assert (record.log_time, record.publish_time, record.sequence) == (WALL_NS, message.time_ns, message.sequence)
     assert content.time_ns == message.time_ns
+
+
+@given(st.one_of(message_of(SafetyState), message_of(Decision), message_of(SafetyEvent), message_of(Journal)))
+def test_what_the_arbiter_says_is_in_the_log_field_by_field(message: Message) -> None:
+    """A public reader sees it all: enumerations by name, lists of them, null as absent, bytes as they were."""
+    log = Log()
+    log.receive(sample_of(message))
+    ((_, _, _, content),) = read(log.close())
+    fields = content.DESCRIPTOR.fields_by_name
+    for name in message.__struct_fields__:
+        wanted = getattr(message, name)
+        found = getattr(content, name)
+        values = fields[name].enum_type.values_by_number if fields[name].enum_type else {}
+        if isinstance(wanted, Enum):
+            assert values[found].name == enumerated(wanted)
+        elif isinstance(wanted, list):
+            assert [values[number].name for number in found] == [enumerated(one) for one in wanted]
+        elif wanted is None:
+            assert not content.HasField(name)
+        else:
+            assert found == wanted
+
+
+def test_frames_sent_have_a_channel_of_their_own() -> None:
+    """Same class, other key: what was received and what was sent do not mix, each with its own sequence."""
+    sent = batch(0, [(WALL_NS, feedback(0)), (WALL_NS + MS, feedback(1))])
+    subject = BY_NAME["can/{bus}/tx"]
+    key = keys.build("fleet", "cruiser-1", subject, "can0")
+    log = Log()
+    log.receive(sample_of(batch(5, [(WALL_NS, feedback(2))])))
+    log.receive(FakeSample(key, subject.encoding, codec.encode(sent)))
+    records = read(log.close())
+    assert [(topic, schema) for topic, schema, _, _ in records] == [
+        (FRAMES_KEY, "cruiser.CanFrame"),
+        (key, "cruiser.CanFrame"),
+        (key, "cruiser.CanFrame"),
+    ]
+    assert log.session.counts[key] == KeyCount(messages=2, missed=0, dropped=0)
+    assert [record.publish_time for _, _, record, _ in records[1:]] == [WALL_NS, WALL_NS + MS]
 
 
 @given(

@@ -29,6 +29,8 @@ def fill(target: Any, message: msgspec.Struct) -> Any:  # noqa: ANN401 - protobu
             for item in value:
                 if isinstance(item, msgspec.Struct):
                     fill(getattr(target, name).add(), item)
+                elif isinstance(item, Enum):
+                    getattr(target, name).append(list(type(item)).index(item))
                 else:
                     getattr(target, name).append(item)
         elif isinstance(value, dict):

@@ -1,16 +1,23 @@
-"""Hypothesis strategies for every message, made from its own types and bounds."""
+"""Hypothesis strategies for every message, request and reply, made from its own types and bounds."""
 
 from enum import Enum
 from typing import Any
 
+import msgspec
 from hypothesis import strategies as st
 from msgspec import inspect
 
 from schemas.messages import Message
-from schemas.subjects import SUBJECTS, Subject
+from schemas.requests import Request
+from schemas.subjects import COMMANDS, SUBJECTS, Command, Subject
 
 INT64 = st.integers(-(2**63), 2**63 - 1)
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+ANYTHING = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text() | st.binary(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+)
+"""Whatever MessagePack can say."""
 
 
 def message_of(kind: type[Message]) -> st.SearchStrategy[Message]:
@@ -25,6 +32,19 @@ def subjects_and_messages(draw: st.DrawFn) -> tuple[Subject, Message]:
     return subject, draw(message_of(subject.type))
 
 
+def any_of(kind: type[msgspec.Struct]) -> st.SearchStrategy[Any]:
+    """Anything of this class: a message, a request or a reply."""
+    return _values(inspect.type_info(kind))
+
+
+@st.composite
+def commands_and_requests(draw: st.DrawFn) -> tuple[Command, Request]:
+    """Any verb and any request of it."""
+    command = draw(st.sampled_from(COMMANDS))
+    request: Request = draw(any_of(command.request))
+    return command, request
+
+
 def _values(info: inspect.Type) -> st.SearchStrategy[Any]:
     match info:
         case inspect.Metadata():
@@ -36,7 +56,7 @@ def _values(info: inspect.Type) -> st.SearchStrategy[Any]:
         case inspect.IntType():
             values = st.integers(info.ge, info.le) if info.ge is not None else INT64
         case inspect.FloatType():
-            values = st.floats(min_value=info.ge, allow_nan=False, allow_infinity=False)
+            values = st.floats(min_value=info.ge, max_value=info.le, allow_nan=False, allow_infinity=False)
         case inspect.ListType():
             values = st.lists(_values(info.item_type), max_size=4)
         case inspect.DictType():

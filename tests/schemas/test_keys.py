@@ -3,15 +3,18 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from schemas import keys
-from schemas.subjects import BY_NAME, SUBJECTS, Subject
+from schemas.subjects import BY_NAME, BY_VERB, COMMAND_CHUNK, SUBJECTS, Subject
 
 ROOTS = st.from_regex(keys.ROOT_PATTERN, fullmatch=True)
 ROBOTS = st.from_regex(keys.ROBOT_PATTERN, fullmatch=True)
 BUSES = st.from_regex(keys.BUS_PATTERN, fullmatch=True)
+OPERATORS = st.from_regex(keys.OPERATOR_PATTERN, fullmatch=True)
+VERBS = st.sampled_from(list(BY_VERB))
 
 
 @given(root=ROOTS, robot=ROBOTS, subject=st.sampled_from(SUBJECTS), bus=BUSES)
 @example(root="fleet/chassis", robot="gear", subject=BY_NAME["chassis/gear"], bus="can0")
+@example(root="fleet", robot="cruiser-1", subject=BY_NAME["safety/state"], bus="can0")
 @example(root="can/rx", robot="state", subject=BY_NAME["can/{bus}/rx"], bus="state")
 def test_parsing_undoes_building(root: str, robot: str, subject: Subject, bus: str) -> None:
     """A key that was built says what it was built from, whatever the names are."""
@@ -62,3 +65,66 @@ def test_a_part_that_does_not_fit_is_not_built_into_a_key(root: str, robot: str,
     """Wildcards, empty chunks and buses where none belong never reach a key."""
     with pytest.raises(ValueError, match=r"form|fit"):
         keys.build(root, robot, BY_NAME[name], bus)
+
+
+@given(root=ROOTS, robot=ROBOTS, operator=OPERATORS, verb=VERBS)
+def test_a_command_key_names_its_operator_and_verb(root: str, robot: str, operator: str, verb: str) -> None:
+    """What was built says who asks for what; one for all robots does so too, and neither is a subject's key."""
+    for addressed in (robot, keys.ALL):
+        key = keys.command(root, addressed, operator, verb)
+        assert key == f"{root}/{addressed}/{COMMAND_CHUNK}/{operator}/{verb}"
+        assert keys.parse_command(key) == (operator, verb)
+        assert keys.parse(key) is None
+
+
+@given(key=st.text() | st.text("ab/@cmd*$#?{}\n").map(lambda text: f"fleet/cruiser-1/{COMMAND_CHUNK}/{text}"))
+@example(key="fleet/cruiser-1/@cmd/first/stop\n")
+@example(key="fleet/cruiser-1/@cmd/*/stop")
+@example(key="fleet/@cmd/first/@cmd/second/stop")
+def test_no_text_makes_parsing_a_command_key_raise(key: str) -> None:
+    """An operator comes out of its form or empty; nothing is made up, whoever sent the key."""
+    operator, verb = keys.parse_command(key)
+    assert not operator or keys.command("fleet", "cruiser-1", operator, verb).endswith(f"/{operator}/{verb}")
+    assert "/" not in verb
+    assert not verb or key.endswith(f"/{verb}")
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "",
+        "@cmd/first/stop",
+        "fleet/cruiser-1/@cmd/stop",
+        "fleet/cruiser-1/@cmd/first/",
+        "fleet/cruiser-1/cmd/first/stop",
+        "fleet/cruiser-1/@cmd/first/stop/now",
+    ],
+)
+def test_what_is_no_command_key_has_no_verb(key: str) -> None:
+    """A chunk too few or too many, or another chunk where the verbatim one belongs."""
+    assert keys.parse_command(key) == ("", "")
+
+
+@pytest.mark.parametrize("operator", ["*", "**", "$*", "", "a b", "a" * 65, "\u00e4nn"])
+def test_an_operator_that_is_not_of_its_form_is_empty(operator: str) -> None:
+    """The verb is still told: a stop is served whoever asks for it."""
+    found = keys.parse_command(f"fleet/cruiser-1/{COMMAND_CHUNK}/{operator}/stop")
+    assert found == (("", "stop") if operator else ("", ""))
+
+
+@pytest.mark.parametrize(
+    ("root", "robot", "operator"),
+    [
+        ("*", "cruiser-1", "first"),
+        ("fleet/**", "cruiser-1", "first"),
+        ("fleet", "**", "first"),
+        ("fleet", "Cruiser", "first"),
+        ("fleet", "cruiser-1", "first/second"),
+        ("fleet", "cruiser-1", "first "),
+        ("fleet", "cruiser-1", ""),
+    ],
+)
+def test_a_part_that_does_not_fit_is_not_built_into_a_command_key(root: str, robot: str, operator: str) -> None:
+    """The one wildcard is ALL, in place of a whole chunk; no root is ever left open."""
+    with pytest.raises(ValueError, match="form"):
+        keys.command(root, robot, operator, "stop")

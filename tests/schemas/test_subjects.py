@@ -6,8 +6,21 @@ import pytest
 from gateway.chassis import layout
 from gateway.chassis.layout import MessageLayout
 from schemas import messages
-from schemas.messages import Variant
-from schemas.subjects import BY_DBC_MESSAGE, SUBJECTS, Subject
+from schemas.messages import CanFrames, Variant
+from schemas.requests import Leased
+from schemas.snake_case import snake_case
+from schemas.subjects import (
+    BY_DBC_MESSAGE,
+    BY_NAME,
+    BY_TYPE,
+    BY_VERB,
+    COMMANDS,
+    SUBJECTS,
+    Asking,
+    Command,
+    Pattern,
+    Subject,
+)
 
 VARIANTS = (Variant.COARSE, Variant.FINE)
 FRAMES = [(variant, frame) for variant in VARIANTS for frame in layout.load(variant).feedback]
@@ -20,14 +33,58 @@ def fields_of(subject: Subject) -> dict[str, object]:
     return {field.name: field.type for field in msgspec.structs.fields(subject.type) if field.name not in common}
 
 
-def test_no_two_subjects_share_a_name_or_a_type() -> None:
-    """A name, a message class and an encoding each say which subject it is."""
-    for values in (
-        [subject.name for subject in SUBJECTS],
-        [subject.type for subject in SUBJECTS],
-        [subject.encoding for subject in SUBJECTS],
-    ):
-        assert len(set(values)) == len(values)
+def test_no_two_subjects_share_a_name() -> None:
+    """Nor a message class: but frames are frames, received or sent."""
+    assert len(BY_NAME) == len(SUBJECTS)
+    shared = [subject.name for subject in SUBJECTS if BY_TYPE[subject.type] is not subject]
+    assert shared == ["can/{bus}/tx"]
+    assert BY_TYPE[CanFrames] is BY_NAME["can/{bus}/rx"]
+
+
+def test_an_encoding_names_one_class() -> None:
+    """Of all messages, requests and replies: whoever reads an encoding knows what the payload is."""
+    kinds: set[tuple[str, type]] = {(subject.encoding, subject.type) for subject in SUBJECTS}
+    kinds |= {(command.encoding, command.request) for command in COMMANDS}
+    kinds |= {(command.reply_encoding, command.reply) for command in COMMANDS}
+    assert len({encoding for encoding, _ in kinds}) == len({kind for _, kind in kinds}) == len(kinds)
+
+
+def test_what_is_queried_has_no_history() -> None:
+    """The answer to a query is always the present."""
+    assert all(not subject.qos.history for subject in SUBJECTS if subject.pattern is Pattern.QUERIED)
+
+
+def test_a_late_joiner_gets_the_last_of_what_is_said_seldom() -> None:
+    """The arbiter's state is there at once, and no decision or event is missed across a cut link.
+
+    A cached health would make a hung gateway look well: none is kept.
+    """
+    history = {subject.name: subject.qos.history for subject in SUBJECTS if subject.qos.history}
+    assert history == {"safety/state": 1, "safety/decision": 2000, "safety/event": 2000}
+
+
+def test_the_verbs_are_those_of_the_contract() -> None:
+    """All are queries with a typed reply but drive, a stream of puts; a stop is taken either way."""
+    assert set(BY_VERB) == {
+        *("acquire", "renew", "release", "take", "engage", "disengage", "stop", "reset"),
+        *("park", "unpark", "light", "horn", "clear_odometer", "drive"),
+    }
+    asking = {command.verb: command.asking for command in COMMANDS if command.asking is not Asking.QUERY}
+    assert asking == {"stop": Asking.EITHER, "drive": Asking.PUT}
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
+def test_a_request_is_called_like_its_verb(command: Command) -> None:
+    """One class for each verb; its schema's name differs from that of any message."""
+    assert snake_case(command.request.__name__) == command.verb
+    assert command.encoding == f"application/msgpack;cruiser.request.{command.request.__name__}/1"
+    assert command.request.__struct_config__.forbid_unknown_fields
+
+
+def test_only_who_may_have_no_lease_needs_none() -> None:
+    """To get one, or to stop the robot, takes no lease; everything else does."""
+    without = {command.verb for command in COMMANDS if not issubclass(command.request, Leased)}
+    assert without == {"acquire", "take", "stop"}
 
 
 @pytest.mark.parametrize("subject", SUBJECTS, ids=lambda subject: subject.name)

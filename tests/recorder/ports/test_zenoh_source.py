@@ -12,8 +12,10 @@ import zenoh
 from recorder.ports import zenoh_source
 from recorder.ports.zenoh_source import ZenohSource
 from recorder.sample import Sample
+from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import ZenohSettings
+from schemas.subjects import BY_VERB
 from tests.recorder.fakes import FakeSample, gear, info, sample_of, wait_until
 from tests.recorder.zenoh_peer import Peer, free_endpoint
 
@@ -74,6 +76,18 @@ def test_a_sample_arrives_as_it_was_sent(linked: tuple[Peer, ZenohSource]) -> No
     assert (received.key, received.encoding) == (sent.key, sent.encoding)
     assert (received.payload, received.attachment, received.deleted) == (sent.payload, sent.attachment, False)
     assert abs(received.zenoh_time_ns - before_ns) < 10 * 10**9
+
+
+def test_requests_are_not_recorded(linked: tuple[Peer, ZenohSource]) -> None:
+    """Everything under the root is, but no wildcard reaches a command; what was decided on it is a sample too."""
+    peer, origin = linked
+    inbox = Inbox(origin)
+    requests = {keys.command("fleet", "cruiser-1", "first", verb) for verb in BY_VERB}
+    for key in requests:
+        peer.put(FakeSample(key, "zenoh/bytes", b""))
+    peer.put(FakeSample("fleet/cruiser-1/safety/decision", "zenoh/bytes", b""))
+    wait_until(lambda: inbox.holds("fleet/cruiser-1/safety/decision"))
+    assert not requests & {sample.key for sample in inbox.samples}
 
 
 def test_a_deletion_is_told(linked: tuple[Peer, ZenohSource]) -> None:

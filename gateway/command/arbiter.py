@@ -1,0 +1,422 @@
+"""The safety arbiter: requests and observations in, what the chassis is told out. No I/O, time as an argument.
+
+Read ``tick`` first: what is seen, what is asked, what speaks against it, what the chassis is told.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from math import inf
+from random import Random
+from typing import Final
+
+import msgspec
+
+from gateway.command import verbs
+from gateway.command.actuation import Actuation
+from gateway.command.auxiliary import Auxiliary, AuxiliaryFrame
+from gateway.command.causes import STOPS, Stop, Watch
+from gateway.command.freshness import TickLog
+from gateway.command.lease import LeaseDesk
+from gateway.command.limits import Limits
+from gateway.command.motion import Motion, Surroundings, Target
+from gateway.command.observed import Observed
+from gateway.command.request import Answer, Judged, RawRequest, Ruling
+from gateway.command.states import TRANSITIONS, Trigger
+from gateway.command.stop import StopSequence
+from schemas.decisions import ArbiterState, EventKind, Severity, StopPhase
+from schemas.messages import GearPosition, Mode, Variant
+from schemas.reasons import TEXTS, Reason
+from schemas.settings import ENGAGE_TIMEOUT_NS, LATE_NS, TICK_NS, Settings
+
+COMMANDING: Final = frozenset({ArbiterState.ENGAGING, ArbiterState.ENGAGED})
+_NS_PER_S: Final = 1_000_000_000
+_TICK_BITS: Final = 40
+_TICK_S: Final = TICK_NS / _NS_PER_S
+
+
+class Event(msgspec.Struct, frozen=True):
+    """What a person should know; becomes a SafetyEvent."""
+
+    severity: Severity
+    kind: EventKind
+    reason: Reason
+    text: str
+    operator: str = ""
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """What a tick came to.
+
+    Attributes:
+        actuation: the five motion frames; None for silence.
+        auxiliary: lamps, horn and odometer, only ever together with the five.
+        judged: the requests of this tick with their rulings.
+        answers: replies that are due.
+    """
+
+    actuation: Actuation | None
+    auxiliary: list[AuxiliaryFrame]
+    judged: list[Judged]
+    answers: list[Answer]
+    events: list[Event]
+
+
+class Arbiter:
+    """Everything that decides whether and how the robot moves.
+
+    Attributes:
+        state: where it is in the table of states.
+        desk: the lease.
+        watch: the chassis as it is seen.
+        ticks: when each tick was published.
+        tick_number: rises with each tick, from a number that differs with each run.
+        limits: those in force.
+        motion: what the chassis is being told while engaged.
+        target: what the last acceptable drive command asks for.
+        parked: the parking brake is asked for.
+        latched: what must be reset, with its detail.
+        latched_ns: when the newest of it was latched.
+        is_cut_off: our way to the bus was lost while the chassis was being told something, and is not back. The
+            chassis obeys on: only the guard, which has a way of its own, can stop it.
+        stop_reason: why the last stop was begun.
+        variant: the one in which the chassis is told speeds; UNKNOWN as soon as there was any doubt, until it is
+            engaged again.
+        actuation: what the chassis was last told; None while it is told nothing.
+    """
+
+    def __init__(self, settings: Settings, run: int) -> None:
+        """Standing by.
+
+        Args:
+            settings: limits and times.
+            run: a random number of this run: leases and ticks of another run fit none of this one.
+        """
+        self.settings = settings.command
+        self.accepts_unguarded = settings.gateway.accept_unguarded
+        random = Random(run)  # noqa: S311 - tells runs apart; it keeps no secret
+        self.tick_number = random.getrandbits(_TICK_BITS)
+        self.desk = LeaseDesk(round(self.settings.lease_s * _NS_PER_S), random)
+        self.watch = Watch()
+        self.ticks = TickLog()
+        self.auxiliary = Auxiliary()
+        self.state = ArbiterState.STANDBY
+        self.configured_limits = self.limits = Limits.of(self.settings)
+        self.motion = Motion(self.settings.brake_pedal_percent)
+        self.target = Target()
+        self.parked = True
+        self.latched: dict[Reason, str] = {}
+        self.stop_reason = Reason.NONE
+        self.variant = Variant.UNKNOWN
+        self.actuation: Actuation | None = None
+        self.last_sequence = -1
+        self.last_drive: tuple[float, int] | None = None
+        self.fresh_ns = 0
+        self.is_closing = False
+        self.latched_ns = 0
+        self.is_cut_off = False
+        self._sequence: StopSequence | None = None
+        self._engage_until_ns = 0
+        self._was_auto = False
+        self._was_left = False
+        self._bus_losses = 0
+        self._before: tuple[Motion, StopSequence | None, Actuation | None] = (self.motion, None, None)
+        self._waiting: dict[str, int] = {}
+        self._answers: list[Answer] = []
+        self._events: list[Event] = []
+
+    @property
+    def stop_phase(self) -> StopPhase:
+        """How far the stop has come."""
+        return StopPhase.IDLE if self._sequence is None else self._sequence.phase
+
+    def tick(self, observed: Observed, requests: list[RawRequest], now_ns: int, late_ns: int) -> Outcome:
+        """Ten milliseconds have passed.
+
+        Args:
+            observed: the chassis now.
+            requests: what came in since the last tick, stops first.
+            now_ns: monotonic.
+            late_ns: how much after its time this tick begins.
+        """
+        self.tick_number += 1
+        self.watch.observe(observed)
+        self.is_cut_off = self.is_cut_off and not observed.bus_up
+        if observed.variant is not self.variant:
+            self.variant = Variant.UNKNOWN
+        self._expire(now_ns)
+        judged = [Judged(request, self._rule(request, now_ns)) for request in requests]
+        self._give_way(now_ns)
+        self._look_for_causes(now_ns, late_ns)
+        # Each step is taken on a copy: a burst that the bus does not take was no step.
+        self._before = (self.motion, self._sequence, self.actuation)
+        self.motion, self._sequence = copy(self.motion), copy(self._sequence)
+        self.actuation = self._act(now_ns)
+        self._look_at_odometer(now_ns)
+        # Lamps, horn and odometer go with the five; standing by the gateway is silent.
+        auxiliary = [] if self.actuation is None else self.auxiliary.frames(now_ns)
+        answers, self._answers = self._answers, []
+        events, self._events = self._events, []
+        return Outcome(self.actuation, auxiliary, judged, answers, events)
+
+    # What is asked.
+
+    def _rule(self, request: RawRequest, now_ns: int) -> Ruling:
+        ruling = verbs.rule(self, request, now_ns)
+        if ruling.is_pending:
+            self._waiting[request.verb] = request.handle
+        elif request.is_query:
+            self._answers.append(Answer(request.handle, request.verb, ruling))
+        return ruling
+
+    def begin_engaging(self, limits: Limits, now_ns: int) -> None:
+        """All that engage wants is there: give the five enables with zero speed."""
+        self._go(Trigger.ENGAGE)
+        self.limits = limits
+        self.motion = Motion(self.settings.brake_pedal_percent, self._seen_angle_deg())
+        self.target = Target()
+        self.parked = True
+        self._begin_telling(0.0)
+        self.watch.send_failures = 0
+        self._engage_until_ns = now_ns + ENGAGE_TIMEOUT_NS
+
+    def begin_stop(self, reason: Reason, now_ns: int, detail: str = "", operator: str = "") -> None:
+        """A cause to stop: bring the robot to rest if it is told anything, and latch what the table latches."""
+        stop = STOPS[reason]
+        self.latch(reason, detail, now_ns, operator)
+        deceleration_mps2 = self._deceleration_mps2(stop)
+        if self._sequence is not None:
+            self._sequence.hasten(deceleration_mps2)
+            return
+        if self.state is ArbiterState.STANDBY:
+            if not self._may_be_obeying():
+                return
+            self._begin_telling(self.watch.observed.wheel_speed_mps or 0.0)
+        last = self.actuation or self._seen_actuation()
+        self._sequence = StopSequence(last, deceleration_mps2, self.settings.brake_pedal_percent, now_ns)
+        self.auxiliary.end(now_ns)
+        self.stop_reason = reason
+        self._go(Trigger.STOP)
+        self._fail_waiting(reason, detail)
+        severity = Severity.WARNING if stop.at_once else Severity.INFO
+        self.tell(severity, EventKind.STOP, reason, f"stopping: {_in_words(reason, detail)}", operator)
+
+    def latch(self, reason: Reason, detail: str, now_ns: int, operator: str = "") -> None:
+        """Keep the robot from being engaged until a reset, if the table says so."""
+        if STOPS[reason].latched and reason not in self.latched:
+            self.latched[reason] = detail
+            self.latched_ns = now_ns
+            text = f"latched until a reset: {_in_words(reason, detail)}"
+            self.tell(Severity.ERROR, EventKind.LATCH, reason, text, operator)
+
+    def _deceleration_mps2(self, stop: Stop) -> float:
+        if not stop.ramps:
+            return inf
+        limits = self.configured_limits
+        return limits.emergency_deceleration_mps2 if stop.at_once else limits.deceleration_mps2
+
+    def shut_down(self, now_ns: int) -> None:
+        """The gateway is to end: bring the robot to rest first, and engage it no more."""
+        self.is_closing = True
+        if self.state in COMMANDING:
+            self.begin_stop(Reason.SHUTDOWN, now_ns)
+
+    def unsent(self) -> None:
+        """The bus did not take the tick's motion frames: the chassis was told nothing, and the step is undone.
+
+        Otherwise what it is told next would be several steps from what it was told last; or a stop that no one
+        heard would go on to neutral.
+        """
+        self.motion, self._sequence, self.actuation = self._before
+
+    def refuse_output(self, detail: str, now_ns: int) -> None:
+        """The gate refused what was to be sent: a fault of our own, and the robot is stopped."""
+        self.unsent()
+        self.begin_stop(Reason.GATE, now_ns, detail)
+
+    def tell(self, severity: Severity, kind: EventKind, reason: Reason, text: str, operator: str = "") -> None:
+        """Tell people."""
+        self._events.append(Event(severity, kind, reason, text, operator))
+
+    # What speaks against it.
+
+    def _expire(self, now_ns: int) -> None:
+        lost = self.desk.expire(now_ns)
+        if lost is None:
+            return
+        text = f"the lease of {lost.operator} expired"
+        self.tell(Severity.WARNING, EventKind.LEASE, Reason.LEASE_EXPIRED, text, lost.operator)
+        if self.state in COMMANDING:
+            self.begin_stop(Reason.LEASE_EXPIRED, now_ns, operator=lost.operator)
+
+    def _give_way(self, now_ns: int) -> None:
+        """Who else commands the chassis, or where no command can reach it, the output ceases at once."""
+        if self.state is ArbiterState.STANDBY:
+            if self.watch.observed.guard_sends:
+                self.latch(Reason.GUARD, "", now_ns)
+            return
+        observed = self.watch.observed
+        self._was_auto = self._was_auto or observed.mode is Mode.AUTO
+        reason = Reason.NONE
+        if observed.guard_sends:
+            reason = Reason.GUARD
+            self.latch(reason, "", now_ns)
+        elif not observed.bus_up or observed.bus_losses != self._bus_losses:
+            reason = Reason.BUS_DOWN
+        elif observed.mode is Mode.REMOTE:
+            reason = Reason.HAND_TRANSMITTER
+        elif observed.mode is Mode.STOP and self._was_auto and self.stop_phase is not StopPhase.DISABLE:
+            reason = Reason.MODE_NOT_AUTO
+        if reason is Reason.NONE:
+            return
+        self._go(Trigger.YIELD)
+        self._was_left = reason is not Reason.GUARD
+        self.is_cut_off = reason is Reason.BUS_DOWN and not observed.bus_up
+        self.stop_reason = reason
+        self._sequence = None
+        self.auxiliary = Auxiliary()
+        self._fail_waiting(reason, "")
+        self.tell(
+            Severity.WARNING, EventKind.TAKEOVER, reason, f"nothing is sent any more: {_in_words(reason, '')}"
+        )
+
+    def _look_for_causes(self, now_ns: int, late_ns: int) -> None:
+        if late_ns > LATE_NS:
+            text = f"the loop was {late_ns / 1e6:.0f} ms late"
+            self.tell(Severity.WARNING, EventKind.FAULT, Reason.LOOP_LATE, text)
+        for bumper in self.watch.hits:
+            self.latch(bumper, "", now_ns)
+        if self.state is ArbiterState.STANDBY:
+            self._look_for_strays(now_ns)
+            return
+        for bumper in self.watch.hits:
+            self.begin_stop(bumper, now_ns)
+        self._look_for_faults(now_ns, late_ns)
+        if self.state in COMMANDING:
+            self._look_for_lapses(now_ns)
+
+    def _look_for_faults(self, now_ns: int, late_ns: int) -> None:
+        # During a stop too: a graver cause hastens it, and may latch.
+        told_mps = self.actuation.signed_speed_mps if self.actuation is not None else 0.0
+        for reason in self.watch.faults(told_mps, late_ns, now_ns):
+            self.begin_stop(reason, now_ns, self._fault_detail(reason, late_ns))
+        if self.variant is Variant.UNKNOWN:
+            self.begin_stop(Reason.VARIANT_UNKNOWN, now_ns)
+
+    def _look_for_lapses(self, now_ns: int) -> None:
+        """What somebody ought to have done in time, and has not."""
+        if not self.watch.observed.guarded and not self.accepts_unguarded:
+            self.begin_stop(Reason.UNGUARDED, now_ns)
+        if self.state is ArbiterState.ENGAGING and now_ns >= self._engage_until_ns:
+            self.begin_stop(Reason.NOT_CONFIRMED, now_ns, "the mode does not read auto")
+        if self.state is ArbiterState.ENGAGED and now_ns - self.fresh_ns > self.settings.deadman_s * _NS_PER_S:
+            silent_ms = (now_ns - self.fresh_ns) / 1e6
+            self.begin_stop(Reason.DEADMAN, now_ns, f"none for {silent_ms:.0f} ms")
+
+    def _look_for_strays(self, now_ns: int) -> None:
+        """Standing by: does the chassis obey a command that nobody gives any more?"""
+        if self.watch.is_commanded_by_other(now_ns):
+            self._was_left = False
+        if self._was_left and self._may_be_obeying():
+            # It was left while it was being told something, and may obey that again: nothing resumes by itself.
+            self.begin_stop(Reason.FOUND_MOVING, now_ns, "or about to move, by what it was told before")
+        elif self.watch.found_moving(now_ns):
+            self.begin_stop(Reason.FOUND_MOVING, now_ns)
+
+    def _fault_detail(self, reason: Reason, late_ns: int) -> str:
+        observed = self.watch.observed
+        return {
+            Reason.FEEDBACK_MISSING: ", ".join(observed.missing),
+            Reason.FEEDBACK_FAULTY: ", ".join(observed.faulty),
+            Reason.IMPLAUSIBLE_SPEED: self.watch.plausibility.detail,
+            Reason.LOOP_LATE: f"by {late_ns / 1e6:.0f} ms",
+        }.get(reason, "")
+
+    def _may_be_obeying(self) -> bool:
+        """The chassis may be in auto and obey an old command; else standing by stays silent."""
+        observed = self.watch.observed
+        return observed.bus_up and observed.mode in {Mode.AUTO, Mode.UNDEFINED} and not observed.guard_sends
+
+    # What the chassis is told.
+
+    def _act(self, now_ns: int) -> Actuation | None:
+        told = self.actuation is not None  # That it reads auto confirms nothing before the enables were sent.
+        if self.state is ArbiterState.ENGAGING and told and self.watch.observed.mode is Mode.AUTO:
+            self._confirm(now_ns)
+        if self.state is ArbiterState.STANDBY:
+            return None
+        if self._sequence is not None:
+            actuation = self._sequence.tick(now_ns, stands=self.watch.stands)
+            if actuation is None:
+                self._rest()
+            return actuation
+        pressed = self.watch.pressed
+        surroundings = Surroundings(
+            stands=self.watch.stands,
+            gear=self.watch.observed.gear,
+            parked=self.parked,
+            forward=Reason.FRONT_BUMPER not in pressed,
+            backward=Reason.REAR_BUMPER not in pressed,
+        )
+        target = self.target if self.state is ArbiterState.ENGAGED else Target(0.0, self.motion.angle_deg)
+        return self.motion.tick(target, self.limits, surroundings, _TICK_S)
+
+    def _confirm(self, now_ns: int) -> None:
+        self._go(Trigger.CONFIRMED)
+        self.fresh_ns = now_ns
+        self.target = Target(0.0, self.motion.angle_deg)
+        self._answer_waiting("engage", Ruling())
+        holder = self.desk.lease.operator if self.desk.lease is not None else ""
+        self.tell(Severity.INFO, EventKind.ENGAGED, Reason.NONE, "engaged: the chassis reads auto", holder)
+
+    def _rest(self) -> None:
+        self._sequence = None
+        self._go(Trigger.REST)
+        stands = "and stands" if self.watch.stands else "but is not seen to stand"
+        severity = Severity.INFO if self.watch.stands else Severity.ERROR
+        self.tell(severity, EventKind.STOPPED, self.stop_reason, f"stopped: the robot is told nothing, {stands}")
+
+    def _look_at_odometer(self, now_ns: int) -> None:
+        cleared = self.auxiliary.clearing_result(self.watch.observed.total_mileage_km, now_ns)
+        if cleared is not None:
+            ruling = Ruling() if cleared else Ruling(Reason.NOT_CONFIRMED, "the mileage does not read zero")
+            self._answer_waiting("clear_odometer", ruling)
+
+    def _begin_telling(self, speed_mps: float) -> None:
+        """From here on the chassis is told something; it has this signed speed."""
+        self.variant = self.watch.observed.variant
+        self.watch.plausibility.forget(speed_mps)
+        self._was_auto = self._was_left = False
+        self._bus_losses = self.watch.observed.bus_losses
+
+    def _seen_angle_deg(self) -> float:
+        limit_deg = self.configured_limits.steering_deg
+        return max(-limit_deg, min(limit_deg, self.watch.observed.angle_deg or 0.0))
+
+    def _seen_actuation(self) -> Actuation:
+        """What a chassis that somebody else has left must have been told, as far as can be seen."""
+        observed = self.watch.observed
+        in_gear = observed.gear in {GearPosition.DRIVE, GearPosition.REVERSE}
+        return Actuation(
+            enabled=True,
+            gear=observed.gear if in_gear else GearPosition.NEUTRAL,
+            speed_mps=min(observed.speed_mps or 0.0, self.configured_limits.speed_mps) if in_gear else 0.0,
+            angle_deg=self._seen_angle_deg(),
+            parking=observed.gear is GearPosition.PARK,
+        )
+
+    def _go(self, trigger: Trigger) -> None:
+        self.state = TRANSITIONS[self.state, trigger]
+
+    def _answer_waiting(self, verb: str, ruling: Ruling) -> None:
+        handle = self._waiting.pop(verb, None)
+        if handle is not None:
+            self._answers.append(Answer(handle, verb, ruling))
+
+    def _fail_waiting(self, reason: Reason, detail: str) -> None:
+        for verb in list(self._waiting):
+            self._answer_waiting(verb, Ruling(reason, detail))
+
+
+def _in_words(reason: Reason, detail: str) -> str:
+    return "; ".join(filter(None, (TEXTS[reason].means, detail)))

@@ -1,0 +1,95 @@
+"""Lamps, horn and odometer: frames that go out only while they are asked for.
+
+The chassis keeps the last command for ever, so each ends with frames that say off.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+
+from gateway.chassis.decode import Value
+from schemas.requests import Light
+from schemas.settings import ODOMETER_TIMEOUT_NS, TAIL_NS
+
+_NEVER: Final = -1
+_DARK: Final = Light(lease=0)
+CLEARED_KM: Final = 0.0005
+"""Below this the mileage, 0.001 km a bit, reads zero."""
+
+
+class AuxiliaryFrame(msgspec.Struct, frozen=True):
+    """A frame to send, by its name in the DBC, with its signals."""
+
+    name: str
+    values: dict[str, Value]
+
+
+class Auxiliary:
+    """What is asked for besides motion."""
+
+    def __init__(self) -> None:
+        self._light = _DARK
+        self._horn = False
+        self._light_until_ns = self._horn_until_ns = self._odometer_until_ns = _NEVER
+        self._clearing_until_ns: int | None = None
+
+    @property
+    def is_clearing(self) -> bool:
+        """The odometer is being cleared."""
+        return self._clearing_until_ns is not None
+
+    def set_light(self, light: Light, now_ns: int) -> None:
+        """Set the lamps."""
+        self._light = light
+        self._light_until_ns = now_ns + TAIL_NS
+
+    def set_horn(self, *, on: bool, now_ns: int) -> None:
+        """Sound the horn, or end it."""
+        self._horn = on
+        self._horn_until_ns = now_ns + TAIL_NS
+
+    def clear_odometer(self, now_ns: int) -> None:
+        """Begin to clear the mileage."""
+        self._clearing_until_ns = now_ns + ODOMETER_TIMEOUT_NS
+
+    def clearing_result(self, mileage_km: float | None, now_ns: int) -> bool | None:
+        """Whether the mileage was cleared; None while that is open, or nothing is being cleared. Told once."""
+        until_ns = self._clearing_until_ns
+        if until_ns is None:
+            return None
+        cleared = mileage_km is not None and mileage_km < CLEARED_KM
+        # The first frames must have reached the chassis: a mileage that was zero before proves nothing.
+        settled = now_ns >= until_ns - ODOMETER_TIMEOUT_NS + TAIL_NS
+        if (cleared and settled) or now_ns >= until_ns:
+            self._end_clearing(now_ns)
+            return cleared
+        return None
+
+    def end(self, now_ns: int) -> None:
+        """The robot stops: all of it ends, each with its frames that say off."""
+        if self._horn:
+            self.set_horn(on=False, now_ns=now_ns)
+        if self._light != _DARK:
+            self.set_light(_DARK, now_ns)
+        if self.is_clearing:
+            self._end_clearing(now_ns)
+
+    def frames(self, now_ns: int) -> list[AuxiliaryFrame]:
+        """The frames of this tick."""
+        due: list[AuxiliaryFrame] = []
+        light = self._light
+        if light.headlamp or light.left or light.right or now_ns < self._light_until_ns:
+            lamps = {"Headlamp": light.headlamp, "RightIndicator": light.right, "LeftIndicator": light.left}
+            due.append(AuxiliaryFrame("Auto_LightCmd", dict(lamps)))
+        if self._horn or now_ns < self._horn_until_ns:
+            due.append(AuxiliaryFrame("Auto_SpeakerCmd", {"Horn": self._horn}))
+        if self.is_clearing or now_ns < self._odometer_until_ns:
+            on = self.is_clearing
+            due.append(AuxiliaryFrame("Auto_OdometerCmd", {"Enable": on, "ClearMileage": on}))
+        return due
+
+    def _end_clearing(self, now_ns: int) -> None:
+        self._clearing_until_ns = None
+        self._odometer_until_ns = now_ns + TAIL_NS

@@ -1,0 +1,144 @@
+"""What stops the robot: one table of causes, and the watch that finds them in what is observed."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+
+from gateway.command.observed import Observed
+from gateway.command.plausibility import Plausibility
+from schemas.messages import Mode, Variant
+from schemas.reasons import Reason
+from schemas.settings import (
+    COMMANDER_NS,
+    FOUND_MOVING_NS,
+    LOOP_LATE_STOP_NS,
+    SEND_FAILURES,
+    STANDSTILL_TICKS,
+)
+
+
+class Stop(msgspec.Struct, frozen=True):
+    """How a cause stops the robot.
+
+    Attributes:
+        at_once: with the emergency deceleration; else with the normal one.
+        latched: the robot cannot be engaged again before a reset.
+        ramps: the commanded speed goes to zero by that deceleration. Where its scale is in doubt it is zero at
+            once: a ramp in the wrong scale would ask for 40 times the speed.
+    """
+
+    at_once: bool
+    latched: bool = False
+    ramps: bool = True
+
+
+STOPS: Final[dict[Reason, Stop]] = {
+    Reason.REMOTE_STOP: Stop(at_once=True, latched=True),
+    Reason.FRONT_BUMPER: Stop(at_once=True, latched=True),
+    Reason.REAR_BUMPER: Stop(at_once=True, latched=True),
+    Reason.IMPLAUSIBLE_SPEED: Stop(at_once=True, latched=True, ramps=False),
+    Reason.GATE: Stop(at_once=True, latched=True),
+    Reason.GUARD: Stop(at_once=True, latched=True),
+    Reason.FEEDBACK_MISSING: Stop(at_once=True),
+    Reason.FEEDBACK_FAULTY: Stop(at_once=True),
+    Reason.VARIANT_UNKNOWN: Stop(at_once=True, ramps=False),
+    Reason.OTHER_COMMANDER: Stop(at_once=True),
+    Reason.LOOP_LATE: Stop(at_once=True),
+    Reason.SEND_FAILED: Stop(at_once=True),
+    Reason.UNGUARDED: Stop(at_once=False),
+    Reason.DEADMAN: Stop(at_once=False),
+    Reason.DISENGAGED: Stop(at_once=False),
+    Reason.LEASE_EXPIRED: Stop(at_once=False),
+    Reason.LEASE_RELEASED: Stop(at_once=False),
+    Reason.LEASE_TAKEN: Stop(at_once=False),
+    Reason.NOT_CONFIRMED: Stop(at_once=False),
+    Reason.FOUND_MOVING: Stop(at_once=False),
+    Reason.SHUTDOWN: Stop(at_once=False),
+}
+"""Every cause to stop, the gravest first."""
+
+BUMPERS: Final = (Reason.FRONT_BUMPER, Reason.REAR_BUMPER)
+
+
+class Watch:
+    """Looks at the chassis each tick.
+
+    Attributes:
+        stands: the robot was seen to stand for long enough. False also when that cannot be seen.
+        observed: the chassis at this tick.
+        plausibility: do the speeds fit.
+        send_failures: ticks in a row whose frames the bus did not take.
+    """
+
+    def __init__(self) -> None:
+        self.observed = Observed()
+        self.stands = False
+        self.plausibility = Plausibility()
+        self.send_failures = 0
+        self._slow_ticks = 0
+        self._moving_since_ns: int | None = None
+        self._acknowledged: set[Reason] = set()
+
+    def observe(self, observed: Observed) -> None:
+        """Take in the chassis at this tick."""
+        self.observed = observed
+        self._slow_ticks = self._slow_ticks + 1 if observed.is_slow else 0
+        self.stands = self._slow_ticks >= STANDSTILL_TICKS
+        # A hit that was reset counts as a new one once the bumper has been clear.
+        self._acknowledged &= self.pressed
+
+    @property
+    def pressed(self) -> set[Reason]:
+        """The bumpers that are pressed."""
+        pressed = (self.observed.front_bumper, self.observed.rear_bumper)
+        return {bumper for bumper, is_pressed in zip(BUMPERS, pressed, strict=True) if is_pressed}
+
+    @property
+    def hits(self) -> list[Reason]:
+        """The bumpers that are pressed and that nobody has acknowledged by a reset."""
+        return [bumper for bumper in BUMPERS if bumper in self.pressed - self._acknowledged]
+
+    def acknowledge(self) -> None:
+        """A reset: from now on a pressed bumper forbids its direction and nothing more."""
+        self._acknowledged |= self.pressed
+
+    def is_commanded_by_other(self, now_ns: int) -> bool:
+        """Another computer's command frames are on the bus."""
+        heard_ns = self.observed.commander_ns
+        return heard_ns is not None and now_ns - heard_ns < COMMANDER_NS
+
+    def chassis_faults(self) -> list[Reason]:
+        """What speaks against commanding the chassis, but for its mode."""
+        observed = self.observed
+        faults = {
+            Reason.FEEDBACK_MISSING: bool(observed.missing),
+            Reason.FEEDBACK_FAULTY: bool(observed.faulty),
+            Reason.VARIANT_UNKNOWN: observed.variant is Variant.UNKNOWN or not observed.confirmed,
+        }
+        return [reason for reason, is_so in faults.items() if is_so]
+
+    def faults(self, commanded_mps: float, late_ns: int, now_ns: int) -> list[Reason]:
+        """The causes to stop a robot that is being commanded; ``commanded_mps`` is signed."""
+        observed = self.observed
+        found = self.chassis_faults()
+        if self.plausibility.observe(observed.wheel_speed_mps, observed.speed_mps, commanded_mps, now_ns):
+            found.append(Reason.IMPLAUSIBLE_SPEED)
+        if late_ns > LOOP_LATE_STOP_NS:
+            found.append(Reason.LOOP_LATE)
+        if self.send_failures >= SEND_FAILURES:
+            found.append(Reason.SEND_FAILED)
+        if self.is_commanded_by_other(now_ns):
+            found.append(Reason.OTHER_COMMANDER)
+        return found
+
+    def found_moving(self, now_ns: int) -> bool:
+        """The chassis is in auto and moves, and nobody commands it, for long enough to be no accident."""
+        adrift = self.observed.mode is Mode.AUTO and not self.is_commanded_by_other(now_ns)
+        if not adrift or not self.observed.turns:
+            self._moving_since_ns = None
+            return False
+        if self._moving_since_ns is None:
+            self._moving_since_ns = now_ns
+        return now_ns - self._moving_since_ns >= FOUND_MOVING_NS

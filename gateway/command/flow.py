@@ -1,0 +1,107 @@
+"""The command flow on one page: arbiter, frames, gate and reports together. Pure.
+
+requests > ``tick`` > arbiter > frames > gate > ``Due``: frames to send, replies, samples
+the bus  > ``sent`` > counters advance, decisions go out
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+
+from gateway.chassis.frame import Frame
+from gateway.command.arbiter import Arbiter, Outcome
+from gateway.command.frames import MOTION_FRAMES, FrameMaker
+from gateway.command.gate import Gate
+from gateway.command.observed import Observed
+from gateway.command.report import Reporter, reply
+from gateway.command.request import RawRequest
+from schemas.decisions import ArbiterState
+from schemas.messages import Message
+from schemas.settings import Settings
+
+
+class PendingReply(msgspec.Struct, frozen=True):
+    """A reply that is due: to whom, and what."""
+
+    handle: int
+    verb: str
+    payload: bytes
+
+
+class Due(msgspec.Struct, frozen=True):
+    """What a tick asks to be done: send the frames, in their order, then say how many went out with ``sent``."""
+
+    frames: list[Frame]
+    replies: list[PendingReply]
+    messages: list[Message]
+
+
+_NOTHING: Final = Due([], [], [])
+
+
+class CommandFlow:
+    """Everything between a request and a frame.
+
+    Attributes:
+        arbiter: decides.
+        is_mute: the gate refuses even the stop sequence, or our way to the bus is lost: the guard has to act.
+    """
+
+    def __init__(self, settings: Settings, run: int) -> None:
+        self.arbiter = Arbiter(settings, run)
+        self.is_mute = False
+        self.maker = FrameMaker()
+        self._gate = Gate()
+        self._reporter = Reporter(self.arbiter)
+        self._outcome: Outcome | None = None
+        self._offered: list[Frame] = []
+
+    def tick(self, observed: Observed, requests: list[RawRequest], now_ns: int, wall_ns: int, late_ns: int) -> Due:
+        """Ten milliseconds have passed; see ``Arbiter.tick``."""
+        outcome = self._outcome = self.arbiter.tick(observed, requests, now_ns, late_ns)
+        self._offered = self._frames(outcome, now_ns)
+        messages: list[Message] = [self._reporter.event(event, wall_ns) for event in outcome.events]
+        state = self._reporter.state(now_ns, wall_ns)
+        if state is not None:
+            messages.append(state)
+        replies = [
+            PendingReply(answer.handle, answer.verb, _ENCODER.encode(reply(answer))) for answer in outcome.answers
+        ]
+        return Due(self._offered, replies, messages)
+
+    def sent(self, count: int, now_ns: int, wall_ns: int) -> list[Message]:
+        """So many of the tick's frames were taken by the bus; the rest are lost and are never sent later."""
+        outcome, offered = self._outcome, self._offered
+        if outcome is None:
+            return []
+        self._outcome, self._offered = None, []
+        sent = offered[:count]
+        self.maker.sent(sent)
+        self._gate.sent(sent, now_ns)
+        watch = self.arbiter.watch
+        watch.send_failures = watch.send_failures + 1 if len(sent) < len(offered) else 0
+        bounds = self.arbiter.motion.bounds if self.arbiter.state is ArbiterState.ENGAGED else []
+        if len(sent) < min(len(offered), len(MOTION_FRAMES)):
+            self.arbiter.unsent()
+        return [self._reporter.decision(judged, bounds, len(sent), wall_ns) for judged in outcome.judged]
+
+    def _frames(self, outcome: Outcome, now_ns: int) -> list[Frame]:
+        if outcome.actuation is None:
+            self.is_mute = self.arbiter.is_cut_off
+            self._gate.pause()
+            return []
+        variant = self.arbiter.variant
+        frames = self.maker.make(outcome.actuation, outcome.auxiliary, variant)
+        fault = self._gate.admit(frames, variant, now_ns)
+        if fault is None:
+            self.is_mute = False
+            return frames
+        # Nothing of it goes out. If this was the stop sequence itself, only the guard is left.
+        self.is_mute = self.arbiter.state is ArbiterState.STOPPING
+        self.arbiter.refuse_output(f"{fault.can_id & 0x1FFF_FFFF:08X}: {fault.detail}", now_ns)
+        return []
+
+
+_ENCODER: Final = msgspec.msgpack.Encoder()

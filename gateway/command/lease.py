@@ -1,0 +1,93 @@
+"""The lease: one operator at a time may command the robot, and must keep saying so."""
+
+from __future__ import annotations
+
+from collections import deque
+from random import Random
+from typing import Final
+
+import msgspec
+
+from schemas.reasons import Reason
+from schemas.requests import Role
+
+_NUMBER_BITS: Final = 48
+_ENDED_KEPT: Final = 16
+"""Leases whose end is remembered, so that who lost one is told how."""
+
+
+class Lease(msgspec.Struct, frozen=True):
+    """Who may command.
+
+    Attributes:
+        number: what every request of the holder carries.
+        expires_ns: monotonic time at which it ends unless it is renewed.
+    """
+
+    number: int
+    operator: str
+    role: Role
+    expires_ns: int
+
+
+class LeaseDesk:
+    """Gives, renews and ends leases; one at a time.
+
+    Attributes:
+        lease: the one in force, or None.
+    """
+
+    def __init__(self, duration_ns: int, random: Random) -> None:
+        """A desk without a lease.
+
+        Args:
+            duration_ns: a lease that is not renewed for this long expires.
+            random: where the numbers come from, so that no number of another run fits this one.
+        """
+        self.lease: Lease | None = None
+        self._duration_ns = duration_ns
+        self._random = random
+        self._ended: deque[tuple[int, Reason]] = deque(maxlen=_ENDED_KEPT)
+
+    def acquire(self, operator: str, role: Role, now_ns: int) -> Lease | Reason:
+        """Give the lease, if nobody holds it."""
+        return Reason.LEASE_HELD if self.lease is not None else self._give(operator, role, now_ns)
+
+    def take(self, operator: str, role: Role, now_ns: int) -> Lease | Reason:
+        """Give the lease to someone of a higher or equal role than its holder's."""
+        if self.lease is not None:
+            if role.rank < self.lease.role.rank:
+                return Reason.ROLE_TOO_LOW
+            self.end(Reason.LEASE_TAKEN)
+        return self._give(operator, role, now_ns)
+
+    def refusal(self, number: int, operator: str) -> Reason | None:
+        """Why this number of this operator is not the lease in force, or None if it is."""
+        lease = self.lease
+        if lease is not None and lease.number == number and lease.operator == operator:
+            return None
+        return dict(self._ended).get(number, Reason.NO_LEASE)
+
+    def renew(self, now_ns: int) -> None:
+        """The holder has been heard."""
+        if self.lease is not None:
+            self.lease = msgspec.structs.replace(self.lease, expires_ns=now_ns + self._duration_ns)
+
+    def end(self, reason: Reason) -> None:
+        """End the lease, if there is one."""
+        if self.lease is not None:
+            self._ended.append((self.lease.number, reason))
+            self.lease = None
+
+    def expire(self, now_ns: int) -> Lease | None:
+        """End the lease if its time is over; returns it then."""
+        lease = self.lease
+        if lease is None or now_ns < lease.expires_ns:
+            return None
+        self.end(Reason.LEASE_EXPIRED)
+        return lease
+
+    def _give(self, operator: str, role: Role, now_ns: int) -> Lease:
+        number = self._random.getrandbits(_NUMBER_BITS) + 1
+        self.lease = Lease(number, operator, role, now_ns + self._duration_ns)
+        return self.lease

@@ -1,0 +1,56 @@
+"""The chassis as the arbiter sees it at a tick: where the telemetry flow and the command flow touch."""
+
+from __future__ import annotations
+
+import msgspec
+
+from schemas.messages import GearPosition, Mode, Variant
+from schemas.settings import STANDSTILL_MPS
+
+
+class Observed(msgspec.Struct, frozen=True):
+    """What is known of the chassis, the bus and the guard now. What is not known is None or UNDEFINED.
+
+    Attributes:
+        bus_up: the bus is open.
+        bus_losses: how often it was lost since the start.
+        missing: feedback frames that were never seen, are silent, or say that they are not valid.
+        faulty: feedback frames whose checksums or alive counters have failed.
+        variant: the firmware variant in force; UNKNOWN while there is any doubt.
+        confirmed: evidence from the bus agrees with the variant.
+        speed_mps: the drive feedback, a magnitude.
+        wheel_speed_mps: mean of the rear wheels, signed.
+        turns: the raw drive feedback is not zero: the robot moves, in whatever scale.
+        commander_ns: when another computer's command frame was last heard; None if never.
+        guarded: the guard watches this process.
+        guard_sends: the guard is stopping the robot in our place.
+    """
+
+    bus_up: bool = False
+    bus_losses: int = 0
+    missing: tuple[str, ...] = ()
+    faulty: tuple[str, ...] = ()
+    variant: Variant = Variant.UNKNOWN
+    confirmed: bool = False
+    mode: Mode = Mode.UNDEFINED
+    gear: GearPosition = GearPosition.UNDEFINED
+    speed_mps: float | None = None
+    wheel_speed_mps: float | None = None
+    turns: bool | None = None
+    angle_deg: float | None = None
+    front_bumper: bool | None = None
+    rear_bumper: bool | None = None
+    total_mileage_km: float | None = None
+    commander_ns: int | None = None
+    guarded: bool = False
+    guard_sends: bool = False
+
+    @property
+    def is_slow(self) -> bool:
+        """Both speeds are known and are those of a standing robot."""
+        return (
+            self.speed_mps is not None
+            and self.wheel_speed_mps is not None
+            and self.speed_mps < STANDSTILL_MPS
+            and abs(self.wheel_speed_mps) < STANDSTILL_MPS
+        )

@@ -1,0 +1,165 @@
+"""What the arbiter says, as messages: its state, decisions, events and replies."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from gateway.command.actuation import AT_REST
+from gateway.command.arbiter import COMMANDING, Arbiter, Event
+from gateway.command.causes import BUMPERS
+from gateway.command.request import Answer, Judged
+from gateway.command.verbs import engage_blockers
+from schemas.decisions import (
+    ArbiterState,
+    Bound,
+    Decision,
+    LeaseReply,
+    Reply,
+    SafetyEvent,
+    SafetyState,
+    Verdict,
+)
+from schemas.messages import SEQUENCE_MAX, GearPosition
+from schemas.reasons import TEXTS, Reason
+from schemas.requests import Role
+from schemas.settings import SAFETY_STATE_PERIOD_NS
+from schemas.subjects import BY_VERB
+
+_NS_PER_S: Final = 1e9
+
+
+class Reporter:
+    """Makes the messages of one arbiter, each subject with a sequence of its own."""
+
+    def __init__(self, arbiter: Arbiter) -> None:
+        self._arbiter = arbiter
+        self._sequences: dict[type, int] = {}
+        self._state_due_ns = 0
+        self._said: tuple[object, ...] = ()
+
+    def state(self, now_ns: int, wall_ns: int) -> SafetyState | None:
+        """The arbiter's state, if it is due or something has changed. Its tick counts as published."""
+        arbiter = self._arbiter
+        blocked_by = self._blocked_by(now_ns)
+        lease = arbiter.desk.lease
+        says = (
+            arbiter.state,
+            arbiter.stop_phase,
+            arbiter.stop_reason,
+            lease.number if lease is not None else None,
+            tuple(arbiter.latched),
+            tuple(blocked_by),
+            arbiter.parked,
+        )
+        if now_ns < self._state_due_ns and says == self._said:
+            return None
+        self._said = says
+        self._state_due_ns = now_ns + SAFETY_STATE_PERIOD_NS
+        arbiter.ticks.publish(arbiter.tick_number, now_ns)
+        limits = arbiter.limits if arbiter.state in COMMANDING else arbiter.configured_limits
+        told = arbiter.actuation
+        output = told or AT_REST
+        return SafetyState(
+            time_ns=wall_ns,
+            sequence=self._next(SafetyState),
+            tick=arbiter.tick_number,
+            state=arbiter.state,
+            engaged=arbiter.state is ArbiterState.ENGAGED,
+            stop_reason=arbiter.stop_reason,
+            stop_phase=arbiter.stop_phase,
+            lease_holder=lease.operator if lease is not None else "",
+            lease_role=lease.role if lease is not None else Role.PROGRAM,
+            lease_expires_s=round((lease.expires_ns - now_ns) / _NS_PER_S, 3) if lease is not None else 0.0,
+            latched=list(arbiter.latched),
+            blocked_by=blocked_by,
+            guarded=arbiter.watch.observed.guarded,
+            speed_limit_mps=limits.speed_mps,
+            acceleration_limit_mps2=limits.acceleration_mps2,
+            deceleration_limit_mps2=limits.deceleration_mps2,
+            emergency_deceleration_mps2=limits.emergency_deceleration_mps2,
+            steering_limit_deg=limits.steering_deg,
+            steering_rate_limit_degps=limits.steering_rate_degps,
+            lateral_acceleration_limit_mps2=limits.lateral_acceleration_mps2,
+            target_speed_mps=arbiter.target.speed_mps,
+            target_angle_deg=arbiter.target.angle_deg,
+            output_speed_mps=output.signed_speed_mps,
+            output_angle_deg=output.angle_deg,
+            output_gear=told.gear if told is not None else GearPosition.UNDEFINED,
+            brake_pedal_percent=output.pedal_percent,
+            parking=output.parking,
+        )
+
+    def decision(self, judged: Judged, bounds: list[Bound], frames_sent: int, wall_ns: int) -> Decision:
+        """What became of a request, once it is known what was sent in its tick."""
+        ruling = judged.ruling
+        output = self._arbiter.actuation or AT_REST
+        accepted = ruling.reason is Reason.NONE
+        asked = ruling.asked
+        return Decision(
+            time_ns=wall_ns,
+            sequence=self._next(Decision),
+            tick=self._arbiter.tick_number,
+            request=judged.request.verb[:32],
+            operator=judged.request.operator,
+            lease=ruling.lease,
+            request_sequence=ruling.sequence,
+            age_ms=None if ruling.age_ns is None else ruling.age_ns / 1e6,
+            verdict=Verdict.ACCEPTED if accepted else Verdict.REFUSED,
+            reason=ruling.reason,
+            detail=ruling.text,
+            bound_by=bounds if accepted and asked is not None else [],
+            requested_speed_mps=asked.speed_mps if asked is not None else None,
+            requested_angle_deg=asked.angle_deg if asked is not None else None,
+            output_speed_mps=output.signed_speed_mps,
+            output_angle_deg=output.angle_deg,
+            frames_sent=frames_sent,
+        )
+
+    def event(self, event: Event, wall_ns: int) -> SafetyEvent:
+        """What a person should know."""
+        return SafetyEvent(
+            time_ns=wall_ns,
+            sequence=self._next(SafetyEvent),
+            tick=self._arbiter.tick_number,
+            severity=event.severity,
+            kind=event.kind,
+            reason=event.reason,
+            operator=event.operator,
+            text=event.text,
+        )
+
+    def _blocked_by(self, now_ns: int) -> list[Reason]:
+        """Why the robot stands still, or cannot be engaged."""
+        arbiter = self._arbiter
+        match arbiter.state:
+            case ArbiterState.STANDBY:
+                first = [Reason.NO_LEASE] if arbiter.desk.lease is None else []
+                return [*first, *engage_blockers(arbiter, now_ns), Reason.NOT_ENGAGED]
+            case ArbiterState.STOPPING:
+                return [*dict.fromkeys([*arbiter.latched, arbiter.stop_reason, Reason.STOPPING])]
+            case ArbiterState.ENGAGING:
+                return [Reason.ENGAGING]
+            case _:
+                pressed = [bumper for bumper in BUMPERS if bumper in arbiter.watch.pressed]
+                parked = [Reason.PARKED] if arbiter.parked else []
+                shifting = Bound.GEAR in arbiter.motion.bounds or Bound.REVERSAL in arbiter.motion.bounds
+                return [*pressed, *parked, *([Reason.GEAR_SHIFTING] if shifting else [])]
+
+    def _next(self, kind: type) -> int:
+        sequence = self._sequences.get(kind, 0)
+        self._sequences[kind] = (sequence + 1) & SEQUENCE_MAX
+        return sequence
+
+
+def reply(answer: Answer) -> Reply:
+    """The typed reply to a verb; an unknown verb gets the plainest one."""
+    ruling = answer.ruling
+    command = BY_VERB.get(answer.verb)
+    kind = command.reply if command is not None else Reply
+    accepted = ruling.reason is Reason.NONE
+    text, cure = ruling.text, TEXTS[ruling.reason].cure
+    if kind is LeaseReply and accepted:
+        return LeaseReply(
+            accepted, ruling.reason, text, cure, lease=ruling.lease or 0, expires_s=ruling.expires_ns / _NS_PER_S
+        )
+    return kind(accepted, ruling.reason, text, cure)

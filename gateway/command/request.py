@@ -1,0 +1,74 @@
+"""A request as it comes from the wire, and what was ruled on it."""
+
+from __future__ import annotations
+
+import msgspec
+
+from gateway.command.motion import Target
+from schemas.reasons import TEXTS, Reason
+
+
+class RawRequest(msgspec.Struct, frozen=True):
+    """A request, untrusted.
+
+    Attributes:
+        handle: to whom the reply goes, a number of the port's; 0 for a put, which has no reply.
+        verb: the last chunk of the key.
+        operator: the chunk before it; empty if it is not of the form of an operator's name.
+        payload: the bytes, or nothing if there are more of them than any request has.
+        size: how many there were.
+    """
+
+    handle: int
+    verb: str
+    operator: str
+    payload: bytes
+    size: int
+
+    @property
+    def is_query(self) -> bool:
+        """Somebody waits for a reply."""
+        return self.handle != 0
+
+
+class Ruling(msgspec.Struct, frozen=True):
+    """What was ruled on a request.
+
+    Attributes:
+        reason: NONE if it was accepted.
+        detail: figures that the reason's own text does not have.
+        is_pending: accepted; the reply comes later, when it is known what became of it.
+        lease: what the request names, or what was given.
+        expires_ns: how long the lease lasts from now.
+        sequence, age_ns, asked: a drive command's.
+    """
+
+    reason: Reason = Reason.NONE
+    detail: str = ""
+    is_pending: bool = False
+    lease: int | None = None
+    expires_ns: int = 0
+    sequence: int | None = None
+    age_ns: int | None = None
+    asked: Target | None = None
+
+    @property
+    def text(self) -> str:
+        """The reason in words, with the figures."""
+        means = TEXTS[self.reason].means if self.reason is not Reason.NONE else ""
+        return "; ".join(filter(None, (means, self.detail)))
+
+
+class Judged(msgspec.Struct, frozen=True):
+    """A request and its ruling."""
+
+    request: RawRequest
+    ruling: Ruling
+
+
+class Answer(msgspec.Struct, frozen=True):
+    """A ruling that goes back to who waits for it."""
+
+    handle: int
+    verb: str
+    ruling: Ruling

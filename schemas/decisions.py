@@ -1,0 +1,234 @@
+"""What the arbiter says: replies, decisions, its state, events, and the journal of all that it was given."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Annotated, ClassVar
+
+import msgspec
+from msgspec import Meta
+
+from schemas.messages import (
+    AngleDeg,
+    Count,
+    DurationMs,
+    DurationS,
+    GearPosition,
+    Message,
+    SpeedMps,
+    unit_keyword,
+)
+from schemas.reasons import Reason
+from schemas.requests import LeaseNumber, Role, Tick
+
+AccelerationMps2 = Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("m/s2"))]
+AngleRateDegps = Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("deg/s"))]
+PedalPercent = Annotated[float, Meta(ge=0, le=100, extra_json_schema=unit_keyword("%"))]
+
+
+class Reply(msgspec.Struct, frozen=True):
+    """The reply to a verb. A refusal is a reply like any other.
+
+    Attributes:
+        ok: what was asked for was done, or is under way.
+        reason: why not; ``none`` when ok.
+        detail: the reason in words, with figures.
+        cure: what would make it succeed.
+    """
+
+    version: ClassVar[int] = 1
+
+    ok: bool
+    reason: Reason
+    detail: str
+    cure: str
+
+
+class LeaseReply(Reply, frozen=True):
+    """The reply to acquire, take and renew.
+
+    Attributes:
+        lease: every further request carries it; 0 when refused.
+        expires_s: the lease expires after this time unless it is renewed.
+    """
+
+    lease: LeaseNumber = 0
+    expires_s: DurationS = 0.0
+
+
+class Verdict(Enum):
+    """What became of a request."""
+
+    ACCEPTED = "accepted"
+    REFUSED = "refused"
+
+
+class Bound(Enum):
+    """A limit that changed a drive command."""
+
+    SPEED = "speed"
+    ACCELERATION = "acceleration"
+    DECELERATION = "deceleration"
+    STEERING = "steering"
+    STEERING_RATE = "steering_rate"
+    LATERAL_ACCELERATION = "lateral_acceleration"
+    REVERSAL = "reversal"
+    BUMPER = "bumper"
+    GEAR = "gear"
+    PARKING = "parking"
+
+
+class ArbiterState(Enum):
+    """Where the arbiter is. ``standby``: it sends nothing, and another computer may own the bus."""
+
+    STANDBY = "standby"
+    ENGAGING = "engaging"
+    ENGAGED = "engaged"
+    STOPPING = "stopping"
+
+
+class StopPhase(Enum):
+    """How far a stop has come. ``idle``: no stop is under way."""
+
+    IDLE = "idle"
+    RAMP = "ramp"
+    BRAKE = "brake"
+    NEUTRAL = "neutral"
+    HOLD = "hold"
+    DISABLE = "disable"
+
+
+class Severity(Enum):
+    """How much an event matters to a person."""
+
+    INFO = "info"
+    WARNING = "warning"
+    ERROR = "error"
+
+
+class EventKind(Enum):
+    """What happened."""
+
+    LEASE = "lease"
+    ENGAGED = "engaged"
+    STOP = "stop"
+    STOPPED = "stopped"
+    LATCH = "latch"
+    RESET = "reset"
+    TAKEOVER = "takeover"
+    FAULT = "fault"
+    GUARD = "guard"
+
+
+class SafetyState(Message, frozen=True):
+    """The arbiter, at 20 Hz and whenever something changes.
+
+    Attributes:
+        tick: echo the newest one in each drive command; it tells the arbiter how old the command can be.
+        engaged: drive commands are obeyed.
+        stop_reason: why the stop that is under way, or the last one, was begun.
+        stop_phase: how far it has come.
+        lease_holder: the operator who holds the lease; empty if nobody does.
+        lease_role: the role in which it is held; program if nobody does.
+        lease_expires_s: the lease expires after this time; 0 if nobody holds it.
+        latched: what must be reset before the robot can be engaged.
+        blocked_by: why the robot stands still, or cannot be engaged, now.
+        guarded: a second process watches this one, and stops the robot in its place.
+        speed_limit_mps: the limits in force.
+        target_speed_mps: what the last acceptable drive command asks for.
+        output_speed_mps: what the chassis is told; forward is positive.
+        output_gear: undefined while nothing is sent.
+        parking: the parking brake is asked for.
+    """
+
+    tick: Tick
+    state: ArbiterState
+    engaged: bool
+    stop_reason: Reason
+    stop_phase: StopPhase
+    lease_holder: str
+    lease_role: Role
+    lease_expires_s: DurationS
+    latched: list[Reason]
+    blocked_by: list[Reason]
+    guarded: bool
+    speed_limit_mps: SpeedMps
+    acceleration_limit_mps2: AccelerationMps2
+    deceleration_limit_mps2: AccelerationMps2
+    emergency_deceleration_mps2: AccelerationMps2
+    steering_limit_deg: AngleDeg
+    steering_rate_limit_degps: AngleRateDegps
+    lateral_acceleration_limit_mps2: AccelerationMps2
+    target_speed_mps: SpeedMps
+    target_angle_deg: AngleDeg
+    output_speed_mps: SpeedMps
+    output_angle_deg: AngleDeg
+    output_gear: GearPosition
+    brake_pedal_percent: PedalPercent
+    parking: bool
+
+
+class Decision(Message, frozen=True):
+    """What the arbiter made of one request.
+
+    Attributes:
+        tick: the arbiter's tick in which it was judged.
+        request: the verb.
+        lease: the lease that the request names; null if it names none.
+        request_sequence: a drive command's ``seq``; null for every other request.
+        age_ms: at most this old, by the echoed tick; null if that is not known, or not asked.
+        bound_by: the limits that changed what was asked.
+        requested_speed_mps: a drive command's; null for every other request.
+        requested_angle_deg: the same, as a steering angle.
+        output_speed_mps: what the chassis was told in this tick.
+        output_angle_deg: the same.
+        frames_sent: CAN frames that went out in this tick.
+    """
+
+    tick: Tick
+    request: str
+    operator: str
+    lease: LeaseNumber | None
+    request_sequence: Count | None
+    age_ms: DurationMs | None
+    verdict: Verdict
+    reason: Reason
+    detail: str
+    bound_by: list[Bound]
+    requested_speed_mps: SpeedMps | None
+    requested_angle_deg: AngleDeg | None
+    output_speed_mps: SpeedMps
+    output_angle_deg: AngleDeg
+    frames_sent: Count
+
+
+class SafetyEvent(Message, frozen=True):
+    """What a person should know.
+
+    Attributes:
+        text: what happened, in a sentence.
+        operator: who did it; empty if nobody did.
+    """
+
+    tick: Tick
+    severity: Severity
+    kind: EventKind
+    reason: Reason
+    operator: str
+    text: str
+
+
+class Journal(Message, frozen=True):
+    """All that the core was given, in its order: enough to run it again with the same outcome.
+
+    Attributes:
+        run: a random number of this run of the gateway; with it, the leases come out the same.
+        first: the place of the first input in the order, from 0; a gap between two messages is a loss.
+        count: how many inputs there are.
+        inputs: a MessagePack array of arrays: the kind, the monotonic time in nanoseconds, and the arguments.
+    """
+
+    run: Count
+    first: Count
+    count: Count
+    inputs: bytes

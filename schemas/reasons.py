@@ -1,0 +1,155 @@
+"""The one enumeration of reasons: why a request was refused, why the robot was stopped, why it stands still."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Final
+
+import msgspec
+
+
+class Reason(Enum):
+    """Why. What each means and what would cure it: docs/commands.md. ``none`` where all is well."""
+
+    NONE = "none"
+
+    # The request itself.
+    MALFORMED = "malformed"
+    TOO_LARGE = "too_large"
+    UNKNOWN_VERB = "unknown_verb"
+    BUSY = "busy"
+
+    # The lease.
+    NO_LEASE = "no_lease"
+    LEASE_HELD = "lease_held"
+    ROLE_TOO_LOW = "role_too_low"
+    LEASE_TAKEN = "lease_taken"
+    LEASE_RELEASED = "lease_released"
+    LEASE_EXPIRED = "lease_expired"
+
+    # The age of a command.
+    SEQUENCE = "sequence"
+    TICK_UNKNOWN = "tick_unknown"
+    TOO_OLD = "too_old"
+    DEADMAN = "deadman"
+
+    # What the robot is doing.
+    NOT_ENGAGED = "not_engaged"
+    ENGAGING = "engaging"
+    ALREADY_ENGAGED = "already_engaged"
+    STOPPING = "stopping"
+    MOVING = "moving"
+    PARKED = "parked"
+    GEAR_SHIFTING = "gear_shifting"
+    COMMAND_NOT_ZERO = "command_not_zero"
+    NOT_CONFIRMED = "not_confirmed"
+    DISENGAGED = "disengaged"
+    SUPERSEDED = "superseded"
+
+    # The chassis.
+    BUS_DOWN = "bus_down"
+    FEEDBACK_MISSING = "feedback_missing"
+    FEEDBACK_FAULTY = "feedback_faulty"
+    VARIANT_UNKNOWN = "variant_unknown"
+    HAND_TRANSMITTER = "hand_transmitter"
+    MODE_NOT_AUTO = "mode_not_auto"
+    FRONT_BUMPER = "front_bumper"
+    REAR_BUMPER = "rear_bumper"
+    IMPLAUSIBLE_SPEED = "implausible_speed"
+    FOUND_MOVING = "found_moving"
+    OTHER_COMMANDER = "other_commander"
+
+    # The gateway.
+    REMOTE_STOP = "remote_stop"
+    LOOP_LATE = "loop_late"
+    SEND_FAILED = "send_failed"
+    GATE = "gate"
+    GUARD = "guard"
+    UNGUARDED = "unguarded"
+    SHUTDOWN = "shutdown"
+
+
+class Text(msgspec.Struct, frozen=True):
+    """A reason in words.
+
+    Attributes:
+        means: what it is.
+        cure: what would cure it.
+    """
+
+    means: str
+    cure: str
+
+
+_AGAIN: Final = "look at safety/state, then engage again"
+_RESET: Final = "clear the cause, then reset, then engage again"
+
+TEXTS: Final[dict[Reason, Text]] = {
+    Reason.NONE: Text("nothing is wrong", ""),
+    Reason.MALFORMED: Text("the request is not what its schema says", "send the fields that the schema names"),
+    Reason.TOO_LARGE: Text(
+        "the request is larger than any request can be", "send the fields that the schema names"
+    ),
+    Reason.UNKNOWN_VERB: Text(
+        "there is no such verb, or it is not asked for in this way", "see the command table"
+    ),
+    Reason.BUSY: Text("the same is under way already", "wait for its reply"),
+    Reason.NO_LEASE: Text(
+        "this lease is not in force", "acquire the lease, and use the number that the reply gives"
+    ),
+    Reason.LEASE_HELD: Text("someone else holds the lease", "wait until it is released or expires, or take it"),
+    Reason.ROLE_TOO_LOW: Text("the holder's role is higher", "ask the holder, or take it in a higher role"),
+    Reason.LEASE_TAKEN: Text("someone else has taken the lease", "acquire or take it again"),
+    Reason.LEASE_RELEASED: Text("the lease was given back", "acquire the lease again"),
+    Reason.LEASE_EXPIRED: Text("the lease was not renewed in time", "acquire the lease again; renew it or drive"),
+    Reason.SEQUENCE: Text("the sequence number does not rise", "let seq rise with each drive command of a lease"),
+    Reason.TICK_UNKNOWN: Text(
+        "the echoed tick was not published lately, so the command's age is not known",
+        "echo the newest tick of safety/state",
+    ),
+    Reason.TOO_OLD: Text("the command is too old", "echo the newest tick of safety/state; mend the link"),
+    Reason.DEADMAN: Text(
+        "no acceptable drive command came in time", "keep the stream of drive commands, and engage"
+    ),
+    Reason.NOT_ENGAGED: Text("the robot is not engaged", "engage first"),
+    Reason.ENGAGING: Text("the robot is being engaged", "wait until safety/state says engaged"),
+    Reason.ALREADY_ENGAGED: Text("the robot is engaged already", "drive, or disengage first"),
+    Reason.STOPPING: Text("the stop sequence is under way", "wait until it has ended"),
+    Reason.MOVING: Text("the robot moves", "stop it first"),
+    Reason.PARKED: Text("the parking brake is applied", "unpark first"),
+    Reason.GEAR_SHIFTING: Text("the gear is being changed", "wait"),
+    Reason.COMMAND_NOT_ZERO: Text("the drive command is not zero", "command zero speed first"),
+    Reason.NOT_CONFIRMED: Text("the chassis did not confirm it in time", "look at the chassis and its feedback"),
+    Reason.DISENGAGED: Text("the holder of the lease disengaged", "engage again"),
+    Reason.SUPERSEDED: Text("something else came in between", _AGAIN),
+    Reason.BUS_DOWN: Text("the CAN bus is not there", "look at gateway/health for why"),
+    Reason.FEEDBACK_MISSING: Text("feedback of the chassis is missing", "look at gateway/health for which frames"),
+    Reason.FEEDBACK_FAULTY: Text(
+        "feedback of the chassis fails its checksum or counter", "look at gateway/health for which frames"
+    ),
+    Reason.VARIANT_UNKNOWN: Text(
+        "the firmware variant, and with it the scale of speeds, is not known",
+        "let the robot stand still with its feedback on the bus",
+    ),
+    Reason.HAND_TRANSMITTER: Text(
+        "the hand transmitter has the robot", "switch the transmitter's SA to command control, then engage again"
+    ),
+    Reason.MODE_NOT_AUTO: Text("the chassis does not read auto", _AGAIN),
+    Reason.FRONT_BUMPER: Text("the front bumper was hit", "reset, then drive backward until it is clear"),
+    Reason.REAR_BUMPER: Text("the rear bumper was hit", "reset, then drive forward until it is clear"),
+    Reason.IMPLAUSIBLE_SPEED: Text("the speeds do not fit each other or the command", _RESET),
+    Reason.FOUND_MOVING: Text("the chassis was found in auto and moving, and nobody commanded it", _AGAIN),
+    Reason.OTHER_COMMANDER: Text("another computer commands the chassis on the bus", "end the other one first"),
+    Reason.REMOTE_STOP: Text("a remote stop was received", "reset, then engage again"),
+    Reason.LOOP_LATE: Text("the gateway's loop was late", _RESET),
+    Reason.SEND_FAILED: Text("the bus does not take our frames", _RESET),
+    Reason.GATE: Text("the last gate before the bus refused a frame: a fault of the gateway's own", _RESET),
+    Reason.GUARD: Text("the guard has stopped the robot in place of the gateway", _RESET),
+    Reason.UNGUARDED: Text(
+        "no guard watches the gateway, not yet or not on this interface",
+        "wait a second; else use an interface that several processes can open, or accept it with "
+        "gateway.accept_unguarded",
+    ),
+    Reason.SHUTDOWN: Text("the gateway is ending", "wait until it is back"),
+}
+"""Every reason in words; a test holds that none is missing."""

@@ -1,0 +1,145 @@
+"""What a client asks of a robot: one typed request for each verb, untrusted until the arbiter has judged it.
+
+A request is a MessagePack map like every message. Unlike in messages, a field that is not known is an error:
+whoever sent it meant something by it, and a command that is obeyed in part is worse than one that is refused.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Annotated, ClassVar, Final
+
+import msgspec
+from msgspec import Meta
+
+from schemas.messages import AngleDeg, SpeedMps, YawRateRadps, unit_keyword
+
+LEASE_MAX: Final = 2**53 - 1
+"""The largest whole number that every language's numbers hold exactly."""
+
+TICK_MAX: Final = 2**53 - 1
+
+LeaseNumber = Annotated[int, Meta(ge=0, le=LEASE_MAX, description="The number that acquire or take gave.")]
+Tick = Annotated[int, Meta(ge=0, le=TICK_MAX)]
+CurvatureInverseM = Annotated[
+    float, Meta(description="One over the radius; left is positive.", extra_json_schema=unit_keyword("1/m"))
+]
+
+
+class Role(Enum):
+    """What a holder of the lease is: program, operator, or highest supervisor. An equal one may take it too."""
+
+    PROGRAM = "program"
+    OPERATOR = "operator"
+    SUPERVISOR = "supervisor"
+
+    @property
+    def rank(self) -> int:
+        """Higher outranks lower."""
+        return list(Role).index(self)
+
+
+class Request(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What every request is."""
+
+    version: ClassVar[int] = 1
+
+
+class Acquire(Request, frozen=True, forbid_unknown_fields=True):
+    """Ask for the lease of a robot that nobody holds."""
+
+    role: Role = Role.OPERATOR
+
+
+class Take(Request, frozen=True, forbid_unknown_fields=True):
+    """Take the lease from whoever holds it; it is told to the one who loses it.
+
+    Attributes:
+        override: take it although the robot moves; it is stopped first.
+    """
+
+    role: Role = Role.OPERATOR
+    override: bool = False
+
+
+class Leased(Request, frozen=True, forbid_unknown_fields=True):
+    """A request that only the holder of the lease may make."""
+
+    lease: LeaseNumber
+
+
+class Renew(Leased, frozen=True, forbid_unknown_fields=True):
+    """Keep the lease; an acceptable drive command does so too."""
+
+
+class Release(Leased, frozen=True, forbid_unknown_fields=True):
+    """Give the lease back. An engaged robot is stopped."""
+
+
+class Engage(Leased, frozen=True, forbid_unknown_fields=True):
+    """Take command of the chassis, standing still. The reply comes when the chassis reads auto, or when it failed.
+
+    Attributes:
+        speed_limit_mps: a lower speed limit than the configured one, until the robot is disengaged.
+    """
+
+    speed_limit_mps: SpeedMps | None = None
+
+
+class Disengage(Leased, frozen=True, forbid_unknown_fields=True):
+    """Stop in a controlled way, and give up command of the chassis. Nothing is latched."""
+
+
+class Reset(Leased, frozen=True, forbid_unknown_fields=True):
+    """Clear what is latched, once its cause is gone and the robot stands."""
+
+
+class Park(Leased, frozen=True, forbid_unknown_fields=True):
+    """Apply the parking brake of a standing, engaged robot."""
+
+
+class Unpark(Leased, frozen=True, forbid_unknown_fields=True):
+    """Release the parking brake of a standing, engaged robot."""
+
+
+class Light(Leased, frozen=True, forbid_unknown_fields=True):
+    """Set the lamps that are the upper layer's. All false ends it."""
+
+    headlamp: bool = False
+    left: bool = False
+    right: bool = False
+
+
+class Horn(Leased, frozen=True, forbid_unknown_fields=True):
+    """Sound the horn, or end it."""
+
+    on: bool
+
+
+class ClearOdometer(Leased, frozen=True, forbid_unknown_fields=True):
+    """Set the total mileage to zero. The reply comes when the mileage reads zero, or when it failed to."""
+
+
+class Stop(Request, frozen=True, forbid_unknown_fields=True):
+    """The remote stop, from anyone. Its payload is never read: any bytes will do.
+
+    It is no emergency stop: that is the button on the robot.
+    """
+
+
+class Drive(Leased, frozen=True, forbid_unknown_fields=True):
+    """One command of the stream that moves the robot. Exactly one of angle, curvature and yaw rate is given.
+
+    Attributes:
+        seq: rises by at least 1 with each command of a lease.
+        tick: the newest ``tick`` of ``safety/state`` that the sender has seen; it bounds the command's age.
+        speed_mps: forward is positive.
+        angle_deg: steering angle of the bicycle model.
+    """
+
+    seq: Annotated[int, Meta(ge=0, le=2**53 - 1)]
+    tick: Tick
+    speed_mps: SpeedMps
+    angle_deg: AngleDeg | None = None
+    curvature_1pm: CurvatureInverseM | None = None
+    yaw_rate_radps: YawRateRadps | None = None

@@ -1,0 +1,124 @@
+"""An arbiter with a chassis that follows at once; no frames, no bus."""
+
+import msgspec
+
+from gateway.command.arbiter import Arbiter, Event, Outcome
+from gateway.command.observed import Observed
+from gateway.command.request import RawRequest, Ruling
+from schemas.decisions import EventKind
+from schemas.messages import GearPosition, Mode, Variant
+from schemas.settings import CommandSettings, GatewaySettings, Settings
+
+MS = 1_000_000
+STANDING = Observed(
+    bus_up=True,
+    variant=Variant.COARSE,
+    confirmed=True,
+    mode=Mode.STOP,
+    gear=GearPosition.PARK,
+    speed_mps=0.0,
+    wheel_speed_mps=0.0,
+    turns=False,
+    angle_deg=0.0,
+    front_bumper=False,
+    rear_bumper=False,
+    total_mileage_km=1.0,
+    guarded=True,
+)
+
+
+class Bench:
+    """Time, requests, and what the chassis shows.
+
+    Attributes:
+        changes: what is observed otherwise than a chassis that follows at once shows it.
+    """
+
+    def __init__(self, command: CommandSettings | None = None, *, accept_unguarded: bool = False) -> None:
+        self.arbiter = Arbiter(
+            Settings(
+                command=command or CommandSettings(),
+                gateway=GatewaySettings(accept_unguarded=accept_unguarded),
+            ),
+            7,
+        )
+        self.now_ns = 0
+        self.changes: dict[str, object] = {}
+        self.outcome: Outcome | None = None
+        self.events: list[Event] = []
+        self.lease = 0
+        self.sequence = 0
+        self.tick(count=6)
+
+    @property
+    def observed(self) -> Observed:
+        """A chassis that obeys what it was told in the last tick."""
+        told = self.arbiter.actuation
+        seen = STANDING
+        if told is not None and told.enabled:
+            seen = msgspec.structs.replace(
+                STANDING,
+                mode=Mode.AUTO,
+                gear=GearPosition.PARK if told.parking else told.gear,
+                speed_mps=told.speed_mps,
+                wheel_speed_mps=told.signed_speed_mps,
+                turns=told.speed_mps > 0,
+                angle_deg=told.angle_deg,
+            )
+        return msgspec.structs.replace(seen, **self.changes)
+
+    def tick(self, requests: list[RawRequest] | None = None, *, count: int = 1, late_ns: int = 0) -> Outcome:
+        """Ticks; the requests come in the first."""
+        for _ in range(count):
+            self.now_ns += 10 * MS
+            self.arbiter.ticks.publish(self.arbiter.tick_number, self.now_ns)
+            self.outcome = self.arbiter.tick(self.observed, requests or [], self.now_ns, late_ns)
+            self.events += self.outcome.events
+            requests = None
+        assert self.outcome is not None
+        return self.outcome
+
+    def send(
+        self, verb: str, payload: bytes, operator: str = "first", *, handle: int = 1, size: int | None = None
+    ) -> Ruling:
+        """A request by its bytes; its ruling."""
+        length = len(payload) if size is None else size
+        return self.tick([RawRequest(handle, verb, operator, payload, length)]).judged[0].ruling
+
+    def ask(self, verb: str, operator: str = "first", **fields: object) -> Ruling:
+        """A query of the holder, with the bench's lease unless it names another."""
+        if verb not in {"acquire", "take", "stop"}:
+            fields = {"lease": self.lease} | fields
+        ruling = self.send(verb, msgspec.msgpack.encode(fields), operator)
+        if verb in {"acquire", "take"} and ruling.lease is not None:
+            self.lease, self.sequence = ruling.lease, 0
+        return ruling
+
+    def drive(self, speed_mps: float = 0.0, **fields: object) -> Ruling:
+        """A drive command that echoes the newest tick."""
+        self.sequence += 1
+        asked: dict[str, object] = {
+            "lease": self.lease,
+            "seq": self.sequence,
+            "tick": self.arbiter.tick_number,
+            "speed_mps": speed_mps,
+            "angle_deg": 0.0,
+        }
+        return self.send("drive", msgspec.msgpack.encode(asked | fields), handle=0)
+
+    def engage(self) -> None:
+        """Acquire, engage, unpark."""
+        self.ask("acquire")
+        self.ask("engage")
+        self.tick(count=2)
+        self.drive()
+        self.ask("unpark")
+
+    def drive_for(self, ticks: int, speed_mps: float) -> None:
+        """A stream."""
+        for _ in range(ticks):
+            self.drive(speed_mps)
+
+    def told(self, kind: EventKind) -> list[Event]:
+        """The events of a kind."""
+        return [event for event in self.events if event.kind is kind]

@@ -1,0 +1,351 @@
+"""The whole gateway with a simulated chassis, in simulated time: requests in, the chassis's motion out.
+
+The rig is a witness too. Each tick it reads the frames that went out, with the DBC's own decoder, and holds what
+must always be true, whatever a test does.
+"""
+
+from collections.abc import Callable
+from math import radians, tan
+
+import msgspec
+
+from gateway.chassis.decode import Decoded, Decoder, Value
+from gateway.chassis.frame import Frame
+from gateway.chassis.layout import load
+from gateway.command.frames import MOTION_FRAMES
+from gateway.command.request import RawRequest
+from gateway.core import Core
+from gateway.sim.faults import FaultLine, parse
+from gateway.sim.model import VirtualChassis
+from gateway.telemetry.health import Links
+from gateway.telemetry.sample import Sample
+from schemas import codec, decisions
+from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState
+from schemas.messages import Variant
+from schemas.reasons import Reason
+from schemas.settings import ChassisSettings, CommandSettings, Settings
+from schemas.subjects import BY_NAME, BY_VERB
+
+MS = 1_000_000
+TICK = 10 * MS
+WALL_NS = 1_700_000_000_000_000_000
+GUARDED = Links(bus_up=True, guarded=True)
+
+Signals = dict[str, Value]
+DRIVE_CAN_ID = load(Variant.COARSE).messages["Auto_DriveCmd"].can_id
+
+
+class LoopRig:
+    """A gateway's core, a chassis, and time.
+
+    Attributes:
+        links: what the loop sees of the bus and of the guard.
+        takes: how many frames of a tick the bus takes; None for all.
+        corrupt: what becomes of a feedback frame on its way; None is lost.
+        wall_ns: the wall clock.
+        late_ns: how late the next tick begins.
+        state, events, decided, replies: what was published and replied.
+        bursts: all motion frames that went out, read by the DBC: the time, and the signals by frame.
+        out: all frames that went out.
+        heard: the raw speeds of all drive frames that reached the chassis.
+        faults: the words of the faults so far.
+        chassis_hears: frames reach the chassis.
+    """
+
+    def __init__(
+        self,
+        variant: Variant = Variant.COARSE,
+        command: CommandSettings | None = None,
+        *,
+        configured: str = "auto",
+        run: int = 7,
+        now_ns: int = 0,
+    ) -> None:
+        self.settings = Settings(
+            command=command or CommandSettings(),
+            chassis=ChassisSettings(variant=configured),  # type: ignore[arg-type]
+        )
+        self.now_ns = now_ns
+        self.core = Core(self.settings, "1.2.3", now_ns, run)
+        self.chassis = VirtualChassis(load(variant), now_ns)
+        self.links = GUARDED
+        self.takes: int | None = None
+        self.corrupt: Callable[[Frame], Frame | None] = lambda frame: frame
+        self.wall_ns = WALL_NS
+        self.late_ns = 0
+        self.chassis_hears = True
+        self.state: SafetyState | None = None
+        self.events: list[SafetyEvent] = []
+        self.decided: list[Decision] = []
+        self.replies: dict[int, decisions.Reply] = {}
+        self.bursts: list[tuple[int, dict[str, Signals]]] = []
+        self.out: list[Frame] = []
+        self.heard: list[int] = []
+        self.faults: list[str] = []
+        self._decoder = Decoder(load(variant))
+        self._requests: list[RawRequest] = []
+        self._handles = 0
+        self._counters: dict[int, int] = {}
+        self._latched: set[Reason] = set()
+
+    @property
+    def says(self) -> SafetyState:
+        """The newest safety/state."""
+        assert self.state is not None
+        return self.state
+
+    @property
+    def speed_mps(self) -> float:
+        """How fast the robot really is, signed."""
+        return self.chassis.state.speed_mps
+
+    @property
+    def told(self) -> dict[str, Signals]:
+        """The burst of the last tick; empty if there was none."""
+        return self.bursts[-1][1] if self.bursts and self.bursts[-1][0] == self.now_ns else {}
+
+    @property
+    def told_mps(self) -> float:
+        """The speed that the chassis was told in the last tick, a magnitude."""
+        return float(self.told["Auto_DriveCmd"]["TargetVelocity"]) if self.told else 0.0
+
+    def fault(self, text: str) -> None:
+        """A fault of the chassis, now."""
+        line = parse(text)
+        assert isinstance(line, FaultLine), line
+        self.faults.append(text)
+        self.chassis.inject(line, self.now_ns)
+
+    def put(self, operator: str, verb: str, payload: bytes) -> None:
+        """A put, judged in the next tick."""
+        self._requests.append(RawRequest(0, verb, operator, payload, len(payload)))
+
+    def query(self, operator: str, verb: str, payload: bytes) -> int:
+        """A query; its reply will be under the number that is returned."""
+        self._handles += 1
+        self._requests.append(RawRequest(self._handles, verb, operator, payload, len(payload)))
+        return self._handles
+
+    def tick(self, count: int = 1) -> None:
+        """Ten milliseconds pass, so many times."""
+        for _ in range(count):
+            self.now_ns += TICK + self.late_ns
+            self.wall_ns += TICK + self.late_ns
+            self._tick(self.late_ns)
+
+    def run(self, seconds: float) -> None:
+        """Time passes."""
+        self.tick(round(seconds * 100))
+
+    def until(self, holds: Callable[[], bool], seconds: float = 5.0) -> None:
+        """Time passes until this holds."""
+        for _ in range(round(seconds * 100)):
+            if holds():
+                return
+            self.tick()
+        assert holds(), f"not within {seconds} s: {self.state}"
+
+    def ruled(self) -> Reason:
+        """The reason of the last decision."""
+        return self.decided[-1].reason
+
+    def event_reasons(self, kind: decisions.EventKind) -> list[Reason]:
+        """The reasons of the events of a kind, in their order."""
+        return [event.reason for event in self.events if event.kind is kind]
+
+    def _tick(self, late_ns: int) -> None:
+        for frame in self.chassis.advance(self.now_ns, self.wall_ns):
+            arrived = self.corrupt(frame)
+            if arrived is not None:
+                self.core.receive_frame(arrived, self.now_ns)
+        requests, self._requests = self._requests, []
+        for request in requests:
+            self.core.receive_request(request, self.now_ns)
+        self.core.observe_links(self.links, self.now_ns)
+        due = self.core.tick(self.now_ns, self.wall_ns, late_ns)
+        taken = due.frames[: self.takes]
+        for frame in taken:
+            self._send(frame)
+        for reply in due.replies:
+            kind = BY_VERB[reply.verb].reply if reply.verb in BY_VERB else decisions.Reply
+            assert reply.handle not in self.replies, "a query has one reply"
+            self.replies[reply.handle] = msgspec.msgpack.decode(reply.payload, type=kind)
+        for sample in [*due.samples, *self.core.sent(len(taken), self.now_ns, self.wall_ns)]:
+            if sample.subject.startswith("safety/"):
+                self._read(sample)
+        self._witness(due.frames, taken)
+
+    def _send(self, frame: Frame) -> None:
+        self.out.append(frame)
+        if self.chassis_hears:
+            if frame.can_id == DRIVE_CAN_ID:
+                self.heard.append(int.from_bytes(frame.data[1:3], "little"))
+            self.chassis.receive(frame, self.now_ns)
+
+    def _read(self, sample: Sample) -> None:
+        message = codec.decode(BY_NAME[sample.subject], sample.payload)
+        match message:
+            case SafetyState():
+                self.state = message
+            case SafetyEvent():
+                self.events.append(message)
+            case Decision():
+                self.decided.append(message)
+            case _:
+                raise AssertionError(message)
+
+    # What must always be true.
+
+    def _witness(self, offered: list[Frame], taken: list[Frame]) -> None:
+        command = self.core.command
+        assert command is not None
+        arbiter = command.arbiter
+        assert Reason.GATE not in arbiter.latched, f"the gate refused: {arbiter.latched}"
+        assert command.is_mute is arbiter.is_cut_off, "mute for want of a bus only"
+        reset = any(d.request == "reset" and d.reason is Reason.NONE for d in self.decided[-4:])
+        assert reset or self._latched <= arbiter.latched.keys(), "a latch cleared itself"
+        self._latched = set(arbiter.latched)
+        if arbiter.state is ArbiterState.STANDBY:
+            assert not offered, "standing by is silent"
+        for frame in taken:
+            last = self._counters.get(frame.can_id)
+            assert last is None or frame.data[6] >> 4 == (last + 1) % 16
+            self._counters[frame.can_id] = frame.data[6] >> 4
+        if len(taken) < len(MOTION_FRAMES):
+            return
+        signals: dict[str, Signals] = {}
+        for frame in taken:
+            decoded = self._decoder.decode(frame)
+            assert isinstance(decoded, Decoded), decoded
+            signals[decoded.layout.name] = decoded.signals
+        assert tuple(signals)[:5] == MOTION_FRAMES
+        self._witness_motion(signals)
+        self.bursts.append((self.now_ns, signals))
+
+    def _witness_motion(self, signals: dict[str, Signals]) -> None:
+        arbiter = self.core.command.arbiter  # type: ignore[union-attr]
+        speed_mps = float(signals["Auto_DriveCmd"]["TargetVelocity"])
+        gear = signals["Auto_GearCmd"]["TargetGear"]
+        angle_deg = float(signals["Auto_SteeringCmd"]["TargetAngle"])
+        enables = {signals[name]["Enable"] for name in MOTION_FRAMES}
+        assert len(enables) == 1, "all five enables or none"
+        assert gear in {"reverse", "neutral", "drive"}
+        limits = arbiter.limits if arbiter.state in {ArbiterState.ENGAGED, ArbiterState.ENGAGING} else None
+        lateral_mps2 = speed_mps**2 * tan(radians(abs(angle_deg))) / 0.660
+        assert lateral_mps2 <= self.settings.command.lateral_acceleration_mps2 + 0.02
+        assert abs(angle_deg) <= self.settings.command.steering_limit_deg + 0.03
+        if limits is not None:
+            assert speed_mps <= limits.speed_mps + 1e-6
+        before = self.bursts[-1] if self.bursts and self.now_ns - self.bursts[-1][0] <= TICK else None
+        before_mps = float(before[1]["Auto_DriveCmd"]["TargetVelocity"]) if before is not None else None
+        if speed_mps:
+            assert enables == {True}
+            assert gear != "neutral"
+            assert not signals["Auto_ParkingCmd"]["ParkingRequest"]
+            if arbiter.state is ArbiterState.ENGAGED:
+                lease = arbiter.desk.lease
+                assert lease is not None, "motion without a lease"
+                assert self.now_ns < lease.expires_ns, "motion without a live lease"
+                assert self.now_ns - arbiter.fresh_ns <= self.settings.command.deadman_s * 1e9, "a stale command"
+            else:
+                assert arbiter.state is ArbiterState.STOPPING, "only a stop goes on with a speed"
+                assert before_mps is None or speed_mps <= before_mps + 1e-9, "a stop never speeds up"
+        if before is not None and before_mps is not None:
+            self._witness_step(signals, before[1], speed_mps - before_mps)
+
+    def _witness_step(self, signals: dict[str, Signals], before: dict[str, Signals], rise_mps: float) -> None:
+        bit_mps = 0.0401 if self.chassis.state.variant is Variant.COARSE else 0.00101
+        command = self.settings.command
+        assert rise_mps <= command.acceleration_mps2 * 0.01 + bit_mps
+        step_deg = float(signals["Auto_SteeringCmd"]["TargetAngle"]) - float(
+            before["Auto_SteeringCmd"]["TargetAngle"]
+        )
+        assert abs(step_deg) <= command.steering_rate_degps * 0.01 + 0.06
+        gears = {signals["Auto_GearCmd"]["TargetGear"], before["Auto_GearCmd"]["TargetGear"]}
+        if len(gears) > 1:
+            assert "neutral" in gears
+            assert not before["Auto_DriveCmd"]["TargetVelocity"]
+
+
+class Operator:
+    """Somebody with a lease.
+
+    Attributes:
+        lease: the number, once it was given.
+        sequence: that of the last drive command.
+    """
+
+    def __init__(self, rig: LoopRig, name: str = "first") -> None:
+        self.rig = rig
+        self.name = name
+        self.lease = 0
+        self.sequence = 0
+
+    def ask(self, verb: str, **fields: object) -> int:
+        """Send a query."""
+        if verb not in {"acquire", "take", "stop"}:
+            fields = {"lease": self.lease, **fields}
+        return self.rig.query(self.name, verb, msgspec.msgpack.encode(fields))
+
+    def reason(self, verb: str, **fields: object) -> Reason:
+        """Ask, and let a tick pass; the reply's reason."""
+        handle = self.ask(verb, **fields)
+        self.rig.tick()
+        return self.rig.replies[handle].reason
+
+    def take_lease(self, verb: str = "acquire", **fields: object) -> Reason:
+        """Acquire or take; remembers the number."""
+        handle = self.ask(verb, **fields)
+        self.rig.tick()
+        reply = self.rig.replies[handle]
+        assert isinstance(reply, decisions.LeaseReply)
+        if reply.ok:
+            self.lease, self.sequence = reply.lease, 0
+        return reply.reason
+
+    def drive_payload(self, speed_mps: float, angle_deg: float = 0.0, **fields: object) -> bytes:
+        """A drive command that echoes the newest tick."""
+        self.sequence += 1
+        made: dict[str, object] = {
+            "lease": self.lease,
+            "seq": self.sequence,
+            "tick": self.rig.says.tick,
+            "speed_mps": speed_mps,
+            "angle_deg": angle_deg,
+        }
+        return msgspec.msgpack.encode(made | fields)
+
+    def drive(self, speed_mps: float, angle_deg: float = 0.0, seconds: float = 0.0) -> None:
+        """Drive at 50 Hz for a time; without one, a single command."""
+        for _ in range(max(1, round(seconds * 50))):
+            self.rig.put(self.name, "drive", self.drive_payload(speed_mps, angle_deg))
+            self.rig.tick(2)
+
+    def engage(self, **fields: object) -> None:
+        """Acquire, engage and unpark."""
+        if not self.lease:
+            assert self.take_lease() is Reason.NONE
+        handle = self.ask("engage", **fields)
+        self.rig.until(lambda: handle in self.rig.replies)
+        assert self.rig.replies[handle].ok, self.rig.replies[handle]
+        self.rig.until(lambda: self.rig.says.engaged)
+        self.drive(0.0)
+        assert self.reason("unpark") is Reason.NONE
+
+
+def ready(variant: Variant = Variant.COARSE, command: CommandSettings | None = None) -> tuple[LoopRig, Operator]:
+    """A robot that stands and that anybody may engage."""
+    rig = LoopRig(variant, command)
+    rig.run(0.6)
+    return rig, Operator(rig)
+
+
+def driving(
+    speed_mps: float = 1.0, angle_deg: float = 0.0, variant: Variant = Variant.COARSE
+) -> tuple[LoopRig, Operator]:
+    """A robot that is being driven at this speed."""
+    rig, operator = ready(variant)
+    operator.engage()
+    operator.drive(speed_mps, angle_deg, 0.5 + abs(speed_mps) / 0.8 + 0.5)
+    assert abs(rig.speed_mps - speed_mps) < 0.06, rig.speed_mps
+    return rig, operator

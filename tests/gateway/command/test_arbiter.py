@@ -1,0 +1,462 @@
+"""The arbiter's states, causes and outputs."""
+
+import pytest
+
+from gateway.command.motion import Target
+from gateway.command.request import Ruling
+from schemas.decisions import ArbiterState, EventKind, Severity, StopPhase
+from schemas.messages import GearPosition, Mode, Variant
+from schemas.reasons import Reason
+from schemas.settings import CommandSettings
+from tests.gateway.command.arbiter_bench import MS, Bench
+
+
+def engaged(**command: float) -> Bench:
+    """An engaged robot."""
+    bench = Bench(CommandSettings(**command))
+    bench.engage()
+    return bench
+
+
+def test_standing_by_is_silent() -> None:
+    """Row 'standing by: silent on the bus'."""
+    bench = Bench()
+    for _ in range(50):
+        assert bench.tick().actuation is None
+
+
+def test_engaging_gives_five_enables_with_zero_speed_until_it_reads_auto() -> None:
+    """Row 'engage: then five enables with zero speed, and mode must read auto'; the reply comes then."""
+    bench = Bench()
+    bench.changes = {"angle_deg": 7.0, "mode": Mode.STOP}
+    bench.ask("acquire")
+    assert bench.ask("engage").is_pending
+    for _ in range(20):
+        told = bench.arbiter.actuation
+        assert told is not None
+        assert (told.enabled, told.gear, told.speed_mps, told.parking) == (True, GearPosition.NEUTRAL, 0.0, True)
+        assert told.angle_deg == 7.0, "the wheels stay where they are"
+        assert bench.tick().answers == []
+    bench.changes = {}
+    [answer] = bench.tick().answers
+    assert (answer.verb, answer.ruling.reason) == ("engage", Reason.NONE)
+    assert bench.arbiter.state is ArbiterState.ENGAGED
+    assert [event.operator for event in bench.told(EventKind.ENGAGED)] == ["first"]
+    assert bench.arbiter.target == Target(0.0, 7.0), "until the first command nothing changes"
+
+
+def test_what_failed_before_does_not_count_after_engaging() -> None:
+    """The bus takes our frames again, or we shall see."""
+    bench = Bench()
+    bench.arbiter.watch.send_failures = 9
+    bench.ask("acquire")
+    bench.ask("engage")
+    assert bench.arbiter.watch.send_failures == 0
+    assert bench.arbiter.state is ArbiterState.ENGAGING
+
+
+def test_a_chassis_that_reads_auto_already_confirms_nothing() -> None:
+    """By somebody's old enables: first ours have to be sent."""
+    bench = Bench()
+    bench.changes = {"mode": Mode.AUTO}
+    bench.ask("acquire")
+    bench.ask("engage")
+    before = bench.arbiter.state
+    bench.tick()
+    assert (before, bench.arbiter.state) == (ArbiterState.ENGAGING, ArbiterState.ENGAGED)
+
+
+def test_a_chassis_that_does_not_read_auto_in_a_second_is_not_engaged() -> None:
+    """Row 'engage: mode must read auto within 1 s'."""
+    bench = Bench()
+    bench.changes = {"mode": Mode.STOP}
+    bench.ask("acquire")
+    bench.ask("engage")
+    bench.tick(count=99)
+    before = bench.arbiter.state
+    [answer] = bench.tick().answers
+    assert answer.ruling.reason is Reason.NOT_CONFIRMED
+    assert (before, bench.arbiter.state) == (ArbiterState.ENGAGING, ArbiterState.STOPPING)
+
+
+def test_a_bench_told_nothing_yet_stops_by_what_is_seen() -> None:
+    """Engage and stop in one tick: the sequence begins at rest."""
+    bench = Bench()
+    bench.ask("acquire")
+    bench.changes = {"mode": Mode.STOP}
+    bench.ask("engage")
+    bench.arbiter.actuation = None
+    bench.ask("stop")
+    assert bench.arbiter.actuation is not None
+    assert bench.arbiter.actuation.speed_mps == 0
+
+
+@pytest.mark.parametrize(("deadman_s", "ticks"), [(0.3, 30), (0.1, 10)])
+def test_the_deadman(deadman_s: float, ticks: int) -> None:
+    """Row 'deadman: no acceptable drive command for 300 ms: controlled stop'; from the moment it is engaged on."""
+    bench = engaged(deadman_s=deadman_s)
+    bench.drive()
+    bench.tick(count=ticks)
+    assert bench.arbiter.state is ArbiterState.ENGAGED
+    bench.tick()
+    assert bench.arbiter.stop_reason is Reason.DEADMAN
+    assert bench.told(EventKind.STOP)[-1].text.endswith(f"none for {ticks * 10 + 10} ms")
+    assert bench.told(EventKind.STOP)[-1].severity is Severity.INFO
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"missing": ("Auto_GearFeedBack", "Auto_LightFeedback")}, Reason.FEEDBACK_MISSING),
+        ({"faulty": ("Auto_GearFeedBack",)}, Reason.FEEDBACK_FAULTY),
+        ({"variant": Variant.UNKNOWN}, Reason.VARIANT_UNKNOWN),
+        ({"variant": Variant.FINE}, Reason.VARIANT_UNKNOWN),
+        ({"front_bumper": True}, Reason.FRONT_BUMPER),
+        ({"rear_bumper": True}, Reason.REAR_BUMPER),
+        ({"guarded": False}, Reason.UNGUARDED),
+        ({"commander_ns": 10**12}, Reason.OTHER_COMMANDER),
+    ],
+)
+def test_each_cause_stops_an_engaged_robot(changes: dict[str, object], reason: Reason) -> None:
+    """In the tick in which it is seen, with an event that says so."""
+    bench = engaged()
+    bench.drive_for(100, 0.5)
+    bench.changes = changes
+    bench.drive(0.5)
+    assert bench.arbiter.state is ArbiterState.STOPPING
+    assert bench.arbiter.stop_reason is reason
+    event = bench.told(EventKind.STOP)[-1]
+    assert event.reason is reason
+    if reason is Reason.FEEDBACK_MISSING:
+        assert event.text.endswith("; Auto_GearFeedBack, Auto_LightFeedback")
+    told = bench.arbiter.actuation
+    assert told is not None
+    expected_mps = 0.5 - (0.012 if reason is Reason.UNGUARDED else 0.02)
+    assert told.speed_mps == pytest.approx(0.0 if reason is Reason.VARIANT_UNKNOWN else expected_mps)
+
+
+def test_frames_that_are_not_taken_stop_it() -> None:
+    """Five ticks in a row; at once, and not latched."""
+    bench = engaged()
+    bench.arbiter.watch.send_failures = 5
+    bench.drive()
+    assert bench.arbiter.stop_reason is Reason.SEND_FAILED
+    assert bench.arbiter.latched == {}
+
+
+def test_a_bus_that_was_lost_before_does_not_matter() -> None:
+    """Only a loss since it was engaged ends the output."""
+    bench = Bench()
+    bench.changes = {"bus_losses": 3}
+    bench.engage()
+    assert bench.arbiter.state is ArbiterState.ENGAGED
+
+
+def test_a_horn_that_was_cut_off_does_not_sound_again() -> None:
+    """Nothing resumes by itself, with the next engagement either."""
+    bench = engaged()
+    bench.ask("horn", on=True)
+    bench.changes = {"mode": Mode.REMOTE}
+    bench.tick()
+    bench.changes = {"mode": Mode.STOP}
+    bench.tick(count=6)
+    bench.ask("engage")
+    assert bench.tick().auxiliary == []
+
+
+def test_unguarded_is_accepted_where_the_settings_say_so() -> None:
+    """Else it refuses to engage."""
+    bench = Bench(accept_unguarded=True)
+    bench.changes = {"guarded": False}
+    bench.engage()
+    assert bench.arbiter.state is ArbiterState.ENGAGED
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"mode": Mode.REMOTE}, Reason.HAND_TRANSMITTER),
+        ({"mode": Mode.STOP}, Reason.MODE_NOT_AUTO),
+        ({"bus_up": False}, Reason.BUS_DOWN),
+        ({"bus_losses": 1, "mode": Mode.UNDEFINED, "bus_up": False}, Reason.BUS_DOWN),
+        ({"guard_sends": True}, Reason.GUARD),
+    ],
+)
+@pytest.mark.parametrize("stopping", [True, False])
+def test_the_output_ceases_at_once(changes: dict[str, object], reason: Reason, *, stopping: bool) -> None:
+    """Row 'hand transmitter takes over, or mode leaves auto: output ceases at once', in a stop too."""
+    bench = engaged()
+    bench.drive_for(100, 0.5)
+    if stopping:
+        bench.ask("disengage")
+    bench.ask("horn", on=True)
+    handle = bench.ask("clear_odometer")
+    bench.changes = changes
+    outcome = bench.tick()
+    assert (outcome.actuation, outcome.auxiliary) == (None, [])
+    assert bench.arbiter.state is ArbiterState.STANDBY
+    assert bench.arbiter.stop_reason is reason
+    assert bench.arbiter.stop_phase is StopPhase.IDLE
+    assert [event.reason for event in bench.told(EventKind.TAKEOVER)] == [reason]
+    assert (Reason.GUARD in bench.arbiter.latched) is (reason is Reason.GUARD)
+    assert handle.reason in {Reason.MOVING, Reason.NOT_ENGAGED}
+    for _ in range(50):
+        assert bench.tick().actuation is None, "no automatic return"
+
+
+def test_who_waits_is_told_when_the_output_ceases() -> None:
+    """And when it stops."""
+    bench = Bench()
+    bench.changes = {"mode": Mode.STOP}
+    bench.ask("acquire")
+    bench.ask("engage")
+    bench.changes = {"mode": Mode.REMOTE}
+    [answer] = bench.tick().answers
+    assert (answer.verb, answer.ruling.reason) == ("engage", Reason.HAND_TRANSMITTER)
+    bench.changes = {}
+    bench.tick(count=6)
+    bench.ask("engage")
+    bench.changes = {"front_bumper": True}
+    [answer] = bench.tick().answers
+    assert (answer.verb, answer.ruling.reason) == ("engage", Reason.FRONT_BUMPER)
+
+
+def test_where_nobody_waits_nobody_is_told() -> None:
+    """A result that nobody asked for."""
+    bench = Bench()
+    bench.arbiter._answer_waiting("engage", Ruling())
+    assert bench.tick().answers == []
+
+
+def test_the_mode_may_leave_auto_when_the_frames_are_disabled() -> None:
+    """That is what they are for."""
+    bench = engaged()
+    bench.ask("disengage")
+    while bench.arbiter.stop_phase is not StopPhase.DISABLE:
+        bench.tick()
+    for _ in range(49):
+        assert bench.tick().actuation is not None
+    assert bench.observed.mode is Mode.STOP
+    assert bench.tick().actuation is None
+    assert bench.arbiter.state is ArbiterState.STANDBY
+    [event] = bench.told(EventKind.STOPPED)
+    assert (event.reason, event.severity) == (Reason.DISENGAGED, Severity.INFO)
+    assert event.text.endswith("and stands")
+    assert bench.told(EventKind.TAKEOVER) == []
+
+
+def test_a_robot_that_is_not_seen_to_stand_at_the_end_is_an_error() -> None:
+    """Somebody has to look."""
+    bench = engaged()
+    bench.changes = {"missing": ("Auto_DriveFeedBack",), "speed_mps": None}
+    bench.tick(count=600)
+    [event] = bench.told(EventKind.STOPPED)
+    assert event.severity is Severity.ERROR
+    assert event.text.endswith("but is not seen to stand")
+
+
+@pytest.mark.parametrize("changes", [{"mode": Mode.AUTO}, {"mode": Mode.UNDEFINED, "missing": ("body",)}])
+def test_what_was_left_under_command_is_stopped_when_it_may_obey_again(changes: dict[str, object]) -> None:
+    """Row 'nothing ever resumes by itself': the chassis keeps our last command, and would."""
+    bench = engaged()
+    bench.changes = {"mode": Mode.REMOTE}
+    bench.tick(count=100)
+    assert bench.told(EventKind.STOP) == []
+    bench.changes = changes
+    bench.tick()
+    assert bench.arbiter.state is ArbiterState.STOPPING
+    assert bench.arbiter.stop_reason is Reason.FOUND_MOVING
+    assert bench.arbiter.actuation is not None
+    assert bench.arbiter.actuation.speed_mps == 0
+
+
+def test_what_another_computer_has_taken_is_not_ours_any_more() -> None:
+    """It may stand in auto when that one has done."""
+    bench = engaged()
+    bench.changes = {"mode": Mode.REMOTE}
+    bench.tick(count=10)
+    bench.changes = {"mode": Mode.AUTO, "commander_ns": bench.now_ns + 10 * MS}
+    bench.tick(count=30)
+    assert bench.arbiter.state is ArbiterState.STANDBY
+
+
+@pytest.mark.parametrize(
+    ("seen", "gear", "speed_mps", "angle_deg"),
+    [
+        ({"gear": GearPosition.DRIVE}, GearPosition.DRIVE, 1.0, 24.0),
+        ({"gear": GearPosition.REVERSE, "wheel_speed_mps": -1.0}, GearPosition.REVERSE, 1.0, 24.0),
+        ({"gear": GearPosition.NEUTRAL, "angle_deg": None}, GearPosition.NEUTRAL, 0.0, 0.0),
+        ({"gear": GearPosition.DRIVE, "speed_mps": None, "angle_deg": -30.0}, GearPosition.DRIVE, 0.0, -24.0),
+        ({"gear": GearPosition.DRIVE, "speed_mps": 2.5}, GearPosition.DRIVE, 2.222, 24.0),
+    ],
+)
+def test_a_robot_found_moving_is_stopped_from_what_is_seen(
+    seen: dict[str, object], gear: GearPosition, speed_mps: float, angle_deg: float
+) -> None:
+    """Row 'found at start: in auto, moving, nobody sending: the stop sequence, an event'."""
+    bench = Bench()
+    moving = {"mode": Mode.AUTO, "turns": True, "speed_mps": 1.0, "wheel_speed_mps": 1.0, "angle_deg": 30.0}
+    bench.changes = moving | seen
+    bench.tick(count=20)
+    assert bench.arbiter.state is ArbiterState.STANDBY
+    told = bench.tick().actuation
+    assert told is not None
+    assert (told.enabled, told.gear, told.parking) == (True, gear, False)
+    assert told.speed_mps == pytest.approx(max(0.0, speed_mps - 0.012))
+    assert told.angle_deg == angle_deg
+    assert [event.reason for event in bench.told(EventKind.STOP)] == [Reason.FOUND_MOVING]
+    later = bench.tick(count=25).actuation
+    assert later is not None
+    assert later.speed_mps == pytest.approx(max(0.0, speed_mps - 26 * 0.012)), "its scale is known"
+    assert bench.arbiter.latched == {}, "its own speed is no fault"
+
+
+@pytest.mark.parametrize(
+    ("mode", "told"), [(Mode.AUTO, True), (Mode.UNDEFINED, True), (Mode.STOP, False), (Mode.REMOTE, False)]
+)
+def test_a_remote_stop_while_standing_by(mode: Mode, told: bool) -> None:  # noqa: FBT001
+    """Row 'stop': latched always; sent where the chassis may be obeying somebody's old command."""
+    bench = Bench()
+    bench.changes = {"mode": mode}
+    bench.ask("stop", "anyone")
+    assert (bench.arbiter.actuation is not None) is told
+    assert [*bench.arbiter.latched] == [Reason.REMOTE_STOP]
+    assert bench.told(EventKind.LATCH)[0].text.endswith("by anyone")
+
+
+@pytest.mark.parametrize("changes", [{"bus_up": False}, {"guard_sends": True}])
+def test_nothing_is_sent_where_it_cannot_or_must_not_be(changes: dict[str, object]) -> None:
+    """The stop latches all the same."""
+    bench = Bench()
+    bench.changes = {"mode": Mode.AUTO} | changes
+    bench.ask("stop")
+    assert bench.arbiter.actuation is None
+    assert Reason.REMOTE_STOP in bench.arbiter.latched
+
+
+def test_stop_wins_over_everything_in_its_tick() -> None:
+    """Row 'stop: from any operator, lease or not'; the emergency deceleration, also in a slower stop."""
+    bench = engaged()
+    bench.drive_for(200, 1.0)
+    bench.ask("disengage")
+    before = bench.arbiter.actuation
+    bench.ask("stop", "second")
+    after = bench.arbiter.actuation
+    assert before is not None
+    assert after is not None
+    assert before.speed_mps - after.speed_mps == pytest.approx(0.02)
+    assert bench.arbiter.stop_reason is Reason.DISENGAGED
+    assert Reason.REMOTE_STOP in bench.arbiter.latched
+    bench.ask("stop", "carl")
+    assert len(bench.told(EventKind.LATCH)) == 1
+
+
+def test_a_graver_cause_during_a_stop_latches() -> None:
+    """The wheels do not slow down as they are told."""
+    bench = engaged()
+    bench.drive_for(200, 1.0)
+    bench.ask("disengage")
+    bench.changes = {"speed_mps": 1.0, "wheel_speed_mps": 1.0}
+    bench.tick(count=100)
+    assert Reason.IMPLAUSIBLE_SPEED in bench.arbiter.latched
+
+
+@pytest.mark.parametrize(("late_ms", "event", "stops"), [(50, False, False), (51, True, False), (101, True, True)])
+def test_a_late_loop(late_ms: int, event: bool, stops: bool) -> None:  # noqa: FBT001
+    """Row 'loop late by over 50 ms: event; over 100 ms: stop'."""
+    bench = engaged()
+    bench.tick(late_ns=late_ms * MS)
+    assert [told.reason for told in bench.told(EventKind.FAULT)] == [Reason.LOOP_LATE] * event
+    assert (bench.arbiter.stop_reason is Reason.LOOP_LATE) is stops
+    if stops:
+        assert bench.told(EventKind.STOP)[-1].text.endswith("by 101 ms")
+
+
+def test_a_bumper_latches_in_every_state() -> None:
+    """Row 'bumper: latched'."""
+    bench = Bench()
+    bench.changes = {"rear_bumper": True}
+    bench.tick(count=3)
+    assert [*bench.arbiter.latched] == [Reason.REAR_BUMPER]
+    assert bench.arbiter.actuation is None
+    assert len(bench.told(EventKind.LATCH)) == 1
+
+
+def test_a_pressed_bumper_forbids_its_direction() -> None:
+    """Row 'bumper: after a deliberate reset only motion away from the hit side until clear'."""
+    for side, away in (("front_bumper", -1), ("rear_bumper", 1)):
+        bench = Bench()
+        bench.changes = {side: True}
+        bench.ask("acquire")
+        bench.tick(count=60)
+        bench.ask("reset")
+        bench.ask("engage")
+        bench.tick(count=2)
+        bench.drive()
+        bench.ask("unpark")
+        bench.drive_for(30, -away * 0.5)
+        assert bench.arbiter.motion.speed_mps == 0
+        bench.drive_for(30, away * 0.5)
+        assert bench.arbiter.motion.speed_mps * away > 0
+
+
+def test_the_guard_latches_while_standing_by_too() -> None:
+    """It has stopped the robot in our place."""
+    bench = Bench()
+    bench.changes = {"guard_sends": True}
+    bench.tick(count=2)
+    assert [*bench.arbiter.latched] == [Reason.GUARD]
+
+
+def test_shutting_down() -> None:
+    """Engaged: a controlled stop. Standing by: nothing. Then nobody engages it."""
+    bench = engaged()
+    bench.drive_for(10, 0.5)
+    bench.arbiter.shut_down(bench.now_ns)
+    assert bench.arbiter.stop_reason is Reason.SHUTDOWN
+    idle = Bench()
+    idle.changes = {"mode": Mode.AUTO}
+    idle.tick()
+    idle.arbiter.shut_down(idle.now_ns)
+    assert idle.arbiter.state is ArbiterState.STANDBY, "somebody else may have it in auto"
+    idle.ask("acquire")
+    assert idle.ask("engage").reason is Reason.SHUTDOWN
+
+
+def test_what_the_bus_did_not_take_was_no_step() -> None:
+    """The next burst is a step from what the chassis was told last."""
+    bench = engaged()
+    bench.drive_for(10, 1.0)
+    before = bench.arbiter.actuation
+    bench.drive(1.0)
+    once = bench.arbiter.actuation
+    bench.arbiter.unsent()
+    assert bench.arbiter.actuation == before
+    bench.drive(1.0)
+    assert bench.arbiter.actuation == once
+    bench.arbiter.unsent()
+    bench.ask("stop")
+    assert before is not None
+    assert bench.arbiter.actuation is not None
+    assert bench.arbiter.actuation.speed_mps == pytest.approx(before.speed_mps - 0.02)
+
+
+def test_a_refused_burst_is_a_fault_of_our_own() -> None:
+    """'Whatever the gate refuses is a fault that stops the robot'; from what it was told last."""
+    bench = engaged()
+    bench.drive_for(10, 1.0)
+    before = bench.arbiter.actuation
+    bench.drive(1.0)
+    bench.arbiter.refuse_output("why", bench.now_ns)
+    assert bench.arbiter.latched == {Reason.GATE: "why"}
+    assert before is not None
+    told = bench.tick().actuation
+    assert told is not None
+    assert told.speed_mps == pytest.approx(before.speed_mps - 0.04), "two ticks after it was told"
+
+
+def test_a_run_is_told_by_its_number() -> None:
+    """Ticks and leases of another run fit none of this one; those of the same run are the same."""
+    one, same = Bench(), Bench()
+    assert one.arbiter.tick_number == same.arbiter.tick_number
+    assert one.ask("acquire") == same.ask("acquire")

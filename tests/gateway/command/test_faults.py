@@ -1,0 +1,788 @@
+"""Every fault that the chassis, the bus, the link or an operator may have, each against the whole command flow."""
+
+from collections.abc import Iterator
+from itertools import combinations
+
+import msgspec
+import pytest
+
+from gateway.chassis.decode import check
+from gateway.chassis.faults import FaultKind
+from gateway.chassis.frame import FD, Frame
+from gateway.chassis.layout import load
+from gateway.command.frames import MOTION_FRAMES
+from gateway.telemetry.health import Links
+from schemas.decisions import ArbiterState, Bound, EventKind
+from schemas.messages import Mode, Variant
+from schemas.reasons import Reason
+from tests.gateway.chassis.strategies import VARIANTS, with_checksum
+from tests.gateway.command.loop_rig import GUARDED, MS, LoopRig, Operator, driving, ready
+from tests.gateway.frames import STANDING, Feedback
+
+YEAR_NS = 365 * 24 * 3600 * 10**9
+FAST = ("Auto_GearFeedBack", "Auto_SteeringFeedBack", "Auto_DriveFeedBack")
+CAN_IDS = {message.name: message.can_id for message in load(Variant.COARSE).feedback}
+NAMES = {can_id: name for name, can_id in CAN_IDS.items()}
+
+
+def flipped(data: bytes, *bits: int) -> bytes:
+    """The data with these bits turned over."""
+    word = int.from_bytes(data, "little")
+    for bit in bits:
+        word ^= 1 << bit
+    return word.to_bytes(8, "little")
+
+
+def silent_pairs() -> Iterator[tuple[int, int]]:
+    """The pairs of bits that the XOR does not see: those of one column."""
+    for first, second in combinations(range(64), 2):
+        if first % 8 == second % 8:
+            yield first, second
+
+
+def assert_stops(rig: LoopRig, reason: Reason, within_s: float = 0.4) -> None:
+    """The robot is stopped for this reason, by the whole sequence, and stands by at the end."""
+    rig.until(lambda: rig.says.state is not ArbiterState.ENGAGED, within_s)
+    assert rig.says.stop_reason is reason, rig.says
+    begun_ns = rig.now_ns
+    rig.until(lambda: rig.says.state is ArbiterState.STANDBY, 8)
+    assert rig.speed_mps == 0
+    assert_stop_order(rig, begun_ns)
+
+
+def assert_stop_order(rig: LoopRig, begun_ns: int) -> None:
+    """Zero speed, brake, neutral, parking brake, disabled: in this order, and nothing is ever taken back."""
+    reached = 0
+    for at_ns, burst in rig.bursts:
+        if at_ns < begun_ns:
+            continue
+        pedal, parked = burst["Auto_BrakingCmd"]["BrakePedal"], burst["Auto_ParkingCmd"]["ParkingRequest"]
+        marks = (
+            not burst["Auto_DriveCmd"]["TargetVelocity"],
+            bool(pedal) or not burst["Auto_DriveCmd"]["Enable"],
+            burst["Auto_GearCmd"]["TargetGear"] == "neutral",
+            bool(parked),
+            not burst["Auto_ParkingCmd"]["Enable"],
+        )
+        done = marks.index(False) if False in marks else len(marks)
+        assert done >= reached, (at_ns, burst)
+        reached = done
+    assert reached == 5
+
+
+# The bytes.
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_every_single_flipped_bit_is_refused(variant: Variant) -> None:
+    """All 640 of ten frames: the checksum sees each."""
+    for name, frame in zip(STANDING, Feedback(variant).all(), strict=True):
+        for bit in range(64):
+            wrong = Frame(frame.can_id, flipped(frame.data, bit))
+            assert check(wrong) is FaultKind.CHECKSUM, (name, bit)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_the_checksum_refuses_eight_of_nine_pairs_of_bits(variant: Variant) -> None:
+    """1,792 of 2,016 pairs in each frame, 88.9 %; those of one column pass."""
+    for frame in Feedback(variant).all():
+        pairs = combinations(range(64), 2)
+        passed = [pair for pair in pairs if check(Frame(frame.can_id, flipped(frame.data, *pair))) is None]
+        assert passed == list(silent_pairs())
+        assert len(passed) == 224
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("name", STANDING)
+def test_two_flipped_bits_never_move_the_robot_more_than_its_command(name: str, variant: Variant) -> None:
+    """Each of the 224 pairs that pass, once while it drives: no faster than commanded, and no other way.
+
+    A frame that reads as a takeover ends the output at once; then the robot is stopped as soon as the next one
+    reads auto, because it still obeys what it was told.
+    """
+    rig, operator = driving(0.6, variant=variant)
+    for pair in silent_pairs():
+        left = [pair]
+
+        def corrupt(frame: Frame, left: list[tuple[int, int]] = left) -> Frame:
+            if frame.can_id == CAN_IDS[name] and left:
+                return Frame(frame.can_id, flipped(frame.data, *left.pop()), frame.wall_ns)
+            return frame
+
+        rig.corrupt = corrupt
+        operator.drive(0.6, seconds=0.06)
+        assert not left
+        assert -0.01 <= rig.speed_mps <= 0.61
+        if not rig.says.engaged:
+            rig.until(lambda: rig.says.state is ArbiterState.STANDBY and rig.speed_mps == 0, 6)
+            operator.take_lease()
+            operator.reason("reset")
+            operator.engage()
+            operator.drive(0.6, seconds=1)
+
+
+@pytest.mark.parametrize("name", STANDING)
+def test_two_flipped_bits_never_clear_a_latch(name: str) -> None:
+    """Nor do they make a latched robot be told anything."""
+    rig, operator = ready()
+    operator.take_lease()
+    rig.put("anyone", "stop", b"")
+    rig.tick()
+    for pair in silent_pairs():
+        rig.corrupt = lambda frame, pair=pair: (  # type: ignore[misc]
+            Frame(frame.can_id, flipped(frame.data, *pair)) if frame.can_id == CAN_IDS[name] else frame
+        )
+        operator.drive(1.0)
+        assert rig.says.latched == [Reason.REMOTE_STOP, *rig.says.latched[1:]]
+    assert all(not burst["Auto_DriveCmd"]["TargetVelocity"] for _, burst in rig.bursts)
+
+
+@pytest.mark.parametrize("name", STANDING)
+@pytest.mark.parametrize("wrong", ["zeros", "reversed"])
+def test_frames_of_zeros_or_with_swapped_bytes_stop_the_robot(name: str, wrong: str) -> None:
+    """Both pass the checksum: the counter and the plausibility of the values find them."""
+    rig, operator = driving(0.8)
+
+    def corrupt(frame: Frame) -> Frame:
+        if frame.can_id != CAN_IDS[name]:
+            return frame
+        return Frame(frame.can_id, bytes(8) if wrong == "zeros" else with_checksum(frame.data[6::-1] + b"\0"))
+
+    rig.corrupt = corrupt
+    operator.drive(0.8, seconds=0.6)
+    assert not rig.says.engaged
+    assert rig.says.stop_reason in {
+        Reason.FEEDBACK_FAULTY,
+        Reason.FEEDBACK_MISSING,
+        Reason.MODE_NOT_AUTO,
+        Reason.HAND_TRANSMITTER,
+        Reason.FOUND_MOVING,
+    }
+    rig.run(8)
+    assert rig.speed_mps == 0
+
+
+@pytest.mark.parametrize("length", [*range(8), 9, 12, 16, 64])
+def test_frames_of_a_wrong_length_are_silence(length: int) -> None:
+    """Whatever they hold: 0 to 7 bytes, and CAN FD."""
+    rig, operator = driving()
+    can_id = CAN_IDS["Auto_DriveFeedBack"]
+    rig.corrupt = lambda frame: (
+        Frame(can_id, (frame.data * 8)[:length], fd_flags=FD if length > 8 else 0)
+        if frame.can_id == can_id
+        else frame
+    )
+    operator.drive(1.0, seconds=0.04)
+    assert_stops(rig, Reason.FEEDBACK_MISSING)
+
+
+# Supervision.
+
+
+@pytest.mark.parametrize("name", STANDING)
+def test_silence_of_each_message_stops_the_robot(name: str) -> None:
+    """Row 'feedback silence, per frame, over 10 periods (at least 100 ms): stop'."""
+    rig, operator = driving()
+    period_ms = load(Variant.COARSE).messages[name].period_ns // MS
+    rig.fault(f"silence {name}")
+    operator.drive(1.0, seconds=max(100, 10 * period_ms) / 1000 - 0.02)
+    assert rig.says.engaged
+    operator.drive(1.0, seconds=0.1)
+    assert rig.says.stop_reason is Reason.FEEDBACK_MISSING
+    rig.run(8)
+    assert rig.speed_mps == 0
+    assert rig.says.state is ArbiterState.STANDBY
+
+
+@pytest.mark.parametrize("name", STANDING)
+def test_checksum_faults_stop_the_robot(name: str) -> None:
+    """Row 'checksum faults: 3 in 1 s on one identifier: stop'; two are borne."""
+    rig, operator = driving()
+    rig.fault(f"checksum {name} for 2 frames")
+    operator.drive(1.0, seconds=0.5)
+    assert rig.says.engaged
+    rig.run(0)
+    rig.fault(f"checksum {name} for 1 frames")
+    operator.drive(1.0, seconds=0.1)
+    assert rig.says.stop_reason is Reason.FEEDBACK_FAULTY
+
+
+@pytest.mark.parametrize("name", FAST)
+@pytest.mark.parametrize("step", [0, *range(2, 16)])
+def test_a_counter_that_stands_or_jumps_stops_the_robot(name: str, step: int) -> None:
+    """Row 'alive counter: +1 per fault, -1 per good frame, at 5: stop'; frozen, and every step from 2 to 15."""
+    rig, operator = driving()
+    rig.fault(f"skip {name} by {step}" if step else f"stuck {name}")
+    operator.drive(1.0, seconds=0.04)
+    assert rig.says.engaged
+    operator.drive(1.0, seconds=0.06)
+    assert not rig.says.engaged
+    assert rig.says.stop_reason in {Reason.FEEDBACK_FAULTY, Reason.FEEDBACK_MISSING}
+
+
+def test_a_counter_that_wraps_is_no_fault() -> None:
+    """15, then 0, for as long as one likes."""
+    rig, operator = driving()
+    operator.drive(1.0, seconds=4)
+    assert rig.says.engaged
+
+
+@pytest.mark.parametrize("name", FAST)
+def test_exactly_sixteen_lost_frames_are_found(name: str) -> None:
+    """Row 'alive counter arithmetic': the counter fits again after 16, so silence is declared before."""
+    rig, operator = driving()
+    rig.fault(f"drop {name} next 16")
+    operator.drive(1.0, seconds=0.16)
+    assert rig.says.stop_reason is Reason.FEEDBACK_MISSING
+
+
+# The bus.
+
+
+@pytest.mark.parametrize("takes", range(5))
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_full_buffer_stops_the_robot_and_nothing_stale_leaves(takes: int, variant: Variant) -> None:
+    """Five ticks in a row whose frames are not taken; what was not taken is made anew, never sent later."""
+    rig, operator = driving(1.0, variant=variant)
+    rig.takes = takes
+    operator.drive(2.0, 20.0, 0.04)
+    assert rig.says.engaged
+    rig.tick(2)
+    assert rig.says.stop_reason is Reason.SEND_FAILED
+    rig.run(0.3)
+    rig.takes = None
+    rig.tick()
+    assert rig.told_mps < 1.0
+    rig.run(6)
+    assert rig.speed_mps == 0
+    assert rig.says.state is ArbiterState.STANDBY
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("ticks", range(1, 5))
+def test_a_short_jam_costs_only_its_time(ticks: int, variant: Variant) -> None:
+    """The way goes on from what the chassis was told last: no jump, and the gate sees no fault."""
+    rig, operator = ready(variant)
+    operator.engage()
+    operator.drive(2.0, 20.0, 0.5)
+    before_mps = rig.told_mps
+    rig.takes = 0
+    rig.tick(ticks)
+    rig.takes = None
+    rig.put(operator.name, "drive", operator.drive_payload(2.0, -20.0))
+    rig.tick()
+    assert before_mps - 0.05 <= rig.told_mps <= before_mps + 0.05
+    operator.drive(2.0, 5.0, 1)
+    assert rig.says.engaged
+
+
+def test_a_stop_that_nobody_heard_does_not_go_on_to_neutral() -> None:
+    """A jammed bus: the ramp is still to come when it is free again."""
+    rig, _ = driving(1.5)
+    rig.put("anyone", "stop", b"")
+    rig.takes = 0
+    rig.run(5)
+    rig.takes = None
+    free_ns = rig.now_ns
+    rig.until(lambda: rig.says.state is ArbiterState.STANDBY, 8)
+    assert_stop_order(rig, free_ns)
+    assert rig.speed_mps == 0
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.1, 1.0])
+def test_a_bus_that_was_lost_and_returns_finds_the_robot_stopped(seconds: float) -> None:
+    """While it is away nothing reaches the chassis, which goes on; the stop comes with the first sign of auto."""
+    rig, _ = driving(1.0)
+    rig.links = Links(bus_up=not seconds, guarded=True, bus_losses=1)
+    rig.chassis_hears = False
+    rig.corrupt = lambda frame: frame if not seconds else None
+    rig.tick()
+    assert rig.event_reasons(EventKind.TAKEOVER) == [Reason.BUS_DOWN]
+    rig.run(seconds)
+    rig.links = Links(bus_up=True, guarded=True, bus_losses=1)
+    rig.chassis_hears = True
+    rig.corrupt = lambda frame: frame
+    rig.tick(3)
+    assert rig.says.state is ArbiterState.STOPPING
+    assert rig.says.stop_reason is Reason.FOUND_MOVING
+    assert rig.told_mps == 0, "its scale has to be found anew"
+    rig.run(6)
+    assert rig.speed_mps == 0
+
+
+# The chassis.
+
+
+@pytest.mark.parametrize("name", MOTION_FRAMES)
+def test_each_cleared_enable_ends_the_output_at_once(name: str) -> None:
+    """Row 'mode leaves auto: output ceases at once, no automatic return'."""
+    rig, operator = driving()
+    rig.chassis_hears = False
+    rig.chassis.receive(Frame(load(Variant.COARSE).messages[name].can_id, bytes(8)), rig.now_ns)
+    operator.drive(1.0, seconds=0.06)
+    assert rig.says.state is ArbiterState.STANDBY
+    assert rig.says.stop_reason is Reason.MODE_NOT_AUTO
+    sent = len(rig.out)
+    rig.chassis_hears = True
+    operator.drive(1.0, seconds=3)
+    assert len(rig.out) == sent
+    assert rig.ruled() is Reason.NOT_ENGAGED
+    assert rig.speed_mps == 0
+
+
+def test_a_chassis_that_reads_auto_again_is_not_left_to_its_old_command() -> None:
+    """The mode leaves auto for one frame only, and the chassis goes on by what it was told: it is stopped."""
+    rig, operator = driving(1.5)
+    left = [1]
+
+    def corrupt(frame: Frame) -> Frame:
+        if NAMES.get(frame.can_id) != "Auto_MileageAndBodyFeedback" or not left:
+            return frame
+        left.pop()
+        return Frame(frame.can_id, with_checksum(flipped(frame.data, 41)))
+
+    rig.corrupt = corrupt
+    operator.drive(1.5, seconds=0.06)
+    assert rig.says.state is ArbiterState.STOPPING
+    assert rig.says.stop_reason is Reason.FOUND_MOVING
+
+
+def test_a_takeover_that_is_followed_by_silence_is_not_believed() -> None:
+    """One frame reads remote, then none comes: the chassis may obey its old command for ever, so it is stopped."""
+    rig, operator = driving(1.0)
+    left = [1]
+
+    def corrupt(frame: Frame) -> Frame | None:
+        if NAMES.get(frame.can_id) != "Auto_MileageAndBodyFeedback":
+            return frame
+        return Frame(frame.can_id, with_checksum(flipped(frame.data, 40))) if left and left.pop() else None
+
+    rig.corrupt = corrupt
+    operator.drive(1.0, seconds=0.06)
+    assert rig.says.state is ArbiterState.STANDBY
+    rig.run(6)
+    assert rig.event_reasons(EventKind.STOP) == [Reason.FOUND_MOVING]
+    assert rig.speed_mps == 0
+
+
+def test_the_hand_transmitter_takes_over() -> None:
+    """Row 'hand transmitter takes over (mode remote): output ceases at once, no automatic return'."""
+    rig, operator = driving(1.0)
+    rig.fault("transmitter remote")
+    rig.fault("sticks 0.3 0")
+    operator.drive(1.0, seconds=0.06)
+    assert rig.says.state is ArbiterState.STANDBY
+    assert rig.event_reasons(EventKind.TAKEOVER) == [Reason.HAND_TRANSMITTER]
+    sent = len(rig.out)
+    operator.drive(1.0, seconds=2)
+    assert len(rig.out) == sent
+    assert operator.reason("engage") is Reason.HAND_TRANSMITTER
+
+
+def test_a_robot_that_the_hand_transmitter_gives_back_does_not_move() -> None:
+    """The chassis still has our last command and would obey it: it is stopped before it has any speed."""
+    rig, operator = driving(2.0)
+    rig.fault("transmitter remote")
+    operator.drive(2.0, seconds=0.1)
+    rig.run(4)
+    assert rig.speed_mps == 0
+    rig.fault("transmitter command")
+    fastest_mps = 0.0
+    for _ in range(300):
+        operator.drive(2.0)
+        fastest_mps = max(fastest_mps, abs(rig.speed_mps))
+    assert fastest_mps < 0.08
+    assert rig.speed_mps == 0
+    assert rig.chassis.state.mode is Mode.STOP
+
+
+@pytest.mark.parametrize("speed_mps", [1.0, -1.0])
+@pytest.mark.parametrize("side", ["front", "rear", "both"])
+def test_a_bumper_stops_the_robot_and_latches(side: str, speed_mps: float) -> None:
+    """Row 'bumper: immediate stop, latched', whichever way it goes."""
+    rig, operator = driving(speed_mps)
+    rig.fault(f"bumper {side} on for 50ms")
+    operator.drive(speed_mps, seconds=0.04)
+    assert rig.says.state is ArbiterState.STOPPING
+    operator.drive(speed_mps, seconds=4)
+    assert rig.speed_mps == 0
+    assert {reason.value for reason in rig.says.latched} == {
+        f"{each}_bumper" for each in (("front", "rear") if side == "both" else (side,))
+    }
+    assert operator.reason("engage") in rig.says.latched
+    rig.tick(40)
+    assert operator.reason("reset") is Reason.NONE
+    assert rig.says.latched == []
+
+
+def test_a_bumper_that_is_pressed_at_the_start_latches() -> None:
+    """Nobody has to have driven."""
+    rig = LoopRig()
+    rig.fault("bumper rear on")
+    rig.run(0.6)
+    assert rig.says.latched == [Reason.REAR_BUMPER]
+
+
+@pytest.mark.parametrize(("side", "toward_mps"), [("front", 0.5), ("rear", -0.5)])
+def test_after_a_reset_only_motion_away_from_the_hit_side(side: str, toward_mps: float) -> None:
+    """Row 'bumper: after a deliberate reset only motion away from the hit side until clear'; then a hit is new."""
+    rig, operator = ready()
+    rig.fault(f"bumper {side} on")
+    rig.run(1)
+    operator.take_lease()
+    assert operator.reason("reset") is Reason.NONE
+    operator.engage()
+    operator.drive(toward_mps, seconds=1)
+    assert rig.speed_mps == 0
+    assert rig.decided[-1].bound_by == [Bound.BUMPER]
+    operator.drive(-toward_mps, seconds=2)
+    assert rig.speed_mps == pytest.approx(-toward_mps, abs=0.05)
+    assert rig.says.engaged
+    rig.fault(f"bumper {side} off")
+    operator.drive(toward_mps, seconds=3)
+    assert rig.speed_mps == pytest.approx(toward_mps, abs=0.05)
+    rig.fault(f"bumper {side} on")
+    operator.drive(toward_mps, seconds=0.06)
+    assert rig.says.state is ArbiterState.STOPPING
+
+
+def test_the_other_bumper_still_stops_a_robot_that_backs_away() -> None:
+    """What a reset has acknowledged is the one side only."""
+    rig, operator = ready()
+    rig.fault("bumper front on")
+    rig.run(1)
+    operator.take_lease()
+    operator.reason("reset")
+    operator.engage()
+    operator.drive(-0.5, seconds=2)
+    rig.fault("bumper rear on")
+    operator.drive(-0.5, seconds=0.06)
+    assert rig.says.latched == [Reason.REAR_BUMPER]
+    assert rig.says.state is ArbiterState.STOPPING
+
+
+def test_both_bumpers_pressed_allow_no_motion() -> None:
+    """There is no way that is away."""
+    rig, operator = ready()
+    rig.fault("bumper both on")
+    rig.run(1)
+    operator.take_lease()
+    operator.reason("reset")
+    operator.engage()
+    for speed_mps in (0.5, -0.5):
+        operator.drive(speed_mps, seconds=1)
+        assert rig.speed_mps == 0
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_chassis_of_the_other_scale_is_found_and_told(variant: Variant) -> None:
+    """Row 'plausibility: over by 0.3 m/s and 1.5 x for 300 ms: stop, latched, and say which scale fits'."""
+    rig, operator = ready(variant)
+    operator.engage()
+    rig.fault("scale wrong")
+    operator.drive(1.0, seconds=2)
+    assert Reason.IMPLAUSIBLE_SPEED in rig.says.latched
+    [text] = [event.text for event in rig.events if event.kind is EventKind.LATCH]
+    other = "coarse" if variant is Variant.FINE else "fine"
+    assert f"the {other} scale of the drive frames would fit" in text
+    rig.run(6)
+    assert rig.speed_mps == 0
+
+
+def test_a_chassis_whose_variant_is_changed_is_stopped_at_zero_speed() -> None:
+    """Once the scale is in doubt only zero is the same in both; the stop goes out all the same."""
+    rig, operator = ready()
+    operator.engage()
+    operator.drive(0.0, seconds=0.2)
+    rig.fault("variant fine")
+    operator.drive(0.0, seconds=0.6)
+    assert not rig.says.engaged
+    assert rig.says.stop_reason in {Reason.VARIANT_UNKNOWN, Reason.FEEDBACK_FAULTY}
+    assert rig.told_mps == 0
+    assert rig.told
+
+
+def test_a_variant_in_doubt_at_speed_does_not_silence_the_stop() -> None:
+    """The gate lets no speed pass in an unknown scale: the stop begins at zero, and is heard."""
+    rig, operator = driving(1.5)
+    detector = rig.core._detector
+    detector.contradicted = True
+    rig.core._apply_variant()
+    operator.drive(1.5)
+    assert rig.says.stop_reason is Reason.VARIANT_UNKNOWN
+    assert rig.told
+    assert rig.told_mps == 0
+    rig.run(6)
+    assert rig.speed_mps == 0
+    assert rig.says.state is ArbiterState.STANDBY
+
+
+def test_another_computer_on_the_bus_stops_the_robot() -> None:
+    """Two that command one chassis: nobody knows what it obeys. ``cruiser halt`` is such a one."""
+    rig, operator = driving()
+    rig.fault("foreign 18C4D3D0 every 10ms for 50ms")
+    operator.drive(1.0, seconds=0.04)
+    assert rig.says.state is ArbiterState.STOPPING
+    assert rig.says.stop_reason is Reason.OTHER_COMMANDER
+
+
+def test_a_robot_found_moving_is_stopped() -> None:
+    """Row 'found at start: a chassis in auto, moving, and nobody sending: the stop sequence, an event'."""
+    rig, _ = driving(1.0)
+    chassis = rig.chassis
+    found = LoopRig(now_ns=rig.now_ns)
+    found.chassis = chassis
+    found.run(1)
+    assert found.event_reasons(EventKind.STOP) == [Reason.FOUND_MOVING]
+    found.run(6)
+    assert found.speed_mps == 0
+    assert found.says.state is ArbiterState.STANDBY
+
+
+def test_a_robot_that_another_computer_drives_is_left_alone() -> None:
+    """Row 'standing by: silent on the bus (another computer may own it)'."""
+    rig, _ = driving(1.0)
+    found = LoopRig(now_ns=rig.now_ns)
+    found.chassis = rig.chassis
+    found.fault("foreign 18C4D8D0 every 50ms")
+    found.run(2)
+    assert found.bursts == []
+    assert found.speed_mps > 0.9
+
+
+# The operator and the link.
+
+
+def test_an_operator_who_falls_silent_is_missed() -> None:
+    """Row 'deadman: no acceptable drive command for 300 ms: controlled stop', by 1.2 m/s2 and no harder."""
+    rig, _ = driving(2.0)
+    rig.run(0.28)
+    assert rig.says.engaged
+    rig.tick(4)
+    assert rig.says.stop_reason is Reason.DEADMAN
+    before_mps, begun_ns = rig.told_mps, rig.now_ns
+    rig.run(0.5)
+    assert before_mps - rig.told_mps == pytest.approx(0.6, abs=0.06)
+    rig.until(lambda: rig.says.state is ArbiterState.STANDBY, 8)
+    assert_stop_order(rig, begun_ns)
+    assert rig.says.latched == []
+
+
+def test_an_operator_who_only_renews_is_no_driver() -> None:
+    """Liveliness and a lease that is kept are not the deadman."""
+    rig, operator = driving()
+    for _ in range(40):
+        operator.ask("renew")
+        rig.tick()
+    assert rig.says.stop_reason is Reason.DEADMAN
+    assert rig.says.lease_holder == "first"
+
+
+@pytest.mark.parametrize("stall_s", [0.5, 2.0, 3.0, 8.0])
+@pytest.mark.parametrize("down_too", [True, False])
+def test_a_stall_that_delivers_everything_at_once_moves_the_robot_by_nothing(
+    stall_s: float,
+    down_too: bool,  # noqa: FBT001 - a parameter
+) -> None:
+    """Row 'command age, by echo: over 400 ms: refused'. The stream of the whole stall comes in one tick.
+
+    ``down_too``: the operator sees no new tick meanwhile; otherwise only the way up is stalled.
+    """
+    rig, operator = driving(1.0)
+    stalled: list[bytes] = []
+    seen = rig.says.tick
+    for _ in range(round(stall_s * 50)):
+        stalled.append(operator.drive_payload(1.0, **({"tick": seen} if down_too else {})))
+        rig.tick(2)
+    rig.until(lambda: rig.says.state is ArbiterState.STANDBY or stall_s < 5, 0.1)
+    x_m, told = rig.chassis.state.mileage_m, len(rig.bursts)
+    state = rig.says.state
+    assert state in {ArbiterState.STOPPING, ArbiterState.STANDBY}
+    for payload in stalled:
+        rig.put(operator.name, "drive", payload)
+    rig.tick()
+    decided = [decision for decision in rig.decided[-len(stalled) :] if decision.request == "drive"]
+    assert all(decision.reason is not Reason.NONE for decision in decided)
+    rig.run(6)
+    speeds = [float(burst["Auto_DriveCmd"]["TargetVelocity"]) for _, burst in rig.bursts[told:]]
+    assert speeds == sorted(speeds, reverse=True), "the stop goes on, and nothing speeds up"
+    if state is ArbiterState.STANDBY:
+        assert rig.chassis.state.mileage_m == x_m
+
+
+@pytest.mark.parametrize("stall_s", [0.5, 2.0, 8.0])
+def test_a_stalled_stream_is_refused_although_the_robot_is_engaged_again(stall_s: float) -> None:
+    """Row 'command age, by echo': here only the age speaks against it."""
+    rig, operator = driving(1.0)
+    stalled = []
+    for _ in range(round(stall_s * 50)):
+        stalled.append(operator.drive_payload(1.0))
+        operator.ask("renew")
+        rig.tick(2)
+    while rig.says.state is not ArbiterState.STANDBY:
+        operator.ask("renew")
+        rig.tick()
+    handle = operator.ask("engage")
+    rig.until(lambda: handle in rig.replies)
+    rig.run(0.25)
+    for payload in stalled[:8]:
+        rig.put(operator.name, "drive", payload)
+    rig.tick()
+    assert {decision.reason for decision in rig.decided[-8:]} <= {Reason.TOO_OLD, Reason.TICK_UNKNOWN}
+    rig.run(0.2)
+    assert rig.says.stop_reason is Reason.DEADMAN
+    assert rig.speed_mps == 0
+
+
+def test_yesterdays_commands_are_refused() -> None:
+    """A capture of another run: neither its lease nor its ticks are of this one."""
+    yesterday, first = driving()
+    lease, tick = first.lease, yesterday.says.tick
+    rig = LoopRig(run=8)
+    rig.run(0.6)
+    today = Operator(rig)
+    today.engage()
+    today.lease, own = lease, today.lease
+    rig.put("first", "drive", today.drive_payload(1.0))
+    rig.tick()
+    assert rig.ruled() is Reason.NO_LEASE
+    today.lease = own
+    for other in (tick, tick + 1):
+        rig.put("first", "drive", today.drive_payload(1.0, tick=other))
+        rig.tick()
+        assert rig.ruled() is Reason.TICK_UNKNOWN
+    assert rig.speed_mps == 0
+
+
+def test_this_mornings_commands_are_refused() -> None:
+    """A capture of this very lease: its sequence does not rise."""
+    rig, operator = driving()
+    payload = operator.drive_payload(1.0)
+    for expected in (Reason.NONE, Reason.SEQUENCE):
+        rig.put(operator.name, "drive", payload)
+        rig.tick()
+        assert rig.ruled() is expected
+
+
+@pytest.mark.parametrize("step_ns", [-YEAR_NS, YEAR_NS, 3600 * 10**9, -3600 * 10**9])
+def test_clocks_do_not_matter(step_ns: int) -> None:
+    """A sender whose clock is a year off is served, and a wall clock that steps by an hour changes nothing."""
+    rig, operator = driving()
+    rig.wall_ns += step_ns
+    operator.drive(1.0, seconds=1)
+    assert rig.says.engaged
+    assert rig.ruled() is Reason.NONE
+    assert rig.speed_mps == pytest.approx(1.0, abs=0.02)
+
+
+def test_two_operators_and_one_robot() -> None:
+    """Row 'lease: exclusive', and row 'take': the second is refused, then takes it; the first is told."""
+    rig, first = driving()
+    second = Operator(rig, "second")
+    assert second.take_lease() is Reason.LEASE_HELD
+    second.lease = first.lease
+    rig.put("second", "drive", second.drive_payload(2.0))
+    rig.tick()
+    assert rig.ruled() is Reason.NO_LEASE
+    assert second.take_lease("take") is Reason.MOVING
+    assert second.take_lease("take", role="program", override=True) is Reason.ROLE_TOO_LOW
+    assert second.take_lease("take", override=True) is Reason.NONE
+    assert rig.says.state is ArbiterState.STOPPING
+    assert rig.says.stop_reason is Reason.LEASE_TAKEN
+    first.drive(1.0)
+    assert rig.ruled() is Reason.LEASE_TAKEN
+    told = [event for event in rig.events if event.reason is Reason.LEASE_TAKEN and event.operator == "first"]
+    assert [event.kind for event in told] == [EventKind.LEASE]
+    rig.run(1.9)
+    second.reason("renew")
+    rig.run(1.9)
+    second.reason("renew")
+    rig.until(lambda: rig.says.state is ArbiterState.STANDBY)
+    second.engage()
+    second.drive(0.5, seconds=2)
+    assert rig.speed_mps == pytest.approx(0.5, abs=0.05)
+
+
+@pytest.mark.parametrize("operator", ["first", "anyone", ""])
+@pytest.mark.parametrize("payload", [b"", b"\xc1" * 1000, b"\x81\xa5lease\xff"])
+def test_the_remote_stop_is_served_from_anyone_with_any_payload(operator: str, payload: bytes) -> None:
+    """Row 'stop: from any operator, lease or not: immediate stop with parking brake, latched'."""
+    rig, first = driving(1.5)
+    rig.put(operator, "stop", payload)
+    first.drive(1.5)
+    assert rig.says.state is ArbiterState.STOPPING
+    begun_ns, before_mps = rig.now_ns, rig.told_mps
+    rig.run(0.5)
+    assert before_mps - rig.told_mps == pytest.approx(1.0, abs=0.06)
+    rig.until(lambda: rig.says.state is ArbiterState.STANDBY, 8)
+    assert_stop_order(rig, begun_ns)
+    assert rig.says.latched == [Reason.REMOTE_STOP]
+    first.take_lease()
+    assert first.reason("engage") is Reason.REMOTE_STOP
+
+
+# The loop.
+
+
+@pytest.mark.parametrize(("late_ms", "stops"), [(40, False), (100, False), (101, True), (400, True)])
+def test_a_late_loop(late_ms: int, stops: bool) -> None:  # noqa: FBT001 - a parameter
+    """Row 'loop late by over 50 ms: event; over 100 ms: stop'."""
+    rig, operator = driving()
+    rig.late_ns = late_ms * MS
+    rig.put(operator.name, "drive", operator.drive_payload(1.0))
+    rig.tick()
+    rig.late_ns = 0
+    assert (Reason.LOOP_LATE in rig.event_reasons(EventKind.FAULT)) is (late_ms > 50)
+    operator.drive(1.0, seconds=0.1)
+    assert rig.says.engaged is not stops
+    if stops:
+        assert rig.says.stop_reason in {Reason.LOOP_LATE, Reason.FEEDBACK_MISSING}
+
+
+def test_a_late_stop_tells_zero_speed_before_neutral() -> None:
+    """At the very start of motion, told some speed and still standing, a pause must not skip the order."""
+    rig, operator = ready()
+    operator.engage()
+    rig.chassis_hears = True
+    operator.drive(1.0, seconds=0.3)
+    while rig.told_mps == 0:
+        operator.drive(1.0)
+    rig.late_ns = 150 * MS
+    rig.tick()
+    rig.late_ns = 0
+    assert rig.told["Auto_GearCmd"]["TargetGear"] == "drive"
+    assert rig.says.stop_reason is Reason.LOOP_LATE
+
+
+def test_the_guard_stops_in_our_place() -> None:
+    """While it sends, we are silent; and it latches."""
+    rig, operator = driving()
+    rig.links = msgspec.structs.replace(GUARDED, guard_sends=True)
+    operator.drive(1.0)
+    assert rig.says.state is ArbiterState.STANDBY
+    assert rig.says.latched == [Reason.GUARD]
+    assert not rig.told
+    assert operator.reason("reset") is Reason.GUARD
+    assert operator.reason("engage") is Reason.GUARD
+
+
+def test_without_a_guard_nothing_is_engaged_and_what_is_engaged_stops() -> None:
+    """Unless the settings accept it."""
+    rig, operator = driving()
+    rig.links = msgspec.structs.replace(GUARDED, guarded=False)
+    operator.drive(1.0)
+    assert rig.says.stop_reason is Reason.UNGUARDED
+    rig.run(6)
+    operator.take_lease()
+    assert operator.reason("engage") is Reason.UNGUARDED
+
+
+def test_a_gateway_that_ends_stops_the_robot_first() -> None:
+    """And engages it no more."""
+    rig, operator = driving()
+    rig.core.shut_down(rig.now_ns)
+    operator.drive(1.0)
+    assert_stops(rig, Reason.SHUTDOWN)
+    assert rig.core.is_at_rest
+    operator.take_lease()
+    assert operator.reason("engage") is Reason.SHUTDOWN

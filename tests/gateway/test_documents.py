@@ -1,0 +1,51 @@
+from pathlib import Path
+
+import pytest
+
+from gateway import documents
+from gateway.command.causes import STOPS
+from gateway.command.states import TRANSITIONS
+from schemas.documents import FROM_ELSEWHERE
+
+
+def test_the_documents_are_current(capsys: pytest.CaptureFixture[str]) -> None:
+    """The parts from the arbiter's tables are what these say too; 'make generate' makes it so."""
+    assert documents.main(["--check"]) == 0, capsys.readouterr().err
+
+
+def test_every_part_from_elsewhere_is_made_here() -> None:
+    """No marker that ``schemas.documents`` leaves alone is left alone by everybody."""
+    assert documents.PARTS.keys() == FROM_ELSEWHERE
+
+
+def test_a_stale_part_is_found_and_made_current(tmp_path: Path) -> None:
+    """Those of ``schemas`` are rewritten together with the arbiter's."""
+    readme = tmp_path / "README.md"
+    parts = ("keys", *documents.PARTS)
+    readme.write_text(
+        "".join(f"<!-- generated: {part} -->\noutdated\n<!-- end -->\n" for part in parts), encoding="utf-8"
+    )
+    root = ["--root", str(tmp_path)]
+    assert documents.main([*root, "--check"]) == 1
+    assert documents.main(root) == 0
+    assert documents.main([*root, "--check"]) == 0
+    assert "outdated" not in readme.read_text(encoding="utf-8")
+
+
+def test_the_diagram_has_an_arrow_for_every_transition() -> None:
+    """And no other but the one to where it begins."""
+    lines = [line.strip() for line in documents.state_diagram().splitlines()]
+    assert (lines[0], lines[1], lines[-1]) == ("```mermaid", "stateDiagram-v2", "```")
+    arrows = {
+        f"{before.value} --> {after.value}: {trigger.value}" for (before, trigger), after in TRANSITIONS.items()
+    }
+    assert {line for line in lines if "-->" in line} == {"[*] --> standby", *arrows}
+
+
+def test_every_cause_to_stop_has_a_row() -> None:
+    """With how hard it stops, and whether it is latched."""
+    rows = documents.stop_table().splitlines()[2:]
+    assert [row.split("`")[1] for row in rows] == [reason.value for reason in STOPS]
+    for row, stop in zip(rows, STOPS.values(), strict=True):
+        assert ("| emergency |" in row) == stop.at_once
+        assert row.endswith("| yes |") == stop.latched
