@@ -1,20 +1,30 @@
-"""Both flows on one page; today the telemetry flow. No I/O, no clock: time is an argument.
+"""Both flows on one page. No I/O, no clock: time is an argument.
 
-    frame > ``receive_frame`` > check, supervise, decode > Sample        at the pace of the bus
-    time  > ``tick``          > batches, state, health  > Samples        every 10 ms
+    TELEMETRY  frame   > ``receive_frame``   > check, supervise, decode    > Sample     at the pace of the bus
+               time    > ``tick``            > batches, state, health      > Samples    every 10 ms
+    COMMAND    request > ``receive_request`` > waits for the tick
+               time    > ``tick``            > observe, arbitrate, gate    > frames, replies, Samples
+               the bus > ``sent``            > counters advance            > decisions
 
-Each call returns what is to be published; the loop publishes it.
+Each call returns what is to be done; the loop does it. Every call is written into the journal: run again with the
+same inputs, the core does the same.
 """
 
 from __future__ import annotations
 
 from typing import Final
 
+import msgspec
+
 from gateway.chassis.decode import check, compile_message, unknown_frame
 from gateway.chassis.faults import FaultKind
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
 from gateway.chassis.variant import WHEEL_SPEED, VariantDetector
+from gateway.command.flow import CommandFlow, PendingReply
+from gateway.command.request import RawRequest
+from gateway.journal import JournalWriter, Kind
+from gateway.observation import Observer
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import HealthMeter, Links
 from gateway.telemetry.raw_frames import FrameBatch
@@ -22,21 +32,43 @@ from gateway.telemetry.sample import Sample
 from gateway.telemetry.state import LatestMessages, robot_state
 from schemas.codec import encode
 from schemas.dbc_files import DBC_FILES
-from schemas.messages import SEQUENCE_MAX, Variant
+from schemas.decisions import ArbiterState
+from schemas.messages import SEQUENCE_MAX, Message, Variant
 from schemas.settings import BATCH_PERIOD_NS, HEALTH_PERIOD_NS, STATE_PERIOD_NS, Settings
+from schemas.subjects import SUBJECTS
 
 CONFIGURED_VARIANT: Final = {"auto": Variant.UNKNOWN, "coarse": Variant.COARSE, "fine": Variant.FINE}
 
 SCALED_BY_VARIANT: Final = ("Auto_DriveFeedBack", WHEEL_SPEED)
 """The feedback frames whose layout depends on the variant; a test holds this against the two DBC files."""
 
+RX, TX = "can/{bus}/rx", "can/{bus}/tx"
+_SUBJECT: Final = {subject.type: subject.name for subject in SUBJECTS}
+
+
+class Due(msgspec.Struct):
+    """What a tick asks to be done, in this order: send the frames, say how many went out, reply, publish."""
+
+    frames: list[Frame]
+    replies: list[PendingReply]
+    samples: list[Sample]
+
 
 class Core:
     """The gateway without its surroundings."""
 
-    def __init__(self, settings: Settings, gateway_version: str, now_ns: int) -> None:
+    def __init__(self, settings: Settings, gateway_version: str, now_ns: int, run: int = 0) -> None:
+        """Standing by.
+
+        Args:
+            settings: all of them; ``gateway.listen_only`` leaves the command flow out.
+            gateway_version: told in ``gateway/health``.
+            now_ns: monotonic.
+            run: a random number that tells this run from every other.
+        """
         self._health = HealthMeter(gateway_version, settings.can.bus, now_ns)
-        self._batch = FrameBatch(settings.can.bus)
+        self._received = FrameBatch(settings.can.bus)
+        self._sent = FrameBatch(settings.can.bus)
         self._detector = VariantDetector(CONFIGURED_VARIANT[settings.chassis.variant])
         self._links = Links()
         # Until the variant is known the coarse layout serves for the frames that are the same in both.
@@ -60,6 +92,12 @@ class Core:
         self._state_due_ns = self._batch_due_ns = now_ns
         self._health_due_ns = now_ns + HEALTH_PERIOD_NS
         self._state_sequence = 0
+        self.command = None if settings.gateway.listen_only else CommandFlow(settings, run)
+        self._observer = Observer(self._streams.values(), self._detector)
+        self._commander_ns: int | None = None
+        self._requests: list[RawRequest] = []
+        self._offered: list[Frame] = []
+        self._journal = None if self.command is None else JournalWriter(run)
 
     @property
     def variant(self) -> Variant:
@@ -68,48 +106,131 @@ class Core:
 
     def receive_frame(self, frame: Frame, now_ns: int) -> Sample | None:
         """A frame came from the bus. Returns the decoded sample, if the frame is a valid feedback frame."""
-        self._batch.add(frame)
+        self._received.add(frame)
+        if self._journal is not None:
+            self._journal.add(
+                (Kind.FRAME, now_ns, frame.can_id, frame.data, frame.wall_ns, frame.fd_flags, frame.remote_length)
+            )
         stream = self._streams.get(frame.can_id)
         if stream is None:
-            self._receive_other(frame)
+            self._receive_other(frame, now_ns)
             return None
         if frame.can_id == self._wheel_speed and check(frame) is None:
             self._observe_variant(frame)
         return stream.receive(frame, now_ns)
 
-    def observe_links(self, links: Links) -> None:
-        """What the loop sees of the bus and of Zenoh. A bus that returns may have another chassis on it."""
-        if links.bus_losses != self._links.bus_losses:
+    def receive_request(self, request: RawRequest, now_ns: int) -> None:
+        """A request came. It is judged at the next tick."""
+        if self._journal is None:
+            return
+        self._journal.add(
+            (
+                Kind.REQUEST,
+                now_ns,
+                request.handle,
+                request.verb,
+                request.operator,
+                request.payload,
+                request.size,
+            )
+        )
+        self._requests.append(request)
+
+    def observe_links(self, links: Links, now_ns: int) -> None:
+        """What the loop sees of the bus, of Zenoh and of the guard."""
+        before, self._links = self._links, links
+        if links.bus_losses != before.bus_losses:
+            # A bus that returns may have another chassis on it.
             self._detector.reset()
             self._apply_variant()
-        self._links = links
+        told = (links.bus_up, links.bus_losses, links.guarded, links.guard_sends)
+        if self._journal is not None and told != (
+            before.bus_up,
+            before.bus_losses,
+            before.guarded,
+            before.guard_sends,
+        ):
+            self._journal.add((Kind.LINKS, now_ns, *told))
 
-    def tick(self, now_ns: int, wall_ns: int, late_ns: int) -> list[Sample]:
-        """Every 10 ms. Returns what is due: raw frames, state, health."""
-        due: list[Sample] = []
+    def tick(self, now_ns: int, wall_ns: int, late_ns: int) -> Due:
+        """Every 10 ms. Returns what is due: commands, raw frames, state, health."""
         self._health.tick_lateness(late_ns)
         for stream in self._streams.values():
             if now_ns > stream.supervisor.overdue_ns:
                 stream.tick(now_ns)
+        due = Due([], [], [])
+        if self.command is not None:
+            self._command(self.command, due, now_ns, wall_ns, late_ns)
         if now_ns >= self._batch_due_ns:
             self._batch_due_ns = _next_due(self._batch_due_ns, BATCH_PERIOD_NS, now_ns)
-            batch = self._batch.take(wall_ns)
-            if batch is not None:
-                due.append(Sample("can/{bus}/rx", encode(batch)))
+            self._take_batches(due.samples, wall_ns)
         if now_ns >= self._state_due_ns:
             self._state_due_ns = _next_due(self._state_due_ns, STATE_PERIOD_NS, now_ns)
-            due.append(self._state(wall_ns))
+            due.samples.append(self._state(wall_ns))
         if now_ns >= self._health_due_ns:
             self._health_due_ns = _next_due(self._health_due_ns, HEALTH_PERIOD_NS, now_ns)
             streams = list(self._streams.values())
-            frames = self._batch.received
+            frames = self._received.received
             health = self._health.report(now_ns, wall_ns, self._links, self.variant, frames, streams)
-            due.append(Sample("gateway/health", encode(health)))
+            due.samples.append(_sample(health))
         return due
 
-    def _receive_other(self, frame: Frame) -> None:
+    def sent(self, count: int, now_ns: int, wall_ns: int) -> list[Sample]:
+        """The bus took so many of the tick's frames. Returns the decisions of the tick."""
+        if self.command is None or self._journal is None:
+            return []
+        self._journal.add((Kind.SENT, now_ns, count, wall_ns))
+        for frame in self._offered[:count]:
+            self._sent.add(msgspec.structs.replace(frame, wall_ns=wall_ns))
+        self._offered = []
+        return [_sample(decision) for decision in self.command.sent(count, now_ns, wall_ns)]
+
+    def last_batches(self, wall_ns: int) -> list[Sample]:
+        """The gateway ends: the raw frames and the journal that have not been published yet."""
+        samples: list[Sample] = []
+        self._take_batches(samples, wall_ns)
+        return samples
+
+    def shut_down(self, now_ns: int) -> None:
+        """The gateway is to end: bring the robot to rest. ``is_at_rest`` says when that is done."""
+        if self.command is not None and self._journal is not None:
+            self._journal.add((Kind.SHUT_DOWN, now_ns))
+            self.command.arbiter.shut_down(now_ns)
+
+    @property
+    def lease_holder(self) -> str:
+        """The operator who holds the lease; empty if nobody does."""
+        lease = self.command.arbiter.desk.lease if self.command is not None else None
+        return lease.operator if lease is not None else ""
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Nothing is sent on the bus."""
+        return self.command is None or self.command.arbiter.state is ArbiterState.STANDBY
+
+    def _command(self, command: CommandFlow, due: Due, now_ns: int, wall_ns: int, late_ns: int) -> None:
+        if self._journal is not None:
+            self._journal.add((Kind.TICK, now_ns, wall_ns, late_ns))
+        observed = self._observer.observe(self._links, self.variant, self._commander_ns, now_ns)
+        requests, self._requests = self._requests, []
+        commanded = command.tick(observed, requests, now_ns, wall_ns, late_ns)
+        due.frames = self._offered = commanded.frames
+        due.replies = commanded.replies
+        due.samples += [_sample(message) for message in commanded.messages]
+
+    def _take_batches(self, samples: list[Sample], wall_ns: int) -> None:
+        for subject, batch in ((RX, self._received), (TX, self._sent)):
+            frames = batch.take(wall_ns)
+            if frames is not None:
+                samples.append(Sample(subject, encode(frames)))
+        journal = self._journal.take(wall_ns) if self._journal is not None else None
+        if journal is not None:
+            samples.append(_sample(journal))
+
+    def _receive_other(self, frame: Frame, now_ns: int) -> None:
         """A frame that is no feedback. A command frame of another computer is no fault: it may own the bus."""
         if frame.can_id in self._commands:
+            self._commander_ns = now_ns
             return
         fault = unknown_frame(frame, self._known)
         self._health.faults[fault.kind] += 1
@@ -142,7 +263,11 @@ class Core:
             silent=[stream.layout.name for stream in streams if stream.supervisor.is_silent],
         )
         self._state_sequence = (self._state_sequence + 1) & SEQUENCE_MAX
-        return Sample("state", encode(state))
+        return _sample(state)
+
+
+def _sample(message: Message) -> Sample:
+    return Sample(_SUBJECT[type(message)], encode(message))
 
 
 def _next_due(due_ns: int, period_ns: int, now_ns: int) -> int:

@@ -9,11 +9,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final, Protocol
 
+import msgspec
+
 from gateway.chassis.frame import Frame
+from gateway.command.flow import CommandFlow, PendingReply
+from gateway.command.request import RawRequest
 from gateway.core import Core
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
-from schemas.settings import LATE_NS, TICK_NS
+from schemas.settings import LATE_NS, REST_TIMEOUT_NS, TICK_NS
 
 log = logging.getLogger(__name__)
 
@@ -40,6 +44,10 @@ class FrameSource(Protocol):
         """The next frame, or None if there was none in time."""
         ...
 
+    def send(self, frames: list[Frame]) -> int:
+        """Hand frames to the bus. Returns how many it took, up to the first that it did not."""
+        ...
+
 
 class SampleSink(Protocol):
     """Zenoh, as the loop sees it: it never fails and never blocks."""
@@ -59,6 +67,51 @@ class SampleSink(Protocol):
         ...
 
 
+class Inbox(Protocol):
+    """Where requests wait, as the loop sees it: it never fails and never blocks.
+
+    Attributes:
+        drops: requests that were dropped unread since the start, because too many came.
+    """
+
+    drops: int
+
+    def drain(self, holder: str) -> list[RawRequest]:
+        """The requests that wait, stops first, a bounded number; the holder's of the lease before others'."""
+        ...
+
+    def reply(self, reply: PendingReply) -> None:
+        """Answer who waits for it."""
+        ...
+
+
+class Guard(Protocol):
+    """The guard, as the loop sees it."""
+
+    @property
+    def is_watching(self) -> bool:
+        """It would stop the robot in our place."""
+        ...
+
+    @property
+    def is_sending(self) -> bool:
+        """It does so now, and we must be silent."""
+        ...
+
+    def beat(self, now_ns: int, command: CommandFlow) -> None:
+        """The loop lives. Called each tick, after the frames are sent."""
+        ...
+
+
+class Surroundings(msgspec.Struct):
+    """What the loop runs between. ``inbox`` and ``guard`` are None for a gateway that only listens."""
+
+    bus: FrameSource
+    sink: SampleSink
+    inbox: Inbox | None = None
+    guard: Guard | None = None
+
+
 @contextmanager
 def _no_collections() -> Iterator[None]:
     """No garbage collection meanwhile: what start-up made lives on, and a pause would come at any time."""
@@ -73,29 +126,29 @@ def _no_collections() -> Iterator[None]:
 
 
 @_no_collections()
-def run(
-    bus: FrameSource,
-    sink: SampleSink,
-    core: Core,
-    info: Callable[[], bytes],
-    stopped: Callable[[], bool],
-) -> None:
-    """Run until ``stopped()``.
+def run(around: Surroundings, core: Core, info: Callable[[], bytes], stopped: Callable[[], bool]) -> None:
+    """Run until ``stopped()``, and then until the robot is at rest.
 
     Args:
-        bus: where the frames come from.
-        sink: where the samples go.
-        core: decides what a frame and a tick mean.
+        around: bus, Zenoh, requests, guard.
+        core: decides what a frame, a request and a tick mean.
         info: the payload of ``gateway/info``.
         stopped: asked every tick.
     """
     monotonic_ns = time.monotonic_ns
+    bus, sink = around.bus, around.sink
     due_ns = monotonic_ns() + TICK_NS
     links = Links()
     complained_ns = 0
     ticks = 0
-    while not stopped():
+    end_ns: int | None = None
+    while True:
         now_ns = monotonic_ns()
+        if end_ns is None and stopped():
+            end_ns = now_ns + REST_TIMEOUT_NS
+            core.shut_down(now_ns)
+        if end_ns is not None and (core.is_at_rest or now_ns > end_ns):
+            break
         while now_ns < due_ns:
             for sample in receive_burst(bus, core, (due_ns - now_ns) / 1e9):
                 sink.publish(sample)
@@ -105,13 +158,36 @@ def run(
             log.warning(
                 "the loop was %d ms late; frames that waited keep their own times", (now_ns - due_ns) // MS
             )
-        links = _observe(bus, sink, links, links.zenoh_peers if ticks % PEERS_TICKS else sink.peers())
+        links = _observe(around, links, links.zenoh_peers if ticks % PEERS_TICKS else sink.peers())
         ticks += 1
-        core.observe_links(links)
-        for sample in core.tick(now_ns, time.time_ns(), now_ns - due_ns):
-            sink.publish(sample)
+        _tick(around, core, links, now_ns, now_ns - due_ns)
         sink.answer(info)
         due_ns += TICK_NS * (1 + (now_ns - due_ns) // TICK_NS)
+    for sample in core.last_batches(time.time_ns()):
+        sink.publish(sample)
+
+
+def _tick(around: Surroundings, core: Core, links: Links, now_ns: int, late_ns: int) -> None:
+    """Requests in; frames first, then everything else out."""
+    monotonic_ns, inbox = time.monotonic_ns, around.inbox
+    core.observe_links(links, now_ns)
+    if inbox is not None:
+        for request in inbox.drain(core.lease_holder):
+            core.receive_request(request, now_ns)
+    due = core.tick(now_ns, time.time_ns(), late_ns)
+    # Asked once more, right before: this process may have been stopped since.
+    is_ours = around.guard is None or not around.guard.is_sending
+    count = around.bus.send(due.frames) if due.frames and is_ours else 0
+    samples = core.sent(count, monotonic_ns(), time.time_ns())
+    if around.guard is not None and core.command is not None:
+        around.guard.beat(monotonic_ns(), core.command)
+    if inbox is not None:
+        for reply in due.replies:
+            inbox.reply(reply)
+    for sample in due.samples:
+        around.sink.publish(sample)
+    for sample in samples:
+        around.sink.publish(sample)
 
 
 def receive_burst(bus: FrameSource, core: Core, timeout_s: float) -> list[Sample]:
@@ -132,7 +208,8 @@ def receive_burst(bus: FrameSource, core: Core, timeout_s: float) -> list[Sample
     return samples
 
 
-def _observe(bus: FrameSource, sink: SampleSink, before: Links, peers: int) -> Links:
+def _observe(around: Surroundings, before: Links, peers: int) -> Links:
+    bus, sink, guard = around.bus, around.sink, around.guard
     if bus.is_up and not before.bus_up:
         log.info("the bus is up%s", " again" if bus.losses else "")
     elif before.bus_up and (not bus.is_up or bus.losses != before.bus_losses):
@@ -148,4 +225,7 @@ def _observe(bus: FrameSource, sink: SampleSink, before: Links, peers: int) -> L
         zenoh_peers=peers,
         publish_failures=sink.failures,
         cpu_ns=time.process_time_ns(),
+        guarded=guard is not None and guard.is_watching,
+        guard_sends=guard is not None and guard.is_sending,
+        inbox_drops=around.inbox.drops if around.inbox is not None else 0,
     )

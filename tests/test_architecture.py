@@ -33,6 +33,17 @@ PURE_SIM = (
     "parameters",
     "socketcand_protocol",
 )
+PURE_REMOTE = (
+    "drive_stream",
+    "drive_view",
+    "fleet",
+    "held_keys",
+    "keyboard",
+    "reasons_text",
+    "refusal",
+    "reply",
+    "view",
+)
 PURE_RECORDER = (
     "chunk",
     "effects",
@@ -47,11 +58,13 @@ PURE_RECORDER = (
 
 PURE = [
     *sorted((ROOT / "gateway" / "chassis").glob("*.py")),
+    *sorted((ROOT / "gateway" / "command").glob("*.py")),
     *sorted((ROOT / "gateway" / "telemetry").glob("*.py")),
-    ROOT / "gateway" / "core.py",
+    *(ROOT / "gateway" / f"{name}.py" for name in ("core", "journal", "observation", "rerun")),
+    *(ROOT / "gateway" / "guard" / f"{name}.py" for name in ("beat", "guardian", "sight", "stopper")),
     ROOT / "gateway" / "cli" / "candump.py",
     *(ROOT / "gateway" / "sim" / f"{name}.py" for name in PURE_SIM),
-    *(ROOT / "gateway" / "remote" / f"{name}.py" for name in ("fleet", "view")),
+    *(ROOT / "gateway" / "remote" / f"{name}.py" for name in PURE_REMOTE),
     *(ROOT / "recorder" / f"{name}.py" for name in PURE_RECORDER),
     *(
         path

@@ -5,15 +5,20 @@ from __future__ import annotations
 import argparse
 import hashlib
 import logging
+import secrets
 import sys
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from importlib.metadata import version
 
 from gateway.core import Core
+from gateway.loop import Surroundings
 from gateway.loop import run as run_loop
 from gateway.ports.can_bus import BusLost, CanBus, ReconnectingBus, describe, open_bus
+from gateway.ports.guard_process import start_guard
 from gateway.ports.realtime import request_realtime
+from gateway.ports.zenoh_inbox import open_inbox
 from gateway.ports.zenoh_node import open_node
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.codec import encode
@@ -29,6 +34,9 @@ log = logging.getLogger(__name__)
 EXAMPLE = """\
   cruiser gateway --interface socketcan --channel can0 --robot cruiser-7
   cruiser gateway --interface socketcand --channel 127.0.0.1:29536   (the virtual chassis of 'cruiser sim')"""
+
+RUN_BITS = 53
+"""Every language's numbers hold as many."""
 
 VERSIONS_TOLD = ("cruiser-gateway", "eclipse-zenoh", "python-can", "msgspec", "cantools")
 
@@ -54,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--listen-only",
         dest="gateway.listen_only",
         action=argparse.BooleanOptionalAction,
-        help="send nothing on the bus (the only mode there is today)",
+        help="send nothing on the bus, whatever is asked",
     )
     parser.add_argument(
         "--wait-for-bus",
@@ -67,28 +75,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Run the gateway until it is stopped."""
-    if not settings.gateway.listen_only:
-        raise CommandError("gateway.listen_only = false: this version cannot send on the bus", ExitCode.USAGE)
-    core = Core(settings, version("cruiser-gateway"), time.monotonic_ns())
+    core = Core(settings, version("cruiser-gateway"), time.monotonic_ns(), secrets.randbits(RUN_BITS))
     info = _info(settings, core)
-    node, where = open_node(settings)
-    try:
+    with ExitStack() as closing:
+        # First, since it takes a second, and ended last.
+        guard = start_guard(settings)
+        closing.callback(guard.close)
+        node, where = open_node(settings)
+        closing.callback(node.close)
+        inbox = None if core.command is None else open_inbox(settings)
+        if inbox is not None:
+            closing.callback(inbox.close)
+            node.disregard(inbox.node)
         # The bus comes last: frames that wait while the rest starts would come in one burst, too late.
         bus = ReconnectingBus(lambda: open_bus(settings.can), _first_bus(settings))
-        try:
-            sys.stderr.write(
-                f"gateway: {settings.robot.name} {where}, bus {describe(settings.can)}, listen-only\n"
-            )
-            sys.stderr.flush()
-            if settings.zenoh.connect and not node.peers():
-                log.warning("no Zenoh node answers at %s yet; trying on", ", ".join(settings.zenoh.connect))
-            request_realtime(settings.gateway.realtime_priority)
-            run_loop(bus, node, core, info, ending_after(stopped, arguments.seconds, time.monotonic))
-        finally:
-            bus.close()
-    finally:
-        node.close()
+        closing.callback(bus.close)
+        mode = "listen-only" if inbox is None else "commands through the arbiter"
+        sys.stderr.write(f"gateway: {settings.robot.name} {where}, bus {describe(settings.can)}, {mode}\n")
+        sys.stderr.flush()
+        if inbox is not None and guard.why_not:
+            log.warning("%s", _unguarded(settings, guard.why_not))
+        if settings.zenoh.connect and not node.peers():
+            log.warning("no Zenoh node answers at %s yet; trying on", ", ".join(settings.zenoh.connect))
+        request_realtime(settings.gateway.realtime_priority)
+        around = Surroundings(bus, node, inbox, guard)
+        run_loop(around, core, info, ending_after(stopped, arguments.seconds, time.monotonic))
     return int(ExitCode.OK)
+
+
+def _unguarded(settings: Settings, why: str) -> str:
+    consequence = (
+        "engaging is accepted all the same (gateway.accept_unguarded)"
+        if settings.gateway.accept_unguarded
+        else "engaging is refused (gateway.accept_unguarded = true would accept it)"
+    )
+    return f"no guard watches this gateway: {why}; {consequence}"
 
 
 def _first_bus(settings: Settings) -> CanBus | None:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import gc
 import logging
 import socket
+import struct
+import sys
+import termios
 import threading
 import time
 from collections.abc import Callable
@@ -31,12 +35,28 @@ CONNECT_TIMEOUT_S: Final = 1.0
 HANDSHAKE_TIMEOUT_S: Final = 5.0
 TIMESTAMP_TOLERANCE_NS: Final = 2_000_000_000
 TIMESTAMP_MAX_S: Final = 2**33
+SEND_WAITING_MAX_BYTES: Final = 2_048
+"""No further frame goes to a TCP socket while more than this waits in it: nine ticks of five frames, 90 ms.
+
+A receiver that is well may leave 40 ms unacknowledged.
+"""
+
+SEND_STALL_S: Final = 0.2
+"""A TCP socket in which so much waits for this long is lost, with all that waits."""
+
+SEND_TIMEOUT_US: Final = 2_000
+"""Whatever happens, the kernel holds nobody who sends for longer than this, in ticks of its own."""
+
 DATA_MAX_BYTES: Final = 64
 """A CAN FD frame has no more; a text protocol may say so all the same, and the rest is cut off."""
 
 
 class BusLost(Exception):  # noqa: N818 - it is named for what happened; the caller opens the bus again
     """The bus is gone: cable, interface down, server gone."""
+
+
+class BusFull(Exception):  # noqa: N818 - it is named for what happened; the frame is lost, the bus is not
+    """The bus does not take a frame now: transmit buffer full, interface in error. It is never sent later."""
 
 
 class Bus(Protocol):
@@ -47,7 +67,7 @@ class Bus(Protocol):
         ...
 
     def send(self, frame: Frame) -> None:
-        """Hand a frame to the bus. Raises BusLost."""
+        """Hand a frame to the bus, without waiting. Raises BusLost, BusFull."""
         ...
 
     def close(self) -> None:
@@ -61,6 +81,9 @@ class CanBus:
     def __init__(self, bus: can.BusABC) -> None:
         self._bus = bus
         self._socket = _stream_socket(bus)
+        if self._socket is not None:
+            _tune(self._socket)
+        self._full_since_s: float | None = None
         self._keeps_epoch: bool | None = None
 
     def receive(self, timeout_s: float) -> Frame | None:
@@ -92,15 +115,35 @@ class CanBus:
         return wall_ns if self._keeps_epoch else time.time_ns()
 
     def send(self, frame: Frame) -> None:
-        """Hand a frame to the bus.
+        """Hand a frame to the bus, without waiting.
 
         Raises:
+            BusFull: it does not take the frame now. Whether the bus is lost, ``receive`` finds out.
             BusLost: the bus is gone, or takes nothing.
         """
+        if self._socket is not None:
+            self._check_room(self._socket)
         try:
             self._bus.send(to_message(frame))
+        except can.CanOperationError as error:
+            raise BusFull(_first_line(error)) from error
         except (can.CanError, OSError, ValueError) as error:
+            if self._socket is not None:
+                _abort(self._socket)
             raise BusLost(_first_line(error)) from error
+
+    def _check_room(self, stream: socket.socket) -> None:
+        """A TCP socket takes far more than can leave in time: what waits must stay little, or be thrown away."""
+        if _waiting_bytes(stream) <= SEND_WAITING_MAX_BYTES:
+            self._full_since_s = None
+            return
+        now_s = time.monotonic()
+        if self._full_since_s is None:
+            self._full_since_s = now_s
+        if now_s - self._full_since_s < SEND_STALL_S:
+            raise BusFull("the server does not take what was sent")
+        _abort(stream)
+        raise BusLost("the server takes nothing any more")
 
     def close(self) -> None:
         """Give the bus back. Never raises."""
@@ -194,6 +237,29 @@ def _stream_socket(bus: can.BusABC) -> socket.socket | None:
         if isinstance(value, socket.socket) and value.type == socket.SOCK_STREAM:
             return value
     return None
+
+
+def _tune(stream: socket.socket) -> None:
+    """Frames leave at once or not at all: no waiting for more, no waiting for room."""
+    stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    stream.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("@ll", 0, SEND_TIMEOUT_US))
+
+
+def _waiting_bytes(stream: socket.socket) -> int:
+    """What was sent and has not arrived."""
+    try:
+        answer = fcntl.ioctl(stream, termios.TIOCOUTQ, b"\0" * 4)
+    except OSError:
+        return 0  # It is gone: the next call says so.
+    return int.from_bytes(answer, sys.byteorder)
+
+
+def _abort(stream: socket.socket) -> None:
+    """Throw away what has not left yet: a command must not arrive late."""
+    try:
+        stream.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("@ii", 1, 0))
+    except OSError as error:
+        log.debug("the socket is gone already: %s", error)
 
 
 def _has_hung_up(stream: socket.socket) -> bool:
@@ -291,6 +357,25 @@ class ReconnectingBus:
         except BusLost as error:
             self._lose(bus, str(error))
             return None
+
+    def send(self, frames: list[Frame]) -> int:
+        """Hand frames to the bus, without waiting. Returns how many it took.
+
+        Those after the first that it did not take are not tried: they belong together.
+        """
+        bus = self._bus
+        for count, frame in enumerate(frames):
+            if bus is None:
+                return count
+            try:
+                bus.send(frame)
+            except BusFull as error:
+                log.debug("the bus does not take a frame: %s", error)
+                return count
+            except BusLost as error:
+                self._lose(bus, str(error))
+                return count
+        return len(frames)
 
     def close(self) -> None:
         """Give the bus back."""

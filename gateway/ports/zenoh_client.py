@@ -50,7 +50,7 @@ def client_endpoints(settings: ZenohSettings) -> list[str]:
     Raises:
         CommandError: the configuration file is wrong.
     """
-    if settings.connect or _says(_base(settings), CONNECT):
+    if settings.connect or _says(base_configuration(settings), CONNECT):
         return list(settings.connect)
     return [DEFAULT_ENDPOINT]
 
@@ -61,7 +61,7 @@ def says_listen(settings: ZenohSettings) -> bool:
     Raises:
         CommandError: the configuration file is wrong.
     """
-    return _says(_base(settings), LISTEN)
+    return _says(base_configuration(settings), LISTEN)
 
 
 def mode_in_force(settings: ZenohSettings) -> str:
@@ -91,7 +91,7 @@ def close_session(session: zenoh.Session) -> None:
 
 
 def _configuration(settings: ZenohSettings, connect: list[str], listen: list[str]) -> zenoh.Config:
-    config = _base(settings)
+    config = base_configuration(settings)
     for path, value in session_settings(settings, connect, listen, lambda path: _says(config, path)).items():
         try:
             config.insert_json5(path, json.dumps(value))
@@ -108,7 +108,12 @@ def _says(config: zenoh.Config, path: str) -> bool:
     return bool(config.get_json(path) != zenoh.Config().get_json(path))
 
 
-def _base(settings: ZenohSettings) -> zenoh.Config:
+def base_configuration(settings: ZenohSettings) -> zenoh.Config:
+    """The user's Zenoh file, or Zenoh's own start values.
+
+    Raises:
+        CommandError: the file is wrong.
+    """
     if not settings.config:
         return zenoh.Config()
     try:

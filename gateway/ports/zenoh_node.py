@@ -13,6 +13,7 @@ from queue import SimpleQueue
 from typing import Any, Final
 
 import zenoh
+from zenoh import ext
 
 from gateway.ports.zenoh_client import (
     client_endpoints,
@@ -27,7 +28,7 @@ from gateway.telemetry.sample import Sample
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import DEFAULT_ENDPOINT, Settings, ZenohSettings
-from schemas.subjects import BY_NAME, SUBJECTS, Pattern, Subject
+from schemas.subjects import BY_NAME, SUBJECTS, Pattern, Qos, Subject
 from schemas.zenoh_link import ANY_LOCAL_PORT
 
 log = logging.getLogger(__name__)
@@ -36,6 +37,9 @@ QUERIES_WAITING: Final = 16
 """Queries on gateway/info that may wait; beyond it the oldest go."""
 
 QUERIES_PER_TICK: Final = 2
+
+MISS_HEARTBEAT_S: Final = 1.0
+"""How often a subject with a history says how far it is, so that who lost the last sample notices."""
 
 REPLY_TIMEOUT_S: Final = 1.0
 """How long the end waits for replies that are under way."""
@@ -47,17 +51,51 @@ NEIGHBOUR_TIMEOUT_S: Final = 3.0
 """A Zenoh node that holds our port is connected within this time, or it is none."""
 
 
+class Replier:
+    """Sends replies on a thread of its own: each has its query's congestion control, and may wait for seconds."""
+
+    def __init__(self, name: str) -> None:
+        self._replies: SimpleQueue[tuple[zenoh.Query, str, bytes, str] | None] = SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def send(self, query: zenoh.Query, key: str, payload: bytes, encoding: str) -> None:
+        """Reply to a query, soon."""
+        self._replies.put((query, key, payload, encoding))
+
+    @property
+    def waiting(self) -> int:
+        """Replies that wait to be sent."""
+        return self._replies.qsize()
+
+    def close(self) -> None:
+        """Send what waits, for a while, and end."""
+        self._replies.put(None)
+        self._thread.join(REPLY_TIMEOUT_S)
+
+    def _run(self) -> None:
+        while (waiting := self._replies.get()) is not None:
+            query, key, payload, encoding = waiting
+            try:
+                with query:
+                    query.reply(key, payload, encoding=encoding)
+            except zenoh.ZError as error:
+                log.debug("Zenoh did not take a reply: %s", error)
+
+
 class ZenohNode:
     """A gateway's place on Zenoh. Nothing here raises or blocks once it is open.
 
     Attributes:
-        failures: samples and replies that Zenoh did not take.
+        failures: samples that Zenoh did not take.
+        replier: sends the replies to queries.
     """
 
     def __init__(self, session: zenoh.Session, settings: Settings) -> None:
         robot = settings.robot
         self.failures = 0
         self._session = session
+        self._own: set[str] = set()
         self._puts: dict[str, Callable[[bytes], Any]] = {}
         self._declared: list[Any] = []
         for subject in SUBJECTS:
@@ -74,9 +112,7 @@ class ZenohNode:
             self._info_key, zenoh.handlers.RingChannel(QUERIES_WAITING), complete=True
         )
         self._declared.append(self._queries)
-        self._replies: SimpleQueue[tuple[zenoh.Query, bytes] | None] = SimpleQueue()
-        self._replier = threading.Thread(target=self._send_replies, name="info-replies", daemon=True)
-        self._replier.start()
+        self.replier = Replier("info-replies")
         token = session.liveliness().declare_token(keys.liveliness(robot.root, robot.name))
         self._declared.append(token)
 
@@ -88,9 +124,13 @@ class ZenohNode:
             self._fail(error)
 
     def peers(self) -> int:
-        """Nodes connected directly."""
+        """Nodes connected directly, but for our own."""
         info = self._session.info
-        return len(info.peers_zid()) + len(info.routers_zid())
+        return sum(str(node) not in self._own for node in (*info.peers_zid(), *info.routers_zid()))
+
+    def disregard(self, node: str) -> None:
+        """This node is one of our own: who is connected is everybody else."""
+        self._own.add(node)
 
     def answer(self, reply: Callable[[], bytes]) -> None:
         """Answer the queries on ``gateway/info`` that wait, a bounded number."""
@@ -98,28 +138,17 @@ class ZenohNode:
             query = self._queries.try_recv()
             if query is None:
                 return
-            self._replies.put((query, reply()))
+            self.replier.send(query, self._info_key, reply(), self._info_encoding)
 
     def close(self) -> None:
         """Leave Zenoh. Never raises."""
-        self._replies.put(None)
-        self._replier.join(REPLY_TIMEOUT_S)
+        self.replier.close()
         try:
             for declared in self._declared:
                 declared.undeclare()
         except zenoh.ZError as error:
             log.debug("leaving Zenoh: %s", error)
         close_session(self._session)
-
-    def _send_replies(self) -> None:
-        """On a thread of its own: a reply has the congestion control of its query, and may wait for seconds."""
-        while (waiting := self._replies.get()) is not None:
-            query, payload = waiting
-            try:
-                with query:
-                    query.reply(self._info_key, payload, encoding=self._info_encoding)
-            except zenoh.ZError as error:
-                self._fail(error)
 
     def _fail(self, error: zenoh.ZError) -> None:
         self.failures += 1
@@ -189,12 +218,31 @@ def _join_neighbour(zenoh_settings: ZenohSettings, connect: list[str]) -> zenoh.
     )
 
 
-def _declare_publisher(session: zenoh.Session, key: str, subject: Subject) -> zenoh.Publisher:
-    priority: zenoh.Priority = getattr(zenoh.Priority, subject.qos.priority.value)
-    return session.declare_publisher(
+def _declare_publisher(
+    session: zenoh.Session, key: str, subject: Subject
+) -> zenoh.Publisher | ext.AdvancedPublisher:
+    qos: Qos = subject.qos
+    priority: zenoh.Priority = getattr(zenoh.Priority, qos.priority.value)
+    if not qos.history:
+        return session.declare_publisher(
+            key,
+            encoding=subject.encoding,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=priority,
+            express=qos.express,
+        )
+    return ext.declare_advanced_publisher(
+        session,
         key,
         encoding=subject.encoding,
         congestion_control=zenoh.CongestionControl.DROP,
         priority=priority,
-        express=subject.qos.express,
+        express=qos.express,
+        cache=ext.CacheConfig(qos.history),
+        sample_miss_detection=(
+            ext.MissDetectionConfig(heartbeat=MISS_HEARTBEAT_S, sporadic_heartbeat=None)
+            if qos.history > 1
+            else None
+        ),
+        publisher_detection=True,
     )

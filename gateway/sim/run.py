@@ -5,16 +5,14 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import Final, Protocol
 
 import msgspec
 
 from gateway.chassis.frame import ERROR, Frame
+from gateway.ports.can_bus import Bus, BusFull
 from gateway.sim.faults import FaultTextError, parse
 from gateway.sim.model import VirtualChassis
-
-if TYPE_CHECKING:
-    from gateway.ports.can_bus import Bus
 
 _logger = logging.getLogger(__name__)
 
@@ -116,7 +114,10 @@ class CanBusLink:
         del now_ns
         for frame in frames:
             if not frame.can_id & ERROR:
-                self._bus.send(frame)
+                try:
+                    self._bus.send(frame)
+                except BusFull as error:
+                    _logger.debug("a frame is lost: %s", error)
 
 
 def live(

@@ -18,7 +18,8 @@ class FeedbackStream:
 
     Attributes:
         decoder: how its data become a message; None while the scale of its speeds is not known.
-        latest: the newest message; None before the first and while the frame is silent.
+        latest: the newest message; None before the first, while the frame is silent and while it is withheld.
+        data: the newest valid frame's bytes, withheld or not; None before the first and while it is silent.
         supervisor: what is watched about the frame.
     """
 
@@ -26,6 +27,7 @@ class FeedbackStream:
         self.layout = decoder.layout
         self.decoder: MessageDecoder | None = decoder
         self.latest: Feedback | None = None
+        self.data: bytes | None = None
         self.supervisor = FrameSupervisor(self.layout.period_ns)
         self._subject = decoder.subject.name
         self._faults = faults
@@ -51,6 +53,7 @@ class FeedbackStream:
         faults = self.supervisor.receive(data[6] >> 4, now_ns)
         if faults:
             self._faults.update(faults)
+        self.data = data
         if decoder is None or message is None:
             self._withheld += 1
             return None
@@ -70,7 +73,7 @@ class FeedbackStream:
         fault = self.supervisor.tick(now_ns)
         if fault is not None:
             self._faults[fault] += 1
-            self.latest = None
+            self.latest = self.data = None
 
     def health(self, elapsed_s: float, now_ns: int) -> FrameHealth:
         """How the stream is; the rate is that since the last call, which was ``elapsed_s`` ago."""

@@ -26,6 +26,9 @@ class Links(msgspec.Struct, frozen=True):
         zenoh_peers: Zenoh nodes connected directly.
         publish_failures: samples that Zenoh did not take, since the start.
         cpu_ns: processor time of the process since its start.
+        guarded: the guard watches this process.
+        guard_sends: the guard is stopping the robot in our place.
+        inbox_drops: requests that were dropped unread because too many came, since the start.
     """
 
     bus_up: bool = False
@@ -34,6 +37,9 @@ class Links(msgspec.Struct, frozen=True):
     zenoh_peers: int = 0
     publish_failures: int = 0
     cpu_ns: int = 0
+    guarded: bool = False
+    guard_sends: bool = False
+    inbox_drops: int = 0
 
 
 class HealthMeter:
@@ -85,6 +91,7 @@ class HealthMeter:
             bus_losses=links.bus_losses,
             zenoh_peers=links.zenoh_peers,
             publish_failures=links.publish_failures,
+            inbox_drops=links.inbox_drops,
             variant=variant,
             frames=frames,
             frames_per_s=round((frames - self._reported_frames) / elapsed_s, 1),

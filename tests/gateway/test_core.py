@@ -10,10 +10,12 @@ from hypothesis import strategies as st
 from gateway import core as core_module
 from gateway.chassis.frame import EXTENDED, Frame
 from gateway.chassis.layout import load
+from gateway.command.request import RawRequest
 from gateway.core import SCALED_BY_VARIANT, Core
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas import codec
+from schemas.decisions import Decision, Verdict
 from schemas.messages import (
     CanFrames,
     Drive,
@@ -27,7 +29,7 @@ from schemas.messages import (
     Steering,
     Variant,
 )
-from schemas.settings import ChassisSettings, Settings
+from schemas.settings import REST_TIMEOUT_NS, ChassisSettings, GatewaySettings, Settings
 from schemas.subjects import BY_NAME
 from tests.gateway.chassis.strategies import VARIANTS, frames
 from tests.gateway.frames import MS, STANDING, WALL_NS, Feedback
@@ -39,7 +41,7 @@ UP = Links(bus_up=True)
 def core(variant: str = "auto") -> Core:
     """A core whose bus is up."""
     made = Core(Settings(chassis=ChassisSettings(variant=variant)), "1.2.3", 0)  # type: ignore[arg-type]
-    made.observe_links(UP)
+    made.observe_links(UP, 0)
     return made
 
 
@@ -55,7 +57,7 @@ def ticks(made: Core, until_ms: int, from_ms: int = 0) -> dict[str, list[Message
     """What the ticks of this time publish, by subject."""
     published: dict[str, list[Message]] = {}
     for at_ms in range(from_ms, until_ms + 1, 10):
-        for sample in made.tick(at_ms * MS, WALL_NS + at_ms * MS, 0):
+        for sample in made.tick(at_ms * MS, WALL_NS + at_ms * MS, 0).samples:
             published.setdefault(sample.subject, []).append(read(sample))
     return published
 
@@ -140,14 +142,14 @@ def test_a_bus_that_returns_has_to_prove_its_variant_again() -> None:
     """Another chassis may be on it now."""
     made, feedback = core(), Feedback(Variant.COARSE)
     confirm(made, feedback)
-    made.observe_links(Links(bus_up=True, bus_losses=1))
+    made.observe_links(Links(bus_up=True, bus_losses=1), 0)
     assert made.variant is Variant.UNKNOWN
     assert made.receive_frame(feedback.frame("Auto_DriveFeedBack"), 0) is None
 
 
 def health_after(made: Core, at_ms: int = 1000) -> GatewayHealth:
     """The health of this time."""
-    health = next(read(s) for s in made.tick(at_ms * MS, WALL_NS, 0) if s.subject == "gateway/health")
+    health = next(read(s) for s in made.tick(at_ms * MS, WALL_NS, 0).samples if s.subject == "gateway/health")
     assert isinstance(health, GatewayHealth)
     return health
 
@@ -201,7 +203,7 @@ def test_zero_bytes_without_end_are_silence(name: str) -> None:
     made = core("coarse")
     for at_ms in range(0, 1001, 10):
         made.receive_frame(Frame(load(Variant.COARSE).messages[name].can_id, bytes(8), WALL_NS), at_ms * MS)
-        published = made.tick(at_ms * MS, WALL_NS, 0)
+        published = made.tick(at_ms * MS, WALL_NS, 0).samples
     state = next(read(sample) for sample in published if sample.subject == "state")
     assert isinstance(state, RobotState)
     assert name in state.silent
@@ -275,7 +277,7 @@ def test_no_decoder_is_compiled_in_the_loop(monkeypatch: pytest.MonkeyPatch) -> 
         drive = read(made.receive_frame(feedback.frame("Auto_DriveFeedBack", {"Speed": 2.0}), 0))
         assert isinstance(drive, Drive)
         assert drive.speed_mps == pytest.approx(2.0)
-    made.observe_links(Links(bus_up=True, bus_losses=1))
+    made.observe_links(Links(bus_up=True, bus_losses=1), 0)
     assert made.variant is Variant.UNKNOWN
 
 
@@ -297,7 +299,7 @@ def test_no_frame_raises_and_a_malformed_one_is_never_data(frame: Frame) -> None
     """Whatever comes is counted; a sample comes out only of a valid feedback frame; the raw frame is kept."""
     made = core("coarse")
     sample = made.receive_frame(frame, 0)
-    health = next(read(s) for s in made.tick(1000 * MS, WALL_NS, 0) if s.subject == "gateway/health")
+    health = next(read(s) for s in made.tick(1000 * MS, WALL_NS, 0).samples if s.subject == "gateway/health")
     assert isinstance(health, GatewayHealth)
     assert health.frames == 1
     commands = {layout.can_id for layout in load(Variant.COARSE).commands}
@@ -323,13 +325,13 @@ def test_raw_frames_come_in_batches_of_50_ms_in_their_order() -> None:
     received: list[tuple[int, bytes, int]] = []
     for number, frame in enumerate(sent):
         made.receive_frame(frame, number * MS)
-        for sample in made.tick(number * MS, WALL_NS, 0):
+        for sample in made.tick(number * MS, WALL_NS, 0).samples:
             if sample.subject == "can/{bus}/rx":
                 batch = read(sample)
                 assert isinstance(batch, CanFrames)
                 assert batch.sequence * 50 <= number
                 received += zip(batch.can_id, batch.data, batch.frame_time_ns, strict=True)
-    batch = next(read(s) for s in made.tick(150 * MS, WALL_NS, 0) if s.subject == "can/{bus}/rx")
+    batch = next(read(s) for s in made.tick(150 * MS, WALL_NS, 0).samples if s.subject == "can/{bus}/rx")
     assert isinstance(batch, CanFrames)
     received += zip(batch.can_id, batch.data, batch.frame_time_ns, strict=True)
     assert received == [(frame.can_id, frame.data, frame.wall_ns) for frame in sent]
@@ -409,7 +411,7 @@ def test_health_counts_a_second_of_a_whole_bus() -> None:
     made, feedback = core("coarse"), Feedback(Variant.COARSE)
     for at_ns, frame in feedback.second():
         made.receive_frame(frame, at_ns)
-    health = next(read(s) for s in made.tick(1000 * MS, WALL_NS, 0) if s.subject == "gateway/health")
+    health = next(read(s) for s in made.tick(1000 * MS, WALL_NS, 0).samples if s.subject == "gateway/health")
     assert isinstance(health, GatewayHealth)
     assert (health.frames, health.frames_per_s) == (630, 630)
     assert health.faults == {}
@@ -431,7 +433,7 @@ def test_health_counts_every_lost_frame(skips: list[int]) -> None:
         at_ms += 10 * (skip + 1)
         made.tick(at_ms * MS, WALL_NS, 0)
         made.receive_frame(feedback.frame("Auto_GearFeedBack"), at_ms * MS)
-    samples = made.tick((at_ms // 1000 + 1) * 1000 * MS, WALL_NS, 0)
+    samples = made.tick((at_ms // 1000 + 1) * 1000 * MS, WALL_NS, 0).samples
     health = next(read(s) for s in samples if s.subject == "gateway/health")
     assert isinstance(health, GatewayHealth)
     assert health.feedback[0].lost == sum(skips)
@@ -460,7 +462,7 @@ def test_a_bus_full_of_strangers_does_not_fill_the_memory() -> None:
     made = core()
     for number in range(1000):
         made.receive_frame(Frame(EXTENDED | number, b""), 0)
-    health = next(read(s) for s in made.tick(1000 * MS, WALL_NS, 0) if s.subject == "gateway/health")
+    health = next(read(s) for s in made.tick(1000 * MS, WALL_NS, 0).samples if s.subject == "gateway/health")
     assert isinstance(health, GatewayHealth)
     assert len(health.unknown_identifiers) == 65
     assert health.unknown_identifiers["other"] == 1000 - 64
@@ -472,7 +474,174 @@ def test_lateness_is_told_as_quantiles() -> None:
     made = core()
     for number in range(100):
         made.tick(number * MS, WALL_NS, number * MS)
-    health = next(read(s) for s in made.tick(1000 * MS, WALL_NS, 0) if s.subject == "gateway/health")
+    health = next(read(s) for s in made.tick(1000 * MS, WALL_NS, 0).samples if s.subject == "gateway/health")
     assert isinstance(health, GatewayHealth)
     assert health.tick_lateness_p50_ms == pytest.approx(49)
     assert health.tick_lateness_max_ms == pytest.approx(99)
+
+
+class Bench:
+    """A core beside the simulated chassis, tick by tick, with a bus that takes so many frames of each tick."""
+
+    def __init__(self) -> None:
+        self.core = Core(Settings(), "1.2.3", 0, run=7)
+        self.core.observe_links(Links(bus_up=True, guarded=True), 0)
+        self.rig = Rig()
+        self.takes = 100
+        self.offered: list[Frame] = []
+        self.taken: list[tuple[int, bytes, int]] = []
+        self.samples: list[Sample] = []
+        self.decided: list[Sample] = []
+        self.replies: dict[int, bool] = {}
+        self._handle = 0
+
+    def tick(self, count: int = 1) -> None:
+        """So many times 10 ms."""
+        for _ in range(count):
+            for frame in self.rig.run(0.01):
+                self.core.receive_frame(frame, self.rig.now_ns)
+            now_ns, wall_ns = self.rig.now_ns, WALL_NS + self.rig.now_ns
+            due = self.core.tick(now_ns, wall_ns, 0)
+            self.offered = due.frames
+            self.samples += due.samples
+            for frame in due.frames[: self.takes]:
+                self.rig.chassis.receive(frame, now_ns)
+                # A microsecond later.
+                self.taken.append((frame.can_id, frame.data, wall_ns + 1000))
+            self.decided = self.core.sent(len(due.frames[: self.takes]), now_ns, wall_ns + 1000)
+            for reply in due.replies:
+                assert reply.handle not in self.replies
+                self.replies[reply.handle] = msgspec.msgpack.decode(reply.payload)["ok"]
+
+    def ask(self, verb: str, **fields: object) -> int:
+        """A query of first's comes in."""
+        self._handle += 1
+        payload = msgspec.msgpack.encode(fields)
+        self.core.receive_request(RawRequest(self._handle, verb, "first", payload, len(payload)), self.rig.now_ns)
+        return self._handle
+
+    def engage(self) -> int:
+        """First takes the lease and engages; returns the lease."""
+        self.tick(60)
+        self.ask("acquire")
+        self.tick()
+        assert self.core.command is not None
+        lease = self.core.command.arbiter.desk.lease
+        assert lease is not None
+        handle = self.ask("engage", lease=lease.number)
+        self.tick(30)
+        assert self.replies[handle], "it is engaged"
+        return lease.number
+
+    def sent_frames(self) -> list[tuple[int, bytes, int]]:
+        """What can/{bus}/tx has published."""
+        frames: list[tuple[int, bytes, int]] = []
+        for sample in self.samples:
+            if sample.subject == "can/{bus}/tx":
+                batch = read(sample)
+                assert isinstance(batch, CanFrames)
+                frames += zip(batch.can_id, batch.data, batch.frame_time_ns, strict=True)
+        return frames
+
+
+def test_a_listening_gateway_has_no_command_flow() -> None:
+    """It judges nothing, offers no frame, publishes neither decisions nor a journal, and is always at rest."""
+    made = Core(Settings(gateway=GatewaySettings(listen_only=True)), "1.2.3", 0)
+    made.observe_links(UP, 0)
+    assert made.command is None
+    made.receive_request(RawRequest(1, "acquire", "first", b"", 0), 0)
+    subjects: set[str] = set()
+    for at_ms in range(0, 2001, 10):
+        for frame in Feedback(Variant.COARSE).all():
+            made.receive_frame(frame, at_ms * MS)
+        due = made.tick(at_ms * MS, WALL_NS, 0)
+        assert (due.frames, due.replies, made.sent(0, at_ms * MS, WALL_NS)) == ([], [], [])
+        subjects |= {sample.subject for sample in due.samples}
+    assert subjects == {"can/{bus}/rx", "state", "gateway/health"}
+    assert made.lease_holder == ""
+    made.shut_down(0)
+    assert made.is_at_rest
+
+
+def test_a_request_is_judged_at_the_tick_and_told_of_when_the_frames_are_sent() -> None:
+    """Until then nothing has become of it; its reply comes with the tick, its decision with ``sent``."""
+    bench = Bench()
+    bench.tick(60)
+    handle = bench.ask("acquire")
+    assert bench.core.lease_holder == ""
+    bench.samples.clear()
+    bench.tick()
+    assert bench.replies == {handle: True}
+    assert bench.core.lease_holder == "first"
+    assert "safety/decision" not in {sample.subject for sample in bench.samples}
+    decision = read(bench.decided[0])
+    assert isinstance(decision, Decision)
+    assert (len(bench.decided), decision.request, decision.verdict) == (1, "acquire", Verdict.ACCEPTED)
+    assert (decision.operator, decision.frames_sent) == ("first", 0)
+    bench.tick()
+    assert bench.decided == []
+
+
+@pytest.mark.parametrize("takes", [0, 3, 5])
+def test_a_decision_says_how_many_frames_the_bus_took(takes: int) -> None:
+    """What was asked for is one thing, what went out is another."""
+    bench = Bench()
+    lease = bench.engage()
+    bench.takes = takes
+    bench.ask("renew", lease=lease)
+    bench.tick()
+    assert len(bench.offered) == 5
+    decision = read(bench.decided[0])
+    assert isinstance(decision, Decision)
+    assert decision.frames_sent == takes
+
+
+def test_what_was_sent_is_published_and_what_was_not_is_not() -> None:
+    """Every frame that the bus took, in its order and with the time at which it did; none that it did not take."""
+    bench = Bench()
+    lease = bench.engage()
+    for number in range(60):
+        bench.takes = (100, 2, 100, 0, 4)[number % 5]
+        bench.ask("renew", lease=lease)
+        bench.tick()
+    bench.takes = 100
+    bench.tick(10)
+    published = bench.sent_frames()
+    assert len(published) > 200
+    assert published == bench.taken[: len(published)]
+    assert len(bench.taken) - len(published) <= 25, "the rest is in the batch to come"
+
+
+def test_a_standing_gateway_publishes_no_batch_of_sent_frames() -> None:
+    """There are none."""
+    bench = Bench()
+    bench.tick(100)
+    assert "can/{bus}/tx" not in {sample.subject for sample in bench.samples}
+    assert bench.core.is_at_rest
+
+
+def test_an_end_brings_the_robot_to_rest_first() -> None:
+    """It stops, it holds, it disables, and then it is at rest; it cannot be engaged again."""
+    bench = Bench()
+    lease = bench.engage()
+    assert not bench.core.is_at_rest
+    bench.core.shut_down(bench.rig.now_ns)
+    begun_ns = bench.rig.now_ns
+    while not bench.core.is_at_rest:
+        bench.tick()
+        assert bench.rig.now_ns - begun_ns <= REST_TIMEOUT_NS
+    assert not bench.offered
+    assert bench.rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "stop"
+    handle = bench.ask("engage", lease=lease)
+    bench.ask("renew", lease=lease)
+    bench.tick()
+    assert bench.replies[handle] is False
+    assert bench.core.is_at_rest
+
+
+def test_an_end_while_standing_by_is_at_rest_at_once() -> None:
+    """There is nothing to stop."""
+    bench = Bench()
+    bench.tick(60)
+    bench.core.shut_down(bench.rig.now_ns)
+    assert bench.core.is_at_rest

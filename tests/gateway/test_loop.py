@@ -3,20 +3,26 @@
 import gc
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
+import msgspec
 import pytest
 
+from gateway import loop as loop_module
 from gateway.chassis.frame import Frame
+from gateway.chassis.layout import load
+from gateway.command.flow import CommandFlow, PendingReply
+from gateway.command.request import RawRequest
 from gateway.core import Core
-from gateway.loop import BURST_MAX_FRAMES, PEERS_TICKS, run
+from gateway.loop import BURST_MAX_FRAMES, PEERS_TICKS, Surroundings, run
+from gateway.sim.model import VirtualChassis
 from gateway.telemetry.sample import Sample
 from schemas import codec
 from schemas.messages import GatewayHealth, Message, RobotState, Variant
 from schemas.settings import ChassisSettings, Settings
 from schemas.subjects import BY_NAME
-from tests.gateway.frames import Feedback
-from tests.gateway.remote.waiting import StopWhen
+from tests.gateway.frames import MS, Feedback
+from tests.gateway.remote.waiting import DEADLINE_S, StopWhen
 
 
 class FakeBus:
@@ -27,12 +33,17 @@ class FakeBus:
         self.is_up = True
         self.detail = ""
         self.losses = 0
+        self.sent: list[Frame] = []
 
     def receive(self, timeout_s: float) -> Frame | None:
         if self.frames and self.is_up:
             return self.frames.pop(0)
         time.sleep(timeout_s)
         return None
+
+    def send(self, frames: list[Frame]) -> int:
+        self.sent += frames
+        return len(frames)
 
 
 class FakeZenoh:
@@ -69,13 +80,13 @@ def test_frames_come_out_as_samples_and_ticks_go_on() -> None:
     """Every frame is published, state and health come by time, queries are answered each tick."""
     feedback = Feedback(Variant.COARSE)
     bus, zenoh = FakeBus([frame for _ in range(20) for frame in feedback.all()]), FakeZenoh()
-    run(bus, zenoh, core(), lambda: b"info", lambda: bool(zenoh.of("gateway/health")))
+    run(Surroundings(bus, zenoh), core(), lambda: b"info", lambda: bool(zenoh.of("gateway/health")))
     chassis = [sample for sample in zenoh.samples if sample.subject.startswith("chassis/")]
     assert len(chassis) == 200
     health = zenoh.of("gateway/health")[0]
     assert isinstance(health, GatewayHealth)
     assert (health.frames, health.zenoh_peers, health.bus_up) == (200, 3, True)
-    assert zenoh.answered > 50
+    assert zenoh.answered > 10
     assert len(zenoh.of("state")) > 10
 
 
@@ -90,7 +101,7 @@ def test_a_lost_bus_ends_nothing(caplog: pytest.LogCaptureFixture) -> None:
         return len(states) >= 6
 
     with caplog.at_level(logging.INFO):
-        run(bus, zenoh, core(), lambda: b"", stopped)
+        run(Surroundings(bus, zenoh), core(), lambda: b"", stopped)
     states = [state for state in zenoh.of("state") if isinstance(state, RobotState)]
     assert [state.bus_up for state in states[:2]] == [True, True]
     assert states[-1].bus_up is False
@@ -110,7 +121,7 @@ def test_a_lost_zenoh_is_logged(caplog: pytest.LogCaptureFixture) -> None:
 
     asked_enough = StopWhen(lambda: zenoh.asked >= 4, go)
     with caplog.at_level(logging.INFO):
-        run(FakeBus([]), zenoh, core(), lambda: b"", asked_enough)
+        run(Surroundings(FakeBus([]), zenoh), core(), lambda: b"", asked_enough)
     assert [record.getMessage() for record in caplog.records][1:] == [
         "a Zenoh node is connected",
         "no Zenoh node is connected any more",
@@ -128,7 +139,7 @@ def test_a_loop_that_stood_still_says_so(caplog: pytest.LogCaptureFixture) -> No
             time.sleep(stalls.pop() if stalls else timeout_s)
             return None
 
-    run(StallingBus([]), zenoh, core(), lambda: b"", lambda: len(zenoh.of("gateway/health")) == 2)
+    run(Surroundings(StallingBus([]), zenoh), core(), lambda: b"", lambda: len(zenoh.of("gateway/health")) == 2)
     assert any("ms late" in record.getMessage() for record in caplog.records)
     first, second = zenoh.of("gateway/health")
     assert isinstance(first, GatewayHealth)
@@ -155,14 +166,19 @@ def test_a_bus_that_is_never_empty_does_not_keep_the_tick_waiting() -> None:
             return frame
 
     zenoh = FakeZenoh()
-    run(BusyBus([]), zenoh, core(), lambda: b"info", StopWhen(lambda: zenoh.answered >= 3))
+    run(Surroundings(BusyBus([]), zenoh), core(), lambda: b"info", StopWhen(lambda: zenoh.answered >= 3))
     assert longest == BURST_MAX_FRAMES
 
 
 def test_zenoh_is_asked_who_is_there_in_every_tenth_tick() -> None:
     """The answer costs more than it changes; between two questions the last one holds."""
     zenoh = FakeZenoh()
-    run(FakeBus([]), zenoh, core(), lambda: b"info", StopWhen(lambda: zenoh.answered == 3 * PEERS_TICKS))
+    run(
+        Surroundings(FakeBus([]), zenoh),
+        core(),
+        lambda: b"info",
+        StopWhen(lambda: zenoh.answered == 3 * PEERS_TICKS),
+    )
     assert zenoh.asked == 3
 
 
@@ -174,6 +190,244 @@ def test_the_garbage_collector_is_given_back() -> None:
         seen.append(gc.isenabled())
         return len(seen) > 2
 
-    run(FakeBus([]), FakeZenoh(), core(), lambda: b"", stopped)
+    run(Surroundings(FakeBus([]), FakeZenoh()), core(), lambda: b"", stopped)
     assert not any(seen)
     assert gc.isenabled()
+
+
+class Chassis(FakeBus):
+    """The simulated chassis at the other end of the bus, in real time; it takes frames as told."""
+
+    def __init__(self, order: list[str]) -> None:
+        super().__init__([])
+        self.order = order
+        self.takes = 100
+        self._chassis = VirtualChassis(load(Variant.COARSE), time.monotonic_ns())
+
+    def receive(self, timeout_s: float) -> Frame | None:
+        self.frames += self._chassis.advance(time.monotonic_ns(), time.time_ns())
+        return super().receive(timeout_s)
+
+    def send(self, frames: list[Frame]) -> int:
+        self.order.append("frames")
+        taken = frames[: self.takes]
+        for frame in taken:
+            self._chassis.receive(frame, time.monotonic_ns())
+        return super().send(taken)
+
+
+class FakeInbox:
+    """Requests that are put in by hand, and the replies to them."""
+
+    def __init__(self, order: list[str]) -> None:
+        self.order = order
+        self.drops = 0
+        self.waiting: list[RawRequest] = []
+        self.replies: dict[int, dict[str, object]] = {}
+        self.holders: list[str] = []
+
+    def ask(self, verb: str, **fields: object) -> int:
+        """A query of first's comes in."""
+        handle = len(self.replies) + len(self.waiting) + 1
+        payload = msgspec.msgpack.encode(fields)
+        self.waiting.append(RawRequest(handle, verb, "first", payload, len(payload)))
+        return handle
+
+    def drain(self, holder: str) -> list[RawRequest]:
+        self.order.append("tick")
+        self.holders.append(holder)
+        waiting, self.waiting = self.waiting, []
+        return waiting
+
+    def reply(self, reply: PendingReply) -> None:
+        self.order.append("reply")
+        self.replies[reply.handle] = msgspec.msgpack.decode(reply.payload)
+
+
+class FakeGuard:
+    """A guard that watches or not, and counts the beats."""
+
+    def __init__(self, order: list[str]) -> None:
+        self.order = order
+        self.is_watching = True
+        self.is_sending = False
+        self.beats_ns: list[int] = []
+
+    def beat(self, now_ns: int, command: CommandFlow) -> None:
+        assert isinstance(command, CommandFlow)
+        self.order.append("beat")
+        self.beats_ns.append(now_ns)
+
+
+class OrderedZenoh(FakeZenoh):
+    """Zenoh that says when it is used."""
+
+    def __init__(self, order: list[str]) -> None:
+        super().__init__()
+        self.order = order
+
+    def publish(self, sample: Sample) -> None:
+        # Feedback is published as it comes, between the ticks.
+        if not sample.subject.startswith("chassis/"):
+            self.order.append("decision" if sample.subject == "safety/decision" else "sample")
+        super().publish(sample)
+
+
+class Commanded:
+    """A loop with everything around it, and a script: called each tick, it ends the loop by returning."""
+
+    def __init__(self) -> None:
+        self.order: list[str] = []
+        self.bus = Chassis(self.order)
+        self.zenoh = OrderedZenoh(self.order)
+        self.inbox = FakeInbox(self.order)
+        self.guard = FakeGuard(self.order)
+        self.core = core()
+
+    def run(self, script: Callable[["Commanded"], Iterator[bool]]) -> None:
+        """Each ``yield`` of the script waits until what it says is true."""
+        steps = script(self)
+        deadline_s = time.monotonic() + DEADLINE_S
+
+        def stopped() -> bool:
+            assert time.monotonic() < deadline_s, "the script came no further"
+            return next(steps, None) is None
+
+        run(Surroundings(self.bus, self.zenoh, self.inbox, self.guard), self.core, lambda: b"", stopped)
+
+    def engage(self) -> Iterator[bool]:
+        """First takes the lease and engages."""
+        while self.core.variant is Variant.UNKNOWN or self.says("blocked_by") != ["no_lease", "not_engaged"]:
+            yield False
+        handle = self.inbox.ask("acquire")
+        while handle not in self.inbox.replies:
+            yield False
+        handle = self.inbox.ask("engage", lease=self.inbox.replies[handle]["lease"])
+        while handle not in self.inbox.replies:
+            yield False
+        assert self.inbox.replies[handle]["ok"], self.inbox.replies
+
+    def says(self, field: str) -> object:
+        """A field of the newest safety/state."""
+        said = [sample for sample in self.zenoh.samples if sample.subject == "safety/state"]
+        return msgspec.msgpack.decode(said[-1].payload)[field] if said else None
+
+    def ticks(self) -> list[list[str]]:
+        """What was done in each tick, in its order."""
+        ticks: list[list[str]] = []
+        for word in self.order:
+            if word == "tick":
+                ticks.append([])
+            else:
+                ticks[-1].append(word)
+        return ticks
+
+
+def test_frames_go_out_before_anything_else_and_decisions_last() -> None:
+    """In a tick: the frames, the beat, the replies, the samples, and then what was decided."""
+    commanded = Commanded()
+    commanded.run(Commanded.engage)
+    rank = {"frames": 0, "beat": 1, "reply": 2, "sample": 3, "decision": 4}
+    engaging = 0
+    for done in commanded.ticks():
+        assert done == sorted(done, key=rank.__getitem__)
+        engaging += done[:2] == ["frames", "beat"] and "reply" in done
+    assert engaging == 1, "the reply to engage comes in a tick with frames"
+
+
+def test_the_loop_ends_when_the_robot_is_at_rest_and_not_before() -> None:
+    """Told to end while engaged it goes through the whole stop: parked, disabled, silent."""
+    commanded = Commanded()
+    ended: list[int] = []
+
+    def script(one: Commanded) -> Iterator[bool]:
+        yield from one.engage()
+        ended.append(len(one.bus.sent))
+
+    commanded.run(script)
+    assert commanded.core.is_at_rest
+    stop = commanded.bus.sent[ended[0] :]
+    parking = load(Variant.COARSE).messages["Auto_ParkingCmd"].can_id
+    enabled = [frame.data[0] & 1 for frame in stop if frame.can_id == parking]
+    assert enabled == sorted(enabled, reverse=True), "first enabled, then disabled"
+    assert enabled.count(1) >= 100, "held for 1 s"
+    assert enabled.count(0) >= 45, "disabled for 0.5 s"
+    assert commanded.says("stop_reason") == "shutdown"
+
+
+def test_an_end_that_never_comes_to_rest_is_an_end_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bus that takes nothing any more must not keep the process for ever."""
+    monkeypatch.setattr(loop_module, "REST_TIMEOUT_NS", 300 * MS)
+    commanded = Commanded()
+
+    def script(one: Commanded) -> Iterator[bool]:
+        yield from one.engage()
+        one.bus.takes = 0
+
+    commanded.run(script)
+    assert not commanded.core.is_at_rest
+
+
+def test_a_bus_that_takes_nothing_is_a_stop() -> None:
+    """After five ticks; the ticks, the beats and the samples go on meanwhile, and the counters do not."""
+    commanded = Commanded()
+
+    def script(one: Commanded) -> Iterator[bool]:
+        yield from one.engage()
+        sent, beats = list(one.bus.sent), len(one.guard.beats_ns)
+        one.bus.takes = 0
+        while one.says("state") != "stopping":
+            yield False
+        assert one.says("stop_reason") == "send_failed"
+        assert one.bus.sent == sent
+        assert len(one.guard.beats_ns) - beats >= 5
+        one.bus.takes = 100
+        while len(one.bus.sent) < len(sent) + 5:
+            yield False
+        before, after = sent[-5:], one.bus.sent[len(sent) : len(sent) + 5]
+        for old, new in zip(before, after, strict=True):
+            assert new.data[6] >> 4 == ((old.data[6] >> 4) + 1) % 16
+
+    commanded.run(script)
+
+
+def test_the_guard_hears_each_tick() -> None:
+    """One beat a tick, whether anything is sent or not, in the order of time."""
+    commanded = Commanded()
+    commanded.run(Commanded.engage)
+    assert all(done.count("beat") == 1 for done in commanded.ticks())
+    assert commanded.guard.beats_ns == sorted(commanded.guard.beats_ns)
+
+
+def test_what_the_guard_does_reaches_the_arbiter() -> None:
+    """It does not watch: nobody engages. It sends: that is latched."""
+    commanded = Commanded()
+
+    def script(one: Commanded) -> Iterator[bool]:
+        one.guard.is_watching = False
+        while "unguarded" not in (one.says("blocked_by") or []):  # type: ignore[operator]
+            yield False
+        one.guard.is_watching, one.guard.is_sending = True, True
+        while one.says("latched") != ["guard"]:
+            yield False
+
+    commanded.run(script)
+
+
+def test_the_inbox_is_told_who_holds_the_lease_and_its_drops_are_in_health() -> None:
+    """So that the holder's requests go before others'."""
+    commanded = Commanded()
+
+    def script(one: Commanded) -> Iterator[bool]:
+        one.inbox.drops = 17
+        yield from one.engage()
+        while not one.zenoh.of("gateway/health"):
+            yield False
+
+    commanded.run(script)
+    holders = commanded.inbox.holders
+    assert holders[0] == ""
+    assert "first" in holders
+    health = commanded.zenoh.of("gateway/health")[0]
+    assert isinstance(health, GatewayHealth)
+    assert health.inbox_drops == 17

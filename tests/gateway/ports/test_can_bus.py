@@ -1,6 +1,9 @@
 """The CAN bus through python-can."""
 
+import fcntl
 import socket
+import struct
+import termios
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -11,7 +14,17 @@ import pytest
 from hypothesis import given
 
 from gateway.chassis.frame import ERROR, EXTENDED, REMOTE, Frame
-from gateway.ports.can_bus import BusLost, CanBus, ReconnectingBus, open_bus, to_frame, to_message
+from gateway.ports.can_bus import (
+    SEND_TIMEOUT_US,
+    SEND_WAITING_MAX_BYTES,
+    BusFull,
+    BusLost,
+    CanBus,
+    ReconnectingBus,
+    open_bus,
+    to_frame,
+    to_message,
+)
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import CanSettings
 from tests.gateway.chassis.strategies import frames
@@ -25,6 +38,20 @@ def wait_until(condition: Callable[[], bool]) -> None:
     while not condition():
         assert time.monotonic() < deadline_s, "it never came true"
         time.sleep(0.002)
+
+
+def comes_true(within_s: float, condition: Callable[[], bool]) -> bool:
+    """Wait for a condition that need not come true."""
+    deadline_s = time.monotonic() + within_s
+    while not (holds := condition()) and time.monotonic() < deadline_s:
+        time.sleep(0.002)
+    return holds
+
+
+def waiting_bytes(stream: socket.socket) -> int:
+    """What was given to a socket and has not arrived at the other side."""
+    (count,) = struct.unpack("@i", fcntl.ioctl(stream, termios.TIOCOUTQ, bytes(4)))
+    return int(count)
 
 
 def consistent(frame: Frame) -> Frame:
@@ -215,6 +242,9 @@ class FakeBus:
     def __init__(self) -> None:
         self.frames: list[Frame] = []
         self.lost = ""
+        self.room = 100
+        self.lost_after = 100
+        self.tried = 0
         self.closed = False
         self.may_close = threading.Event()
         self.may_close.set()
@@ -228,6 +258,14 @@ class FakeBus:
         return self.frames.pop(0)
 
     def send(self, frame: Frame) -> None:
+        self.tried += 1
+        if self.tried > self.lost_after:
+            raise BusLost("Network is down")
+        if self.room == 0:
+            # The next one would have room again.
+            self.room = 1
+            raise BusFull("Transmit buffer full")
+        self.room -= 1
         self.frames.append(frame)
 
     def close(self) -> None:
@@ -309,29 +347,165 @@ def test_closing_ends_the_search() -> None:
     assert not any(thread.name == "bus-opener" for thread in threading.enumerate())
 
 
-def test_sending_on_a_closed_bus_is_a_loss() -> None:
-    """python-can's own errors do not leave the port."""
+class FailingDriver(can.BusABC):
+    """A driver that can neither send nor receive, and says so with this error."""
 
-    class Failing(can.BusABC):
-        """A driver whose cable is out."""
+    def __init__(self, error: Exception) -> None:
+        super().__init__(channel="none")
+        self.error = error
 
-        def __init__(self) -> None:
-            super().__init__(channel="none")
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        del msg, timeout
+        raise self.error
 
-        def send(self, msg: can.Message, timeout: float | None = None) -> None:
-            raise can.CanOperationError(f"no cable for {msg} in {timeout}")
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        del timeout
+        raise self.error
 
-        def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-            raise can.CanOperationError(f"no cable in {timeout}")
 
-    bus = CanBus(Failing())
+def test_a_frame_that_the_driver_does_not_take_is_full_and_a_failing_receive_is_a_loss() -> None:
+    """A full transmit buffer and a lost cable look alike to who sends; ``receive`` tells them apart."""
+    bus = CanBus(FailingDriver(can.CanOperationError("Transmit buffer full\nTraceback ...")))
     try:
-        with pytest.raises(BusLost, match="no cable"):
+        with pytest.raises(BusFull, match=r"^Transmit buffer full$"):
             bus.send(FRAME)
-        with pytest.raises(BusLost, match="no cable"):
+        with pytest.raises(BusLost, match=r"^Transmit buffer full$"):
             bus.receive(0)
     finally:
         bus.close()
+
+
+@pytest.mark.parametrize("error", [OSError("Network is down"), ValueError("fd -1"), can.CanError("gone")])
+def test_sending_on_a_closed_bus_is_a_loss(error: Exception) -> None:
+    """python-can's own errors do not leave the port."""
+    bus = CanBus(FailingDriver(error))
+    try:
+        with pytest.raises(BusLost, match=str(error)):
+            bus.send(FRAME)
+    finally:
+        bus.close()
+
+
+BURST = [Frame(EXTENDED | 0x18C4D1D0 + 0x10000 * number, bytes(8)) for number in range(5)]
+
+
+def never_opened() -> FakeBus:
+    """An opener of a bus that does not come back."""
+    raise BusLost("never")
+
+
+def test_a_burst_is_counted() -> None:
+    """All frames of it go out, in their order."""
+    first = FakeBus()
+    bus = ReconnectingBus(never_opened, first)
+    assert bus.send(BURST) == 5
+    assert bus.send([]) == 0
+    assert first.frames == BURST
+    bus.close()
+
+
+@pytest.mark.parametrize("room", range(5))
+def test_a_burst_ends_with_the_first_frame_that_is_not_taken(room: int) -> None:
+    """The rest of it is not tried, also where there would be room again; the bus is not lost by that."""
+    first = FakeBus()
+    bus = ReconnectingBus(never_opened, first)
+    first.room = room
+    assert bus.send(BURST) == room
+    assert first.tried == room + 1
+    assert (bus.is_up, bus.losses) == (True, 0)
+    first.room = 100
+    assert bus.send(BURST) == 5
+    assert first.frames == BURST[:room] + BURST
+    bus.close()
+
+
+@pytest.mark.parametrize("room", range(5))
+def test_a_bus_that_is_lost_in_the_midst_of_a_burst_says_how_far_it_came(room: int) -> None:
+    """What was taken counts, the bus is down, and nothing of the burst goes to the bus that comes next."""
+    first, second = FakeBus(), FakeBus()
+    bus = ReconnectingBus(lambda: second, first, first_pause_s=0.001)
+    first.lost_after = room
+    assert bus.send(BURST) == room
+    assert (bus.is_up, bus.losses, bus.detail) == (False, 1, "Network is down")
+    assert bus.send(BURST) == 0
+    wait_until(lambda: (bus.receive(0.001), bus.is_up)[1])
+    assert second.frames == []
+    assert bus.send(BURST[:2]) == 2
+    assert (first.frames, second.frames) == (BURST[:room], BURST[:2])
+    bus.close()
+
+
+class DeafServer:
+    """A socketcand server that opens the bus, and then reads nothing until it is told to."""
+
+    def __init__(self) -> None:
+        self.listen = threading.Event()
+        self.heard = b""
+        self.end = ""
+        # Small, so that it is full soon; what is accepted inherits it.
+        self._listener = socket.socket()
+        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        self._listener.bind(("127.0.0.1", 0))
+        self._listener.listen()
+        self.channel = f"127.0.0.1:{self._listener.getsockname()[1]}"
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def join(self) -> None:
+        """Hear what has come, to its end."""
+        self.listen.set()
+        self._thread.join()
+        self._listener.close()
+
+    def _serve(self) -> None:
+        probe, _ = self._listener.accept()
+        with probe:
+            probe.sendall(b"< hi >")
+        client, _ = self._listener.accept()
+        with client:
+            client.sendall(b"< hi >")
+            for _ in ("open", "rawmode"):
+                client.recv(256)
+                client.sendall(b"< ok >")
+            self.listen.wait(DEADLINE_S)
+            try:
+                while chunk := client.recv(65_536):
+                    self.heard += chunk
+                self.end = "closed"
+            except ConnectionResetError:
+                self.end = "reset"
+
+
+def test_a_server_that_reads_nothing_neither_holds_the_loop_nor_gets_stale_commands() -> None:
+    """Whoever sends waits no longer than the timeout; the bus is lost, and what still waited is thrown away."""
+    deaf = DeafServer()
+    opened = open_bus(CanSettings(interface="socketcand", channel=deaf.channel))
+    stream = opened._socket
+    assert stream is not None
+    # The kernel holds whoever sends for so long, in whole ticks of its own, and no longer.
+    kept_s, kept_us = struct.unpack("@ll", stream.getsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, 16))
+    assert kept_s == 0
+    assert SEND_TIMEOUT_US <= kept_us <= SEND_TIMEOUT_US + 10_000
+    assert stream.gettimeout() is None, "or Python waits by itself, without that bound"
+    bus = ReconnectingBus(never_opened, opened)
+    taken = 0
+    is_deaf = False
+    # As long as the server's side takes them in they are gone at once; then they wait on ours.
+    while (count := bus.send(BURST)) == len(BURST):
+        taken += count
+        assert taken < 10_000, "it takes frames without end"
+        is_deaf = is_deaf or not comes_true(1.0, lambda: waiting_bytes(stream) == 0)
+    taken += count
+    assert bus.is_up, "a full bus is no lost one"
+    assert waiting_bytes(stream) <= SEND_WAITING_MAX_BYTES + 200
+    wait_until(lambda: bus.send(BURST) == 0 and not bus.is_up)
+    assert bus.losses == 1
+    wait_until(lambda: stream.fileno() == -1)
+    deaf.join()
+    heard = deaf.heard.count(b"< send ")
+    assert deaf.end == "reset"
+    assert 0 < heard < taken
+    bus.close()
 
 
 def test_a_bus_that_opens_and_is_lost_at_once_is_not_tried_without_end() -> None:

@@ -152,11 +152,11 @@ def test_replies_that_nobody_takes_do_not_hold_the_loop(default_endpoint: str) -
 
         wait_until(lambda: len(taken) == BIG_REPLIES, lambda: node.answer(reply))
         # Each reply waits for seconds for room on the link; none has gone by while its query was taken.
-        assert node._replies.qsize() > 0
+        assert node.replier.waiting > 0
         assert [handler.try_recv() for handler in handlers] == [None] * BIG_REPLIES
         assert node.peers() == 1
         proxy.close()
-        wait_until(node._replies.empty)
+        wait_until(lambda: not node.replier.waiting)
         close_session(client)
     node.close()
 

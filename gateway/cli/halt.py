@@ -1,0 +1,176 @@
+"""``cruiser halt``: the stop sequence by hand, or by systemd's ExecStopPost. It needs no gateway and no Zenoh."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+import time
+from collections.abc import Callable
+from typing import Final
+
+from gateway.chassis.frame import Frame
+from gateway.chassis.variant import VariantDetector
+from gateway.command.actuation import Actuation
+from gateway.core import CONFIGURED_VARIANT
+from gateway.guard.sight import Sight
+from gateway.guard.stopper import REMOTE, STANDS, UNSEEN, Stopper
+from gateway.ports.can_bus import Bus, BusFull, BusLost, describe, open_bus
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.messages import GearPosition, Mode, Variant
+from schemas.settings import COMMANDER_NS, GUARD_POLL_NS, HALT_LISTEN_NS, HALT_YIELD_NS, SEND_FAILURES, Settings
+
+EXAMPLE: Final = """\
+  cruiser halt --interface socketcan --channel can0"""
+
+log = logging.getLogger(__name__)
+
+_EXIT_CODES: Final = {STANDS: ExitCode.OK, REMOTE: ExitCode.REFUSED}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags of ``cruiser halt``."""
+    parser.description = (
+        "Listens, says what it finds, and brings a robot that nobody commands any more to rest: zero speed, "
+        "brake, neutral, parking brake, then silence. It waits for a guard at work. Not an emergency stop: "
+        "that is the button on the robot."
+    )
+    parser.add_argument("--interface", dest="can.interface", metavar="NAME", help="python-can interface")
+    parser.add_argument("--channel", dest="can.channel", metavar="CHANNEL", help="the interface's channel")
+    parser.add_argument(
+        "--bitrate", dest="can.bitrate", metavar="BIT/S", type=int, help="if the interface sets it"
+    )
+    parser.add_argument(
+        "--variant", dest="chassis.variant", metavar="V", help="auto (from evidence), coarse or fine"
+    )
+    parser.add_argument(
+        "--force", action="store_true", help="send although the robot stands, or although another computer sends"
+    )
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Halt the robot."""
+    try:
+        bus = open_bus(settings.can)
+    except BusLost as error:
+        raise CommandError(str(error), ExitCode.UNREACHABLE) from error
+    try:
+        return int(Halt(bus, settings, stopped).run(force=arguments.force))
+    except BusLost as error:
+        raise CommandError(f"the bus is lost: {error}", ExitCode.UNREACHABLE) from error
+    finally:
+        bus.close()
+
+
+class Halt:
+    """One halt: listen, judge, send."""
+
+    def __init__(self, bus: Bus, settings: Settings, stopped: Callable[[], bool]) -> None:
+        self._bus = bus
+        self._where = describe(settings.can)
+        self._settings = settings
+        self._stopped = stopped
+        self._sight = Sight()
+        self._detector = VariantDetector(CONFIGURED_VARIANT[settings.chassis.variant])
+        self._wheels: bytes | None = None
+
+    def run(self, *, force: bool) -> ExitCode:
+        """Halt the robot.
+
+        Raises:
+            BusLost: the bus has gone.
+        """
+        self._listen(HALT_LISTEN_NS)
+        if self._is_commanded() and not force:
+            _say("another sender commands the chassis, perhaps the guard: waiting until it has done")
+            end_ns = time.monotonic_ns() + HALT_YIELD_NS
+            while self._is_commanded() and time.monotonic_ns() < end_ns and not self._stopped():
+                self._listen(COMMANDER_NS)
+            if self._is_commanded():
+                _say("it sends on, so nothing is sent from here; --force sends all the same")
+                return ExitCode.REFUSED
+            self._listen(HALT_LISTEN_NS)
+        now_ns = time.monotonic_ns()
+        mode, stands = self._sight.mode(now_ns), self._sight.stands(self._variant, now_ns)
+        if not self._sight.hears(now_ns):
+            _say(f"no feedback on {self._where}: stopping blindly")
+        else:
+            _say(f"mode {mode.value}, {STANDS if stands else UNSEEN}")
+        if mode is Mode.REMOTE:
+            _say(f"{REMOTE}, so nothing is sent")
+            return ExitCode.REFUSED
+        if mode is Mode.STOP and stands and not force:
+            _say("there is nothing to stop, so nothing is sent; --force sends all the same")
+            return ExitCode.OK
+        return self._send()
+
+    @property
+    def _variant(self) -> Variant:
+        return Variant.UNKNOWN if self._detector.contradicted else self._detector.variant
+
+    def _is_commanded(self) -> bool:
+        heard_ns = self._sight.commander_ns
+        return heard_ns is not None and time.monotonic_ns() - heard_ns < COMMANDER_NS
+
+    def _listen(self, duration_ns: int) -> None:
+        end_ns = time.monotonic_ns() + duration_ns
+        while (now_ns := time.monotonic_ns()) < end_ns:
+            self._receive_until(min(end_ns, now_ns + GUARD_POLL_NS))
+            self._sight.stands(self._variant, time.monotonic_ns())
+
+    def _receive_until(self, end_ns: int) -> None:
+        while (now_ns := time.monotonic_ns()) < end_ns:
+            frame = self._bus.receive((end_ns - now_ns) / 1e9)
+            if frame is None:
+                continue
+            self._sight.receive(frame, now_ns)
+            wheels = self._sight.wheel_speed_data(now_ns)
+            if wheels is not None and wheels is not self._wheels:
+                self._wheels = wheels
+                self._detector.receive_wheel_speed(wheels)
+
+    def _send(self) -> ExitCode:
+        variant, now_ns = self._variant, time.monotonic_ns()
+        stopper = Stopper(self._sight, self._settings.command)
+        stopper.begin(self._seen(variant, now_ns), variant, None, now_ns)
+        _say("sending the stop sequence")
+        failures = 0
+        while not stopper.is_over:
+            now_ns = time.monotonic_ns()
+            frames = stopper.tick(now_ns)
+            if frames:
+                count = self._send_all(stopper, now_ns, frames)
+                failures = failures + 1 if count < len(frames) else 0
+            if failures >= SEND_FAILURES:
+                _say("the bus takes no frames")
+                return ExitCode.UNREACHABLE
+            self._receive_until(now_ns + GUARD_POLL_NS)
+        _say(f"{stopper.outcome}; {stopper.frames} frames sent")
+        return _EXIT_CODES.get(stopper.outcome, ExitCode.FAILURE)
+
+    def _seen(self, variant: Variant, now_ns: int) -> Actuation:
+        """What the chassis must have been told, as far as can be seen."""
+        gear = self._sight.gear(now_ns)
+        return Actuation(
+            enabled=True,
+            gear=gear,
+            speed_mps=self._sight.speed_mps(variant, now_ns),
+            angle_deg=self._sight.angle_deg(now_ns),
+            parking=gear is GearPosition.PARK,
+        )
+
+    def _send_all(self, stopper: Stopper, now_ns: int, frames: list[Frame]) -> int:
+        count = 0
+        try:
+            for frame in frames:
+                self._bus.send(frame)
+                count += 1
+        except BusFull as error:
+            log.debug("the bus does not take a frame: %s", error)
+        stopper.sent(count, now_ns)
+        return count
+
+
+def _say(line: str) -> None:
+    sys.stderr.write(f"halt: {line}\n")
+    sys.stderr.flush()

@@ -1,0 +1,59 @@
+"""What the loop and the guard tell each other in shared memory."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+import msgspec
+
+from gateway.command.actuation import AT_REST, Actuation
+from schemas.messages import Variant
+
+
+class Beat(msgspec.Struct, frozen=True):
+    """The loop's sign of life, each tick, after it has sent.
+
+    Attributes:
+        now_ns: monotonic, when the loop had sent.
+        is_active: the chassis is being told something, or was in the tick before.
+        is_mute: what has to be sent cannot be; the guard has to act at once.
+        is_closing: the gateway ends, and nobody will beat any more.
+        variant: the one in force.
+        last: what the chassis was last told.
+        counters: the next alive counter of each command frame, in the layout's order.
+    """
+
+    now_ns: int
+    is_active: bool = False
+    is_mute: bool = False
+    is_closing: bool = False
+    variant: Variant = Variant.UNKNOWN
+    last: Actuation = AT_REST
+    counters: bytes = bytes(8)
+
+
+class Cause(Enum):
+    """Why the guard acted, in words."""
+
+    NONE = "it has not acted"
+    LATE = "the gateway's loop gave no sign of life"
+    MUTE = "the gateway could not send"
+    GONE = "the gateway is gone"
+
+
+class GuardStatus(msgspec.Struct, frozen=True):
+    """The guard's sign of life.
+
+    Attributes:
+        now_ns: monotonic.
+        is_ready: its bus is open and it hears feedback.
+        is_sending: it stops the robot; the loop must not send.
+        stops: how many stops it has ended since it was started.
+        cause: of the last one, or of the one under way.
+    """
+
+    now_ns: int
+    is_ready: bool = False
+    is_sending: bool = False
+    stops: int = 0
+    cause: Cause = Cause.NONE

@@ -1,0 +1,147 @@
+"""The chassis as the guard sees it on the bus: mode, standstill, counters of the frames it is told. Pure."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from gateway.chassis.decode import Signals, check, compile_signals
+from gateway.chassis.frame import Frame
+from gateway.chassis.layout import load
+from gateway.chassis.supervision import silence_ns
+from gateway.chassis.variant import WHEEL_SPEED, StandstillEvidence
+from gateway.command.frames import COUNTER_MODULO
+from schemas.messages import GearPosition, Mode, Variant
+from schemas.settings import GUARD_SILENT_NS, STANDSTILL_MPS, STANDSTILL_TICKS, TICK_NS
+
+_GEAR: Final = "Auto_GearFeedBack"
+_STEERING: Final = "Auto_SteeringFeedBack"
+_DRIVE: Final = "Auto_DriveFeedBack"
+_BODY: Final = "Auto_MileageAndBodyFeedback"
+_WATCHED: Final = (_GEAR, _STEERING, _DRIVE, _BODY, WHEEL_SPEED)
+
+_STANDS_NS: Final = STANDSTILL_TICKS * TICK_NS
+
+REMOTE_FRAMES: Final = 2
+"""So many in a row that read remote are believed: one alone may be two flipped bits, and the robot rolls on."""
+
+
+class Sight:
+    """What the bus says.
+
+    Attributes:
+        next_counters: what each command frame that was heard would count next, by its name.
+        commander_ns: when a command frame was last heard; None if never.
+    """
+
+    def __init__(self) -> None:
+        layout = load(Variant.COARSE)
+        self._feedback = {layout.messages[name].can_id: layout.messages[name] for name in _WATCHED}
+        self._commands = {message.can_id: message.name for message in layout.commands}
+        self._read = {
+            variant: {name: compile_signals(load(variant).messages[name]) for name in _WATCHED}
+            for variant in (Variant.COARSE, Variant.FINE)
+        }
+        self._evidence = StandstillEvidence()
+        self._latest: dict[str, tuple[bytes, int]] = {}
+        self._remote_frames = 0
+        self._slow_since_ns: int | None = None
+        self.next_counters: dict[str, int] = {}
+        self.commander_ns: int | None = None
+
+    def receive(self, frame: Frame, now_ns: int) -> None:
+        """A frame came from the bus."""
+        command = self._commands.get(frame.can_id)
+        if command is not None:
+            if check(frame) is None:
+                self.next_counters[command] = ((frame.data[6] >> 4) + 1) % COUNTER_MODULO
+                self.commander_ns = now_ns
+            return
+        layout = self._feedback.get(frame.can_id)
+        if layout is None or check(frame) is not None:
+            return
+        before = self._latest.get(layout.name)
+        # A frame that only repeats its counter says nothing new, and becomes stale like one that stays away.
+        if before is None or before[0][6] >> 4 != frame.data[6] >> 4:
+            self._latest[layout.name] = (frame.data, now_ns)
+            if layout.name == _BODY:
+                self._remote_frames = (
+                    self._remote_frames + 1 if _mode(self._body(frame.data)) is Mode.REMOTE else 0
+                )
+
+    def hears(self, now_ns: int) -> bool:
+        """Feedback comes."""
+        return any(now_ns - heard_ns < GUARD_SILENT_NS for _, heard_ns in self._latest.values())
+
+    def mode(self, now_ns: int) -> Mode:
+        """The mode; UNDEFINED if it is not told, or is remote in a single frame."""
+        data = self._fresh(_BODY, now_ns)
+        mode = Mode.UNDEFINED if data is None else _mode(self._body(data))
+        return Mode.UNDEFINED if mode is Mode.REMOTE and self._remote_frames < REMOTE_FRAMES else mode
+
+    def stands(self, variant: Variant, now_ns: int) -> bool:
+        """The robot was slow whenever this was asked in the last 50 ms. False also when that cannot be seen."""
+        if not self._is_slow(variant, now_ns):
+            self._slow_since_ns = None
+            return False
+        if self._slow_since_ns is None:
+            self._slow_since_ns = now_ns
+        return now_ns - self._slow_since_ns >= _STANDS_NS
+
+    def gear(self, now_ns: int) -> GearPosition:
+        """The gear feedback."""
+        data = self._fresh(_GEAR, now_ns)
+        told = "" if data is None else str(self._read[Variant.COARSE][_GEAR](data)["GearPosition"])
+        return _GEARS.get(told, GearPosition.UNDEFINED)
+
+    def angle_deg(self, now_ns: int) -> float:
+        """The steering feedback; straight ahead if there is none."""
+        data = self._fresh(_STEERING, now_ns)
+        return 0.0 if data is None else float(self._read[Variant.COARSE][_STEERING](data)["Angle"])
+
+    def speed_mps(self, variant: Variant, now_ns: int) -> float:
+        """The drive feedback, a magnitude; zero if there is none, or its scale is not known."""
+        data = self._fresh(_DRIVE, now_ns)
+        return (
+            0.0
+            if data is None or variant is Variant.UNKNOWN
+            else float(self._read[variant][_DRIVE](data)["Speed"])
+        )
+
+    def wheel_speed_data(self, now_ns: int) -> bytes | None:
+        """The latest wheel speed frame: evidence of the variant."""
+        return self._fresh(WHEEL_SPEED, now_ns)
+
+    def _is_slow(self, variant: Variant, now_ns: int) -> bool:
+        wheels = self._fresh(WHEEL_SPEED, now_ns)
+        drive = self._fresh(_DRIVE, now_ns)
+        if wheels is None or drive is None:
+            return False
+        if variant is Variant.UNKNOWN:
+            # Zero is the same in both scales, and so is what each one's standing wheels cannot be in the other.
+            return not any(drive[1:3]) and self._evidence.of(wheels) is not Variant.UNKNOWN
+        speeds = self._read[variant][WHEEL_SPEED](wheels)
+        mean_mps = (float(speeds["RearLeftSpeed"]) + float(speeds["RearRightSpeed"])) / 2
+        return (
+            bool(speeds["Valid"])
+            and abs(mean_mps) < STANDSTILL_MPS
+            and self.speed_mps(variant, now_ns) < STANDSTILL_MPS
+        )
+
+    def _fresh(self, name: str, now_ns: int) -> bytes | None:
+        latest = self._latest.get(name)
+        if latest is None or now_ns - latest[1] > _SILENCE_NS[name]:
+            return None
+        return latest[0]
+
+    def _body(self, data: bytes) -> Signals:
+        return self._read[Variant.COARSE][_BODY](data)
+
+
+_SILENCE_NS: Final = {name: silence_ns(load(Variant.COARSE).messages[name].period_ns) for name in _WATCHED}
+_GEARS: Final = {gear.value: gear for gear in GearPosition}
+_MODES: Final = {mode.value: mode for mode in Mode}
+
+
+def _mode(body: Signals) -> Mode:
+    """The mode that a body frame tells; eight zero bytes would read auto, but are not valid."""
+    return _MODES.get(str(body["Mode"]), Mode.UNDEFINED) if body["Valid"] else Mode.UNDEFINED

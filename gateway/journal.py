@@ -1,0 +1,90 @@
+"""The journal: everything the core was given, in its order and with its times. Pure.
+
+With the configuration and the run number it is enough to run the core again: see ``gateway.rerun``. An input is an
+array: its kind, the monotonic time, and what the core's method of that kind was given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from enum import IntEnum
+from typing import Any, Final
+
+import msgspec
+
+from schemas.decisions import Journal
+from schemas.messages import SEQUENCE_MAX
+
+
+class Kind(IntEnum):
+    """Which method of the core an input was given to."""
+
+    FRAME = 0
+    """can_id, data, wall_ns, fd_flags, remote_length"""
+    REQUEST = 1
+    """handle, verb, operator, payload, size"""
+    LINKS = 2
+    """bus_up, bus_losses, guarded, guard_sends; only when one of them has changed"""
+    TICK = 3
+    """wall_ns, late_ns"""
+    SENT = 4
+    """count, wall_ns"""
+    SHUT_DOWN = 5
+
+
+Input = tuple[Any, ...]
+
+
+class JournalWriter:
+    """Gathers inputs until they are taken."""
+
+    def __init__(self, run: int) -> None:
+        self._run = run
+        self._inputs: list[Input] = []
+        self._first = 0
+        self._sequence = 0
+        self.add = self._inputs.append
+
+    def take(self, wall_ns: int) -> Journal | None:
+        """The inputs since the last time, as one message; None if there are none."""
+        inputs = self._inputs
+        if not inputs:
+            return None
+        journal = Journal(
+            time_ns=wall_ns,
+            sequence=self._sequence,
+            run=self._run,
+            first=self._first,
+            count=len(inputs),
+            inputs=_ENCODER.encode(inputs),
+        )
+        self._first += len(inputs)
+        self._sequence = (self._sequence + 1) & SEQUENCE_MAX
+        inputs.clear()
+        return journal
+
+
+_ENCODER: Final = msgspec.msgpack.Encoder()
+_DECODER: Final = msgspec.msgpack.Decoder(list[tuple[Any, ...]])
+
+
+class JournalGapError(Exception):
+    """Part of a run's journal is missing, so it cannot be run again."""
+
+
+def read(journals: Iterator[Journal] | list[Journal]) -> Iterator[Input]:
+    """The inputs of a run, in their order.
+
+    Raises:
+        JournalGapError: they do not begin with the first input, some are missing, or they are of several runs.
+    """
+    expected = 0
+    run: int | None = None
+    for journal in journals:
+        if run not in {None, journal.run}:
+            raise JournalGapError(f"run {run} ends after {expected} inputs, and run {journal.run} begins")
+        run = journal.run
+        if journal.first != expected:
+            raise JournalGapError(f"inputs {expected} to {journal.first - 1} are missing")
+        expected += journal.count
+        yield from _DECODER.decode(journal.inputs)

@@ -1,0 +1,107 @@
+"""The chassis as the arbiter sees it, from the telemetry flow: the one place where the two flows touch. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final, TypeVar
+
+from gateway.chassis.supervision import silence_ns
+from gateway.chassis.variant import WHEEL_SPEED, VariantDetector
+from gateway.command.observed import Observed
+from gateway.telemetry.feedback import FeedbackStream
+from gateway.telemetry.health import Links
+from schemas.messages import Body, Drive, Feedback, Gear, GearPosition, Mode, Steering, Variant, WheelSpeed
+from schemas.settings import TURNING_RAW_MIN
+
+BODY: Final = "Auto_MileageAndBodyFeedback"
+DRIVE: Final = "Auto_DriveFeedBack"
+
+_Kind = TypeVar("_Kind", bound=Feedback)
+
+
+class Observer:
+    """Looks at the feedback streams each tick."""
+
+    def __init__(self, streams: Iterable[FeedbackStream], detector: VariantDetector) -> None:
+        self._streams = {stream.layout.name: stream for stream in streams}
+        self._detector = detector
+        # A frame that says that it is not valid is waited for as long as one that stays away.
+        self._patience_ns = {
+            name: silence_ns(self._streams[name].layout.period_ns) for name in (WHEEL_SPEED, BODY)
+        }
+        self._valid_ns = dict.fromkeys(self._patience_ns, 0)
+
+    def observe(self, links: Links, variant: Variant, commander_ns: int | None, now_ns: int) -> Observed:
+        """The chassis now.
+
+        Args:
+            links: the bus and the guard.
+            variant: the firmware variant in force.
+            commander_ns: when another computer's command frame was last heard.
+            now_ns: monotonic.
+        """
+        wheels, body = self._latest(WHEEL_SPEED, WheelSpeed), self._latest(BODY, Body)
+        drive, gear = self._latest(DRIVE, Drive), self._latest("Auto_GearFeedBack", Gear)
+        steering = self._latest("Auto_SteeringFeedBack", Steering)
+        return Observed(
+            bus_up=links.bus_up,
+            bus_losses=links.bus_losses,
+            missing=tuple(self._missing(wheels, body, now_ns)),
+            faulty=tuple(self._faulty(now_ns)),
+            variant=variant,
+            confirmed=self._detector.confirmed,
+            mode=body.mode if body is not None else Mode.UNDEFINED,
+            gear=gear.gear_position if gear is not None else GearPosition.UNDEFINED,
+            speed_mps=drive.speed_mps if drive is not None else None,
+            wheel_speed_mps=_mean_mps(wheels),
+            turns=self._turns(),
+            angle_deg=steering.angle_deg if steering is not None else None,
+            front_bumper=_bumper(body, body.front_bumper) if body is not None else None,
+            rear_bumper=_bumper(body, body.rear_bumper) if body is not None else None,
+            total_mileage_km=body.total_mileage_km if body is not None and body.valid else None,
+            commander_ns=commander_ns,
+            guarded=links.guarded,
+            guard_sends=links.guard_sends,
+        )
+
+    def _latest(self, name: str, kind: type[_Kind]) -> _Kind | None:
+        message = self._streams[name].latest
+        return message if isinstance(message, kind) else None
+
+    def _missing(self, wheels: WheelSpeed | None, body: Body | None, now_ns: int) -> Iterable[str]:
+        for name, message in ((WHEEL_SPEED, wheels), (BODY, body)):
+            if message is not None and message.valid:
+                self._valid_ns[name] = now_ns
+        for name, stream in self._streams.items():
+            if stream.supervisor.is_silent or (
+                name in self._valid_ns
+                and stream.latest is not None
+                and now_ns - self._valid_ns[name] > self._patience_ns[name]
+            ):
+                yield name
+
+    def _faulty(self, now_ns: int) -> Iterable[str]:
+        for name, stream in self._streams.items():
+            supervisor = stream.supervisor
+            if (
+                supervisor.alive.has_failed
+                or supervisor.checksums.has_failed(now_ns)
+                or supervisor.implausible.has_failed(now_ns)
+            ):
+                yield name
+
+    def _turns(self) -> bool | None:
+        """Whether the drive feedback is not zero, in whatever scale: a robot that moves shows no variant."""
+        data = self._streams[DRIVE].data
+        return None if data is None else int.from_bytes(data[1:3], "little") >= TURNING_RAW_MIN
+
+
+def _mean_mps(wheels: WheelSpeed | None) -> float | None:
+    if wheels is None or not wheels.valid:
+        return None
+    return (wheels.rear_left_speed_mps + wheels.rear_right_speed_mps) / 2
+
+
+def _bumper(body: Body, is_pressed: bool) -> bool | None:  # noqa: FBT001 - it is what the frame says
+    """A hit counts although the frame says that it is not valid; that nothing was hit does not."""
+    return is_pressed if body.valid else is_pressed or None

@@ -1,0 +1,207 @@
+"""The gateway's side of the guard: starts it, beats for it, and sees whether it watches."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from typing import Final, Protocol
+
+import msgspec
+
+from gateway.command.actuation import AT_REST, Actuation
+from gateway.command.flow import CommandFlow
+from gateway.guard.beat import Beat, Cause, GuardStatus
+from gateway.ports.heartbeat import Heartbeat
+from schemas.messages import Variant
+from schemas.settings import GUARD_SILENT_NS, Settings
+
+log = logging.getLogger(__name__)
+
+SHARED_INTERFACES: Final = frozenset({"socketcan", "socketcand"})
+"""Interfaces of python-can whose bus several processes can open at once. On any other there is no guard."""
+
+END_TIMEOUT_S: Final = 1.0
+"""A guard at rest ends well within this time."""
+
+
+class GuardLink(Protocol):
+    """The guard, as the loop sees it. Nothing here blocks, but for ``close``.
+
+    Attributes:
+        why_not: why no guard can watch, for people; empty if one was started.
+    """
+
+    why_not: str
+
+    @property
+    def is_watching(self) -> bool:
+        """The guard lives, has its bus, and hears feedback."""
+        ...
+
+    @property
+    def is_sending(self) -> bool:
+        """The guard is stopping the robot: the loop must send nothing."""
+        ...
+
+    @property
+    def stops(self) -> int:
+        """How many stops the guard has ended."""
+        ...
+
+    @property
+    def cause(self) -> Cause:
+        """Of the last one, or of the one under way."""
+        ...
+
+    def beat(self, now_ns: int, command: CommandFlow) -> None:
+        """The loop lives, and has sent what it had to."""
+        ...
+
+    def close(self) -> None:
+        """The gateway ends. A guard that has nothing to do ends with it; one that stops the robot goes on."""
+        ...
+
+
+class NoGuard:
+    """No guard can watch here."""
+
+    is_watching: Final = False
+    is_sending: Final = False
+    stops: Final = 0
+    cause: Final = Cause.NONE
+
+    def __init__(self, why_not: str) -> None:
+        self.why_not = why_not
+
+    def beat(self, now_ns: int, command: CommandFlow) -> None:
+        """Nobody listens."""
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+class GuardProcess:
+    """A guard that was started."""
+
+    why_not = ""
+
+    def __init__(self, process: subprocess.Popen[bytes], memory: Heartbeat) -> None:
+        self._process = process
+        self._memory = memory
+        self._was_told = False
+        self._newest = Beat(0)
+
+    @property
+    def pid(self) -> int:
+        """The guard's process."""
+        return self._process.pid
+
+    @property
+    def is_watching(self) -> bool:
+        """The guard lives, has its bus, and hears feedback."""
+        status = self._live_status()
+        return status is not None and status.is_ready
+
+    @property
+    def is_sending(self) -> bool:
+        """The guard is stopping the robot. One that gives no sign of life any more is not."""
+        status = self._live_status()
+        return status is not None and status.is_sending
+
+    @property
+    def stops(self) -> int:
+        """How many stops the guard has ended."""
+        status = self._memory.read_status()
+        return 0 if status is None else status.stops
+
+    @property
+    def cause(self) -> Cause:
+        """Of the last one, or of the one under way."""
+        status = self._memory.read_status()
+        return Cause.NONE if status is None else status.cause
+
+    def beat(self, now_ns: int, command: CommandFlow) -> None:
+        """The loop lives, and has sent what it had to."""
+        arbiter = command.arbiter
+        self.tell(now_ns, arbiter.variant, arbiter.actuation, command.maker.counters, is_mute=command.is_mute)
+
+    def tell(
+        self,
+        now_ns: int,
+        variant: Variant,
+        actuation: Actuation | None,
+        counters: Mapping[str, int],
+        *,
+        is_mute: bool = False,
+    ) -> None:
+        """The loop lives, and has sent what it had to.
+
+        Args:
+            now_ns: monotonic, after sending.
+            variant: the one in force.
+            actuation: what the chassis was told in this tick; None for silence.
+            counters: the next alive counter of each command frame, in the layout's order.
+            is_mute: what has to be sent cannot be: the guard acts at once.
+        """
+        is_told = actuation is not None or is_mute
+        self._newest = Beat(
+            now_ns=now_ns,
+            is_active=is_told or self._was_told,
+            is_mute=is_mute,
+            variant=variant,
+            last=actuation
+            if actuation is not None
+            else self._newest.last
+            if is_told or self._was_told
+            else AT_REST,
+            counters=bytes(counters.values()),
+        )
+        self._was_told = is_told
+        self._memory.write_beat(self._newest)
+
+    def close(self) -> None:
+        """The gateway ends. A guard that has nothing to do ends with it; one that stops the robot goes on."""
+        self._memory.write_beat(msgspec.structs.replace(self._newest, is_closing=True))
+        try:
+            self._process.wait(0 if self._newest.is_active else END_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            log.warning("the guard (process %d) is still at work; it ends by itself", self._process.pid)
+        self._memory.close()
+
+    def _live_status(self) -> GuardStatus | None:
+        status = self._memory.read_status()
+        if status is None or time.monotonic_ns() - status.now_ns > GUARD_SILENT_NS:
+            return None
+        return status
+
+
+def start_guard(settings: Settings) -> GuardProcess | NoGuard:
+    """Start the guard; it watches some time later. Where none can be, the link says why, and never watches."""
+    if settings.gateway.listen_only:
+        return NoGuard("the gateway only listens")
+    if settings.can.interface not in SHARED_INTERFACES:
+        return NoGuard(f"interface {settings.can.interface!r} is not known to let two processes open one bus")
+    memory = Heartbeat.create()
+    # Not a fork of this process, which has threads; and no descriptor of its bus or of Zenoh goes along.
+    # The modules come from where ours do, whatever lies in the working directory.
+    try:
+        process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
+            [sys.executable, "-P", "-m", "gateway.guard", str(memory.descriptor)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            pass_fds=[memory.descriptor],
+            start_new_session=True,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        )
+    except OSError as error:
+        memory.close()
+        return NoGuard(f"its process cannot be started: {error}")
+    order = {"parent": os.getpid(), "settings": settings}
+    if process.stdin is not None:
+        process.stdin.write(msgspec.json.encode(order))
+        process.stdin.close()
+    return GuardProcess(process, memory)

@@ -1,0 +1,71 @@
+"""A TCP relay on the loopback that can be stalled: a link that stands and carries nothing, as bad radio does."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from types import TracebackType
+from typing import Final, Self
+
+BUFFER_BYTES: Final = 65_536
+
+
+class Relay:
+    """Carries every connection to a place, both ways, while it is not stalled.
+
+    Attributes:
+        endpoint: where to connect instead, as HOST:PORT.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        self._target = (host, port)
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.endpoint = f"127.0.0.1:{self._server.getsockname()[1]}"
+        self._flows = threading.Event()
+        self._flows.set()
+        self._sockets: list[socket.socket] = [self._server]
+        threading.Thread(target=self._accept, name="relay", daemon=True).start()
+
+    def stall(self) -> None:
+        """Carry nothing more; what is sent waits, and is delivered after ``resume``."""
+        self._flows.clear()
+
+    def resume(self) -> None:
+        """Carry again, beginning with all that has waited."""
+        self._flows.set()
+
+    def close(self) -> None:
+        """Cut every connection."""
+        for one in self._sockets:
+            with contextlib.suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+            one.close()
+        self._flows.set()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):  # That is how it is closed.
+            while True:
+                near = self._server.accept()[0]
+                far = socket.create_connection(self._target)
+                self._sockets += [near, far]
+                for source, sink in ((near, far), (far, near)):
+                    sink.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                    threading.Thread(target=self._carry, args=(source, sink), name="relay", daemon=True).start()
+
+    def _carry(self, source: socket.socket, sink: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(BUFFER_BYTES):
+                self._flows.wait()
+                sink.sendall(data)
+        for one in (source, sink):
+            with contextlib.suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)

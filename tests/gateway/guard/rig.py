@@ -1,0 +1,129 @@
+"""A guard beside a simulated gateway and a simulated chassis: one time, one bus, no clocks."""
+
+import msgspec
+
+from gateway.chassis.frame import Frame
+from gateway.chassis.layout import load
+from gateway.command.actuation import Actuation
+from gateway.command.frames import FrameMaker
+from gateway.command.gate import Gate
+from gateway.guard.beat import Beat
+from gateway.guard.guardian import Guardian
+from gateway.sim.faults import FaultLine, parse
+from gateway.sim.model import VirtualChassis
+from schemas.messages import GearPosition, Mode, Variant
+from schemas.settings import GUARD_POLL_NS, TICK_NS, CommandSettings
+
+MS = 1_000_000
+S = 1_000_000_000
+
+DRIVING = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=1.0, parking=False)
+
+
+class GuardRig:
+    """Lets time pass in polls of 5 ms; the loop ticks in every second one, as long as it lives.
+
+    Attributes:
+        loop_lives, parent_lives, bus_up, mute: knobs.
+        takes: how many frames of a burst the bus takes.
+        hears_loop: the guard hears what the loop sends; on some interfaces it does not.
+        told: what the loop tells the chassis; None for silence.
+        sent: what the guard sent, with its time.
+        lines: what the guard said.
+    """
+
+    def __init__(self, variant: Variant = Variant.COARSE, settings: CommandSettings | None = None) -> None:
+        self.now_ns = S
+        self.variant = variant
+        self.chassis = VirtualChassis(load(variant), self.now_ns)
+        self.guardian = Guardian(settings or CommandSettings())
+        self.gate = Gate()
+        self.loop_lives = self.parent_lives = self.bus_up = True
+        self.mute = False
+        self.takes = 5
+        self.hears_loop = True
+        self.told: Actuation | None = None
+        self.told_variant = variant
+        self.maker = FrameMaker()
+        self.beat: Beat | None = None
+        self.sent: list[tuple[int, Frame]] = []
+        self.by_loop: list[Frame] = []
+        self.lines: list[str] = []
+        self._was_told = False
+
+    def fault(self, text: str) -> None:
+        """Cause a fault of the chassis now."""
+        line = parse(text)
+        assert isinstance(line, FaultLine), line
+        self.chassis.inject(line, self.now_ns)
+
+    def drive(self, told: Actuation = DRIVING, seconds: float = 1.5) -> None:
+        """The gateway drives until the robot rolls."""
+        self.told = Actuation(enabled=True)
+        self.run(0.2)
+        assert self.chassis.state.mode is Mode.AUTO
+        self.told = told
+        self.run(seconds)
+
+    def run(self, seconds: float) -> None:
+        """Let time pass."""
+        for _ in range(round(seconds * S / GUARD_POLL_NS)):
+            self.now_ns += GUARD_POLL_NS
+            self._chassis()
+            if self.loop_lives and self.parent_lives and self.now_ns % TICK_NS == 0:
+                self.loop()
+            self._guard()
+
+    def close(self) -> None:
+        """The gateway says that it ends, and does; its process is still there."""
+        assert self.beat is not None
+        self.loop_lives = False
+        self.beat = msgspec.structs.replace(self.beat, is_closing=True)
+
+    def poll(self) -> list[Frame]:
+        """One look of the guard; returns what it sends."""
+        before = len(self.sent)
+        self.run(GUARD_POLL_NS / S)
+        return [frame for _, frame in self.sent[before:]]
+
+    def _chassis(self) -> None:
+        for frame in self.chassis.advance(self.now_ns):
+            self.guardian.receive(frame, self.now_ns)
+
+    def loop(self) -> None:
+        """One tick of the gateway's loop."""
+        is_told = self.told is not None
+        if self.told is not None and not self.mute and not self.guardian.is_sending:
+            frames = self.maker.make(self.told, [], self.variant)
+            self.maker.sent(frames)
+            self.gate = Gate()
+            for frame in frames:
+                self.by_loop.append(frame)
+                self.chassis.receive(frame, self.now_ns)
+                if self.hears_loop:
+                    self.guardian.receive(frame, self.now_ns)
+        self.beat = Beat(
+            now_ns=self.now_ns,
+            is_active=is_told or self._was_told,
+            is_mute=self.mute,
+            variant=self.told_variant,
+            last=self.told or DRIVING,
+            counters=bytes(self.maker.counters.values()),
+        )
+        self._was_told = is_told
+
+    def _guard(self) -> None:
+        if self.guardian.is_ended:
+            return
+        offered = self.guardian.tick(self.beat, self.now_ns, parent_lives=self.parent_lives, bus_up=self.bus_up)
+        taken = offered[: self.takes]
+        for frame in taken:
+            self.sent.append((self.now_ns, frame))
+            self.chassis.receive(frame, self.now_ns)
+        if offered:
+            assert self.guardian.is_sending
+            # A gate of the test's own, which knows nothing of the guard's.
+            assert self.gate.admit(offered, self.told_variant, self.now_ns) is None
+            self.gate.sent(taken, self.now_ns)
+            self.guardian.sent(len(taken), self.now_ns)
+        self.lines += self.guardian.take_lines()

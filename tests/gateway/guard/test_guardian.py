@@ -1,0 +1,430 @@
+"""When the guard acts: after the gateway, never beside it, and until the robot rests."""
+
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gateway.chassis.decode import Decoded, Decoder
+from gateway.chassis.layout import load
+from gateway.command.actuation import Actuation
+from gateway.command.gate import MOTION
+from gateway.guard.beat import Cause
+from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
+from schemas.settings import (
+    DISABLE_NS,
+    GUARD_GIVES_UP_NS,
+    GUARD_LATE_NS,
+    GUARD_POLL_NS,
+    HOLD_NS,
+    TICK_NS,
+    CommandSettings,
+)
+from tests.gateway.guard.rig import DRIVING, MS, GuardRig, S
+
+A_STOP_S = 8.0
+
+
+def kill(rig: GuardRig) -> None:
+    """The process ends."""
+    rig.parent_lives = False
+
+
+def stall(rig: GuardRig) -> None:
+    """The process lives, and does nothing."""
+    rig.loop_lives = False
+
+
+def go_mute(rig: GuardRig) -> None:
+    """The loop beats, and cannot send."""
+    rig.mute = True
+
+
+ENDS: dict[str, tuple[Callable[[GuardRig], None], Cause]] = {
+    "killed": (kill, Cause.GONE),
+    "stalled": (stall, Cause.LATE),
+    "mute": (go_mute, Cause.MUTE),
+    "closed while it drives": (GuardRig.close, Cause.GONE),
+}
+
+
+@pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
+@pytest.mark.parametrize("end", ENDS)
+def test_however_the_gateway_fails_the_robot_comes_to_rest(end: str, variant: Variant) -> None:
+    """Ramp, brake, neutral, parking brake, hold, disabled frames, silence; then the guard says what it did."""
+    rig = GuardRig(variant)
+    rig.drive()
+    assert rig.chassis.state.speed_mps > 0.9
+    assert rig.sent == []
+    fail, cause = ENDS[end]
+    fail(rig)
+    rig.run(A_STOP_S)
+    state = rig.chassis.state
+    assert state.speed_mps == 0
+    assert state.parking_status is ParkingStatus.APPLIED
+    assert state.mode is Mode.STOP
+    assert rig.guardian.cause is cause
+    assert rig.guardian.stops == 1
+    assert not rig.guardian.is_sending
+    assert cause.value in rig.lines[0]
+    assert f"the robot stands; {len(rig.sent)} frames sent" in rig.lines[1]
+    assert rig.now_ns - rig.sent[-1][0] > S
+
+
+def test_the_order_of_the_stop() -> None:
+    """Speed falls first, then the pedal, then neutral, then the parking brake, then the enables."""
+    rig = GuardRig()
+    rig.drive()
+    rig.parent_lives = False
+    rig.run(A_STOP_S)
+    decoder = Decoder(load(Variant.COARSE))
+    seen: dict[str, int] = {}
+    speeds = []
+    for at_ns, frame in rig.sent:
+        decoded = decoder.decode(frame)
+        assert isinstance(decoded, Decoded)
+        match decoded.signals:
+            case {"TargetVelocity": float() as speed}:
+                speeds.append(speed)
+                if speed == 0:
+                    seen.setdefault("zero speed", at_ns)
+            case {"BrakePedal": float() as pedal} if pedal > 0:
+                seen.setdefault("pedal", at_ns)
+            case {"TargetGear": "neutral"}:
+                seen.setdefault("neutral", at_ns)
+            case {"ParkingRequest": True}:
+                seen.setdefault("parking", at_ns)
+        if decoded.signals["Enable"] is False:
+            seen.setdefault("disabled", at_ns)
+    assert speeds == sorted(speeds, reverse=True)
+    assert list(seen) == sorted(seen, key=lambda name: seen[name])
+    assert set(seen) == {"zero speed", "pedal", "neutral", "parking", "disabled"}
+    assert seen["disabled"] - seen["parking"] == pytest.approx(HOLD_NS, abs=2 * TICK_NS)
+    assert rig.sent[-1][0] - seen["disabled"] == pytest.approx(DISABLE_NS, abs=2 * TICK_NS)
+
+
+@pytest.mark.parametrize("heard", ["heard", "not heard"])
+def test_the_counters_go_on(heard: str) -> None:
+    """For each command frame the guard's first counter follows the loop's last, and then +1 for each frame."""
+    rig = GuardRig()
+    rig.hears_loop = heard == "heard"
+    rig.drive(seconds=1.53)
+    rig.parent_lives = False
+    rig.run(1)
+    for can_id in MOTION:
+        frames = [frame for frame in rig.by_loop if frame.can_id == can_id][-1:]
+        frames += [frame for _, frame in rig.sent if frame.can_id == can_id]
+        counters = [frame.data[6] >> 4 for frame in frames]
+        assert counters == [(counters[0] + step) % 16 for step in range(len(counters))]
+
+
+def test_a_gateway_that_died_between_the_frames_and_the_heartbeat_repeats_no_counter() -> None:
+    """Two frames of a burst went out, the heartbeat did not: their counters go on from the bus."""
+    rig = GuardRig()
+    rig.drive()
+    burst = rig.maker.make(DRIVING, [], Variant.COARSE)
+    for frame in burst[:2]:
+        rig.guardian.receive(frame, rig.now_ns)
+    rig.parent_lives = False
+    first = {frame.can_id: frame.data[6] >> 4 for frame in rig.poll()}
+    ahead = [(first[frame.can_id] - (frame.data[6] >> 4)) % 16 for frame in burst]
+    assert ahead == [1, 1, 0, 0, 0]
+
+
+def test_a_frame_that_the_bus_did_not_take_costs_no_counter() -> None:
+    """A full transmit buffer takes two of five: the next burst repeats the counters of the three."""
+    rig = GuardRig()
+    rig.drive()
+    rig.parent_lives, rig.takes = False, 2
+    first = rig.poll()
+    rig.takes = 5
+    rig.poll()
+    second = rig.poll()
+    assert [frame.data[6] >> 4 for frame in second[:2]] == [((frame.data[6] >> 4) + 1) % 16 for frame in first]
+    assert len(second) == 5
+
+
+def test_a_stop_that_nobody_heard_does_not_go_on() -> None:
+    """The bus takes nothing for a second: the ramp goes on from the speed that the chassis was last told."""
+    rig = GuardRig(Variant.FINE)
+    rig.drive()
+    rig.parent_lives = False
+    rig.run(0.1)
+    drive = load(Variant.FINE).messages["Auto_DriveCmd"].can_id
+
+    def told_raw() -> int:
+        return [int.from_bytes(frame.data[1:3], "little") for _, frame in rig.sent if frame.can_id == drive][-1]
+
+    before = told_raw()
+    rig.takes = 0
+    rig.run(1)
+    rig.takes = 5
+    rig.run(0.01)
+    # The pause counts as ten ticks at most, and 2 m/s2 are 20 bits a tick.
+    assert 0 < before - told_raw() <= 220
+    rig.run(A_STOP_S)
+    assert "the robot stands" in rig.lines[-1]
+
+
+def test_a_gateway_that_is_gone_is_noticed_at_the_next_look() -> None:
+    """No waiting for the heartbeat to age."""
+    rig = GuardRig()
+    rig.drive()
+    rig.parent_lives = False
+    assert len(rig.poll()) == 5
+
+
+def test_a_late_heartbeat_is_stopped_for_within_100_ms_and_not_before_its_limit() -> None:
+    """The first stop frame comes two looks after the limit at the latest."""
+    rig = GuardRig()
+    rig.drive()
+    rig.loop_lives = False
+    assert rig.beat is not None
+    rig.run(0.2)
+    late_ns = rig.sent[0][0] - rig.beat.now_ns
+    assert GUARD_LATE_NS < late_ns <= GUARD_LATE_NS + 2 * GUARD_POLL_NS < 100 * MS
+
+
+def test_one_late_look_is_not_enough() -> None:
+    """A machine that stood still as a whole: the loop beats before the second look, and nothing is sent."""
+    rig = GuardRig()
+    rig.drive()
+    rig.now_ns += 300 * MS
+    rig.loop_lives = False
+    rig.poll()
+    rig.loop_lives = True
+    rig.run(1)
+    assert rig.sent == []
+
+
+def test_a_gateway_that_tells_the_chassis_nothing_is_let_go() -> None:
+    """Standing by, it may be late or end as it likes: nothing is sent, and the guard leaves."""
+    rig = GuardRig()
+    rig.run(0.5)
+    rig.loop_lives = False
+    rig.run(0.5)
+    assert not rig.guardian.is_ended
+    rig.parent_lives = False
+    rig.run(0.01)
+    assert rig.guardian.is_ended
+    assert rig.sent == []
+    assert rig.lines == []
+
+
+def test_a_guard_outlives_its_gateway_until_the_stop_is_done() -> None:
+    """And then it leaves."""
+    rig = GuardRig()
+    rig.drive()
+    rig.parent_lives = False
+    while rig.poll() or rig.guardian.is_sending:
+        assert not rig.guardian.is_ended
+    rig.run(0.01)
+    assert rig.guardian.is_ended
+    assert rig.chassis.state.speed_mps == 0
+
+
+def test_a_loop_that_comes_back_finds_the_stop_carried_through_and_is_watched_again() -> None:
+    """Nobody sends beside the guard; later the loop drives again and fails again, and is stopped for again."""
+    rig = GuardRig()
+    rig.drive()
+    rig.loop_lives = False
+    rig.run(0.2)
+    by_loop = len(rig.by_loop)
+    rig.loop_lives, rig.told = True, None
+    rig.run(A_STOP_S)
+    assert len(rig.by_loop) == by_loop
+    assert (rig.guardian.stops, rig.chassis.state.speed_mps) == (1, 0)
+    rig.drive()
+    assert rig.chassis.state.speed_mps > 0.9
+    rig.parent_lives = False
+    rig.run(A_STOP_S)
+    assert (rig.guardian.stops, rig.chassis.state.speed_mps) == (2, 0)
+
+
+@pytest.mark.parametrize("end", ["stalled", "mute"])
+def test_one_failure_is_stopped_for_once(end: str) -> None:
+    """A loop that stays late or mute after the stop is not stopped for again, and again."""
+    rig = GuardRig()
+    rig.drive()
+    ENDS[end][0](rig)
+    rig.run(3 * A_STOP_S)
+    assert rig.guardian.stops == 1
+
+
+def test_the_hand_transmitter_has_the_robot() -> None:
+    """Mode remote before the gateway dies: not one frame. Mode remote during the stop: not one more."""
+    rig = GuardRig()
+    rig.drive()
+    rig.fault("transmitter remote")
+    rig.run(0.1)
+    rig.parent_lives = False
+    rig.run(1)
+    assert rig.sent == []
+    assert "hand transmitter" in rig.lines[-1]
+
+    rig = GuardRig()
+    rig.drive()
+    rig.parent_lives = False
+    rig.run(0.2)
+    rig.fault("transmitter remote")
+    rig.run(0.1)
+    sent = len(rig.sent)
+    rig.run(1)
+    assert len(rig.sent) == sent > 0
+    assert rig.guardian.is_ended
+
+
+def test_feedback_that_falls_silent_does_not_end_the_stop() -> None:
+    """Standstill cannot be seen, so the brake phase lasts its time; the rest follows, and the guard says so."""
+    rig = GuardRig()
+    rig.drive()
+    rig.fault("silence all")
+    rig.run(0.3)
+    rig.parent_lives = False
+    rig.run(A_STOP_S)
+    assert rig.chassis.state.speed_mps == 0
+    assert rig.chassis.state.parking_status is ParkingStatus.APPLIED
+    assert "not seen to stand" in rig.lines[-1]
+
+
+def test_a_bus_that_comes_back_in_time_is_used() -> None:
+    """Gone with the gateway for 2 s: the stop begins when it is there again."""
+    rig = GuardRig()
+    rig.drive()
+    rig.parent_lives = rig.bus_up = False
+    rig.run(2)
+    assert rig.sent == []
+    # A loop that could act itself is not kept from it.
+    assert not rig.guardian.is_sending
+    assert rig.chassis.state.speed_mps > 0.9
+    assert not rig.guardian.is_ended
+    rig.bus_up = True
+    rig.run(A_STOP_S)
+    assert rig.chassis.state.speed_mps == 0
+
+
+@pytest.mark.parametrize("lost_after_s", [0.0, 0.2])
+@pytest.mark.parametrize("how", ["lost", "full"])
+def test_a_guard_without_a_bus_gives_up_at_last(lost_after_s: float, how: str) -> None:
+    """Before or in the middle of its stop; it says so, and leaves."""
+    rig = GuardRig()
+    rig.drive()
+    rig.parent_lives = False
+    rig.bus_up = how == "full" or lost_after_s > 0
+    rig.takes = 5 if lost_after_s else 0
+    rig.run(lost_after_s)
+    rig.bus_up, rig.takes = how == "full", 0
+    rig.run(GUARD_GIVES_UP_NS / S - 1)
+    assert not rig.guardian.is_ended
+    rig.run(2)
+    assert rig.guardian.is_ended
+    assert "given up" in rig.lines[-1]
+
+
+def test_a_signal_is_ignored_while_the_chassis_is_told_something() -> None:
+    """A supervisor that ends every process at once must not take the guard from a robot that drives."""
+    rig = GuardRig()
+    rig.drive()
+    rig.guardian.ask_to_end()
+    rig.run(0.1)
+    assert not rig.guardian.is_ended
+    rig.told = None
+    rig.run(0.1)
+    assert not rig.guardian.is_ended
+    rig.guardian.ask_to_end()
+    rig.run(0.01)
+    assert rig.guardian.is_ended
+
+
+def test_a_guard_that_stood_still_itself_gives_the_robot_back() -> None:
+    """Meanwhile the loop counted on it no more, and drives: two must not send."""
+    rig = GuardRig()
+    rig.drive()
+    rig.loop_lives = False
+    rig.run(0.2)
+    rig.loop_lives = True
+    rig.now_ns += S
+    rig.loop()
+    sent = len(rig.sent)
+    rig.run(0.5)
+    assert len(rig.sent) == sent
+    assert not rig.guardian.is_sending
+    assert "given back" in rig.lines[-1]
+
+
+def test_an_unknown_variant_is_told_zero_speed_only() -> None:
+    """The gate lets nothing else through, so there is no ramp: the guard brakes at once."""
+    rig = GuardRig()
+    rig.drive()
+    rig.told_variant = Variant.UNKNOWN
+    rig.run(0.01)
+    rig.parent_lives = False
+    _, _, drive, braking, _ = rig.poll()
+    assert not any(drive.data[1:3])
+    assert braking.data[1] > 0
+    rig.run(A_STOP_S)
+    assert rig.chassis.state.speed_mps == 0
+    assert "the robot stands" in rig.lines[-1]
+
+
+ANY_FLOAT = st.floats(allow_nan=True, allow_infinity=True)
+ACTUATIONS = st.builds(
+    Actuation,
+    enabled=st.booleans(),
+    gear=st.sampled_from(GearPosition),
+    speed_mps=st.one_of(st.floats(-3, 3), ANY_FLOAT),
+    angle_deg=st.one_of(st.floats(-30, 30), ANY_FLOAT),
+    pedal_percent=ANY_FLOAT,
+    parking=st.booleans(),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    ACTUATIONS,
+    st.sampled_from([Variant.COARSE, Variant.FINE]),
+    st.sampled_from(["known", "unknown"]),
+    st.integers(0, 15),
+    st.builds(
+        CommandSettings,
+        deceleration_mps2=st.floats(0.3, 2.0),
+        emergency_deceleration_mps2=st.floats(0.5, 3.0),
+        brake_pedal_percent=st.floats(10, 100),
+    ),
+)
+def test_whatever_the_heartbeat_says_the_stop_passes_the_gate(
+    last: Actuation, variant: Variant, scale: str, counter: int, command: CommandSettings
+) -> None:
+    """Any speed, angle, gear, not a number, variant in doubt: every burst is admitted, and the robot rests."""
+    rig = GuardRig(variant, command)
+    rig.drive(seconds=0.5)
+    assert rig.beat is not None
+    rig.told, rig.loop_lives = last, False
+    if scale == "unknown":
+        rig.told_variant = Variant.UNKNOWN
+    rig.beat = type(rig.beat)(
+        now_ns=rig.now_ns, is_active=True, variant=rig.told_variant, last=last, counters=bytes([counter] * 8)
+    )
+    rig.parent_lives = False
+    assert len(rig.poll()) == 5
+    rig.run(12)
+    assert rig.chassis.state.speed_mps == 0
+    assert rig.chassis.state.parking_status is ParkingStatus.APPLIED
+    assert rig.guardian.is_ended
+    assert "the robot stands" in rig.lines[-1]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.integers(1, 6), min_size=1, max_size=40))
+def test_the_guard_never_sends_while_the_loop_lives(pauses_ticks: list[int]) -> None:
+    """The loop may be late by up to 60 ms, as often as it likes."""
+    rig = GuardRig()
+    rig.drive(seconds=0.2)
+    for pause_ticks in pauses_ticks:
+        rig.loop_lives = False
+        rig.run(pause_ticks * TICK_NS / S)
+        rig.loop_lives = True
+        rig.run(TICK_NS / S)
+    assert rig.sent == []
+    assert rig.guardian.stops == 0

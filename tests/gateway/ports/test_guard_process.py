@@ -1,0 +1,180 @@
+"""The guard as a process of its own, over a served bus, with a gateway that is killed, stopped and hung."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from gateway.command.flow import CommandFlow
+from gateway.guard.beat import Cause
+from gateway.ports.guard_process import GuardProcess, start_guard
+from schemas.messages import Mode
+from schemas.settings import CanSettings, GatewaySettings, Settings
+from tests.gateway.cli.running import chassis
+from tests.gateway.guard.watched import Watched, watched
+from tests.gateway.remote.waiting import wait_until
+
+FIVE = ["Auto_GearCmd", "Auto_SteeringCmd", "Auto_DriveCmd", "Auto_BrakingCmd", "Auto_ParkingCmd"]
+
+
+def wait_stopped(running: Watched) -> None:
+    """The robot stands, is told nothing any more, and has left auto."""
+    wait_until(lambda: running.listener.stands() and running.listener.mode() is Mode.STOP)
+
+
+def test_a_killed_gateway_is_stopped_for() -> None:
+    """A kill -9: whole bursts in their order, counters that go on, the robot rests, the guard says so and goes."""
+    with watched() as running:
+        running.drive()
+        running.send_signal(signal.SIGKILL)
+        wait_stopped(running)
+        running.wait_guard_gone()
+        bursts = running.listener.bursts
+        by_guard = running.listener.by_guard()
+        assert len(by_guard) > 100
+        # Nobody sent after the guard, and nobody between.
+        assert bursts[-len(by_guard) :][0].is_by_guard
+        # The kill may have come between two frames of a burst.
+        assert all(burst.names == FIVE for burst in by_guard[1:])
+        for place in range(len(FIVE)):
+            counters = [burst.frames[place].data[6] >> 4 for burst in bursts if len(burst.frames) > place]
+            assert all((after - before) % 16 == 1 for before, after in pairwise(counters))
+        said = "".join(running.complaints)
+        assert f"guard: {Cause.GONE.value}" in said
+        assert "guard: done: the robot stands" in said
+
+
+def test_a_stopped_gateway_that_comes_back_keeps_silent_and_learns_of_the_stop() -> None:
+    """SIGSTOP, and SIGCONT in the middle: the guard carries its stop through, and watches again."""
+    with watched() as running:
+        running.drive()
+        running.send_signal(signal.SIGSTOP)
+        wait_until(lambda: len(running.listener.by_guard()) > 20)
+        by_gateway = [burst for burst in running.listener.bursts if not burst.is_by_guard]
+        running.send_signal(signal.SIGCONT)
+        running.wait_says("sending True")
+        wait_stopped(running)
+        running.wait_says("stops 1")
+        running.wait_says("sending False")
+        running.wait_says(f"cause {Cause.LATE.name}")
+        # What was under way when it was stopped may have gone out; after that there is nothing of the gateway's.
+        after = [burst for burst in running.listener.bursts if not burst.is_by_guard][len(by_gateway) :]
+        assert len(after) <= 1
+        assert running.guard_lives()
+        running.send_signal(signal.SIGTERM)
+        running.process.wait(30)
+        running.wait_guard_gone()
+
+
+def test_a_gateway_whose_gate_refuses_everything_is_stopped_for() -> None:
+    """It beats in time, and says that it cannot send."""
+    with watched() as running:
+        running.drive()
+        running.send_signal(signal.SIGUSR1)
+        wait_stopped(running)
+        running.wait_says(f"cause {Cause.MUTE.name}")
+
+
+def test_nothing_is_sent_while_the_loop_lives_and_signals_do_not_end_the_guard() -> None:
+    """Not while it drives, and not when it ends in good order; the guard leaves with it, without a word."""
+    with watched() as running:
+        running.drive()
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            os.kill(running.guard, number)
+        count = len(running.listener.bursts)
+        wait_until(lambda: len(running.listener.bursts) > count + 50)
+        assert running.guard_lives()
+        assert os.getsid(running.guard) != os.getsid(0)
+        running.send_signal(signal.SIGUSR2)
+        count = -1
+
+        def is_silent() -> bool:
+            nonlocal count
+            before, count = count, len(running.listener.bursts)
+            time.sleep(0.1)
+            return before == count
+
+        wait_until(is_silent)
+        running.send_signal(signal.SIGTERM)
+        running.process.wait(30)
+        running.wait_guard_gone()
+        wait_until(lambda: bool(running._values("late_ms")))
+        # On a machine that held up the stand-in itself the guard is right to act.
+        if running.late_ms < 60:
+            assert running.listener.by_guard() == []
+            assert running.complaints == []
+
+
+def test_a_guard_that_is_gone_or_hangs_does_not_watch() -> None:
+    """The gateway sees it, and no stop of its is waited for."""
+    for number in (signal.SIGKILL, signal.SIGSTOP):
+        with watched() as running:
+            running.drive()
+            os.kill(running.guard, number)
+            running.wait_says("watching False")
+            os.kill(running.guard, signal.SIGKILL)
+
+
+def test_the_guard_has_a_bus_of_its_own_and_nothing_of_the_gateway() -> None:
+    """No socket is shared, and Zenoh is not even loaded."""
+    with watched() as running:
+        running.drive()
+
+        def sockets(process: int) -> set[str]:
+            links = [str(link.readlink()) for link in Path(f"/proc/{process}/fd").iterdir()]
+            return {link for link in links if link.startswith("socket:")}
+
+        assert len(sockets(running.guard)) == 1
+        assert sockets(running.guard) & sockets(running.process.pid) == set()
+        maps = Path(f"/proc/{running.guard}/maps").read_text(encoding="utf-8")
+        assert "zenoh" not in maps
+        assert "cruiser-heartbeat" in maps
+
+
+def test_a_guard_whose_gateway_never_beat_leaves_with_it() -> None:
+    """Closed at once, before it even watches."""
+    with chassis() as (_, address):
+        link = start_guard(Settings(can=CanSettings(interface="socketcand", channel=address)))
+        assert isinstance(link, GuardProcess)
+        assert link.why_not == ""
+        assert not link.is_watching
+        wait_until(lambda: link.is_watching)
+        assert not link.is_sending
+        link.close()
+        assert link._process.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        (Settings(can=CanSettings(interface="virtual")), "virtual"),
+        (Settings(can=CanSettings(interface="pcan")), "pcan"),
+        (Settings(gateway=GatewaySettings(listen_only=True)), "only listens"),
+    ],
+)
+def test_where_no_guard_can_be_the_link_says_why(settings: Settings, says: str) -> None:
+    """An interface that is not known to be shared has no guard, nor has a gateway that sends nothing."""
+    link = start_guard(settings)
+    assert says in link.why_not
+    link.beat(1, CommandFlow(settings, 1))
+    link.close()
+    assert (link.is_watching, link.is_sending, link.stops, link.cause) == (False, False, 0, Cause.NONE)
+
+
+def test_a_guard_that_cannot_be_started_is_no_guard(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The gateway goes on, unguarded."""
+    monkeypatch.setattr(sys, "executable", "/nonexistent")
+    link = start_guard(Settings())
+    assert "cannot be started" in link.why_not
+
+
+def test_the_guard_loads_neither_zenoh_nor_the_loop() -> None:
+    """It has to start fast and stay small."""
+    code = "import sys, gateway.guard.__main__; print([m for m in sys.modules if 'zenoh' in m or 'loop' in m])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

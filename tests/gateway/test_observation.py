@@ -1,0 +1,295 @@
+"""The chassis as the arbiter sees it."""
+
+from collections import Counter
+from collections.abc import Mapping
+
+import msgspec
+import pytest
+
+from gateway.chassis.decode import Value, compile_message
+from gateway.chassis.frame import Frame
+from gateway.chassis.layout import load
+from gateway.chassis.supervision import silence_ns
+from gateway.chassis.variant import WHEEL_SPEED, VariantDetector
+from gateway.command.observed import Observed
+from gateway.core import Core
+from gateway.observation import BODY, DRIVE, Observer
+from gateway.telemetry.feedback import FeedbackStream
+from gateway.telemetry.health import Links
+from schemas.messages import GearPosition, Mode, Variant
+from schemas.settings import CHECKSUM_FAULTS, VARIANT_EVIDENCE_FRAMES, ChassisSettings, Settings
+from tests.gateway.frames import MS, STANDING, Feedback
+
+UP = Links(bus_up=True, bus_losses=2, guarded=True)
+PATIENCE_MS = {
+    name: silence_ns(load(Variant.COARSE).messages[name].period_ns) // MS for name in (WHEEL_SPEED, BODY)
+}
+
+
+class Eye:
+    """An observer with its streams and detector, and frames to show them."""
+
+    def __init__(self, variant: Variant = Variant.COARSE) -> None:
+        faults: Counter[object] = Counter()
+        self.streams = {
+            layout.name: FeedbackStream(compile_message(layout), faults)  # type: ignore[arg-type]
+            for layout in load(variant).feedback
+        }
+        self.detector = VariantDetector(variant)
+        self.observer = Observer(self.streams.values(), self.detector)
+        self.feedback = Feedback(variant)
+        self.links = UP
+        self.variant = variant
+        self.commander_ns: int | None = None
+
+    def show(self, name: str, values: Mapping[str, Value] | None = None, at_ms: int = 0) -> None:
+        """A frame comes; what is not named is as of a standing chassis."""
+        self.streams[name].receive(self.feedback.frame(name, values), at_ms * MS)
+
+    def show_all(self, at_ms: int = 0, but: tuple[str, ...] = ()) -> None:
+        """One frame of each name comes, but for these."""
+        for name in STANDING:
+            if name not in but:
+                self.show(name, at_ms=at_ms)
+
+    def look(self, at_ms: int = 0) -> Observed:
+        """A tick."""
+        for stream in self.streams.values():
+            stream.tick(at_ms * MS)
+        return self.observer.observe(self.links, self.variant, self.commander_ns, at_ms * MS)
+
+
+STANDS = Observed(
+    bus_up=True,
+    bus_losses=2,
+    variant=Variant.COARSE,
+    mode=Mode.STOP,
+    gear=GearPosition.PARK,
+    speed_mps=0.0,
+    wheel_speed_mps=0.0,
+    turns=False,
+    angle_deg=0.0,
+    front_bumper=False,
+    rear_bumper=False,
+    total_mileage_km=1.5,
+    guarded=True,
+)
+
+
+def rounded(observed: Observed) -> dict[str, object]:
+    """Its fields, with numbers as coarse as the wire."""
+    fields = msgspec.structs.asdict(observed)
+    return {name: round(value, 1) if isinstance(value, float) else value for name, value in fields.items()}
+
+
+def test_a_standing_chassis_is_seen_whole() -> None:
+    """Every field has its value, and nothing is missing."""
+    eye = Eye()
+    eye.show_all()
+    assert rounded(eye.look()) == rounded(STANDS)
+
+
+@pytest.mark.parametrize(
+    ("frame", "values", "changed"),
+    [
+        ("Auto_GearFeedBack", {"GearPosition": "reverse"}, {"gear": GearPosition.REVERSE}),
+        ("Auto_SteeringFeedBack", {"Angle": -12.0}, {"angle_deg": -12.0}),
+        (DRIVE, {"Speed": 1.2}, {"speed_mps": 1.2, "turns": True}),
+        (WHEEL_SPEED, {"RearLeftSpeed": -1.0, "RearRightSpeed": -2.0}, {"wheel_speed_mps": -1.5}),
+        (BODY, {"Mode": "auto"}, {"mode": Mode.AUTO}),
+        (BODY, {"Mode": "remote"}, {"mode": Mode.REMOTE}),
+        (BODY, {"FrontBumper": True}, {"front_bumper": True}),
+        (BODY, {"RearBumper": True}, {"rear_bumper": True}),
+        (BODY, {"TotalMileage": 7.0}, {"total_mileage_km": 7.0}),
+        ("Auto_BrakingFeedBack", {"BrakingStatus": "braking"}, {}),
+        ("Auto_ParkingFeedBack", {"ParkingStatus": "released"}, {}),
+        ("Auto_WheelPulseFeedback", {"RearLeftPulses": 7}, {}),
+        ("Auto_LightFeedback", {"Headlamp": True}, {}),
+        ("Auto_SpeakerFeedback", {"Horn": True}, {}),
+    ],
+)
+def test_each_frame_changes_what_it_tells_and_nothing_else(
+    frame: str, values: dict[str, Value], changed: dict[str, object]
+) -> None:
+    """Each field has one source."""
+    eye = Eye()
+    eye.show_all()
+    eye.show(frame, values)
+    assert rounded(eye.look()) == rounded(STANDS) | changed
+
+
+@pytest.mark.parametrize(
+    ("links", "changed"),
+    [
+        (Links(bus_up=False, bus_losses=3), {"bus_up": False, "bus_losses": 3, "guarded": False}),
+        (Links(bus_up=True, bus_losses=2, guard_sends=True), {"guarded": False, "guard_sends": True}),
+    ],
+)
+def test_bus_and_guard_are_as_the_loop_sees_them(links: Links, changed: dict[str, object]) -> None:
+    """Of the links, what the arbiter must know."""
+    eye = Eye()
+    eye.show_all()
+    eye.links = links
+    assert rounded(eye.look()) == rounded(STANDS) | changed
+
+
+@pytest.mark.parametrize("name", STANDING)
+def test_a_frame_that_never_came_is_missing(name: str) -> None:
+    """That one, and no other; what it would tell is not known."""
+    eye = Eye()
+    eye.show_all(but=(name,))
+    assert eye.look().missing == (name,)
+    assert not eye.look().faulty
+
+
+@pytest.mark.parametrize("name", STANDING)
+def test_a_frame_that_falls_silent_is_missing(name: str) -> None:
+    """After its ten periods, not before; what it told is not known any more."""
+    eye = Eye()
+    eye.show_all()
+    after_ms = silence_ns(load(Variant.COARSE).messages[name].period_ns) // MS
+    for at_ms in range(10, after_ms + 1, 10):
+        eye.show_all(at_ms, but=(name,))
+        assert eye.look(at_ms).missing == ()
+    seen = eye.look(after_ms + 1)
+    assert seen.missing == (name,)
+    unknown = {
+        "Auto_GearFeedBack": seen.gear is GearPosition.UNDEFINED,
+        "Auto_SteeringFeedBack": seen.angle_deg is None,
+        DRIVE: seen.speed_mps is None and seen.turns is None,
+        WHEEL_SPEED: seen.wheel_speed_mps is None,
+        BODY: (seen.mode, seen.front_bumper, seen.rear_bumper) == (Mode.UNDEFINED, None, None),
+    }
+    assert unknown.get(name, True)
+
+
+@pytest.mark.parametrize("name", [WHEEL_SPEED, BODY])
+def test_a_frame_that_says_that_it_is_not_valid_is_waited_for_and_then_missing(name: str) -> None:
+    """As long as one that stays away: a single one is no cause to stop."""
+    eye = Eye()
+    eye.show_all()
+    eye.look()
+    for at_ms in range(10, PATIENCE_MS[name] + 1, 10):
+        eye.show_all(at_ms, but=(name,))
+        eye.show(name, {"Valid": False}, at_ms)
+        assert eye.look(at_ms).missing == ()
+    late_ms = PATIENCE_MS[name] + 10
+    eye.show_all(late_ms, but=(name,))
+    eye.show(name, {"Valid": False}, late_ms)
+    assert eye.look(late_ms).missing == (name,)
+    eye.show(name, at_ms=late_ms)
+    assert eye.look(late_ms).missing == ()
+
+
+@pytest.mark.parametrize("name", [WHEEL_SPEED, BODY])
+def test_a_frame_that_was_never_valid_is_missing(name: str) -> None:
+    """A gateway that starts beside such a chassis does not wait for it: nothing was known before."""
+    eye = Eye()
+    eye.show_all(5000, but=(name,))
+    eye.show(name, {"Valid": False}, 5000)
+    assert eye.look(5000).missing == (name,)
+
+
+def test_wheels_that_are_not_valid_have_no_speed() -> None:
+    """What they say meanwhile is not believed, be it that the robot stands."""
+    eye = Eye()
+    eye.show_all()
+    eye.show(WHEEL_SPEED, {"Valid": False})
+    seen = eye.look()
+    assert seen.wheel_speed_mps is None
+    assert not seen.is_slow
+
+
+def test_a_body_that_is_not_valid_can_only_hit() -> None:
+    """A bumper that it reports hit is one; that nothing was hit, and the mileage, it cannot say."""
+    eye = Eye()
+    eye.show_all()
+    eye.show(BODY, {"Valid": False, "FrontBumper": True})
+    seen = eye.look()
+    assert (seen.front_bumper, seen.rear_bumper, seen.total_mileage_km) == (True, None, None)
+
+
+@pytest.mark.parametrize("name", STANDING)
+def test_a_frame_whose_checksums_fail_is_faulty(name: str) -> None:
+    """Three within a second, of that frame alone."""
+    eye = Eye()
+    eye.show_all()
+    for number in range(CHECKSUM_FAULTS):
+        assert eye.look().faulty == ()
+        good = eye.feedback.frame(name)
+        eye.streams[name].receive(Frame(good.can_id, good.data[:7] + bytes([good.data[7] ^ 1])), number * MS)
+    assert eye.look(CHECKSUM_FAULTS).faulty == (name,)
+
+
+def test_a_frame_whose_counter_fails_is_faulty() -> None:
+    """Five wrong steps."""
+    eye = Eye()
+    eye.show_all()
+    for number in range(5):
+        assert eye.look().faulty == ()
+        for _ in range(7):
+            eye.feedback.frame(BODY)
+        eye.show(BODY, at_ms=number)
+    assert eye.look(5).faulty == (BODY,)
+
+
+def test_a_frame_that_says_what_cannot_be_is_faulty() -> None:
+    """Three angles that the chassis cannot have."""
+    eye = Eye()
+    eye.show_all()
+    for number in range(3):
+        assert eye.look().faulty == ()
+        eye.show("Auto_SteeringFeedBack", {"Angle": 60.0}, number)
+    assert eye.look(3).faulty == ("Auto_SteeringFeedBack",)
+
+
+def test_a_variant_is_confirmed_by_evidence_alone() -> None:
+    """A configured variant is in force at once; that the bus agrees takes five frames."""
+    eye = Eye(Variant.FINE)
+    for _ in range(VARIANT_EVIDENCE_FRAMES):
+        seen = eye.look()
+        assert (seen.variant, seen.confirmed) == (Variant.FINE, False)
+        eye.detector.receive_wheel_speed(eye.feedback.frame(WHEEL_SPEED).data)
+    assert eye.look().confirmed
+
+
+@pytest.mark.parametrize(
+    ("variant", "speed_mps", "turns"),
+    [
+        (Variant.COARSE, 0.0, False),
+        (Variant.COARSE, 0.04, False),
+        (Variant.COARSE, 0.08, True),
+        (Variant.FINE, 0.0, False),
+        (Variant.FINE, 0.001, False),
+        (Variant.FINE, 0.002, True),
+        (Variant.FINE, 2.0, True),
+    ],
+)
+def test_motion_is_seen_while_the_variant_is_not_known(variant: Variant, speed_mps: float, turns: bool) -> None:  # noqa: FBT001 - a case of the table
+    """Beyond one bit, in either scale: a gateway that starts beside a moving robot must see that it moves."""
+    made = Core(Settings(chassis=ChassisSettings(variant="auto")), "1.2.3", 0)
+    feedback = Feedback(variant)
+    for name in STANDING:
+        moves = {"Speed": speed_mps} if name == DRIVE else None
+        made.receive_frame(feedback.frame(name, moves), 0)
+    made.observe_links(UP, 0)
+    made.tick(10 * MS, 0, 0)
+    assert made.command is not None
+    seen = made.command.arbiter.watch.observed
+    assert (seen.variant, seen.speed_mps, seen.wheel_speed_mps) == (Variant.UNKNOWN, None, None)
+    assert seen.turns is turns
+
+
+def test_another_computer_is_noticed_by_its_command_frames() -> None:
+    """Each of the eight, by when it came; the chassis's own feedback is no command, nor is a stranger's frame."""
+    for layout in load(Variant.COARSE).commands:
+        made = Core(Settings(), "1.2.3", 0)
+        assert made.command is not None
+        for frame in Feedback(Variant.COARSE).all():
+            made.receive_frame(frame, 10 * MS)
+        made.receive_frame(Frame(0x18C4D1D0, bytes(8)), 10 * MS)
+        made.tick(10 * MS, 0, 0)
+        assert made.command.arbiter.watch.observed.commander_ns is None
+        made.receive_frame(Frame(layout.can_id, bytes(8)), 17 * MS)
+        made.tick(20 * MS, 0, 0)
+        assert made.command.arbiter.watch.observed.commander_ns == 17 * MS
