@@ -1,4 +1,4 @@
-"""``cruiser demo``: chassis, gateway and recorder together, as three processes, then a summary of the log."""
+"""``cruiser demo``: chassis, gateway, recorder and two operators together, then what happened and was logged."""
 
 from __future__ import annotations
 
@@ -8,40 +8,26 @@ import re
 import socket
 import subprocess
 import sys
-import threading
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final
 
+import msgspec
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from gateway.cli.child import Child
+from gateway.cli.demo_drive import DemoDrive, TimelineEntry
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.settings import RobotSettings, Settings
+from schemas.settings import Settings
 
-EXAMPLE = "  cruiser demo --seconds 20 --out demo-log"
+EXAMPLE = "  cruiser demo --seconds 40 --out demo-log"
 
-READY_TIMEOUT_S: Final = 30.0
-END_TIMEOUT_S: Final = 20.0
-LINES_KEPT: Final = 50
-
-HAND_DRIVE: Final = (
-    (0.10, "transmitter remote"),
-    (0.10, "sticks 0.8 0"),
-    (0.25, "sticks 1.0 20"),
-    (0.55, "sticks 1.0 -20"),
-    (0.80, "bumper front on for 300ms"),
-    (0.85, "sticks 0 0"),
-    (0.95, "transmitter command"),
-)
-"""What happens to the chassis, by the share of the time: its hand transmitter drives it in a figure of eight.
-
-The chassis does not stop at the bumper hit: stopping is the upper layer's duty, and the gateway only listens.
-"""
+SHORTEST_S: Final = 20.0
+"""Stops, a reset, a stalled link and a second operator take their time."""
 
 VIEWERS: Final = """\
 open it with
@@ -53,7 +39,9 @@ open it with
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags of ``cruiser demo``."""
-    parser.add_argument("--seconds", type=_seconds, default=10.0, metavar="N", help="how long (default 10)")
+    parser.add_argument(
+        "--seconds", type=_seconds, default=30.0, metavar="N", help="about how long (default 30, at least 20)"
+    )
     parser.add_argument(
         "--out", type=Path, default=Path("demo-log"), metavar="DIR", help="where the log goes (default demo-log)"
     )
@@ -62,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Run the three, then say what was recorded."""
-    recorded = _record(arguments, settings.robot, stopped)
+    recorded, timeline = _record(arguments, settings, stopped)
     info = _review(Path(recorded["path"]))
     summary = {
         "path": recorded["path"],
@@ -74,6 +62,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         "frames_lost": info["frames_lost"],
         "samples_missed": info["missed"],
         "whole": info["whole"],
+        "timeline": [msgspec.to_builtins(entry) for entry in timeline],
     }
     if arguments.json:
         sys.stdout.write(json.dumps(summary) + "\n")
@@ -85,8 +74,11 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 def describe(summary: dict[str, Any], robot: str) -> str:
     """The summary, for people."""
+    timeline = "".join(
+        f"{entry['at_s']:6.1f} s  {entry['who']:<15}  {entry['what']}\n" for entry in summary["timeline"]
+    )
     return (
-        f"{summary['frames']} CAN frames in {summary['seconds']:.1f} s, {summary['frames_lost']} lost "
+        f"{timeline}{summary['frames']} CAN frames in {summary['seconds']:.1f} s, {summary['frames_lost']} lost "
         "(by the alive counters in the log)\n"
         f"{summary['messages']} messages on {summary['channels']} channels, {summary['samples_missed']} missed, "
         f"{summary['bytes']} bytes\n"
@@ -96,16 +88,19 @@ def describe(summary: dict[str, Any], robot: str) -> str:
 
 def _seconds(text: str) -> float:
     seconds = float(text)
-    if not 1 <= seconds <= 86_400:
-        raise argparse.ArgumentTypeError("must be from 1 to 86400")
+    if not SHORTEST_S <= seconds <= 86_400:
+        raise argparse.ArgumentTypeError(f"must be from {SHORTEST_S:g} to 86400")
     return seconds
 
 
-def _record(arguments: argparse.Namespace, robot: RobotSettings, stopped: Callable[[], bool]) -> dict[str, Any]:
-    """Run chassis, gateway and recorder for the time. Returns what the recorder says of its log.
+def _record(
+    arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]
+) -> tuple[dict[str, Any], list[TimelineEntry]]:
+    """Run chassis, gateway, recorder and operators. Returns what the recorder says of its log, and what happened.
 
     All three read the configuration that the demo was given; only where they find each other is the demo's own.
     """
+    robot = settings.robot
     endpoint = f"tcp/127.0.0.1:{_free_port()}"
     configuration = [] if arguments.config is None else ["--config", arguments.config]
     with ExitStack() as stack:
@@ -127,28 +122,33 @@ def _record(arguments: argparse.Namespace, robot: RobotSettings, stopped: Callab
             )
         )
         recorder.wait_ready()
-        _drive(arguments.seconds, chassis, [chassis, gateway, recorder], stopped)
+        drive = DemoDrive(settings, endpoint.removeprefix("tcp/"), chassis.type)
+        timeline = _drive(arguments.seconds, drive, [chassis, gateway, recorder], stopped)
         # The recorder ends first: what it has not heard by then was not meant for the log.
         result: dict[str, Any] = json.loads(recorder.end())
         gateway.end()
         chassis.end()
-    return result
+    return result, timeline
 
 
-def _drive(seconds: float, chassis: Child, children: Sequence[Child], stopped: Callable[[], bool]) -> None:
-    """Let the time pass, with a progress bar, while the chassis is driven by hand."""
-    to_come = deque(HAND_DRIVE)
+def _drive(
+    seconds: float, drive: DemoDrive, children: Sequence[Child], stopped: Callable[[], bool]
+) -> list[TimelineEntry]:
+    """Let the operators drive on a thread of their own, and show how far they are."""
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     begin_s = time.monotonic()
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("chassis, gateway, recorder", total=seconds)
-        while (elapsed_s := time.monotonic() - begin_s) < seconds and not stopped():
-            progress.update(task, completed=elapsed_s)
-            while to_come and elapsed_s >= to_come[0][0] * seconds:
-                chassis.type(to_come.popleft()[1])
+    with (
+        ThreadPoolExecutor(1, "operators") as pool,
+        Progress(*columns, console=Console(stderr=True), transient=True) as progress,
+    ):
+        driven = pool.submit(drive.run, seconds, stopped)
+        task = progress.add_task("chassis, gateway, recorder, operators", total=seconds)
+        while not driven.done():
+            progress.update(task, completed=min(time.monotonic() - begin_s, seconds))
             for child in children:
                 child.check()
             time.sleep(0.1)
+    return driven.result()
 
 
 def _review(path: Path) -> dict[str, Any]:
@@ -165,97 +165,3 @@ def _free_port() -> int:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
         return port
-
-
-class Child:
-    """One of our own commands in a process of its own. It says that it is ready with its first line on stderr."""
-
-    def __init__(self, name: str, words: Sequence[str]) -> None:
-        self._name = name
-        command = [sys.executable, "-m", "gateway", name, *words]
-        self._process = subprocess.Popen(  # noqa: S603 - our own command
-            # Ctrl-C is for the demo, which ends its children in their order.
-            command,
-            start_new_session=True,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        self._said: deque[str] = deque(maxlen=LINES_KEPT)
-        self._spoke = threading.Event()
-        self._thread = threading.Thread(target=self._listen, daemon=True)
-        self._thread.start()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._process.poll() is None:
-            self._process.kill()
-        self._process.wait()
-        self._thread.join()
-        for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
-            if stream is not None:
-                stream.close()
-
-    def wait_ready(self) -> str:
-        """Its first line.
-
-        Raises:
-            CommandError: it ended instead, or says nothing.
-        """
-        if not self._spoke.wait(READY_TIMEOUT_S):
-            raise CommandError(f"{self._name} does not get ready")
-        line = self._said[0] if self._said else ""
-        if not line.startswith(f"{self._name}: "):
-            self._process.wait()
-            self._thread.join()
-            self.check()
-        return line
-
-    def check(self) -> None:
-        """Raise a CommandError if it has ended."""
-        code = self._process.poll()
-        if code is None:
-            return
-        self._thread.join()
-        last = self._said[-1] if self._said else f"{self._name} ended with {code}"
-        known = {exit_code.value for exit_code in ExitCode} - {ExitCode.OK.value}
-        raise CommandError(last, ExitCode(code) if code in known else ExitCode.FAILURE)
-
-    def type(self, line: str) -> None:
-        """Type a line into it."""
-        if self._process.stdin is not None:
-            try:
-                self._process.stdin.write(f"{line}\n")
-                self._process.stdin.flush()
-            except BrokenPipeError as error:
-                raise CommandError(f"{self._name} has ended") from error
-
-    def end(self) -> str:
-        """Ask it to stop. Returns its stdout.
-
-        Raises:
-            CommandError: it ended before, or does not end.
-        """
-        self.check()
-        self._process.terminate()
-        try:
-            # What it prints is short and waits in the pipe.
-            self._process.wait(END_TIMEOUT_S)
-            out = self._process.stdout.read() if self._process.stdout else ""
-        except subprocess.TimeoutExpired as error:
-            raise CommandError(f"{self._name} does not stop") from error
-        if self._process.returncode != ExitCode.OK:
-            self.check()
-        return out
-
-    def _listen(self) -> None:
-        """Take what it says on stderr; its first line, or its end, is what others wait for."""
-        for line in self._process.stderr or ():
-            self._said.append(line.rstrip("\n"))
-            self._spoke.set()
-        self._spoke.set()

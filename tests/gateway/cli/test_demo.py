@@ -2,62 +2,103 @@
 
 import json
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+from gateway.cli.demo import describe
 from tests.gateway.cli.running import run
 
 
-def test_the_demo_records_everything(tmp_path: Path) -> None:
-    """Three processes; a whole log; no frame lost, no sample missed; the robot was driven by hand in it."""
-    done = run(["demo", "--seconds", "4", "--out", str(tmp_path), "--json"])
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
-    assert (summary["frames_lost"], summary["samples_missed"], summary["whole"]) == (0, 0, True)
-    log = Path(summary["path"])
-    assert [path.name for path in tmp_path.iterdir()] == [log.name]
-    with log.open("rb") as stream:
-        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
-        states = [message for _, _, _, message in reader.iter_decoded_messages(topics=["fleet/cruiser-1/state"])]
-    assert max(state.speed_mps for state in states if state.HasField("speed_mps")) > 0.5
-    assert any(state.front_bumper for state in states)
+class Demo(NamedTuple):
+    """One demo, of a robot with names and a variant of its own."""
+
+    summary: dict[str, Any]
+    directory: Path
+
+    @property
+    def log(self) -> Path:
+        return Path(self.summary["path"])
+
+    def states(self) -> list[Any]:
+        with self.log.open("rb") as stream:
+            reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+            return [message for _, _, _, message in reader.iter_decoded_messages(topics=["yard/r-7/state"])]
 
 
-def test_the_demo_is_of_the_robot_that_the_configuration_says(tmp_path: Path) -> None:
-    """Chassis, gateway and recorder read the demo's --config: names, variants, all of it."""
-    file, out = tmp_path / "robot.toml", tmp_path / "log"
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Demo:
+    """One demo for all of these tests: it takes its time."""
+    directory = tmp_path_factory.mktemp("demo")
+    file, out = directory / "robot.toml", directory / "log"
     file.write_text(
         '[robot]\nroot = "yard"\nname = "r-7"\n[can]\nbus = "can7"\n[chassis]\nvariant = "fine"\n'
         '[sim]\nvariant = "fine"\n[recorder]\nchunk_bytes = 2048\n'
     )
-    done = run(["demo", "--config", str(file), "--seconds", "2", "--out", str(out), "--json"])
+    done = run(["demo", "--config", str(file), "--seconds", "20", "--out", str(out), "--json"])
     assert done.returncode == 0, done.stderr
-    with Path(json.loads(done.stdout)["path"]).open("rb") as stream:
-        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        summary = reader.get_summary()
-        assert summary is not None
-        topics = {channel.topic for channel in summary.channels.values()}
-        states = [message for _, _, _, message in reader.iter_decoded_messages(topics=["yard/r-7/state"])]
+    return Demo(json.loads(done.stdout), out)
+
+
+def test_the_demo_records_everything(demo: Demo) -> None:
+    """A whole log; no frame lost, no sample missed; the robot drove and was hit in it."""
+    summary = demo.summary
+    assert (summary["frames_lost"], summary["samples_missed"], summary["whole"]) == (0, 0, True)
+    assert [path.name for path in demo.directory.iterdir()] == [demo.log.name]
+    states = demo.states()
+    assert max(state.speed_mps for state in states if state.HasField("speed_mps")) > 0.5
+    assert any(state.front_bumper for state in states)
+
+
+def test_the_demo_tells_what_the_arbiter_did(demo: Demo) -> None:
+    """Engaged, stopped by the bumper, reset, stopped by the stalled link, driven on by a second operator."""
+    told = "\n".join(entry["what"] for entry in demo.summary["timeline"])
+    steps = (
+        "first-operator has acquired the lease",
+        "engaged",
+        "stopping: the front bumper was hit",
+        "reset: front_bumper",
+        "engaged",
+        "stopping: no acceptable drive command came in time",
+        "second-operator has acquired the lease",
+        "engaged",
+        "stopping: the holder of the lease disengaged",
+        "stopped",
+    )
+    place = 0
+    for step in steps:
+        place = told.find(step, place)
+        assert place >= 0, (step, told)
+        place += len(step)
+
+
+def test_the_demo_is_of_the_robot_that_the_configuration_says(demo: Demo) -> None:
+    """Chassis, gateway and recorder read the demo's --config: names, variants, all of it."""
+    with demo.log.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    topics = {channel.topic for channel in summary.channels.values()}
+    states = demo.states()
     # The wheel speeds of a chassis that plays the other variant would be evidence against it.
     variants = states[0].DESCRIPTOR.fields_by_name["variant"].enum_type.values_by_number
     assert {variants[state.variant].name for state in states} == {"VARIANT_FINE"}
-    assert "yard/r-7/can/can7/rx" in topics
+    assert {"yard/r-7/can/can7/rx", "yard/r-7/can/can7/tx"} <= topics
     assert len(summary.chunk_indexes) > 10
 
 
-def test_the_summary_is_for_people(tmp_path: Path) -> None:
-    """Without --json it says frames, messages, losses, the log's path and what opens it."""
-    done = run(["demo", "--seconds", "1", "--out", str(tmp_path)])
-    assert done.returncode == 0, done.stderr
-    assert "0 lost" in done.stdout
-    assert str(next(tmp_path.iterdir())) in done.stdout
+def test_the_summary_is_for_people(demo: Demo) -> None:
+    """It tells the timeline, frames, messages, losses, the log's path and what opens it."""
+    text = describe(demo.summary, "yard/r-7")
+    assert "front bumper was hit" in text
+    assert "0 lost" in text
+    assert str(demo.log) in text
     for viewer in ("Foxglove", "PlotJuggler", "rerun"):
-        assert viewer in done.stdout
+        assert viewer in text
 
 
-@pytest.mark.parametrize("seconds", ["0", "-1", "nan", "x"])
+@pytest.mark.parametrize("seconds", ["0", "-1", "nan", "x", "19"])
 def test_a_wrong_time_is_a_matter_of_usage(seconds: str) -> None:
     """Nothing starts."""
     assert run(["demo", "--seconds", seconds]).returncode == 2
@@ -65,7 +106,7 @@ def test_a_wrong_time_is_a_matter_of_usage(seconds: str) -> None:
 
 def test_a_directory_that_cannot_be_written_is_one_clear_line() -> None:
     """What the recorder says is passed on, with its exit code."""
-    done = run(["demo", "--seconds", "1", "--out", "/proc/nowhere"])
+    done = run(["demo", "--out", "/proc/nowhere"])
     assert done.returncode == 1
     assert len([line for line in done.stderr.splitlines() if line.startswith("cruiser")]) == 1
     assert "/proc/nowhere" in done.stderr

@@ -61,6 +61,7 @@ HEALTH = GatewayHealth(
     bus_losses=0,
     zenoh_peers=1,
     publish_failures=0,
+    inbox_drops=0,
     variant=Variant.COARSE,
     frames=630,
     frames_per_s=630.0,

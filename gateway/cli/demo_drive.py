@@ -1,0 +1,161 @@
+"""The demo's drive: two operators, a bumper, a link that stalls; told as a timeline."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Final
+
+import msgspec
+
+from gateway.remote.refusal import LeaseLost, RobotError, Unreachable
+from gateway.remote.robot import Lease, Robot
+from gateway.sim.relay import Relay
+from schemas.decisions import ArbiterState, SafetyEvent
+from schemas.exit_codes import CommandError
+from schemas.settings import Settings
+
+FIRST: Final = "first-operator"
+SECOND: Final = "second-operator"
+OBSERVER: Final = "demo"
+
+EIGHT_SPEED_MPS: Final = 1.0
+EIGHT_ANGLE_DEG: Final = 20.0
+RENEWED_S: Final = 0.05
+STOPPED_TIMEOUT_S: Final = 10.0
+STALL_S: Final = 3.0
+GUARD_TIMEOUT_S: Final = 10.0
+LEASE_TIMEOUT_S: Final = 5.0
+
+FIXED_S: Final = 17.0
+"""What stops, the reset and the stalled link take, however long the demo is."""
+
+
+class TimelineEntry(msgspec.Struct, frozen=True):
+    """What happened, and when, since the demo began.
+
+    Attributes:
+        who: the robot, or who did it.
+    """
+
+    at_s: float
+    who: str
+    what: str
+
+
+class DemoDrive:
+    """Drives the robot once through everything that the arbiter is for.
+
+    Args:
+        settings: where the robot is.
+        endpoint: HOST:PORT of its gateway.
+        type_line: disturbs the virtual chassis.
+    """
+
+    def __init__(self, settings: Settings, endpoint: str, type_line: Callable[[str], None]) -> None:
+        self._settings = settings
+        self._endpoint = endpoint
+        self._type = type_line
+        self._begin_ns = time.time_ns()
+        self._told: list[TimelineEntry] = []
+
+    def run(self, seconds: float, stopped: Callable[[], bool]) -> list[TimelineEntry]:
+        """Drive, and return the timeline: what was done, and every event that the robot told.
+
+        Raises:
+            CommandError: the robot does something that this script does not expect.
+        """
+        with self._connect(OBSERVER, self._endpoint) as observer:
+            host, _, port = self._endpoint.rpartition(":")
+            observer.wait_for(lambda state: state.guarded, GUARD_TIMEOUT_S)
+            with Relay(host, int(port)) as relay:
+                with self._connect(FIRST, relay.endpoint) as robot:
+                    self._first(robot, relay, max(2.0, seconds - FIXED_S), stopped)
+                with self._connect(SECOND, self._endpoint) as robot:
+                    self._second(robot, stopped)
+            self._rest(observer)
+            events = observer.events()
+        timeline = self._told + [self._entry(event) for event in events if event.time_ns >= self._begin_ns]
+        return sorted(timeline, key=lambda entry: entry.at_s)
+
+    def _first(self, robot: Robot, relay: Relay, seconds: float, stopped: Callable[[], bool]) -> None:
+        """A figure of eight, a bumper hit, a deliberate reset, away from it, and then the link stalls."""
+        try:
+            with robot.lease() as lease:
+                self._engage(lease)
+                self._tell(FIRST, "drives a figure of eight")
+                for angle_deg in (EIGHT_ANGLE_DEG, -EIGHT_ANGLE_DEG):
+                    self._drive(lease, EIGHT_SPEED_MPS, angle_deg, seconds / 2, stopped)
+                self._tell("chassis", "the front bumper is hit, and stays pressed")
+                self._type("bumper front on")
+                self._drive_until_stopped(lease, EIGHT_SPEED_MPS)
+                self._rest(robot)
+                time.sleep(1.0)
+                lease.reset()
+                self._engage(lease)
+                self._tell(FIRST, "drives away from the hit side")
+                self._drive(lease, -0.5, 0.0, 1.5, stopped)
+                self._type("bumper front off")
+                self._drive(lease, -0.5, 0.0, 0.5, stopped)
+                self._tell("link", f"of {FIRST} stalls while the robot moves")
+                relay.stall()
+                time.sleep(STALL_S)
+                self._tell("link", f"of {FIRST} carries again, all that waited at once")
+                relay.resume()
+                self._drive_until_stopped(lease, -0.5)
+        except (RobotError, Unreachable) as error:
+            self._tell(FIRST, f"is told: {error}")
+
+    def _second(self, robot: Robot, stopped: Callable[[], bool]) -> None:
+        """Another operator takes over, drives a little and gives the robot back."""
+        robot.wait_for(lambda state: not state.lease_holder, LEASE_TIMEOUT_S)
+        with robot.lease() as lease:
+            self._engage(lease)
+            self._tell(SECOND, "drives on")
+            self._drive(lease, 0.5, 0.0, 1.5, stopped)
+            lease.disengage()
+            self._rest(robot)
+
+    def _engage(self, lease: Lease) -> None:
+        lease.engage()
+        lease.unpark()
+
+    def _drive(
+        self, lease: Lease, speed_mps: float, angle_deg: float, seconds: float, stopped: Callable[[], bool]
+    ) -> None:
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s and not stopped():
+            lease.drive(speed_mps, angle_deg=angle_deg)
+            time.sleep(RENEWED_S)
+
+    def _drive_until_stopped(self, lease: Lease, speed_mps: float) -> None:
+        """Go on asking until the robot obeys no more."""
+        end_s = time.monotonic() + STOPPED_TIMEOUT_S
+        try:
+            while time.monotonic() < end_s:
+                lease.drive(speed_mps, angle_deg=0.0)
+                time.sleep(RENEWED_S)
+        except LeaseLost:
+            raise
+        except RobotError as error:
+            self._tell(FIRST, f"is told: {error}")
+            return
+        raise CommandError("the robot did not stop")
+
+    def _rest(self, robot: Robot) -> None:
+        if not robot.wait_for(lambda state: state.state is ArbiterState.STANDBY, STOPPED_TIMEOUT_S):
+            raise CommandError("the robot did not come to rest")
+
+    def _connect(self, operator: str, endpoint: str) -> Robot:
+        # A client, so that everything goes through this endpoint and nothing around it.
+        zenoh = msgspec.structs.replace(
+            self._settings.zenoh, mode="client", connect=[f"tcp/{endpoint}"], given=("mode", "connect")
+        )
+        settings = msgspec.structs.replace(self._settings, zenoh=zenoh)
+        return Robot.connect(self._settings.robot.name, operator, settings)
+
+    def _tell(self, who: str, what: str) -> None:
+        self._told.append(TimelineEntry((time.time_ns() - self._begin_ns) / 1e9, who, what))
+
+    def _entry(self, event: SafetyEvent) -> TimelineEntry:
+        return TimelineEntry((event.time_ns - self._begin_ns) / 1e9, "robot", event.text)

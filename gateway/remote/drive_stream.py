@@ -1,0 +1,177 @@
+"""The stream of drive commands of one lease: set points that age, the sequence, the echoed tick. Pure.
+
+What is heard of the robot goes in with ``see``; ``command`` says what to send now, or that nothing is to be sent.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+
+from gateway.command.limits import steering_angle_deg
+from schemas.decisions import ArbiterState, SafetyState
+from schemas.reasons import Reason
+from schemas.requests import Drive
+
+PERIOD_S: Final = 0.02
+"""The stream's period while the robot is engaged: 50 Hz."""
+
+HOLD_S: Final = 0.5
+"""A set point holds for this long unless it is renewed."""
+
+HOLD_MAX_S: Final = 2.0
+"""No set point holds for longer: a program that hangs shall not drive on."""
+
+TICK_STALE_NS: Final = 400_000_000
+"""A command that echoes a tick heard longer ago than this would be refused, so it is not sent."""
+
+SILENT_NS: Final = 1_000_000_000
+"""A robot whose safety/state was not heard for this long is out of reach."""
+
+_COMMANDING: Final = frozenset({ArbiterState.ENGAGING, ArbiterState.ENGAGED})
+
+
+class SetPoint(msgspec.Struct, frozen=True):
+    """What the robot shall do: a signed speed, and one way to say how it turns."""
+
+    speed_mps: float = 0.0
+    angle_deg: float | None = None
+    curvature_1pm: float | None = None
+    yaw_rate_radps: float | None = None
+
+    def command(self, lease: int, seq: int, tick: int) -> Drive:
+        """The drive command that asks for it."""
+        return Drive(
+            lease=lease,
+            seq=seq,
+            tick=tick,
+            speed_mps=self.speed_mps,
+            angle_deg=self.angle_deg,
+            curvature_1pm=self.curvature_1pm,
+            yaw_rate_radps=self.yaw_rate_radps,
+        )
+
+
+class Ending(msgspec.Struct, frozen=True):
+    """Why the robot no longer obeys.
+
+    Attributes:
+        lease_lost: the lease is gone too; else the robot can be engaged again.
+    """
+
+    reason: Reason
+    detail: str = ""
+    lease_lost: bool = False
+
+
+class DriveStream:
+    """What one holder of a lease sends.
+
+    Attributes:
+        lease: its number.
+        ending: why nothing is sent any more; None while all is well, or nobody engaged.
+        engaged: the robot was seen engaged since ``expect_engaged``, and still is.
+    """
+
+    def __init__(self, lease: int, operator: str) -> None:
+        self.lease = lease
+        self.ending: Ending | None = None
+        self.engaged = False
+        self._operator = operator
+        self._is_wanted = False
+        self._was_holder = False
+        self._state: SafetyState | None = None
+        self._seen_ns = 0
+        self._sequence = 0
+        self._set_point: SetPoint | None = None
+        self._until_ns = 0
+        self._note = ""
+
+    @property
+    def is_wanted(self) -> bool:
+        """The robot is engaged for us, or is about to be: drive commands renew the lease."""
+        return self._is_wanted and self._state is not None and self._state.state in _COMMANDING
+
+    @property
+    def is_lost(self) -> bool:
+        """The lease is not ours any more."""
+        return self.ending is not None and self.ending.lease_lost
+
+    def expect_engaged(self) -> None:
+        """Engage is about to be asked for. What was driven before counts no more."""
+        self._is_wanted = True
+        self.engaged = False
+        self._set_point = None
+        if not self.is_lost:
+            self.ending = None
+
+    def give_up(self) -> None:
+        """The program itself disengages or releases: send nothing more, and call it no failure."""
+        self._is_wanted = self.engaged = False
+        self._set_point = None
+
+    def aim(self, set_point: SetPoint, hold_s: float, now_ns: int) -> None:
+        """What to ask for from now on.
+
+        Raises:
+            ValueError: the set point cannot be, or it would hold for too long.
+        """
+        if not 0 < hold_s <= HOLD_MAX_S:
+            raise ValueError(f"hold_s must be above 0 and at most {HOLD_MAX_S:g} s")
+        angle_deg = steering_angle_deg(set_point.command(0, 0, 0))
+        if isinstance(angle_deg, str):
+            raise ValueError(angle_deg)  # noqa: TRY004 - it is the value that is wrong
+        self._set_point = set_point
+        self._until_ns = now_ns + round(hold_s * 1e9)
+        self._note = ""
+
+    def see(self, state: SafetyState, now_ns: int) -> None:
+        """The robot's newest safety/state."""
+        self._state, self._seen_ns = state, now_ns
+        if state.lease_holder == self._operator:
+            self._was_holder = True
+        elif self._was_holder:
+            taken = f"by {state.lease_holder}" if state.lease_holder else ""
+            self.lose(Reason.LEASE_TAKEN if taken else Reason.LEASE_EXPIRED, taken)
+        if not self._is_wanted:
+            return
+        if state.state is ArbiterState.ENGAGED:
+            self.engaged = True
+        elif self.engaged:
+            self._end(Ending(state.stop_reason if state.stop_reason is not Reason.NONE else Reason.NOT_ENGAGED))
+
+    def lose(self, reason: Reason, detail: str = "") -> None:
+        """The lease is lost."""
+        if not self.is_lost:
+            self._end(Ending(reason, detail, lease_lost=True))
+
+    def command(self, now_ns: int) -> Drive | None:
+        """The drive command to send now, or None if none is to be sent."""
+        state = self._state
+        if state is None or not self.is_wanted or now_ns - self._seen_ns > TICK_STALE_NS:
+            return None
+        self._sequence += 1
+        return self._in_force(state, now_ns).command(self.lease, self._sequence, state.tick)
+
+    def take_note(self) -> str:
+        """What the program should know, once; empty if there is nothing."""
+        note, self._note = self._note, ""
+        return note
+
+    def _in_force(self, state: SafetyState, now_ns: int) -> SetPoint:
+        wanted = self._set_point
+        if wanted is None or state.state is not ArbiterState.ENGAGED:
+            # Nothing is asked for yet: hold the wheels where they are.
+            return SetPoint(0.0, angle_deg=state.output_angle_deg)
+        if now_ns < self._until_ns or not wanted.speed_mps:
+            return wanted
+        angle_deg = steering_angle_deg(wanted.command(0, 0, 0))
+        self._set_point = SetPoint(0.0, angle_deg=angle_deg if isinstance(angle_deg, float) else 0.0)
+        self._note = "the set point was not renewed in time: zero speed"
+        return self._set_point
+
+    def _end(self, ending: Ending) -> None:
+        self.ending = ending
+        self._is_wanted = self.engaged = False
+        self._set_point = None

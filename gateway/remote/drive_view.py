@@ -1,0 +1,74 @@
+"""What a person who drives sees. Pure."""
+
+from __future__ import annotations
+
+import msgspec
+from rich.console import Group, RenderableType
+from rich.panel import Panel
+from rich.text import Text
+
+from gateway.remote.held_keys import Wish
+from gateway.remote.link import Sighting
+from gateway.remote.reasons_text import reason_line, state_line
+from gateway.remote.view import BAD, GOOD, LOUD, NO_VALUE
+from schemas.decisions import ArbiterState
+from schemas.printable import plain
+
+
+class Cockpit(msgspec.Struct, frozen=True):
+    """All that is shown.
+
+    Attributes:
+        lease: its number.
+        speed_mps, angle_deg: what a held key asks for.
+        wish: the keys that are held.
+        tells_releases: the terminal does.
+        message: what was last said to the person.
+    """
+
+    robot: str
+    lease: int
+    sighting: Sighting
+    speed_mps: float
+    angle_deg: float
+    wish: Wish
+    tells_releases: bool
+    message: str
+
+
+def panel(cockpit: Cockpit) -> RenderableType:
+    """The view."""
+    state, chassis = cockpit.sighting.state, cockpit.sighting.chassis
+    good = state.state is ArbiterState.ENGAGED
+    lines = [
+        Text(state_line(state), style=GOOD if good else BAD),
+        Text(_speeds(cockpit)),
+    ]
+    if chassis is not None:
+        hit = [side for side, on in (("front", chassis.front_bumper), ("rear", chassis.rear_bumper)) if on]
+        text = f"mode {chassis.mode.value}, gear {chassis.gear_position.value}, bumpers {' '.join(hit) or 'clear'}"
+        lines.append(Text(text, style=BAD if hit else ""))
+    lines += [Text(reason_line(reason), style=BAD) for reason in state.blocked_by]
+    if cockpit.message:
+        lines.append(Text(plain(cockpit.message), style=LOUD))
+    lines += [Text(text, style="dim") for text in _keys(cockpit)]
+    return Panel(Group(*lines), title=Text(f"{cockpit.robot}, lease {cockpit.lease}"), expand=False)
+
+
+def _speeds(cockpit: Cockpit) -> str:
+    state, chassis = cockpit.sighting.state, cockpit.sighting.chassis
+    measured = NO_VALUE if chassis is None or chassis.speed_mps is None else f"{chassis.speed_mps:+z.2f} m/s"
+    asked = (
+        f"{cockpit.speed_mps * cockpit.wish.forward:+z.2f} m/s {cockpit.angle_deg * cockpit.wish.left:+z.0f} deg"
+    )
+    told = f"{state.output_speed_mps:+z.2f} m/s {state.output_angle_deg:+z.0f} deg"
+    return f"asked {asked}, told {told}, measured {measured}, limit {state.speed_limit_mps:.2f} m/s"
+
+
+def _keys(cockpit: Cockpit) -> list[str]:
+    how = "hold to move" if cockpit.tells_releases else "hold to move: it begins when the key repeats"
+    return [
+        f"{how}: w s or arrows, a d steer, q e z c both; any other key: stand",
+        f"+ - speed ({cockpit.speed_mps:.2f} m/s)",
+        "g engage, r reset, x or Ctrl-C stop and leave",
+    ]

@@ -1,0 +1,102 @@
+"""What the command lines of an operator's commands share."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Callable
+
+from gateway.remote.robot import CONNECT_TIMEOUT_S, Lease, Robot
+from schemas.arguments import add_zenoh_arguments, seconds
+from schemas.keys import OPERATOR_PATTERN, ROBOT_PATTERN
+from schemas.requests import LEASE_MAX, Role
+from schemas.settings import Settings
+
+
+def add_operator_arguments(parser: argparse.ArgumentParser) -> None:
+    """Who commands, and where the robots are."""
+    parser.add_argument("--operator", type=operator_name, metavar="NAME", help="who commands (the login name)")
+    parser.add_argument(
+        "--timeout",
+        type=seconds,
+        default=CONNECT_TIMEOUT_S,
+        metavar="S",
+        help=f"how long to wait for the robot ({CONNECT_TIMEOUT_S:g})",
+    )
+    add_zenoh_arguments(parser)
+
+
+def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
+    """Which robot, besides."""
+    parser.add_argument("robot", type=robot_name, metavar="ROBOT", help="the robot")
+    add_operator_arguments(parser)
+
+
+def add_role_argument(parser: argparse.ArgumentParser) -> None:
+    """In which role the lease is wanted."""
+    parser.add_argument(
+        "--role",
+        type=Role,
+        choices=list(Role),
+        default=Role.OPERATOR,
+        metavar="ROLE",
+        help=f"{', '.join(role.value for role in Role)} (operator); a higher or equal one may take the lease",
+    )
+
+
+def add_take_arguments(parser: argparse.ArgumentParser) -> None:
+    """Whether the lease may be taken from its holder."""
+    add_role_argument(parser)
+    parser.add_argument("--take", action="store_true", help="take the lease from whoever holds it")
+    parser.add_argument(
+        "--override", action="store_true", help="take it although the robot moves; it is stopped first"
+    )
+
+
+def wanted_lease(robot: Robot, arguments: argparse.Namespace) -> Lease:
+    """The lease as ``add_take_arguments`` says."""
+    if arguments.take or arguments.override:
+        return robot.take(arguments.role, override=arguments.override)
+    return robot.lease(arguments.role)
+
+
+def connect(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> Robot:
+    """Connect as the arguments say.
+
+    Raises:
+        CommandError: see ``Robot.connect``.
+    """
+    return Robot.connect(arguments.robot, arguments.operator or "", settings, arguments.timeout, stopped)
+
+
+def robot_name(text: str) -> str:
+    """A robot on the command line.
+
+    Raises:
+        argparse.ArgumentTypeError: it cannot be a robot's name.
+    """
+    if re.fullmatch(ROBOT_PATTERN, text) is None:
+        raise argparse.ArgumentTypeError(f"{text!a} cannot be a robot: its name is {ROBOT_PATTERN}")
+    return text
+
+
+def operator_name(text: str) -> str:
+    """An operator on the command line.
+
+    Raises:
+        argparse.ArgumentTypeError: it cannot be an operator's name.
+    """
+    if re.fullmatch(OPERATOR_PATTERN, text) is None:
+        raise argparse.ArgumentTypeError(f"{text!a} cannot be an operator: the name is {OPERATOR_PATTERN}")
+    return text
+
+
+def lease_number(text: str) -> int:
+    """A lease's number on the command line.
+
+    Raises:
+        argparse.ArgumentTypeError: it is none.
+    """
+    if not text.isascii() or not text.isdigit() or int(text) > LEASE_MAX:
+        raise argparse.ArgumentTypeError(f"{text!a} is not the number of a lease")
+    return int(text)

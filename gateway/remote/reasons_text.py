@@ -1,0 +1,48 @@
+"""Why a robot does not move, in words. Pure."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from schemas.decisions import SafetyEvent, SafetyState
+from schemas.printable import plain
+from schemas.reasons import TEXTS, Reason, Text
+
+_OF_A_ROBOT: Final = {Reason.NO_LEASE: Text("nobody holds the lease", "acquire it")}
+"""What a reason means where it is said of a robot, not of a request."""
+
+
+def text_of(reason: Reason) -> Text:
+    """A reason for which a robot stands still."""
+    return _OF_A_ROBOT.get(reason, TEXTS[reason])
+
+
+def reason_line(reason: Reason) -> str:
+    """A reason with what would cure it."""
+    text = text_of(reason)
+    cure = f" -> {text.cure}" if text.cure else ""
+    return f"{reason.value}: {text.means}{cure}"
+
+
+def state_line(state: SafetyState) -> str:
+    """What the arbiter does, and for whom."""
+    words = [state.state.value]
+    if state.stop_phase.value != "idle":
+        words.append(f"{state.stop_phase.value}, because of {state.stop_reason.value}")
+    words.append(holder_line(state))
+    return "; ".join(words)
+
+
+def holder_line(state: SafetyState) -> str:
+    """Who holds the lease."""
+    if not state.lease_holder:
+        return "nobody holds the lease"
+    holder = plain(state.lease_holder)
+    return f"{holder} holds the lease as {state.lease_role.value}, expires in {state.lease_expires_s:.1f} s"
+
+
+def event_line(event: SafetyEvent, now_ns: int) -> str:
+    """An event and how long ago it was, by the clock of the robot against this one's (both in wall time)."""
+    ago_s = (now_ns - event.time_ns) / 1e9
+    by = f" ({plain(event.operator)})" if event.operator and event.operator not in event.text else ""
+    return f"{ago_s:.1f} s ago: {event.severity.value}: {plain(event.text)}{by}"

@@ -1,0 +1,56 @@
+"""What an operator may be told instead of success, as exceptions that carry the reason and what would cure it.
+
+Each is a ``CommandError`` too: a command that meets one ends with its line and its exit code.
+"""
+
+from __future__ import annotations
+
+from schemas.decisions import Reply
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
+from schemas.reasons import TEXTS, Reason
+
+
+class RobotError(CommandError):
+    """The robot does not do what was asked.
+
+    Attributes:
+        reason: why, one enumeration for all of it.
+        detail: the reason in words, with figures.
+        cure: what would make it succeed.
+    """
+
+    code = ExitCode.FAILURE
+
+    def __init__(self, what: str, reason: Reason, detail: str = "", cure: str = "") -> None:
+        self.reason = reason
+        self.detail = detail or TEXTS[reason].means
+        self.cure = cure or TEXTS[reason].cure
+        tail = f". Cure: {self.cure}" if self.cure else ""
+        super().__init__(plain(f"{what}: {self.detail} ({reason.value}){tail}"), type(self).code)
+
+
+class Refused(RobotError):  # noqa: N818 - an outcome's name, as programs read it
+    """The robot refused a request."""
+
+    code = ExitCode.REFUSED
+
+
+class Stopped(RobotError):  # noqa: N818 - an outcome's name, as programs read it
+    """The robot was stopped, or gave up its chassis: it obeys no drive command until it is engaged again."""
+
+
+class LeaseLost(RobotError):  # noqa: N818 - an outcome's name, as programs read it
+    """The lease is no longer ours."""
+
+
+class Unreachable(CommandError):  # noqa: N818 - an outcome's name, as programs read it
+    """The robot does not answer, or what it says cannot be read."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(plain(message), ExitCode.UNREACHABLE)
+
+
+def refused(robot: str, verb: str, reply: Reply) -> Refused:
+    """A refusing reply as an exception."""
+    return Refused(f"{robot} refuses {verb}", reply.reason, reply.detail, reply.cure)

@@ -1,0 +1,69 @@
+"""``cruiser stop``: the remote stop of a robot, or of all."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+
+import msgspec
+
+from gateway.ports.zenoh_client import place
+from gateway.ports.zenoh_operator import CommandPort
+from gateway.remote import remote_stop
+from gateway.remote.operator_arguments import add_operator_arguments, robot_name
+from gateway.remote.operator_name import login_operator
+from gateway.remote.remote_stop import StopReport
+from schemas import keys
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
+from schemas.settings import Settings
+
+EXAMPLE = """\
+  cruiser stop cruiser-1
+  cruiser stop --all"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    parser.description = (
+        f"{parser.description or ''}\n\n"
+        "It wants no lease, and is latched until 'cruiser reset'. It is said again and again until it was\n"
+        "answered. It is no emergency stop: that is the button on the robot."
+    )
+    parser.add_argument("robot", nargs="?", type=robot_name, metavar="ROBOT", help="the robot")
+    parser.add_argument("--all", action="store_true", help="every robot under the root")
+    parser.add_argument("--json", action="store_true", help="one JSON object")
+    add_operator_arguments(parser)
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Stop. Exit code 0 if all that are there answered, 3 if some did, 4 if nobody did, 5 if it was refused.
+
+    Raises:
+        CommandError: nobody answered, or the arguments are wrong.
+    """
+    if bool(arguments.robot) is arguments.all:
+        raise CommandError("name a robot, or give --all", ExitCode.USAGE)
+    robot = arguments.robot or keys.ALL
+    with CommandPort.open(settings, robot, arguments.operator or login_operator()) as port:
+        report = remote_stop.stop(port, settings.robot.root, robot, arguments.timeout, stopped)
+    if arguments.json:
+        sys.stdout.write(f"{msgspec.json.encode(report).decode()}\n")
+    else:
+        sys.stdout.writelines(f"{name}: stops, latched until a reset\n" for name in report.stopped)
+    sys.stdout.flush()
+    for name, why in report.refused.items():
+        sys.stderr.write(f"{name}: {plain(why)}\n")
+    for name in report.silent:
+        sys.stderr.write(f"{name}: NO ANSWER; it was sent all the same. Use the button on the robot\n")
+    return int(_code(report, f"{arguments.timeout:g} s at {place(settings.zenoh)}"))
+
+
+def _code(report: StopReport, where: str) -> ExitCode:
+    if not report.stopped and not report.refused:
+        who = "nobody answered" if report.linked else "no Zenoh node answered"
+        raise CommandError(f"{who} within {where}", ExitCode.UNREACHABLE)
+    if report.silent:
+        return ExitCode.PARTIAL
+    return ExitCode.REFUSED if report.refused else ExitCode.OK

@@ -1,0 +1,58 @@
+"""``cruiser why``: why does the robot not move?"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from typing import Final
+
+import msgspec
+
+from gateway.remote.operator_arguments import add_robot_arguments, connect
+from gateway.remote.reasons_text import event_line, reason_line, state_line, text_of
+from schemas.exit_codes import ExitCode
+from schemas.settings import Settings
+
+EXAMPLE = """\
+  cruiser why cruiser-1
+  cruiser why cruiser-1 --json | jq -r '.blocked_by[].cure'"""
+
+EVENTS_SHOWN: Final = 5
+
+EVENTS_S: Final = 0.3
+"""Past events come a moment after the state."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    add_robot_arguments(parser)
+    parser.add_argument("--json", action="store_true", help="one JSON object")
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Say what blocks the robot. Exit code 0 if nothing does, 1 if something does.
+
+    Raises:
+        CommandError: the robot is not heard.
+    """
+    with connect(arguments, settings, stopped) as robot:
+        time.sleep(EVENTS_S)
+        sighting = robot.state()
+        events = robot.events()[-EVENTS_SHOWN:]
+    state = sighting.state
+    if arguments.json:
+        blocked_by = [{"reason": reason, **msgspec.structs.asdict(text_of(reason))} for reason in state.blocked_by]
+        record = {"robot": arguments.robot, "age_s": sighting.age_s, "state": state, "blocked_by": blocked_by}
+        sys.stdout.write(f"{msgspec.json.encode({**record, 'events': events}).decode()}\n")
+    else:
+        sys.stdout.write(f"{arguments.robot}: {state_line(state)}\n")
+        sys.stdout.writelines(f"  {reason_line(reason)}\n" for reason in state.blocked_by)
+        if not state.blocked_by:
+            sys.stdout.write("  nothing keeps it from moving: it does what its operator's drive commands say\n")
+        if events:
+            sys.stdout.write("lately:\n")
+            now_ns = time.time_ns()
+            sys.stdout.writelines(f"  {event_line(event, now_ns)}\n" for event in events)
+    return int(ExitCode.FAILURE if state.blocked_by else ExitCode.OK)

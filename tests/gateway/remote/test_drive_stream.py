@@ -1,0 +1,210 @@
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.remote.drive_stream import HOLD_MAX_S, TICK_STALE_NS, DriveStream, SetPoint
+from schemas.decisions import ArbiterState, SafetyState, StopPhase
+from schemas.messages import GearPosition
+from schemas.reasons import Reason
+from schemas.requests import Role
+
+START_NS = 10**12
+MS = 1_000_000
+
+STANDBY = SafetyState(
+    time_ns=1,
+    sequence=0,
+    tick=100,
+    state=ArbiterState.STANDBY,
+    engaged=False,
+    stop_reason=Reason.NONE,
+    stop_phase=StopPhase.IDLE,
+    lease_holder="first",
+    lease_role=Role.OPERATOR,
+    lease_expires_s=2.0,
+    latched=[],
+    blocked_by=[],
+    guarded=True,
+    speed_limit_mps=2.0,
+    acceleration_limit_mps2=0.8,
+    deceleration_limit_mps2=1.2,
+    emergency_deceleration_mps2=2.0,
+    steering_limit_deg=24.0,
+    steering_rate_limit_degps=60.0,
+    lateral_acceleration_limit_mps2=1.5,
+    target_speed_mps=0.0,
+    target_angle_deg=0.0,
+    output_speed_mps=0.0,
+    output_angle_deg=7.0,
+    output_gear=GearPosition.NEUTRAL,
+    brake_pedal_percent=0.0,
+    parking=False,
+)
+ENGAGING = msgspec.structs.replace(STANDBY, tick=101, state=ArbiterState.ENGAGING)
+ENGAGED = msgspec.structs.replace(STANDBY, tick=102, state=ArbiterState.ENGAGED, engaged=True)
+STOPPED = msgspec.structs.replace(
+    STANDBY, tick=103, state=ArbiterState.STOPPING, stop_reason=Reason.FRONT_BUMPER, stop_phase=StopPhase.RAMP
+)
+
+
+def stream_that_saw(*states: SafetyState, expects: bool = True) -> DriveStream:
+    """A stream of first's that asked to engage and then saw these states, all at the start."""
+    stream = DriveStream(7, "first")
+    if expects:
+        stream.expect_engaged()
+    for state in states:
+        stream.see(state, START_NS)
+    return stream
+
+
+def test_nothing_is_sent_before_engage_was_asked_for() -> None:
+    """A lease alone sends no drive command, whatever the robot's state is."""
+    for state in (STANDBY, ENGAGING, ENGAGED):
+        assert stream_that_saw(state, expects=False).command(START_NS) is None
+    assert stream_that_saw(STANDBY).command(START_NS) is None
+
+
+def test_while_nothing_is_driven_the_stream_asks_for_zero_speed_and_leaves_the_wheels() -> None:
+    """It begins while the robot is being engaged, at the angle that the chassis is told already."""
+    for state in (ENGAGING, ENGAGED):
+        command = stream_that_saw(state).command(START_NS)
+        assert command is not None
+        assert (command.lease, command.speed_mps, command.angle_deg) == (7, 0.0, 7.0)
+
+
+def test_the_sequence_rises_and_the_newest_tick_is_echoed() -> None:
+    """Each command has a higher seq than the one before, and the tick that was seen last."""
+    stream = stream_that_saw(ENGAGED)
+    commands = []
+    for tick in (102, 102, 105):
+        stream.see(msgspec.structs.replace(ENGAGED, tick=tick), START_NS)
+        commands.append(stream.command(START_NS))
+    assert [command.tick for command in commands if command] == [102, 102, 105]
+    sequences = [command.seq for command in commands if command]
+    assert sequences == sorted(set(sequences))
+
+
+def test_an_old_tick_is_not_echoed() -> None:
+    """A command that the robot would refuse for its age is not sent."""
+    stream = stream_that_saw(ENGAGED)
+    assert stream.command(START_NS + TICK_STALE_NS) is not None
+    assert stream.command(START_NS + TICK_STALE_NS + 1) is None
+
+
+@given(hold_ms=st.integers(1, 2000), late_ms=st.integers(-2000, 2000))
+def test_a_set_point_that_is_not_renewed_falls_back_to_zero_speed(hold_ms: int, late_ms: int) -> None:
+    """It holds for its time and not longer; the wheels stay, and the program is told once."""
+    stream = stream_that_saw(ENGAGED)
+    stream.aim(SetPoint(1.0, angle_deg=5.0), hold_ms / 1e3, START_NS)
+    now_ns = START_NS + max(0, hold_ms + late_ms) * MS
+    stream.see(ENGAGED, now_ns)
+    command = stream.command(now_ns)
+    assert command is not None
+    lapsed = now_ns >= START_NS + hold_ms * MS
+    assert (command.speed_mps, command.angle_deg) == (0.0 if lapsed else 1.0, 5.0)
+    assert bool(stream.take_note()) is lapsed
+    assert stream.take_note() == ""
+
+
+def test_a_turn_falls_back_to_its_angle() -> None:
+    """A yaw rate needs a speed, so what lapses is said as the steering angle that it stood for."""
+    stream = stream_that_saw(ENGAGED)
+    stream.aim(SetPoint(1.0, yaw_rate_radps=0.5), 0.1, START_NS)
+    stream.see(ENGAGED, START_NS + 100 * MS)
+    command = stream.command(START_NS + 100 * MS)
+    assert command is not None
+    assert command.yaw_rate_radps is None
+    assert command.angle_deg == pytest.approx(18.26, abs=0.01)
+
+
+def test_zero_speed_needs_no_renewal() -> None:
+    """A program that asked to stand is told nothing when it falls silent."""
+    stream = stream_that_saw(ENGAGED)
+    stream.aim(SetPoint(0.0, angle_deg=5.0), 0.1, START_NS)
+    stream.see(ENGAGED, START_NS + 200 * MS)
+    assert stream.command(START_NS + 200 * MS) is not None
+    assert stream.take_note() == ""
+
+
+@pytest.mark.parametrize(
+    ("set_point", "hold_s"),
+    [
+        (SetPoint(1.0, angle_deg=1.0), 0.0),
+        (SetPoint(1.0, angle_deg=1.0), HOLD_MAX_S + 0.01),
+        (SetPoint(1.0, angle_deg=1.0), float("nan")),
+        (SetPoint(1.0), 0.5),
+        (SetPoint(1.0, angle_deg=1.0, curvature_1pm=0.1), 0.5),
+        (SetPoint(0.0, yaw_rate_radps=0.1), 0.5),
+    ],
+)
+def test_a_set_point_that_cannot_be_changes_nothing(set_point: SetPoint, hold_s: float) -> None:
+    """It is an error of the program's, and what was asked for before goes on."""
+    stream = stream_that_saw(ENGAGED)
+    stream.aim(SetPoint(0.5, angle_deg=2.0), 0.5, START_NS)
+    with pytest.raises(ValueError):  # noqa: PT011 - the texts are for people
+        stream.aim(set_point, hold_s, START_NS)
+    command = stream.command(START_NS)
+    assert command is not None
+    assert command.speed_mps == 0.5
+
+
+@pytest.mark.parametrize("state", [STOPPED, STANDBY, ENGAGING])
+def test_a_robot_that_is_engaged_no_more_ends_the_stream(state: SafetyState) -> None:
+    """Nothing is sent from then on, also if it were engaged again by somebody; the reason is the robot's."""
+    stream = stream_that_saw(ENGAGED)
+    stream.aim(SetPoint(1.0, angle_deg=0.0), 0.5, START_NS)
+    stream.see(state, START_NS)
+    stream.see(ENGAGED, START_NS)
+    assert stream.command(START_NS) is None
+    assert stream.ending is not None
+    assert not stream.ending.lease_lost
+    assert stream.ending.reason is (Reason.FRONT_BUMPER if state is STOPPED else Reason.NOT_ENGAGED)
+
+
+def test_states_of_before_do_not_end_what_has_not_begun() -> None:
+    """The reply to engage may overtake the states that were on their way."""
+    stream = stream_that_saw(STOPPED, STANDBY)
+    assert stream.ending is None
+    stream.see(ENGAGED, START_NS)
+    assert stream.engaged
+
+
+def test_engaging_again_begins_at_zero() -> None:
+    """What was driven before a stop is not driven after it."""
+    stream = stream_that_saw(ENGAGED)
+    stream.aim(SetPoint(1.0, angle_deg=0.0), 2.0, START_NS)
+    stream.see(STOPPED, START_NS)
+    stream.expect_engaged()
+    stream.see(ENGAGED, START_NS)
+    command = stream.command(START_NS)
+    assert command is not None
+    assert command.speed_mps == 0.0
+
+
+@pytest.mark.parametrize(("holder", "reason"), [("second", Reason.LEASE_TAKEN), ("", Reason.LEASE_EXPIRED)])
+def test_a_lease_that_is_lost_ends_the_stream_for_good(holder: str, reason: Reason) -> None:
+    """No engaging brings it back, and its reason stays whatever comes after."""
+    stream = stream_that_saw(ENGAGED)
+    stream.see(msgspec.structs.replace(ENGAGED, lease_holder=holder), START_NS)
+    stream.see(msgspec.structs.replace(STANDBY, lease_holder="third"), START_NS)
+    stream.lose(Reason.NO_LEASE)
+    stream.expect_engaged()
+    assert stream.ending is not None
+    assert stream.is_lost
+    assert stream.ending.reason is reason
+
+
+def test_a_lease_that_was_never_seen_to_be_ours_is_not_lost() -> None:
+    """The reply to acquire may overtake the states that name the holder of before."""
+    stream = stream_that_saw(msgspec.structs.replace(STANDBY, lease_holder="second"))
+    assert not stream.is_lost
+
+
+def test_giving_up_is_no_failure() -> None:
+    """Who disengages is not told that the robot was stopped."""
+    stream = stream_that_saw(ENGAGED)
+    stream.give_up()
+    stream.see(STOPPED, START_NS)
+    assert stream.ending is None
+    assert stream.command(START_NS) is None

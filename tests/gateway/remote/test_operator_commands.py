@@ -1,0 +1,215 @@
+import argparse
+import json
+from collections.abc import Callable
+
+import pytest
+
+from gateway.remote import drive, horn, lease, light, odometer, park, reset, stop, unpark, why
+from gateway.remote.robot import Robot
+from schemas.decisions import ArbiterState
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.reasons import Reason
+from schemas.settings import Settings, ZenohSettings
+from tests.gateway.remote.fake_gateway import free_endpoint
+from tests.gateway.remote.fake_robot import FakeRobot
+from tests.gateway.remote.waiting import StopWhen
+
+Capture = pytest.CaptureFixture[str]
+ACTIONS = {
+    "park": (park, []),
+    "unpark": (unpark, []),
+    "light": (light, ["--headlamp"]),
+    "horn": (horn, ["on"]),
+    "clear_odometer": (odometer, ["--clear"]),
+}
+
+
+def run(module: object, endpoint: str, *words: str, until: Callable[[], bool] = lambda: False) -> int:
+    """Run a command in this process, as first."""
+    parser = argparse.ArgumentParser()
+    module.add_arguments(parser)  # type: ignore[attr-defined]  # each is a command's module
+    settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
+    arguments = parser.parse_args([*words, "--operator", "first", "--timeout", "10"])
+    code = module.run(arguments, settings, StopWhen(until))  # type: ignore[attr-defined]
+    assert isinstance(code, int)
+    return code
+
+
+def test_drive_for_a_script_drives_and_leaves_the_robot_at_rest(capsys: Capture) -> None:
+    """Acquire, engage, unpark, drive, disengage, release: in this order, and the robot stands by at the end."""
+    with FakeRobot() as fake:
+        words = ("cruiser-1", "--speed", "-0.2", "--angle", "3", "--seconds", "1")
+        assert run(drive, fake.listen, *words) == 0
+        assert fake.state is ArbiterState.STANDBY
+        verbs = list(dict.fromkeys(one.request for one in fake.decisions if one.request not in {"drive", "renew"}))
+        assert verbs == ["acquire", "engage", "unpark", "disengage", "release"]
+        asked = {(one.requested_speed_mps, one.requested_angle_deg) for one in fake.accepted("drive")}
+        assert (-0.2, 3.0) in asked
+    assert capsys.readouterr().out == "cruiser-1: driven for 1 s, at most 0.20 m/s\n"
+
+
+def test_drive_for_a_script_ends_when_it_is_told_to(capsys: Capture) -> None:
+    """Ctrl-C comes to rest first."""
+    with FakeRobot() as fake:
+        words = ("cruiser-1", "--speed", "1", "--seconds", "100")
+        assert run(drive, fake.listen, *words, until=lambda: fake.speed_mps > 0.1) == 0
+        assert fake.state is ArbiterState.STANDBY
+    assert "driven" in capsys.readouterr().out
+
+
+def test_drive_says_why_the_robot_stopped() -> None:
+    """A bumper ends it, with the reason and a failure."""
+    with FakeRobot() as fake:
+
+        def hit() -> bool:
+            fake.front_bumper = fake.speed_mps > 0.1 or fake.front_bumper
+            return False
+
+        with pytest.raises(CommandError, match="front_bumper") as caught:
+            run(drive, fake.listen, "cruiser-1", "--speed", "1", "--seconds", "100", until=hit)
+        assert caught.value.code is ExitCode.FAILURE
+
+
+@pytest.mark.parametrize("words", [["--seconds", "1"], ["--speed", "1"], []])
+def test_drive_without_a_terminal_wants_speed_and_seconds(words: list[str]) -> None:
+    """It is a usage error before anything is connected."""
+    with pytest.raises(CommandError) as caught:
+        run(drive, free_endpoint(), "cruiser-1", *words)
+    assert caught.value.code is ExitCode.USAGE
+
+
+@pytest.mark.parametrize("verb", ACTIONS)
+def test_an_action_engages_does_it_and_rests(verb: str, capsys: Capture) -> None:
+    """Without a lease it makes do by itself and leaves the robot standing by, with the lease given back."""
+    module, words = ACTIONS[verb]
+    with FakeRobot() as fake:
+        assert run(module, fake.listen, "cruiser-1", *words, until=lambda: bool(fake.accepted(verb))) == 0
+        assert len(fake.accepted(verb)) == 1
+        assert fake.state is ArbiterState.STANDBY
+        assert fake.flow.arbiter.desk.lease is None
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("verb", ACTIONS)
+def test_an_action_uses_the_lease_of_another_terminal(verb: str) -> None:
+    """With --lease it asks once, and leaves robot and lease to who holds it; nobody else's number will do."""
+    module, words = ACTIONS[verb]
+    with FakeRobot() as fake:
+        settings = Settings(zenoh=ZenohSettings(connect=[fake.listen]))
+        with Robot.connect("cruiser-1", "first", settings, 20) as robot, robot.lease() as held:
+            held.engage()
+            assert run(module, fake.listen, "cruiser-1", *words, "--lease", str(held.number)) == 0
+            assert len(fake.accepted(verb)) == 1
+            held.check()
+            assert held.is_engaged
+            with pytest.raises(CommandError) as caught:
+                run(module, fake.listen, "cruiser-1", *words, "--lease", "1")
+            assert caught.value.code is ExitCode.REFUSED
+
+
+def test_stop_and_reset(capsys: Capture) -> None:
+    """Stop needs no lease; reset acquires one for itself; a second reset finds nothing."""
+    with FakeRobot() as fake:
+        assert run(stop, fake.listen, "cruiser-1") == 0
+        assert run(stop, fake.listen, "--all", "--json") == 0
+        assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
+        with pytest.raises(CommandError, match="remote_stop"):
+            run(park, fake.listen, "cruiser-1")
+        assert run(reset, fake.listen, "cruiser-1") == 0
+        assert not fake.flow.arbiter.latched
+        assert run(reset, fake.listen, "cruiser-1") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "cruiser-1: stops, latched until a reset"
+    assert json.loads(lines[1])["stopped"] == ["cruiser-1"]
+    assert lines[2:] == ["cruiser-1: cleared remote_stop", "cruiser-1: nothing was latched"]
+
+
+def test_reset_leaves_a_lease_of_another_alone() -> None:
+    """Who holds it is named; with the number of one's own it works."""
+    with FakeRobot() as fake:
+        settings = Settings(zenoh=ZenohSettings(connect=[fake.listen]))
+        with Robot.connect("cruiser-1", "first", settings, 20) as robot, robot.lease() as held:
+            with pytest.raises(CommandError, match="lease_held") as caught:
+                run(reset, fake.listen, "cruiser-1")
+            assert caught.value.code is ExitCode.REFUSED
+            assert run(reset, fake.listen, "cruiser-1", "--lease", str(held.number)) == 0
+            held.check()
+
+
+def test_stop_that_nobody_answers_is_an_error(capsys: Capture) -> None:
+    """Exit code 4, and a hint to the button; 3 if only some answered."""
+    with FakeRobot("cruiser-1") as fake, FakeRobot("cruiser-2", connect=fake.listen, deaf=True) as deaf:
+        with pytest.raises(CommandError, match="nobody answered") as caught:
+            run(stop, fake.listen, "cruiser-2", "--timeout", "2")
+        assert caught.value.code is ExitCode.UNREACHABLE
+        assert Reason.REMOTE_STOP in deaf.flow.arbiter.latched
+        assert "cruiser-2: NO ANSWER" in capsys.readouterr().err
+        assert run(stop, fake.listen, "--all", "--timeout", "3") == ExitCode.PARTIAL
+    for words in ([], ["cruiser-1", "--all"]):
+        with pytest.raises(CommandError) as wrong:
+            run(stop, free_endpoint(), *words)
+        assert wrong.value.code is ExitCode.USAGE
+
+
+def test_why_says_each_reason_with_its_cure(capsys: Capture) -> None:
+    """And the newest events; exit code 1 while anything blocks, 0 once the robot would move."""
+    with FakeRobot() as fake:
+        assert run(stop, fake.listen, "cruiser-1") == 0
+        capsys.readouterr()
+        assert run(why, fake.listen, "cruiser-1") == 1
+        text = capsys.readouterr().out
+        assert "no_lease: nobody holds the lease -> acquire it" in text
+        assert "remote_stop: a remote stop was received -> reset, then engage again" in text
+        assert "lately:" in text
+        assert "latched until a reset" in text
+        assert run(reset, fake.listen, "cruiser-1") == 0
+        capsys.readouterr()
+        settings = Settings(zenoh=ZenohSettings(connect=[fake.listen]))
+        with Robot.connect("cruiser-1", "first", settings, 20) as robot, robot.lease() as held:
+            held.engage()
+            assert run(why, fake.listen, "cruiser-1", "--json") == 1
+            assert [one["reason"] for one in json.loads(capsys.readouterr().out)["blocked_by"]] == ["parked"]
+            held.unpark()
+            assert robot.wait_for(lambda state: state.blocked_by == [], 20)
+            assert run(why, fake.listen, "cruiser-1") == 0
+            assert "nothing keeps it from moving" in capsys.readouterr().out
+
+
+def test_lease_shows_the_holder_and_can_be_held(capsys: Capture) -> None:
+    """Held until told to stop, taken only from who may lose it; its number is the output."""
+    with FakeRobot() as fake:
+        assert run(lease, fake.listen, "cruiser-1") == 0
+        assert capsys.readouterr().out == "cruiser-1: nobody holds the lease\n"
+        engaged = lambda: fake.state is ArbiterState.ENGAGED  # noqa: E731 - it reads as a condition
+        assert run(lease, fake.listen, "cruiser-1", "--hold", "--engage", until=engaged) == 0
+        assert int(capsys.readouterr().out) > 0
+        assert fake.flow.arbiter.desk.lease is None
+        settings = Settings(zenoh=ZenohSettings(connect=[fake.listen]))
+        with Robot.connect("cruiser-1", "second", settings, 20) as robot, robot.lease() as held:
+            assert run(lease, fake.listen, "cruiser-1", "--json") == 0
+            assert json.loads(capsys.readouterr().out)["lease_holder"] == "second"
+            with pytest.raises(CommandError, match="role_too_low"):
+                run(lease, fake.listen, "cruiser-1", "--take", "--role", "program")
+            assert run(lease, fake.listen, "cruiser-1", "--take", "--seconds", "0.2") == 0
+            with pytest.raises(CommandError, match="is lost"):
+                held.engage()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["Cruiser"],
+        ["*"],
+        ["cruiser-1", "--operator", "a/b"],
+        ["cruiser-1", "--lease", "-1"],
+        ["a", "--lease", "x"],
+    ],
+)
+def test_what_cannot_be_a_name_or_a_lease_is_a_usage_error(words: list[str], capsys: Capture) -> None:
+    """The parser says so."""
+    parser = argparse.ArgumentParser()
+    park.add_arguments(parser)
+    with pytest.raises(SystemExit) as caught:
+        parser.parse_args(words)
+    assert caught.value.code == ExitCode.USAGE
+    assert "error: argument" in capsys.readouterr().err

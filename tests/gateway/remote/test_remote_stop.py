@@ -1,0 +1,66 @@
+from gateway.ports.zenoh_operator import CommandPort
+from gateway.remote import remote_stop
+from gateway.remote.robot import stop_all
+from schemas import keys
+from schemas.reasons import Reason
+from schemas.settings import Settings, ZenohSettings
+from tests.gateway.remote.fake_gateway import ROOT, free_endpoint
+from tests.gateway.remote.fake_robot import FakeRobot
+from tests.gateway.remote.waiting import wait_until
+
+
+def settings_for(endpoint: str) -> Settings:
+    """Settings that connect there."""
+    return Settings(zenoh=ZenohSettings(connect=[endpoint]))
+
+
+def test_a_robot_that_hears_it_is_said_to_stop() -> None:
+    """One robot stops, the other is not meant."""
+    with FakeRobot("cruiser-1") as fake, FakeRobot("cruiser-2", connect=fake.listen) as other:
+        with CommandPort.open(settings_for(fake.listen), "cruiser-1", "first") as port:
+            report = remote_stop.stop(port, ROOT, "cruiser-1", 20)
+        assert (report.stopped, report.refused, report.silent, report.linked) == (["cruiser-1"], {}, [], True)
+        assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
+        assert not other.flow.arbiter.latched
+
+
+def test_a_robot_that_answers_nothing_is_told_all_the_same() -> None:
+    """The puts stop it although no query is answered; the report says that it is silent."""
+    with FakeRobot(deaf=True) as fake:
+        with CommandPort.open(settings_for(fake.listen), fake.name, "first") as port:
+            report = remote_stop.stop(port, ROOT, fake.name, 3)
+        assert (report.stopped, report.silent) == ([], [fake.name])
+        assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
+        assert fake.puts.count("stop") > 5
+
+
+def test_a_fleet_is_stopped_and_who_is_silent_is_named() -> None:
+    """Robots behind another are reached, and those that are connected and do not answer are named."""
+    with (
+        FakeRobot("cruiser-1") as first,
+        FakeRobot("cruiser-2", connect=first.listen) as second,
+        FakeRobot("cruiser-3", connect=first.listen, deaf=True) as third,
+    ):
+        report = stop_all("first", settings_for(first.listen), 4)
+        assert report.stopped == ["cruiser-1", "cruiser-2"]
+        assert report.silent == ["cruiser-3"]
+        for robot in (first, second, third):
+            assert Reason.REMOTE_STOP in robot.flow.arbiter.latched
+
+
+def test_nobody_is_nobody() -> None:
+    """Without a node nothing is said to have stopped, and the end comes with the timeout."""
+    report = stop_all("first", settings_for(free_endpoint()), 0.3)
+    assert (report.stopped, report.silent, report.linked) == ([], [], False)
+
+
+def test_it_reaches_a_robot_that_comes_later() -> None:
+    """It is said again and again: a robot whose link returns within the time hears it."""
+    endpoint = free_endpoint()
+    with CommandPort.open(settings_for(endpoint), keys.ALL, "first") as port:
+        stopping = remote_stop._Stopping(port, ROOT, keys.ALL)
+        stopping.step(0.0)
+        with FakeRobot(listen=endpoint) as fake:
+            seconds = iter(range(1, 10_000))
+            wait_until(lambda: stopping.all_answered, lambda: stopping.step(float(next(seconds))))
+            assert stopping.report().stopped == [fake.name]
