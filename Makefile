@@ -8,8 +8,8 @@ STAMP := $(VENV)/installed
 
 .PHONY: demo test lint types architecture generate bench clean
 
-demo: $(STAMP)  ## chassis, gateway and recorder together, for ten seconds
-	$(BIN)/cruiser demo --seconds 10 --out demo-log
+demo: $(STAMP)  ## chassis, gateway and recorder and two operators, for half a minute
+	$(BIN)/cruiser demo --seconds 30 --out demo-log
 
 test: $(STAMP)  ## the whole test suite
 	$(BIN)/python -m pytest
@@ -26,7 +26,7 @@ architecture: $(STAMP)
 
 generate: $(STAMP)  ## what is generated from the tables: JSON Schemas, README and docs tables
 	$(BIN)/python -m schemas.json_schema
-	$(BIN)/python -m schemas.documents
+	$(BIN)/python -m gateway.documents
 
 bench: $(STAMP)
 	$(BIN)/python -m tests.bench

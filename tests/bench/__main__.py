@@ -1,6 +1,6 @@
 """``make bench``: the figures of the design, measured here and now, as a table. Not a test: machines differ.
 
-Usage: python -m tests.bench [--seconds N]
+Usage: python -m tests.bench [--seconds N] [--kills N]
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import argparse
 import os
 import platform
 
-from tests.bench import path_cost
+from tests.bench import command_latency, flood, guard_latency, path_cost
 from tests.bench.processes import NOMINAL_FRAMES_PER_S, Load, quantile, run_load
 
 SATURATED_FRAMES_PER_S = 7500
@@ -19,7 +19,9 @@ def main() -> None:
     """Measure everything and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=20.0, help="of each load (default 20)")
-    seconds = parser.parse_args().seconds
+    parser.add_argument("--kills", type=int, default=10, help="of the gateway, at 2 m/s (default 10)")
+    arguments = parser.parse_args()
+    seconds = arguments.seconds
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     print(f"{machine}; each load {seconds:g} s")
     cost = path_cost.measure()
@@ -34,6 +36,9 @@ def main() -> None:
         ("saturated 1 Mbit/s", SATURATED_FRAMES_PER_S, 5),
     ):
         rows += load_rows(name, run_load(frames_per_s, seconds), goal_ms)
+    rows += command_rows(command_latency.measure())
+    rows += flood_rows(flood.measure())
+    rows += [guard_row(latency) for latency in guard_latency.measure(arguments.kills)]
     width = max(len(row[0]) for row in rows)
     print(f"{'figure':{width}}  {'measured':34}  goal")
     for figure, measured, goal in rows:
@@ -56,6 +61,45 @@ def load_rows(name: str, load: Load, goal_ms: int) -> list[tuple[str, str, str]]
         ("  chassis to subscriber, p50 p99", f"{' '.join(latency)} ms", "p99 under 5 ms" if is_nominal else ""),
         ("  tick lateness, p50 p99 p99.9 max", f"{' '.join(lateness)} ms", f"p99.9 under {goal_ms} ms"),
     ]
+
+
+def command_rows(latency: command_latency.CommandLatency) -> list[tuple[str, str, str]]:
+    """Commands, from the put to the bus."""
+    drive, stop, tick = (
+        [quantile(values_us, share) for share in (0.5, 0.99)]
+        for values_us in (latency.drive_us, latency.stop_us, latency.tick_us)
+    )
+    return [
+        (
+            "drive put to first CAN frame, p50 p99",
+            f"{_ms(drive)} ms, of {len(latency.drive_us)}",
+            "p99 under 15 ms",
+        ),
+        ("remote stop put to first stop frame, p50 p99", f"{_ms(stop)} ms, of {len(latency.stop_us)}", ""),
+        ("arbiter's tick, engaged, CPU, p50 p99", f"{tick[0]:.0f} {tick[1]:.0f} us", ""),
+    ]
+
+
+def flood_rows(flooded: flood.Flooded) -> list[tuple[str, str, str]]:
+    """What a flood of drive commands does."""
+    return [
+        (
+            f"flood of {flooded.puts_per_s:.0f} puts/s: tick lateness, max",
+            f"{_ms([max(flooded.late_us)])} ms",
+            "20 ms",
+        ),
+        ("  remote stop put to first stop frame, max", f"{_ms([max(flooded.stop_us)])} ms", "100 ms"),
+    ]
+
+
+def guard_row(latency: guard_latency.GuardLatency) -> tuple[str, str, str]:
+    """How fast the guard is."""
+    figure = f"{latency.signal.name} at 2 m/s to first stop frame, p50 p99 max"
+    return figure, f"{latency.figures}, of {len(latency.after_ms)}", "under 100 ms"
+
+
+def _ms(values_us: list[float]) -> str:
+    return " ".join(f"{value_us / 1000:.1f}" for value_us in values_us)
 
 
 if __name__ == "__main__":

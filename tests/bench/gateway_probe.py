@@ -12,8 +12,7 @@ from pathlib import Path
 
 import gateway.cli.gateway as command
 from gateway.cli.main import main
-from gateway.core import Core
-from gateway.telemetry.sample import Sample
+from gateway.core import Core, Due
 
 LATE_NS: list[int] = []
 CPU_S: list[float] = []
@@ -22,7 +21,7 @@ CPU_S: list[float] = []
 class ProbedCore(Core):
     """A core that remembers how late its ticks began."""
 
-    def tick(self, now_ns: int, wall_ns: int, late_ns: int) -> list[Sample]:
+    def tick(self, now_ns: int, wall_ns: int, late_ns: int) -> Due:
         LATE_NS.append(late_ns)
         CPU_S.append(time.process_time())
         return super().tick(now_ns, wall_ns, late_ns)

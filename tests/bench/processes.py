@@ -10,7 +10,7 @@ import sys
 import tempfile
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -68,19 +68,19 @@ def run_load(frames_per_s: float, seconds: float) -> Load:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         multiplier = str(frames_per_s / NOMINAL_FRAMES_PER_S)
         sim = ["-m", "gateway", "sim", "--listen", "127.0.0.1:0", "--rate-multiplier", multiplier]
-        ready = _start(stack, sim, "sim: ")[1]
+        ready = start(stack, sim, "sim: ")[1]
         address = re.search(r"127\.0\.0\.1:\d+", ready)
         assert address is not None, ready
         bus = ["--interface", "socketcand", "--channel", address[0], "--listen", endpoint]
         probe = ["-m", "tests.bench.gateway_probe", str(folder / "probe.json"), *bus, "--variant", "coarse"]
-        gateway, _ = _start(stack, probe, "gateway: ")
+        gateway, _ = start(stack, probe, "gateway: ")
         time.sleep(WARM_UP_S)
         latency_us: list[float] = []
         session = open_session(ZenohSettings(), [endpoint], [])
         stack.callback(close_session, session)
         subscriber = session.declare_subscriber(f"**/{WATCHED.name}", _watch(latency_us))
         record = ["-m", "gateway", "record", "-o", str(folder), "--connect", endpoint, "--json"]
-        recorder, _ = _start(stack, record, "record: ")
+        recorder, _ = start(stack, record, "record: ")
         time.sleep(seconds)
         recorder.terminate()
         assert recorder.stdout is not None
@@ -115,7 +115,8 @@ def _watch(latency_us: list[float]) -> Any:  # noqa: ANN401 - Zenoh's own callba
     return watch
 
 
-def _start(stack: ExitStack, words: list[str], ready: str) -> tuple[subprocess.Popen[str], str]:
+def start(stack: ExitStack, words: list[str], ready: str) -> tuple[subprocess.Popen[str], str]:
+    """A process of ours, once it has said this. Returns it and that line; it ends with the stack."""
     process = subprocess.Popen(
         [sys.executable, *words],
         stdin=subprocess.DEVNULL,
@@ -134,8 +135,10 @@ def _start(stack: ExitStack, words: list[str], ready: str) -> tuple[subprocess.P
 
 
 def _drain(stream: IO[str]) -> None:
-    for _ in stream:
-        pass
+    # The stream is closed when the process has ended.
+    with suppress(ValueError):
+        for _ in stream:
+            pass
 
 
 def _info(log: str) -> dict[str, Any]:

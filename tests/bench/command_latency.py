@@ -1,0 +1,278 @@
+"""From a put on Zenoh to the frame on the bus: chassis, gateway, and a third on the bus as witness.
+
+Witness and operator are one process, so one clock times both. Usage: python -m tests.bench.command_latency
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import re
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from random import Random
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import zenoh
+
+from gateway.chassis.layout import load
+from gateway.ports.can_bus import BusLost, open_bus
+from gateway.ports.zenoh_client import close_session, open_session
+from schemas.messages import Variant
+from schemas.settings import CanSettings, ZenohSettings
+from tests.bench.processes import free_port, quantile, start
+
+ROBOT: Final = "fleet/cruiser-1/"
+COMMAND: Final = f"{ROBOT}@cmd/bench/"
+DEADLINE_S: Final = 20.0
+SPEED_MPS: Final = 0.5
+SPEED_RAW: Final = 500
+ANGLES_DEG: Final = (0.0, 0.4)
+"""So near to each other that the arbiter goes from one to the other in a tick."""
+
+MIDDLE_RAW: Final = 2052
+_FINE: Final = load(Variant.FINE).messages
+STEERING_ID: Final = _FINE["Auto_SteeringCmd"].can_id
+DRIVE_ID: Final = _FINE["Auto_DriveCmd"].can_id
+
+
+def is_left(angle_raw: int) -> bool:
+    """The command is nearer to the second angle than to the first."""
+    return angle_raw > MIDDLE_RAW
+
+
+def is_right(angle_raw: int) -> bool:
+    """The other way round."""
+    return not is_left(angle_raw)
+
+
+class CommandLatency(msgspec.Struct, frozen=True):
+    """All in microseconds and sorted.
+
+    Attributes:
+        drive_us: from the put of a drive command to the first frame with its angle.
+        stop_us: from the put of a remote stop at 0.5 m/s to the first frame with a lower speed.
+        tick_us: processor time of the command flow in an engaged tick with one drive command in it.
+    """
+
+    drive_us: list[float]
+    stop_us: list[float]
+    tick_us: list[float]
+
+
+class Witness:
+    """Another client of the bus, which notes when the steering and drive commands came."""
+
+    def __init__(self, address: str) -> None:
+        self._bus = open_bus(CanSettings(interface="socketcand", channel=address))
+        self.seen: list[tuple[float, int, int]] = []
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._listen, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._ended.set()
+        self._thread.join()
+        self._bus.close()
+
+    def first_us(self, put_s: float, can_id: int, holds: Callable[[int], bool]) -> float:
+        """Microseconds until the first such command; its raw value is what ``holds`` is asked."""
+        place = 0
+        end_s = put_s + DEADLINE_S
+        while time.monotonic() < end_s:
+            for at_s, seen_id, raw in self.seen[place:]:
+                place += 1
+                if at_s >= put_s and seen_id == can_id and holds(raw):
+                    return (at_s - put_s) * 1e6
+            time.sleep(0.001)
+        raise TimeoutError(f"no such frame within {DEADLINE_S} s")
+
+    def _listen(self) -> None:
+        masks = {STEERING_ID: 0xFFF, DRIVE_ID: 0xFFFF}
+        while not self._ended.is_set():
+            try:
+                frame = self._bus.receive(0.1)
+            except BusLost:
+                return
+            if frame is not None and frame.can_id in masks:
+                raw = int.from_bytes(frame.data, "little") >> 8 & masks[frame.can_id]
+                self.seen.append((time.monotonic(), frame.can_id, raw))
+
+
+class Driver:
+    """An operator on Zenoh.
+
+    Attributes:
+        state: the newest safety/state.
+    """
+
+    def __init__(self, endpoint: str) -> None:
+        self.session = open_session(ZenohSettings(mode="client"), [endpoint], [])
+        self._states = self.session.declare_subscriber(f"{ROBOT}safety/state", zenoh.handlers.RingChannel(1))
+        self.state: dict[str, Any] = {}
+        self._lease = self._sequence = 0
+
+    def look(self) -> dict[str, Any]:
+        """Take the newest safety/state, if there is one."""
+        sample = self._states.try_recv()
+        if sample is not None:
+            self.state = msgspec.msgpack.decode(sample.payload.to_bytes())
+        return self.state
+
+    def ask(self, verb: str, **fields: object) -> dict[str, Any]:
+        """A verb's reply."""
+        for reply in self.session.get(COMMAND + verb, payload=msgspec.msgpack.encode(fields), timeout=5):
+            if reply.ok is not None:
+                answer: dict[str, Any] = msgspec.msgpack.decode(reply.ok.payload.to_bytes())
+                return answer
+        raise RuntimeError(f"no reply to {verb}")
+
+    def _must(self, verb: str, **fields: object) -> dict[str, Any]:
+        reply = self.ask(verb, **fields)
+        if not reply["ok"]:
+            raise RuntimeError(f"{verb}: {reply}")
+        return reply
+
+    def drive(self, speed_mps: float, angle_deg: float = 0.0) -> float:
+        """A drive command; when it was put."""
+        self._sequence += 1
+        fields = {"lease": self._lease, "seq": self._sequence, "tick": self.look()["tick"]}
+        payload = msgspec.msgpack.encode(fields | {"speed_mps": speed_mps, "angle_deg": angle_deg})
+        put_s = time.monotonic()
+        self.session.put(f"{COMMAND}drive", payload, express=True, priority=zenoh.Priority.INTERACTIVE_HIGH)
+        return put_s
+
+    def stop(self) -> float:
+        """A remote stop; when it was put."""
+        put_s = time.monotonic()
+        self.session.put(f"{COMMAND}stop", b"", express=True, priority=zenoh.Priority.INTERACTIVE_HIGH)
+        return put_s
+
+    def get_going(self, speed_mps: float = SPEED_MPS) -> None:
+        """From rest, whatever is latched, to a steady speed."""
+        overcome = {"no_lease", "not_engaged", "remote_stop"}
+        until(lambda: self.look()["state"] == "standby" and set(self.state["blocked_by"]) <= overcome)
+        self._lease, self._sequence = self._must("take", role="supervisor")["lease"], 0
+        for verb in ("reset", "engage", "unpark"):
+            self._must(verb, lease=self._lease)
+        until(lambda: self.look()["output_speed_mps"] == speed_mps, lambda: self.drive(speed_mps), 0.02)
+
+    def close(self) -> None:
+        """Leave Zenoh."""
+        close_session(self.session)
+
+
+def until(condition: Callable[[], bool], act: Callable[[], object] = bool, pause_s: float = 0.002) -> None:
+    """Act until it holds."""
+    end_s = time.monotonic() + DEADLINE_S
+    while not condition():
+        if time.monotonic() > end_s:
+            raise TimeoutError
+        act()
+        time.sleep(pause_s)
+
+
+class Road(NamedTuple):
+    """What drives: the operator, who watches the bus, Zenoh's endpoint, and the gateway's process."""
+
+    driver: Driver
+    witness: Witness
+    endpoint: str
+    gateway: subprocess.Popen[str]
+
+
+@contextmanager
+def on_the_road(*command: str) -> Iterator[Road]:
+    """Chassis, gateway (or this command in its place), witness and operator."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    os.environ["CRUISER_GATEWAY_ACCEPT_UNGUARDED"] = "true"
+    with ExitStack() as stack:
+        sim = ["-m", "gateway", "sim", "--listen", "127.0.0.1:0", "--variant", "fine"]
+        ready = start(stack, sim, "sim: ")[1]
+        address = re.search(r"127\.0\.0\.1:\d+", ready)
+        assert address is not None, ready
+        bus = ["--interface", "socketcand", "--channel", address[0], "--listen", endpoint]
+        gateway, _ = start(stack, [*(command or ("-m", "gateway", "gateway")), *bus], "gateway: ")
+        witness = Witness(address[0])
+        stack.callback(witness.close)
+        driver = Driver(endpoint)
+        stack.callback(driver.close)
+        until(lambda: bool(driver.look()))
+        yield Road(driver, witness, endpoint, gateway)
+
+
+def measure(drives: int = 500, stops: int = 20, ticks: int = 3000) -> CommandLatency:
+    """Put so many of each."""
+    random = Random(0)  # noqa: S311 - to hit every place between two ticks
+    drive_us: list[float] = []
+    with on_the_road() as (driver, witness, *_):
+        driver.get_going()
+        for number in range(drives):
+            left = bool(number % 2)
+            put_s = driver.drive(SPEED_MPS, ANGLES_DEG[left])
+            if number:
+                drive_us.append(witness.first_us(put_s, STEERING_ID, is_left if left else is_right))
+            time.sleep(random.uniform(0.015, 0.035))
+        stop_us = [stop_under_way_us(driver, witness, random)]
+        for _ in range(stops - 1):
+            driver.get_going()
+            stop_us.append(stop_under_way_us(driver, witness, random))
+    return CommandLatency(sorted(drive_us), sorted(stop_us), measure_ticks_us(ticks))
+
+
+def stop_under_way_us(driver: Driver, witness: Witness, random: Random) -> float:
+    """A remote stop at a steady speed: microseconds until the chassis is told a lower one."""
+    driver.drive(SPEED_MPS)
+    time.sleep(random.uniform(0.02, 0.04))
+    return witness.first_us(driver.stop(), DRIVE_ID, lambda raw: raw < SPEED_RAW)
+
+
+def measure_ticks_us(count: int) -> list[float]:
+    """Processor time of the command flow's ``tick`` and ``sent``, in this process and in simulated time."""
+    from tests.gateway.command.loop_rig import ready  # noqa: PLC0415 - the rig of the tests
+
+    rig, operator = ready()
+    operator.engage()
+    command = rig.core.command
+    assert command is not None
+    spent_us: list[float] = []
+    tick, sent = command.tick, command.sent
+
+    def timed_tick(*arguments: Any) -> Any:  # noqa: ANN401 - as the flow's own
+        begun_ns = time.thread_time_ns()
+        due = tick(*arguments)
+        spent_us.append((time.thread_time_ns() - begun_ns) / 1e3)
+        return due
+
+    def timed_sent(*arguments: Any) -> Any:  # noqa: ANN401 - as the flow's own
+        begun_ns = time.thread_time_ns()
+        messages = sent(*arguments)
+        spent_us[-1] += (time.thread_time_ns() - begun_ns) / 1e3
+        return messages
+
+    # Not by assignment, which would be an error of types.
+    vars(command).update(tick=timed_tick, sent=timed_sent)
+    # As in the loop, no collection falls into a tick.
+    gc.disable()
+    for _ in range(count):
+        rig.put(operator.name, "drive", operator.drive_payload(1.0, 5.0))
+        rig.tick()
+    gc.enable()
+    return sorted(spent_us)
+
+
+def main() -> None:
+    """Measure and print."""
+    measured = measure()
+    for name, values_us in msgspec.structs.asdict(measured).items():
+        shares = ", ".join(f"p{share:g} {quantile(values_us, share / 100):.0f}" for share in (50, 99))
+        print(f"{name} ({len(values_us)}): {shares}, max {values_us[-1]:.0f}")
+
+
+if __name__ == "__main__":
+    main()
