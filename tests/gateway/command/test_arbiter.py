@@ -152,6 +152,21 @@ def test_a_bus_that_was_lost_before_does_not_matter() -> None:
     assert bench.arbiter.state is ArbiterState.ENGAGED
 
 
+def test_a_stop_ends_horn_lamps_and_clearing() -> None:
+    """The chassis keeps the last command for ever: each is told off while the robot is brought to rest."""
+    bench = engaged()
+    bench.ask("horn", on=True)
+    bench.ask("light", headlamp=True)
+    bench.ask("clear_odometer")
+    bench.ask("stop")
+    off = {frame.name: frame.values for frame in bench.tick().auxiliary}
+    assert off == {
+        "Auto_LightCmd": {"Headlamp": False, "RightIndicator": False, "LeftIndicator": False},
+        "Auto_SpeakerCmd": {"Horn": False},
+        "Auto_OdometerCmd": {"Enable": False, "ClearMileage": False},
+    }
+
+
 def test_a_horn_that_was_cut_off_does_not_sound_again() -> None:
     """Nothing resumes by itself, with the next engagement either."""
     bench = engaged()

@@ -6,6 +6,7 @@ import pytest
 from gateway.command.flow import CommandFlow
 from gateway.command.gate import GateFault
 from gateway.command.request import RawRequest
+from gateway.telemetry.health import Links
 from schemas.decisions import ArbiterState, Decision, Reply, SafetyState
 from schemas.messages import Mode, Variant
 from schemas.reasons import Reason
@@ -99,6 +100,27 @@ def test_nobody_is_mute_who_has_nothing_to_say(monkeypatch: pytest.MonkeyPatch) 
         rig.tick(3)
         assert made.arbiter.state is ArbiterState.STANDBY
         assert not made.is_mute
+
+
+def test_who_is_cut_off_from_a_chassis_that_obeys_leaves_it_to_the_guard() -> None:
+    """Our way to the bus is lost while the robot drives: mute until it is back, so that the guard acts at once."""
+    rig, _ = driving(1.0)
+    made = flow(rig)
+    rig._witness = lambda *_: None  # type: ignore[method-assign]
+    rig.links = Links(bus_up=False, guarded=True, bus_losses=1)
+    rig.tick()
+    assert made.arbiter.state is ArbiterState.STANDBY
+    assert made.is_mute
+    rig.tick()
+    assert made.is_mute
+    rig.links = Links(bus_up=True, guarded=True, bus_losses=1)
+    rig.tick()
+    assert not made.is_mute
+    rig.run(10)
+    assert made.arbiter.state is ArbiterState.STANDBY
+    rig.links = Links(bus_up=False, guarded=True, bus_losses=2)
+    rig.tick()
+    assert not made.is_mute, "standing by, nothing is left to anybody"
 
 
 def test_after_a_silence_the_gate_begins_anew() -> None:

@@ -393,6 +393,24 @@ def test_a_reset_that_comes_at_once_was_not_meant_for_this_latch(ticks: int, rea
     assert bench.ask("reset").reason is reason
 
 
+def test_a_reset_keeps_the_lease() -> None:
+    """Its holder is there."""
+    bench = Bench()
+    bench.ask("acquire")
+    bench.tick(count=150)
+    assert bench.ask("reset").reason is Reason.NONE
+    bench.tick(count=100)
+    assert bench.arbiter.desk.lease is not None
+
+
+def test_the_first_command_of_a_lease_may_have_the_number_zero() -> None:
+    """Sequence numbers begin wherever the sender likes."""
+    bench = Bench()
+    bench.ask("acquire")
+    bench.sequence = -1
+    assert bench.drive().reason is Reason.NOT_ENGAGED, "it is judged, and not for its number"
+
+
 # The rest.
 
 
