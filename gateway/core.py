@@ -143,13 +143,8 @@ class Core:
             # A bus that returns may have another chassis on it.
             self._detector.reset()
             self._apply_variant()
-        told = (links.bus_up, links.bus_losses, links.guarded, links.guard_sends)
-        if self._journal is not None and told != (
-            before.bus_up,
-            before.bus_losses,
-            before.guarded,
-            before.guard_sends,
-        ):
+        told = _told(links)
+        if self._journal is not None and told != _told(before):
             self._journal.add((Kind.LINKS, now_ns, *told))
 
     def tick(self, now_ns: int, wall_ns: int, late_ns: int) -> Due:
@@ -230,7 +225,8 @@ class Core:
     def _receive_other(self, frame: Frame, now_ns: int) -> None:
         """A frame that is no feedback. A command frame of another computer is no fault: it may own the bus."""
         if frame.can_id in self._commands:
-            self._commander_ns = now_ns
+            if check(frame) is None:
+                self._commander_ns = now_ns
             return
         fault = unknown_frame(frame, self._known)
         self._health.faults[fault.kind] += 1
@@ -264,6 +260,18 @@ class Core:
         )
         self._state_sequence = (self._state_sequence + 1) & SEQUENCE_MAX
         return _sample(state)
+
+
+def _told(links: Links) -> tuple[bool | int, ...]:
+    """What of the links the command flow is told, and the journal holds."""
+    return (
+        links.bus_up,
+        links.bus_losses,
+        links.guarded,
+        links.guard_sends,
+        links.guard_stops,
+        links.is_behind,
+    )
 
 
 def _sample(message: Message) -> Sample:

@@ -24,7 +24,7 @@ class Kind(IntEnum):
     REQUEST = 1
     """handle, verb, operator, payload, size"""
     LINKS = 2
-    """bus_up, bus_losses, guarded, guard_sends; only when one of them has changed"""
+    """bus_up, bus_losses, guarded, guard_sends, guard_stops, is_behind; only when one of them has changed"""
     TICK = 3
     """wall_ns, late_ns"""
     SENT = 4

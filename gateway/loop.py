@@ -17,7 +17,7 @@ from gateway.command.request import RawRequest
 from gateway.core import Core
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
-from schemas.settings import LATE_NS, REST_TIMEOUT_NS, TICK_NS
+from schemas.settings import BEHIND_NS, LATE_NS, LOOP_LATE_STOP_NS, REST_TIMEOUT_NS, TICK_NS
 
 log = logging.getLogger(__name__)
 
@@ -31,6 +31,10 @@ BURST_MAX_FRAMES: Final = 32
 
 PEERS_TICKS: Final = 10
 """Who is connected is asked in every tenth tick: asking takes Zenoh tens of microseconds."""
+
+
+CATCH_UP_BURSTS: Final = 256
+"""Bursts that are read before the first tick after a pause: all of a second of a saturated bus."""
 
 
 class FrameSource(Protocol):
@@ -98,6 +102,11 @@ class Guard(Protocol):
         """It does so now, and we must be silent."""
         ...
 
+    @property
+    def stops(self) -> int:
+        """How often it has begun to, since the start."""
+        ...
+
     def beat(self, now_ns: int, command: CommandFlow) -> None:
         """The loop lives. Called each tick, after the frames are sent."""
         ...
@@ -136,7 +145,8 @@ def run(around: Surroundings, core: Core, info: Callable[[], bytes], stopped: Ca
         stopped: asked every tick.
     """
     monotonic_ns = time.monotonic_ns
-    bus, sink = around.bus, around.sink
+    sink = around.sink
+    reader = Reader(around, core)
     due_ns = monotonic_ns() + TICK_NS
     links = Links()
     complained_ns = 0
@@ -150,19 +160,25 @@ def run(around: Surroundings, core: Core, info: Callable[[], bytes], stopped: Ca
         if end_ns is not None and (core.is_at_rest or now_ns > end_ns):
             break
         while now_ns < due_ns:
-            for sample in receive_burst(bus, core, (due_ns - now_ns) / 1e9):
-                sink.publish(sample)
+            reader.read_burst((due_ns - now_ns) / 1e9)
             now_ns = monotonic_ns()
-        if now_ns - due_ns > LATE_NS and now_ns - complained_ns > COMPLAINT_PERIOD_NS:
+        late_ns = now_ns - due_ns
+        if late_ns > LOOP_LATE_STOP_NS:
+            # Nothing is decided by what was seen before the pause.
+            reader.catch_up()
+            now_ns = monotonic_ns()
+        if late_ns > LATE_NS and now_ns - complained_ns > COMPLAINT_PERIOD_NS:
             complained_ns = now_ns
-            log.warning(
-                "the loop was %d ms late; frames that waited keep their own times", (now_ns - due_ns) // MS
-            )
-        links = _observe(around, links, links.zenoh_peers if ticks % PEERS_TICKS else sink.peers())
+            log.warning("the loop was %d ms late; frames that waited keep their own times", late_ns // MS)
+        peers = links.zenoh_peers if ticks % PEERS_TICKS else sink.peers()
+        links = _observe(around, links, peers, is_behind=now_ns - reader.read_all_ns > BEHIND_NS)
         ticks += 1
-        _tick(around, core, links, now_ns, now_ns - due_ns)
+        _tick(around, core, links, now_ns, late_ns)
         sink.answer(info)
         due_ns += TICK_NS * (1 + (now_ns - due_ns) // TICK_NS)
+    if around.guard is not None and core.command is not None:
+        # The last word: nothing is told any more, so nothing is left to stop.
+        around.guard.beat(monotonic_ns(), core.command)
     for sample in core.last_batches(time.time_ns()):
         sink.publish(sample)
 
@@ -190,25 +206,50 @@ def _tick(around: Surroundings, core: Core, links: Links, now_ns: int, late_ns: 
         around.sink.publish(sample)
 
 
-def receive_burst(bus: FrameSource, core: Core, timeout_s: float) -> list[Sample]:
-    """Wait for a frame, take those that wait behind it too, and return their samples.
+class Reader:
+    """Reads the bus, and publishes what its frames say.
 
-    Published one right after the other, samples share Zenoh's batches and wake its sending thread once.
+    Attributes:
+        read_all_ns: when nothing was left to read last. Long ago, frames come faster than they are read.
     """
-    receive, receive_frame, monotonic_ns = bus.receive, core.receive_frame, time.monotonic_ns
-    samples: list[Sample] = []
-    for _ in range(BURST_MAX_FRAMES):
-        frame = receive(timeout_s)
-        if frame is None:
-            break
-        sample = receive_frame(frame, monotonic_ns())
-        if sample is not None:
-            samples.append(sample)
-        timeout_s = 0
-    return samples
+
+    def __init__(self, around: Surroundings, core: Core) -> None:
+        self.read_all_ns = time.monotonic_ns()
+        self._receive = around.bus.receive
+        self._publish = around.sink.publish
+        self._core = core
+
+    def read_burst(self, timeout_s: float) -> bool:
+        """Wait for a frame, and take those that wait behind it too. Whether nothing is left.
+
+        Published one right after the other, samples share Zenoh's batches and wake its sending thread once.
+        """
+        receive, receive_frame, monotonic_ns = self._receive, self._core.receive_frame, time.monotonic_ns
+        samples: list[Sample] = []
+        is_empty = False
+        for _ in range(BURST_MAX_FRAMES):
+            frame = receive(timeout_s)
+            if frame is None:
+                is_empty = True
+                break
+            sample = receive_frame(frame, monotonic_ns())
+            if sample is not None:
+                samples.append(sample)
+            timeout_s = 0
+        if is_empty:
+            self.read_all_ns = monotonic_ns()
+        for sample in samples:
+            self._publish(sample)
+        return is_empty
+
+    def catch_up(self) -> None:
+        """Read what has waited during a pause, a bounded number."""
+        for _ in range(CATCH_UP_BURSTS):
+            if self.read_burst(0):
+                return
 
 
-def _observe(around: Surroundings, before: Links, peers: int) -> Links:
+def _observe(around: Surroundings, before: Links, peers: int, *, is_behind: bool) -> Links:
     bus, sink, guard = around.bus, around.sink, around.guard
     if bus.is_up and not before.bus_up:
         log.info("the bus is up%s", " again" if bus.losses else "")
@@ -227,5 +268,7 @@ def _observe(around: Surroundings, before: Links, peers: int) -> Links:
         cpu_ns=time.process_time_ns(),
         guarded=guard is not None and guard.is_watching,
         guard_sends=guard is not None and guard.is_sending,
+        guard_stops=guard.stops if guard is not None else 0,
+        is_behind=is_behind,
         inbox_drops=around.inbox.drops if around.inbox is not None else 0,
     )

@@ -48,12 +48,16 @@ class Observer:
             bus_losses=links.bus_losses,
             missing=tuple(self._missing(wheels, body, now_ns)),
             faulty=tuple(self._faulty(now_ns)),
+            absurd=tuple(
+                name for name, stream in self._streams.items() if stream.supervisor.implausible.has_failed(now_ns)
+            ),
             variant=variant,
             confirmed=self._detector.confirmed,
             mode=body.mode if body is not None else Mode.UNDEFINED,
             gear=gear.gear_position if gear is not None else GearPosition.UNDEFINED,
             speed_mps=drive.speed_mps if drive is not None else None,
             wheel_speed_mps=_mean_mps(wheels),
+            fastest_wheel_mps=_fastest_mps(wheels),
             turns=self._turns(),
             angle_deg=steering.angle_deg if steering is not None else None,
             front_bumper=_bumper(body, body.front_bumper) if body is not None else None,
@@ -62,6 +66,8 @@ class Observer:
             commander_ns=commander_ns,
             guarded=links.guarded,
             guard_sends=links.guard_sends,
+            guard_stops=links.guard_stops,
+            is_behind=links.is_behind,
         )
 
     def _latest(self, name: str, kind: type[_Kind]) -> _Kind | None:
@@ -82,12 +88,7 @@ class Observer:
 
     def _faulty(self, now_ns: int) -> Iterable[str]:
         for name, stream in self._streams.items():
-            supervisor = stream.supervisor
-            if (
-                supervisor.alive.has_failed
-                or supervisor.checksums.has_failed(now_ns)
-                or supervisor.implausible.has_failed(now_ns)
-            ):
+            if stream.supervisor.alive.has_failed or stream.supervisor.checksums.has_failed(now_ns):
                 yield name
 
     def _turns(self) -> bool | None:
@@ -100,6 +101,12 @@ def _mean_mps(wheels: WheelSpeed | None) -> float | None:
     if wheels is None or not wheels.valid:
         return None
     return (wheels.rear_left_speed_mps + wheels.rear_right_speed_mps) / 2
+
+
+def _fastest_mps(wheels: WheelSpeed | None) -> float | None:
+    if wheels is None or not wheels.valid:
+        return None
+    return max(abs(wheels.rear_left_speed_mps), abs(wheels.rear_right_speed_mps))
 
 
 def _bumper(body: Body, is_pressed: bool) -> bool | None:  # noqa: FBT001 - it is what the frame says

@@ -43,8 +43,15 @@ def _request(
 
 
 def _links(core: Core, now_ns: int, *told: Any) -> list[Sample]:  # noqa: ANN401 - as the journal holds them
-    bus_up, bus_losses, guarded, guard_sends = told
-    links = Links(bus_up=bus_up, bus_losses=bus_losses, guarded=guarded, guard_sends=guard_sends)
+    bus_up, bus_losses, guarded, guard_sends, guard_stops, is_behind = told
+    links = Links(
+        bus_up=bus_up,
+        bus_losses=bus_losses,
+        guarded=guarded,
+        guard_sends=guard_sends,
+        guard_stops=guard_stops,
+        is_behind=is_behind,
+    )
     core.observe_links(links, now_ns)
     return []
 

@@ -44,12 +44,12 @@ class Reason(Enum):
     COMMAND_NOT_ZERO = "command_not_zero"
     NOT_CONFIRMED = "not_confirmed"
     DISENGAGED = "disengaged"
-    SUPERSEDED = "superseded"
 
     # The chassis.
     BUS_DOWN = "bus_down"
     FEEDBACK_MISSING = "feedback_missing"
     FEEDBACK_FAULTY = "feedback_faulty"
+    FEEDBACK_LATE = "feedback_late"
     VARIANT_UNKNOWN = "variant_unknown"
     HAND_TRANSMITTER = "hand_transmitter"
     MODE_NOT_AUTO = "mode_not_auto"
@@ -81,6 +81,7 @@ class Text(msgspec.Struct, frozen=True):
     cure: str
 
 
+_BOTH: Final = "; with both pressed, free the robot by hand or with the hand transmitter"
 _AGAIN: Final = "look at safety/state, then engage again"
 _RESET: Final = "clear the cause, then reset, then engage again"
 
@@ -121,28 +122,31 @@ TEXTS: Final[dict[Reason, Text]] = {
     Reason.COMMAND_NOT_ZERO: Text("the drive command is not zero", "command zero speed first"),
     Reason.NOT_CONFIRMED: Text("the chassis did not confirm it in time", "look at the chassis and its feedback"),
     Reason.DISENGAGED: Text("the holder of the lease disengaged", "engage again"),
-    Reason.SUPERSEDED: Text("something else came in between", _AGAIN),
     Reason.BUS_DOWN: Text("the CAN bus is not there", "look at gateway/health for why"),
     Reason.FEEDBACK_MISSING: Text("feedback of the chassis is missing", "look at gateway/health for which frames"),
     Reason.FEEDBACK_FAULTY: Text(
         "feedback of the chassis fails its checksum or counter", "look at gateway/health for which frames"
     ),
+    Reason.FEEDBACK_LATE: Text(
+        "frames come faster than the gateway can read them, so what it sees is old",
+        "look for a node that floods the bus, and at the processor's load",
+    ),
     Reason.VARIANT_UNKNOWN: Text(
         "the firmware variant, and with it the scale of speeds, is not known",
-        "let the robot stand still with its feedback on the bus",
+        "let the robot stand still with its feedback on the bus; where it does, chassis.variant is set wrong",
     ),
     Reason.HAND_TRANSMITTER: Text(
         "the hand transmitter has the robot", "switch the transmitter's SA to command control, then engage again"
     ),
     Reason.MODE_NOT_AUTO: Text("the chassis does not read auto", _AGAIN),
-    Reason.FRONT_BUMPER: Text("the front bumper was hit", "reset, then drive backward until it is clear"),
-    Reason.REAR_BUMPER: Text("the rear bumper was hit", "reset, then drive forward until it is clear"),
+    Reason.FRONT_BUMPER: Text("the front bumper was hit", f"reset, then drive backward until it is clear{_BOTH}"),
+    Reason.REAR_BUMPER: Text("the rear bumper was hit", f"reset, then drive forward until it is clear{_BOTH}"),
     Reason.IMPLAUSIBLE_SPEED: Text("the speeds do not fit each other or the command", _RESET),
     Reason.FOUND_MOVING: Text("the chassis was found in auto and moving, and nobody commanded it", _AGAIN),
     Reason.OTHER_COMMANDER: Text("another computer commands the chassis on the bus", "end the other one first"),
     Reason.REMOTE_STOP: Text("a remote stop was received", "reset, then engage again"),
-    Reason.LOOP_LATE: Text("the gateway's loop was late", _RESET),
-    Reason.SEND_FAILED: Text("the bus does not take our frames", _RESET),
+    Reason.LOOP_LATE: Text("the gateway's loop was late", _AGAIN),
+    Reason.SEND_FAILED: Text("the bus does not take our frames", _AGAIN),
     Reason.GATE: Text("the last gate before the bus refused a frame: a fault of the gateway's own", _RESET),
     Reason.GUARD: Text("the guard has stopped the robot in place of the gateway", _RESET),
     Reason.UNGUARDED: Text(

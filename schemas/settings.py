@@ -138,6 +138,12 @@ SEND_FAILURES: Final = 5
 TURNING_RAW_MIN: Final = 2
 """A drive feedback of this raw value or more is one of a robot that moves, in either scale."""
 
+LEFT_BLIND_NS: Final = 200_000_000
+"""A chassis that was left while it was being told something, and is not seen, is stopped after this time."""
+
+BEHIND_NS: Final = 200_000_000
+"""Frames that were never all read for this long are coming faster than they can be."""
+
 FOUND_MOVING_NS: Final = 200_000_000
 """A chassis that is in auto and moves for this long, while nobody is heard to command it, is stopped."""
 
@@ -171,9 +177,21 @@ WHEELBASE_M: Final = 0.660
 GUARD_POLL_NS: Final = 5_000_000
 """The guard looks at the loop's heartbeat every 5 ms."""
 
-GUARD_LATE_NS: Final = 70_000_000
-"""A heartbeat older than this, twice in a row, is late: the guard stops the robot. The first stop frame has to be
-on the bus within 100 ms of the last good one."""
+GUARD_LATE_NS: Final = 90_000_000
+"""A heartbeat older than this, and still so 5 ms later, is late: the guard stops the robot. The first stop frame has
+to be on the bus within 100 ms of the last good one."""
+
+GUARD_LOOK_NS: Final = 100_000_000
+"""A stop that begins or goes on late waits this long to see the chassis; what it was told before is old."""
+
+GUARD_RESTART_NS: Final = 5_000_000_000
+"""A guard that is gone is started again no sooner than this after the last start, while the robot is told nothing."""
+
+REMOTE_FRAMES: Final = 2
+"""So many in a row that read remote are believed: one alone may be two flipped bits, and the robot rolls on."""
+
+OFF_BURSTS: Final = 10
+"""A stop tells lamps, horn and odometer off in its first 10 bursts, 100 ms: one may get lost."""
 
 GUARD_SILENT_NS: Final = 200_000_000
 """A guard that gave no sign for this long, or heard no feedback, does not watch."""

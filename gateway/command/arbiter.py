@@ -22,12 +22,13 @@ from gateway.command.limits import Limits
 from gateway.command.motion import Motion, Surroundings, Target
 from gateway.command.observed import Observed
 from gateway.command.request import Answer, Judged, RawRequest, Ruling
+from gateway.command.seen import not_above_seen, seen_actuation, seen_angle_deg
 from gateway.command.states import TRANSITIONS, Trigger
 from gateway.command.stop import StopSequence
 from schemas.decisions import ArbiterState, EventKind, Severity, StopPhase
-from schemas.messages import GearPosition, Mode, Variant
+from schemas.messages import Mode, Variant
 from schemas.reasons import TEXTS, Reason
-from schemas.settings import ENGAGE_TIMEOUT_NS, LATE_NS, TICK_NS, Settings
+from schemas.settings import ENGAGE_TIMEOUT_NS, LATE_NS, LEFT_BLIND_NS, LOOP_LATE_STOP_NS, TICK_NS, Settings
 
 COMMANDING: Final = frozenset({ArbiterState.ENGAGING, ArbiterState.ENGAGED})
 _NS_PER_S: Final = 1_000_000_000
@@ -119,7 +120,8 @@ class Arbiter:
         self._engage_until_ns = 0
         self._was_auto = False
         self._was_left = False
-        self._bus_losses = 0
+        self._bus_losses = self._guard_stops = 0
+        self._left_ns = self._late_ns = 0
         self._before: tuple[Motion, StopSequence | None, Actuation | None] = (self.motion, None, None)
         self._waiting: dict[str, int] = {}
         self._answers: list[Answer] = []
@@ -140,6 +142,7 @@ class Arbiter:
             late_ns: how much after its time this tick begins.
         """
         self.tick_number += 1
+        self._late_ns = late_ns
         self.watch.observe(observed)
         self.is_cut_off = self.is_cut_off and not observed.bus_up
         if observed.variant is not self.variant:
@@ -173,10 +176,12 @@ class Arbiter:
         """All that engage wants is there: give the five enables with zero speed."""
         self._go(Trigger.ENGAGE)
         self.limits = limits
-        self.motion = Motion(self.settings.brake_pedal_percent, self._seen_angle_deg())
+        angle_deg = seen_angle_deg(self.watch.observed, self.configured_limits)
+        self.motion = Motion(self.settings.brake_pedal_percent, angle_deg)
         self.target = Target()
         self.parked = True
         self._begin_telling(0.0)
+        self.auxiliary.end(now_ns)
         self.watch.send_failures = 0
         self._engage_until_ns = now_ns + ENGAGE_TIMEOUT_NS
 
@@ -188,11 +193,11 @@ class Arbiter:
         if self._sequence is not None:
             self._sequence.hasten(deceleration_mps2)
             return
+        last = self._last_told()
         if self.state is ArbiterState.STANDBY:
             if not self._may_be_obeying():
                 return
             self._begin_telling(self.watch.observed.wheel_speed_mps or 0.0)
-        last = self.actuation or self._seen_actuation()
         self._sequence = StopSequence(last, deceleration_mps2, self.settings.brake_pedal_percent, now_ns)
         self.auxiliary.end(now_ns)
         self.stop_reason = reason
@@ -203,7 +208,12 @@ class Arbiter:
 
     def latch(self, reason: Reason, detail: str, now_ns: int, operator: str = "") -> None:
         """Keep the robot from being engaged until a reset, if the table says so."""
-        if STOPS[reason].latched and reason not in self.latched:
+        if not STOPS[reason].latched:
+            return
+        if reason is Reason.REMOTE_STOP:
+            # Each one counts: a reset that was on its way is not meant for the newest.
+            self.latched_ns = now_ns
+        if reason not in self.latched:
             self.latched[reason] = detail
             self.latched_ns = now_ns
             text = f"latched until a reset: {_in_words(reason, detail)}"
@@ -251,34 +261,39 @@ class Arbiter:
 
     def _give_way(self, now_ns: int) -> None:
         """Who else commands the chassis, or where no command can reach it, the output ceases at once."""
+        observed = self.watch.observed
         if self.state is ArbiterState.STANDBY:
-            if self.watch.observed.guard_sends:
+            if observed.guard_sends:
                 self.latch(Reason.GUARD, "", now_ns)
             return
-        observed = self.watch.observed
         self._was_auto = self._was_auto or observed.mode is Mode.AUTO
-        reason = Reason.NONE
-        if observed.guard_sends:
-            reason = Reason.GUARD
-            self.latch(reason, "", now_ns)
-        elif not observed.bus_up or observed.bus_losses != self._bus_losses:
-            reason = Reason.BUS_DOWN
-        elif observed.mode is Mode.REMOTE:
-            reason = Reason.HAND_TRANSMITTER
-        elif observed.mode is Mode.STOP and self._was_auto and self.stop_phase is not StopPhase.DISABLE:
-            reason = Reason.MODE_NOT_AUTO
+        reason = self._yield_reason(observed)
         if reason is Reason.NONE:
             return
+        if reason is Reason.GUARD:
+            self.latch(reason, "", now_ns)
         self._go(Trigger.YIELD)
-        self._was_left = reason is not Reason.GUARD
+        # Lamps and horn stay as they are in the chassis, and are told off when it is told something again.
+        self._was_left = True
+        self._left_ns = now_ns
         self.is_cut_off = reason is Reason.BUS_DOWN and not observed.bus_up
         self.stop_reason = reason
         self._sequence = None
-        self.auxiliary = Auxiliary()
         self._fail_waiting(reason, "")
-        self.tell(
-            Severity.WARNING, EventKind.TAKEOVER, reason, f"nothing is sent any more: {_in_words(reason, '')}"
-        )
+        kind = EventKind.GUARD if reason is Reason.GUARD else EventKind.TAKEOVER
+        self.tell(Severity.WARNING, kind, reason, f"nothing is sent any more: {_in_words(reason, '')}")
+
+    def _yield_reason(self, observed: Observed) -> Reason:
+        if observed.guard_sends or observed.guard_stops != self._guard_stops:
+            # Also when it has ended by now: this process was stopped meanwhile, and what it knows is old.
+            return Reason.GUARD
+        if not observed.bus_up or observed.bus_losses != self._bus_losses:
+            return Reason.BUS_DOWN
+        if observed.mode is Mode.REMOTE:
+            return Reason.HAND_TRANSMITTER
+        if observed.mode is Mode.STOP and self._was_auto and self.stop_phase is not StopPhase.DISABLE:
+            return Reason.MODE_NOT_AUTO
+        return Reason.NONE
 
     def _look_for_causes(self, now_ns: int, late_ns: int) -> None:
         if late_ns > LATE_NS:
@@ -299,7 +314,7 @@ class Arbiter:
         # During a stop too: a graver cause hastens it, and may latch.
         told_mps = self.actuation.signed_speed_mps if self.actuation is not None else 0.0
         for reason in self.watch.faults(told_mps, late_ns, now_ns):
-            self.begin_stop(reason, now_ns, self._fault_detail(reason, late_ns))
+            self.begin_stop(reason, now_ns, self.watch.fault_detail(reason, late_ns))
         if self.variant is Variant.UNKNOWN:
             self.begin_stop(Reason.VARIANT_UNKNOWN, now_ns)
 
@@ -317,20 +332,15 @@ class Arbiter:
         """Standing by: does the chassis obey a command that nobody gives any more?"""
         if self.watch.is_commanded_by_other(now_ns):
             self._was_left = False
-        if self._was_left and self._may_be_obeying():
+        # What is not seen right after the bus has come back may be seen in a moment.
+        is_blind = self.watch.observed.mode is Mode.UNDEFINED and now_ns - self._left_ns < LEFT_BLIND_NS
+        if not self.watch.observed.bus_up:
+            self._left_ns = now_ns
+        if self._was_left and self._may_be_obeying() and not is_blind:
             # It was left while it was being told something, and may obey that again: nothing resumes by itself.
             self.begin_stop(Reason.FOUND_MOVING, now_ns, "or about to move, by what it was told before")
         elif self.watch.found_moving(now_ns):
             self.begin_stop(Reason.FOUND_MOVING, now_ns)
-
-    def _fault_detail(self, reason: Reason, late_ns: int) -> str:
-        observed = self.watch.observed
-        return {
-            Reason.FEEDBACK_MISSING: ", ".join(observed.missing),
-            Reason.FEEDBACK_FAULTY: ", ".join(observed.faulty),
-            Reason.IMPLAUSIBLE_SPEED: self.watch.plausibility.detail,
-            Reason.LOOP_LATE: f"by {late_ns / 1e6:.0f} ms",
-        }.get(reason, "")
 
     def _may_be_obeying(self) -> bool:
         """The chassis may be in auto and obey an old command; else standing by stays silent."""
@@ -348,7 +358,7 @@ class Arbiter:
         if self._sequence is not None:
             actuation = self._sequence.tick(now_ns, stands=self.watch.stands)
             if actuation is None:
-                self._rest()
+                self._rest(now_ns)
             return actuation
         pressed = self.watch.pressed
         surroundings = Surroundings(
@@ -369,10 +379,12 @@ class Arbiter:
         holder = self.desk.lease.operator if self.desk.lease is not None else ""
         self.tell(Severity.INFO, EventKind.ENGAGED, Reason.NONE, "engaged: the chassis reads auto", holder)
 
-    def _rest(self) -> None:
+    def _rest(self, now_ns: int) -> None:
         self._sequence = None
         self._go(Trigger.REST)
         stands = "and stands" if self.watch.stands else "but is not seen to stand"
+        if self.watch.is_commanded_by_other(now_ns):
+            stands = "but another computer commands it, and can move it"
         severity = Severity.INFO if self.watch.stands else Severity.ERROR
         self.tell(severity, EventKind.STOPPED, self.stop_reason, f"stopped: the robot is told nothing, {stands}")
 
@@ -388,22 +400,15 @@ class Arbiter:
         self.watch.plausibility.forget(speed_mps)
         self._was_auto = self._was_left = False
         self._bus_losses = self.watch.observed.bus_losses
+        self._guard_stops = self.watch.observed.guard_stops
 
-    def _seen_angle_deg(self) -> float:
-        limit_deg = self.configured_limits.steering_deg
-        return max(-limit_deg, min(limit_deg, self.watch.observed.angle_deg or 0.0))
-
-    def _seen_actuation(self) -> Actuation:
-        """What a chassis that somebody else has left must have been told, as far as can be seen."""
+    def _last_told(self) -> Actuation:
+        """Where a stop begins: what the chassis was last told, or must have been told."""
         observed = self.watch.observed
-        in_gear = observed.gear in {GearPosition.DRIVE, GearPosition.REVERSE}
-        return Actuation(
-            enabled=True,
-            gear=observed.gear if in_gear else GearPosition.NEUTRAL,
-            speed_mps=min(observed.speed_mps or 0.0, self.configured_limits.speed_mps) if in_gear else 0.0,
-            angle_deg=self._seen_angle_deg(),
-            parking=observed.gear is GearPosition.PARK,
-        )
+        if self.actuation is None:
+            parking = self.parked if self._was_left else None
+            return seen_actuation(observed, self.configured_limits, parking=parking)
+        return not_above_seen(self.actuation, observed) if self._late_ns > LOOP_LATE_STOP_NS else self.actuation
 
     def _go(self, trigger: Trigger) -> None:
         self.state = TRANSITIONS[self.state, trigger]

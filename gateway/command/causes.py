@@ -43,6 +43,7 @@ STOPS: Final[dict[Reason, Stop]] = {
     Reason.GUARD: Stop(at_once=True, latched=True),
     Reason.FEEDBACK_MISSING: Stop(at_once=True),
     Reason.FEEDBACK_FAULTY: Stop(at_once=True),
+    Reason.FEEDBACK_LATE: Stop(at_once=True),
     Reason.VARIANT_UNKNOWN: Stop(at_once=True, ramps=False),
     Reason.OTHER_COMMANDER: Stop(at_once=True),
     Reason.LOOP_LATE: Stop(at_once=True),
@@ -58,6 +59,8 @@ STOPS: Final[dict[Reason, Stop]] = {
     Reason.SHUTDOWN: Stop(at_once=False),
 }
 """Every cause to stop, the gravest first."""
+
+SPEED_FRAMES: Final = frozenset({"Auto_DriveFeedBack", "Auto_WheelSpdFeedback"})
 
 BUMPERS: Final = (Reason.FRONT_BUMPER, Reason.REAR_BUMPER)
 
@@ -114,7 +117,8 @@ class Watch:
         observed = self.observed
         faults = {
             Reason.FEEDBACK_MISSING: bool(observed.missing),
-            Reason.FEEDBACK_FAULTY: bool(observed.faulty),
+            Reason.FEEDBACK_FAULTY: bool(observed.faulty or observed.absurd),
+            Reason.FEEDBACK_LATE: observed.is_behind,
             Reason.VARIANT_UNKNOWN: observed.variant is Variant.UNKNOWN or not observed.confirmed,
         }
         return [reason for reason, is_so in faults.items() if is_so]
@@ -123,6 +127,9 @@ class Watch:
         """The causes to stop a robot that is being commanded; ``commanded_mps`` is signed."""
         observed = self.observed
         found = self.chassis_faults()
+        if SPEED_FRAMES & set(observed.absurd):
+            # Read in the wrong scale a speed is 40 times too high: no other fault looks like it.
+            found.insert(0, Reason.IMPLAUSIBLE_SPEED)
         if self.plausibility.observe(observed.wheel_speed_mps, observed.speed_mps, commanded_mps, now_ns):
             found.append(Reason.IMPLAUSIBLE_SPEED)
         if late_ns > LOOP_LATE_STOP_NS:
@@ -132,6 +139,20 @@ class Watch:
         if self.is_commanded_by_other(now_ns):
             found.append(Reason.OTHER_COMMANDER)
         return found
+
+    def fault_detail(self, reason: Reason, late_ns: int) -> str:
+        """What a reason's own text does not say."""
+        return {
+            Reason.FEEDBACK_MISSING: ", ".join(self.observed.missing),
+            Reason.FEEDBACK_FAULTY: ", ".join([*self.observed.faulty, *self.observed.absurd]),
+            Reason.IMPLAUSIBLE_SPEED: self.plausibility.detail or self._absurd_speed(),
+            Reason.LOOP_LATE: f"by {late_ns / 1e6:.0f} ms",
+        }.get(reason, "")
+
+    def _absurd_speed(self) -> str:
+        frames = ", ".join(name for name in self.observed.absurd if name in SPEED_FRAMES)
+        other = {Variant.COARSE: "the fine scale", Variant.FINE: "the coarse scale"}.get(self.observed.variant)
+        return f"{frames} reads beyond what the chassis can do" + (f"; {other} may fit" if other else "")
 
     def found_moving(self, now_ns: int) -> bool:
         """The chassis is in auto and moves, and nobody commands it, for long enough to be no accident."""

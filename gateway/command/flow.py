@@ -94,7 +94,8 @@ class CommandFlow:
             return []
         variant = self.arbiter.variant
         frames = self.maker.make(outcome.actuation, outcome.auxiliary, variant)
-        fault = self._gate.admit(frames, variant, now_ns)
+        is_stop = self.arbiter.state is ArbiterState.STOPPING
+        fault = self._gate.admit(frames, variant, now_ns, stopping=is_stop)
         if fault is None:
             self.is_mute = False
             return frames

@@ -96,8 +96,17 @@ class Gate:
         self._before: _Motion | None = None
         self._before_ns = 0
 
-    def admit(self, frames: list[Frame], variant: Variant, now_ns: int) -> GateFault | None:
-        """Why these frames must not be sent together, or None if they may."""
+    def admit(
+        self, frames: list[Frame], variant: Variant, now_ns: int, *, stopping: bool = False
+    ) -> GateFault | None:
+        """Why these frames must not be sent together, or None if they may.
+
+        Args:
+            frames: a burst.
+            variant: the scale of the speed in it.
+            now_ns: monotonic.
+            stopping: they belong to a stop. Only a stop may begin with a speed, and in a stop no speed rises.
+        """
         if len(frames) > BURST_MAX_FRAMES or len({frame.can_id for frame in frames}) != len(frames):
             return GateFault(0, "too many frames, or one twice")
         for frame in frames:
@@ -107,7 +116,7 @@ class Gate:
         if tuple(frame.can_id for frame in frames[: len(MOTION)]) != MOTION:
             return GateFault(0, "a burst begins with the five motion frames")
         before = self._before if now_ns - self._before_ns < FORGET_NS else None
-        fault = _motion_fault(_read(frames), before, variant)
+        fault = _motion_fault(_read(frames), before, variant, stopping=stopping)
         return GateFault(_DRIVE, fault) if fault else None
 
     def sent(self, frames: list[Frame], now_ns: int) -> None:
@@ -155,7 +164,7 @@ def _read(frames: list[Frame]) -> _Motion:
     )
 
 
-def _motion_fault(motion: _Motion, before: _Motion | None, variant: Variant) -> str:
+def _motion_fault(motion: _Motion, before: _Motion | None, variant: Variant, *, stopping: bool) -> str:
     """What is wrong with the five frames taken together, or with the step from those before."""
     rules = (
         (motion.gear in {REVERSE, NEUTRAL, DRIVE}, "this gear is not commanded"),
@@ -171,14 +180,16 @@ def _motion_fault(motion: _Motion, before: _Motion | None, variant: Variant) -> 
     for holds, fault in rules:
         if not holds:
             return fault
-    return "" if before is None else _step_fault(motion, before, variant)
+    if before is None:
+        return "" if stopping or not motion.speed_raw else "a speed out of silence"
+    return _step_fault(motion, before, 0 if stopping else SPEED_RISE_RAW[variant])
 
 
-def _step_fault(motion: _Motion, before: _Motion, variant: Variant) -> str:
+def _step_fault(motion: _Motion, before: _Motion, rise_raw: int) -> str:
     rises = motion.speed_raw - before.speed_raw
     shifts = motion.gear != before.gear
     rules = (
-        (rises <= SPEED_RISE_RAW[variant], "the speed rises too fast"),
+        (rises <= rise_raw, "the speed rises too fast"),
         (abs(motion.angle_raw - before.angle_raw) <= ANGLE_STEP_RAW, "the angle changes too fast"),
         (not shifts or not before.speed_raw, "the gear changes at speed"),
         (not shifts or NEUTRAL in {motion.gear, before.gear}, "the direction changes without neutral"),

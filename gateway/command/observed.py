@@ -16,26 +16,32 @@ class Observed(msgspec.Struct, frozen=True):
         bus_losses: how often it was lost since the start.
         missing: feedback frames that were never seen, are silent, or say that they are not valid.
         faulty: feedback frames whose checksums or alive counters have failed.
+        absurd: feedback frames whose values this chassis cannot have, again and again.
         variant: the firmware variant in force; UNKNOWN while there is any doubt.
         confirmed: evidence from the bus agrees with the variant.
         speed_mps: the drive feedback, a magnitude.
         wheel_speed_mps: mean of the rear wheels, signed.
+        fastest_wheel_mps: the faster of the two, a magnitude.
         turns: the raw drive feedback is not zero: the robot moves, in whatever scale.
         commander_ns: when another computer's command frame was last heard; None if never.
         guarded: the guard watches this process.
         guard_sends: the guard is stopping the robot in our place.
+        guard_stops: how often it has begun to, since the start.
+        is_behind: frames come faster than they can be read, so what is seen is old.
     """
 
     bus_up: bool = False
     bus_losses: int = 0
     missing: tuple[str, ...] = ()
     faulty: tuple[str, ...] = ()
+    absurd: tuple[str, ...] = ()
     variant: Variant = Variant.UNKNOWN
     confirmed: bool = False
     mode: Mode = Mode.UNDEFINED
     gear: GearPosition = GearPosition.UNDEFINED
     speed_mps: float | None = None
     wheel_speed_mps: float | None = None
+    fastest_wheel_mps: float | None = None
     turns: bool | None = None
     angle_deg: float | None = None
     front_bumper: bool | None = None
@@ -44,13 +50,20 @@ class Observed(msgspec.Struct, frozen=True):
     commander_ns: int | None = None
     guarded: bool = False
     guard_sends: bool = False
+    guard_stops: int = 0
+    is_behind: bool = False
 
     @property
     def is_slow(self) -> bool:
         """Both speeds are known and are those of a standing robot."""
         return (
             self.speed_mps is not None
-            and self.wheel_speed_mps is not None
+            and self.fastest_wheel_mps is not None
             and self.speed_mps < STANDSTILL_MPS
-            and abs(self.wheel_speed_mps) < STANDSTILL_MPS
+            and self.fastest_wheel_mps < STANDSTILL_MPS
         )
+
+    @property
+    def seen_mps(self) -> float:
+        """How fast the robot is seen to be, a magnitude; zero if that is not known."""
+        return max(self.speed_mps or 0.0, self.fastest_wheel_mps or 0.0)

@@ -1,4 +1,7 @@
-"""The second process: stops the robot when the first one no longer can. It never sends while the loop lives.
+"""The second process: stops the robot when the first one no longer can.
+
+It sends nothing while the loop is in time. A loop that comes back in the very moment in which the guard begins may
+have one burst under way that it can no longer hold back: once, at most, one burst of each is on the bus together.
 
     loop  > heartbeat, each tick, after sending    > ``Guardian``     in shared memory
     bus   > feedback, and the loop's own frames    > ``Sight``

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from gateway.chassis.frame import Frame
 from gateway.guard.beat import Beat, Cause, GuardStatus
 from gateway.guard.sight import Sight
-from gateway.guard.stopper import Stopper
-from schemas.settings import GUARD_GIVES_UP_NS, GUARD_LATE_NS, GUARD_SILENT_NS, CommandSettings
+from gateway.guard.stopper import REMOTE, Stopper
+from schemas.messages import Mode
+from schemas.settings import (
+    COMMANDER_NS,
+    GUARD_GIVES_UP_NS,
+    GUARD_LATE_NS,
+    GUARD_POLL_NS,
+    GUARD_SILENT_NS,
+    CommandSettings,
+)
 
-_LATE_LOOKS = 2
+_LATE_LOOKS: Final = 2
 """Late in so many looks: where the whole machine stood still, the loop may beat before the second."""
 
 
@@ -19,7 +29,7 @@ class Guardian:
         is_ended: nothing is left to guard; the process may leave.
         is_sending: a stop is under way, and the loop has to keep silent. It is carried through also when the loop
             comes back: a loop that has seen this will not take the robot again.
-        stops: how many stops it has ended.
+        stops: how many stops it has begun.
         cause: of the last one, or of the one under way.
     """
 
@@ -33,9 +43,14 @@ class Guardian:
         # One stop for each failure: after it, only a loop that is well again can fail again.
         self._is_armed = True
         self._late_looks = 0
-        self._began_ns = 0
+        self._began_ns = self._heard_ns = 0
         self._ticked_ns: int | None = None
         self._gone_since_ns: int | None = None
+        # What the chassis was last told, if nobody has ended it since: it obeys that for ever.
+        self._left: Beat | None = None
+        self._left_ns = 0
+        self._was_paused = False
+        self._late_at_ns = 0
         self._was_asked_to_end = False
         self._lines: list[str] = []
 
@@ -63,29 +78,38 @@ class Guardian:
         paused_ns = 0 if self._ticked_ns is None else now_ns - self._ticked_ns
         self._ticked_ns = now_ns
         is_fresh = beat is not None and now_ns - beat.now_ns <= GUARD_LATE_NS
-        if is_fresh and beat is not None and not beat.is_mute and not self.is_sending:
+        self._late_at_ns = beat.now_ns + GUARD_LATE_NS + 1 if beat is not None else 0
+        is_alone = not parent_lives or (beat is not None and beat.is_closing)
+        if is_fresh and beat is not None and not beat.is_mute and not self.is_sending and not is_alone:
             self._is_armed = True
+        self._note_left(beat, now_ns)
+        if self.sight.hears(now_ns):
+            self._heard_ns = now_ns
         if self.is_sending:
-            if beat is not None and is_fresh and beat.is_active and paused_ns > GUARD_SILENT_NS and parent_lives:
-                # This process was the one that stood still, and the loop no longer counts on it.
-                self._stopper.give_up("given back to the gateway, after a pause of the guard itself")
-                self._finish()
-            elif now_ns - self._began_ns > GUARD_GIVES_UP_NS:
-                self._stopper.give_up("given up: the bus takes no frames")
-                self._finish()
+            self._give_up_if_in_vain(
+                now_ns, is_superfluous=is_fresh and not is_alone and paused_ns > GUARD_SILENT_NS
+            )
         else:
-            cause = self._cause(beat, is_fresh=is_fresh, parent_lives=parent_lives)
-            if cause is not None and beat is not None and bus_up:
-                self._begin(beat, cause, now_ns)
+            cause = self._cause(beat, now_ns, is_fresh=is_fresh, is_alone=is_alone)
+            last = self._left if beat is None or not beat.is_active else beat
+            if cause is not None and last is not None and bus_up and not self._is_taken(last, now_ns):
+                self._begin(last, cause, now_ns)
         is_needed = self.is_sending or cause is not None
         if not bus_up or not self.is_sending:
-            self.is_ended |= self._may_leave(beat, now_ns, is_needed=is_needed, parent_lives=parent_lives)
+            self.is_ended |= self._may_leave(beat, now_ns, is_needed=is_needed, is_alone=is_alone)
             self._was_asked_to_end = False
             return []
+        self._gone_since_ns = None
         frames = self._stopper.tick(now_ns)
+        self._tell_pause()
         if self._stopper.is_over:
             self._finish()
         return frames
+
+    def next_look_ns(self, now_ns: int) -> int:
+        """When to look again: soon, and right when the heartbeat that was seen last becomes late."""
+        due_ns = now_ns + GUARD_POLL_NS
+        return min(due_ns, self._late_at_ns) if self._late_at_ns > now_ns else due_ns
 
     def sent(self, count: int, now_ns: int) -> None:
         """So many of the frames of this tick were taken by the bus."""
@@ -101,34 +125,82 @@ class Guardian:
         lines, self._lines = self._lines, []
         return lines
 
-    def _cause(self, beat: Beat | None, *, is_fresh: bool, parent_lives: bool) -> Cause | None:
+    def _note_left(self, beat: Beat | None, now_ns: int) -> None:
+        """Was the chassis left on its last command, as where the hand transmitter took it over?"""
+        if beat is None:
+            return
+        if beat.is_active:
+            self._left, self._left_ns = (beat if beat.last.enabled else None), now_ns
+        elif self.sight.mode(now_ns) is Mode.STOP or self._is_commanded_since(self._left_ns):
+            self._left = None
+
+    def _is_commanded_since(self, since_ns: int) -> bool:
+        """Somebody else has commanded the chassis: its last command is no longer ours."""
+        commander_ns = self.sight.commander_ns
+        return commander_ns is not None and commander_ns - since_ns > GUARD_SILENT_NS
+
+    def _is_taken(self, last: Beat, now_ns: int) -> bool:
+        """Late as this is, somebody else has begun to command the chassis, and does so now: two must not."""
+        commander_ns = self.sight.commander_ns
+        return (
+            commander_ns is not None
+            and now_ns - last.now_ns > GUARD_SILENT_NS
+            and now_ns - commander_ns < COMMANDER_NS
+        )
+
+    def _cause(self, beat: Beat | None, now_ns: int, *, is_fresh: bool, is_alone: bool) -> Cause | None:
         """Why to act now, if there is a reason."""
         self._late_looks = 0 if is_fresh else self._late_looks + 1
-        if beat is None or not beat.is_active or not self._is_armed:
+        if beat is None or not self._is_armed:
             return None
-        if not parent_lives or beat.is_closing:
+        if not beat.is_active:
+            # Standing by it may be late or end as it likes, unless it has left the chassis on a command.
+            is_left = self._left is not None and self.sight.mode(now_ns) in {Mode.REMOTE, Mode.AUTO}
+            return Cause.GONE if is_left and is_alone else None
+        if is_alone:
             return Cause.GONE
         if beat.is_mute:
             return Cause.MUTE
         return Cause.LATE if self._late_looks >= _LATE_LOOKS else None
 
-    def _begin(self, beat: Beat, cause: Cause, now_ns: int) -> None:
+    def _begin(self, last: Beat, cause: Cause, now_ns: int) -> None:
         self.is_sending = True
         self.cause = cause
-        self._began_ns = now_ns
-        self._stopper.begin(beat.last, beat.variant, beat.counters, now_ns)
-        age_ms = (now_ns - beat.now_ns) / 1e6
+        self.stops += 1
+        self._began_ns = self._heard_ns = now_ns
+        self._stopper.begin(last.last, last.variant, last.counters, now_ns, last.now_ns)
+        age_ms = (now_ns - last.now_ns) / 1e6
         self._lines.append(f"{cause.value}, last heartbeat {age_ms:.0f} ms ago: stopping the robot")
+
+    def _give_up_if_in_vain(self, now_ns: int, *, is_superfluous: bool) -> None:
+        if self._stopper.is_paused:
+            # For as long as the chassis lives: some day it is given back, and obeys its last command again.
+            self._began_ns = now_ns
+        if is_superfluous:
+            # This process was the one that stood still, and the loop no longer counts on it.
+            self._stopper.give_up("given back to the gateway, after a pause of the guard itself")
+        elif now_ns - self._began_ns > GUARD_GIVES_UP_NS:
+            self._stopper.give_up("given up: the bus takes no frames")
+        elif self._stopper.is_paused and now_ns - self._heard_ns > GUARD_GIVES_UP_NS:
+            self._stopper.give_up("given up: the hand transmitter had the robot, and it is not heard any more")
+        if self._stopper.is_over:
+            self._finish()
+
+    def _tell_pause(self) -> None:
+        is_paused = self._stopper.is_paused and not self._stopper.is_over
+        if is_paused and not self._was_paused:
+            self._lines.append(f"{REMOTE}: waiting until it gives it back")
+        self._was_paused = is_paused
 
     def _finish(self) -> None:
         self.is_sending = False
         self._is_armed = False
         self._late_looks = 0
-        self.stops += 1
+        self._left = None
         self._lines.append(f"done: {self._stopper.outcome}; {self._stopper.frames} frames sent")
 
-    def _may_leave(self, beat: Beat | None, now_ns: int, *, is_needed: bool, parent_lives: bool) -> bool:
-        if parent_lives and not (beat is not None and beat.is_closing):
+    def _may_leave(self, beat: Beat | None, now_ns: int, *, is_needed: bool, is_alone: bool) -> bool:
+        if not is_alone:
             return self._was_asked_to_end and not is_needed and not (beat is not None and beat.is_active)
         if not is_needed:
             return True
@@ -137,5 +209,5 @@ class Guardian:
             self._gone_since_ns = now_ns
         given_up = now_ns - self._gone_since_ns > GUARD_GIVES_UP_NS
         if given_up:
-            self._lines.append("given up: there is no bus to stop the robot on")
+            self._lines.append("given up: there is no bus to stop the robot on, or another computer commands it")
         return given_up

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Protocol
+from typing import Final, Protocol
 
 from gateway.chassis.frame import Frame
 from gateway.guard.beat import Beat, GuardStatus
 from gateway.guard.guardian import Guardian
-from schemas.settings import GUARD_POLL_NS
+from gateway.guard.sight import Sight
+from gateway.guard.stopper import Stopper
+from schemas.settings import GUARD_GIVES_UP_NS, GUARD_POLL_NS, GUARD_SILENT_NS
+
+_SKIP_MAX_FRAMES: Final = 100_000
+"""More than any socket holds: an end there must be, also on a bus that fills faster than it is read."""
 
 
 class Bus(Protocol):
@@ -65,7 +70,9 @@ def run(
             if frame is not None:
                 guardian.receive(frame, monotonic_ns())
             continue
-        due_ns = now_ns + GUARD_POLL_NS
+        if now_ns - due_ns > GUARD_SILENT_NS:
+            _skip_what_waits(bus)
+            now_ns = monotonic_ns()
         if asked_to_end():
             guardian.ask_to_end()
         frames = guardian.tick(memory.read_beat(), now_ns, parent_lives=parent_lives(), bus_up=bus.is_up)
@@ -75,3 +82,38 @@ def run(
             guardian.sent(bus.send(frames), now_ns)
         for line in guardian.take_lines():
             say(line)
+        due_ns = guardian.next_look_ns(now_ns)
+
+
+def _skip_what_waits(bus: Bus) -> None:
+    """What came while this process stood still is old: it must not be taken for what the chassis says now."""
+    for _ in range(_SKIP_MAX_FRAMES):
+        if bus.receive(0) is None:
+            return
+
+
+def stop_alone(bus: Bus, stopper: Stopper, sight: Sight, is_relieved: Callable[[], bool]) -> str:
+    """Bring the robot to rest with a stop that has begun, from the process that drove it. Returns how it ended.
+
+    Args:
+        bus: the gateway's own, still open.
+        stopper: has begun.
+        sight: what the stopper looks at.
+        is_relieved: somebody else stops the robot, or there has to be an end.
+    """
+    monotonic_ns = time.monotonic_ns
+    end_ns = monotonic_ns() + GUARD_GIVES_UP_NS
+    while not stopper.is_over:
+        now_ns = monotonic_ns()
+        if is_relieved() or now_ns > end_ns:
+            stopper.give_up("given up")
+            break
+        frames = stopper.tick(now_ns) if bus.is_up else []
+        if frames:
+            stopper.sent(bus.send(frames), now_ns)
+        until_ns = now_ns + GUARD_POLL_NS
+        while (now_ns := monotonic_ns()) < until_ns:
+            frame = bus.receive((until_ns - now_ns) / 1e9)
+            if frame is not None:
+                sight.receive(frame, monotonic_ns())
+    return stopper.outcome

@@ -11,7 +11,7 @@ from gateway.chassis.supervision import silence_ns
 from gateway.chassis.variant import WHEEL_SPEED, StandstillEvidence
 from gateway.command.frames import COUNTER_MODULO
 from schemas.messages import GearPosition, Mode, Variant
-from schemas.settings import GUARD_SILENT_NS, STANDSTILL_MPS, STANDSTILL_TICKS, TICK_NS
+from schemas.settings import GUARD_SILENT_NS, REMOTE_FRAMES, STANDSTILL_MPS, STANDSTILL_TICKS, TICK_NS
 
 _GEAR: Final = "Auto_GearFeedBack"
 _STEERING: Final = "Auto_SteeringFeedBack"
@@ -20,9 +20,6 @@ _BODY: Final = "Auto_MileageAndBodyFeedback"
 _WATCHED: Final = (_GEAR, _STEERING, _DRIVE, _BODY, WHEEL_SPEED)
 
 _STANDS_NS: Final = STANDSTILL_TICKS * TICK_NS
-
-REMOTE_FRAMES: Final = 2
-"""So many in a row that read remote are believed: one alone may be two flipped bits, and the robot rolls on."""
 
 
 class Sight:
@@ -98,14 +95,20 @@ class Sight:
         data = self._fresh(_STEERING, now_ns)
         return 0.0 if data is None else float(self._read[Variant.COARSE][_STEERING](data)["Angle"])
 
-    def speed_mps(self, variant: Variant, now_ns: int) -> float:
-        """The drive feedback, a magnitude; zero if there is none, or its scale is not known."""
+    def seen_mps(self, variant: Variant, now_ns: int) -> float | None:
+        """The drive feedback, a magnitude; None if there is none, or its scale is not known."""
         data = self._fresh(_DRIVE, now_ns)
-        return (
-            0.0
-            if data is None or variant is Variant.UNKNOWN
-            else float(self._read[variant][_DRIVE](data)["Speed"])
-        )
+        if data is None or variant is Variant.UNKNOWN:
+            return None
+        return float(self._read[variant][_DRIVE](data)["Speed"])
+
+    def speed_mps(self, variant: Variant, now_ns: int) -> float:
+        """The same; zero where that is None."""
+        return self.seen_mps(variant, now_ns) or 0.0
+
+    def sees(self, now_ns: int) -> bool:
+        """All that a stop has to begin from: mode, gear, angle and speed."""
+        return all(self._fresh(name, now_ns) is not None for name in (_GEAR, _STEERING, _DRIVE, _BODY))
 
     def wheel_speed_data(self, now_ns: int) -> bytes | None:
         """The latest wheel speed frame: evidence of the variant."""
@@ -120,10 +123,11 @@ class Sight:
             # Zero is the same in both scales, and so is what each one's standing wheels cannot be in the other.
             return not any(drive[1:3]) and self._evidence.of(wheels) is not Variant.UNKNOWN
         speeds = self._read[variant][WHEEL_SPEED](wheels)
-        mean_mps = (float(speeds["RearLeftSpeed"]) + float(speeds["RearRightSpeed"])) / 2
+        # Each by itself: one that turns forward and one that turns back are no robot at rest.
+        fastest_mps = max(abs(float(speeds["RearLeftSpeed"])), abs(float(speeds["RearRightSpeed"])))
         return (
             bool(speeds["Valid"])
-            and abs(mean_mps) < STANDSTILL_MPS
+            and fastest_mps < STANDSTILL_MPS
             and self.speed_mps(variant, now_ns) < STANDSTILL_MPS
         )
 

@@ -6,16 +6,19 @@ from copy import copy
 from math import isfinite
 from typing import Final
 
+from msgspec.structs import replace
+
 from gateway.chassis.frame import Frame
-from gateway.command.actuation import Actuation
-from gateway.command.frames import COUNTER_MODULO, FrameMaker
+from gateway.command.actuation import AT_REST, Actuation
+from gateway.command.auxiliary import AuxiliaryFrame
+from gateway.command.frames import COUNTER_MODULO, MOTION_FRAMES, FrameMaker
 from gateway.command.gate import Gate
 from gateway.command.limits import Limits
 from gateway.command.stop import StopSequence
 from gateway.guard.sight import Sight
 from schemas.decisions import StopPhase
 from schemas.messages import GearPosition, Mode, Variant
-from schemas.settings import GUARD_SILENT_NS, TICK_NS, CommandSettings
+from schemas.settings import GUARD_LOOK_NS, GUARD_SILENT_NS, OFF_BURSTS, TICK_NS, CommandSettings
 
 _MOVING_GEARS: Final = frozenset({GearPosition.DRIVE, GearPosition.REVERSE})
 
@@ -26,17 +29,30 @@ _ANGLE_MAX_DEG: Final = 24.0
 STANDS: Final = "the robot stands"
 UNSEEN: Final = "the robot is not seen to stand"
 REMOTE: Final = "the hand transmitter has the robot"
-"""How a stop ends."""
+OTHER: Final = "the hand transmitter had the robot, and another computer commands it since"
+"""How a stop ends, or why it waits."""
+
+_OFF: Final = (
+    AuxiliaryFrame("Auto_LightCmd", {"Headlamp": False, "RightIndicator": False, "LeftIndicator": False}),
+    AuxiliaryFrame("Auto_SpeakerCmd", {"Horn": False}),
+    AuxiliaryFrame("Auto_OdometerCmd", {"Enable": False, "ClearMileage": False}),
+)
+"""The chassis keeps these for ever too, and nobody else ends them any more."""
 
 _HEARD_AHEAD_MAX: Final = 3
 """A counter heard on the bus may be this far ahead of the heartbeat's: the gateway died between the two."""
 
 
 class Stopper:
-    """Brings the robot to rest from what it was last told, frame by frame.
+    """Brings the robot to rest, frame by frame, from what it was last told, and never faster than it is seen to be.
+
+    What was told long ago counts for little: a robot that others have brought to rest meanwhile must not be set going
+    by a ramp from an old speed. So a stop that begins late, or was held up, looks at the chassis first. While the
+    hand transmitter has the robot it waits: the chassis keeps its last command, and obeys it again afterwards.
 
     Attributes:
         is_over: nothing more is to be sent.
+        is_paused: nothing is sent, for the hand transmitter has the robot.
         frames: how many were sent.
         outcome: how it ended, in words; empty before.
     """
@@ -50,63 +66,150 @@ class Stopper:
         self._sequence: StopSequence | None = None
         self._before: StopSequence | None = None
         self._variant = Variant.UNKNOWN
-        self._due_ns = 0
+        # What the chassis was last told, and when; None if nobody knows.
+        self._told: Actuation | None = None
+        self._told_ns: int | None = None
+        self._actuation = AT_REST
+        # When a sequence began, or the last burst of it was taken.
+        self._went_on_ns = self._look_until_ns = self._paused_ns = self._due_ns = 0
+        self._bursts_off = 0
         self._offered: list[Frame] = []
         self.is_over = True
+        self.is_paused = False
         self.frames = 0
         self.outcome = ""
 
-    def begin(self, last: Actuation, variant: Variant, counters: bytes | None, now_ns: int) -> None:
+    def begin(
+        self,
+        last: Actuation | None,
+        variant: Variant,
+        counters: bytes | None,
+        now_ns: int,
+        told_ns: int | None = None,
+    ) -> None:
         """Begin to stop.
 
         Args:
-            last: what the chassis was last told, as far as is known; taken with caution.
+            last: what the chassis was last told, as far as is known; taken with caution. None if nothing is.
             variant: while it is not known only zero speed is sent.
             counters: the next alive counters in the layout's order; None if only the bus can tell.
             now_ns: monotonic.
+            told_ns: when ``last`` was told; just now if left out.
         """
         self._variant = variant
-        self._sequence = StopSequence(
-            _possible(last, variant), self._deceleration_mps2, self._pedal_percent, now_ns
-        )
+        self._told = last
+        self._told_ns = now_ns if told_ns is None else told_ns
         # What was sent by others is not this gate's to judge: it begins anew.
         self._gate = Gate()
         self._maker.counters = self._counters(counters, now_ns)
         self._due_ns = now_ns
-        self.is_over = False
+        self.is_over = self.is_paused = False
         self.frames = 0
         self.outcome = ""
+        self._look(now_ns)
 
     def tick(self, now_ns: int) -> list[Frame]:
         """The frames that are due now; none between two ticks of the bus, and none once it is over."""
-        if self._sequence is None or self.is_over:
+        if self.is_over:
             return []
-        if self._sight.mode(now_ns) is Mode.REMOTE:
-            return self._end(REMOTE)
         stands = self._sight.stands(self._variant, now_ns)
-        if now_ns < self._due_ns:
+        mode = self._sight.mode(now_ns)
+        if self._is_held(mode, now_ns) or now_ns < self._due_ns:
             return []
         self._due_ns += TICK_NS * (1 + (now_ns - self._due_ns) // TICK_NS)
+        if self._sequence is not None and now_ns - self._went_on_ns > GUARD_SILENT_NS:
+            # This process stood still, or the bus was away: others may have done anything meanwhile.
+            self._look(now_ns)
+        if self._sequence is None and not self._start(mode, now_ns):
+            return []
+        return self._next_burst(now_ns, stands=stands)
+
+    def _next_burst(self, now_ns: int, *, stands: bool) -> list[Frame]:
+        if self._sequence is None:
+            return []
         self._before = copy(self._sequence)
         actuation = self._sequence.tick(now_ns, stands=stands)
         if actuation is None:
             return self._end(STANDS if stands else UNSEEN)
-        frames = self._maker.make(actuation, [], self._variant)
-        fault = self._gate.admit(frames, self._variant, now_ns)
+        frames = self._maker.make(actuation, list(_OFF) if self._bursts_off < OFF_BURSTS else [], self._variant)
+        fault = self._gate.admit(frames, self._variant, now_ns, stopping=True)
         self.outcome = "" if fault is None else f"the gate refused: {fault.detail}"
+        self._actuation = actuation
         self._offered = [] if fault else frames
         return self._offered
 
     def sent(self, count: int, now_ns: int) -> None:
         """So many of the frames of this tick were taken by the bus."""
         sent = self._offered[:count]
-        if count < len(self._offered):
+        if count >= len(MOTION_FRAMES):
+            self._told, self._told_ns, self._went_on_ns = self._actuation, now_ns, now_ns
+            self._bursts_off += count == len(self._offered)
+        elif self._offered:
             # The chassis was not told: a stop that nobody heard must not go on to neutral.
             self._sequence = self._before
         self._offered = []
         self._maker.sent(sent)
         self._gate.sent(sent, now_ns)
         self.frames += len(sent)
+
+    def _is_held(self, mode: Mode, now_ns: int) -> bool:
+        """Nothing may be sent now, for the hand transmitter has the robot, or has had it and nothing is seen."""
+        if mode is Mode.REMOTE:
+            if not self.is_paused:
+                self.is_paused, self._paused_ns = True, now_ns
+            return True
+        if not self.is_paused:
+            return False
+        commander_ns = self._sight.commander_ns
+        if commander_ns is not None and commander_ns - self._paused_ns > GUARD_SILENT_NS:
+            self._end(OTHER)
+            return True
+        if mode not in {Mode.AUTO, Mode.STOP}:
+            return True
+        # Whatever it obeys now, it shall not move: zero speed at once, and no ramp.
+        self.is_paused = False
+        self._told, self._told_ns = replace(self._told or AT_REST, speed_mps=0.0), None
+        self._look(now_ns)
+        return False
+
+    def _look(self, now_ns: int) -> None:
+        """Begin, or begin again, once it is known from what."""
+        self._sequence = None
+        self._look_until_ns = now_ns + GUARD_LOOK_NS
+        self._bursts_off = 0
+        self._gate.pause()
+
+    def _start(self, mode: Mode, now_ns: int) -> bool:
+        """Begin the sequence, unless what there is to know may still come."""
+        told, told_ns = self._told, self._told_ns
+        first = told if told_ns is not None and now_ns - told_ns <= GUARD_SILENT_NS else None
+        if first is None:
+            if not self._sight.sees(now_ns) and now_ns < self._look_until_ns:
+                return False
+            first = self._seen(now_ns)
+        seen_mps = self._sight.seen_mps(self._variant, now_ns)
+        if seen_mps is not None:
+            first = replace(first, speed_mps=_lower(first.speed_mps, seen_mps))
+        self._sequence = StopSequence(
+            _possible(first, self._variant), self._deceleration_mps2, self._pedal_percent, now_ns
+        )
+        if mode is Mode.STOP:
+            # It obeys nobody: enables would only switch it back to auto.
+            self._sequence.phase = StopPhase.DISABLE
+        self._went_on_ns = now_ns
+        return True
+
+    def _seen(self, now_ns: int) -> Actuation:
+        """What the chassis must have been told, as far as can be seen. What is not seen may stand, parked."""
+        gear = self._sight.gear(now_ns)
+        speed_mps = self._sight.speed_mps(self._variant, now_ns)
+        return Actuation(
+            enabled=True,
+            gear=gear,
+            speed_mps=speed_mps if self._told is None else _lower(self._told.speed_mps, speed_mps),
+            angle_deg=self._sight.angle_deg(now_ns),
+            parking=gear in {GearPosition.PARK, GearPosition.UNDEFINED},
+        )
 
     def give_up(self, outcome: str) -> None:
         """Send nothing more."""
@@ -144,6 +247,11 @@ def _possible(last: Actuation, variant: Variant) -> Actuation:
         angle_deg=_clamped(last.angle_deg, -_ANGLE_MAX_DEG, _ANGLE_MAX_DEG),
         parking=last.parking,
     )
+
+
+def _lower(told_mps: float, seen_mps: float) -> float:
+    """The lower one; what was told may be no number at all."""
+    return min(told_mps, seen_mps) if isfinite(told_mps) else 0.0
 
 
 def _clamped(value: float, low: float, high: float) -> float:

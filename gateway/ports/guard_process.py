@@ -6,8 +6,9 @@ import logging
 import os
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Final, Protocol
 
 import msgspec
@@ -17,7 +18,7 @@ from gateway.command.flow import CommandFlow
 from gateway.guard.beat import Beat, Cause, GuardStatus
 from gateway.ports.heartbeat import Heartbeat
 from schemas.messages import Variant
-from schemas.settings import GUARD_SILENT_NS, Settings
+from schemas.settings import GUARD_RESTART_NS, GUARD_SILENT_NS, Settings
 
 log = logging.getLogger(__name__)
 
@@ -49,7 +50,7 @@ class GuardLink(Protocol):
 
     @property
     def stops(self) -> int:
-        """How many stops the guard has ended."""
+        """How many stops the guard has begun."""
         ...
 
     @property
@@ -84,14 +85,26 @@ class NoGuard:
         """Nothing to close."""
 
 
+class _Child(msgspec.Struct, frozen=True):
+    """A guard's process, and what is shared with it."""
+
+    process: subprocess.Popen[bytes]
+    memory: Heartbeat
+
+
 class GuardProcess:
-    """A guard that was started."""
+    """A guard that was started; one that is gone is started again while the robot is told nothing."""
 
     why_not = ""
 
-    def __init__(self, process: subprocess.Popen[bytes], memory: Heartbeat) -> None:
-        self._process = process
-        self._memory = memory
+    def __init__(self, start: Callable[[], _Child]) -> None:
+        self._start = start
+        child = start()
+        self._process, self._memory = child.process, child.memory
+        self._started_ns = time.monotonic_ns()
+        self._starting: threading.Thread | None = None
+        self._started: _Child | None = None
+        self._stops_before = 0
         self._was_told = False
         self._newest = Beat(0)
 
@@ -114,9 +127,9 @@ class GuardProcess:
 
     @property
     def stops(self) -> int:
-        """How many stops the guard has ended."""
+        """How many stops the guard has begun."""
         status = self._memory.read_status()
-        return 0 if status is None else status.stops
+        return self._stops_before + (0 if status is None else status.stops)
 
     @property
     def cause(self) -> Cause:
@@ -162,15 +175,47 @@ class GuardProcess:
         )
         self._was_told = is_told
         self._memory.write_beat(self._newest)
+        if not self._newest.is_active:
+            self._replace_if_gone(now_ns)
 
     def close(self) -> None:
         """The gateway ends. A guard that has nothing to do ends with it; one that stops the robot goes on."""
+        if self._starting is not None:
+            self._starting.join()
+            self._take_started()
         self._memory.write_beat(msgspec.structs.replace(self._newest, is_closing=True))
         try:
             self._process.wait(0 if self._newest.is_active else END_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             log.warning("the guard (process %d) is still at work; it ends by itself", self._process.pid)
         self._memory.close()
+
+    def _replace_if_gone(self, now_ns: int) -> None:
+        """Starting a process takes milliseconds, so it is done on a thread, and never while the robot is driven."""
+        if self._starting is not None:
+            if not self._starting.is_alive():
+                self._take_started()
+        elif now_ns - self._started_ns > GUARD_RESTART_NS and self._process.poll() is not None:
+            self._started_ns = now_ns
+            self._starting = threading.Thread(target=self._start_again, name="guard-starter", daemon=True)
+            self._starting.start()
+
+    def _start_again(self) -> None:
+        log.warning("the guard (process %d) is gone; starting another", self._process.pid)
+        try:
+            self._started = self._start()
+        except OSError as error:
+            log.warning("the guard cannot be started: %s", error)
+
+    def _take_started(self) -> None:
+        self._starting = None
+        started, self._started = self._started, None
+        if started is None:
+            return
+        self._stops_before = self.stops
+        self._memory.close()
+        self._process, self._memory = started.process, started.memory
+        self._memory.write_beat(self._newest)
 
     def _live_status(self) -> GuardStatus | None:
         status = self._memory.read_status()
@@ -185,6 +230,14 @@ def start_guard(settings: Settings) -> GuardProcess | NoGuard:
         return NoGuard("the gateway only listens")
     if settings.can.interface not in SHARED_INTERFACES:
         return NoGuard(f"interface {settings.can.interface!r} is not known to let two processes open one bus")
+    try:
+        return GuardProcess(lambda: _start_child(settings))
+    except OSError as error:
+        return NoGuard(f"its process cannot be started: {error}")
+
+
+def _start_child(settings: Settings) -> _Child:
+    """Raises OSError: there is no process, or it has ended at once."""
     memory = Heartbeat.create()
     # Not a fork of this process, which has threads; and no descriptor of its bus or of Zenoh goes along.
     # The modules come from where ours do, whatever lies in the working directory.
@@ -197,11 +250,12 @@ def start_guard(settings: Settings) -> GuardProcess | NoGuard:
             start_new_session=True,
             env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
         )
-    except OSError as error:
+    except OSError:
         memory.close()
-        return NoGuard(f"its process cannot be started: {error}")
-    order = {"parent": os.getpid(), "settings": settings}
-    if process.stdin is not None:
-        process.stdin.write(msgspec.json.encode(order))
-        process.stdin.close()
-    return GuardProcess(process, memory)
+        raise
+    try:
+        # Closed whatever happens; what it was not told it would wait for.
+        process.communicate(msgspec.json.encode({"parent": os.getpid(), "settings": settings}), timeout=0)
+    except subprocess.TimeoutExpired:
+        pass
+    return _Child(process, memory)

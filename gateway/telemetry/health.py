@@ -28,6 +28,8 @@ class Links(msgspec.Struct, frozen=True):
         cpu_ns: processor time of the process since its start.
         guarded: the guard watches this process.
         guard_sends: the guard is stopping the robot in our place.
+        guard_stops: how often it has begun to, since the start.
+        is_behind: frames come faster than they can be read.
         inbox_drops: requests that were dropped unread because too many came, since the start.
     """
 
@@ -39,6 +41,8 @@ class Links(msgspec.Struct, frozen=True):
     cpu_ns: int = 0
     guarded: bool = False
     guard_sends: bool = False
+    guard_stops: int = 0
+    is_behind: bool = False
     inbox_drops: int = 0
 
 

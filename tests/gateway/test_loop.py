@@ -13,7 +13,7 @@ from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
 from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.request import RawRequest
-from gateway.core import Core
+from gateway.core import Core, Due
 from gateway.loop import BURST_MAX_FRAMES, PEERS_TICKS, Surroundings, run
 from gateway.sim.model import VirtualChassis
 from gateway.telemetry.sample import Sample
@@ -170,6 +170,56 @@ def test_a_bus_that_is_never_empty_does_not_keep_the_tick_waiting() -> None:
     assert longest == BURST_MAX_FRAMES
 
 
+def test_a_bus_that_is_never_read_to_its_end_shows_old_things() -> None:
+    """Frames that come faster than they are read are old when they are read: it is a cause to stop."""
+    frame = next(Feedback(Variant.COARSE).all())
+
+    class BusyBus(FakeBus):
+        """Always has a frame."""
+
+        def receive(self, timeout_s: float) -> Frame | None:
+            del timeout_s
+            return frame
+
+    def is_behind(bus: FakeBus) -> bool:
+        made, zenoh = core(), FakeZenoh()
+        run(Surroundings(bus, zenoh), made, lambda: b"info", StopWhen(lambda: zenoh.answered >= 40))
+        assert made.command is not None
+        return made.command.arbiter.watch.observed.is_behind
+
+    assert is_behind(BusyBus([]))
+    assert not is_behind(FakeBus([]))
+
+
+def test_after_a_pause_the_bus_is_read_before_anything_is_decided() -> None:
+    """What was seen before the pause is old."""
+    frames = list(Feedback(Variant.COARSE).all())
+    stalls = [0.15]
+
+    class StallingBus(FakeBus):
+        """Holds the loop once, and has frames then."""
+
+        def receive(self, timeout_s: float) -> Frame | None:
+            if stalls:
+                time.sleep(stalls.pop())
+                return None
+            return super().receive(timeout_s)
+
+    made, zenoh, seen = core(), FakeZenoh(), list[tuple[int, int]]()
+    bus = StallingBus(frames)
+    tick = made.tick
+
+    def spied(now_ns: int, wall_ns: int, late_ns: int) -> Due:
+        seen.append((late_ns, len(bus.frames)))
+        return tick(now_ns, wall_ns, late_ns)
+
+    made.tick = spied  # type: ignore[method-assign]
+    run(Surroundings(bus, zenoh), made, lambda: b"info", StopWhen(lambda: zenoh.answered >= 3))
+    late_ns, waiting = seen[0]
+    assert late_ns > 100_000_000
+    assert waiting == 0
+
+
 def test_zenoh_is_asked_who_is_there_in_every_tenth_tick() -> None:
     """The answer costs more than it changes; between two questions the last one holds."""
     zenoh = FakeZenoh()
@@ -251,6 +301,7 @@ class FakeGuard:
         self.order = order
         self.is_watching = True
         self.is_sending = False
+        self.stops = 0
         self.beats_ns: list[int] = []
 
     def beat(self, now_ns: int, command: CommandFlow) -> None:
@@ -329,7 +380,7 @@ def test_frames_go_out_before_anything_else_and_decisions_last() -> None:
     commanded.run(Commanded.engage)
     rank = {"frames": 0, "beat": 1, "reply": 2, "sample": 3, "decision": 4}
     engaging = 0
-    for done in commanded.ticks():
+    for done in commanded.ticks()[:-1]:
         assert done == sorted(done, key=rank.__getitem__)
         engaging += done[:2] == ["frames", "beat"] and "reply" in done
     assert engaging == 1, "the reply to engage comes in a tick with frames"
@@ -392,10 +443,12 @@ def test_a_bus_that_takes_nothing_is_a_stop() -> None:
 
 
 def test_the_guard_hears_each_tick() -> None:
-    """One beat a tick, whether anything is sent or not, in the order of time."""
+    """One beat a tick, whether anything is sent or not, in the order of time; and a last one of who is at rest."""
     commanded = Commanded()
     commanded.run(Commanded.engage)
-    assert all(done.count("beat") == 1 for done in commanded.ticks())
+    *ticks, last = commanded.ticks()
+    assert all(done.count("beat") == 1 for done in ticks)
+    assert last.count("beat") == 2
     assert commanded.guard.beats_ns == sorted(commanded.guard.beats_ns)
 
 

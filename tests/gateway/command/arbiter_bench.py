@@ -18,6 +18,7 @@ STANDING = Observed(
     gear=GearPosition.PARK,
     speed_mps=0.0,
     wheel_speed_mps=0.0,
+    fastest_wheel_mps=0.0,
     turns=False,
     angle_deg=0.0,
     front_bumper=False,
@@ -62,6 +63,7 @@ class Bench:
                 gear=GearPosition.PARK if told.parking else told.gear,
                 speed_mps=told.speed_mps,
                 wheel_speed_mps=told.signed_speed_mps,
+                fastest_wheel_mps=told.speed_mps,
                 turns=told.speed_mps > 0,
                 angle_deg=told.angle_deg,
             )

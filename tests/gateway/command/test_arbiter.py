@@ -2,6 +2,7 @@
 
 import pytest
 
+from gateway.command.auxiliary import AuxiliaryFrame
 from gateway.command.motion import Target
 from gateway.command.request import Ruling
 from schemas.decisions import ArbiterState, EventKind, Severity, StopPhase
@@ -176,7 +177,8 @@ def test_a_horn_that_was_cut_off_does_not_sound_again() -> None:
     bench.changes = {"mode": Mode.STOP}
     bench.tick(count=6)
     bench.ask("engage")
-    assert bench.tick().auxiliary == []
+    assert bench.tick().auxiliary == [AuxiliaryFrame("Auto_SpeakerCmd", {"Horn": False})]
+    assert bench.tick(count=10).auxiliary == []
 
 
 def test_unguarded_is_accepted_where_the_settings_say_so() -> None:
@@ -212,11 +214,102 @@ def test_the_output_ceases_at_once(changes: dict[str, object], reason: Reason, *
     assert bench.arbiter.state is ArbiterState.STANDBY
     assert bench.arbiter.stop_reason is reason
     assert bench.arbiter.stop_phase is StopPhase.IDLE
-    assert [event.reason for event in bench.told(EventKind.TAKEOVER)] == [reason]
+    kind = EventKind.GUARD if reason is Reason.GUARD else EventKind.TAKEOVER
+    assert [event.reason for event in bench.told(kind)] == [reason]
     assert (Reason.GUARD in bench.arbiter.latched) is (reason is Reason.GUARD)
     assert handle.reason in {Reason.MOVING, Reason.NOT_ENGAGED}
     for _ in range(50):
         assert bench.tick().actuation is None, "no automatic return"
+
+
+STOPPED_BY_GUARD = {
+    "guard_stops": 1,
+    "mode": Mode.STOP,
+    "speed_mps": 0.0,
+    "wheel_speed_mps": 0.0,
+    "fastest_wheel_mps": 0.0,
+}
+
+
+@pytest.mark.parametrize("seen", [{}, {"mode": Mode.AUTO}, {"mode": Mode.UNDEFINED, "speed_mps": None}])
+def test_a_gateway_that_comes_back_after_the_guard_has_ended_tells_the_chassis_nothing(
+    seen: dict[str, object],
+) -> None:
+    """Row 'nothing ever resumes by itself': it was stopped at 1 m/s for 6 s, and the robot stands by now."""
+    bench = engaged()
+    bench.drive_for(150, 1.0)
+    assert bench.arbiter.motion.speed_mps == 1.0
+    bench.changes = STOPPED_BY_GUARD | seen
+    bench.now_ns += 6000 * MS
+    told = bench.tick(late_ns=6000 * MS).actuation
+    # One that reads auto all the same is stopped from where it stands.
+    assert (told is None) is (bench.observed.mode is not Mode.AUTO)
+    assert told is None or told.speed_mps == 0
+    assert list(bench.arbiter.latched) == [Reason.GUARD]
+    assert [event.reason for event in bench.told(EventKind.GUARD)] == [Reason.GUARD]
+    for _ in range(300):
+        told = bench.tick().actuation
+        assert told is None or told.speed_mps == 0
+
+
+@pytest.mark.parametrize(("seen_mps", "first_mps"), [(0.0, 0.0), (0.4, 0.4), (None, 0.0), (1.3, 0.98)])
+def test_an_unguarded_gateway_that_comes_back_stops_from_what_is_seen(
+    seen_mps: float | None, first_mps: float
+) -> None:
+    """Row 'loop late over 100 ms: stop': never from a speed above the one that the robot has now."""
+    bench = Bench(accept_unguarded=True)
+    bench.changes = {"guarded": False}
+    bench.engage()
+    bench.drive_for(150, 1.0)
+    seen = {"speed_mps": seen_mps, "wheel_speed_mps": seen_mps, "fastest_wheel_mps": seen_mps}
+    bench.changes = {"guarded": False, "mode": Mode.AUTO} | seen
+    bench.now_ns += 500 * MS
+    told = bench.tick(late_ns=500 * MS).actuation
+    assert told is not None
+    assert told.speed_mps == pytest.approx(max(0.0, first_mps - (0.0 if first_mps == 0.98 else 0.02)), abs=1e-9)
+
+
+def test_a_chassis_that_the_guard_left_to_the_hand_transmitter_is_stopped_when_it_is_given_back() -> None:
+    """It still holds what it was told last."""
+    bench = engaged()
+    bench.drive_for(150, 1.0)
+    bench.changes = {"guard_sends": True, "mode": Mode.REMOTE}
+    bench.tick(count=5)
+    bench.changes = {"mode": Mode.REMOTE, "guard_stops": 1}
+    assert bench.tick(count=5).actuation is None
+    bench.changes = {"mode": Mode.AUTO, "guard_stops": 1, "gear": GearPosition.DRIVE}
+    told = bench.tick().actuation
+    assert told is not None
+    assert told.speed_mps == 0
+
+
+def test_nothing_is_released_that_is_not_seen() -> None:
+    """A remote stop, standing by, with no feedback at all: the parking brake is asked for from the first frame."""
+    bench = Bench()
+    blind = {"mode": Mode.UNDEFINED, "gear": GearPosition.UNDEFINED, "speed_mps": None, "fastest_wheel_mps": None}
+    bench.changes = blind | {"missing": ("all",)}
+    bench.ask("stop")
+    for _ in range(600):
+        told = bench.outcome.actuation if bench.outcome is not None else None
+        assert told is None or (told.parking and told.speed_mps == 0)
+        bench.tick()
+
+
+@pytest.mark.parametrize("parked", [True, False])
+def test_a_bus_that_comes_back_finds_the_parking_brake_as_it_was(parked: bool) -> None:  # noqa: FBT001
+    """And what is not seen in the first moment may be seen in the next: nothing is told before."""
+    bench = engaged()
+    if parked:
+        bench.ask("park")
+    blind = {"mode": Mode.UNDEFINED, "gear": GearPosition.UNDEFINED}
+    bench.changes = blind | {"bus_up": False, "bus_losses": 1}
+    bench.tick(count=100)
+    bench.changes = blind | {"bus_losses": 1}
+    for _ in range(19):
+        assert bench.tick().actuation is None
+    told = bench.tick().actuation
+    assert told is not None
+    assert (told.speed_mps, told.parking) == (0.0, parked)
 
 
 def test_who_waits_is_told_when_the_output_ceases() -> None:

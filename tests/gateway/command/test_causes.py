@@ -17,6 +17,7 @@ STANDING = Observed(
     gear=GearPosition.NEUTRAL,
     speed_mps=0.0,
     wheel_speed_mps=0.0,
+    fastest_wheel_mps=0.0,
     turns=False,
     angle_deg=0.0,
     front_bumper=False,
@@ -24,7 +25,7 @@ STANDING = Observed(
     total_mileage_km=1.0,
     guarded=True,
 )
-MOVING = msgspec.structs.replace(STANDING, speed_mps=1.0, wheel_speed_mps=1.0, turns=True)
+MOVING = msgspec.structs.replace(STANDING, speed_mps=1.0, wheel_speed_mps=1.0, fastest_wheel_mps=1.0, turns=True)
 
 
 def but(observed: Observed = STANDING, /, **changes: object) -> Observed:
@@ -80,12 +81,11 @@ def test_a_scale_in_doubt_does_not_ramp() -> None:
     ("changes", "slow"),
     [
         ({}, True),
-        ({"speed_mps": 0.0499, "wheel_speed_mps": -0.0499}, True),
+        ({"speed_mps": 0.0499, "fastest_wheel_mps": 0.0499}, True),
         ({"speed_mps": 0.05}, False),
-        ({"wheel_speed_mps": 0.05}, False),
-        ({"wheel_speed_mps": -0.05}, False),
+        ({"fastest_wheel_mps": 0.05}, False),
         ({"speed_mps": None}, False),
-        ({"wheel_speed_mps": None}, False),
+        ({"fastest_wheel_mps": None}, False),
     ],
 )
 def test_standstill_is_five_slow_ticks(changes: dict[str, object], slow: bool) -> None:  # noqa: FBT001
@@ -94,6 +94,17 @@ def test_standstill_is_five_slow_ticks(changes: dict[str, object], slow: bool) -
     assert watching(*[seen] * 4).stands is False
     assert watching(*[seen] * 5).stands is slow
     assert watching(*[seen] * 4, MOVING, *[seen] * 4).stands is False
+
+
+def test_a_speed_beyond_the_chassis_is_one_in_the_other_scale() -> None:
+    """Row 'plausibility: stop, latched, and say which scale fits': before engaging it is faulty feedback as well."""
+    watch = watching(but(absurd=("Auto_DriveFeedBack",), speed_mps=None))
+    assert watch.chassis_faults() == [Reason.FEEDBACK_FAULTY]
+    assert watch.faults(0.0, 0, 0)[0] is Reason.IMPLAUSIBLE_SPEED
+    assert watch.fault_detail(Reason.IMPLAUSIBLE_SPEED, 0) == (
+        "Auto_DriveFeedBack reads beyond what the chassis can do; the fine scale may fit"
+    )
+    assert Reason.IMPLAUSIBLE_SPEED not in watching(but(absurd=("Auto_SteeringFeedBack",))).faults(0.0, 0, 0)
 
 
 def test_a_reset_hit_is_a_new_one_once_the_bumper_was_clear() -> None:

@@ -38,10 +38,11 @@ class Bench:
         known = self.variant if self.variant is not Variant.UNKNOWN else Variant.COARSE
         return self.maker.make(actuation, extras or [], known)
 
-    def offer(self, frames: list[Frame]) -> str:
-        """Why they are refused; empty if they are admitted, and sent then."""
+    def offer(self, frames: list[Frame], *, stopping: bool | None = None) -> str:
+        """Why they are refused; empty if they are admitted, and sent then. The first is a stop's unless said."""
         self.now_ns += 10 * MS
-        fault = self.gate.admit(frames, self.variant, self.now_ns)
+        stopping = self.now_ns == 10 * MS if stopping is None else stopping
+        fault = self.gate.admit(frames, self.variant, self.now_ns, stopping=stopping)
         if fault is not None:
             return fault.detail
         self.gate.sent(frames, self.now_ns)
@@ -55,6 +56,21 @@ class Bench:
         data[byte] = value
         frames[index] = Frame(frames[index].can_id, with_checksum(bytes(data)))
         return self.offer(frames)
+
+
+def test_out_of_silence_only_a_stop_begins_with_a_speed() -> None:
+    """Row 'engage: five enables with zero speed'; and in a stop no speed rises, not by a bit."""
+    bench = Bench()
+    assert bench.offer(bench.burst(DRIVING), stopping=False) == "a speed out of silence"
+    assert bench.offer(bench.burst(), stopping=False) == ""
+    bench = Bench()
+    assert bench.offer(bench.burst(DRIVING), stopping=True) == ""
+    faster = msgspec.structs.replace(DRIVING, speed_mps=DRIVING.speed_mps + 0.04)
+    assert bench.offer(bench.burst(faster), stopping=True) == "the speed rises too fast"
+    assert bench.offer(bench.burst(DRIVING), stopping=True) == ""
+    assert bench.offer(bench.burst(faster), stopping=False) == ""
+    bench.gate.pause()
+    assert bench.offer(bench.burst(faster), stopping=False) == "a speed out of silence"
 
 
 def test_the_table_is_that_of_the_dbc() -> None:
@@ -212,7 +228,7 @@ def test_the_speed_ends_where_its_variant_ends(variant: Variant, most: int) -> N
             continue
         data = frames[2].data[:1] + raw.to_bytes(2, "little") + frames[2].data[3:]
         fault = bench.gate.admit(
-            [*frames[:2], Frame(frames[2].can_id, with_checksum(data)), *frames[3:]], variant, 0
+            [*frames[:2], Frame(frames[2].can_id, with_checksum(data)), *frames[3:]], variant, 0, stopping=True
         )
         assert (fault is None) is (raw <= most)
 

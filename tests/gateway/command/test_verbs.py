@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gateway.command.request import RawRequest
 from schemas.decisions import ArbiterState, EventKind
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.reasons import Reason
@@ -236,7 +237,7 @@ def test_a_lease_that_ends_while_it_is_being_engaged_stops_that(verb: str, reaso
         ({"variant": Variant.UNKNOWN}, Reason.VARIANT_UNKNOWN),
         ({"confirmed": False}, Reason.VARIANT_UNKNOWN),
         ({"speed_mps": 0.1}, Reason.MOVING),
-        ({"wheel_speed_mps": 0.1}, Reason.MOVING),
+        ({"fastest_wheel_mps": 0.1}, Reason.MOVING),
         ({"front_bumper": True}, Reason.FRONT_BUMPER),
         ({"guard_sends": True}, Reason.GUARD),
     ],
@@ -393,6 +394,23 @@ def test_a_reset_that_comes_at_once_was_not_meant_for_this_latch(ticks: int, rea
     assert bench.ask("reset").reason is reason
 
 
+def test_a_second_stop_is_not_wiped_by_a_reset_of_its_tick() -> None:
+    """Whoever resets has not seen it: stop always wins."""
+    bench = Bench()
+    bench.ask("acquire")
+    bench.ask("stop")
+    bench.tick(count=60)
+    reset, engage = (msgspec.msgpack.encode({"lease": bench.lease}) for _ in range(2))
+    requests = [
+        RawRequest(0, "stop", "second", b"", 0),
+        RawRequest(1, "reset", "first", reset, len(reset)),
+        RawRequest(2, "engage", "first", engage, len(engage)),
+    ]
+    rulings = [judged.ruling.reason for judged in bench.tick(requests).judged]
+    assert rulings == [Reason.NONE, Reason.REMOTE_STOP, Reason.REMOTE_STOP]
+    assert bench.arbiter.state is ArbiterState.STANDBY
+
+
 def test_a_reset_keeps_the_lease() -> None:
     """Its holder is there."""
     bench = Bench()
@@ -439,7 +457,7 @@ def test_park_and_unpark() -> None:
 def test_a_told_speed_is_motion_though_the_robot_stands() -> None:
     """It may move any moment."""
     bench = engaged()
-    bench.changes = {"speed_mps": 0.0, "wheel_speed_mps": 0.0}
+    bench.changes = {"speed_mps": 0.0, "wheel_speed_mps": 0.0, "fastest_wheel_mps": 0.0}
     bench.drive_for(10, 0.1)
     bench.drive(0.0)
     assert bench.arbiter.watch.stands

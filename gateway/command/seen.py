@@ -1,0 +1,44 @@
+"""What a chassis must have been told, as far as can be seen: where a stop begins that nobody of us led up to."""
+
+from __future__ import annotations
+
+import msgspec
+
+from gateway.command.actuation import Actuation
+from gateway.command.limits import Limits
+from gateway.command.observed import Observed
+from schemas.messages import GearPosition
+
+_IN_GEAR = frozenset({GearPosition.DRIVE, GearPosition.REVERSE})
+
+
+def seen_angle_deg(observed: Observed, limits: Limits) -> float:
+    """The steering angle, within the limit; straight on if it is not seen."""
+    return max(-limits.steering_deg, min(limits.steering_deg, observed.angle_deg or 0.0))
+
+
+def seen_actuation(observed: Observed, limits: Limits, *, parking: bool | None) -> Actuation:
+    """What the chassis must have been told.
+
+    Args:
+        observed: the chassis now.
+        limits: the configured ones; no speed is above them.
+        parking: what we ourselves last asked of the parking brake; None if it was not us. Then it is asked for
+            where the gear is that of a parked robot, or is not seen: released, it may set a standing robot going.
+    """
+    rolls = observed.gear in _IN_GEAR
+    return Actuation(
+        enabled=True,
+        gear=observed.gear if rolls else GearPosition.NEUTRAL,
+        speed_mps=min(observed.speed_mps or 0.0, limits.speed_mps) if rolls else 0.0,
+        angle_deg=seen_angle_deg(observed, limits),
+        parking=parking if parking is not None else observed.gear in {GearPosition.PARK, GearPosition.UNDEFINED},
+    )
+
+
+def not_above_seen(told: Actuation, observed: Observed) -> Actuation:
+    """What the chassis was told before a pause, at no more than the speed that is seen now.
+
+    A ramp from what was told long ago would set a robot going that has been brought to rest meanwhile.
+    """
+    return msgspec.structs.replace(told, speed_mps=min(told.speed_mps, observed.seen_mps))
