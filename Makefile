@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/installed
 
-.PHONY: demo test lint types architecture generate bench clean
+.PHONY: demo test lint types architecture generate bench mutation clean
 
 demo: $(STAMP)  ## chassis, gateway and recorder and two operators, for half a minute
 	$(BIN)/cruiser demo --seconds 30 --out demo-log
@@ -30,6 +30,12 @@ generate: $(STAMP)  ## what is generated from the tables: JSON Schemas, README a
 
 bench: $(STAMP)
 	$(BIN)/python -m tests.bench
+
+mutation: $(STAMP)  ## mutation testing of gateway/command, in an environment of its own; a quarter of an hour
+	@test -x .venv-mutation/bin/mutmut || { $(PYTHON) -m venv .venv-mutation && \
+		.venv-mutation/bin/pip install -q -c constraints.txt -e '.[dev]' 'mutmut==3.8.1'; }
+	.venv-mutation/bin/mutmut run --max-children 2
+	.venv-mutation/bin/mutmut results
 
 # Debian and Ubuntu keep ensurepip, which venv needs, in a package of its own: root gets it, others are told.
 $(STAMP): pyproject.toml constraints.txt

@@ -32,7 +32,7 @@ from gateway.telemetry.sample import Sample
 from gateway.telemetry.state import LatestMessages, robot_state
 from schemas.codec import encode
 from schemas.dbc_files import DBC_FILES
-from schemas.decisions import ArbiterState
+from schemas.decisions import ArbiterState, SafetyEvent
 from schemas.messages import SEQUENCE_MAX, Message, Variant
 from schemas.settings import BATCH_PERIOD_NS, HEALTH_PERIOD_NS, STATE_PERIOD_NS, Settings
 from schemas.subjects import SUBJECTS
@@ -47,11 +47,12 @@ _SUBJECT: Final = {subject.type: subject.name for subject in SUBJECTS}
 
 
 class Due(msgspec.Struct):
-    """What a tick asks to be done, in this order: send the frames, say how many went out, reply, publish."""
+    """What a tick asks to be done, in this order: send the frames, say how many went out, reply, publish, log."""
 
     frames: list[Frame]
     replies: list[PendingReply]
     samples: list[Sample]
+    events: list[SafetyEvent]
 
 
 class Core:
@@ -153,7 +154,7 @@ class Core:
         for stream in self._streams.values():
             if now_ns > stream.supervisor.overdue_ns:
                 stream.tick(now_ns)
-        due = Due([], [], [])
+        due = Due([], [], [], [])
         if self.command is not None:
             self._command(self.command, due, now_ns, wall_ns, late_ns)
         if now_ns >= self._batch_due_ns:
@@ -212,6 +213,7 @@ class Core:
         due.frames = self._offered = commanded.frames
         due.replies = commanded.replies
         due.samples += [_sample(message) for message in commanded.messages]
+        due.events = [message for message in commanded.messages if isinstance(message, SafetyEvent)]
 
     def _take_batches(self, samples: list[Sample], wall_ns: int) -> None:
         for subject, batch in ((RX, self._received), (TX, self._sent)):

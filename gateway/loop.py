@@ -17,11 +17,15 @@ from gateway.command.request import RawRequest
 from gateway.core import Core
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
+from schemas.decisions import Severity
 from schemas.settings import BEHIND_NS, LATE_NS, LOOP_LATE_STOP_NS, REST_TIMEOUT_NS, TICK_NS
 
 log = logging.getLogger(__name__)
 
 MS: Final = 1_000_000
+
+LEVELS: Final = {Severity.INFO: logging.INFO, Severity.WARNING: logging.WARNING, Severity.ERROR: logging.ERROR}
+"""What a person should know is in the robot's own log too."""
 
 COMPLAINT_PERIOD_NS: Final = 1_000_000_000
 """A loop that is always late says so no more often than this."""
@@ -204,6 +208,8 @@ def _tick(around: Surroundings, core: Core, links: Links, now_ns: int, late_ns: 
         around.sink.publish(sample)
     for sample in samples:
         around.sink.publish(sample)
+    for event in due.events:
+        log.log(LEVELS[event.severity], "%s", event.text)
 
 
 class Reader:

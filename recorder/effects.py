@@ -65,4 +65,12 @@ class AskInfo(msgspec.Struct, frozen=True):
     key: str
 
 
-Effect = OpenLog | DeclareChannel | WriteChunk | WriteMetadata | WriteAttachment | SyncLog | CloseLog | AskInfo
+class AskKept(msgspec.Struct, frozen=True):
+    """Query a key for the samples that its gateway keeps, from this sequence on; the replies are marked as such."""
+
+    key: str
+    first: int
+
+
+Ask = AskInfo | AskKept
+Effect = OpenLog | DeclareChannel | WriteChunk | WriteMetadata | WriteAttachment | SyncLog | CloseLog | Ask

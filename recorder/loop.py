@@ -9,11 +9,12 @@ from typing import Final, Protocol
 
 import msgspec
 
-from recorder.effects import AskInfo, Effect, OpenLog
+from recorder.effects import AskInfo, AskKept, Effect, OpenLog
 from recorder.ports.log_directory import LogDirectory, LogFile
 from recorder.sample import Sample
 from recorder.session import KeyCount, Session
 from schemas.exit_codes import CommandError
+from schemas.subjects import KEPT_FIRST
 
 log = logging.getLogger(__name__)
 
@@ -47,8 +48,8 @@ class Source(Protocol):
         """The samples that have come in."""
         ...
 
-    def ask(self, key: str) -> None:
-        """Query a key; the reply comes with the samples."""
+    def ask(self, key: str, parameters: str = "") -> None:
+        """Query a key; the replies come with the samples."""
         ...
 
 
@@ -137,7 +138,7 @@ class Recorder:
         start_ns = time.monotonic_ns()
         while self._step() and time.monotonic_ns() - start_ns < LAST_SAMPLES_NS:
             pass
-        self._carry_out(self._session.ask_last())
+        self._carry_out(self._session.ask_last(time.monotonic_ns()))
         asked_ns = time.monotonic_ns()
         while self._source.is_asking and time.monotonic_ns() - asked_ns < LAST_ANSWERS_NS:
             self._step()
@@ -148,6 +149,8 @@ class Recorder:
         for effect in effects:
             if isinstance(effect, AskInfo):
                 self._source.ask(effect.key)
+            elif isinstance(effect, AskKept):
+                self._source.ask(effect.key, f"{KEPT_FIRST}={effect.first}")
             elif isinstance(effect, OpenLog):
                 self._file = self._directory.open(effect.name, effect.wall_ns, self._library)
             elif self._file is not None:

@@ -41,11 +41,22 @@ class Route:
         robot: the key's robot, as ``Robots`` calls it; empty if the key is not known.
         encoding: the Zenoh encoding that a sample must have to be decoded.
         counts_sequence: whether a gap in ``sequence`` is a loss: replies to others' queries are none.
+        is_kept: the gateway keeps its samples for a while; see ``recorder.backlog``.
         kind: the class of the channel's records.
         transcode: from a decoded message to its records.
     """
 
-    __slots__ = ("channel_id", "counts_sequence", "encoding", "kind", "robot", "subject", "tally", "transcode")
+    __slots__ = (
+        "channel_id",
+        "counts_sequence",
+        "encoding",
+        "is_kept",
+        "kind",
+        "robot",
+        "subject",
+        "tally",
+        "transcode",
+    )
 
     def __init__(self, channel_id: int, subject: Subject | None, robot: str) -> None:
         self.channel_id = channel_id
@@ -54,6 +65,7 @@ class Route:
         self.tally = Tally()
         self.encoding = ""
         self.counts_sequence = subject is not None and subject.pattern is Pattern.PUBLISHED
+        self.is_kept = subject is not None and subject.qos.kept_bytes > 0
         self.kind: type[msgspec.Struct] = RawSample
         self.transcode: Transcoder = _one_record(_ENCODE_RAW)
         if subject is not None:

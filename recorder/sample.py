@@ -24,6 +24,11 @@ class Sample(Protocol):
         ...
 
     @property
+    def is_reply(self) -> bool:
+        """It is a reply to a query of ours, and did not come by itself."""
+        ...
+
+    @property
     def attachment(self) -> bytes:
         """The attachment; empty if there is none."""
         ...

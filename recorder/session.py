@@ -13,6 +13,7 @@ from typing import Final
 
 import msgspec
 
+from recorder.backlog import Backlog
 from recorder.chunk import ChunkBuilder
 from recorder.effects import (
     CloseLog,
@@ -76,6 +77,7 @@ class Session:
         # By topic, which is the key but for broken samples; the one memory of keys, and a bounded one.
         self._channels: dict[str, Route] = {}
         self._robots = Robots(plan.version)
+        self._backlog = Backlog()
         self._opened = False
         self._at_risk_since_ns: int | None = None
         # Half for what comes together, half for the ticks, the write and the sync.
@@ -96,7 +98,7 @@ class Session:
         if isinstance(message, str):
             self._add_raw(sample, message, route, log_ns, effects)
         else:
-            self._add_message(message, route, now_ns, log_ns, effects)
+            self._add_message(sample, message, route, now_ns, log_ns, effects)
         if self._at_risk_since_ns is None:
             self._at_risk_since_ns = now_ns
         if len(self._chunk) >= self._plan.chunk_bytes:
@@ -105,7 +107,7 @@ class Session:
 
     def tick(self, now_ns: int) -> Sequence[Effect]:
         """What is due: queries, and handing the chunk over to the disk."""
-        effects = self._robots.ask(now_ns)
+        effects = self._robots.ask(now_ns) + self._backlog.ask(now_ns)
         since = self._at_risk_since_ns
         if since is not None and now_ns - since >= self._patience_ns:
             self._seal(effects)
@@ -113,9 +115,9 @@ class Session:
             self._at_risk_since_ns = None
         return effects
 
-    def ask_last(self) -> Sequence[Effect]:
+    def ask_last(self, now_ns: int) -> Sequence[Effect]:
         """What is worth asking once more before ``close``."""
-        return self._robots.ask_last()
+        return self._robots.ask_last() + self._backlog.ask_last(now_ns)
 
     def close(self) -> Sequence[Effect]:
         """End the recording. Nothing at all if nothing was recorded."""
@@ -128,10 +130,19 @@ class Session:
         return [*effects, WriteMetadata(RECEIVED_NAME, received), CloseLog()]
 
     def _add_message(
-        self, message: Message, route: Route, now_ns: int, log_ns: int, effects: list[Effect]
+        self, sample: Sample, message: Message, route: Route, now_ns: int, log_ns: int, effects: list[Effect]
     ) -> None:
-        if route.counts_sequence and not route.tally.count_sequence(message.sequence):
-            self._robots.see_restart(route.robot, now_ns)
+        if sample.is_reply and route.is_kept:
+            was_missing, was_counted = self._backlog.take(sample.key, message.sequence)
+            if not was_missing:
+                return
+            route.tally.missed -= was_counted
+        elif route.counts_sequence:
+            is_restart = not route.tally.count_sequence(message.sequence)
+            if is_restart:
+                self._robots.see_restart(route.robot, now_ns)
+            if route.is_kept:
+                self._backlog.hear(sample.key, message.sequence, now_ns, is_restart=is_restart)
         if isinstance(message, CanFrames):
             route.tally.dropped = max(route.tally.dropped, message.dropped)
         elif isinstance(message, GatewayInfo):
@@ -158,6 +169,7 @@ class Session:
         if parts is None:
             return self._channel(key, None, "", effects)
         robot = self._robots.see(parts.root, parts.robot, now_ns)
+        self._backlog.see(parts.root, parts.robot, now_ns)
         return self._channel(key, parts.subject, robot, effects)
 
     def _channel(self, topic: str, subject: Subject | None, robot: str, effects: list[Effect]) -> Route:

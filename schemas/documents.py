@@ -330,6 +330,8 @@ def _qos(qos: Qos) -> str:
         words.append("late joiners get the last")
     elif qos.history:
         words.append(f"late joiners get the last {qos.history}")
+    if qos.kept_bytes:
+        words.append(f"the newest {qos.kept_bytes // 1_000_000} MB are kept for queries")
     return ", ".join(words)
 
 

@@ -45,11 +45,13 @@ class Qos(msgspec.Struct, frozen=True):
         priority: Zenoh's priority.
         express: sent at once instead of batched with others.
         history: how many last samples a late joiner can still get.
+        kept_bytes: so many bytes of its newest samples are kept, for queries on the key: see ``KEPT_FIRST``.
     """
 
     priority: Priority
     express: bool = False
     history: int = 0
+    kept_bytes: int = 0
 
 
 class Subject(msgspec.Struct, frozen=True):
@@ -87,6 +89,18 @@ SCHEMA_PREFIX: Final = "cruiser"
 
 SAFETY_HISTORY: Final = 2000
 """Decisions and events kept for late joiners and for those whose link was cut."""
+
+SAFETY_KEPT_BYTES: Final = 2_000_000
+"""Some 5,000 decisions."""
+
+JOURNAL_KEPT_BYTES: Final = 16_000_000
+"""The last ten minutes at the nominal load of a bus, the last minute at a saturated one."""
+
+KEPT_FIRST: Final = "first"
+"""A query ``{key}?first=N`` on a subject that is kept replies its samples from sequence N on, or from the oldest..."""
+
+KEPT_PIECE: Final = 16
+"""...so many at most, each as a reply of its own. Nothing is replied without N."""
 
 _FEEDBACK: Final = Qos(Priority.DATA)
 
@@ -139,21 +153,21 @@ SUBJECTS: Final[tuple[Subject, ...]] = (
         decisions.Decision,
         "every decision: request, verdict, reason, what was sent",
         "each",
-        Qos(Priority.DATA_HIGH, history=SAFETY_HISTORY),
+        Qos(Priority.DATA_HIGH, history=SAFETY_HISTORY, kept_bytes=SAFETY_KEPT_BYTES),
     ),
     Subject(
         "safety/event",
         decisions.SafetyEvent,
         "what a person should know: stops, latches, faults, takeovers",
         "each",
-        Qos(Priority.DATA_HIGH, history=SAFETY_HISTORY),
+        Qos(Priority.DATA_HIGH, history=SAFETY_HISTORY, kept_bytes=SAFETY_KEPT_BYTES),
     ),
     Subject(
         "journal",
         decisions.Journal,
         "all that the core was given, in its order: enough to run it again",
         "20 Hz",
-        Qos(Priority.DATA_LOW),
+        Qos(Priority.DATA_LOW, kept_bytes=JOURNAL_KEPT_BYTES),
     ),
     Subject(
         "gateway/health",
@@ -222,6 +236,9 @@ class Command(msgspec.Struct, frozen=True):
 COMMAND_CHUNK: Final = "@cmd"
 """A verbatim chunk of Zenoh: no wildcard reaches a command by accident."""
 
+STOP_VERB: Final = "stop"
+"""The verb that is taken from anyone, as a put too."""
+
 COMMAND_QOS: Final = Qos(Priority.INTERACTIVE_HIGH, express=True)
 
 _Reply, _LeaseReply = decisions.Reply, decisions.LeaseReply
@@ -233,7 +250,7 @@ COMMANDS: Final[tuple[Command, ...]] = (
     Command("take", requests.Take, _LeaseReply, "the lease, from whoever holds it; an engaged robot is stopped"),
     Command("engage", requests.Engage, _Reply, "take command of the standing chassis; replies when it reads auto"),
     Command("disengage", requests.Disengage, _Reply, "stop in a controlled way and give up command"),
-    Command("stop", requests.Stop, _Reply, "the remote stop, from anyone; latched", Asking.EITHER),
+    Command(STOP_VERB, requests.Stop, _Reply, "the remote stop, from anyone; latched", Asking.EITHER),
     Command("reset", requests.Reset, _Reply, "clear what is latched"),
     Command("park", requests.Park, _Reply, "apply the parking brake"),
     Command("unpark", requests.Unpark, _Reply, "release the parking brake"),

@@ -13,10 +13,14 @@ from contextlib import ExitStack
 from importlib.metadata import version
 
 from gateway.core import Core
+from gateway.guard.run import stop_alone
+from gateway.guard.sight import Sight
+from gateway.guard.stopper import Stopper
 from gateway.loop import Surroundings
 from gateway.loop import run as run_loop
 from gateway.ports.can_bus import BusLost, CanBus, ReconnectingBus, describe, open_bus
-from gateway.ports.guard_process import start_guard
+from gateway.ports.guard_process import GuardLink, start_guard
+from gateway.ports.log_queue import logging_aside
 from gateway.ports.realtime import request_realtime
 from gateway.ports.zenoh_inbox import open_inbox
 from gateway.ports.zenoh_node import open_node
@@ -99,8 +103,26 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             log.warning("no Zenoh node answers at %s yet; trying on", ", ".join(settings.zenoh.connect))
         request_realtime(settings.gateway.realtime_priority)
         around = Surroundings(bus, node, inbox, guard)
-        run_loop(around, core, info, ending_after(stopped, arguments.seconds, time.monotonic))
+        try:
+            with logging_aside():
+                run_loop(around, core, info, ending_after(stopped, arguments.seconds, time.monotonic))
+        except Exception:
+            _stop_unguarded(core, bus, guard, settings)
+            raise
     return int(ExitCode.OK)
+
+
+def _stop_unguarded(core: Core, bus: ReconnectingBus, guard: GuardLink, settings: Settings) -> None:
+    """The loop has failed. A guard that watches stops the robot now; where there is none, it is done from here."""
+    told = None if core.command is None else core.command.arbiter.actuation
+    if core.command is None or told is None or guard.is_watching:
+        return
+    sight = Sight()
+    stopper = Stopper(sight, settings.command)
+    counters = bytes(core.command.maker.counters.values())
+    stopper.begin(told, core.command.arbiter.variant, counters, time.monotonic_ns())
+    outcome = stop_alone(bus, stopper, sight, lambda: guard.is_sending)
+    log.error("the loop has failed, and no guard watches: the robot was stopped from here; %s", outcome)
 
 
 def _unguarded(settings: Settings, why: str) -> str:

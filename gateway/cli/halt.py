@@ -11,13 +11,13 @@ from typing import Final
 
 from gateway.chassis.frame import Frame
 from gateway.chassis.variant import VariantDetector
-from gateway.command.actuation import Actuation
 from gateway.core import CONFIGURED_VARIANT
 from gateway.guard.sight import Sight
-from gateway.guard.stopper import REMOTE, STANDS, UNSEEN, Stopper
+from gateway.guard.stopper import OTHER, REMOTE, STANDS, UNSEEN, Stopper
 from gateway.ports.can_bus import Bus, BusFull, BusLost, describe, open_bus
+from schemas.arguments import seconds
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.messages import GearPosition, Mode, Variant
+from schemas.messages import Mode, Variant
 from schemas.settings import COMMANDER_NS, GUARD_POLL_NS, HALT_LISTEN_NS, HALT_YIELD_NS, SEND_FAILURES, Settings
 
 EXAMPLE: Final = """\
@@ -25,14 +25,15 @@ EXAMPLE: Final = """\
 
 log = logging.getLogger(__name__)
 
-_EXIT_CODES: Final = {STANDS: ExitCode.OK, REMOTE: ExitCode.REFUSED}
+_EXIT_CODES: Final = {STANDS: ExitCode.OK, REMOTE: ExitCode.REFUSED, OTHER: ExitCode.REFUSED}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags of ``cruiser halt``."""
     parser.description = (
         "Listens, says what it finds, and brings a robot that nobody commands any more to rest: zero speed, "
-        "brake, neutral, parking brake, then silence. It waits for a guard at work. Not an emergency stop: "
+        "brake, neutral, parking brake, then silence. It waits for a guard at work, and for a hand transmitter "
+        "that has the robot: the chassis would obey its last command again afterwards. Not an emergency stop: "
         "that is the button on the robot."
     )
     parser.add_argument("--interface", dest="can.interface", metavar="NAME", help="python-can interface")
@@ -46,6 +47,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--force", action="store_true", help="send although the robot stands, or although another computer sends"
     )
+    parser.add_argument(
+        "--wait",
+        type=seconds,
+        default=HALT_YIELD_NS / 1e9,
+        metavar="N",
+        help="wait so many seconds at most for another sender, or for the hand transmitter (default %(default)g)",
+    )
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
@@ -55,7 +63,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     except BusLost as error:
         raise CommandError(str(error), ExitCode.UNREACHABLE) from error
     try:
-        return int(Halt(bus, settings, stopped).run(force=arguments.force))
+        halt = Halt(bus, settings, stopped, round(arguments.wait * 1e9))
+        return int(halt.run(force=arguments.force))
     except BusLost as error:
         raise CommandError(f"the bus is lost: {error}", ExitCode.UNREACHABLE) from error
     finally:
@@ -65,11 +74,14 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 class Halt:
     """One halt: listen, judge, send."""
 
-    def __init__(self, bus: Bus, settings: Settings, stopped: Callable[[], bool]) -> None:
+    def __init__(
+        self, bus: Bus, settings: Settings, stopped: Callable[[], bool], wait_ns: int = HALT_YIELD_NS
+    ) -> None:
         self._bus = bus
         self._where = describe(settings.can)
         self._settings = settings
         self._stopped = stopped
+        self._wait_ns = wait_ns
         self._sight = Sight()
         self._detector = VariantDetector(CONFIGURED_VARIANT[settings.chassis.variant])
         self._wheels: bytes | None = None
@@ -83,22 +95,21 @@ class Halt:
         self._listen(HALT_LISTEN_NS)
         if self._is_commanded() and not force:
             _say("another sender commands the chassis, perhaps the guard: waiting until it has done")
-            end_ns = time.monotonic_ns() + HALT_YIELD_NS
-            while self._is_commanded() and time.monotonic_ns() < end_ns and not self._stopped():
-                self._listen(COMMANDER_NS)
-            if self._is_commanded():
+            if not self._wait_while(self._is_commanded):
                 _say("it sends on, so nothing is sent from here; --force sends all the same")
                 return ExitCode.REFUSED
             self._listen(HALT_LISTEN_NS)
+        if self._is_remote():
+            _say(f"{REMOTE}: waiting until it gives it back")
+            if not self._wait_while(self._is_remote):
+                _say(f"{REMOTE}, so nothing is sent")
+                return ExitCode.REFUSED
         now_ns = time.monotonic_ns()
         mode, stands = self._sight.mode(now_ns), self._sight.stands(self._variant, now_ns)
         if not self._sight.hears(now_ns):
             _say(f"no feedback on {self._where}: stopping blindly")
         else:
             _say(f"mode {mode.value}, {STANDS if stands else UNSEEN}")
-        if mode is Mode.REMOTE:
-            _say(f"{REMOTE}, so nothing is sent")
-            return ExitCode.REFUSED
         if mode is Mode.STOP and stands and not force:
             _say("there is nothing to stop, so nothing is sent; --force sends all the same")
             return ExitCode.OK
@@ -111,6 +122,18 @@ class Halt:
     def _is_commanded(self) -> bool:
         heard_ns = self._sight.commander_ns
         return heard_ns is not None and time.monotonic_ns() - heard_ns < COMMANDER_NS
+
+    def _is_remote(self) -> bool:
+        return self._sight.mode(time.monotonic_ns()) is Mode.REMOTE
+
+    def _wait_while(self, condition: Callable[[], bool]) -> bool:
+        """Listen while this holds. False if it still does when the time is over."""
+        end_ns = time.monotonic_ns() + self._wait_ns
+        while condition():
+            if time.monotonic_ns() >= end_ns or self._stopped():
+                return False
+            self._listen(GUARD_POLL_NS)
+        return True
 
     def _listen(self, duration_ns: int) -> None:
         end_ns = time.monotonic_ns() + duration_ns
@@ -132,12 +155,18 @@ class Halt:
     def _send(self) -> ExitCode:
         variant, now_ns = self._variant, time.monotonic_ns()
         stopper = Stopper(self._sight, self._settings.command)
-        stopper.begin(self._seen(variant, now_ns), variant, None, now_ns)
+        stopper.begin(None, variant, None, now_ns)
         _say("sending the stop sequence")
         failures = 0
+        given_up_ns = now_ns + self._wait_ns
         while not stopper.is_over:
             now_ns = time.monotonic_ns()
             frames = stopper.tick(now_ns)
+            if not stopper.is_paused:
+                given_up_ns = now_ns + self._wait_ns
+            elif now_ns >= given_up_ns or self._stopped():
+                stopper.give_up(REMOTE)
+                break
             if frames:
                 count = self._send_all(stopper, now_ns, frames)
                 failures = failures + 1 if count < len(frames) else 0
@@ -147,17 +176,6 @@ class Halt:
             self._receive_until(now_ns + GUARD_POLL_NS)
         _say(f"{stopper.outcome}; {stopper.frames} frames sent")
         return _EXIT_CODES.get(stopper.outcome, ExitCode.FAILURE)
-
-    def _seen(self, variant: Variant, now_ns: int) -> Actuation:
-        """What the chassis must have been told, as far as can be seen."""
-        gear = self._sight.gear(now_ns)
-        return Actuation(
-            enabled=True,
-            gear=gear,
-            speed_mps=self._sight.speed_mps(variant, now_ns),
-            angle_deg=self._sight.angle_deg(now_ns),
-            parking=gear is GearPosition.PARK,
-        )
 
     def _send_all(self, stopper: Stopper, now_ns: int, frames: list[Frame]) -> int:
         count = 0

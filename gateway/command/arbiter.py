@@ -10,17 +10,16 @@ from math import inf
 from random import Random
 from typing import Final
 
-import msgspec
-
 from gateway.command import verbs
 from gateway.command.actuation import Actuation
-from gateway.command.auxiliary import Auxiliary, AuxiliaryFrame
+from gateway.command.auxiliary import Auxiliary
 from gateway.command.causes import STOPS, Stop, Watch
 from gateway.command.freshness import TickLog
 from gateway.command.lease import LeaseDesk
 from gateway.command.limits import Limits
 from gateway.command.motion import Motion, Surroundings, Target
 from gateway.command.observed import Observed
+from gateway.command.outcome import Event, Outcome
 from gateway.command.request import Answer, Judged, RawRequest, Ruling
 from gateway.command.seen import not_above_seen, seen_actuation, seen_angle_deg
 from gateway.command.states import TRANSITIONS, Trigger
@@ -34,33 +33,6 @@ COMMANDING: Final = frozenset({ArbiterState.ENGAGING, ArbiterState.ENGAGED})
 _NS_PER_S: Final = 1_000_000_000
 _TICK_BITS: Final = 40
 _TICK_S: Final = TICK_NS / _NS_PER_S
-
-
-class Event(msgspec.Struct, frozen=True):
-    """What a person should know; becomes a SafetyEvent."""
-
-    severity: Severity
-    kind: EventKind
-    reason: Reason
-    text: str
-    operator: str = ""
-
-
-class Outcome(msgspec.Struct, frozen=True):
-    """What a tick came to.
-
-    Attributes:
-        actuation: the five motion frames; None for silence.
-        auxiliary: lamps, horn and odometer, only ever together with the five.
-        judged: the requests of this tick with their rulings.
-        answers: replies that are due.
-    """
-
-    actuation: Actuation | None
-    auxiliary: list[AuxiliaryFrame]
-    judged: list[Judged]
-    answers: list[Answer]
-    events: list[Event]
 
 
 class Arbiter:

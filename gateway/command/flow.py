@@ -11,10 +11,11 @@ from typing import Final
 import msgspec
 
 from gateway.chassis.frame import Frame
-from gateway.command.arbiter import Arbiter, Outcome
+from gateway.command.arbiter import Arbiter
 from gateway.command.frames import MOTION_FRAMES, FrameMaker
 from gateway.command.gate import Gate
 from gateway.command.observed import Observed
+from gateway.command.outcome import Outcome
 from gateway.command.report import Reporter, reply
 from gateway.command.request import RawRequest
 from schemas.decisions import ArbiterState
@@ -36,9 +37,6 @@ class Due(msgspec.Struct, frozen=True):
     frames: list[Frame]
     replies: list[PendingReply]
     messages: list[Message]
-
-
-_NOTHING: Final = Due([], [], [])
 
 
 class CommandFlow:

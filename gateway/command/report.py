@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 from gateway.command.actuation import AT_REST
-from gateway.command.arbiter import COMMANDING, Arbiter, Event
+from gateway.command.arbiter import COMMANDING, Arbiter
 from gateway.command.causes import BUMPERS
+from gateway.command.outcome import Event
 from gateway.command.request import Answer, Judged
 from gateway.command.verbs import engage_blockers
 from schemas.decisions import (

@@ -47,8 +47,8 @@ class GuardStatus(msgspec.Struct, frozen=True):
     Attributes:
         now_ns: monotonic.
         is_ready: its bus is open and it hears feedback.
-        is_sending: it stops the robot; the loop must not send. Also while it waits for the hand transmitter to give
-            the robot back.
+        is_sending: it stops the robot; the loop must not send. Also while it waits for the hand transmitter to
+            give the robot back.
         stops: how many stops it has begun since it was started.
         cause: of the last one, or of the one under way.
     """

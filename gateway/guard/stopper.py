@@ -44,11 +44,11 @@ _HEARD_AHEAD_MAX: Final = 3
 
 
 class Stopper:
-    """Brings the robot to rest, frame by frame, from what it was last told, and never faster than it is seen to be.
+    """Brings the robot to rest, frame by frame, from what it was last told, and never faster than it is seen.
 
-    What was told long ago counts for little: a robot that others have brought to rest meanwhile must not be set going
-    by a ramp from an old speed. So a stop that begins late, or was held up, looks at the chassis first. While the
-    hand transmitter has the robot it waits: the chassis keeps its last command, and obeys it again afterwards.
+    What was told long ago counts for little: a robot that others have brought to rest meanwhile must not be set
+    going by a ramp from an old speed. So a stop that begins late, or was held up, looks at the chassis first.
+    While the hand transmitter has the robot it waits: the chassis keeps its last command, and obeys it afterwards.
 
     Attributes:
         is_over: nothing more is to be sent.

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from typing import Final, Protocol
 
 import msgspec
@@ -191,7 +192,7 @@ class GuardProcess:
         self._memory.close()
 
     def _replace_if_gone(self, now_ns: int) -> None:
-        """Starting a process takes milliseconds, so it is done on a thread, and never while the robot is driven."""
+        """Starting a process takes milliseconds: so it is on a thread, and never while the robot is driven."""
         if self._starting is not None:
             if not self._starting.is_alive():
                 self._take_started()
@@ -237,7 +238,7 @@ def start_guard(settings: Settings) -> GuardProcess | NoGuard:
 
 
 def _start_child(settings: Settings) -> _Child:
-    """Raises OSError: there is no process, or it has ended at once."""
+    """A new process of the guard. Raises OSError: there is none, or it has ended at once."""
     memory = Heartbeat.create()
     # Not a fork of this process, which has threads; and no descriptor of its bus or of Zenoh goes along.
     # The modules come from where ours do, whatever lies in the working directory.
@@ -253,9 +254,14 @@ def _start_child(settings: Settings) -> _Child:
     except OSError:
         memory.close()
         raise
+    order = msgspec.json.encode({"parent": os.getpid(), "settings": settings})
     try:
-        # Closed whatever happens; what it was not told it would wait for.
-        process.communicate(msgspec.json.encode({"parent": os.getpid(), "settings": settings}), timeout=0)
-    except subprocess.TimeoutExpired:
-        pass
+        with process.stdin or nullcontext() as stdin:
+            if stdin is not None:
+                stdin.write(order)
+    except OSError as error:
+        process.kill()
+        process.wait()
+        memory.close()
+        raise OSError(f"it ended at once, with exit code {process.returncode}") from error
     return _Child(process, memory)

@@ -13,6 +13,7 @@ import zenoh
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import DEFAULT_ENDPOINT, OWNED_KEY_LIMIT, ZenohSettings
+from schemas.subjects import KEPT_PIECE
 from schemas.zenoh_link import CONNECT, reason, session_settings
 
 REPLY_TIMEOUT_S: Final = 2.0
@@ -21,8 +22,8 @@ REPLY_TIMEOUT_S: Final = 2.0
 PENDING_MAX: Final = 64
 """Queries on their way at once; beyond it the oldest is given up."""
 
-REPLIES_WAITING: Final = 8
-"""Replies to one query that may wait; one is expected, and the first one counts."""
+REPLIES_WAITING: Final = 4 * KEPT_PIECE
+"""Replies to one query that may wait, of a piece and of others of the same name."""
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _MICROSECOND: Final = timedelta(microseconds=1)
@@ -38,6 +39,7 @@ class ZenohSample(msgspec.Struct, frozen=True):
     encoding: str
     payload: bytes
     received: zenoh.Sample
+    is_reply: bool = False
 
     @property
     def attachment(self) -> bytes:
@@ -57,8 +59,9 @@ class ZenohSample(msgspec.Struct, frozen=True):
         return self.received.kind == zenoh.SampleKind.DELETE
 
 
-def _take(received: zenoh.Sample) -> ZenohSample:
-    return ZenohSample(str(received.key_expr), str(received.encoding), received.payload.to_bytes(), received)
+def _take(received: zenoh.Sample, *, is_reply: bool = False) -> ZenohSample:
+    key, encoding = str(received.key_expr), str(received.encoding)
+    return ZenohSample(key, encoding, received.payload.to_bytes(), received, is_reply)
 
 
 class ZenohSource:
@@ -112,11 +115,21 @@ class ZenohSource:
         if self._pending:
             yield from self._replies()
 
-    def ask(self, key: str) -> None:
-        """Query a key. The reply comes with the samples."""
+    def ask(self, key: str, parameters: str = "") -> None:
+        """Query a key. The replies come with the samples."""
         # Not a ring: that one forgets the reply when the query ends before it is taken.
         replies: zenoh.handlers.FifoChannel[zenoh.Reply] = zenoh.handlers.FifoChannel(REPLIES_WAITING)
-        handler = self._session.get(key, replies, timeout=REPLY_TIMEOUT_S, target=zenoh.QueryTarget.BEST_MATCHING)
+        handler = self._session.get(
+            f"{key}?{parameters}" if parameters else key,
+            replies,
+            timeout=REPLY_TIMEOUT_S,
+            target=zenoh.QueryTarget.BEST_MATCHING,
+            # Several replies have one key, and all of them count.
+            consolidation=zenoh.ConsolidationMode.NONE,
+            # Replies have it too: one that waits for room would hold up the gateway's samples behind it.
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.DATA_LOW,
+        )
         self._pending = [*self._pending, (key, handler)][-PENDING_MAX:]
 
     def close(self) -> None:
@@ -127,13 +140,12 @@ class ZenohSource:
         waiting = []
         for key, handler in self._pending:
             try:
-                reply = handler.try_recv()
+                while (reply := handler.try_recv()) is not None:
+                    if reply.ok is not None and str(reply.ok.key_expr) == key:
+                        yield _take(reply.ok, is_reply=True)
             except zenoh.ZError:
                 continue  # Zenoh's way to say that nothing more will come.
-            if reply is None:
-                waiting.append((key, handler))
-            elif reply.ok is not None and str(reply.ok.key_expr) == key:
-                yield _take(reply.ok)
+            waiting.append((key, handler))
         self._pending = waiting
 
     def _owner(self, key: zenoh.KeyExpr) -> int:

@@ -2,8 +2,9 @@
 
 import msgspec
 
-from gateway.command.arbiter import Arbiter, Event, Outcome
+from gateway.command.arbiter import Arbiter
 from gateway.command.observed import Observed
+from gateway.command.outcome import Event, Outcome
 from gateway.command.request import RawRequest, Ruling
 from schemas.decisions import EventKind
 from schemas.messages import GearPosition, Mode, Variant

@@ -97,7 +97,7 @@ def test_standstill_is_five_slow_ticks(changes: dict[str, object], slow: bool) -
 
 
 def test_a_speed_beyond_the_chassis_is_one_in_the_other_scale() -> None:
-    """Row 'plausibility: stop, latched, and say which scale fits': before engaging it is faulty feedback as well."""
+    """Row 'plausibility: stop, latched, and say which scale fits'; before engaging it is faulty feedback."""
     watch = watching(but(absurd=("Auto_DriveFeedBack",), speed_mps=None))
     assert watch.chassis_faults() == [Reason.FEEDBACK_FAULTY]
     assert watch.faults(0.0, 0, 0)[0] is Reason.IMPLAUSIBLE_SPEED

@@ -20,6 +20,10 @@ S = 1_000_000_000
 DRIVING = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=1.0, parking=False)
 
 
+BURST = 8
+"""Frames of a burst at the beginning of a stop: the five, and those that end lamps, horn and odometer."""
+
+
 class GuardRig:
     """Lets time pass in polls of 5 ms; the loop ticks in every second one, as long as it lives.
 
@@ -40,7 +44,7 @@ class GuardRig:
         self.gate = Gate()
         self.loop_lives = self.parent_lives = self.bus_up = True
         self.mute = False
-        self.takes = 5
+        self.takes = BURST
         self.hears_loop = True
         self.told: Actuation | None = None
         self.told_variant = variant
@@ -73,6 +77,16 @@ class GuardRig:
             if self.loop_lives and self.parent_lives and self.now_ns % TICK_NS == 0:
                 self.loop()
             self._guard()
+
+    def look_when_due(self, seconds: float) -> None:
+        """Let time pass in steps of 1 ms, with the guard looking when it wants to; the loop does not live."""
+        due_ns = self.now_ns
+        for _ in range(round(seconds * S / MS)):
+            self.now_ns += MS
+            self._chassis()
+            if self.now_ns >= due_ns:
+                self._guard()
+                due_ns = self.guardian.next_look_ns(self.now_ns)
 
     def close(self) -> None:
         """The gateway says that it ends, and does; its process is still there."""
@@ -123,7 +137,7 @@ class GuardRig:
         if offered:
             assert self.guardian.is_sending
             # A gate of the test's own, which knows nothing of the guard's.
-            assert self.gate.admit(offered, self.told_variant, self.now_ns) is None
+            assert self.gate.admit(offered, self.told_variant, self.now_ns, stopping=True) is None
             self.gate.sent(taken, self.now_ns)
             self.guardian.sent(len(taken), self.now_ns)
         self.lines += self.guardian.take_lines()

@@ -28,7 +28,7 @@ class World:
 
     def receive(self, timeout_s: float) -> Frame | None:
         """The next frame; a bus on which nothing comes keeps its reader waiting."""
-        assert 0 < timeout_s <= 0.005
+        assert 0 <= timeout_s <= 0.005
         if self.frames:
             return self.frames.pop(0)
         self._silence.wait(timeout_s)

@@ -1,0 +1,38 @@
+"""What a tick of the arbiter came to."""
+
+from __future__ import annotations
+
+import msgspec
+
+from gateway.command.actuation import Actuation
+from gateway.command.auxiliary import AuxiliaryFrame
+from gateway.command.request import Answer, Judged
+from schemas.decisions import EventKind, Severity
+from schemas.reasons import Reason
+
+
+class Event(msgspec.Struct, frozen=True):
+    """What a person should know; becomes a SafetyEvent."""
+
+    severity: Severity
+    kind: EventKind
+    reason: Reason
+    text: str
+    operator: str = ""
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """What a tick came to.
+
+    Attributes:
+        actuation: the five motion frames; None for silence.
+        auxiliary: lamps, horn and odometer, only ever together with the five.
+        judged: the requests of this tick with their rulings.
+        answers: replies that are due.
+    """
+
+    actuation: Actuation | None
+    auxiliary: list[AuxiliaryFrame]
+    judged: list[Judged]
+    answers: list[Answer]
+    events: list[Event]
