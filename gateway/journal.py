@@ -6,7 +6,7 @@ array: its kind, the monotonic time, and what the core's method of that kind was
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from enum import IntEnum
 from typing import Any, Final
 
@@ -72,19 +72,35 @@ class JournalGapError(Exception):
     """Part of a run's journal is missing, so it cannot be run again."""
 
 
-def read(journals: Iterator[Journal] | list[Journal]) -> Iterator[Input]:
-    """The inputs of a run, in their order.
+def read(journals: Iterable[Journal]) -> Iterator[Input]:
+    """The inputs of a run, in their order; a log may hold its journals in any, and some of them twice.
 
     Raises:
         JournalGapError: they do not begin with the first input, some are missing, or they are of several runs.
     """
-    expected = 0
     run: int | None = None
+    ordered = []
     for journal in journals:
         if run not in {None, journal.run}:
-            raise JournalGapError(f"run {run} ends after {expected} inputs, and run {journal.run} begins")
+            raise JournalGapError(f"run {run} ends after {len(ordered)} journals, and run {journal.run} begins")
         run = journal.run
+        ordered.append(journal)
+    expected = 0
+    for journal in sorted(ordered, key=lambda one: one.first):
+        if journal.first < expected:
+            continue
         if journal.first != expected:
-            raise JournalGapError(f"inputs {expected} to {journal.first - 1} are missing")
+            cure = "" if expected else "; a run can be run again from its first input alone, and the log begins later"
+            raise JournalGapError(f"inputs {expected} to {journal.first - 1} are missing{cure}")
         expected += journal.count
         yield from _DECODER.decode(journal.inputs)
+
+
+def reach(journals: Iterable[Journal]) -> dict[int, int]:
+    """What of a log can be run again: for each run how many inputs there are from its first on, 0 if that is missing."""
+    reached: dict[int, int] = {}
+    for journal in sorted(journals, key=lambda one: one.first):
+        expected = reached.setdefault(journal.run, 0)
+        if journal.first == expected:
+            reached[journal.run] += journal.count
+    return reached

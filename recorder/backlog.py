@@ -118,12 +118,13 @@ class Backlog:
         wanted = one.ranges[0] if one is not None and one.ranges else None
         if one is None or wanted is None or sequence < wanted.start:
             return False, False
-        if sequence > wanted.start and one.whole_only:
-            # An earlier reply was lost, and is asked for again; or what is older is gone, and all is in vain.
-            if wanted.tries:
-                one.ranges.pop(0)
+        if sequence > wanted.start and not wanted.tries:
+            # Perhaps an earlier reply was lost: all that is missing is asked for once more.
             return False, False
         if wanted.end is not None and sequence >= wanted.end:
+            return False, False
+        if sequence > wanted.start and one.whole_only:
+            one.ranges.pop(0)
             return False, False
         wanted.start = sequence + 1
         wanted.tries = 0

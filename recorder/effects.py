@@ -66,7 +66,7 @@ class AskInfo(msgspec.Struct, frozen=True):
 
 
 class AskKept(msgspec.Struct, frozen=True):
-    """Query a key for the samples that its gateway keeps, from this sequence on; the replies are marked as such."""
+    """Query a key for the samples that its gateway keeps, from this sequence on; the replies are marked."""
 
     key: str
     first: int

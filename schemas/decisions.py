@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import Enum
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Final
 
 import msgspec
 from msgspec import Meta
@@ -85,6 +85,10 @@ class ArbiterState(Enum):
     ENGAGING = "engaging"
     ENGAGED = "engaged"
     STOPPING = "stopping"
+
+
+COMMANDING: Final = frozenset({ArbiterState.ENGAGING, ArbiterState.ENGAGED})
+"""The chassis is commanded, or about to be."""
 
 
 class StopPhase(Enum):

@@ -87,8 +87,11 @@ class Subject(msgspec.Struct, frozen=True):
 
 SCHEMA_PREFIX: Final = "cruiser"
 
-SAFETY_HISTORY: Final = 2000
-"""Decisions and events kept for late joiners and for those whose link was cut."""
+SAFETY_HISTORY: Final = 1000
+"""Decisions and events for late joiners and those whose link was cut.
+
+They come all at once, and so are no more than a link's queue takes; the rest comes in pieces, see ``KEPT_FIRST``.
+"""
 
 SAFETY_KEPT_BYTES: Final = 2_000_000
 """Some 5,000 decisions."""
@@ -97,7 +100,7 @@ JOURNAL_KEPT_BYTES: Final = 16_000_000
 """The last ten minutes at the nominal load of a bus, the last minute at a saturated one."""
 
 KEPT_FIRST: Final = "first"
-"""A query ``{key}?first=N`` on a subject that is kept replies its samples from sequence N on, or from the oldest..."""
+"""A query ``{key}?first=N`` on what is kept gives the samples from sequence N on, or from the oldest..."""
 
 KEPT_PIECE: Final = 16
 """...so many at most, each as a reply of its own. Nothing is replied without N."""

@@ -24,12 +24,11 @@ from gateway.command.request import Answer, Judged, RawRequest, Ruling
 from gateway.command.seen import not_above_seen, seen_actuation, seen_angle_deg
 from gateway.command.states import TRANSITIONS, Trigger
 from gateway.command.stop import StopSequence
-from schemas.decisions import ArbiterState, EventKind, Severity, StopPhase
+from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity, StopPhase
 from schemas.messages import Mode, Variant
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import ENGAGE_TIMEOUT_NS, LATE_NS, LEFT_BLIND_NS, LOOP_LATE_STOP_NS, TICK_NS, Settings
 
-COMMANDING: Final = frozenset({ArbiterState.ENGAGING, ArbiterState.ENGAGED})
 _NS_PER_S: Final = 1_000_000_000
 _TICK_BITS: Final = 40
 _TICK_S: Final = TICK_NS / _NS_PER_S

@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Final
 
 from gateway.command.actuation import AT_REST
-from gateway.command.arbiter import COMMANDING, Arbiter
+from gateway.command.arbiter import Arbiter
 from gateway.command.causes import BUMPERS
 from gateway.command.outcome import Event
 from gateway.command.request import Answer, Judged
 from gateway.command.verbs import engage_blockers
 from schemas.decisions import (
+    COMMANDING,
     ArbiterState,
     Bound,
     Decision,

@@ -11,11 +11,11 @@ from gateway.command.motion import Target
 from gateway.command.request import RawRequest, Ruling
 from schemas import codec, requests
 from schemas.codec import PayloadFault
-from schemas.decisions import ArbiterState, EventKind, Severity
+from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity
 from schemas.messages import Mode
 from schemas.reasons import Reason
 from schemas.settings import REQUEST_MAX_BYTES, RESET_MIN_NS
-from schemas.subjects import BY_VERB, Asking
+from schemas.subjects import BY_VERB, STOP_VERB, Asking
 
 if TYPE_CHECKING:
     from gateway.command.arbiter import Arbiter
@@ -29,7 +29,7 @@ _BY_STATE: Final = {
 
 def rule(arbiter: Arbiter, raw: RawRequest, now_ns: int) -> Ruling:
     """What becomes of a request. Whatever its bytes are, this does not raise."""
-    if raw.verb == STOP:
+    if raw.verb == STOP_VERB:
         # Served before anything is read: from anyone, whatever its payload holds.
         return _stop(arbiter, raw.operator, now_ns)
     command = BY_VERB.get(raw.verb)
@@ -47,9 +47,6 @@ def rule(arbiter: Arbiter, raw: RawRequest, now_ns: int) -> Ruling:
         if refusal is not None:
             return Ruling(refusal, lease=request.lease)
     return _VERBS[type(request)](arbiter, request, raw.operator, now_ns)
-
-
-STOP: Final = "stop"
 
 
 def engage_blockers(arbiter: Arbiter, now_ns: int) -> list[Reason]:
@@ -98,7 +95,7 @@ def _take(arbiter: Arbiter, request: requests.Take, operator: str, now_ns: int) 
     if held is not None:
         text = f"{operator} took the lease from {held.operator}"
         arbiter.tell(Severity.WARNING, EventKind.LEASE, Reason.LEASE_TAKEN, text, held.operator)
-        if arbiter.state in _COMMANDING:
+        if arbiter.state in COMMANDING:
             arbiter.begin_stop(Reason.LEASE_TAKEN, now_ns, f"by {operator}", operator)
     return _begin_lease(arbiter, lease, "taken" if held is not None else "acquired", now_ns)
 
@@ -122,7 +119,7 @@ def _release(arbiter: Arbiter, request: requests.Release, operator: str, now_ns:
     arbiter.desk.end(Reason.LEASE_RELEASED)
     text = f"{operator} gave the lease back"
     arbiter.tell(Severity.INFO, EventKind.LEASE, Reason.LEASE_RELEASED, text, operator)
-    if arbiter.state in _COMMANDING:
+    if arbiter.state in COMMANDING:
         arbiter.begin_stop(Reason.LEASE_RELEASED, now_ns, operator=operator)
     return Ruling(lease=request.lease)
 
@@ -282,8 +279,6 @@ def _wants_motion(arbiter: Arbiter, now_ns: int) -> bool:
     speed_mps, at_ns = arbiter.last_drive
     return speed_mps != 0 and now_ns - at_ns <= arbiter.settings.deadman_s * 1e9
 
-
-_COMMANDING: Final = (ArbiterState.ENGAGING, ArbiterState.ENGAGED)
 
 _VERBS: Final[dict[type[requests.Request], Callable[[Arbiter, Any, str, int], Ruling]]] = {
     requests.Acquire: _acquire,

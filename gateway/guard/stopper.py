@@ -154,10 +154,8 @@ class Stopper:
 
     def _is_held(self, mode: Mode, now_ns: int) -> bool:
         """Nothing may be sent now, for the hand transmitter has the robot, or has had it and nothing is seen."""
-        if mode is Mode.REMOTE:
-            if not self.is_paused:
-                self.is_paused, self._paused_ns = True, now_ns
-            return True
+        if mode is Mode.REMOTE and not self.is_paused:
+            self.is_paused, self._paused_ns = True, now_ns
         if not self.is_paused:
             return False
         commander_ns = self._sight.commander_ns

@@ -71,7 +71,7 @@ class GuardLink(Protocol):
 class NoGuard:
     """No guard can watch here."""
 
-    is_watching: Final = False
+    is_watching: bool = False
     is_sending: Final = False
     stops: Final = 0
     cause: Final = Cause.NONE

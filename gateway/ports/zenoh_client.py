@@ -27,17 +27,25 @@ SAMPLES_WAITING: Final = 4096
 """Samples of one subscription that may wait to be drained; beyond it the oldest go."""
 
 
-def open_session(settings: ZenohSettings, connect: list[str], listen: list[str]) -> zenoh.Session:
+_WAIT_BEFORE_CLOSE: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"
+
+
+def open_session(
+    settings: ZenohSettings, connect: list[str], listen: list[str], block_max_us: int | None = None
+) -> zenoh.Session:
     """Open a session.
 
     A peer's session opens although nobody answers, and goes on trying in the background. Endpoints of the Zenoh
-    configuration file hold where none are given here.
+    configuration file hold where none are given here. ``block_max_us`` cuts off whoever takes nothing for this
+    time while somebody waits to send to it; Zenoh's own is 5 s.
 
     Raises:
         CommandError: an endpoint or the configuration file is wrong, the client finds nobody to connect to, or an
             endpoint to listen on is taken.
     """
     config = _configuration(settings, connect, listen)
+    if block_max_us is not None:
+        config.insert_json5(_WAIT_BEFORE_CLOSE, str(block_max_us))
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:

@@ -24,7 +24,7 @@ from gateway.ports.zenoh_client import (
     mode_in_force,
     open_session,
 )
-from gateway.ports.zenoh_node import Replier
+from gateway.ports.zenoh_node import BLOCK_MAX_US, Replier
 from schemas import keys
 from schemas.settings import (
     DEFAULT_ENDPOINT,
@@ -35,7 +35,7 @@ from schemas.settings import (
     Settings,
     ZenohSettings,
 )
-from schemas.subjects import BY_VERB
+from schemas.subjects import BY_VERB, COMMAND_CHUNK, STOP_VERB
 from schemas.zenoh_link import ANY_LOCAL_PORT, LISTEN
 
 log = logging.getLogger(__name__)
@@ -45,9 +45,8 @@ VERBS_WAITING: Final = 256
 DRIVES_WAITING: Final = 1024
 """Requests that may wait between two ticks; beyond it the oldest go, uncounted."""
 
-PLAIN_REPLY: Final = BY_VERB["stop"].reply_encoding
+PLAIN_REPLY: Final = BY_VERB[STOP_VERB].reply_encoding
 
-STOP: Final = "stop"
 DRIVE: Final = "drive"
 
 
@@ -67,7 +66,7 @@ class CommandInbox:
         self._last_handle = 0
         self._replier = Replier("command-replies")
         ring = zenoh.handlers.RingChannel
-        stop, drive, verbs = (self._key(keys.ALL, verb) for verb in (STOP, DRIVE, keys.ALL))
+        stop, drive, verbs = (self._key(keys.ALL, verb) for verb in (STOP_VERB, DRIVE, keys.ALL))
         self._stop_puts = session.declare_subscriber(stop, ring(STOPS_WAITING))
         self._stop_queries = session.declare_queryable(stop, ring(STOPS_WAITING), complete=True)
         self._verbs = session.declare_queryable(verbs, ring(VERBS_WAITING), complete=True)
@@ -84,7 +83,7 @@ class CommandInbox:
         requests += [self._query(query) for query in _take(self._stop_queries.try_recv, STOPS_PER_TICK)]
         verbs = self._newest(self._verbs.try_recv, VERBS_WAITING, VERBS_PER_TICK, holder)
         # A wildcard query for a stop reaches this ring too; the stops' own has it already.
-        requests += [self._query(query) for query in verbs if not str(query.key_expr).endswith(f"/{STOP}")]
+        requests += [self._query(query) for query in verbs if not str(query.key_expr).endswith(f"/{STOP_VERB}")]
         drives = self._newest(self._drives.try_recv, DRIVES_WAITING, DRIVES_PER_TICK, holder)
         requests += [self._put(sample) for sample in drives]
         return requests
@@ -99,7 +98,7 @@ class CommandInbox:
         command = BY_VERB.get(reply.verb)
         # The query's own key may hold a wildcard for the robot.
         key = self._key(operator, verb) if operator and verb == reply.verb and "*" not in verb else asked
-        self._replier.send(query, key, reply.payload, command.reply_encoding if command else PLAIN_REPLY)
+        self._replier.send(query, key, [reply.payload], command.reply_encoding if command else PLAIN_REPLY)
 
     def close(self) -> None:
         """Leave Zenoh. Never raises."""
@@ -115,7 +114,8 @@ class CommandInbox:
         own: deque[Any] = deque(maxlen=most)
         others: deque[Any] = deque(maxlen=most)
         taken = 0
-        holders = f"/{holder}/"
+        # With the chunk before it: a holder may be called like a robot, or like the root.
+        holders = f"/{COMMAND_CHUNK}/{holder}/"
         for arrived in _take(try_recv, waiting):
             taken += 1
             (own if holder and holders in str(arrived.key_expr) else others).append(arrived)
@@ -136,7 +136,7 @@ class CommandInbox:
 def _raw(handle: int, verb: str, operator: str, payload: zenoh.ZBytes | None) -> RawRequest:
     size = 0 if payload is None else len(payload)
     # What is larger than any request is not even copied.
-    data = b"" if payload is None or size > REQUEST_MAX_BYTES or verb == STOP else payload.to_bytes()
+    data = b"" if payload is None or size > REQUEST_MAX_BYTES or verb == STOP_VERB else payload.to_bytes()
     return RawRequest(handle, verb, operator, data, size)
 
 
@@ -157,7 +157,7 @@ def open_inbox(settings: Settings) -> CommandInbox:
         CommandError: an endpoint cannot be used.
     """
     connect, listen = command_endpoints(settings.zenoh)
-    return CommandInbox(open_session(settings.zenoh, connect, listen), settings)
+    return CommandInbox(open_session(settings.zenoh, connect, listen, BLOCK_MAX_US), settings)
 
 
 def command_endpoints(settings: ZenohSettings) -> tuple[list[str], list[str]]:

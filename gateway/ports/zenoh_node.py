@@ -9,7 +9,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from queue import SimpleQueue
+from queue import Empty, Full, Queue
 from typing import Any, Final
 
 import zenoh
@@ -24,11 +24,12 @@ from gateway.ports.zenoh_client import (
     place,
     says_listen,
 )
+from gateway.telemetry.kept_samples import KeptSamples
 from gateway.telemetry.sample import Sample
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import DEFAULT_ENDPOINT, Settings, ZenohSettings
-from schemas.subjects import BY_NAME, SUBJECTS, Pattern, Qos, Subject
+from schemas.subjects import BY_NAME, KEPT_FIRST, SUBJECTS, Pattern, Qos, Subject
 from schemas.zenoh_link import ANY_LOCAL_PORT
 
 log = logging.getLogger(__name__)
@@ -38,8 +39,24 @@ QUERIES_WAITING: Final = 16
 
 QUERIES_PER_TICK: Final = 2
 
+LONGEST_SEQUENCE: Final = 10
+"""No sequence has more digits."""
+
 MISS_HEARTBEAT_S: Final = 1.0
 """How often a subject with a history says how far it is, so that who lost the last sample notices."""
+
+REPLIES_WAITING: Final = 256
+"""Replies that may wait to be sent; beyond it the newest are dropped and counted."""
+
+BLOCK_MAX_US: Final = 20_000
+"""Who takes nothing is cut off after this time.
+
+A reply has its query's congestion control, which may be to wait for room on the link, and Zenoh would wait for
+5 s. It holds the link meanwhile: whatever else is to go out on it waits too, the loop's own samples included.
+"""
+
+LOOK_S: Final = 0.05
+"""How soon the end is noticed when no reply waits."""
 
 REPLY_TIMEOUT_S: Final = 1.0
 """How long the end waits for replies that are under way."""
@@ -52,16 +69,26 @@ NEIGHBOUR_TIMEOUT_S: Final = 3.0
 
 
 class Replier:
-    """Sends replies on a thread of its own: each has its query's congestion control, and may wait for seconds."""
+    """Sends replies on a thread of its own: each has its query's congestion control, and may wait for its link.
+
+    Attributes:
+        drops: replies that were not sent, because too many waited.
+    """
 
     def __init__(self, name: str) -> None:
-        self._replies: SimpleQueue[tuple[zenoh.Query, str, bytes, str] | None] = SimpleQueue()
+        self.drops = 0
+        self._replies: Queue[tuple[zenoh.Query, str, list[bytes], str]] = Queue(REPLIES_WAITING)
+        self._ends = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
-    def send(self, query: zenoh.Query, key: str, payload: bytes, encoding: str) -> None:
-        """Reply to a query, soon."""
-        self._replies.put((query, key, payload, encoding))
+    def send(self, query: zenoh.Query, key: str, payloads: list[bytes], encoding: str) -> None:
+        """Reply to a query, soon, each payload for itself. Never waits."""
+        try:
+            self._replies.put_nowait((query, key, payloads, encoding))
+        except Full:
+            self.drops += 1
+            log.debug("too many replies wait: one is dropped")
 
     @property
     def waiting(self) -> int:
@@ -70,17 +97,39 @@ class Replier:
 
     def close(self) -> None:
         """Send what waits, for a while, and end."""
-        self._replies.put(None)
+        self._ends.set()
         self._thread.join(REPLY_TIMEOUT_S)
 
     def _run(self) -> None:
-        while (waiting := self._replies.get()) is not None:
-            query, key, payload, encoding = waiting
+        while True:
+            try:
+                query, key, payloads, encoding = self._replies.get(timeout=LOOK_S)
+            except Empty:
+                if self._ends.is_set():
+                    return
+                continue
             try:
                 with query:
-                    query.reply(key, payload, encoding=encoding)
+                    for payload in payloads:
+                        query.reply(key, payload, encoding=encoding)
             except zenoh.ZError as error:
                 log.debug("Zenoh did not take a reply: %s", error)
+
+
+class _Kept:
+    """The samples of a subject that are kept, and the queries for them."""
+
+    def __init__(self, session: zenoh.Session, key: str, subject: Subject) -> None:
+        self.key = key
+        self.encoding = subject.encoding
+        self.samples = KeptSamples(subject.qos.kept_bytes)
+        self.queries = session.declare_queryable(key, zenoh.handlers.RingChannel(QUERIES_WAITING), complete=True)
+
+
+def _first(query: zenoh.Query) -> int:
+    """The sequence from which on samples are asked for; -1 if the query does not say."""
+    text = query.parameters.get(KEPT_FIRST) or ""
+    return int(text) if text.isascii() and text.isdigit() and len(text) <= LONGEST_SEQUENCE else -1
 
 
 class ZenohNode:
@@ -98,6 +147,7 @@ class ZenohNode:
         self._own: set[str] = set()
         self._puts: dict[str, Callable[[bytes], Any]] = {}
         self._declared: list[Any] = []
+        self._kept: dict[str, _Kept] = {}
         for subject in SUBJECTS:
             if subject.pattern is Pattern.PUBLISHED:
                 bus = settings.can.bus if "{bus}" in subject.name else ""
@@ -105,6 +155,9 @@ class ZenohNode:
                 publisher = _declare_publisher(session, key, subject)
                 self._declared.append(publisher)
                 self._puts[subject.name] = publisher.put
+                if subject.qos.kept_bytes:
+                    self._kept[subject.name] = kept = _Kept(session, key, subject)
+                    self._declared.append(kept.queries)
         info = BY_NAME["gateway/info"]
         self._info_encoding = info.encoding
         self._info_key = keys.build(robot.root, robot.name, info)
@@ -112,12 +165,15 @@ class ZenohNode:
             self._info_key, zenoh.handlers.RingChannel(QUERIES_WAITING), complete=True
         )
         self._declared.append(self._queries)
-        self.replier = Replier("info-replies")
+        self.replier = Replier("node-replies")
         token = session.liveliness().declare_token(keys.liveliness(robot.root, robot.name))
         self._declared.append(token)
 
     def publish(self, sample: Sample) -> None:
         """Hand a sample to Zenoh. It goes out, or is dropped and counted by the link; this never waits."""
+        kept = self._kept.get(sample.subject)
+        if kept is not None:
+            kept.samples.add(sample.payload)
         try:
             self._puts[sample.subject](sample.payload)
         except zenoh.ZError as error:
@@ -133,12 +189,17 @@ class ZenohNode:
         self._own.add(node)
 
     def answer(self, reply: Callable[[], bytes]) -> None:
-        """Answer the queries on ``gateway/info`` that wait, a bounded number."""
+        """Answer the queries that wait on ``gateway/info``, and on what is kept: a bounded number of each."""
         for _ in range(QUERIES_PER_TICK):
             query = self._queries.try_recv()
             if query is None:
-                return
-            self.replier.send(query, self._info_key, reply(), self._info_encoding)
+                break
+            self.replier.send(query, self._info_key, [reply()], self._info_encoding)
+        for kept in self._kept.values():
+            query = kept.queries.try_recv()
+            if query is not None:
+                payloads = kept.samples.piece(_first(query)) if _first(query) >= 0 else []
+                self.replier.send(query, kept.key, payloads, kept.encoding)
 
     def close(self) -> None:
         """Leave Zenoh. Never raises."""
@@ -191,13 +252,13 @@ def _open_session(zenoh_settings: ZenohSettings) -> tuple[zenoh.Session, str]:
     connect = list(zenoh_settings.connect)
     if mode_in_force(zenoh_settings) == "client":
         return open_session(
-            zenoh_settings, client_endpoints(zenoh_settings), []
+            zenoh_settings, client_endpoints(zenoh_settings), [], BLOCK_MAX_US
         ), f"client of {place(zenoh_settings)}"
     if zenoh_settings.listen or says_listen(zenoh_settings):
-        session = open_session(zenoh_settings, connect, zenoh_settings.listen)
+        session = open_session(zenoh_settings, connect, zenoh_settings.listen, BLOCK_MAX_US)
         return session, f"at {', '.join(zenoh_settings.listen) or 'the endpoints of ' + zenoh_settings.config}"
     try:
-        return open_session(zenoh_settings, connect, [DEFAULT_ENDPOINT]), f"at {DEFAULT_ENDPOINT}"
+        return open_session(zenoh_settings, connect, [DEFAULT_ENDPOINT], BLOCK_MAX_US), f"at {DEFAULT_ENDPOINT}"
     except CommandError as error:
         if error.code is ExitCode.USAGE:
             raise
@@ -206,7 +267,7 @@ def _open_session(zenoh_settings: ZenohSettings) -> tuple[zenoh.Session, str]:
 
 def _join_neighbour(zenoh_settings: ZenohSettings, connect: list[str]) -> zenoh.Session:
     """Another Zenoh node holds our port: several robots on one bench. Connect to it."""
-    session = open_session(zenoh_settings, [*connect, DEFAULT_ENDPOINT], [ANY_LOCAL_PORT])
+    session = open_session(zenoh_settings, [*connect, DEFAULT_ENDPOINT], [ANY_LOCAL_PORT], BLOCK_MAX_US)
     deadline_s = time.monotonic() + NEIGHBOUR_TIMEOUT_S
     while time.monotonic() < deadline_s:
         if session.info.peers_zid() or session.info.routers_zid():

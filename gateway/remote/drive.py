@@ -49,7 +49,7 @@ ASK_S: Final = 0.1
 SCRIPT_S: Final = 0.05
 """How often a script's set point is renewed."""
 
-_LEAVE: Final = frozenset({"x", "ctrl-c"})
+_LEAVE: Final = frozenset({"q", "x", "ctrl-c"})
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

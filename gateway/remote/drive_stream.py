@@ -10,7 +10,7 @@ from typing import Final
 import msgspec
 
 from gateway.command.limits import steering_angle_deg
-from schemas.decisions import ArbiterState, SafetyState
+from schemas.decisions import COMMANDING, ArbiterState, SafetyState
 from schemas.reasons import Reason
 from schemas.requests import Drive
 
@@ -28,8 +28,6 @@ TICK_STALE_NS: Final = 400_000_000
 
 SILENT_NS: Final = 1_000_000_000
 """A robot whose safety/state was not heard for this long is out of reach."""
-
-_COMMANDING: Final = frozenset({ArbiterState.ENGAGING, ArbiterState.ENGAGED})
 
 
 class SetPoint(msgspec.Struct, frozen=True):
@@ -91,7 +89,7 @@ class DriveStream:
     @property
     def is_wanted(self) -> bool:
         """The robot is engaged for us, or is about to be: drive commands renew the lease."""
-        return self._is_wanted and self._state is not None and self._state.state in _COMMANDING
+        return self._is_wanted and self._state is not None and self._state.state in COMMANDING
 
     @property
     def is_lost(self) -> bool:

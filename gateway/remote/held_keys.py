@@ -2,7 +2,8 @@
 
 A terminal that tells releases is believed for as long as it answers: one at the end of a dead link tells nothing.
 In any other, a key is held while it repeats: motion begins with its first repetition, and ends soon after the
-last.
+last. A link that stalls delivers strokes of before, in a burst: after a pause or a burst a key must be let go and
+pressed again.
 """
 
 from __future__ import annotations
@@ -18,7 +19,13 @@ REPEAT_NS: Final = 200_000_000
 """A key that repeats comes again within this time; slow keyboards take 90 ms."""
 
 BEGIN_NS: Final = 800_000_000
-"""...but for the first time, for which keyboards wait for up to 660 ms."""
+"""...but for the first time, for which keyboards wait for up to 660 ms..."""
+
+BEGIN_MIN_NS: Final = 150_000_000
+"""...and for no less than this."""
+
+BURST_STROKES: Final = 6
+"""As many strokes of one key in one read have waited somewhere: the fastest keyboards take 15 ms for each."""
 
 ANSWER_NS: Final = 400_000_000
 """A terminal that tells releases, and did not answer for this long, is not believed any more."""
@@ -42,10 +49,6 @@ BINDINGS: Final[dict[str, Wish]] = {
     "left": Wish(0, 1),
     "d": Wish(0, -1),
     "right": Wish(0, -1),
-    "q": Wish(1, 1),
-    "e": Wish(1, -1),
-    "z": Wish(-1, 1),
-    "c": Wish(-1, -1),
 }
 """Any other key means: stand."""
 
@@ -63,18 +66,21 @@ class HeldKeys:
         self._answered_ns = 0
         self._last = ""
         self._last_ns = 0
+        self._is_press = False
         self._until_ns = 0
 
     def hear(self, events: Iterable[Heard], now_ns: int) -> list[str]:
         """Take in what the terminal sent at one time. Returns the other keys that were pressed."""
         others: list[str] = []
-        pressed = ""
+        pressed, strokes = "", 0
         for event in events:
             match event:
                 case Flags(tells_releases):
                     self._hear_flags(tells_releases, now_ns)
                 case Stroke(key) if key in BINDINGS:
-                    pressed = key if event.action is not Action.RELEASE else pressed
+                    if event.action is not Action.RELEASE:
+                        strokes = strokes + 1 if key == pressed else 1
+                        pressed = key
                     self._hold(event)
                 case Stroke(_, Action.RELEASE) | Focus(True):
                     pass
@@ -84,7 +90,7 @@ class HeldKeys:
                     if isinstance(event, Stroke) and event.action is Action.PRESS:
                         others.append(event.key)
         if pressed and not self.tells_releases:
-            self._repeat(pressed, now_ns)
+            self._repeat(pressed, strokes, now_ns)
         return others
 
     def wish(self, now_ns: int) -> Wish:
@@ -113,12 +119,19 @@ class HeldKeys:
         if stroke.action is Action.PRESS and self.tells_releases and stroke.key not in self._held:
             self._held.append(stroke.key)
 
-    def _repeat(self, key: str, now_ns: int) -> None:
-        """A key came, and nobody knows whether it is held: if it came before, lately, it is."""
-        patience_ns = REPEAT_NS if now_ns < self._until_ns else BEGIN_NS
-        again = key == self._last and now_ns - self._last_ns <= patience_ns
+    def _repeat(self, key: str, strokes: int, now_ns: int) -> None:
+        """A key came, and nobody knows whether it is held: if it repeats as a keyboard does, it is.
+
+        That is: a stroke after a silence is a press, its first repetition comes after a keyboard's own delay, and
+        the others follow without a pause.
+        """
+        same, since_ns = key == self._last, now_ns - self._last_ns
+        goes_on = same and now_ns < self._until_ns
+        begins = same and self._is_press and BEGIN_MIN_NS <= since_ns <= BEGIN_NS
+        is_burst = strokes >= BURST_STROKES
+        self._is_press = not (is_burst or goes_on or begins) and (since_ns > REPEAT_NS or not same)
         self._last, self._last_ns = key, now_ns
-        self._until_ns = now_ns + REPEAT_NS if again else 0
+        self._until_ns = now_ns + REPEAT_NS if (goes_on or begins) and not is_burst else 0
 
 
 def _together(held: list[str]) -> Wish:

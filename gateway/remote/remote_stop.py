@@ -17,9 +17,9 @@ from gateway.remote.reply import read_reply
 from gateway.telemetry.heard import Received
 from schemas import keys
 from schemas.decisions import Reply
-from schemas.subjects import BY_VERB
+from schemas.subjects import BY_VERB, STOP_VERB
 
-STOP: Final = BY_VERB["stop"]
+STOP: Final = BY_VERB[STOP_VERB]
 
 REPEAT_S: Final = 0.05
 """The put is repeated this often."""

@@ -56,7 +56,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     for name, why in report.refused.items():
         sys.stderr.write(f"{name}: {plain(why)}\n")
     for name in report.silent:
-        sys.stderr.write(f"{name}: NO ANSWER; it was sent all the same. Use the button on the robot\n")
+        sent = "it was sent all the same" if report.linked else "it could NOT BE SENT: there is no link"
+        sys.stderr.write(f"{name}: NO ANSWER; {sent}. Use the button on the robot\n")
     return int(_code(report, f"{arguments.timeout:g} s at {place(settings.zenoh)}"))
 
 

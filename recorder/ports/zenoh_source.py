@@ -140,7 +140,10 @@ class ZenohSource:
         waiting = []
         for key, handler in self._pending:
             try:
-                while (reply := handler.try_recv()) is not None:
+                for _ in range(REPLIES_WAITING):
+                    reply = handler.try_recv()
+                    if reply is None:
+                        break
                     if reply.ok is not None and str(reply.ok.key_expr) == key:
                         yield _take(reply.ok, is_reply=True)
             except zenoh.ZError:

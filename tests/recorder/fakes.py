@@ -10,6 +10,7 @@ import msgspec
 
 from recorder.effects import (
     AskInfo,
+    AskKept,
     CloseLog,
     DeclareChannel,
     Effect,
@@ -46,6 +47,7 @@ class FakeSample(msgspec.Struct, frozen=True):
     attachment: bytes = b""
     zenoh_time_ns: int = 0
     deleted: bool = False
+    is_reply: bool = False
 
 
 def key_of(kind: type[Message], robot: str = ROBOT, root: str = ROOT) -> str:
@@ -160,7 +162,7 @@ class Log:
             if isinstance(effect, OpenLog):
                 assert self._file is None, "opened twice"
                 self._file = McapFile(self.disk, "test")
-            elif isinstance(effect, AskInfo):
+            elif isinstance(effect, AskInfo | AskKept):
                 pass
             else:
                 assert self._file is not None, "written before it is open"
@@ -221,7 +223,9 @@ class FakeSource:
         answers, self._answers = self._answers, []
         yield from answers
 
-    def ask(self, key: str) -> None:
+    def ask(self, key: str, parameters: str = "") -> None:
+        if parameters:
+            return
         self.asked.append(key)
         if key in self._replies:
             replies = self._replies[key]

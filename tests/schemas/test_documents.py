@@ -117,7 +117,7 @@ def test_a_row_says_what_a_late_joiner_gets() -> None:
     """And nothing about it where there is no history."""
     rows = {line.split(" | ")[0].strip("| `"): line for line in documents.key_table().splitlines()}
     assert "express, late joiners get the last |" in rows["safety/state"]
-    assert "late joiners get the last 2000 |" in rows["safety/decision"]
+    assert "late joiners get the last 1000, the newest 2 MB are kept for queries |" in rows["safety/decision"]
     assert "late joiners" not in rows["gateway/health"]
 
 

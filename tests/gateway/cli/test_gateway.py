@@ -3,6 +3,7 @@
 import itertools
 import signal
 import socket
+from argparse import Namespace
 from collections.abc import Callable
 from random import Random
 from typing import Any
@@ -12,13 +13,19 @@ import pytest
 import zenoh
 
 from gateway.chassis.layout import load
+from gateway.cli.gateway import run as run_gateway
+from gateway.command.actuation import Actuation
+from gateway.core import Core
+from gateway.loop import Surroundings
+from gateway.ports.guard_process import NoGuard
 from gateway.ports.zenoh_client import close_session, open_session
 from schemas.dbc_files import dbc_text
-from schemas.messages import Variant
+from schemas.messages import GearPosition, Mode, Variant
 from schemas.reasons import Reason
-from schemas.settings import ZenohSettings
+from schemas.settings import CanSettings, Settings, ZenohSettings
 from schemas.subjects import BY_VERB, COMMANDS, SUBJECTS, Pattern
 from tests.gateway.cli.running import chassis, gateway, run
+from tests.gateway.guard.watched import listening
 from tests.gateway.remote.fake_gateway import free_endpoint
 from tests.gateway.remote.waiting import wait_until
 
@@ -375,3 +382,56 @@ def test_an_end_while_driving_brings_the_robot_to_rest_first(monkeypatch: pytest
     events = [(said["kind"], said["reason"]) for key, said in listener.heard if key.endswith("safety/event")]
     # Nobody renews the lease meanwhile.
     assert [event for event in events if event[0] != "lease"] == [("stop", "shutdown"), ("stopped", "shutdown")]
+
+
+@pytest.mark.parametrize("guarded", ["no guard", "a guard"])
+def test_a_loop_that_fails_unguarded_stops_the_robot_before_it_ends(
+    guarded: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On the bus that is still open; the error is reported all the same. Where a guard watches, that does it."""
+    driving = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=0.6, parking=False)
+    link = FakeGuard(is_watching=guarded == "a guard")
+
+    def start_fake_guard(_settings: Settings) -> FakeGuard:
+        return link
+
+    def fail(around: Surroundings, core: Core, _info: object, _stopped: object) -> None:
+        assert core.command is not None
+        arbiter = core.command.arbiter
+        arbiter.variant, arbiter.actuation = Variant.COARSE, driving
+
+        def drive() -> None:
+            assert core.command is not None
+            frames = core.command.maker.make(driving, [], Variant.COARSE)
+            core.command.maker.sent(frames[: around.bus.send(frames)])
+
+        wait_until(lambda: listener.speed_mps() > 0.5, drive)
+        raise RuntimeError("a fault of our own")
+
+    monkeypatch.setattr("gateway.cli.gateway.start_guard", start_fake_guard)
+    monkeypatch.setattr("gateway.cli.gateway.run_loop", fail)
+    with chassis() as (_, address), listening(address) as listener:
+        settings = Settings(
+            can=CanSettings(interface="socketcand", channel=address),
+            zenoh=ZenohSettings(listen=[free_endpoint()]),
+        )
+        with pytest.raises(RuntimeError, match="of our own"):
+            run_gateway(Namespace(seconds=None), settings, lambda: False)
+        assert link.is_closed
+        if link.is_watching:
+            assert listener.speed_mps() > 0.4
+        else:
+            wait_until(lambda: listener.stands() and listener.mode() is Mode.STOP)
+
+
+class FakeGuard(NoGuard):
+    """A guard that watches or does not, as it is told."""
+
+    def __init__(self, *, is_watching: bool) -> None:
+        super().__init__("" if is_watching else "this test says so")
+        self.is_watching = is_watching
+        self.is_closed = False
+
+    def close(self) -> None:
+        """Remember it."""
+        self.is_closed = True

@@ -14,7 +14,7 @@ from gateway.ports.can_bus import CanBus, open_bus
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.settings import CanSettings
 from tests.gateway.cli.running import Running, chassis, run
-from tests.gateway.guard.watched import Listener, listening, watched
+from tests.gateway.guard.watched import COMMANDS, Listener, listening, watched
 from tests.gateway.remote.waiting import wait_until
 
 DRIVING = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=0.8, parking=False)
@@ -62,7 +62,7 @@ def test_a_robot_that_was_left_rolling_is_stopped(words: tuple[str, ...]) -> Non
         assert "the robot stands; " in done.stderr
         wait_until(lambda: listener.stands() and listener.mode() is Mode.STOP)
         assert len(listener.bursts) > heard + 100
-        assert all(len(burst.frames) == 5 for burst in listener.bursts)
+        assert {len(burst.frames) for burst in listener.bursts} == {5, 8}
 
 
 def test_a_robot_at_rest_is_sent_nothing_unless_forced() -> None:
@@ -75,7 +75,9 @@ def test_a_robot_at_rest_is_sent_nothing_unless_forced() -> None:
         assert listener.bursts == []
         done = halt(address, "--force")
         assert done.returncode == 0, done.stderr
-        assert len(listener.bursts) > 100
+        assert len(listener.bursts) > 30
+        # It reads stop, and is not switched back to auto.
+        assert not any(frame.data[0] & 1 for burst in listener.bursts for frame in burst.frames)
 
 
 def test_the_hand_transmitter_is_never_sent_against() -> None:
@@ -84,17 +86,43 @@ def test_the_hand_transmitter_is_never_sent_against() -> None:
     with chassis(*faults) as (_, address), listening(address) as listener:
         wait_until(lambda: listener.mode() is Mode.REMOTE)
         for words in ((), ("--force",)):
-            done = halt(address, *words)
+            done = halt(address, "--wait", "0.1", *words)
             assert done.returncode == 5, done.stderr
             assert "hand transmitter" in done.stderr
         assert listener.bursts == []
 
 
+def test_a_robot_that_the_hand_transmitter_gives_back_is_stopped() -> None:
+    """It would obey the last command that it was told before; whoever left it so is gone."""
+    with chassis() as (_, address), listening(address) as listener:
+        leave_rolling(address, listener)
+        assert run(["fault", "--sim", address, "transmitter", "remote"]).returncode == 0
+        wait_until(lambda: listener.mode() is Mode.REMOTE)
+        with Running("halt", "--interface", "socketcand", "--channel", address, "--wait", "60") as halting:
+            halting.wait_says("hand transmitter has the robot: waiting")
+            heard = len(listener.bursts)
+            assert run(["fault", "--sim", address, "transmitter", "command"]).returncode == 0
+            assert halting.process.wait(30) == 0, halting.said
+            assert len(listener.bursts) > heard + 100
+        wait_until(lambda: listener.stands() and listener.mode() is Mode.STOP)
+
+
+def test_a_parked_robot_that_is_not_heard_stays_parked() -> None:
+    """A stop that begins from nothing asks for the parking brake from its first frame to its last."""
+    with chassis("--fault", "1ms silence all") as (_, address), listening(address) as listener:
+        done = halt(address)
+        assert done.returncode == 1, done.stderr
+        frames = [frame for burst in listener.bursts for frame in burst.frames]
+        parking = [frame.data[1] & 1 for frame in frames if COMMANDS[frame.can_id] == "Auto_ParkingCmd"]
+        assert len(parking) > 100
+        assert all(parking)
+
+
 def test_the_hand_transmitter_may_take_over_during_the_stop() -> None:
-    """Then it ceases, and says so."""
+    """Then it ceases, waits its time for the robot to be given back, and says so."""
     with chassis() as (sim, address), listening(address) as listener:
         leave_rolling(address, listener)
-        bus_words = ["--interface", "socketcand", "--channel", address]
+        bus_words = ["--interface", "socketcand", "--channel", address, "--wait", "1"]
         with Running("halt", *bus_words) as halting:
             halting.wait_says("sending the stop sequence")
             assert run(["fault", "--sim", address, "transmitter", "remote"]).returncode == 0, sim.said

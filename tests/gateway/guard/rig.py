@@ -54,6 +54,7 @@ class GuardRig:
         self.by_loop: list[Frame] = []
         self.lines: list[str] = []
         self._was_told = False
+        self._last = DRIVING
 
     def fault(self, text: str) -> None:
         """Cause a fault of the chassis now."""
@@ -121,10 +122,11 @@ class GuardRig:
             is_active=is_told or self._was_told,
             is_mute=self.mute,
             variant=self.told_variant,
-            last=self.told or DRIVING,
+            last=self.told or self._last,
             counters=bytes(self.maker.counters.values()),
         )
         self._was_told = is_told
+        self._last = self.told or self._last
 
     def _guard(self) -> None:
         if self.guardian.is_ended:

@@ -2,9 +2,10 @@
 
 Usage: python -m tests.gateway.guard.stand_in HOST:PORT SPEED_MPS
 
-It says on stdout what happens, a line each. SIGUSR1: its gate refuses everything from now on. SIGUSR2: it tells
-the chassis nothing any more. SIGTERM: it ends as a gateway does. Each of its bursts ends with a light frame, which
-the guard never sends: so whoever listens knows who sent what.
+It says on stdout what happens, a line each. SIGUSR1: its gate refuses everything from now on. SIGUSR2: it
+disables the chassis, and then tells it nothing any more. SIGTERM: it ends as a gateway does. Each of its bursts
+ends with a light frame that switches the lamp on, which the guard never does: so whoever listens knows who sent
+what.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import sys
 import time
 from types import FrameType
 
-from gateway.command.actuation import Actuation
+from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.auxiliary import AuxiliaryFrame
 from gateway.command.frames import FrameMaker
 from gateway.ports.can_bus import ReconnectingBus, open_bus
@@ -24,6 +25,7 @@ from schemas.settings import TICK_NS, CanSettings, GatewaySettings, Settings
 
 LAMP = AuxiliaryFrame("Auto_LightCmd", {"Headlamp": True})
 ENGAGING_TICKS = 30
+RESTING_TICKS = 10
 
 
 class StandIn:
@@ -35,14 +37,14 @@ class StandIn:
             gateway=GatewaySettings(realtime_priority=0),
         )
         self.driving = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=speed_mps, parking=False)
-        self.is_mute = self.is_quiet = self.is_ended = False
+        self.is_mute = self.is_quiet = self.is_resting = self.is_ended = False
         self.late_ns = 0
         for number in (signal.SIGUSR1, signal.SIGUSR2, signal.SIGTERM):
             signal.signal(number, self._receive)
 
     def _receive(self, number: int, _frame: FrameType | None) -> None:
         self.is_mute |= number == signal.SIGUSR1
-        self.is_quiet |= number == signal.SIGUSR2
+        self.is_resting |= number == signal.SIGUSR2
         self.is_ended |= number == signal.SIGTERM
 
     def run(self) -> None:
@@ -52,7 +54,7 @@ class StandIn:
         assert isinstance(guard, GuardProcess)
         maker = FrameMaker()
         said: dict[str, object] = {}
-        ticks = 0
+        ticks = resting_ticks = 0
         due_ns = time.monotonic_ns()
         while not self.is_ended:
             while (now_ns := time.monotonic_ns()) < due_ns:
@@ -64,6 +66,9 @@ class StandIn:
             actuation = None
             if ticks and not self.is_quiet:
                 actuation = self.driving if ticks > ENGAGING_TICKS else Actuation(enabled=True)
+                if self.is_resting:
+                    resting_ticks += 1
+                    actuation = AT_REST if resting_ticks < RESTING_TICKS else None
             if actuation is not None and not self.is_mute:
                 frames = maker.make(actuation, [LAMP], Variant.COARSE)
                 maker.sent(frames[: bus.send(frames)])

@@ -283,7 +283,7 @@ def taken_over_during(rig: GuardRig) -> None:
 
 @pytest.mark.parametrize("take_over", [taken_over_before, taken_over_and_left, taken_over_during])
 def test_the_hand_transmitter_has_the_robot(take_over: Callable[[GuardRig], None]) -> None:
-    """Not one frame more, for minutes. Given back, the robot obeys no old command: zero speed, and it is parked."""
+    """Not one frame more, for minutes. Given back, the robot obeys no old command, and is parked."""
     rig = GuardRig()
     rig.drive()
     take_over(rig)
@@ -492,7 +492,7 @@ def test_what_is_not_seen_is_waited_for_a_little_and_then_taken_for_a_parked_rob
 
 
 def test_a_late_stop_is_not_begun_beside_another_computer() -> None:
-    """Who commands the chassis by now may have been called for that; when it ends, the robot is looked at again."""
+    """Who commands the chassis by now may have come to stop it; when it ends, the robot is looked at again."""
     rig = GuardRig()
     rig.drive()
     rig.parent_lives = rig.bus_up = False

@@ -104,6 +104,18 @@ def test_either_speed_alone_keeps_it_from_standing(name: str) -> None:
             assert not sight.stands(variant, at_ms * MS)
 
 
+@pytest.mark.parametrize("variant", [Variant.COARSE, Variant.UNKNOWN])
+def test_wheels_that_turn_against_each_other_do_not_stand(variant: Variant) -> None:
+    """Their mean is zero, and the robot turns on the spot or slips."""
+    sight, feedback = Sight(), Feedback(Variant.COARSE)
+    feed(sight)
+    for at_ms in range(1000, 1100, 10):
+        sight.receive(feedback.frame(WHEELS, {"RearLeftSpeed": 0.4, "RearRightSpeed": -0.4}), at_ms * MS)
+        for name in (DRIVE, BODY):
+            sight.receive(feedback.frame(name), at_ms * MS)
+        assert not sight.stands(variant, at_ms * MS)
+
+
 def test_silence_is_not_standstill() -> None:
     """What is not heard is not known."""
     sight = Sight()

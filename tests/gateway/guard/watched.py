@@ -32,8 +32,8 @@ class Burst(msgspec.Struct):
 
     @property
     def is_by_guard(self) -> bool:
-        """The stand-in lights the lamp in each burst, the guard never does."""
-        return all(COMMANDS[frame.can_id] != "Auto_LightCmd" for frame in self.frames)
+        """The stand-in lights the lamp in each burst, the guard never does, though it puts it out."""
+        return not any(COMMANDS[frame.can_id] == "Auto_LightCmd" and frame.data[0] & 1 for frame in self.frames)
 
     @property
     def names(self) -> list[str]:

@@ -157,6 +157,7 @@ class FakeRobot:
             gear=gear,
             speed_mps=abs(speed_mps),
             wheel_speed_mps=speed_mps,
+            fastest_wheel_mps=abs(speed_mps),
             turns=bool(speed_mps),
             angle_deg=told.angle_deg if told is not None else 0.0,
             front_bumper=self.front_bumper,
