@@ -79,7 +79,7 @@ def read(journals: Iterable[Journal]) -> Iterator[Input]:
         JournalGapError: they do not begin with the first input, some are missing, or they are of several runs.
     """
     run: int | None = None
-    ordered = []
+    ordered: list[Journal] = []
     for journal in journals:
         if run not in {None, journal.run}:
             raise JournalGapError(f"run {run} ends after {len(ordered)} journals, and run {journal.run} begins")

@@ -6,7 +6,7 @@ import pytest
 from gateway.chassis.frame import EXTENDED, FD, REMOTE, Frame
 from gateway.command.request import RawRequest
 from gateway.core import Core
-from gateway.journal import Input, JournalGapError, JournalWriter, Kind, read
+from gateway.journal import Input, JournalGapError, JournalWriter, Kind, reach, read
 from gateway.telemetry.health import Links
 from schemas import codec
 from schemas.decisions import Journal
@@ -92,7 +92,7 @@ def test_every_input_of_the_core_is_written_down() -> None:
         (Kind.FRAME, 1, 0x123 | REMOTE, b"", 5, 0, 3),
         (Kind.FRAME, 2, 0x7, bytes(64), 6, FD, 0),
         (Kind.REQUEST, 3, 9, "stop", "first", b"\xff\x00", 2),
-        (Kind.LINKS, 4, True, 1, True, False),
+        (Kind.LINKS, 4, True, 1, True, False, 0, False),
         (Kind.SHUT_DOWN, 6),
     ]
     core.sent(0, 8, WALL_NS + 8)
@@ -101,6 +101,21 @@ def test_every_input_of_the_core_is_written_down() -> None:
         (Kind.SENT, 8, 0, WALL_NS + 8),
         (Kind.TICK, 10 * MS, WALL_NS + 10, 11),
     ]
+
+
+def test_journals_may_come_in_any_order_and_twice() -> None:
+    """A recorder gets those of before when it has those of now already."""
+    batches = journals([2, 3, 4, 5])
+    inputs = list(read([*batches[2:], *batches[:3]]))
+    assert inputs == [(Kind.SHUT_DOWN, place) for place in range(14)]
+
+
+def test_a_log_tells_what_of_it_can_be_run_again() -> None:
+    """Each run from its first input up to the first gap; a run without its beginning not at all."""
+    whole, cut, late = journals([2, 3], run=1), journals([2, 3, 4, 5], run=2), journals([2, 3], run=3)
+    assert reach([*whole[::-1], *cut[:2], cut[3], *late[1:]]) == {1: 5, 2: 5, 3: 0}
+    with pytest.raises(JournalGapError, match="from its first input alone"):
+        list(read(late[1:]))
 
 
 def test_inputs_are_plain_message_pack() -> None:

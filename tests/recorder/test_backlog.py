@@ -64,7 +64,7 @@ def test_a_robot_that_is_new_is_asked_for_all_it_keeps() -> None:
     """Also where it says nothing now."""
     backlog = Backlog()
     backlog.see("fleet", "cruiser-1", 0)
-    assert {effect for effect in backlog.ask(0)} == {AskKept(key, 0) for key in FIRSTS}
+    assert set(backlog.ask(0)) == {AskKept(key, 0) for key in FIRSTS}
     assert backlog.ask(MS) == []
 
 

@@ -81,7 +81,7 @@ class GuardRig:
 
     def look_when_due(self, seconds: float) -> None:
         """Let time pass in steps of 1 ms, with the guard looking when it wants to; the loop does not live."""
-        due_ns = self.now_ns
+        due_ns = self.now_ns + 3 * MS
         for _ in range(round(seconds * S / MS)):
             self.now_ns += MS
             self._chassis()

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from gateway.chassis.decode import Decoded, Decoder
 from gateway.chassis.layout import load
@@ -235,6 +236,8 @@ def test_a_loop_that_comes_back_finds_the_stop_carried_through_and_is_watched_ag
     rig.drive()
     rig.loop_lives = False
     rig.run(0.2)
+    # Counted from its beginning: a loop that was away for all of it still learns of it.
+    assert (rig.guardian.is_sending, rig.guardian.stops) == (True, 1)
     by_loop = len(rig.by_loop)
     rig.loop_lives, rig.told = True, None
     rig.run(A_STOP_S)
@@ -370,6 +373,29 @@ def test_a_gateway_that_ended_the_command_and_goes_leaves_nothing_to_wait_for() 
     assert rig.sent == []
 
 
+@pytest.mark.parametrize("by", ["a person", "another computer"])
+def test_a_robot_that_was_left_and_taken_care_of_is_not_waited_for(by: str) -> None:
+    """The gateway gave way and dies later; meanwhile the chassis read stop, or somebody else commanded it."""
+    rig = GuardRig()
+    rig.drive()
+    rig.fault("transmitter remote")
+    rig.run(0.1)
+    rig.told = None
+    rig.run(1)
+    if by == "a person":
+        rig.chassis._commands.clear()
+        rig.fault("transmitter command")
+        rig.run(0.1)
+        rig.fault("transmitter remote")
+    else:
+        rig.guardian.receive(rig.maker.make(DRIVING, [], rig.variant)[0], rig.now_ns)
+    rig.run(0.1)
+    rig.parent_lives = False
+    rig.run(0.01)
+    assert rig.guardian.is_ended
+    assert rig.guardian.stops == 0
+
+
 def test_a_beat_of_a_dead_gateway_does_not_arm_the_guard_again() -> None:
     """The last one is young still when a short stop has ended: one failure is stopped for once."""
     rig = GuardRig()
@@ -452,22 +478,46 @@ def test_a_bus_that_comes_back_late_finds_a_robot_that_others_stopped(lost_after
     assert rig.guardian.is_ended
 
 
-def test_a_stop_that_begins_late_begins_at_the_speed_that_is_seen() -> None:
-    """The robot was braked by others to less than it was told."""
+@pytest.mark.parametrize(("told", "others_mps"), [(1.0, 0.3), (0.3, 1.0)])
+def test_a_stop_that_begins_late_begins_at_the_lower_speed(told: float, others_mps: float) -> None:
+    """Of what it was told before, and of what is seen now that others have driven it."""
     rig = GuardRig()
-    rig.drive()
+    rig.drive(replace(DRIVING, speed_mps=told))
     rig.parent_lives = rig.bus_up = False
     rig.run(1)
-    slow = rig.maker.make(
-        Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=0.3, parking=False), [], rig.variant
-    )
-    for frame in slow:
+    for frame in rig.maker.make(replace(DRIVING, speed_mps=others_mps), [], rig.variant):
         rig.chassis.receive(frame, rig.now_ns)
     rig.run(3)
     rig.bus_up = True
-    assert moved(rig, A_STOP_S) < 0.4
-    assert 0 < max(told_mps(rig)) <= 0.3
+    moved(rig, A_STOP_S)
+    assert 0.2 < max(told_mps(rig)) <= 0.3
     assert "the robot stands" in rig.lines[-1]
+
+
+def test_a_stop_begins_no_faster_than_the_robot_is_seen_to_be() -> None:
+    """It is speeding up when the gateway dies: the rest of that is not what the guard wants."""
+    rig = GuardRig(Variant.FINE)
+    rig.drive(seconds=0.4)
+    seen_mps = rig.chassis.state.speed_mps
+    assert 0 < seen_mps < 0.7
+    rig.parent_lives = False
+    rig.run(A_STOP_S)
+    assert 0 < max(told_mps(rig)) <= seen_mps + 0.01
+
+
+def test_a_robot_that_is_given_back_rolling_is_told_zero_speed_at_once() -> None:
+    """No ramp: who held the transmitter drove it, not we."""
+    rig = GuardRig()
+    rig.drive()
+    taken_over_during(rig)
+    sent = len(rig.sent)
+    rig.fault("sticks 0.6 0")
+    rig.run(3)
+    assert rig.chassis.state.speed_mps > 0.5
+    rig.fault("transmitter command")
+    rig.run(A_STOP_S)
+    assert max(told_mps(rig, sent)) == 0
+    assert rig.chassis.state.speed_mps == 0
 
 
 def test_what_is_not_seen_is_waited_for_a_little_and_then_taken_for_a_parked_robot() -> None:
@@ -595,7 +645,7 @@ def test_lamps_horn_and_odometer_are_ended_with_the_robot() -> None:
     commands = rig.chassis._commands
     for extra in on:
         assert not any(commands[extra.name][name] for name in extra.values)
-    assert len(rig.sent) % len(MOTION) == 3 * OFF_BURSTS % len(MOTION)
+    assert len([frame for _, frame in rig.sent if frame.can_id not in MOTION]) == 3 * OFF_BURSTS
 
 
 def test_an_unknown_variant_is_told_zero_speed_only() -> None:

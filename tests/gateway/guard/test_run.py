@@ -2,6 +2,8 @@
 
 import threading
 
+import pytest
+
 from gateway.chassis.frame import Frame
 from gateway.command.gate import MOTION
 from gateway.guard.beat import Beat, GuardStatus
@@ -81,6 +83,44 @@ def test_the_loop_is_told_before_the_first_frame_leaves_and_after_the_last() -> 
     assert world.order[world.order.index("done") :].count("sending") == 0
     assert [frame.can_id for frame in world.sent[:5]] == list(MOTION)
     assert len(world.said) == 2
+
+
+class Paused(World):
+    """A world in which the guard's process stands still for a second, once, on a clock of its own."""
+
+    def __init__(self) -> None:
+        super().__init__(Beat(1))
+        self.now_ns = 10**9
+        self.looks = 0
+        self.frames = []
+
+    def monotonic_ns(self) -> int:
+        """Time passes while it waits for frames, and in the pause."""
+        return self.now_ns
+
+    def receive(self, timeout_s: float) -> Frame | None:
+        """The next frame, or so much time is over."""
+        if self.frames:
+            return self.frames.pop(0)
+        self.now_ns += round(timeout_s * 1e9)
+        return None
+
+    def parent_lives(self) -> bool:
+        """For ten looks; the pause is in the fifth."""
+        self.looks += 1
+        if self.looks == 5:
+            self.now_ns += 10**9
+            self.frames = list(Feedback(Variant.COARSE).all())
+        return self.looks < 10
+
+
+def test_what_came_while_the_guard_stood_still_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is old, and would be taken for what the chassis says now."""
+    world = Paused()
+    monkeypatch.setattr("gateway.guard.run.time.monotonic_ns", world.monotonic_ns)
+    guardian = live(world)
+    assert world.frames == []
+    assert not guardian.sight.hears(world.now_ns)
 
 
 def test_frames_are_heard_and_an_idle_guard_leaves_without_a_word() -> None:

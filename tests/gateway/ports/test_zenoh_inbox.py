@@ -183,14 +183,15 @@ def test_the_holders_drives_survive_anothers_flood(bench: Bench) -> None:
     assert bench.inbox.drain("first") == []
 
 
-def test_an_operator_whose_name_holds_the_holders_is_another(bench: Bench) -> None:
-    """Banana is not ana."""
+@pytest.mark.parametrize(("holder", "other"), [("ana", "banana"), ("fleet", "x"), ("cruiser-1", "x")])
+def test_an_operator_whose_name_holds_the_holders_is_another(bench: Bench, holder: str, other: str) -> None:
+    """Banana is not ana; and a holder that is called like the root or like the robot is not everyone."""
     for number in range(2 * DRIVES_PER_TICK):
-        bench.asker.put(f"{ROBOT}banana/drive", b"%d" % number)
-    bench.asker.put(f"{ROBOT}ana/drive", b"mine")
+        bench.asker.put(f"{ROBOT}{other}/drive", b"%d" % number)
+    bench.asker.put(f"{ROBOT}{holder}/drive", b"mine")
     bench.settle()
-    bench.drain("ana")
-    assert bench.got[0].operator == "ana"
+    bench.drain(holder)
+    assert bench.got[0].operator == holder
     assert len(bench.got) == 1 + DRIVES_PER_TICK
 
 

@@ -2,6 +2,7 @@
 
 import socket
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
@@ -14,6 +15,7 @@ from gateway.ports.zenoh_node import ZenohNode, open_node
 from gateway.telemetry.sample import Sample
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import RobotSettings, Settings, ZenohSettings
+from schemas.subjects import KEPT_PIECE
 from tests.gateway.ports.tcp_proxy import TcpProxy
 from tests.gateway.remote.fake_gateway import free_endpoint
 from tests.gateway.remote.waiting import wait_until
@@ -158,6 +160,84 @@ def test_replies_that_nobody_takes_do_not_hold_the_loop(default_endpoint: str) -
         proxy.close()
         wait_until(lambda: not node.replier.waiting)
         close_session(client)
+    node.close()
+
+
+def test_who_takes_nothing_holds_nobody_else_up(default_endpoint: str) -> None:
+    """It is cut off long before Zenoh's own 5 s are over, and the next one has its reply."""
+    patient = Settings(robot=RobotSettings(name="r-1"), zenoh=ZenohSettings(lease_ms=60_000))
+    node, _ = open_node(patient)
+    other = open_session(ZenohSettings(), [default_endpoint], [])
+    with TcpProxy(default_endpoint) as proxy:
+        stuck = open_session(patient.zenoh, [proxy.endpoint], [])
+        wait_until(lambda: bool(stuck.info.peers_zid() and other.info.peers_zid()) and node.peers() == 2)
+        proxy.stall()
+        handlers = [stuck.get("fleet/r-1/gateway/info", timeout=60) for _ in range(2)]
+        taken: list[bytes] = []
+
+        def big() -> bytes:
+            taken.append(BIG_REPLY)
+            return BIG_REPLY
+
+        wait_until(lambda: len(taken) == len(handlers), lambda: node.answer(big))
+        asked = other.get("fleet/r-1/gateway/info", timeout=2)
+        taken.clear()
+
+        def small() -> bytes:
+            taken.append(b"")
+            return b"small"
+
+        wait_until(lambda: bool(taken), lambda: node.answer(small))
+        assert [reply.ok.payload.to_bytes() for reply in asked if reply.ok is not None] == [b"small"]
+        proxy.close()
+        close_session(stuck)
+    close_session(other)
+    node.close()
+
+
+def test_of_too_many_replies_the_newest_are_dropped_and_counted(watcher: zenoh.Session) -> None:
+    """What waits is bounded, however slow the links are."""
+    node, _ = open_node(settings("r-1"))
+    wait_until(lambda: bool(watcher.info.peers_zid()))
+    asked = watcher.get("fleet/r-1/gateway/info", timeout=20)
+    queries: list[zenoh.Query] = []
+
+    def take() -> None:
+        query = node._queries.try_recv()
+        queries.extend([] if query is None else [query])
+
+    wait_until(lambda: bool(queries), take)
+    node.replier.close()
+    for _ in range(zenoh_node.REPLIES_WAITING + 3):
+        node.replier.send(queries[0], "fleet/r-1/gateway/info", [b""], "")
+    assert (node.replier.waiting, node.replier.drops) == (zenoh_node.REPLIES_WAITING, 3)
+    node.close()
+    del asked
+
+
+def test_what_is_kept_is_given_piece_by_piece(watcher: zenoh.Session) -> None:
+    """From the sequence that is asked for on; nothing without one, or with one that is none."""
+    node, _ = open_node(settings("r-1"))
+    wait_until(lambda: bool(watcher.info.peers_zid()))
+    for number in range(3 * KEPT_PIECE):
+        node.publish(Sample("journal", b"%d" % number))
+
+    def ask(parameters: str) -> list[bytes]:
+        asked = watcher.get(
+            f"fleet/r-1/journal{parameters}",
+            timeout=20,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            congestion_control=zenoh.CongestionControl.DROP,
+        )
+        with ThreadPoolExecutor(1) as pool:
+            listening = pool.submit(lambda: list(asked))
+            wait_until(listening.done, lambda: node.answer(lambda: b""))
+        return [reply.ok.payload.to_bytes() for reply in listening.result() if reply.ok is not None]
+
+    assert ask("?first=5") == [b"%d" % number for number in range(5, 5 + KEPT_PIECE)]
+    assert ask(f"?first={3 * KEPT_PIECE - 1}") == [b"%d" % (3 * KEPT_PIECE - 1)]
+    for parameters in ("", "?first=-1", "?first=x", "?first=" + "9" * 5000, "?first=4294967296", "?first=\u0665"):
+        assert ask(parameters) == []
     node.close()
 
 

@@ -1,5 +1,6 @@
 """``cruiser drive`` on a terminal: a real process on a pseudo-terminal, against a robot of this process."""
 
+import itertools
 import os
 import pty
 import select
@@ -7,6 +8,7 @@ import subprocess
 import sys
 import termios
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from types import TracebackType
@@ -20,6 +22,10 @@ from schemas.messages import Mode
 from schemas.reasons import Reason
 from tests.gateway.remote.fake_robot import FakeRobot
 from tests.gateway.remote.waiting import wait_until
+
+FIRST_REPEAT_S = LET_GO_S = 0.4
+REPEAT_S = 0.05
+REPEATS = 20
 
 KITTY_ANSWER = b"\x1b[?11u"
 
@@ -67,10 +73,16 @@ class Driver:
             os.close(self._master)
 
     def types(self, keys: bytes) -> Callable[[], None]:
-        """To do again and again: a key that repeats, at the rate of the looks."""
+        """To do again and again: a key that is pressed, repeats as a keyboard does, and is let go; in turns."""
+        pauses_s = itertools.cycle([FIRST_REPEAT_S, *[REPEAT_S] * REPEATS, LET_GO_S])
+        due_s = 0.0
 
         def press() -> None:
-            os.write(self._master, keys)
+            nonlocal due_s
+            now_s = time.monotonic()
+            if now_s >= due_s:
+                due_s = now_s + next(pauses_s)
+                os.write(self._master, keys)
 
         return press
 

@@ -1,6 +1,16 @@
 import pytest
 
-from gateway.remote.held_keys import ANSWER_NS, BEGIN_NS, BINDINGS, NOTHING, REPEAT_NS, HeldKeys, Wish
+from gateway.remote.held_keys import (
+    ANSWER_NS,
+    BEGIN_MIN_NS,
+    BEGIN_NS,
+    BINDINGS,
+    BURST_STROKES,
+    NOTHING,
+    REPEAT_NS,
+    HeldKeys,
+    Wish,
+)
 from gateway.remote.keyboard import Action, Flags, Focus, Heard, Stroke
 
 START_NS = 10**12
@@ -67,6 +77,40 @@ def test_any_other_key_and_the_loss_of_focus_stop(event: Heard) -> None:
     telling.hear([Stroke("w", Action.REPEAT)], START_NS)
     held_together = isinstance(event, Stroke) and event.key in BINDINGS
     assert telling.wish(START_NS).forward == (1 if held_together else 0)
+
+
+@pytest.mark.parametrize("pieces", [[BURST_STROKES], [3, 3, 3], [1] * 20, [BURST_STROKES - 1, 1, 1]])
+def test_strokes_of_before_a_stall_move_nothing(pieces: list[int]) -> None:
+    """A link that stalls delivers at once what was typed long ago; then a key must be let go and pressed again."""
+    keys = repeating_w()
+    now_ns = START_NS + 700 * MS
+    for strokes in pieces:
+        keys.hear([Stroke("w")] * strokes, now_ns)
+        assert keys.wish(now_ns) == NOTHING
+        now_ns += 20 * MS
+    # Still held, or so it seems: nobody knows whether these are of now.
+    for _ in range(50):
+        keys.hear([Stroke("w")], now_ns)
+        assert keys.wish(now_ns) == NOTHING
+        now_ns += 30 * MS
+    keys.hear([Stroke("w")], now_ns + 500 * MS)
+    keys.hear([Stroke("w")], now_ns + 1000 * MS)
+    assert keys.wish(now_ns + 1000 * MS) == FORWARD
+
+
+def test_a_burst_ends_motion() -> None:
+    """Also where the pause before it was short: some of its strokes are old."""
+    keys = repeating_w()
+    keys.hear([Stroke("w")] * BURST_STROKES, START_NS + REPEAT_NS - 1)
+    assert keys.wish(START_NS + REPEAT_NS - 1) == NOTHING
+
+
+def test_two_taps_in_a_row_move_nothing() -> None:
+    """No keyboard repeats as soon as that."""
+    keys = HeldKeys()
+    keys.hear([Stroke("w")], START_NS)
+    keys.hear([Stroke("w")], START_NS + BEGIN_MIN_NS - 1)
+    assert keys.wish(START_NS + BEGIN_MIN_NS - 1) == NOTHING
 
 
 def test_with_releases_a_key_moves_at_once_and_stops_on_its_release() -> None:

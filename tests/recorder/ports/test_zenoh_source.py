@@ -114,6 +114,7 @@ def test_a_query_is_answered_among_the_samples(linked: tuple[Peer, ZenohSource])
     wait_until(condition)
     assert inbox.samples[-1].payload == reply.payload
     assert inbox.samples[-1].encoding == reply.encoding
+    assert [sample.is_reply for sample in inbox.samples if sample.key == reply.key] == [True]
     wait_until(lambda: inbox.holds(reply.key) and not origin.is_asking)
 
 
