@@ -90,14 +90,14 @@ def read(journals: Iterable[Journal]) -> Iterator[Input]:
         if journal.first < expected:
             continue
         if journal.first != expected:
-            cure = "" if expected else "; a run can be run again from its first input alone, and the log begins later"
+            cure = "" if expected else "; a run is run again from its first input alone, and the log begins later"
             raise JournalGapError(f"inputs {expected} to {journal.first - 1} are missing{cure}")
         expected += journal.count
         yield from _DECODER.decode(journal.inputs)
 
 
 def reach(journals: Iterable[Journal]) -> dict[int, int]:
-    """What of a log can be run again: for each run how many inputs there are from its first on, 0 if that is missing."""
+    """What can be run again: of each run the number of inputs from its first on, up to a gap; 0 without it."""
     reached: dict[int, int] = {}
     for journal in sorted(journals, key=lambda one: one.first):
         expected = reached.setdefault(journal.run, 0)

@@ -177,15 +177,17 @@ WHEELBASE_M: Final = 0.660
 GUARD_POLL_NS: Final = 5_000_000
 """The guard looks at the loop's heartbeat every 5 ms."""
 
-GUARD_LATE_NS: Final = 90_000_000
-"""A heartbeat older than this, and still so 5 ms later, is late: the guard stops the robot. The first stop frame has
-to be on the bus within 100 ms of the last good one."""
+GUARD_LATE_NS: Final = 80_000_000
+"""A heartbeat older than this, and still so 5 ms later, is late: the guard stops the robot.
+
+The first stop frame has to be on the bus within 100 ms of the last good one.
+"""
 
 GUARD_LOOK_NS: Final = 100_000_000
 """A stop that begins or goes on late waits this long to see the chassis; what it was told before is old."""
 
 GUARD_RESTART_NS: Final = 5_000_000_000
-"""A guard that is gone is started again no sooner than this after the last start, while the robot is told nothing."""
+"""A guard that is gone is started again while the robot is told nothing, no sooner than this after the last start."""
 
 REMOTE_FRAMES: Final = 2
 """So many in a row that read remote are believed: one alone may be two flipped bits, and the robot rolls on."""

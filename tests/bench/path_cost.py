@@ -23,7 +23,7 @@ from cantools.database.can import Database
 
 from gateway.chassis.frame import Frame
 from gateway.core import Core
-from gateway.loop import receive_burst
+from gateway.loop import Reader, Surroundings
 from gateway.ports.zenoh_client import close_session, open_session
 from gateway.ports.zenoh_node import ZenohNode
 from gateway.telemetry.health import Links
@@ -140,9 +140,9 @@ def run_ours(
     """Our path at the pace of the processor: a burst of frames, then the tick of its 10 ms, as in the loop."""
     gc.disable()
     bus = BurstyBus(frames)
+    reader = Reader(Surroundings(bus, node), core)
     for now_ns in range(begin_ns, begin_ns + SECONDS_OF_FRAMES * 1_000_000_000, TICK_NS):
-        for sample in receive_burst(bus, core, 1):
-            node.publish(sample)
+        reader.read_burst(1)
         if with_ticks:
             due = core.tick(now_ns, WALL_NS + now_ns, 0)
             for sample in due.samples + core.sent(0, now_ns, WALL_NS + now_ns):
