@@ -187,7 +187,7 @@ GUARD_LOOK_NS: Final = 100_000_000
 """A stop that begins or goes on late waits this long to see the chassis; what it was told before is old."""
 
 GUARD_RESTART_NS: Final = 5_000_000_000
-"""A guard that is gone is started again while the robot is told nothing, no sooner than this after the last start."""
+"""A guard that is gone is started again while the robot is told nothing, at most this often."""
 
 REMOTE_FRAMES: Final = 2
 """So many in a row that read remote are believed: one alone may be two flipped bits, and the robot rolls on."""
