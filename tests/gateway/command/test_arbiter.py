@@ -363,6 +363,17 @@ def test_a_robot_that_is_not_seen_to_stand_at_the_end_is_an_error() -> None:
     assert event.text.endswith("but is not seen to stand")
 
 
+def test_a_stop_beside_another_commander_does_not_say_that_the_robot_is_safe() -> None:
+    """It is told nothing by us any more, and may be moved by the other one at once."""
+    bench = engaged()
+    bench.ask("stop")
+    for _ in range(400):
+        bench.changes = {"commander_ns": bench.now_ns}
+        bench.tick()
+    [event] = bench.told(EventKind.STOPPED)
+    assert event.text.endswith("but another computer commands it, and can move it")
+
+
 @pytest.mark.parametrize("changes", [{"mode": Mode.AUTO}, {"mode": Mode.UNDEFINED, "missing": ("body",)}])
 def test_what_was_left_under_command_is_stopped_when_it_may_obey_again(changes: dict[str, object]) -> None:
     """Row 'nothing ever resumes by itself': the chassis keeps our last command, and would."""
