@@ -5,6 +5,7 @@ import os
 import resource
 import stat
 from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 
@@ -138,34 +139,39 @@ def fill(log: LogFile) -> int:
         return number
 
 
-@pytest.fixture
-def full_disk() -> Iterator[None]:
-    """No file may grow beyond 8,192 bytes: the system itself says so, with EFBIG."""
+@contextmanager
+def files_end_at(limit_bytes: int) -> Iterator[None]:
+    """No file may grow beyond this: the system itself says so, with EFBIG.
+
+    Only within a test: the test runner's own output may be a file too.
+    """
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (8192, hard))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-@pytest.mark.usefixtures("full_disk")
 def test_a_log_that_can_grow_no_more_is_closed_as_well_as_possible(tmp_path: Path) -> None:
     """The chunk that fits no more goes; if there is room for the end, the file is whole."""
-    log = opened(tmp_path)
-    log.write(chunk(1))
-    with pytest.raises(CommandError, match=os.strerror(errno.EFBIG)):
-        log.write(chunk(2, os.urandom(20_000)))
-    log.salvage()
+    with files_end_at(8192):
+        log = opened(tmp_path)
+        log.write(chunk(1))
+        with pytest.raises(CommandError, match=os.strerror(errno.EFBIG)):
+            log.write(chunk(2, os.urandom(20_000)))
+        log.salvage()
     assert log.path == tmp_path / f"{STEM}.mcap"
     assert sequences(log.path) == [1]
 
 
-@pytest.mark.usefixtures("full_disk")
 def test_without_room_for_the_end_the_part_stays_readable(tmp_path: Path) -> None:
     """It ends with its last whole chunk."""
-    log = opened(tmp_path)
-    written = fill(log)
-    log.salvage()
-    log.salvage()
+    with files_end_at(8192):
+        log = opened(tmp_path)
+        written = fill(log)
+        log.salvage()
+        log.salvage()
     assert log.path == tmp_path / f"{STEM}.mcap.part"
     info = read_info(log.path)
     assert not info.whole
@@ -175,13 +181,8 @@ def test_without_room_for_the_end_the_part_stays_readable(tmp_path: Path) -> Non
 
 def test_a_disk_without_room_for_a_header_leaves_no_file(tmp_path: Path) -> None:
     """There is nothing to keep."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4, hard))
-    try:
-        with pytest.raises(CommandError, match="too large"):
-            LogDirectory(tmp_path).open("x", WALL_NS, "test")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with files_end_at(4), pytest.raises(CommandError, match="too large"):
+        LogDirectory(tmp_path).open("x", WALL_NS, "test")
     assert logs_in(tmp_path) == []
 
 
