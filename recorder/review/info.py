@@ -18,7 +18,7 @@ from recorder.tally import Tally
 from schemas.exit_codes import CommandError
 from schemas.messages import CanFrame, GatewayInfo, RawSample
 from schemas.printable import plain
-from schemas.subjects import SCHEMA_PREFIX
+from schemas.subjects import SCHEMA_PREFIX, SUBJECTS
 
 FAULTS_SHOWN: Final = 20
 """Faults that are told one by one; the rest are only counted."""
@@ -124,6 +124,10 @@ def read_info(path: Path) -> LogInfo:
     return survey.sum_up(str(path), size)
 
 
+_KEPT: Final = frozenset(subject.schema_name for subject in SUBJECTS if subject.qos.kept_bytes)
+"""Schemas of samples that a recorder may ask for after they went by."""
+
+
 class _Channel:
     def __init__(self, record: records.Channel, schema: str) -> None:
         self.topic = record.topic
@@ -133,13 +137,17 @@ class _Channel:
         self.first_ns = self.last_ns = 0
         self.tally = Tally()
         self.counts_sequence = schema.startswith(f"{SCHEMA_PREFIX}.") and schema not in _WITHOUT_SEQUENCE
+        # What a recorder asked for later stands behind what came by itself: only its time tells its place.
+        self.asked_later: list[tuple[int, int]] | None = [] if schema in _KEPT else None
         self.frames: dict[int, AliveCount] = {}
 
     def take(self, message: LoggedMessage) -> None:
         self.first_ns = min(self.first_ns, message.log_ns) if self.messages else message.log_ns
         self.last_ns = max(self.last_ns, message.log_ns)
         self.messages += 1
-        if self.counts_sequence:
+        if self.asked_later is not None:
+            self.asked_later.append((message.publish_ns, message.sequence))
+        elif self.counts_sequence:
             # The frames of one batch share its sequence, which to the tally is a step back, and no loss.
             self.tally.count_sequence(message.sequence)
         if self.schema == _CAN_FRAME:
@@ -156,6 +164,8 @@ class _Channel:
         count.receive(frame.time_ns, frame.data)
 
     def sum_up(self) -> ChannelInfo:
+        for _, sequence in sorted(self.asked_later or ()):
+            self.tally.count_sequence(sequence)
         span_s = (self.last_ns - self.first_ns) / 1e9
         return ChannelInfo(
             topic=self.topic,

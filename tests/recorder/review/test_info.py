@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from recorder.review.info import FAULTS_SHOWN, LogInfo, read_info
+from schemas.decisions import Journal
 from schemas.exit_codes import CommandError
 from tests.recorder.fakes import (
     MS,
@@ -84,6 +85,19 @@ def test_losses_are_told_by_key_and_by_frame(path: Path) -> None:
     frame = found.frames[0]
     assert (frame.identifier, frame.name) == ("0x18C4D1EF", "Auto_GearFeedBack")
     assert (frame.frames, frame.lost, found.frames_lost) == (37, 3, 3)
+
+
+def test_what_was_asked_for_later_is_not_missed(path: Path) -> None:
+    """It stands behind what came by itself; its time tells its place."""
+    log = Log()
+    said = [
+        sample_of(Journal(WALL_NS + number * MS, number, run=7, first=number, count=0, inputs=b"\x90"))
+        for number in range(7)
+    ]
+    replies = [FakeSample(one.key, one.encoding, one.payload, is_reply=True) for one in said]
+    log.receive(said[3], *replies[:3], said[4], said[6])
+    [channel] = info_of(path, log.close()).channels
+    assert (channel.messages, channel.missed) == (6, 1)
 
 
 def test_the_last_metadata_holds(path: Path) -> None:
