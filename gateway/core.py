@@ -72,6 +72,7 @@ class Core:
         self._sent = FrameBatch(settings.can.bus)
         self._detector = VariantDetector(CONFIGURED_VARIANT[settings.chassis.variant])
         self._links = Links()
+        self._told = _told(self._links)
         # Until the variant is known the coarse layout serves for the frames that are the same in both.
         layout = load(Variant.COARSE)
         self._streams = {
@@ -145,8 +146,9 @@ class Core:
             self._detector.reset()
             self._apply_variant()
         told = _told(links)
-        if self._journal is not None and told != _told(before):
+        if self._journal is not None and told != self._told:
             self._journal.add((Kind.LINKS, now_ns, *told))
+        self._told = told
 
     def tick(self, now_ns: int, wall_ns: int, late_ns: int) -> Due:
         """Every 10 ms. Returns what is due: commands, raw frames, state, health."""
@@ -227,7 +229,8 @@ class Core:
     def _receive_other(self, frame: Frame, now_ns: int) -> None:
         """A frame that is no feedback. A command frame of another computer is no fault: it may own the bus."""
         if frame.can_id in self._commands:
-            if check(frame) is None:
+            # The guard's are ours: taken for another's, a chassis that it leaves would count as taken over.
+            if check(frame) is None and not self._links.guard_sends:
                 self._commander_ns = now_ns
             return
         fault = unknown_frame(frame, self._known)

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway import core as core_module
+from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import EXTENDED, Frame
 from gateway.chassis.layout import load
 from gateway.command.request import RawRequest
@@ -618,6 +619,20 @@ def test_a_standing_gateway_publishes_no_batch_of_sent_frames() -> None:
     bench.tick(100)
     assert "can/{bus}/tx" not in {sample.subject for sample in bench.samples}
     assert bench.core.is_at_rest
+
+
+@pytest.mark.parametrize(
+    ("guard_sends", "spoilt", "is_other"), [(False, False, True), (True, False, False), (False, True, False)]
+)
+def test_whose_command_frames_are_another_computers(*, guard_sends: bool, spoilt: bool, is_other: bool) -> None:
+    """Valid ones, while the guard does not send: its frames are ours."""
+    made = Core(Settings(), "1.2.3", 0)
+    made.observe_links(Links(bus_up=True, guard_sends=guard_sends), 0)
+    frame = Encoder(load(Variant.COARSE)).encode("Auto_DriveCmd", {}, 0)
+    made.receive_frame(Frame(frame.can_id, b"\1" + frame.data[1:]) if spoilt else frame, 7)
+    made.tick(10 * MS, WALL_NS, 0)
+    assert made.command is not None
+    assert made.command.arbiter.watch.observed.commander_ns == (7 if is_other else None)
 
 
 def test_an_end_brings_the_robot_to_rest_first() -> None:
