@@ -71,6 +71,7 @@ class Watch:
     Attributes:
         stands: the robot was seen to stand for long enough. False also when that cannot be seen.
         observed: the chassis at this tick.
+        pressed: the bumpers that are pressed.
         plausibility: do the speeds fit.
         send_failures: ticks in a row whose frames the bus did not take.
     """
@@ -78,6 +79,7 @@ class Watch:
     def __init__(self) -> None:
         self.observed = Observed()
         self.stands = False
+        self.pressed: set[Reason] = set()
         self.plausibility = Plausibility()
         self.send_failures = 0
         self._slow_ticks = 0
@@ -89,14 +91,10 @@ class Watch:
         self.observed = observed
         self._slow_ticks = self._slow_ticks + 1 if observed.is_slow else 0
         self.stands = self._slow_ticks >= STANDSTILL_TICKS
+        pressed = (observed.front_bumper, observed.rear_bumper)
+        self.pressed = {bumper for bumper, is_pressed in zip(BUMPERS, pressed, strict=True) if is_pressed}
         # A hit that was reset counts as a new one once the bumper has been clear.
         self._acknowledged &= self.pressed
-
-    @property
-    def pressed(self) -> set[Reason]:
-        """The bumpers that are pressed."""
-        pressed = (self.observed.front_bumper, self.observed.rear_bumper)
-        return {bumper for bumper, is_pressed in zip(BUMPERS, pressed, strict=True) if is_pressed}
 
     @property
     def hits(self) -> list[Reason]:
