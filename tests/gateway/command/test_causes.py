@@ -7,24 +7,10 @@ from gateway.command.causes import STOPS, Watch
 from gateway.command.observed import Observed
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.reasons import Reason
+from tests.gateway.command.arbiter_bench import MS
+from tests.gateway.command.arbiter_bench import STANDING as IN_STOP
 
-MS = 1_000_000
-STANDING = Observed(
-    bus_up=True,
-    variant=Variant.COARSE,
-    confirmed=True,
-    mode=Mode.AUTO,
-    gear=GearPosition.NEUTRAL,
-    speed_mps=0.0,
-    wheel_speed_mps=0.0,
-    fastest_wheel_mps=0.0,
-    turns=False,
-    angle_deg=0.0,
-    front_bumper=False,
-    rear_bumper=False,
-    total_mileage_km=1.0,
-    guarded=True,
-)
+STANDING = msgspec.structs.replace(IN_STOP, mode=Mode.AUTO, gear=GearPosition.NEUTRAL)
 MOVING = msgspec.structs.replace(STANDING, speed_mps=1.0, wheel_speed_mps=1.0, fastest_wheel_mps=1.0, turns=True)
 
 
