@@ -20,11 +20,11 @@ from gateway.ports.can_bus import (
     BusFull,
     BusLost,
     CanBus,
-    ReconnectingBus,
     open_bus,
     to_frame,
     to_message,
 )
+from gateway.ports.reconnecting_bus import ReconnectingBus
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import CanSettings
 from tests.gateway.chassis.strategies import frames
