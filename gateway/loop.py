@@ -171,7 +171,8 @@ def run(around: Surroundings, core: Core, info: Callable[[], bytes], stopped: Ca
             # Nothing is decided by what was seen before the pause.
             reader.catch_up()
             now_ns = monotonic_ns()
-        if late_ns > LATE_NS and now_ns - complained_ns > COMPLAINT_PERIOD_NS:
+        # With an arbiter that is an event, and in the log as such.
+        if core.command is None and late_ns > LATE_NS and now_ns - complained_ns > COMPLAINT_PERIOD_NS:
             complained_ns = now_ns
             log.warning("the loop was %d ms late; frames that waited keep their own times", late_ns // MS)
         peers = links.zenoh_peers if ticks % PEERS_TICKS else sink.peers()
