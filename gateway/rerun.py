@@ -28,10 +28,8 @@ def run_again(core: Core, inputs: Iterable[Input]) -> Iterator[tuple[list[Frame]
             yield [], returned
 
 
-def _frame(
-    core: Core, now_ns: int, can_id: int, data: bytes, wall_ns: int, fd_flags: int, remote_length: int
-) -> list[Sample]:
-    sample = core.receive_frame(Frame(can_id, data, wall_ns, fd_flags, remote_length), now_ns)
+def _frame(core: Core, now_ns: int, frame: list[Any]) -> list[Sample]:
+    sample = core.receive_frame(Frame(*frame), now_ns)
     return [] if sample is None else [sample]
 
 

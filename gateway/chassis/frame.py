@@ -29,8 +29,10 @@ __all__ = [
 ]
 
 
-class Frame(msgspec.Struct, frozen=True, gc=False):
+class Frame(msgspec.Struct, frozen=True, gc=False, array_like=True):
     """A CAN frame. Flags are those of linux/can.h, so that one word holds identifier and kind.
+
+    In the journal it is an array, in this order.
 
     Attributes:
         can_id: identifier with the flags EXTENDED, REMOTE and ERROR.
