@@ -111,6 +111,8 @@ class FakeRobot:
             # This machine may be busy: how late the loop is, is no matter of these tests.
             due = self.flow.tick(self._observed(), self._requests(), now_ns, time.time_ns(), 0)
             messages = [*due.messages, *self.flow.sent(len(due.frames), now_ns, time.time_ns())]
+            # Before anybody hears of them: who has the reply may ask at once what was decided.
+            self.decisions += [message for message in messages if isinstance(message, Decision)]
             for reply in due.replies:
                 query, key = self._waiting.pop(reply.handle)
                 command = BY_VERB.get(reply.verb, BY_VERB["stop"])
@@ -167,11 +169,9 @@ class FakeRobot:
         )
 
     def _publish(self, message: Message) -> None:
-        if isinstance(message, Decision):
-            self.decisions.append(message)
-        elif self.mute:
+        if self.mute:
             return
-        elif isinstance(message, SafetyState):
+        if isinstance(message, SafetyState):
             self.said.append(message)
             subject = BY_NAME["safety/state"]
             self._session.put(
