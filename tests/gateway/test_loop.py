@@ -442,6 +442,35 @@ def test_a_bus_that_takes_nothing_is_a_stop() -> None:
     commanded.run(script)
 
 
+def test_a_full_collection_while_driving_is_a_late_loop() -> None:
+    """Row 'loop late: over 100 ms: stop'. The loop itself runs none; this one is forced, over a large heap."""
+    heap = [[number] for number in range(1_000_000)]
+    commanded = Commanded()
+    collections: list[str] = []
+
+    def note(phase: str, _info: object) -> None:
+        collections.append(phase)
+
+    def script(one: Commanded) -> Iterator[bool]:
+        yield from one.engage()
+        assert collections.count("start") == 1, "the one before the loop"
+        begun_ns = time.monotonic_ns()
+        gc.unfreeze()
+        while time.monotonic_ns() - begun_ns < 120 * MS:
+            gc.collect()
+        yield False
+        while one.says("state") != "stopping":
+            yield False
+        assert one.says("stop_reason") == "loop_late"
+
+    gc.callbacks.append(note)
+    try:
+        commanded.run(script)
+    finally:
+        gc.callbacks.remove(note)
+    assert len(heap) == 1_000_000
+
+
 def test_the_guard_hears_each_tick() -> None:
     """One beat a tick, whether anything is sent or not, in the order of time; and a last one of who is at rest."""
     commanded = Commanded()
