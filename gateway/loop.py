@@ -18,7 +18,7 @@ from gateway.core import Core
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas.decisions import Severity
-from schemas.settings import BEHIND_NS, LATE_NS, LOOP_LATE_STOP_NS, REST_TIMEOUT_NS, TICK_NS
+from schemas.settings import BEHIND_NS, LATE_NS, LATE_TOLD_NS, LOOP_LATE_STOP_NS, REST_TIMEOUT_NS, TICK_NS
 
 log = logging.getLogger(__name__)
 
@@ -26,9 +26,6 @@ MS: Final = 1_000_000
 
 LEVELS: Final = {Severity.INFO: logging.INFO, Severity.WARNING: logging.WARNING, Severity.ERROR: logging.ERROR}
 """What a person should know is in the robot's own log too."""
-
-COMPLAINT_PERIOD_NS: Final = 1_000_000_000
-"""A loop that is always late says so no more often than this."""
 
 BURST_MAX_FRAMES: Final = 32
 """Frames taken at a time, so that a bus that never falls silent cannot keep the tick waiting."""
@@ -172,7 +169,7 @@ def run(around: Surroundings, core: Core, info: Callable[[], bytes], stopped: Ca
             reader.catch_up()
             now_ns = monotonic_ns()
         # With an arbiter that is an event, and in the log as such.
-        if core.command is None and late_ns > LATE_NS and now_ns - complained_ns > COMPLAINT_PERIOD_NS:
+        if core.command is None and late_ns > LATE_NS and now_ns - complained_ns > LATE_TOLD_NS:
             complained_ns = now_ns
             log.warning("the loop was %d ms late; frames that waited keep their own times", late_ns // MS)
         peers = links.zenoh_peers if ticks % PEERS_TICKS else sink.peers()

@@ -73,7 +73,14 @@ def merge(toml: TomlSource | None, environ: Mapping[str, str], flags: Mapping[st
         sections[setting.section][setting.name] = value
     # A Zenoh configuration file is a source too, below all others, which only a port can read.
     sections["zenoh"][GIVEN] = list(sections["zenoh"])
-    return msgspec.convert(sections, Settings)
+    settings = msgspec.convert(sections, Settings)
+    command = settings.command
+    if command.emergency_deceleration_mps2 < command.deceleration_mps2:
+        raise _wrong(
+            f"command.emergency_deceleration_mps2 is {command.emergency_deceleration_mps2:g}, and "
+            f"command.deceleration_mps2 {command.deceleration_mps2:g}: a stop at once may not be the gentler one"
+        )
+    return settings
 
 
 def to_toml(settings: Settings) -> str:

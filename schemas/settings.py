@@ -22,7 +22,10 @@ TICK_NS: Final = 10_000_000
 """The loop's tick and the chassis's command period, 10 ms."""
 
 LATE_NS: Final = 50_000_000
-"""A tick that begins later than this is told in the log."""
+"""A tick that begins later than this is told in the log..."""
+
+LATE_TOLD_NS: Final = 1_000_000_000
+"""...no more often than this: a loop that is always late must not push all else out of the history."""
 
 SILENCE_PERIODS: Final = 10
 """A feedback frame is silent after this many of its periods without a valid one..."""

@@ -27,7 +27,15 @@ from gateway.command.stop import StopSequence
 from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity, StopPhase
 from schemas.messages import Mode, Variant
 from schemas.reasons import TEXTS, Reason
-from schemas.settings import ENGAGE_TIMEOUT_NS, LATE_NS, LEFT_BLIND_NS, LOOP_LATE_STOP_NS, TICK_NS, Settings
+from schemas.settings import (
+    ENGAGE_TIMEOUT_NS,
+    LATE_NS,
+    LATE_TOLD_NS,
+    LEFT_BLIND_NS,
+    LOOP_LATE_STOP_NS,
+    TICK_NS,
+    Settings,
+)
 
 _NS_PER_S: Final = 1_000_000_000
 _TICK_BITS: Final = 40
@@ -93,6 +101,7 @@ class Arbiter:
         self._was_left = False
         self._bus_losses = self._guard_stops = 0
         self._left_ns = self._late_ns = 0
+        self._late_told_ns = -LATE_TOLD_NS
         self._before: tuple[Motion, StopSequence | None, Actuation | None] = (self.motion, None, None)
         self._waiting: dict[str, int] = {}
         self._answers: list[Answer] = []
@@ -267,7 +276,8 @@ class Arbiter:
         return Reason.NONE
 
     def _look_for_causes(self, now_ns: int, late_ns: int) -> None:
-        if late_ns > LATE_NS:
+        if late_ns > LATE_NS and now_ns - self._late_told_ns >= LATE_TOLD_NS:
+            self._late_told_ns = now_ns
             text = f"the loop was {late_ns / 1e6:.0f} ms late"
             self.tell(Severity.WARNING, EventKind.FAULT, Reason.LOOP_LATE, text)
         for bumper in self.watch.hits:

@@ -83,6 +83,12 @@ class Link:
             return self._state is not None and time.monotonic_ns() - self._state_ns <= SILENT_NS
 
     @property
+    def hears_chassis(self) -> bool:
+        """Its state was heard lately, whether it has an arbiter or not."""
+        with self.heard:
+            return self._chassis is not None and time.monotonic_ns() - self._chassis_ns <= SILENT_NS
+
+    @property
     def has_stream(self) -> bool:
         """A lease is held."""
         with self.heard:
@@ -99,8 +105,8 @@ class Link:
             if self._state is None or now_ns - self._state_ns > SILENT_NS:
                 for_s = f", for {(now_ns - self._state_ns) / _S:.1f} s" if self._state is not None else ""
                 raise Unreachable(f"{self.robot} is not heard any more{for_s}")
-            fresh = now_ns - self._chassis_ns <= SILENT_NS
-            return Sighting(self._state, (now_ns - self._state_ns) / _S, self._chassis if fresh else None)
+            chassis = self._chassis if self.hears_chassis else None
+            return Sighting(self._state, (now_ns - self._state_ns) / _S, chassis)
 
     def take_events(self) -> list[SafetyEvent]:
         """The events that were heard since the last call."""

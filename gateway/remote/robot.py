@@ -341,6 +341,8 @@ def _problem(link: Link) -> str:
         return "no Zenoh node answered"
     if link.unreadable:
         return f"{link.robot} cannot be read ({link.unreadable}), and nothing else of it was heard"
+    if not link.is_heard and link.hears_chassis:
+        return f"the gateway of robot {link.robot!r} only listens (gateway.listen_only), and takes no commands"
     if not link.is_heard:
         return f"robot {link.robot!r} was not heard"
     return f"robot {link.robot!r} is heard, but takes no commands"

@@ -165,6 +165,14 @@ def test_a_wrong_flag_is_named_with_its_cure() -> None:
     assert "flag can.bitrate" in problem(flags={"can.bitrate": -1})
 
 
+def test_a_stop_at_once_may_not_be_the_gentler_one() -> None:
+    """Each is within its bounds; together they are wrong."""
+    flags = {"command.deceleration_mps2": 1.5, "command.emergency_deceleration_mps2": 1.4}
+    with pytest.raises(CommandError, match=r"emergency_deceleration_mps2 is 1\.4, .*deceleration_mps2 1\.5"):
+        merge(None, {}, flags)
+    assert merge(None, {}, flags | {"command.emergency_deceleration_mps2": 1.5}).command.deceleration_mps2 == 1.5
+
+
 def test_a_wrong_value_is_an_error_even_where_a_later_source_overrides_it() -> None:
     """A file that is wrong stays wrong, so that it does not surprise on the day the flag is left out."""
     assert "robot.toml:2" in problem("[can]\nbitrate = -1\n", flags={"can.bitrate": 5})

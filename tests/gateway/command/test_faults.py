@@ -741,6 +741,16 @@ def test_a_late_loop(late_ms: int, stops: bool) -> None:  # noqa: FBT001 - a par
         assert rig.says.stop_reason in {Reason.LOOP_LATE, Reason.FEEDBACK_MISSING}
 
 
+def test_a_loop_that_is_always_late_says_so_once_a_second() -> None:
+    """Its events must not push all others out of the history."""
+    rig, _ = driving()
+    rig.late_ns = 60 * MS
+    begun_ns = rig.now_ns
+    while rig.now_ns - begun_ns < 2.5e9:
+        rig.tick()
+    assert rig.event_reasons(EventKind.FAULT).count(Reason.LOOP_LATE) == 3
+
+
 def test_a_late_stop_tells_zero_speed_before_neutral() -> None:
     """At the very start of motion, told some speed and still standing, a pause must not skip the order."""
     rig, operator = ready()

@@ -13,7 +13,7 @@ from schemas.messages import Mode
 from schemas.reasons import TEXTS, Reason
 from schemas.requests import Light, Role
 from schemas.settings import Settings, ZenohSettings
-from tests.gateway.remote.fake_gateway import FakeGateway, free_endpoint
+from tests.gateway.remote.fake_gateway import STATE, FakeGateway, free_endpoint
 from tests.gateway.remote.fake_robot import FakeRobot
 from tests.gateway.remote.waiting import nothing, wait_until
 
@@ -270,6 +270,15 @@ def test_a_robot_that_is_not_there_is_unreachable() -> None:
         Robot.connect("cruiser-1", "first", settings_for(endpoint), timeout_s=0.2)
     with FakeGateway("cruiser-1") as gateway, pytest.raises(Unreachable, match="robot 'cruiser-1' was not heard"):
         Robot.connect("cruiser-1", "first", settings_for(gateway.listen), timeout_s=2)
+    with FakeGateway("cruiser-1") as gateway:
+
+        def tell_its_state() -> bool:
+            gateway.say(STATE)
+            return False
+
+        settings = settings_for(gateway.listen)
+        with pytest.raises(Unreachable, match="only listens"):
+            Robot.connect("cruiser-1", "first", settings, timeout_s=3, stopped=tell_its_state)
 
 
 def test_a_name_that_cannot_be_is_one_clear_error() -> None:
