@@ -18,9 +18,10 @@ from gateway.guard.sight import Sight
 from gateway.guard.stopper import Stopper
 from gateway.loop import Surroundings
 from gateway.loop import run as run_loop
-from gateway.ports.can_bus import BusLost, CanBus, describe, open_bus
+from gateway.ports.can_bus import BusLost, CanBus
 from gateway.ports.guard_process import GuardLink, start_guard
 from gateway.ports.log_queue import logging_aside
+from gateway.ports.open_bus import describe, open_bus
 from gateway.ports.realtime import request_realtime
 from gateway.ports.reconnecting_bus import ReconnectingBus
 from gateway.ports.zenoh_inbox import open_inbox

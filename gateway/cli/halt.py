@@ -14,7 +14,8 @@ from gateway.chassis.variant import VariantDetector
 from gateway.core import CONFIGURED_VARIANT
 from gateway.guard.sight import Sight
 from gateway.guard.stopper import OTHER, REMOTE, STANDS, UNSEEN, Stopper
-from gateway.ports.can_bus import Bus, BusFull, BusLost, describe, open_bus
+from gateway.ports.can_bus import Bus, BusFull, BusLost
+from gateway.ports.open_bus import describe, open_bus
 from schemas.arguments import seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import Mode, Variant

@@ -18,8 +18,9 @@ import msgspec
 
 from gateway.guard.guardian import Guardian
 from gateway.guard.run import run
-from gateway.ports.can_bus import BusLost, CanBus, open_bus
+from gateway.ports.can_bus import BusLost, CanBus
 from gateway.ports.heartbeat import Heartbeat
+from gateway.ports.open_bus import open_bus
 from gateway.ports.realtime import request_realtime
 from gateway.ports.reconnecting_bus import ReconnectingBus
 from schemas.exit_codes import CommandError

@@ -1,4 +1,4 @@
-"""The CAN bus, through python-can: frames in and out, one exception when the bus is lost."""
+"""A CAN bus through python-can, whatever its interface: frames in and out, one exception when it is lost."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import struct
 import sys
 import termios
 import time
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
 import can
 
@@ -23,13 +23,9 @@ from gateway.chassis.frame import (
     REMOTE,
     Frame,
 )
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.settings import CanSettings
 
 log = logging.getLogger(__name__)
 
-CONNECT_TIMEOUT_S: Final = 1.0
-HANDSHAKE_TIMEOUT_S: Final = 5.0
 TIMESTAMP_TOLERANCE_NS: Final = 2_000_000_000
 TIMESTAMP_MAX_S: Final = 2**33
 SEND_WAITING_MAX_BYTES: Final = 2_048
@@ -92,7 +88,7 @@ class CanBus:
         try:
             message = self._bus.recv(timeout_s)
         except (can.CanError, OSError, ValueError) as error:
-            raise BusLost(_first_line(error)) from error
+            raise BusLost(first_line(error)) from error
         if message is not None:
             return to_frame(message, self._time_ns(message.timestamp))
         if timeout_s > 0 and self._socket is not None and _has_hung_up(self._socket):
@@ -123,11 +119,11 @@ class CanBus:
         try:
             self._bus.send(to_message(frame))
         except can.CanOperationError as error:
-            raise BusFull(_first_line(error)) from error
+            raise BusFull(first_line(error)) from error
         except (can.CanError, OSError, ValueError) as error:
             if self._socket is not None:
                 _abort(self._socket)
-            raise BusLost(_first_line(error)) from error
+            raise BusLost(first_line(error)) from error
 
     def _check_room(self, stream: socket.socket) -> None:
         """A TCP socket takes far more than can leave in time: what waits must stay little, or be thrown away."""
@@ -150,77 +146,7 @@ class CanBus:
             log.debug("closing the bus: %s", error)
 
 
-def open_bus(settings: CanSettings) -> CanBus:
-    """Open the bus of the settings.
-
-    Raises:
-        CommandError: the settings name an interface that python-can does not have.
-        BusLost: the bus is not there (yet).
-    """
-    # Its messages hold tracebacks; what matters of them is in the BusLost that we raise.
-    logging.getLogger("can").setLevel(logging.CRITICAL)
-    arguments = _bus_arguments(settings)
-    if "host" in arguments:
-        _probe(arguments["host"], arguments["port"])
-    try:
-        bus = can.Bus(**arguments, ignore_config=True)
-    except (can.CanInterfaceNotImplementedError, ImportError, TypeError, NotImplementedError) as error:
-        raise CommandError(
-            f"can.interface {settings.interface!r} cannot be used: {error}", ExitCode.USAGE
-        ) from error
-    except Exception as error:
-        # Each vendor's driver raises errors of its own.
-        if _is_library_missing(error):
-            raise CommandError(
-                f"can.interface {settings.interface!r} cannot be used: its driver is not installed "
-                f"({_first_line(error)})",
-                ExitCode.USAGE,
-            ) from error
-        raise BusLost(f"{describe(settings)}: {error}") from error
-    return CanBus(bus)
-
-
-def describe(settings: CanSettings) -> str:
-    """The bus in a few words, for people."""
-    return f"{settings.interface} {settings.channel}"
-
-
-def _bus_arguments(settings: CanSettings) -> dict[str, Any]:
-    arguments: dict[str, Any] = {"interface": settings.interface, **settings.options}
-    if settings.bitrate:
-        arguments["bitrate"] = settings.bitrate
-    if settings.interface != "socketcand":
-        return arguments | {"channel": settings.channel}
-    address, _, name = settings.channel.partition("/")
-    host, colon, port = address.rpartition(":")
-    if not colon or not port.isdecimal() or not 0 < int(port) < 65536:
-        raise CommandError(
-            f"can.channel {settings.channel!r}: socketcand wants HOST:PORT or HOST:PORT/BUS", ExitCode.USAGE
-        )
-    return arguments | {"host": host.strip("[]"), "port": int(port), "channel": name or settings.bus}
-
-
-def _probe(host: str, port: int) -> None:
-    """Find out whether the server answers: python-can itself would try for 10 s, at full processor load."""
-    try:
-        with socket.create_connection((host, port), CONNECT_TIMEOUT_S) as probe:
-            probe.settimeout(HANDSHAKE_TIMEOUT_S)
-            if not probe.recv(16).startswith(b"< hi >"):
-                raise BusLost(f"{host}:{port} does not speak the socketcand protocol")
-    except (OSError, UnicodeError) as error:  # A host name that cannot be one is a UnicodeError.
-        raise BusLost(f"no socketcand server at {host}:{port}: {error}") from error
-
-
-def _is_library_missing(error: Exception) -> bool:
-    """Whether the vendor's library could not be loaded: waiting for the bus is then in vain.
-
-    ctypes, and python-can's pcan, say so with an OSError that has no number, as no system call failed. Its kvaser
-    goes on without the library, and stumbles over the first name from it.
-    """
-    return (type(error) is OSError and error.errno is None) or isinstance(error, NameError)
-
-
-def _first_line(error: Exception) -> str:
+def first_line(error: Exception) -> str:
     """What an error says; python-can puts whole tracebacks behind it."""
     return (str(error).splitlines() or [type(error).__name__])[0]
 

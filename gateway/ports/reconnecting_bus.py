@@ -9,7 +9,8 @@ import time
 from collections.abc import Callable
 
 from gateway.chassis.frame import Frame
-from gateway.ports.can_bus import CONNECT_TIMEOUT_S, HANDSHAKE_TIMEOUT_S, Bus, BusFull, BusLost
+from gateway.ports.can_bus import Bus, BusFull, BusLost
+from gateway.ports.open_bus import CONNECT_TIMEOUT_S, HANDSHAKE_TIMEOUT_S
 from schemas.exit_codes import CommandError
 from schemas.settings import RECONNECT_MAX_S, RECONNECT_MIN_S
 

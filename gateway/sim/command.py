@@ -116,7 +116,8 @@ def _server(address: str) -> Iterator[tuple[Link, str]]:
 @contextlib.contextmanager
 def _bus(settings: CanSettings) -> Iterator[tuple[Link, str]]:
     # python-can takes a while to import, and the server does without it.
-    from gateway.ports.can_bus import BusLost, describe, open_bus  # noqa: PLC0415
+    from gateway.ports.can_bus import BusLost  # noqa: PLC0415
+    from gateway.ports.open_bus import describe, open_bus  # noqa: PLC0415
 
     try:
         bus = open_bus(settings)

@@ -20,7 +20,8 @@ import msgspec
 import zenoh
 
 from gateway.chassis.layout import load
-from gateway.ports.can_bus import BusLost, open_bus
+from gateway.ports.can_bus import BusLost
+from gateway.ports.open_bus import open_bus
 from gateway.ports.zenoh_client import close_session, open_session
 from schemas.messages import Variant
 from schemas.settings import CanSettings, ZenohSettings

@@ -10,7 +10,8 @@ import pytest
 
 from gateway.command.actuation import Actuation
 from gateway.command.frames import FrameMaker
-from gateway.ports.can_bus import CanBus, open_bus
+from gateway.ports.can_bus import CanBus
+from gateway.ports.open_bus import open_bus
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.settings import CanSettings
 from tests.gateway.cli.running import Running, chassis, run

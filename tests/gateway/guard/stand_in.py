@@ -18,8 +18,8 @@ from types import FrameType
 from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.auxiliary import AuxiliaryFrame
 from gateway.command.frames import FrameMaker
-from gateway.ports.can_bus import open_bus
 from gateway.ports.guard_process import GuardProcess, start_guard
+from gateway.ports.open_bus import open_bus
 from gateway.ports.reconnecting_bus import ReconnectingBus
 from schemas.messages import GearPosition, Variant
 from schemas.settings import TICK_NS, CanSettings, GatewaySettings, Settings

@@ -15,7 +15,8 @@ import msgspec
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
 from gateway.guard.sight import Sight
-from gateway.ports.can_bus import CanBus, open_bus
+from gateway.ports.can_bus import CanBus
+from gateway.ports.open_bus import open_bus
 from schemas.messages import Mode, Variant
 from schemas.settings import CanSettings
 from tests.gateway.cli.running import chassis

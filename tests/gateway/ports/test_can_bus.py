@@ -20,10 +20,10 @@ from gateway.ports.can_bus import (
     BusFull,
     BusLost,
     CanBus,
-    open_bus,
     to_frame,
     to_message,
 )
+from gateway.ports.open_bus import open_bus
 from gateway.ports.reconnecting_bus import ReconnectingBus
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import CanSettings

@@ -11,7 +11,7 @@ import pytest
 import zenoh
 
 from gateway.chassis.layout import load
-from gateway.ports.can_bus import open_bus
+from gateway.ports.open_bus import open_bus
 from gateway.ports.zenoh_client import close_session, open_session
 from gateway.remote.robot import Robot
 from schemas.decisions import ArbiterState, EventKind, SafetyEvent
