@@ -16,9 +16,10 @@ from typing import Final
 
 import msgspec
 
+from gateway.chassis.controller import controller_state
 from gateway.chassis.decode import check, compile_message, unknown_frame
 from gateway.chassis.faults import FaultKind
-from gateway.chassis.frame import Frame
+from gateway.chassis.frame import ERROR, Frame
 from gateway.chassis.layout import load
 from gateway.chassis.variant import WHEEL_SPEED, VariantDetector
 from gateway.command.flow import CommandFlow, PendingReply
@@ -33,8 +34,8 @@ from gateway.telemetry.state import LatestMessages, robot_state
 from schemas.codec import encode
 from schemas.dbc_files import DBC_FILES
 from schemas.decisions import ArbiterState, SafetyEvent
-from schemas.messages import SEQUENCE_MAX, Message, Variant
-from schemas.settings import BATCH_PERIOD_NS, HEALTH_PERIOD_NS, STATE_PERIOD_NS, Settings
+from schemas.messages import SEQUENCE_MAX, ControllerState, Message, Variant
+from schemas.settings import BATCH_MAX_FRAMES, BATCH_PERIOD_NS, HEALTH_PERIOD_NS, STATE_PERIOD_NS, Settings
 from schemas.subjects import SUBJECTS
 
 CONFIGURED_VARIANT: Final = {"auto": Variant.UNKNOWN, "coarse": Variant.COARSE, "fine": Variant.FINE}
@@ -68,8 +69,9 @@ class Core:
             run: a random number that tells this run from every other.
         """
         self._health = HealthMeter(gateway_version, settings.can.bus, now_ns)
-        self._received = FrameBatch(settings.can.bus)
-        self._sent = FrameBatch(settings.can.bus)
+        kept = BATCH_MAX_FRAMES if settings.can.raw_frames else 0
+        self._received = FrameBatch(settings.can.bus, kept)
+        self._sent = FrameBatch(settings.can.bus, kept)
         self._detector = VariantDetector(CONFIGURED_VARIANT[settings.chassis.variant])
         self._links = Links()
         self._told = _told(self._links)
@@ -142,6 +144,7 @@ class Core:
         if links.bus_losses != before.bus_losses:
             # A bus that returns may have another chassis on it.
             self._detector.reset()
+            self._health.controller = ControllerState.UNKNOWN
             self._apply_variant()
         told = _told(links)
         if self._journal is not None and told != self._told:
@@ -207,7 +210,8 @@ class Core:
     def _command(self, command: CommandFlow, due: Due, now_ns: int, wall_ns: int, late_ns: int) -> None:
         if self._journal is not None:
             self._journal.add((Kind.TICK, now_ns, wall_ns, late_ns))
-        observed = self._observer.observe(self._links, self.variant, self._commander_ns, now_ns)
+        links, controller = self._links, self._health.controller
+        observed = self._observer.observe(links, controller, self.variant, self._commander_ns, now_ns)
         requests, self._requests = self._requests, []
         commanded = command.tick(observed, requests, now_ns, wall_ns, late_ns)
         due.frames = self._offered = commanded.frames
@@ -231,6 +235,8 @@ class Core:
             if check(frame) is None and not self._links.guard_sends:
                 self._commander_ns = now_ns
             return
+        if frame.can_id & ERROR:
+            self._health.controller = controller_state(frame) or self._health.controller
         fault = unknown_frame(frame, self._known)
         self._health.faults[fault.kind] += 1
         if fault.kind is FaultKind.UNKNOWN_IDENTIFIER:

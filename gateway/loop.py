@@ -45,6 +45,11 @@ class FrameSource(Protocol):
     detail: str
     losses: int
 
+    @property
+    def drops(self) -> int:
+        """Frames that were dropped before they were read, since the start."""
+        ...
+
     def receive(self, timeout_s: float) -> Frame | None:
         """The next frame, or None if there was none in time."""
         ...
@@ -267,6 +272,7 @@ def _observe(around: Surroundings, before: Links, peers: int, *, is_behind: bool
         bus_up=bus.is_up,
         bus_detail=bus.detail,
         bus_losses=bus.losses,
+        bus_drops=bus.drops,
         zenoh_peers=peers,
         publish_failures=sink.failures,
         cpu_ns=time.process_time_ns(),

@@ -10,7 +10,18 @@ from gateway.chassis.variant import WHEEL_SPEED, VariantDetector
 from gateway.command.observed import Observed
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import Links
-from schemas.messages import Body, Drive, Feedback, Gear, GearPosition, Mode, Steering, Variant, WheelSpeed
+from schemas.messages import (
+    Body,
+    ControllerState,
+    Drive,
+    Feedback,
+    Gear,
+    GearPosition,
+    Mode,
+    Steering,
+    Variant,
+    WheelSpeed,
+)
 from schemas.settings import TURNING_RAW_MIN
 
 BODY: Final = "Auto_MileageAndBodyFeedback"
@@ -31,11 +42,19 @@ class Observer:
         }
         self._valid_ns = dict.fromkeys(self._patience_ns, 0)
 
-    def observe(self, links: Links, variant: Variant, commander_ns: int | None, now_ns: int) -> Observed:
+    def observe(
+        self,
+        links: Links,
+        controller: ControllerState,
+        variant: Variant,
+        commander_ns: int | None,
+        now_ns: int,
+    ) -> Observed:
         """The chassis now.
 
         Args:
             links: the bus and the guard.
+            controller: the CAN controller's error state.
             variant: the firmware variant in force.
             commander_ns: when another computer's command frame was last heard.
             now_ns: monotonic.
@@ -46,6 +65,7 @@ class Observer:
         return Observed(
             bus_up=links.bus_up,
             bus_losses=links.bus_losses,
+            controller=controller,
             missing=tuple(self._missing(wheels, body, now_ns)),
             faulty=tuple(self._faulty(now_ns)),
             absurd=tuple(

@@ -107,6 +107,16 @@ class Variant(Enum):
     FINE = "fine"
 
 
+class ControllerState(Enum):
+    """A CAN controller's error state (ISO 11898-1), as its error frames tell it; ``unknown``: there were none."""
+
+    UNKNOWN = "unknown"
+    ACTIVE = "active"
+    WARNING = "warning"
+    PASSIVE = "passive"
+    BUS_OFF = "bus_off"
+
+
 class Message(msgspec.Struct, frozen=True, gc=False):
     """What every message begins with.
 
@@ -301,6 +311,9 @@ class GatewayHealth(Message, frozen=True):
         faults: number of faults since the start, by kind.
         unknown_identifiers: frames of identifiers that are not in the DBC, by hexadecimal identifier.
         bus_losses: how often the bus was lost since the start.
+        bus_drops: frames that the kernel dropped since the start, because they were not read in time. It tells
+            that of SocketCAN interfaces alone.
+        controller: the CAN controller, as the last error frame said.
         zenoh_peers: Zenoh nodes connected directly to this one.
         publish_failures: samples that Zenoh did not take.
         inbox_drops: requests that were dropped unread since the start, because too many came.
@@ -318,6 +331,8 @@ class GatewayHealth(Message, frozen=True):
     bus_up: bool
     bus_detail: str
     bus_losses: Count
+    bus_drops: Count
+    controller: ControllerState
     zenoh_peers: Count
     publish_failures: Count
     inbox_drops: Count

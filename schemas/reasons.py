@@ -47,6 +47,8 @@ class Reason(Enum):
 
     # The chassis.
     BUS_DOWN = "bus_down"
+    BUS_OFF = "bus_off"
+    BUS_ERRORS = "bus_errors"
     FEEDBACK_MISSING = "feedback_missing"
     FEEDBACK_FAULTY = "feedback_faulty"
     FEEDBACK_LATE = "feedback_late"
@@ -123,6 +125,13 @@ TEXTS: Final[dict[Reason, Text]] = {
     Reason.NOT_CONFIRMED: Text("the chassis did not confirm it in time", "look at the chassis and its feedback"),
     Reason.DISENGAGED: Text("the holder of the lease disengaged", "engage again"),
     Reason.BUS_DOWN: Text("the CAN bus is not there", "look at gateway/health for why"),
+    Reason.BUS_OFF: Text(
+        "the CAN controller has left the bus after too many errors",
+        "look at cables, termination and bit rate; with restart-ms the interface comes back by itself",
+    ),
+    Reason.BUS_ERRORS: Text(
+        "the error state of the CAN controller has changed", "look at cables, termination and bit rate"
+    ),
     Reason.FEEDBACK_MISSING: Text("feedback of the chassis is missing", "look at gateway/health for which frames"),
     Reason.FEEDBACK_FAULTY: Text(
         "feedback of the chassis fails its checksum or counter", "look at gateway/health for which frames"

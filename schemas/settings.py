@@ -245,6 +245,13 @@ class CanSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     bus: Annotated[
         str, Meta(pattern=f"^{keys.BUS_PATTERN}$", description="the bus's name in keys: can/{bus}/rx")
     ] = "can0"
+    raw_frames: Annotated[
+        bool,
+        Meta(
+            description="receive all frames of the bus, and publish them and those sent as they are; else only "
+            "the chassis's own are asked for, and none is published raw"
+        ),
+    ] = True
     options: Annotated[
         dict[str, str | int | float | bool], Meta(description="further arguments of the python-can interface")
     ] = {}

@@ -102,6 +102,11 @@ class ChassisLayout(msgspec.Struct, frozen=True):
         return tuple(message for message in self.messages.values() if message.is_feedback)
 
     @property
+    def identifiers(self) -> frozenset[int]:
+        """Of all frames, with their flags; both variants have the same."""
+        return frozenset(message.can_id for message in self.messages.values())
+
+    @property
     def commands(self) -> tuple[MessageLayout, ...]:
         """The frames that the chassis obeys."""
         return tuple(message for message in self.messages.values() if not message.is_feedback)

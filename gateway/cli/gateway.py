@@ -12,13 +12,14 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from importlib.metadata import version
 
+from gateway.chassis.layout import load
 from gateway.core import Core
 from gateway.guard.run import stop_alone
 from gateway.guard.sight import Sight
 from gateway.guard.stopper import Stopper
 from gateway.loop import Surroundings
 from gateway.loop import run as run_loop
-from gateway.ports.can_bus import BusLost, CanBus
+from gateway.ports.can_bus import Bus, BusLost
 from gateway.ports.guard_process import GuardLink, start_guard
 from gateway.ports.log_queue import logging_aside
 from gateway.ports.open_bus import describe, open_bus
@@ -94,7 +95,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             closing.callback(inbox.close)
             node.disregard(inbox.node)
         # The bus comes last: frames that wait while the rest starts would come in one burst, too late.
-        bus = ReconnectingBus(lambda: open_bus(settings.can), _first_bus(settings))
+        bus = ReconnectingBus(lambda: _open_bus(settings), _first_bus(settings))
         closing.callback(bus.close)
         mode = "listen-only" if inbox is None else "commands through the arbiter"
         sys.stderr.write(f"gateway: {settings.robot.name} {where}, bus {describe(settings.can)}, {mode}\n")
@@ -136,9 +137,13 @@ def _unguarded(settings: Settings, why: str) -> str:
     return f"no guard watches this gateway: {why}; {consequence}"
 
 
-def _first_bus(settings: Settings) -> CanBus | None:
+def _open_bus(settings: Settings) -> Bus:
+    return open_bus(settings.can, () if settings.can.raw_frames else load(Variant.COARSE).identifiers)
+
+
+def _first_bus(settings: Settings) -> Bus | None:
     try:
-        return open_bus(settings.can)
+        return _open_bus(settings)
     except BusLost as error:
         if settings.gateway.wait_for_bus:
             return None

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Final
 
 from gateway.chassis.frame import Frame
+from gateway.chassis.layout import load
 from gateway.chassis.variant import VariantDetector
 from gateway.core import CONFIGURED_VARIANT
 from gateway.guard.sight import Sight
@@ -60,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Halt the robot."""
     try:
-        bus = open_bus(settings.can)
+        bus = open_bus(settings.can, load(Variant.COARSE).identifiers)
     except BusLost as error:
         raise CommandError(str(error), ExitCode.UNREACHABLE) from error
     try:

@@ -18,6 +18,7 @@ from gateway.command.freshness import TickLog
 from gateway.command.lease import LeaseDesk
 from gateway.command.limits import Limits
 from gateway.command.motion import Motion, Surroundings, Target
+from gateway.command.notices import Notices
 from gateway.command.observed import Observed
 from gateway.command.outcome import Event, Outcome
 from gateway.command.request import Answer, Judged, RawRequest, Ruling
@@ -29,8 +30,6 @@ from schemas.messages import Mode, Variant
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import (
     ENGAGE_TIMEOUT_NS,
-    LATE_NS,
-    LATE_TOLD_NS,
     LEFT_BLIND_NS,
     LOOP_LATE_STOP_NS,
     TICK_NS,
@@ -101,9 +100,9 @@ class Arbiter:
         self._was_left = False
         self._bus_losses = self._guard_stops = 0
         self._left_ns = self._late_ns = 0
-        self._late_told_ns = -LATE_TOLD_NS
         self._before: tuple[Motion, StopSequence | None, Actuation | None] = (self.motion, None, None)
         self._waiting: dict[str, int] = {}
+        self._notices = Notices()
         self._answers: list[Answer] = []
         self._events: list[Event] = []
 
@@ -276,10 +275,8 @@ class Arbiter:
         return Reason.NONE
 
     def _look_for_causes(self, now_ns: int, late_ns: int) -> None:
-        if late_ns > LATE_NS and now_ns - self._late_told_ns >= LATE_TOLD_NS:
-            self._late_told_ns = now_ns
-            text = f"the loop was {late_ns / 1e6:.0f} ms late"
-            self.tell(Severity.WARNING, EventKind.FAULT, Reason.LOOP_LATE, text)
+        for notice in self._notices.look(self.watch.observed, now_ns, late_ns):
+            self.tell(notice.severity, EventKind.FAULT, notice.reason, notice.text)
         for bumper in self.watch.hits:
             self.latch(bumper, "", now_ns)
         if self.state is ArbiterState.STANDBY:

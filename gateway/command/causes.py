@@ -8,7 +8,7 @@ import msgspec
 
 from gateway.command.observed import Observed
 from gateway.command.plausibility import Plausibility
-from schemas.messages import Mode, Variant
+from schemas.messages import ControllerState, Mode, Variant
 from schemas.reasons import Reason
 from schemas.settings import (
     COMMANDER_NS,
@@ -41,6 +41,7 @@ STOPS: Final[dict[Reason, Stop]] = {
     Reason.IMPLAUSIBLE_SPEED: Stop(at_once=True, latched=True, ramps=False),
     Reason.GATE: Stop(at_once=True, latched=True),
     Reason.GUARD: Stop(at_once=True, latched=True),
+    Reason.BUS_OFF: Stop(at_once=True),
     Reason.FEEDBACK_MISSING: Stop(at_once=True),
     Reason.FEEDBACK_FAULTY: Stop(at_once=True),
     Reason.FEEDBACK_LATE: Stop(at_once=True),
@@ -114,6 +115,7 @@ class Watch:
         """What speaks against commanding the chassis, but for its mode."""
         observed = self.observed
         faults = {
+            Reason.BUS_OFF: observed.controller is ControllerState.BUS_OFF,
             Reason.FEEDBACK_MISSING: bool(observed.missing),
             Reason.FEEDBACK_FAULTY: bool(observed.faulty or observed.absurd),
             Reason.FEEDBACK_LATE: observed.is_behind,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from schemas.messages import GearPosition, Mode, Variant
+from schemas.messages import ControllerState, GearPosition, Mode, Variant
 from schemas.settings import STANDSTILL_MPS
 
 
@@ -14,6 +14,7 @@ class Observed(msgspec.Struct, frozen=True):
     Attributes:
         bus_up: the bus is open.
         bus_losses: how often it was lost since the start.
+        controller: the CAN controller's error state, if that is known.
         missing: feedback frames that were never seen, are silent, or say that they are not valid.
         faulty: feedback frames whose checksums or alive counters have failed.
         absurd: feedback frames whose values this chassis cannot have, again and again.
@@ -32,6 +33,7 @@ class Observed(msgspec.Struct, frozen=True):
 
     bus_up: bool = False
     bus_losses: int = 0
+    controller: ControllerState = ControllerState.UNKNOWN
     missing: tuple[str, ...] = ()
     faulty: tuple[str, ...] = ()
     absurd: tuple[str, ...] = ()

@@ -16,14 +16,16 @@ from typing import Final
 
 import msgspec
 
+from gateway.chassis.layout import load
 from gateway.guard.guardian import Guardian
 from gateway.guard.run import run
-from gateway.ports.can_bus import BusLost, CanBus
+from gateway.ports.can_bus import Bus, BusLost
 from gateway.ports.heartbeat import Heartbeat
 from gateway.ports.open_bus import open_bus
 from gateway.ports.realtime import request_realtime
 from gateway.ports.reconnecting_bus import ReconnectingBus
 from schemas.exit_codes import CommandError
+from schemas.messages import Variant
 from schemas.settings import Settings
 
 _STDERR: Final = 2
@@ -79,7 +81,7 @@ def main() -> None:
     _spare_from_memory_killer()
     if settings.gateway.realtime_priority:
         request_realtime(min(settings.gateway.realtime_priority + 1, _PRIORITY_MAX))
-    bus = ReconnectingBus(lambda: open_bus(settings.can), _first_bus(settings))
+    bus = ReconnectingBus(lambda: _open_bus(settings), _first_bus(settings))
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -90,9 +92,13 @@ def main() -> None:
         memory.close()
 
 
-def _first_bus(settings: Settings) -> CanBus | None:
+def _open_bus(settings: Settings) -> Bus:
+    return open_bus(settings.can, load(Variant.COARSE).identifiers)
+
+
+def _first_bus(settings: Settings) -> Bus | None:
     try:
-        return open_bus(settings.can)
+        return _open_bus(settings)
     except (BusLost, CommandError):
         return None
 

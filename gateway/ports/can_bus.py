@@ -53,7 +53,13 @@ class BusFull(Exception):  # noqa: N818 - it is named for what happened; the fra
 
 
 class Bus(Protocol):
-    """What the loops need of a bus."""
+    """What the loops need of a bus.
+
+    Attributes:
+        drops: frames that came and were dropped before they were read, since it was opened, if that is known.
+    """
+
+    drops: int
 
     def receive(self, timeout_s: float) -> Frame | None:
         """The next frame, or None if there was none in time. Raises BusLost."""
@@ -69,9 +75,10 @@ class Bus(Protocol):
 
 
 class CanBus:
-    """A bus that python-can has opened."""
+    """A bus that python-can has opened; it does not say what it drops."""
 
     def __init__(self, bus: can.BusABC) -> None:
+        self.drops = 0
         self._bus = bus
         self._socket = _stream_socket(bus)
         if self._socket is not None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import logging
 import socket
+from collections.abc import Collection
 from typing import Any, Final
 
 import can
 
-from gateway.ports.can_bus import BusLost, CanBus, first_line
+from gateway.ports.can_bus import Bus, BusLost, CanBus, first_line
+from gateway.ports.socketcan import SocketCanBus, check_up
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import CanSettings
 
@@ -16,8 +18,15 @@ CONNECT_TIMEOUT_S: Final = 1.0
 HANDSHAKE_TIMEOUT_S: Final = 5.0
 
 
-def open_bus(settings: CanSettings) -> CanBus:
+SOCKETCAN: Final = "socketcan"
+
+
+def open_bus(settings: CanSettings, identifiers: Collection[int] = ()) -> Bus:
     """Open the bus of the settings.
+
+    Args:
+        settings: where it is.
+        identifiers: with their flags; where the kernel can choose, it hands over no others. If none, all.
 
     Raises:
         CommandError: the settings name an interface that python-can does not have.
@@ -26,6 +35,8 @@ def open_bus(settings: CanSettings) -> CanBus:
     # Its messages hold tracebacks; what matters of them is in the BusLost that we raise.
     logging.getLogger("can").setLevel(logging.CRITICAL)
     arguments = _bus_arguments(settings)
+    if settings.interface == SOCKETCAN:
+        check_up(settings.channel)
     if "host" in arguments:
         _probe(arguments["host"], arguments["port"])
     try:
@@ -43,7 +54,7 @@ def open_bus(settings: CanSettings) -> CanBus:
                 ExitCode.USAGE,
             ) from error
         raise BusLost(f"{describe(settings)}: {error}") from error
-    return CanBus(bus)
+    return SocketCanBus(bus, identifiers) if settings.interface == SOCKETCAN else CanBus(bus)
 
 
 def describe(settings: CanSettings) -> str:

@@ -50,8 +50,14 @@ class ReconnectingBus:
         self.is_up = bus is not None
         self.detail = "" if bus is not None else "not opened yet"
         self.losses = 0
+        self._drops_before = 0
         if bus is None:
             self._start_opening(lost=None)
+
+    @property
+    def drops(self) -> int:
+        """Frames that were dropped before they were read, since the start."""
+        return self._drops_before + (self._bus.drops if self._bus is not None else 0)
 
     def receive(self, timeout_s: float) -> Frame | None:
         """The next frame, or None if there was none in time or the bus is away."""
@@ -95,6 +101,7 @@ class ReconnectingBus:
             self._bus.close()
 
     def _lose(self, bus: Bus, why: str) -> None:
+        self._drops_before = self.drops
         self._bus = None
         self.is_up = False
         self.detail = why

@@ -10,7 +10,7 @@ import msgspec
 from gateway.chassis.faults import FaultKind
 from gateway.chassis.frame import hex_identifier
 from gateway.telemetry.feedback import FeedbackStream
-from schemas.messages import SEQUENCE_MAX, GatewayHealth, Variant
+from schemas.messages import SEQUENCE_MAX, ControllerState, GatewayHealth, Variant
 
 UNKNOWN_IDENTIFIERS_MAX: Final = 64
 """Identifiers that are counted by name; a bus full of strangers must not fill the memory."""
@@ -22,7 +22,7 @@ class Links(msgspec.Struct, frozen=True):
     """What the loop sees of the outside and tells the core.
 
     Attributes:
-        bus_up, bus_detail, bus_losses: the CAN bus, as in GatewayHealth.
+        bus_up, bus_detail, bus_losses, bus_drops: the CAN bus, as in GatewayHealth.
         zenoh_peers: Zenoh nodes connected directly.
         publish_failures: samples that Zenoh did not take, since the start.
         cpu_ns: processor time of the process since its start.
@@ -36,6 +36,7 @@ class Links(msgspec.Struct, frozen=True):
     bus_up: bool = False
     bus_detail: str = ""
     bus_losses: int = 0
+    bus_drops: int = 0
     zenoh_peers: int = 0
     publish_failures: int = 0
     cpu_ns: int = 0
@@ -51,10 +52,12 @@ class HealthMeter:
 
     Attributes:
         faults: faults since the start, by kind.
+        controller: what the interface's error frames say of it.
     """
 
     def __init__(self, gateway_version: str, bus: str, started_ns: int) -> None:
         self.faults: Counter[FaultKind] = Counter()
+        self.controller = ControllerState.UNKNOWN
         self._gateway_version = gateway_version
         self._bus = bus
         self._started_ns = started_ns
@@ -93,6 +96,8 @@ class HealthMeter:
             bus_up=links.bus_up,
             bus_detail=links.bus_detail,
             bus_losses=links.bus_losses,
+            bus_drops=links.bus_drops,
+            controller=self.controller,
             zenoh_peers=links.zenoh_peers,
             publish_failures=links.publish_failures,
             inbox_drops=links.inbox_drops,

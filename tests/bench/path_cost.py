@@ -117,6 +117,7 @@ class BurstyBus:
     is_up = True
     detail = ""
     losses = 0
+    drops = 0
 
     def __init__(self, frames: list[tuple[int, Frame]]) -> None:
         self._frames = deque(frames)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from gateway import core as core_module
 from gateway.chassis.encode import Encoder
-from gateway.chassis.frame import EXTENDED, Frame
+from gateway.chassis.frame import ERROR, EXTENDED, Frame
 from gateway.chassis.layout import load
 from gateway.command.request import RawRequest
 from gateway.core import SCALED_BY_VARIANT, Core
@@ -19,6 +19,7 @@ from schemas import codec
 from schemas.decisions import Decision, Verdict
 from schemas.messages import (
     CanFrames,
+    ControllerState,
     Drive,
     GatewayHealth,
     Gear,
@@ -30,7 +31,7 @@ from schemas.messages import (
     Steering,
     Variant,
 )
-from schemas.settings import REST_TIMEOUT_NS, ChassisSettings, GatewaySettings, Settings
+from schemas.settings import REST_TIMEOUT_NS, CanSettings, ChassisSettings, GatewaySettings, Settings
 from schemas.subjects import BY_NAME
 from tests.gateway.chassis.strategies import VARIANTS, frames
 from tests.gateway.frames import MS, STANDING, WALL_NS, Feedback
@@ -611,6 +612,37 @@ def test_what_was_sent_is_published_and_what_was_not_is_not() -> None:
     assert len(published) > 200
     assert published == bench.taken[: len(published)]
     assert len(bench.taken) - len(published) <= 25, "the rest is in the batch to come"
+
+
+def test_raw_frames_may_be_left_out() -> None:
+    """With can.raw_frames off they are counted and journalled, and not published as they are."""
+    settings = Settings(can=CanSettings(raw_frames=False), chassis=ChassisSettings(variant="coarse"))
+    made = Core(settings, "1.2.3", 0)
+    made.observe_links(UP, 0)
+    confirm(made, Feedback(Variant.COARSE))
+    published = ticks(made, 1000)
+    assert not [subject for subject in published if subject.startswith("can/")]
+    assert published["journal"]
+    (health,) = published["gateway/health"]
+    assert isinstance(health, GatewayHealth)
+    assert health.frames == 5
+
+
+def test_error_frames_tell_the_state_of_the_controller_until_the_bus_is_lost() -> None:
+    """What is dropped before it is read is told as well."""
+    made = core()
+    states = []
+    for number, kinds in enumerate((0x00, 0x40, 0x08, 0x100)):
+        made.receive_frame(Frame(ERROR | kinds, bytes(8)), 0)
+        made.observe_links(Links(bus_up=True, bus_drops=number), 0)
+        (health,) = ticks(made, 1000 * number + 1000, 1000 * number + 10)["gateway/health"]
+        assert isinstance(health, GatewayHealth)
+        states.append((health.controller.value, health.bus_drops))
+    assert states == [("unknown", 0), ("bus_off", 1), ("bus_off", 2), ("active", 3)]
+    made.observe_links(Links(bus_up=True, bus_losses=1), 0)
+    (health,) = ticks(made, 5000, 4010)["gateway/health"]
+    assert isinstance(health, GatewayHealth)
+    assert health.controller is ControllerState.UNKNOWN
 
 
 def test_a_standing_gateway_publishes_no_batch_of_sent_frames() -> None:

@@ -33,6 +33,7 @@ class FakeBus:
         self.is_up = True
         self.detail = ""
         self.losses = 0
+        self.drops = 0
         self.sent: list[Frame] = []
 
     def receive(self, timeout_s: float) -> Frame | None:

@@ -16,7 +16,7 @@ from gateway.core import Core
 from gateway.observation import BODY, DRIVE, Observer
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import Links
-from schemas.messages import GearPosition, Mode, Variant
+from schemas.messages import ControllerState, GearPosition, Mode, Variant
 from schemas.settings import CHECKSUM_FAULTS, VARIANT_EVIDENCE_FRAMES, ChassisSettings, Settings
 from tests.gateway.frames import MS, STANDING, Feedback
 
@@ -39,6 +39,7 @@ class Eye:
         self.observer = Observer(self.streams.values(), self.detector)
         self.feedback = Feedback(variant)
         self.links = UP
+        self.controller = ControllerState.ACTIVE
         self.variant = variant
         self.commander_ns: int | None = None
 
@@ -56,12 +57,13 @@ class Eye:
         """A tick."""
         for stream in self.streams.values():
             stream.tick(at_ms * MS)
-        return self.observer.observe(self.links, self.variant, self.commander_ns, at_ms * MS)
+        return self.observer.observe(self.links, self.controller, self.variant, self.commander_ns, at_ms * MS)
 
 
 STANDS = Observed(
     bus_up=True,
     bus_losses=2,
+    controller=ControllerState.ACTIVE,
     variant=Variant.COARSE,
     mode=Mode.STOP,
     gear=GearPosition.PARK,

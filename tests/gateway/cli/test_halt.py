@@ -10,7 +10,7 @@ import pytest
 
 from gateway.command.actuation import Actuation
 from gateway.command.frames import FrameMaker
-from gateway.ports.can_bus import CanBus
+from gateway.ports.can_bus import Bus
 from gateway.ports.open_bus import open_bus
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.settings import CanSettings
@@ -22,7 +22,7 @@ DRIVING = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=0.8, parkin
 
 
 @contextmanager
-def bus(address: str) -> Iterator[CanBus]:
+def bus(address: str) -> Iterator[Bus]:
     """Another computer on the bus."""
     opened = open_bus(CanSettings(interface="socketcand", channel=address))
     try:
@@ -31,7 +31,7 @@ def bus(address: str) -> Iterator[CanBus]:
         opened.close()
 
 
-def command(opened: CanBus, maker: FrameMaker, actuation: Actuation = DRIVING) -> None:
+def command(opened: Bus, maker: FrameMaker, actuation: Actuation = DRIVING) -> None:
     """One burst."""
     frames = maker.make(actuation, [], Variant.COARSE)
     for frame in frames:

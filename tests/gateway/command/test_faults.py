@@ -8,7 +8,7 @@ import pytest
 
 from gateway.chassis.decode import check
 from gateway.chassis.faults import FaultKind
-from gateway.chassis.frame import FD, Frame
+from gateway.chassis.frame import ERROR, FD, Frame
 from gateway.chassis.layout import load
 from gateway.command.frames import MOTION_FRAMES
 from gateway.telemetry.health import Links
@@ -721,6 +721,20 @@ def test_the_remote_stop_is_served_from_anyone_with_any_payload(operator: str, p
     assert rig.says.latched == [Reason.REMOTE_STOP]
     first.take_lease()
     assert first.reason("engage") is Reason.REMOTE_STOP
+
+
+def test_a_controller_that_leaves_the_bus_stops_the_robot() -> None:
+    """Nobody engages while it is off; when it is back the robot stands, and is engaged anew."""
+    rig, first = driving()
+    rig.core.receive_frame(Frame(ERROR | 0x40, bytes(8)), rig.now_ns)
+    rig.until(lambda: rig.says.state is ArbiterState.STANDBY, 8)
+    assert rig.says.stop_reason is Reason.BUS_OFF
+    assert Reason.BUS_OFF in rig.event_reasons(EventKind.FAULT)
+    first.take_lease()
+    assert first.reason("engage") is Reason.BUS_OFF
+    rig.core.receive_frame(Frame(ERROR | 0x100, bytes(8)), rig.now_ns)
+    first.engage()
+    assert rig.says.engaged
 
 
 # The loop.

@@ -15,7 +15,7 @@ import msgspec
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
 from gateway.guard.sight import Sight
-from gateway.ports.can_bus import CanBus
+from gateway.ports.can_bus import Bus
 from gateway.ports.open_bus import open_bus
 from schemas.messages import Mode, Variant
 from schemas.settings import CanSettings
@@ -45,7 +45,7 @@ class Burst(msgspec.Struct):
 class Listener:
     """Hears the bus on a thread of its own."""
 
-    def __init__(self, bus: CanBus) -> None:
+    def __init__(self, bus: Bus) -> None:
         self.sight = Sight()
         self.bursts: list[Burst] = []
         self._bus = bus

@@ -241,6 +241,7 @@ class FakeBus:
 
     def __init__(self) -> None:
         self.frames: list[Frame] = []
+        self.drops = 0
         self.lost = ""
         self.room = 100
         self.lost_after = 100
@@ -476,10 +477,27 @@ class DeafServer:
                 self.end = "reset"
 
 
+def test_what_was_dropped_is_counted_from_one_bus_to_the_next() -> None:
+    """Each counts from its own opening."""
+    first, second = FakeBus(), FakeBus()
+    bus = ReconnectingBus(lambda: second, first, first_pause_s=0.001)
+    assert bus.drops == 0
+    first.drops = 3
+    assert bus.drops == 3
+    first.lost = "Network is down"
+    assert bus.receive(0.01) is None
+    assert (bus.is_up, bus.drops) == (False, 3)
+    wait_until(lambda: (bus.receive(0.001), bus.is_up)[1])
+    second.drops = 4
+    assert bus.drops == 7
+    bus.close()
+
+
 def test_a_server_that_reads_nothing_neither_holds_the_loop_nor_gets_stale_commands() -> None:
     """Whoever sends waits no longer than the timeout; the bus is lost, and what still waited is thrown away."""
     deaf = DeafServer()
     opened = open_bus(CanSettings(interface="socketcand", channel=deaf.channel))
+    assert isinstance(opened, CanBus)
     stream = opened._socket
     assert stream is not None
     # The kernel holds whoever sends for so long, in whole ticks of its own, and no longer.

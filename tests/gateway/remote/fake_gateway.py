@@ -11,6 +11,7 @@ from gateway.ports.zenoh_client import close_session, open_session
 from schemas import codec, keys
 from schemas.messages import (
     BrakingStatus,
+    ControllerState,
     FrameHealth,
     GatewayHealth,
     GearPosition,
@@ -59,6 +60,8 @@ HEALTH = GatewayHealth(
     bus_up=True,
     bus_detail="",
     bus_losses=0,
+    bus_drops=0,
+    controller=ControllerState.UNKNOWN,
     zenoh_peers=1,
     publish_failures=0,
     inbox_drops=0,

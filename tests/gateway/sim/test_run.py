@@ -164,6 +164,7 @@ class FakeBus:
 
     def __init__(self, *frames: Frame) -> None:
         self.frames = list(frames)
+        self.drops = 0
         self.timeouts_s: list[float] = []
         self.sent: list[Frame] = []
         self.lost = False

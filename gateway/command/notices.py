@@ -1,0 +1,48 @@
+"""What a person should know although it stops nothing: a late loop, a CAN controller in trouble."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from gateway.command.observed import Observed
+from schemas.decisions import Severity
+from schemas.messages import ControllerState
+from schemas.reasons import Reason
+from schemas.settings import LATE_NS, LATE_TOLD_NS
+
+
+class Notice(NamedTuple):
+    """How grave it is, what it is, and that in words."""
+
+    severity: Severity
+    reason: Reason
+    text: str
+
+
+_GRAVITY = {
+    ControllerState.WARNING: Severity.WARNING,
+    ControllerState.PASSIVE: Severity.WARNING,
+    ControllerState.BUS_OFF: Severity.ERROR,
+}
+
+
+class Notices:
+    """Looks each tick, and tells what is new."""
+
+    def __init__(self) -> None:
+        self._late_told_ns = -LATE_TOLD_NS
+        self._controller = ControllerState.UNKNOWN
+
+    def look(self, observed: Observed, now_ns: int, late_ns: int) -> Iterator[Notice]:
+        """What is new at this tick, which began so late."""
+        if late_ns > LATE_NS and now_ns - self._late_told_ns >= LATE_TOLD_NS:
+            self._late_told_ns = now_ns
+            yield Notice(Severity.WARNING, Reason.LOOP_LATE, f"the loop was {late_ns / 1e6:.0f} ms late")
+        before, self._controller = self._controller, observed.controller
+        if self._controller is not before:
+            yield Notice(
+                _GRAVITY.get(self._controller, Severity.INFO),
+                Reason.BUS_OFF if self._controller is ControllerState.BUS_OFF else Reason.BUS_ERRORS,
+                f"the CAN controller: {before.value} before, {self._controller.value} now",
+            )
