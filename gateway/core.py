@@ -146,6 +146,9 @@ class Core:
             self._detector.reset()
             self._health.controller = ControllerState.UNKNOWN
             self._apply_variant()
+        if links.guard_sends or links.guard_stops != before.guard_stops:
+            # What was heard meanwhile may have been the guard's.
+            self._commander_ns = None
         told = _told(links)
         if self._journal is not None and told != self._told:
             self._journal.add((Kind.LINKS, now_ns, *told))

@@ -198,8 +198,9 @@ def _tick(around: Surroundings, core: Core, links: Links, now_ns: int, late_ns: 
         for request in inbox.drain(core.lease_holder):
             core.receive_request(request, now_ns)
     due = core.tick(now_ns, time.time_ns(), late_ns)
-    # Asked once more, right before: this process may have been stopped since.
-    is_ours = around.guard is None or not around.guard.is_sending
+    # Asked once more, right before: this process may have been stopped since, for longer than the guard needs.
+    guard = around.guard
+    is_ours = guard is None or not (guard.is_sending or guard.stops != links.guard_stops)
     count = around.bus.send(due.frames) if due.frames and is_ours else 0
     samples = core.sent(count, monotonic_ns(), time.time_ns())
     if around.guard is not None and core.command is not None:

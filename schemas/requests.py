@@ -91,7 +91,14 @@ class Disengage(Leased, frozen=True, forbid_unknown_fields=True):
 
 
 class Reset(Leased, frozen=True, forbid_unknown_fields=True):
-    """Clear what is latched, once its cause is gone and the robot stands."""
+    """Clear what is latched, once its cause is gone and the robot stands.
+
+    Attributes:
+        tick: the newest tick that the sender saw. With it a reset never clears what was latched after that, nor
+            comes late; without it only what was latched a moment ago is kept.
+    """
+
+    tick: Tick | None = None
 
 
 class Park(Leased, frozen=True, forbid_unknown_fields=True):

@@ -180,6 +180,12 @@ WHEELBASE_M: Final = 0.660
 GUARD_POLL_NS: Final = 5_000_000
 """The guard looks at the loop's heartbeat every 5 ms."""
 
+TOLD_LONG_AGO_NS: Final = 100_000_000
+"""What was told longer ago than this counts for no more than what is seen: others may have acted meanwhile."""
+
+MUTE_FAILURES: Final = 20
+"""In so many ticks in a row the bus did not take a stop: the guard, which has a way of its own, tries."""
+
 GUARD_LATE_NS: Final = 80_000_000
 """A heartbeat older than this, and still so 5 ms later, is late: the guard stops the robot.
 

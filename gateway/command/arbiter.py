@@ -22,7 +22,7 @@ from gateway.command.notices import Notices
 from gateway.command.observed import Observed
 from gateway.command.outcome import Event, Outcome
 from gateway.command.request import Answer, Judged, RawRequest, Ruling
-from gateway.command.seen import not_above_seen, seen_actuation, seen_angle_deg
+from gateway.command.seen import seen_actuation, seen_angle_deg
 from gateway.command.states import TRANSITIONS, Trigger
 from gateway.command.stop import StopSequence
 from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity, StopPhase
@@ -31,8 +31,8 @@ from schemas.reasons import TEXTS, Reason
 from schemas.settings import (
     ENGAGE_TIMEOUT_NS,
     LEFT_BLIND_NS,
-    LOOP_LATE_STOP_NS,
     TICK_NS,
+    TOLD_LONG_AGO_NS,
     Settings,
 )
 
@@ -62,6 +62,9 @@ class Arbiter:
         variant: the one in which the chassis is told speeds; UNKNOWN as soon as there was any doubt, until it is
             engaged again.
         actuation: what the chassis was last told; None while it is told nothing.
+        told_ns: when a whole burst was last taken by the bus.
+        left: what the chassis had been told when it was left to somebody else, unless that has been ended since.
+            It may obey that again.
     """
 
     def __init__(self, settings: Settings, run: int) -> None:
@@ -97,7 +100,8 @@ class Arbiter:
         self._sequence: StopSequence | None = None
         self._engage_until_ns = 0
         self._was_auto = False
-        self._was_left = False
+        self.told_ns = 0
+        self.left: Actuation | None = None
         self._bus_losses = self._guard_stops = 0
         self._left_ns = self._late_ns = 0
         self._before: tuple[Motion, StopSequence | None, Actuation | None] = (self.motion, None, None)
@@ -189,7 +193,7 @@ class Arbiter:
         """Keep the robot from being engaged until a reset, if the table says so."""
         if not STOPS[reason].latched:
             return
-        if reason is Reason.REMOTE_STOP:
+        if reason is Reason.REMOTE_STOP or reason in self.watch.struck:
             # Each one counts: a reset that was on its way is not meant for the newest.
             self.latched_ns = now_ns
         if reason not in self.latched:
@@ -210,13 +214,16 @@ class Arbiter:
         if self.state in COMMANDING:
             self.begin_stop(Reason.SHUTDOWN, now_ns)
 
-    def unsent(self) -> None:
-        """The bus did not take the tick's motion frames: the chassis was told nothing, and the step is undone.
+    def unsent(self, *, is_speed_told: bool = False) -> None:
+        """The bus did not take the tick's motion frames, or not all of them, and the step is undone.
 
-        Otherwise what it is told next would be several steps from what it was told last; or a stop that no one
-        heard would go on to neutral.
+        Otherwise what the chassis is told next would be several steps from what it was told last; or a stop that
+        no one heard would go on to neutral. A ramp whose speed was told goes on all the same.
         """
+        told = self.actuation
         self.motion, self._sequence, self.actuation = self._before
+        if is_speed_told and told is not None and self._sequence is not None:
+            self._sequence.not_above(told.speed_mps)
 
     def refuse_output(self, detail: str, now_ns: int) -> None:
         """The gate refused what was to be sent: a fault of our own, and the robot is stopped."""
@@ -253,7 +260,9 @@ class Arbiter:
             self.latch(reason, "", now_ns)
         self._go(Trigger.YIELD)
         # Lamps and horn stay as they are in the chassis, and are told off when it is told something again.
-        self._was_left = True
+        self.left = self.actuation if self.actuation is not None else Actuation(parking=self.parked)
+        # From here on what is seen counts, not what we told.
+        self.actuation = None
         self._left_ns = now_ns
         self.is_cut_off = reason is Reason.BUS_DOWN and not observed.bus_up
         self.stop_reason = reason
@@ -308,13 +317,14 @@ class Arbiter:
 
     def _look_for_strays(self, now_ns: int) -> None:
         """Standing by: does the chassis obey a command that nobody gives any more?"""
+        observed = self.watch.observed
         if self.watch.is_commanded_by_other(now_ns):
-            self._was_left = False
+            self.left = None
         # What is not seen right after the bus has come back may be seen in a moment.
-        is_blind = self.watch.observed.mode is Mode.UNDEFINED and now_ns - self._left_ns < LEFT_BLIND_NS
-        if not self.watch.observed.bus_up:
+        is_blind = observed.mode is Mode.UNDEFINED and now_ns - self._left_ns < LEFT_BLIND_NS
+        if not observed.bus_up:
             self._left_ns = now_ns
-        if self._was_left and self._may_be_obeying() and not is_blind:
+        if self.left is not None and self._may_be_obeying() and not is_blind:
             # It was left while it was being told something, and may obey that again: nothing resumes by itself.
             self.begin_stop(Reason.FOUND_MOVING, now_ns, "or about to move, by what it was told before")
         elif self.watch.found_moving(now_ns):
@@ -334,6 +344,9 @@ class Arbiter:
         if self.state is ArbiterState.STANDBY:
             return None
         if self._sequence is not None:
+            if max(now_ns - self.told_ns, self._late_ns) > TOLD_LONG_AGO_NS:
+                # Held up by a pause or by the bus: the robot may have been brought to rest meanwhile.
+                self._sequence.not_above(self.watch.observed.seen_mps)
             actuation = self._sequence.tick(now_ns, stands=self.watch.stands)
             if actuation is None:
                 self._rest(now_ns)
@@ -376,17 +389,17 @@ class Arbiter:
         """From here on the chassis is told something; it has this signed speed."""
         self.variant = self.watch.observed.variant
         self.watch.plausibility.forget(speed_mps)
-        self._was_auto = self._was_left = False
+        self._was_auto = False
+        self.left = None
         self._bus_losses = self.watch.observed.bus_losses
         self._guard_stops = self.watch.observed.guard_stops
 
     def _last_told(self) -> Actuation:
         """Where a stop begins: what the chassis was last told, or must have been told."""
-        observed = self.watch.observed
-        if self.actuation is None:
-            parking = self.parked if self._was_left else None
-            return seen_actuation(observed, self.configured_limits, parking=parking)
-        return not_above_seen(self.actuation, observed) if self._late_ns > LOOP_LATE_STOP_NS else self.actuation
+        if self.actuation is not None:
+            return self.actuation
+        parking = self.left.parking if self.left is not None else None
+        return seen_actuation(self.watch.observed, self.configured_limits, parking=parking)
 
     def _go(self, trigger: Trigger) -> None:
         self.state = TRANSITIONS[self.state, trigger]

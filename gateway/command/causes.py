@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Final
 
 import msgspec
@@ -73,6 +74,7 @@ class Watch:
         stands: the robot was seen to stand for long enough. False also when that cannot be seen.
         observed: the chassis at this tick.
         pressed: the bumpers that are pressed.
+        struck: those that were not, a tick before.
         plausibility: do the speeds fit.
         send_failures: ticks in a row whose frames the bus did not take.
     """
@@ -81,6 +83,7 @@ class Watch:
         self.observed = Observed()
         self.stands = False
         self.pressed: set[Reason] = set()
+        self.struck: set[Reason] = set()
         self.plausibility = Plausibility()
         self.send_failures = 0
         self._slow_ticks = 0
@@ -92,8 +95,9 @@ class Watch:
         self.observed = observed
         self._slow_ticks = self._slow_ticks + 1 if observed.is_slow else 0
         self.stands = self._slow_ticks >= STANDSTILL_TICKS
-        pressed = (observed.front_bumper, observed.rear_bumper)
+        before, pressed = self.pressed, (observed.front_bumper, observed.rear_bumper)
         self.pressed = {bumper for bumper, is_pressed in zip(BUMPERS, pressed, strict=True) if is_pressed}
+        self.struck = self.pressed - before
         # A hit that was reset counts as a new one once the bumper has been clear.
         self._acknowledged &= self.pressed
 
@@ -102,9 +106,9 @@ class Watch:
         """The bumpers that are pressed and that nobody has acknowledged by a reset."""
         return [bumper for bumper in BUMPERS if bumper in self.pressed - self._acknowledged]
 
-    def acknowledge(self) -> None:
-        """A reset: from now on a pressed bumper forbids its direction and nothing more."""
-        self._acknowledged |= self.pressed
+    def acknowledge(self, latched: Iterable[Reason]) -> None:
+        """A reset of these: from now on such a bumper, while pressed, forbids its direction and nothing more."""
+        self._acknowledged |= self.pressed.intersection(latched)
 
     def is_commanded_by_other(self, now_ns: int) -> bool:
         """Another computer's command frames are on the bus."""

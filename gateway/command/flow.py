@@ -20,7 +20,7 @@ from gateway.command.report import Reporter, reply
 from gateway.command.request import RawRequest
 from schemas.decisions import ArbiterState
 from schemas.messages import Message
-from schemas.settings import Settings
+from schemas.settings import MUTE_FAILURES, Settings
 
 
 class PendingReply(msgspec.Struct, frozen=True):
@@ -81,8 +81,12 @@ class CommandFlow:
         watch = self.arbiter.watch
         watch.send_failures = watch.send_failures + 1 if len(sent) < len(offered) else 0
         bounds = self.arbiter.motion.bounds if self.arbiter.state is ArbiterState.ENGAGED else []
-        if len(sent) < min(len(offered), len(MOTION_FRAMES)):
-            self.arbiter.unsent()
+        if len(sent) >= len(MOTION_FRAMES):
+            self.arbiter.told_ns = now_ns
+        elif offered:
+            self.arbiter.unsent(is_speed_told=bool(sent))
+        if watch.send_failures >= MUTE_FAILURES and self.arbiter.state is ArbiterState.STOPPING:
+            self.is_mute = True
         return [self._reporter.decision(judged, bounds, len(sent), wall_ns) for judged in outcome.judged]
 
     def _frames(self, outcome: Outcome, now_ns: int) -> list[Frame]:

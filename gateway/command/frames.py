@@ -16,13 +16,13 @@ from gateway.command.auxiliary import AuxiliaryFrame
 from schemas.messages import Variant
 
 MOTION_FRAMES: Final = (
+    "Auto_DriveCmd",
     "Auto_GearCmd",
     "Auto_SteeringCmd",
-    "Auto_DriveCmd",
     "Auto_BrakingCmd",
     "Auto_ParkingCmd",
 )
-"""The five of a burst, in their order."""
+"""The five of a burst, in their order: where a bus takes but a part of it, the speed is heard first."""
 
 COUNTER_MODULO: Final = 16
 FULL_PERCENT: Final = 99.609375

@@ -24,7 +24,7 @@ _ODOMETER: Final = 0x18C4D6D0 | EXTENDED
 _LIGHT: Final = 0x18C4D7D0 | EXTENDED
 _SPEAKER: Final = 0x18C4D8D0 | EXTENDED
 
-MOTION: Final = (_GEAR, _STEERING, _DRIVE, _BRAKING, _PARKING)
+MOTION: Final = (_DRIVE, _GEAR, _STEERING, _BRAKING, _PARKING)
 """The five of a burst, in their order."""
 
 _ALIVE_BITS: Final = 0xF << 52
@@ -153,7 +153,7 @@ class Gate:
 
 
 def _read(frames: list[Frame]) -> _Motion:
-    gear, steering, drive, braking, parking = (int.from_bytes(frame.data, "little") for frame in frames[:5])
+    drive, gear, steering, braking, parking = (int.from_bytes(frame.data, "little") for frame in frames[:5])
     return _Motion(
         enables=tuple(word & 1 for word in (gear, steering, drive, braking, parking)),
         gear=gear >> 8 & 0x7,

@@ -67,5 +67,6 @@ class Observed(msgspec.Struct, frozen=True):
 
     @property
     def seen_mps(self) -> float:
-        """How fast the robot is seen to be, a magnitude; zero if that is not known."""
-        return max(self.speed_mps or 0.0, self.fastest_wheel_mps or 0.0)
+        """How fast the robot is seen to be at least, a magnitude: no single faulty sensor sets it going."""
+        known = [speed for speed in (self.speed_mps, self.fastest_wheel_mps) if speed is not None]
+        return min(known, default=0.0)

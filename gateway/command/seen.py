@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import msgspec
-
 from gateway.command.actuation import Actuation
 from gateway.command.limits import Limits
 from gateway.command.observed import Observed
@@ -30,15 +28,7 @@ def seen_actuation(observed: Observed, limits: Limits, *, parking: bool | None) 
     return Actuation(
         enabled=True,
         gear=observed.gear if rolls else GearPosition.NEUTRAL,
-        speed_mps=min(observed.speed_mps or 0.0, limits.speed_mps) if rolls else 0.0,
+        speed_mps=min(observed.seen_mps, limits.speed_mps) if rolls else 0.0,
         angle_deg=seen_angle_deg(observed, limits),
         parking=parking if parking is not None else observed.gear in {GearPosition.PARK, GearPosition.UNDEFINED},
     )
-
-
-def not_above_seen(told: Actuation, observed: Observed) -> Actuation:
-    """What the chassis was told before a pause, at no more than the speed that is seen now.
-
-    A ramp from what was told long ago would set a robot going that has been brought to rest meanwhile.
-    """
-    return msgspec.structs.replace(told, speed_mps=min(told.speed_mps, observed.seen_mps))

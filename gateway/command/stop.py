@@ -65,6 +65,10 @@ class StopSequence:
         """A graver cause came: slow down faster. Never slower."""
         self._deceleration_mps2 = max(self._deceleration_mps2, deceleration_mps2)
 
+    def not_above(self, speed_mps: float) -> None:
+        """The ramp goes on from this speed, if it is a lower one."""
+        self._speed_mps = min(self._speed_mps, speed_mps)
+
     def tick(self, now_ns: int, *, stands: bool) -> Actuation | None:
         """What the chassis is told now; None when the sequence has ended.
 

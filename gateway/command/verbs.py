@@ -160,7 +160,10 @@ def _reset(arbiter: Arbiter, request: requests.Reset, operator: str, now_ns: int
         # Whoever sent this reset cannot have seen the newest cause yet.
         detail = f"latched {latched_for_ns / 1e6:.0f} ms ago; a reset counts after {RESET_MIN_NS / 1e6:.0f} ms"
         return Ruling([*arbiter.latched][-1], detail, lease=request.lease)
-    arbiter.watch.acknowledge()
+    unseen = _unseen_reason(arbiter, request.tick, now_ns)
+    if unseen is not Reason.NONE:
+        return Ruling(unseen, "it was made before this was to be seen", lease=request.lease)
+    arbiter.watch.acknowledge(arbiter.latched)
     cleared = ", ".join(reason.value for reason in arbiter.latched)
     arbiter.latched.clear()
     arbiter.desk.renew(now_ns)
@@ -168,6 +171,19 @@ def _reset(arbiter: Arbiter, request: requests.Reset, operator: str, now_ns: int
         Severity.INFO, EventKind.RESET, Reason.NONE, f"reset: {cleared or 'nothing was latched'}", operator
     )
     return Ruling(detail=cleared, lease=request.lease)
+
+
+def _unseen_reason(arbiter: Arbiter, tick: int | None, now_ns: int) -> Reason:
+    """Why a reset that echoes this tick may not be meant for all that is latched."""
+    if tick is None:
+        return Reason.NONE
+    age_ns = arbiter.ticks.age_ns(tick, now_ns)
+    if isinstance(age_ns, Reason):
+        return age_ns
+    if age_ns > arbiter.settings.max_age_s * 1e9:
+        return Reason.TOO_OLD
+    is_seen = not arbiter.latched or age_ns <= now_ns - arbiter.latched_ns
+    return Reason.NONE if is_seen else [*arbiter.latched][-1]
 
 
 def _reset_refusal(arbiter: Arbiter, now_ns: int) -> Reason | None:

@@ -46,9 +46,6 @@ class Guardian:
         self._began_ns = self._heard_ns = 0
         self._ticked_ns: int | None = None
         self._gone_since_ns: int | None = None
-        # What the chassis was last told, if nobody has ended it since: it obeys that for ever.
-        self._left: Beat | None = None
-        self._left_ns = 0
         self._was_paused = False
         self._late_at_ns = 0
         self._was_asked_to_end = False
@@ -82,7 +79,6 @@ class Guardian:
         is_alone = not parent_lives or (beat is not None and beat.is_closing)
         if is_fresh and beat is not None and not beat.is_mute and not self.is_sending and not is_alone:
             self._is_armed = True
-        self._note_left(beat, now_ns)
         if self.sight.hears(now_ns):
             self._heard_ns = now_ns
         if self.is_sending:
@@ -91,9 +87,8 @@ class Guardian:
             )
         else:
             cause = self._cause(beat, now_ns, is_fresh=is_fresh, is_alone=is_alone)
-            last = self._left if beat is None or not beat.is_active else beat
-            if cause is not None and last is not None and bus_up and not self._is_taken(last, now_ns):
-                self._begin(last, cause, now_ns)
+            if cause is not None and beat is not None and bus_up and not self._is_taken(beat, now_ns):
+                self._begin(beat, cause, now_ns)
         is_needed = self.is_sending or cause is not None
         if not bus_up or not self.is_sending:
             self.is_ended |= self._may_leave(beat, now_ns, is_needed=is_needed, is_alone=is_alone)
@@ -125,19 +120,14 @@ class Guardian:
         lines, self._lines = self._lines, []
         return lines
 
-    def _note_left(self, beat: Beat | None, now_ns: int) -> None:
-        """Was the chassis left on its last command, as where the hand transmitter took it over?"""
-        if beat is None:
-            return
-        if beat.is_active:
-            self._left, self._left_ns = (beat if beat.last.enabled else None), now_ns
-        elif self.sight.mode(now_ns) is Mode.STOP or self._is_commanded_since(self._left_ns):
-            self._left = None
+    def _is_left(self, beat: Beat) -> bool:
+        """The chassis was left on its last command, as where the hand transmitter took it over, and it still is.
 
-    def _is_commanded_since(self, since_ns: int) -> bool:
-        """Somebody else has commanded the chassis: its last command is no longer ours."""
+        It obeys that for ever, unless somebody else has commanded it since.
+        """
         commander_ns = self.sight.commander_ns
-        return commander_ns is not None and commander_ns - since_ns > GUARD_SILENT_NS
+        is_old = commander_ns is not None and commander_ns - beat.now_ns > GUARD_SILENT_NS
+        return beat.is_left and not is_old
 
     def _is_taken(self, last: Beat, now_ns: int) -> bool:
         """Late as this is, somebody else has begun to command the chassis, and does so now: two must not."""
@@ -155,8 +145,12 @@ class Guardian:
             return None
         if not beat.is_active:
             # Standing by it may be late or end as it likes, unless it has left the chassis on a command.
-            is_left = self._left is not None and self.sight.mode(now_ns) in {Mode.REMOTE, Mode.AUTO}
-            return Cause.GONE if is_left and is_alone else None
+            if not self._is_left(beat):
+                return None
+            if is_alone:
+                return Cause.GONE
+            is_obeyed = self.sight.mode(now_ns) is Mode.AUTO
+            return Cause.LATE if is_obeyed and self._late_looks >= _LATE_LOOKS else None
         if is_alone:
             return Cause.GONE
         if beat.is_mute:
@@ -168,7 +162,7 @@ class Guardian:
         self.cause = cause
         self.stops += 1
         self._began_ns = self._heard_ns = now_ns
-        self._stopper.begin(last.last, last.variant, last.counters, now_ns, last.now_ns)
+        self._stopper.begin(last.last, last.variant, last.counters, now_ns, last.told_ns)
         age_ms = (now_ns - last.now_ns) / 1e6
         self._lines.append(f"{cause.value}, last heartbeat {age_ms:.0f} ms ago: stopping the robot")
 
@@ -196,12 +190,12 @@ class Guardian:
         self.is_sending = False
         self._is_armed = False
         self._late_looks = 0
-        self._left = None
         self._lines.append(f"done: {self._stopper.outcome}; {self._stopper.frames} frames sent")
 
     def _may_leave(self, beat: Beat | None, now_ns: int, *, is_needed: bool, is_alone: bool) -> bool:
         if not is_alone:
-            return self._was_asked_to_end and not is_needed and not (beat is not None and beat.is_active)
+            is_bound = beat is not None and (beat.is_active or self._is_left(beat))
+            return self._was_asked_to_end and not is_needed and not is_bound
         if not is_needed:
             return True
         # The robot should be stopped, and there is no bus to do it on.

@@ -96,11 +96,12 @@ class Sight:
         return 0.0 if data is None else float(self._read[Variant.COARSE][_STEERING](data)["Angle"])
 
     def seen_mps(self, variant: Variant, now_ns: int) -> float | None:
-        """The drive feedback, a magnitude; None if there is none, or its scale is not known."""
-        data = self._fresh(_DRIVE, now_ns)
-        if data is None or variant is Variant.UNKNOWN:
-            return None
-        return float(self._read[variant][_DRIVE](data)["Speed"])
+        """How fast the robot is seen to be at least, a magnitude: no single faulty sensor sets it going.
+
+        None if there is no drive feedback, or the scale is not known.
+        """
+        drive_mps, wheels_mps = self._drive_mps(variant, now_ns), self._fastest_wheel_mps(variant, now_ns)
+        return drive_mps if drive_mps is None or wheels_mps is None else min(drive_mps, wheels_mps)
 
     def speed_mps(self, variant: Variant, now_ns: int) -> float:
         """The same; zero where that is None."""
@@ -115,21 +116,29 @@ class Sight:
         return self._fresh(WHEEL_SPEED, now_ns)
 
     def _is_slow(self, variant: Variant, now_ns: int) -> bool:
-        wheels = self._fresh(WHEEL_SPEED, now_ns)
-        drive = self._fresh(_DRIVE, now_ns)
-        if wheels is None or drive is None:
-            return False
         if variant is Variant.UNKNOWN:
+            wheels, drive = self._fresh(WHEEL_SPEED, now_ns), self._fresh(_DRIVE, now_ns)
+            if wheels is None or drive is None:
+                return False
             # Zero is the same in both scales, and so is what each one's standing wheels cannot be in the other.
             return not any(drive[1:3]) and self._evidence.of(wheels) is not Variant.UNKNOWN
-        speeds = self._read[variant][WHEEL_SPEED](wheels)
+        speeds_mps = (self._drive_mps(variant, now_ns), self._fastest_wheel_mps(variant, now_ns))
+        return all(speed_mps is not None and speed_mps < STANDSTILL_MPS for speed_mps in speeds_mps)
+
+    def _drive_mps(self, variant: Variant, now_ns: int) -> float | None:
+        data = self._fresh(_DRIVE, now_ns)
+        if data is None or variant is Variant.UNKNOWN:
+            return None
+        return float(self._read[variant][_DRIVE](data)["Speed"])
+
+    def _fastest_wheel_mps(self, variant: Variant, now_ns: int) -> float | None:
+        data = self._fresh(WHEEL_SPEED, now_ns)
+        if data is None or variant is Variant.UNKNOWN:
+            return None
+        speeds = self._read[variant][WHEEL_SPEED](data)
         # Each by itself: one that turns forward and one that turns back are no robot at rest.
         fastest_mps = max(abs(float(speeds["RearLeftSpeed"])), abs(float(speeds["RearRightSpeed"])))
-        return (
-            bool(speeds["Valid"])
-            and fastest_mps < STANDSTILL_MPS
-            and self.speed_mps(variant, now_ns) < STANDSTILL_MPS
-        )
+        return fastest_mps if speeds["Valid"] else None
 
     def _fresh(self, name: str, now_ns: int) -> bytes | None:
         latest = self._latest.get(name)

@@ -147,6 +147,8 @@ class Stopper:
         elif self._offered:
             # The chassis was not told: a stop that nobody heard must not go on to neutral.
             self._sequence = self._before
+            if sent and self._sequence is not None:
+                self._sequence.not_above(self._actuation.speed_mps)
         self._offered = []
         self._maker.sent(sent)
         self._gate.sent(sent, now_ns)

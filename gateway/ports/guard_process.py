@@ -141,7 +141,15 @@ class GuardProcess:
     def beat(self, now_ns: int, command: CommandFlow) -> None:
         """The loop lives, and has sent what it had to."""
         arbiter = command.arbiter
-        self.tell(now_ns, arbiter.variant, arbiter.actuation, command.maker.counters, is_mute=command.is_mute)
+        self.tell(
+            now_ns,
+            arbiter.variant,
+            arbiter.actuation,
+            command.maker.counters,
+            told_ns=arbiter.told_ns,
+            left=arbiter.left,
+            is_mute=command.is_mute,
+        )
 
     def tell(
         self,
@@ -150,6 +158,8 @@ class GuardProcess:
         actuation: Actuation | None,
         counters: Mapping[str, int],
         *,
+        told_ns: int,
+        left: Actuation | None = None,
         is_mute: bool = False,
     ) -> None:
         """The loop lives, and has sent what it had to.
@@ -159,19 +169,26 @@ class GuardProcess:
             variant: the one in force.
             actuation: what the chassis was told in this tick; None for silence.
             counters: the next alive counter of each command frame, in the layout's order.
+            told_ns: when a whole burst was last taken by the bus.
+            left: what it had been told when it was left to somebody else, while it may obey that again.
             is_mute: what has to be sent cannot be: the guard acts at once.
         """
         is_told = actuation is not None or is_mute
+        is_active = is_told or self._was_told
+        if actuation is not None:
+            last = actuation
+        elif left is not None:
+            last = left
+        else:
+            last = self._newest.last if is_active else AT_REST
         self._newest = Beat(
             now_ns=now_ns,
-            is_active=is_told or self._was_told,
+            told_ns=told_ns,
+            is_active=is_active,
+            is_left=left is not None and left.enabled,
             is_mute=is_mute,
             variant=variant,
-            last=actuation
-            if actuation is not None
-            else self._newest.last
-            if is_told or self._was_told
-            else AT_REST,
+            last=last,
             counters=bytes(counters.values()),
         )
         self._was_told = is_told

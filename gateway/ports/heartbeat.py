@@ -20,7 +20,7 @@ SIZE_BYTES: Final = 4096
 _BEATS_AT: Final = 0
 _STATUS_AT: Final = 2048
 
-_BEAT: Final = struct.Struct("<q3?B?Bddd?8s")
+_BEAT: Final = struct.Struct("<2q4?B?Bddd?8s")
 _STATUS: Final = struct.Struct("<q2?QB")
 _NUMBER: Final = struct.Struct("<Q")
 _CHECKSUM: Final = struct.Struct("<I")
@@ -91,7 +91,9 @@ class Heartbeat:
         last = beat.last
         self._beats.write(
             beat.now_ns,
+            beat.told_ns,
             beat.is_active,
+            beat.is_left,
             beat.is_mute,
             beat.is_closing,
             _VARIANT_CODES[beat.variant],
@@ -109,9 +111,10 @@ class Heartbeat:
         values = self._beats.read()
         if values is None:
             return None
-        now_ns, active, mute, closing, variant, enabled, gear, speed, angle, pedal, parking, counters = values
+        now_ns, told_ns, active, left, mute, closing, variant = values[:7]
+        enabled, gear, speed, angle, pedal, parking, counters = values[7:]
         last = Actuation(enabled, _GEARS[gear], speed, angle, pedal, parking)
-        return Beat(now_ns, active, mute, closing, _VARIANTS[variant], last, counters)
+        return Beat(now_ns, told_ns, active, left, mute, closing, _VARIANTS[variant], last, counters)
 
     def write_status(self, status: GuardStatus) -> None:
         """The guard lives."""

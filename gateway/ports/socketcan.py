@@ -30,6 +30,9 @@ RECEIVE_BUFFER_BYTES: Final = 3_000_000
 SEND_BUFFER_BYTES: Final = 3_072
 """The same for sending: eight frames, as many as a tick may have. What the bus does not take must not wait."""
 
+_UNFILTERED_MAX_FRAMES: Final = 1_000
+"""More than a new socket holds, as long as no larger buffer was asked for."""
+
 _FRAME: Final = struct.Struct("=IB3x8s")
 _FD_FRAME: Final = struct.Struct("=IBB2x64s")
 _TIME: Final = struct.Struct("@ll")
@@ -59,6 +62,9 @@ class SocketCanBus:
         Args:
             bus: of python-can's interface ``socketcan``.
             identifiers: with their flags; the kernel hands over these alone. All, if there are none.
+
+        Raises:
+            BusLost: the interface is down, or gone.
         """
         self.drops = 0
         self._bus = bus
@@ -74,7 +80,19 @@ class SocketCanBus:
                     for can_id in identifiers
                 ]
             )
+            self._discard_waiting()
         _tune(self._socket)
+
+    def _discard_waiting(self) -> None:
+        """A socket takes everything until its filters are set, and that was not asked for."""
+        try:
+            for _ in range(_UNFILTERED_MAX_FRAMES):
+                self._socket.recv(_FD_FRAME.size, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self.close()
+            raise BusLost(_in_words(error)) from error
 
     def receive(self, timeout_s: float) -> Frame | None:
         """The next frame, or None if there was none in time.
@@ -105,8 +123,10 @@ class SocketCanBus:
     def send(self, frame: Frame) -> None:
         """Hand a frame to the interface, without waiting.
 
+        While the controller is off the bus the kernel takes frames and throws them away. Error frames tell that.
+
         Raises:
-            BusFull: its queue is full, or the controller is off the bus.
+            BusFull: its queue is full.
             BusLost: the interface is down, or gone.
         """
         if frame.fd_flags:

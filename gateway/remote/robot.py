@@ -289,7 +289,7 @@ class Lease:
 
     def reset(self) -> str:
         """Clear what is latched. Returns what that was, in words."""
-        return self._ask(Reset(lease=self.number)).detail
+        return self._ask(Reset(lease=self.number, tick=self._link.sighting().state.tick)).detail
 
     def park(self) -> None:
         """Apply the parking brake of the standing, engaged robot."""

@@ -497,6 +497,28 @@ def test_what_the_guard_does_reaches_the_arbiter() -> None:
     commanded.run(script)
 
 
+def test_a_guard_that_acted_during_the_tick_is_noticed_before_anything_is_sent() -> None:
+    """This process stood still between looking and sending, for longer than a stop of the guard's lasts."""
+    commanded = Commanded()
+
+    def script(one: Commanded) -> Iterator[bool]:
+        yield from one.engage()
+        drain = one.inbox.drain
+
+        def drain_late(holder: str) -> list[RawRequest]:
+            one.guard.stops = 1
+            return drain(holder)
+
+        sent = len(one.bus.sent)
+        one.inbox.drain = drain_late  # type: ignore[method-assign]
+        yield False
+        assert len(one.bus.sent) == sent
+        while one.says("latched") != ["guard"]:
+            yield False
+
+    commanded.run(script)
+
+
 def test_the_inbox_is_told_who_holds_the_lease_and_its_drops_are_in_health() -> None:
     """So that the holder's requests go before others'."""
     commanded = Commanded()

@@ -76,6 +76,8 @@ class Bench:
             self.now_ns += 10 * MS
             self.arbiter.ticks.publish(self.arbiter.tick_number, self.now_ns)
             self.outcome = self.arbiter.tick(self.observed, requests or [], self.now_ns, late_ns)
+            if self.outcome.actuation is not None:
+                self.arbiter.told_ns = self.now_ns
             self.events += self.outcome.events
             requests = None
         assert self.outcome is not None

@@ -23,7 +23,7 @@ from schemas import codec, decisions
 from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState
 from schemas.messages import Variant
 from schemas.reasons import Reason
-from schemas.settings import ChassisSettings, CommandSettings, Settings
+from schemas.settings import MUTE_FAILURES, ChassisSettings, CommandSettings, Settings
 from schemas.subjects import BY_NAME, BY_VERB
 
 MS = 1_000_000
@@ -201,7 +201,8 @@ class LoopRig:
         assert command is not None
         arbiter = command.arbiter
         assert Reason.GATE not in arbiter.latched, f"the gate refused: {arbiter.latched}"
-        assert command.is_mute is arbiter.is_cut_off, "mute for want of a bus only"
+        jammed = arbiter.watch.send_failures >= MUTE_FAILURES and arbiter.state is ArbiterState.STOPPING
+        assert command.is_mute is (arbiter.is_cut_off or jammed), "mute for want of a bus only"
         reset = any(d.request == "reset" and d.reason is Reason.NONE for d in self.decided[-4:])
         assert reset or self._latched <= arbiter.latched.keys(), "a latch cleared itself"
         self._latched = set(arbiter.latched)

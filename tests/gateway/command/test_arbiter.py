@@ -252,6 +252,18 @@ def test_a_gateway_that_comes_back_after_the_guard_has_ended_tells_the_chassis_n
         assert told is None or told.speed_mps == 0
 
 
+def test_a_burst_that_left_after_a_pause_is_not_what_the_next_stop_begins_from() -> None:
+    """It went out when the guard had brought the robot to rest; the chassis has hardly begun to obey it."""
+    bench = engaged()
+    bench.drive_for(150, 1.0)
+    bench.now_ns += 3500 * MS
+    bench.arbiter.told_ns = bench.now_ns
+    bench.changes = {"guard_stops": 1, "mode": Mode.AUTO, "speed_mps": 0.04, "fastest_wheel_mps": 0.05}
+    told = bench.tick(late_ns=0).actuation
+    assert told is not None
+    assert told.speed_mps < 0.04
+
+
 @pytest.mark.parametrize(("seen_mps", "first_mps"), [(0.0, 0.0), (0.4, 0.4), (None, 0.0), (1.3, 0.98)])
 def test_an_unguarded_gateway_that_comes_back_stops_from_what_is_seen(
     seen_mps: float | None, first_mps: float
@@ -405,7 +417,8 @@ def test_what_another_computer_has_taken_is_not_ours_any_more() -> None:
         ({"gear": GearPosition.DRIVE}, GearPosition.DRIVE, 1.0, 24.0),
         ({"gear": GearPosition.REVERSE, "wheel_speed_mps": -1.0}, GearPosition.REVERSE, 1.0, 24.0),
         ({"gear": GearPosition.NEUTRAL, "angle_deg": None}, GearPosition.NEUTRAL, 0.0, 0.0),
-        ({"gear": GearPosition.DRIVE, "speed_mps": None, "angle_deg": -30.0}, GearPosition.DRIVE, 0.0, -24.0),
+        ({"gear": GearPosition.DRIVE, "fastest_wheel_mps": 0.0}, GearPosition.DRIVE, 0.0, 24.0),
+        ({"gear": GearPosition.DRIVE, "speed_mps": None, "angle_deg": -30.0}, GearPosition.DRIVE, 1.0, -24.0),
         ({"gear": GearPosition.DRIVE, "speed_mps": 2.5}, GearPosition.DRIVE, 2.222, 24.0),
     ],
 )
@@ -415,7 +428,7 @@ def test_a_robot_found_moving_is_stopped_from_what_is_seen(
     """Row 'found at start: in auto, moving, nobody sending: the stop sequence, an event'."""
     bench = Bench()
     moving = {"mode": Mode.AUTO, "turns": True, "speed_mps": 1.0, "wheel_speed_mps": 1.0, "angle_deg": 30.0}
-    bench.changes = moving | seen
+    bench.changes = moving | {"fastest_wheel_mps": 2.6 if seen.get("speed_mps") else 1.0} | seen
     bench.tick(count=20)
     assert bench.arbiter.state is ArbiterState.STANDBY
     told = bench.tick().actuation

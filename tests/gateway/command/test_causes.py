@@ -98,7 +98,7 @@ def test_a_reset_hit_is_a_new_one_once_the_bumper_was_clear() -> None:
     front = but(front_bumper=True)
     watch = watching(front)
     assert watch.hits == [Reason.FRONT_BUMPER]
-    watch.acknowledge()
+    watch.acknowledge([Reason.FRONT_BUMPER])
     assert watch.hits == []
     assert watch.pressed == {Reason.FRONT_BUMPER}
     watch.observe(but(front, rear_bumper=True))
@@ -108,11 +108,31 @@ def test_a_reset_hit_is_a_new_one_once_the_bumper_was_clear() -> None:
     assert watch.hits == [Reason.FRONT_BUMPER]
 
 
+def test_a_reset_acknowledges_only_what_was_latched() -> None:
+    """A bumper that is hit in the tick of the reset is not among it."""
+    watch = watching(but(front_bumper=True, rear_bumper=True))
+    watch.acknowledge([Reason.FRONT_BUMPER, Reason.REMOTE_STOP])
+    assert watch.hits == [Reason.REAR_BUMPER]
+
+
+def test_a_bumper_strikes_once() -> None:
+    """In the tick in which it is pressed, and again once it was clear."""
+    front = but(front_bumper=True)
+    watch = watching(front)
+    assert watch.struck == {Reason.FRONT_BUMPER}
+    watch.observe(but(front, rear_bumper=True))
+    assert watch.struck == {Reason.REAR_BUMPER}
+    watch.observe(STANDING)
+    assert watch.struck == set()
+    watch.observe(front)
+    assert watch.struck == {Reason.FRONT_BUMPER}
+
+
 def test_a_bumper_that_was_not_seen_for_a_while_is_a_new_hit() -> None:
     """Not known is not pressed, and nobody has reset what comes next."""
     front = but(front_bumper=True)
     watch = watching(front)
-    watch.acknowledge()
+    watch.acknowledge([Reason.FRONT_BUMPER])
     watch.observe(but(front_bumper=None))
     assert watch.pressed == set()
     watch.observe(front)

@@ -10,9 +10,11 @@ from gateway.chassis.decode import check
 from gateway.chassis.faults import FaultKind
 from gateway.chassis.frame import ERROR, FD, Frame
 from gateway.chassis.layout import load
-from gateway.command.frames import MOTION_FRAMES
+from gateway.command.actuation import Actuation
+from gateway.command.frames import MOTION_FRAMES, FrameMaker
+from gateway.sim.model import VirtualChassis
 from gateway.telemetry.health import Links
-from schemas.decisions import ArbiterState, Bound, EventKind
+from schemas.decisions import ArbiterState, Bound, EventKind, StopPhase
 from schemas.messages import Mode, Variant
 from schemas.reasons import Reason
 from tests.gateway.chassis.strategies import VARIANTS, with_checksum
@@ -290,6 +292,74 @@ def test_a_stop_that_nobody_heard_does_not_go_on_to_neutral() -> None:
     assert rig.speed_mps == 0
 
 
+@pytest.mark.parametrize("takes", range(1, 5))
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_bus_that_takes_a_part_of_each_burst_does_not_keep_the_robot_going(takes: int, variant: Variant) -> None:
+    """For ever, as a full queue does that drains a little each tick. The speed goes first, and ramps down."""
+    rig, operator = driving(1.0, variant=variant)
+    begun = len(rig.heard)
+    rig.takes = takes
+    rig.put("anyone", "stop", b"")
+    operator.drive(1.0, seconds=0.05)
+    assert rig.says.stop_reason is Reason.REMOTE_STOP
+    rig.run(3)
+    assert rig.speed_mps == 0
+    falling = rig.heard[begun:]
+    assert falling == sorted(falling, reverse=True)
+    assert rig.core.command is not None
+    assert rig.core.command.is_mute, "and the guard may try"
+
+
+def test_a_stop_that_was_held_up_does_not_go_on_from_the_old_speed() -> None:
+    """The bus takes nothing for 10 s; meanwhile others bring the robot to rest and switch it on anew."""
+    rig, _ = driving(1.5)
+    rig.put("anyone", "stop", b"")
+    rig.tick(5)
+    rig.takes = 0
+    rig.run(10)
+    rig.chassis = VirtualChassis(load(Variant.COARSE), rig.now_ns)
+    rig.takes = None
+    heard = len(rig.heard)
+    rig.run(6)
+    assert rig.heard[heard:]
+    assert not any(rig.heard[heard:])
+    assert rig.says.state is ArbiterState.STANDBY
+
+
+def stopped_and_parked() -> LoopRig:
+    """In the hold of a stop: it stands, and the parking brake is applied."""
+    rig, _ = driving(1.0)
+    rig.put("anyone", "stop", b"")
+    rig.until(lambda: rig.says.stop_phase is StopPhase.HOLD)
+    rig.tick(20)
+    assert rig.says.stop_phase is StopPhase.HOLD
+    return rig
+
+
+@pytest.mark.parametrize("by", ["hand transmitter", "bus", "bus, and then silence"])
+def test_a_parked_robot_stays_parked_when_its_stop_is_begun_again(by: str) -> None:
+    """Nobody who gave way in the hold of a stop releases the brake afterwards, not for one frame."""
+    rig = stopped_and_parked()
+    begun = len(rig.bursts)
+    if by == "hand transmitter":
+        rig.fault("transmitter remote")
+        rig.run(0.5)
+        rig.fault("transmitter command")
+    else:
+        rig.links = Links(bus_up=False, guarded=True, bus_losses=1)
+        rig.chassis_hears = False
+        rig.corrupt = lambda _frame: None
+        rig.run(1)
+        rig.links = Links(bus_up=True, guarded=True, bus_losses=1)
+        rig.chassis_hears = True
+        if by == "bus":
+            rig.corrupt = lambda frame: frame
+    rig.run(6)
+    after = [told["Auto_ParkingCmd"]["ParkingRequest"] for _, told in rig.bursts[begun:]]
+    assert len(after) > 10
+    assert all(after)
+
+
 @pytest.mark.parametrize("seconds", [0.0, 0.1, 1.0])
 def test_a_bus_that_was_lost_and_returns_finds_the_robot_stopped(seconds: float) -> None:
     """While it is away nothing reaches the chassis, which goes on; the stop comes with the first sign of auto."""
@@ -445,6 +515,42 @@ def test_after_a_reset_only_motion_away_from_the_hit_side(side: str, toward_mps:
     rig.fault(f"bumper {side} on")
     operator.drive(toward_mps, seconds=0.06)
     assert rig.says.state is ArbiterState.STOPPING
+
+
+@pytest.mark.parametrize("hit_ms", [0, 10, 20])
+def test_a_reset_does_not_clear_a_hit_that_its_sender_has_not_seen(hit_ms: int) -> None:
+    """Of the other bumper, or of the same one once more, in the tick of the reset or right before."""
+    for other in (True, False):
+        rig, operator = ready()
+        rig.fault("bumper front on for 100ms")
+        rig.run(1)
+        operator.take_lease()
+        rig.fault(f"bumper {'rear' if other else 'front'} on for 100ms")
+        rig.tick(4 + hit_ms // 10)
+        assert operator.reason("reset") in {Reason.REAR_BUMPER, Reason.FRONT_BUMPER, Reason.NONE}
+        rig.tick(5)
+        assert (Reason.REAR_BUMPER if other else Reason.FRONT_BUMPER) in rig.says.latched
+
+
+def test_a_reset_names_what_its_sender_saw() -> None:
+    """With the tick it never clears what came later, however long ago, and is refused when it is old itself."""
+    rig, operator = ready()
+    rig.put("anyone", "stop", b"")
+    rig.run(1)
+    operator.take_lease()
+    seen = rig.says.tick
+    rig.run(0.1)
+    rig.put("anyone", "stop", b"")
+    rig.run(0.55)
+    assert operator.reason("reset", tick=seen) is Reason.TOO_OLD
+    assert operator.reason("reset", tick=seen + 10_000) is Reason.TICK_UNKNOWN
+    rig.run(0.6)
+    seen = rig.says.tick
+    rig.run(0.1)
+    assert operator.reason("reset", tick=seen) is Reason.NONE
+    rig.put("anyone", "stop", b"")
+    rig.run(0.6)
+    assert rig.says.latched == [Reason.REMOTE_STOP]
 
 
 def test_the_other_bumper_still_stops_a_robot_that_backs_away() -> None:
@@ -790,6 +896,18 @@ def test_the_guard_stops_in_our_place() -> None:
     assert not rig.told
     assert operator.reason("reset") is Reason.GUARD
     assert operator.reason("engage") is Reason.GUARD
+
+
+def test_the_guards_frames_are_not_taken_for_another_computers() -> None:
+    """Read before it is known that the guard acted: what was left is stopped at once, not when it moves."""
+    rig, _ = driving(1.0)
+    maker = FrameMaker()
+    for frame in maker.make(Actuation(enabled=True), [], Variant.COARSE):
+        rig.core.receive_frame(frame, rig.now_ns)
+    rig.links = Links(bus_up=True, guarded=True, guard_stops=1)
+    rig.tick(3)
+    assert rig.event_reasons(EventKind.STOP) == [Reason.FOUND_MOVING]
+    assert Reason.OTHER_COMMANDER not in rig.says.blocked_by
 
 
 def test_without_a_guard_nothing_is_engaged_and_what_is_engaged_stops() -> None:

@@ -72,7 +72,7 @@ def test_rounding_never_goes_beyond_what_is_asked(speed_mps: float, angle_deg: f
 @given(bits=st.integers(0, 55))
 def test_a_whole_number_of_bits_is_that_number(bits: int) -> None:
     """And not the one below."""
-    frame = FrameMaker().make(Actuation(True, GearPosition.DRIVE, bits * 0.04), [], Variant.COARSE)[2]  # noqa: FBT003
+    frame = FrameMaker().make(Actuation(True, GearPosition.DRIVE, bits * 0.04), [], Variant.COARSE)[0]  # noqa: FBT003
     assert frame.data[1] == bits
 
 

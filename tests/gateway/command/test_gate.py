@@ -203,7 +203,7 @@ def test_counters_count_what_was_sent_of_a_burst() -> None:
 )
 def test_only_three_gears_are_commanded(raw: int, passes: bool) -> None:  # noqa: FBT001
     """Contradiction 7 of the protocol notes: park is never commanded."""
-    assert Bench().raw(0, 1, raw) == ("" if passes else "this gear is not commanded")
+    assert Bench().raw(1, 1, raw) == ("" if passes else "this gear is not commanded")
 
 
 @pytest.mark.parametrize(
@@ -213,8 +213,8 @@ def test_the_angle_ends_at_24_deg(raw: int, passes: bool) -> None:  # noqa: FBT0
     """1502 is -23.99 deg and 2594 is 24.00 deg; one bit more is refused."""
     bench = Bench()
     frames = bench.burst()
-    data = frames[1].data[:1] + raw.to_bytes(2, "little") + frames[1].data[3:]
-    frames[1] = Frame(frames[1].can_id, with_checksum(data))
+    data = frames[2].data[:1] + raw.to_bytes(2, "little") + frames[2].data[3:]
+    frames[2] = Frame(frames[2].can_id, with_checksum(data))
     assert bench.offer(frames) == ("" if passes else "the angle is beyond 24 deg")
 
 
@@ -226,10 +226,9 @@ def test_the_speed_ends_where_its_variant_ends(variant: Variant, most: int) -> N
     for raw in range(0x1_0000):
         if raw > most + 300 and raw % 37:
             continue
-        data = frames[2].data[:1] + raw.to_bytes(2, "little") + frames[2].data[3:]
-        fault = bench.gate.admit(
-            [*frames[:2], Frame(frames[2].can_id, with_checksum(data)), *frames[3:]], variant, 0, stopping=True
-        )
+        data = frames[0].data[:1] + raw.to_bytes(2, "little") + frames[0].data[3:]
+        offered = [Frame(frames[0].can_id, with_checksum(data)), *frames[1:]]
+        fault = bench.gate.admit(offered, variant, 0, stopping=True)
         assert (fault is None) is (raw <= most)
 
 
@@ -333,7 +332,7 @@ def test_a_burst_cut_short_is_not_what_the_next_is_held_against() -> None:
     bench.gate.sent(cut, bench.now_ns)
     bench.maker.sent(cut)
     assert bench.offer(bench.burst(msgspec.structs.replace(REST, angle_deg=1.2))) == "the angle changes too fast"
-    assert tuple(USED_BITS)[:5] == MOTION
+    assert sorted(tuple(USED_BITS)[:5]) == sorted(MOTION)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)

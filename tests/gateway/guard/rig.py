@@ -32,6 +32,7 @@ class GuardRig:
         takes: how many frames of a burst the bus takes.
         hears_loop: the guard hears what the loop sends; on some interfaces it does not.
         told: what the loop tells the chassis; None for silence.
+        left: what the loop says that it had told when it fell silent, if the chassis may obey that again.
         sent: what the guard sent, with its time.
         lines: what the guard said.
     """
@@ -47,6 +48,8 @@ class GuardRig:
         self.takes = BURST
         self.hears_loop = True
         self.told: Actuation | None = None
+        self.left: Actuation | None = None
+        self.told_ns = 0
         self.told_variant = variant
         self.maker = FrameMaker()
         self.beat: Beat | None = None
@@ -111,15 +114,22 @@ class GuardRig:
         if self.told is not None and not self.mute and not self.guardian.is_sending:
             frames = self.maker.make(self.told, [], self.variant)
             self.maker.sent(frames)
+            self.told_ns = self.now_ns
             self.gate = Gate()
             for frame in frames:
                 self.by_loop.append(frame)
                 self.chassis.receive(frame, self.now_ns)
                 if self.hears_loop:
                     self.guardian.receive(frame, self.now_ns)
+        if self.told is not None:
+            self.left = None
+        elif self._was_told and self._last.enabled:
+            self.left = self._last
         self.beat = Beat(
             now_ns=self.now_ns,
+            told_ns=self.told_ns,
             is_active=is_told or self._was_told,
+            is_left=self.left is not None,
             is_mute=self.mute,
             variant=self.told_variant,
             last=self.told or self._last,

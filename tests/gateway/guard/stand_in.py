@@ -57,6 +57,7 @@ class StandIn:
         said: dict[str, object] = {}
         ticks = resting_ticks = 0
         due_ns = time.monotonic_ns()
+        told_ns = 0
         while not self.is_ended:
             while (now_ns := time.monotonic_ns()) < due_ns:
                 bus.receive((due_ns - now_ns) / 1e9)
@@ -73,11 +74,13 @@ class StandIn:
             if actuation is not None and not self.is_mute:
                 frames = maker.make(actuation, [LAMP], Variant.COARSE)
                 maker.sent(frames[: bus.send(frames)])
+                told_ns = time.monotonic_ns()
             guard.tell(
                 time.monotonic_ns(),
                 Variant.COARSE,
                 actuation,
                 maker.counters,
+                told_ns=told_ns,
                 is_mute=self.is_mute and actuation is not None,
             )
             for name, value in (

@@ -13,6 +13,7 @@ from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.auxiliary import AuxiliaryFrame
 from gateway.command.gate import MOTION
 from gateway.guard.beat import Cause
+from gateway.guard.guardian import Guardian
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
 from schemas.settings import (
     DISABLE_NS,
@@ -373,27 +374,110 @@ def test_a_gateway_that_ended_the_command_and_goes_leaves_nothing_to_wait_for() 
     assert rig.sent == []
 
 
-@pytest.mark.parametrize("by", ["a person", "another computer"])
-def test_a_robot_that_was_left_and_taken_care_of_is_not_waited_for(by: str) -> None:
-    """The gateway gave way and dies later; meanwhile the chassis read stop, or somebody else commanded it."""
-    rig = GuardRig()
-    rig.drive()
-    rig.fault("transmitter remote")
-    rig.run(0.1)
-    rig.told = None
-    rig.run(1)
-    if by == "a person":
-        rig.chassis._commands.clear()
-        rig.fault("transmitter command")
-        rig.run(0.1)
-        rig.fault("transmitter remote")
+@pytest.mark.parametrize("heard", ["by the gateway", "by the guard alone"])
+def test_a_robot_that_was_left_and_is_commanded_by_others_is_not_waited_for(heard: str) -> None:
+    """The gateway gave way and dies later; somebody else has commanded the chassis meanwhile."""
+    rig = left_under_the_transmitter()
+    if heard == "by the gateway":
+        rig.left = None
     else:
+        rig.loop_lives = False
+        rig.run(0.3)
         rig.guardian.receive(rig.maker.make(DRIVING, [], rig.variant)[0], rig.now_ns)
     rig.run(0.1)
     rig.parent_lives = False
     rig.run(0.01)
     assert rig.guardian.is_ended
     assert rig.guardian.stops == 0
+
+
+def left_under_the_transmitter() -> GuardRig:
+    """Driven at 1 m/s, then taken over; the gateway has given way, and lives."""
+    rig = GuardRig()
+    rig.drive()
+    rig.fault("transmitter remote")
+    rig.run(0.1)
+    rig.told = None
+    rig.run(1)
+    return rig
+
+
+def test_a_signal_is_ignored_while_the_chassis_is_left_on_a_command() -> None:
+    """It may be given back at any time."""
+    rig = left_under_the_transmitter()
+    rig.guardian.ask_to_end()
+    rig.run(0.1)
+    assert not rig.guardian.is_ended
+
+
+def test_a_gateway_that_hangs_while_the_hand_transmitter_has_the_robot_is_stopped_for() -> None:
+    """Row 'gateway hung': given back, the chassis obeys its old command. Not before: a person drives."""
+    rig = left_under_the_transmitter()
+    rig.loop_lives = False
+    rig.run(30)
+    assert rig.guardian.stops == 0
+    rig.fault("transmitter command")
+    rig.run(A_STOP_S)
+    assert rig.guardian.cause is Cause.LATE
+    assert rig.chassis.state.mode is Mode.STOP
+    assert rig.chassis.state.speed_mps == 0
+    assert not rig.guardian.is_sending
+
+
+def test_a_late_loop_is_no_matter_where_nothing_was_left() -> None:
+    """Standing by, in auto by another computer, the loop may be late as long as it likes."""
+    rig = left_under_the_transmitter()
+    rig.left = None
+    rig.run(0.02)
+    rig.loop_lives = False
+    rig.fault("transmitter command")
+    rig.run(1)
+    assert rig.chassis.state.mode is Mode.AUTO
+    assert rig.guardian.stops == 0
+
+
+def test_a_new_guard_knows_what_was_left() -> None:
+    """It was started when the gateway had given way already: the heartbeat tells it all."""
+    rig = left_under_the_transmitter()
+    rig.guardian = Guardian(CommandSettings())
+    rig.run(0.5)
+    rig.parent_lives = False
+    rig.run(1)
+    rig.fault("transmitter command")
+    rig.run(A_STOP_S)
+    assert rig.chassis.state.speed_mps == 0
+    assert rig.chassis.state.mode is Mode.STOP
+    assert rig.guardian.is_ended
+
+
+def test_a_robot_that_was_left_and_reads_stop_is_told_nothing_old_any_more() -> None:
+    """An enable was lost; the gateway dies; what it last told is overwritten by disabled frames, and no enable."""
+    rig = left_under_the_transmitter()
+    rig.chassis._commands.clear()
+    rig.fault("transmitter command")
+    rig.run(0.5)
+    assert rig.chassis.state.mode is Mode.STOP
+    rig.parent_lives = False
+    rig.run(A_STOP_S)
+    assert rig.guardian.is_ended
+    frames = [frame for _, frame in rig.sent if frame.can_id in MOTION]
+    assert len(frames) > 100
+    assert not any(frame.data[0] & 1 for frame in frames)
+
+
+def test_a_mute_loop_does_not_make_what_it_told_long_ago_new() -> None:
+    """Both ways to the bus were lost; others stopped the robot; the guard's is back, and sees nothing yet."""
+    rig = GuardRig()
+    rig.drive()
+    rig.mute, rig.bus_up = True, False
+    rig.fault("silence all")
+    rig.run(10)
+    rig.chassis._commands.clear()
+    rig.bus_up = True
+    rig.run(1)
+    speeds = [frame.data[1] for _, frame in rig.sent if frame.can_id == MOTION[0]]
+    assert speeds
+    assert not any(speeds)
 
 
 def test_a_beat_of_a_dead_gateway_does_not_arm_the_guard_again() -> None:
@@ -583,6 +667,8 @@ def test_a_signal_is_ignored_while_the_chassis_is_told_something() -> None:
     rig.guardian.ask_to_end()
     rig.run(0.1)
     assert not rig.guardian.is_ended
+    rig.told = AT_REST
+    rig.run(0.1)
     rig.told = None
     rig.run(0.1)
     assert not rig.guardian.is_ended
@@ -655,7 +741,7 @@ def test_an_unknown_variant_is_told_zero_speed_only() -> None:
     rig.told_variant = Variant.UNKNOWN
     rig.run(0.01)
     rig.parent_lives = False
-    _, _, drive, braking, *_ = rig.poll()
+    drive, _, _, braking, *_ = rig.poll()
     assert not any(drive.data[1:3])
     assert braking.data[1] > 0
     rig.run(A_STOP_S)

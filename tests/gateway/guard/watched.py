@@ -14,6 +14,7 @@ import msgspec
 
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
+from gateway.command.frames import MOTION_FRAMES
 from gateway.guard.sight import Sight
 from gateway.ports.can_bus import Bus
 from gateway.ports.open_bus import open_bus
@@ -82,7 +83,7 @@ class Listener:
                 continue
             now_ns = time.monotonic_ns()
             self.sight.receive(frame, now_ns)
-            if COMMANDS.get(frame.can_id) == "Auto_GearCmd" or (frame.can_id in COMMANDS and not self.bursts):
+            if COMMANDS.get(frame.can_id) == MOTION_FRAMES[0] or (frame.can_id in COMMANDS and not self.bursts):
                 self.bursts.append(Burst(now_ns, [frame]))
             elif frame.can_id in COMMANDS:
                 self.bursts[-1].frames.append(frame)

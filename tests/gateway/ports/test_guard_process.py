@@ -22,7 +22,7 @@ from tests.gateway.cli.running import chassis
 from tests.gateway.guard.watched import Watched, watched
 from tests.gateway.remote.waiting import wait_until
 
-FIVE = ["Auto_GearCmd", "Auto_SteeringCmd", "Auto_DriveCmd", "Auto_BrakingCmd", "Auto_ParkingCmd"]
+FIVE = ["Auto_DriveCmd", "Auto_GearCmd", "Auto_SteeringCmd", "Auto_BrakingCmd", "Auto_ParkingCmd"]
 OFF = ["Auto_LightCmd", "Auto_SpeakerCmd", "Auto_OdometerCmd"]
 
 
@@ -178,7 +178,8 @@ def test_a_guard_that_is_gone_is_started_again_while_the_robot_is_told_nothing()
         maker = FrameMaker()
 
         def tell(later_ns: int, actuation: Actuation | None = None) -> None:
-            link.tell(time.monotonic_ns() + later_ns, Variant.COARSE, actuation, maker.counters)
+            now_ns = time.monotonic_ns() + later_ns
+            link.tell(now_ns, Variant.COARSE, actuation, maker.counters, told_ns=now_ns)
 
         try:
             wait_until(lambda: link.is_watching, lambda: tell(0))
