@@ -15,6 +15,7 @@ from gateway.command.actuation import Actuation
 from gateway.command.auxiliary import Auxiliary
 from gateway.command.causes import STOPS, Stop, Watch
 from gateway.command.freshness import TickLog
+from gateway.command.handover import Handover, may_obey
 from gateway.command.lease import LeaseDesk
 from gateway.command.limits import Limits
 from gateway.command.motion import Motion, Surroundings, Target
@@ -30,7 +31,6 @@ from schemas.messages import Mode, Variant
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import (
     ENGAGE_TIMEOUT_NS,
-    LEFT_BLIND_NS,
     TICK_NS,
     TOLD_LONG_AGO_NS,
     Settings,
@@ -56,15 +56,12 @@ class Arbiter:
         parked: the parking brake is asked for.
         latched: what must be reset, with its detail.
         latched_ns: when the newest of it was latched.
-        is_cut_off: our way to the bus was lost while the chassis was being told something, and is not back. The
-            chassis obeys on: only the guard, which has a way of its own, can stop it.
         stop_reason: why the last stop was begun.
         variant: the one in which the chassis is told speeds; UNKNOWN as soon as there was any doubt, until it is
             engaged again.
         actuation: what the chassis was last told; None while it is told nothing.
         told_ns: when a whole burst was last taken by the bus.
-        left: what the chassis had been told when it was left to somebody else, unless that has been ended since.
-            It may obey that again.
+        handover: who else commands the chassis, and what it was left on.
     """
 
     def __init__(self, settings: Settings, run: int) -> None:
@@ -96,14 +93,11 @@ class Arbiter:
         self.fresh_ns = 0
         self.is_closing = False
         self.latched_ns = 0
-        self.is_cut_off = False
         self._sequence: StopSequence | None = None
         self._engage_until_ns = 0
-        self._was_auto = False
         self.told_ns = 0
-        self.left: Actuation | None = None
-        self._bus_losses = self._guard_stops = 0
-        self._left_ns = self._late_ns = 0
+        self.handover = Handover()
+        self._late_ns = 0
         self._before: tuple[Motion, StopSequence | None, Actuation | None] = (self.motion, None, None)
         self._waiting: dict[str, int] = {}
         self._notices = Notices()
@@ -127,7 +121,7 @@ class Arbiter:
         self.tick_number += 1
         self._late_ns = late_ns
         self.watch.observe(observed)
-        self.is_cut_off = self.is_cut_off and not observed.bus_up
+        self.handover.is_cut_off &= not observed.bus_up
         if observed.variant is not self.variant:
             self.variant = Variant.UNKNOWN
         self._expire(now_ns)
@@ -178,8 +172,8 @@ class Arbiter:
             return
         last = self._last_told()
         if self.state is ArbiterState.STANDBY:
-            if not self._may_be_obeying():
-                return
+            if not may_obey(self.watch.observed):
+                return  # Standing by stays silent.
             self._begin_telling(self.watch.observed.wheel_speed_mps or 0.0)
         self._sequence = StopSequence(last, deceleration_mps2, self.settings.brake_pedal_percent, now_ns)
         self.auxiliary.end(now_ns)
@@ -252,36 +246,21 @@ class Arbiter:
             if observed.guard_sends:
                 self.latch(Reason.GUARD, "", now_ns)
             return
-        self._was_auto = self._was_auto or observed.mode is Mode.AUTO
-        reason = self._yield_reason(observed)
+        reason = self.handover.reason_to_yield(observed, is_disabling=self.stop_phase is StopPhase.DISABLE)
         if reason is Reason.NONE:
             return
         if reason is Reason.GUARD:
             self.latch(reason, "", now_ns)
         self._go(Trigger.YIELD)
-        # Lamps and horn stay as they are in the chassis, and are told off when it is told something again.
-        self.left = self.actuation if self.actuation is not None else Actuation(parking=self.parked)
+        told = self.actuation if self.actuation is not None else Actuation(parking=self.parked)
+        self.handover.leave(told, reason, observed, now_ns)
         # From here on what is seen counts, not what we told.
         self.actuation = None
-        self._left_ns = now_ns
-        self.is_cut_off = reason is Reason.BUS_DOWN and not observed.bus_up
         self.stop_reason = reason
         self._sequence = None
         self._fail_waiting(reason, "")
         kind = EventKind.GUARD if reason is Reason.GUARD else EventKind.TAKEOVER
         self.tell(Severity.WARNING, kind, reason, f"nothing is sent any more: {_in_words(reason, '')}")
-
-    def _yield_reason(self, observed: Observed) -> Reason:
-        if observed.guard_sends or observed.guard_stops != self._guard_stops:
-            # Also when it has ended by now: this process was stopped meanwhile, and what it knows is old.
-            return Reason.GUARD
-        if not observed.bus_up or observed.bus_losses != self._bus_losses:
-            return Reason.BUS_DOWN
-        if observed.mode is Mode.REMOTE:
-            return Reason.HAND_TRANSMITTER
-        if observed.mode is Mode.STOP and self._was_auto and self.stop_phase is not StopPhase.DISABLE:
-            return Reason.MODE_NOT_AUTO
-        return Reason.NONE
 
     def _look_for_causes(self, now_ns: int, late_ns: int) -> None:
         for notice in self._notices.look(self.watch.observed, now_ns, late_ns):
@@ -317,23 +296,12 @@ class Arbiter:
 
     def _look_for_strays(self, now_ns: int) -> None:
         """Standing by: does the chassis obey a command that nobody gives any more?"""
-        observed = self.watch.observed
-        if self.watch.is_commanded_by_other(now_ns):
-            self.left = None
-        # What is not seen right after the bus has come back may be seen in a moment.
-        is_blind = observed.mode is Mode.UNDEFINED and now_ns - self._left_ns < LEFT_BLIND_NS
-        if not observed.bus_up:
-            self._left_ns = now_ns
-        if self.left is not None and self._may_be_obeying() and not is_blind:
+        is_taken = self.watch.is_commanded_by_other(now_ns)
+        if self.handover.is_obeyed_again(self.watch.observed, now_ns, is_taken=is_taken):
             # It was left while it was being told something, and may obey that again: nothing resumes by itself.
             self.begin_stop(Reason.FOUND_MOVING, now_ns, "or about to move, by what it was told before")
         elif self.watch.found_moving(now_ns):
             self.begin_stop(Reason.FOUND_MOVING, now_ns)
-
-    def _may_be_obeying(self) -> bool:
-        """The chassis may be in auto and obey an old command; else standing by stays silent."""
-        observed = self.watch.observed
-        return observed.bus_up and observed.mode in {Mode.AUTO, Mode.UNDEFINED} and not observed.guard_sends
 
     # What the chassis is told.
 
@@ -389,16 +357,13 @@ class Arbiter:
         """From here on the chassis is told something; it has this signed speed."""
         self.variant = self.watch.observed.variant
         self.watch.plausibility.forget(speed_mps)
-        self._was_auto = False
-        self.left = None
-        self._bus_losses = self.watch.observed.bus_losses
-        self._guard_stops = self.watch.observed.guard_stops
+        self.handover.begin(self.watch.observed)
 
     def _last_told(self) -> Actuation:
         """Where a stop begins: what the chassis was last told, or must have been told."""
         if self.actuation is not None:
             return self.actuation
-        parking = self.left.parking if self.left is not None else None
+        parking = self.handover.left.parking if self.handover.left is not None else None
         return seen_actuation(self.watch.observed, self.configured_limits, parking=parking)
 
     def _go(self, trigger: Trigger) -> None:

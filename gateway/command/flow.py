@@ -91,7 +91,7 @@ class CommandFlow:
 
     def _frames(self, outcome: Outcome, now_ns: int) -> list[Frame]:
         if outcome.actuation is None:
-            self.is_mute = self.arbiter.is_cut_off
+            self.is_mute = self.arbiter.handover.is_cut_off
             self._gate.pause()
             return []
         variant = self.arbiter.variant

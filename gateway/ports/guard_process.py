@@ -147,7 +147,7 @@ class GuardProcess:
             arbiter.actuation,
             command.maker.counters,
             told_ns=arbiter.told_ns,
-            left=arbiter.left,
+            left=arbiter.handover.left,
             is_mute=command.is_mute,
         )
 

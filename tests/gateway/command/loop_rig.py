@@ -202,7 +202,7 @@ class LoopRig:
         arbiter = command.arbiter
         assert Reason.GATE not in arbiter.latched, f"the gate refused: {arbiter.latched}"
         jammed = arbiter.watch.send_failures >= MUTE_FAILURES and arbiter.state is ArbiterState.STOPPING
-        assert command.is_mute is (arbiter.is_cut_off or jammed), "mute for want of a bus only"
+        assert command.is_mute is (arbiter.handover.is_cut_off or jammed), "mute for want of a bus only"
         reset = any(d.request == "reset" and d.reason is Reason.NONE for d in self.decided[-4:])
         assert reset or self._latched <= arbiter.latched.keys(), "a latch cleared itself"
         self._latched = set(arbiter.latched)

@@ -1,0 +1,80 @@
+"""Who commands the chassis: when our output has to cease at once, and what may be obeyed after that. Pure."""
+
+from __future__ import annotations
+
+from gateway.command.actuation import Actuation
+from gateway.command.observed import Observed
+from schemas.messages import Mode
+from schemas.reasons import Reason
+from schemas.settings import LEFT_BLIND_NS
+
+
+def may_obey(observed: Observed) -> bool:
+    """The chassis may be in auto and obey an old command, and nobody else sees to it."""
+    return observed.bus_up and observed.mode in {Mode.AUTO, Mode.UNDEFINED} and not observed.guard_sends
+
+
+class Handover:
+    """What becomes of a chassis that is told something.
+
+    Attributes:
+        left: what the chassis had been told when it was left to somebody else, unless that has been ended since.
+            It may obey that again.
+        is_cut_off: our way to the bus was lost while the chassis was being told something, and is not back. The
+            chassis obeys on: only the guard, which has a way of its own, can stop it.
+    """
+
+    def __init__(self) -> None:
+        self.left: Actuation | None = None
+        self.is_cut_off = False
+        self._left_ns = 0
+        self._was_auto = False
+        self._bus_losses = self._guard_stops = 0
+
+    def begin(self, observed: Observed) -> None:
+        """From here on we tell the chassis something."""
+        self.left = None
+        self._was_auto = False
+        self._bus_losses = observed.bus_losses
+        self._guard_stops = observed.guard_stops
+
+    def reason_to_yield(self, observed: Observed, *, is_disabling: bool) -> Reason:
+        """Why nothing may be told any more; NONE if there is no reason.
+
+        Args:
+            observed: the chassis now, which we are telling something.
+            is_disabling: we are taking the enables away, so that it is to leave auto.
+        """
+        self._was_auto = self._was_auto or observed.mode is Mode.AUTO
+        if observed.guard_sends or observed.guard_stops != self._guard_stops:
+            # Also when it has ended by now: this process was stopped meanwhile, and what it knows is old.
+            return Reason.GUARD
+        if not observed.bus_up or observed.bus_losses != self._bus_losses:
+            return Reason.BUS_DOWN
+        if observed.mode is Mode.REMOTE:
+            return Reason.HAND_TRANSMITTER
+        if observed.mode is Mode.STOP and self._was_auto and not is_disabling:
+            return Reason.MODE_NOT_AUTO
+        return Reason.NONE
+
+    def leave(self, told: Actuation, reason: Reason, observed: Observed, now_ns: int) -> None:
+        """Nothing is told any more, for this reason; lamps and horn stay as they are in the chassis."""
+        self.left = told
+        self._left_ns = now_ns
+        self.is_cut_off = reason is Reason.BUS_DOWN and not observed.bus_up
+
+    def is_obeyed_again(self, observed: Observed, now_ns: int, *, is_taken: bool) -> bool:
+        """Whether the chassis may obey what it was left on. Asked each tick while it is told nothing.
+
+        Args:
+            observed: the chassis now.
+            now_ns: monotonic.
+            is_taken: another computer commands it.
+        """
+        if is_taken:
+            self.left = None
+        # What is not seen right after the bus has come back may be seen in a moment.
+        is_blind = observed.mode is Mode.UNDEFINED and now_ns - self._left_ns < LEFT_BLIND_NS
+        if not observed.bus_up:
+            self._left_ns = now_ns
+        return self.left is not None and may_obey(observed) and not is_blind
