@@ -198,6 +198,9 @@ GUARD_LOOK_NS: Final = 100_000_000
 GUARD_RESTART_NS: Final = 5_000_000_000
 """A guard that is gone is started again while the robot is told nothing, at most this often."""
 
+GUARD_HANGS_TICKS: Final = 100
+"""So is one that gives no sign of life in so many ticks, after it was killed."""
+
 REMOTE_FRAMES: Final = 2
 """So many in a row that read remote are believed: one alone may be two flipped bits, and the robot rolls on."""
 

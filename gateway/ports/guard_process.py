@@ -19,7 +19,7 @@ from gateway.command.flow import CommandFlow
 from gateway.guard.beat import Beat, Cause, GuardStatus
 from gateway.ports.heartbeat import Heartbeat
 from schemas.messages import Variant
-from schemas.settings import GUARD_RESTART_NS, GUARD_SILENT_NS, Settings
+from schemas.settings import GUARD_HANGS_TICKS, GUARD_RESTART_NS, GUARD_SILENT_NS, Settings
 
 log = logging.getLogger(__name__)
 
@@ -94,7 +94,7 @@ class _Child(msgspec.Struct, frozen=True):
 
 
 class GuardProcess:
-    """A guard that was started; one that is gone is started again while the robot is told nothing."""
+    """A guard that was started; one that is gone or hangs is replaced while the robot is told nothing."""
 
     why_not = ""
 
@@ -106,6 +106,7 @@ class GuardProcess:
         self._starting: threading.Thread | None = None
         self._started: _Child | None = None
         self._stops_before = 0
+        self._silent_ticks = 0
         self._was_told = False
         self._newest = Beat(0)
 
@@ -213,13 +214,21 @@ class GuardProcess:
         if self._starting is not None:
             if not self._starting.is_alive():
                 self._take_started()
-        elif now_ns - self._started_ns > GUARD_RESTART_NS and self._process.poll() is not None:
+            return
+        # One that starts slowly has given no sign yet, and does not hang.
+        is_silent = self._memory.read_status() is not None and self._live_status() is None
+        self._silent_ticks = self._silent_ticks + 1 if is_silent else 0
+        is_gone = self._process.poll() is not None or self._silent_ticks >= GUARD_HANGS_TICKS
+        if is_gone and now_ns - self._started_ns > GUARD_RESTART_NS:
             self._started_ns = now_ns
             self._starting = threading.Thread(target=self._start_again, name="guard-starter", daemon=True)
             self._starting.start()
 
     def _start_again(self) -> None:
-        log.warning("the guard (process %d) is gone; starting another", self._process.pid)
+        log.warning("the guard (process %d) is gone or hangs; starting another", self._process.pid)
+        # One that hangs must not wake up beside the next.
+        self._process.kill()
+        self._process.wait()
         try:
             self._started = self._start()
         except OSError as error:

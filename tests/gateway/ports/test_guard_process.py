@@ -17,7 +17,7 @@ from gateway.command.frames import FrameMaker
 from gateway.guard.beat import Cause
 from gateway.ports.guard_process import GuardProcess, NoGuard, start_guard
 from schemas.messages import Mode, Variant
-from schemas.settings import GUARD_RESTART_NS, CanSettings, GatewaySettings, Settings
+from schemas.settings import GUARD_HANGS_TICKS, GUARD_RESTART_NS, CanSettings, GatewaySettings, Settings
 from tests.gateway.cli.running import chassis
 from tests.gateway.guard.watched import Watched, watched
 from tests.gateway.remote.waiting import wait_until
@@ -170,7 +170,8 @@ def test_where_no_guard_can_be_the_link_says_why(settings: Settings, says: str) 
     assert (link.is_watching, link.is_sending, link.stops, link.cause) == (False, False, 0, Cause.NONE)
 
 
-def test_a_guard_that_is_gone_is_started_again_while_the_robot_is_told_nothing() -> None:
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_guard_that_is_gone_or_hangs_is_replaced_while_the_robot_is_told_nothing(number: signal.Signals) -> None:
     """Not while it is driven; then another one watches, and the stop that the first began is not forgotten."""
     with chassis() as (_, address):
         link = start_guard(Settings(can=CanSettings(interface="socketcand", channel=address)))
@@ -187,15 +188,17 @@ def test_a_guard_that_is_gone_is_started_again_while_the_robot_is_told_nothing()
             # Told something, and no beat after: it begins a stop.
             tell(0, AT_REST)
             wait_until(lambda: link.stops == 1)
-            os.kill(first, signal.SIGKILL)
-            link._process.wait()
-            tell(GUARD_RESTART_NS // 2)
+            os.kill(first, number)
+            wait_until(lambda: not link.is_watching)
+            for _ in range(GUARD_HANGS_TICKS):
+                tell(GUARD_RESTART_NS // 2)
             assert link._starting is None
             tell(2 * GUARD_RESTART_NS, AT_REST)
             tell(2 * GUARD_RESTART_NS)
             assert link._starting is None
             assert link.stops == 1
             wait_until(lambda: link.pid != first, lambda: tell(2 * GUARD_RESTART_NS))
+            assert not Path(f"/proc/{first}").exists()
             # That it begins within a beat from the future is this test's doing.
             wait_until(lambda: link.is_watching, lambda: tell(0))
             assert link.stops == 1
