@@ -1,5 +1,6 @@
 import argparse
 import json
+import time
 from collections.abc import Callable
 
 import pytest
@@ -9,10 +10,10 @@ from gateway.remote.robot import Robot
 from schemas.decisions import ArbiterState
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.reasons import Reason
-from schemas.settings import Settings, ZenohSettings
+from schemas.settings import RESET_MIN_NS, Settings, ZenohSettings
 from tests.gateway.remote.fake_gateway import free_endpoint
 from tests.gateway.remote.fake_robot import FakeRobot
-from tests.gateway.remote.waiting import StopWhen
+from tests.gateway.remote.waiting import StopWhen, wait_until
 
 Capture = pytest.CaptureFixture[str]
 ACTIONS = {
@@ -115,6 +116,7 @@ def test_stop_and_reset(capsys: Capture) -> None:
         assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
         with pytest.raises(CommandError, match="remote_stop"):
             run(park, fake.listen, "cruiser-1")
+        wait_until(lambda: time.monotonic_ns() - fake.flow.arbiter.latched_ns > RESET_MIN_NS)
         assert run(reset, fake.listen, "cruiser-1") == 0
         assert not fake.flow.arbiter.latched
         assert run(reset, fake.listen, "cruiser-1") == 0
