@@ -6,13 +6,16 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/installed
 
-.PHONY: demo test lint types architecture generate bench mutation clean
+.PHONY: demo test test-socketcan lint types architecture generate bench mutation clean
 
 demo: $(STAMP)  ## chassis, gateway and recorder and two operators, for half a minute
 	$(BIN)/cruiser demo --seconds 30 --out demo-log
 
 test: $(STAMP)  ## the whole test suite
 	$(BIN)/python -m pytest
+
+test-socketcan: $(STAMP)  ## the gateway on a real SocketCAN interface; boots user-mode Linux where the kernel has none
+	tests/socketcan/run
 
 lint: $(STAMP)
 	$(BIN)/ruff format --check .

@@ -15,7 +15,7 @@ class Beat(msgspec.Struct, frozen=True):
 
     Attributes:
         now_ns: monotonic, when the loop had sent.
-        is_active: the chassis is being told something, or was in the tick before.
+        is_active: the chassis is being told something, or was in the tick before and that was the end of a stop.
         told_ns: when a whole burst was last taken by the bus.
         is_left: the chassis was left to somebody else while it was told ``last``, and may obey that again.
         is_mute: what has to be sent cannot be; the guard has to act at once.

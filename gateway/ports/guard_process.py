@@ -175,7 +175,7 @@ class GuardProcess:
             is_mute: what has to be sent cannot be: the guard acts at once.
         """
         is_told = actuation is not None or is_mute
-        is_active = is_told or self._was_told
+        is_active = is_told or (self._was_told and left is None)
         if actuation is not None:
             last = actuation
         elif left is not None:

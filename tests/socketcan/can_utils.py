@@ -1,0 +1,87 @@
+"""The programs of can-utils, as peers on the bus that know nothing of us."""
+
+import re
+import subprocess
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+from typing import Final, NamedTuple, Self
+
+from gateway.chassis.frame import Frame
+from tests.gateway.remote.waiting import wait_until
+from tests.socketcan.turns import PEER, come_first
+
+_LINE: Final = re.compile(r"\((\d+)\.(\d{6})\) (\S+) ([0-9A-F]{3}|[0-9A-F]{8})#([0-9A-F]*)")
+_MARK: Final = 0x7FF
+"""An identifier that nobody uses: candump listens once it has written it."""
+
+
+class Dumped(NamedTuple):
+    """A line of candump. ``can_id`` is the identifier as it stands there, ``at_us`` the kernel's receive time."""
+
+    at_us: int
+    can_id: int
+    data: bytes
+
+
+class Candump:
+    """``candump -L`` into a file. ``frames`` reads what it has written so far; the mark is left out.
+
+    ``filters`` are candump's own, ``IDENTIFIER:MASK``: a frame that is not asked for costs nothing.
+    """
+
+    def __init__(self, channel: str, path: Path, *filters: str) -> None:
+        self.path = path
+        self._at = 0
+        self._frames: list[Dumped] = []
+        with path.open("wb") as file:
+            what = ",".join([channel, *filters, *([f"{_MARK:03X}:{_MARK:03X}"] if filters else [])])
+            self._process = subprocess.Popen(["candump", "-L", what], stdin=subprocess.DEVNULL, stdout=file)
+        come_first(self._process.pid, PEER)
+        wait_until(lambda: path.stat().st_size > 0, lambda: send(channel, _MARK, b""))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._process.terminate()
+        self._process.wait(30)
+
+    @property
+    def frames(self) -> list[Dumped]:
+        """What was on the bus so far, in its order."""
+        with self.path.open("rb") as file:
+            file.seek(self._at)
+            text = file.read()
+        whole = text[: text.rfind(b"\n") + 1]
+        self._at += len(whole)
+        for line in whole.decode("ascii").splitlines():
+            found = _LINE.fullmatch(line)
+            assert found is not None, line
+            if int(found[4], 16) != _MARK:
+                at_us = int(found[1]) * 1_000_000 + int(found[2])
+                self._frames.append(Dumped(at_us, int(found[4], 16), bytes.fromhex(found[5])))
+        return self._frames
+
+
+def send(channel: str, can_id: int, data: bytes) -> None:
+    """One frame by ``cansend``; identifiers up to 0x7FF are standard ones."""
+    identifier = f"{can_id:03X}" if can_id <= _MARK else f"{can_id:08X}"
+    subprocess.run(["cansend", channel, f"{identifier}#{data.hex().upper()}"], check=True, timeout=30)
+
+
+def play(channel: str, log: Path) -> None:
+    """A log by ``canplayer``, in its own time, to the end."""
+    command = ["canplayer", "-I", str(log), f"{channel}=can0"]
+    subprocess.run(command, check=True, timeout=100, stdout=subprocess.DEVNULL)
+
+
+def write_log(path: Path, frames: Iterable[Frame]) -> None:
+    """A log as ``candump -L`` writes it, of extended frames, with their times."""
+    with path.open("w", encoding="ascii") as file:
+        for frame in frames:
+            seconds, ns = divmod(frame.wall_ns, 1_000_000_000)
+            identifier = f"{frame.identifier:08X}"
+            file.write(f"({seconds:010d}.{ns // 1000:06d}) can0 {identifier}#{frame.data.hex().upper()}\n")

@@ -1,0 +1,128 @@
+"""Command frames as candump shows them, read by hand from the chassis's manual, without the gateway's own code."""
+
+import statistics
+from collections.abc import Iterable
+from functools import reduce
+from itertools import pairwise
+from operator import xor
+from typing import Final, NamedTuple
+
+from tests.socketcan.can_utils import Dumped
+
+GEAR: Final = 0x18C4D1D0
+STEERING: Final = 0x18C4D2D0
+DRIVE: Final = 0x18C4D3D0
+BRAKING: Final = 0x18C4D4D0
+PARKING: Final = 0x18C4D5D0
+ODOMETER: Final = 0x18C4D6D0
+LIGHT: Final = 0x18C4D7D0
+SPEAKER: Final = 0x18C4D8D0
+
+BURST: Final = (DRIVE, GEAR, STEERING, BRAKING, PARKING)
+"""Of every tick, in this order: the speed first."""
+
+ALL: Final = frozenset((*BURST, ODOMETER, LIGHT, SPEAKER))
+
+FILTER: Final = "18C4D0D0:1FFFF0FF"
+"""They all, for candump."""
+
+LAMP_FEEDBACK: Final = "18C4DAEF:1FFFFFFF"
+"""A frame every 50 ms, for candump."""
+
+NEUTRAL_GEAR: Final = 3
+FORWARD_GEAR: Final = 4
+ANGLE_DEG_PER_BIT: Final = 0.043945
+
+
+class Told(NamedTuple):
+    """What a burst tells the chassis. The speed is unscaled."""
+
+    at_us: int
+    enables: tuple[bool, ...]
+    gear: int
+    angle_deg: float
+    speed_raw: int
+    pedal_raw: int
+    parking: bool
+
+
+def of(frames: Iterable[Dumped]) -> list[Dumped]:
+    """The command frames among them."""
+    return [frame for frame in frames if frame.can_id in ALL]
+
+
+def counter(frame: Dumped) -> int:
+    """The alive counter, bits 52..55."""
+    return _bits(frame, 52, 4)
+
+
+def bursts(frames: list[Dumped], *, torn: int = 0) -> list[Told]:
+    """The whole bursts among command frames.
+
+    Args:
+        frames: command frames, in their order.
+        torn: so many bursts at most may have been cut short, as by a kill between two of their frames.
+
+    Raises:
+        AssertionError: a burst does not have its five in their order, or anything else between them.
+    """
+    begun = [place for place, frame in enumerate(frames) if frame.can_id == BURST[0]]
+    groups = [frames[place:end] for place, end in pairwise([*begun, len(frames)])]
+    motion = [[frame for frame in group if frame.can_id in BURST] for group in groups]
+    for group, five in zip(groups, motion, strict=True):
+        assert group[: len(five)] == five, "something stands between the frames of a burst"
+        assert tuple(frame.can_id for frame in five) == BURST[: len(five)]
+    whole = [five for five in motion if len(five) == len(BURST)]
+    assert len(motion) - len(whole) <= torn, "a burst is not whole"
+    return [_told(*five) for five in whole]
+
+
+def check_bytes(frames: Iterable[Dumped]) -> None:
+    """Eight bytes each, the last the XOR of the others, and no bit set that the manual does not have."""
+    for frame in frames:
+        assert len(frame.data) == 8, frame
+        assert reduce(xor, frame.data) == 0, frame
+        word = int.from_bytes(frame.data, "little") & ~(0xFFF << 52)
+        assert not word & ~_SIGNAL_BITS[frame.can_id], frame
+
+
+def check_counters(frames: Iterable[Dumped]) -> None:
+    """For each identifier each counter is the one before plus one, modulo 16."""
+    last: dict[int, int] = {}
+    for frame in frames:
+        if frame.can_id in last:
+            assert counter(frame) == (last[frame.can_id] + 1) % 16, frame
+        last[frame.can_id] = counter(frame)
+
+
+def median_period_ms(told: list[Told]) -> float:
+    """From one burst to the next."""
+    return statistics.median(later.at_us - earlier.at_us for earlier, later in pairwise(told)) / 1e3
+
+
+_SIGNAL_BITS: Final = {
+    GEAR: 1 | 0x7 << 8,
+    STEERING: 1 | 0xFFF << 8,
+    DRIVE: 1 | 0xFFFF << 8,
+    BRAKING: 1 | 0xFF << 8,
+    PARKING: 1 | 1 << 8,
+    ODOMETER: 1 | 1 << 16,
+    LIGHT: 1 | 1 << 8 | 1 << 16,
+    SPEAKER: 1,
+}
+
+
+def _bits(frame: Dumped, start: int, length: int) -> int:
+    return int.from_bytes(frame.data, "little") >> start & ((1 << length) - 1)
+
+
+def _told(drive: Dumped, gear: Dumped, steering: Dumped, braking: Dumped, parking: Dumped) -> Told:
+    return Told(
+        at_us=drive.at_us,
+        enables=tuple(bool(_bits(frame, 0, 1)) for frame in (gear, steering, drive, braking, parking)),
+        gear=_bits(gear, 8, 3),
+        angle_deg=_bits(steering, 8, 12) * ANGLE_DEG_PER_BIT - 90,
+        speed_raw=_bits(drive, 8, 16),
+        pedal_raw=_bits(braking, 8, 8),
+        parking=bool(_bits(parking, 8, 1)),
+    )

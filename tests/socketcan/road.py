@@ -1,0 +1,96 @@
+"""Our own processes on a SocketCAN interface: the virtual chassis, the gateway with its guard, and an operator."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+from gateway.remote.drive_stream import HOLD_MAX_S
+from gateway.remote.robot import Lease, Robot
+from schemas.decisions import ArbiterState
+from schemas.reasons import Reason
+from schemas.settings import Settings, ZenohSettings
+from tests.gateway.cli.running import Running
+from tests.gateway.remote.waiting import wait_until
+from tests.socketcan.turns import CHASSIS, PEER, come_as_usual, come_first
+
+CONNECT_S: Final = 30.0
+"""Processes start slowly in user-mode Linux."""
+
+STEADY_S: Final = 30.0
+
+SEEN_OVERCOME: Final = frozenset({Reason.NO_LEASE, Reason.NOT_ENGAGED})
+"""What speaks against a robot that waits for its operator."""
+
+
+@contextmanager
+def chassis(channel: str, *words: str) -> Iterator[Running]:
+    """A virtual chassis that is on the bus. As it stands for a computer of its own, it waits for no other."""
+    with Running("sim", "--interface", "socketcan", "--channel", channel, *words) as sim:
+        sim.wait_says(r"chassis on socketcan")
+        come_first(sim.process.pid, CHASSIS)
+        yield sim
+
+
+@contextmanager
+def gateway(channel: str, endpoint: str, *words: str) -> Iterator[Running]:
+    """A gateway that is ready."""
+    bus = ["--interface", "socketcan", "--channel", channel, "--listen", endpoint]
+    with Running("gateway", *bus, *words) as running:
+        running.wait_says("gateway: ")
+        yield running
+
+
+@contextmanager
+def operator(endpoint: str, robot: str = "cruiser-1", name: str = "first") -> Iterator[Robot]:
+    """An operator who hears the robot."""
+    settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
+    with Robot.connect(robot, name, settings, CONNECT_S) as connected:
+        yield connected
+
+
+def wait_engageable(robot: Robot) -> None:
+    """Wait until nothing but its operator is missing, and a guard watches."""
+    assert robot.wait_for(lambda state: state.guarded and set(state.blocked_by) <= SEEN_OVERCOME, STEADY_S), (
+        robot.state().state
+    )
+
+
+class Drive:
+    """A robot under way. ``keep`` has to be called all the time: its operator's stream ends without it."""
+
+    def __init__(self, lease: Lease, speed_mps: float, angle_deg: float) -> None:
+        self.lease = lease
+        self._speed_mps = speed_mps
+        self._angle_deg = angle_deg
+
+    def keep(self) -> None:
+        """Drive on."""
+        self.lease.drive(self._speed_mps, angle_deg=self._angle_deg, hold_s=HOLD_MAX_S)
+
+
+@contextmanager
+def coming_first() -> Iterator[None]:
+    """This process is the operator's: no robot waits for it."""
+    come_first(os.getpid(), PEER)
+    try:
+        yield
+    finally:
+        come_as_usual(os.getpid())
+
+
+@contextmanager
+def driving(robot: Robot, speed_mps: float, angle_deg: float = 0.0) -> Iterator[Drive]:
+    """The robot is engaged, and told this speed steadily."""
+    wait_engageable(robot)
+    with robot.lease() as lease, coming_first():
+        lease.engage()
+        lease.unpark()
+        drive = Drive(lease, speed_mps, angle_deg)
+        wait_until(lambda: robot.state().state.output_speed_mps == speed_mps, drive.keep)
+        yield drive
+
+
+def wait_standing_by(robot: Robot) -> None:
+    """Wait until the stop under way has ended."""
+    assert robot.wait_for(lambda state: state.state is ArbiterState.STANDBY, STEADY_S), robot.state().state

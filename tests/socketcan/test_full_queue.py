@@ -1,0 +1,102 @@
+"""A bus that takes nothing: an interface of the kernel whose adapter does not send."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+import can
+import pytest
+
+from gateway.chassis.controller import controller_state
+from gateway.chassis.frame import EXTENDED, Frame
+from gateway.ports.can_bus import BusFull
+from gateway.ports.socketcan import SocketCanBus
+from schemas.messages import ControllerState
+from tests.gateway.remote.waiting import wait_until
+from tests.socketcan.commands import BURST
+from tests.socketcan.serial_adapter import SerialAdapter
+
+CAN_ID: Final = EXTENDED | BURST[0]
+
+TICK_FRAMES: Final = 8
+"""Commands of a tick: the five that move it, odometer, light and horn."""
+
+IN_THE_ADAPTER: Final = 1
+TRIES: Final = 100
+
+
+@contextmanager
+def opened(adapter: SerialAdapter) -> Iterator[SocketCanBus]:
+    """The bus of an adapter."""
+    bus = SocketCanBus(can.Bus(interface="socketcan", channel=adapter.name))
+    try:
+        yield bus
+    finally:
+        bus.close()
+
+
+def numbered(number: int) -> Frame:
+    """A frame that is known again."""
+    return Frame(CAN_ID, number.to_bytes(8, "little"))
+
+
+def taken(bus: SocketCanBus, first: int) -> list[int]:
+    """The numbers of the frames that a bus took of so many."""
+    numbers = []
+    for number in range(first, first + TRIES):
+        try:
+            bus.send(numbered(number))
+        except BusFull:
+            continue
+        numbers.append(number)
+    return numbers
+
+
+def test_a_tick_waits_for_the_bus_and_no_more() -> None:
+    """What it does not take is refused at once, again and again, and never sent: then the next ones are."""
+    with SerialAdapter() as adapter, opened(adapter) as bus:
+        first = taken(bus, 0)
+        assert first == list(range(TICK_FRAMES + IN_THE_ADAPTER))
+        wait_until(lambda: len(adapter.frames) >= len(first))
+        bus.send(numbered(TRIES))
+        wait_until(lambda: len(adapter.frames) > len(first))
+        assert adapter.frames == [(BURST[0], numbered(number).data) for number in (*first, TRIES)]
+
+
+@pytest.mark.parametrize(
+    ("letter", "errors", "state"),
+    [
+        ("w", 96, ControllerState.WARNING),
+        ("p", 128, ControllerState.PASSIVE),
+        ("b", 255, ControllerState.BUS_OFF),
+    ],
+)
+def test_a_drivers_own_error_frames_tell_its_state(letter: str, errors: int, state: ControllerState) -> None:
+    """The kernel makes them of what its driver reports; and it comes back."""
+    with SerialAdapter() as adapter, opened(adapter) as bus:
+        adapter.report(letter, receive_errors=0, send_errors=errors)
+        assert told(bus) is state
+        adapter.report("a", receive_errors=0, send_errors=0)
+        assert told(bus) is ControllerState.ACTIVE
+
+
+def test_off_the_bus_frames_are_thrown_away() -> None:
+    """Once the kernel has seen it the queue takes everything, and nothing of that leaves when it is up again."""
+    with SerialAdapter() as adapter:
+        with opened(adapter) as bus:
+            assert taken(bus, 0) == list(range(TICK_FRAMES + IN_THE_ADAPTER))
+            adapter.report("b", receive_errors=0, send_errors=255)
+            assert told(bus) is ControllerState.BUS_OFF
+            wait_until(lambda: len(taken(bus, TRIES)) == TRIES)
+        adapter.restart()
+        with opened(adapter) as bus:
+            bus.send(numbered(2 * TRIES))
+            wait_until(lambda: (BURST[0], numbered(2 * TRIES).data) in adapter.frames)
+        assert len(adapter.frames) <= IN_THE_ADAPTER + 1
+
+
+def told(bus: SocketCanBus) -> ControllerState | None:
+    """What the next frame says of the controller."""
+    frame = bus.receive(10)
+    assert frame is not None
+    return controller_state(frame)

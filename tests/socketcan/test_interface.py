@@ -1,0 +1,179 @@
+"""The interface of a gateway goes, and comes again."""
+
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from gateway.remote.refusal import Stopped
+from gateway.remote.robot import Robot
+from schemas.decisions import ArbiterState
+from schemas.exit_codes import ExitCode
+from schemas.messages import Mode
+from schemas.reasons import Reason
+from tests.gateway.cli.running import run
+from tests.gateway.remote.fake_gateway import free_endpoint
+from tests.gateway.remote.waiting import wait_until
+from tests.socketcan import commands
+from tests.socketcan.cable import Cable
+from tests.socketcan.can_utils import Candump, Dumped
+from tests.socketcan.hearing import Hearing, hearing
+from tests.socketcan.interface import Vcan
+from tests.socketcan.road import chassis, driving, gateway, operator, wait_engageable
+
+SPEED_MPS: Final = 0.5
+SPEED_RAW: Final = 500
+SILENT_US: Final = 500_000
+LONG_STATES: Final = 80
+"""At 20 Hz: longer than the longest pause before the bus is tried again."""
+
+
+def changes(values: list[bool]) -> list[bool]:
+    """Each value once for as long as it lasted."""
+    return [value for value, _ in itertools.groupby(values)]
+
+
+def wait_long(heard: Hearing) -> None:
+    """So long that whatever is tried again has been tried."""
+    heard.hear()
+    begun = len(heard.bus_up)
+    heard.wait(lambda: len(heard.bus_up) >= begun + LONG_STATES)
+
+
+def speed_raw(drive: Dumped) -> int:
+    """What a drive command asks for, unscaled."""
+    return int.from_bytes(drive.data[1:3], "little")
+
+
+def is_at_rest(robot: Robot, witness: Candump) -> bool:
+    """The chassis stands and is not in auto, and nobody has told it anything for a while."""
+    seen = robot.state()
+    stands = seen.chassis is not None and (seen.chassis.mode, seen.chassis.speed_mps) == (Mode.STOP, 0)
+    told = commands.of(witness.frames)
+    is_silent = not told or witness.frames[-1].at_us - told[-1].at_us > SILENT_US
+    return stands and is_silent and seen.state.state is ArbiterState.STANDBY
+
+
+def wait_cleared(robot: Robot) -> None:
+    """Wait until it can be engaged, after a reset if it was the guard that stopped it.
+
+    Gateway and guard have the bus again at the same time. Who is first stops the robot.
+    """
+    if robot.state().state.latched:
+        with robot.lease() as lease:
+            lease.reset()
+    wait_engageable(robot)
+
+
+def test_a_cable_that_is_off_for_a_while_is_one_loss_and_its_robot_is_stopped(tmp_path: Path) -> None:
+    """It is told that the bus is down, once and all the time; then it brings to rest a robot that still obeys.
+
+    The chassis hears nothing while the interface is down, and keeps its last command.
+    """
+    endpoint = free_endpoint()
+    with (
+        Cable() as cable,
+        Candump(cable.far, tmp_path / "far.log", commands.FILTER, commands.LAMP_FEEDBACK) as witness,
+        chassis(cable.far, "--variant", "fine"),
+        gateway(cable.near, endpoint),
+        hearing(endpoint, "state", "gateway/health") as heard,
+        operator(endpoint) as robot,
+    ):
+        with driving(robot, SPEED_MPS) as drive:
+            heard.wait(lambda: heard.bus_up[-1:] == [True], drive.keep)
+            heard.bus_up.clear()
+            heard.wait(lambda: bool(heard.bus_up), drive.keep)
+            cable.down()
+            with pytest.raises(Stopped) as stop:
+                wait_until(lambda: False, drive.keep)
+            assert stop.value.reason is Reason.BUS_DOWN
+            before = len(commands.of(witness.frames))
+            wait_long(heard)
+            down = f"socketcan {cable.near} is down: ip link set {cable.near} up"
+            assert (heard.health.bus_up, heard.health.bus_detail, heard.health.bus_losses) == (False, down, 1)
+            assert heard.bus_up[-LONG_STATES // 2 :] == [False] * (LONG_STATES // 2)
+            state = robot.state().state
+            assert (state.state, state.stop_reason) == (ArbiterState.STANDBY, Reason.BUS_DOWN)
+            assert Reason.BUS_DOWN in state.blocked_by
+            assert len(commands.of(witness.frames)) == before
+            cable.up()
+            wait_until(lambda: is_at_rest(robot, witness))
+        wait_cleared(robot)
+        wait_long(heard)
+        assert changes(heard.bus_up) == [True, False, True]
+        assert (heard.health.bus_up, heard.health.bus_detail, heard.health.bus_losses) == (True, "", 1)
+    speeds_raw = [speed_raw(frame) for frame in witness.frames if frame.can_id == commands.DRIVE]
+    fastest = len(speeds_raw) - 1 - speeds_raw[::-1].index(SPEED_RAW)
+    assert speeds_raw[fastest:] == sorted(speeds_raw[fastest:], reverse=True)
+    sent = commands.of(witness.frames)
+    assert len(sent) > before
+    assert not any(frame.data[0] & 1 for frame in sent[-5:])
+
+
+def test_an_adapter_that_is_pulled_out_and_put_in_again_is_the_same_bus(vcan: Vcan, tmp_path: Path) -> None:
+    """With another chassis at it: it is told to stand at most, until it is engaged anew."""
+    endpoint = free_endpoint()
+    with (
+        gateway(vcan.name, endpoint) as running,
+        hearing(endpoint, "state", "gateway/health") as heard,
+        operator(endpoint) as robot,
+    ):
+        with chassis(vcan.name, "--variant", "fine") as sim, driving(robot, SPEED_MPS) as drive:
+            vcan.remove()
+            with pytest.raises(Stopped) as stop:
+                wait_until(lambda: False, drive.keep)
+            assert stop.value.reason is Reason.BUS_DOWN
+            assert sim.process.wait(30) == ExitCode.UNREACHABLE
+        wait_long(heard)
+        assert not heard.health.bus_up
+        assert heard.health.bus_detail == f"socketcan {vcan.name}: No such device"
+        vcan.create()
+        with (
+            Candump(vcan.name, tmp_path / "again.log", commands.FILTER, commands.LAMP_FEEDBACK) as witness,
+            chassis(vcan.name, "--variant", "fine"),
+        ):
+            wait_until(lambda: is_at_rest(robot, witness))
+            wait_cleared(robot)
+            told = [frame for frame in witness.frames if frame.can_id == commands.DRIVE]
+            assert {speed_raw(frame) for frame in told} <= {0}
+            with driving(robot, SPEED_MPS):
+                assert robot.state().state.engaged
+        wait_long(heard)
+        assert changes(heard.bus_up)[-3:] == [True, False, True]
+        assert heard.health.bus_losses == 1
+        assert running.stop() == 0
+        assert sum("the bus is lost" in line for line in running.said) == 1
+
+
+@pytest.mark.parametrize(
+    ("go", "come", "why"),
+    [
+        (Vcan.down, Vcan.up, "socketcan {0} is down: ip link set {0} up"),
+        (Vcan.remove, Vcan.create, "socketcan {0}: No such device"),
+    ],
+    ids=["down", "missing"],
+)
+def test_a_gateway_starts_without_its_interface_if_told_to(
+    vcan: Vcan, go: Callable[[Vcan], None], come: Callable[[Vcan], None], why: str
+) -> None:
+    """Else it ends with one line that says how to mend it. If told to, it goes on when the interface is there."""
+    go(vcan)
+    why = why.format(vcan.name)
+    endpoint = free_endpoint()
+    ended = run(["gateway", "--channel", vcan.name, "--listen", endpoint])
+    told = f"cruiser gateway: {why} (--wait-for-bus starts without it)"
+    assert (ended.returncode, ended.stderr.splitlines()[-1]) == (ExitCode.UNREACHABLE, told)
+    with (
+        gateway(vcan.name, endpoint, "--wait-for-bus"),
+        hearing(endpoint, "state", "gateway/health") as heard,
+        operator(endpoint) as robot,
+    ):
+        heard.wait_healthy(lambda health: health.bus_detail == why)
+        assert not any(heard.bus_up)
+        come(vcan)
+        with chassis(vcan.name, "--variant", "fine"):
+            wait_engageable(robot)
+        assert heard.wait_healthy(lambda health: health.bus_up).bus_losses == 0
+        assert changes(heard.bus_up) == [False, True]

@@ -1,0 +1,114 @@
+"""What a gateway hears of a bus that others use too, with ``can.raw_frames`` and without."""
+
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from gateway.chassis.layout import load
+from schemas.messages import Variant
+from tests.gateway.cli.running import Running
+from tests.gateway.remote.fake_gateway import free_endpoint
+from tests.gateway.remote.waiting import wait_until
+from tests.socketcan.can_utils import Candump, send
+from tests.socketcan.hearing import hearing
+from tests.socketcan.interface import Vcan
+from tests.socketcan.road import chassis, gateway
+
+FOREIGN: Final = 500
+HEARD: Final = 500
+"""Frames of the chassis, in a second."""
+
+ALL: Final = Path("/proc/net/can/rcvlist_all")
+EXACT: Final = Path("/proc/net/can/rcvlist_eff")
+"""Who in this network namespace asks the kernel for every frame, and who for one extended identifier."""
+
+
+@pytest.fixture
+def only_chassis(tmp_path: Path) -> list[str]:
+    """The configuration without raw frames."""
+    path = tmp_path / "cruiser.toml"
+    path.write_text("[can]\nraw_frames = false\n", encoding="ascii")
+    return ["--config", str(path)]
+
+
+def foreigners(vcan: Vcan) -> None:
+    """Frames of an identifier of nobody's, and one that differs from one of the chassis's in its kind alone."""
+    command = ["cangen", vcan.name, "-g", "0", "-n", str(FOREIGN), "-e", "-I", "0AA", "-L", "8"]
+    subprocess.run(command, check=True, timeout=100)
+    send(vcan.name, 0x18C4D1EF & 0x7FF, bytes(8))
+
+
+def asking(path: Path, channel: str) -> list[int]:
+    """The identifiers that are asked for on an interface; 0 where all are."""
+    rows = [line.split() for line in path.read_text(encoding="ascii").splitlines()]
+    return sorted(int(row[1], 16) for row in rows if row[:1] == [channel])
+
+
+def test_raw_frames_have_the_kernels_receive_times(vcan: Vcan, candump: Candump) -> None:
+    """To the microsecond those that candump has for the same frames, in the same order."""
+    endpoint = free_endpoint()
+    with gateway(vcan.name, endpoint), hearing(endpoint, "gateway/health", "can/can0/rx") as heard:
+        with chassis(vcan.name):
+            heard.wait(lambda: len(heard.raw) > HEARD)
+        heard.wait(lambda: len(heard.raw) == len(candump.frames))
+    published = [(frame.wall_ns // 1000, frame.identifier, frame.data) for frame in heard.raw]
+    assert published == [tuple(frame) for frame in candump.frames]
+
+
+def test_with_raw_frames_whatever_is_on_the_bus_is_counted(vcan: Vcan) -> None:
+    """And published."""
+    endpoint = free_endpoint()
+    with gateway(vcan.name, endpoint), hearing(endpoint, "gateway/health", "can/can0/rx") as heard:
+        foreigners(vcan)
+        health = heard.wait_healthy(lambda health: health.frames == FOREIGN + 1)
+        assert health.unknown_identifiers == {"000000AA": FOREIGN, "1EF": 1}
+        heard.wait(lambda: len(heard.raw) == FOREIGN + 1)
+
+
+def test_without_raw_frames_the_chassis_alone_is_heard(vcan: Vcan, only_chassis: list[str]) -> None:
+    """The kernel keeps the others from the gateway."""
+    endpoint = free_endpoint()
+    with (
+        gateway(vcan.name, endpoint, *only_chassis),
+        hearing(endpoint, "gateway/health", "can/can0/rx") as heard,
+    ):
+        foreigners(vcan)
+        with chassis(vcan.name):
+            foreigners(vcan)
+            heard.wait_healthy(lambda health: health.frames > HEARD)
+            foreigners(vcan)
+        health = heard.wait_healthy(lambda health: health.frames_per_s == 0)
+        assert health.unknown_identifiers == {}
+        assert [feedback.lost for feedback in health.feedback] == [0] * len(health.feedback)
+        assert health.frames == sum(feedback.valid for feedback in health.feedback)
+        assert heard.raw == []
+
+
+@contextmanager
+def halt(vcan: Vcan) -> Iterator[None]:
+    """Somebody listens in order to stop the robot by hand."""
+    with Running("halt", "--channel", vcan.name):
+        yield
+
+
+def test_who_asks_the_kernel_for_what(vcan: Vcan, only_chassis: list[str]) -> None:
+    """A gateway for all or, without raw frames, for the chassis's identifiers; its guard and halt for these."""
+    one = sorted(load(Variant.COARSE).identifiers)
+    asked = {
+        gateway(vcan.name, free_endpoint()): ([0], one),
+        gateway(vcan.name, free_endpoint(), *only_chassis): ([], sorted(2 * one)),
+        halt(vcan): ([], one),
+    }
+    for somebody, expected in asked.items():
+        with somebody:
+            wait_asked(vcan, *expected)
+        wait_asked(vcan, [], [])
+
+
+def wait_asked(vcan: Vcan, everything: list[int], identifiers: list[int]) -> None:
+    """Wait until that is asked for on an interface."""
+    wait_until(lambda: (asking(ALL, vcan.name), asking(EXACT, vcan.name)) == (everything, identifiers))

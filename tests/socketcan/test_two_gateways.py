@@ -1,0 +1,74 @@
+"""Two computers that would command one chassis, on a real interface."""
+
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from gateway.remote.refusal import Refused, Stopped
+from schemas.decisions import ArbiterState
+from schemas.reasons import Reason
+from tests.gateway.remote.fake_gateway import free_endpoint
+from tests.gateway.remote.waiting import wait_until
+from tests.socketcan import commands
+from tests.socketcan.can_utils import Candump, send
+from tests.socketcan.interface import Vcan
+from tests.socketcan.road import chassis, driving, gateway, operator, wait_engageable, wait_standing_by
+from tests.socketcan.turns import come_last
+
+SPEED_MPS: Final = 0.5
+DARK: Final = bytes.fromhex("000000000000F0F0")
+"""All lamps off, with a right checksum: a command that changes nothing but who commands."""
+
+
+def test_the_second_gateway_does_not_engage_beside_the_first(vcan: Vcan, witness: Candump, tmp_path: Path) -> None:
+    """It hears the first one's frames, says so, refuses, and sends none; then the first one rests, and it may.
+
+    The second one stands for another computer: it does not take the processor from the first.
+    """
+    settings = tmp_path / "second.toml"
+    settings.write_text("[gateway]\nrealtime_priority = 0\n", encoding="ascii")
+    endpoints = free_endpoint(), free_endpoint()
+    with (
+        chassis(vcan.name, "--variant", "fine"),
+        gateway(vcan.name, endpoints[0], "--robot", "r-1"),
+        gateway(vcan.name, endpoints[1], "--robot", "r-2", "--config", str(settings)) as other,
+        operator(endpoints[0], "r-1") as first,
+        operator(endpoints[1], "r-2", "second") as second,
+    ):
+        wait_engageable(second)
+        come_last(other.process.pid)
+        with driving(first, SPEED_MPS) as drive:
+            wait_until(lambda: Reason.OTHER_COMMANDER in second.state().state.blocked_by, drive.keep)
+            with second.lease() as lease, pytest.raises(Refused) as refusal:
+                lease.engage()
+            assert Reason.OTHER_COMMANDER.value in str(refusal.value)
+            begun = len(commands.of(witness.frames))
+            wait_until(lambda: len(commands.of(witness.frames)) > begun + 250, drive.keep)
+            drive.lease.disengage()
+            wait_standing_by(first)
+        wait_engageable(second)
+    commands.check_counters(commands.of(witness.frames))
+    commands.bursts(commands.of(witness.frames))
+
+
+def test_a_driving_gateway_stops_for_another_commander(vcan: Vcan, witness: Candump) -> None:
+    """One valid command frame that is not its own is enough: it stops the robot, and says why."""
+    endpoint = free_endpoint()
+    with chassis(vcan.name, "--variant", "fine"), gateway(vcan.name, endpoint), operator(endpoint) as robot:
+        wait_engageable(robot)
+        with driving(robot, SPEED_MPS) as drive:
+            send(vcan.name, commands.LIGHT, DARK)
+            with pytest.raises(Stopped) as stop:
+                wait_until(lambda: False, drive.keep)
+            assert stop.value.reason is Reason.OTHER_COMMANDER
+            wait_standing_by(robot)
+        state = robot.state().state
+        assert (state.state, state.stop_reason) == (ArbiterState.STANDBY, Reason.OTHER_COMMANDER)
+    (foreign,) = [frame for frame in witness.frames if frame.can_id == commands.LIGHT]
+    own = [frame for frame in commands.of(witness.frames) if frame is not foreign]
+    commands.check_counters(own)
+    told = commands.bursts(own)
+    after = [burst.speed_raw for burst in told if burst.at_us > foreign.at_us]
+    assert after == sorted(after, reverse=True)
+    assert told[-1].enables == (False,) * 5
