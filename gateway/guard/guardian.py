@@ -7,7 +7,7 @@ from typing import Final
 from gateway.chassis.frame import Frame
 from gateway.guard.beat import Beat, Cause, GuardStatus
 from gateway.guard.sight import Sight
-from gateway.guard.stopper import REMOTE, Stopper
+from gateway.guard.stopper import REMOTE, STANDS, UNSEEN, Stopper
 from schemas.messages import Mode
 from schemas.settings import (
     COMMANDER_NS,
@@ -46,6 +46,8 @@ class Guardian:
         self._began_ns = self._heard_ns = 0
         self._ticked_ns: int | None = None
         self._gone_since_ns: int | None = None
+        # When a stop of its own was complete: what was told before is no command any more.
+        self._ended_ns = 0
         self._was_paused = False
         self._late_at_ns = 0
         self._was_asked_to_end = False
@@ -127,7 +129,7 @@ class Guardian:
         """
         commander_ns = self.sight.commander_ns
         is_old = commander_ns is not None and commander_ns - beat.now_ns > GUARD_SILENT_NS
-        return beat.is_left and not is_old
+        return beat.is_left and beat.told_ns > self._ended_ns and not is_old
 
     def _is_taken(self, last: Beat, now_ns: int) -> bool:
         """Late as this is, somebody else has begun to command the chassis, and does so now: two must not."""
@@ -190,6 +192,8 @@ class Guardian:
         self.is_sending = False
         self._is_armed = False
         self._late_looks = 0
+        if self._stopper.outcome in {STANDS, UNSEEN}:
+            self._ended_ns = self._ticked_ns or 0
         self._lines.append(f"done: {self._stopper.outcome}; {self._stopper.frames} frames sent")
 
     def _may_leave(self, beat: Beat | None, now_ns: int, *, is_needed: bool, is_alone: bool) -> bool:

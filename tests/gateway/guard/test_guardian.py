@@ -424,6 +424,23 @@ def test_a_gateway_that_hangs_while_the_hand_transmitter_has_the_robot_is_stoppe
     assert not rig.guardian.is_sending
 
 
+def test_what_the_guard_has_ended_itself_is_not_left_any_more() -> None:
+    """The gateway was paused, comes back, gives way, and goes: nothing more is sent, for the stop was complete."""
+    rig = GuardRig()
+    rig.drive()
+    rig.loop_lives = False
+    rig.run(A_STOP_S)
+    sent = len(rig.sent)
+    assert not rig.guardian.is_sending
+    rig.loop_lives, rig.told = True, None
+    rig.run(0.5)
+    assert rig.left is not None
+    rig.parent_lives = False
+    rig.run(0.5)
+    assert len(rig.sent) == sent
+    assert rig.guardian.is_ended
+
+
 def test_a_late_loop_is_no_matter_where_nothing_was_left() -> None:
     """Standing by, in auto by another computer, the loop may be late as long as it likes."""
     rig = left_under_the_transmitter()
