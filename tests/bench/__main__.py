@@ -10,9 +10,9 @@ import os
 import platform
 
 from tests.bench import command_latency, flood, guard_latency, path_cost
-from tests.bench.processes import NOMINAL_FRAMES_PER_S, Load, quantile, run_load
-
-SATURATED_FRAMES_PER_S = 7500
+from tests.bench.loads import Row, load_rows, print_table
+from tests.bench.on_vcan import vcan
+from tests.bench.processes import quantile
 
 
 def main() -> None:
@@ -25,45 +25,23 @@ def main() -> None:
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     print(f"{machine}; each load {seconds:g} s")
     cost = path_cost.measure()
-    rows = [
+    rows: list[Row] = [
         ("CPU of a frame, from the frame to its sample", f"{cost.path_us:.1f} us", ""),
         ("  by cantools, json.dumps, session.put", f"{cost.peer_us:.1f} us", ""),
         ("  ratio", f"{cost.ratio:.1f} x less", "3 x less"),
         ("  with raw batches, state and health too", f"{cost.whole_us:.1f} us, {cost.whole_ratio:.1f} x less", ""),
     ]
-    for name, frames_per_s, goal_ms in (
-        ("nominal", NOMINAL_FRAMES_PER_S, 2),
-        ("saturated 1 Mbit/s", SATURATED_FRAMES_PER_S, 5),
-    ):
-        rows += load_rows(name, run_load(frames_per_s, seconds), goal_ms)
+    rows += load_rows(seconds)
+    with vcan() as interface:
+        if interface:
+            rows += load_rows(seconds, interface)
     rows += command_rows(command_latency.measure())
     rows += flood_rows(flood.measure())
     rows += [guard_row(latency) for latency in guard_latency.measure(arguments.kills)]
-    width = max(len(row[0]) for row in rows)
-    print(f"{'figure':{width}}  {'measured':34}  goal")
-    for figure, measured, goal in rows:
-        print(f"{figure:{width}}  {measured:34}  {goal}")
+    print_table(rows)
 
 
-def load_rows(name: str, load: Load, goal_ms: int) -> list[tuple[str, str, str]]:
-    """The rows of one load."""
-    latency = [f"{quantile(load.latency_us, share) / 1000:.2f}" for share in (0.5, 0.99)]
-    lateness = [f"{quantile(load.lateness_us, share) / 1000:.2f}" for share in (0.5, 0.99, 0.999, 1)]
-    is_nominal = load.frames_per_s == NOMINAL_FRAMES_PER_S
-    return [
-        (f"{name}: {load.frames_per_s:g} frames/s", f"{load.frames} in the log", ""),
-        ("  frames lost, samples missed", f"{load.lost}, {load.missed}", "0, 0"),
-        (
-            "  gateway's CPU, all of it",
-            f"{load.gateway_cpu_percent:.0f} %, {load.gateway_cpu_us:.0f} us a frame",
-            "" if is_nominal else "under 100 %",
-        ),
-        ("  chassis to subscriber, p50 p99", f"{' '.join(latency)} ms", "p99 under 5 ms" if is_nominal else ""),
-        ("  tick lateness, p50 p99 p99.9 max", f"{' '.join(lateness)} ms", f"p99.9 under {goal_ms} ms"),
-    ]
-
-
-def command_rows(latency: command_latency.CommandLatency) -> list[tuple[str, str, str]]:
+def command_rows(latency: command_latency.CommandLatency) -> list[Row]:
     """Commands, from the put to the bus."""
     drive, stop, tick = (
         [quantile(values_us, share) for share in (0.5, 0.99)]
@@ -80,7 +58,7 @@ def command_rows(latency: command_latency.CommandLatency) -> list[tuple[str, str
     ]
 
 
-def flood_rows(flooded: flood.Flooded) -> list[tuple[str, str, str]]:
+def flood_rows(flooded: flood.Flooded) -> list[Row]:
     """What a flood of drive commands does."""
     return [
         (
@@ -92,7 +70,7 @@ def flood_rows(flooded: flood.Flooded) -> list[tuple[str, str, str]]:
     ]
 
 
-def guard_row(latency: guard_latency.GuardLatency) -> tuple[str, str, str]:
+def guard_row(latency: guard_latency.GuardLatency) -> Row:
     """How fast the guard is."""
     figure = f"{latency.signal.name} at 2 m/s to first stop frame, p50 p99 max"
     return figure, f"{latency.figures}, of {len(latency.after_ms)}", "under 100 ms"

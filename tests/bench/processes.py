@@ -61,17 +61,28 @@ def free_port() -> int:
         return port
 
 
-def run_load(frames_per_s: float, seconds: float) -> Load:
-    """Run the three for this long, after a warm-up, and read the log."""
+def run_load(frames_per_s: float, seconds: float, vcan: str = "") -> Load:
+    """Run the three for this long, after a warm-up, and read the log.
+
+    Args:
+        frames_per_s: of the chassis.
+        seconds: without the warm-up.
+        vcan: a SocketCAN interface that is up; without one the bus is the socketcand protocol over loopback.
+    """
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         multiplier = str(frames_per_s / NOMINAL_FRAMES_PER_S)
-        sim = ["-m", "gateway", "sim", "--listen", "127.0.0.1:0", "--rate-multiplier", multiplier]
-        ready = start(stack, sim, "sim: ")[1]
-        address = re.search(r"127\.0\.0\.1:\d+", ready)
-        assert address is not None, ready
-        bus = ["--interface", "socketcand", "--channel", address[0], "--listen", endpoint]
+        sim = ["-m", "gateway", "sim", "--rate-multiplier", multiplier]
+        if vcan:
+            bus = ["--interface", "socketcan", "--channel", vcan]
+            start(stack, [*sim, *bus], "sim: ")
+        else:
+            ready = start(stack, [*sim, "--listen", "127.0.0.1:0"], "sim: ")[1]
+            address = re.search(r"127\.0\.0\.1:\d+", ready)
+            assert address is not None, ready
+            bus = ["--interface", "socketcand", "--channel", address[0]]
+        bus += ["--listen", endpoint]
         probe = ["-m", "tests.bench.gateway_probe", str(folder / "probe.json"), *bus, "--variant", "coarse"]
         gateway, _ = start(stack, probe, "gateway: ")
         time.sleep(WARM_UP_S)

@@ -29,6 +29,9 @@ FILTER: Final = "18C4D0D0:1FFFF0FF"
 LAMP_FEEDBACK: Final = "18C4DAEF:1FFFFFFF"
 """A frame every 50 ms, for candump."""
 
+WHEEL_SPEEDS: Final = 0x18C4D7EF
+"""The feedback by which time is seen to pass, every 50 ms, and the robot to move."""
+
 NEUTRAL_GEAR: Final = 3
 FORWARD_GEAR: Final = 4
 ANGLE_DEG_PER_BIT: Final = 0.043945
@@ -56,25 +59,25 @@ def counter(frame: Dumped) -> int:
     return _bits(frame, 52, 4)
 
 
-def bursts(frames: list[Dumped], *, torn: int = 0) -> list[Told]:
-    """The whole bursts among command frames.
-
-    Args:
-        frames: command frames, in their order.
-        torn: so many bursts at most may have been cut short, as by a kill between two of their frames.
+def bursts(frames: list[Dumped], torn: int = 0) -> list[Told]:
+    """Command frames as bursts. So many may be torn, by the end of who sends them: these are left out.
 
     Raises:
         AssertionError: a burst does not have its five in their order, or anything else between them.
     """
     begun = [place for place, frame in enumerate(frames) if frame.can_id == BURST[0]]
-    groups = [frames[place:end] for place, end in pairwise([*begun, len(frames)])]
-    motion = [[frame for frame in group if frame.can_id in BURST] for group in groups]
-    for group, five in zip(groups, motion, strict=True):
-        assert group[: len(five)] == five, "something stands between the frames of a burst"
-        assert tuple(frame.can_id for frame in five) == BURST[: len(five)]
-    whole = [five for five in motion if len(five) == len(BURST)]
-    assert len(motion) - len(whole) <= torn, "a burst is not whole"
-    return [_told(*five) for five in whole]
+    assert not frames or begun[:1] == [0], "it begins within a burst"
+    told = []
+    for place, end in pairwise([*begun, len(frames)]):
+        found = tuple(frame.can_id for frame in frames[place:end])
+        if found[: len(BURST)] == BURST:
+            assert not set(found[len(BURST) :]) & set(BURST), _words(found)
+            told.append(_told(*frames[place : place + len(BURST)]))
+        else:
+            assert found == BURST[: len(found)], _words(found)
+            torn -= 1
+    assert torn >= 0, "bursts are torn"
+    return told
 
 
 def check_bytes(frames: Iterable[Dumped]) -> None:
@@ -95,6 +98,11 @@ def check_counters(frames: Iterable[Dumped]) -> None:
         last[frame.can_id] = counter(frame)
 
 
+def stands(frame: Dumped) -> bool:
+    """What wheel speeds of the fine variant are at rest: 32768 each."""
+    return (_bits(frame, 8, 16), _bits(frame, 24, 16)) == (0x8000, 0x8000)
+
+
 def median_period_ms(told: list[Told]) -> float:
     """From one burst to the next."""
     return statistics.median(later.at_us - earlier.at_us for earlier, later in pairwise(told)) / 1e3
@@ -110,6 +118,10 @@ _SIGNAL_BITS: Final = {
     LIGHT: 1 | 1 << 8 | 1 << 16,
     SPEAKER: 1,
 }
+
+
+def _words(can_ids: Iterable[int]) -> list[str]:
+    return [f"{can_id:08X}" for can_id in can_ids]
 
 
 def _bits(frame: Dumped, start: int, length: int) -> int:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.socketcan.can_utils import Candump
-from tests.socketcan.commands import FILTER, LAMP_FEEDBACK
+from tests.socketcan.commands import FILTER, WHEEL_SPEEDS
 from tests.socketcan.interface import Vcan
 
 
@@ -33,6 +33,6 @@ def candump(vcan: Vcan, tmp_path: Path) -> Iterator[Candump]:
 
 @pytest.fixture
 def witness(vcan: Vcan, tmp_path: Path) -> Iterator[Candump]:
-    """Somebody who writes down the commands, and 20 frames/s of the chassis by which time is seen to pass."""
-    with Candump(vcan.name, tmp_path / "candump.log", FILTER, LAMP_FEEDBACK) as dump:
+    """Somebody who writes down the commands, and the wheel speeds, 20 frames/s."""
+    with Candump(vcan.name, tmp_path / "candump.log", FILTER, f"{WHEEL_SPEEDS:08X}:1FFFFFFF") as dump:
         yield dump

@@ -1,0 +1,46 @@
+"""Chassis, gateway and recorder under the load of a bus, as rows of the table."""
+
+from __future__ import annotations
+
+from tests.bench.processes import NOMINAL_FRAMES_PER_S, Load, quantile, run_load
+
+SATURATED_FRAMES_PER_S = 7500
+LOADS = (("nominal", NOMINAL_FRAMES_PER_S, 2), ("saturated 1 Mbit/s", SATURATED_FRAMES_PER_S, 5))
+"""Name, frames/s, and the goal for the lateness of its ticks in ms."""
+
+Row = tuple[str, str, str]
+"""Figure, what was measured, goal."""
+
+
+def load_rows(seconds: float, vcan: str = "") -> list[Row]:
+    """Both loads, on a SocketCAN interface or on the socketcand protocol."""
+    return [
+        row
+        for name, frames_per_s, goal_ms in LOADS
+        for row in _rows(f"{name} on {vcan}" if vcan else name, run_load(frames_per_s, seconds, vcan), goal_ms)
+    ]
+
+
+def print_table(rows: list[Row]) -> None:
+    """For people."""
+    width = max(len(row[0]) for row in rows)
+    print(f"{'figure':{width}}  {'measured':34}  goal")
+    for figure, measured, goal in rows:
+        print(f"{figure:{width}}  {measured:34}  {goal}")
+
+
+def _rows(name: str, load: Load, goal_ms: int) -> list[Row]:
+    latency = [f"{quantile(load.latency_us, share) / 1000:.2f}" for share in (0.5, 0.99)]
+    lateness = [f"{quantile(load.lateness_us, share) / 1000:.2f}" for share in (0.5, 0.99, 0.999, 1)]
+    is_nominal = load.frames_per_s == NOMINAL_FRAMES_PER_S
+    return [
+        (f"{name}: {load.frames_per_s:g} frames/s", f"{load.frames} in the log", ""),
+        ("  frames lost, samples missed", f"{load.lost}, {load.missed}", "0, 0"),
+        (
+            "  gateway's CPU, all of it",
+            f"{load.gateway_cpu_percent:.0f} %, {load.gateway_cpu_us:.0f} us a frame",
+            "" if is_nominal else "under 100 %",
+        ),
+        ("  chassis to subscriber, p50 p99", f"{' '.join(latency)} ms", "p99 under 5 ms" if is_nominal else ""),
+        ("  tick lateness, p50 p99 p99.9 max", f"{' '.join(lateness)} ms", f"p99.9 under {goal_ms} ms"),
+    ]

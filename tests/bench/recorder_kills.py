@@ -1,0 +1,143 @@
+"""kill -9 of a recorder at random instants: what each kill cost, after the next start has recovered its log.
+
+Usage: python -m tests.bench.recorder_kills [--kills N]. Not a test of time: machines differ.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import signal
+import tempfile
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import msgspec
+from mcap.reader import make_reader
+
+from recorder.ports.leftovers import Outcome, recover
+from recorder.review.info import read_info
+from schemas.messages import Gear
+from tests.bench.processes import quantile, start
+from tests.recorder.fakes import gear, key_of, sample_of, wait_until
+from tests.recorder.zenoh_peer import Peer, free_endpoint
+
+PERIOD_S = 0.002
+ALIVE_S = (0.6, 1.8)
+"""A recorder is killed so long after its first sample, at random."""
+
+
+class Kills(msgspec.Struct, frozen=True):
+    """What the kills cost.
+
+    Attributes:
+        lost_ms: for each kill, from the publish time of the last message in its log to the kill.
+        lost: messages for each kill; ``sent`` is how many there were while a recorder was there.
+        holes: messages missing before the last one of a log; ``doubled`` are in two.
+        not_whole: logs that no start has made whole.
+    """
+
+    lost_ms: list[float]
+    lost: list[int]
+    sent: int
+    holes: int
+    doubled: int
+    not_whole: list[str]
+
+
+class _Publisher:
+    """Publishes gear messages, one sequence for all, until the end."""
+
+    def __init__(self, endpoint: str) -> None:
+        self.next = 0
+        self._peer = Peer(endpoint)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._peer.close()
+
+    def _run(self) -> None:
+        while not self._stop.wait(PERIOD_S):
+            self._peer.put(sample_of(gear(self.next, time.time_ns())))
+            self.next += 1
+
+
+def measure(kills: int, directory: Path, seed: int = 1) -> Kills:
+    """Start and kill recorders, one after the other, on one directory; then read all that they left."""
+    chooser = random.Random(seed)  # noqa: S311 - reproducible, not secret
+    endpoint = free_endpoint()
+    ends: list[tuple[int, int]] = []
+    with _Publisher(endpoint) as publisher:
+        for _ in range(kills):
+            before = set(directory.iterdir())
+            with ExitStack() as stack:
+                words = ["-m", "gateway", "record", "-o", str(directory), "--connect", endpoint]
+                recorder, _ready = start(stack, words, "record: ")
+                # Whatever is new is this recorder's log, or an earlier one that it has recovered.
+                wait_until(lambda before=before: _is_writing(directory, before))  # type: ignore[misc]  # bound at once
+                time.sleep(chooser.uniform(*ALIVE_S))
+                recorder.send_signal(signal.SIGKILL)
+                ends.append((publisher.next, time.time_ns()))
+                recorder.wait()
+    for path in sorted(directory.glob("*.part")):
+        assert recover(path, "bench").outcome in {Outcome.WHOLE, Outcome.RECOVERED}
+    return _count(directory, ends)
+
+
+def _is_writing(directory: Path, before: set[Path]) -> bool:
+    return any(path.name.endswith(".part") and path.stat().st_size for path in set(directory.iterdir()) - before)
+
+
+def _count(directory: Path, ends: list[tuple[int, int]]) -> Kills:
+    """Each log ends before its kill: compare what is in it with what had been sent by then."""
+    logs: list[dict[int, int]] = []
+    for path in directory.glob("*.mcap"):
+        with path.open("rb") as stream:
+            found = make_reader(stream, validate_crcs=True).iter_messages(topics=[key_of(Gear)])
+            logs.append({message.sequence: message.publish_time for _, _, message in found})
+    logs = sorted((log for log in logs if log), key=min)
+    lost_ms, lost, sent = [], [], 0
+    for log, (next_sent, killed_ns) in zip(logs, ends, strict=True):
+        last = max(log)
+        lost_ms.append((killed_ns - log[last]) / 1e6)
+        lost.append(max(0, next_sent - 1 - last))
+        sent += next_sent - min(log)
+    return Kills(
+        lost_ms=sorted(lost_ms),
+        lost=sorted(lost),
+        sent=sent,
+        holes=sum(max(log) - min(log) + 1 - len(log) for log in logs),
+        doubled=sum(map(len, logs)) - len({sequence for log in logs for sequence in log}),
+        not_whole=[str(path) for path in directory.glob("*") if not read_info(path).whole],
+    )
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        kills = measure(arguments.kills, Path(folder), arguments.seed)
+    figures = " ".join(f"{quantile(kills.lost_ms, share):.0f}" for share in (0.5, 0.99, 1))
+    print(f"{len(kills.lost_ms)} kills, {kills.sent} messages sent while a recorder was there")
+    print(f"lost before the kill, p50 p99 max: {figures} ms; messages, most: {kills.lost[-1]}")
+    print(f"holes {kills.holes}, doubled {kills.doubled}, logs not whole {len(kills.not_whole)}")
+
+
+if __name__ == "__main__":
+    main()
