@@ -12,9 +12,11 @@ The end of the telemetry flow::
 - ``protobuf_schema``  the messages as protobuf descriptors, built at run time
 - ``transcode``        a typed message to its protobuf bytes
 - ``chunk``            messages appended to one buffer, indexed
-- ``mcap_file``        the bytes of an MCAP file, on any binary stream
-- ``loop``             the one thread that joins them to the ports
-- ``ports``            Zenoh, and the directory of logs
+- ``mcap_file``        the bytes of an MCAP file, on any binary stream; ``mcap_summary`` is its end
+- ``prologue``         what a file begins with that continues another
+- ``mcap_scan``, ``recovery``  what is whole in a damaged or unfinished file, and making a file of it
+- ``loop``             joins them to the ports, and never waits for the disk
+- ``ports``            Zenoh, the directory of logs, the thread that writes them, and what others left there
 - ``review``           turns a log into answers
 - ``cli``              the commands
 """

@@ -17,7 +17,7 @@ class LogChannel(msgspec.Struct, frozen=True):
 
 
 class OpenLog(msgspec.Struct, frozen=True):
-    """Begin a log file whose name holds these."""
+    """Begin a log file whose name holds these, and which repeats what those before it declared."""
 
     name: str
     wall_ns: int
@@ -36,10 +36,11 @@ class WriteChunk(msgspec.Struct, frozen=True):
 
 
 class WriteMetadata(msgspec.Struct, frozen=True):
-    """Write a metadata record."""
+    """Write a metadata record; if it ``lasts``, into the files that continue this one too."""
 
     name: str
     entries: dict[str, str]
+    lasts: bool = False
 
 
 class WriteAttachment(msgspec.Struct, frozen=True):
@@ -73,4 +74,5 @@ class AskKept(msgspec.Struct, frozen=True):
 
 
 Ask = AskInfo | AskKept
-Effect = OpenLog | DeclareChannel | WriteChunk | WriteMetadata | WriteAttachment | SyncLog | CloseLog | Ask
+FileEffect = DeclareChannel | WriteChunk | WriteMetadata | WriteAttachment | SyncLog | CloseLog
+Effect = OpenLog | FileEffect | Ask

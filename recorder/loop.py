@@ -1,4 +1,7 @@
-"""The one thread of a recording: samples from Zenoh into the session, its effects out to the ports."""
+"""The loop of a recording: samples from Zenoh into the session, its effects out to the ports.
+
+It never waits for the disk: files are written by ``ports.log_writer`` on a thread of its own.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +12,11 @@ from typing import Final, Protocol
 
 import msgspec
 
-from recorder.effects import AskInfo, AskKept, Effect, OpenLog
-from recorder.ports.log_directory import LogDirectory, LogFile
+from recorder.effects import AskInfo, AskKept, Effect, FileEffect, OpenLog
+from recorder.ports.log_directory import LogDirectory
+from recorder.ports.log_writer import LogWriter
 from recorder.sample import Sample
 from recorder.session import KeyCount, Session
-from schemas.exit_codes import CommandError
 from schemas.subjects import KEPT_FIRST
 
 log = logging.getLogger(__name__)
@@ -57,12 +60,16 @@ class Recorded(msgspec.Struct, frozen=True):
     """What a recording has come to.
 
     Attributes:
-        path: the log; None if no sample came.
+        path: the newest log; None if there is none.
+        files: how many there are; ``bytes`` of them all.
+        lost: messages that were received, and that the disk did not take.
         keys: per topic, what was recorded and what was missed.
     """
 
     path: str | None
+    files: int
     messages: int
+    lost: int
     bytes: int
     channels: int
     keys: dict[str, KeyCount]
@@ -81,31 +88,20 @@ class Recorder:
     def __init__(self, session: Session, source: Source, directory: LogDirectory, library: str) -> None:
         self._session = session
         self._source = source
-        self._directory = directory
-        self._library = library
-        self._file: LogFile | None = None
+        self._writer = LogWriter(directory, library)
         self._was_connected: bool | None = None
 
-    def run(self, stopped: Callable[[], bool]) -> Recorded:
-        """Record until stopped.
-
-        Raises:
-            CommandError: the disk takes no more. What was recorded is kept.
-        """
-        is_closed = False
+    def run(self, stopped: Callable[[], bool], rolls: Callable[[], bool] = lambda: False) -> Recorded:
+        """Record until stopped, whatever the disk does. A new file begins each time ``rolls()`` is true."""
         try:
             while not stopped():
+                if rolls():
+                    self._carry_out(self._session.roll("signal"))
                 if not self._step():
                     time.sleep(IDLE_S)
             self._end()
-            is_closed = True
-        except CommandError as error:
-            self._salvage()
-            where = f"; the log until then is {self._file.path}" if self._file is not None else ""
-            raise CommandError(f"{error}{where}", error.code) from error
         finally:
-            if not is_closed:
-                self._salvage()
+            self._writer.close()
         return self._recorded()
 
     def _step(self) -> bool:
@@ -117,7 +113,7 @@ class Recorder:
             effects = receive(sample, time.monotonic_ns(), time.time_ns())
             if effects:
                 self._carry_out(effects)
-        self._carry_out(self._session.tick(time.monotonic_ns()))
+        self._carry_out(self._session.tick(time.monotonic_ns(), self._writer.size))
         self._watch_link()
         return busy
 
@@ -146,26 +142,25 @@ class Recorder:
         self._carry_out(self._session.close())
 
     def _carry_out(self, effects: Sequence[Effect]) -> None:
+        written: list[OpenLog | FileEffect] = []
         for effect in effects:
             if isinstance(effect, AskInfo):
                 self._source.ask(effect.key)
             elif isinstance(effect, AskKept):
                 self._source.ask(effect.key, f"{KEPT_FIRST}={effect.first}")
-            elif isinstance(effect, OpenLog):
-                self._file = self._directory.open(effect.name, effect.wall_ns, self._library)
-            elif self._file is not None:
-                self._file.write(effect)
-
-    def _salvage(self) -> None:
-        if self._file is not None:
-            self._file.salvage()
+            else:
+                written.append(effect)
+        if written:
+            self._writer.submit(written)
 
     def _recorded(self) -> Recorded:
         counts = self._session.counts
         return Recorded(
-            path=None if self._file is None else str(self._file.path),
-            messages=sum(count.messages for count in counts.values()),
-            bytes=0 if self._file is None else self._file.size,
+            path=self._writer.path,
+            files=self._writer.files,
+            messages=sum(count.messages for count in counts.values()) - self._writer.lost,
+            lost=self._writer.lost,
+            bytes=self._writer.bytes,
             channels=len(counts),
             keys=counts,
         )

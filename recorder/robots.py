@@ -119,7 +119,7 @@ class Robots:
         if entries == self._written:
             return []
         self._written = entries
-        return [WriteMetadata(METADATA_NAME, dict(entries))]
+        return [WriteMetadata(METADATA_NAME, dict(entries), lasts=True)]
 
 
 def _attachment(name: str, media_type: str, text: str, wall_ns: int) -> WriteAttachment:

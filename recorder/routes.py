@@ -41,6 +41,7 @@ class Route:
         robot: the key's robot, as ``Robots`` calls it; empty if the key is not known.
         encoding: the Zenoh encoding that a sample must have to be decoded.
         counts_sequence: whether a gap in ``sequence`` is a loss: replies to others' queries are none.
+        is_state: its newest sample tells all; ``latest`` is that one, with its log time.
         is_kept: the gateway keeps its samples for a while; see ``recorder.backlog``.
         kind: the class of the channel's records.
         transcode: from a decoded message to its records.
@@ -51,7 +52,9 @@ class Route:
         "counts_sequence",
         "encoding",
         "is_kept",
+        "is_state",
         "kind",
+        "latest",
         "robot",
         "subject",
         "tally",
@@ -66,6 +69,10 @@ class Route:
         self.encoding = ""
         self.counts_sequence = subject is not None and subject.pattern is Pattern.PUBLISHED
         self.is_kept = subject is not None and subject.qos.kept_bytes > 0
+        self.is_state = (
+            subject is not None and self.counts_sequence and not self.is_kept and subject.type is not CanFrames
+        )
+        self.latest: tuple[int, Message] | None = None
         self.kind: type[msgspec.Struct] = RawSample
         self.transcode: Transcoder = _one_record(_ENCODE_RAW)
         if subject is not None:

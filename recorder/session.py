@@ -2,7 +2,8 @@
 
 ``receive_sample`` finds the sample's route by its key, decodes it, and appends protobuf records to the chunk in
 hand; what fits no subject is kept whole. ``tick`` hands the chunk over before ``flush_ns`` of the log are at
-risk. The caller carries the effects out, in order.
+risk, and ends a file that is long enough; the next sample begins the next one. The caller carries the effects
+out, in order, and has each file repeat the channels of those before it.
 """
 
 from __future__ import annotations
@@ -40,8 +41,20 @@ INT64_MAX: Final = 2**63 - 1
 OVERFLOW_TOPIC: Final = "@more"
 """The topic of the channel that all keys beyond CHANNEL_LIMIT share."""
 
+ROLL_MIN_NS: Final = 1_000_000_000
+"""A file is not ended for its size sooner: what each repeats may already be as large as that."""
+
 RECEIVED_NAME: Final = "cruiser.received"
-"""The metadata record with what was received and missed, per topic, as JSON."""
+"""The metadata record with what was received and missed during this file, per topic, as JSON."""
+
+CONTINUED_NAME: Final = "cruiser.continued"
+"""The metadata record that says which file of a recording this is, and why the one before it ended."""
+
+LATEST_NAME: Final = "cruiser.latest"
+"""The metadata record with the newest state of each topic when this file began, as JSON, with its log time.
+
+No message of a channel: no message may be there twice when the files of a recording are put together.
+"""
 
 
 class Plan(msgspec.Struct, frozen=True):
@@ -52,12 +65,16 @@ class Plan(msgspec.Struct, frozen=True):
         chunk_bytes: a chunk is handed over at this size.
         flush_ns: at most this much of the log is at risk.
         version: the recorder's.
+        rotate_bytes: a file that has reached this size is ended...
+        rotate_ns: ...and one that was begun so long ago. 0 is never.
     """
 
     name: str
     chunk_bytes: int
     flush_ns: int
     version: str
+    rotate_bytes: int = 0
+    rotate_ns: int = 0
 
 
 class KeyCount(msgspec.Struct, frozen=True):
@@ -78,7 +95,13 @@ class Session:
         self._channels: dict[str, Route] = {}
         self._robots = Robots(plan.version)
         self._backlog = Backlog()
-        self._opened = False
+        self._file = 0
+        """Which file of the recording is being written; ``_is_open`` if there is one at present."""
+        self._is_open = False
+        self._opened_ns = 0
+        self._ended_by = ""
+        self._counted: dict[str, KeyCount] = {}
+        """The counts when the file was begun."""
         self._at_risk_since_ns: int | None = None
         # Half for what comes together, half for the ticks, the write and the sync.
         self._patience_ns = plan.flush_ns // 2
@@ -93,7 +116,9 @@ class Session:
         """Record a sample. It may hold anything: nothing in it raises."""
         effects: list[Effect] = []
         log_ns = _clamp(wall_ns)
-        route = self._channels.get(sample.key) or self._find_route(sample.key, now_ns, log_ns, effects)
+        if not self._is_open:
+            self._open(now_ns, log_ns, effects)
+        route = self._channels.get(sample.key) or self._find_route(sample.key, now_ns, effects)
         message = route.decode(sample)
         if isinstance(message, str):
             self._add_raw(sample, message, route, log_ns, effects)
@@ -105,29 +130,72 @@ class Session:
             self._seal(effects)
         return effects
 
-    def tick(self, now_ns: int) -> Sequence[Effect]:
-        """What is due: queries, and handing the chunk over to the disk."""
+    def tick(self, now_ns: int, file_bytes: int = 0) -> Sequence[Effect]:
+        """What is due: queries, handing the chunk over to the disk, ending a file of this size."""
         effects = self._robots.ask(now_ns) + self._backlog.ask(now_ns)
         since = self._at_risk_since_ns
         if since is not None and now_ns - since >= self._patience_ns:
             self._seal(effects)
             effects.append(SyncLog())
             self._at_risk_since_ns = None
+        age_ns = now_ns - self._opened_ns
+        if 0 < self._plan.rotate_bytes <= file_bytes and age_ns >= ROLL_MIN_NS:
+            effects += self.roll("size")
+        elif 0 < self._plan.rotate_ns <= age_ns:
+            effects += self.roll("time")
         return effects
+
+    def roll(self, reason: str) -> Sequence[Effect]:
+        """End the file; the next sample begins another. Nothing if none is open."""
+        self._ended_by = reason
+        return self.close()
 
     def ask_last(self, now_ns: int) -> Sequence[Effect]:
         """What is worth asking once more before ``close``."""
         return self._robots.ask_last() + self._backlog.ask_last(now_ns)
 
     def close(self) -> Sequence[Effect]:
-        """End the recording. Nothing at all if nothing was recorded."""
-        if not self._opened:
+        """End the file. Nothing at all if nothing was recorded."""
+        if not self._is_open:
             return []
+        self._is_open = False
+        self._at_risk_since_ns = None
         effects: list[Effect] = []
         self._seal(effects)
         effects += self._robots.describe()
-        received = {topic: json.dumps(msgspec.to_builtins(count)) for topic, count in self.counts.items()}
-        return [*effects, WriteMetadata(RECEIVED_NAME, received), CloseLog()]
+        return [*effects, WriteMetadata(RECEIVED_NAME, self._received()), CloseLog()]
+
+    def _open(self, now_ns: int, log_ns: int, effects: list[Effect]) -> None:
+        self._is_open = True
+        self._file += 1
+        self._opened_ns = now_ns
+        self._counted = self.counts
+        effects.append(OpenLog(self._plan.name, log_ns))
+        effects += self._robots.describe()
+        if self._file > 1:
+            effects.append(WriteMetadata(CONTINUED_NAME, {"file": str(self._file), "because": self._ended_by}))
+            effects.append(WriteMetadata(LATEST_NAME, self._latest()))
+
+    def _received(self) -> dict[str, str]:
+        none = KeyCount(0, 0, 0)
+        received: dict[str, str] = {}
+        for topic, count in self.counts.items():
+            before = self._counted.get(topic, none)
+            # What one file missed may have come in the next, by asking for it.
+            here = KeyCount(
+                count.messages - before.messages,
+                max(0, count.missed - before.missed),
+                count.dropped - before.dropped,
+            )
+            received[topic] = json.dumps(msgspec.to_builtins(here))
+        return received
+
+    def _latest(self) -> dict[str, str]:
+        return {
+            topic: msgspec.json.encode({"log_time_ns": route.latest[0], "message": route.latest[1]}).decode()
+            for topic, route in sorted(self._channels.items())
+            if route.latest is not None
+        }
 
     def _add_message(
         self, sample: Sample, message: Message, route: Route, now_ns: int, log_ns: int, effects: list[Effect]
@@ -147,6 +215,8 @@ class Session:
             route.tally.dropped = max(route.tally.dropped, message.dropped)
         elif isinstance(message, GatewayInfo):
             effects += self._robots.take_info(route.robot, message, log_ns)
+        if route.is_state:
+            route.latest = (log_ns, message)
         records = route.transcode(message)
         for publish_ns, data in records:
             self._chunk.add(route.channel_id, message.sequence, log_ns, publish_ns, data)
@@ -160,11 +230,7 @@ class Session:
         self._chunk.add(route.channel_id, 0, log_ns, time_ns or log_ns, keep_raw(sample, reason, time_ns))
         route.tally.messages += 1
 
-    def _find_route(self, key: str, now_ns: int, log_ns: int, effects: list[Effect]) -> Route:
-        if not self._opened:
-            self._opened = True
-            effects.append(OpenLog(self._plan.name, log_ns))
-            effects += self._robots.describe()
+    def _find_route(self, key: str, now_ns: int, effects: list[Effect]) -> Route:
         parts = keys.parse(key)
         if parts is None:
             return self._channel(key, None, "", effects)

@@ -369,6 +369,13 @@ class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     chunk_bytes: Annotated[
         int, Meta(ge=1024, le=16_777_216, description="bytes of a chunk before compression")
     ] = 262_144
+    rotate_bytes: Annotated[
+        int,
+        Meta(ge=0, description="bytes; a log that has reached this size is ended, and another begun; 0 is never"),
+    ] = 0
+    rotate_s: Annotated[
+        float, Meta(ge=0, le=2_678_400, description="s; so is one that was begun so long ago; 0 is never")
+    ] = 0.0
     queue_samples: Annotated[
         int,
         Meta(ge=100, le=1_000_000, description="samples that may wait to be written; beyond it the oldest go"),

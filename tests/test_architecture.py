@@ -47,7 +47,10 @@ PURE_REMOTE = (
 PURE_RECORDER = (
     "chunk",
     "effects",
+    "mcap_scan",
+    "prologue",
     "protobuf_schema",
+    "recovery",
     "robots",
     "routes",
     "sample",

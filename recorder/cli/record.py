@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import argparse
 import re
+import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from importlib.metadata import version
 from pathlib import Path
+from types import FrameType
 from typing import Final
 
 import msgspec
 
 from recorder.loop import Recorded, Recorder
+from recorder.ports.leftovers import LeftoverThread
 from recorder.ports.log_directory import LogDirectory
 from recorder.ports.zenoh_source import ZenohSource
 from recorder.session import Plan, Session
@@ -24,6 +27,9 @@ from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser record -k 'fleet/cruiser-1/**' -o logs"
+
+LEFTOVERS_S: Final = 5.0
+"""How long the end waits for the recovery of logs that an earlier recorder left; the next start goes on."""
 
 FLEET_NAME: Final = "fleet"
 """Begins the name of a log that may hold several robots."""
@@ -60,15 +66,37 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             chunk_bytes=recorder.chunk_bytes,
             flush_ns=round(recorder.flush_s * 1e9),
             version=release,
+            rotate_bytes=recorder.rotate_bytes,
+            rotate_ns=round(recorder.rotate_s * 1e9),
         )
     )
+    library = f"cruiser-gateway {release}"
     with closing(ZenohSource(settings.zenoh, expressions, recorder.queue_samples)) as source:
         sys.stderr.write(f"record: waiting for samples of {', '.join(expressions)} into {recorder.directory}\n")
         sys.stderr.flush()
-        recorded = Recorder(session, source, directory, f"cruiser-gateway {release}").run(
-            ending_after(stopped, arguments.seconds, time.monotonic)
+        leftovers = LeftoverThread(Path(recorder.directory), library)
+        recorded = Recorder(session, source, directory, library).run(
+            ending_after(stopped, arguments.seconds, time.monotonic), hangups()
         )
+    leftovers.wait(LEFTOVERS_S)
     return _report(recorded, as_json=arguments.json)
+
+
+def hangups() -> Callable[[], bool]:
+    """Whether SIGHUP has come since the last call: it begins a new file, as services take it."""
+    came = False
+
+    def handle(_number: int, _frame: FrameType | None) -> None:
+        nonlocal came
+        came = True
+
+    def has_come() -> bool:
+        nonlocal came
+        before, came = came, False
+        return before
+
+    signal.signal(signal.SIGHUP, handle)
+    return has_come
 
 
 def log_name(root: str, expressions: Sequence[str]) -> str:
@@ -85,10 +113,14 @@ def _report(recorded: Recorded, *, as_json: bool) -> int:
     elif recorded.path is not None:
         sys.stdout.write(f"{recorded.path}\n")
     if recorded.path is None:
+        if recorded.lost:
+            raise CommandError(f"the disk took no log; {recorded.lost} messages are lost")
         raise CommandError("no sample came, so there is no log", ExitCode.UNREACHABLE)
     missed = sum(count.missed for count in recorded.keys.values())
+    files = f", in {recorded.files} files" if recorded.files > 1 else ""
+    lost = f"; the disk did not take {recorded.lost} messages" if recorded.lost else ""
     sys.stderr.write(
         f"record: {recorded.messages} messages on {recorded.channels} channels, {recorded.bytes} bytes, "
-        f"{missed} samples missed\n"
+        f"{missed} samples missed{files}{lost}\n"
     )
-    return int(ExitCode.OK)
+    return int(ExitCode.PARTIAL if recorded.lost else ExitCode.OK)

@@ -1,31 +1,42 @@
 """The directory of logs: opens files, has them reach the disk, and renames them when they are whole.
 
 A file is ``NAME-START.mcap.part`` while it is written and ``NAME-START.mcap`` when it is whole. Nothing is ever
-overwritten. An OSError becomes one clear CommandError here, and nowhere else.
+overwritten. A part is locked as long as its writer lives. An OSError becomes one clear CommandError here.
 """
 
 from __future__ import annotations
 
+import fcntl
 import os
 import re
+from collections import deque
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from io import FileIO
 from pathlib import Path
 from typing import Final, assert_never
 
-from recorder.effects import CloseLog, DeclareChannel, SyncLog, WriteAttachment, WriteChunk, WriteMetadata
+from recorder.effects import (
+    CloseLog,
+    DeclareChannel,
+    FileEffect,
+    SyncLog,
+    WriteAttachment,
+    WriteChunk,
+    WriteMetadata,
+)
 from recorder.mcap_file import McapFile
 from schemas.exit_codes import CommandError
 from schemas.printable import plain
 
 SUFFIX: Final = ".mcap"
 PART_SUFFIX: Final = ".mcap.part"
+SYNCS_MAX: Final = 2
+
 NAMESAKES_MAX: Final = 1000
 """Files of one name and second at most: recorders that were started at once."""
-
-FileEffect = DeclareChannel | WriteChunk | WriteMetadata | WriteAttachment | SyncLog | CloseLog
 
 
 @contextmanager
@@ -51,6 +62,11 @@ class LogFile:
         self._part = part
         self._whole_path = path
         self.path = part
+        self._disk = ThreadPoolExecutor(1, "log sync")
+        # One that goes on and one that waits for it: the later covers what was written meanwhile.
+        self._syncs: deque[Future[None]] = deque()
+        self.has_synced = False
+        """Whether the disk has taken anything of this file."""
         with _clear_errors(part):
             self._mcap = McapFile(stream, library)
 
@@ -59,20 +75,25 @@ class LogFile:
         """Bytes of whole records so far."""
         return self._mcap.size
 
+    @property
+    def is_kept(self) -> bool:
+        """Whether there is a file, which ``salvage`` may have found not worth keeping."""
+        return self.path.exists()
+
     def write(self, effect: FileEffect) -> None:
-        """Carry an effect out.
+        """Carry an effect out. A sync goes on beside what is written next; its failure is that one's.
 
         Raises:
             CommandError: the disk does not take it.
         """
         with _clear_errors(self.path):
+            self._look_at_syncs()
             match effect:
                 case WriteChunk():
                     self._mcap.write_chunk(effect.chunk)
                 case SyncLog():
-                    os.fdatasync(self._stream.fileno())
-                    if os.fstat(self._stream.fileno()).st_nlink == 0:
-                        raise FileNotFoundError(0, "somebody has removed the log while it was written")
+                    if len(self._syncs) < SYNCS_MAX:
+                        self._syncs.append(self._disk.submit(self._sync))
                 case DeclareChannel():
                     self._mcap.add_channel(effect.channel)
                 case WriteMetadata():
@@ -85,27 +106,56 @@ class LogFile:
                     assert_never(effect)
 
     def salvage(self) -> None:
-        """After a failure: leave all that was written, and a whole file if there is room for its end."""
+        """After a failure: leave all that was written, and a whole file if there is room for its end.
+
+        A file without a message only repeats what another says, and is not left.
+        """
         if self._stream.closed:
             return
         with suppress(OSError):
+            self._wait_for_syncs()
+        with suppress(OSError):
             self._mcap.cut_back()
-            try:
-                self._finish()
-            except OSError:
-                if not self._stream.closed:
-                    self._mcap.cut_back()
-                    os.fsync(self._stream.fileno())
+            if not self._mcap.messages:
+                self._part.unlink()
+            else:
+                self._salvage()
         with suppress(OSError):
             self._stream.close()
+        self._disk.shutdown()
+
+    def _salvage(self) -> None:
+        try:
+            self._finish()
+        except OSError:
+            if not self._stream.closed:
+                self._mcap.cut_back()
+                os.fsync(self._stream.fileno())
+
+    def _sync(self) -> None:
+        os.fdatasync(self._stream.fileno())
+        if os.fstat(self._stream.fileno()).st_nlink == 0:
+            raise FileNotFoundError(0, "somebody has removed the log while it was written")
+
+    def _look_at_syncs(self) -> None:
+        while self._syncs and self._syncs[0].done():
+            self._syncs.popleft().result()
+            self.has_synced = True
+
+    def _wait_for_syncs(self) -> None:
+        wait(self._syncs)
+        self._look_at_syncs()
 
     def _finish(self) -> None:
+        self._wait_for_syncs()
         self._mcap.finish()
         os.fsync(self._stream.fileno())
-        self._stream.close()
+        # Renamed while it is locked: an unlocked part is one that somebody may recover.
         self._part.rename(self._whole_path)
         self.path = self._whole_path
-        _sync_directory(self.path.parent)
+        self._stream.close()
+        self._disk.shutdown()
+        sync_directory(self.path.parent)
 
 
 class LogDirectory:
@@ -132,7 +182,7 @@ class LogDirectory:
         stem = f"{safe_name(name)}-{start}"
         with _clear_errors(self._path):
             part, path, stream = self._create(stem)
-            _sync_directory(self._path)
+            sync_directory(self._path)
         try:
             return LogFile(part, path, stream, library)
         except CommandError:
@@ -149,11 +199,15 @@ class LogDirectory:
                 stream = FileIO(part, "xb")
             except FileExistsError:
                 continue
+            # Another start may take a part without a lock for a leftover; then it is that one's.
+            if not _lock_own(stream.fileno()):
+                stream.close()
+                continue
             if not path.exists():
                 return part, path, stream
             # Its writer has renamed it; the name of the part was free again, that of the whole is not.
-            stream.close()
             part.unlink()
+            stream.close()
         raise FileExistsError(0, f"too many files of the name {stem}")
 
 
@@ -162,7 +216,37 @@ def safe_name(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9._-]+", "_", text).lstrip(".") or "log"
 
 
-def _sync_directory(path: Path) -> None:
+def free_path(directory: Path, stem: str, suffix: str, but_for: Path | None = None) -> Path:
+    """A path of which no file exists, nor a part that may become one; ``but_for`` is one's own part."""
+    for number in range(1, NAMESAKES_MAX + 1):
+        unique = stem if number == 1 else f"{stem}-{number}"
+        path, part = directory / f"{unique}{suffix}", directory / f"{unique}{PART_SUFFIX}"
+        if not path.exists() and (part == but_for or not part.exists()):
+            return path
+    raise FileExistsError(0, f"too many files of the name {stem}")
+
+
+def lock(descriptor: int) -> bool:
+    """Lock a file for this process, until it is closed. False if another one holds it.
+
+    Raises:
+        OSError: this file system has no locks.
+    """
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _lock_own(descriptor: int) -> bool:
+    try:
+        return lock(descriptor)
+    except OSError:
+        return True  # Without locks here nothing is recovered here either.
+
+
+def sync_directory(path: Path) -> None:
     """Have the names in a directory reach the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:

@@ -9,7 +9,7 @@ import msgspec
 from google.protobuf.message import DecodeError
 from mcap import records
 
-from recorder.mcap_file import MAGIC
+from recorder.mcap_summary import MAGIC
 from recorder.protobuf_schema import message_class, schema_name
 from recorder.review.alive import FRAME_BYTES, AliveCount, feedback_frames
 from recorder.review.walk import End, Fault, LoggedMessage, Walked, walk

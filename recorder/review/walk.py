@@ -6,36 +6,20 @@ past a damaged chunk, but not past a cut.
 
 from __future__ import annotations
 
-import struct
 import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from typing import BinaryIO, Final
 
 import msgspec
-import zstandard
 from mcap import records
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.stream_reader import get_chunk_data_stream
 
 from recorder.chunk import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE
-from recorder.mcap_file import MAGIC
-
-_RECORD_HEADER: Final = struct.Struct("<BQ")
-_FOOTER_LENGTH: Final = 20
-
-_BROKEN: Final = (
-    McapError,
-    zstandard.ZstdError,
-    struct.error,
-    ValueError,
-    OverflowError,
-    MemoryError,
-    RuntimeError,  # what the lz4 package raises
-)
-"""What the mcap package's parsers raise on bytes that are no such record."""
+from recorder.mcap_scan import BROKEN
+from recorder.mcap_summary import CHECK, CHECK_OPCODE, FOOTER_LENGTH, MAGIC, RECORD_HEADER
 
 
 class Fault(msgspec.Struct, frozen=True):
@@ -94,12 +78,14 @@ def walk(stream: BinaryIO, size: int) -> Iterator[Walked]:
     offset = len(MAGIC)
     # Of the data section up to its end, then of the summary.
     crc = zlib.crc32(MAGIC)
+    # Length and checksum of the record before, which a check repeats.
+    last = (0, 0)
     while offset < size:
-        header = stream.read(_RECORD_HEADER.size)
-        if len(header) < _RECORD_HEADER.size:
+        header = stream.read(RECORD_HEADER.size)
+        if len(header) < RECORD_HEADER.size:
             yield Fault(offset, "the file is cut off within a record", cuts=True)
             return
-        opcode, length = _RECORD_HEADER.unpack(header)
+        opcode, length = RECORD_HEADER.unpack(header)
         if length > size - offset - len(header):
             yield Fault(offset, "the file is cut off within a record", cuts=True)
             return
@@ -112,8 +98,13 @@ def walk(stream: BinaryIO, size: int) -> Iterator[Walked]:
             if expected not in {0, crc}:
                 yield Fault(offset, "the data's checksum is wrong")
             crc = 0
+        elif opcode == CHECK_OPCODE:
+            crc = zlib.crc32(body, zlib.crc32(header, crc))
+            if len(body) == 8 and header + body != CHECK.pack(CHECK_OPCODE, 8, *last):
+                yield Fault(offset, "the check of the record before is wrong")
         else:
             crc = zlib.crc32(body, zlib.crc32(header, crc))
+            last = len(header) + length, zlib.crc32(body, zlib.crc32(header))
             yield from _read(offset, opcode, body)
         offset += len(header) + length
     yield Fault(size, "the file ends without a footer", cuts=True)
@@ -130,14 +121,14 @@ def _read(offset: int, opcode: int, body: bytes) -> Iterator[Walked]:
             yield attachment
         else:
             yield from _read_plain(offset, opcode, body)
-    except _BROKEN as error:
+    except BROKEN as error:
         yield Fault(offset, f"a record cannot be read: {error}")
 
 
 def _read_plain(offset: int, opcode: int, body: bytes) -> Iterator[Walked]:
     """A record that may stand in a chunk or outside."""
     if opcode == MESSAGE_OPCODE:
-        yield from _messages(offset, _RECORD_HEADER.pack(opcode, len(body)) + body)
+        yield from _messages(offset, RECORD_HEADER.pack(opcode, len(body)) + body)
     elif opcode in _PARSED:
         yield _PARSED[Opcode(opcode)](ReadDataStream(BytesIO(body)))
 
@@ -153,14 +144,14 @@ def _messages(offset: int, data: bytes) -> Iterator[Walked]:
     position, end = 0, len(data)
     unpack = MESSAGE_HEADER.unpack_from
     while position < end:
-        opcode, length = _RECORD_HEADER.unpack_from(data, position)
-        start = position + _RECORD_HEADER.size
+        opcode, length = RECORD_HEADER.unpack_from(data, position)
+        start = position + RECORD_HEADER.size
         position = start + length
         if position > end or (opcode == MESSAGE_OPCODE and length < HEADER_IN_LENGTH):
             yield Fault(offset, "a chunk holds half a record")
             return
         if opcode == MESSAGE_OPCODE:
-            _, _, channel_id, sequence, log_ns, publish_ns = unpack(data, start - _RECORD_HEADER.size)
+            _, _, channel_id, sequence, log_ns, publish_ns = unpack(data, start - RECORD_HEADER.size)
             content = data[start + HEADER_IN_LENGTH : position]
             yield LoggedMessage(channel_id, sequence, log_ns, publish_ns, content)
         else:
@@ -168,7 +159,7 @@ def _messages(offset: int, data: bytes) -> Iterator[Walked]:
 
 
 def _end(offset: int, header: bytes, body: bytes, crc: int, rest: bytes) -> Iterator[Walked]:
-    if len(body) != _FOOTER_LENGTH:
+    if len(body) != FOOTER_LENGTH:
         yield Fault(offset, "the footer cannot be read", cuts=True)
         return
     expected = int.from_bytes(body[-4:], "little")

@@ -1,21 +1,21 @@
 """The run loop, with a source of its own and a real directory."""
 
 import errno
-import os
 from collections.abc import Callable
-from io import FileIO
+from io import BytesIO, FileIO
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from recorder.loop import Recorded, Recorder
-from recorder.ports import log_directory
+from recorder.ports import log_directory, log_writer
+from recorder.ports.leftovers import recover_leftovers
 from recorder.ports.log_directory import LogDirectory
 from recorder.review.info import read_info
-from recorder.session import KeyCount, Plan, Session
-from schemas.exit_codes import CommandError
+from recorder.session import CONTINUED_NAME, KeyCount, Plan, Session
 from schemas.messages import GatewayInfo, Gear, Variant
-from tests.recorder.fakes import PLAN, FakeSample, FakeSource, gear, info, key_of, logs_in, sample_of
+from tests.recorder.fakes import PLAN, FakeSource, gear, info, key_of, logs_in, sample_of
 
 INFO_KEY = key_of(GatewayInfo)
 
@@ -32,7 +32,9 @@ def test_a_recording_ends_in_a_whole_file(tmp_path: Path) -> None:
     assert recorded.path is not None
     assert recorded == Recorded(
         path=str(next(tmp_path.glob("*.mcap"))),
+        files=1,
         messages=4,
+        lost=0,
         bytes=Path(recorded.path).stat().st_size,
         channels=1,
         keys={key_of(Gear): KeyCount(messages=4, missed=2, dropped=0)},
@@ -44,7 +46,7 @@ def test_a_recording_ends_in_a_whole_file(tmp_path: Path) -> None:
 
 def test_without_samples_there_is_no_file(tmp_path: Path) -> None:
     """Nothing is left of a recorder that waited in vain."""
-    assert record(FakeSource(), tmp_path) == Recorded(path=None, messages=0, bytes=0, channels=0, keys={})
+    assert record(FakeSource(), tmp_path) == Recorded(None, 0, 0, 0, 0, 0, {})
     assert logs_in(tmp_path) == []
 
 
@@ -87,39 +89,65 @@ class FailingFile(FileIO):
         return super().write(taken)
 
 
-@pytest.mark.parametrize("room", [1200, 4000, 20_000])
-def test_a_full_disk_ends_the_recording_with_one_clear_error(
+@pytest.mark.parametrize("room", [5000, 20_000])
+def test_a_file_that_takes_no_more_is_ended_and_another_begun(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
 ) -> None:
-    """It names the trouble and the file, and all chunks before can be read."""
+    """The recording goes on, no message is lost or doubled, and each file can be read alone.
+
+    Where there was no room for the end of a file, the next start makes it whole.
+    """
     monkeypatch.setattr(log_directory, "FileIO", FailingFile)
     monkeypatch.setattr(FailingFile, "room", room)
-    source = FakeSource(sample_of(gear(number)) for number in range(100_000))
-    with pytest.raises(CommandError, match=r"No space left on device; the log until then is .*\.mcap") as caught:
-        record(source, tmp_path, Plan("x", 1024, 10**9, "1"))
-    (left,) = tmp_path.iterdir()
-    assert str(caught.value).endswith(f"; the log until then is {left}")
-    found = read_info(left)
-    assert found.whole == (left.suffix == ".mcap")
-    assert all("footer" in fault for fault in found.faults)
-    assert "\n" not in str(caught.value)
+    monkeypatch.setattr(log_writer, "RETRY_MAX_S", 0.0)
+    monkeypatch.setattr(log_writer, "END_S", 60.0)
+    source = FakeSource(sample_of(gear(number)) for number in range(3000))
+    recorded = record(source, tmp_path, Plan("x", 1024, 10**9, "1"))
+    assert recorded.files > 1
+    assert (recorded.lost, recorded.messages) == (0, 3000)
+    sequences: list[int] = []
+    for path in sorted(tmp_path.iterdir(), key=number_of):
+        assert read_info(path).whole == (path.suffix == ".mcap")
+    for _ in recover_leftovers(sorted(tmp_path.glob("*.part")), "test"):
+        pass
+    for path in sorted(tmp_path.iterdir(), key=number_of):
+        assert read_info(path).whole
+        reader = make_reader(BytesIO(path.read_bytes()), validate_crcs=True)
+        sequences += [message.sequence for _, _, message in reader.iter_messages(log_time_order=False)]
+    assert sequences == list(range(3000))
 
 
-def test_where_the_end_still_fits_the_log_is_whole_and_named_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Only the chunk that was too much is lost; the error names the file as it is called at last."""
+def number_of(path: Path) -> int:
+    """Which of the files of one second and name a log is."""
+    number = path.name.partition(".")[0].rpartition("Z")[2]
+    return int(number[1:] or 1)
+
+
+def test_a_disk_that_takes_nothing_ends_no_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it did not take is counted; nothing is left behind."""
     monkeypatch.setattr(log_directory, "FileIO", FailingFile)
-    monkeypatch.setattr(FailingFile, "room", 8000)
-    source = FakeSource([sample_of(gear(0)), FakeSample("k", "x", os.urandom(20_000))])
-    with pytest.raises(CommandError) as caught:
-        record(source, tmp_path, Plan("x", 1, 10**9, "1"))
-    (left,) = tmp_path.iterdir()
-    assert left.suffix == ".mcap"
-    assert str(caught.value).endswith(f"; the log until then is {left}")
-    found = read_info(left)
-    assert found.whole
-    assert found.messages == 1
+    monkeypatch.setattr(FailingFile, "room", 4)
+    recorded = record(FakeSource(sample_of(gear(number)) for number in range(100)), tmp_path)
+    assert (recorded.path, recorded.files, recorded.messages, recorded.lost) == (None, 0, 0, 100)
+    assert logs_in(tmp_path) == []
+
+
+def test_a_new_file_is_begun_on_demand(tmp_path: Path) -> None:
+    """As by SIGHUP; between two samples, none of which is lost."""
+    source = FakeSource(sample_of(gear(number)) for number in range(9000))
+    answers = iter([False, True, False, True])
+    recorder = Recorder(Session(PLAN), source, LogDirectory(tmp_path), "test")
+    recorded = recorder.run(lambda: source.is_exhausted, lambda: next(answers, False))
+    assert (recorded.files, recorded.messages) == (3, 9000)
+    found = [read_info(path) for path in sorted(tmp_path.iterdir(), key=number_of)]
+    assert all(one.whole and not one.missed for one in found)
+    assert sum(one.messages for one in found) == 9000
+    assert [one.metadata.get(CONTINUED_NAME) for one in found] == [
+        None,
+        {"file": "2", "because": "signal"},
+        {"file": "3", "because": "signal"},
+    ]
+    assert recorded.bytes == sum(one.bytes for one in found)
 
 
 def test_a_fault_of_our_own_leaves_a_readable_file(tmp_path: Path) -> None:

@@ -17,7 +17,8 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from recorder.chunk import MESSAGE_HEADER, ChunkBuilder
 from recorder.effects import LogChannel
-from recorder.mcap_file import MAGIC, McapFile
+from recorder.mcap_file import McapFile
+from recorder.mcap_summary import MAGIC
 from recorder.protobuf_schema import descriptor_set
 from schemas.messages import CanFrame, Gear, GearPosition, RawSample
 from tests.recorder.fakes import MS, WALL_NS, Disk, small_log

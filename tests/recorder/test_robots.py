@@ -57,7 +57,9 @@ def test_robots_beyond_the_limit_are_neither_asked_nor_described(monkeypatch: py
     assert robots.ask(0) == [AskInfo(f"fleet/r{number}/gateway/info") for number in (0, 1)]
     assert robots.take_info("r2", info(), WALL_NS) == []
     robots.see_restart("r2", 0)
-    assert robots.describe() == [WriteMetadata("cruiser", {"recorder_version": "1.0", "robots": "r0,r1"})]
+    assert robots.describe() == [
+        WriteMetadata("cruiser", {"recorder_version": "1.0", "robots": "r0,r1"}, lasts=True)
+    ]
 
 
 def test_an_answer_becomes_metadata_and_attachments() -> None:

@@ -2,7 +2,7 @@
 
 import json
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import Enum
 from io import BytesIO
 from typing import Any
@@ -402,3 +402,97 @@ def test_the_close_writes_what_is_in_hand_and_ends() -> None:
 def test_schemas_hold_for_every_subject() -> None:
     """The encoding that a route expects is the subject's own."""
     assert BY_TYPE[Gear].encoding == sample_of(gear(0)).encoding
+
+
+ROLLING = Plan("x", 1 << 20, SECOND // 2, "1", rotate_bytes=1000, rotate_ns=60 * SECOND)
+
+
+@pytest.mark.parametrize(
+    ("now_ns", "file_bytes", "rolls"),
+    [
+        (2 * SECOND, 999, False),
+        (2 * SECOND, 1000, True),
+        (SECOND - 1, 1000, False),
+        (60 * SECOND - 1, 0, False),
+        (60 * SECOND, 0, True),
+    ],
+)
+def test_a_file_that_is_large_or_old_enough_is_ended(now_ns: int, file_bytes: int, rolls: bool) -> None:  # noqa: FBT001 - pytest gives it
+    """By its size, but not at once, or by its time; the chunk in hand goes first."""
+    session = Session(ROLLING)
+    session.receive_sample(sample_of(gear(0)), 0, WALL_NS)
+    effects = kinds(list(session.tick(now_ns, file_bytes)))
+    assert (CloseLog in effects) == rolls
+    if rolls:
+        assert effects[-1] == CloseLog
+        assert effects.index(WriteChunk) < effects.index(WriteMetadata)
+
+
+def test_zero_is_never() -> None:
+    """A file then grows as long as the recording goes on."""
+    session = Session(PLAN)
+    session.receive_sample(sample_of(gear(0)), 0, WALL_NS)
+    assert CloseLog not in kinds(list(session.tick(10**18, 10**18)))
+
+
+def test_the_next_file_begins_with_the_next_sample() -> None:
+    """Named after its time; it says what it continues, and what the newest state was. Nothing is doubled."""
+    session = Session(ROLLING)
+    session.receive_sample(sample_of(gear(4)), 0, WALL_NS)
+    session.receive_sample(sample_of(batch(0, [(WALL_NS, feedback(0))])), 0, WALL_NS)
+    assert kinds(list(session.roll("signal")))[-1] == CloseLog
+    assert list(session.roll("signal")) == []
+    assert list(session.close()) == []
+    effects = list(session.receive_sample(sample_of(gear(5)), SECOND, WALL_NS + SECOND))
+    assert effects[0] == OpenLog("x", WALL_NS + SECOND)
+    records = {one.name: one.entries for one in effects if isinstance(one, WriteMetadata)}
+    assert records["cruiser.continued"] == {"file": "2", "because": "signal"}
+    assert list(records["cruiser.latest"]) == [GEAR_KEY]
+    latest = json.loads(records["cruiser.latest"][GEAR_KEY])
+    assert (latest["log_time_ns"], latest["message"]["sequence"]) == (WALL_NS, 4)
+    assert latest["message"]["gear_position"] == gear(4).gear_position.value
+    (chunk,) = [one.chunk for one in session.close() if isinstance(one, WriteChunk)]
+    assert {number: len(entries) // 2 for number, entries in chunk.index.items()} == {1: 1}
+
+
+def test_each_file_counts_what_it_holds() -> None:
+    """What was missed in one is not missed in the next."""
+    session = Session(ROLLING)
+
+    def received(effects: Sequence[Effect]) -> dict[str, int]:
+        (entries,) = [one.entries for one in effects if isinstance(one, WriteMetadata) and "received" in one.name]
+        counted: dict[str, int] = json.loads(entries[GEAR_KEY])
+        return counted
+
+    for number in (0, 1, 5):
+        session.receive_sample(sample_of(gear(number)), 0, WALL_NS)
+    assert received(session.roll("time")) == {"messages": 3, "missed": 3, "dropped": 0}
+    session.receive_sample(sample_of(gear(6)), 0, WALL_NS)
+    assert received(session.close()) == {"messages": 1, "missed": 0, "dropped": 0}
+    assert session.counts[GEAR_KEY] == KeyCount(messages=4, missed=3, dropped=0)
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.booleans()), max_size=40))
+def test_no_message_is_lost_or_doubled_between_files(steps: list[tuple[int, bool]]) -> None:
+    """Wherever a file is ended, on any number of keys."""
+    session = Session(ROLLING)
+    written: list[int] = []
+    effects: list[Effect] = []
+    for number, (robot, rolls) in enumerate(steps):
+        effects += session.receive_sample(sample_of(gear(number), f"robot-{robot}"), number, WALL_NS + number)
+        if rolls:
+            effects += session.roll("signal")
+    effects += session.close()
+    is_open = False
+    declared: set[int] = set()
+    for effect in effects:
+        if isinstance(effect, OpenLog | CloseLog):
+            assert is_open == isinstance(effect, CloseLog)
+            is_open = not is_open
+        elif isinstance(effect, DeclareChannel):
+            declared.add(effect.channel.channel_id)
+        elif isinstance(effect, WriteChunk):
+            assert is_open
+            assert set(effect.chunk.index) <= declared
+            written += [time for entries in effect.chunk.index.values() for time in entries[::2]]
+    assert sorted(written) == [WALL_NS + number for number in range(len(steps))]

@@ -4,6 +4,7 @@ import errno
 import os
 import resource
 import stat
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
@@ -16,12 +17,13 @@ from mcap.reader import make_reader
 
 from recorder.chunk import Chunk, ChunkBuilder
 from recorder.effects import CloseLog, DeclareChannel, LogChannel, SyncLog, WriteChunk
-from recorder.ports.log_directory import LogDirectory, LogFile, safe_name
+from recorder.ports import log_directory
+from recorder.ports.log_directory import LogDirectory, LogFile, lock, safe_name
 from recorder.protobuf_schema import descriptor_set
 from recorder.review.info import read_info
 from schemas.exit_codes import CommandError
 from schemas.messages import Gear
-from tests.recorder.fakes import WALL_NS, logs_in
+from tests.recorder.fakes import WALL_NS, logs_in, wait_until
 
 CHANNEL = LogChannel(1, "t", "cruiser.Gear", descriptor_set(Gear))
 STEM = "cruiser-1-20270115T080000Z"
@@ -193,7 +195,115 @@ def test_a_log_that_was_removed_is_not_written_in_silence(tmp_path: Path) -> Non
     log.write(SyncLog())
     (tmp_path / f"{STEM}.mcap.part").unlink()
     log.write(chunk(2))
-    with pytest.raises(CommandError, match="removed the log"):
-        log.write(SyncLog())
+
+    def is_told() -> bool:
+        try:
+            log.write(SyncLog())
+        except CommandError as error:
+            return "removed the log" in str(error)
+        return False
+
+    wait_until(is_told)
     log.salvage()
     assert logs_in(tmp_path) == []
+    assert not log.is_kept
+
+
+def test_a_failed_sync_is_told_by_the_next_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The writer does not wait for the disk; it learns of the failure, and the file ends as well as can be."""
+
+    def fail(_descriptor: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    log = opened(tmp_path)
+    log.write(chunk(1))
+    monkeypatch.setattr(os, "fdatasync", fail)
+
+    def is_told() -> bool:
+        try:
+            log.write(SyncLog())
+        except CommandError as error:
+            return "Input/output error" in str(error)
+        return False
+
+    wait_until(is_told)
+    assert not log.has_synced
+    log.salvage()
+    assert sequences(tmp_path / f"{STEM}.mcap") == [1]
+
+
+def test_a_slow_sync_holds_up_no_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is written meanwhile is in the file, safe from a kill; however many syncs are asked for, two wait."""
+    goes_on = threading.Event()
+    started: list[int] = []
+
+    def hang(descriptor: int) -> None:
+        started.append(descriptor)
+        assert goes_on.wait(30)
+
+    monkeypatch.setattr(os, "fdatasync", hang)
+    log = opened(tmp_path)
+    for number in range(1, 6):
+        log.write(chunk(number))
+        log.write(SyncLog())
+    wait_until(lambda: bool(started))
+    assert read_info(log.path).messages == 5
+    goes_on.set()
+    log.write(CloseLog())
+    assert len(started) == 2
+    assert sequences(log.path) == [1, 2, 3, 4, 5]
+
+
+def test_a_part_is_locked_until_it_is_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And renamed: whoever finds it unlocked may recover it."""
+    got: list[bool] = []
+    rename = Path.rename
+
+    def rename_as_others_see_it(path: Path, target: Path) -> Path:
+        with path.open("rb") as other:
+            got.append(lock(other.fileno()))
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", rename_as_others_see_it)
+    log = opened(tmp_path)
+    log.write(chunk(1))
+    with log.path.open("rb") as other:
+        assert not lock(other.fileno())
+    log.write(CloseLog())
+    assert got == [False]
+    with log.path.open("rb") as other:
+        assert lock(other.fileno())
+
+
+def test_a_new_part_that_another_process_has_locked_is_left_to_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between its creation and its lock another start may have taken it for a leftover."""
+    answers = iter([False, True])
+    monkeypatch.setattr(log_directory, "lock", lambda _: next(answers))
+    log = opened(tmp_path)
+    assert log.path.name == f"{STEM}-2.mcap.part"
+    log.salvage()
+
+
+def test_where_there_are_no_locks_a_log_is_written_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Some network file systems have none."""
+
+    def none(_descriptor: int) -> bool:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(log_directory, "lock", none)
+    log = opened(tmp_path)
+    log.write(chunk(1))
+    log.write(CloseLog())
+    assert sequences(log.path) == [1]
+
+
+def test_a_file_without_a_message_is_not_left_by_a_fault(tmp_path: Path) -> None:
+    """It only repeats what another file says."""
+    log = opened(tmp_path)
+    log.salvage()
+    assert logs_in(tmp_path) == []
+    assert not log.is_kept

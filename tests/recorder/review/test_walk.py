@@ -9,7 +9,8 @@ from mcap.writer import CompressionType, Writer
 
 from recorder.chunk import ChunkBuilder
 from recorder.effects import LogChannel
-from recorder.mcap_file import MAGIC, McapFile
+from recorder.mcap_file import McapFile
+from recorder.mcap_summary import MAGIC
 from recorder.protobuf_schema import descriptor_set
 from recorder.review.walk import End, Fault, LoggedMessage, Walked, walk
 from schemas.messages import Gear
@@ -124,3 +125,14 @@ def test_files_of_others_are_read(compression: CompressionType, chunked: bool) -
         assert [one.sequence for one in found if isinstance(one, LoggedMessage)] == [0, 1, 2]
         assert isinstance(found[-1], End)
         assert not [one for one in found if isinstance(one, Fault)]
+
+
+def test_a_wrong_channel_of_an_unfinished_log_is_a_fault() -> None:
+    """Its check tells; MCAP's own checksum of the data stands at the end that the log does not have."""
+    data, offsets = of_three_chunks()
+    part = data[: offsets[2]].replace(b"\x01\x00\x00\x00t\x08", b"\x01\x00\x00\x00u\x08")
+    faults = [one for one in walked(part) if isinstance(one, Fault)]
+    assert [fault.detail for fault in faults] == [
+        "the check of the record before is wrong",
+        "the file ends without a footer",
+    ]

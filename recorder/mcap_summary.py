@@ -1,0 +1,190 @@
+"""The end of an MCAP file: what repeats and indexes its data, so that a reader need not read it all. Pure.
+
+Kept as bytes while the file grows, for a long log has many chunks. The writer of a log and the recovery of one
+that was left unfinished end a file by the same hand.
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+import zlib
+from array import array
+from collections import Counter
+from collections.abc import Mapping
+from typing import Final, cast
+
+from mcap import records
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+
+RECORD_HEADER: Final = struct.Struct("<BQ")
+"""Opcode and length of what follows."""
+
+CHECK_OPCODE: Final = 0x80
+"""A record of our own (MCAP leaves 0x80 and above to applications, and readers skip them): a checksum.
+
+MCAP has none for schemas, channels and metadata before the file is finished: in a log of a recorder that was
+killed a flipped bit would change a topic's name, and nobody would know.
+"""
+
+CHECK: Final = struct.Struct("<BQII")
+"""The check: opcode, length, and of how many bytes right before it which CRC-32."""
+
+FOOTER_LENGTH: Final = 20
+
+_INDEX_HEADER: Final = struct.Struct("<BQHI")
+
+_SUMMARY_ORDER: Final = (
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.STATISTICS,
+    Opcode.CHUNK_INDEX,
+    Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX,
+)
+
+
+class _Group:
+    """Records of one kind that the summary will hold."""
+
+    def __init__(self) -> None:
+        self.encoded = bytearray()
+        self.count = 0
+
+    def add(self, record: records.McapRecord) -> None:
+        self.encoded += encode(record)
+        self.count += 1
+
+
+class Summary:
+    """Gathers what the end of a file says of its data."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[int] = Counter()
+        self._start_ns: int | None = None
+        self._end_ns = 0
+        self._groups = {opcode: _Group() for opcode in _SUMMARY_ORDER}
+
+    @property
+    def messages(self) -> int:
+        """Messages in the file."""
+        return self._counts.total()
+
+    @property
+    def chunks(self) -> int:
+        """Chunks in the file."""
+        return self._groups[Opcode.CHUNK_INDEX].count
+
+    def add_schema(self, schema: records.Schema) -> None:
+        """A schema, the first of its id."""
+        self._groups[Opcode.SCHEMA].add(schema)
+
+    def add_channel(self, channel: records.Channel) -> None:
+        """A channel, the first of its id."""
+        self._groups[Opcode.CHANNEL].add(channel)
+
+    def add_messages(self, counts: Mapping[int, int], start_ns: int, end_ns: int) -> None:
+        """So many messages of each channel, of these log times."""
+        self._counts.update(counts)
+        self._start_ns = start_ns if self._start_ns is None else min(self._start_ns, start_ns)
+        self._end_ns = max(self._end_ns, end_ns)
+
+    def add_chunk(self, chunk: records.Chunk, offset: int, length: int, index: Mapping[int, array[int]]) -> None:
+        """A chunk at this offset of the file, its message indexes right behind it."""
+        places: dict[int, int] = {}
+        end = offset + length
+        for channel_id, entries in index.items():
+            places[channel_id] = end
+            end += _INDEX_HEADER.size + entries.itemsize * len(entries)
+        if index:
+            counts = {channel_id: len(entries) // 2 for channel_id, entries in index.items()}
+            self.add_messages(counts, chunk.message_start_time, chunk.message_end_time)
+        self._groups[Opcode.CHUNK_INDEX].add(
+            records.ChunkIndex(
+                chunk_length=length,
+                chunk_start_offset=offset,
+                compression=chunk.compression,
+                compressed_size=len(chunk.data),
+                message_end_time=chunk.message_end_time,
+                message_index_length=end - offset - length,
+                message_index_offsets=places,
+                message_start_time=chunk.message_start_time,
+                uncompressed_size=chunk.uncompressed_size,
+            )
+        )
+
+    def add_attachment(self, attachment: records.Attachment, offset: int, length: int) -> None:
+        """An attachment at this offset of the file."""
+        index = records.AttachmentIndex(
+            offset=offset,
+            length=length,
+            log_time=attachment.log_time,
+            create_time=attachment.create_time,
+            data_size=len(attachment.data),
+            name=attachment.name,
+            media_type=attachment.media_type,
+        )
+        self._groups[Opcode.ATTACHMENT_INDEX].add(index)
+
+    def add_metadata(self, metadata: records.Metadata, offset: int, length: int) -> None:
+        """A metadata record at this offset of the file."""
+        index = records.MetadataIndex(offset=offset, length=length, name=metadata.name)
+        self._groups[Opcode.METADATA_INDEX].add(index)
+
+    def ending(self, data_size: int, data_crc: int) -> bytes:
+        """What makes a file whole whose data has this size and CRC: data end, summary and footer."""
+        data_end = encode(records.DataEnd(data_crc))
+        start = data_size + len(data_end)
+        self._groups[Opcode.STATISTICS] = _Group()
+        self._groups[Opcode.STATISTICS].add(self._statistics())
+        summary, offsets = bytearray(), bytearray()
+        for opcode, group in self._groups.items():
+            if group.count:
+                offset = records.SummaryOffset(
+                    group_opcode=opcode, group_start=start + len(summary), group_length=len(group.encoded)
+                )
+                offsets += encode(offset)
+                summary += group.encoded
+        offset_start = start + len(summary)
+        summary += offsets
+        # The summary's checksum covers the footer too, up to the checksum itself.
+        footer = RECORD_HEADER.pack(Opcode.FOOTER, FOOTER_LENGTH) + struct.pack("<QQ", start, offset_start)
+        crc = zlib.crc32(footer, zlib.crc32(summary))
+        return data_end + bytes(summary) + footer + struct.pack("<I", crc) + MAGIC
+
+    def _statistics(self) -> records.Statistics:
+        return records.Statistics(
+            attachment_count=self._groups[Opcode.ATTACHMENT_INDEX].count,
+            channel_count=self._groups[Opcode.CHANNEL].count,
+            channel_message_counts=dict(self._counts),
+            chunk_count=self.chunks,
+            message_count=self.messages,
+            message_end_time=self._end_ns,
+            message_start_time=self._start_ns or 0,
+            metadata_count=self._groups[Opcode.METADATA_INDEX].count,
+            schema_count=self._groups[Opcode.SCHEMA].count,
+        )
+
+
+def encode(record: records.McapRecord) -> bytes:
+    """A record's bytes, opcode and length included."""
+    builder = RecordBuilder()
+    record.write(builder)
+    return cast("bytes", builder.end())
+
+
+def encode_index(channel_id: int, entries: array[int]) -> bytes:
+    """A message index record: log times and offsets in turns, of the messages of one channel in a chunk."""
+    if sys.byteorder == "big":
+        entries = entries[:]
+        entries.byteswap()
+    data = entries.tobytes()
+    return _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, 6 + len(data), channel_id, len(data)) + data
+
+
+def checked(data: bytes) -> bytes:
+    """Records, and the check behind them."""
+    return data + CHECK.pack(CHECK_OPCODE, CHECK.size - RECORD_HEADER.size, len(data), zlib.crc32(data))

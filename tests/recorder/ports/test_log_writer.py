@@ -1,0 +1,196 @@
+"""The writer's thread, on a real directory and on a disk that fails on demand."""
+
+import errno
+import os
+import threading
+from io import BytesIO, FileIO
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from recorder.chunk import ChunkBuilder
+from recorder.effects import (
+    CloseLog,
+    DeclareChannel,
+    FileEffect,
+    LogChannel,
+    OpenLog,
+    SyncLog,
+    WriteAttachment,
+    WriteChunk,
+    WriteMetadata,
+)
+from recorder.ports import log_directory, log_writer
+from recorder.ports.log_directory import LogDirectory
+from recorder.ports.log_writer import LOST_NAME, LogWriter
+from recorder.protobuf_schema import descriptor_set
+from schemas.messages import Gear
+from tests.recorder.fakes import WALL_NS, logs_in, wait_until
+
+STEM = "x-20270115T080000Z"
+BEGIN: list[OpenLog | FileEffect] = [
+    OpenLog("x", WALL_NS),
+    WriteMetadata("cruiser", {"robots": "cruiser-1"}, lasts=True),
+    WriteMetadata("cruiser.once", {}),
+    WriteAttachment("a.dbc", "text/plain", b"dbc", WALL_NS),
+    DeclareChannel(LogChannel(1, "t", "cruiser.Gear", descriptor_set(Gear))),
+]
+
+
+class FaultyFile(FileIO):
+    """A file whose disk takes no data while ``error`` says so."""
+
+    error = 0
+    written = 0
+
+    def write(self, data: memoryview, /) -> int:  # type: ignore[override]  # the fewer types the clearer
+        if FaultyFile.error:
+            raise OSError(FaultyFile.error, os.strerror(FaultyFile.error))
+        FaultyFile.written += len(data)
+        return super().write(data)
+
+
+@pytest.fixture(autouse=True)
+def _disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk of every log here; without long pauses."""
+    monkeypatch.setattr(log_directory, "FileIO", FaultyFile)
+    monkeypatch.setattr(log_writer, "RETRY_MIN_S", 0.01)
+    monkeypatch.setattr(log_writer, "RETRY_MAX_S", 0.02)
+    monkeypatch.setattr(FaultyFile, "error", 0)
+    monkeypatch.setattr(FaultyFile, "written", 0)
+
+
+def chunk(number: int, size: int = 100) -> WriteChunk:
+    """A chunk of one message."""
+    builder = ChunkBuilder()
+    builder.add(1, number, number, number, os.urandom(size))
+    sealed = builder.seal()
+    assert sealed is not None
+    return WriteChunk(sealed)
+
+
+def sequences(path: Path) -> list[int]:
+    """The messages of a whole file."""
+    reader = make_reader(BytesIO(path.read_bytes()), validate_crcs=True)
+    return [message.sequence for _, _, message in reader.iter_messages()]
+
+
+def names(path: Path) -> list[str]:
+    """The metadata and attachments of a file, by name."""
+    reader = make_reader(BytesIO(path.read_bytes()), validate_crcs=True)
+    return [one.name for one in reader.iter_metadata()] + [one.name for one in reader.iter_attachments()]
+
+
+def test_effects_become_a_file(tmp_path: Path) -> None:
+    """In order; the result says what was written."""
+    writer = LogWriter(LogDirectory(tmp_path), "test")
+    writer.submit([*BEGIN, chunk(1), SyncLog()])
+    writer.submit([chunk(2), CloseLog()])
+    writer.close()
+    path = tmp_path / f"{STEM}.mcap"
+    assert sequences(path) == [1, 2]
+    assert (writer.path, writer.files, writer.bytes, writer.lost) == (str(path), 1, path.stat().st_size, 0)
+
+
+def test_the_next_file_repeats_what_lasts(tmp_path: Path) -> None:
+    """So that it can be read alone; no message is in both."""
+    writer = LogWriter(LogDirectory(tmp_path), "test")
+    writer.submit([*BEGIN, chunk(1), CloseLog(), OpenLog("x", WALL_NS), chunk(2), CloseLog()])
+    writer.close()
+    first, second = tmp_path / f"{STEM}.mcap", tmp_path / f"{STEM}-2.mcap"
+    assert (sequences(first), sequences(second)) == ([1], [2])
+    assert names(first) == ["cruiser", "cruiser.once", "a.dbc"]
+    assert names(second) == ["cruiser", "a.dbc"]
+
+
+def test_the_size_is_that_of_the_file_that_is_asked_for(tmp_path: Path) -> None:
+    """A file that is still waiting to be begun has none, whatever the one before came to."""
+    writer = LogWriter(LogDirectory(tmp_path), "test")
+    writer.submit([*BEGIN, chunk(1)])
+    wait_until(lambda: writer.size > 100)
+    with writer._changed:  # the thread takes nothing meanwhile
+        writer._waiting.extend([CloseLog(), OpenLog("x", WALL_NS)])
+        writer._submitted += 1
+        assert writer.size == 0
+    writer.close()
+
+
+@pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO])
+def test_after_a_fault_the_log_goes_on_in_another_file(tmp_path: Path, error: int) -> None:
+    """The chunk that failed is the first of it; nothing is lost or doubled."""
+    writer = LogWriter(LogDirectory(tmp_path), "test")
+    writer.submit([*BEGIN, chunk(1)])
+    wait_until(lambda: writer.size > 0 and not writer._waiting)
+    FaultyFile.error = error
+    writer.submit([chunk(2), SyncLog()])
+    wait_until(lambda: writer.files == 1)
+    FaultyFile.error = 0
+    writer.submit([chunk(3), CloseLog()])
+    writer.close()
+    assert writer.lost == 0
+    kept = sorted(tmp_path.iterdir())
+    assert [path.name for path in kept] == [f"{STEM}-2.mcap", f"{STEM}.mcap.part"]
+    assert sequences(kept[0]) == [2, 3]
+    assert "a.dbc" in names(kept[0])
+
+
+def test_while_the_disk_takes_nothing_memory_is_bounded_and_losses_are_counted(tmp_path: Path) -> None:
+    """The oldest go; the next file says how many there were. No files are left behind by the tries."""
+    writer = LogWriter(LogDirectory(tmp_path), "test", queue_bytes=1000)
+    FaultyFile.error = errno.ENOSPC
+    writer.submit(BEGIN)
+    for number in range(100):
+        writer.submit([chunk(number), SyncLog()])
+        assert writer._waiting_bytes <= 1000
+    wait_until(lambda: writer.lost >= 90)
+    assert logs_in(tmp_path) in ([], [f"{STEM}.mcap.part"])
+    FaultyFile.error = 0
+    writer.submit([CloseLog()])
+    writer.close()
+    path = tmp_path / f"{STEM}.mcap"
+    assert sequences(path) == list(range(writer.lost, 100))
+    (told,) = [
+        one.metadata for one in make_reader(BytesIO(path.read_bytes())).iter_metadata() if one.name == LOST_NAME
+    ]
+    assert told == {"messages": str(writer.lost)}
+
+
+def test_the_end_does_not_wait_for_a_disk_that_takes_nothing(tmp_path: Path) -> None:
+    """What waits is lost, and counted."""
+    writer = LogWriter(LogDirectory(tmp_path), "test")
+    FaultyFile.error = errno.EIO
+    writer.submit([*BEGIN, *(chunk(number) for number in range(20)), CloseLog()])
+    writer.close()
+    assert (writer.lost, writer.files, writer.path) == (20, 0, None)
+    assert logs_in(tmp_path) == []
+
+
+def test_who_submits_never_waits_for_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither for a sync nor for a write."""
+    goes_on = threading.Event()
+    write = FaultyFile.write
+    monkeypatch.setattr(FaultyFile, "write", lambda file, data: goes_on.wait(30) and write(file, data))
+    writer = LogWriter(LogDirectory(tmp_path), "test")
+    for number in range(50):
+        writer.submit([*(BEGIN if not number else []), chunk(number), SyncLog()])
+    assert not goes_on.is_set()
+    goes_on.set()
+    writer.submit([CloseLog()])
+    writer.close()
+    assert sequences(tmp_path / f"{STEM}.mcap") == list(range(50))
+
+
+def test_a_fault_of_our_own_is_raised_where_the_loop_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thread that dies in silence would be a recorder that records nothing; the file is ended."""
+    writer = LogWriter(LogDirectory(tmp_path), "test")
+    writer.submit([*BEGIN, chunk(1)])
+    wait_until(lambda: not writer._waiting)
+    monkeypatch.setattr(writer, "_carry_out", lambda _: 1 / 0)
+    writer.submit([chunk(2)])
+    wait_until(lambda: not writer._thread.is_alive())
+    with pytest.raises(ZeroDivisionError):
+        writer.submit([chunk(3)])
+    with pytest.raises(ZeroDivisionError):
+        writer.close()
+    assert sequences(tmp_path / f"{STEM}.mcap") == [1]
