@@ -126,7 +126,7 @@ class ReconnectingBus:
         while not self._closing.wait(self._pause_s):
             try:
                 self._opened = self._open()
-            except (BusLost, CommandError) as error:
+            except (BusLost, CommandError, OSError) as error:
                 self.detail = str(error)
                 self._pause_s = self._next_pause_s()
                 # The loop runs without collections, and each failure leaves a traceback that refers to itself.

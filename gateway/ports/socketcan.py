@@ -24,11 +24,11 @@ from gateway.ports.can_bus import BusFull, BusLost
 
 log = logging.getLogger(__name__)
 
-RECEIVE_BUFFER_BYTES: Final = 3_000_000
-"""Asked for; the kernel counts twice this, about 770 for a frame: a second of a saturated bus."""
+RECEIVE_BUFFER_BYTES: Final = 4_000_000
+"""Asked for. The kernel counts twice this, and 770 to 900 for a frame: a second of a saturated bus, and more."""
 
-SEND_BUFFER_BYTES: Final = 3_072
-"""The same for sending: eight frames, as many as a tick may have. What the bus does not take must not wait."""
+SEND_BUFFER_BYTES: Final = 3_400
+"""The same for sending: eight frames or nine; a tick has eight at most. What is not taken must not wait."""
 
 _UNFILTERED_MAX_FRAMES: Final = 1_000
 """More than a new socket holds, as long as no larger buffer was asked for."""
@@ -45,6 +45,7 @@ _SO_TIMESTAMPNS: Final = 35
 _SO_RXQ_OVFL: Final = 40
 _SIOCGIFFLAGS: Final = 0x8913
 _IFF_UP: Final = 1
+_NAME_MAX_BYTES: Final = 15
 _FLAGS_REQUEST: Final = struct.Struct("@16sh14x")
 _ANCILLARY_BYTES: Final = socket.CMSG_SPACE(_TIME.size) + socket.CMSG_SPACE(_COUNT.size)
 
@@ -154,7 +155,10 @@ def check_up(channel: str) -> None:
     Raises:
         BusLost: it is not.
     """
-    request = _FLAGS_REQUEST.pack(os.fsencode(channel)[:15], 0)
+    name = os.fsencode(channel)
+    if len(name) > _NAME_MAX_BYTES:
+        raise BusLost(f"socketcan {channel}: {os.strerror(errno.ENODEV)}")
+    request = _FLAGS_REQUEST.pack(name, 0)
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
             _, flags = _FLAGS_REQUEST.unpack(fcntl.ioctl(asking, _SIOCGIFFLAGS, request))
@@ -172,6 +176,9 @@ def _tune(bus: socket.socket) -> None:
     except PermissionError:
         # As much as net.core.rmem_max allows.
         bus.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+        log.info(
+            "the receive buffer is smaller than asked for (CAP_NET_ADMIN, or net.core.rmem_max, would allow it)"
+        )
 
 
 def _frame(content: bytes, wall_ns: int) -> Frame:
