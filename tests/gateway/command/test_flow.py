@@ -10,7 +10,7 @@ from gateway.telemetry.health import Links
 from schemas.decisions import ArbiterState, Decision, Reply, SafetyState
 from schemas.messages import Mode, Variant
 from schemas.reasons import Reason
-from schemas.settings import CommandSettings, Settings
+from schemas.settings import MUTE_FAILURES, CommandSettings, Settings
 from tests.gateway.command.arbiter_bench import MS, STANDING
 from tests.gateway.command.loop_rig import LoopRig, driving, ready
 
@@ -121,6 +121,33 @@ def test_who_is_cut_off_from_a_chassis_that_obeys_leaves_it_to_the_guard() -> No
     rig.links = Links(bus_up=False, guarded=True, bus_losses=2)
     rig.tick()
     assert not made.is_mute, "standing by, nothing is left to anybody"
+
+
+@pytest.mark.parametrize(("ticks", "mute"), [(MUTE_FAILURES - 1, False), (MUTE_FAILURES, True)])
+def test_a_stop_that_the_bus_does_not_take_is_left_to_the_guard_in_the_end(ticks: int, mute: bool) -> None:  # noqa: FBT001
+    """Not a drive that it does not take: that becomes a stop first. What it takes again ends it."""
+    rig, _ = driving(1.0)
+    rig._witness = lambda *_: None  # type: ignore[method-assign]
+    rig.takes = 0
+    rig.tick(ticks)
+    assert flow(rig).arbiter.state is ArbiterState.STOPPING
+    assert flow(rig).is_mute is mute
+    rig.takes = None
+    rig.tick()
+    assert not flow(rig).is_mute
+
+
+def test_whole_bursts_alone_count_as_told() -> None:
+    """Of a part the chassis has heard some; the time since it was told all goes on."""
+    rig, operator = driving(1.0)
+    assert flow(rig).arbiter.told_ns == rig.now_ns
+    told_ns = rig.now_ns
+    rig.takes = 4
+    operator.drive(1.0)
+    assert flow(rig).arbiter.told_ns == told_ns
+    rig.takes = 5
+    operator.drive(1.0)
+    assert flow(rig).arbiter.told_ns == rig.now_ns
 
 
 def test_after_a_silence_the_gate_begins_anew() -> None:

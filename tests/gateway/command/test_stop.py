@@ -93,6 +93,20 @@ def test_a_pause_makes_one_step_of_a_tenth_of_a_second_at_most() -> None:
     assert actuation.speed_mps == pytest.approx(0.8)
 
 
+def test_a_ramp_may_be_cut_lower_and_never_higher() -> None:
+    """From the lower speed it goes on in the same steps."""
+    sequence = StopSequence(DRIVING, 2.0, 30.0, 0)
+    sequence.not_above(5.0)
+    first = sequence.tick(0, stands=False)
+    assert first is not None
+    assert first.speed_mps == pytest.approx(DRIVING.speed_mps - 0.02)
+    sequence.not_above(0.5)
+    second = sequence.tick(10_000_000, stands=False)
+    assert second is not None
+    assert second.speed_mps == pytest.approx(0.48)
+    assert sequence.phase is StopPhase.RAMP
+
+
 def test_a_robot_that_is_not_seen_to_stand_is_braked_for_three_seconds() -> None:
     """Then the rest comes all the same."""
     assert lasted(phases(DRIVING, 99_999))[StopPhase.BRAKE] == 300

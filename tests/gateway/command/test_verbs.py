@@ -394,6 +394,57 @@ def test_a_reset_that_comes_at_once_was_not_meant_for_this_latch(ticks: int, rea
     assert bench.ask("reset").reason is reason
 
 
+@pytest.mark.parametrize(
+    ("seen_ticks_ago", "reason"),
+    [(0, Reason.NONE), (40, Reason.NONE), (41, Reason.TOO_OLD), (500, Reason.TICK_UNKNOWN)],
+)
+def test_a_reset_with_a_tick_is_as_old_as_its_tick(seen_ticks_ago: int, reason: Reason) -> None:
+    """Row 'command age, by echo' for it too: 400 ms."""
+    bench = Bench()
+    bench.ask("acquire")
+    bench.ask("stop")
+    bench.tick(count=100)
+    ruling = bench.ask("reset", tick=bench.arbiter.tick_number - seen_ticks_ago)
+    assert ruling.reason is reason
+    assert (ruling.lease, bool(bench.arbiter.latched)) == (bench.lease, reason is not Reason.NONE)
+    if reason is not Reason.NONE:
+        assert ruling.detail == "it was made before this was to be seen"
+
+
+@pytest.mark.parametrize(("more_ticks", "reason"), [(1, Reason.NONE), (2, Reason.REMOTE_STOP)])
+def test_a_reset_with_a_tick_clears_nothing_that_was_latched_after_it(more_ticks: int, reason: Reason) -> None:
+    """Though it is young enough: the newest cause is named. The bench publishes a tick one tick later."""
+    bench = Bench(CommandSettings(max_age_s=1.0))
+    bench.ask("acquire")
+    bench.ask("stop")
+    latched_at = bench.arbiter.tick_number
+    bench.tick(count=60)
+    assert bench.ask("reset", tick=latched_at - more_ticks).reason is reason
+
+
+def test_a_reset_with_a_tick_and_nothing_latched_is_served() -> None:
+    """There is nothing that it has not seen."""
+    bench = Bench()
+    bench.ask("acquire")
+    bench.tick(count=60)
+    assert bench.ask("reset", tick=bench.arbiter.tick_number - 20).reason is Reason.NONE
+
+
+def test_a_second_hit_of_a_latched_bumper_counts_anew() -> None:
+    """A reset right after it is refused; while it is only held down it ages."""
+    bench = Bench()
+    bench.ask("acquire")
+    bench.changes = {"front_bumper": True}
+    bench.tick(count=60)
+    bench.changes = {}
+    bench.tick(count=2)
+    bench.changes = {"front_bumper": True}
+    bench.tick()
+    assert bench.ask("reset").reason is Reason.FRONT_BUMPER
+    bench.tick(count=60)
+    assert bench.ask("reset").reason is Reason.NONE
+
+
 def test_a_second_stop_is_not_wiped_by_a_reset_of_its_tick() -> None:
     """Whoever resets has not seen it: stop always wins."""
     bench = Bench()
