@@ -7,7 +7,7 @@ from gateway.command.flow import CommandFlow
 from gateway.command.gate import GateFault
 from gateway.command.request import RawRequest
 from gateway.telemetry.health import Links
-from schemas.decisions import ArbiterState, Decision, Reply, SafetyState
+from schemas.decisions import ArbiterState, Decision, Reply, SafetyState, StopPhase
 from schemas.messages import Mode, Variant
 from schemas.reasons import Reason
 from schemas.settings import MUTE_FAILURES, CommandSettings, Settings
@@ -148,6 +148,21 @@ def test_whole_bursts_alone_count_as_told() -> None:
     rig.takes = 5
     operator.drive(1.0)
     assert flow(rig).arbiter.told_ns == rig.now_ns
+
+
+def test_a_ramp_goes_on_where_the_bus_takes_the_speed_and_little_more() -> None:
+    """The speed is the first frame of a burst; the rest is told when there is room."""
+    rig, _ = driving(1.0)
+    rig.put("anyone", "stop", b"")
+    rig.takes = 1
+    begun = len(rig.heard)
+    rig.tick(70)
+    assert rig.heard[begun:] == sorted(rig.heard[begun:], reverse=True)
+    assert rig.heard[-1] == 0
+    assert flow(rig).arbiter.stop_phase is StopPhase.RAMP, "the brake was not heard yet"
+    rig.takes = None
+    rig.tick()
+    assert flow(rig).arbiter.stop_phase is StopPhase.BRAKE
 
 
 def test_after_a_silence_the_gate_begins_anew() -> None:
