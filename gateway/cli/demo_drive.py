@@ -11,8 +11,9 @@ import msgspec
 from gateway.remote.refusal import LeaseLost, RobotError, Unreachable
 from gateway.remote.robot import Lease, Robot
 from gateway.sim.relay import Relay
-from schemas.decisions import ArbiterState, SafetyEvent
+from schemas.decisions import ArbiterState, SafetyEvent, SafetyState
 from schemas.exit_codes import CommandError
+from schemas.reasons import Reason
 from schemas.settings import Settings
 
 FIRST: Final = "first-operator"
@@ -67,7 +68,7 @@ class DemoDrive:
         """
         with self._connect(OBSERVER, self._endpoint) as observer:
             host, _, port = self._endpoint.rpartition(":")
-            observer.wait_for(lambda state: state.guarded, GUARD_TIMEOUT_S)
+            observer.wait_for(_waits_for_its_operator, GUARD_TIMEOUT_S)
             with Relay(host, int(port)) as relay:
                 with self._connect(FIRST, relay.endpoint) as robot:
                     self._first(robot, relay, max(2.0, seconds - FIXED_S), stopped)
@@ -159,3 +160,8 @@ class DemoDrive:
 
     def _entry(self, event: SafetyEvent) -> TimelineEntry:
         return TimelineEntry((event.time_ns - self._begin_ns) / 1e9, "robot", event.text)
+
+
+def _waits_for_its_operator(state: SafetyState) -> bool:
+    """A guard watches, the robot was seen to stand, and nothing else speaks against engaging it."""
+    return state.guarded and set(state.blocked_by) <= {Reason.NO_LEASE, Reason.NOT_ENGAGED}
