@@ -36,7 +36,7 @@ def drive(endpoint: str) -> None:
     """Engage, drive, stop, reset, and stand by again."""
     settings = merge(TomlSource("", f'[zenoh]\nconnect = ["{endpoint}"]\n'), {}, {})
     with Robot.connect("cruiser-1", settings=settings) as robot, robot.lease() as lease:
-        wait_until(lambda: Reason.UNGUARDED not in robot.state().state.blocked_by)
+        wait_until(lambda: robot.state().state.blocked_by == [Reason.NOT_ENGAGED])
         lease.engage()
         lease.unpark()
         wait_until(

@@ -33,7 +33,7 @@ def main(endpoint: str, operator: str) -> None:
     session = open_session(ZenohSettings(mode="client"), [endpoint], [])
     token = session.liveliness().declare_token(token_key(operator))
     with Robot.connect("cruiser-1", operator, settings, 30) as robot, robot.lease() as lease:
-        robot.wait_for(lambda state: Reason.UNGUARDED not in state.blocked_by, 30)
+        robot.wait_for(lambda state: state.blocked_by == [Reason.NOT_ENGAGED], 30)
         lease.engage()
         lease.unpark()
         is_told = False
