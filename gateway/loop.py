@@ -15,6 +15,7 @@ from gateway.chassis.frame import Frame
 from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.request import RawRequest
 from gateway.core import Core
+from gateway.guard.beat import GuardView
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas.decisions import Severity
@@ -29,6 +30,8 @@ LEVELS: Final = {Severity.INFO: logging.INFO, Severity.WARNING: logging.WARNING,
 
 BURST_MAX_FRAMES: Final = 32
 """Frames taken at a time, so that a bus that never falls silent cannot keep the tick waiting."""
+
+NO_GUARD: Final = GuardView()
 
 PEERS_TICKS: Final = 10
 """Who is connected is asked in every tenth tick: asking takes Zenoh tens of microseconds."""
@@ -98,19 +101,8 @@ class Inbox(Protocol):
 class Guard(Protocol):
     """The guard, as the loop sees it."""
 
-    @property
-    def is_watching(self) -> bool:
-        """It would stop the robot in our place."""
-        ...
-
-    @property
-    def is_sending(self) -> bool:
-        """It does so now, and we must be silent."""
-        ...
-
-    @property
-    def stops(self) -> int:
-        """How often it has begun to, since the start."""
+    def look(self) -> GuardView:
+        """How it is now."""
         ...
 
     def beat(self, now_ns: int, command: CommandFlow) -> None:
@@ -199,8 +191,8 @@ def _tick(around: Surroundings, core: Core, links: Links, now_ns: int, late_ns: 
             core.receive_request(request, now_ns)
     due = core.tick(now_ns, time.time_ns(), late_ns)
     # Asked once more, right before: this process may have been stopped since, for longer than the guard needs.
-    guard = around.guard
-    is_ours = guard is None or not (guard.is_sending or guard.stops != links.guard_stops)
+    seen = around.guard.look() if around.guard is not None else NO_GUARD
+    is_ours = not seen.is_sending and seen.stops == links.guard_stops
     count = around.bus.send(due.frames) if due.frames and is_ours else 0
     samples = core.sent(count, monotonic_ns(), time.time_ns())
     if around.guard is not None and core.command is not None:
@@ -260,7 +252,8 @@ class Reader:
 
 
 def _observe(around: Surroundings, before: Links, peers: int, *, is_behind: bool) -> Links:
-    bus, sink, guard = around.bus, around.sink, around.guard
+    bus, sink = around.bus, around.sink
+    guard = around.guard.look() if around.guard is not None else NO_GUARD
     if bus.is_up and not before.bus_up:
         log.info("the bus is up%s", " again" if bus.losses else "")
     elif before.bus_up and (not bus.is_up or bus.losses != before.bus_losses):
@@ -277,9 +270,9 @@ def _observe(around: Surroundings, before: Links, peers: int, *, is_behind: bool
         zenoh_peers=peers,
         publish_failures=sink.failures,
         cpu_ns=time.process_time_ns(),
-        guarded=guard is not None and guard.is_watching,
-        guard_sends=guard is not None and guard.is_sending,
-        guard_stops=guard.stops if guard is not None else 0,
+        guarded=guard.is_watching,
+        guard_sends=guard.is_sending,
+        guard_stops=guard.stops,
         is_behind=is_behind,
         inbox_drops=around.inbox.drops if around.inbox is not None else 0,
     )

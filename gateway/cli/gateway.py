@@ -118,13 +118,13 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 def _stop_unguarded(core: Core, bus: ReconnectingBus, guard: GuardLink, settings: Settings) -> None:
     """The loop has failed. A guard that watches stops the robot now; where there is none, it is done from here."""
     told = None if core.command is None else core.command.arbiter.actuation
-    if core.command is None or told is None or guard.is_watching:
+    if core.command is None or told is None or guard.look().is_watching:
         return
     sight = Sight()
     stopper = Stopper(sight, settings.command)
     counters = bytes(core.command.maker.counters.values())
     stopper.begin(told, core.command.arbiter.variant, counters, time.monotonic_ns())
-    outcome = stop_alone(bus, stopper, sight, lambda: guard.is_sending)
+    outcome = stop_alone(bus, stopper, sight, lambda: guard.look().is_sending)
     log.error("the loop has failed, and no guard watches: the robot was stopped from here; %s", outcome)
 
 

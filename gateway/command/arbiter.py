@@ -29,12 +29,7 @@ from gateway.command.stop import StopSequence
 from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity, StopPhase
 from schemas.messages import Mode, Variant
 from schemas.reasons import TEXTS, Reason
-from schemas.settings import (
-    ENGAGE_TIMEOUT_NS,
-    TICK_NS,
-    TOLD_LONG_AGO_NS,
-    Settings,
-)
+from schemas.settings import ENGAGE_TIMEOUT_NS, TICK_NS, TOLD_LONG_AGO_NS, Settings
 
 _NS_PER_S: Final = 1_000_000_000
 _TICK_BITS: Final = 40

@@ -45,6 +45,20 @@ class Cause(Enum):
     GONE = "the gateway is gone"
 
 
+class GuardView(msgspec.Struct, frozen=True):
+    """The guard, as the loop sees it at one time.
+
+    Attributes:
+        is_watching: it lives, has its bus and hears feedback: it would stop the robot in our place.
+        is_sending: it does so now, and we must be silent. One that gives no sign of life any more is not.
+        stops: how often it has begun to, since the start.
+    """
+
+    is_watching: bool = False
+    is_sending: bool = False
+    stops: int = 0
+
+
 class GuardStatus(msgspec.Struct, frozen=True):
     """The guard's sign of life.
 

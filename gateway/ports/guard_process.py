@@ -16,7 +16,7 @@ import msgspec
 
 from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.flow import CommandFlow
-from gateway.guard.beat import Beat, Cause, GuardStatus
+from gateway.guard.beat import Beat, Cause, GuardStatus, GuardView
 from gateway.ports.heartbeat import Heartbeat
 from schemas.messages import Variant
 from schemas.settings import GUARD_HANGS_TICKS, GUARD_RESTART_NS, GUARD_SILENT_NS, Settings
@@ -39,19 +39,8 @@ class GuardLink(Protocol):
 
     why_not: str
 
-    @property
-    def is_watching(self) -> bool:
-        """The guard lives, has its bus, and hears feedback."""
-        ...
-
-    @property
-    def is_sending(self) -> bool:
-        """The guard is stopping the robot: the loop must send nothing."""
-        ...
-
-    @property
-    def stops(self) -> int:
-        """How many stops the guard has begun."""
+    def look(self) -> GuardView:
+        """How it is now."""
         ...
 
     @property
@@ -71,13 +60,14 @@ class GuardLink(Protocol):
 class NoGuard:
     """No guard can watch here."""
 
-    is_watching: bool = False
-    is_sending: Final = False
-    stops: Final = 0
     cause: Final = Cause.NONE
 
     def __init__(self, why_not: str) -> None:
         self.why_not = why_not
+
+    def look(self) -> GuardView:
+        """Nobody watches."""
+        return GuardView()
 
     def beat(self, now_ns: int, command: CommandFlow) -> None:
         """Nobody listens."""
@@ -115,23 +105,17 @@ class GuardProcess:
         """The guard's process."""
         return self._process.pid
 
-    @property
-    def is_watching(self) -> bool:
-        """The guard lives, has its bus, and hears feedback."""
-        status = self._live_status()
-        return status is not None and status.is_ready
-
-    @property
-    def is_sending(self) -> bool:
-        """The guard is stopping the robot. One that gives no sign of life any more is not."""
-        status = self._live_status()
-        return status is not None and status.is_sending
-
-    @property
-    def stops(self) -> int:
-        """How many stops the guard has begun."""
+    def look(self) -> GuardView:
+        """How it is now. Reading its status costs microseconds: once for all that is asked at a time."""
         status = self._memory.read_status()
-        return self._stops_before + (0 if status is None else status.stops)
+        if status is None:
+            return GuardView(stops=self._stops_before)
+        lives = _is_alive(status)
+        return GuardView(
+            is_watching=lives and status.is_ready,
+            is_sending=lives and status.is_sending,
+            stops=self._stops_before + status.stops,
+        )
 
     @property
     def cause(self) -> Cause:
@@ -215,10 +199,13 @@ class GuardProcess:
             if not self._starting.is_alive():
                 self._take_started()
             return
+        status = self._memory.read_status()
+        if status is not None and _is_alive(status):
+            self._silent_ticks = 0
+            return
         # One that starts slowly has given no sign yet, and does not hang.
-        is_silent = self._memory.read_status() is not None and self._live_status() is None
-        self._silent_ticks = self._silent_ticks + 1 if is_silent else 0
-        is_gone = self._process.poll() is not None or self._silent_ticks >= GUARD_HANGS_TICKS
+        self._silent_ticks += status is not None
+        is_gone = self._silent_ticks >= GUARD_HANGS_TICKS or self._process.poll() is not None
         if is_gone and now_ns - self._started_ns > GUARD_RESTART_NS:
             self._started_ns = now_ns
             self._starting = threading.Thread(target=self._start_again, name="guard-starter", daemon=True)
@@ -239,16 +226,14 @@ class GuardProcess:
         started, self._started = self._started, None
         if started is None:
             return
-        self._stops_before = self.stops
+        self._stops_before = self.look().stops
         self._memory.close()
         self._process, self._memory = started.process, started.memory
         self._memory.write_beat(self._newest)
 
-    def _live_status(self) -> GuardStatus | None:
-        status = self._memory.read_status()
-        if status is None or time.monotonic_ns() - status.now_ns > GUARD_SILENT_NS:
-            return None
-        return status
+
+def _is_alive(status: GuardStatus) -> bool:
+    return time.monotonic_ns() - status.now_ns <= GUARD_SILENT_NS
 
 
 def start_guard(settings: Settings) -> GuardProcess | NoGuard:

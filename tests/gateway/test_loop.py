@@ -14,6 +14,7 @@ from gateway.chassis.layout import load
 from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.request import RawRequest
 from gateway.core import Core, Due
+from gateway.guard.beat import GuardView
 from gateway.loop import BURST_MAX_FRAMES, PEERS_TICKS, Surroundings, run
 from gateway.sim.model import VirtualChassis
 from gateway.telemetry.sample import Sample
@@ -304,6 +305,9 @@ class FakeGuard:
         self.is_sending = False
         self.stops = 0
         self.beats_ns: list[int] = []
+
+    def look(self) -> GuardView:
+        return GuardView(self.is_watching, self.is_sending, self.stops)
 
     def beat(self, now_ns: int, command: CommandFlow) -> None:
         assert isinstance(command, CommandFlow)

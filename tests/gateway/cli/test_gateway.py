@@ -16,6 +16,7 @@ from gateway.chassis.layout import load
 from gateway.cli.gateway import run as run_gateway
 from gateway.command.actuation import Actuation
 from gateway.core import Core
+from gateway.guard.beat import GuardView
 from gateway.loop import Surroundings
 from gateway.ports.guard_process import NoGuard
 from gateway.ports.zenoh_client import close_session, open_session
@@ -431,6 +432,9 @@ class FakeGuard(NoGuard):
         super().__init__("" if is_watching else "this test says so")
         self.is_watching = is_watching
         self.is_closed = False
+
+    def look(self) -> GuardView:
+        return GuardView(is_watching=self.is_watching)
 
     def close(self) -> None:
         """Remember it."""

@@ -63,8 +63,8 @@ class StandIn:
                 bus.receive((due_ns - now_ns) / 1e9)
             self.late_ns = max(self.late_ns, now_ns - due_ns)
             due_ns += TICK_NS * (1 + (now_ns - due_ns) // TICK_NS)
-            ticks = ticks + 1 if ticks or guard.is_watching else 0
-            self.is_quiet |= guard.is_sending
+            ticks = ticks + 1 if ticks or guard.look().is_watching else 0
+            self.is_quiet |= guard.look().is_sending
             actuation = None
             if ticks and not self.is_quiet:
                 actuation = self.driving if ticks > ENGAGING_TICKS else Actuation(enabled=True)
@@ -85,9 +85,9 @@ class StandIn:
             )
             for name, value in (
                 ("guard", guard.pid),
-                ("watching", guard.is_watching),
-                ("sending", guard.is_sending),
-                ("stops", guard.stops),
+                ("watching", guard.look().is_watching),
+                ("sending", guard.look().is_sending),
+                ("stops", guard.look().stops),
                 ("cause", guard.cause.name),
             ):
                 if said.get(name) != value:

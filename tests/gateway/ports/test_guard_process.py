@@ -146,9 +146,9 @@ def test_a_guard_whose_gateway_never_beat_leaves_with_it() -> None:
         link = start_guard(Settings(can=CanSettings(interface="socketcand", channel=address)))
         assert isinstance(link, GuardProcess)
         assert link.why_not == ""
-        assert not link.is_watching
-        wait_until(lambda: link.is_watching)
-        assert not link.is_sending
+        assert not link.look().is_watching
+        wait_until(lambda: link.look().is_watching)
+        assert not link.look().is_sending
         link.close()
         assert link._process.returncode == 0
 
@@ -167,7 +167,12 @@ def test_where_no_guard_can_be_the_link_says_why(settings: Settings, says: str) 
     assert says in link.why_not
     link.beat(1, CommandFlow(settings, 1))
     link.close()
-    assert (link.is_watching, link.is_sending, link.stops, link.cause) == (False, False, 0, Cause.NONE)
+    assert (link.look().is_watching, link.look().is_sending, link.look().stops, link.cause) == (
+        False,
+        False,
+        0,
+        Cause.NONE,
+    )
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
@@ -183,25 +188,25 @@ def test_a_guard_that_is_gone_or_hangs_is_replaced_while_the_robot_is_told_nothi
             link.tell(now_ns, Variant.COARSE, actuation, maker.counters, told_ns=now_ns)
 
         try:
-            wait_until(lambda: link.is_watching, lambda: tell(0))
+            wait_until(lambda: link.look().is_watching, lambda: tell(0))
             first = link.pid
             # Told something, and no beat after: it begins a stop.
             tell(0, AT_REST)
-            wait_until(lambda: link.stops == 1)
+            wait_until(lambda: link.look().stops == 1)
             os.kill(first, number)
-            wait_until(lambda: not link.is_watching)
+            wait_until(lambda: not link.look().is_watching)
             for _ in range(GUARD_HANGS_TICKS):
                 tell(GUARD_RESTART_NS // 2)
             assert link._starting is None
             tell(2 * GUARD_RESTART_NS, AT_REST)
             tell(2 * GUARD_RESTART_NS)
             assert link._starting is None
-            assert link.stops == 1
+            assert link.look().stops == 1
             wait_until(lambda: link.pid != first, lambda: tell(2 * GUARD_RESTART_NS))
             assert not Path(f"/proc/{first}").exists()
             # That it begins within a beat from the future is this test's doing.
-            wait_until(lambda: link.is_watching, lambda: tell(0))
-            assert link.stops == 1
+            wait_until(lambda: link.look().is_watching, lambda: tell(0))
+            assert link.look().stops == 1
         finally:
             link.close()
         assert link._process.returncode == 0
