@@ -11,7 +11,7 @@ from typing import Final
 from recorder.effects import AskKept, Effect
 from schemas import keys
 from schemas.decisions import Journal
-from schemas.settings import ROBOT_LIMIT
+from schemas.recorder_settings import ROBOT_LIMIT
 from schemas.subjects import KEPT_PIECE, SUBJECTS, Subject
 
 ANSWER_NS: Final = 1_000_000_000

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from recorder.effects import DeclareChannel, FileEffect, WriteAttachment, WriteMetadata
-from schemas.settings import ROBOT_LIMIT
+from schemas.recorder_settings import ROBOT_LIMIT
 
 ATTACHMENTS_MAX: Final = 2 * ROBOT_LIMIT
 """A configuration and a DBC for each robot; beyond it the oldest go, for a robot may make up names."""

@@ -28,14 +28,14 @@ from msgspec import inspect
 
 from schemas import messages
 from schemas.snake_case import snake_case
-from schemas.subjects import SCHEMA_PREFIX, SUBJECTS
+from schemas.subjects import ALL_SUBJECTS, SCHEMA_PREFIX
 
 INT32_MIN: Final = -(2**31)
 INT32_MAX: Final = 2**31 - 1
 UINT32_MAX: Final = 2**32 - 1
 
 LOGGED: Final[tuple[type[msgspec.Struct], ...]] = (
-    *(subject.type for subject in SUBJECTS),
+    *(subject.type for subject in ALL_SUBJECTS),
     messages.CanFrame,
     messages.RawSample,
 )

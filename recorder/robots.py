@@ -7,7 +7,7 @@ from typing import Final
 from recorder.effects import AskInfo, Effect, WriteAttachment, WriteMetadata
 from schemas import keys
 from schemas.messages import GatewayInfo, Variant
-from schemas.settings import ROBOT_LIMIT
+from schemas.recorder_settings import ROBOT_LIMIT
 from schemas.subjects import BY_TYPE
 
 METADATA_NAME: Final = "cruiser"

@@ -21,7 +21,7 @@ from schemas.can_word import (
 )
 from schemas.codec import PayloadFault, decode
 from schemas.messages import CanFrame, CanFrames, Message, RawSample
-from schemas.subjects import SUBJECTS, Pattern, Subject
+from schemas.subjects import ALL_SUBJECTS, Pattern, Subject
 
 RAW_CHUNK: Final = "@raw"
 """A broken sample of a known key goes to ``{key}/@raw``: viewers want one schema per topic."""
@@ -145,5 +145,5 @@ _ENCODE_RAW: Final = compile_encoder(RawSample)
 _ENCODE_CAN_FRAME: Final[Callable[..., bytes]] = compile_row_encoder(CanFrame)
 _TRANSCODERS: Final[dict[type[Message], Transcoder]] = {
     subject.type: unfold if subject.type is CanFrames else _one_record(compile_encoder(subject.type))
-    for subject in SUBJECTS
+    for subject in ALL_SUBJECTS
 }

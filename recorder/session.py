@@ -32,7 +32,7 @@ from recorder.routes import RAW_CHUNK, Route, keep_raw
 from recorder.sample import Sample
 from schemas import keys
 from schemas.messages import CanFrames, GatewayInfo, Message
-from schemas.settings import CHANNEL_LIMIT
+from schemas.recorder_settings import CHANNEL_LIMIT
 from schemas.subjects import Subject
 
 INT64_MAX: Final = 2**63 - 1

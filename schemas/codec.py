@@ -13,7 +13,7 @@ import msgspec
 
 from schemas.messages import Message
 from schemas.requests import Request
-from schemas.subjects import COMMANDS, SUBJECTS, Command, Subject
+from schemas.subjects import ALL_SUBJECTS, COMMANDS, RECORDER_COMMANDS, Subject, Verb
 
 
 class PayloadFault(msgspec.Struct, frozen=True):
@@ -25,7 +25,7 @@ class PayloadFault(msgspec.Struct, frozen=True):
 encode: Final = msgspec.msgpack.Encoder().encode
 """A message's MessagePack bytes."""
 
-_DECODERS: Final = {subject.type: msgspec.msgpack.Decoder(subject.type) for subject in SUBJECTS}
+_DECODERS: Final = {subject.type: msgspec.msgpack.Decoder(subject.type) for subject in ALL_SUBJECTS}
 
 
 def decode(subject: Subject, payload: bytes) -> Message | PayloadFault:
@@ -36,14 +36,16 @@ def decode(subject: Subject, payload: bytes) -> Message | PayloadFault:
         return PayloadFault(str(error))
 
 
-_REQUEST_DECODERS: Final = {command.verb: msgspec.msgpack.Decoder(command.request) for command in COMMANDS}
+_REQUEST_DECODERS: Final = {
+    verb.request: msgspec.msgpack.Decoder(verb.request) for verb in (*COMMANDS, *RECORDER_COMMANDS)
+}
 
 
-def decode_request(command: Command, payload: bytes) -> Request | PayloadFault:
+def decode_request(verb: Verb, payload: bytes) -> Request | PayloadFault:
     """The typed request of a payload, or what is wrong with it. Every number in it is finite."""
     try:
         # A verb that needs nothing may be sent with no payload at all.
-        request = _REQUEST_DECODERS[command.verb].decode(payload or _EMPTY_MAP)
+        request = _REQUEST_DECODERS[verb.request].decode(payload or _EMPTY_MAP)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         return PayloadFault(str(error))
     for name in request.__struct_fields__:

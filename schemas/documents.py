@@ -31,12 +31,15 @@ from schemas.subjects import (
     COMMAND_QOS,
     COMMANDS,
     LIVELINESS_CHUNK,
+    RECORDER_CHUNK,
+    RECORDER_COMMANDS,
+    RECORDER_SUBJECTS,
     SUBJECTS,
     Asking,
-    Command,
     Pattern,
     Qos,
     Subject,
+    Verb,
 )
 from schemas.toml_text import write_value
 
@@ -87,16 +90,7 @@ def rewrite(text: str, parts: Mapping[str, Part] | None = None) -> str:
 
 def key_table() -> str:
     """Every key: what it is, how often, quality of service, payload fields."""
-    rows = [
-        (
-            f"`{subject.name}`",
-            subject.about,
-            subject.rate,
-            "that of the query" if subject.pattern is Pattern.QUERIED else _qos(subject.qos),
-            f"{subject.type.__name__}: {_field_list(subject)}",
-        )
-        for subject in SUBJECTS
-    ]
+    rows = [_key_row(subject) for subject in SUBJECTS]
     token = (f"`{LIVELINESS_CHUNK}`, a liveliness token", "connected; never proof of health", "", "", "none")
     common = " and ".join(f"`{name}`" for name in _COMMON_FIELDS)
     notes = (
@@ -105,6 +99,24 @@ def key_table() -> str:
         "field with a unit is a number. Bounds, enumerations, and which fields may be null: docs/messages.md."
     )
     return f"{table(('key', 'what', 'rate', 'QoS', 'payload'), [*rows, token])}\n\n{notes}"
+
+
+def recorder_key_table() -> str:
+    """Every key of a recorder."""
+    rows = [_key_row(subject) for subject in RECORDER_SUBJECTS]
+    prefix = f"`{{root}}/{RECORDER_CHUNK}/{{recorder}}"
+    notes = f"Every key begins with {prefix}/`; {prefix}` itself is a liveliness token."
+    return f"{table(('key', 'what', 'rate', 'QoS', 'payload'), rows)}\n\n{notes}"
+
+
+def _key_row(subject: Subject) -> tuple[str, ...]:
+    return (
+        f"`{subject.name}`",
+        subject.about,
+        subject.rate,
+        "that of the query" if subject.pattern is Pattern.QUERIED else _qos(subject.qos),
+        f"{subject.type.__name__}: {_field_list(subject)}",
+    )
 
 
 def settings_table() -> str:
@@ -128,12 +140,14 @@ def message_tables() -> str:
     signals = _signal_comments()
     everywhere = {field: text for texts in signals.values() for field, text in texts.items()}
     blocks = ["## Messages", "### In every message", field_table(_common_properties(), {})]
-    for kind in dict.fromkeys(subject.type for subject in SUBJECTS):
-        subjects = [subject for subject in SUBJECTS if subject.type is kind]
+    prefixes = dict.fromkeys(SUBJECTS, "{root}/{robot}")
+    prefixes |= dict.fromkeys(RECORDER_SUBJECTS, f"{{root}}/{RECORDER_CHUNK}/{{recorder}}")
+    for kind in dict.fromkeys(subject.type for subject in prefixes):
+        subjects = [subject for subject in prefixes if subject.type is kind]
         first = subjects[0]
         schema = json_schema.schema(first.schema_name)
         own = {name: part for name, part in schema["properties"].items() if name not in _COMMON_FIELDS}
-        places = " and ".join(f"`{{root}}/{{robot}}/{subject.name}`, {subject.rate}," for subject in subjects)
+        places = " and ".join(f"`{prefixes[one]}/{one.name}`, {one.rate}," for one in subjects)
         blocks += [
             f"### {kind.__name__}",
             f"{first.about[0].upper()}{first.about[1:]}. {schema['description']}"
@@ -142,7 +156,7 @@ def message_tables() -> str:
             f"Key {places} encoding `{first.encoding}`.",
             field_table(own, signals.get(first.dbc_message, everywhere)),
         ]
-    names = [subject.schema_name for subject in SUBJECTS]
+    names = [subject.schema_name for subject in prefixes]
     return "\n\n".join([*blocks, *_records(names), *_enumerations(names)])
 
 
@@ -184,6 +198,28 @@ def request_tables() -> str:
         blocks += [f"### {json_schema.KINDS[name].__name__}", schema["description"]]
         blocks.append(field_table(schema["properties"], {}))
     return "\n\n".join([*blocks, *_enumerations(command.schema_name for command in COMMANDS)])
+
+
+def recorder_command_tables() -> str:
+    """Every verb of a recorder, then its requests and replies."""
+    rows = [(f"`{one.verb}`", _request_fields(one), one.reply.__name__, one.about) for one in RECORDER_COMMANDS]
+    blocks = [
+        table(("verb", "request", "reply", "what it does"), rows),
+        (
+            f"Every key is `{{root}}/{RECORDER_CHUNK}/{{recorder}}/{COMMAND_CHUNK}/{{operator}}/{{verb}}`. The "
+            f"Zenoh encoding is `{RECORDER_COMMANDS[0].encoding}`, and so on; a reply's is "
+            f"`{RECORDER_COMMANDS[0].reply_encoding}`."
+        ),
+    ]
+    for one in RECORDER_COMMANDS:
+        schema = json_schema.schema(one.schema_name)
+        if schema["properties"]:
+            blocks += [f"### {one.verb}", schema["description"], field_table(schema["properties"], {})]
+    for name in dict.fromkeys(one.reply_schema_name for one in RECORDER_COMMANDS):
+        schema = json_schema.schema(name)
+        blocks += [f"### {json_schema.KINDS[name].__name__}", schema["description"]]
+        blocks.append(field_table(schema["properties"], {}))
+    return "\n\n".join(blocks)
 
 
 def reason_table() -> str:
@@ -273,7 +309,7 @@ def _written(value: object) -> str:
     return json.dumps(value).strip('"')
 
 
-def _request_fields(command: Command) -> str:
+def _request_fields(command: Verb) -> str:
     """The fields of a request in one line, those in brackets that may be left out."""
     schema = json_schema.schema(command.schema_name)
     fields = {
@@ -348,6 +384,8 @@ PARTS: Final[dict[str, Part]] = {
     "commands": command_table,
     "requests": request_tables,
     "reasons": reason_table,
+    "recorder-keys": recorder_key_table,
+    "recorder-commands": recorder_command_tables,
 }
 
 FROM_ELSEWHERE: Final = frozenset({"states", "stops"})

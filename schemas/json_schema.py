@@ -20,15 +20,16 @@ import msgspec
 
 from schemas.decisions import Reply
 from schemas.messages import UNIT_KEYWORD, Message
+from schemas.recording import BackfillPiece, RecorderReply
 from schemas.requests import Request
-from schemas.subjects import COMMANDS, SUBJECTS
+from schemas.subjects import ALL_SUBJECTS, COMMANDS, RECORDER_COMMANDS
 
 DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 DIRECTORY: Final = Path(__file__).parent / "json"
 FILE_SUFFIX: Final = ".schema.json"
 
 Schema = dict[str, Any]
-Kind = type[Message] | type[Request] | type[Reply]
+Kind = type[Message] | type[Request] | type[Reply] | type[RecorderReply] | type[BackfillPiece]
 
 _DEFS: Final = "#/$defs/"
 _BYTES: Final[Schema] = {
@@ -39,9 +40,10 @@ _BYTES: Final[Schema] = {
 
 
 KINDS: Final[dict[str, Kind]] = (
-    {subject.schema_name: subject.type for subject in SUBJECTS}
-    | {command.schema_name: command.request for command in COMMANDS}
+    {subject.schema_name: subject.type for subject in ALL_SUBJECTS}
+    | {command.schema_name: command.request for command in (*COMMANDS, *RECORDER_COMMANDS)}
     | {command.reply_schema_name: command.reply for command in COMMANDS}
+    | {command.reply_schema_name: command.reply for command in RECORDER_COMMANDS}
 )
 """Every class that goes over Zenoh, by its schema's name."""
 

@@ -1,7 +1,7 @@
 """Zenoh keys: ``{root}/{robot}/{subject}``.
 
 The root is one or more chunks, the robot is one chunk of lower-case letters, digits and hyphens, the subject is
-a row of the subject table.
+a row of the subject table. A recorder's keys are ``{root}/@recorder/{recorder}/{subject}``.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Final
 
 import msgspec
 
-from schemas.subjects import COMMAND_CHUNK, LIVELINESS_CHUNK, SUBJECTS, Subject
+from schemas.subjects import COMMAND_CHUNK, LIVELINESS_CHUNK, RECORDER_CHUNK, RECORDER_SUBJECTS, SUBJECTS, Subject
 
 ROBOT_PATTERN: Final = r"[a-z0-9-]+"
 BUS_PATTERN: Final = r"[A-Za-z0-9_.-]+"
@@ -23,6 +23,7 @@ class KeyParts(msgspec.Struct, frozen=True):
     """What a key says.
 
     Attributes:
+        robot: empty where the key is a recorder's.
         bus: the CAN bus's name; empty where the subject has none.
     """
 
@@ -30,6 +31,7 @@ class KeyParts(msgspec.Struct, frozen=True):
     robot: str
     subject: Subject
     bus: str = ""
+    recorder: str = ""
 
 
 def build(root: str, robot: str, subject: Subject, bus: str = "") -> str:
@@ -57,6 +59,8 @@ def _compile(subject: Subject) -> re.Pattern[str]:
 _PATTERNS: Final = tuple(
     (subject, _compile(subject)) for subject in sorted(SUBJECTS, key=lambda one: -one.name.count("/"))
 )
+_OF_RECORDERS: Final = {subject.name: subject for subject in RECORDER_SUBJECTS}
+_RECORDER: Final = re.compile(rf"({ROOT_PATTERN})/{RECORDER_CHUNK}/({ROBOT_PATTERN})/(.+)")
 
 
 def parse(key: str) -> KeyParts | None:
@@ -66,7 +70,37 @@ def parse(key: str) -> KeyParts | None:
         if match is not None:
             parts = match.groupdict()
             return KeyParts(parts["root"], parts["robot"], subject, parts.get("bus", ""))
-    return None
+    match = _RECORDER.fullmatch(key)
+    own = _OF_RECORDERS.get(match[3]) if match else None
+    return KeyParts(match[1], "", own, recorder=match[2]) if match and own else None
+
+
+def of_recorder(root: str, recorder: str, rest: str = "") -> str:
+    """The key of a recorder, or of its subject, its command or its liveliness token; ALL is any recorder.
+
+    Args:
+        root: the first chunks.
+        recorder: its name, of the form of a robot's.
+        rest: what follows; nothing for the liveliness token.
+
+    Raises:
+        ValueError: a part is not of its form.
+    """
+    for text, pattern, what in ((root, ROOT_PATTERN, "root"), (recorder, ROBOT_PATTERN, "recorder")):
+        if re.fullmatch(pattern, text) is None and (text != ALL or what == "root"):
+            raise ValueError(f"{what} {text!r} is not of the form {pattern}")
+    return "/".join(filter(None, (root, RECORDER_CHUNK, recorder, rest)))
+
+
+def recorder_command(root: str, recorder: str, operator: str, verb: str) -> str:
+    """The key of a recorder's verb; ALL may stand for recorder, operator and verb.
+
+    Raises:
+        ValueError: a part is not of its form.
+    """
+    if re.fullmatch(OPERATOR_PATTERN, operator) is None and operator != ALL:
+        raise ValueError(f"operator {operator!r} is not of the form {OPERATOR_PATTERN}")
+    return of_recorder(root, recorder, f"{COMMAND_CHUNK}/{operator}/{verb}")
 
 
 def liveliness(root: str, robot: str = "*") -> str:

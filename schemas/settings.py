@@ -2,6 +2,7 @@
 
 What bounds the work of one module alone (the timeout of a port, the length of a queue, how often a view is drawn)
 is a named constant at the top of that module, and what the virtual chassis can do in ``gateway.sim.parameters``.
+The recorder's are in ``recorder_settings``.
 ``configuration`` fills these classes from a TOML file, the environment and flags; the table in
 ``docs/configuration.md`` is generated from here.
 """
@@ -14,6 +15,7 @@ import msgspec
 from msgspec import Meta
 
 from schemas import keys
+from schemas.recorder_settings import RecorderSettings
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 """Where a gateway listens and every other command connects. No router is needed for one robot."""
@@ -86,15 +88,6 @@ RECONNECT_MIN_S: Final = 0.1
 """First pause before a lost bus is opened again; it doubles up to RECONNECT_MAX_S."""
 
 RECONNECT_MAX_S: Final = 2.0
-
-CHANNEL_LIMIT: Final = 65_000
-"""Channels of a log, below MCAP's 65,535. Keys beyond it share one channel of RawSamples, each with its key."""
-
-ROBOT_LIMIT: Final = 1024
-"""Robots that a log describes; those beyond it are recorded like the others, but not asked who they are."""
-
-OWNED_KEY_LIMIT: Final = 65_536
-"""Keys of which the recorder remembers the expression that they belong to; beyond it, it begins anew."""
 
 ENGAGE_TIMEOUT_NS: Final = 1_000_000_000
 """The chassis reads auto within this time of the first five enables, or engaging has failed."""
@@ -354,32 +347,6 @@ class CommandSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     brake_pedal_percent: Annotated[
         float, Meta(ge=10, le=100, description="%; pressed in a stop, and while it stands engaged")
     ] = 30.0
-
-
-class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The recorder."""
-
-    keys: Annotated[
-        list[str], Meta(description="key expressions to record; if empty, everything under the root")
-    ] = []
-    directory: Annotated[str, Meta(min_length=1, description="where the logs go")] = "."
-    flush_s: Annotated[
-        float, Meta(ge=0.05, le=10, description="s; at most this much of the log is not yet on the disk")
-    ] = 0.5
-    chunk_bytes: Annotated[
-        int, Meta(ge=1024, le=16_777_216, description="bytes of a chunk before compression")
-    ] = 262_144
-    rotate_bytes: Annotated[
-        int,
-        Meta(ge=0, description="bytes; a log that has reached this size is ended, and another begun; 0 is never"),
-    ] = 0
-    rotate_s: Annotated[
-        float, Meta(ge=0, le=2_678_400, description="s; so is one that was begun so long ago; 0 is never")
-    ] = 0.0
-    queue_samples: Annotated[
-        int,
-        Meta(ge=100, le=1_000_000, description="samples that may wait to be written; beyond it the oldest go"),
-    ] = 100_000
 
 
 class SimSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -10,7 +10,7 @@ from typing import Final
 
 import msgspec
 
-from schemas import decisions, messages, requests
+from schemas import decisions, messages, recording, requests
 
 
 class Priority(Enum):
@@ -64,6 +64,7 @@ class Subject(msgspec.Struct, frozen=True):
         rate: how often, for people.
         qos: quality of service.
         dbc_message: the frame of the DBC that it decodes; empty if it decodes none.
+        pattern: how it is reached.
     """
 
     name: str
@@ -192,28 +193,51 @@ SUBJECTS: Final[tuple[Subject, ...]] = (
 LIVELINESS_CHUNK: Final = "gateway"
 """The liveliness token ``{root}/{robot}/gateway``: connected. Never proof of health."""
 
+RECORDER_CHUNK: Final = "@recorder"
+"""A verbatim chunk of Zenoh: a recorder's keys begin ``{root}/@recorder/{recorder}``."""
+
+RECORDER_SUBJECTS: Final[tuple[Subject, ...]] = (
+    Subject(
+        "health",
+        recording.RecorderHealth,
+        "what a recorder does, what it got and what it lost, its disk",
+        "1 Hz",
+        Qos(Priority.BACKGROUND),
+    ),
+    Subject(
+        "event",
+        recording.RecorderEvent,
+        "what a person should know: incidents, a full disk, logs that were deleted",
+        "each",
+        Qos(Priority.DATA_HIGH),
+    ),
+    Subject(
+        "gap",
+        recording.RecordGap,
+        "messages of a key that reached the recorder and are not in its log",
+        "each",
+        Qos(Priority.DATA_LOW),
+    ),
+)
+
+ALL_SUBJECTS: Final = SUBJECTS + RECORDER_SUBJECTS
+
 BY_NAME: Final = {subject.name: subject for subject in SUBJECTS}
 BY_DBC_MESSAGE: Final = {subject.dbc_message: subject for subject in SUBJECTS if subject.dbc_message}
-BY_TYPE: Final = {subject.type: subject for subject in reversed(SUBJECTS)}
+BY_TYPE: Final = {subject.type: subject for subject in reversed(ALL_SUBJECTS)}
 """A type's first subject: frames are received before they are sent."""
 
 
-class Command(msgspec.Struct, frozen=True):
-    """A verb: a row of the command table.
+class Verb(msgspec.Struct, frozen=True):
+    """What can be asked, of a robot or of a recorder.
 
     Attributes:
         verb: the last chunk of the key ``{root}/{robot}/@cmd/{operator}/{verb}``.
         request: the class of its payload.
-        reply: the class of the reply to a query.
-        about: what it does, for people.
-        asking: how it is sent.
     """
 
     verb: str
     request: type[requests.Request]
-    reply: type[decisions.Reply]
-    about: str
-    asking: Asking = Asking.QUERY
 
     @property
     def encoding(self) -> str:
@@ -225,9 +249,40 @@ class Command(msgspec.Struct, frozen=True):
         """The request's schema: ``cruiser.request.Drive``."""
         return f"{SCHEMA_PREFIX}.request.{self.request.__name__}"
 
+
+class Command(Verb, frozen=True):
+    """A verb of a robot: a row of the command table.
+
+    Attributes:
+        reply: the class of the reply to a query.
+        about: what it does, for people.
+        asking: how it is sent.
+    """
+
+    reply: type[decisions.Reply]
+    about: str
+    asking: Asking = Asking.QUERY
+
     @property
     def reply_schema_name(self) -> str:
         """The reply's schema: ``cruiser.LeaseReply``."""
+        return f"{SCHEMA_PREFIX}.{self.reply.__name__}"
+
+    @property
+    def reply_encoding(self) -> str:
+        """The Zenoh encoding of the reply."""
+        return f"application/msgpack;{self.reply_schema_name}/{self.reply.version}"
+
+
+class RecorderCommand(Verb, frozen=True):
+    """A verb of a recorder, always a query. See ``Command``."""
+
+    reply: type[recording.RecorderReply | recording.BackfillPiece]
+    about: str
+
+    @property
+    def reply_schema_name(self) -> str:
+        """The reply's schema: ``cruiser.RecorderReply``."""
         return f"{SCHEMA_PREFIX}.{self.reply.__name__}"
 
     @property
@@ -264,3 +319,20 @@ COMMANDS: Final[tuple[Command, ...]] = (
 )
 
 BY_VERB: Final = {command.verb: command for command in COMMANDS}
+
+_RecorderReply = recording.RecorderReply
+
+RECORDER_COMMANDS: Final[tuple[RecorderCommand, ...]] = (
+    RecorderCommand("status", recording.Status, _RecorderReply, "how the recorder is"),
+    RecorderCommand("start", recording.Start, _RecorderReply, "record, after a stop"),
+    RecorderCommand(
+        "stop", recording.StopRecording, _RecorderReply, "end the logs and write no more, but for incidents"
+    ),
+    RecorderCommand("split", recording.Split, _RecorderReply, "end the logs, and go on in new ones"),
+    RecorderCommand("mark", recording.Mark, _RecorderReply, "keep what was received around now as an incident"),
+    RecorderCommand(
+        "backfill", recording.Backfill, recording.BackfillPiece, "what the logs hold of a key, in several replies"
+    ),
+)
+
+RECORDER_BY_VERB: Final = {command.verb: command for command in RECORDER_COMMANDS}

@@ -19,7 +19,7 @@ import msgspec
 from recorder.loop import Recorded, Recorder
 from recorder.ports.leftovers import LeftoverThread
 from recorder.ports.log_directory import LogDirectory
-from recorder.ports.zenoh_source import ZenohSource
+from recorder.ports.zenoh_source import RING_SAMPLES, ZenohSource
 from recorder.session import Plan, Session
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         )
     )
     library = f"cruiser-gateway {release}"
-    with closing(ZenohSource(settings.zenoh, expressions, recorder.queue_samples)) as source:
+    with closing(ZenohSource(settings.zenoh, expressions, RING_SAMPLES)) as source:
         sys.stderr.write(f"record: waiting for samples of {', '.join(expressions)} into {recorder.directory}\n")
         sys.stderr.flush()
         leftovers = LeftoverThread(Path(recorder.directory), library)

@@ -12,12 +12,16 @@ import zenoh
 
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
-from schemas.settings import DEFAULT_ENDPOINT, OWNED_KEY_LIMIT, ZenohSettings
+from schemas.recorder_settings import OWNED_KEY_LIMIT
+from schemas.settings import DEFAULT_ENDPOINT, ZenohSettings
 from schemas.subjects import KEPT_PIECE
 from schemas.zenoh_link import CONNECT, reason, session_settings
 
 REPLY_TIMEOUT_S: Final = 2.0
 """How long a query may wait for its reply."""
+
+RING_SAMPLES: Final = 100_000
+"""Samples that may wait in Zenoh's own ring for each key expression: what comes in while the loop is held up."""
 
 PENDING_MAX: Final = 64
 """Queries on their way at once; beyond it the oldest is given up."""

@@ -63,6 +63,8 @@ def _values(info: inspect.Type) -> st.SearchStrategy[Any]:
             values = st.dictionaries(_values(info.key_type), _values(info.value_type), max_size=4)
         case inspect.UnionType():
             values = st.one_of([_values(part) for part in info.types])
+        case inspect.StrType(min_length=int(least)):
+            values = TEXTS.filter(lambda text: len(text) >= least)
         case _:
             values = _SIMPLE[type(info)]
     return values

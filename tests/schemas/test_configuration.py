@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 
 from schemas.configuration import TomlSource, merge, to_toml
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.recorder_settings import RecorderSettings
 from schemas.setting_table import SETTINGS
-from schemas.settings import CanSettings, RecorderSettings, RobotSettings, Settings, ZenohSettings
+from schemas.settings import CanSettings, RobotSettings, Settings, ZenohSettings
 
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]))
 OPTIONS = st.dictionaries(

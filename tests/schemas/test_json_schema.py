@@ -13,7 +13,7 @@ from schemas import json_schema, subjects
 from schemas.codec import PayloadFault, decode_request, encode
 from schemas.json_schema import KINDS
 from schemas.requests import Request
-from schemas.subjects import COMMANDS, SUBJECTS, Command
+from schemas.subjects import ALL_SUBJECTS, COMMANDS, RECORDER_COMMANDS, Command
 from tests.schemas.random_messages import ANYTHING, any_of, commands_and_requests
 
 UNIT_SUFFIXES = {
@@ -30,6 +30,8 @@ UNIT_SUFFIXES = {
     "uptime_s": "s",
     "expires_s": "s",
     "_per_s": "Hz",
+    "since_s": "s",
+    "_bytes": "B",
     "_percent": "%",
 }
 VALIDATORS = {name: jsonschema.Draft202012Validator(json_schema.schema(name)) for name in KINDS}
@@ -168,7 +170,9 @@ def test_a_stale_file_is_found_and_made_current(tmp_path: Path, capsys: pytest.C
 def test_schemas_are_found_by_their_name() -> None:
     """``gateway/info`` carries every schema under its schema name: of messages, requests and replies."""
     texts = json_schema.schema_texts()
-    wanted = {subject.schema_name for subject in SUBJECTS}
-    wanted |= {name for command in COMMANDS for name in (command.schema_name, command.reply_schema_name)}
+    wanted = {subject.schema_name for subject in ALL_SUBJECTS}
+    wanted |= {command.schema_name for command in (*COMMANDS, *RECORDER_COMMANDS)}
+    wanted |= {command.reply_schema_name for command in COMMANDS}
+    wanted |= {command.reply_schema_name for command in RECORDER_COMMANDS}
     assert set(texts) == wanted
     assert all(json.loads(text)["title"] == name for name, text in texts.items())

@@ -1,0 +1,100 @@
+"""The recorder's settings, and the limits that decide what a log holds; see ``settings``."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal
+
+import msgspec
+from msgspec import Meta
+
+CHANNEL_LIMIT: Final = 65_000
+"""Channels of a log, below MCAP's 65,535. Keys beyond it share one channel of RawSamples, each with its key."""
+
+ROBOT_LIMIT: Final = 1024
+"""Robots that have logs of their own and are asked who they are; those beyond it share one log."""
+
+OWNED_KEY_LIMIT: Final = 65_536
+"""Keys of which the recorder remembers the expression that they belong to; beyond it, it begins anew."""
+
+INCIDENT_MAX_NS: Final = 600_000_000_000
+"""An incident that goes on and on is one log of ten minutes, and another one after that."""
+
+INCIDENT_SHARE: Final = 0.5
+"""Incidents may fill so much of ``budget_bytes``: they are never deleted, and the logs need room too."""
+
+INCIDENT_FLOOR_SHARE: Final = 0.5
+"""Incidents may leave so much of ``floor_bytes`` free: the reserve below the floor is for them."""
+
+EventKindName = Literal["lease", "engaged", "stop", "stopped", "latch", "reset", "takeover", "fault", "guard"]
+
+
+INCIDENT_EVENTS: Final[tuple[EventKindName, ...]] = ("stop", "stopped", "latch", "takeover", "fault", "guard")
+
+
+class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The recorder."""
+
+    name: Annotated[
+        str,
+        Meta(
+            pattern="^[a-z0-9-]*$",
+            description="the recorder's chunk of its keys; if empty, the host's name",
+        ),
+    ] = ""
+    keys: Annotated[
+        list[str], Meta(description="key expressions to record; if empty, everything under the root")
+    ] = []
+    directory: Annotated[str, Meta(min_length=1, description="where the logs go")] = "."
+    per_robot: Annotated[bool, Meta(description="a log for each robot; else one for all")] = True
+    standby: Annotated[bool, Meta(description="write nothing but incidents until `cruiser record start`")] = False
+    flush_s: Annotated[
+        float, Meta(ge=0.05, le=10, description="s; at most this much of the log is not yet on the disk")
+    ] = 0.5
+    chunk_bytes: Annotated[
+        int, Meta(ge=1024, le=16_777_216, description="bytes of a chunk before compression")
+    ] = 262_144
+    rotate_bytes: Annotated[
+        int,
+        Meta(ge=0, description="bytes; a log that has reached this size is ended, and another begun; 0 is never"),
+    ] = 0
+    rotate_s: Annotated[
+        float, Meta(ge=0, le=2_678_400, description="s; so is one that was begun so long ago; 0 is never")
+    ] = 0.0
+    queue_bytes: Annotated[
+        int,
+        Meta(
+            ge=1_000_000,
+            le=16_000_000_000,
+            description="bytes of samples that may wait to be recorded; beyond it the oldest go, and are counted",
+        ),
+    ] = 64_000_000
+    sample_max_bytes: Annotated[
+        int,
+        Meta(ge=1024, le=1_000_000_000, description="bytes; a larger sample is not recorded, but counted"),
+    ] = 16_000_000
+    budget_bytes: Annotated[
+        int,
+        Meta(ge=0, description="bytes that the directory's logs may take; beyond it the oldest go; 0 is no limit"),
+    ] = 0
+    floor_bytes: Annotated[
+        int,
+        Meta(ge=0, description="bytes that stay free on the file system; below it the oldest logs go"),
+    ] = 200_000_000
+    incident_events: Annotated[
+        list[EventKindName],
+        Meta(description="kinds of `safety/event`, of severity warning or error, that make an incident"),
+    ] = msgspec.field(default_factory=lambda: [*INCIDENT_EVENTS])
+    incident_before_s: Annotated[
+        float, Meta(ge=0, le=300, description="s before an incident that its log holds")
+    ] = 30.0
+    incident_after_s: Annotated[
+        float, Meta(ge=0, le=300, description="s after an incident that its log holds")
+    ] = 30.0
+    incident_ring_bytes: Annotated[
+        int,
+        Meta(
+            ge=0,
+            le=16_000_000_000,
+            description="bytes of messages held in memory for an incident, of all robots together",
+        ),
+    ] = 64_000_000

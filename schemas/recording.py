@@ -1,0 +1,218 @@
+"""What a recorder says of itself, and what it can be asked.
+
+A recorder is no robot: its keys begin ``{root}/@recorder/{recorder}``, a verbatim chunk, so that no wildcard of a
+client of robots reaches it by accident. Its verbs stand below ``@cmd/{operator}`` like a robot's.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Annotated, ClassVar
+
+import msgspec
+from msgspec import Meta
+
+from schemas.decisions import Severity
+from schemas.messages import Count, DurationS, Message, RateHz, TimeNs, unit_keyword
+from schemas.requests import Request
+
+Bytes = Annotated[int, Meta(ge=0, le=2**63 - 1, extra_json_schema=unit_keyword("B"))]
+
+
+class RecorderState(Enum):
+    """What a recorder does. ``stopped``: it was told to stop. ``full``: the disk may hold no more."""
+
+    RECORDING = "recording"
+    STOPPED = "stopped"
+    FULL = "full"
+
+
+class GapReason(Enum):
+    """Why messages are not in a log although they reached the recorder."""
+
+    QUEUE = "queue"
+    DISK = "disk"
+    FULL = "full"
+    SIZE = "size"
+
+
+class RecorderEventKind(Enum):
+    """What happened to a recording."""
+
+    STARTED = "started"
+    STOPPED = "stopped"
+    FULL = "full"
+    DISK = "disk"
+    INCIDENT = "incident"
+    DELETED = "deleted"
+    RECOVERED = "recovered"
+    GAP = "gap"
+
+
+class RecorderHealth(Message, frozen=True):
+    """How a recorder is, each second.
+
+    Attributes:
+        recorder: its chunk of the key.
+        state_since_s: since it does that.
+        files: logs that are being written now, incidents among them.
+        files_ended: logs that were ended since the start; ``ended_bytes`` of them.
+        robots: robots that it has heard of; ``keys`` of theirs and of others.
+        received: samples that reached it since the start.
+        written: messages that it gave to logs since the start; a batch of raw frames is many.
+        missed: samples that never reached it, by the gaps in their sequences, since the start.
+        dropped: samples or messages that it could not keep since the start, by reason.
+        queue_bytes: samples that wait to be recorded.
+        disk_queue_bytes: messages that wait for the disk, before compression.
+        ring_bytes: messages held for an incident, before compression.
+        incidents: incident logs that were begun since the start.
+        disk_free_bytes: of the directory's file system.
+        disk_used_bytes: by this directory's logs, incidents among them.
+        incident_bytes: by those that are incidents.
+        cpu_percent: processor time of this process over the last second; 100 is one core.
+    """
+
+    recorder: str
+    recorder_version: str
+    uptime_s: DurationS
+    state: RecorderState
+    state_since_s: DurationS
+    files: list[str]
+    files_ended: Count
+    ended_bytes: Bytes
+    robots: Count
+    keys: Count
+    received: Count
+    received_per_s: RateHz
+    written: Count
+    missed: Count
+    dropped: dict[str, Count]
+    queue_bytes: Bytes
+    disk_queue_bytes: Bytes
+    ring_bytes: Bytes
+    incidents: Count
+    disk_free_bytes: Bytes
+    disk_used_bytes: Bytes
+    incident_bytes: Bytes
+    cpu_percent: Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("%"))]
+
+
+class RecorderEvent(Message, frozen=True):
+    """What a person should know of a recording.
+
+    Attributes:
+        robot: whose log it is about; empty if it is about all.
+        file: the log that it is about, without its directory; empty if there is none.
+        operator: who asked for it; empty if nobody did.
+        text: what happened, in a sentence.
+    """
+
+    severity: Severity
+    kind: RecorderEventKind
+    robot: str
+    file: str
+    operator: str
+    text: str
+
+
+class RecordGap(Message, frozen=True):
+    """Messages of one key that reached the recorder and are not in the log.
+
+    Attributes:
+        key: the key.
+        first_ns: when the first of them was received, or not before.
+        last_ns: when the last of them was received, or not after.
+        count: how many: samples where they were dropped unread, messages of the log where the disk lost them.
+    """
+
+    key: str
+    reason: GapReason
+    first_ns: TimeNs
+    last_ns: TimeNs
+    count: Count
+
+
+class RecorderReply(msgspec.Struct, frozen=True):
+    """The reply to a verb of a recorder.
+
+    Attributes:
+        ok: what was asked for was done.
+        detail: why not, or what was done, in words.
+        files: the logs that it is about, without their directory: those ended, or the incidents begun.
+        health: the recorder's, as it is now.
+    """
+
+    version: ClassVar[int] = 1
+
+    ok: bool
+    detail: str
+    files: list[str]
+    health: RecorderHealth
+
+
+class Status(Request, frozen=True, forbid_unknown_fields=True):
+    """Ask how the recorder is."""
+
+
+class Start(Request, frozen=True, forbid_unknown_fields=True):
+    """Record, after a stop."""
+
+
+class StopRecording(Request, frozen=True, forbid_unknown_fields=True):
+    """End the logs and write no more, but for incidents."""
+
+
+class Split(Request, frozen=True, forbid_unknown_fields=True):
+    """End the logs that are being written, and go on in new ones."""
+
+
+class Mark(Request, frozen=True, forbid_unknown_fields=True):
+    """Keep what was received shortly before now and shortly after as an incident.
+
+    Attributes:
+        text: why; it goes into the log.
+        robot: whose; of every robot if it is empty.
+    """
+
+    text: Annotated[str, Meta(max_length=1000)] = ""
+    robot: Annotated[str, Meta(max_length=200)] = ""
+
+
+class Backfill(Request, frozen=True, forbid_unknown_fields=True):
+    """Ask for what the recorder's logs hold of a key, by the time at which its source published it.
+
+    Each reply is one ``BackfillPiece``; the last one says whether there is more.
+
+    Attributes:
+        key: a Zenoh key expression: what topics of the logs it matches.
+        from_ns: the first publish time...
+        to_ns: ...and the one after the last.
+        max_bytes: about so much is answered, before compression; the rest is to be asked for again.
+    """
+
+    key: Annotated[str, Meta(min_length=1, max_length=1000)]
+    from_ns: TimeNs
+    to_ns: TimeNs
+    max_bytes: Annotated[int, Meta(ge=1, le=256_000_000, extra_json_schema=unit_keyword("B"))] = 16_000_000
+
+
+class BackfillPiece(msgspec.Struct, frozen=True):
+    """A part of the answer to ``Backfill``.
+
+    Attributes:
+        ok: false: the request was refused, and ``detail`` says why.
+        mcap: a whole MCAP file with some of the messages; their log times are those of the recorder that answers.
+            Empty if there are none.
+        messages: that it holds.
+        next_ns: all that was published before this time has been answered; at the end ``to_ns``.
+        is_last: no more pieces follow; if ``next_ns`` is before ``to_ns``, ask again from there.
+    """
+
+    version: ClassVar[int] = 1
+
+    ok: bool
+    detail: str
+    mcap: bytes
+    messages: Count
+    next_ns: TimeNs
+    is_last: bool
