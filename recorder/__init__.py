@@ -2,12 +2,18 @@
 
 The end of the telemetry flow::
 
-    zenoh > sample > session > protobuf record in a chunk > MCAP file > review
+    zenoh > sample > recording > session > protobuf record in a chunk > MCAP file > review
 
-- ``session``          no I/O: samples and ticks in, effects out. The page to begin with
-- ``sample``, ``effects``  what goes into it, and what comes out
+- ``recording``        no I/O: all logs, samples and orders in, what is to be done out. The page to begin with
+- ``session``          one log of it
+- ``incidents``        the last seconds of a log in memory, and what is kept of them when something happens
+- ``sample``, ``effects``, ``notices``  what goes into it, what comes out, and what became of that
+- ``inbox``, ``gaps``, ``completeness``  samples that wait, what was lost, and the account of it
+- ``orders``, ``health``  what operators ask of a recorder, and what it says of itself
+- ``retention``        which logs go when the disk is full
 - ``routes``           which channel a key's samples go to, and how they become records
 - ``tally``            what of a key has come in, and what is missing
+- ``backlog``          what a gateway still keeps and the log lacks
 - ``robots``           what is known of each robot: asked for, kept as metadata and attachments
 - ``protobuf_schema``  the messages as protobuf descriptors, built at run time
 - ``transcode``        a typed message to its protobuf bytes
@@ -15,8 +21,9 @@ The end of the telemetry flow::
 - ``mcap_file``        the bytes of an MCAP file, on any binary stream; ``mcap_summary`` is its end
 - ``prologue``         what a file begins with that continues another
 - ``mcap_scan``, ``recovery``  what is whole in a damaged or unfinished file, and making a file of it
+- ``backfill``         what another recorder's logs hold and ours lack
 - ``loop``             joins them to the ports, and never waits for the disk
-- ``ports``            Zenoh, the directory of logs, the thread that writes them, and what others left there
+- ``ports``            Zenoh, the directory of logs, the thread that writes them, the disk, what others left there
 - ``review``           turns a log into answers
 - ``cli``              the commands
 """

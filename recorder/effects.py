@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from recorder.chunk import Chunk
+from schemas.recording import RecorderEvent, RecordGap
 
 
 class LogChannel(msgspec.Struct, frozen=True):
@@ -21,6 +22,7 @@ class OpenLog(msgspec.Struct, frozen=True):
 
     name: str
     wall_ns: int
+    is_incident: bool = False
 
 
 class DeclareChannel(msgspec.Struct, frozen=True):
@@ -73,6 +75,31 @@ class AskKept(msgspec.Struct, frozen=True):
     first: int
 
 
+class Alarm(msgspec.Struct, frozen=True):
+    """Something has happened to a robot whose before and after are to be kept."""
+
+    robot: str
+    because: str
+    wall_ns: int
+
+
+class OnLog(msgspec.Struct, frozen=True):
+    """Carry these out on one of several logs, in this order. The log is no file: its files follow each other."""
+
+    log: str
+    effects: tuple[OpenLog | FileEffect, ...]
+
+
+class Say(msgspec.Struct, frozen=True):
+    """Publish this under the recorder's own keys."""
+
+    message: RecorderEvent | RecordGap
+
+
 Ask = AskInfo | AskKept
 FileEffect = DeclareChannel | WriteChunk | WriteMetadata | WriteAttachment | SyncLog | CloseLog
-Effect = OpenLog | FileEffect | Ask
+Effect = OpenLog | FileEffect | Ask | Alarm
+"""What a session asks for."""
+
+Doing = OnLog | Say | Ask
+"""What a whole recording asks for."""

@@ -1,6 +1,7 @@
-"""The loop of a recording: samples from Zenoh into the session, its effects out to the ports.
+"""The loop of a recorder: samples from Zenoh into the recording, and what it asks for out to the ports.
 
-It never waits for the disk: files are written by ``ports.log_writer`` on a thread of its own.
+It never waits for the disk: files are written by ``ports.log_writer`` on a thread of its own. Nor does it let
+samples pile up unseen: when more come than it can record, they wait in the inbox, which is bounded.
 """
 
 from __future__ import annotations
@@ -12,17 +13,33 @@ from typing import Final, Protocol
 
 import msgspec
 
-from recorder.effects import AskInfo, AskKept, Effect, FileEffect, OpenLog
-from recorder.ports.log_directory import LogDirectory
+from recorder.completeness import KeyReport
+from recorder.effects import AskInfo, AskKept, Doing, OnLog
+from recorder.health import HealthReport, Vitals
+from recorder.inbox import Inbox
+from recorder.notices import Notice
+from recorder.orders import Asked, Orders
+from recorder.ports.disk_keeper import DiskKeeper
 from recorder.ports.log_writer import LogWriter
+from recorder.recording import Recording
 from recorder.sample import Sample
-from recorder.session import KeyCount, Session
+from schemas.messages import Message
+from schemas.recording import GapReason, RecorderEvent, RecorderHealth
 from schemas.subjects import KEPT_FIRST
 
 log = logging.getLogger(__name__)
 
 PASS_SAMPLES: Final = 2000
-"""Samples between two ticks at most."""
+"""Samples between two ticks at most..."""
+
+PASS_BYTES: Final = 4_000_000
+"""...and bytes of them."""
+
+INTAKE_SAMPLES: Final = 20_000
+"""Samples moved into the inbox between two ticks at most, when more come than are recorded."""
+
+TICK_NS: Final = 10_000_000
+"""What is due is looked for so often: with a thousand logs that takes its time."""
 
 IDLE_S: Final = 0.005
 """Pause when nothing has come in."""
@@ -56,14 +73,28 @@ class Source(Protocol):
         ...
 
 
+class Control(Protocol):
+    """Where operators are heard."""
+
+    def drain(self) -> Iterable[Asked]:
+        """The requests that have come in."""
+        ...
+
+    def publish(self, message: Message) -> None:
+        """Say something under the recorder's own keys."""
+        ...
+
+
 class Recorded(msgspec.Struct, frozen=True):
     """What a recording has come to.
 
     Attributes:
         path: the newest log; None if there is none.
-        files: how many there are; ``bytes`` of them all.
+        files: how many there are, incidents included; ``bytes`` of them all.
+        messages: in the logs.
         lost: messages that were received, and that the disk did not take.
-        keys: per topic, what was recorded and what was missed.
+        incidents: incidents that were begun.
+        keys: per topic, what was received, written and lost.
     """
 
     path: str | None
@@ -72,50 +103,145 @@ class Recorded(msgspec.Struct, frozen=True):
     lost: int
     bytes: int
     channels: int
-    keys: dict[str, KeyCount]
+    incidents: int
+    keys: dict[str, KeyReport]
 
 
 class Recorder:
-    """Runs a session.
+    """Runs a recording.
 
     Args:
-        session: what to record.
+        recording: what is recorded.
         source: where samples come from.
-        directory: where logs go.
-        library: who writes, for the file's header.
+        writer: where files are written; it is closed at the end.
+        inbox: where samples wait.
+        health: makes the report of each second.
     """
 
-    def __init__(self, session: Session, source: Source, directory: LogDirectory, library: str) -> None:
-        self._session = session
+    def __init__(
+        self, recording: Recording, source: Source, writer: LogWriter, inbox: Inbox, health: HealthReport
+    ) -> None:
+        self._recording = recording
         self._source = source
-        self._writer = LogWriter(directory, library)
+        self._writer = writer
+        self._inbox = inbox
+        self._health = health
         self._was_connected: bool | None = None
+        self._ticked_ns = 0
+        self._control: Control | None = None
+        self._orders: Orders | None = None
+        self._keeper: DiskKeeper | None = None
+        self._notices: list[Callable[[], Iterable[Notice]]] = [writer.notices]
+
+    def obey(self, control: Control, backfill: Callable[[Asked], None]) -> None:
+        """Hear operators, and say how the recorder is."""
+        self._control = control
+        self._orders = Orders(self._recording, self._health_now, backfill)
+
+    def hear(self, notices: Callable[[], Iterable[Notice]]) -> None:
+        """Take these notices, too."""
+        self._notices.append(notices)
+
+    def watch(self, keeper: DiskKeeper) -> None:
+        """Stop and go on as the disk has room."""
+        self._keeper = keeper
+        self._notices.append(keeper.notices)
 
     def run(self, stopped: Callable[[], bool], rolls: Callable[[], bool] = lambda: False) -> Recorded:
         """Record until stopped, whatever the disk does. A new file begins each time ``rolls()`` is true."""
         try:
             while not stopped():
                 if rolls():
-                    self._carry_out(self._session.roll("signal"))
+                    self._carry_out(self._recording.roll("signal", time.monotonic_ns()))
                 if not self._step():
                     time.sleep(IDLE_S)
             self._end()
         finally:
             self._writer.close()
+        self._take_notices(time.monotonic_ns(), time.time_ns())
         return self._recorded()
 
     def _step(self) -> bool:
         """One pass. False if nothing had come in."""
-        receive = self._session.receive_sample
-        busy = False
-        for sample in self._source.drain(PASS_SAMPLES):
-            busy = True
-            effects = receive(sample, time.monotonic_ns(), time.time_ns())
-            if effects:
-                self._carry_out(effects)
-        self._carry_out(self._session.tick(time.monotonic_ns(), self._writer.size))
+        busy = self._take_samples()
+        now_ns, wall_ns = time.monotonic_ns(), time.time_ns()
+        if now_ns - self._ticked_ns < TICK_NS:
+            return busy
+        self._ticked_ns = now_ns
+        self._take_notices(now_ns, wall_ns)
+        self._carry_out(self._recording.tick(now_ns, wall_ns, self._writer.sizes))
+        if self._control is not None:
+            self._obey(self._control, now_ns, wall_ns)
         self._watch_link()
         return busy
+
+    def _take_samples(self) -> bool:
+        if self._inbox:
+            self._take_in()
+            for sample, wall_ns in self._inbox.take(PASS_SAMPLES, PASS_BYTES):
+                self._receive(sample, time.monotonic_ns(), wall_ns)
+            return True
+        receive, carry_out = self._recording.receive_sample, self._carry_out
+        taken = taken_bytes = 0
+        for sample in self._source.drain(PASS_SAMPLES):
+            wall_ns = time.time_ns()
+            if taken_bytes > PASS_BYTES:
+                self._wait(sample, wall_ns)
+                continue
+            doings = receive(sample, time.monotonic_ns(), wall_ns)
+            if doings:
+                carry_out(doings)
+            taken += 1
+            taken_bytes += len(sample.payload)
+        if taken >= PASS_SAMPLES:
+            # More than can be recorded at once: what waits in Zenoh's own ring would be dropped uncounted.
+            self._take_in()
+        return taken > 0
+
+    def _take_in(self) -> None:
+        for sample in self._source.drain(INTAKE_SAMPLES):
+            self._wait(sample, time.time_ns())
+
+    def _wait(self, sample: Sample, wall_ns: int) -> None:
+        for key, received_ns in self._inbox.put(sample, wall_ns):
+            self._recording.drop(key, GapReason.QUEUE, received_ns)
+
+    def _receive(self, sample: Sample, now_ns: int, wall_ns: int) -> None:
+        doings = self._recording.receive_sample(sample, now_ns, wall_ns)
+        if doings:
+            self._carry_out(doings)
+
+    def _take_notices(self, now_ns: int, wall_ns: int) -> None:
+        for notices in self._notices:
+            for notice in notices():
+                if self._orders is not None:
+                    self._orders.take_notice(notice)
+                self._carry_out(self._recording.take_notice(notice, now_ns, wall_ns))
+
+    def _obey(self, control: Control, now_ns: int, wall_ns: int) -> None:
+        if self._orders is not None:
+            for asked in control.drain():
+                self._carry_out(self._orders.take(asked, now_ns, wall_ns))
+            self._orders.tick(now_ns)
+        if self._health.is_due(now_ns):
+            control.publish(self._health.next(self._recording, self._vitals(), now_ns, wall_ns))
+
+    def _health_now(self) -> RecorderHealth:
+        return self._health.now(self._recording, self._vitals(), time.monotonic_ns(), time.time_ns())
+
+    def _vitals(self) -> Vitals:
+        use = self._keeper.use if self._keeper is not None else None
+        return Vitals(
+            files=len(self._writer.sizes),
+            files_ended=self._writer.files,
+            ended_bytes=self._writer.bytes,
+            queue_bytes=self._inbox.bytes,
+            disk_queue_bytes=self._writer.waiting_bytes,
+            disk_free_bytes=use.free if use else 0,
+            disk_used_bytes=use.used if use else 0,
+            incident_bytes=use.incidents if use else 0,
+            cpu_ns=time.process_time_ns(),
+        )
 
     def _watch_link(self) -> None:
         """Say when the link to Zenoh comes and goes: a silent recorder must not look like a silent robot."""
@@ -134,33 +260,40 @@ class Recorder:
         start_ns = time.monotonic_ns()
         while self._step() and time.monotonic_ns() - start_ns < LAST_SAMPLES_NS:
             pass
-        self._carry_out(self._session.ask_last(time.monotonic_ns()))
+        self._carry_out(self._recording.ask_last(time.monotonic_ns()))
         asked_ns = time.monotonic_ns()
         while self._source.is_asking and time.monotonic_ns() - asked_ns < LAST_ANSWERS_NS:
             self._step()
             time.sleep(IDLE_S)
-        self._carry_out(self._session.close())
+        self._carry_out(self._recording.close(time.monotonic_ns(), time.time_ns()))
 
-    def _carry_out(self, effects: Sequence[Effect]) -> None:
-        written: list[OpenLog | FileEffect] = []
-        for effect in effects:
-            if isinstance(effect, AskInfo):
-                self._source.ask(effect.key)
-            elif isinstance(effect, AskKept):
-                self._source.ask(effect.key, f"{KEPT_FIRST}={effect.first}")
-            else:
-                written.append(effect)
-        if written:
-            self._writer.submit(written)
+    def _carry_out(self, doings: Sequence[Doing]) -> None:
+        for doing in doings:
+            match doing:
+                case OnLog():
+                    self._writer.submit(doing)
+                case AskInfo():
+                    self._source.ask(doing.key)
+                case AskKept():
+                    self._source.ask(doing.key, f"{KEPT_FIRST}={doing.first}")
+                case _:
+                    self._say(doing.message)
+
+    def _say(self, message: Message) -> None:
+        if isinstance(message, RecorderEvent):
+            log.info("%s", message.text)
+        if self._control is not None:
+            self._control.publish(message)
 
     def _recorded(self) -> Recorded:
-        counts = self._session.counts
+        counts = self._recording.counts
         return Recorded(
             path=self._writer.path,
             files=self._writer.files,
-            messages=sum(count.messages for count in counts.values()) - self._writer.lost,
+            messages=sum(count.written for count in counts.values()),
             lost=self._writer.lost,
             bytes=self._writer.bytes,
             channels=len(counts),
+            incidents=self._recording.incidents,
             keys=counts,
         )

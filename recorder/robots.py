@@ -51,6 +51,9 @@ class Robots:
         self._robots: dict[str, _Robot] = {}
         self._written: dict[str, str] = {}
 
+    def __len__(self) -> int:
+        return len(self._robots)
+
     def see(self, root: str, robot: str, now_ns: int) -> str:
         """A sample of this robot came in: ask who it is, if it is new. Returns its name in this log."""
         key = keys.build(root, robot, _INFO)

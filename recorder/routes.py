@@ -20,7 +20,8 @@ from schemas.can_word import (
     REMOTE,
 )
 from schemas.codec import PayloadFault, decode
-from schemas.messages import CanFrame, CanFrames, Message, RawSample
+from schemas.decisions import SafetyEvent
+from schemas.messages import CanFrame, CanFrames, GatewayHealth, GatewayInfo, Message, RawSample
 from schemas.subjects import ALL_SUBJECTS, Pattern, Subject
 
 RAW_CHUNK: Final = "@raw"
@@ -43,6 +44,7 @@ class Route:
         counts_sequence: whether a gap in ``sequence`` is a loss: replies to others' queries are none.
         is_state: its newest sample tells all; ``latest`` is that one, with its log time.
         is_kept: the gateway keeps its samples for a while; see ``recorder.backlog``.
+        is_watched: the session looks into its messages, besides recording them.
         kind: the class of the channel's records.
         transcode: from a decoded message to its records.
     """
@@ -53,6 +55,7 @@ class Route:
         "encoding",
         "is_kept",
         "is_state",
+        "is_watched",
         "kind",
         "latest",
         "robot",
@@ -72,6 +75,7 @@ class Route:
         self.is_state = (
             subject is not None and self.counts_sequence and not self.is_kept and subject.type is not CanFrames
         )
+        self.is_watched = subject is not None and subject.type in _WATCHED
         self.latest: tuple[int, Message] | None = None
         self.kind: type[msgspec.Struct] = RawSample
         self.transcode: Transcoder = _one_record(_ENCODE_RAW)
@@ -92,6 +96,9 @@ class Route:
         if isinstance(message, CanFrames) and not _has_equal_columns(message):
             return "the columns differ in length"
         return message
+
+
+_WATCHED: Final = frozenset({CanFrames, GatewayInfo, GatewayHealth, SafetyEvent})
 
 
 def _has_equal_columns(batch: CanFrames) -> bool:

@@ -39,6 +39,11 @@ class Sample(Protocol):
         ...
 
     @property
+    def source(self) -> tuple[str, int] | None:
+        """Who published it, and its place in what that one published on the key; None if it does not tell."""
+        ...
+
+    @property
     def deleted(self) -> bool:
         """The sample says that the key was deleted, and carries nothing else."""
         ...

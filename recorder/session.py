@@ -8,15 +8,16 @@ out, in order, and has each file repeat the channels of those before it.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 import msgspec
 
 from recorder.backlog import Backlog
 from recorder.chunk import ChunkBuilder
+from recorder.completeness import KeyReport, report, since
 from recorder.effects import (
+    Alarm,
     CloseLog,
     DeclareChannel,
     Effect,
@@ -30,10 +31,13 @@ from recorder.protobuf_schema import descriptor_set, schema_name
 from recorder.robots import Robots
 from recorder.routes import RAW_CHUNK, Route, keep_raw
 from recorder.sample import Sample
+from recorder.tally import SEQUENCE_SPAN, Tally
 from schemas import keys
-from schemas.messages import CanFrames, GatewayInfo, Message
+from schemas.decisions import EventKind, SafetyEvent, Severity
+from schemas.messages import CanFrames, GatewayHealth, GatewayInfo, Message
 from schemas.recorder_settings import CHANNEL_LIMIT
-from schemas.subjects import Subject
+from schemas.recording import GapReason
+from schemas.subjects import BY_DBC_MESSAGE, BY_TYPE, Subject
 
 INT64_MAX: Final = 2**63 - 1
 """The latest time that a log may hold: many readers take MCAP's unsigned times for signed ones."""
@@ -44,8 +48,8 @@ OVERFLOW_TOPIC: Final = "@more"
 ROLL_MIN_NS: Final = 1_000_000_000
 """A file is not ended for its size sooner: what each repeats may already be as large as that."""
 
-RECEIVED_NAME: Final = "cruiser.received"
-"""The metadata record with what was received and missed during this file, per topic, as JSON."""
+COMPLETENESS_NAME: Final = "cruiser.completeness"
+"""The metadata record with a ``KeyReport`` of each topic, as JSON: what was received and lost during this file."""
 
 CONTINUED_NAME: Final = "cruiser.continued"
 """The metadata record that says which file of a recording this is, and why the one before it ended."""
@@ -67,6 +71,8 @@ class Plan(msgspec.Struct, frozen=True):
         version: the recorder's.
         rotate_bytes: a file that has reached this size is ended...
         rotate_ns: ...and one that was begun so long ago. 0 is never.
+        idle_ns: and one in which nothing was written for so long.
+        alarms: kinds of safety events that are incidents.
     """
 
     name: str
@@ -75,14 +81,8 @@ class Plan(msgspec.Struct, frozen=True):
     version: str
     rotate_bytes: int = 0
     rotate_ns: int = 0
-
-
-class KeyCount(msgspec.Struct, frozen=True):
-    """What was recorded of one topic; see ``routes.Tally``."""
-
-    messages: int
-    missed: int
-    dropped: int
+    idle_ns: int = 0
+    alarms: frozenset[EventKind] = frozenset()
 
 
 class Session:
@@ -95,28 +95,44 @@ class Session:
         self._channels: dict[str, Route] = {}
         self._robots = Robots(plan.version)
         self._backlog = Backlog()
+        # By channel id, from 1.
+        self._routes: list[Route] = []
         self._file = 0
-        """Which file of the recording is being written; ``_is_open`` if there is one at present."""
-        self._is_open = False
-        self._opened_ns = 0
+        """Which file of the recording is being written; ``is_open`` if there is one at present."""
+        self.is_open = False
+        self.is_paused = False
+        """No file is written, and none begun; chunks are made all the same, for a ring of them."""
+        self._opened_ns = self._heard_ns = 0
         self._ended_by = ""
-        self._counted: dict[str, KeyCount] = {}
+        self._counted: dict[str, KeyReport] = {}
         """The counts when the file was begun."""
         self._at_risk_since_ns: int | None = None
         # Half for what comes together, half for the ticks, the write and the sync.
         self._patience_ns = plan.flush_ns // 2
 
     @property
-    def counts(self) -> dict[str, KeyCount]:
-        """Per topic, what was recorded."""
-        tallies = sorted((topic, route.tally) for topic, route in self._channels.items())
-        return {topic: KeyCount(tally.messages, tally.missed, tally.dropped) for topic, tally in tallies}
+    def counts(self) -> dict[str, KeyReport]:
+        """Per topic, what was received, written and lost."""
+        return {
+            topic: report(route.tally, counts_sequence=route.counts_sequence)
+            for topic, route in sorted(self._channels.items())
+        }
+
+    @property
+    def robots(self) -> int:
+        """Robots that were heard of."""
+        return len(self._robots)
+
+    @property
+    def tallies(self) -> Iterable[Tally]:
+        """Of every topic."""
+        return (route.tally for route in self._routes)
 
     def receive_sample(self, sample: Sample, now_ns: int, wall_ns: int) -> Sequence[Effect]:
         """Record a sample. It may hold anything: nothing in it raises."""
         effects: list[Effect] = []
         log_ns = _clamp(wall_ns)
-        if not self._is_open:
+        if not self.is_open and not self.is_paused:
             self._open(now_ns, log_ns, effects)
         route = self._channels.get(sample.key) or self._find_route(sample.key, now_ns, effects)
         message = route.decode(sample)
@@ -126,6 +142,7 @@ class Session:
             self._add_message(sample, message, route, now_ns, log_ns, effects)
         if self._at_risk_since_ns is None:
             self._at_risk_since_ns = now_ns
+            self._heard_ns = now_ns
         if len(self._chunk) >= self._plan.chunk_bytes:
             self._seal(effects)
         return effects
@@ -139,7 +156,11 @@ class Session:
             effects.append(SyncLog())
             self._at_risk_since_ns = None
         age_ns = now_ns - self._opened_ns
-        if 0 < self._plan.rotate_bytes <= file_bytes and age_ns >= ROLL_MIN_NS:
+        if not self.is_open:
+            return effects
+        if 0 < self._plan.idle_ns <= now_ns - self._heard_ns:
+            effects += self.roll("silence")
+        elif 0 < self._plan.rotate_bytes <= file_bytes and age_ns >= ROLL_MIN_NS:
             effects += self.roll("size")
         elif 0 < self._plan.rotate_ns <= age_ns:
             effects += self.roll("time")
@@ -150,25 +171,75 @@ class Session:
         self._ended_by = reason
         return self.close()
 
+    def pause(self, reason: str) -> Sequence[Effect]:
+        """End the file, and begin none until ``resume``."""
+        effects = self.roll(reason)
+        self.is_paused = True
+        return effects
+
+    def resume(self) -> Sequence[Effect]:
+        """The next sample begins a file; what came before it is handed over, to the ring."""
+        effects: list[Effect] = []
+        self._seal(effects)
+        self.is_paused = False
+        return effects
+
+    def add_own(self, topic: str, message: Message, now_ns: int) -> Sequence[Effect]:
+        """Record something that the recorder itself has to say; nothing while no file is open."""
+        if not self.is_open:
+            return []
+        effects: list[Effect] = []
+        route = self._channel(topic, BY_TYPE[type(message)], "", effects)
+        self._add_records(route, message, _clamp(message.time_ns))
+        if self._at_risk_since_ns is None:
+            self._at_risk_since_ns = now_ns
+        return effects
+
+    def lose(self, topic: str, reason: GapReason, count: int) -> Sequence[Effect]:
+        """So many samples of a topic were dropped before they came here."""
+        effects: list[Effect] = []
+        route = self._channels.get(topic)
+        if route is None:
+            parts = keys.parse(topic)
+            route = self._channel(topic, parts.subject if parts else None, "", effects)
+        route.tally.lose(reason, count)
+        return effects
+
+    def lose_written(self, counts: Mapping[int, int], reason: GapReason | None) -> dict[str, int]:
+        """So many messages of these channels are in no log. Without a reason it is no loss.
+
+        Returns:
+            The same by topic.
+        """
+        topics = {}
+        names = list(self._channels)
+        for channel_id, count in counts.items():
+            tally = self._routes[channel_id - 1].tally
+            tally.unwritten += count
+            if reason is not None:
+                tally.lose(reason, count)
+            topics[names[channel_id - 1]] = count
+        return topics
+
     def ask_last(self, now_ns: int) -> Sequence[Effect]:
         """What is worth asking once more before ``close``."""
         return self._robots.ask_last() + self._backlog.ask_last(now_ns)
 
     def close(self) -> Sequence[Effect]:
         """End the file. Nothing at all if nothing was recorded."""
-        if not self._is_open:
+        if not self.is_open:
             return []
-        self._is_open = False
-        self._at_risk_since_ns = None
         effects: list[Effect] = []
         self._seal(effects)
+        self.is_open = False
+        self._at_risk_since_ns = None
         effects += self._robots.describe()
-        return [*effects, WriteMetadata(RECEIVED_NAME, self._received()), CloseLog()]
+        return [*effects, WriteMetadata(COMPLETENESS_NAME, self._completeness()), CloseLog()]
 
     def _open(self, now_ns: int, log_ns: int, effects: list[Effect]) -> None:
-        self._is_open = True
+        self.is_open = True
         self._file += 1
-        self._opened_ns = now_ns
+        self._opened_ns = self._heard_ns = now_ns
         self._counted = self.counts
         effects.append(OpenLog(self._plan.name, log_ns))
         effects += self._robots.describe()
@@ -176,19 +247,12 @@ class Session:
             effects.append(WriteMetadata(CONTINUED_NAME, {"file": str(self._file), "because": self._ended_by}))
             effects.append(WriteMetadata(LATEST_NAME, self._latest()))
 
-    def _received(self) -> dict[str, str]:
-        none = KeyCount(0, 0, 0)
-        received: dict[str, str] = {}
-        for topic, count in self.counts.items():
-            before = self._counted.get(topic, none)
-            # What one file missed may have come in the next, by asking for it.
-            here = KeyCount(
-                count.messages - before.messages,
-                max(0, count.missed - before.missed),
-                count.dropped - before.dropped,
-            )
-            received[topic] = json.dumps(msgspec.to_builtins(here))
-        return received
+    def _completeness(self) -> dict[str, str]:
+        none = KeyReport()
+        return {
+            topic: msgspec.json.encode(since(count, self._counted.get(topic, none))).decode()
+            for topic, count in self.counts.items()
+        }
 
     def _latest(self) -> dict[str, str]:
         return {
@@ -211,29 +275,61 @@ class Session:
                 self._robots.see_restart(route.robot, now_ns)
             if route.is_kept:
                 self._backlog.hear(sample.key, message.sequence, now_ns, is_restart=is_restart)
+        if route.is_watched:
+            self._look(sample, message, route, log_ns, effects)
+        if route.is_state:
+            route.latest = (log_ns, message)
+        self._add_records(route, message, log_ns)
+
+    def _add_records(self, route: Route, message: Message, log_ns: int) -> None:
+        records = route.transcode(message)
+        for publish_ns, data in records:
+            self._chunk.add(route.channel_id, message.sequence, log_ns, publish_ns, data)
+        route.tally.samples += 1
+        route.tally.messages += len(records)
+
+    def _look(self, sample: Sample, message: Message, route: Route, log_ns: int, effects: list[Effect]) -> None:
+        """What a message says to the recorder itself."""
         if isinstance(message, CanFrames):
             route.tally.dropped = max(route.tally.dropped, message.dropped)
         elif isinstance(message, GatewayInfo):
             effects += self._robots.take_info(route.robot, message, log_ns)
-        if route.is_state:
-            route.latest = (log_ns, message)
-        records = route.transcode(message)
-        for publish_ns, data in records:
-            self._chunk.add(route.channel_id, message.sequence, log_ns, publish_ns, data)
-        route.tally.messages += len(records)
+        elif isinstance(message, GatewayHealth):
+            self._count_bus(sample.key, message)
+        elif isinstance(message, SafetyEvent):
+            # What was asked for later is long past.
+            is_alarm = message.kind in self._plan.alarms and message.severity is not Severity.INFO
+            if is_alarm and not sample.is_reply:
+                effects.append(Alarm(route.robot, f"{message.kind.value}: {message.text}", log_ns))
+
+    def _count_bus(self, key: str, health: GatewayHealth) -> None:
+        parts = keys.parse(key)
+        for frame in health.feedback:
+            subject = BY_DBC_MESSAGE.get(frame.name)
+            if parts is not None and subject is not None:
+                of_frame = self._channels.get(keys.build(parts.root, parts.robot, subject))
+                if of_frame is not None:
+                    of_frame.tally.count_bus(frame.lost)
 
     def _add_raw(self, sample: Sample, reason: str, route: Route, log_ns: int, effects: list[Effect]) -> None:
         if route.subject is not None:
             route = self._channel(f"{sample.key}/{RAW_CHUNK}", None, "", effects)
         time_ns = _clamp(sample.zenoh_time_ns)
+        source, sequence = sample.source or ("", 0)
+        if source and route.subject is None:
+            route.tally.count_source(source, sequence)
         # Without a time of the source's, the receipt's is the best there is.
-        self._chunk.add(route.channel_id, 0, log_ns, time_ns or log_ns, keep_raw(sample, reason, time_ns))
+        data = keep_raw(sample, reason, time_ns)
+        self._chunk.add(route.channel_id, sequence % SEQUENCE_SPAN, log_ns, time_ns or log_ns, data)
+        route.tally.samples += 1
         route.tally.messages += 1
 
     def _find_route(self, key: str, now_ns: int, effects: list[Effect]) -> Route:
         parts = keys.parse(key)
         if parts is None:
             return self._channel(key, None, "", effects)
+        if not parts.robot:
+            return self._channel(key, parts.subject, "", effects)
         robot = self._robots.see(parts.root, parts.robot, now_ns)
         self._backlog.see(parts.root, parts.robot, now_ns)
         return self._channel(key, parts.subject, robot, effects)
@@ -245,6 +341,7 @@ class Session:
         route = self._channels.get(topic)
         if route is None:
             route = self._channels[topic] = Route(len(self._channels) + 1, subject, robot)
+            self._routes.append(route)
             kind = route.kind
             channel = LogChannel(route.channel_id, topic, schema_name(kind), descriptor_set(kind))
             effects.append(DeclareChannel(channel))

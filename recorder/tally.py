@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from schemas.recording import GapReason
+
 SEQUENCE_SPAN: Final = 2**32
 """Sequences wrap here."""
 
@@ -15,16 +17,45 @@ class Tally:
     """What has come in on one key.
 
     Attributes:
-        messages: records written.
+        samples: samples decoded, or kept as they are.
+        messages: messages made of them.
+        unwritten: messages of those that are in no log, for whatever reason.
         missed: samples that never came, by the gaps in ``sequence``.
         dropped: raw frames that the source itself had to drop, by its own count.
+        lost: what reached the recorder and is not in the log, by reason.
+        lost_bus: frames of the chassis that never reached its gateway, by its own count; None if it tells none.
     """
 
     def __init__(self) -> None:
+        self.samples = 0
         self.messages = 0
+        self.unwritten = 0
         self.missed = 0
         self.dropped = 0
+        self.lost: dict[GapReason, int] = {}
+        self.lost_bus: int | None = None
+        self._bus_count = 0
+        self._source = ""
         self._next: int | None = None
+
+    def lose(self, reason: GapReason, count: int) -> None:
+        """So many samples or messages reached the recorder and are not in the log."""
+        self.lost[reason] = self.lost.get(reason, 0) + count
+
+    def count_bus(self, lost: int) -> None:
+        """The gateway's count of frames lost on the bus since it started; the first one is where we begin."""
+        if self.lost_bus is None:
+            self.lost_bus = 0
+        else:
+            # A count that falls is a gateway's that began anew.
+            self.lost_bus += lost - self._bus_count if lost >= self._bus_count else lost
+        self._bus_count = lost
+
+    def count_source(self, source: str, sequence: int) -> None:
+        """Take note of a sample by the sequence that Zenoh gives it; another source begins another one."""
+        if source != self._source:
+            self._source, self._next = source, None
+        self.count_sequence(sequence % SEQUENCE_SPAN)
 
     def count_sequence(self, sequence: int) -> bool:
         """Take note of a sample's sequence. False if it steps back: the source has begun anew."""

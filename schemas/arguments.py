@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 from collections.abc import Callable
+
+from schemas.keys import OPERATOR_PATTERN, ROBOT_PATTERN
 
 
 def add_zenoh_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,3 +48,36 @@ def ending_after(
         return stopped
     end_s = clock_s() + duration_s
     return lambda: stopped() or clock_s() >= end_s
+
+
+def robot_name(text: str) -> str:
+    """A robot on the command line.
+
+    Raises:
+        argparse.ArgumentTypeError: it cannot be a robot's name.
+    """
+    if re.fullmatch(ROBOT_PATTERN, text) is None:
+        raise argparse.ArgumentTypeError(f"{text!a} cannot be a robot: its name is {ROBOT_PATTERN}")
+    return text
+
+
+def operator_name(text: str) -> str:
+    """An operator on the command line.
+
+    Raises:
+        argparse.ArgumentTypeError: it cannot be an operator's name.
+    """
+    if re.fullmatch(OPERATOR_PATTERN, text) is None:
+        raise argparse.ArgumentTypeError(f"{text!a} cannot be an operator: the name is {OPERATOR_PATTERN}")
+    return text
+
+
+def recorder_name(text: str) -> str:
+    """A recorder on the command line.
+
+    Raises:
+        argparse.ArgumentTypeError: it cannot be a recorder's name.
+    """
+    if re.fullmatch(ROBOT_PATTERN, text) is None:
+        raise argparse.ArgumentTypeError(f"{text!a} cannot be a recorder: its name is {ROBOT_PATTERN}")
+    return text

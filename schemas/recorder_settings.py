@@ -78,7 +78,10 @@ class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0
     floor_bytes: Annotated[
         int,
-        Meta(ge=0, description="bytes that stay free on the file system; below it the oldest logs go"),
+        Meta(
+            ge=0,
+            description="bytes that stay free on the file system, or a tenth of it; below it the oldest logs go",
+        ),
     ] = 200_000_000
     incident_events: Annotated[
         list[EventKindName],

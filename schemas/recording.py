@@ -77,7 +77,7 @@ class RecorderHealth(Message, frozen=True):
     uptime_s: DurationS
     state: RecorderState
     state_since_s: DurationS
-    files: list[str]
+    files: Count
     files_ended: Count
     ended_bytes: Bytes
     robots: Count

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Callable
 
 from gateway.remote.robot import CONNECT_TIMEOUT_S, Lease, Robot
-from schemas.arguments import add_zenoh_arguments, seconds
-from schemas.keys import OPERATOR_PATTERN, ROBOT_PATTERN
+from schemas.arguments import add_zenoh_arguments, operator_name, robot_name, seconds
 from schemas.requests import LEASE_MAX, Role
 from schemas.settings import Settings
 
@@ -67,28 +65,6 @@ def connect(arguments: argparse.Namespace, settings: Settings, stopped: Callable
         CommandError: see ``Robot.connect``.
     """
     return Robot.connect(arguments.robot, arguments.operator or "", settings, arguments.timeout, stopped)
-
-
-def robot_name(text: str) -> str:
-    """A robot on the command line.
-
-    Raises:
-        argparse.ArgumentTypeError: it cannot be a robot's name.
-    """
-    if re.fullmatch(ROBOT_PATTERN, text) is None:
-        raise argparse.ArgumentTypeError(f"{text!a} cannot be a robot: its name is {ROBOT_PATTERN}")
-    return text
-
-
-def operator_name(text: str) -> str:
-    """An operator on the command line.
-
-    Raises:
-        argparse.ArgumentTypeError: it cannot be an operator's name.
-    """
-    if re.fullmatch(OPERATOR_PATTERN, text) is None:
-        raise argparse.ArgumentTypeError(f"{text!a} cannot be an operator: the name is {OPERATOR_PATTERN}")
-    return text
 
 
 def lease_number(text: str) -> int:

@@ -25,12 +25,12 @@ from gateway.ports.zenoh_operator import CommandPort, SafetyListener
 from gateway.remote import remote_stop
 from gateway.remote.drive_stream import HOLD_S, DriveStream, SetPoint
 from gateway.remote.link import Link, Sighting
-from gateway.remote.operator_name import login_operator
 from gateway.remote.refusal import LeaseLost, Refused, Stopped, Unreachable
 from gateway.remote.remote_stop import StopReport
 from schemas import keys
 from schemas.decisions import LeaseReply, Reply, SafetyEvent, SafetyState
 from schemas.exit_codes import CommandError
+from schemas.operator_name import login_operator
 from schemas.reasons import Reason
 from schemas.requests import (
     Acquire,

@@ -11,11 +11,12 @@ import msgspec
 from gateway.ports.zenoh_client import place
 from gateway.ports.zenoh_operator import CommandPort
 from gateway.remote import remote_stop
-from gateway.remote.operator_arguments import add_operator_arguments, robot_name
-from gateway.remote.operator_name import login_operator
+from gateway.remote.operator_arguments import add_operator_arguments
 from gateway.remote.remote_stop import StopReport
 from schemas import keys
+from schemas.arguments import robot_name
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.operator_name import login_operator
 from schemas.printable import plain
 from schemas.settings import Settings
 

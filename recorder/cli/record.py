@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import re
+import resource
 import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
@@ -16,13 +17,24 @@ from typing import Final
 
 import msgspec
 
+from recorder.cli import remote
+from recorder.health import HealthReport
+from recorder.inbox import Inbox
+from recorder.incidents import IncidentPlan
 from recorder.loop import Recorded, Recorder
+from recorder.orders import Asked, refusal
+from recorder.ports.disk_keeper import DiskKeeper
 from recorder.ports.leftovers import LeftoverThread
 from recorder.ports.log_directory import LogDirectory
+from recorder.ports.log_writer import QUEUE_BYTES, LogWriter
+from recorder.ports.remote_control import RemoteControl
 from recorder.ports.zenoh_source import RING_SAMPLES, ZenohSource
-from recorder.session import Plan, Session
+from recorder.recording import Recording, RecordingPlan
+from recorder.retention import Limits
+from recorder.session import Plan
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
+from schemas.decisions import EventKind
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
 
@@ -32,7 +44,13 @@ LEFTOVERS_S: Final = 5.0
 """How long the end waits for the recovery of logs that an earlier recorder left; the next start goes on."""
 
 FLEET_NAME: Final = "fleet"
-"""Begins the name of a log that may hold several robots."""
+"""Begins the name of a log that may hold several robots, or what is no robot's."""
+
+IDLE_NS: Final = 600_000_000_000
+"""A log whose robot has said nothing for ten minutes is ended; if it says more, another is begun."""
+
+BUDGET_FILES: Final = 20
+"""A file is ended at this part of the budget."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,38 +66,107 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="extend",
         help="key expressions to record (all keys under the root)",
     )
-    parser.add_argument("-o", "--out", dest="recorder.directory", metavar="DIR", help="where the log goes (.)")
+    parser.add_argument("-o", "--out", dest="recorder.directory", metavar="DIR", help="where the logs go (.)")
+    parser.add_argument("--name", dest="recorder.name", metavar="NAME", help="the recorder's name (the host's)")
     add_zenoh_arguments(parser)
     parser.add_argument("--seconds", type=seconds, metavar="N", help="stop after this long (at SIGINT or SIGTERM)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    _add_actions(parser)
+
+
+def _add_actions(parser: argparse.ArgumentParser) -> None:
+    actions = parser.add_subparsers(
+        dest="action", metavar="ACTION", title="of a recorder that is running, here or elsewhere"
+    )
+    for action, about in remote.ABOUT.items():
+        one = actions.add_parser(
+            action,
+            help=about,
+            description=f"{about[0].upper()}{about[1:]}.",
+            # What stands before the action is not to be forgotten.
+            argument_default=argparse.SUPPRESS,
+        )
+        one.set_defaults(log_level="warning")
+        remote.add_arguments(one, action)
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Record until stopped; print the log's path."""
-    recorder = settings.recorder
-    expressions = recorder.keys or [f"{settings.robot.root}/**"]
+    """Record until stopped, and print the log's path; or ask a recorder that is running."""
+    if arguments.action is not None:
+        return remote.run(arguments, settings, stopped)
+    return _record(arguments, settings, stopped)
+
+
+def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    recorder, root = settings.recorder, settings.robot.root
+    expressions = recorder.keys or [f"{root}/**"]
     release = version("cruiser-gateway")
-    directory = LogDirectory(Path(recorder.directory))
-    session = Session(
-        Plan(
+    library = f"cruiser-gateway {release}"
+    path = Path(recorder.directory)
+    allow_many_files()
+    directory = LogDirectory(path)
+    with ExitStack() as stack:
+        source = stack.enter_context(closing(ZenohSource(settings.zenoh, expressions, RING_SAMPLES)))
+        control = stack.enter_context(closing(RemoteControl(settings)))
+        limits = Limits(recorder.budget_bytes, recorder.floor_bytes)
+        keeper = stack.enter_context(closing(DiskKeeper(path, limits)))
+        sys.stderr.write(
+            f"record: waiting for samples of {', '.join(expressions)} into {recorder.directory}\n"
+        )
+        sys.stderr.flush()
+        leftovers = LeftoverThread(path, library)
+        one = Recorder(
+            Recording(recording_plan(settings, control.name, expressions, release)),
+            source,
+            LogWriter(directory, library, QUEUE_BYTES + recorder.incident_ring_bytes),
+            Inbox(recorder.queue_bytes),
+            HealthReport(control.name, release, time.monotonic_ns()),
+        )
+        one.watch(keeper)
+        one.hear(leftovers.notices)
+        one.obey(control, _no_backfill)
+        recorded = one.run(ending_after(stopped, arguments.seconds, time.monotonic), hangups())
+    leftovers.wait(LEFTOVERS_S)
+    return _report(recorded, as_json=arguments.json)
+
+
+def recording_plan(settings: Settings, name: str, expressions: Sequence[str], release: str) -> RecordingPlan:
+    """What the settings say is to be recorded."""
+    recorder = settings.recorder
+    budget = recorder.budget_bytes
+    return RecordingPlan(
+        root=settings.robot.root,
+        recorder=name,
+        per_robot=recorder.per_robot,
+        session=Plan(
             name=log_name(settings.robot.root, expressions),
             chunk_bytes=recorder.chunk_bytes,
             flush_ns=round(recorder.flush_s * 1e9),
             version=release,
-            rotate_bytes=recorder.rotate_bytes,
+            # What is being written cannot be deleted: within a budget no file may be large.
+            rotate_bytes=min(filter(None, (recorder.rotate_bytes, budget // BUDGET_FILES)), default=0),
             rotate_ns=round(recorder.rotate_s * 1e9),
-        )
+            idle_ns=IDLE_NS,
+            alarms=frozenset(map(EventKind, recorder.incident_events)),
+        ),
+        incident=IncidentPlan(
+            before_ns=round(recorder.incident_before_s * 1e9), after_ns=round(recorder.incident_after_s * 1e9)
+        ),
+        ring_bytes=recorder.incident_ring_bytes,
+        sample_max_bytes=recorder.sample_max_bytes,
+        standby=recorder.standby,
     )
-    library = f"cruiser-gateway {release}"
-    with closing(ZenohSource(settings.zenoh, expressions, RING_SAMPLES)) as source:
-        sys.stderr.write(f"record: waiting for samples of {', '.join(expressions)} into {recorder.directory}\n")
-        sys.stderr.flush()
-        leftovers = LeftoverThread(Path(recorder.directory), library)
-        recorded = Recorder(session, source, directory, library).run(
-            ending_after(stopped, arguments.seconds, time.monotonic), hangups()
-        )
-    leftovers.wait(LEFTOVERS_S)
-    return _report(recorded, as_json=arguments.json)
+
+
+def allow_many_files() -> None:
+    """As many open files as the system lets this user have: each robot has its own."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+
+
+def _no_backfill(asked: Asked) -> None:
+    asked.reply(refusal("this recorder answers no backfill"))
+    asked.done()
 
 
 def hangups() -> Callable[[], bool]:
@@ -116,11 +203,19 @@ def _report(recorded: Recorded, *, as_json: bool) -> int:
         if recorded.lost:
             raise CommandError(f"the disk took no log; {recorded.lost} messages are lost")
         raise CommandError("no sample came, so there is no log", ExitCode.UNREACHABLE)
-    missed = sum(count.missed for count in recorded.keys.values())
-    files = f", in {recorded.files} files" if recorded.files > 1 else ""
-    lost = f"; the disk did not take {recorded.lost} messages" if recorded.lost else ""
+    counts = recorded.keys.values()
+    missed = sum(count.lost_link for count in counts)
+    dropped = sum(count.lost_queue + count.lost_size for count in counts)
+    full = sum(count.lost_full for count in counts)
+    notes = [
+        f", in {recorded.files} files" if recorded.files > 1 else "",
+        f", {recorded.incidents} incidents" if recorded.incidents else "",
+        f"; {dropped} samples dropped" if dropped else "",
+        f"; no room for {full} messages" if full else "",
+        f"; the disk did not take {recorded.lost} messages" if recorded.lost else "",
+    ]
     sys.stderr.write(
         f"record: {recorded.messages} messages on {recorded.channels} channels, {recorded.bytes} bytes, "
-        f"{missed} samples missed{files}{lost}\n"
+        f"{missed} samples missed{''.join(notes)}\n"
     )
-    return int(ExitCode.PARTIAL if recorded.lost else ExitCode.OK)
+    return int(ExitCode.PARTIAL if recorded.lost or dropped or full else ExitCode.OK)

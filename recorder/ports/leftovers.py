@@ -12,6 +12,7 @@ import logging
 import os
 import shutil
 import threading
+from collections import deque
 from collections.abc import Iterable, Iterator
 from enum import Enum
 from pathlib import Path
@@ -19,6 +20,7 @@ from typing import BinaryIO, Final
 
 import msgspec
 
+from recorder.notices import Notice, Recovered
 from recorder.ports.log_directory import PART_SUFFIX, SUFFIX, free_path, lock, sync_directory
 from recorder.recovery import Survey, copy_good, survey
 from schemas.printable import plain
@@ -219,6 +221,7 @@ class LeftoverThread:
 
     def __init__(self, directory: Path, library: str) -> None:
         self.recoveries: list[Recovery] = []
+        self._notices: deque[Notice] = deque()
         # What is there now: a part that this recorder begins is none of them.
         self._parts = sorted(directory.glob(f"*{PART_SUFFIX}"))
         self._library = library
@@ -228,6 +231,13 @@ class LeftoverThread:
     def _run(self) -> None:
         for recovery in recover_leftovers(self._parts, self._library):
             self.recoveries.append(recovery)
+            if recovery.outcome is not Outcome.FAILED:
+                self._notices.append(Recovered(Path(recovery.result).name, recovery.messages))
+
+    def notices(self) -> Iterator[Notice]:
+        """What was recovered since the last call."""
+        while self._notices:
+            yield self._notices.popleft()
 
     def wait(self, timeout_s: float) -> None:
         """Give it this long to end by itself."""

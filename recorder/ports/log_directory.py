@@ -11,7 +11,7 @@ import os
 import re
 from collections import deque
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from io import FileIO
@@ -33,7 +33,13 @@ from schemas.printable import plain
 
 SUFFIX: Final = ".mcap"
 PART_SUFFIX: Final = ".mcap.part"
+INCIDENT_SUFFIX: Final = ".incident"
+"""Stands before ``.mcap`` in the name of an incident: such a file is never deleted for want of room."""
+
 SYNCS_MAX: Final = 2
+
+SYNC_THREADS: Final = 4
+"""Files that the disk is told to keep at once: a file system takes several in about the time of one."""
 
 NAMESAKES_MAX: Final = 1000
 """Files of one name and second at most: recorders that were started at once."""
@@ -55,14 +61,15 @@ class LogFile:
         path: the path when it is whole.
         stream: the open file, unbuffered.
         library: who writes.
+        disk: runs the syncs.
     """
 
-    def __init__(self, part: Path, path: Path, stream: FileIO, library: str) -> None:
+    def __init__(self, part: Path, path: Path, stream: FileIO, library: str, disk: Executor) -> None:
         self._stream = stream
         self._part = part
         self._whole_path = path
         self.path = part
-        self._disk = ThreadPoolExecutor(1, "log sync")
+        self._disk = disk
         # One that goes on and one that waits for it: the later covers what was written meanwhile.
         self._syncs: deque[Future[None]] = deque()
         self.has_synced = False
@@ -74,6 +81,11 @@ class LogFile:
     def size(self) -> int:
         """Bytes of whole records so far."""
         return self._mcap.size
+
+    @property
+    def name(self) -> str:
+        """Its name when it is whole, without the directory."""
+        return self._whole_path.name
 
     @property
     def is_kept(self) -> bool:
@@ -122,7 +134,6 @@ class LogFile:
                 self._salvage()
         with suppress(OSError):
             self._stream.close()
-        self._disk.shutdown()
 
     def _salvage(self) -> None:
         try:
@@ -154,7 +165,6 @@ class LogFile:
         self._part.rename(self._whole_path)
         self.path = self._whole_path
         self._stream.close()
-        self._disk.shutdown()
         sync_directory(self.path.parent)
 
 
@@ -167,29 +177,43 @@ class LogDirectory:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self._disk = ThreadPoolExecutor(SYNC_THREADS, "log sync")
         with _clear_errors(path):
             path.mkdir(parents=True, exist_ok=True)
+            self._device = path.stat().st_dev
             if not os.access(path, os.W_OK | os.X_OK):
                 raise PermissionError(0, "no permission to write there")
 
-    def open(self, name: str, wall_ns: int, library: str) -> LogFile:
+    def open(self, name: str, wall_ns: int, library: str, *, is_incident: bool = False) -> LogFile:
         """Begin a file whose name holds ``name`` and the time.
+
+        A directory that somebody has removed is made again, but not where its disk was unmounted.
 
         Raises:
             CommandError: the file cannot be made.
         """
         start = datetime.fromtimestamp(wall_ns // 1_000_000_000, UTC).strftime("%Y%m%dT%H%M%SZ")
-        stem = f"{safe_name(name)}-{start}"
+        stem = f"{safe_name(name)}-{start}{INCIDENT_SUFFIX if is_incident else ''}"
         with _clear_errors(self._path):
+            self._make_again()
             part, path, stream = self._create(stem)
             sync_directory(self._path)
         try:
-            return LogFile(part, path, stream, library)
+            return LogFile(part, path, stream, library, self._disk)
         except CommandError:
             # Not even the header fits: there is nothing to keep.
             stream.close()
             part.unlink(missing_ok=True)
             raise
+
+    def close(self) -> None:
+        """Wait for the disk."""
+        self._disk.shutdown()
+
+    def _make_again(self) -> None:
+        parent = self._path.absolute().parent
+        if not self._path.exists() and parent.exists() and parent.stat().st_dev == self._device:
+            self._path.mkdir()
 
     def _create(self, stem: str) -> tuple[Path, Path, FileIO]:
         for number in range(1, NAMESAKES_MAX + 1):

@@ -1,7 +1,7 @@
 """The writer's thread: carries effects out on files, whatever the disk does, while the loop goes on receiving.
 
 When a write fails, the file is cut back to its last whole chunk and ended, and the next one begins with the chunk
-that failed. While none can be written, chunks wait, up to QUEUE_BYTES; beyond that the oldest go, and are counted.
+that failed. While none can be written, chunks wait, up to a bound; beyond that the oldest go, and are told.
 """
 
 from __future__ import annotations
@@ -13,9 +13,12 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Final
 
+import msgspec
+
 from recorder.chunk import Chunk
-from recorder.effects import CloseLog, FileEffect, OpenLog, SyncLog, WriteChunk, WriteMetadata
-from recorder.ports.log_directory import LogDirectory, LogFile
+from recorder.effects import CloseLog, FileEffect, OnLog, OpenLog, SyncLog, WriteChunk
+from recorder.notices import DiskBack, DiskFault, Ended, Lost, Notice, Opened
+from recorder.ports.log_directory import INCIDENT_SUFFIX, SUFFIX, LogDirectory, LogFile
 from recorder.prologue import Prologue
 from schemas.exit_codes import CommandError
 
@@ -23,6 +26,8 @@ log = logging.getLogger(__name__)
 
 QUEUE_BYTES: Final = 64 * 1024 * 1024
 """Messages that may wait for the disk, before compression: a minute and more of a saturated bus."""
+
+NOTICES_MAX: Final = 10_000
 
 RETRY_MIN_S: Final = 0.2
 """First pause before a file is begun again after a fault that came at once again; it doubles up to..."""
@@ -32,12 +37,31 @@ RETRY_MAX_S: Final = 5.0
 END_S: Final = 10.0
 """How long the end waits for the disk."""
 
-LOST_NAME: Final = "cruiser.lost"
-"""The metadata record of the file after a loss: how many messages the disk did not take."""
+
+class _Chain:
+    """The files of one log, one after the other."""
+
+    def __init__(self) -> None:
+        self.prologue = Prologue()
+        self.file: LogFile | None = None
+        self.wanted: OpenLog | None = None
+        """The file that is to be written; after a fault the next one is called like it."""
+        self.submitted = self.opened = 0
+
+
+class _Waiting(msgspec.Struct, frozen=True):
+    """An effect in the queue, and the log that it is meant for."""
+
+    log: str
+    effect: OpenLog | FileEffect
+
+    @property
+    def bytes(self) -> int:
+        return len(self.effect.chunk.records) if isinstance(self.effect, WriteChunk) else 0
 
 
 class LogWriter:
-    """Writes files on a thread of its own, from its beginning to ``close``.
+    """Writes the files of several logs on a thread of its own, from its beginning to ``close``.
 
     Args:
         directory: where files go.
@@ -49,18 +73,16 @@ class LogWriter:
         self._directory = directory
         self._library = library
         self._queue_bytes = queue_bytes
-        self._waiting: deque[OpenLog | FileEffect] = deque()
-        self._waiting_bytes = 0
+        self._waiting: deque[_Waiting] = deque()
+        self.waiting_bytes = 0
+        """Bytes of the messages that wait for the disk."""
         self._changed = threading.Condition()
         self._is_closing = False
-        self._prologue = Prologue()
-        self._file: LogFile | None = None
-        self._wanted: OpenLog | None = None
-        """The file that is to be written; after a fault the next one is called like it."""
-        self._submitted = self._opened = 0
+        self._chains: dict[str, _Chain] = {}
         self._pause_s = 0.0
-        self._untold = 0
+        self._is_faulty = False
         self._fault: BaseException | None = None
+        self._notices: deque[Notice] = deque(maxlen=NOTICES_MAX)
         self.path: str | None = None
         """The newest file with anything in it."""
         self.files = 0
@@ -72,12 +94,22 @@ class LogWriter:
         self._thread.start()
 
     @property
-    def size(self) -> int:
-        """Bytes of the present file; 0 as long as it is not begun."""
-        file = self._file
-        return file.size if file is not None and self._opened == self._submitted else 0
+    def sizes(self) -> dict[str, int]:
+        """Bytes of the present file of each log, as far as it is begun."""
+        with self._changed:
+            chains = list(self._chains.items())
+        return {
+            name: file.size
+            for name, chain in chains
+            if (file := chain.file) is not None and chain.opened == chain.submitted
+        }
 
-    def submit(self, effects: Iterable[OpenLog | FileEffect]) -> None:
+    def notices(self) -> Iterable[Notice]:
+        """What became of the files since the last call."""
+        while self._notices:
+            yield self._notices.popleft()
+
+    def submit(self, doing: OnLog) -> None:
         """Have these carried out, in order. Never waits for the disk.
 
         Raises:
@@ -86,13 +118,13 @@ class LogWriter:
         with self._changed:
             if self._fault is not None:
                 raise self._fault
-            for effect in effects:
-                self._waiting.append(effect)
-                if isinstance(effect, WriteChunk):
-                    self._waiting_bytes += len(effect.chunk.records)
-                elif isinstance(effect, OpenLog):
-                    self._submitted += 1
-            if self._waiting_bytes > self._queue_bytes:
+            chain = self._chains.setdefault(doing.log, _Chain())
+            for effect in doing.effects:
+                one = _Waiting(doing.log, effect)
+                self._waiting.append(one)
+                self.waiting_bytes += one.bytes
+                chain.submitted += isinstance(effect, OpenLog)
+            if self.waiting_bytes > self._queue_bytes:
                 self._drop_oldest()
             self._changed.notify()
 
@@ -108,82 +140,93 @@ class LogWriter:
             raise self._fault
 
     def _drop_oldest(self) -> None:
-        kept: deque[OpenLog | FileEffect] = deque()
-        while self._waiting and self._waiting_bytes > self._queue_bytes:
-            effect = self._waiting.popleft()
-            if isinstance(effect, WriteChunk):
-                self._waiting_bytes -= len(effect.chunk.records)
-                self._lose(effect.chunk)
-            elif not isinstance(effect, SyncLog):
-                kept.append(effect)
+        kept: deque[_Waiting] = deque()
+        while self._waiting and self.waiting_bytes > self._queue_bytes:
+            one = self._waiting.popleft()
+            self.waiting_bytes -= one.bytes
+            if isinstance(one.effect, WriteChunk):
+                self._lose(one.log, one.effect.chunk)
+            elif not isinstance(one.effect, SyncLog):
+                kept.append(one)
         self._waiting.extendleft(reversed(kept))
 
-    def _lose(self, chunk: Chunk) -> None:
-        count = sum(len(entries) // 2 for entries in chunk.index.values())
-        if not self._untold:
-            log.error("the disk takes nothing: the oldest messages that wait for it are lost")
-        self.lost += count
-        self._untold += count
+    def _lose(self, name: str, chunk: Chunk) -> None:
+        counts = {channel_id: len(entries) // 2 for channel_id, entries in chunk.index.items()}
+        wanted = self._chains[name].wanted
+        if wanted is not None and wanted.is_incident:
+            log.error("the disk takes too little: an incident lacks messages")
+            return
+        if not self.lost:
+            log.error("the disk takes too little: the oldest messages that wait for it are lost")
+        self.lost += sum(counts.values())
+        self._notices.append(Lost(name, counts, chunk.start_ns, chunk.end_ns))
 
     def _run(self) -> None:
         try:
-            while (effect := self._next()) is not None:
-                self._carry_out(effect)
+            while (one := self._next()) is not None:
+                self._carry_out(one)
         except BaseException as error:  # noqa: BLE001 - the loop raises it
             self._fault = error
         finally:
-            if self._file is not None:
-                self._leave()
+            for name, chain in self._chains.items():
+                self._leave(name, chain)
+            self._directory.close()
 
-    def _next(self) -> OpenLog | FileEffect | None:
+    def _next(self) -> _Waiting | None:
         with self._changed:
             while not self._waiting and not self._is_closing:
                 self._changed.wait()
-            if self._file is None and self._waiting and isinstance(self._waiting[0], WriteChunk):
+            if self._waiting and self._is_stuck(self._waiting[0]):
                 # It waits in the queue, not in hand: the oldest are the first to go.
                 self._pause()
             if not self._waiting:
                 return None
-            effect = self._waiting.popleft()
-            if isinstance(effect, WriteChunk):
-                self._waiting_bytes -= len(effect.chunk.records)
-            return effect
+            one = self._waiting.popleft()
+            self.waiting_bytes -= one.bytes
+            return one
 
-    def _put_back(self, effect: WriteChunk) -> None:
+    def _is_stuck(self, one: _Waiting) -> bool:
+        return self._is_faulty and isinstance(one.effect, WriteChunk) and self._chains[one.log].file is None
+
+    def _put_back(self, one: _Waiting, chunk: Chunk) -> None:
         """A chunk waits again, as the oldest."""
         with self._changed:
             if self._is_closing and self._pause_s > RETRY_MIN_S:
-                self._lose(effect.chunk)
+                self._lose(one.log, chunk)
                 return
-            self._waiting.appendleft(effect)
-            self._waiting_bytes += len(effect.chunk.records)
-            if self._waiting_bytes > self._queue_bytes:
+            self._waiting.appendleft(one)
+            self.waiting_bytes += one.bytes
+            if self.waiting_bytes > self._queue_bytes:
                 self._drop_oldest()
 
-    def _carry_out(self, effect: OpenLog | FileEffect) -> None:
+    def _carry_out(self, one: _Waiting) -> None:
+        chain, effect = self._chains[one.log], one.effect
         if isinstance(effect, OpenLog):
-            self._wanted = effect
-            self._opened += 1
-            self._begin()
+            self._leave(one.log, chain)
+            chain.wanted = effect
+            chain.opened += 1
+            self._begin(one.log, chain)
             return
-        self._prologue.take(effect)
-        if isinstance(effect, WriteChunk) and self._file is None:
-            self._begin()
+        chain.prologue.take(effect)
+        if isinstance(effect, WriteChunk) and chain.file is None:
+            self._begin(one.log, chain)
         try:
-            if self._file is not None:
-                self._file.write(effect)
-                if self._file.has_synced:
-                    self._pause_s = 0.0
+            if chain.file is not None:
+                chain.file.write(effect)
+                if chain.file.has_synced:
+                    chain.file.has_synced = False
+                    self._get_well()
             elif isinstance(effect, WriteChunk):
-                self._put_back(effect)
+                self._put_back(one, effect.chunk)
         except CommandError as error:
             log.error("%s; the log goes on in another file", error)  # noqa: TRY400 - a full disk is no bug
-            self._leave()
+            self._fall_ill(str(error))
+            self._leave(one.log, chain)
             if isinstance(effect, WriteChunk):
-                self._put_back(effect)
+                self._put_back(one, effect.chunk)
         if isinstance(effect, CloseLog):
-            self._leave()
-            self._wanted = None
+            self._leave(one.log, chain)
+            chain.wanted = None
 
     def _pause(self) -> None:
         """Before a file is begun again: at once after the first fault, then ever more seldom."""
@@ -192,32 +235,47 @@ class LogWriter:
             self._changed.wait(left_s)
         self._pause_s = min(max(2 * self._pause_s, RETRY_MIN_S), RETRY_MAX_S)
 
-    def _begin(self) -> None:
+    def _fall_ill(self, detail: str) -> None:
+        if not self._is_faulty:
+            self._is_faulty = True
+            self._notices.append(DiskFault(detail))
+
+    def _get_well(self) -> None:
+        self._pause_s = 0.0
+        if self._is_faulty:
+            self._is_faulty = False
+            log.warning("the disk takes the logs again; %d messages are lost", self.lost)
+            self._notices.append(DiskBack())
+
+    def _begin(self, name: str, chain: _Chain) -> None:
         """Begin the file that is wanted, with all that those before it declared; if the disk takes it."""
-        if self._wanted is None:
+        wanted = chain.wanted
+        if wanted is None:
             return
         try:
-            self._file = self._directory.open(self._wanted.name, self._wanted.wall_ns, self._library)
-            for effect in self._prologue.effects:
-                self._file.write(effect)
-            if self._untold:
-                told, self._untold = self._untold, 0
-                log.warning("the disk takes the log again; %d messages are lost", told)
-                self._file.write(WriteMetadata(LOST_NAME, {"messages": str(told)}))
+            chain.file = self._directory.open(
+                wanted.name, wanted.wall_ns, self._library, is_incident=wanted.is_incident
+            )
+            for effect in chain.prologue.effects:
+                chain.file.write(effect)
         except CommandError as error:
             if self._pause_s <= RETRY_MIN_S:
                 log.error("%s; trying on", error)  # noqa: TRY400 - a full disk is no bug
-            self._leave()
+            self._fall_ill(str(error))
+            self._leave(name, chain)
             return
-        log.info("writing %s", self._file.path)
+        log.info("writing %s", chain.file.path)
+        self._notices.append(Opened(name, chain.file.name))
 
-    def _leave(self) -> None:
-        """End the present file, as well as can be."""
-        file, self._file = self._file, None
+    def _leave(self, name: str, chain: _Chain) -> None:
+        """End the present file of a log, as well as can be."""
+        file, chain.file = chain.file, None
         if file is None:
             return
         file.salvage()
+        self._notices.append(Ended(name, file.name, file.size))
         if file.is_kept:
-            self.path = str(file.path)
+            if INCIDENT_SUFFIX + SUFFIX not in file.name:
+                self.path = str(file.path)
             self.files += 1
             self.bytes += file.size

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Final
@@ -10,12 +9,13 @@ from typing import Final
 import msgspec
 import zenoh
 
+from recorder.ports.zenoh_session import open_session
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.recorder_settings import OWNED_KEY_LIMIT
-from schemas.settings import DEFAULT_ENDPOINT, ZenohSettings
+from schemas.settings import ZenohSettings
 from schemas.subjects import KEPT_PIECE
-from schemas.zenoh_link import CONNECT, reason, session_settings
+from schemas.zenoh_link import reason
 
 REPLY_TIMEOUT_S: Final = 2.0
 """How long a query may wait for its reply."""
@@ -58,6 +58,12 @@ class ZenohSample(msgspec.Struct, frozen=True):
         return 0 if timestamp is None else _nanoseconds(timestamp.get_time())
 
     @property
+    def source(self) -> tuple[str, int] | None:
+        """Who published it, and its place in what that one published on the key; None if it does not tell."""
+        info = self.received.source_info
+        return None if info is None else (str(info.source_id), info.source_sn)
+
+    @property
     def deleted(self) -> bool:
         """The sample says that the key was deleted."""
         return self.received.kind == zenoh.SampleKind.DELETE
@@ -83,7 +89,7 @@ class ZenohSource:
     def __init__(self, settings: ZenohSettings, key_expressions: Sequence[str], queue_samples: int) -> None:
         self._expressions = _distinct(key_expressions)
         self._pending: list[tuple[str, _Replies]] = []
-        self._session = _open(settings)
+        self._session = open_session(settings)
         self._subscribers: list[_Samples] = [
             self._session.declare_subscriber(expression, zenoh.handlers.RingChannel(queue_samples))
             for expression in self._expressions
@@ -165,31 +171,6 @@ class ZenohSource:
                 self._owners.clear()
             self._owners[text] = owner
         return owner
-
-
-def _open(settings: ZenohSettings) -> zenoh.Session:
-    config = _configuration(settings)
-    try:
-        return zenoh.open(config)
-    except zenoh.ZError as error:
-        raise CommandError(f"cannot join Zenoh: {reason(str(error))}", ExitCode.UNREACHABLE) from error
-
-
-def _configuration(settings: ZenohSettings) -> zenoh.Config:
-    """The configuration file, if one is set, with our settings over it."""
-    start = zenoh.Config()
-    try:
-        config = zenoh.Config.from_file(settings.config) if settings.config else zenoh.Config()
-
-        def says(path: str) -> bool:
-            return bool(config.get_json(path) != start.get_json(path))
-
-        connect = settings.connect or ([] if says(CONNECT) else [DEFAULT_ENDPOINT])
-        for path, value in session_settings(settings, connect, settings.listen, says).items():
-            config.insert_json5(path, json.dumps(value))
-    except zenoh.ZError as error:
-        raise CommandError(f"wrong Zenoh settings: {reason(str(error))}", ExitCode.USAGE) from error
-    return config
 
 
 def _distinct(texts: Sequence[str]) -> list[zenoh.KeyExpr]:

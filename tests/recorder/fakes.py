@@ -20,7 +20,9 @@ from recorder.effects import (
     WriteChunk,
     WriteMetadata,
 )
+from recorder.incidents import IncidentPlan
 from recorder.mcap_file import McapFile
+from recorder.recording import RecordingPlan
 from recorder.sample import Sample
 from recorder.session import Plan, Session
 from schemas import codec, keys
@@ -35,6 +37,17 @@ SECOND = 1_000_000_000
 MS = 1_000_000
 PLAN = Plan(name="cruiser-1", chunk_bytes=262_144, flush_ns=SECOND // 2, version="0.1.0")
 
+INCIDENT_PLAN = IncidentPlan(before_ns=30 * SECOND, after_ns=30 * SECOND)
+RECORDING_PLAN = RecordingPlan(
+    root=ROOT,
+    recorder="bench",
+    per_robot=True,
+    session=PLAN,
+    incident=INCIDENT_PLAN,
+    ring_bytes=1_000_000,
+    sample_max_bytes=1_000_000,
+)
+
 GEAR_FEEDBACK = 0x18C4D1EF
 
 
@@ -47,6 +60,7 @@ class FakeSample(msgspec.Struct, frozen=True):
     attachment: bytes = b""
     zenoh_time_ns: int = 0
     deleted: bool = False
+    source: tuple[str, int] | None = None
     is_reply: bool = False
 
 

@@ -5,24 +5,37 @@ from collections.abc import Callable
 from io import BytesIO, FileIO
 from pathlib import Path
 
+import msgspec
 import pytest
 from mcap.reader import make_reader
 
+from recorder.completeness import KeyReport
+from recorder.health import HealthReport
+from recorder.inbox import Inbox
 from recorder.loop import Recorded, Recorder
 from recorder.ports import log_directory, log_writer
 from recorder.ports.leftovers import recover_leftovers
 from recorder.ports.log_directory import LogDirectory
+from recorder.ports.log_writer import LogWriter
+from recorder.recording import Recording
 from recorder.review.info import read_info
-from recorder.session import CONTINUED_NAME, KeyCount, Plan, Session
+from recorder.session import CONTINUED_NAME, Plan
 from schemas.messages import GatewayInfo, Gear, Variant
-from tests.recorder.fakes import PLAN, FakeSource, gear, info, key_of, logs_in, sample_of
+from tests.recorder.fakes import PLAN, RECORDING_PLAN, FakeSource, gear, info, key_of, logs_in, sample_of
 
 INFO_KEY = key_of(GatewayInfo)
 
 
+def recorder(source: FakeSource, directory: Path, plan: Plan = PLAN, queue_bytes: int = 64_000_000) -> Recorder:
+    """A recorder of what a source brings."""
+    recording = Recording(msgspec.structs.replace(RECORDING_PLAN, session=plan))
+    writer = LogWriter(LogDirectory(directory), "test")
+    return Recorder(recording, source, writer, Inbox(queue_bytes), HealthReport("bench", "1", 0))
+
+
 def record(source: FakeSource, directory: Path, plan: Plan = PLAN) -> Recorded:
     """Record all that a source brings."""
-    return Recorder(Session(plan), source, LogDirectory(directory), "test").run(lambda: source.is_exhausted)
+    return recorder(source, directory, plan).run(lambda: source.is_exhausted)
 
 
 def test_a_recording_ends_in_a_whole_file(tmp_path: Path) -> None:
@@ -37,7 +50,8 @@ def test_a_recording_ends_in_a_whole_file(tmp_path: Path) -> None:
         lost=0,
         bytes=Path(recorded.path).stat().st_size,
         channels=1,
-        keys={key_of(Gear): KeyCount(messages=4, missed=2, dropped=0)},
+        incidents=0,
+        keys={key_of(Gear): KeyReport(sent=6, received=4, written=4, lost_link=2)},
     )
     found = read_info(Path(recorded.path))
     assert found.whole
@@ -46,7 +60,7 @@ def test_a_recording_ends_in_a_whole_file(tmp_path: Path) -> None:
 
 def test_without_samples_there_is_no_file(tmp_path: Path) -> None:
     """Nothing is left of a recorder that waited in vain."""
-    assert record(FakeSource(), tmp_path) == Recorded(None, 0, 0, 0, 0, 0, {})
+    assert record(FakeSource(), tmp_path) == Recorded(None, 0, 0, 0, 0, 0, 0, {})
     assert logs_in(tmp_path) == []
 
 
@@ -73,7 +87,7 @@ def test_a_robot_that_did_not_know_its_variant_is_asked_at_the_end(tmp_path: Pat
 def test_what_had_come_in_when_it_was_stopped_is_recorded(tmp_path: Path) -> None:
     """A signal loses nothing that was received."""
     source = FakeSource(sample_of(gear(number)) for number in range(5000))
-    recorded = Recorder(Session(PLAN), source, LogDirectory(tmp_path), "test").run(lambda: True)
+    recorded = recorder(source, tmp_path).run(lambda: True)
     assert recorded.messages == 5000
 
 
@@ -104,7 +118,7 @@ def test_a_file_that_takes_no_more_is_ended_and_another_begun(
     source = FakeSource(sample_of(gear(number)) for number in range(3000))
     recorded = record(source, tmp_path, Plan("x", 1024, 10**9, "1"))
     assert recorded.files > 1
-    assert (recorded.lost, recorded.messages) == (0, 3000)
+    assert (recorded.lost, recorded.keys[key_of(Gear)].written) == (0, 3000)
     sequences: list[int] = []
     for path in sorted(tmp_path.iterdir(), key=number_of):
         assert read_info(path).whole == (path.suffix == ".mcap")
@@ -113,7 +127,8 @@ def test_a_file_that_takes_no_more_is_ended_and_another_begun(
     for path in sorted(tmp_path.iterdir(), key=number_of):
         assert read_info(path).whole
         reader = make_reader(BytesIO(path.read_bytes()), validate_crcs=True)
-        sequences += [message.sequence for _, _, message in reader.iter_messages(log_time_order=False)]
+        messages = reader.iter_messages(topics=[key_of(Gear)], log_time_order=False)
+        sequences += [message.sequence for _, _, message in messages]
     assert sequences == list(range(3000))
 
 
@@ -134,14 +149,13 @@ def test_a_disk_that_takes_nothing_ends_no_recording(tmp_path: Path, monkeypatch
 
 def test_a_new_file_is_begun_on_demand(tmp_path: Path) -> None:
     """As by SIGHUP; between two samples, none of which is lost."""
-    source = FakeSource(sample_of(gear(number)) for number in range(9000))
-    answers = iter([False, True, False, True])
-    recorder = Recorder(Session(PLAN), source, LogDirectory(tmp_path), "test")
-    recorded = recorder.run(lambda: source.is_exhausted, lambda: next(answers, False))
-    assert (recorded.files, recorded.messages) == (3, 9000)
+    source = FakeSource(sample_of(gear(number)) for number in range(50_000))
+    answers = iter([False, True, True])
+    recorded = recorder(source, tmp_path).run(lambda: source.is_exhausted, lambda: next(answers, False))
+    assert (recorded.files, recorded.messages) == (3, 50_000)
     found = [read_info(path) for path in sorted(tmp_path.iterdir(), key=number_of)]
     assert all(one.whole and not one.missed for one in found)
-    assert sum(one.messages for one in found) == 9000
+    assert sum(one.messages for one in found) == 50_000
     assert [one.metadata.get(CONTINUED_NAME) for one in found] == [
         None,
         {"file": "2", "because": "signal"},
@@ -158,9 +172,9 @@ def test_a_fault_of_our_own_leaves_a_readable_file(tmp_path: Path) -> None:
         return lambda: next(passes)
 
     source = FakeSource(sample_of(gear(number)) for number in range(3000))
-    recorder = Recorder(Session(Plan("x", 1024, 10**9, "1")), source, LogDirectory(tmp_path), "test")
+    one = recorder(source, tmp_path, Plan("x", 1024, 10**9, "1"))
     with pytest.raises(StopIteration):
-        recorder.run(stopped())
+        one.run(stopped())
     (left,) = tmp_path.iterdir()
     assert left.suffix == ".mcap"
     assert read_info(left).messages > 2900

@@ -17,6 +17,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from recorder import robots as robots_module
 from recorder import session as session_module
+from recorder.completeness import KeyReport
 from recorder.effects import (
     AskInfo,
     AskKept,
@@ -30,7 +31,7 @@ from recorder.effects import (
     WriteMetadata,
 )
 from recorder.sample import Sample
-from recorder.session import KeyCount, Plan, Session
+from recorder.session import COMPLETENESS_NAME, Plan, Session
 from schemas import codec, keys
 from schemas.decisions import Decision, Journal, SafetyEvent, SafetyState
 from schemas.messages import CanFrames, GatewayInfo, Gear, Message
@@ -67,6 +68,11 @@ def read(data: bytes) -> list[tuple[str, str, McapMessage, Any]]:
         (channel.topic, schema.name if schema else "", message, content)
         for schema, channel, message, content in reader.iter_decoded_messages(log_time_order=False)
     ]
+
+
+def in_short(report: KeyReport) -> tuple[int, int, int]:
+    """Messages written, samples missed, frames that the source dropped."""
+    return report.written, report.lost_link, report.lost_source
 
 
 def enumerated(value: Enum) -> str:
@@ -130,7 +136,7 @@ def test_frames_sent_have_a_channel_of_their_own() -> None:
         (key, "cruiser.CanFrame"),
         (key, "cruiser.CanFrame"),
     ]
-    assert log.session.counts[key] == KeyCount(messages=2, missed=0, dropped=0)
+    assert in_short(log.session.counts[key]) == (2, 0, 0)
     assert [record.publish_time for _, _, record, _ in records[1:]] == [WALL_NS, WALL_NS + MS]
 
 
@@ -207,7 +213,7 @@ def test_a_batch_is_unfolded_into_its_frames() -> None:
     assert {(record.sequence, record.log_time) for _, _, record, _ in records} == {(7, WALL_NS)}
     content = records[0][3]
     assert (content.identifier, content.is_extended, content.dlc, content.bus) == (GEAR_FEEDBACK, True, 8, "can0")
-    assert log.session.counts[FRAMES_KEY] == KeyCount(messages=3, missed=0, dropped=2)
+    assert in_short(log.session.counts[FRAMES_KEY]) == (3, 0, 2)
 
 
 @pytest.mark.parametrize(
@@ -285,11 +291,11 @@ def test_what_a_gateway_still_keeps_fills_the_gap() -> None:
     log.receive(lived[0])
     log.tick(0)
     log.receive(lived[4], now_ns=1)
-    assert log.session.counts[key_of(Journal)] == KeyCount(messages=2, missed=3, dropped=0)
+    assert in_short(log.session.counts[key_of(Journal)]) == (2, 3, 0)
     log.tick(2)
     log.receive(*replies[1:5], now_ns=3)
     log.receive(*replies, lived[5], now_ns=4)
-    assert log.session.counts[key_of(Journal)] == KeyCount(messages=6, missed=0, dropped=0)
+    assert in_short(log.session.counts[key_of(Journal)]) == (6, 0, 0)
     sequences = [content.sequence for topic, _, _, content in read(log.close()) if topic == key_of(Journal)]
     assert sequences == [0, 4, 1, 2, 3, 5]
 
@@ -331,7 +337,7 @@ def test_a_restarted_gateway_is_asked_again() -> None:
     log.tick(0)
     log.receive(sample_of(gear(0)))
     assert AskInfo("fleet/cruiser-1/gateway/info") in log.tick(2 * SECOND)
-    assert log.session.counts[GEAR_KEY].missed == 0
+    assert log.session.counts[GEAR_KEY].lost_link == 0
 
 
 def test_missed_samples_are_counted_for_each_key() -> None:
@@ -339,11 +345,12 @@ def test_missed_samples_are_counted_for_each_key() -> None:
     log = Log()
     log.receive(*(sample_of(gear(number)) for number in (0, 1, 5)))
     log.receive(sample_of(info(sequence=1)), sample_of(info(sequence=9)))
-    assert log.session.counts[GEAR_KEY] == KeyCount(messages=3, missed=3, dropped=0)
+    assert in_short(log.session.counts[GEAR_KEY]) == (3, 3, 0)
     data = log.close()
     metadata = {one.name: one.metadata for one in make_reader(BytesIO(data)).iter_metadata()}
-    assert json.loads(metadata["cruiser.received"][GEAR_KEY]) == {"messages": 3, "missed": 3, "dropped": 0}
-    assert log.session.counts["fleet/cruiser-1/gateway/info"].missed == 0
+    told = msgspec.json.decode(metadata["cruiser.completeness"][GEAR_KEY], type=KeyReport)
+    assert (told.sent, told.received, told.written, told.lost_link) == (6, 3, 3, 3)
+    assert log.session.counts["fleet/cruiser-1/gateway/info"].lost_link == 0
 
 
 def test_more_keys_than_channels_share_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -378,7 +385,7 @@ def test_ever_new_keys_and_robots_cost_no_memory(monkeypatch: pytest.MonkeyPatch
         tracemalloc.stop()
     assert after - before < 50_000  # 7,500 keys would be a million and more.
     assert len(session.counts) == 21
-    assert sum(count.messages for count in session.counts.values()) == 3 * 3000
+    assert sum(count.written for count in session.counts.values()) == 3 * 3000
 
 
 def test_the_answer_of_a_robot_too_many_is_a_sample_like_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -459,17 +466,17 @@ def test_each_file_counts_what_it_holds() -> None:
     """What was missed in one is not missed in the next."""
     session = Session(ROLLING)
 
-    def received(effects: Sequence[Effect]) -> dict[str, int]:
-        (entries,) = [one.entries for one in effects if isinstance(one, WriteMetadata) and "received" in one.name]
-        counted: dict[str, int] = json.loads(entries[GEAR_KEY])
-        return counted
+    def received(effects: Sequence[Effect]) -> tuple[int, int, int]:
+        metadata = [one for one in effects if isinstance(one, WriteMetadata)]
+        (entries,) = [one.entries for one in metadata if one.name == COMPLETENESS_NAME]
+        return in_short(msgspec.json.decode(entries[GEAR_KEY], type=KeyReport))
 
     for number in (0, 1, 5):
         session.receive_sample(sample_of(gear(number)), 0, WALL_NS)
-    assert received(session.roll("time")) == {"messages": 3, "missed": 3, "dropped": 0}
+    assert received(session.roll("time")) == (3, 3, 0)
     session.receive_sample(sample_of(gear(6)), 0, WALL_NS)
-    assert received(session.close()) == {"messages": 1, "missed": 0, "dropped": 0}
-    assert session.counts[GEAR_KEY] == KeyCount(messages=4, missed=3, dropped=0)
+    assert received(session.close()) == (1, 0, 0)
+    assert in_short(session.counts[GEAR_KEY]) == (4, 3, 0)
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.booleans()), max_size=40))

@@ -48,7 +48,11 @@ class Process:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            env={"PATH": os.environ["PATH"], "HOME": os.environ.get("HOME", "/")},
+            env={
+                name: value
+                for name, value in os.environ.items()
+                if name in {"PATH", "HOME"} or name.startswith("CRUISER_")
+            },
         )
         self.ready = self._read_ready()
 
@@ -128,13 +132,13 @@ def test_a_signal_ends_in_a_whole_file(tmp_path: Path, number: int) -> None:
     result = json.loads(out)
     found = read_info(Path(result["path"]))
     assert logs_in(tmp_path / "logs") == [Path(result["path"]).name]
-    assert Path(result["path"]).name.startswith("fleet-")
+    assert Path(result["path"]).name.startswith("cruiser-1-")
     assert found.whole
     assert (found.missed, found.frames_lost) == (0, 0)
     assert counts(found)[key_of(Gear)] == 200
     assert counts(found)[key_of(CanFrames)] == 400
     assert found.variants == {"cruiser-1": "coarse"}
-    assert result["keys"][key_of(Gear)] == {"messages": 200, "missed": 0, "dropped": 0}
+    assert result["keys"][key_of(Gear)]["written"] == 200
     assert (result["messages"], result["bytes"]) == (found.messages, found.bytes)
     assert result["channels"] == len(found.channels)
     assert "0 samples missed" in err
@@ -331,8 +335,9 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
         subprocess.run(["umount", str(disk)], check=True)  # noqa: S607 - wherever the system has it
 
 
-def test_a_full_disk_ends_no_recording(small_disk: Path) -> None:
+def test_a_full_disk_ends_no_recording(small_disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What it does not take is counted; when there is room again, the log goes on, and says what was lost."""
+    monkeypatch.setenv("CRUISER_RECORDER_FLOOR_BYTES", "0")
     endpoint = free_endpoint()
     ballast = small_disk / "ballast"
     ballast.write_bytes(bytes(15_500_000))

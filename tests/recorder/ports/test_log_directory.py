@@ -3,6 +3,7 @@
 import errno
 import os
 import resource
+import shutil
 import stat
 import threading
 from collections.abc import Iterator
@@ -118,11 +119,10 @@ def test_a_directory_that_is_not_writable_is_one_clear_error(
 
 
 def test_a_vanished_directory_is_one_clear_error(tmp_path: Path) -> None:
-    """At opening and at closing."""
-    directory = LogDirectory(tmp_path / "logs")
+    """At opening and at closing; what it was in is not made again: its disk may be unmounted."""
+    directory = LogDirectory(tmp_path / "disk" / "logs")
     log = directory.open("x", WALL_NS, "test")
-    log.path.unlink()
-    (tmp_path / "logs").rmdir()
+    shutil.rmtree(tmp_path / "disk")
     with pytest.raises(CommandError, match="No such file"):
         directory.open("x", WALL_NS, "test")
     with pytest.raises(CommandError, match="No such file"):

@@ -2,7 +2,9 @@
 
 import errno
 import os
+import shutil
 import threading
+from collections.abc import Iterable
 from io import BytesIO, FileIO
 from pathlib import Path
 
@@ -15,15 +17,17 @@ from recorder.effects import (
     DeclareChannel,
     FileEffect,
     LogChannel,
+    OnLog,
     OpenLog,
     SyncLog,
     WriteAttachment,
     WriteChunk,
     WriteMetadata,
 )
+from recorder.notices import DiskBack, DiskFault, Ended, Lost, Opened
 from recorder.ports import log_directory, log_writer
 from recorder.ports.log_directory import LogDirectory
-from recorder.ports.log_writer import LOST_NAME, LogWriter
+from recorder.ports.log_writer import LogWriter
 from recorder.protobuf_schema import descriptor_set
 from schemas.messages import Gear
 from tests.recorder.fakes import WALL_NS, logs_in, wait_until
@@ -70,6 +74,11 @@ def chunk(number: int, size: int = 100) -> WriteChunk:
     return WriteChunk(sealed)
 
 
+def on_log(effects: Iterable[OpenLog | FileEffect], log: str = "x") -> OnLog:
+    """Effects on their way to a log."""
+    return OnLog(log, tuple(effects))
+
+
 def sequences(path: Path) -> list[int]:
     """The messages of a whole file."""
     reader = make_reader(BytesIO(path.read_bytes()), validate_crcs=True)
@@ -85,8 +94,8 @@ def names(path: Path) -> list[str]:
 def test_effects_become_a_file(tmp_path: Path) -> None:
     """In order; the result says what was written."""
     writer = LogWriter(LogDirectory(tmp_path), "test")
-    writer.submit([*BEGIN, chunk(1), SyncLog()])
-    writer.submit([chunk(2), CloseLog()])
+    writer.submit(on_log([*BEGIN, chunk(1), SyncLog()]))
+    writer.submit(on_log([chunk(2), CloseLog()]))
     writer.close()
     path = tmp_path / f"{STEM}.mcap"
     assert sequences(path) == [1, 2]
@@ -96,7 +105,7 @@ def test_effects_become_a_file(tmp_path: Path) -> None:
 def test_the_next_file_repeats_what_lasts(tmp_path: Path) -> None:
     """So that it can be read alone; no message is in both."""
     writer = LogWriter(LogDirectory(tmp_path), "test")
-    writer.submit([*BEGIN, chunk(1), CloseLog(), OpenLog("x", WALL_NS), chunk(2), CloseLog()])
+    writer.submit(on_log([*BEGIN, chunk(1), CloseLog(), OpenLog("x", WALL_NS), chunk(2), CloseLog()]))
     writer.close()
     first, second = tmp_path / f"{STEM}.mcap", tmp_path / f"{STEM}-2.mcap"
     assert (sequences(first), sequences(second)) == ([1], [2])
@@ -107,12 +116,10 @@ def test_the_next_file_repeats_what_lasts(tmp_path: Path) -> None:
 def test_the_size_is_that_of_the_file_that_is_asked_for(tmp_path: Path) -> None:
     """A file that is still waiting to be begun has none, whatever the one before came to."""
     writer = LogWriter(LogDirectory(tmp_path), "test")
-    writer.submit([*BEGIN, chunk(1)])
-    wait_until(lambda: writer.size > 100)
-    with writer._changed:  # the thread takes nothing meanwhile
-        writer._waiting.extend([CloseLog(), OpenLog("x", WALL_NS)])
-        writer._submitted += 1
-        assert writer.size == 0
+    writer.submit(on_log([*BEGIN, chunk(1)]))
+    wait_until(lambda: writer.sizes.get("x", 0) > 100)
+    writer._chains["x"].submitted += 1
+    assert writer.sizes == {}
     writer.close()
 
 
@@ -120,13 +127,13 @@ def test_the_size_is_that_of_the_file_that_is_asked_for(tmp_path: Path) -> None:
 def test_after_a_fault_the_log_goes_on_in_another_file(tmp_path: Path, error: int) -> None:
     """The chunk that failed is the first of it; nothing is lost or doubled."""
     writer = LogWriter(LogDirectory(tmp_path), "test")
-    writer.submit([*BEGIN, chunk(1)])
-    wait_until(lambda: writer.size > 0 and not writer._waiting)
+    writer.submit(on_log([*BEGIN, chunk(1)]))
+    wait_until(lambda: bool(writer.sizes) and not writer._waiting)
     FaultyFile.error = error
-    writer.submit([chunk(2), SyncLog()])
+    writer.submit(on_log([chunk(2), SyncLog()]))
     wait_until(lambda: writer.files == 1)
     FaultyFile.error = 0
-    writer.submit([chunk(3), CloseLog()])
+    writer.submit(on_log([chunk(3), CloseLog()]))
     writer.close()
     assert writer.lost == 0
     kept = sorted(tmp_path.iterdir())
@@ -139,28 +146,85 @@ def test_while_the_disk_takes_nothing_memory_is_bounded_and_losses_are_counted(t
     """The oldest go; the next file says how many there were. No files are left behind by the tries."""
     writer = LogWriter(LogDirectory(tmp_path), "test", queue_bytes=1000)
     FaultyFile.error = errno.ENOSPC
-    writer.submit(BEGIN)
+    writer.submit(on_log(BEGIN))
+    wait_until(lambda: writer._is_faulty)
     for number in range(100):
-        writer.submit([chunk(number), SyncLog()])
-        assert writer._waiting_bytes <= 1000
+        writer.submit(on_log([chunk(number), SyncLog()]))
+        assert writer.waiting_bytes <= 1000
     wait_until(lambda: writer.lost >= 90)
     assert logs_in(tmp_path) in ([], [f"{STEM}.mcap.part"])
     FaultyFile.error = 0
-    writer.submit([CloseLog()])
+    writer.submit(on_log([CloseLog()]))
     writer.close()
     path = tmp_path / f"{STEM}.mcap"
     assert sequences(path) == list(range(writer.lost, 100))
-    (told,) = [
-        one.metadata for one in make_reader(BytesIO(path.read_bytes())).iter_metadata() if one.name == LOST_NAME
+    notices = list(writer.notices())
+    assert sum(one.counts[1] for one in notices if isinstance(one, Lost)) == writer.lost
+    kinds = [type(one) for one in notices if not isinstance(one, Lost)]
+    assert (kinds[:2], kinds[-1]) == ([DiskFault, Opened], Ended)
+
+
+def test_the_disk_is_said_to_be_back_when_it_has_kept_something(tmp_path: Path) -> None:
+    """Once: who is told of a fault is told of its end."""
+    writer = LogWriter(LogDirectory(tmp_path), "test")
+    FaultyFile.error = errno.EIO
+    writer.submit(on_log([*BEGIN, chunk(1)]))
+    wait_until(lambda: writer._is_faulty)
+    FaultyFile.error = 0
+    number = 2
+    while writer._is_faulty:
+        writer.submit(on_log([chunk(number), SyncLog()]))
+        number += 1
+        wait_until(lambda: not writer._waiting)
+    writer.submit(on_log([CloseLog()]))
+    writer.close()
+    assert [type(one) for one in writer.notices()] == [DiskFault, Opened, DiskBack, Ended]
+    assert sequences(tmp_path / f"{STEM}.mcap") == list(range(1, number))
+
+
+def test_several_logs_are_written_at_once(tmp_path: Path) -> None:
+    """Each into files of its own, with its own prologue; an incident is called one."""
+    writer = LogWriter(LogDirectory(tmp_path), "test")
+    writer.submit(on_log([*BEGIN, chunk(1)]))
+    writer.submit(on_log([OpenLog("y", WALL_NS, is_incident=True), *BEGIN[1:], chunk(2)], "y!"))
+    writer.submit(on_log([chunk(3)]))
+    writer.submit(on_log([chunk(4), CloseLog()], "y!"))
+    writer.submit(on_log([CloseLog()]))
+    writer.close()
+    incident = tmp_path / "y-20270115T080000Z.incident.mcap"
+    assert (sequences(tmp_path / f"{STEM}.mcap"), sequences(incident)) == ([1, 3], [2, 4])
+    assert writer.path == str(tmp_path / f"{STEM}.mcap")
+    assert list(writer.notices()) == [
+        Opened("x", f"{STEM}.mcap"),
+        Opened("y!", incident.name),
+        Ended("y!", incident.name, incident.stat().st_size),
+        Ended("x", f"{STEM}.mcap", (tmp_path / f"{STEM}.mcap").stat().st_size),
     ]
-    assert told == {"messages": str(writer.lost)}
+
+
+def test_a_directory_that_vanishes_is_made_again(tmp_path: Path) -> None:
+    """The log goes on in another file, and what was not yet on the disk is the first of it."""
+    directory = tmp_path / "logs"
+    writer = LogWriter(LogDirectory(directory), "test")
+    writer.submit(on_log([*BEGIN, chunk(1), SyncLog()]))
+    wait_until(lambda: bool(writer.sizes) and not writer._waiting)
+    shutil.rmtree(directory)
+    number = 2
+    while not directory.exists():
+        writer.submit(on_log([chunk(number), SyncLog()]))
+        wait_until(lambda: not writer._waiting)
+        number += 1
+    writer.submit(on_log([chunk(number), CloseLog()]))
+    writer.close()
+    assert sequences(next(directory.glob("*.mcap")))[-1] == number
+    assert writer.lost == 0
 
 
 def test_the_end_does_not_wait_for_a_disk_that_takes_nothing(tmp_path: Path) -> None:
     """What waits is lost, and counted."""
     writer = LogWriter(LogDirectory(tmp_path), "test")
     FaultyFile.error = errno.EIO
-    writer.submit([*BEGIN, *(chunk(number) for number in range(20)), CloseLog()])
+    writer.submit(on_log([*BEGIN, *(chunk(number) for number in range(20)), CloseLog()]))
     writer.close()
     assert (writer.lost, writer.files, writer.path) == (20, 0, None)
     assert logs_in(tmp_path) == []
@@ -173,10 +237,10 @@ def test_who_submits_never_waits_for_the_disk(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(FaultyFile, "write", lambda file, data: goes_on.wait(30) and write(file, data))
     writer = LogWriter(LogDirectory(tmp_path), "test")
     for number in range(50):
-        writer.submit([*(BEGIN if not number else []), chunk(number), SyncLog()])
+        writer.submit(on_log([*(BEGIN if not number else []), chunk(number), SyncLog()]))
     assert not goes_on.is_set()
     goes_on.set()
-    writer.submit([CloseLog()])
+    writer.submit(on_log([CloseLog()]))
     writer.close()
     assert sequences(tmp_path / f"{STEM}.mcap") == list(range(50))
 
@@ -184,13 +248,13 @@ def test_who_submits_never_waits_for_the_disk(tmp_path: Path, monkeypatch: pytes
 def test_a_fault_of_our_own_is_raised_where_the_loop_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A thread that dies in silence would be a recorder that records nothing; the file is ended."""
     writer = LogWriter(LogDirectory(tmp_path), "test")
-    writer.submit([*BEGIN, chunk(1)])
+    writer.submit(on_log([*BEGIN, chunk(1)]))
     wait_until(lambda: not writer._waiting)
     monkeypatch.setattr(writer, "_carry_out", lambda _: 1 / 0)
-    writer.submit([chunk(2)])
+    writer.submit(on_log([chunk(2)]))
     wait_until(lambda: not writer._thread.is_alive())
     with pytest.raises(ZeroDivisionError):
-        writer.submit([chunk(3)])
+        writer.submit(on_log([chunk(3)]))
     with pytest.raises(ZeroDivisionError):
         writer.close()
     assert sequences(tmp_path / f"{STEM}.mcap") == [1]

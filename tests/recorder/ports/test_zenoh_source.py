@@ -1,10 +1,8 @@
 """Samples from a real Zenoh, on the loopback."""
 
-import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from pathlib import Path
 
 import pytest
 import zenoh
@@ -220,18 +218,3 @@ def test_a_client_without_a_router_is_told_so(endpoint: str) -> None:
     with pytest.raises(CommandError, match="cannot join Zenoh") as caught:
         ZenohSource(settings, ["fleet/**"], 100)
     assert caught.value.code == ExitCode.UNREACHABLE
-
-
-def test_a_zenoh_file_gives_what_it_says(endpoint: str, tmp_path: Path) -> None:
-    """Its endpoints hold where none are given; it says nothing of multicast, so that is off."""
-    path = tmp_path / "zenoh.json5"
-    path.write_text(json.dumps({"connect": {"endpoints": [endpoint]}, "mode": "client"}))
-    config = zenoh_source._configuration(ZenohSettings(config=str(path)))
-    assert json.loads(config.get_json("connect/endpoints")) == [endpoint]
-    assert config.get_json("scouting/multicast/enabled") == "false"
-    assert config.get_json("listen/endpoints") == "[]"
-    for broken in (tmp_path / "none.json5", tmp_path / "broken.json5"):
-        (tmp_path / "broken.json5").write_text("{")
-        with pytest.raises(CommandError, match="wrong Zenoh settings") as caught:
-            zenoh_source._configuration(ZenohSettings(config=str(broken)))
-        assert caught.value.code == ExitCode.USAGE

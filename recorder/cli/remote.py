@@ -1,0 +1,135 @@
+"""``cruiser record status``, ``start``, ``stop``, ``split`` and ``mark``: a recorder that is running elsewhere."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from contextlib import closing
+from typing import Final
+
+import msgspec
+
+from recorder.ports.recorder_client import RecorderClient
+from schemas import keys
+from schemas.arguments import add_zenoh_arguments, operator_name, recorder_name, robot_name, seconds
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.operator_name import login_operator
+from schemas.printable import plain
+from schemas.recording import Mark, RecorderHealth, RecorderReply, Split, Start, Status, StopRecording
+from schemas.requests import Request
+from schemas.settings import Settings
+
+ABOUT: Final = {
+    "status": "what recorders do, what they got and what they lost",
+    "start": "record, after a stop",
+    "stop": "end the logs and write no more, but for incidents",
+    "split": "end the logs, and go on in new ones",
+    "mark": "keep what was received shortly before and after now as an incident",
+}
+
+TIMEOUT_S: Final = 3.0
+"""How long to look for a recorder, and to wait for its reply."""
+
+LOOK_S: Final = 0.3
+"""How long one query waits for recorders to be found; then it is asked again."""
+
+_REQUESTS: Final[dict[str, Request]] = {
+    "status": Status(),
+    "start": Start(),
+    "stop": StopRecording(),
+    "split": Split(),
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser, action: str) -> None:
+    """Declare the flags of one of them."""
+    parser.add_argument(
+        "recorder", nargs="?", type=recorder_name, default=None, metavar="RECORDER", help="its name (the only one)"
+    )
+    if action == "mark":
+        parser.add_argument("-m", "--text", default="", metavar="TEXT", help="why; it goes into the log")
+        parser.add_argument("--robot", type=robot_name, default=None, help="whose log (every robot's)")
+    parser.add_argument(
+        "--operator", type=operator_name, default=None, metavar="NAME", help="who asks (the login name)"
+    )
+    parser.add_argument(
+        "--timeout", type=seconds, default=TIMEOUT_S, metavar="S", help=f"how long to wait ({TIMEOUT_S:g})"
+    )
+    add_zenoh_arguments(parser)
+    parser.add_argument("--json", action="store_true", help="print each reply as a line of JSON")
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Ask, and print the replies. ``status`` asks all recorders, the others one."""
+    action: str = arguments.action
+    operator = arguments.operator or login_operator()
+    with closing(RecorderClient(settings.zenoh, settings.robot.root, operator)) as client:
+        found = _find(client, arguments, stopped)
+        if action == "status":
+            replies = found
+        else:
+            name = _only(found)
+            request = _REQUESTS.get(action) or Mark(arguments.text, arguments.robot or "")
+            replies = dict(client.ask(name, action, request, arguments.timeout))
+            if not replies:
+                raise CommandError(f"recorder {name} does not answer", ExitCode.UNREACHABLE)
+    for name, reply in sorted(replies.items()):
+        sys.stdout.write(_as_json(name, reply) if arguments.json else describe(name, action, reply) + "\n")
+    return int(ExitCode.OK if all(reply.ok for reply in replies.values()) else ExitCode.REFUSED)
+
+
+def _find(
+    client: RecorderClient, arguments: argparse.Namespace, stopped: Callable[[], bool]
+) -> dict[str, RecorderReply]:
+    """The recorders that are there, or the one that is wanted, each with its status."""
+    end_s = time.monotonic() + arguments.timeout
+    while not stopped():
+        found = dict(client.ask(arguments.recorder or keys.ALL, "status", Status(), LOOK_S))
+        if found:
+            return found
+        if time.monotonic() > end_s:
+            break
+    whom = f"recorder {arguments.recorder}" if arguments.recorder else "no recorder"
+    raise CommandError(
+        f"{whom} does not answer" if arguments.recorder else f"{whom} answers", ExitCode.UNREACHABLE
+    )
+
+
+def _only(found: dict[str, RecorderReply]) -> str:
+    if len(found) > 1:
+        raise CommandError(f"there are several recorders: {', '.join(sorted(found))}; name one", ExitCode.USAGE)
+    return next(iter(found))
+
+
+def _as_json(name: str, reply: RecorderReply) -> str:
+    return msgspec.json.encode({"recorder": name, **msgspec.structs.asdict(reply)}).decode() + "\n"
+
+
+def describe(name: str, action: str, reply: RecorderReply) -> str:
+    """A reply for people."""
+    head = f"{name}: {reply.detail}" if reply.ok else f"{name}: refused: {reply.detail}"
+    lines = [head, *(f"  {file}" for file in reply.files)]
+    if action == "status":
+        lines += _health_lines(reply.health)
+    # A reply comes from anywhere, and may try to rule the terminal.
+    return "\n".join(map(plain, lines))
+
+
+def _health_lines(health: RecorderHealth) -> list[str]:
+    dropped = ", ".join(f"{count} {reason}" for reason, count in health.dropped.items()) or "none"
+    disk = f"{_size(health.disk_used_bytes)} of logs, {_size(health.incident_bytes)} of them incidents"
+    return [
+        f"  for {health.state_since_s:.0f} s, up {health.uptime_s:.0f} s, version {health.recorder_version}",
+        f"  {health.robots} robots, {health.keys} keys, {health.received_per_s:.0f} samples/s",
+        f"  {health.received} samples received, {health.missed} missed, {health.written} messages written",
+        f"  dropped: {dropped}",
+        f"  {health.files} files open, {health.files_ended} ended, {health.incidents} incidents",
+        f"  disk: {disk}, {_size(health.disk_free_bytes)} free",
+        f"  processor: {health.cpu_percent:.0f} %",
+    ]
+
+
+def _size(count: int) -> str:
+    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.1f} MB"

@@ -1,0 +1,80 @@
+"""What of a key was sent, received and written, and where the rest was lost. Pure."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import msgspec
+
+from recorder.tally import Tally
+from schemas.recording import GapReason
+
+UNREAD: Final = frozenset({GapReason.QUEUE, GapReason.SIZE})
+"""Samples that are lost for these reasons were never decoded: the sequence counts them as missing, too."""
+
+
+class KeyReport(msgspec.Struct, frozen=True):
+    """The way of one key, from its source into the log.
+
+    Samples are counted up to the recorder's queue, messages of the log from there on: a batch of raw frames is one
+    sample and many messages.
+
+    Attributes:
+        sent: samples that the source sent, by their sequence; None where that says nothing.
+        received: samples that reached the recorder.
+        written: messages in the log.
+        lost_bus: frames lost between chassis and gateway, by their alive counters, as its health tells; None where
+            it does not.
+        lost_source: raw frames that the gateway dropped.
+        lost_link: samples that never reached the recorder.
+        lost_queue: samples that it dropped unread, as too many waited.
+        lost_size: samples that are larger than it may record.
+        lost_full: messages that came while the disk could hold no more.
+        lost_disk: messages that the disk did not take.
+    """
+
+    sent: int | None = None
+    received: int = 0
+    written: int = 0
+    lost_bus: int | None = None
+    lost_source: int = 0
+    lost_link: int = 0
+    lost_queue: int = 0
+    lost_size: int = 0
+    lost_full: int = 0
+    lost_disk: int = 0
+
+    @property
+    def lost(self) -> int:
+        """Everything that was lost after the source, samples and messages alike."""
+        return self.lost_link + self.lost_queue + self.lost_size + self.lost_full + self.lost_disk
+
+
+def report(tally: Tally, *, counts_sequence: bool) -> KeyReport:
+    """What a tally says of its key."""
+    lost = tally.lost
+    unread = sum(lost.get(reason, 0) for reason in UNREAD)
+    lost_link = max(0, tally.missed - unread)
+    received = tally.samples + unread
+    return KeyReport(
+        sent=received + lost_link if counts_sequence else None,
+        received=received,
+        written=max(0, tally.messages - tally.unwritten),
+        lost_bus=tally.lost_bus,
+        lost_source=tally.dropped,
+        lost_link=lost_link,
+        lost_queue=lost.get(GapReason.QUEUE, 0),
+        lost_size=lost.get(GapReason.SIZE, 0),
+        lost_full=lost.get(GapReason.FULL, 0),
+        lost_disk=lost.get(GapReason.DISK, 0),
+    )
+
+
+def since(now: KeyReport, before: KeyReport) -> KeyReport:
+    """What has come between two reports. What one file missed may have come in the next: never below 0."""
+    first = msgspec.structs.asdict(before)
+    change: dict[str, Any] = {
+        name: None if value is None else max(0, value - (first[name] or 0))
+        for name, value in msgspec.structs.asdict(now).items()
+    }
+    return KeyReport(**change)

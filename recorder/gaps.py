@@ -1,0 +1,49 @@
+"""What reached the recorder and is not in its log, until it is told: one gap for each key and reason. Pure."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+
+from recorder.session import INT64_MAX
+from recorder.tally import SEQUENCE_SPAN
+from schemas.recording import GapReason, RecordGap
+
+KEYS_MAX: Final = 10_000
+"""Gaps that wait to be told; what is lost of further keys meanwhile is one gap of the key ``OTHER_KEYS``."""
+
+OTHER_KEYS: Final = "**"
+
+
+class _Gap(msgspec.Struct):
+    first_ns: int
+    last_ns: int
+    count: int = 0
+
+
+class Gaps:
+    """Gathers losses, and tells them together."""
+
+    def __init__(self) -> None:
+        self._gaps: dict[tuple[str, GapReason], _Gap] = {}
+        self._sequence = 0
+
+    def add(self, key: str, reason: GapReason, count: int, first_ns: int, last_ns: int) -> None:
+        """So many samples or messages of a key, received between these times since 1970, are lost."""
+        if (key, reason) not in self._gaps and len(self._gaps) >= KEYS_MAX:
+            key = OTHER_KEYS
+        gap = self._gaps.setdefault((key, reason), _Gap(first_ns, last_ns))
+        gap.first_ns = min(gap.first_ns, first_ns)
+        gap.last_ns = max(gap.last_ns, last_ns)
+        gap.count += count
+
+    def tell(self, wall_ns: int) -> list[RecordGap]:
+        """The gaps since the last call."""
+        told = []
+        for (key, reason), gap in self._gaps.items():
+            first_ns, last_ns = max(0, gap.first_ns), min(INT64_MAX, gap.last_ns)
+            told.append(RecordGap(wall_ns, self._sequence, key, reason, first_ns, last_ns, gap.count))
+            self._sequence = (self._sequence + 1) % SEQUENCE_SPAN
+        self._gaps.clear()
+        return told

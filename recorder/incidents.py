@@ -1,0 +1,127 @@
+"""The last seconds of a log in memory, and incidents: what came before and after, in a file of its own. Pure.
+
+A ring holds the chunks that the log was given. When something happens they are written into an incident's file,
+and so is what comes after, for a while. Another alarm meanwhile makes that while longer, up to a bound: a fault
+that comes back all the time must not make an endless file.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from typing import Final
+
+import msgspec
+
+from recorder.chunk import Chunk
+from recorder.effects import (
+    CloseLog,
+    DeclareChannel,
+    Effect,
+    FileEffect,
+    OpenLog,
+    SyncLog,
+    WriteAttachment,
+    WriteChunk,
+    WriteMetadata,
+)
+from recorder.prologue import Prologue
+from schemas.recorder_settings import INCIDENT_MAX_NS
+
+INCIDENT_NAME: Final = "cruiser.incident"
+"""The metadata record that links a log and an incident: in each the file of the other, when, and why."""
+
+
+class IncidentPlan(msgspec.Struct, frozen=True):
+    """What an incident's file holds.
+
+    Attributes:
+        before_ns: so much of what came before...
+        after_ns: ...and so much of what comes after.
+    """
+
+    before_ns: int
+    after_ns: int
+
+
+class Incidents:
+    """The ring of one log, and the incident that is being written of it.
+
+    Args:
+        name: begins the incidents' file names.
+        plan: how much they hold.
+    """
+
+    def __init__(self, name: str, plan: IncidentPlan) -> None:
+        self._name = name
+        self._plan = plan
+        self._prologue = Prologue()
+        self._ring: deque[tuple[int, Chunk]] = deque()
+        self.ring_bytes = 0
+        """Bytes of the messages in the ring."""
+        self._begun_ns = 0
+        self._until_ns: int | None = None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether an incident is being written."""
+        return self._until_ns is not None
+
+    def take(self, effects: Iterable[Effect], now_ns: int) -> list[OpenLog | FileEffect]:
+        """Effects on their way into the log. What of them belongs into the incident too."""
+        copied: list[OpenLog | FileEffect] = []
+        for effect in effects:
+            if isinstance(effect, WriteChunk):
+                self._ring.append((now_ns, effect.chunk))
+                self.ring_bytes += len(effect.chunk.records)
+            elif isinstance(effect, DeclareChannel | WriteAttachment) or (
+                isinstance(effect, WriteMetadata) and effect.lasts
+            ):
+                self._prologue.take(effect)
+            elif not isinstance(effect, SyncLog):
+                continue
+            if self._until_ns is not None:
+                copied.append(effect)
+        return copied
+
+    def trim(self, now_ns: int, limit_bytes: int) -> None:
+        """Forget what is too old for an incident that would begin now, or too much."""
+        ring = self._ring
+        while ring and (now_ns - ring[0][0] > self._plan.before_ns or self.ring_bytes > limit_bytes):
+            self.ring_bytes -= len(ring.popleft()[1].records)
+
+    def begin(self, now_ns: int, wall_ns: int, because: str, log: str) -> list[OpenLog | FileEffect]:
+        """Something has happened. Nothing is to be done if an incident is under way: it lasts longer.
+
+        Args:
+            now_ns: when.
+            wall_ns: the same, since 1970.
+            because: what.
+            log: the file in which the log goes on; empty if there is none.
+        """
+        if self._until_ns is not None:
+            self._until_ns = min(now_ns + self._plan.after_ns, self._begun_ns + INCIDENT_MAX_NS)
+            return []
+        self._begun_ns = now_ns
+        self._until_ns = now_ns + self._plan.after_ns
+        entries = {"at_ns": str(wall_ns), "because": because, "file": log}
+        return [
+            OpenLog(self._name, wall_ns, is_incident=True),
+            *self._prologue.effects,
+            WriteMetadata(INCIDENT_NAME, entries, lasts=True),
+            *(WriteChunk(chunk) for _, chunk in self._ring),
+            SyncLog(),
+        ]
+
+    def tick(self, now_ns: int) -> list[OpenLog | FileEffect]:
+        """End the incident, when it is over."""
+        if self._until_ns is None or now_ns < self._until_ns:
+            return []
+        return self.close()
+
+    def close(self) -> list[OpenLog | FileEffect]:
+        """End the incident, if there is one."""
+        if self._until_ns is None:
+            return []
+        self._until_ns = None
+        return [CloseLog()]

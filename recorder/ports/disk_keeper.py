@@ -1,0 +1,144 @@
+"""Keeps the directory of logs within its limits: looks once a second, and deletes what ``retention`` says."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import threading
+from collections import deque
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from recorder.notices import Deleted, Notice, Room
+from recorder.ports.log_directory import INCIDENT_SUFFIX, PART_SUFFIX
+from recorder.retention import Limits, LogEntry, judge
+from schemas.printable import plain
+
+log = logging.getLogger(__name__)
+
+LOOK_S: Final = 1.0
+"""How often the disk is looked at."""
+
+NOTICES_MAX: Final = 10_000
+
+FLOOR_MAX_SHARE: Final = 0.1
+"""No more than this of a file system is kept free, however small it is."""
+
+_NAME: Final = re.compile(
+    r".+-(?P<start>\d{8}T\d{6}Z)(?P<kind>\.[a-z]+)?(-\d+)?(?P<suffix>\.mcap(\.part|\.damaged|\.rest)?)"
+)
+"""The names that a recorder gives; whatever else is in the directory is not ours to delete or to count."""
+
+
+class DiskUse(msgspec.Struct, frozen=True):
+    """How full the disk is, in bytes."""
+
+    free: int = 0
+    used: int = 0
+    incidents: int = 0
+
+
+def read_entries(directory: Path) -> list[LogEntry]:
+    """The recorder's files in a directory.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    entries = []
+    with os.scandir(directory) as found:
+        for one in found:
+            match = _NAME.fullmatch(one.name)
+            if match is None:
+                continue
+            try:
+                size = one.stat(follow_symlinks=False).st_size
+            except FileNotFoundError:
+                continue
+            entries.append(
+                LogEntry(
+                    name=one.name,
+                    bytes=size,
+                    started=match["start"],
+                    is_incident=match["kind"] == INCIDENT_SUFFIX,
+                    is_open=match["suffix"] == PART_SUFFIX,
+                )
+            )
+    return entries
+
+
+class DiskKeeper:
+    """A thread that looks at the disk from its beginning to ``close``.
+
+    Args:
+        directory: of the logs.
+        limits: what they may take.
+    """
+
+    def __init__(self, directory: Path, limits: Limits) -> None:
+        self._directory = directory
+        self._limits = limits
+        self._notices: deque[Notice] = deque(maxlen=NOTICES_MAX)
+        self._room = Room(has_room=True, has_incident_room=True)
+        self._stuck: set[str] = set()
+        """Names of files that could not be deleted."""
+        self._closed = threading.Event()
+        self.use = DiskUse()
+        self._thread = threading.Thread(target=self._run, name="disk keeper", daemon=True)
+        self._thread.start()
+
+    def notices(self) -> Iterable[Notice]:
+        """What has happened since the last call."""
+        while self._notices:
+            yield self._notices.popleft()
+
+    def close(self) -> None:
+        """End the thread."""
+        self._closed.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            try:
+                self._look()
+            except OSError as error:
+                # Whoever writes there says so; there is nothing to delete.
+                log.debug("cannot look at %s: %s", self._directory, error)
+            if self._closed.wait(LOOK_S):
+                return
+
+    def _look(self) -> None:
+        entries = read_entries(self._directory)
+        disk = os.statvfs(self._directory)
+        free = disk.f_bavail * disk.f_frsize
+        floor = min(self._limits.floor_bytes, int(FLOOR_MAX_SHARE * disk.f_blocks * disk.f_frsize))
+        limits = msgspec.structs.replace(self._limits, floor_bytes=floor)
+        self.use = DiskUse(
+            free=free,
+            used=sum(entry.bytes for entry in entries),
+            incidents=sum(entry.bytes for entry in entries if entry.is_incident),
+        )
+        may_be = [entry for entry in entries if entry.name not in self._stuck]
+        judgement = judge(may_be, free, limits, is_full=not self._room.has_room)
+        sizes = {entry.name: entry.bytes for entry in entries}
+        for name in judgement.delete:
+            self._delete(name, sizes[name])
+        room = Room(judgement.has_room, judgement.has_incident_room, judgement.roll)
+        if room != self._room or room.roll:
+            self._room = room
+            self._notices.append(room)
+
+    def _delete(self, name: str, size: int) -> None:
+        try:
+            (self._directory / name).unlink()
+        except FileNotFoundError:
+            return
+        except OSError as error:
+            self._stuck.add(name)
+            log.warning("cannot delete %s: %s", plain(name), error.strerror or error)
+            return
+        log.info("deleted %s for want of room", plain(name))
+        self._notices.append(Deleted(name, size))

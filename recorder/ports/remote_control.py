@@ -1,0 +1,172 @@
+"""The recorder's own keys on Zenoh: its verbs, its health, events and gaps, and a liveliness token.
+
+A session of its own: the one that takes in the robots' samples may have a long queue. Queries wait in a ring that
+the loop drains; no Python of ours runs on Zenoh's threads.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import socket
+from collections.abc import Callable, Iterator
+from typing import Any, Final
+
+import msgspec
+import zenoh
+
+from recorder.ports.zenoh_session import open_session
+from schemas import codec, keys
+from schemas.codec import PayloadFault
+from schemas.messages import Message
+from schemas.printable import plain
+from schemas.recording import BackfillPiece, RecorderReply
+from schemas.requests import Request
+from schemas.settings import Settings, ZenohSettings
+from schemas.subjects import RECORDER_BY_VERB, RECORDER_SUBJECTS, RecorderCommand
+from schemas.zenoh_link import ANY_LOCAL_PORT
+
+log = logging.getLogger(__name__)
+
+QUERIES_WAITING: Final = 64
+"""Requests that may wait between two passes of the loop; beyond it the oldest go."""
+
+REQUESTS_PER_PASS: Final = 8
+
+REQUEST_MAX_BYTES: Final = 4096
+
+NAMESAKES_S: Final = 0.5
+"""How long the start waits to hear of other recorders."""
+
+NAMESAKES_MAX: Final = 100
+
+_DROP, _WAIT = zenoh.CongestionControl.DROP, zenoh.CongestionControl.BLOCK
+
+
+class Asked(msgspec.Struct, frozen=True):
+    """A request, and how to answer it.
+
+    Attributes:
+        verb: its row of the table of verbs.
+        request: what is asked, or what is wrong with the payload.
+        reply: sends a reply; several may follow each other.
+        done: says that no more will come; the caller must say so.
+    """
+
+    verb: RecorderCommand
+    operator: str
+    request: Request | PayloadFault
+    reply: Callable[[RecorderReply | BackfillPiece], None]
+    done: Callable[[], None]
+
+
+class RemoteControl:
+    """The recorder on Zenoh, from its beginning to ``close``. Nothing here raises once it is open.
+
+    Args:
+        settings: of the session, the root, and the recorder's name.
+
+    Raises:
+        CommandError: the session cannot be opened.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._root = settings.robot.root
+        self._session = open_session(settings.zenoh, _listen(settings.zenoh))
+        self.name = self._free_name(settings.recorder.name or host_name())
+        """Its name: the one that is set, or with a number behind it where another recorder has that."""
+        self._token = self._session.liveliness().declare_token(keys.of_recorder(self._root, self.name))
+        self._queries = self._session.declare_queryable(
+            keys.recorder_command(self._root, self.name, keys.ALL, keys.ALL),
+            zenoh.handlers.RingChannel(QUERIES_WAITING),
+            complete=True,
+        )
+        self._publishers = {
+            subject.type: self._session.declare_publisher(
+                keys.of_recorder(self._root, self.name, subject.name),
+                encoding=subject.encoding,
+                priority=getattr(zenoh.Priority, subject.qos.priority.value),
+                congestion_control=zenoh.CongestionControl.DROP,
+                express=subject.qos.express,
+            )
+            for subject in RECORDER_SUBJECTS
+        }
+
+    def publish(self, message: Message) -> None:
+        """Say something under the recorder's own keys."""
+        try:
+            self._publishers[type(message)].put(codec.encode(message))
+        except zenoh.ZError as error:
+            log.debug("Zenoh does not take it: %s", error)
+
+    def drain(self) -> Iterator[Asked]:
+        """The requests that have come in."""
+        for _ in range(REQUESTS_PER_PASS):
+            query = self._queries.try_recv()
+            if query is None:
+                return
+            asked = self._asked(query)
+            if asked is None:
+                query.drop()
+            else:
+                yield asked
+
+    def close(self) -> None:
+        """Leave Zenoh."""
+        self._session.close()
+
+    def _asked(self, query: zenoh.Query) -> Asked | None:
+        operator, name = keys.parse_command(str(query.key_expr))
+        verb = RECORDER_BY_VERB.get(name)
+        if verb is None or not operator:
+            return None
+        payload = query.payload
+        if payload is not None and len(payload) > REQUEST_MAX_BYTES:
+            request: Request | PayloadFault = PayloadFault(f"a request has at most {REQUEST_MAX_BYTES} bytes")
+        else:
+            request = codec.decode_request(verb, b"" if payload is None else payload.to_bytes())
+        # The query's own key may hold a wildcard for the recorder.
+        key = keys.recorder_command(self._root, self.name, operator, name)
+
+        def reply(answer: RecorderReply | BackfillPiece) -> None:
+            try:
+                query.reply(
+                    key,
+                    msgspec.msgpack.encode(answer),
+                    encoding=verb.reply_encoding,
+                    # A backfill is answered on a thread of its own, which may wait for the link.
+                    congestion_control=_WAIT if verb.reply is BackfillPiece else _DROP,
+                )
+            except zenoh.ZError as error:
+                log.debug("nobody waits for the reply any more: %s", error)
+
+        return Asked(verb, operator, request, reply, query.drop)
+
+    def _free_name(self, wanted: str) -> str:
+        taken = set(self._others())
+        numbered = [wanted, *(f"{wanted}-{number}" for number in range(2, NAMESAKES_MAX))]
+        name = next((one for one in numbered if one not in taken), wanted)
+        if name != wanted:
+            log.warning("a recorder %s is there already; this one is %s", plain(wanted), plain(name))
+        return name
+
+    def _others(self) -> Iterator[str]:
+        replies: Any = self._session.liveliness().get(
+            keys.of_recorder(self._root, keys.ALL), zenoh.handlers.FifoChannel(NAMESAKES_MAX), timeout=NAMESAKES_S
+        )
+        for reply in replies:
+            if reply.ok is not None:
+                yield str(reply.ok.key_expr).rpartition("/")[2]
+
+
+def _listen(settings: ZenohSettings) -> list[str]:
+    """Free ports of the addresses on which the recorder listens, so that who is told of it can connect."""
+    if settings.mode == "client":
+        return []
+    addresses = [address for address, colon, _ in (one.rpartition(":") for one in settings.listen) if colon]
+    return [f"{address}:0" for address in dict.fromkeys(addresses)] or [ANY_LOCAL_PORT]
+
+
+def host_name() -> str:
+    """The host's name as a chunk of a key."""
+    return re.sub(r"[^a-z0-9-]+", "-", socket.gethostname().partition(".")[0].lower()).strip("-") or "recorder"
