@@ -16,7 +16,7 @@ The end of the telemetry flow::
 - ``backlog``          what a gateway still keeps and the log lacks
 - ``robots``           what is known of each robot: asked for, kept as metadata and attachments
 - ``protobuf_schema``  the messages as protobuf descriptors, built at run time
-- ``transcode``        a typed message to its protobuf bytes
+- ``transcode``        a typed message to its protobuf bytes; ``foxglove_log`` an event as viewers list it
 - ``chunk``            messages appended to one buffer, indexed
 - ``mcap_file``        the bytes of an MCAP file, on any binary stream; ``mcap_summary`` is its end
 - ``prologue``         what a file begins with that continues another

@@ -27,6 +27,7 @@ from recorder.effects import (
     WriteChunk,
     WriteMetadata,
 )
+from recorder.foxglove_log import LOG_CHUNK, SCHEMA_DATA, SCHEMA_NAME, log_record
 from recorder.protobuf_schema import descriptor_set, schema_name
 from recorder.robots import Robots
 from recorder.routes import RAW_CHUNK, Route, keep_raw
@@ -36,7 +37,7 @@ from schemas import keys
 from schemas.decisions import EventKind, SafetyEvent, Severity
 from schemas.messages import CanFrames, GatewayHealth, GatewayInfo, Message
 from schemas.recorder_settings import CHANNEL_LIMIT
-from schemas.recording import GapReason
+from schemas.recording import GapReason, RecorderEvent
 from schemas.subjects import BY_DBC_MESSAGE, BY_TYPE, Subject
 
 INT64_MAX: Final = 2**63 - 1
@@ -191,6 +192,8 @@ class Session:
         effects: list[Effect] = []
         route = self._channel(topic, BY_TYPE[type(message)], "", effects)
         self._add_records(route, message, _clamp(message.time_ns))
+        if isinstance(message, RecorderEvent):
+            self._add_line(topic, message, _clamp(message.time_ns), effects)
         if self._at_risk_since_ns is None:
             self._at_risk_since_ns = now_ns
         return effects
@@ -297,10 +300,29 @@ class Session:
         elif isinstance(message, GatewayHealth):
             self._count_bus(sample.key, message)
         elif isinstance(message, SafetyEvent):
+            self._add_line(sample.key, message, log_ns, effects)
             # What was asked for later is long past.
             is_alarm = message.kind in self._plan.alarms and message.severity is not Severity.INFO
             if is_alarm and not sample.is_reply:
                 effects.append(Alarm(route.robot, f"{message.kind.value}: {message.text}", log_ns))
+
+    def _add_line(
+        self, topic: str, event: SafetyEvent | RecorderEvent, log_ns: int, effects: list[Effect]
+    ) -> None:
+        """The event once more, as viewers list them."""
+        line_topic = f"{topic}/{LOG_CHUNK}"
+        route = self._channels.get(line_topic)
+        if route is None:
+            if len(self._channels) >= CHANNEL_LIMIT:
+                return
+            route = self._add_route(line_topic, None, "")
+            effects.append(DeclareChannel(LogChannel(route.channel_id, line_topic, SCHEMA_NAME, SCHEMA_DATA)))
+        parts = keys.parse(topic)
+        name = (parts.robot or parts.recorder) if parts else topic
+        data = log_record(event, name)
+        self._chunk.add(route.channel_id, event.sequence, log_ns, event.time_ns, data)
+        route.tally.samples += 1
+        route.tally.messages += 1
 
     def _count_bus(self, key: str, health: GatewayHealth) -> None:
         parts = keys.parse(key)
@@ -340,11 +362,15 @@ class Session:
             topic, subject = OVERFLOW_TOPIC, None
         route = self._channels.get(topic)
         if route is None:
-            route = self._channels[topic] = Route(len(self._channels) + 1, subject, robot)
-            self._routes.append(route)
+            route = self._add_route(topic, subject, robot)
             kind = route.kind
             channel = LogChannel(route.channel_id, topic, schema_name(kind), descriptor_set(kind))
             effects.append(DeclareChannel(channel))
+        return route
+
+    def _add_route(self, topic: str, subject: Subject | None, robot: str) -> Route:
+        route = self._channels[topic] = Route(len(self._channels) + 1, subject, robot)
+        self._routes.append(route)
         return route
 
     def _seal(self, effects: list[Effect]) -> None:

@@ -48,6 +48,7 @@ PURE_RECORDER = (
     "chunk",
     "completeness",
     "effects",
+    "foxglove_log",
     "gaps",
     "health",
     "inbox",

@@ -151,6 +151,41 @@ def describe(info: LogInfo) -> str:
     lines += _table(
         ("attachment", "type", "bytes"), [(one.name, one.media_type, str(one.bytes)) for one in info.attachments]
     )
+    lines += _table(
+        (
+            "lost on the way",
+            "sent",
+            "received",
+            "written",
+            "bus",
+            "source",
+            "link",
+            "queue",
+            "size",
+            "full",
+            "disk",
+        ),
+        [
+            (
+                topic,
+                "-" if one.sent is None else str(one.sent),
+                str(one.received),
+                str(one.written),
+                "-" if one.lost_bus is None else str(one.lost_bus),
+                *map(str, (one.lost_source, one.lost_link, one.lost_queue)),
+                *map(str, (one.lost_size, one.lost_full, one.lost_disk)),
+            )
+            for topic, one in info.completeness.items()
+            if one.lost or one.lost_bus or one.lost_source
+        ],
+        words=1,
+    )
+    lines += _table(
+        ("not in the log", "why", "count", "from", "to"),
+        [(one.topic, one.reason, str(one.count), _time(one.first_ns), _time(one.last_ns)) for one in info.gaps],
+    )
+    if info.incident:
+        lines.append(f"  incident {info.incident.get('file', '')}: {info.incident.get('because', '')}")
     unseen = sum(one.unseen for one in info.frames)
     lines.append(
         f"  {info.missed} samples missed, {info.frames_lost} raw frames lost ({unseen} of them in outages)"
@@ -159,15 +194,15 @@ def describe(info: LogInfo) -> str:
     return "\n".join(map(plain, lines))
 
 
-def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
-    """Columns; the first two are words and begin left, the others are numbers."""
+def _table(head: tuple[str, ...], rows: list[tuple[str, ...]], words: int = 2) -> list[str]:
+    """Columns; the first ones are words and begin left, the others are numbers."""
     if not rows:
         return []
     widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
     return [
         "  "
         + "  ".join(
-            cell.ljust(width) if index < 2 else cell.rjust(width)
+            cell.ljust(width) if index < words else cell.rjust(width)
             for index, (cell, width) in enumerate(zip(row, widths, strict=True))
         ).rstrip()
         for row in (head, *rows)

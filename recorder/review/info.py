@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -9,23 +10,31 @@ import msgspec
 from google.protobuf.message import DecodeError
 from mcap import records
 
+from recorder.completeness import KeyReport
+from recorder.incidents import INCIDENT_NAME
 from recorder.mcap_summary import MAGIC
 from recorder.protobuf_schema import message_class, schema_name
 from recorder.review.alive import FRAME_BYTES, AliveCount, feedback_frames
 from recorder.review.walk import End, Fault, LoggedMessage, Walked, walk
 from recorder.robots import METADATA_NAME
+from recorder.session import COMPLETENESS_NAME
 from recorder.tally import Tally
 from schemas.exit_codes import CommandError
 from schemas.messages import CanFrame, GatewayInfo, RawSample
 from schemas.printable import plain
+from schemas.recording import GapReason, RecorderEvent, RecordGap
 from schemas.subjects import SCHEMA_PREFIX, SUBJECTS
 
 FAULTS_SHOWN: Final = 20
 """Faults that are told one by one; the rest are only counted."""
 
 _CAN_FRAME: Final = schema_name(CanFrame)
-_WITHOUT_SEQUENCE: Final = {schema_name(RawSample), schema_name(GatewayInfo)}
+_WITHOUT_SEQUENCE: Final = {schema_name(kind) for kind in (RawSample, GatewayInfo, RecorderEvent, RecordGap)}
+"""A recorder's own words are counted over all its logs, and each log holds those that are about it."""
 _CanFrameMessage: Final[Any] = message_class(CanFrame)
+_RECORD_GAP: Final = schema_name(RecordGap)
+_RecordGapMessage: Final[Any] = message_class(RecordGap)
+_GAP_REASONS: Final = [reason.value for reason in GapReason]
 
 
 class ChannelInfo(msgspec.Struct, frozen=True):
@@ -68,6 +77,16 @@ class AttachmentInfo(msgspec.Struct, frozen=True):
     bytes: int
 
 
+class GapInfo(msgspec.Struct, frozen=True):
+    """Messages of a topic that reached the recorder and are not in the log, for one reason."""
+
+    topic: str
+    reason: str
+    count: int
+    first_ns: int
+    last_ns: int
+
+
 class LogInfo(msgspec.Struct, frozen=True):
     """A log.
 
@@ -80,6 +99,9 @@ class LogInfo(msgspec.Struct, frozen=True):
         variants: the firmware variant of each robot that has told it.
         versions: of the recorder, and of each robot's gateway.
         metadata: all metadata records by name, the last of each.
+        completeness: the recorder's own account of each topic while it wrote this log; empty if it gives none.
+        gaps: what reached the recorder and is not in this log.
+        incident: the other file, time and reason, where this is an incident or one was kept of it.
     """
 
     path: str
@@ -100,6 +122,9 @@ class LogInfo(msgspec.Struct, frozen=True):
     frames: list[FrameInfo]
     attachments: list[AttachmentInfo]
     metadata: dict[str, dict[str, str]]
+    completeness: dict[str, KeyReport]
+    gaps: list[GapInfo]
+    incident: dict[str, str]
 
 
 def read_info(path: Path) -> LogInfo:
@@ -208,6 +233,7 @@ class _Survey:
         self._messages = 0
         self._promised: int | None = None
         self._ended = False
+        self._gaps: dict[tuple[str, str], GapInfo] = {}
 
     def take(self, walked: Walked) -> None:
         match walked:
@@ -239,8 +265,22 @@ class _Survey:
             return
         try:
             channel.take(message)
+            if channel.schema == _RECORD_GAP:
+                self._take_gap(message.data)
         except DecodeError:
             self._add_fault(f"a message of {channel.topic} that cannot be read")
+
+    def _take_gap(self, data: bytes) -> None:
+        gap = _RecordGapMessage.FromString(data)
+        reason = _GAP_REASONS[gap.reason] if gap.reason < len(_GAP_REASONS) else str(gap.reason)
+        before = self._gaps.get((gap.key, reason), GapInfo(gap.key, reason, 0, gap.first_ns, gap.last_ns))
+        self._gaps[gap.key, reason] = GapInfo(
+            gap.key,
+            reason,
+            before.count + gap.count,
+            min(before.first_ns, gap.first_ns),
+            max(before.last_ns, gap.last_ns),
+        )
 
     def _add_fault(self, detail: str) -> None:
         self._fault_count += 1
@@ -277,4 +317,16 @@ class _Survey:
             frames=frames,
             attachments=self._attachments,
             metadata=self._metadata,
+            completeness=_completeness(self._metadata.get(COMPLETENESS_NAME, {})),
+            gaps=[gap for _, gap in sorted(self._gaps.items())],
+            incident=self._metadata.get(INCIDENT_NAME, {}),
         )
+
+
+def _completeness(entries: dict[str, str]) -> dict[str, KeyReport]:
+    """The account of each topic; what is no such account is left out."""
+    reports = {}
+    for topic, text in sorted(entries.items()):
+        with suppress(msgspec.MsgspecError):
+            reports[topic] = msgspec.json.decode(text, type=KeyReport)
+    return reports
