@@ -1,4 +1,4 @@
-"""The systemd unit runs commands that exist, with settings that do, and leaves the guard alone."""
+"""The systemd units run commands that exist, with settings that do; the gateway's leaves the guard alone."""
 
 import argparse
 import configparser
@@ -10,16 +10,21 @@ import pytest
 from gateway.cli.main import COMMANDS
 from schemas.settings import HALT_LISTEN_NS, HALT_YIELD_NS, REST_TIMEOUT_NS
 
-UNIT = Path(__file__).parent.parent.parent / "deploy" / "cruiser-gateway.service"
+DEPLOY = Path(__file__).parent.parent.parent / "deploy"
+
+
+def section(name: str) -> dict[str, str]:
+    """A unit's service section; names as systemd spells them."""
+    unit = configparser.ConfigParser(delimiters=["="], interpolation=None)
+    unit.optionxform = str  # type: ignore[assignment,method-assign]
+    unit.read(DEPLOY / name, encoding="utf-8")
+    return dict(unit["Service"])
 
 
 @pytest.fixture
 def service() -> dict[str, str]:
-    """The unit's service section; names as systemd spells them."""
-    unit = configparser.ConfigParser(delimiters=["="], interpolation=None)
-    unit.optionxform = str  # type: ignore[assignment,method-assign]
-    unit.read(UNIT, encoding="utf-8")
-    return dict(unit["Service"])
+    """The gateway's."""
+    return section("cruiser-gateway.service")
 
 
 @pytest.mark.parametrize(("line", "command"), [("ExecStart", "gateway"), ("ExecStopPost", "halt")])
@@ -42,3 +47,19 @@ def test_the_guard_outlives_the_gateway(service: dict[str, str]) -> None:
     assert service["KillMode"] == "process"
     assert service["OOMPolicy"] == "continue"
     assert int(service["TimeoutStopSec"]) * 1e9 > 2 * HALT_YIELD_NS + 2 * HALT_LISTEN_NS + REST_TIMEOUT_NS
+
+
+def test_the_recorder_records_into_the_directory_that_it_may_write_to() -> None:
+    """With the gateway's configuration file; it is always begun again, and a reload begins new files."""
+    recorder = section("cruiser-recorder.service")
+    program, *words = recorder["ExecStart"].split()
+    assert (program, words[:3]) == (
+        "/opt/cruiser/bin/cruiser",
+        ["record", "--config", "/etc/cruiser/cruiser.toml"],
+    )
+    parser = argparse.ArgumentParser()
+    import_module(COMMANDS["record"][0]).add_arguments(parser)
+    directory = vars(parser.parse_args(words[3:]))["recorder.directory"]
+    assert directory == f"/var/lib/{recorder['StateDirectory']}"
+    assert recorder["Restart"] == "always"
+    assert recorder["ExecReload"].split()[1:] == ["-HUP", "$MAINPID"]
