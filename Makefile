@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/installed
 
-.PHONY: demo test test-socketcan lint types architecture generate bench mutation clean
+.PHONY: demo test test-socketcan lint types architecture generate bench bench-recorder mutation clean
 
 demo: $(STAMP)  ## chassis, gateway and recorder and two operators, for half a minute
 	$(BIN)/cruiser demo --seconds 30 --out demo-log
@@ -33,6 +33,9 @@ generate: $(STAMP)  ## what is generated from the tables: JSON Schemas, README a
 
 bench: $(STAMP)
 	$(BIN)/python -m tests.bench
+
+bench-recorder: $(STAMP)  ## of that the recorder alone, against other writers, with five minutes of load
+	$(BIN)/python -m tests.bench.recorder_rate --sustain-s 300
 
 mutation: $(STAMP)  ## mutation testing of gateway/command, in an environment of its own; a quarter of an hour
 	@test -x .venv-mutation/bin/mutmut || { $(PYTHON) -m venv .venv-mutation && \

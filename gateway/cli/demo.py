@@ -51,9 +51,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Run the three, then say what was recorded."""
     recorded, timeline = _record(arguments, settings, stopped)
-    info = _review(Path(recorded["path"]))
+    path = Path(recorded["path"])
+    info = _review(path)
     summary = {
-        "path": recorded["path"],
+        "path": str(path),
+        "incidents": [str(path.with_name(file)) for file in _incident_files(info)],
         "seconds": info["duration_s"],
         "frames": sum(row["frames"] for row in info["frames"]),
         "messages": info["messages"],
@@ -82,8 +84,16 @@ def describe(summary: dict[str, Any], robot: str) -> str:
         "(by the alive counters in the log)\n"
         f"{summary['messages']} messages on {summary['channels']} channels, {summary['samples_missed']} missed, "
         f"{summary['bytes']} bytes\n"
-        f"log: {summary['path']}\n" + VIEWERS.format(path=summary["path"], robot=robot) + "\n"
+        f"log: {summary['path']}\n"
+        + "".join(f"incident: {path}\n" for path in summary["incidents"])
+        + VIEWERS.format(path=summary["path"], robot=robot)
+        + "\n"
     )
+
+
+def _incident_files(info: dict[str, Any]) -> list[str]:
+    """The file that keeps what came before and after an incident, as the log names it."""
+    return [info["incident"]["file"]] if info["incident"] else []
 
 
 def _seconds(text: str) -> float:

@@ -9,7 +9,7 @@ import argparse
 import os
 import platform
 
-from tests.bench import command_latency, flood, guard_latency, path_cost
+from tests.bench import command_latency, flood, guard_latency, path_cost, recorder_rate
 from tests.bench.loads import Row, load_rows, print_table
 from tests.bench.on_vcan import vcan
 from tests.bench.processes import quantile
@@ -38,6 +38,7 @@ def main() -> None:
     rows += command_rows(command_latency.measure())
     rows += flood_rows(flood.measure())
     rows += [guard_row(latency) for latency in guard_latency.measure(arguments.kills)]
+    rows += recorder_rate.rows(recorder_rate.ROUNDS, min(seconds, recorder_rate.HELD_S), seconds)
     print_table(rows)
 
 

@@ -46,7 +46,8 @@ def test_the_demo_records_everything(demo: Demo) -> None:
     """A whole log; no frame lost, no sample missed; the robot drove and was hit in it."""
     summary = demo.summary
     assert (summary["frames_lost"], summary["samples_missed"], summary["whole"]) == (0, 0, True)
-    assert [path.name for path in demo.directory.iterdir()] == [demo.log.name]
+    (incident,) = summary["incidents"]
+    assert {str(path) for path in demo.directory.iterdir()} == {str(demo.log), incident}
     states = demo.states()
     assert max(state.speed_mps for state in states if state.HasField("speed_mps")) > 0.5
     assert any(state.front_bumper for state in states)
@@ -94,6 +95,7 @@ def test_the_summary_is_for_people(demo: Demo) -> None:
     assert "front bumper was hit" in text
     assert "0 lost" in text
     assert str(demo.log) in text
+    assert demo.summary["incidents"][0] in text
     for viewer in ("Foxglove", "PlotJuggler", "rerun"):
         assert viewer in text
 

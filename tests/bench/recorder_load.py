@@ -1,0 +1,244 @@
+"""The load of the recorder's bench: robots that say over Zenoh what a driving robot says, at its rates.
+
+What one robot says in eight seconds is made once, by the gateway's core. Each robot then repeats it from another
+place on, with times and sequences of its own, so that no two say the same and a loss can be seen. Nothing is
+dropped on this side: a put waits for room, and whoever measures is told whether the pace was held.
+
+Usage: python -m tests.bench.recorder_load ENDPOINT --robots N --ticks N [--paced]
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import random
+import struct
+import sys
+import time
+from collections import deque
+from collections.abc import Iterator
+from typing import Any, Final
+
+import msgspec
+import zenoh
+
+from gateway.chassis.decode import Value
+from gateway.chassis.frame import Frame
+from gateway.chassis.layout import load
+from gateway.core import Core
+from gateway.ports.zenoh_client import close_session, open_session
+from gateway.telemetry.health import Links
+from gateway.telemetry.sample import Sample
+from schemas import codec, keys
+from schemas.messages import CanFrames, Variant
+from schemas.settings import TICK_NS, ChassisSettings, Settings, ZenohSettings
+from schemas.subjects import BY_NAME, Pattern
+from tests.bench.path_cost import SECONDS_OF_FRAMES
+from tests.gateway.frames import STANDING, WALL_NS, Feedback
+
+ROOT: Final = "fleet"
+BUS: Final = "can0"
+
+TICKS_PER_S: Final = 1_000_000_000 // TICK_NS
+SLOTS: Final = SECONDS_OF_FRAMES * TICKS_PER_S
+"""Ticks until a robot repeats itself."""
+
+STAGGER: Final = 10
+"""Robots tick at so many different instants of a tick: they know nothing of each other."""
+
+CONNECT_S: Final = 20.0
+
+_TIME_KEY: Final = b"\xa7time_ns"
+_SEQUENCE_KEY: Final = b"\xa8sequence"
+_STAMP: Final = struct.Struct(">8scQ9scI")
+"""Time and sequence in MessagePack's widest forms, whose size never changes."""
+
+_INT_BYTES: Final = {0xCC: 2, 0xCD: 3, 0xCE: 5, 0xCF: 9}
+_MAP16: Final = 0xDE
+
+
+class Said(msgspec.Struct, frozen=True, gc=False):
+    """One sample of a robot: all of its payload but time and sequence.
+
+    Attributes:
+        subject: its place in ``Script.subjects``.
+        records: how many records of a log it is: one for each raw frame of a batch.
+        head, tail: the payload before and after.
+    """
+
+    subject: int
+    records: int
+    head: bytes
+    tail: bytes
+
+
+class Script(msgspec.Struct, frozen=True):
+    """What a robot says, tick by tick, and how much that is in a second."""
+
+    subjects: list[str]
+    slots: list[list[Said]]
+
+    @property
+    def samples_per_s(self) -> float:
+        """Samples of one robot."""
+        return sum(map(len, self.slots)) / SECONDS_OF_FRAMES
+
+    @property
+    def records_per_s(self) -> float:
+        """Records that a log of them has."""
+        return sum(said.records for slot in self.slots for said in slot) / SECONDS_OF_FRAMES
+
+
+class Fed(msgspec.Struct, frozen=True):
+    """What was published.
+
+    Attributes:
+        samples, records: that were put, and the records of a log that they make.
+        begin_ns, end_ns: since 1970.
+        late_s: how far behind the robots' pace the load was at its end; 0 if it was to have none.
+    """
+
+    samples: int
+    records: int
+    begin_ns: int
+    end_ns: int
+    late_s: float
+
+
+def make_script() -> Script:
+    """Have the gateway's core say what it says of a chassis that somebody drives by hand."""
+    subjects = [name for name in BY_NAME if BY_NAME[name].pattern is Pattern.PUBLISHED]
+    core = Core(Settings(chassis=ChassisSettings(variant="coarse")), "bench", 0)
+    core.observe_links(Links(bus_up=True), 0)
+    frames = deque(_frames())
+    slots = []
+    for now_ns in range(0, SLOTS * TICK_NS, TICK_NS):
+        samples = []
+        while frames and frames[0].wall_ns <= WALL_NS + now_ns:
+            sample = core.receive_frame(frames.popleft(), now_ns)
+            if sample is not None:
+                samples.append(sample)
+        samples += core.tick(now_ns, WALL_NS + now_ns, 0).samples
+        samples += core.sent(0, now_ns, WALL_NS + now_ns)
+        slots.append([_said(sample, subjects.index(sample.subject)) for sample in samples])
+    return Script(subjects, slots)
+
+
+def _frames() -> Iterator[Frame]:
+    """What a chassis sends that goes faster and slower and to both sides, with the noise of its sensors."""
+    noise = random.Random(1)  # noqa: S311 - reproducible, not secret
+    feedback, layout = Feedback(Variant.COARSE), load(Variant.COARSE)
+    travelled_m = 0.0
+    for now_ns in range(0, SLOTS * TICK_NS, TICK_NS):
+        turn = 2 * math.pi * now_ns / (SLOTS * TICK_NS)
+        speed_mps = 1.2 + 0.8 * math.sin(turn) + noise.gauss(0, 0.04)
+        travelled_m += speed_mps * TICK_NS / 1e9
+        pulses = int(travelled_m * 1000) % 32768
+        values: dict[str, dict[str, Value]] = {
+            "Auto_GearFeedBack": {"GearPosition": "drive"},
+            "Auto_SteeringFeedBack": {"Angle": 12 * math.sin(2 * turn) + noise.gauss(0, 0.1)},
+            "Auto_DriveFeedBack": {"Speed": speed_mps},
+            "Auto_ParkingFeedBack": {"ParkingStatus": "released"},
+            "Auto_WheelSpdFeedback": {
+                "RearLeftSpeed": speed_mps + noise.gauss(0, 0.04),
+                "RearRightSpeed": speed_mps + noise.gauss(0, 0.04),
+            },
+            "Auto_WheelPulseFeedback": {"RearLeftPulses": pulses, "RearRightPulses": pulses},
+            "Auto_MileageAndBodyFeedback": {"TotalMileage": 1.5 + travelled_m / 1000, "Mode": "remote"},
+        }
+        for name in STANDING:
+            if now_ns % layout.messages[name].period_ns == 0:
+                frame = feedback.frame(name, {**STANDING[name], **values.get(name, {})}, WALL_NS + now_ns)
+                yield frame
+
+
+def _said(sample: Sample, subject: int) -> Said:
+    """Cut time and sequence out of a payload: they are its first two fields."""
+    payload = sample.payload
+    head = 3 if payload[0] == _MAP16 else 1
+    tail = head
+    for key in (_TIME_KEY, _SEQUENCE_KEY):
+        assert payload[tail:].startswith(key)
+        tail += len(key)
+        tail += _INT_BYTES.get(payload[tail], 1)
+    message = codec.decode(BY_NAME[sample.subject], payload)
+    records = len(message.data) if isinstance(message, CanFrames) else 1
+    return Said(subject, records, payload[:head], payload[tail:])
+
+
+def feed(session: zenoh.Session, script: Script, robots: int, ticks: int, *, is_paced: bool) -> Fed:
+    """Have the robots say what they say in so many ticks: at their pace, or as fast as it is taken.
+
+    Raises:
+        TimeoutError: nobody subscribes.
+    """
+    publishers = [[_publisher(session, robot, name) for name in script.subjects] for robot in range(robots)]
+    deadline_s = time.monotonic() + CONNECT_S
+    # Its stub says that the matching status is a bool; it is an object, and always true.
+    last: Any = publishers[-1][-1]
+    while not last.matching_status.matching:
+        if time.monotonic() > deadline_s:
+            raise TimeoutError("nobody subscribes")
+        time.sleep(0.01)
+    begin_ns = time.time_ns()
+    begin_s = time.monotonic()
+    states = [([one.put for one in row], [0] * len(row)) for row in publishers]
+    stamp, slots = _STAMP.pack, script.slots
+    samples = records = 0
+    for step in range(ticks * STAGGER):
+        if is_paced:
+            while (early_s := begin_s + step / STAGGER / TICKS_PER_S - time.monotonic()) > 0:
+                time.sleep(early_s)
+        tick, first = divmod(step, STAGGER)
+        for robot in range(first, robots, STAGGER):
+            puts, sequences = states[robot]
+            # Each robot begins at a place of its own.
+            slot = slots[(tick + robot * 37) % SLOTS]
+            now_ns = time.time_ns()
+            for said in slot:
+                subject = said.subject
+                sequence = sequences[subject]
+                sequences[subject] = sequence + 1
+                puts[subject](
+                    said.head + stamp(_TIME_KEY, b"\xcf", now_ns, _SEQUENCE_KEY, b"\xce", sequence) + said.tail
+                )
+                records += said.records
+            samples += len(slot)
+    late_s = time.monotonic() - begin_s - ticks / TICKS_PER_S if is_paced else 0.0
+    return Fed(samples, records, begin_ns, time.time_ns(), late_s)
+
+
+def _publisher(session: zenoh.Session, robot: int, name: str) -> zenoh.Publisher:
+    subject = BY_NAME[name]
+    return session.declare_publisher(
+        keys.build(ROOT, f"cruiser-{robot + 1}", subject, BUS if "{bus}" in name else ""),
+        encoding=subject.encoding,
+        priority=getattr(zenoh.Priority, subject.qos.priority.value),
+        express=subject.qos.express,
+        # Not as a gateway does: it is the receiver that is measured, and what it loses.
+        congestion_control=zenoh.CongestionControl.BLOCK,
+    )
+
+
+def main() -> None:
+    """Publish once a line has come on the standard input; print what was; leave when the input ends."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("endpoint")
+    parser.add_argument("--robots", type=int, required=True)
+    parser.add_argument("--ticks", type=int, required=True)
+    parser.add_argument("--paced", action="store_true")
+    arguments = parser.parse_args()
+    script = make_script()
+    session = open_session(ZenohSettings(), [], [arguments.endpoint])
+    try:
+        print("listening", flush=True)
+        sys.stdin.readline()
+        fed = feed(session, script, arguments.robots, arguments.ticks, is_paced=arguments.paced)
+        print(msgspec.json.encode(fed).decode(), flush=True)
+        sys.stdin.read()
+    finally:
+        close_session(session)
+
+
+if __name__ == "__main__":
+    main()

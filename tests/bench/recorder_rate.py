@@ -1,0 +1,177 @@
+"""How much the recorder takes, against what others would write behind the same subscriber.
+
+All receivers are fed in turns, over Zenoh on loopback TCP, with what ten driving robots say, faster than they
+write. None may lose anything. Counted are records of a log, a raw CAN frame being one, and
+
+- how many a second leave a full queue, once the load has ended and the receiver has the machine to itself: by the
+  growth of its logs, so what it still holds back at that moment counts as written after it, a few per cent;
+- how many a second it takes from the first sample to the last, the load on the same machine meanwhile;
+- the processor time for each, of the whole process: Zenoh's threads, compression and the end of the log included;
+- its bytes in the log.
+
+Then robots at their own pace, ever more, with the queue that the recorder has by itself: how many it holds without
+loss, at most one core, and without falling behind; and how its memory does at 60 % of that.
+
+Usage: python -m tests.bench.recorder_rate [--rounds N] [--seconds N] [--sustain-s N]. Not a test: machines differ.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from statistics import fmean, linear_regression, median
+from typing import Final
+
+import msgspec
+
+from tests.bench.loads import Row, print_table
+from tests.bench.recorder_load import TICKS_PER_S, make_script
+from tests.bench.recorder_peers import KINDS, has_foxglove
+from tests.bench.recorder_run import AS_IT_CAME, OURS, Run, run
+
+ROBOTS: Final = 10
+FAST_S: Final = 40
+"""What these robots say in so many seconds is a round."""
+
+ROUNDS: Final = 3
+
+HELD_S: Final = 10.0
+"""How long robots have to be held."""
+
+HELD_LAG_S: Final = 0.5
+"""Whoever ends later than this behind the load did not hold it; whoever began a tick so late was no load."""
+
+SEARCH_RUNS: Final = 7
+SEARCH_STEP: Final = 1.3
+SUSTAIN_SHARE: Final = 0.6
+
+NAMES: Final = {
+    "plain": "mcap Writer, same decoding and transcoding",
+    "protobuf": "mcap-protobuf-support's Writer",
+    "foxglove": "foxglove-sdk, same decoding and transcoding",
+    AS_IT_CAME: "mcap Writer, MessagePack as it came",
+}
+FROM_QUEUE: Final = "records/s from a full queue"
+GOALS: Final = {"plain": "3 x", "foxglove": "level"}
+
+
+class Held(msgspec.Struct, frozen=True):
+    """How many robots were held, and the run that showed it."""
+
+    robots: int
+    run: Run
+
+
+def compare(rounds: int) -> dict[str, list[Run]]:
+    """Feed each receiver once a round, ours first or last in turns; what each showed."""
+    receivers = [OURS, *(kind for kind in KINDS if kind != "foxglove" or has_foxglove())]
+    runs: dict[str, list[Run]] = {receiver: [] for receiver in receivers}
+    for number in range(rounds):
+        for receiver in receivers if number % 2 == 0 else reversed(receivers):
+            one = run(receiver, ROBOTS, FAST_S * TICKS_PER_S, is_paced=False)
+            assert one.lost == 0, f"{receiver} lost {one.lost}: the comparison is worth nothing"
+            runs[receiver].append(one)
+    return runs
+
+
+def find_held(seconds: float, guess: int) -> Held | None:
+    """The most robots at their own pace that the recorder holds for so long, to within a few per cent."""
+    held: Held | None = None
+    too_many: int | None = None
+    robots = guess
+    for _ in range(SEARCH_RUNS):
+        one = run(OURS, robots, round(seconds * TICKS_PER_S), is_paced=True)
+        if one.lost == 0 and one.cpu_share <= 1 and max(one.lag_s, one.fed.late_s) < HELD_LAG_S:
+            held = Held(robots, one)
+        else:
+            too_many = robots
+        low = held.robots if held is not None else 0
+        robots = round(robots * SEARCH_STEP) if too_many is None else (low + too_many) // 2
+        if robots == low or (too_many is not None and (too_many - low) * 20 <= low):
+            break
+    return held
+
+
+def rows(rounds: int, seconds: float, sustain_s: float) -> list[Row]:
+    """Measure everything."""
+    runs = compare(rounds)
+    script = make_script()
+    table = _compared(runs)
+    guess = median(one.per_s for one in runs[OURS]) / script.records_per_s
+    held = find_held(seconds, max(1, round(guess / 2)))
+    if held is None:
+        return [*table, ("recorder: robots held", "none", "")]
+    load = (
+        f"{held.robots * script.samples_per_s:,.0f} samples/s, {held.robots * script.records_per_s:,.0f} records/s"
+    )
+    table += [
+        (f"recorder: robots held for {seconds:g} s without loss", f"{held.robots}", ""),
+        ("  that is", load, ""),
+        ("  CPU", f"{held.run.cpu_share * 100:.0f} % of a core", "under 100 %"),
+    ]
+    robots = max(1, round(held.robots * SUSTAIN_SHARE))
+    long = run(OURS, robots, round(sustain_s * TICKS_PER_S), is_paced=True)
+    late = long.rss_bytes[len(long.rss_bytes) // 2 :]
+    slope = linear_regression(range(len(late)), late).slope if len(late) > 1 else 0.0
+    return [
+        *table,
+        (f"  {sustain_s:g} s with {robots}: records lost", f"{long.lost} of {long.fed.records:,}", "0"),
+        ("  CPU", f"{long.cpu_share * 100:.0f} % of a core", ""),
+        ("  memory in the second half, change", f"{fmean(late) / 1e6:.0f} MB, {slope / 1e3:+.0f} kB/s", "flat"),
+    ]
+
+
+def _compared(runs: dict[str, list[Run]]) -> list[Row]:
+    """Ours and each peer's; ratios are medians of those of each round, and more than 1 where ours is better."""
+    return [
+        *_figure(runs, FROM_QUEUE, lambda one: one.per_s, "{:,.0f}/s", is_rate=True),
+        *_figure(runs, "records/s, the load meanwhile", lambda one: one.loaded_per_s, "{:,.0f}/s", is_rate=True),
+        *_figure(runs, "CPU for a record, all of it", lambda one: one.cpu_us, "{:.1f} us"),
+        *_figure(runs, "bytes of a record in the log", lambda one: one.bytes / one.written, "{:.1f}"),
+        *_figure(
+            runs,
+            "samples/s from a full queue",
+            lambda one: one.per_s / one.written * one.fed.samples,
+            "{:,.0f}/s",
+            is_rate=True,
+            peers=(AS_IT_CAME,),
+        ),
+    ]
+
+
+def _figure(
+    runs: dict[str, list[Run]],
+    what: str,
+    measure: Callable[[Run], float],
+    form: str,
+    *,
+    is_rate: bool = False,
+    peers: tuple[str, ...] = ("plain", "protobuf", "foxglove"),
+) -> list[Row]:
+    ours = [measure(one) for one in runs[OURS]]
+    table: list[Row] = [(f"recorder: {what}", form.format(median(ours)), "")]
+    for peer in peers:
+        if peer not in runs:
+            table.append((f"  {NAMES[peer]}", "not installed", ""))
+            continue
+        theirs = [measure(one) for one in runs[peer]]
+        ratio = median(
+            (mine / other) if is_rate else (other / mine) for mine, other in zip(ours, theirs, strict=True)
+        )
+        goal = GOALS.get(peer, "") if what == FROM_QUEUE else ""
+        table.append((f"  {NAMES[peer]}", f"{form.format(median(theirs))}, {ratio:.2f} x", goal))
+    return table
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=ROUNDS, help="of the comparison (default 3)")
+    parser.add_argument("--seconds", type=float, default=HELD_S, help="of each load of robots (default 10)")
+    parser.add_argument("--sustain-s", type=float, default=20.0, help="of the long run (default 20)")
+    arguments = parser.parse_args()
+    print_table(rows(arguments.rounds, arguments.seconds, arguments.sustain_s))
+
+
+if __name__ == "__main__":
+    main()

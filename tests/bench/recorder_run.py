@@ -1,0 +1,282 @@
+"""One run of the recorder's bench: the load, one receiver, and what the receiver wrote and used.
+
+The receiver's processor time is that of its whole process, Zenoh's threads included, from the first sample to its
+end. What it wrote is read from its logs. When it had done is seen by its processor time, not by the log times: a
+receiver may note the receipt long before it writes.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import IO, Final, Self
+
+import msgspec
+from mcap.records import Channel, Statistics
+from mcap.stream_reader import StreamReader
+
+from schemas.exit_codes import ExitCode
+from tests.bench.processes import free_port
+from tests.bench.recorder_load import Fed
+
+OURS: Final = "recorder"
+"""The receiver that is ``cruiser record``; the others are those of ``recorder_peers``."""
+
+AS_IT_CAME: Final = "payload"
+"""The one of them that writes a record for each sample, also for a batch of raw frames."""
+
+QUEUE_SAMPLES: Final = 1_000_000
+QUEUE_BYTES: Final = 4_000_000_000
+"""What may wait at a receiver that is fed faster than it writes: all."""
+
+BUSY_SHARE: Final = 0.2
+BUSY_WINDOW_S: Final = 0.02
+"""A receiver is at work while it uses so much of a core."""
+
+IDLE_S: Final = 0.5
+"""It has done when it was not for so long."""
+
+DRAIN_S: Final = 120.0
+MARGIN_S: Final = 60.0
+"""A run may take so much longer than its load: start, drain, end."""
+
+DRAIN_MIN_S: Final = 0.3
+"""Shorter, a drain tells nothing."""
+
+_CLOCK_TICKS: Final = os.sysconf("SC_CLK_TCK")
+
+
+class Run(msgspec.Struct, frozen=True):
+    """What one run showed.
+
+    Attributes:
+        fed: what was published.
+        written: records in the logs; ``lost`` are those that should be there too.
+        cpu_s: of the receiver's process.
+        wall_s: from the first sample to the receiver's last work.
+        lag_s: from the publisher's end to it.
+        drain_per_s: records a second in that time, by the growth of the logs.
+        bytes: of the logs.
+        rss_bytes: of the receiver's process, each second.
+    """
+
+    fed: Fed
+    written: int
+    lost: int
+    cpu_s: float
+    wall_s: float
+    lag_s: float
+    drain_per_s: float
+    bytes: int
+    rss_bytes: list[int]
+
+    @property
+    def cpu_us(self) -> float:
+        """Processor time for a record."""
+        return self.cpu_s * 1e6 / self.written
+
+    @property
+    def per_s(self) -> float:
+        """Records a second from a full queue; with the load at work meanwhile, if the receiver holds its pace."""
+        return self.drain_per_s if self.lag_s > DRAIN_MIN_S else self.loaded_per_s
+
+    @property
+    def loaded_per_s(self) -> float:
+        """Records a second, with the load at work for most of the time."""
+        return self.written / self.wall_s
+
+    @property
+    def cpu_share(self) -> float:
+        """Cores that the receiver used."""
+        return self.cpu_s / self.wall_s
+
+
+def run(receiver: str, robots: int, ticks: int, *, is_paced: bool) -> Run:
+    """Feed a receiver once.
+
+    Args:
+        receiver: OURS or one of ``recorder_peers.KINDS``.
+        robots: how many speak.
+        ticks: of 10 ms each.
+        is_paced: at the robots' pace, and with the queue that a recorder has by itself; else as fast as it is
+            taken, and nothing is too much to wait.
+    """
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    load = ["-m", "tests.bench.recorder_load", endpoint, "--robots", str(robots), "--ticks", str(ticks)]
+    queue = {} if is_paced else {"CRUISER_RECORDER_QUEUE_BYTES": str(QUEUE_BYTES)}
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        with _started([*load, "--paced"] if is_paced else load, ticks / 100) as publisher:
+            assert publisher.stdin is not None
+            _answer(publisher)
+            if receiver == OURS:
+                words = ["-m", "gateway", "record", "-o", name, "--connect", endpoint, "--json"]
+            else:
+                log = str(folder / "log.mcap")
+                words = ["-m", "tests.bench.recorder_peers", receiver, endpoint, log, str(QUEUE_SAMPLES)]
+            with _started(words, ticks / 100, **queue) as process:
+                said = _await_ready(process)
+                begin_s = _cpu_s(process.pid)
+                with _Watch(process.pid) as watch:
+                    publisher.stdin.write("go\n")
+                    publisher.stdin.flush()
+                    fed = msgspec.json.decode(_answer(publisher), type=Fed)
+                    written_bytes = _log_bytes(folder)
+                    watch.await_idle()
+                assert process.poll() is None, "".join(said)
+                process.send_signal(signal.SIGTERM)
+                assert process.stdout is not None
+                process.stdout.read()
+                _, status, usage = os.wait4(process.pid, 0)
+                # A recorder that has lost something says so by its exit code.
+                assert os.waitstatus_to_exitcode(status) in {ExitCode.OK, ExitCode.PARTIAL}, "".join(said)
+        log_bytes, written = _log_bytes(folder), sum(map(_records, folder.glob("*.mcap")))
+    lag_s = max(0.0, (watch.busy_ns - fed.end_ns) / 1e9)
+    return Run(
+        fed=fed,
+        written=written,
+        lost=(fed.samples if receiver == AS_IT_CAME else fed.records) - written,
+        cpu_s=usage.ru_utime + usage.ru_stime - begin_s,
+        wall_s=(fed.end_ns - fed.begin_ns) / 1e9 + lag_s,
+        lag_s=lag_s,
+        drain_per_s=written * (1 - written_bytes / log_bytes) / lag_s if lag_s else 0.0,
+        bytes=log_bytes,
+        rss_bytes=watch.rss_bytes,
+    )
+
+
+def _log_bytes(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.iterdir())
+
+
+def _records(path: Path) -> int:
+    """Records of a log, but for what its writer says of itself."""
+    own: set[int] = set()
+    counts: dict[int, int] = {}
+    with path.open("rb") as stream:
+        for record in StreamReader(stream, emit_chunks=True).records:
+            if isinstance(record, Channel) and "@" in record.topic:
+                own.add(record.id)
+            elif isinstance(record, Statistics):
+                counts = record.channel_message_counts
+    return sum(count for channel_id, count in counts.items() if channel_id not in own)
+
+
+@contextmanager
+def _started(words: list[str], load_s: float, **environment: str) -> Iterator[subprocess.Popen[str]]:
+    """A process of ours, which is ended after a while whatever happens."""
+    process = subprocess.Popen(
+        [sys.executable, *words],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **environment},
+    )
+    killer = threading.Timer(load_s + DRAIN_S + MARGIN_S, process.kill)
+    killer.start()
+    try:
+        yield process
+    except BaseException:
+        process.kill()
+        raise
+    finally:
+        # Its input ends, and so does it.
+        process.communicate()
+        killer.cancel()
+
+
+def _answer(process: subprocess.Popen[str]) -> str:
+    """Its next line."""
+    assert process.stdout is not None
+    assert process.stderr is not None
+    line = process.stdout.readline()
+    assert line, process.stderr.read()
+    return line
+
+
+def _await_ready(process: subprocess.Popen[str]) -> list[str]:
+    """Until it receives. Returns what it says, then and later."""
+    assert process.stderr is not None
+    said = []
+    for line in process.stderr:
+        said.append(line)
+        if line.startswith("record: "):
+            threading.Thread(target=_listen, args=(process.stderr, said), daemon=True).start()
+            return said
+    raise RuntimeError("".join(said))
+
+
+def _listen(stream: IO[str], said: list[str]) -> None:
+    # The stream is closed when the process has ended.
+    with suppress(ValueError):
+        said.extend(stream)
+
+
+def _cpu_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / _CLOCK_TICKS
+
+
+class _Watch:
+    """Watches a process from outside: when it was last at work, and how much memory it has."""
+
+    def __init__(self, pid: int) -> None:
+        self.busy_ns = 0
+        """When it was last at work, since 1970."""
+        self.rss_bytes: list[int] = []
+        """Each second."""
+        self._proc = Path(f"/proc/{pid}")
+        self._page = os.sysconf("SC_PAGE_SIZE")
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._is_over.set()
+        self._thread.join()
+
+    def await_idle(self) -> None:
+        """Until it has nothing left to do.
+
+        Raises:
+            TimeoutError: it is still busy.
+        """
+        begin_ns = time.time_ns()
+        while (now_ns := time.time_ns()) - max(self.busy_ns, begin_ns) < IDLE_S * 1e9:
+            if now_ns - begin_ns > DRAIN_S * 1e9:
+                raise TimeoutError("the receiver does not come to an end")
+            time.sleep(BUSY_WINDOW_S)
+
+    def _run(self) -> None:
+        last_ns, ran_ns = time.time_ns(), self._ran_ns()
+        second_ns = last_ns
+        while not self._is_over.wait(BUSY_WINDOW_S):
+            before_ns, last_ns = last_ns, time.time_ns()
+            before_ran_ns, ran_ns = ran_ns, self._ran_ns()
+            if ran_ns - before_ran_ns > BUSY_SHARE * (last_ns - before_ns):
+                self.busy_ns = last_ns
+            if last_ns - second_ns >= 1_000_000_000:
+                second_ns += 1_000_000_000
+                statm = (self._proc / "statm").read_text(encoding="utf-8")
+                self.rss_bytes.append(int(statm.split()[1]) * self._page)
+
+    def _ran_ns(self) -> int:
+        """Processor time of all its threads: that of ``stat`` is too coarse for so short a while."""
+        ran_ns = 0
+        for path in self._proc.glob("task/*/schedstat"):
+            # A thread may have ended since.
+            with suppress(OSError):
+                ran_ns += int(path.read_text(encoding="utf-8").split()[0])
+        return ran_ns
