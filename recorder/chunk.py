@@ -16,6 +16,9 @@ HEADER_IN_LENGTH: Final = MESSAGE_HEADER.size - 9
 """The part of the header that a record's length counts: all but opcode and length."""
 
 
+NO_LIMIT: Final = 2**63
+
+
 class Chunk(msgspec.Struct, frozen=True):
     """Messages ready to be written.
 
@@ -31,42 +34,61 @@ class Chunk(msgspec.Struct, frozen=True):
     end_ns: int
 
 
-class ChunkBuilder:
-    """Takes messages one by one; ``seal`` hands over what has come together and begins anew."""
+class _Index(dict[int, "array[int]"]):
+    """Per channel, log time and offset of each message; a channel's begins when it is asked for."""
 
-    def __init__(self) -> None:
-        self._records = bytearray()
-        self._index: dict[int, array[int]] = {}
+    def __missing__(self, channel_id: int) -> array[int]:
+        index = self[channel_id] = array("Q")
+        return index
+
+
+class ChunkBuilder:
+    """Takes messages one by one; ``seal`` hands over what has come together and begins anew.
+
+    Args:
+        limit_bytes: at this size it is to be sealed; see ``is_full``.
+
+    Attributes:
+        records: message records so far.
+        index: per channel, log time and offset of each message in turns.
+    """
+
+    def __init__(self, limit_bytes: int = NO_LIMIT) -> None:
+        self.limit_bytes = limit_bytes
+        self.records = bytearray()
+        self.index = _Index()
 
     def __len__(self) -> int:
         """Bytes so far, before compression."""
-        return len(self._records)
+        return len(self.records)
+
+    @property
+    def is_full(self) -> bool:
+        """It is time to seal it."""
+        return len(self.records) >= self.limit_bytes
 
     def add(self, channel_id: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> None:
         """Append a message. The times are unsigned 64-bit, the sequence 32-bit, the channel 16-bit."""
-        records = self._records
-        offset = len(records)
+        records = self.records
+        index = self.index[channel_id]
+        index.append(log_ns)
+        index.append(len(records))
         records += MESSAGE_HEADER.pack(
             MESSAGE_OPCODE, HEADER_IN_LENGTH + len(data), channel_id, sequence, log_ns, publish_ns
         )
         records += data
-        index = self._index.get(channel_id)
-        if index is None:
-            index = self._index[channel_id] = array("Q")
-        index.append(log_ns)
-        index.append(offset)
 
     def seal(self) -> Chunk | None:
         """The messages so far, or None if there are none."""
-        if not self._records:
+        if not self.records:
             return None
-        times = [index[::2] for index in self._index.values()]
+        times = [index[::2] for index in self.index.values()]
         chunk = Chunk(
-            records=self._records,
-            index=self._index,
+            records=self.records,
+            index=dict(self.index),
             start_ns=min(map(min, times)),
             end_ns=max(map(max, times)),
         )
-        self._records = bytearray()
-        self._index = {}
+        self.records = bytearray()
+        self.index = _Index()
         return chunk

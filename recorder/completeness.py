@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from collections.abc import Iterable
+from typing import Any
 
 import msgspec
 
 from recorder.tally import Tally
 from schemas.recording import GapReason
-
-UNREAD: Final = frozenset({GapReason.QUEUE, GapReason.SIZE})
-"""Samples that are lost for these reasons were never decoded: the sequence counts them as missing, too."""
 
 
 class KeyReport(msgspec.Struct, frozen=True):
@@ -53,16 +51,14 @@ class KeyReport(msgspec.Struct, frozen=True):
 def report(tally: Tally, *, counts_sequence: bool) -> KeyReport:
     """What a tally says of its key."""
     lost = tally.lost
-    unread = sum(lost.get(reason, 0) for reason in UNREAD)
-    lost_link = max(0, tally.missed - unread)
-    received = tally.samples + unread
+    received = tally.samples + tally.unread
     return KeyReport(
-        sent=received + lost_link if counts_sequence else None,
+        sent=received + tally.missed if counts_sequence else None,
         received=received,
         written=max(0, tally.messages - tally.unwritten),
         lost_bus=tally.lost_bus,
         lost_source=tally.dropped,
-        lost_link=lost_link,
+        lost_link=tally.missed,
         lost_queue=lost.get(GapReason.QUEUE, 0),
         lost_size=lost.get(GapReason.SIZE, 0),
         lost_full=lost.get(GapReason.FULL, 0),
@@ -78,3 +74,13 @@ def since(now: KeyReport, before: KeyReport) -> KeyReport:
         for name, value in msgspec.structs.asdict(now).items()
     }
     return KeyReport(**change)
+
+
+def total(reports: Iterable[KeyReport]) -> KeyReport:
+    """Of a topic that several logs have; None where none of them tells."""
+    sums: dict[str, Any] = {}
+    for one in reports:
+        for name, value in msgspec.structs.asdict(one).items():
+            before = sums.get(name)
+            sums[name] = value if before is None else before + (value or 0)
+    return KeyReport(**sums)

@@ -18,7 +18,10 @@ class LogChannel(msgspec.Struct, frozen=True):
 
 
 class OpenLog(msgspec.Struct, frozen=True):
-    """Begin a log file whose name holds these, and which repeats what those before it declared."""
+    """Begin a log file whose name holds these, and which repeats what those before it declared.
+
+    An incident's does not: it is told all that it needs.
+    """
 
     name: str
     wall_ns: int

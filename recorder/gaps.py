@@ -1,4 +1,4 @@
-"""What reached the recorder and is not in its log, until it is told: one gap for each key and reason. Pure."""
+"""What reached the recorder and is not in its log, until it is told: one for each log, key and reason. Pure."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from recorder.tally import SEQUENCE_SPAN
 from schemas.recording import GapReason, RecordGap
 
 KEYS_MAX: Final = 10_000
-"""Gaps that wait to be told; what is lost of further keys meanwhile is one gap of the key ``OTHER_KEYS``."""
+"""Gaps that wait to be told; what a log loses of further keys meanwhile is one gap of the key ``OTHER_KEYS``."""
 
 OTHER_KEYS: Final = "**"
 
@@ -26,24 +26,28 @@ class Gaps:
     """Gathers losses, and tells them together."""
 
     def __init__(self) -> None:
-        self._gaps: dict[tuple[str, GapReason], _Gap] = {}
+        self._gaps: dict[tuple[str, str, GapReason], _Gap] = {}
         self._sequence = 0
 
-    def add(self, key: str, reason: GapReason, count: int, first_ns: int, last_ns: int) -> None:
-        """So many samples or messages of a key, received between these times since 1970, are lost."""
-        if (key, reason) not in self._gaps and len(self._gaps) >= KEYS_MAX:
+    def add(self, log: str, key: str, reason: GapReason, count: int, first_ns: int, last_ns: int) -> None:
+        """So many samples or messages of a key, received between these times since 1970, are not in this log."""
+        if (log, key, reason) not in self._gaps and len(self._gaps) >= KEYS_MAX:
             key = OTHER_KEYS
-        gap = self._gaps.setdefault((key, reason), _Gap(first_ns, last_ns))
+        gap = self._gaps.setdefault((log, key, reason), _Gap(first_ns, last_ns))
         gap.first_ns = min(gap.first_ns, first_ns)
         gap.last_ns = max(gap.last_ns, last_ns)
         gap.count += count
 
-    def tell(self, wall_ns: int) -> list[RecordGap]:
-        """The gaps since the last call."""
+    def tell(self, wall_ns: int) -> list[tuple[str, RecordGap]]:
+        """The gaps since the last call, each with its log."""
         told = []
-        for (key, reason), gap in self._gaps.items():
-            first_ns, last_ns = max(0, gap.first_ns), min(INT64_MAX, gap.last_ns)
-            told.append(RecordGap(wall_ns, self._sequence, key, reason, first_ns, last_ns, gap.count))
+        for (log, key, reason), gap in self._gaps.items():
+            time_ns, first_ns, last_ns = map(_clamp, (wall_ns, gap.first_ns, gap.last_ns))
+            told.append((log, RecordGap(time_ns, self._sequence, key, reason, first_ns, last_ns, gap.count)))
             self._sequence = (self._sequence + 1) % SEQUENCE_SPAN
         self._gaps.clear()
         return told
+
+
+def _clamp(time_ns: int) -> int:
+    return min(max(time_ns, 0), INT64_MAX)

@@ -52,7 +52,7 @@ class HealthReport:
 
     def next(self, recording: Recording, vitals: Vitals, now_ns: int, wall_ns: int) -> RecorderHealth:
         """The health of the second that has passed."""
-        received = sum(tally.samples for tally in recording.tallies)
+        received = sum(tally.samples + tally.unread for tally in recording.tallies)
         span_ns = max(1, now_ns - self._last_ns)
         self._received_per_s = max(0, received - self._received) * SECOND_NS / span_ns
         self._cpu_percent = max(0, vitals.cpu_ns - self._cpu_ns) * 100 / span_ns
@@ -63,16 +63,17 @@ class HealthReport:
     def now(self, recording: Recording, vitals: Vitals, now_ns: int, wall_ns: int) -> RecorderHealth:
         """The health as it is, with the rates of the last whole second."""
         if recording.state is not self._state:
-            self._state, self._state_since_ns = recording.state, now_ns
+            # What it does at first, it does since the start.
+            self._state_since_ns = self._started_ns if self._state is None else now_ns
+            self._state = recording.state
         lost: Counter[GapReason] = Counter()
-        samples = messages = missed = unread = keys = 0
+        received = messages = missed = keys = 0
         for tally in recording.tallies:
             keys += 1
-            samples += tally.samples
+            received += tally.samples + tally.unread
             messages += tally.messages - tally.unwritten
             missed += tally.missed
             lost.update(tally.lost)
-        unread = lost[GapReason.QUEUE] + lost[GapReason.SIZE]
         return RecorderHealth(
             time_ns=wall_ns,
             sequence=self._sequence,
@@ -86,10 +87,10 @@ class HealthReport:
             ended_bytes=vitals.ended_bytes,
             robots=recording.robots,
             keys=keys,
-            received=samples + unread,
+            received=received,
             received_per_s=self._received_per_s,
             written=max(0, messages),
-            missed=max(0, missed - unread),
+            missed=missed,
             dropped={reason.value: count for reason, count in sorted(lost.items(), key=lambda one: one[0].value)},
             queue_bytes=vitals.queue_bytes,
             disk_queue_bytes=vitals.disk_queue_bytes,

@@ -13,7 +13,7 @@ SAMPLE_BYTES: Final = 500
 
 
 class Inbox:
-    """A queue of samples, each with the time of its receipt.
+    """A queue of samples.
 
     Args:
         limit_bytes: payloads, keys and all, that may wait.
@@ -21,34 +21,34 @@ class Inbox:
 
     def __init__(self, limit_bytes: int) -> None:
         self._limit_bytes = limit_bytes
-        self._waiting: deque[tuple[Sample, int, int]] = deque()
+        self._waiting: deque[tuple[Sample, int]] = deque()
         self.bytes = 0
         """Bytes that wait."""
 
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def put(self, sample: Sample, wall_ns: int) -> list[tuple[str, int]]:
+    def put(self, sample: Sample) -> list[tuple[str, int]]:
         """Have a sample wait. Key and receipt of those that must go instead; of this one if it is too much."""
         size = len(sample.payload) + len(sample.key) + SAMPLE_BYTES
-        self._waiting.append((sample, wall_ns, size))
+        self._waiting.append((sample, size))
         self.bytes += size
         if self.bytes <= self._limit_bytes:
             return []
         dropped = []
         while self.bytes > self._limit_bytes:
-            oldest, received_ns, size = self._waiting.popleft()
+            oldest, size = self._waiting.popleft()
             self.bytes -= size
-            dropped.append((oldest.key, received_ns))
+            dropped.append((oldest.key, oldest.received_ns))
         return dropped
 
-    def take(self, limit: int, limit_bytes: int) -> Iterator[tuple[Sample, int]]:
-        """The oldest samples and when each was received: so many, and about so many bytes, at most."""
+    def take(self, limit: int, limit_bytes: int) -> Iterator[Sample]:
+        """The oldest samples: so many, and about so many bytes, at most."""
         taken_bytes = 0
         for _ in range(min(limit, len(self._waiting))):
-            sample, wall_ns, size = self._waiting.popleft()
+            sample, size = self._waiting.popleft()
             self.bytes -= size
-            yield sample, wall_ns
+            yield sample
             taken_bytes += size
             if taken_bytes > limit_bytes:
                 return

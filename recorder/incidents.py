@@ -61,6 +61,8 @@ class Incidents:
         """Bytes of the messages in the ring."""
         self._begun_ns = 0
         self._until_ns: int | None = None
+        self.about: dict[str, str] = {}
+        """When and why the latest incident was begun, as INCIDENT_NAME has it."""
 
     @property
     def is_open(self) -> bool:
@@ -104,20 +106,22 @@ class Incidents:
             return []
         self._begun_ns = now_ns
         self._until_ns = now_ns + self._plan.after_ns
-        entries = {"at_ns": str(wall_ns), "because": because, "file": log}
+        self.about = {"at_ns": str(wall_ns), "because": because}
         return [
             OpenLog(self._name, wall_ns, is_incident=True),
             *self._prologue.effects,
-            WriteMetadata(INCIDENT_NAME, entries, lasts=True),
+            self._naming(log),
             *(WriteChunk(chunk) for _, chunk in self._ring),
             SyncLog(),
         ]
 
-    def tick(self, now_ns: int) -> list[OpenLog | FileEffect]:
-        """End the incident, when it is over."""
-        if self._until_ns is None or now_ns < self._until_ns:
-            return []
-        return self.close()
+    def go_on_in(self, log: str) -> list[OpenLog | FileEffect]:
+        """The log goes on in this file: an incident that is being written says so."""
+        return [] if self._until_ns is None else [self._naming(log)]
+
+    def is_over(self, now_ns: int) -> bool:
+        """Whether the incident that is being written is to be ended."""
+        return self._until_ns is not None and now_ns >= self._until_ns
 
     def close(self) -> list[OpenLog | FileEffect]:
         """End the incident, if there is one."""
@@ -125,3 +129,6 @@ class Incidents:
             return []
         self._until_ns = None
         return [CloseLog()]
+
+    def _naming(self, log: str) -> WriteMetadata:
+        return WriteMetadata(INCIDENT_NAME, {**self.about, "file": log}, lasts=True)

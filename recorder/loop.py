@@ -24,16 +24,17 @@ from recorder.ports.log_writer import LogWriter
 from recorder.recording import Recording
 from recorder.sample import Sample
 from schemas.messages import Message
+from schemas.printable import plain
 from schemas.recording import GapReason, RecorderEvent, RecorderHealth
 from schemas.subjects import KEPT_FIRST
 
 log = logging.getLogger(__name__)
 
-PASS_SAMPLES: Final = 2000
+PASS_SAMPLES: Final = 1000
 """Samples between two ticks at most..."""
 
 PASS_BYTES: Final = 4_000_000
-"""...and bytes of them."""
+"""...and bytes of those that waited in the inbox."""
 
 INTAKE_SAMPLES: Final = 20_000
 """Samples moved into the inbox between two ticks at most, when more come than are recorded."""
@@ -64,8 +65,13 @@ class Source(Protocol):
         """Whether any Zenoh node is connected."""
         ...
 
-    def drain(self, limit: int) -> Iterable[Sample]:
-        """The samples that have come in."""
+    @property
+    def is_behind(self) -> bool:
+        """Whether more had come in than the last ``drain`` gave."""
+        ...
+
+    def drain(self, limit: int) -> Sequence[Sample]:
+        """The samples that have come in, so many at most."""
         ...
 
     def ask(self, key: str, parameters: str = "") -> None:
@@ -176,40 +182,25 @@ class Recorder:
         return busy
 
     def _take_samples(self) -> bool:
+        """Whether anything had come in, or was waiting."""
         if self._inbox:
             self._take_in()
-            for sample, wall_ns in self._inbox.take(PASS_SAMPLES, PASS_BYTES):
-                self._receive(sample, time.monotonic_ns(), wall_ns)
+            self._receive(self._inbox.take(PASS_SAMPLES, PASS_BYTES))
             return True
-        receive, carry_out = self._recording.receive_sample, self._carry_out
-        taken = taken_bytes = 0
-        for sample in self._source.drain(PASS_SAMPLES):
-            wall_ns = time.time_ns()
-            if taken_bytes > PASS_BYTES:
-                self._wait(sample, wall_ns)
-                continue
-            doings = receive(sample, time.monotonic_ns(), wall_ns)
-            if doings:
-                carry_out(doings)
-            taken += 1
-            taken_bytes += len(sample.payload)
-        if taken >= PASS_SAMPLES:
+        samples = self._source.drain(PASS_SAMPLES)
+        self._receive(samples)
+        if self._source.is_behind:
             # More than can be recorded at once: what waits in Zenoh's own ring would be dropped uncounted.
             self._take_in()
-        return taken > 0
+        return bool(samples)
+
+    def _receive(self, samples: Iterable[Sample]) -> None:
+        self._carry_out(self._recording.receive(samples, time.monotonic_ns()))
 
     def _take_in(self) -> None:
         for sample in self._source.drain(INTAKE_SAMPLES):
-            self._wait(sample, time.time_ns())
-
-    def _wait(self, sample: Sample, wall_ns: int) -> None:
-        for key, received_ns in self._inbox.put(sample, wall_ns):
-            self._recording.drop(key, GapReason.QUEUE, received_ns)
-
-    def _receive(self, sample: Sample, now_ns: int, wall_ns: int) -> None:
-        doings = self._recording.receive_sample(sample, now_ns, wall_ns)
-        if doings:
-            self._carry_out(doings)
+            for key, received_ns in self._inbox.put(sample):
+                self._recording.drop(key, GapReason.QUEUE, time.monotonic_ns(), received_ns)
 
     def _take_notices(self, now_ns: int, wall_ns: int) -> None:
         for notices in self._notices:
@@ -265,6 +256,9 @@ class Recorder:
         while self._source.is_asking and time.monotonic_ns() - asked_ns < LAST_ANSWERS_NS:
             self._step()
             time.sleep(IDLE_S)
+        for sample in self._inbox.take(len(self._inbox), self._inbox.bytes):
+            # There was no time for it.
+            self._recording.drop(sample.key, GapReason.QUEUE, time.monotonic_ns(), sample.received_ns)
         self._carry_out(self._recording.close(time.monotonic_ns(), time.time_ns()))
 
     def _carry_out(self, doings: Sequence[Doing]) -> None:
@@ -281,7 +275,7 @@ class Recorder:
 
     def _say(self, message: Message) -> None:
         if isinstance(message, RecorderEvent):
-            log.info("%s", message.text)
+            log.info("%s", plain(message.text))
         if self._control is not None:
             self._control.publish(message)
 

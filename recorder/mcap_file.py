@@ -20,8 +20,8 @@ from recorder.effects import LogChannel
 from recorder.mcap_summary import MAGIC, Summary, checked, encode, encode_index
 
 COMPRESSION: Final = "zstd"
-COMPRESSION_LEVEL: Final = 1
-"""zstd's fastest ordinary level: within a few per cent of the default's size on these records."""
+COMPRESSION_LEVEL: Final = 3
+"""zstd's own default: full chunks are a tenth smaller than at its fastest level, and it runs beside the loop."""
 
 SCHEMA_ENCODING: Final = "protobuf"
 MESSAGE_ENCODING: Final = "protobuf"

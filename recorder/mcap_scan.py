@@ -152,13 +152,13 @@ class Scanner:
         offset: int | None = len(MAGIC)
         if self.read(0, len(MAGIC)) != MAGIC:
             yield Damage(0, "the file does not begin as MCAP does")
-            offset = self._next_piece(0)
+            offset = self.next_piece(0)
         while offset is not None and offset < self._size:
             found = self._piece(offset)
             yield found
             if isinstance(found, DataEnd):
                 return
-            offset = self._next_piece(offset) if isinstance(found, Damage) else found.end
+            offset = self.next_piece(offset) if isinstance(found, Damage) else found.end
 
     def is_closed(self, data_end: int) -> bool:
         """Whether the file, whose data ends there, has a proper summary and footer and then ends."""
@@ -293,7 +293,7 @@ class Scanner:
             for channel_id, entries in index.items()
         }, offset
 
-    def _next_piece(self, damaged: int) -> int | None:
+    def next_piece(self, damaged: int) -> int | None:
         """Where the next proven piece begins, behind a damaged one."""
         record = self._record(damaged)
         if record is not None and self._is_proven(damaged + len(record[1])):

@@ -92,7 +92,7 @@ FULL: Final = Word(
     Severity.ERROR,
     "recording has stopped: the disk may hold no more, and nothing that may be deleted would be enough",
 )
-ROOM: Final = Word(RecorderEventKind.FULL, Severity.INFO, "there is room on the disk again: recording goes on")
+ROOM: Final = Word(RecorderEventKind.FULL, Severity.INFO, "there is room on the disk again")
 
 
 def in_words(notice: Notice) -> Word | None:

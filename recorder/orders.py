@@ -83,7 +83,7 @@ class Orders:
     def take(self, asked: Asked, now_ns: int, wall_ns: int) -> Sequence[Doing]:
         """Do what is asked. Nothing in a request raises."""
         recording, request = self._recording, asked.request
-        writing = set(recording.files)
+        writing = recording.writing
         doings: Sequence[Doing] = ()
         match request:
             case PayloadFault():

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from enum import Enum
+from functools import cache
 from typing import Final, TypeAlias
 
 import msgspec
@@ -191,6 +192,7 @@ def schema_name(kind: type[msgspec.Struct]) -> str:
     return f"{SCHEMA_PREFIX}.{kind.__name__}"
 
 
+@cache
 def descriptor_set(kind: type[msgspec.Struct]) -> bytes:
     """The serialised FileDescriptorSet of a logged class: its file, after those that it needs."""
     by_name = {file.name: file for file in _FILES.values()}

@@ -7,12 +7,14 @@ incident beside it. ``receive_sample`` finds the log by the key. The page to beg
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 import msgspec
+from msgspec import DecodeError
 
-from recorder.completeness import KeyReport
+from recorder.completeness import KeyReport, total
 from recorder.effects import (
     Alarm,
     AskInfo,
@@ -28,6 +30,7 @@ from recorder.effects import (
     WriteChunk,
     WriteMetadata,
 )
+from recorder.fast_path import ShortWay
 from recorder.gaps import Gaps
 from recorder.incidents import INCIDENT_NAME, IncidentPlan, Incidents
 from recorder.notices import (
@@ -76,6 +79,7 @@ class RecordingPlan(msgspec.Struct, frozen=True):
         ring_bytes: all rings together.
         sample_max_bytes: larger samples are counted, and no more.
         standby: incidents are written, and no logs until ``start``.
+        log_limit: robots beyond it share one log.
     """
 
     root: str
@@ -86,6 +90,7 @@ class RecordingPlan(msgspec.Struct, frozen=True):
     ring_bytes: int
     sample_max_bytes: int
     standby: bool = False
+    log_limit: int = ROBOT_LIMIT
 
 
 class _Log:
@@ -96,12 +101,16 @@ class _Log:
         self.session = Session(msgspec.structs.replace(plan.session, name=name))
         self.incidents = Incidents(name, plan.incident)
         self.is_written = False
+        self.short_ways: list[str] = []
+        """Keys of it that go the short way, while a file is written."""
         self.file = ""
         """The file that is being written, without its directory; empty if there is none."""
-        self.because = ""
-        """Why the incident is written that has not been opened yet."""
+        self.is_incident_told = True
+        """Whether the latest incident has been opened, and that was told."""
         self.incident_file = ""
         """The file of the incident that is being written; empty if there is none, or not yet."""
+        self.named = ""
+        """The incident that the file of the log names."""
 
     @property
     def incident_name(self) -> str:
@@ -115,6 +124,7 @@ class Recording:
         self._plan = plan
         self._logs: dict[str, _Log] = {}
         self._by_key: dict[str, _Log] = {}
+        self._short_ways: dict[str, ShortWay] = {}
         self._gaps = Gaps()
         self._gaps_told_ns = 0
         self._sequence = 0
@@ -123,7 +133,7 @@ class Recording:
         self._has_room = self._has_incident_room = True
         self._left_out: GapReason | None = None
         """Why chunks are not written that are not: None is no loss."""
-        self._own = re.compile(rf"{re.escape(plan.root)}/({keys.ROBOT_PATTERN})/.*")
+        self._own = re.compile(rf"{re.escape(plan.root)}/({keys.ROBOT_PATTERN})/.*", re.DOTALL)
         self.incidents = 0
         """Incidents begun."""
 
@@ -137,7 +147,12 @@ class Recording:
     @property
     def counts(self) -> dict[str, KeyReport]:
         """Per topic, what was received, written and lost."""
-        return {topic: report for log in self._logs.values() for topic, report in log.session.counts.items()}
+        reports = defaultdict(list)
+        for log in self._logs.values():
+            for topic, report in log.session.counts.items():
+                reports[topic].append(report)
+        # Few are in several logs: what the recorder itself says, and what is beyond the limits.
+        return {topic: found[0] if len(found) == 1 else total(found) for topic, found in reports.items()}
 
     @property
     def tallies(self) -> Iterable[Tally]:
@@ -155,6 +170,11 @@ class Recording:
         return {log.name: log.file for log in self._logs.values() if log.file}
 
     @property
+    def writing(self) -> set[str]:
+        """The logs of which a file is being written, whether the disk has begun it yet or not."""
+        return {log.name for log in self._logs.values() if log.is_written}
+
+    @property
     def has_incident_room(self) -> bool:
         """Whether the disk may hold more incidents."""
         return self._has_incident_room
@@ -164,11 +184,31 @@ class Recording:
         """Bytes of the messages in all rings."""
         return sum(log.incidents.ring_bytes for log in self._logs.values())
 
+    def receive(self, samples: Iterable[Sample], now_ns: int) -> Sequence[Doing]:
+        """Record samples, each received when it says. They may hold anything: nothing in them raises.
+
+        Nearly all go the short way of their key, see ``fast_path``; the others through ``receive_sample``.
+        """
+        short_ways, limit_bytes = self._short_ways, self._plan.sample_max_bytes
+        doings: list[Doing] = []
+        for sample in samples:
+            way = short_ways.get(sample.key)
+            payload = sample.payload
+            if way is not None and way[0] == sample.encoding and len(payload) <= limit_bytes:
+                try:
+                    if way[1](payload, sample.received_ns):
+                        continue
+                except DecodeError:
+                    pass
+            doings += self.receive_sample(sample, now_ns, sample.received_ns)
+            self._find_short_way(sample.key)
+        return doings
+
     def receive_sample(self, sample: Sample, now_ns: int, wall_ns: int) -> Sequence[Doing]:
         """Record a sample. It may hold anything: nothing in it raises."""
         log = self._by_key.get(sample.key) or self._find_log(sample.key)
         if len(sample.payload) > self._plan.sample_max_bytes:
-            self._drop(log, sample.key, GapReason.SIZE, 1, wall_ns)
+            self._drop(log, sample.key, GapReason.SIZE, now_ns, wall_ns)
             return ()
         effects = log.session.receive_sample(sample, now_ns, wall_ns)
         if not effects:
@@ -176,9 +216,9 @@ class Recording:
         self._carry_on(log, effects, now_ns)
         return self._take_doings()
 
-    def drop(self, key: str, reason: GapReason, wall_ns: int) -> None:
+    def drop(self, key: str, reason: GapReason, now_ns: int, wall_ns: int) -> None:
         """A sample of this key was dropped unread."""
-        self._drop(self._by_key.get(key) or self._find_log(key), key, reason, 1, wall_ns)
+        self._drop(self._by_key.get(key) or self._find_log(key), key, reason, now_ns, wall_ns)
 
     def tick(self, now_ns: int, wall_ns: int, sizes: Mapping[str, int]) -> Sequence[Doing]:
         """What is due.
@@ -192,7 +232,8 @@ class Recording:
         for log in self._logs.values():
             self._carry_on(log, log.session.tick(now_ns, sizes.get(log.name, 0)), now_ns)
             log.incidents.trim(now_ns, limit_bytes)
-            self._write_incident(log, log.incidents.tick(now_ns))
+            if log.incidents.is_over(now_ns):
+                self._end_incident(log, now_ns)
         if now_ns - self._gaps_told_ns >= TELL_GAPS_NS:
             self._gaps_told_ns = now_ns
             self._tell_gaps(now_ns, wall_ns)
@@ -227,7 +268,7 @@ class Recording:
             Of each log whose incident begins or goes on, the incident's name and its file, which is empty until it
             is opened; and what is to be done. Nothing if there is no such log, or no room.
         """
-        marked = [log for log in self._logs.values() if not robot or log.name == robot]
+        marked = [log for log in self._logs.values() if self._is_of(log, robot)]
         if not self._has_incident_room:
             return {}, ()
         for log in marked:
@@ -258,15 +299,17 @@ class Recording:
 
     def close(self, now_ns: int, wall_ns: int) -> Sequence[Doing]:
         """End everything."""
+        for log in self._logs.values():
+            self._carry_on(log, log.session.seal(), now_ns)
         self._tell_gaps(now_ns, wall_ns)
         for log in self._logs.values():
             self._carry_on(log, log.session.close(), now_ns)
-            self._write_incident(log, log.incidents.close())
+            self._end_incident(log, now_ns)
         return self._take_doings()
 
     def _find_log(self, key: str) -> _Log:
         name = self._name_of(key) if self._plan.per_robot else self._plan.session.name
-        if name not in self._logs and len(self._logs) > ROBOT_LIMIT:
+        if name not in self._logs and len(self._logs) > self._plan.log_limit:
             name = self._plan.session.name
         log = self._logs.get(name)
         if log is None:
@@ -288,6 +331,26 @@ class Recording:
         # Robots of other roots may have the same names.
         return f"{parts.root}/{parts.robot}"
 
+    def _close_short_ways(self, log: _Log) -> None:
+        """The next sample of each key goes the long way, which begins a file where there is none."""
+        for key in log.short_ways:
+            del self._short_ways[key]
+        log.short_ways.clear()
+
+    def _find_short_way(self, key: str) -> None:
+        log = self._by_key.get(key)
+        if log is None or key in self._short_ways or len(self._short_ways) >= OWNED_KEY_LIMIT:
+            return
+        way = log.session.short_way(key)
+        if way is not None:
+            self._short_ways[key] = way
+            log.short_ways.append(key)
+
+    def _is_of(self, log: _Log, robot: str) -> bool:
+        if not robot or log.name == robot:
+            return True
+        return not self._plan.per_robot and log.session.has_heard(robot)
+
     def _carry_on(self, log: _Log, effects: Iterable[Effect], now_ns: int) -> None:
         """What a session asks for goes into its log, as far as that is written, and into the ring."""
         written: list[OpenLog | FileEffect] = []
@@ -303,11 +366,12 @@ class Recording:
                 if isinstance(effect, WriteChunk):
                     self._leave_out(log, effect)
             else:
-                log.is_written = not isinstance(effect, CloseLog) and (
-                    log.is_written or isinstance(effect, OpenLog)
-                )
                 kept.append(effect)
                 written.append(effect)
+                if isinstance(effect, OpenLog | CloseLog):
+                    log.is_written = isinstance(effect, OpenLog)
+                    log.named = ""
+                    self._close_short_ways(log)
         if written:
             self._doings.append(OnLog(log.name, tuple(written)))
         if kept:
@@ -320,14 +384,23 @@ class Recording:
         reason = self._left_out
         for topic, count in log.session.lose_written(counts, reason).items():
             if reason is not None:
-                self._gaps.add(topic, reason, count, chunk.start_ns, chunk.end_ns)
+                self._gaps.add(log.name, topic, reason, count, chunk.start_ns, chunk.end_ns)
 
     def _begin_incident(self, log: _Log, because: str, now_ns: int, wall_ns: int) -> None:
-        effects = log.incidents.begin(now_ns, wall_ns, because, log.file)
+        # Where no file has been begun yet, nothing has been said of the robots.
+        self._carry_on(log, log.session.describe(), now_ns)
+        effects = log.incidents.begin(now_ns, wall_ns, because, log.file if log.is_written else "")
         if effects:
-            log.because = because
+            log.is_incident_told = False
+            log.incident_file = ""
             self.incidents += 1
         self._write_incident(log, effects)
+
+    def _end_incident(self, log: _Log, now_ns: int) -> None:
+        if log.incidents.is_open:
+            # What is in hand was received in time.
+            self._carry_on(log, log.session.seal(), now_ns)
+            self._write_incident(log, log.incidents.close())
 
     def _write_incident(self, log: _Log, effects: Sequence[OpenLog | FileEffect]) -> None:
         if effects:
@@ -337,20 +410,27 @@ class Recording:
         log = self._logs.get(notice.log)
         if log is not None:
             log.file = notice.file
+            self._write_incident(log, log.incidents.go_on_in(notice.file))
+            if log.incidents.is_open and log.incident_file:
+                self._name_incident(log, now_ns)
             return
         log = self._logs.get(notice.log.removesuffix(INCIDENT_MARK))
         if log is None:
             return
         log.incident_file = notice.file
-        if not log.because:
+        if log.is_incident_told:
             return  # The incident goes on in another file, after a fault of the disk.
-        because, log.because = log.because, ""
-        entries = {"at_ns": str(wall_ns), "because": because, "file": notice.file}
-        if log.is_written:
-            self._carry_on(log, [WriteMetadata(INCIDENT_NAME, entries)], now_ns)
-        text = f"{notice.file} keeps what came before and after: {because}"
+        log.is_incident_told = True
+        self._name_incident(log, now_ns)
+        text = f"{notice.file} keeps what came before and after: {log.incidents.about['because']}"
         word = Word(RecorderEventKind.INCIDENT, Severity.WARNING, text, notice.file)
         self._tell(word, now_ns, wall_ns, log)
+
+    def _name_incident(self, log: _Log, now_ns: int) -> None:
+        if log.is_written and log.named != log.incident_file:
+            log.named = log.incident_file
+            entries = {**log.incidents.about, "file": log.incident_file}
+            self._carry_on(log, [WriteMetadata(INCIDENT_NAME, entries)], now_ns)
 
     def _take_ended(self, notice: Ended) -> None:
         log = self._logs.get(notice.log)
@@ -365,7 +445,7 @@ class Recording:
         if log is None:
             return  # An incident's: the log itself may have them.
         for topic, count in log.session.lose_written(lost.counts, GapReason.DISK).items():
-            self._gaps.add(topic, GapReason.DISK, count, lost.first_ns, lost.last_ns)
+            self._gaps.add(log.name, topic, GapReason.DISK, count, lost.first_ns, lost.last_ns)
 
     def _take_room(self, room: Room, now_ns: int, wall_ns: int) -> None:
         had_room, self._has_room = self._has_room, room.has_room
@@ -383,19 +463,20 @@ class Recording:
     def _pause_or_resume(self, reason: str, now_ns: int) -> None:
         is_paused = self.state is not RecorderState.RECORDING
         for log in self._logs.values():
+            self._carry_on(log, log.session.seal(), now_ns)
             if log.session.is_paused != is_paused:
                 effects = log.session.pause(reason) if is_paused else log.session.resume()
                 self._carry_on(log, effects, now_ns)
         # Only now: what was in hand came before.
         self._left_out = GapReason.FULL if self.state is RecorderState.FULL else None
 
-    def _drop(self, log: _Log, key: str, reason: GapReason, count: int, wall_ns: int) -> None:
-        self._carry_on(log, log.session.lose(key, reason, count), 0)
-        self._gaps.add(key, reason, count, wall_ns, wall_ns)
+    def _drop(self, log: _Log, key: str, reason: GapReason, now_ns: int, wall_ns: int) -> None:
+        self._carry_on(log, log.session.lose(key, reason, 1, now_ns), now_ns)
+        self._gaps.add(log.name, key, reason, 1, wall_ns, wall_ns)
 
     def _tell_gaps(self, now_ns: int, wall_ns: int) -> None:
-        for gap in self._gaps.tell(wall_ns):
-            self._say(gap, self._by_key.get(gap.key), now_ns)
+        for name, gap in self._gaps.tell(wall_ns):
+            self._say(gap, self._logs[name], now_ns)
 
     def _tell(self, word: Word, now_ns: int, wall_ns: int, log: _Log | None = None) -> None:
         event = RecorderEvent(

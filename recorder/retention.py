@@ -27,6 +27,7 @@ class LogEntry(msgspec.Struct, frozen=True):
     Attributes:
         started: the UTC start in its name, which sorts by time.
         is_open: it is being written, or a recorder left it and it is not recovered yet.
+        is_stuck: it could not be deleted: it takes its room, and others go in its place.
     """
 
     name: str
@@ -34,6 +35,7 @@ class LogEntry(msgspec.Struct, frozen=True):
     started: str
     is_incident: bool = False
     is_open: bool = False
+    is_stuck: bool = False
 
 
 class Limits(msgspec.Struct, frozen=True):
@@ -71,7 +73,7 @@ def judge(entries: Sequence[LogEntry], free_bytes: int, limits: Limits, *, is_fu
     used = sum(entry.bytes for entry in entries)
     wanted = _wanted(used, free_bytes, limits, is_full=is_full)
     may_go = sorted(
-        (entry for entry in entries if not entry.is_incident and not entry.is_open),
+        (entry for entry in entries if not (entry.is_incident or entry.is_open or entry.is_stuck)),
         key=lambda entry: (entry.started, entry.name),
     )
     incident_bytes = sum(entry.bytes for entry in entries if entry.is_incident)

@@ -54,6 +54,9 @@ class Robots:
     def __len__(self) -> int:
         return len(self._robots)
 
+    def __contains__(self, name: str) -> bool:
+        return name in self._robots
+
     def see(self, root: str, robot: str, now_ns: int) -> str:
         """A sample of this robot came in: ask who it is, if it is new. Returns its name in this log."""
         key = keys.build(root, robot, _INFO)

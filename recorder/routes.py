@@ -7,6 +7,9 @@ from typing import Any, Final
 
 import msgspec
 
+from recorder.can_columns import can_adder
+from recorder.chunk import ChunkBuilder
+from recorder.fast_path import Adder, Latest, compile_adder
 from recorder.sample import Sample
 from recorder.tally import Tally
 from recorder.transcode import Encoder, compile_encoder, compile_row_encoder
@@ -42,7 +45,7 @@ class Route:
         robot: the key's robot, as ``Robots`` calls it; empty if the key is not known.
         encoding: the Zenoh encoding that a sample must have to be decoded.
         counts_sequence: whether a gap in ``sequence`` is a loss: replies to others' queries are none.
-        is_state: its newest sample tells all; ``latest`` is that one, with its log time.
+        is_state: its newest sample tells all; ``latest`` is that one.
         is_kept: the gateway keeps its samples for a while; see ``recorder.backlog``.
         is_watched: the session looks into its messages, besides recording them.
         kind: the class of the channel's records.
@@ -76,13 +79,23 @@ class Route:
             subject is not None and self.counts_sequence and not self.is_kept and subject.type is not CanFrames
         )
         self.is_watched = subject is not None and subject.type in _WATCHED
-        self.latest: tuple[int, Message] | None = None
+        self.latest = Latest()
         self.kind: type[msgspec.Struct] = RawSample
         self.transcode: Transcoder = _one_record(_ENCODE_RAW)
         if subject is not None:
             self.encoding = subject.encoding
             self.kind = CanFrame if subject.type is CanFrames else subject.type
             self.transcode = _TRANSCODERS[subject.type]
+
+    def adder(self, chunk: ChunkBuilder) -> Adder | None:
+        """The short way into a chunk, if there is one: see ``fast_path``. After the first sample."""
+        if self.subject is None or self.tally.next is None:
+            return None
+        if self.subject.type is CanFrames:
+            return can_adder(self.tally, chunk, self.channel_id)
+        if not self.is_state or self.is_watched:
+            return None
+        return compile_adder(self.subject.type, self.tally, chunk, self.channel_id, self.latest)
 
     def decode(self, sample: Sample) -> Message | str:
         """The sample's message, or why it is kept as it is."""

@@ -24,6 +24,11 @@ class Sample(Protocol):
         ...
 
     @property
+    def received_ns(self) -> int:
+        """When it was received, since 1970."""
+        ...
+
+    @property
     def is_reply(self) -> bool:
         """It is a reply to a query of ours, and did not come by itself."""
         ...

@@ -27,6 +27,7 @@ from recorder.effects import (
     WriteChunk,
     WriteMetadata,
 )
+from recorder.fast_path import ShortWay
 from recorder.foxglove_log import LOG_CHUNK, SCHEMA_DATA, SCHEMA_NAME, log_record
 from recorder.protobuf_schema import descriptor_set, schema_name
 from recorder.robots import Robots
@@ -91,7 +92,7 @@ class Session:
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self._chunk = ChunkBuilder()
+        self._chunk = ChunkBuilder(plan.chunk_bytes)
         # By topic, which is the key but for broken samples; the one memory of keys, and a bounded one.
         self._channels: dict[str, Route] = {}
         self._robots = Robots(plan.version)
@@ -124,6 +125,10 @@ class Session:
         """Robots that were heard of."""
         return len(self._robots)
 
+    def has_heard(self, robot: str) -> bool:
+        """Whether a sample of this robot has come."""
+        return robot in self._robots
+
     @property
     def tallies(self) -> Iterable[Tally]:
         """Of every topic."""
@@ -144,13 +149,26 @@ class Session:
         if self._at_risk_since_ns is None:
             self._at_risk_since_ns = now_ns
             self._heard_ns = now_ns
-        if len(self._chunk) >= self._plan.chunk_bytes:
+        if self._chunk.is_full:
             self._seal(effects)
         return effects
+
+    def short_way(self, key: str) -> ShortWay | None:
+        """The short way for the samples of a key while this file is open; see ``fast_path``."""
+        route = self._channels.get(key)
+        if route is None or not self.is_open:
+            return None
+        add = route.adder(self._chunk)
+        return None if add is None else (route.encoding, add)
 
     def tick(self, now_ns: int, file_bytes: int = 0) -> Sequence[Effect]:
         """What is due: queries, handing the chunk over to the disk, ending a file of this size."""
         effects = self._robots.ask(now_ns) + self._backlog.ask(now_ns)
+        if self._at_risk_since_ns is None and len(self._chunk):
+            # What came the short way since the last tick.
+            self._at_risk_since_ns = self._heard_ns = now_ns
+        if self._chunk.is_full:
+            self._seal(effects)
         since = self._at_risk_since_ns
         if since is not None and now_ns - since >= self._patience_ns:
             self._seal(effects)
@@ -169,7 +187,8 @@ class Session:
 
     def roll(self, reason: str) -> Sequence[Effect]:
         """End the file; the next sample begins another. Nothing if none is open."""
-        self._ended_by = reason
+        if self.is_open:
+            self._ended_by = reason
         return self.close()
 
     def pause(self, reason: str) -> Sequence[Effect]:
@@ -180,9 +199,17 @@ class Session:
 
     def resume(self) -> Sequence[Effect]:
         """The next sample begins a file; what came before it is handed over, to the ring."""
+        self.is_paused = False
+        return self.seal()
+
+    def describe(self) -> Sequence[Effect]:
+        """Say what is known of the robots, unless that has been said."""
+        return self._robots.describe()
+
+    def seal(self) -> Sequence[Effect]:
+        """Hand over the chunk in hand."""
         effects: list[Effect] = []
         self._seal(effects)
-        self.is_paused = False
         return effects
 
     def add_own(self, topic: str, message: Message, now_ns: int) -> Sequence[Effect]:
@@ -198,13 +225,10 @@ class Session:
             self._at_risk_since_ns = now_ns
         return effects
 
-    def lose(self, topic: str, reason: GapReason, count: int) -> Sequence[Effect]:
-        """So many samples of a topic were dropped before they came here."""
+    def lose(self, key: str, reason: GapReason, count: int, now_ns: int) -> Sequence[Effect]:
+        """So many samples of a key were dropped before they came here."""
         effects: list[Effect] = []
-        route = self._channels.get(topic)
-        if route is None:
-            parts = keys.parse(topic)
-            route = self._channel(topic, parts.subject if parts else None, "", effects)
+        route = self._channels.get(key) or self._find_route(key, now_ns, effects)
         route.tally.lose(reason, count)
         return effects
 
@@ -230,10 +254,10 @@ class Session:
 
     def close(self) -> Sequence[Effect]:
         """End the file. Nothing at all if nothing was recorded."""
-        if not self.is_open:
-            return []
         effects: list[Effect] = []
         self._seal(effects)
+        if not self.is_open:
+            return effects
         self.is_open = False
         self._at_risk_since_ns = None
         effects += self._robots.describe()
@@ -259,9 +283,9 @@ class Session:
 
     def _latest(self) -> dict[str, str]:
         return {
-            topic: msgspec.json.encode({"log_time_ns": route.latest[0], "message": route.latest[1]}).decode()
+            topic: msgspec.json.encode({"log_time_ns": latest.log_ns, "message": latest.message}).decode()
             for topic, route in sorted(self._channels.items())
-            if route.latest is not None
+            if (latest := route.latest).message is not None
         }
 
     def _add_message(
@@ -271,7 +295,8 @@ class Session:
             was_missing, was_counted = self._backlog.take(sample.key, message.sequence)
             if not was_missing:
                 return
-            route.tally.missed -= was_counted
+            if was_counted:
+                route.tally.find()
         elif route.counts_sequence:
             is_restart = not route.tally.count_sequence(message.sequence)
             if is_restart:
@@ -281,7 +306,7 @@ class Session:
         if route.is_watched:
             self._look(sample, message, route, log_ns, effects)
         if route.is_state:
-            route.latest = (log_ns, message)
+            route.latest.log_ns, route.latest.message = log_ns, message
         self._add_records(route, message, log_ns)
 
     def _add_records(self, route: Route, message: Message, log_ns: int) -> None:

@@ -9,6 +9,9 @@ from schemas.recording import GapReason
 SEQUENCE_SPAN: Final = 2**32
 """Sequences wrap here."""
 
+UNREAD: Final = frozenset({GapReason.QUEUE, GapReason.SIZE})
+"""What is lost for these reasons are samples that were never decoded: their sequence is not known."""
+
 RESTART_STEP: Final = SEQUENCE_SPAN // 2
 """A step forward of this much is a step back: the sender began anew, or a sample was late."""
 
@@ -20,7 +23,7 @@ class Tally:
         samples: samples decoded, or kept as they are.
         messages: messages made of them.
         unwritten: messages of those that are in no log, for whatever reason.
-        missed: samples that never came, by the gaps in ``sequence``.
+        missed: samples that never came, by the gaps in ``sequence``, without those that were dropped unread.
         dropped: raw frames that the source itself had to drop, by its own count.
         lost: what reached the recorder and is not in the log, by reason.
         lost_bus: frames of the chassis that never reached its gateway, by its own count; None if it tells none.
@@ -36,11 +39,27 @@ class Tally:
         self.lost_bus: int | None = None
         self._bus_count = 0
         self._source = ""
-        self._next: int | None = None
+        self.next: int | None = None
+        """The sequence that the next sample should have; None before the first."""
+        self._unread = 0
+        """Samples dropped unread while ``next`` was ``_unread_at``."""
+        self._unread_at: int | None = None
+
+    @property
+    def unread(self) -> int:
+        """Samples that were dropped before they were decoded."""
+        return sum(count for reason, count in self.lost.items() if reason in UNREAD)
 
     def lose(self, reason: GapReason, count: int) -> None:
         """So many samples or messages reached the recorder and are not in the log."""
         self.lost[reason] = self.lost.get(reason, 0) + count
+        if reason in UNREAD:
+            self._unread = count + (self._unread if self._unread_at == self.next else 0)
+            self._unread_at = self.next
+
+    def find(self) -> None:
+        """One that was missed has come after all."""
+        self.missed = max(0, self.missed - 1)
 
     def count_bus(self, lost: int) -> None:
         """The gateway's count of frames lost on the bus since it started; the first one is where we begin."""
@@ -54,16 +73,17 @@ class Tally:
     def count_source(self, source: str, sequence: int) -> None:
         """Take note of a sample by the sequence that Zenoh gives it; another source begins another one."""
         if source != self._source:
-            self._source, self._next = source, None
+            self._source, self.next = source, None
         self.count_sequence(sequence % SEQUENCE_SPAN)
 
     def count_sequence(self, sequence: int) -> bool:
         """Take note of a sample's sequence. False if it steps back: the source has begun anew."""
-        expected, self._next = self._next, (sequence + 1) % SEQUENCE_SPAN
+        expected, self.next = self.next, (sequence + 1) % SEQUENCE_SPAN
         if expected is None or sequence == expected:
             return True
         step = (sequence - expected) % SEQUENCE_SPAN
         if step >= RESTART_STEP:
             return False
-        self.missed += step
+        # What was dropped unread since the sample before this one left a gap, too.
+        self.missed += max(0, step - self._unread) if self._unread_at == expected else step
         return True

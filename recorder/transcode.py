@@ -56,6 +56,53 @@ def compile_row_encoder(kind: type[msgspec.Struct]) -> Callable[..., bytes]:
     return _compile(kind, ", ".join(name for name, _, _ in fields(kind)), "")
 
 
+class Packed(msgspec.Struct, frozen=True):
+    """The fields of a class as source: those of fixed width to be packed in one call, the others in parts.
+
+    Attributes:
+        layout: of the packing, one character for each argument.
+        arguments: of the packing, tags included.
+        parts: expressions of the fields that are not packed.
+        names: what the source needs.
+    """
+
+    layout: str
+    arguments: list[str]
+    parts: list[str]
+    names: dict[str, Any]
+
+    def struct(self, before: str) -> struct.Struct:
+        """The packing, with fields before it."""
+        return struct.Struct(f"<{before}{self.layout}")
+
+
+def packed_fields(kind: type[msgspec.Struct], at_hand: dict[str, str], prefix: str) -> Packed:
+    """Takes a class apart.
+
+    Args:
+        kind: the class.
+        at_hand: fields that are in a variable already, by name.
+        prefix: of all others, such as ``message.``.
+    """
+    names: dict[str, Any] = {}
+    layout, arguments, parts = "", [], []
+    for name, number, field_type in fields(kind):
+        value = at_hand.get(name, f"{prefix}{name}")
+        form = _fixed_format(field_type)
+        if form is None:
+            names[f"part_{number}"] = _part(number, field_type)
+            parts.append(f"part_{number}({value})")
+            continue
+        tag = _tag(number, form[1])
+        layout += _TAG_FORMATS[len(tag)] + form[0]
+        if isinstance(field_type, inspect.EnumType):
+            names[f"enum_{number}"] = enum_numbers(field_type.cls)
+            # An enumeration member hashes in Python, its name in C.
+            value = f"enum_{number}[{value}._name_]"
+        arguments.append(f"{int.from_bytes(tag, 'little')}, {value}")
+    return Packed(layout, arguments, parts, names)
+
+
 def _compile(kind: type[msgspec.Struct], parameters: str, prefix: str) -> Callable[..., bytes]:
     """Writes the encoder's one expression and evaluates it: several times faster than a loop over the fields.
 
@@ -63,25 +110,11 @@ def _compile(kind: type[msgspec.Struct], parameters: str, prefix: str) -> Callab
 
         lambda message: pack(9, message.a, 17, message.b, 24, enum_3[message.c._name_]) + part_4(message.d)
     """
-    names: dict[str, Any] = {}
-    layout, arguments, parts = "<", [], []
-    for name, number, field_type in fields(kind):
-        form = _fixed_format(field_type)
-        if form is None:
-            names[f"part_{number}"] = _part(number, field_type)
-            parts.append(f"part_{number}({prefix}{name})")
-            continue
-        tag = _tag(number, form[1])
-        layout += _TAG_FORMATS[len(tag)] + form[0]
-        value = f"{prefix}{name}"
-        if isinstance(field_type, inspect.EnumType):
-            names[f"enum_{number}"] = enum_numbers(field_type.cls)
-            # An enumeration member hashes in Python, its name in C.
-            value = f"enum_{number}[{value}._name_]"
-        arguments.append(f"{int.from_bytes(tag, 'little')}, {value}")
-    if arguments:
-        names["pack"] = struct.Struct(layout).pack
-        parts.insert(0, f"pack({', '.join(arguments)})")
+    packed = packed_fields(kind, {}, prefix)
+    names, parts = dict(packed.names), list(packed.parts)
+    if packed.arguments:
+        names["pack"] = packed.struct("").pack
+        parts.insert(0, f"pack({', '.join(packed.arguments)})")
     source = f"lambda {parameters}: {' + '.join(parts)}"
     # As in dataclasses and namedtuple: the source holds our own field names and nothing from outside.
     return cast("Callable[..., bytes]", eval(source, names))  # noqa: S307

@@ -60,7 +60,9 @@ _PATTERNS: Final = tuple(
     (subject, _compile(subject)) for subject in sorted(SUBJECTS, key=lambda one: -one.name.count("/"))
 )
 _OF_RECORDERS: Final = {subject.name: subject for subject in RECORDER_SUBJECTS}
-_RECORDER: Final = re.compile(rf"({ROOT_PATTERN})/{RECORDER_CHUNK}/({ROBOT_PATTERN})/(.+)")
+_RECORDER: Final = re.compile(
+    rf"(?P<root>{ROOT_PATTERN})/{RECORDER_CHUNK}/(?P<recorder>{ROBOT_PATTERN})/(?P<subject>.+)"
+)
 
 
 def parse(key: str) -> KeyParts | None:
@@ -71,8 +73,8 @@ def parse(key: str) -> KeyParts | None:
             parts = match.groupdict()
             return KeyParts(parts["root"], parts["robot"], subject, parts.get("bus", ""))
     match = _RECORDER.fullmatch(key)
-    own = _OF_RECORDERS.get(match[3]) if match else None
-    return KeyParts(match[1], "", own, recorder=match[2]) if match and own else None
+    own = _OF_RECORDERS.get(match["subject"]) if match else None
+    return KeyParts(match["root"], "", own, recorder=match["recorder"]) if match and own else None
 
 
 def of_recorder(root: str, recorder: str, rest: str = "") -> str:

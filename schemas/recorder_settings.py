@@ -52,7 +52,7 @@ class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.5
     chunk_bytes: Annotated[
         int, Meta(ge=1024, le=16_777_216, description="bytes of a chunk before compression")
-    ] = 262_144
+    ] = 1_048_576
     rotate_bytes: Annotated[
         int,
         Meta(ge=0, description="bytes; a log that has reached this size is ended, and another begun; 0 is never"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import time
 from collections.abc import Callable
@@ -20,6 +21,9 @@ from schemas.printable import plain
 from schemas.recording import Mark, RecorderHealth, RecorderReply, Split, Start, Status, StopRecording
 from schemas.requests import Request
 from schemas.settings import Settings
+
+Replies = list[tuple[str, RecorderReply]]
+"""Replies, each with the recorder's name; two on different hosts may have the same one."""
 
 ABOUT: Final = {
     "status": "what recorders do, what they got and what they lost",
@@ -72,21 +76,19 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         else:
             name = _only(found)
             request = _REQUESTS.get(action) or Mark(arguments.text, arguments.robot or "")
-            replies = dict(client.ask(name, action, request, arguments.timeout))
+            replies = list(client.ask(name, action, request, arguments.timeout))
             if not replies:
                 raise CommandError(f"recorder {name} does not answer", ExitCode.UNREACHABLE)
-    for name, reply in sorted(replies.items()):
+    for name, reply in sorted(replies, key=lambda one: one[0]):
         sys.stdout.write(_as_json(name, reply) if arguments.json else describe(name, action, reply) + "\n")
-    return int(ExitCode.OK if all(reply.ok for reply in replies.values()) else ExitCode.REFUSED)
+    return int(ExitCode.OK if all(reply.ok for _, reply in replies) else ExitCode.REFUSED)
 
 
-def _find(
-    client: RecorderClient, arguments: argparse.Namespace, stopped: Callable[[], bool]
-) -> dict[str, RecorderReply]:
+def _find(client: RecorderClient, arguments: argparse.Namespace, stopped: Callable[[], bool]) -> Replies:
     """The recorders that are there, or the one that is wanted, each with its status."""
     end_s = time.monotonic() + arguments.timeout
     while not stopped():
-        found = dict(client.ask(arguments.recorder or keys.ALL, "status", Status(), LOOK_S))
+        found = list(client.ask(arguments.recorder or keys.ALL, "status", Status(), LOOK_S))
         if found:
             return found
         if time.monotonic() > end_s:
@@ -97,14 +99,16 @@ def _find(
     )
 
 
-def _only(found: dict[str, RecorderReply]) -> str:
-    if len(found) > 1:
-        raise CommandError(f"there are several recorders: {', '.join(sorted(found))}; name one", ExitCode.USAGE)
-    return next(iter(found))
+def _only(found: Replies) -> str:
+    names = {name for name, _ in found}
+    if len(names) > 1:
+        raise CommandError(f"there are several recorders: {', '.join(sorted(names))}; name one", ExitCode.USAGE)
+    return names.pop()
 
 
 def _as_json(name: str, reply: RecorderReply) -> str:
-    return msgspec.json.encode({"recorder": name, **msgspec.structs.asdict(reply)}).decode() + "\n"
+    # By json, which escapes what is not ASCII: a terminal obeys some of that too.
+    return json.dumps({"recorder": name, **msgspec.to_builtins(reply)}) + "\n"
 
 
 def describe(name: str, action: str, reply: RecorderReply) -> str:

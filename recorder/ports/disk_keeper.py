@@ -6,6 +6,7 @@ import logging
 import os
 import re
 import threading
+import time
 from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
@@ -23,13 +24,19 @@ log = logging.getLogger(__name__)
 LOOK_S: Final = 1.0
 """How often the disk is looked at."""
 
+RETRY_S: Final = 10.0
+"""How long a file that could not be deleted is let alone; others go in its place."""
+
+END_S: Final = 2.0
+"""How long the end waits for a disk that does not answer."""
+
 NOTICES_MAX: Final = 10_000
 
 FLOOR_MAX_SHARE: Final = 0.1
 """No more than this of a file system is kept free, however small it is."""
 
 _NAME: Final = re.compile(
-    r".+-(?P<start>\d{8}T\d{6}Z)(?P<kind>\.[a-z]+)?(-\d+)?(?P<suffix>\.mcap(\.part|\.damaged|\.rest)?)"
+    r"[A-Za-z0-9._-]+-(?P<start>\d{8}T\d{6}Z)(?P<kind>\.[a-z]+)?(-\d+)*(?P<suffix>\.mcap(\.part|\.damaged|\.rest)?)"
 )
 """The names that a recorder gives; whatever else is in the directory is not ours to delete or to count."""
 
@@ -83,8 +90,8 @@ class DiskKeeper:
         self._limits = limits
         self._notices: deque[Notice] = deque(maxlen=NOTICES_MAX)
         self._room = Room(has_room=True, has_incident_room=True)
-        self._stuck: set[str] = set()
-        """Names of files that could not be deleted."""
+        self._stuck: dict[str, float] = {}
+        """Names of files that could not be deleted, and when to try again."""
         self._closed = threading.Event()
         self.use = DiskUse()
         self._thread = threading.Thread(target=self._run, name="disk keeper", daemon=True)
@@ -96,9 +103,9 @@ class DiskKeeper:
             yield self._notices.popleft()
 
     def close(self) -> None:
-        """End the thread."""
+        """End the thread, unless the disk holds it up."""
         self._closed.set()
-        self._thread.join()
+        self._thread.join(END_S)
 
     def _run(self) -> None:
         while True:
@@ -121,9 +128,14 @@ class DiskKeeper:
             used=sum(entry.bytes for entry in entries),
             incidents=sum(entry.bytes for entry in entries if entry.is_incident),
         )
-        may_be = [entry for entry in entries if entry.name not in self._stuck]
-        judgement = judge(may_be, free, limits, is_full=not self._room.has_room)
         sizes = {entry.name: entry.bytes for entry in entries}
+        self._stuck = {name: until_s for name, until_s in self._stuck.items() if name in sizes}
+        now_s = time.monotonic()
+        entries = [
+            msgspec.structs.replace(entry, is_stuck=self._stuck.get(entry.name, now_s) > now_s)
+            for entry in entries
+        ]
+        judgement = judge(entries, free, limits, is_full=not self._room.has_room)
         for name in judgement.delete:
             self._delete(name, sizes[name])
         room = Room(judgement.has_room, judgement.has_incident_room, judgement.roll)
@@ -137,8 +149,9 @@ class DiskKeeper:
         except FileNotFoundError:
             return
         except OSError as error:
-            self._stuck.add(name)
-            log.warning("cannot delete %s: %s", plain(name), error.strerror or error)
+            level = logging.DEBUG if name in self._stuck else logging.WARNING
+            log.log(level, "cannot delete %s: %s", plain(name), error.strerror or error)
+            self._stuck[name] = time.monotonic() + RETRY_S
             return
         log.info("deleted %s for want of room", plain(name))
         self._notices.append(Deleted(name, size))

@@ -231,8 +231,8 @@ class LeftoverThread:
     def _run(self) -> None:
         for recovery in recover_leftovers(self._parts, self._library):
             self.recoveries.append(recovery)
-            if recovery.outcome is not Outcome.FAILED:
-                self._notices.append(Recovered(Path(recovery.result).name, recovery.messages))
+            if recovery.outcome not in {Outcome.FAILED, Outcome.NOTHING}:
+                self._notices.append(Recovered(plain(Path(recovery.result).name), recovery.messages))
 
     def notices(self) -> Iterator[Notice]:
         """What was recovered since the last call."""

@@ -41,6 +41,9 @@ SYNCS_MAX: Final = 2
 SYNC_THREADS: Final = 4
 """Files that the disk is told to keep at once: a file system takes several in about the time of one."""
 
+STEM_MAX: Final = 150
+"""Characters of a log's name before the time: who makes up a robot may call it longer than a disk takes."""
+
 NAMESAKES_MAX: Final = 1000
 """Files of one name and second at most: recorders that were started at once."""
 
@@ -90,7 +93,9 @@ class LogFile:
     @property
     def is_kept(self) -> bool:
         """Whether there is a file, which ``salvage`` may have found not worth keeping."""
-        return self.path.exists()
+        with suppress(OSError):  # A disk that is gone may not even say that it has no such file.
+            return self.path.exists()
+        return False
 
     def write(self, effect: FileEffect) -> None:
         """Carry an effect out. A sync goes on beside what is written next; its failure is that one's.
@@ -197,14 +202,16 @@ class LogDirectory:
         with _clear_errors(self._path):
             self._make_again()
             part, path, stream = self._create(stem)
-            sync_directory(self._path)
-        try:
-            return LogFile(part, path, stream, library, self._disk)
-        except CommandError:
-            # Not even the header fits: there is nothing to keep.
-            stream.close()
-            part.unlink(missing_ok=True)
-            raise
+            try:
+                sync_directory(self._path)
+                return LogFile(part, path, stream, library, self._disk)
+            except (CommandError, OSError):
+                # Not even the header fits: there is nothing to keep.
+                with suppress(OSError):
+                    stream.close()
+                with suppress(OSError):
+                    part.unlink()
+                raise
 
     def close(self) -> None:
         """Wait for the disk."""
@@ -237,7 +244,7 @@ class LogDirectory:
 
 def safe_name(text: str) -> str:
     """The text as part of a file's name on any system."""
-    return re.sub(r"[^A-Za-z0-9._-]+", "_", text).lstrip(".") or "log"
+    return re.sub(r"[^A-Za-z0-9._-]+", "_", text).lstrip(".")[:STEM_MAX] or "log"
 
 
 def free_path(directory: Path, stem: str, suffix: str, but_for: Path | None = None) -> Path:

@@ -18,7 +18,7 @@ import msgspec
 from recorder.chunk import Chunk
 from recorder.effects import CloseLog, FileEffect, OnLog, OpenLog, SyncLog, WriteChunk
 from recorder.notices import DiskBack, DiskFault, Ended, Lost, Notice, Opened
-from recorder.ports.log_directory import INCIDENT_SUFFIX, SUFFIX, LogDirectory, LogFile
+from recorder.ports.log_directory import LogDirectory, LogFile
 from recorder.prologue import Prologue
 from schemas.exit_codes import CommandError
 
@@ -47,6 +47,7 @@ class _Chain:
         self.wanted: OpenLog | None = None
         """The file that is to be written; after a fault the next one is called like it."""
         self.submitted = self.opened = 0
+        self.is_incident = False
 
 
 class _Waiting(msgspec.Struct, frozen=True):
@@ -123,7 +124,9 @@ class LogWriter:
                 one = _Waiting(doing.log, effect)
                 self._waiting.append(one)
                 self.waiting_bytes += one.bytes
-                chain.submitted += isinstance(effect, OpenLog)
+                if isinstance(effect, OpenLog):
+                    chain.submitted += 1
+                    chain.is_incident = effect.is_incident
             if self.waiting_bytes > self._queue_bytes:
                 self._drop_oldest()
             self._changed.notify()
@@ -152,8 +155,7 @@ class LogWriter:
 
     def _lose(self, name: str, chunk: Chunk) -> None:
         counts = {channel_id: len(entries) // 2 for channel_id, entries in chunk.index.items()}
-        wanted = self._chains[name].wanted
-        if wanted is not None and wanted.is_incident:
+        if self._chains[name].is_incident:
             log.error("the disk takes too little: an incident lacks messages")
             return
         if not self.lost:
@@ -174,16 +176,18 @@ class LogWriter:
 
     def _next(self) -> _Waiting | None:
         with self._changed:
-            while not self._waiting and not self._is_closing:
-                self._changed.wait()
-            if self._waiting and self._is_stuck(self._waiting[0]):
-                # It waits in the queue, not in hand: the oldest are the first to go.
-                self._pause()
-            if not self._waiting:
-                return None
-            one = self._waiting.popleft()
-            self.waiting_bytes -= one.bytes
-            return one
+            while True:
+                while not self._waiting and not self._is_closing:
+                    self._changed.wait()
+                if self._waiting and self._is_stuck(self._waiting[0]):
+                    # It waits in the queue, not in hand: the oldest are the first to go, perhaps all of them.
+                    self._pause()
+                if self._waiting:
+                    one = self._waiting.popleft()
+                    self.waiting_bytes -= one.bytes
+                    return one
+                if self._is_closing:
+                    return None
 
     def _is_stuck(self, one: _Waiting) -> bool:
         return self._is_faulty and isinstance(one.effect, WriteChunk) and self._chains[one.log].file is None
@@ -204,6 +208,8 @@ class LogWriter:
         if isinstance(effect, OpenLog):
             self._leave(one.log, chain)
             chain.wanted = effect
+            if effect.is_incident:
+                chain.prologue = Prologue()
             chain.opened += 1
             self._begin(one.log, chain)
             return
@@ -262,7 +268,10 @@ class LogWriter:
             if self._pause_s <= RETRY_MIN_S:
                 log.error("%s; trying on", error)  # noqa: TRY400 - a full disk is no bug
             self._fall_ill(str(error))
-            self._leave(name, chain)
+            if chain.file is not None:
+                # Nobody was told of it.
+                chain.file.salvage()
+                chain.file = None
             return
         log.info("writing %s", chain.file.path)
         self._notices.append(Opened(name, chain.file.name))
@@ -275,7 +284,7 @@ class LogWriter:
         file.salvage()
         self._notices.append(Ended(name, file.name, file.size))
         if file.is_kept:
-            if INCIDENT_SUFFIX + SUFFIX not in file.name:
+            if not chain.is_incident:
                 self.path = str(file.path)
             self.files += 1
             self.bytes += file.size

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 import zenoh
@@ -13,9 +14,12 @@ from schemas import keys
 from schemas.recording import RecorderReply
 from schemas.requests import Request
 from schemas.settings import ZenohSettings
-from schemas.subjects import RECORDER_BY_VERB
+from schemas.subjects import RECORDER_BY_VERB, RECORDER_CHUNK
 
-REPLIES_WAITING = 256
+REPLIES_WAITING: Final = 256
+
+LONGEST_S: Final = 86_400.0
+"""Zenoh waits no longer than a day."""
 
 _DECODER = msgspec.msgpack.Decoder(RecorderReply)
 
@@ -35,6 +39,7 @@ class RecorderClient:
     def __init__(self, settings: ZenohSettings, root: str, operator: str) -> None:
         self._root = root
         self._operator = operator
+        self._name = re.compile(rf"{re.escape(root)}/{RECORDER_CHUNK}/({keys.ROBOT_PATTERN})/.+")
         self._session = open_session(settings)
 
     def ask(
@@ -56,16 +61,20 @@ class RecorderClient:
             encoding=row.encoding,
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
-            timeout=timeout_s,
+            # The replies have it too: a recorder must not wait for the link to a client that does not read.
+            congestion_control=zenoh.CongestionControl.DROP,
+            timeout=min(timeout_s, LONGEST_S),
         )
         for reply in replies:
             if reply.ok is None:
                 continue
-            name = str(reply.ok.key_expr).removeprefix(f"{keys.of_recorder(self._root, keys.ALL)[:-1]}")
+            name = self._name.fullmatch(str(reply.ok.key_expr))
+            if name is None:
+                continue  # Whoever answered so is no recorder of ours...
             try:
-                yield name.partition("/")[0], _DECODER.decode(reply.ok.payload.to_bytes())
+                yield name[1], _DECODER.decode(reply.ok.payload.to_bytes())
             except msgspec.MsgspecError:
-                continue  # Whoever answered so is no recorder of ours.
+                continue  # ...nor who says what none says.
 
     def close(self) -> None:
         """Leave Zenoh."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import re
 import socket
+import time
 from collections.abc import Callable, Iterator
 from typing import Any, Final
 
@@ -35,12 +36,13 @@ REQUESTS_PER_PASS: Final = 8
 
 REQUEST_MAX_BYTES: Final = 4096
 
-NAMESAKES_S: Final = 0.5
-"""How long the start waits to hear of other recorders."""
+NAMESAKES_S: Final = 1.0
+"""How long the start listens for other recorders: the links to them take their time..."""
+
+NAMESAKES_PAUSE_S: Final = 0.05
+"""...and it asks so often."""
 
 NAMESAKES_MAX: Final = 100
-
-_DROP, _WAIT = zenoh.CongestionControl.DROP, zenoh.CongestionControl.BLOCK
 
 
 class Asked(msgspec.Struct, frozen=True):
@@ -130,20 +132,19 @@ class RemoteControl:
 
         def reply(answer: RecorderReply | BackfillPiece) -> None:
             try:
-                query.reply(
-                    key,
-                    msgspec.msgpack.encode(answer),
-                    encoding=verb.reply_encoding,
-                    # A backfill is answered on a thread of its own, which may wait for the link.
-                    congestion_control=_WAIT if verb.reply is BackfillPiece else _DROP,
-                )
+                # Whether it waits for room on the link is what the query says.
+                query.reply(key, msgspec.msgpack.encode(answer), encoding=verb.reply_encoding)
             except zenoh.ZError as error:
                 log.debug("nobody waits for the reply any more: %s", error)
 
         return Asked(verb, operator, request, reply, query.drop)
 
     def _free_name(self, wanted: str) -> str:
-        taken = set(self._others())
+        taken: set[str] = set()
+        end_s = time.monotonic() + NAMESAKES_S
+        while time.monotonic() < end_s:
+            taken.update(self._others())
+            time.sleep(NAMESAKES_PAUSE_S)
         numbered = [wanted, *(f"{wanted}-{number}" for number in range(2, NAMESAKES_MAX))]
         name = next((one for one in numbered if one not in taken), wanted)
         if name != wanted:

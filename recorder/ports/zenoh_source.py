@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Final
@@ -23,6 +24,9 @@ REPLY_TIMEOUT_S: Final = 2.0
 RING_SAMPLES: Final = 100_000
 """Samples that may wait in Zenoh's own ring for each key expression: what comes in while the loop is held up."""
 
+DRAIN_BYTES: Final = 16_000_000
+"""Payloads that one ``drain`` takes, about."""
+
 PENDING_MAX: Final = 64
 """Queries on their way at once; beyond it the oldest is given up."""
 
@@ -36,13 +40,14 @@ _Samples = zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]]
 _Replies = zenoh.handlers.Handler[zenoh.Reply]
 
 
-class ZenohSample(msgspec.Struct, frozen=True):
+class ZenohSample(msgspec.Struct, frozen=True, gc=False):
     """A sample as ``recorder.sample.Sample`` has it. What few ever ask for is fetched when they do."""
 
     key: str
     encoding: str
     payload: bytes
     received: zenoh.Sample
+    received_ns: int
     is_reply: bool = False
 
     @property
@@ -71,7 +76,7 @@ class ZenohSample(msgspec.Struct, frozen=True):
 
 def _take(received: zenoh.Sample, *, is_reply: bool = False) -> ZenohSample:
     key, encoding = str(received.key_expr), str(received.encoding)
-    return ZenohSample(key, encoding, received.payload.to_bytes(), received, is_reply)
+    return ZenohSample(key, encoding, received.payload.to_bytes(), received, time.time_ns(), is_reply)
 
 
 class ZenohSource:
@@ -94,6 +99,8 @@ class ZenohSource:
             self._session.declare_subscriber(expression, zenoh.handlers.RingChannel(queue_samples))
             for expression in self._expressions
         ]
+        self.is_behind = False
+        """Whether more had come in than the last ``drain`` gave."""
         self._overlap = any(
             one.intersects(other)
             for index, one in enumerate(self._expressions)
@@ -112,8 +119,11 @@ class ZenohSource:
         info = self._session.info
         return bool(info.peers_zid() or info.routers_zid())
 
-    def drain(self, limit: int) -> Iterator[ZenohSample]:
+    def drain(self, limit: int) -> list[ZenohSample]:
         """The samples and replies that have come in, at most about ``limit``."""
+        taken: list[ZenohSample] = []
+        taken_bytes = 0
+        self.is_behind = False
         for index, subscriber in enumerate(self._subscribers):
             receive = subscriber.try_recv
             for _ in range(limit):
@@ -121,9 +131,17 @@ class ZenohSource:
                 if received is None:
                     break
                 if not self._overlap or self._owner(received.key_expr) == index:
-                    yield _take(received)
+                    sample = _take(received)
+                    taken.append(sample)
+                    taken_bytes += len(sample.payload)
+                    if taken_bytes > DRAIN_BYTES:
+                        self.is_behind = True
+                        break
+            else:
+                self.is_behind = True
         if self._pending:
-            yield from self._replies()
+            taken += self._replies()
+        return taken
 
     def ask(self, key: str, parameters: str = "") -> None:
         """Query a key. The replies come with the samples."""

@@ -2,8 +2,9 @@
 
 import errno
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 
 import msgspec
@@ -13,8 +14,12 @@ from recorder.effects import (
     AskKept,
     CloseLog,
     DeclareChannel,
+    Doing,
     Effect,
+    FileEffect,
+    OnLog,
     OpenLog,
+    Say,
     SyncLog,
     WriteAttachment,
     WriteChunk,
@@ -22,12 +27,19 @@ from recorder.effects import (
 )
 from recorder.incidents import IncidentPlan
 from recorder.mcap_file import McapFile
+from recorder.notices import Ended, Lost, Notice, Opened
+from recorder.prologue import Prologue
 from recorder.recording import RecordingPlan
 from recorder.sample import Sample
 from recorder.session import Plan, Session
 from schemas import codec, keys
 from schemas.can_word import EXTENDED
+from schemas.codec import PayloadFault
+from schemas.decisions import EventKind, SafetyEvent, Severity
 from schemas.messages import CanFrames, GatewayInfo, Gear, GearPosition, Message, Variant
+from schemas.reasons import Reason
+from schemas.recording import BackfillPiece, RecorderEvent, RecorderReply, RecordGap
+from schemas.requests import Request
 from schemas.subjects import BY_TYPE
 
 ROOT = "fleet"
@@ -61,6 +73,7 @@ class FakeSample(msgspec.Struct, frozen=True):
     zenoh_time_ns: int = 0
     deleted: bool = False
     source: tuple[str, int] | None = None
+    received_ns: int = WALL_NS
     is_reply: bool = False
 
 
@@ -109,6 +122,11 @@ def batch(sequence: int, frames: list[tuple[int, bytes]], dropped: int = 0) -> C
         length=[len(data) for _, data in frames],
         data=[data for _, data in frames],
     )
+
+
+def safety_event(kind: EventKind, severity: Severity = Severity.WARNING, sequence: int = 0) -> SafetyEvent:
+    """What a gateway says when something happens."""
+    return SafetyEvent(WALL_NS, sequence, 0, severity, kind, Reason.NONE, "", "as it were")
 
 
 def info(variant: Variant = Variant.COARSE, sequence: int = 0, dbc: str = 'VERSION "1"\n') -> GatewayInfo:
@@ -199,6 +217,80 @@ def _write(file: McapFile, effect: Effect) -> None:
             pass
 
 
+class MemoryFile:
+    """A file in memory."""
+
+    def __init__(self, name: str, opened: OpenLog) -> None:
+        self.name = name
+        self.opened = opened
+        self.disk = Disk()
+        self.mcap = McapFile(self.disk, "test")
+        self.is_ended = False
+
+
+class MemoryWriter:
+    """Writes the files of several logs into memory, as the writer's thread does; loses chunks on demand."""
+
+    def __init__(self) -> None:
+        self.files: dict[str, list[MemoryFile]] = {}
+        """Of each log."""
+        self.said: list[RecorderEvent | RecordGap] = []
+        self.notices: list[Notice] = []
+        self.loses = False
+        """Chunks are lost, but for those of incidents."""
+        self.lost: set[tuple[str, int]] = set()
+        """Topic and log time of the messages of those."""
+        self._prologues: dict[str, Prologue] = {}
+        self._topics: dict[tuple[str, int], str] = {}
+
+    def carry_out(self, doings: Iterable[Doing]) -> None:
+        for doing in doings:
+            if isinstance(doing, OnLog):
+                for effect in doing.effects:
+                    self._carry_out(doing.log, effect)
+            elif isinstance(doing, Say):
+                self.said.append(doing.message)
+
+    def open_file(self, log: str) -> MemoryFile | None:
+        """The file that is being written."""
+        files = self.files.get(log)
+        return files[-1] if files and not files[-1].is_ended else None
+
+    def _carry_out(self, log: str, effect: OpenLog | FileEffect) -> None:
+        file = self.open_file(log)
+        if isinstance(effect, OpenLog):
+            assert file is None, "opened twice"
+            files = self.files.setdefault(log, [])
+            file = MemoryFile(f"{effect.name}-{len(files)}{'.incident' * effect.is_incident}.mcap", effect)
+            files.append(file)
+            if effect.is_incident:
+                self._prologues[log] = Prologue()
+            for again in self._prologues.setdefault(log, Prologue()).effects:
+                _write(file.mcap, again)
+            self.notices.append(Opened(log, file.name))
+            return
+        self._prologues.setdefault(log, Prologue()).take(effect)
+        if isinstance(effect, DeclareChannel):
+            self._topics[log, effect.channel.channel_id] = effect.channel.topic
+        if isinstance(effect, WriteChunk):
+            assert file is not None, "written before it is open"
+            if self.loses and not file.opened.is_incident:
+                self._lose(log, effect)
+                return
+        if file is not None:
+            _write(file.mcap, effect)
+            if isinstance(effect, CloseLog):
+                file.is_ended = True
+                self.notices.append(Ended(log, file.name, file.mcap.size))
+
+    def _lose(self, log: str, effect: WriteChunk) -> None:
+        chunk = effect.chunk
+        counts = {channel_id: len(entries) // 2 for channel_id, entries in chunk.index.items()}
+        for channel_id, entries in chunk.index.items():
+            self.lost |= {(self._topics[log, channel_id], time_ns) for time_ns in entries[::2]}
+        self.notices.append(Lost(log, counts, chunk.start_ns, chunk.end_ns))
+
+
 def small_log() -> bytes:
     """A whole log of a few messages of each sort, with metadata and attachments."""
     log = Log()
@@ -217,7 +309,7 @@ class FakeSource:
         self._samples = iter(samples)
         self._replies = replies or {}
         self._answers: list[Sample] = []
-        self.is_exhausted = False
+        self.is_exhausted = self.is_behind = False
 
     @property
     def is_asking(self) -> bool:
@@ -227,15 +319,13 @@ class FakeSource:
     def is_connected(self) -> bool:
         return not self.is_exhausted
 
-    def drain(self, limit: int) -> Iterator[Sample]:
-        for _ in range(limit):
-            sample = next(self._samples, None)
-            if sample is None:
-                self.is_exhausted = True
-                break
-            yield sample
+    def drain(self, limit: int) -> list[Sample]:
+        taken = list(islice(self._samples, limit))
+        self.is_behind = len(taken) == limit
+        if not self.is_behind:
+            self.is_exhausted = True
         answers, self._answers = self._answers, []
-        yield from answers
+        return [*taken, *answers]
 
     def ask(self, key: str, parameters: str = "") -> None:
         if parameters:
@@ -244,6 +334,33 @@ class FakeSource:
         if key in self._replies:
             replies = self._replies[key]
             self._answers.append(replies.pop(0) if len(replies) > 1 else replies[0])
+
+
+class FakeAsked:
+    """A request that remembers what it was told."""
+
+    operator = "anna"
+
+    def __init__(self, request: Request | PayloadFault) -> None:
+        self.request = request
+        self.replies: list[RecorderReply | BackfillPiece] = []
+        self.is_done = False
+
+    def reply(self, answer: RecorderReply | BackfillPiece) -> None:
+        assert not self.is_done
+        self.replies.append(answer)
+
+    def done(self) -> None:
+        assert not self.is_done
+        self.is_done = True
+
+    @property
+    def answer(self) -> RecorderReply:
+        """The one reply, after which nothing comes."""
+        assert self.is_done
+        (answer,) = self.replies
+        assert isinstance(answer, RecorderReply)
+        return answer
 
 
 DEADLINE_S = 30.0

@@ -9,10 +9,12 @@ import msgspec
 import pytest
 from mcap.reader import make_reader
 
+from recorder import loop as loop_module
 from recorder.completeness import KeyReport
 from recorder.health import HealthReport
 from recorder.inbox import Inbox
 from recorder.loop import Recorded, Recorder
+from recorder.notices import Deleted, Notice, Room
 from recorder.ports import log_directory, log_writer
 from recorder.ports.leftovers import recover_leftovers
 from recorder.ports.log_directory import LogDirectory
@@ -20,8 +22,34 @@ from recorder.ports.log_writer import LogWriter
 from recorder.recording import Recording
 from recorder.review.info import read_info
 from recorder.session import CONTINUED_NAME, Plan
-from schemas.messages import GatewayInfo, Gear, Variant
-from tests.recorder.fakes import PLAN, RECORDING_PLAN, FakeSource, gear, info, key_of, logs_in, sample_of
+from schemas.decisions import EventKind
+from schemas.messages import GatewayInfo, Gear, Message, Variant
+from schemas.recording import (
+    Backfill,
+    Mark,
+    RecorderEvent,
+    RecorderHealth,
+    RecorderState,
+    RecordGap,
+    Split,
+    Start,
+    Status,
+    StopRecording,
+)
+from schemas.requests import Request
+from tests.recorder.fakes import (
+    PLAN,
+    RECORDING_PLAN,
+    FakeAsked,
+    FakeSample,
+    FakeSource,
+    gear,
+    info,
+    key_of,
+    logs_in,
+    safety_event,
+    sample_of,
+)
 
 INFO_KEY = key_of(GatewayInfo)
 
@@ -177,4 +205,129 @@ def test_a_fault_of_our_own_leaves_a_readable_file(tmp_path: Path) -> None:
         one.run(stopped())
     (left,) = tmp_path.iterdir()
     assert left.suffix == ".mcap"
-    assert read_info(left).messages > 2900
+    assert read_info(left).messages > 1900
+
+
+GEAR_KEY = key_of(Gear)
+
+
+@pytest.mark.parametrize("last_samples_ns", [0, 10**12])
+def test_more_than_can_be_recorded_waits_and_the_rest_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last_samples_ns: int
+) -> None:
+    """The oldest go; nothing is silently lost, neither on the way nor when the end has no time for it."""
+    monkeypatch.setattr(loop_module, "LAST_SAMPLES_NS", last_samples_ns)
+    source = FakeSource(sample_of(gear(number)) for number in range(50_000))
+    one = recorder(source, tmp_path, queue_bytes=2_000_000)
+    recorded = one.run(lambda: source.is_exhausted)
+    found = recorded.keys[GEAR_KEY]
+    assert (found.received, found.lost_link, found.lost_full, found.lost_disk) == (50_000, 0, 0, 0)
+    assert found.lost_queue > 0
+    assert found.written == 50_000 - found.lost_queue
+    messages = make_reader(BytesIO(Path(recorded.path or "").read_bytes()), validate_crcs=True).iter_messages(
+        topics=[GEAR_KEY], log_time_order=False
+    )
+    sequences = [message.sequence for _, _, message in messages]
+    assert len(sequences) == found.written
+    assert sequences == sorted(sequences)
+
+
+class FakeControl:
+    """Operators who ask these, each once the one before has been answered; remembers what is published."""
+
+    def __init__(self, *requests: Request) -> None:
+        self.asked = [FakeAsked(request) for request in requests]
+        self.published: list[Message] = []
+        self._sent = 0
+
+    @property
+    def is_served(self) -> bool:
+        return all(asked.is_done for asked in self.asked)
+
+    def drain(self) -> list[FakeAsked]:
+        if self._sent < len(self.asked) and all(asked.is_done for asked in self.asked[: self._sent]):
+            self._sent += 1
+            return [self.asked[self._sent - 1]]
+        return []
+
+    def publish(self, message: Message) -> None:
+        self.published.append(message)
+
+    def health(self) -> list[RecorderHealth]:
+        return [one for one in self.published if isinstance(one, RecorderHealth)]
+
+
+def test_operators_are_obeyed_and_told(tmp_path: Path) -> None:
+    """What is asked for happens to the files on the disk, whose names the replies give."""
+    control = FakeControl(Status(), Mark("it shook"), Split(), StopRecording(), Start(), Backfill("x", 0, 1))
+    backfills = []
+    # Each pass brings some, so that there is a file to end.
+    source = FakeSource(sample_of(gear(number)) for number in range(10**9))
+    one = recorder(source, tmp_path, queue_bytes=1_000_000)
+
+    def backfill(asked: object) -> None:
+        backfills.append(asked)
+        control.asked[-1].done()
+
+    one.obey(control, backfill)
+    recorded = one.run(lambda: control.is_served)
+    status, mark, split, stop, start = (asked.answer for asked in control.asked[:-1])
+    assert backfills == [control.asked[-1]]
+    assert [answer.health.state for answer in (status, stop, start)] == [
+        RecorderState.RECORDING,
+        RecorderState.STOPPED,
+        RecorderState.RECORDING,
+    ]
+    files = [*mark.files, *split.files, *stop.files]
+    assert len(set(files)) == 3
+    assert set(files) <= set(logs_in(tmp_path))
+    assert recorded.incidents == 1
+    events = [message.kind.value for message in control.published if isinstance(message, RecorderEvent)]
+    assert events == ["incident", "stopped", "started"]
+
+
+def test_health_is_published_each_second(tmp_path: Path) -> None:
+    """With what the writer, the queue and this process have to tell; so is what was lost."""
+    control = FakeControl()
+    source = FakeSource(sample_of(gear(number)) for number in range(10**9))
+    one = recorder(source, tmp_path, queue_bytes=1_000_000)
+    one.obey(control, lambda _: None)
+    one.run(lambda: len(control.health()) >= 2)
+    first, second = control.health()[:2]
+    assert (second.sequence, second.files, second.robots) == (first.sequence + 1, 1, 1)
+    assert second.received > first.received
+    assert second.received_per_s > 0
+    assert second.cpu_percent > 0
+    assert second.queue_bytes > 0
+    gaps = [one for one in control.published if isinstance(one, RecordGap)]
+    assert {gap.key for gap in gaps} == {GEAR_KEY}
+    assert sum(gap.count for gap in gaps) >= second.dropped["queue"] > 0
+
+
+def test_notices_of_others_are_taken(tmp_path: Path) -> None:
+    """A full disk ends the logs, and is told; an incident is written all the same."""
+    control = FakeControl()
+    source = FakeSource(sample_of(gear(number)) for number in range(100))
+    one = recorder(source, tmp_path, msgspec.structs.replace(PLAN, alarms=frozenset({EventKind.STOP})))
+    notices: list[Notice] = [Room(has_room=False, has_incident_room=True), Deleted("old.mcap", 7)]
+    one.hear(lambda: [notices.pop(0)] if notices else [])
+    one.obey(control, lambda _: None)
+    one._step()
+    late = [sample_of(safety_event(EventKind.STOP)), *(sample_of(gear(number)) for number in range(100, 200))]
+    source._samples = iter(late)
+    source.is_exhausted = False
+    recorded = one.run(lambda: source.is_exhausted and not notices)
+    found = recorded.keys[GEAR_KEY]
+    assert (found.received, found.written, found.lost_full) == (200, 100, 100)
+    events = [message for message in control.published if isinstance(message, RecorderEvent)]
+    assert [event.kind.value for event in events if event.kind.value != "incident"] == ["full", "deleted"]
+    (incident,) = tmp_path.glob("*.incident.mcap")
+    assert sum(1 for _ in make_reader(BytesIO(incident.read_bytes())).iter_messages(topics=[GEAR_KEY])) == 200
+
+
+def test_a_sample_that_is_too_large_holds_nothing_up(tmp_path: Path) -> None:
+    """It is counted, and the others are recorded."""
+    large = FakeSample("x", "x", bytes(RECORDING_PLAN.sample_max_bytes + 1))
+    recorded = record(FakeSource([sample_of(gear(0)), large, sample_of(gear(1))]), tmp_path)
+    assert recorded.keys["x"] == KeyReport(received=1, lost_size=1)
+    assert recorded.keys[GEAR_KEY].written == 2

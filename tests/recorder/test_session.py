@@ -5,6 +5,7 @@ import tracemalloc
 from collections.abc import Callable, Sequence
 from enum import Enum
 from io import BytesIO
+from itertools import pairwise
 from typing import Any
 
 import msgspec
@@ -19,6 +20,7 @@ from recorder import robots as robots_module
 from recorder import session as session_module
 from recorder.completeness import KeyReport
 from recorder.effects import (
+    Alarm,
     AskInfo,
     AskKept,
     CloseLog,
@@ -30,11 +32,13 @@ from recorder.effects import (
     WriteChunk,
     WriteMetadata,
 )
+from recorder.foxglove_log import SCHEMA_NAME as FOXGLOVE_LOG
 from recorder.sample import Sample
-from recorder.session import COMPLETENESS_NAME, Plan, Session
+from recorder.session import COMPLETENESS_NAME, CONTINUED_NAME, Plan, Session
 from schemas import codec, keys
-from schemas.decisions import Decision, Journal, SafetyEvent, SafetyState
-from schemas.messages import CanFrames, GatewayInfo, Gear, Message
+from schemas.decisions import Decision, EventKind, Journal, SafetyEvent, SafetyState, Severity
+from schemas.messages import CanFrames, FrameHealth, GatewayHealth, GatewayInfo, Gear, Message
+from schemas.recording import GapReason, RecordGap
 from schemas.snake_case import snake_case
 from schemas.subjects import BY_NAME, BY_TYPE, SUBJECTS, Subject
 from tests.recorder.fakes import (
@@ -50,6 +54,7 @@ from tests.recorder.fakes import (
     gear,
     info,
     key_of,
+    safety_event,
     sample_of,
 )
 from tests.schemas.random_messages import TEXTS, message_of, subjects_and_messages
@@ -62,11 +67,12 @@ FRAMES_KEY = key_of(CanFrames)
 
 
 def read(data: bytes) -> list[tuple[str, str, McapMessage, Any]]:
-    """Topic, schema, record and content of every message."""
+    """Topic, schema, record and content of every message, but for events' second form."""
     reader = make_reader(BytesIO(data), validate_crcs=True, decoder_factories=[DecoderFactory()])
     return [
         (channel.topic, schema.name if schema else "", message, content)
         for schema, channel, message, content in reader.iter_decoded_messages(log_time_order=False)
+        if schema is not None and schema.name != FOXGLOVE_LOG
     ]
 
 
@@ -503,3 +509,127 @@ def test_no_message_is_lost_or_doubled_between_files(steps: list[tuple[int, bool
             assert set(effect.chunk.index) <= declared
             written += [time for entries in effect.chunk.index.values() for time in entries[::2]]
     assert sorted(written) == [WALL_NS + number for number in range(len(steps))]
+
+
+def test_while_it_is_paused_chunks_are_made_and_no_file() -> None:
+    """For the ring; what was in hand ends the file before, and what is in hand then is in no file."""
+    session = Session(Plan("x", 1 << 20, SECOND, "1"))
+    session.receive_sample(sample_of(gear(0)), 0, WALL_NS)
+    assert kinds(list(session.pause("stopped"))) == [WriteChunk, WriteMetadata, WriteMetadata, CloseLog]
+    assert (session.is_paused, session.is_open) == (True, False)
+    assert kinds(list(session.receive_sample(sample_of(gear(1)), 0, WALL_NS))) == []
+    assert WriteChunk in kinds(list(session.tick(SECOND)))
+    session.receive_sample(sample_of(gear(2)), SECOND, WALL_NS)
+    assert kinds(list(session.resume())) == [WriteChunk]
+    effects = session.receive_sample(sample_of(gear(3)), SECOND, WALL_NS)
+    (continued,) = [one for one in effects if isinstance(one, WriteMetadata) and one.name == CONTINUED_NAME]
+    assert continued.entries == {"file": "2", "because": "stopped"}
+
+
+def test_a_close_while_it_is_paused_hands_over_what_is_in_hand() -> None:
+    """An incident may want it, and the account does."""
+    session = Session(PLAN)
+    session.pause("stopped")
+    session.receive_sample(sample_of(gear(0)), 0, WALL_NS)
+    assert kinds(list(session.close())) == [WriteChunk]
+    assert list(session.close()) == []
+
+
+def test_what_was_asked_for_while_no_file_was_open_ended_none() -> None:
+    """The next file says what ended the one before."""
+    session = Session(ROLLING)
+    session.receive_sample(sample_of(gear(0)), 0, WALL_NS)
+    session.roll("size")
+    session.roll("signal")
+    effects = session.receive_sample(sample_of(gear(1)), 0, WALL_NS)
+    records = {one.name: one.entries for one in effects if isinstance(one, WriteMetadata)}
+    assert records[CONTINUED_NAME]["because"] == "size"
+
+
+GAP = RecordGap(WALL_NS, 3, GEAR_KEY, GapReason.QUEUE, WALL_NS - 5, WALL_NS - 1, 7)
+
+
+def test_a_file_in_which_nothing_is_heard_is_ended() -> None:
+    """What the recorder itself says is no sign of life of a robot."""
+    session = Session(Plan("x", 1 << 20, SECOND, "1", idle_ns=10 * SECOND))
+    session.receive_sample(sample_of(gear(0)), 0, WALL_NS)
+    session.tick(5 * SECOND)
+    session.receive_sample(sample_of(gear(1)), 6 * SECOND, WALL_NS)
+    session.tick(7 * SECOND)
+    session.add_own("own", GAP, 8 * SECOND)
+    assert CloseLog not in kinds(list(session.tick(16 * SECOND - 1)))
+    assert kinds(list(session.tick(16 * SECOND)))[-1] == CloseLog
+
+
+def test_what_the_recorder_says_is_in_the_log_like_a_sample() -> None:
+    """While a file is open: it begins none. Its time is the one that it says."""
+    log = Log()
+    assert list(log.session.add_own("own", GAP, 0)) == []
+    log.receive(sample_of(gear(0)))
+    log.tick(SECOND)
+    log.carry_out(log.session.add_own("own", GAP, SECOND))
+    assert SyncLog in kinds(log.tick(2 * SECOND))
+    (record,) = [one for one in read(log.close()) if one[0] == "own"]
+    assert (record[1], record[2].log_time, record[2].sequence) == ("cruiser.RecordGap", WALL_NS, 3)
+    assert (record[3].key, record[3].count) == (GEAR_KEY, 7)
+
+
+def test_what_is_dropped_before_it_comes_is_counted_at_its_key() -> None:
+    """Its robot is heard of all the same, and asked who it is."""
+    session = Session(PLAN)
+    assert kinds(list(session.lose(GEAR_KEY, GapReason.QUEUE, 2, 0))) == [DeclareChannel]
+    assert list(session.lose(GEAR_KEY, GapReason.SIZE, 1, 0)) == []
+    assert (session.robots, session.has_heard("cruiser-1"), session.has_heard("b")) == (1, True, False)
+    assert AskInfo("fleet/cruiser-1/gateway/info") in session.tick(0)
+    assert session.counts[GEAR_KEY] == KeyReport(sent=3, received=3, lost_queue=2, lost_size=1)
+
+
+def test_what_is_in_no_log_is_counted_with_its_reason_or_without() -> None:
+    """By topic; a reason makes it a loss."""
+    session = Session(PLAN)
+    session.receive_sample(sample_of(batch(0, [(WALL_NS, feedback(number)) for number in range(9)])), 0, WALL_NS)
+    session.receive_sample(sample_of(gear(0)), 0, WALL_NS)
+    assert session.lose_written({1: 4, 2: 1}, GapReason.DISK) == {FRAMES_KEY: 4, GEAR_KEY: 1}
+    assert session.lose_written({1: 2}, None) == {FRAMES_KEY: 2}
+    assert session.counts[FRAMES_KEY] == KeyReport(sent=1, received=1, written=3, lost_disk=4)
+    assert session.counts[GEAR_KEY] == KeyReport(sent=1, received=1, written=0, lost_disk=1)
+
+
+@pytest.mark.parametrize("kind", EventKind)
+@pytest.mark.parametrize("severity", Severity)
+@pytest.mark.parametrize("is_reply", [False, True])
+def test_an_event_of_the_kinds_that_were_asked_for_is_an_alarm(
+    kind: EventKind,
+    severity: Severity,
+    is_reply: bool,  # noqa: FBT001 - pytest gives it
+) -> None:
+    """Once it is worth a warning, and as it happens; the event itself is recorded behind it."""
+    session = Session(Plan("x", 1, SECOND, "1", alarms=frozenset({EventKind.STOP, EventKind.FAULT})))
+    # Something of before, so that what a reply holds is missing.
+    session.receive_sample(sample_of(gear(0)), 0, WALL_NS)
+    event = sample_of(safety_event(kind, severity))
+    sample = FakeSample(event.key, event.encoding, event.payload, is_reply=is_reply)
+    effects = list(session.receive_sample(sample, 0, WALL_NS))
+    is_alarm = kind in {EventKind.STOP, EventKind.FAULT} and severity is not Severity.INFO and not is_reply
+    alarms = [one for one in effects if isinstance(one, Alarm)]
+    assert alarms == [Alarm("cruiser-1", f"{kind.value}: as it were", WALL_NS)] * is_alarm
+    assert kinds(effects)[-1] == WriteChunk
+
+
+@given(message_of(GatewayHealth), st.lists(st.integers(0, 100), min_size=1, max_size=5))
+def test_what_the_gateway_never_got_from_the_bus_is_counted_at_its_key(
+    health: GatewayHealth, counts: list[int]
+) -> None:
+    """By its own count, from when we came; of a frame that nobody publishes it is nowhere."""
+    log = Log()
+    log.receive(sample_of(gear(0)))
+    assert log.session.counts[GEAR_KEY].lost_bus is None
+    for sequence, count in enumerate(counts):
+        frames = [
+            FrameHealth(name, 100.0, 0, count, 0, 0, 0, silent=False, alive_faults=0, failures=[])
+            for name in ("Auto_GearFeedBack", "Auto_DriveFeedBack", "what is that")
+        ]
+        log.receive(sample_of(msgspec.structs.replace(health, sequence=sequence, feedback=frames)))
+    lost = sum(later - earlier if later >= earlier else later for earlier, later in pairwise(counts))
+    assert log.session.counts[GEAR_KEY].lost_bus == lost
+    assert set(log.session.counts) == {GEAR_KEY, key_of(GatewayHealth)}

@@ -1,0 +1,153 @@
+"""Which logs go, and whether there is room."""
+
+import msgspec
+from hypothesis import given
+from hypothesis import strategies as st
+
+from recorder.retention import RESUME_SHARE, ROLL_SHARE, Judgement, Limits, LogEntry, judge
+from schemas.recorder_settings import INCIDENT_FLOOR_SHARE, INCIDENT_SHARE
+
+ENTRIES = st.lists(
+    st.builds(
+        LogEntry,
+        name=st.text("abc", min_size=1, max_size=4),
+        bytes=st.integers(0, 400),
+        started=st.sampled_from([f"20270115T08000{second}Z" for second in range(10)]),
+        is_incident=st.sampled_from([False, False, False, True]),
+        is_open=st.sampled_from([False, False, False, True]),
+        is_stuck=st.sampled_from([False, False, False, True]),
+    ),
+    max_size=12,
+    unique_by=lambda entry: entry.name,
+).map(lambda entries: [entry for entry in entries if not (entry.is_open and entry.is_stuck)])
+LIMITS = st.builds(Limits, budget_bytes=st.sampled_from([0, 500, 1000]), floor_bytes=st.sampled_from([0, 200]))
+FREE = st.integers(0, 500)
+
+
+def used(entries: list[LogEntry]) -> int:
+    """What they take together."""
+    return sum(entry.bytes for entry in entries)
+
+
+def without(entries: list[LogEntry], judgement: Judgement) -> list[LogEntry]:
+    """What is left."""
+    return [entry for entry in entries if entry.name not in judgement.delete]
+
+
+def is_within(entries: list[LogEntry], free_bytes: int, limits: Limits) -> bool:
+    """Whether the limits are kept."""
+    return free_bytes >= limits.floor_bytes and (not limits.budget_bytes or used(entries) <= limits.budget_bytes)
+
+
+@given(ENTRIES, FREE, LIMITS, st.booleans())
+def test_only_what_may_go_goes_the_oldest_first(
+    entries: list[LogEntry],
+    free_bytes: int,
+    limits: Limits,
+    is_full: bool,  # noqa: FBT001 - drawn
+) -> None:
+    """Incidents and what is being written never do, and nothing is deleted twice."""
+    judgement = judge(entries, free_bytes, limits, is_full=is_full)
+    may_go = [entry for entry in entries if not (entry.is_incident or entry.is_open or entry.is_stuck)]
+    may_go.sort(key=lambda entry: (entry.started, entry.name))
+    assert list(judgement.delete) == [entry.name for entry in may_go[: len(judgement.delete)]]
+
+
+@given(ENTRIES, FREE, LIMITS)
+def test_where_there_is_room_the_limits_are_kept_and_no_log_goes_in_vain(
+    entries: list[LogEntry], free_bytes: int, limits: Limits
+) -> None:
+    """One file less would not have been enough; and where nothing is enough, nothing goes."""
+    judgement = judge(entries, free_bytes, limits, is_full=False)
+    left = without(entries, judgement)
+    freed_bytes = used(entries) - used(left)
+    if not judgement.has_room:
+        assert judgement.delete == ()
+        may_go = [entry for entry in entries if not (entry.is_incident or entry.is_open or entry.is_stuck)]
+        rest = [entry for entry in entries if entry not in may_go]
+        assert not is_within(rest, free_bytes + used(may_go), limits)
+    elif not judgement.roll:
+        assert is_within(left, free_bytes + freed_bytes, limits)
+        if judgement.delete:
+            last = next(entry for entry in entries if entry.name == judgement.delete[-1])
+            assert not is_within([*left, last], free_bytes + freed_bytes - last.bytes, limits) or not last.bytes
+
+
+@given(ENTRIES, FREE, LIMITS)
+def test_logs_are_ended_only_when_that_makes_room_and_is_worth_it(
+    entries: list[LogEntry], free_bytes: int, limits: Limits
+) -> None:
+    """Then recording goes on meanwhile, and what is ended may go next."""
+    judgement = judge(entries, free_bytes, limits, is_full=False)
+    if judgement.roll:
+        assert judgement.has_room
+        open_bytes = used([entry for entry in entries if entry.is_open and not entry.is_incident])
+        assert open_bytes >= ROLL_SHARE * (limits.budget_bytes or limits.floor_bytes)
+        ended = [msgspec.structs.replace(entry, is_open=entry.is_open and entry.is_incident) for entry in entries]
+        assert judge(ended, free_bytes, limits, is_full=False).has_room
+
+
+@given(ENTRIES, FREE, LIMITS)
+def test_a_recording_that_goes_on_does_not_stop_at_the_next_byte(
+    entries: list[LogEntry], free_bytes: int, limits: Limits
+) -> None:
+    """It goes on only when a part of the limits is free beyond them."""
+    judgement = judge(entries, free_bytes, limits, is_full=True)
+    if judgement.has_room and not judgement.roll:
+        left = without(entries, judgement)
+        freed_bytes = used(entries) - used(left)
+        spare = int(RESUME_SHARE * limits.floor_bytes)
+        assert free_bytes + freed_bytes >= limits.floor_bytes + spare
+        assert not limits.budget_bytes or used(left) * (1 + RESUME_SHARE) < limits.budget_bytes + 1
+
+
+@given(ENTRIES, FREE, LIMITS, st.booleans())
+def test_incidents_have_a_share_of_their_own(
+    entries: list[LogEntry],
+    free_bytes: int,
+    limits: Limits,
+    is_full: bool,  # noqa: FBT001 - drawn
+) -> None:
+    """Of the budget, and of the reserve that logs leave free; whatever the logs take."""
+    incident_bytes = used([entry for entry in entries if entry.is_incident])
+    in_budget = not limits.budget_bytes or incident_bytes < INCIDENT_SHARE * limits.budget_bytes
+    above_floor = free_bytes >= INCIDENT_FLOOR_SHARE * limits.floor_bytes
+    judgement = judge(entries, free_bytes, limits, is_full=is_full)
+    assert judgement.has_incident_room == (in_budget and above_floor)
+
+
+def test_without_limits_nothing_goes() -> None:
+    """However full the disk is."""
+    entries = [LogEntry("a", 10**12, "20270115T080000Z")]
+    assert judge(entries, 0, Limits(), is_full=True) == Judgement(
+        (), has_room=True, has_incident_room=True, roll=False
+    )
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 50), st.booleans(), st.integers(0, 40)), min_size=30, max_size=120),
+    st.sampled_from([0, 1000]),
+    st.sampled_from([0, 300]),
+)
+def test_a_recorder_goes_on_for_ever_within_its_limits(
+    seconds: list[tuple[int, bool, int]], budget_bytes: int, floor_bytes: int
+) -> None:
+    """Whatever it writes each second, whether its files are short or long, on a disk that others fill a bit."""
+    limits = Limits(budget_bytes, floor_bytes)
+    entries: list[LogEntry] = []
+    others_bytes = 0
+    for second, (grows_bytes, ends, others_grow_bytes) in enumerate(seconds):
+        others_bytes = min(600, others_bytes + others_grow_bytes)
+        started = f"{second:03}"
+        before = next((entry for entry in entries if entry.is_open), LogEntry(started, 0, started))
+        entries = [entry for entry in entries if not entry.is_open]
+        entries.append(LogEntry(before.name, before.bytes + grows_bytes, before.started, is_open=not ends))
+        free_bytes = 3000 - others_bytes - used(entries)
+        judgement = judge(entries, free_bytes, limits, is_full=False)
+        assert judgement.has_room
+        free_bytes += used(entries) - used(without(entries, judgement))
+        entries = without(entries, judgement)
+        if judgement.roll:
+            entries = [LogEntry(entry.name, entry.bytes, entry.started) for entry in entries]
+        else:
+            assert is_within(entries, free_bytes, limits)
