@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
@@ -18,12 +19,14 @@ from typing import Final
 
 import msgspec
 
-from recorder.cli import remote
+from recorder.cli import backfill, remote
 from recorder.health import HealthReport
 from recorder.inbox import Inbox
 from recorder.incidents import IncidentPlan
 from recorder.loop import Recorded, Recorder
-from recorder.orders import Asked, refusal
+from recorder.orders import Asked
+from recorder.ports.backfill_server import BackfillServer
+from recorder.ports.backfill_source import key_matches
 from recorder.ports.disk_keeper import DiskKeeper
 from recorder.ports.leftovers import LeftoverThread
 from recorder.ports.log_directory import LogDirectory
@@ -38,6 +41,7 @@ from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.decisions import EventKind
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.recorder_settings import ROBOT_LIMIT
+from schemas.recording import Backfill
 from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser record -k 'fleet/cruiser-1/**' -o logs"
@@ -56,6 +60,8 @@ COLLECT_AFTER: Final = (100_000, 50, 100)
 
 FILES_APART: Final = 100
 """Files and links that may be open besides the logs."""
+
+BACKFILL_ABOUT: Final = "find what own logs lack, and fetch it from other recorders that have it"
 
 BUDGET_FILES: Final = 20
 """A file is ended at this part of the budget."""
@@ -95,10 +101,22 @@ def _add_actions(parser: argparse.ArgumentParser) -> None:
             argument_default=argparse.SUPPRESS,
         )
         remote.add_arguments(one, action)
+    backfill.add_arguments(
+        actions.add_parser(
+            "backfill",
+            help=BACKFILL_ABOUT,
+            description=f"{BACKFILL_ABOUT[0].upper()}{BACKFILL_ABOUT[1:]}.",
+            epilog=f"example:\n{backfill.EXAMPLE}",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            argument_default=argparse.SUPPRESS,
+        )
+    )
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Record until stopped, and print the log's path; or ask a recorder that is running."""
+    if arguments.action == "backfill":
+        return backfill.run(arguments, settings, stopped)
     if arguments.action is not None:
         return remote.run(arguments, settings, stopped)
     return _record(arguments, settings, stopped)
@@ -118,9 +136,7 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
         control = stack.enter_context(closing(RemoteControl(settings)))
         limits = Limits(recorder.budget_bytes, recorder.floor_bytes)
         keeper = stack.enter_context(closing(DiskKeeper(path, limits)))
-        sys.stderr.write(
-            f"record: waiting for samples of {', '.join(expressions)} into {recorder.directory}\n"
-        )
+        sys.stderr.write(f"record: waiting for samples of {', '.join(expressions)} into {recorder.directory}\n")
         sys.stderr.flush()
         leftovers = LeftoverThread(path, library)
         plan = recording_plan(settings, control.name, expressions, release)
@@ -133,10 +149,17 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
         )
         one.watch(keeper)
         one.hear(leftovers.notices)
-        one.obey(control, _no_backfill)
+        one.obey(
+            control, partial(_answer_backfill, stack.enter_context(closing(BackfillServer(path, key_matches))))
+        )
         recorded = one.run(ending_after(stopped, arguments.seconds, time.monotonic), hangups())
     leftovers.wait(LEFTOVERS_S)
     return _report(recorded, as_json=arguments.json)
+
+
+def _answer_backfill(server: BackfillServer, asked: Asked) -> None:
+    if isinstance(asked.request, Backfill):
+        server.submit(asked.request, asked.reply, asked.done)
 
 
 def recording_plan(settings: Settings, name: str, expressions: Sequence[str], release: str) -> RecordingPlan:
@@ -183,11 +206,6 @@ def allow_many_files() -> int:
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
     return ROBOT_LIMIT if most == resource.RLIM_INFINITY else min(ROBOT_LIMIT, max(0, most - FILES_APART) // 2)
-
-
-def _no_backfill(asked: Asked) -> None:
-    asked.reply(refusal("this recorder answers no backfill"))
-    asked.done()
 
 
 def hangups() -> Callable[[], bool]:

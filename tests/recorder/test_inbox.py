@@ -41,6 +41,16 @@ def test_the_oldest_go_first_and_each_is_taken_or_told(steps: list[int | tuple[i
         assert inbox.bytes <= LIMIT_BYTES
 
 
+def test_it_gives_about_as_many_bytes_as_are_wanted() -> None:
+    """One sample beyond them at most, and one at least."""
+    inbox = Inbox(LIMIT_BYTES)
+    for number in range(4):
+        inbox.put(sample(number, 499))
+    assert [one.received_ns for one in inbox.take(10, 999)] == [0]
+    assert [one.received_ns for one in inbox.take(10, 1000)] == [1, 2]
+    assert [one.received_ns for one in inbox.take(0, 1000)] == []
+
+
 def test_a_sample_larger_than_the_limit_is_told_and_does_not_stay() -> None:
     """Nor do those that waited: they are older."""
     inbox = Inbox(LIMIT_BYTES)

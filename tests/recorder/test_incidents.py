@@ -1,7 +1,7 @@
 """The ring of a log, and what an incident takes from it."""
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from recorder.chunk import Chunk, ChunkBuilder
@@ -40,6 +40,8 @@ def chunks(effects: list[OpenLog | FileEffect]) -> list[Chunk]:
     return [one.chunk for one in effects if isinstance(one, WriteChunk)]
 
 
+@example([(SECOND, 100)] * 20, 3 * SECOND, 5000)
+@example([(SECOND, 100)] * 20, 3 * SECOND, 500)
 @given(
     st.lists(st.tuples(st.integers(0, 3 * SECOND), st.integers(1, 300)), max_size=40),
     st.integers(0, 20 * SECOND),
@@ -120,6 +122,7 @@ def test_it_ends_once_its_time_is_up() -> None:
 
 
 @given(st.lists(st.integers(0, 360 * SECOND), max_size=20))
+@example([299 * SECOND] * 7)
 def test_whatever_happens_meanwhile_makes_it_longer_up_to_a_bound(waits_ns: list[int]) -> None:
     """A fault that comes back all the time makes no endless file, nor many at once."""
     plan = IncidentPlan(before_ns=0, after_ns=300 * SECOND)

@@ -1,6 +1,7 @@
 """Which logs go, and whether there is room."""
 
 import msgspec
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -114,6 +115,57 @@ def test_incidents_have_a_share_of_their_own(
     above_floor = free_bytes >= INCIDENT_FLOOR_SHARE * limits.floor_bytes
     judgement = judge(entries, free_bytes, limits, is_full=is_full)
     assert judgement.has_incident_room == (in_budget and above_floor)
+
+
+def log(name: str, size: int, *, is_open: bool = False) -> LogEntry:
+    """A log, whose name is its start."""
+    return LogEntry(name, size, name, is_open=is_open)
+
+
+@pytest.mark.parametrize(
+    ("open_bytes", "free_bytes", "judgement"),
+    [
+        # What is ended is enough.
+        (99, 6000, Judgement(("1",), has_room=True, has_incident_room=True, roll=False)),
+        # Only with what is being written there would be enough; all that may go goes at once.
+        (950, 6000, Judgement(("1", "2"), has_room=True, has_incident_room=True, roll=True)),
+        # Not even then.
+        (300, 3000, Judgement((), has_room=False, has_incident_room=True, roll=False)),
+        # What is being written is just enough to be worth it, and too little.
+        (80, 4220, Judgement(("1", "2"), has_room=True, has_incident_room=True, roll=True)),
+        (79, 4220, Judgement((), has_room=False, has_incident_room=True, roll=False)),
+    ],
+)
+def test_what_is_being_written_is_ended_when_the_rest_is_not_enough(
+    open_bytes: int, free_bytes: int, judgement: Judgement
+) -> None:
+    """And only then, if it makes a difference."""
+    entries = [log("3", open_bytes, is_open=True), log("2", 300), log("1", 402)]
+    assert judge(entries, free_bytes, Limits(800, 5000), is_full=False) == judgement
+
+
+@pytest.mark.parametrize(
+    ("limits", "free_bytes", "is_full", "has_room"),
+    [
+        (Limits(1000, 0), 0, False, True),
+        (Limits(999, 0), 0, False, False),
+        (Limits(1019, 0), 0, True, False),
+        (Limits(1020, 0), 0, True, True),
+        (Limits(0, 1000), 1000, False, True),
+        (Limits(0, 1000), 999, False, False),
+        (Limits(0, 1000), 1019, True, False),
+        (Limits(0, 1000), 1020, True, True),
+    ],
+)
+def test_to_go_on_takes_more_room_than_not_to_stop(
+    limits: Limits,
+    free_bytes: int,
+    is_full: bool,  # noqa: FBT001 - pytest gives it
+    has_room: bool,  # noqa: FBT001 - pytest gives it
+) -> None:
+    """Else every byte that somebody frees would begin a file."""
+    entries = [msgspec.structs.replace(log("1", 1000), is_incident=True)]
+    assert judge(entries, free_bytes, limits, is_full=is_full).has_room == has_room
 
 
 def test_without_limits_nothing_goes() -> None:

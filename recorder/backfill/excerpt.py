@@ -1,0 +1,273 @@
+"""What logs hold of some topics and a publish time, in pieces: the side of a backfill that is asked.
+
+Messages stand in a log in the order of their receipt, and what was asked for later stands late, so the order of
+publish times is made here: of a slice of time the messages are gathered out of all logs, and sorted. Only the
+earliest GATHER_BYTES of them are held; where there are more, the slice is cut short and the rest comes with the
+next. So memory is bounded whatever is asked, no message is in two pieces, and ``next_ns`` is exact: every piece
+ends where the next one begins.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Callable, Iterator, Sequence
+from io import BytesIO
+from operator import attrgetter
+from typing import BinaryIO, Final
+
+import msgspec
+
+from recorder.backfill.log_map import EARLY_NS, LATE_NS, LogMap
+from recorder.chunk import MESSAGE_HEADER, ChunkBuilder
+from recorder.effects import LogChannel
+from recorder.mcap_file import McapFile
+from schemas.recording import Backfill, BackfillPiece
+
+PIECE_BYTES: Final = 262_144
+"""Message records of a piece, before compression. A message that is larger is a piece of its own."""
+
+PIECE_NAME: Final = "cruiser.piece"
+"""The metadata record of a piece: its ``number``, from 0, and ``from_ns``, where the piece before it ended.
+
+A reply may be lost on the way; by these the asker sees it. The last piece has messages if any has.
+"""
+
+GATHER_BYTES: Final = 4_194_304
+"""So much of a slice is held, the objects around each message included; while it is gathered, twice that."""
+
+OBJECT_BYTES: Final = 250
+"""About what a message costs in memory besides its data."""
+
+SLICE_NS: Final = 10_000_000_000
+"""The first slice..."""
+
+SLICE_MAX_NS: Final = 600_000_000_000
+"""...and the longest: slices grow where there is little, and shrink to what can be held."""
+
+_LIBRARY: Final = "cruiser backfill"
+
+
+class LogCopy(msgspec.Struct, frozen=True):
+    """A log to read from.
+
+    Attributes:
+        name: for people.
+        open: opens it.
+        chart: its map.
+    """
+
+    name: str
+    open: Callable[[], BinaryIO]
+    chart: LogMap
+
+
+class Message(msgspec.Struct, frozen=True):
+    """A message of a log, and its channel there."""
+
+    channel: LogChannel
+    sequence: int
+    log_ns: int
+    publish_ns: int
+    data: bytes
+
+    @property
+    def size(self) -> int:
+        """Bytes of its record."""
+        return MESSAGE_HEADER.size + len(self.data)
+
+
+class Excerpt:
+    """Answers one request.
+
+    Args:
+        logs: where to look.
+        is_wanted: whether a topic is.
+        request: what is asked for; its key was turned into ``is_wanted``.
+        is_expired: the time for this answer is over. What is then missing is to be asked for again.
+    """
+
+    def __init__(
+        self,
+        logs: Sequence[LogCopy],
+        is_wanted: Callable[[str], bool],
+        request: Backfill,
+        is_expired: Callable[[], bool],
+    ) -> None:
+        self._logs = [log for log in logs if len(log.chart)]
+        self._request = request
+        self._is_expired = is_expired
+        self._wanted = {
+            id(log): {number: one for number, one in log.chart.channels.items() if is_wanted(one.topic)}
+            for log in self._logs
+        }
+        self.faults: list[str] = []
+        """Logs that could not be read."""
+
+    def pieces(self) -> Iterator[BackfillPiece]:
+        """The answer; the last piece says that it is."""
+        request = self._request
+        piece = _Piece(0, request.from_ns)
+        answered_ns, used, is_late = request.from_ns, 0, False
+        for message, up_to_ns in self._in_order():
+            if message is None:
+                answered_ns = up_to_ns
+                continue
+            # Messages of one instant stay together, so that to ask again from the next one always gets further.
+            is_over = used + message.size > request.max_bytes or is_late
+            if is_over and used and message.publish_ns > piece.last_ns:
+                yield piece.seal(message.publish_ns, self._detail(), is_last=True)
+                return
+            if not piece.fits(message):
+                yield piece.seal(message.publish_ns, "", is_last=False)
+                piece = _Piece(piece.number + 1, message.publish_ns)
+                is_late = self._is_expired()
+            piece.add(message)
+            used += message.size
+        yield piece.seal(answered_ns, self._detail(), is_last=True)
+
+    def _detail(self) -> str:
+        damaged = sum(log.chart.damaged for log in self._logs)
+        parts = [f"{damaged} damaged places were skipped"] if damaged else []
+        return "; ".join(parts + self.faults)
+
+    def _in_order(self) -> Iterator[tuple[Message | None, int]]:
+        """The messages by their publish time, without repetitions; and up to when all have been given.
+
+        The last one is None, and tells how far it went.
+        """
+        request, width_ns = self._request, SLICE_NS
+        self._logs = [log for log in self._logs if self._wanted[id(log)]]
+        # Outside of these nothing can be: no need to look at every slice since 1970.
+        first_ns = min((log.chart.start_ns for log in self._logs), default=0) - LATE_NS
+        last_ns = max((log.chart.end_ns for log in self._logs), default=0) + EARLY_NS
+        from_ns, end_ns = max(request.from_ns, first_ns), min(request.to_ns, last_ns + 1)
+        while from_ns < end_ns:
+            gathered = self._gather(from_ns, min(from_ns + width_ns, end_ns))
+            if gathered is None:
+                yield None, max(from_ns, request.from_ns)
+                return
+            found, to_ns, held = gathered
+            for message in _distinct(found):
+                yield message, message.publish_ns
+            is_sparse = held <= GATHER_BYTES // 4
+            width_ns = min(2 * width_ns, SLICE_MAX_NS) if is_sparse else max(1, to_ns - from_ns)
+            from_ns = to_ns
+        yield None, request.to_ns
+
+    def _gather(self, from_ns: int, to_ns: int) -> tuple[list[Message], int, int] | None:
+        """The messages of a slice, sorted; where it ends now; and what they take. None: no time is left."""
+        if self._is_expired():
+            return None
+        found: list[Message] = []
+        held, end_ns = 0, to_ns
+        for log in list(self._logs):
+            for message in self._read(log, from_ns, to_ns):
+                if message is None:
+                    return None
+                if message.publish_ns >= end_ns:
+                    continue
+                found.append(message)
+                held += len(message.data) + OBJECT_BYTES
+                if held > 2 * GATHER_BYTES:
+                    found, end_ns, held = _earliest(found, end_ns)
+        found.sort(key=attrgetter("publish_ns"))
+        if held > GATHER_BYTES:
+            found, end_ns, held = _earliest(found, end_ns)
+        return found, end_ns, held
+
+    def _read(self, log: LogCopy, from_ns: int, to_ns: int) -> Iterator[Message | None]:
+        """What a log has of a slice; None when the time is over."""
+        numbers = log.chart.near(from_ns, to_ns)
+        if not numbers:
+            return
+        channels = self._wanted[id(log)]
+        try:
+            with log.open() as stream:
+                for number in numbers:
+                    if self._is_expired():
+                        yield None
+                        return
+                    for channel_id, sequence, log_ns, publish_ns, data in log.chart.read(stream, number):
+                        if from_ns <= publish_ns < to_ns and channel_id in channels:
+                            yield Message(channels[channel_id], sequence, log_ns, publish_ns, data)
+        except OSError as error:
+            self._logs.remove(log)
+            self.faults.append(f"{log.name}: {error.strerror or error}")
+
+
+def _earliest(found: list[Message], end_ns: int) -> tuple[list[Message], int, int]:
+    """As many messages as may be held, up to which time, and what they take. At least those of one instant."""
+    found.sort(key=attrgetter("publish_ns"))
+    held = 0
+    for message in found:
+        held += len(message.data) + OBJECT_BYTES
+        if held > GATHER_BYTES:
+            end_ns = max(message.publish_ns, found[0].publish_ns + 1)
+            break
+    else:
+        return found, end_ns, held
+    kept = found[: bisect_left(found, end_ns, key=attrgetter("publish_ns"))]
+    return kept, end_ns, sum(len(message.data) + OBJECT_BYTES for message in kept)
+
+
+def _distinct(found: list[Message]) -> Iterator[Message]:
+    """Sorted messages, each once: what an incident's log holds is in the recorder's other log too."""
+    instant_ns = -1
+    seen: set[tuple[str, int, bytes]] = set()
+    for message in found:
+        if message.publish_ns != instant_ns:
+            instant_ns = message.publish_ns
+            seen.clear()
+        identity = message.channel.topic, message.sequence, message.data
+        if identity not in seen:
+            seen.add(identity)
+            yield message
+
+
+class _Piece:
+    """One piece, while it is put together."""
+
+    def __init__(self, number: int, from_ns: int) -> None:
+        self.number = number
+        self.last_ns = -1
+        self._from_ns = from_ns
+        self._messages = 0
+        self._chunk = ChunkBuilder()
+        self._ids: dict[tuple[str, str], int] = {}
+        self._channels: dict[str, LogChannel] = {}
+
+    def fits(self, message: Message) -> bool:
+        """Whether it may hold the message too. A schema of another version than its own does not fit."""
+        if not self._messages:
+            return True
+        same = self._channels.get(message.channel.schema_name)
+        if same is not None and same.schema_data != message.channel.schema_data:
+            return False
+        return len(self._chunk) + message.size <= PIECE_BYTES
+
+    def add(self, message: Message) -> None:
+        channel = message.channel
+        self._channels.setdefault(channel.schema_name, channel)
+        number = self._ids.setdefault((channel.topic, channel.schema_name), len(self._ids) + 1)
+        self._chunk.add(number, message.sequence, message.log_ns, message.publish_ns, message.data)
+        self._messages += 1
+        self.last_ns = message.publish_ns
+
+    def seal(self, next_ns: int, detail: str, *, is_last: bool) -> BackfillPiece:
+        return BackfillPiece(
+            ok=True, detail=detail, mcap=self._mcap(), messages=self._messages, next_ns=next_ns, is_last=is_last
+        )
+
+    def _mcap(self) -> bytes:
+        chunk = self._chunk.seal()
+        if chunk is None:
+            return b""
+        stream = BytesIO()
+        file = McapFile(stream, _LIBRARY)
+        file.add_metadata(PIECE_NAME, {"number": str(self.number), "from_ns": str(self._from_ns)})
+        for (topic, schema_name), number in self._ids.items():
+            schema_data = self._channels[schema_name].schema_data
+            file.add_channel(LogChannel(number, topic, schema_name, schema_data))
+        file.write_chunk(chunk)
+        file.finish()
+        return stream.getvalue()

@@ -1,0 +1,140 @@
+"""What of a topic is there without a gap, by its sequence: runs, and the holes between them. Pure.
+
+Messages may come in any order: what was asked for later stands behind what came by itself, and the same may be in
+several logs. So each message only lengthens a run of messages that follow each other, and the runs are put in the
+order of their publish times at the end. Memory grows with the gaps, not with the log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+from operator import attrgetter
+from typing import Final
+
+from recorder.tally import RESTART_STEP, SEQUENCE_SPAN
+
+OPEN_RUNS: Final = 4
+"""Runs that may go on by turns: what comes by itself, and what was asked for."""
+
+BATCH_NS: Final = 1_000_000_000
+"""The frames of one batch are no further apart than this; the same sequence later is another gateway's."""
+
+RUNS_MAX: Final = 4096
+"""Beyond this many they are put in order meanwhile."""
+
+
+class Run:
+    """Messages whose sequences follow each other; the frames of a batch share theirs."""
+
+    __slots__ = ("first", "first_ns", "last", "last_ns")
+
+    def __init__(self, sequence: int, publish_ns: int) -> None:
+        self.first = self.last = sequence
+        self.first_ns = self.last_ns = publish_ns
+
+    def take(self, sequence: int, publish_ns: int) -> bool:
+        """Take a message that goes on from here; False if it does not."""
+        if sequence != self.last + 1 and (sequence != self.last or publish_ns > self.last_ns + BATCH_NS):
+            return False
+        self.last = sequence
+        if publish_ns > self.last_ns:
+            self.last_ns = publish_ns
+        elif publish_ns < self.first_ns:
+            self.first_ns = publish_ns
+        return True
+
+    def join(self, other: Run) -> bool:
+        """Take in a run that begins no earlier; False if it neither goes on from here nor is a part of this."""
+        length, begins, ends = (
+            (sequence - self.first) % SEQUENCE_SPAN for sequence in (self.last, other.first, other.last)
+        )
+        if begins == length:
+            is_next = other.first_ns - self.last_ns <= BATCH_NS
+        else:
+            is_next = begins == length + 1 or (begins < length and other.first_ns <= self.last_ns)
+        if is_next:
+            if ends > length:
+                self.last = other.last
+            self.last_ns = max(self.last_ns, other.last_ns)
+        return is_next
+
+
+def _is_free(runs: list[Run], run: Run, publish_ns: int) -> bool:
+    """Whether no other run begins between the end of this one and that time: then it cannot go on there."""
+    return not any(run.last_ns < other.first_ns < publish_ns for other in runs)
+
+
+class Line:
+    """The messages of one topic."""
+
+    def __init__(self) -> None:
+        self._runs: list[Run] = []
+        self._limit = RUNS_MAX
+
+    def take(self, sequence: int, publish_ns: int) -> None:
+        """A message is there."""
+        if self._runs and self._runs[-1].take(sequence, publish_ns):
+            return
+        recent = self._runs[-OPEN_RUNS:]
+        for run in reversed(recent[:-1]):
+            if _is_free(recent, run, publish_ns) and run.take(sequence, publish_ns):
+                return
+        if len(self._runs) >= self._limit:
+            self._runs = self.runs()
+            self._limit = RUNS_MAX + 2 * len(self._runs)
+        self._runs.append(Run(sequence, publish_ns))
+
+    def runs(self) -> list[Run]:
+        """What is there, in the order of time. This takes the line apart no further than it was."""
+        joined: list[Run] = []
+        for run in sorted(self._runs, key=attrgetter("first_ns", "first")):
+            if not joined or not joined[-1].join(run):
+                joined.append(run)
+        self._runs = joined
+        return joined
+
+    def gaps(self) -> Iterator[tuple[Run, Run, int | None]]:
+        """The runs around each gap, and how many sequences are missing; None where the source began anew."""
+        runs = self.runs()
+        for before, after in pairwise(runs):
+            step = (after.first - before.last - 1) % SEQUENCE_SPAN
+            yield before, after, step if step < RESTART_STEP else None
+
+
+class Cover:
+    """When there was any message at all."""
+
+    def __init__(self, silence_ns: int) -> None:
+        self._silence_ns = silence_ns
+        self._spans: list[list[int]] = []
+        self._limit = RUNS_MAX
+
+    def take(self, publish_ns: int) -> None:
+        """A message is there."""
+        for span in reversed(self._spans[-OPEN_RUNS:]):
+            if span[0] - self._silence_ns <= publish_ns <= span[1] + self._silence_ns:
+                if publish_ns > span[1]:
+                    span[1] = publish_ns
+                elif publish_ns < span[0]:
+                    span[0] = publish_ns
+                return
+        if len(self._spans) >= self._limit:
+            self._join()
+            self._limit = RUNS_MAX + 2 * len(self._spans)
+        self._spans.append([publish_ns, publish_ns])
+
+    def silences(self) -> Iterator[tuple[int, int]]:
+        """The last message before each silence, and the first one after it."""
+        self._join()
+        for before, after in pairwise(self._spans):
+            yield before[1], after[0]
+
+    def _join(self) -> None:
+        joined: list[list[int]] = []
+        for first, last in sorted(self._spans):
+            if joined and first <= joined[-1][1] + self._silence_ns:
+                joined[-1][1] = max(joined[-1][1], last)
+            else:
+                joined.append([first, last])
+        self._spans = joined
