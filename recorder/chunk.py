@@ -33,6 +33,11 @@ class Chunk(msgspec.Struct, frozen=True):
     start_ns: int
     end_ns: int
 
+    @property
+    def counts(self) -> dict[int, int]:
+        """Messages of each channel."""
+        return {channel_id: len(entries) // 2 for channel_id, entries in self.index.items()}
+
 
 class _Index(dict[int, "array[int]"]):
     """Per channel, log time and offset of each message; a channel's begins when it is asked for."""

@@ -86,11 +86,21 @@ class Incidents:
                 copied.append(effect)
         return copied
 
-    def trim(self, now_ns: int, limit_bytes: int) -> None:
-        """Forget what is too old for an incident that would begin now, or too much."""
-        ring = self._ring
-        while ring and (now_ns - ring[0][0] > self._plan.before_ns or self.ring_bytes > limit_bytes):
-            self.ring_bytes -= len(ring.popleft()[1].records)
+    @property
+    def oldest_ns(self) -> int | None:
+        """When the oldest chunk of the ring came; None if it is empty."""
+        return self._ring[0][0] if self._ring else None
+
+    def trim(self, now_ns: int) -> None:
+        """Forget what is too old for an incident that would begin now."""
+        while self._ring and now_ns - self._ring[0][0] > self._plan.before_ns:
+            self.forget_oldest()
+
+    def forget_oldest(self) -> int:
+        """Forget the oldest chunk of the ring. Its bytes."""
+        size = len(self._ring.popleft()[1].records)
+        self.ring_bytes -= size
+        return size
 
     def begin(self, now_ns: int, wall_ns: int, because: str, log: str) -> list[OpenLog | FileEffect]:
         """Something has happened. Nothing is to be done if an incident is under way: it lasts longer.

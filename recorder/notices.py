@@ -95,6 +95,12 @@ FULL: Final = Word(
 ROOM: Final = Word(RecorderEventKind.FULL, Severity.INFO, "there is room on the disk again")
 
 
+def incident_word(file: str, because: str) -> Word:
+    """What a person is told of an incident that is being written."""
+    text = f"{file} keeps what came before and after: {because}"
+    return Word(RecorderEventKind.INCIDENT, Severity.WARNING, text, file)
+
+
 def in_words(notice: Notice) -> Word | None:
     """What a person is told of a notice, if it is worth telling."""
     match notice:

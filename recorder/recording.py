@@ -1,7 +1,7 @@
 """All that one recorder writes, without I/O: samples, ticks, orders and notices in, what is to be done out.
 
-One log for each robot, or one for all; each is a ``Session``, with a ring of its last seconds and at times an
-incident beside it. ``receive_sample`` finds the log by the key. The page to begin with; then ``session``.
+One ``RobotLog`` for each robot, or one for all. ``receive`` finds the log by the key. The page to begin with; then
+``robot_log``, ``session``.
 """
 
 from __future__ import annotations
@@ -15,53 +15,21 @@ import msgspec
 from msgspec import DecodeError
 
 from recorder.completeness import KeyReport, total
-from recorder.effects import (
-    Alarm,
-    AskInfo,
-    AskKept,
-    CloseLog,
-    Doing,
-    Effect,
-    FileEffect,
-    OnLog,
-    OpenLog,
-    Say,
-    SyncLog,
-    WriteChunk,
-    WriteMetadata,
-)
-from recorder.fast_path import ShortWay
-from recorder.gaps import Gaps
-from recorder.incidents import INCIDENT_NAME, IncidentPlan, Incidents
-from recorder.notices import (
-    FULL,
-    ROOM,
-    STARTED,
-    STOPPED,
-    Ended,
-    Lost,
-    Notice,
-    Opened,
-    Room,
-    Word,
-    in_words,
-)
+from recorder.effects import Doing, Say
+from recorder.incidents import IncidentPlan
+from recorder.notices import FULL, ROOM, STARTED, STOPPED, Ended, Lost, Notice, Opened, Room, Word, in_words
+from recorder.robot_log import INCIDENT_MARK, Outlet, RobotLog, trim_rings
 from recorder.sample import Sample
-from recorder.session import Plan, Session
+from recorder.session import Plan
 from recorder.tally import SEQUENCE_SPAN, Tally
 from schemas import keys
-from schemas.decisions import Severity
 from schemas.recorder_settings import OWNED_KEY_LIMIT, ROBOT_LIMIT
 from schemas.recording import (
     GapReason,
     RecorderEvent,
-    RecorderEventKind,
     RecorderState,
     RecordGap,
 )
-
-INCIDENT_MARK: Final = "!"
-"""Behind a log's name it is that of its incidents: no robot's name holds it."""
 
 TELL_GAPS_NS: Final = 1_000_000_000
 """Gaps are told once a second."""
@@ -93,49 +61,19 @@ class RecordingPlan(msgspec.Struct, frozen=True):
     log_limit: int = ROBOT_LIMIT
 
 
-class _Log:
-    """One log: its session, its incidents, and which files they are in."""
-
-    def __init__(self, name: str, plan: RecordingPlan) -> None:
-        self.name = name
-        self.session = Session(msgspec.structs.replace(plan.session, name=name))
-        self.incidents = Incidents(name, plan.incident)
-        self.is_written = False
-        self.short_ways: list[str] = []
-        """Keys of it that go the short way, while a file is written."""
-        self.file = ""
-        """The file that is being written, without its directory; empty if there is none."""
-        self.is_incident_told = True
-        """Whether the latest incident has been opened, and that was told."""
-        self.incident_file = ""
-        """The file of the incident that is being written; empty if there is none, or not yet."""
-        self.named = ""
-        """The incident that the file of the log names."""
-
-    @property
-    def incident_name(self) -> str:
-        return self.name + INCIDENT_MARK
-
-
 class Recording:
     """Everything that one recorder writes."""
 
     def __init__(self, plan: RecordingPlan) -> None:
         self._plan = plan
-        self._logs: dict[str, _Log] = {}
-        self._by_key: dict[str, _Log] = {}
-        self._short_ways: dict[str, ShortWay] = {}
-        self._gaps = Gaps()
+        self._logs: dict[str, RobotLog] = {}
+        self._by_key: dict[str, RobotLog] = {}
+        self._outlet = Outlet()
         self._gaps_told_ns = 0
         self._sequence = 0
-        self._doings: list[Doing] = []
         self._is_stopped = plan.standby
-        self._has_room = self._has_incident_room = True
-        self._left_out: GapReason | None = None
-        """Why chunks are not written that are not: None is no loss."""
+        self._has_room = True
         self._own = re.compile(rf"{re.escape(plan.root)}/({keys.ROBOT_PATTERN})/.*", re.DOTALL)
-        self.incidents = 0
-        """Incidents begun."""
 
     @property
     def state(self) -> RecorderState:
@@ -175,9 +113,14 @@ class Recording:
         return {log.name for log in self._logs.values() if log.is_written}
 
     @property
+    def incidents(self) -> int:
+        """Incidents that were begun."""
+        return self._outlet.incidents
+
+    @property
     def has_incident_room(self) -> bool:
         """Whether the disk may hold more incidents."""
-        return self._has_incident_room
+        return self._outlet.has_incident_room
 
     @property
     def ring_bytes(self) -> int:
@@ -189,7 +132,7 @@ class Recording:
 
         Nearly all go the short way of their key, see ``fast_path``; the others through ``receive_sample``.
         """
-        short_ways, limit_bytes = self._short_ways, self._plan.sample_max_bytes
+        short_ways, limit_bytes = self._outlet.short_ways, self._plan.sample_max_bytes
         doings: list[Doing] = []
         for sample in samples:
             way = short_ways.get(sample.key)
@@ -201,7 +144,9 @@ class Recording:
                 except DecodeError:
                     pass
             doings += self.receive_sample(sample, now_ns, sample.received_ns)
-            self._find_short_way(sample.key)
+            log = self._by_key.get(sample.key)
+            if log is not None:
+                log.find_short_way(sample.key)
         return doings
 
     def receive_sample(self, sample: Sample, now_ns: int, wall_ns: int) -> Sequence[Doing]:
@@ -213,7 +158,7 @@ class Recording:
         effects = log.session.receive_sample(sample, now_ns, wall_ns)
         if not effects:
             return ()
-        self._carry_on(log, effects, now_ns)
+        log.carry_on(effects, now_ns)
         return self._take_doings()
 
     def drop(self, key: str, reason: GapReason, now_ns: int, wall_ns: int) -> None:
@@ -228,12 +173,11 @@ class Recording:
             wall_ns: since 1970.
             sizes: of the file of each log, in bytes.
         """
-        limit_bytes = self._plan.ring_bytes // max(1, len(self._logs))
         for log in self._logs.values():
-            self._carry_on(log, log.session.tick(now_ns, sizes.get(log.name, 0)), now_ns)
-            log.incidents.trim(now_ns, limit_bytes)
+            log.carry_on(log.session.tick(now_ns, sizes.get(log.name, 0)), now_ns)
             if log.incidents.is_over(now_ns):
-                self._end_incident(log, now_ns)
+                log.end_incident(now_ns)
+        trim_rings(self._logs.values(), now_ns, self._plan.ring_bytes)
         if now_ns - self._gaps_told_ns >= TELL_GAPS_NS:
             self._gaps_told_ns = now_ns
             self._tell_gaps(now_ns, wall_ns)
@@ -242,7 +186,7 @@ class Recording:
     def roll(self, reason: str, now_ns: int) -> Sequence[Doing]:
         """End all files; the next samples begin others."""
         for log in self._logs.values():
-            self._carry_on(log, log.session.roll(reason), now_ns)
+            log.carry_on(log.session.roll(reason), now_ns)
         return self._take_doings()
 
     def stop(self, operator: str, now_ns: int, wall_ns: int) -> Sequence[Doing]:
@@ -269,51 +213,55 @@ class Recording:
             is opened; and what is to be done. Nothing if there is no such log, or no room.
         """
         marked = [log for log in self._logs.values() if self._is_of(log, robot)]
-        if not self._has_incident_room:
+        if not self.has_incident_room:
             return {}, ()
         for log in marked:
-            self._begin_incident(log, because, now_ns, wall_ns)
+            log.begin_incident(because, now_ns, wall_ns)
         return {log.incident_name: log.incident_file for log in marked}, self._take_doings()
 
     def take_notice(self, notice: Notice, now_ns: int, wall_ns: int) -> Sequence[Doing]:
         """What became of files and of the disk."""
-        match notice:
-            case Opened():
-                self._take_opened(notice, now_ns, wall_ns)
-            case Ended():
-                self._take_ended(notice)
-            case Lost():
-                self._take_lost(notice)
-            case Room():
-                self._take_room(notice, now_ns, wall_ns)
-        word = in_words(notice)
+        word, log = in_words(notice), None
+        if isinstance(notice, Room):
+            self._take_room(notice, now_ns, wall_ns)
+        elif isinstance(notice, Opened | Ended | Lost):
+            log = self._logs.get(notice.log.removesuffix(INCIDENT_MARK))
+            if log is None:
+                return []
+            if isinstance(notice, Opened):
+                word = log.take_opened(notice, now_ns)
+            elif isinstance(notice, Ended):
+                log.take_ended(notice)
+            else:
+                log.take_lost(notice)
         if word is not None:
-            self._tell(word, now_ns, wall_ns)
+            self._tell(word, now_ns, wall_ns, log)
         return self._take_doings()
 
     def ask_last(self, now_ns: int) -> Sequence[Doing]:
         """What is worth asking once more before ``close``."""
         for log in self._logs.values():
-            self._carry_on(log, log.session.ask_last(now_ns), now_ns)
+            log.carry_on(log.session.ask_last(now_ns), now_ns)
         return self._take_doings()
 
     def close(self, now_ns: int, wall_ns: int) -> Sequence[Doing]:
         """End everything."""
         for log in self._logs.values():
-            self._carry_on(log, log.session.seal(), now_ns)
+            log.carry_on(log.session.seal(), now_ns)
         self._tell_gaps(now_ns, wall_ns)
         for log in self._logs.values():
-            self._carry_on(log, log.session.close(), now_ns)
-            self._end_incident(log, now_ns)
+            log.carry_on(log.session.close(), now_ns)
+            log.end_incident(now_ns)
         return self._take_doings()
 
-    def _find_log(self, key: str) -> _Log:
+    def _find_log(self, key: str) -> RobotLog:
         name = self._name_of(key) if self._plan.per_robot else self._plan.session.name
         if name not in self._logs and len(self._logs) > self._plan.log_limit:
             name = self._plan.session.name
         log = self._logs.get(name)
         if log is None:
-            log = self._logs[name] = _Log(name, self._plan)
+            plan = msgspec.structs.replace(self._plan.session, name=name)
+            log = self._logs[name] = RobotLog(plan, self._plan.incident, self._outlet)
             if self.state is not RecorderState.RECORDING:
                 log.session.pause(self.state.value)
         if len(self._by_key) >= OWNED_KEY_LIMIT:
@@ -331,128 +279,17 @@ class Recording:
         # Robots of other roots may have the same names.
         return f"{parts.root}/{parts.robot}"
 
-    def _close_short_ways(self, log: _Log) -> None:
-        """The next sample of each key goes the long way, which begins a file where there is none."""
-        for key in log.short_ways:
-            del self._short_ways[key]
-        log.short_ways.clear()
-
-    def _find_short_way(self, key: str) -> None:
-        log = self._by_key.get(key)
-        if log is None or key in self._short_ways or len(self._short_ways) >= OWNED_KEY_LIMIT:
-            return
-        way = log.session.short_way(key)
-        if way is not None:
-            self._short_ways[key] = way
-            log.short_ways.append(key)
-
-    def _is_of(self, log: _Log, robot: str) -> bool:
+    def _is_of(self, log: RobotLog, robot: str) -> bool:
         if not robot or log.name == robot:
             return True
         return not self._plan.per_robot and log.session.has_heard(robot)
 
-    def _carry_on(self, log: _Log, effects: Iterable[Effect], now_ns: int) -> None:
-        """What a session asks for goes into its log, as far as that is written, and into the ring."""
-        written: list[OpenLog | FileEffect] = []
-        kept: list[Effect] = []
-        for effect in effects:
-            if isinstance(effect, AskInfo | AskKept):
-                self._doings.append(effect)
-            elif isinstance(effect, Alarm):
-                if self._has_incident_room:
-                    self._begin_incident(log, effect.because, now_ns, effect.wall_ns)
-            elif isinstance(effect, WriteChunk | SyncLog) and not log.is_written:
-                kept.append(effect)
-                if isinstance(effect, WriteChunk):
-                    self._leave_out(log, effect)
-            else:
-                kept.append(effect)
-                written.append(effect)
-                if isinstance(effect, OpenLog | CloseLog):
-                    log.is_written = isinstance(effect, OpenLog)
-                    log.named = ""
-                    self._close_short_ways(log)
-        if written:
-            self._doings.append(OnLog(log.name, tuple(written)))
-        if kept:
-            self._write_incident(log, log.incidents.take(kept, now_ns))
-
-    def _leave_out(self, log: _Log, effect: WriteChunk) -> None:
-        """A chunk that only the ring holds. That the disk is full is a loss; that somebody stopped us is none."""
-        chunk = effect.chunk
-        counts = {channel_id: len(entries) // 2 for channel_id, entries in chunk.index.items()}
-        reason = self._left_out
-        for topic, count in log.session.lose_written(counts, reason).items():
-            if reason is not None:
-                self._gaps.add(log.name, topic, reason, count, chunk.start_ns, chunk.end_ns)
-
-    def _begin_incident(self, log: _Log, because: str, now_ns: int, wall_ns: int) -> None:
-        # Where no file has been begun yet, nothing has been said of the robots.
-        self._carry_on(log, log.session.describe(), now_ns)
-        effects = log.incidents.begin(now_ns, wall_ns, because, log.file if log.is_written else "")
-        if effects:
-            log.is_incident_told = False
-            log.incident_file = ""
-            self.incidents += 1
-        self._write_incident(log, effects)
-
-    def _end_incident(self, log: _Log, now_ns: int) -> None:
-        if log.incidents.is_open:
-            # What is in hand was received in time.
-            self._carry_on(log, log.session.seal(), now_ns)
-            self._write_incident(log, log.incidents.close())
-
-    def _write_incident(self, log: _Log, effects: Sequence[OpenLog | FileEffect]) -> None:
-        if effects:
-            self._doings.append(OnLog(log.incident_name, tuple(effects)))
-
-    def _take_opened(self, notice: Opened, now_ns: int, wall_ns: int) -> None:
-        log = self._logs.get(notice.log)
-        if log is not None:
-            log.file = notice.file
-            self._write_incident(log, log.incidents.go_on_in(notice.file))
-            if log.incidents.is_open and log.incident_file:
-                self._name_incident(log, now_ns)
-            return
-        log = self._logs.get(notice.log.removesuffix(INCIDENT_MARK))
-        if log is None:
-            return
-        log.incident_file = notice.file
-        if log.is_incident_told:
-            return  # The incident goes on in another file, after a fault of the disk.
-        log.is_incident_told = True
-        self._name_incident(log, now_ns)
-        text = f"{notice.file} keeps what came before and after: {log.incidents.about['because']}"
-        word = Word(RecorderEventKind.INCIDENT, Severity.WARNING, text, notice.file)
-        self._tell(word, now_ns, wall_ns, log)
-
-    def _name_incident(self, log: _Log, now_ns: int) -> None:
-        if log.is_written and log.named != log.incident_file:
-            log.named = log.incident_file
-            entries = {**log.incidents.about, "file": log.incident_file}
-            self._carry_on(log, [WriteMetadata(INCIDENT_NAME, entries)], now_ns)
-
-    def _take_ended(self, notice: Ended) -> None:
-        log = self._logs.get(notice.log)
-        if log is not None and log.file == notice.file:
-            log.file = ""
-        log = self._logs.get(notice.log.removesuffix(INCIDENT_MARK))
-        if log is not None and log.incident_file == notice.file:
-            log.incident_file = ""
-
-    def _take_lost(self, lost: Lost) -> None:
-        log = self._logs.get(lost.log)
-        if log is None:
-            return  # An incident's: the log itself may have them.
-        for topic, count in log.session.lose_written(lost.counts, GapReason.DISK).items():
-            self._gaps.add(log.name, topic, GapReason.DISK, count, lost.first_ns, lost.last_ns)
-
     def _take_room(self, room: Room, now_ns: int, wall_ns: int) -> None:
         had_room, self._has_room = self._has_room, room.has_room
-        self._has_incident_room = room.has_incident_room
+        self._outlet.has_incident_room = room.has_incident_room
         if room.roll:
             for log in self._logs.values():
-                self._carry_on(log, log.session.roll("room"), now_ns)
+                log.carry_on(log.session.roll("room"), now_ns)
         if had_room and not room.has_room:
             self._tell(FULL, now_ns, wall_ns)
             self._pause_or_resume("full", now_ns)
@@ -463,22 +300,22 @@ class Recording:
     def _pause_or_resume(self, reason: str, now_ns: int) -> None:
         is_paused = self.state is not RecorderState.RECORDING
         for log in self._logs.values():
-            self._carry_on(log, log.session.seal(), now_ns)
+            log.carry_on(log.session.seal(), now_ns)
             if log.session.is_paused != is_paused:
                 effects = log.session.pause(reason) if is_paused else log.session.resume()
-                self._carry_on(log, effects, now_ns)
+                log.carry_on(effects, now_ns)
         # Only now: what was in hand came before.
-        self._left_out = GapReason.FULL if self.state is RecorderState.FULL else None
+        self._outlet.left_out = GapReason.FULL if self.state is RecorderState.FULL else None
 
-    def _drop(self, log: _Log, key: str, reason: GapReason, now_ns: int, wall_ns: int) -> None:
-        self._carry_on(log, log.session.lose(key, reason, 1, now_ns), now_ns)
-        self._gaps.add(log.name, key, reason, 1, wall_ns, wall_ns)
+    def _drop(self, log: RobotLog, key: str, reason: GapReason, now_ns: int, wall_ns: int) -> None:
+        log.carry_on(log.session.lose(key, reason, 1, now_ns), now_ns)
+        self._outlet.gaps.add(log.name, key, reason, 1, wall_ns, wall_ns)
 
     def _tell_gaps(self, now_ns: int, wall_ns: int) -> None:
-        for name, gap in self._gaps.tell(wall_ns):
+        for name, gap in self._outlet.gaps.tell(wall_ns):
             self._say(gap, self._logs[name], now_ns)
 
-    def _tell(self, word: Word, now_ns: int, wall_ns: int, log: _Log | None = None) -> None:
+    def _tell(self, word: Word, now_ns: int, wall_ns: int, log: RobotLog | None = None) -> None:
         event = RecorderEvent(
             time_ns=wall_ns,
             sequence=self._sequence,
@@ -492,14 +329,14 @@ class Recording:
         self._sequence = (self._sequence + 1) % SEQUENCE_SPAN
         self._say(event, log, now_ns)
 
-    def _say(self, message: RecorderEvent | RecordGap, log: _Log | None, now_ns: int) -> None:
+    def _say(self, message: RecorderEvent | RecordGap, log: RobotLog | None, now_ns: int) -> None:
         """Publish it, and write it into its log, or into all."""
-        self._doings.append(Say(message))
+        self._outlet.doings.append(Say(message))
         name = "gap" if isinstance(message, RecordGap) else "event"
         topic = keys.of_recorder(self._plan.root, self._plan.recorder, name)
         for one in self._logs.values() if log is None else [log]:
-            self._carry_on(one, one.session.add_own(topic, message, now_ns), now_ns)
+            one.carry_on(one.session.add_own(topic, message, now_ns), now_ns)
 
     def _take_doings(self) -> Sequence[Doing]:
-        doings, self._doings = self._doings, []
+        doings, self._outlet.doings = self._outlet.doings, []
         return doings

@@ -45,9 +45,11 @@ PURE_REMOTE = (
     "view",
 )
 PURE_RECORDER = (
+    "can_columns",
     "chunk",
     "completeness",
     "effects",
+    "fast_path",
     "foxglove_log",
     "gaps",
     "health",
@@ -61,6 +63,7 @@ PURE_RECORDER = (
     "recording",
     "recovery",
     "retention",
+    "robot_log",
     "robots",
     "routes",
     "sample",
@@ -79,6 +82,7 @@ PURE = [
     *(ROOT / "gateway" / "sim" / f"{name}.py" for name in PURE_SIM),
     *(ROOT / "gateway" / "remote" / f"{name}.py" for name in PURE_REMOTE),
     *(ROOT / "recorder" / f"{name}.py" for name in PURE_RECORDER),
+    *sorted((ROOT / "recorder" / "backfill").glob("*.py")),
     *(
         path
         for path in sorted((ROOT / "schemas").glob("*.py"))

@@ -154,7 +154,7 @@ class LogWriter:
         self._waiting.extendleft(reversed(kept))
 
     def _lose(self, name: str, chunk: Chunk) -> None:
-        counts = {channel_id: len(entries) // 2 for channel_id, entries in chunk.index.items()}
+        counts = chunk.counts
         if self._chains[name].is_incident:
             log.error("the disk takes too little: an incident lacks messages")
             return

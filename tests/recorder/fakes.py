@@ -339,7 +339,7 @@ class FakeSource:
 class FakeAsked:
     """A request that remembers what it was told."""
 
-    operator = "anna"
+    operator = "operator-1"
 
     def __init__(self, request: Request | PayloadFault) -> None:
         self.request = request

@@ -137,5 +137,5 @@ def test_it_says_since_when_it_does_what_it_does() -> None:
     recording.take_notice(Room(has_room=False, has_incident_room=True), START_NS, WALL_NS)
     assert told(3) == (RecorderState.FULL, 0.0)
     assert told(5) == (RecorderState.FULL, 2.0)
-    recording.stop("anna", START_NS, WALL_NS)
+    recording.stop("operator-1", START_NS, WALL_NS)
     assert told(6) == (RecorderState.STOPPED, 0.0)

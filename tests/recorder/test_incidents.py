@@ -1,6 +1,5 @@
 """The ring of a log, and what an incident takes from it."""
 
-import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -40,17 +39,9 @@ def chunks(effects: list[OpenLog | FileEffect]) -> list[Chunk]:
     return [one.chunk for one in effects if isinstance(one, WriteChunk)]
 
 
-@example([(SECOND, 100)] * 20, 3 * SECOND, 5000)
-@example([(SECOND, 100)] * 20, 3 * SECOND, 500)
-@given(
-    st.lists(st.tuples(st.integers(0, 3 * SECOND), st.integers(1, 300)), max_size=40),
-    st.integers(0, 20 * SECOND),
-    st.integers(0, 5000),
-)
-def test_the_ring_holds_the_last_seconds_as_far_as_memory_goes(
-    steps: list[tuple[int, int]], wait_ns: int, limit_bytes: int
-) -> None:
-    """All that is young enough, but for the oldest where that is too much; and never more than it may."""
+@given(steps=st.lists(st.tuples(st.integers(0, SECOND), st.integers(1, 500))), wait_ns=st.integers(0, 40 * SECOND))
+def test_the_ring_holds_the_last_seconds(steps: list[tuple[int, int]], wait_ns: int) -> None:
+    """All that is young enough, and nothing else; the oldest may be forgotten before."""
     incidents = Incidents("a", PLAN)
     now_ns = 0
     given_: list[tuple[int, WriteChunk]] = []
@@ -59,13 +50,14 @@ def test_the_ring_holds_the_last_seconds_as_far_as_memory_goes(
         given_.append((now_ns, chunk(number, size)))
         incidents.take([given_[-1][1]], now_ns)
     now_ns += wait_ns
-    incidents.trim(now_ns, limit_bytes)
-    young = [one.chunk for at_ns, one in given_ if now_ns - at_ns <= PLAN.before_ns]
+    incidents.trim(now_ns)
+    young = [(at_ns, one.chunk) for at_ns, one in given_ if now_ns - at_ns <= PLAN.before_ns]
+    assert incidents.oldest_ns == (young[0][0] if young else None)
+    if young:
+        assert incidents.forget_oldest() == len(young.pop(0)[1].records)
     held = chunks(incidents.begin(now_ns, WALL_NS, "", ""))
-    assert held == young[len(young) - len(held) :]
-    assert incidents.ring_bytes == sum(len(one.records) for one in held) <= limit_bytes
-    if len(held) < len(young):
-        assert incidents.ring_bytes + len(young[-len(held) - 1].records) > limit_bytes
+    assert held == [one for _, one in young]
+    assert incidents.ring_bytes == sum(len(one.records) for one in held)
 
 
 def test_an_incident_begins_with_what_was_declared_and_what_came_before() -> None:
@@ -150,12 +142,3 @@ def test_an_incident_says_where_the_log_goes_on() -> None:
     (one,) = incidents.go_on_in("a-2.mcap")
     about = {"at_ns": str(WALL_NS), "because": "first", "file": "a-2.mcap"}
     assert one == WriteMetadata(INCIDENT_NAME, about, lasts=True)
-
-
-@pytest.mark.parametrize("limit_bytes", [0, 100])
-def test_a_chunk_larger_than_the_ring_leaves_it_empty(limit_bytes: int) -> None:
-    """No memory is no ring."""
-    incidents = Incidents("a", PLAN)
-    incidents.take([chunk(0, 200)], 0)
-    incidents.trim(0, limit_bytes)
-    assert incidents.ring_bytes == 0

@@ -115,13 +115,13 @@ def test_a_mark_names_its_incidents() -> None:
     first = desk.ask(Mark("it shook", "a"))
     desk.notice()
     assert first.answer.files == ["a-0.incident.mcap"]
-    assert desk.recording._logs["a"].incidents.about["because"] == "mark by anna: it shook"
+    assert desk.recording._logs["a"].incidents.about["because"] == "mark by operator-1: it shook"
     assert desk.ask(Mark("", "a")).answer.files == ["a-0.incident.mcap"]
     both = desk.ask(Mark())
     assert not both.replies
     desk.notice()
     assert both.answer.files == ["a-0.incident.mcap", "b-0.incident.mcap"]
-    assert desk.recording._logs["b"].incidents.about["because"] == "mark by anna"
+    assert desk.recording._logs["b"].incidents.about["because"] == "mark by operator-1"
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,8 @@ from recorder.foxglove_log import LOG_CHUNK
 from recorder.health import HealthReport, Vitals
 from recorder.incidents import INCIDENT_NAME, IncidentPlan
 from recorder.notices import Deleted, Lost, Room
-from recorder.recording import INCIDENT_MARK, TELL_GAPS_NS, Recording, RecordingPlan
+from recorder.recording import TELL_GAPS_NS, Recording, RecordingPlan
+from recorder.robot_log import INCIDENT_MARK
 from recorder.sample import Sample
 from recorder.session import CONTINUED_NAME, Plan
 from schemas import keys
@@ -95,10 +96,10 @@ class Bench:
             self.writer.carry_out(self.recording.take_notice(notice, self.now_ns, self.wall_ns))
 
     def stop(self) -> None:
-        self.writer.carry_out(self.recording.stop("anna", self.now_ns, self.wall_ns))
+        self.writer.carry_out(self.recording.stop("operator-1", self.now_ns, self.wall_ns))
 
     def start(self) -> None:
-        self.writer.carry_out(self.recording.start("anna", self.now_ns, self.wall_ns))
+        self.writer.carry_out(self.recording.start("operator-1", self.now_ns, self.wall_ns))
 
     def mark(self, robot: str = "", because: str = "it shook") -> dict[str, str]:
         marked, doings = self.recording.mark(robot, because, self.now_ns, self.wall_ns)
@@ -632,7 +633,7 @@ def test_what_is_said_is_numbered_and_said_in_every_log_that_is_written(bench: B
         *("deleted", "full", "full", "stopped", "full", "full", "started")
     ]
     assert [event.sequence for event in events] == list(range(7))
-    assert [event.operator for event in events if event.operator] == ["anna", "anna"]
+    assert [event.operator for event in events if event.operator] == ["operator-1", "operator-1"]
     bench.close()
     for files in bench.logs().values():
         # No file is being written when there is room again, nor at the start: nothing has come since.
