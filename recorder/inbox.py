@@ -30,7 +30,7 @@ class Inbox:
 
     def put(self, sample: Sample) -> list[tuple[str, int]]:
         """Have a sample wait. Key and receipt of those that must go instead; of this one if it is too much."""
-        size = len(sample.payload) + len(sample.key) + SAMPLE_BYTES
+        size = len(sample.payload) + len(sample.attachment) + len(sample.key) + SAMPLE_BYTES
         self._waiting.append((sample, size))
         self.bytes += size
         if self.bytes <= self._limit_bytes:

@@ -152,7 +152,7 @@ class Recording:
     def receive_sample(self, sample: Sample, now_ns: int, wall_ns: int) -> Sequence[Doing]:
         """Record a sample. It may hold anything: nothing in it raises."""
         log = self._by_key.get(sample.key) or self._find_log(sample.key)
-        if len(sample.payload) > self._plan.sample_max_bytes:
+        if len(sample.payload) + len(sample.attachment) > self._plan.sample_max_bytes:
             self._drop(log, sample.key, GapReason.SIZE, now_ns, wall_ns)
             return ()
         effects = log.session.receive_sample(sample, now_ns, wall_ns)

@@ -26,15 +26,19 @@ class LogEntry(msgspec.Struct, frozen=True):
 
     Attributes:
         started: the UTC start in its name, which sorts by time.
+        number: of several files of one name and second; the first has none, which is 1.
         is_open: it is being written, or a recorder left it and it is not recovered yet.
+        is_own: this recorder is writing it, and can end it.
         is_stuck: it could not be deleted: it takes its room, and others go in its place.
     """
 
     name: str
     bytes: int
     started: str
+    number: int = 1
     is_incident: bool = False
     is_open: bool = False
+    is_own: bool = False
     is_stuck: bool = False
 
 
@@ -74,10 +78,10 @@ def judge(entries: Sequence[LogEntry], free_bytes: int, limits: Limits, *, is_fu
     wanted = _wanted(used, free_bytes, limits, is_full=is_full)
     may_go = sorted(
         (entry for entry in entries if not (entry.is_incident or entry.is_open or entry.is_stuck)),
-        key=lambda entry: (entry.started, entry.name),
+        key=lambda entry: (entry.started, entry.number, entry.name),
     )
     incident_bytes = sum(entry.bytes for entry in entries if entry.is_incident)
-    open_bytes = sum(entry.bytes for entry in entries if entry.is_open and not entry.is_incident)
+    open_bytes = sum(entry.bytes for entry in entries if entry.is_own and not entry.is_incident)
     closed_bytes = sum(entry.bytes for entry in may_go)
     # What is written now may go once it is ended; while that is worth it, recording need not stop.
     worth = ROLL_SHARE * (limits.budget_bytes or limits.floor_bytes)

@@ -134,8 +134,9 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
     with ExitStack() as stack:
         source = stack.enter_context(closing(ZenohSource(settings.zenoh, expressions, RING_SAMPLES)))
         control = stack.enter_context(closing(RemoteControl(settings)))
+        writer = LogWriter(directory, library, QUEUE_BYTES + recorder.incident_ring_bytes)
         limits = Limits(recorder.budget_bytes, recorder.floor_bytes)
-        keeper = stack.enter_context(closing(DiskKeeper(path, limits)))
+        keeper = stack.enter_context(closing(DiskKeeper(path, limits, lambda: writer.parts)))
         sys.stderr.write(f"record: waiting for samples of {', '.join(expressions)} into {recorder.directory}\n")
         sys.stderr.flush()
         leftovers = LeftoverThread(path, library)
@@ -143,7 +144,7 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
         one = Recorder(
             Recording(msgspec.structs.replace(plan, log_limit=log_limit)),
             source,
-            LogWriter(directory, library, QUEUE_BYTES + recorder.incident_ring_bytes),
+            writer,
             Inbox(recorder.queue_bytes),
             HealthReport(control.name, release, time.monotonic_ns()),
         )

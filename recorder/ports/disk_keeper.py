@@ -8,7 +8,7 @@ import re
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import Final
 
@@ -36,7 +36,7 @@ FLOOR_MAX_SHARE: Final = 0.1
 """No more than this of a file system is kept free, however small it is."""
 
 _NAME: Final = re.compile(
-    r"[A-Za-z0-9._-]+-(?P<start>\d{8}T\d{6}Z)(?P<kind>\.[a-z]+)?(-\d+)*(?P<suffix>\.mcap(\.part|\.damaged|\.rest)?)"
+    r"[A-Za-z0-9._-]+-(?P<start>\d{8}T\d{6}Z)(?P<kind>\.[a-z]+)?(-(?P<number>\d+))*(?P<suffix>\.mcap(\.part|\.damaged|\.rest)?)"
 )
 """The names that a recorder gives; whatever else is in the directory is not ours to delete or to count."""
 
@@ -49,8 +49,12 @@ class DiskUse(msgspec.Struct, frozen=True):
     incidents: int = 0
 
 
-def read_entries(directory: Path) -> list[LogEntry]:
+def read_entries(directory: Path, own: Collection[str] = ()) -> list[LogEntry]:
     """The recorder's files in a directory.
+
+    Args:
+        directory: of the logs.
+        own: names of those that are being written here.
 
     Raises:
         OSError: it cannot be read.
@@ -70,8 +74,10 @@ def read_entries(directory: Path) -> list[LogEntry]:
                     name=one.name,
                     bytes=size,
                     started=match["start"],
+                    number=int(match["number"] or 1),
                     is_incident=match["kind"] == INCIDENT_SUFFIX,
                     is_open=match["suffix"] == PART_SUFFIX,
+                    is_own=one.name in own,
                 )
             )
     return entries
@@ -83,11 +89,13 @@ class DiskKeeper:
     Args:
         directory: of the logs.
         limits: what they may take.
+        own: names of the files that are being written here.
     """
 
-    def __init__(self, directory: Path, limits: Limits) -> None:
+    def __init__(self, directory: Path, limits: Limits, own: Callable[[], Collection[str]] = frozenset) -> None:
         self._directory = directory
         self._limits = limits
+        self._own = own
         self._notices: deque[Notice] = deque(maxlen=NOTICES_MAX)
         self._room = Room(has_room=True, has_incident_room=True)
         self._stuck: dict[str, float] = {}
@@ -118,7 +126,7 @@ class DiskKeeper:
                 return
 
     def _look(self) -> None:
-        entries = read_entries(self._directory)
+        entries = read_entries(self._directory, self._own())
         disk = os.statvfs(self._directory)
         free = disk.f_bavail * disk.f_frsize
         floor = min(self._limits.floor_bytes, int(FLOOR_MAX_SHARE * disk.f_blocks * disk.f_frsize))

@@ -105,6 +105,13 @@ class LogWriter:
             if (file := chain.file) is not None and chain.opened == chain.submitted
         }
 
+    @property
+    def parts(self) -> frozenset[str]:
+        """The names of the files that are being written, as they are now."""
+        with self._changed:
+            chains = list(self._chains.values())
+        return frozenset(file.path.name for chain in chains if (file := chain.file) is not None)
+
     def notices(self) -> Iterable[Notice]:
         """What became of the files since the last call."""
         while self._notices:

@@ -14,13 +14,20 @@ ENTRIES = st.lists(
         name=st.text("abc", min_size=1, max_size=4),
         bytes=st.integers(0, 400),
         started=st.sampled_from([f"20270115T08000{second}Z" for second in range(10)]),
+        number=st.integers(1, 11),
         is_incident=st.sampled_from([False, False, False, True]),
         is_open=st.sampled_from([False, False, False, True]),
         is_stuck=st.sampled_from([False, False, False, True]),
     ),
     max_size=12,
     unique_by=lambda entry: entry.name,
-).map(lambda entries: [entry for entry in entries if not (entry.is_open and entry.is_stuck)])
+).map(
+    lambda entries: [
+        msgspec.structs.replace(entry, is_own=entry.is_open)
+        for entry in entries
+        if not (entry.is_open and entry.is_stuck)
+    ]
+)
 LIMITS = st.builds(Limits, budget_bytes=st.sampled_from([0, 500, 1000]), floor_bytes=st.sampled_from([0, 200]))
 FREE = st.integers(0, 500)
 
@@ -50,7 +57,7 @@ def test_only_what_may_go_goes_the_oldest_first(
     """Incidents and what is being written never do, and nothing is deleted twice."""
     judgement = judge(entries, free_bytes, limits, is_full=is_full)
     may_go = [entry for entry in entries if not (entry.is_incident or entry.is_open or entry.is_stuck)]
-    may_go.sort(key=lambda entry: (entry.started, entry.name))
+    may_go.sort(key=lambda entry: (entry.started, entry.number, entry.name))
     assert list(judgement.delete) == [entry.name for entry in may_go[: len(judgement.delete)]]
 
 
@@ -84,7 +91,10 @@ def test_logs_are_ended_only_when_that_makes_room_and_is_worth_it(
         assert judgement.has_room
         open_bytes = used([entry for entry in entries if entry.is_open and not entry.is_incident])
         assert open_bytes >= ROLL_SHARE * (limits.budget_bytes or limits.floor_bytes)
-        ended = [msgspec.structs.replace(entry, is_open=entry.is_open and entry.is_incident) for entry in entries]
+        ended = [
+            msgspec.structs.replace(entry, is_open=entry.is_open and entry.is_incident, is_own=False)
+            for entry in entries
+        ]
         assert judge(ended, free_bytes, limits, is_full=False).has_room
 
 
@@ -119,7 +129,14 @@ def test_incidents_have_a_share_of_their_own(
 
 def log(name: str, size: int, *, is_open: bool = False) -> LogEntry:
     """A log, whose name is its start."""
-    return LogEntry(name, size, name, is_open=is_open)
+    return LogEntry(name, size, name, is_open=is_open, is_own=is_open)
+
+
+def test_what_an_earlier_recorder_left_is_no_reason_to_end_files() -> None:
+    """It is not this one's to end: nothing would come of it but many small files."""
+    left = LogEntry("1", 5000, "1", is_open=True)
+    judgement = judge([left, log("2", 100)], 500, Limits(budget_bytes=1000), is_full=False)
+    assert judgement == Judgement((), has_room=False, has_incident_room=True, roll=False)
 
 
 @pytest.mark.parametrize(
@@ -193,7 +210,8 @@ def test_a_recorder_goes_on_for_ever_within_its_limits(
         started = f"{second:03}"
         before = next((entry for entry in entries if entry.is_open), LogEntry(started, 0, started))
         entries = [entry for entry in entries if not entry.is_open]
-        entries.append(LogEntry(before.name, before.bytes + grows_bytes, before.started, is_open=not ends))
+        size = before.bytes + grows_bytes
+        entries.append(LogEntry(before.name, size, before.started, is_open=not ends, is_own=not ends))
         free_bytes = 3000 - others_bytes - used(entries)
         judgement = judge(entries, free_bytes, limits, is_full=False)
         assert judgement.has_room

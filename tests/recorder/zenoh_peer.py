@@ -39,6 +39,11 @@ class Peer:
     ) -> None:
         self.close()
 
+    @property
+    def session(self) -> zenoh.Session:
+        """The peer's session, for what it cannot do itself."""
+        return self._session
+
     def put(self, sample: Sample) -> None:
         """Publish a sample."""
         self._session.put(

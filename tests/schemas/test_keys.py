@@ -3,7 +3,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from schemas import keys
-from schemas.subjects import BY_NAME, BY_VERB, COMMAND_CHUNK, SUBJECTS, Subject
+from schemas.subjects import BY_NAME, BY_VERB, COMMAND_CHUNK, RECORDER_SUBJECTS, SUBJECTS, Subject
 
 ROOTS = st.from_regex(keys.ROOT_PATTERN, fullmatch=True)
 ROBOTS = st.from_regex(keys.ROBOT_PATTERN, fullmatch=True)
@@ -21,6 +21,16 @@ def test_parsing_undoes_building(root: str, robot: str, subject: Subject, bus: s
     own_bus = bus if "{bus}" in subject.name else ""
     key = keys.build(root, robot, subject, own_bus)
     assert keys.parse(key) == keys.KeyParts(root, robot, subject, own_bus)
+
+
+@pytest.mark.parametrize("subject", RECORDER_SUBJECTS, ids=lambda subject: subject.name)
+@pytest.mark.parametrize("root", ["fleet", "site/hall-3/fleet"])
+def test_a_recorders_key_says_whose_it_is(root: str, subject: Subject) -> None:
+    """It is no robot's."""
+    key = keys.of_recorder(root, "depot-2", subject.name)
+    assert keys.parse(key) == keys.KeyParts(root, "", subject, recorder="depot-2")
+    assert keys.parse(keys.of_recorder(root, "depot-2", "else")) is None
+    assert keys.parse(keys.of_recorder(root, "depot-2")) is None
 
 
 @given(key=st.text() | st.text("abc0-_./*$#?{}@ \n"))

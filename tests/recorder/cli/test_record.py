@@ -4,11 +4,7 @@ import argparse
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 
@@ -16,10 +12,11 @@ import pytest
 
 from recorder.cli import record
 from recorder.ports.leftovers import Outcome, recover
-from recorder.review.info import LogInfo, read_info
-from schemas.exit_codes import CommandError, ExitCode
+from recorder.review.info import read_info
+from schemas.exit_codes import ExitCode
 from schemas.messages import CanFrames, Gear
 from tests.bench import recorder_kills
+from tests.recorder.cli.running import CRUISER, counts, heard, link, readable, recording, whole
 from tests.recorder.fakes import (
     MS,
     FakeSample,
@@ -35,70 +32,7 @@ from tests.recorder.fakes import (
 )
 from tests.recorder.zenoh_peer import Peer, free_endpoint
 
-CRUISER = str(Path(sys.executable).with_name("cruiser"))
 FLUSH_S = 0.5
-
-
-class Process:
-    """A running recorder."""
-
-    def __init__(self, command: Sequence[str], words: Sequence[str]) -> None:
-        self._process = subprocess.Popen(
-            [*command, "record", *words],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env={
-                name: value
-                for name, value in os.environ.items()
-                if name in {"PATH", "HOME"} or name.startswith("CRUISER_")
-            },
-        )
-        self.ready = self._read_ready()
-
-    def _read_ready(self) -> str:
-        assert self._process.stderr is not None
-        return self._process.stderr.readline()
-
-    def end(self, number: int | None = signal.SIGTERM) -> tuple[int, str, str]:
-        """Send a signal, wait; exit code, stdout and the rest of stderr."""
-        if number is not None:
-            self._process.send_signal(number)
-        out, err = self._process.communicate(timeout=30)
-        return self._process.returncode, out, err
-
-    def signal(self, number: int) -> None:
-        """Send a signal."""
-        self._process.send_signal(number)
-
-    def kill(self) -> None:
-        """Without a chance to do anything."""
-        self.end(signal.SIGKILL)
-
-    @property
-    def is_running(self) -> bool:
-        return self._process.poll() is None
-
-
-@contextmanager
-def recording(*words: str, command: Sequence[str] = (CRUISER,)) -> Iterator[Process]:
-    """A recorder that does not outlive the test."""
-    process = Process(command, words)
-    try:
-        yield process
-    finally:
-        if process.is_running:
-            process.kill()
-
-
-def link(peer: Peer, directory: Path) -> None:
-    """Publish until the recorder has heard of it and opened its log."""
-
-    def condition() -> bool:
-        peer.put(FakeSample("fleet/cruiser-1/link", "zenoh/bytes", b""))
-        return directory.exists() and bool(logs_in(directory))
-
-    wait_until(condition)
 
 
 def publish(peer: Peer, count: int) -> None:
@@ -109,11 +43,6 @@ def publish(peer: Peer, count: int) -> None:
         peer.put(sample_of(gear(number, now_ns)))
         frames = [(now_ns + one * 10 * MS, feedback(2 * number + one)) for one in range(2)]
         peer.put(sample_of(batch(number, frames)))
-
-
-def counts(found: LogInfo) -> dict[str, int]:
-    """Messages by topic."""
-    return {channel.topic: channel.messages for channel in found.channels}
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
@@ -189,20 +118,6 @@ def test_a_recorder_that_is_there_first_waits_and_goes_on_after_a_cut(tmp_path: 
     path = Path(out.strip())
     assert path.name.startswith("cruiser-1-")
     assert {"fleet/cruiser-1/peer/0", "fleet/cruiser-1/peer/1"} <= set(counts(read_info(path)))
-
-
-def heard(peer: Peer, directory: Path, name: str) -> bool:
-    """Publish; is it in the log?"""
-    peer.put(FakeSample(f"fleet/cruiser-1/{name}", "zenoh/bytes", b""))
-    time.sleep(0.05)
-    return any(counts(one).get(f"fleet/cruiser-1/{name}") for one in readable(directory))
-
-
-def readable(directory: Path) -> Iterator[LogInfo]:
-    """The logs of a directory, some of which may this moment be begun or renamed."""
-    for path in directory.iterdir():
-        with suppress(CommandError):
-            yield read_info(path)
 
 
 def test_a_recording_may_end_by_itself(tmp_path: Path) -> None:
@@ -321,20 +236,6 @@ def test_a_file_that_may_grow_no_more_ends_no_recording(tmp_path: Path) -> None:
         assert recover(path, "test").outcome in {Outcome.WHOLE, Outcome.RECOVERED}
 
 
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of 16 MiB."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=16m", "tmpfs", str(disk)]
-    if os.geteuid() or subprocess.run(mount, check=False, capture_output=True).returncode:
-        pytest.skip("a file system can be mounted by root alone")
-    try:
-        yield disk
-    finally:
-        subprocess.run(["umount", str(disk)], check=True)  # noqa: S607 - wherever the system has it
-
-
 def test_a_full_disk_ends_no_recording(small_disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What it does not take is counted; when there is room again, the log goes on, and says what was lost."""
     monkeypatch.setenv("CRUISER_RECORDER_FLOOR_BYTES", "0")
@@ -416,11 +317,6 @@ def test_files_are_ended_by_time_and_by_size(tmp_path: Path) -> None:
         code, _, _ = process.end()
     assert code == ExitCode.OK
     assert all(read_info(path).whole for path in logs.iterdir())
-
-
-def whole(directory: Path) -> list[Path]:
-    """The logs that are ended."""
-    return sorted(directory.glob("*.mcap"))
 
 
 def test_a_start_recovers_what_a_killed_recorder_left(tmp_path: Path) -> None:

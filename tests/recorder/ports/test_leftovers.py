@@ -3,6 +3,8 @@
 import errno
 import logging
 import os
+import threading
+from collections.abc import Iterable, Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
@@ -10,8 +12,10 @@ from typing import BinaryIO
 import pytest
 from mcap.reader import make_reader
 
+from recorder.notices import Recovered
 from recorder.ports import leftovers
-from recorder.ports.leftovers import LeftoverThread, Outcome, recover, recover_leftovers
+from recorder.ports.disk_keeper import read_entries
+from recorder.ports.leftovers import LeftoverThread, Outcome, Recovery, recover, recover_leftovers
 from recorder.ports.log_directory import LogDirectory, lock
 from recorder.review.info import read_info
 from tests.recorder.fakes import WALL_NS, logs_in, small_log
@@ -226,3 +230,66 @@ def test_a_start_recovers_every_part_and_says_so(tmp_path: Path, caplog: pytest.
     assert "recovered 12 messages" in caplog.text
     assert "recovered 2 messages" in caplog.text
     assert "cannot recover" in caplog.text
+
+
+def test_what_was_recovered_is_told_to_the_recording_and_nothing_else(tmp_path: Path) -> None:
+    """Of a part in which nothing can be read nobody says that it is whole now; nor does a name rule a terminal."""
+    part(tmp_path, LOG[:SUMMARY], "a-20270115T080000Z.incident")
+    part(tmp_path, flipped(LOG)[:SUMMARY], "b")
+    part(tmp_path, b"", "c")
+    part(tmp_path, LOG[:SUMMARY], os.fsdecode(b"d\xff\x1b[2J"))
+    thread = LeftoverThread(tmp_path, "test")
+    thread.wait(30)
+    assert list(thread.notices()) == [
+        Recovered("a-20270115T080000Z.incident.mcap", 12),
+        Recovered("b.mcap", 2),
+        Recovered(r"d\udcff\x1b[2J.mcap", 12),
+    ]
+    assert list(thread.notices()) == []
+    assert len(thread.recoveries) == 4
+
+
+def test_what_cannot_be_recovered_now_is_told_by_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is as it was; the next start tries again."""
+    fail_to("copy_good", monkeypatch)
+    part(tmp_path, flipped(LOG)[:SUMMARY])
+    thread = LeftoverThread(tmp_path, "test")
+    thread.wait(30)
+    assert list(thread.notices()) == []
+    assert [one.outcome for one in thread.recoveries] == [Outcome.FAILED]
+
+
+def test_an_incident_stays_one(tmp_path: Path) -> None:
+    """Whole, with a number, with a rest or set aside: nobody deletes it for want of room."""
+    stem = "a-20270115T080000Z.incident"
+    (tmp_path / f"{stem}.mcap").write_bytes(LOG)
+    part(tmp_path, flipped(LOG)[:SUMMARY], stem)
+    (tmp_path / f"{stem}-3.mcap").write_bytes(LOG)
+    part(tmp_path, LOG[:SUMMARY] + b"\xffnobody knows", f"{stem}-3")
+    part(tmp_path, b"", f"{stem}-4")
+    thread = LeftoverThread(tmp_path, "test")
+    thread.wait(30)
+    assert len(logs_in(tmp_path)) == 7
+    entries = read_entries(tmp_path)
+    assert len(entries) == 7
+    assert all(entry.is_incident for entry in entries)
+
+
+def test_a_part_that_begins_after_the_start_is_no_leftover(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where there are no locks too: what this recorder itself writes is not recovered under its hands."""
+    part(tmp_path, LOG[:SUMMARY], "old")
+    goes_on = threading.Event()
+    recover_all = leftovers.recover_leftovers
+
+    def late(parts: Iterable[Path], library: str) -> Iterator[Recovery]:
+        assert goes_on.wait(30)
+        return recover_all(parts, library)
+
+    monkeypatch.setattr(leftovers, "recover_leftovers", late)
+    thread = LeftoverThread(tmp_path, "test")
+    part(tmp_path, LOG[:SUMMARY], "new")
+    goes_on.set()
+    thread.wait(30)
+    assert logs_in(tmp_path) == ["new.mcap.part", "old.mcap"]

@@ -100,6 +100,16 @@ def test_a_name_is_safe_on_any_system(text: str) -> None:
     assert set(name) <= set("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789._-")
 
 
+def test_a_name_is_no_longer_than_a_disk_takes(tmp_path: Path) -> None:
+    """A robot may be called anything; two of the same beginning are side by side."""
+    directory = LogDirectory(tmp_path)
+    logs = [directory.open("a" * 5000 + end, WALL_NS, "test", is_incident=True) for end in "xy"]
+    for log in logs:
+        log.write(CloseLog())
+    assert len({log.path for log in logs}) == 2
+    assert all(log.path.name.startswith("aaa") and ".incident" in log.path.name for log in logs)
+
+
 def test_a_directory_that_cannot_be_made_is_one_clear_error(tmp_path: Path) -> None:
     """A file is in its place."""
     (tmp_path / "logs").write_text("")
@@ -307,3 +317,64 @@ def test_a_file_without_a_message_is_not_left_by_a_fault(tmp_path: Path) -> None
     log.salvage()
     assert logs_in(tmp_path) == []
     assert not log.is_kept
+
+
+@pytest.mark.parametrize("step", ["sync_directory", "McapFile"])
+def test_a_file_that_cannot_even_be_taken_back_is_one_clear_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    """The disk takes no header, and is read-only from then on: what is told is the first of it."""
+
+    def fail(*_arguments: object) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    def refuse(_path: Path) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    directory = LogDirectory(tmp_path)
+    with monkeypatch.context() as knobs:
+        knobs.setattr(log_directory, step, fail)
+        knobs.setattr(Path, "unlink", refuse)
+        with pytest.raises(CommandError, match=os.strerror(errno.EIO)):
+            directory.open("x", WALL_NS, "test")
+    with (tmp_path / "x-20270115T080000Z.mcap.part").open("rb") as left:
+        assert lock(left.fileno()), "nobody holds it any more"
+
+
+def test_a_directory_whose_names_the_disk_does_not_take_is_left_empty(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However often it is tried: no heap of empty parts."""
+
+    def fail(_path: Path) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(log_directory, "sync_directory", fail)
+    directory = LogDirectory(tmp_path)
+    for _ in range(3):
+        with pytest.raises(CommandError, match=os.strerror(errno.EIO)):
+            directory.open("x", WALL_NS, "test")
+    assert logs_in(tmp_path) == []
+
+
+def test_of_a_disk_that_is_gone_no_file_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may not even say whether there is one: that is no fault of ours."""
+
+    def fail(_path: Path) -> bool:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    log = opened(tmp_path)
+    log.salvage()
+    monkeypatch.setattr(Path, "exists", fail)
+    assert not log.is_kept
+
+
+def test_an_incident_is_called_one(tmp_path: Path) -> None:
+    """While it is written and when it is whole; the second of one second too."""
+    directory = LogDirectory(tmp_path)
+    logs = [directory.open("cruiser-1", WALL_NS, "test", is_incident=True) for _ in range(2)]
+    assert logs_in(tmp_path) == [f"{STEM}.incident-2.mcap.part", f"{STEM}.incident.mcap.part"]
+    for log in logs:
+        log.write(CloseLog())
+    assert [log.name for log in logs] == [f"{STEM}.incident.mcap", f"{STEM}.incident-2.mcap"]
+    assert logs_in(tmp_path) == sorted(log.name for log in logs)

@@ -43,14 +43,17 @@ BEGIN: list[OpenLog | FileEffect] = [
 
 
 class FaultyFile(FileIO):
-    """A file whose disk takes no data while ``error`` says so."""
+    """A file whose disk takes no data while ``error`` says so, and no more than ``room`` of all files together."""
 
     error = 0
     written = 0
+    room = 10**9
 
     def write(self, data: memoryview, /) -> int:  # type: ignore[override]  # the fewer types the clearer
         if FaultyFile.error:
             raise OSError(FaultyFile.error, os.strerror(FaultyFile.error))
+        if FaultyFile.written + len(data) > FaultyFile.room:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         FaultyFile.written += len(data)
         return super().write(data)
 
@@ -63,6 +66,7 @@ def _disk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(log_writer, "RETRY_MAX_S", 0.02)
     monkeypatch.setattr(FaultyFile, "error", 0)
     monkeypatch.setattr(FaultyFile, "written", 0)
+    monkeypatch.setattr(FaultyFile, "room", 10**9)
 
 
 def chunk(number: int, size: int = 100) -> WriteChunk:
@@ -156,8 +160,10 @@ def test_while_the_disk_takes_nothing_memory_is_bounded_and_losses_are_counted(t
     FaultyFile.error = 0
     writer.submit(on_log([CloseLog()]))
     writer.close()
-    path = tmp_path / f"{STEM}.mcap"
-    assert sequences(path) == list(range(writer.lost, 100))
+    kept = sequences(tmp_path / f"{STEM}.mcap")
+    # One may be in hand while later ones go.
+    assert kept[1:] == list(range(101 - len(kept), 100))
+    assert len(kept) == 100 - writer.lost
     notices = list(writer.notices())
     assert sum(one.counts[1] for one in notices if isinstance(one, Lost)) == writer.lost
     kinds = [type(one) for one in notices if not isinstance(one, Lost)]
@@ -258,3 +264,85 @@ def test_a_fault_of_our_own_is_raised_where_the_loop_is(tmp_path: Path, monkeypa
     with pytest.raises(ZeroDivisionError):
         writer.close()
     assert sequences(tmp_path / f"{STEM}.mcap") == [1]
+
+
+def test_of_an_incident_whose_file_waits_too_the_loss_is_no_logs(tmp_path: Path) -> None:
+    """The log itself has what the incident lacks: it is not counted as lost."""
+    writer = LogWriter(LogDirectory(tmp_path), "test", queue_bytes=1000)
+    FaultyFile.error = errno.ENOSPC
+    writer.submit(on_log([*BEGIN, chunk(0)]))
+    wait_until(lambda: writer._is_faulty)
+    opening = OpenLog("x", WALL_NS, is_incident=True)
+    writer.submit(on_log([opening, *BEGIN[1:], *(chunk(number) for number in range(1, 100))], "x!"))
+    FaultyFile.error = 0
+    writer.submit(on_log([CloseLog()], "x!"))
+    writer.submit(on_log([CloseLog()]))
+    writer.close()
+    lost = [one for one in writer.notices() if isinstance(one, Lost)]
+    assert {one.log for one in lost} <= {"x"}
+    assert writer.lost == sum(one.counts[1] for one in lost) <= 1
+    assert sequences(tmp_path / f"{STEM}.incident.mcap")[-1] == 99
+
+
+def test_the_newest_log_is_told_and_no_incident(tmp_path: Path) -> None:
+    """Not even the second incident of one second."""
+    writer = LogWriter(LogDirectory(tmp_path), "test")
+    writer.submit(on_log([*BEGIN, chunk(1), CloseLog()]))
+    for number in (2, 3):
+        opening = OpenLog("x", WALL_NS, is_incident=True)
+        writer.submit(on_log([opening, *BEGIN[1:], chunk(number), CloseLog()], "x!"))
+    writer.close()
+    assert logs_in(tmp_path) == [f"{STEM}.incident-2.mcap", f"{STEM}.incident.mcap", f"{STEM}.mcap"]
+    assert (writer.path, writer.files) == (str(tmp_path / f"{STEM}.mcap"), 3)
+
+
+def test_a_chunk_larger_than_the_queue_ends_no_writing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While the disk takes nothing, all that waits goes for it, and it goes too; what comes later is written."""
+    writer = LogWriter(LogDirectory(tmp_path), "test", queue_bytes=1000)
+    paused = threading.Event()
+
+    def pause() -> None:
+        """The pause before another try, in which such a chunk comes in."""
+        if not paused.is_set():
+            FaultyFile.error = 0
+            writer.submit(on_log([chunk(1, 5000)]))
+            paused.set()
+
+    monkeypatch.setattr(writer, "_pause", pause)
+    FaultyFile.error = errno.ENOSPC
+    writer.submit(on_log([*BEGIN, chunk(0)]))
+    assert paused.wait(30)
+    wait_until(lambda: writer.lost == 2)
+    writer.submit(on_log([chunk(2), CloseLog()]))
+    writer.close()
+    assert sequences(tmp_path / f"{STEM}.mcap") == [2]
+
+
+def test_a_file_that_takes_no_channel_is_neither_left_nor_told(tmp_path: Path) -> None:
+    """The header fits and what follows does not: who waits for an ended file does not wait for that one."""
+    writer = LogWriter(LogDirectory(tmp_path), "test")
+    writer.submit(on_log([*BEGIN, chunk(1)]))
+    wait_until(lambda: bool(writer.sizes) and not writer._waiting)
+    FaultyFile.room = FaultyFile.written + 500
+    writer.submit(on_log([chunk(2, 5000)]))
+    wait_until(lambda: writer._pause_s > log_writer.RETRY_MIN_S)
+    FaultyFile.room = 10**9
+    writer.submit(on_log([CloseLog()]))
+    writer.close()
+    told = [one for one in writer.notices() if isinstance(one, Opened | Ended)]
+    assert {one.file for one in told} == {name.removesuffix(".part") for name in logs_in(tmp_path)}
+    assert [type(one) for one in told] == [Opened, Ended] * (len(told) // 2)
+
+
+def test_an_incident_repeats_nothing_of_the_one_before(tmp_path: Path) -> None:
+    """It is told all that it needs: nothing is in it twice, and nothing of another robot's past."""
+    writer = LogWriter(LogDirectory(tmp_path), "test")
+    for number in range(2):
+        about = WriteMetadata(f"incident {number}", {}, lasts=True)
+        opening = OpenLog("y", WALL_NS, is_incident=True)
+        writer.submit(on_log([opening, *BEGIN[1:], about, chunk(number), CloseLog()], "y!"))
+    writer.close()
+    first, second = tmp_path / "y-20270115T080000Z.incident.mcap", tmp_path / "y-20270115T080000Z.incident-2.mcap"
+    assert names(first) == ["cruiser", "cruiser.once", "incident 0", "a.dbc"]
+    assert names(second) == ["cruiser", "cruiser.once", "incident 1", "a.dbc"]
+    assert (sequences(first), sequences(second)) == ([0], [1])
