@@ -74,9 +74,13 @@ class LogFile:
         self.path = part
         self._disk = disk
         # One that goes on and one that waits for it: the later covers what was written meanwhile.
-        self._syncs: deque[Future[None]] = deque()
+        self._syncs: deque[tuple[int, Future[None]]] = deque()
         self.has_synced = False
         """Whether the disk has taken anything of this file."""
+        self.kept_size = 0
+        """Bytes that the disk has said it keeps."""
+        self.is_doubtful = False
+        """The disk has failed to keep what it had taken: what is beyond ``kept_size`` may be anything."""
         with _clear_errors(part):
             self._mcap = McapFile(stream, library)
 
@@ -110,7 +114,7 @@ class LogFile:
                     self._mcap.write_chunk(effect.chunk)
                 case SyncLog():
                     if len(self._syncs) < SYNCS_MAX:
-                        self._syncs.append(self._disk.submit(self._sync))
+                        self._syncs.append((self._mcap.size, self._disk.submit(self._sync)))
                 case DeclareChannel():
                     self._mcap.add_channel(effect.channel)
                 case WriteMetadata():
@@ -125,18 +129,23 @@ class LogFile:
     def salvage(self) -> None:
         """After a failure: leave all that was written, and a whole file if there is room for its end.
 
-        A file without a message only repeats what another says, and is not left.
+        A file without a message only repeats what another says, and is not left. Where the disk has failed to keep
+        what it had taken, the file is cut back to what it keeps: a part, which the next start makes whole.
         """
         if self._stream.closed:
             return
         with suppress(OSError):
             self._wait_for_syncs()
         with suppress(OSError):
-            self._mcap.cut_back()
-            if not self._mcap.messages:
-                self._part.unlink()
-            else:
-                self._salvage()
+            if not self.is_doubtful:
+                self._mcap.cut_back()
+                if not self._mcap.messages:
+                    self._part.unlink()
+                else:
+                    self._salvage()
+        with suppress(OSError):
+            if self.is_doubtful and not self._stream.closed:
+                self._cut_to_kept()
         with suppress(OSError):
             self._stream.close()
 
@@ -144,9 +153,22 @@ class LogFile:
         try:
             self._finish()
         except OSError:
-            if not self._stream.closed:
+            if not self._stream.closed and not self.is_doubtful:
                 self._mcap.cut_back()
-                os.fsync(self._stream.fileno())
+                self._sync_all()
+
+    def _cut_to_kept(self) -> None:
+        if self.kept_size:
+            os.ftruncate(self._stream.fileno(), self.kept_size)
+        else:
+            self._part.unlink()
+
+    def _sync_all(self) -> None:
+        try:
+            os.fsync(self._stream.fileno())
+        except OSError:
+            self.is_doubtful = True
+            raise
 
     def _sync(self) -> None:
         os.fdatasync(self._stream.fileno())
@@ -154,18 +176,24 @@ class LogFile:
             raise FileNotFoundError(0, "somebody has removed the log while it was written")
 
     def _look_at_syncs(self) -> None:
-        while self._syncs and self._syncs[0].done():
-            self._syncs.popleft().result()
-            self.has_synced = True
+        while self._syncs and self._syncs[0][1].done():
+            size, sync = self._syncs.popleft()
+            if sync.exception() is not None:
+                # The system tells of it once, and forgets what it could not write.
+                self.is_doubtful = True
+            if not self.is_doubtful:
+                self.has_synced = True
+                self.kept_size = size
+            sync.result()
 
     def _wait_for_syncs(self) -> None:
-        wait(self._syncs)
+        wait([sync for _, sync in self._syncs])
         self._look_at_syncs()
 
     def _finish(self) -> None:
         self._wait_for_syncs()
         self._mcap.finish()
-        os.fsync(self._stream.fileno())
+        self._sync_all()
         # Renamed while it is locked: an unlocked part is one that somebody may recover.
         self._part.rename(self._whole_path)
         self.path = self._whole_path

@@ -1,7 +1,8 @@
 """The writer's thread: carries effects out on files, whatever the disk does, while the loop goes on receiving.
 
 When a write fails, the file is cut back to its last whole chunk and ended, and the next one begins with the chunk
-that failed. While none can be written, chunks wait, up to a bound; beyond that the oldest go, and are told.
+that failed; or, where the disk fails to keep what it had taken, with all that it has not kept. While none can be
+written, chunks wait, up to a bound; beyond that the oldest go, and are told.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ log = logging.getLogger(__name__)
 QUEUE_BYTES: Final = 64 * 1024 * 1024
 """Messages that may wait for the disk, before compression: a minute and more of a saturated bus."""
 
+UNKEPT_BYTES: Final = 16 * 1024 * 1024
+"""Messages of one log that the disk has taken and may not keep yet, held so that they can be written again."""
+
 NOTICES_MAX: Final = 10_000
 
 RETRY_MIN_S: Final = 0.2
@@ -47,7 +51,30 @@ class _Chain:
         self.wanted: OpenLog | None = None
         """The file that is to be written; after a fault the next one is called like it."""
         self.submitted = self.opened = 0
+        self.unkept: deque[tuple[int, _Waiting]] = deque()
+        """Chunks of the present file, each with its end, that the disk may not keep yet."""
+        self._unkept_bytes = 0
         self.is_incident = False
+
+    def write(self, file: LogFile, one: _Waiting, effect: FileEffect) -> None:
+        """Write an effect into the present file.
+
+        Raises:
+            CommandError: the disk does not take it.
+        """
+        file.write(effect)
+        if one.bytes:
+            self.unkept.append((file.size, one))
+            self._unkept_bytes += one.bytes
+        while self.unkept and (self.unkept[0][0] <= file.kept_size or self._unkept_bytes > UNKEPT_BYTES):
+            self._unkept_bytes -= self.unkept.popleft()[1].bytes
+
+    def take_unkept(self, file: LogFile) -> list[_Waiting]:
+        """What the disk has failed to keep of a file that is ended."""
+        unkept = [one for end, one in self.unkept if file.is_doubtful and end > file.kept_size]
+        self.unkept.clear()
+        self._unkept_bytes = 0
+        return unkept
 
 
 class _Waiting(msgspec.Struct, frozen=True):
@@ -199,14 +226,15 @@ class LogWriter:
     def _is_stuck(self, one: _Waiting) -> bool:
         return self._is_faulty and isinstance(one.effect, WriteChunk) and self._chains[one.log].file is None
 
-    def _put_back(self, one: _Waiting, chunk: Chunk) -> None:
-        """A chunk waits again, as the oldest."""
+    def _put_back(self, ones: Iterable[_Waiting]) -> None:
+        """These wait again, as the oldest."""
         with self._changed:
-            if self._is_closing and self._pause_s > RETRY_MIN_S:
-                self._lose(one.log, chunk)
-                return
-            self._waiting.appendleft(one)
-            self.waiting_bytes += one.bytes
+            for one in reversed(list(ones)):
+                if isinstance(one.effect, WriteChunk) and self._is_closing and self._pause_s > RETRY_MIN_S:
+                    self._lose(one.log, one.effect.chunk)
+                    continue
+                self._waiting.appendleft(one)
+                self.waiting_bytes += one.bytes
             if self.waiting_bytes > self._queue_bytes:
                 self._drop_oldest()
 
@@ -223,23 +251,30 @@ class LogWriter:
         chain.prologue.take(effect)
         if isinstance(effect, WriteChunk) and chain.file is None:
             self._begin(one.log, chain)
+        again = self._write(one, chain, effect)
+        if again:
+            self._put_back(again)
+        elif isinstance(effect, CloseLog):
+            self._leave(one.log, chain)
+            chain.wanted = None
+
+    def _write(self, one: _Waiting, chain: _Chain, effect: FileEffect) -> list[_Waiting]:
+        """Write an effect into the present file. What is to be written again, into another."""
+        if chain.file is None:
+            return [one] if isinstance(effect, WriteChunk) else []
         try:
-            if chain.file is not None:
-                chain.file.write(effect)
-                if chain.file.has_synced:
-                    chain.file.has_synced = False
-                    self._get_well()
-            elif isinstance(effect, WriteChunk):
-                self._put_back(one, effect.chunk)
+            chain.write(chain.file, one, effect)
         except CommandError as error:
             log.error("%s; the log goes on in another file", error)  # noqa: TRY400 - a full disk is no bug
             self._fall_ill(str(error))
-            self._leave(one.log, chain)
-            if isinstance(effect, WriteChunk):
-                self._put_back(one, effect.chunk)
-        if isinstance(effect, CloseLog):
-            self._leave(one.log, chain)
-            chain.wanted = None
+            again = self._leave(one.log, chain)
+            if isinstance(effect, WriteChunk) or (again and isinstance(effect, CloseLog)):
+                again.append(one)
+            return again
+        if chain.file.has_synced:
+            chain.file.has_synced = False
+            self._get_well()
+        return []
 
     def _pause(self) -> None:
         """Before a file is begun again: at once after the first fault, then ever more seldom."""
@@ -283,15 +318,17 @@ class LogWriter:
         log.info("writing %s", chain.file.path)
         self._notices.append(Opened(name, chain.file.name))
 
-    def _leave(self, name: str, chain: _Chain) -> None:
-        """End the present file of a log, as well as can be."""
+    def _leave(self, name: str, chain: _Chain) -> list[_Waiting]:
+        """End the present file of a log, as well as can be. What the disk has not kept of it."""
         file, chain.file = chain.file, None
         if file is None:
-            return
+            return []
         file.salvage()
+        unkept = chain.take_unkept(file)
         self._notices.append(Ended(name, file.name, file.size))
         if file.is_kept:
             if not chain.is_incident:
                 self.path = str(file.path)
             self.files += 1
             self.bytes += file.size
+        return unkept

@@ -9,8 +9,12 @@ from __future__ import annotations
 import logging
 import re
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from threading import Semaphore
 from typing import Any, Final
 
 import msgspec
@@ -33,6 +37,9 @@ QUERIES_WAITING: Final = 64
 """Requests that may wait between two passes of the loop; beyond it the oldest go."""
 
 REQUESTS_PER_PASS: Final = 8
+
+REPLIES_WAITING: Final = 128
+"""Replies that may wait for somebody's link; the zenoh package may wait 5 s for one that does not read."""
 
 REQUEST_MAX_BYTES: Final = 4096
 
@@ -83,6 +90,9 @@ class RemoteControl:
             zenoh.handlers.RingChannel(QUERIES_WAITING),
             complete=True,
         )
+        self._loop_thread = 0
+        self._replier = ThreadPoolExecutor(1, "replies")
+        self._replies_waiting = Semaphore(REPLIES_WAITING)
         self._publishers = {
             subject.type: self._session.declare_publisher(
                 keys.of_recorder(self._root, self.name, subject.name),
@@ -103,6 +113,7 @@ class RemoteControl:
 
     def drain(self) -> Iterator[Asked]:
         """The requests that have come in."""
+        self._loop_thread = threading.get_ident()
         for _ in range(REQUESTS_PER_PASS):
             query = self._queries.try_recv()
             if query is None:
@@ -115,6 +126,7 @@ class RemoteControl:
 
     def close(self) -> None:
         """Leave Zenoh."""
+        self._replier.shutdown(cancel_futures=True)
         self._session.close()
 
     def _asked(self, query: zenoh.Query) -> Asked | None:
@@ -130,14 +142,32 @@ class RemoteControl:
         # The query's own key may hold a wildcard for the recorder.
         key = keys.recorder_command(self._root, self.name, operator, name)
 
-        def reply(answer: RecorderReply | BackfillPiece) -> None:
+        def send(answer: RecorderReply | BackfillPiece) -> None:
             try:
                 # Whether it waits for room on the link is what the query says.
                 query.reply(key, msgspec.msgpack.encode(answer), encoding=verb.reply_encoding)
             except zenoh.ZError as error:
                 log.debug("nobody waits for the reply any more: %s", error)
 
-        return Asked(verb, operator, request, reply, query.drop)
+        def reply(answer: RecorderReply | BackfillPiece) -> None:
+            self._off_the_loop(partial(send, answer))
+
+        return Asked(verb, operator, request, reply, partial(self._off_the_loop, query.drop))
+
+    def _off_the_loop(self, work: Callable[[], None]) -> None:
+        """Do what may wait for somebody's link: where the loop asks for it, on a thread that may."""
+        if threading.get_ident() != self._loop_thread:
+            work()
+        elif self._replies_waiting.acquire(blocking=False):
+            self._replier.submit(self._reply, work)
+        else:
+            log.warning("nobody takes the replies; the newest ones are dropped")
+
+    def _reply(self, work: Callable[[], None]) -> None:
+        try:
+            work()
+        finally:
+            self._replies_waiting.release()
 
     def _free_name(self, wanted: str) -> str:
         taken: set[str] = set()

@@ -31,7 +31,7 @@ class Depot:
         self.peer = peer
         self.directory = directory
         self.told = Told(peer)
-        self._connect = ["--connect", endpoint, "--operator", "ann"]
+        self._connect = ["--connect", endpoint, "--operator", "operator-1"]
 
     def ask(self, *words: str) -> tuple[int, str, str]:
         """One of the commands; what becomes of it."""
@@ -108,7 +108,7 @@ def test_a_recorder_can_be_stopped_and_started(depot: Depot) -> None:
     for kind in (RecorderEventKind.STOPPED, RecorderEventKind.STARTED):
         wait_until(lambda kind=kind: bool(depot.told.events(kind)))  # type: ignore[misc]  # bound at once
         (event,) = depot.told.events(kind)
-        assert event.operator == "ann"
+        assert event.operator == "operator-1"
     found = [read_info(path) for path in sorted(depot.directory.iterdir())]
     assert not any(
         channel.topic.endswith("/unheard") and channel.messages for one in found for channel in one.channels
@@ -141,7 +141,7 @@ def test_a_mark_keeps_an_incident(depot: Depot) -> None:
 
     def is_kept() -> bool:
         found = read_info(depot.directory / f"{name}.part")
-        return found.metadata.get(INCIDENT_NAME, {}).get("because") == "mark by ann: a bump\nand a \x1b[1mrattle"
+        return found.metadata.get(INCIDENT_NAME, {}).get("because") == "mark by operator-1: a bump\nand a \x1b[1mrattle"
 
     wait_until(is_kept)
 

@@ -19,6 +19,7 @@ from mcap.reader import make_reader
 from recorder.chunk import Chunk, ChunkBuilder
 from recorder.effects import CloseLog, DeclareChannel, LogChannel, SyncLog, WriteChunk
 from recorder.ports import log_directory
+from recorder.ports.leftovers import Outcome, recover
 from recorder.ports.log_directory import LogDirectory, LogFile, lock, safe_name
 from recorder.protobuf_schema import descriptor_set
 from recorder.review.info import read_info
@@ -204,10 +205,10 @@ def test_a_log_that_was_removed_is_not_written_in_silence(tmp_path: Path) -> Non
     log.write(chunk(1))
     log.write(SyncLog())
     (tmp_path / f"{STEM}.mcap.part").unlink()
-    log.write(chunk(2))
 
     def is_told() -> bool:
         try:
+            log.write(chunk(2))
             log.write(SyncLog())
         except CommandError as error:
             return "removed the log" in str(error)
@@ -220,13 +221,22 @@ def test_a_log_that_was_removed_is_not_written_in_silence(tmp_path: Path) -> Non
 
 
 def test_a_failed_sync_is_told_by_the_next_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The writer does not wait for the disk; it learns of the failure, and the file ends as well as can be."""
+    """The writer does not wait for the disk. The file is cut back to what was kept, and can be made whole."""
 
     def fail(_descriptor: int) -> None:
         raise OSError(errno.EIO, "Input/output error")
 
     log = opened(tmp_path)
     log.write(chunk(1))
+    log.write(SyncLog())
+
+    def is_kept() -> bool:
+        log.write(SyncLog())
+        return log.has_synced
+
+    wait_until(is_kept)
+    kept_size = log.kept_size
+    log.write(chunk(2))
     monkeypatch.setattr(os, "fdatasync", fail)
 
     def is_told() -> bool:
@@ -237,8 +247,11 @@ def test_a_failed_sync_is_told_by_the_next_write(tmp_path: Path, monkeypatch: py
         return False
 
     wait_until(is_told)
-    assert not log.has_synced
+    assert log.is_doubtful
     log.salvage()
+    part = tmp_path / f"{STEM}.mcap.part"
+    assert part.stat().st_size == kept_size < log.size
+    assert recover(part, "test").outcome is Outcome.RECOVERED
     assert sequences(tmp_path / f"{STEM}.mcap") == [1]
 
 

@@ -3,8 +3,9 @@
 import errno
 import os
 import shutil
+import stat
 import threading
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from io import BytesIO, FileIO
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from recorder.effects import (
 )
 from recorder.notices import DiskBack, DiskFault, Ended, Lost, Opened
 from recorder.ports import log_directory, log_writer
+from recorder.ports.leftovers import Outcome, recover
 from recorder.ports.log_directory import LogDirectory
 from recorder.ports.log_writer import LogWriter
 from recorder.protobuf_schema import descriptor_set
@@ -186,6 +188,50 @@ def test_the_disk_is_said_to_be_back_when_it_has_kept_something(tmp_path: Path) 
     writer.close()
     assert [type(one) for one in writer.notices()] == [DiskFault, Opened, DiskBack, Ended]
     assert sequences(tmp_path / f"{STEM}.mcap") == list(range(1, number))
+
+
+@pytest.mark.parametrize("ends", [False, True])
+def test_what_the_disk_fails_to_keep_is_written_again(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    ends: bool,  # noqa: FBT001 - parametrized
+) -> None:
+    """Into the next file; the one before is cut back to what was kept. Nothing is lost or there twice."""
+    fails = threading.Event()
+    keep = os.fdatasync, os.fsync
+
+    def sync(descriptor: int, how: Callable[[int], None]) -> None:
+        if fails.is_set() and stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise OSError(errno.EIO, "Input/output error")
+        how(descriptor)
+
+    monkeypatch.setattr(os, "fdatasync", lambda descriptor: sync(descriptor, keep[0]))
+    monkeypatch.setattr(os, "fsync", lambda descriptor: sync(descriptor, keep[1]))
+    writer = LogWriter(LogDirectory(tmp_path), "test")
+    writer.submit(on_log([*BEGIN, chunk(1), SyncLog()]))
+
+    def is_kept() -> bool:
+        writer.submit(on_log([SyncLog()]))
+        return not writer._chains["x"].unkept
+
+    wait_until(is_kept)
+    fails.set()
+    writer.submit(on_log([chunk(2), chunk(3), *([CloseLog()] if ends else [SyncLog(), chunk(4)])]))
+
+    def is_told() -> bool:
+        writer.submit(on_log([] if ends else [SyncLog()]))
+        return writer._is_faulty
+
+    wait_until(is_told)
+    fails.clear()
+    if not ends:
+        writer.submit(on_log([chunk(5), CloseLog()]))
+    writer.close()
+    for path in tmp_path.glob("*.part"):
+        assert recover(path, "test").outcome is Outcome.RECOVERED
+    found = [sequences(path) for path in sorted(tmp_path.iterdir(), key=lambda path: path.stat().st_mtime_ns)]
+    assert sorted(number for numbers in found for number in numbers) == list(range(1, 4 if ends else 6))
+    assert writer.lost == 0
 
 
 def test_several_logs_are_written_at_once(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ def both() -> Iterator[Both]:
     endpoint = free_endpoint()
     with (
         Peer(endpoint) as peer,
-        closing(RecorderClient(ZenohSettings(connect=[endpoint]), "fleet", "ann")) as client,
+        closing(RecorderClient(ZenohSettings(connect=[endpoint]), "fleet", "operator-1")) as client,
     ):
         yield Both(peer, client)
 
@@ -63,7 +63,7 @@ def test_one_recorder_alone_is_asked_by_its_name(both: Both) -> None:
         other.clear()
         replies = list(both.client.ask("depot", "mark", Mark("bump", "cruiser-1"), ANSWER_S))
     assert [name for name, _ in replies] == ["depot"]
-    assert depot[-1] == "fleet/@recorder/depot/@cmd/ann/mark"
+    assert depot[-1] == "fleet/@recorder/depot/@cmd/operator-1/mark"
     assert other == []
 
 
@@ -106,5 +106,5 @@ def test_a_time_longer_than_zenoh_knows_is_a_long_time(both: Both) -> None:
 def test_a_wrong_endpoint_is_a_usage_error() -> None:
     """In one line."""
     with pytest.raises(CommandError, match="wrong Zenoh settings") as caught:
-        RecorderClient(ZenohSettings(connect=["nonsense"]), "fleet", "ann")
+        RecorderClient(ZenohSettings(connect=["nonsense"]), "fleet", "operator-1")
     assert caught.value.code == ExitCode.USAGE

@@ -2,8 +2,10 @@
 
 import re
 import socket
+import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -43,6 +45,9 @@ EVENT = RecorderEvent(
     operator="",
     text="recording was started",
 )
+
+
+A_REPLY = RecorderReply(ok=True, detail="", files=[], health=health())
 
 
 def settings(endpoint: str, name: str = "bench") -> Settings:
@@ -93,10 +98,10 @@ class Pair:
         self.asked: list[Asked] = []
         wait_until(lambda: bool(self.take("status")))
 
-    def key(self, verb: str, operator: str = "ann", recorder: str = "bench") -> str:
+    def key(self, verb: str, operator: str = "operator-1", recorder: str = "bench") -> str:
         return f"fleet/@recorder/{recorder}/@cmd/{operator}/{verb}"
 
-    def take(self, verb: str, payload: bytes | None = b"", operator: str = "ann") -> list[Asked]:
+    def take(self, verb: str, payload: bytes | None = b"", operator: str = "operator-1") -> list[Asked]:
         """Send a request; what comes in of it, or of those before it."""
         self.client.ask(self.key(verb, operator), payload)
         return list(self.control.drain())
@@ -160,7 +165,7 @@ def test_a_request_comes_in_with_who_asks(pair: Pair, verb: str, payload: bytes 
     """Typed, as the table of verbs has it."""
     pair.client.ask(pair.key(verb), payload)
     asked = pair.next()
-    assert (asked.verb, asked.operator, asked.request) == (RECORDER_BY_VERB[verb], "ann", request_)
+    assert (asked.verb, asked.operator, asked.request) == (RECORDER_BY_VERB[verb], "operator-1", request_)
     asked.done()
 
 
@@ -189,9 +194,9 @@ def test_what_is_no_request_is_a_fault_that_can_be_answered(pair: Pair, verb: st
 @pytest.mark.parametrize(
     "key",
     [
-        "fleet/@recorder/bench/@cmd/ann/dance",
+        "fleet/@recorder/bench/@cmd/operator-1/dance",
         "fleet/@recorder/bench/@cmd/*/status",
-        "fleet/@recorder/bench/@cmd/ann/*",
+        "fleet/@recorder/bench/@cmd/operator-1/*",
         "fleet/@recorder/bench/@cmd/" + "a" * 65 + "/status",
         "fleet/@recorder/bench/@cmd/\x1b[2J/status",
     ],
@@ -212,7 +217,7 @@ def test_a_reply_says_whose_it_is_although_all_were_asked(pair: Pair) -> None:
         asked.reply(RecorderReply(ok=True, detail=detail, files=[], health=health()))
     asked.done()
     received = [reply.ok for reply in replies if reply.ok is not None]
-    assert {str(one.key_expr) for one in received} == {"fleet/@recorder/bench/@cmd/ann/status"}
+    assert {str(one.key_expr) for one in received} == {"fleet/@recorder/bench/@cmd/operator-1/status"}
     assert {str(one.encoding) for one in received} == {RECORDER_BY_VERB["status"].reply_encoding}
     decoded = [msgspec.msgpack.decode(one.payload.to_bytes(), type=RecorderReply) for one in received]
     assert [one.detail for one in decoded] == ["first", "second"]
@@ -228,6 +233,49 @@ def test_who_has_gone_meanwhile_is_no_fault(pair: Pair) -> None:
     asked.done()
     asked.reply(RecorderReply(ok=True, detail="", files=[], health=health()))
     asked.done()
+
+
+class HungQuery:
+    """A query of somebody who does not read: a reply waits until the test lets it go."""
+
+    payload = None
+
+    def __init__(self, key: str) -> None:
+        self.key_expr = key
+        self.said: list[str] = []
+        self.goes_on = threading.Event()
+
+    def reply(self, _key: str, _payload: bytes, encoding: str) -> None:
+        assert self.goes_on.wait(60), encoding
+        self.said.append("reply")
+
+    def drop(self) -> None:
+        self.said.append("done")
+
+
+def test_who_does_not_read_holds_up_no_loop(pair: Pair) -> None:
+    """The reply waits on a thread of its own, and what is said after it comes after it."""
+    query: Any = HungQuery(pair.key("status"))
+    asked = pair.control._asked(query)
+    assert asked is not None
+    asked.reply(A_REPLY)
+    asked.done()
+    assert query.said == []
+    query.goes_on.set()
+    wait_until(lambda: query.said == ["reply", "done"])
+
+
+def test_who_answers_on_a_thread_of_its_own_waits_for_the_link(pair: Pair) -> None:
+    """As a backfill does: it would only make more that waits."""
+    query: Any = HungQuery(pair.key("backfill"))
+    asked = pair.control._asked(query)
+    assert asked is not None
+    query.goes_on.set()
+    for work in (partial(asked.reply, A_REPLY), asked.done):
+        thread = threading.Thread(target=work)
+        thread.start()
+        thread.join()
+    assert query.said == ["reply", "done"]
 
 
 def is_over(replies: Any) -> bool:  # noqa: ANN401 - Zenoh's own handler
