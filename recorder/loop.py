@@ -39,10 +39,13 @@ PASS_BYTES: Final = 4_000_000
 INTAKE_SAMPLES: Final = 20_000
 """Samples moved into the inbox between two ticks at most, when more come than are recorded."""
 
-TICK_NS: Final = 10_000_000
+TICK_NS: Final = 20_000_000
 """What is due is looked for so often: with a thousand logs that takes its time."""
 
-IDLE_S: Final = 0.005
+LINK_NS: Final = 200_000_000
+"""Whether the link is there is looked at so often."""
+
+IDLE_S: Final = 0.01
 """Pause when nothing has come in."""
 
 LAST_ANSWERS_NS: Final = 500_000_000
@@ -133,7 +136,7 @@ class Recorder:
         self._inbox = inbox
         self._health = health
         self._was_connected: bool | None = None
-        self._ticked_ns = 0
+        self._ticked_ns = self._link_seen_ns = 0
         self._control: Control | None = None
         self._orders: Orders | None = None
         self._keeper: DiskKeeper | None = None
@@ -178,7 +181,9 @@ class Recorder:
         self._carry_out(self._recording.tick(now_ns, wall_ns, self._writer.sizes))
         if self._control is not None:
             self._obey(self._control, now_ns, wall_ns)
-        self._watch_link()
+        if now_ns - self._link_seen_ns >= LINK_NS:
+            self._link_seen_ns = now_ns
+            self._watch_link()
         return busy
 
     def _take_samples(self) -> bool:

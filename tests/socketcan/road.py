@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from typing import Final
 
 from gateway.remote.drive_stream import HOLD_MAX_S
+from gateway.remote.refusal import Stopped
 from gateway.remote.robot import Lease, Robot
 from schemas.decisions import ArbiterState
 from schemas.reasons import Reason
@@ -18,6 +19,11 @@ CONNECT_S: Final = 30.0
 """Processes start slowly in user-mode Linux."""
 
 STEADY_S: Final = 30.0
+
+TRIES: Final = 3
+
+HELD_UP: Final = frozenset({Reason.FEEDBACK_MISSING, Reason.GUARD, Reason.LOOP_LATE, Reason.DEADMAN})
+"""What a robot stops for when one of the processes here does not come to its turn."""
 
 SEEN_OVERCOME: Final = frozenset({Reason.NO_LEASE, Reason.NOT_ENGAGED})
 """What speaks against a robot that waits for its operator."""
@@ -81,13 +87,25 @@ def coming_first() -> Iterator[None]:
 
 @contextmanager
 def driving(robot: Robot, speed_mps: float, angle_deg: float = 0.0) -> Iterator[Drive]:
-    """The robot is engaged, and told this speed steadily."""
-    wait_engageable(robot)
+    """The robot is engaged, and told this speed steadily.
+
+    Whatever holds user-mode Linux up for a tenth of a second stops a robot: until it is under way, it is engaged
+    again.
+    """
     with robot.lease() as lease, coming_first():
-        lease.engage()
-        lease.unpark()
-        drive = Drive(lease, speed_mps, angle_deg)
-        wait_until(lambda: robot.state().state.output_speed_mps == speed_mps, drive.keep)
+        for tries_left in reversed(range(TRIES)):
+            wait_engageable(robot)
+            lease.engage()
+            lease.unpark()
+            drive = Drive(lease, speed_mps, angle_deg)
+            try:
+                wait_until(lambda: robot.state().state.output_speed_mps == speed_mps, drive.keep)
+                break
+            except Stopped as stopped:
+                if stopped.reason not in HELD_UP or not tries_left:
+                    raise
+            wait_standing_by(robot)
+            lease.reset()
         yield drive
 
 

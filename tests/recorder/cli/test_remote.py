@@ -141,7 +141,10 @@ def test_a_mark_keeps_an_incident(depot: Depot) -> None:
 
     def is_kept() -> bool:
         found = read_info(depot.directory / f"{name}.part")
-        return found.metadata.get(INCIDENT_NAME, {}).get("because") == "mark by operator-1: a bump\nand a \x1b[1mrattle"
+        return (
+            found.metadata.get(INCIDENT_NAME, {}).get("because")
+            == "mark by operator-1: a bump\nand a \x1b[1mrattle"
+        )
 
     wait_until(is_kept)
 
