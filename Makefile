@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/installed
 
-.PHONY: demo test test-socketcan lint types architecture generate bench bench-recorder mutation clean
+.PHONY: demo test test-socketcan readers lint types architecture generate bench bench-recorder mutation clean
 
 demo: $(STAMP)  ## chassis, gateway and recorder and two operators, for half a minute
 	$(BIN)/cruiser demo --seconds 30 --out demo-log
@@ -16,6 +16,11 @@ test: $(STAMP)  ## the whole test suite
 
 test-socketcan: $(STAMP)  ## the gateway on a real SocketCAN interface; boots user-mode Linux where the kernel has none
 	tests/socketcan/run
+
+readers: $(STAMP)  ## logs as rerun reads them, in an environment of its own: it takes 800 MB
+	@test -x .venv-readers/bin/rerun || { $(PYTHON) -m venv .venv-readers && \
+		.venv-readers/bin/pip install -q --disable-pip-version-check 'rerun-sdk==0.41.0'; }
+	READERS_PYTHON=.venv-readers/bin/python $(BIN)/python -m pytest tests/readers
 
 lint: $(STAMP)
 	$(BIN)/ruff format --check .

@@ -1,0 +1,120 @@
+"""A log as rerun reads it: every message of every channel, with the times and the numbers of the mcap package.
+
+``make readers`` runs it: rerun takes 800 MB, and has an environment of its own.
+"""
+
+import json
+import os
+import subprocess
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from recorder.health import HealthReport
+from recorder.inbox import Inbox
+from recorder.loop import Recorder
+from recorder.ports.log_directory import LogDirectory
+from recorder.ports.log_writer import LogWriter
+from recorder.recording import Recording
+from recorder.sample import Sample
+from schemas import codec, keys
+from schemas.decisions import EventKind
+from schemas.messages import CanFrames
+from schemas.subjects import BY_NAME
+from tests.bench.recorder_load import make_script
+from tests.recorder.fakes import RECORDING_PLAN, WALL_NS, FakeSample, FakeSource, info, safety_event, sample_of
+
+TICKS = 200
+
+
+class Logged(msgspec.Struct, frozen=True):
+    """One message as a reader sees it."""
+
+    topic: str
+    log_ns: int
+    publish_ns: int
+    fields: dict[str, Any]
+
+
+def samples() -> Iterator[Sample]:
+    """Two seconds of a driving robot, an event, and who it is."""
+    script = make_script()
+    sequences: Counter[str] = Counter()
+    for tick in range(TICKS):
+        for said in script.slots[tick]:
+            name = script.subjects[said.subject]
+            subject = BY_NAME[name]
+            time_ns = WALL_NS + tick * 10_000_000
+            message = codec.decode(subject, said.head + _stamp(time_ns, sequences[name]) + said.tail)
+            sequences[name] += 1
+            bus = "can0" if isinstance(message, CanFrames) else ""
+            key = keys.build("fleet", "cruiser-1", subject, bus)
+            yield FakeSample(key, subject.encoding, codec.encode(message), received_ns=time_ns + 1000)
+    for more in (safety_event(EventKind.LATCH), info()):
+        yield sample_of(more)
+
+
+def _stamp(time_ns: int, sequence: int) -> bytes:
+    return b"\xa7time_ns" + msgspec.msgpack.encode(time_ns) + b"\xa8sequence" + msgspec.msgpack.encode(sequence)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log that the recorder has written."""
+    directory = tmp_path_factory.mktemp("logs")
+    source = FakeSource(samples())
+    writer = LogWriter(LogDirectory(directory), "test")
+    recorder = Recorder(
+        Recording(RECORDING_PLAN), source, writer, Inbox(64_000_000), HealthReport("bench", "1", 0)
+    )
+    recorder.run(lambda: source.is_exhausted)
+    return next(path for path in directory.glob("*.mcap") if ".incident" not in path.name)
+
+
+def by_mcap(path: Path) -> Iterator[Logged]:
+    """What the mcap package reads, with CRCs on."""
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for _, channel, message, content in reader.iter_decoded_messages():
+            fields = {field.name: value for field, value in content.ListFields()}
+            yield Logged(channel.topic, message.log_time, message.publish_time, fields)
+
+
+def test_rerun_reads_what_the_mcap_package_reads(log: Path) -> None:
+    """As many messages on each topic, at the same times, with the same numbers."""
+    done = subprocess.run(
+        [os.environ["READERS_PYTHON"], Path(__file__).with_name("with_rerun.py"), log],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    seen = [msgspec.json.decode(line, type=Logged) for line in done.stdout.splitlines()]
+    expected = list(by_mcap(log))
+    assert Counter(one.topic for one in seen) == Counter(one.topic for one in expected)
+    assert len({one.topic for one in seen}) > 15
+    order = [sorted(messages, key=_place) for messages in (seen, expected)]
+    for one, wanted in zip(*order, strict=True):
+        assert (one.topic, one.log_ns, one.publish_ns) == (wanted.topic, wanted.log_ns, wanted.publish_ns)
+        for name, value in wanted.fields.items():
+            if isinstance(value, float | str) or (
+                isinstance(value, int) and not isinstance(one.fields[name], dict)
+            ):
+                assert one.fields[name] == value, (one.topic, name)
+
+
+def _place(one: Logged) -> tuple[Any, ...]:
+    return one.topic, one.log_ns, one.publish_ns, one.fields.get("sequence", 0), one.fields.get("identifier", 0)
+
+
+def test_the_times_of_frames_are_their_own(log: Path) -> None:
+    """The test above would not see a log without frames."""
+    frames = [one for one in by_mcap(log) if one.topic.endswith("/rx")]
+    assert len(frames) > TICKS
+    assert len({one.publish_ns for one in frames}) > TICKS // 2
+    assert json.dumps(sorted(frames[0].fields)) != "[]"
