@@ -17,7 +17,7 @@ from recorder.completeness import KeyReport
 from recorder.effects import AskInfo, AskKept, Doing, OnLog
 from recorder.health import HealthReport, Vitals
 from recorder.inbox import Inbox
-from recorder.notices import Notice
+from recorder.notices import DiskBack, Notice
 from recorder.orders import Asked, Orders
 from recorder.ports.disk_keeper import DiskKeeper
 from recorder.ports.log_writer import LogWriter
@@ -102,6 +102,7 @@ class Recorded(msgspec.Struct, frozen=True):
         files: how many there are, incidents included; ``bytes`` of them all.
         messages: in the logs.
         lost: messages that were received, and that the disk did not take.
+        is_hung: the disk did not answer at the end: what it was given last may be lost, too.
         incidents: incidents that were begun.
         keys: per topic, what was received, written and lost.
     """
@@ -114,6 +115,11 @@ class Recorded(msgspec.Struct, frozen=True):
     channels: int
     incidents: int
     keys: dict[str, KeyReport]
+    is_hung: bool = False
+
+
+def _nothing() -> None:
+    """Nothing is to be done."""
 
 
 class Recorder:
@@ -141,15 +147,17 @@ class Recorder:
         self._orders: Orders | None = None
         self._keeper: DiskKeeper | None = None
         self._notices: list[Callable[[], Iterable[Notice]]] = [writer.notices]
+        self._when_back: Callable[[], None] = _nothing
 
     def obey(self, control: Control, backfill: Callable[[Asked], None]) -> None:
         """Hear operators, and say how the recorder is."""
         self._control = control
         self._orders = Orders(self._recording, self._health_now, backfill)
 
-    def hear(self, notices: Callable[[], Iterable[Notice]]) -> None:
-        """Take these notices, too."""
+    def hear(self, notices: Callable[[], Iterable[Notice]], when_back: Callable[[], None] = _nothing) -> None:
+        """Take these notices, too; and call ``when_back`` when the disk takes the logs again."""
         self._notices.append(notices)
+        self._when_back = when_back
 
     def watch(self, keeper: DiskKeeper) -> None:
         """Stop and go on as the disk has room."""
@@ -212,6 +220,8 @@ class Recorder:
             for notice in notices():
                 if self._orders is not None:
                     self._orders.take_notice(notice)
+                if isinstance(notice, DiskBack):
+                    self._when_back()
                 self._carry_out(self._recording.take_notice(notice, now_ns, wall_ns))
 
     def _obey(self, control: Control, now_ns: int, wall_ns: int) -> None:
@@ -295,4 +305,5 @@ class Recorder:
             channels=len(counts),
             incidents=self._recording.incidents,
             keys=counts,
+            is_hung=self._writer.is_hung,
         )

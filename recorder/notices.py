@@ -101,6 +101,12 @@ def incident_word(file: str, because: str) -> Word:
     return Word(RecorderEventKind.INCIDENT, Severity.WARNING, text, file)
 
 
+def no_incident_word(robot: str, because: str) -> Word:
+    """What a person is told of an incident for which there is no room."""
+    text = f"the disk may hold no more incidents, so none is kept of {robot}: {because}"
+    return Word(RecorderEventKind.INCIDENT, Severity.ERROR, text)
+
+
 def in_words(notice: Notice) -> Word | None:
     """What a person is told of a notice, if it is worth telling."""
     match notice:

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 import msgspec
-from msgspec import DecodeError
 
 from recorder.completeness import KeyReport, total
 from recorder.effects import Doing, Say
@@ -23,6 +22,7 @@ from recorder.sample import Sample
 from recorder.session import Plan
 from recorder.tally import SEQUENCE_SPAN, Tally
 from schemas import keys
+from schemas.codec import PAYLOAD_ERRORS
 from schemas.recorder_settings import OWNED_KEY_LIMIT, ROBOT_LIMIT
 from schemas.recording import (
     GapReason,
@@ -33,6 +33,13 @@ from schemas.recording import (
 
 TELL_GAPS_NS: Final = 1_000_000_000
 """Gaps are told once a second."""
+
+
+TICK_LOGS: Final = 50
+"""Logs that are looked after in every tick..."""
+
+TICK_TURNS: Final = 4
+"""...where there are more, each has its turn after so many ticks: a thousand at once would take all the time."""
 
 
 class RecordingPlan(msgspec.Struct, frozen=True):
@@ -70,6 +77,7 @@ class Recording:
         self._by_key: dict[str, RobotLog] = {}
         self._outlet = Outlet()
         self._gaps_told_ns = 0
+        self._turn = 0
         self._sequence = 0
         self._is_stopped = plan.standby
         self._has_room = True
@@ -141,7 +149,7 @@ class Recording:
                 try:
                     if way[1](payload, sample.received_ns):
                         continue
-                except DecodeError:
+                except PAYLOAD_ERRORS:
                     pass
             doings += self.receive_sample(sample, now_ns, sample.received_ns)
             log = self._by_key.get(sample.key)
@@ -173,10 +181,12 @@ class Recording:
             wall_ns: since 1970.
             sizes: of the file of each log, in bytes.
         """
-        for log in self._logs.values():
+        for log in self._due():
             log.carry_on(log.session.tick(now_ns, sizes.get(log.name, 0)), now_ns)
             if log.incidents.is_over(now_ns):
                 log.end_incident(now_ns)
+        for word in self._outlet.take_words():
+            self._tell(word, now_ns, wall_ns)
         trim_rings(self._logs.values(), now_ns, self._plan.ring_bytes)
         if now_ns - self._gaps_told_ns >= TELL_GAPS_NS:
             self._gaps_told_ns = now_ns
@@ -254,6 +264,16 @@ class Recording:
             log.end_incident(now_ns)
         return self._take_doings()
 
+    def _due(self) -> list[RobotLog]:
+        """The logs whose turn it is: all, or of very many a part at a time."""
+        logs = list(self._logs.values())
+        if len(logs) <= TICK_LOGS:
+            return logs
+        count = max(TICK_LOGS, -(-len(logs) // TICK_TURNS))
+        begin = self._turn * count
+        self._turn = self._turn + 1 if begin + count < len(logs) else 0
+        return logs[begin : begin + count]
+
     def _find_log(self, key: str) -> RobotLog:
         name = self._name_of(key) if self._plan.per_robot else self._plan.session.name
         if name not in self._logs and len(self._logs) > self._plan.log_limit:
@@ -302,7 +322,8 @@ class Recording:
         for log in self._logs.values():
             log.carry_on(log.session.seal(), now_ns)
             if log.session.is_paused != is_paused:
-                effects = log.session.pause(reason) if is_paused else log.session.resume()
+                is_anew = self._outlet.left_out is None
+                effects = log.session.pause(reason) if is_paused else log.session.resume(counts_anew=is_anew)
                 log.carry_on(effects, now_ns)
         # Only now: what was in hand came before.
         self._outlet.left_out = GapReason.FULL if self.state is RecorderState.FULL else None

@@ -17,8 +17,8 @@ from schemas.recorder_settings import INCIDENT_FLOOR_SHARE, INCIDENT_SHARE
 RESUME_SHARE: Final = 0.02
 """A recording that has stopped goes on when so much of budget or floor is free beyond it, or it would flutter."""
 
-ROLL_SHARE: Final = 0.1
-"""Logs that are being written are ended, so that they may go, when they take so much of the budget."""
+ROLL_BYTES: Final = 100_000
+"""Logs that are being written are ended, so that they may go, when they take so much together."""
 
 
 class LogEntry(msgspec.Struct, frozen=True):
@@ -84,8 +84,7 @@ def judge(entries: Sequence[LogEntry], free_bytes: int, limits: Limits, *, is_fu
     open_bytes = sum(entry.bytes for entry in entries if entry.is_own and not entry.is_incident)
     closed_bytes = sum(entry.bytes for entry in may_go)
     # What is written now may go once it is ended; while that is worth it, recording need not stop.
-    worth = ROLL_SHARE * (limits.budget_bytes or limits.floor_bytes)
-    roll = closed_bytes < wanted <= closed_bytes + open_bytes and open_bytes >= worth
+    roll = closed_bytes < wanted <= closed_bytes + open_bytes and open_bytes >= ROLL_BYTES
     delete: list[str] = []
     if roll or wanted <= closed_bytes:
         for entry in may_go:

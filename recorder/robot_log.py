@@ -6,6 +6,7 @@ to be done about it goes through an ``Outlet``, which all logs of a recording sh
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Sequence
 from heapq import heapify, heappop, heappush
 from typing import Final
@@ -27,13 +28,16 @@ from recorder.effects import (
 from recorder.fast_path import ShortWay
 from recorder.gaps import Gaps
 from recorder.incidents import INCIDENT_NAME, IncidentPlan, Incidents
-from recorder.notices import Ended, Lost, Opened, Word, incident_word
+from recorder.notices import Ended, Lost, Opened, Word, incident_word, no_incident_word
 from recorder.session import Plan, Session
 from schemas.recorder_settings import OWNED_KEY_LIMIT
 from schemas.recording import GapReason
 
 INCIDENT_MARK: Final = "!"
 """Behind a log's name it is that of its incidents: no robot's name holds it."""
+
+
+WORDS_MAX: Final = 1000
 
 
 class Outlet:
@@ -46,6 +50,7 @@ class Outlet:
         left_out: why chunks are not written that are not; None is no loss.
         has_incident_room: incidents may be begun.
         incidents: that were begun.
+        words: what is to be told.
     """
 
     def __init__(self) -> None:
@@ -55,6 +60,13 @@ class Outlet:
         self.left_out: GapReason | None = None
         self.has_incident_room = True
         self.incidents = 0
+        self.words: deque[Word] = deque(maxlen=WORDS_MAX)
+
+    def take_words(self) -> list[Word]:
+        """What is to be told."""
+        words = list(self.words)
+        self.words.clear()
+        return words
 
 
 class RobotLog:
@@ -99,6 +111,8 @@ class RobotLog:
             elif isinstance(effect, Alarm):
                 if self._outlet.has_incident_room:
                     self.begin_incident(effect.because, now_ns, effect.wall_ns)
+                else:
+                    self._outlet.words.append(no_incident_word(self.name, effect.because))
             elif isinstance(effect, WriteChunk | SyncLog) and not self.is_written:
                 kept.append(effect)
                 if isinstance(effect, WriteChunk):

@@ -8,6 +8,7 @@ out, in order, and has each file repeat the channels of those before it.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
@@ -43,6 +44,11 @@ from schemas.subjects import BY_DBC_MESSAGE, BY_TYPE, Subject
 
 INT64_MAX: Final = 2**63 - 1
 """The latest time that a log may hold: many readers take MCAP's unsigned times for signed ones."""
+
+INFO_MAX_BYTES: Final = 1_000_000
+"""A gateway's answer that is larger is recorded like any sample, but not kept for every further file."""
+
+UNSAID_MAX: Final = 10_000
 
 OVERFLOW_TOPIC: Final = "@more"
 """The topic of the channel that all keys beyond CHANNEL_LIMIT share."""
@@ -107,7 +113,9 @@ class Session:
         self._opened_ns = self._heard_ns = 0
         self._ended_by = ""
         self._counted: dict[str, KeyReport] = {}
-        """The counts when the file was begun."""
+        """The counts when the file before was ended: what was lost in between is told in the next one."""
+        self._unsaid: deque[tuple[str, Message]] = deque(maxlen=UNSAID_MAX)
+        """What the recorder had to say while no file was open."""
         self._at_risk_since_ns: int | None = None
         # Half for what comes together, half for the ticks, the write and the sync.
         self._patience_ns = plan.flush_ns // 2
@@ -197,10 +205,17 @@ class Session:
         self.is_paused = True
         return effects
 
-    def resume(self) -> Sequence[Effect]:
-        """The next sample begins a file; what came before it is handed over, to the ring."""
+    def resume(self, *, counts_anew: bool = False) -> Sequence[Effect]:
+        """The next sample begins a file; what came before it is handed over, to the ring.
+
+        Args:
+            counts_anew: what came meanwhile is none of the next file's business.
+        """
         self.is_paused = False
-        return self.seal()
+        effects = self.seal()
+        if counts_anew:
+            self._counted = self.counts
+        return effects
 
     def describe(self) -> Sequence[Effect]:
         """Say what is known of the robots, unless that has been said."""
@@ -213,11 +228,12 @@ class Session:
         return effects
 
     def add_own(self, topic: str, message: Message, now_ns: int) -> Sequence[Effect]:
-        """Record something that the recorder itself has to say; nothing while no file is open."""
+        """Record something that the recorder itself has to say; while no file is open, in the next one."""
         if not self.is_open:
+            self._unsaid.append((topic, message))
             return []
         effects: list[Effect] = []
-        route = self._channel(topic, BY_TYPE[type(message)], "", effects)
+        route = self._channel(topic, BY_TYPE[type(message)], "", effects, is_own=True)
         self._add_records(route, message, _clamp(message.time_ns))
         if isinstance(message, RecorderEvent):
             self._add_line(topic, message, _clamp(message.time_ns), effects)
@@ -261,18 +277,21 @@ class Session:
         self.is_open = False
         self._at_risk_since_ns = None
         effects += self._robots.describe()
-        return [*effects, WriteMetadata(COMPLETENESS_NAME, self._completeness()), CloseLog()]
+        completeness = WriteMetadata(COMPLETENESS_NAME, self._completeness())
+        self._counted = self.counts
+        return [*effects, completeness, CloseLog()]
 
     def _open(self, now_ns: int, log_ns: int, effects: list[Effect]) -> None:
         self.is_open = True
         self._file += 1
         self._opened_ns = self._heard_ns = now_ns
-        self._counted = self.counts
         effects.append(OpenLog(self._plan.name, log_ns))
         effects += self._robots.describe()
         if self._file > 1:
             effects.append(WriteMetadata(CONTINUED_NAME, {"file": str(self._file), "because": self._ended_by}))
             effects.append(WriteMetadata(LATEST_NAME, self._latest()))
+        while self._unsaid:
+            effects += self.add_own(*self._unsaid.popleft(), now_ns)
 
     def _completeness(self) -> dict[str, str]:
         none = KeyReport()
@@ -321,7 +340,8 @@ class Session:
         if isinstance(message, CanFrames):
             route.tally.dropped = max(route.tally.dropped, message.dropped)
         elif isinstance(message, GatewayInfo):
-            effects += self._robots.take_info(route.robot, message, log_ns)
+            if len(sample.payload) <= INFO_MAX_BYTES:
+                effects += self._robots.take_info(route.robot, message, log_ns)
         elif isinstance(message, GatewayHealth):
             self._count_bus(sample.key, message)
         elif isinstance(message, SafetyEvent):
@@ -381,9 +401,11 @@ class Session:
         self._backlog.see(parts.root, parts.robot, now_ns)
         return self._channel(key, parts.subject, robot, effects)
 
-    def _channel(self, topic: str, subject: Subject | None, robot: str, effects: list[Effect]) -> Route:
-        """The topic's channel, declared when it is new."""
-        if len(self._channels) >= CHANNEL_LIMIT and topic not in self._channels:
+    def _channel(
+        self, topic: str, subject: Subject | None, robot: str, effects: list[Effect], *, is_own: bool = False
+    ) -> Route:
+        """The topic's channel, declared when it is new. There is always room for what the recorder itself says."""
+        if len(self._channels) >= CHANNEL_LIMIT and topic not in self._channels and not is_own:
             topic, subject = OVERFLOW_TOPIC, None
         route = self._channels.get(topic)
         if route is None:

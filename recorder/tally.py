@@ -12,8 +12,8 @@ SEQUENCE_SPAN: Final = 2**32
 UNREAD: Final = frozenset({GapReason.QUEUE, GapReason.SIZE})
 """What is lost for these reasons are samples that were never decoded: their sequence is not known."""
 
-RESTART_STEP: Final = SEQUENCE_SPAN // 2
-"""A step forward of this much is a step back: the sender began anew, or a sample was late."""
+RESTART_STEP: Final = 2**24
+"""A step forward of this much (two days at 100 Hz) is none: the sender began anew, or a sample was late."""
 
 
 class Tally:

@@ -25,6 +25,9 @@ class PayloadFault(msgspec.Struct, frozen=True):
 encode: Final = msgspec.msgpack.Encoder().encode
 """A message's MessagePack bytes."""
 
+PAYLOAD_ERRORS: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
+"""What decoding may raise, whatever the payload holds."""
+
 _DECODERS: Final = {subject.type: msgspec.msgpack.Decoder(subject.type) for subject in ALL_SUBJECTS}
 
 
@@ -32,7 +35,7 @@ def decode(subject: Subject, payload: bytes) -> Message | PayloadFault:
     """The typed message of a payload, or what is wrong with it."""
     try:
         return _DECODERS[subject.type].decode(payload)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+    except PAYLOAD_ERRORS as error:
         return PayloadFault(str(error))
 
 
@@ -46,7 +49,7 @@ def decode_request(verb: Verb, payload: bytes) -> Request | PayloadFault:
     try:
         # A verb that needs nothing may be sent with no payload at all.
         request = _REQUEST_DECODERS[verb.request].decode(payload or _EMPTY_MAP)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+    except PAYLOAD_ERRORS as error:
         return PayloadFault(str(error))
     for name in request.__struct_fields__:
         value = getattr(request, name)

@@ -21,6 +21,9 @@ _INT64_MAX = 2**63 - 1
 SEQUENCE_MAX = 2**32 - 1
 """The last sequence number; 0 follows."""
 
+BUS_MAX_LENGTH = 64
+"""Characters of a CAN bus's name: a log repeats it with every frame."""
+
 UNIT_KEYWORD = "unit"
 """The JSON Schema keyword under which a field's unit is found."""
 
@@ -223,7 +226,7 @@ class CanFrames(Message, frozen=True):
         data: the data bytes of each frame.
     """
 
-    bus: str
+    bus: Annotated[str, Meta(max_length=BUS_MAX_LENGTH)]
     dropped: Count
     frame_time_ns: list[TimeNs]
     can_id: list[CanWord]

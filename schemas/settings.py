@@ -15,6 +15,7 @@ import msgspec
 from msgspec import Meta
 
 from schemas import keys
+from schemas.messages import BUS_MAX_LENGTH
 from schemas.recorder_settings import RecorderSettings
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
@@ -245,7 +246,12 @@ class CanSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 0
     bus: Annotated[
-        str, Meta(pattern=f"^{keys.BUS_PATTERN}$", description="the bus's name in keys: can/{bus}/rx")
+        str,
+        Meta(
+            pattern=f"^{keys.BUS_PATTERN}$",
+            max_length=BUS_MAX_LENGTH,
+            description="the bus's name in keys: can/{bus}/rx",
+        ),
     ] = "can0"
     raw_frames: Annotated[
         bool,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import gc
+import os
 import re
 import resource
 import signal
@@ -149,13 +150,19 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
             HealthReport(control.name, release, time.monotonic_ns()),
         )
         one.watch(keeper)
-        one.hear(leftovers.notices)
+        one.hear(leftovers.notices, leftovers.look_again)
         one.obey(
             control, partial(_answer_backfill, stack.enter_context(closing(BackfillServer(path, key_matches))))
         )
         recorded = one.run(ending_after(stopped, arguments.seconds, time.monotonic), hangups())
     leftovers.wait(LEFTOVERS_S)
-    return _report(recorded, as_json=arguments.json)
+    code = _report(recorded, as_json=arguments.json)
+    if recorded.is_hung:
+        # Threads that wait for the disk would keep the process for ever.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    return code
 
 
 def _answer_backfill(server: BackfillServer, asked: Asked) -> None:
@@ -239,6 +246,12 @@ def _report(recorded: Recorded, *, as_json: bool) -> int:
         sys.stdout.write(msgspec.json.encode(recorded).decode() + "\n")
     elif recorded.path is not None:
         sys.stdout.write(f"{recorded.path}\n")
+    if recorded.is_hung:
+        sys.stderr.write(
+            "cruiser record: the disk does not answer: the logs are not ended, "
+            f"and {recorded.lost} messages or more are lost\n"
+        )
+        return int(ExitCode.PARTIAL)
     counts = recorded.keys.values()
     full = sum(count.lost_full for count in counts)
     if recorded.path is None and recorded.lost + full:

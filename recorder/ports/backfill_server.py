@@ -36,6 +36,9 @@ REQUEST_S: Final = 30.0
 CHUNKS_REMEMBERED: Final = 200_000
 """Chunks of logs whose place is remembered for the next request: a day of a robot, some tens of MB at most."""
 
+END_S: Final = 5.0
+"""How long the end waits for an answer that is under way: the disk, or a link, may hang."""
+
 PAUSE_S: Final = 0.001
 """After each chunk the thread leaves the interpreter to the recorder for so long."""
 
@@ -98,7 +101,7 @@ class BackfillServer:
     def close(self) -> None:
         """End the answer that is under way, and refuse those that wait."""
         self._is_closed.set()
-        self._thread.join()
+        self._thread.join(END_S)
         while (waiting := self._next(0)) is not None:
             _refuse(waiting.request, waiting.reply, waiting.done, "the recorder is ending")
 

@@ -222,14 +222,24 @@ class LeftoverThread:
     def __init__(self, directory: Path, library: str) -> None:
         self.recoveries: list[Recovery] = []
         self._notices: deque[Notice] = deque()
-        # What is there now: a part that this recorder begins is none of them.
-        self._parts = sorted(directory.glob(f"*{PART_SUFFIX}"))
+        self._directory = directory
         self._library = library
-        self._thread = threading.Thread(target=self._run, name="leftovers", daemon=True)
-        self._thread.start()
+        self._thread = self._begin()
 
-    def _run(self) -> None:
-        for recovery in recover_leftovers(self._parts, self._library):
+    def look_again(self) -> None:
+        """Recover what this recorder itself had to leave, as the disk took no more; once at a time."""
+        if not self._thread.is_alive():
+            self._thread = self._begin()
+
+    def _begin(self) -> threading.Thread:
+        # What is there now: a part that is begun later is none of them, and one that is being written is locked.
+        parts = sorted(self._directory.glob(f"*{PART_SUFFIX}"))
+        thread = threading.Thread(target=self._run, args=[parts], name="leftovers", daemon=True)
+        thread.start()
+        return thread
+
+    def _run(self, parts: list[Path]) -> None:
+        for recovery in recover_leftovers(parts, self._library):
             self.recoveries.append(recovery)
             if recovery.outcome not in {Outcome.FAILED, Outcome.NOTHING}:
                 self._notices.append(Recovered(plain(Path(recovery.result).name), recovery.messages))

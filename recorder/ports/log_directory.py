@@ -246,6 +246,8 @@ class LogDirectory:
         self._disk.shutdown()
 
     def _make_again(self) -> None:
+        if self._path.exists() and self._path.stat().st_dev != self._device:
+            raise FileNotFoundError(0, "its disk is not there any more")
         parent = self._path.absolute().parent
         if not self._path.exists() and parent.exists() and parent.stat().st_dev == self._device:
             self._path.mkdir()

@@ -118,6 +118,8 @@ class LogWriter:
         """Bytes of the files that are ended; ``files`` of them."""
         self.lost = 0
         """Messages that were received, and that the disk did not take."""
+        self.is_hung = False
+        """The disk did not answer at the end: what it was given last may be lost, too."""
         self._thread = threading.Thread(target=self._run, name="log writer", daemon=True)
         self._thread.start()
 
@@ -172,7 +174,13 @@ class LogWriter:
             self._changed.notify()
         self._thread.join(END_S)
         if self._thread.is_alive():
-            log.error("the disk does not answer; the log is not ended")
+            self.is_hung = True
+            with self._changed:
+                for one in self._waiting:
+                    if isinstance(one.effect, WriteChunk):
+                        self._lose(one.log, one.effect.chunk)
+                self._waiting.clear()
+            log.error("the disk does not answer; the logs are not ended")
         elif self._fault is not None:
             raise self._fault
 

@@ -12,7 +12,8 @@ from recorder.routes import unfold
 from recorder.tally import SEQUENCE_SPAN, Tally
 from schemas import codec
 from schemas.can_word import ERROR, EXTENDED, IDENTIFIER_MASK, REMOTE
-from schemas.messages import CanFrames
+from schemas.messages import BUS_MAX_LENGTH, CanFrames
+from schemas.subjects import BY_TYPE
 from tests.recorder.fakes import WALL_NS, batch, feedback
 from tests.schemas.random_messages import TEXTS, message_of
 
@@ -101,3 +102,13 @@ def test_one_frame_of_another_form_sends_the_batch_the_long_way() -> None:
     ):
         other = msgspec.structs.replace(common, **change)
         assert short_way(other)[:2] == (False, None), change
+
+
+def test_a_bus_has_no_long_name() -> None:
+    """A log repeats it with every frame: a small sample would become a large one."""
+    subject = BY_TYPE[CanFrames]
+    message = batch(0, [(WALL_NS, feedback(0))])
+    named = [msgspec.structs.replace(message, bus="b" * length) for length in (BUS_MAX_LENGTH, BUS_MAX_LENGTH + 1)]
+    whole, too_long = (codec.decode(subject, codec.encode(one)) for one in named)
+    assert isinstance(whole, CanFrames)
+    assert isinstance(too_long, codec.PayloadFault)

@@ -13,7 +13,7 @@ from hypothesis.stateful import RuleBasedStateMachine, rule
 from mcap.reader import make_reader
 
 from recorder.completeness import KeyReport
-from recorder.effects import AskInfo, DeclareChannel, OnLog, WriteMetadata
+from recorder.effects import AskInfo, DeclareChannel, OnLog, Say, WriteMetadata
 from recorder.foxglove_log import LOG_CHUNK
 from recorder.health import HealthReport, Vitals
 from recorder.incidents import INCIDENT_NAME, IncidentPlan
@@ -22,7 +22,7 @@ from recorder.recording import TELL_GAPS_NS, Recording, RecordingPlan
 from recorder.robot_log import INCIDENT_MARK
 from recorder.sample import Sample
 from recorder.session import CONTINUED_NAME, Plan
-from schemas import keys
+from schemas import codec, keys
 from schemas.decisions import EventKind, SafetyEvent, Severity
 from schemas.messages import CanFrames, GatewayInfo, Gear
 from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, RecorderState, RecordGap
@@ -702,3 +702,34 @@ def test_an_incident_declares_what_its_log_did(bench: Bench) -> None:
     assert declared == [GEAR_KEY, key_of(GatewayInfo)]
     assert [one.name for one in begun.effects if isinstance(one, WriteMetadata)] == ["cruiser", INCIDENT_NAME]
     bench.writer.carry_out(doings)
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        codec.encode(gear(3)).replace(b"drive", b"\xff\xfe\xff\xfe\xff"),
+        b"\x81\xa1x" + b"\x91" * 1500 + b"\xc0",
+        b"",
+    ],
+)
+def test_a_broken_payload_on_the_short_way_is_kept_as_it_is(bench: Bench, payload: bytes) -> None:
+    """Text that is none, nesting without end: whatever decoding raises is no reason to stop."""
+    good = sample_of(gear(0))
+    broken = FakeSample(good.key, good.encoding, payload)
+    bench.receive(*(sample_of(gear(number)) for number in range(3)), broken, sample_of(gear(3)))
+    counts = bench.recording.counts
+    assert (counts[GEAR_KEY].written, counts[f"{GEAR_KEY}/@raw"].written) == (4, 1)
+
+
+def test_an_incident_without_room_is_told(bench: Bench) -> None:
+    """Nobody would look for what is not there."""
+    bench.receive(sample_of(gear(0)))
+    bench.room(has_incident_room=False)
+    bench.receive(sample_of(safety_event(EventKind.STOP)))
+    doings = bench.recording.tick(SECOND, WALL_NS, {})
+    bench.writer.carry_out(doings)
+    (said,) = [one.message for one in doings if isinstance(one, Say)]
+    assert isinstance(said, RecorderEvent)
+    assert (said.kind, said.severity) == (RecorderEventKind.INCIDENT, Severity.ERROR)
+    assert "stop: as it were" in said.text
+    assert bench.recording.incidents == 0

@@ -5,14 +5,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.retention import RESUME_SHARE, ROLL_SHARE, Judgement, Limits, LogEntry, judge
+from recorder.retention import RESUME_SHARE, ROLL_BYTES, Judgement, Limits, LogEntry, judge
 from schemas.recorder_settings import INCIDENT_FLOOR_SHARE, INCIDENT_SHARE
+
+SCALE = ROLL_BYTES // 80
+"""Sizes here are written in these, so that they are small."""
 
 ENTRIES = st.lists(
     st.builds(
         LogEntry,
         name=st.text("abc", min_size=1, max_size=4),
-        bytes=st.integers(0, 400),
+        bytes=st.integers(0, 400).map(lambda size: size * SCALE),
         started=st.sampled_from([f"20270115T08000{second}Z" for second in range(10)]),
         number=st.integers(1, 11),
         is_incident=st.sampled_from([False, False, False, True]),
@@ -28,8 +31,12 @@ ENTRIES = st.lists(
         if not (entry.is_open and entry.is_stuck)
     ]
 )
-LIMITS = st.builds(Limits, budget_bytes=st.sampled_from([0, 500, 1000]), floor_bytes=st.sampled_from([0, 200]))
-FREE = st.integers(0, 500)
+LIMITS = st.builds(
+    Limits,
+    budget_bytes=st.sampled_from([0, 500 * SCALE, 1000 * SCALE]),
+    floor_bytes=st.sampled_from([0, 200 * SCALE]),
+)
+FREE = st.integers(0, 500).map(lambda size: size * SCALE)
 
 
 def used(entries: list[LogEntry]) -> int:
@@ -90,7 +97,7 @@ def test_logs_are_ended_only_when_that_makes_room_and_is_worth_it(
     if judgement.roll:
         assert judgement.has_room
         open_bytes = used([entry for entry in entries if entry.is_open and not entry.is_incident])
-        assert open_bytes >= ROLL_SHARE * (limits.budget_bytes or limits.floor_bytes)
+        assert open_bytes >= ROLL_BYTES
         ended = [
             msgspec.structs.replace(entry, is_open=entry.is_open and entry.is_incident, is_own=False)
             for entry in entries
@@ -157,8 +164,10 @@ def test_what_is_being_written_is_ended_when_the_rest_is_not_enough(
     open_bytes: int, free_bytes: int, judgement: Judgement
 ) -> None:
     """And only then, if it makes a difference."""
-    entries = [log("3", open_bytes, is_open=True), log("2", 300), log("1", 402)]
-    assert judge(entries, free_bytes, Limits(800, 5000), is_full=False) == judgement
+    sizes = {"3": open_bytes, "2": 300, "1": 402}
+    entries = [log(name, size * SCALE, is_open=name == "3") for name, size in sizes.items()]
+    limits = Limits(800 * SCALE, 5000 * SCALE)
+    assert judge(entries, free_bytes * SCALE, limits, is_full=False) == judgement
 
 
 @pytest.mark.parametrize(
@@ -202,17 +211,17 @@ def test_a_recorder_goes_on_for_ever_within_its_limits(
     seconds: list[tuple[int, bool, int]], budget_bytes: int, floor_bytes: int
 ) -> None:
     """Whatever it writes each second, whether its files are short or long, on a disk that others fill a bit."""
-    limits = Limits(budget_bytes, floor_bytes)
+    limits = Limits(budget_bytes * SCALE, floor_bytes * SCALE)
     entries: list[LogEntry] = []
     others_bytes = 0
     for second, (grows_bytes, ends, others_grow_bytes) in enumerate(seconds):
-        others_bytes = min(600, others_bytes + others_grow_bytes)
+        others_bytes = min(600 * SCALE, others_bytes + others_grow_bytes * SCALE)
         started = f"{second:03}"
         before = next((entry for entry in entries if entry.is_open), LogEntry(started, 0, started))
         entries = [entry for entry in entries if not entry.is_open]
-        size = before.bytes + grows_bytes
+        size = before.bytes + grows_bytes * SCALE
         entries.append(LogEntry(before.name, size, before.started, is_open=not ends, is_own=not ends))
-        free_bytes = 3000 - others_bytes - used(entries)
+        free_bytes = 3000 * SCALE - others_bytes - used(entries)
         judgement = judge(entries, free_bytes, limits, is_full=False)
         assert judgement.has_room
         free_bytes += used(entries) - used(without(entries, judgement))

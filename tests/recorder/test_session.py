@@ -562,16 +562,48 @@ def test_a_file_in_which_nothing_is_heard_is_ended() -> None:
 
 
 def test_what_the_recorder_says_is_in_the_log_like_a_sample() -> None:
-    """While a file is open: it begins none. Its time is the one that it says."""
+    """It begins no file: where none is open, it is in the next one. Its time is the one that it says."""
     log = Log()
     assert list(log.session.add_own("own", GAP, 0)) == []
     log.receive(sample_of(gear(0)))
     log.tick(SECOND)
     log.carry_out(log.session.add_own("own", GAP, SECOND))
     assert SyncLog in kinds(log.tick(2 * SECOND))
-    (record,) = [one for one in read(log.close()) if one[0] == "own"]
-    assert (record[1], record[2].log_time, record[2].sequence) == ("cruiser.RecordGap", WALL_NS, 3)
-    assert (record[3].key, record[3].count) == (GEAR_KEY, 7)
+    records = [one for one in read(log.close()) if one[0] == "own"]
+    assert len(records) == 2
+    for record in records:
+        assert (record[1], record[2].log_time, record[2].sequence) == ("cruiser.RecordGap", WALL_NS, 3)
+        assert (record[3].key, record[3].count) == (GEAR_KEY, 7)
+
+
+def test_there_is_always_room_for_what_the_recorder_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many keys others have made up."""
+    monkeypatch.setattr(session_module, "CHANNEL_LIMIT", 3)
+    log = Log()
+    log.receive(*(FakeSample(f"x/{number}", "", b"") for number in range(9)))
+    log.carry_out(log.session.add_own("own", GAP, SECOND))
+    assert [one[1] for one in read(log.close()) if one[0] == "own"] == ["cruiser.RecordGap"]
+
+
+def test_what_is_lost_between_two_files_is_told_in_the_second() -> None:
+    """Not what somebody did not want: that is none of its business."""
+    session = Session(PLAN)
+    session.receive_sample(sample_of(gear(0)), 0, WALL_NS)
+
+    def report_at(effects: Sequence[Effect]) -> KeyReport:
+        (told,) = [one for one in effects if isinstance(one, WriteMetadata) and one.name == COMPLETENESS_NAME]
+        return msgspec.json.decode(told.entries[GEAR_KEY], type=KeyReport)
+
+    assert report_at(session.pause("full")).lost_size == 0
+    session.lose(GEAR_KEY, GapReason.SIZE, 4, 0)
+    session.resume()
+    session.receive_sample(sample_of(gear(5)), 0, WALL_NS)
+    second = report_at(session.pause("stopped"))
+    assert (second.lost_size, second.written) == (4, 1)
+    session.lose(GEAR_KEY, GapReason.SIZE, 2, 0)
+    session.resume(counts_anew=True)
+    session.receive_sample(sample_of(gear(8)), 0, WALL_NS)
+    assert report_at(session.roll("time")).lost_size == 0
 
 
 def test_what_is_dropped_before_it_comes_is_counted_at_its_key() -> None:

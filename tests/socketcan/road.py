@@ -3,10 +3,11 @@
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Final
 
 from gateway.remote.drive_stream import HOLD_MAX_S
-from gateway.remote.refusal import Stopped
+from gateway.remote.refusal import Refused, Stopped
 from gateway.remote.robot import Lease, Robot
 from schemas.decisions import ArbiterState
 from schemas.reasons import Reason
@@ -85,6 +86,15 @@ def coming_first() -> Iterator[None]:
         come_as_usual(os.getpid())
 
 
+def _is_reset(lease: Lease) -> bool:
+    """Clear what is latched, as soon as it may be."""
+    try:
+        lease.reset()
+    except Refused:
+        return False
+    return True
+
+
 @contextmanager
 def driving(robot: Robot, speed_mps: float, angle_deg: float = 0.0) -> Iterator[Drive]:
     """The robot is engaged, and told this speed steadily.
@@ -105,7 +115,7 @@ def driving(robot: Robot, speed_mps: float, angle_deg: float = 0.0) -> Iterator[
                 if stopped.reason not in HELD_UP or not tries_left:
                     raise
             wait_standing_by(robot)
-            lease.reset()
+            wait_until(partial(_is_reset, lease))
         yield drive
 
 

@@ -167,15 +167,15 @@ def test_the_floor_is_a_tenth_of_a_small_disk_at_most(tmp_path: Path, monkeypatc
 
 def test_what_is_being_written_is_ended_so_that_it_may_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is asked for again as long as that is so."""
-    part = log(tmp_path, 2, 5000, suffix=".mcap.part")
+    part = log(tmp_path, 2, 500_000, suffix=".mcap.part")
     own = frozenset({part})
     roll = Room(has_room=True, has_incident_room=True, roll=True)
-    with kept(tmp_path, Limits(budget_bytes=4000), monkeypatch, own) as looks:
+    with kept(tmp_path, Limits(budget_bytes=400_000), monkeypatch, own) as looks:
         wait_until(lambda: looks.has_said(roll))
         (tmp_path / part).rename(tmp_path / part.removesuffix(".part"))
         wait_until(lambda: looks.has_said(Room(has_room=True, has_incident_room=True)))
     assert looks.notices[0] == roll
-    assert Deleted(part.removesuffix(".part"), 5000) in looks.notices
+    assert Deleted(part.removesuffix(".part"), 500_000) in looks.notices
     assert logs_in(tmp_path) == []
 
 
