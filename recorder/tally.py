@@ -12,6 +12,9 @@ SEQUENCE_SPAN: Final = 2**32
 UNREAD: Final = frozenset({GapReason.QUEUE, GapReason.SIZE})
 """What is lost for these reasons are samples that were never decoded: their sequence is not known."""
 
+SOURCES_MAX: Final = 16
+"""Sources of one key that are followed; of more, those that were silent longest begin anew."""
+
 RESTART_STEP: Final = 2**24
 """A step forward of this much (two days at 100 Hz) is none: the sender began anew, or a sample was late."""
 
@@ -38,7 +41,8 @@ class Tally:
         self.lost: dict[GapReason, int] = {}
         self.lost_bus: int | None = None
         self._bus_count = 0
-        self._source = ""
+        # By source, the one that was heard last at the end.
+        self._sources: dict[str, int | None] = {}
         self.next: int | None = None
         """The sequence that the next sample should have; None before the first."""
         self._unread = 0
@@ -71,10 +75,12 @@ class Tally:
         self._bus_count = lost
 
     def count_source(self, source: str, sequence: int) -> None:
-        """Take note of a sample by the sequence that Zenoh gives it; another source begins another one."""
-        if source != self._source:
-            self._source, self.next = source, None
+        """Take note of a sample by the sequence that Zenoh gives it: each source of a key has its own."""
+        self.next = self._sources.pop(source, None)
         self.count_sequence(sequence % SEQUENCE_SPAN)
+        self._sources[source] = self.next
+        if len(self._sources) > SOURCES_MAX:
+            del self._sources[next(iter(self._sources))]
 
     def count_sequence(self, sequence: int) -> bool:
         """Take note of a sample's sequence. False if it steps back: the source has begun anew."""

@@ -5,7 +5,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.tally import SEQUENCE_SPAN, Tally
+from recorder.tally import SEQUENCE_SPAN, SOURCES_MAX, Tally
 from schemas.recording import GapReason
 
 
@@ -77,3 +77,20 @@ def test_another_source_begins_another_sequence() -> None:
     for source, sequence in (("a", 5), ("a", 7), ("b", 900), ("b", 902), ("a", 8)):
         tally.count_source(source, sequence)
     assert tally.missed == 2
+
+
+def test_sources_that_take_turns_are_followed_each_for_itself() -> None:
+    """Of nine lost from each of two, none is hidden by the other."""
+    tally = Tally()
+    for sequence in range(0, 50, 10):
+        for source in ("a", "b"):
+            tally.count_source(source, sequence)
+    assert tally.missed == 2 * 4 * 9
+
+
+def test_sources_without_end_take_no_memory_without_end() -> None:
+    """Anybody may make them up."""
+    tally = Tally()
+    for number in range(10 * SOURCES_MAX):
+        tally.count_source(str(number), 7)
+    assert (tally.missed, len(tally._sources)) == (0, SOURCES_MAX)

@@ -232,6 +232,20 @@ def test_a_start_recovers_every_part_and_says_so(tmp_path: Path, caplog: pytest.
     assert "cannot recover" in caplog.text
 
 
+def test_what_is_left_later_is_recovered_when_it_is_looked_for_again(tmp_path: Path) -> None:
+    """A part that its recorder is still writing is locked, and left alone."""
+    thread = LeftoverThread(tmp_path, "test")
+    thread.wait(30)
+    part(tmp_path, LOG[:SUMMARY], "a")
+    held = part(tmp_path, LOG[:SUMMARY], "b")
+    with held.open("rb") as stream:
+        assert lock(stream.fileno())
+        thread.look_again()
+        thread.wait(30)
+    assert logs_in(tmp_path) == ["a.mcap", "b.mcap.part"]
+    assert [one.messages for one in thread.recoveries] == [12]
+
+
 def test_what_was_recovered_is_told_to_the_recording_and_nothing_else(tmp_path: Path) -> None:
     """Of a part in which nothing can be read nobody says that it is whole now; nor does a name rule a terminal."""
     part(tmp_path, LOG[:SUMMARY], "a-20270115T080000Z.incident")

@@ -392,3 +392,19 @@ def test_an_incident_repeats_nothing_of_the_one_before(tmp_path: Path) -> None:
     assert names(first) == ["cruiser", "cruiser.once", "incident 0", "a.dbc"]
     assert names(second) == ["cruiser", "cruiser.once", "incident 1", "a.dbc"]
     assert (sequences(first), sequences(second)) == ([0], [1])
+
+
+def test_the_end_does_not_wait_for_a_disk_that_does_not_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It says so, and what still waits is counted as lost: silence must not look like success."""
+    goes_on = threading.Event()
+    write = FaultyFile.write
+    monkeypatch.setattr(FaultyFile, "write", lambda file, data: goes_on.wait(30) and write(file, data))
+    monkeypatch.setattr(log_writer, "END_S", 0.05)
+    writer = LogWriter(LogDirectory(tmp_path), "test")
+    writer.submit(on_log([*BEGIN, *(chunk(number) for number in range(20)), CloseLog()]))
+    writer.close()
+    assert (writer.is_hung, writer.lost) == (True, 20)
+    goes_on.set()
+    writer._thread.join(30)
