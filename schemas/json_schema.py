@@ -22,7 +22,7 @@ from schemas.decisions import Reply
 from schemas.messages import UNIT_KEYWORD, Message
 from schemas.recording import BackfillPiece, RecorderReply
 from schemas.requests import Request
-from schemas.subjects import ALL_SUBJECTS, COMMANDS, RECORDER_COMMANDS
+from schemas.subjects import ALL_SUBJECTS, COMMANDS, RECORDER_COMMANDS, SUBJECTS
 
 DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 DIRECTORY: Final = Path(__file__).parent / "json"
@@ -75,9 +75,12 @@ def schema_text(name: str) -> str:
     return json.dumps(schema(name), indent=2, ensure_ascii=False) + "\n"
 
 
-def schema_texts() -> dict[str, str]:
-    """The text of every JSON Schema by schema name."""
-    return {name: schema_text(name) for name in KINDS}
+def robot_schema_texts() -> dict[str, str]:
+    """The text of every JSON Schema of what a robot says and can be asked, by schema name."""
+    names = {subject.schema_name: None for subject in SUBJECTS}
+    for command in COMMANDS:
+        names |= {command.schema_name: None, command.reply_schema_name: None}
+    return {name: schema_text(name) for name in names}
 
 
 def attribute_texts(kind: type) -> dict[str, str]:

@@ -32,7 +32,7 @@ from schemas.codec import encode
 from schemas.configuration import to_toml
 from schemas.dbc_files import DBC_FILES, dbc_text
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.json_schema import schema_texts
+from schemas.json_schema import robot_schema_texts
 from schemas.messages import GatewayInfo, Variant
 from schemas.settings import Settings
 
@@ -154,7 +154,7 @@ def _info(settings: Settings, core: Core) -> Callable[[], bytes]:
     """The payload of gateway/info. All but the variant is the same for ever, so it is made once."""
     configuration = to_toml(settings)
     versions = {name: version(name) for name in VERSIONS_TOLD} | {"python": sys.version.split()[0]}
-    schemas = schema_texts()
+    schemas = robot_schema_texts()
     started_ns = time.time_ns()
 
     def payload(variant: Variant) -> bytes:

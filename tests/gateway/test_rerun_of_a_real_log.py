@@ -49,7 +49,7 @@ def close(recording: Running, directory: Path) -> bytes:
     """End a recording; its log."""
     wait_until(lambda: any(directory.glob("*.mcap*")))
     assert recording.stop(signal.SIGINT) == 0, recording.said
-    (log,) = directory.glob("*.mcap")
+    (log,) = (path for path in directory.glob("*.mcap") if ".incident." not in path.name)
     return log.read_bytes()
 
 

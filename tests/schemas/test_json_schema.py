@@ -13,7 +13,7 @@ from schemas import json_schema, subjects
 from schemas.codec import PayloadFault, decode_request, encode
 from schemas.json_schema import KINDS
 from schemas.requests import Request
-from schemas.subjects import ALL_SUBJECTS, COMMANDS, RECORDER_COMMANDS, Command
+from schemas.subjects import COMMANDS, SUBJECTS, Command
 from tests.schemas.random_messages import ANYTHING, any_of, commands_and_requests
 
 UNIT_SUFFIXES = {
@@ -169,10 +169,8 @@ def test_a_stale_file_is_found_and_made_current(tmp_path: Path, capsys: pytest.C
 
 def test_schemas_are_found_by_their_name() -> None:
     """``gateway/info`` carries every schema under its schema name: of messages, requests and replies."""
-    texts = json_schema.schema_texts()
-    wanted = {subject.schema_name for subject in ALL_SUBJECTS}
-    wanted |= {command.schema_name for command in (*COMMANDS, *RECORDER_COMMANDS)}
-    wanted |= {command.reply_schema_name for command in COMMANDS}
-    wanted |= {command.reply_schema_name for command in RECORDER_COMMANDS}
+    texts = json_schema.robot_schema_texts()
+    wanted = {subject.schema_name for subject in SUBJECTS}
+    wanted |= {name for command in COMMANDS for name in (command.schema_name, command.reply_schema_name)}
     assert set(texts) == wanted
     assert all(json.loads(text)["title"] == name for name, text in texts.items())
