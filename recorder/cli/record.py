@@ -64,6 +64,9 @@ FILES_APART: Final = 100
 
 BACKFILL_ABOUT: Final = "find what own logs lack, and fetch it from other recorders that have it"
 
+CHUNK_MIN_BYTES: Final = 16_384
+"""However small the files are to be, chunks are not made smaller for it than this."""
+
 BUDGET_FILES: Final = 20
 """A file is ended at this part of the budget."""
 
@@ -173,18 +176,20 @@ def _answer_backfill(server: BackfillServer, asked: Asked) -> None:
 def recording_plan(settings: Settings, name: str, expressions: Sequence[str], release: str) -> RecordingPlan:
     """What the settings say is to be recorded."""
     recorder = settings.recorder
-    budget = recorder.budget_bytes
+    # What is being written cannot be deleted: within a budget no file may be large.
+    budget_part = recorder.budget_bytes // BUDGET_FILES
+    rotate_bytes = min(filter(None, (recorder.rotate_bytes, budget_part)), default=0)
     return RecordingPlan(
         root=settings.robot.root,
         recorder=name,
         per_robot=recorder.per_robot,
         session=Plan(
             name=log_name(settings.robot.root, expressions),
-            chunk_bytes=recorder.chunk_bytes,
+            # A file is at least one chunk.
+            chunk_bytes=min(recorder.chunk_bytes, max(CHUNK_MIN_BYTES, rotate_bytes or recorder.chunk_bytes)),
             flush_ns=round(recorder.flush_s * 1e9),
             version=release,
-            # What is being written cannot be deleted: within a budget no file may be large.
-            rotate_bytes=min(filter(None, (recorder.rotate_bytes, budget // BUDGET_FILES)), default=0),
+            rotate_bytes=rotate_bytes,
             rotate_ns=round(recorder.rotate_s * 1e9),
             idle_ns=IDLE_NS,
             alarms=frozenset(map(EventKind, recorder.incident_events)),
