@@ -19,6 +19,15 @@ HEADER_IN_LENGTH: Final = MESSAGE_HEADER.size - 9
 NO_LIMIT: Final = 2**63
 
 
+INT64_MAX: Final = 2**63 - 1
+"""The latest time that a log may hold: many readers take MCAP's unsigned times for signed ones."""
+
+
+def log_time(time_ns: int) -> int:
+    """The nearest time since 1970 that a log may hold."""
+    return min(max(time_ns, 0), INT64_MAX)
+
+
 class Chunk(msgspec.Struct, frozen=True):
     """Messages ready to be written.
 

@@ -81,7 +81,6 @@ class AskKept(msgspec.Struct, frozen=True):
 class Alarm(msgspec.Struct, frozen=True):
     """Something has happened to a robot whose before and after are to be kept."""
 
-    robot: str
     because: str
     wall_ns: int
 

@@ -6,7 +6,7 @@ from typing import Final
 
 import msgspec
 
-from recorder.session import INT64_MAX
+from recorder.chunk import log_time
 from recorder.tally import SEQUENCE_SPAN
 from schemas.recording import GapReason, RecordGap
 
@@ -42,12 +42,8 @@ class Gaps:
         """The gaps since the last call, each with its log."""
         told = []
         for (log, key, reason), gap in self._gaps.items():
-            time_ns, first_ns, last_ns = map(_clamp, (wall_ns, gap.first_ns, gap.last_ns))
+            time_ns, first_ns, last_ns = map(log_time, (wall_ns, gap.first_ns, gap.last_ns))
             told.append((log, RecordGap(time_ns, self._sequence, key, reason, first_ns, last_ns, gap.count)))
             self._sequence = (self._sequence + 1) % SEQUENCE_SPAN
         self._gaps.clear()
         return told
-
-
-def _clamp(time_ns: int) -> int:
-    return min(max(time_ns, 0), INT64_MAX)

@@ -52,13 +52,13 @@ class HealthReport:
 
     def next(self, recording: Recording, vitals: Vitals, now_ns: int, wall_ns: int) -> RecorderHealth:
         """The health of the second that has passed."""
-        received = sum(tally.samples + tally.unread for tally in recording.tallies)
         span_ns = max(1, now_ns - self._last_ns)
-        self._received_per_s = max(0, received - self._received) * SECOND_NS / span_ns
         self._cpu_percent = max(0, vitals.cpu_ns - self._cpu_ns) * 100 / span_ns
-        self._received, self._cpu_ns, self._last_ns = received, vitals.cpu_ns, now_ns
         self._sequence = (self._sequence + 1) % SEQUENCE_SPAN
-        return self.now(recording, vitals, now_ns, wall_ns)
+        health = self.now(recording, vitals, now_ns, wall_ns)
+        self._received_per_s = max(0, health.received - self._received) * SECOND_NS / span_ns
+        self._received, self._cpu_ns, self._last_ns = health.received, vitals.cpu_ns, now_ns
+        return msgspec.structs.replace(health, received_per_s=self._received_per_s)
 
     def now(self, recording: Recording, vitals: Vitals, now_ns: int, wall_ns: int) -> RecorderHealth:
         """The health as it is, with the rates of the last whole second."""

@@ -147,17 +147,20 @@ class Recorder:
         self._orders: Orders | None = None
         self._keeper: DiskKeeper | None = None
         self._notices: list[Callable[[], Iterable[Notice]]] = [writer.notices]
-        self._when_back: Callable[[], None] = _nothing
+        self._act_when_back: Callable[[], None] = _nothing
 
     def obey(self, control: Control, backfill: Callable[[Asked], None]) -> None:
         """Hear operators, and say how the recorder is."""
         self._control = control
         self._orders = Orders(self._recording, self._health_now, backfill)
 
-    def hear(self, notices: Callable[[], Iterable[Notice]], when_back: Callable[[], None] = _nothing) -> None:
-        """Take these notices, too; and call ``when_back`` when the disk takes the logs again."""
+    def hear(self, notices: Callable[[], Iterable[Notice]]) -> None:
+        """Take these notices, too."""
         self._notices.append(notices)
-        self._when_back = when_back
+
+    def when_back(self, act: Callable[[], None]) -> None:
+        """Do this each time that the disk takes the logs again. It must not wait for the disk."""
+        self._act_when_back = act
 
     def watch(self, keeper: DiskKeeper) -> None:
         """Stop and go on as the disk has room."""
@@ -221,7 +224,7 @@ class Recorder:
                 if self._orders is not None:
                     self._orders.take_notice(notice)
                 if isinstance(notice, DiskBack):
-                    self._when_back()
+                    self._act_when_back()
                 self._carry_out(self._recording.take_notice(notice, now_ns, wall_ns))
 
     def _obey(self, control: Control, now_ns: int, wall_ns: int) -> None:

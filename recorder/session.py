@@ -15,7 +15,7 @@ from typing import Final
 import msgspec
 
 from recorder.backlog import Backlog
-from recorder.chunk import ChunkBuilder
+from recorder.chunk import ChunkBuilder, log_time
 from recorder.completeness import KeyReport, report, since
 from recorder.effects import (
     Alarm,
@@ -41,9 +41,6 @@ from schemas.messages import CanFrames, GatewayHealth, GatewayInfo, Message
 from schemas.recorder_settings import CHANNEL_LIMIT
 from schemas.recording import GapReason, RecorderEvent
 from schemas.subjects import BY_DBC_MESSAGE, BY_TYPE, Subject
-
-INT64_MAX: Final = 2**63 - 1
-"""The latest time that a log may hold: many readers take MCAP's unsigned times for signed ones."""
 
 INFO_MAX_BYTES: Final = 1_000_000
 """A gateway's answer that is larger is recorded like any sample, but not kept for every further file."""
@@ -145,7 +142,7 @@ class Session:
     def receive_sample(self, sample: Sample, now_ns: int, wall_ns: int) -> Sequence[Effect]:
         """Record a sample. It may hold anything: nothing in it raises."""
         effects: list[Effect] = []
-        log_ns = _clamp(wall_ns)
+        log_ns = log_time(wall_ns)
         if not self.is_open and not self.is_paused:
             self._open(now_ns, log_ns, effects)
         route = self._channels.get(sample.key) or self._find_route(sample.key, now_ns, effects)
@@ -234,9 +231,9 @@ class Session:
             return []
         effects: list[Effect] = []
         route = self._channel(topic, BY_TYPE[type(message)], "", effects, is_own=True)
-        self._add_records(route, message, _clamp(message.time_ns))
+        self._add_records(route, message, log_time(message.time_ns))
         if isinstance(message, RecorderEvent):
-            self._add_line(topic, message, _clamp(message.time_ns), effects)
+            self._add_line(topic, message, log_time(message.time_ns), effects)
         if self._at_risk_since_ns is None:
             self._at_risk_since_ns = now_ns
         return effects
@@ -349,7 +346,7 @@ class Session:
             # What was asked for later is long past.
             is_alarm = message.kind in self._plan.alarms and message.severity is not Severity.INFO
             if is_alarm and not sample.is_reply:
-                effects.append(Alarm(route.robot, f"{message.kind.value}: {message.text}", log_ns))
+                effects.append(Alarm(f"{message.kind.value}: {message.text}", log_ns))
 
     def _add_line(
         self, topic: str, event: SafetyEvent | RecorderEvent, log_ns: int, effects: list[Effect]
@@ -381,7 +378,7 @@ class Session:
     def _add_raw(self, sample: Sample, reason: str, route: Route, log_ns: int, effects: list[Effect]) -> None:
         if route.subject is not None:
             route = self._channel(f"{sample.key}/{RAW_CHUNK}", None, "", effects)
-        time_ns = _clamp(sample.zenoh_time_ns)
+        time_ns = log_time(sample.zenoh_time_ns)
         source, sequence = sample.source or ("", 0)
         if source and route.subject is None:
             route.tally.count_source(source, sequence)
@@ -424,7 +421,3 @@ class Session:
         chunk = self._chunk.seal()
         if chunk is not None:
             effects.append(WriteChunk(chunk))
-
-
-def _clamp(time_ns: int) -> int:
-    return min(max(time_ns, 0), INT64_MAX)

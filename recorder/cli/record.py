@@ -153,7 +153,8 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
             HealthReport(control.name, release, time.monotonic_ns()),
         )
         one.watch(keeper)
-        one.hear(leftovers.notices, leftovers.look_again)
+        one.hear(leftovers.notices)
+        one.when_back(leftovers.look_again)
         one.obey(
             control, partial(_answer_backfill, stack.enter_context(closing(BackfillServer(path, key_matches))))
         )

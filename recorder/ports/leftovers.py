@@ -224,21 +224,23 @@ class LeftoverThread:
         self._notices: deque[Notice] = deque()
         self._directory = directory
         self._library = library
-        self._thread = self._begin()
+        # What is there now: a part that is begun later is none of them.
+        self._thread = self._begin(sorted(directory.glob(f"*{PART_SUFFIX}")))
 
     def look_again(self) -> None:
-        """Recover what this recorder itself had to leave, as the disk took no more; once at a time."""
-        if not self._thread.is_alive():
-            self._thread = self._begin()
+        """Recover what this recorder itself had to leave, as the disk took no more; once at a time.
 
-    def _begin(self) -> threading.Thread:
-        # What is there now: a part that is begun later is none of them, and one that is being written is locked.
-        parts = sorted(self._directory.glob(f"*{PART_SUFFIX}"))
+        What is being written is locked. The directory is read on the thread: who calls must not wait for it.
+        """
+        if not self._thread.is_alive():
+            self._thread = self._begin(self._directory.glob(f"*{PART_SUFFIX}"))
+
+    def _begin(self, parts: Iterable[Path]) -> threading.Thread:
         thread = threading.Thread(target=self._run, args=[parts], name="leftovers", daemon=True)
         thread.start()
         return thread
 
-    def _run(self, parts: list[Path]) -> None:
+    def _run(self, parts: Iterable[Path]) -> None:
         for recovery in recover_leftovers(parts, self._library):
             self.recoveries.append(recovery)
             if recovery.outcome not in {Outcome.FAILED, Outcome.NOTHING}:

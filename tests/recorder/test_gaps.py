@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder import gaps as gaps_module
+from recorder.chunk import INT64_MAX
 from recorder.gaps import OTHER_KEYS, Gaps
-from recorder.session import INT64_MAX
 from schemas import codec
 from schemas.recording import GapReason, RecordGap
 from schemas.subjects import BY_TYPE

@@ -644,7 +644,7 @@ def test_an_event_of_the_kinds_that_were_asked_for_is_an_alarm(
     effects = list(session.receive_sample(sample, 0, WALL_NS))
     is_alarm = kind in {EventKind.STOP, EventKind.FAULT} and severity is not Severity.INFO and not is_reply
     alarms = [one for one in effects if isinstance(one, Alarm)]
-    assert alarms == [Alarm("cruiser-1", f"{kind.value}: as it were", WALL_NS)] * is_alarm
+    assert alarms == [Alarm(f"{kind.value}: as it were", WALL_NS)] * is_alarm
     assert kinds(effects)[-1] == WriteChunk
 
 
