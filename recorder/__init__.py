@@ -7,7 +7,7 @@ The end of the telemetry flow::
 - ``recording``        no I/O: all logs, samples and orders in, what is to be done out. The page to begin with
 - ``robot_log``        one log of it: its files, and its incidents
 - ``session``          what goes into that log
-- ``fast_path``, ``can_columns``  the short way of nearly all samples into a chunk
+- ``fast_path``, ``can_columns``  the fast path of nearly all samples into a chunk
 - ``incidents``        the last seconds of a log in memory, and what is kept of them when something happens
 - ``sample``, ``effects``, ``notices``  what goes into it, what comes out, and what became of that
 - ``inbox``, ``gaps``, ``completeness``  samples that wait, what was lost, and the account of it

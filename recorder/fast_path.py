@@ -2,7 +2,7 @@
 
 It decodes the payload, sees that the sequence goes on, and appends header and fields of the record in one packing.
 Whatever is not quite so (a gap, a broken payload, a message that the session itself wants to see, a chunk that is
-full) it leaves alone and says so; the session then takes the long way.
+full) it leaves alone and says so; the session then takes the slow path.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ Adder = Callable[[bytes, int], bool]
 """Payload and log time of a sample; whether it is in the chunk now. A payload that cannot be decoded raises."""
 
 
-ShortWay = tuple[str, Adder]
-"""The encoding that a sample must have to go this way, and the way."""
+FastPath = tuple[str, Adder]
+"""The encoding that a sample must have to take it, and its function."""
 
 
 class Latest:

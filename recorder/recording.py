@@ -138,23 +138,23 @@ class Recording:
     def receive(self, samples: Iterable[Sample], now_ns: int) -> Sequence[Doing]:
         """Record samples, each received when it says. They may hold anything: nothing in them raises.
 
-        Nearly all go the short way of their key, see ``fast_path``; the others through ``receive_sample``.
+        Nearly all take the fast path of their key, see ``fast_path``; the others through ``receive_sample``.
         """
-        short_ways, limit_bytes = self._outlet.short_ways, self._plan.sample_max_bytes
+        fast_paths, limit_bytes = self._outlet.fast_paths, self._plan.sample_max_bytes
         doings: list[Doing] = []
         for sample in samples:
-            way = short_ways.get(sample.key)
+            path = fast_paths.get(sample.key)
             payload = sample.payload
-            if way is not None and way[0] == sample.encoding and len(payload) <= limit_bytes:
+            if path is not None and path[0] == sample.encoding and len(payload) <= limit_bytes:
                 try:
-                    if way[1](payload, sample.received_ns):
+                    if path[1](payload, sample.received_ns):
                         continue
                 except PAYLOAD_ERRORS:
                     pass
             doings += self.receive_sample(sample, now_ns, sample.received_ns)
             log = self._by_key.get(sample.key)
             if log is not None:
-                log.find_short_way(sample.key)
+                log.find_fast_path(sample.key)
         return doings
 
     def receive_sample(self, sample: Sample, now_ns: int, wall_ns: int) -> Sequence[Doing]:

@@ -25,7 +25,7 @@ from recorder.effects import (
     WriteChunk,
     WriteMetadata,
 )
-from recorder.fast_path import ShortWay
+from recorder.fast_path import FastPath
 from recorder.gaps import Gaps
 from recorder.incidents import INCIDENT_NAME, IncidentPlan, Incidents
 from recorder.notices import Ended, Lost, Opened, Word, incident_word, no_incident_word
@@ -46,7 +46,7 @@ class Outlet:
     Attributes:
         doings: what is to be done.
         gaps: what is lost, until it is told.
-        short_ways: by key; see ``fast_path``.
+        fast_paths: by key; see ``fast_path``.
         left_out: why chunks are not written that are not; None is no loss.
         has_incident_room: incidents may be begun.
         incidents: that were begun.
@@ -56,7 +56,7 @@ class Outlet:
     def __init__(self) -> None:
         self.doings: list[Doing] = []
         self.gaps = Gaps()
-        self.short_ways: dict[str, ShortWay] = {}
+        self.fast_paths: dict[str, FastPath] = {}
         self.left_out: GapReason | None = None
         self.has_incident_room = True
         self.incidents = 0
@@ -93,8 +93,8 @@ class RobotLog:
         """Whether the latest incident has been opened, and that was told."""
         self._named = ""
         """The incident that the present file of the log names."""
-        self._short_keys: list[str] = []
-        """Its keys that go the short way, while a file is written."""
+        self._fast_keys: list[str] = []
+        """Its keys that take the fast path, while a file is written."""
 
     @property
     def incident_name(self) -> str:
@@ -123,21 +123,21 @@ class RobotLog:
                 if isinstance(effect, OpenLog | CloseLog):
                     self.is_written = isinstance(effect, OpenLog)
                     self._named = ""
-                    self._close_short_ways()
+                    self._close_fast_paths()
         if written:
             self._outlet.doings.append(OnLog(self.name, tuple(written)))
         if kept:
             self._write_incident(self.incidents.take(kept, now_ns))
 
-    def find_short_way(self, key: str) -> None:
-        """Have the samples of a key go the short way, if it has one."""
-        ways = self._outlet.short_ways
-        if key in ways or len(ways) >= OWNED_KEY_LIMIT:
+    def find_fast_path(self, key: str) -> None:
+        """Have the samples of a key take the fast path, if it has one."""
+        paths = self._outlet.fast_paths
+        if key in paths or len(paths) >= OWNED_KEY_LIMIT:
             return
-        way = self.session.short_way(key)
-        if way is not None:
-            ways[key] = way
-            self._short_keys.append(key)
+        path = self.session.fast_path(key)
+        if path is not None:
+            paths[key] = path
+            self._fast_keys.append(key)
 
     def begin_incident(self, because: str, now_ns: int, wall_ns: int) -> None:
         """Something has happened: keep what came before, and what comes."""
@@ -192,11 +192,11 @@ class RobotLog:
             if reason is not None:
                 self._outlet.gaps.add(self.name, topic, reason, count, chunk.start_ns, chunk.end_ns)
 
-    def _close_short_ways(self) -> None:
-        """The next sample of each key goes the long way, which begins a file where there is none."""
-        for key in self._short_keys:
-            del self._outlet.short_ways[key]
-        self._short_keys.clear()
+    def _close_fast_paths(self) -> None:
+        """The next sample of each key takes the slow path, which begins a file where there is none."""
+        for key in self._fast_keys:
+            del self._outlet.fast_paths[key]
+        self._fast_keys.clear()
 
     def _name_incident(self, now_ns: int) -> None:
         if self.is_written and self._named != self.incident_file:

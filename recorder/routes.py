@@ -88,7 +88,7 @@ class Route:
             self.transcode = _TRANSCODERS[subject.type]
 
     def adder(self, chunk: ChunkBuilder) -> Adder | None:
-        """The short way into a chunk, if there is one: see ``fast_path``. After the first sample."""
+        """The fast path into a chunk, if there is one: see ``fast_path``. After the first sample."""
         if self.subject is None or self.tally.next is None:
             return None
         if self.subject.type is CanFrames:

@@ -28,7 +28,7 @@ from recorder.effects import (
     WriteChunk,
     WriteMetadata,
 )
-from recorder.fast_path import ShortWay
+from recorder.fast_path import FastPath
 from recorder.foxglove_log import LOG_CHUNK, SCHEMA_DATA, SCHEMA_NAME, log_record
 from recorder.protobuf_schema import descriptor_set, schema_name
 from recorder.robots import Robots
@@ -158,8 +158,8 @@ class Session:
             self._seal(effects)
         return effects
 
-    def short_way(self, key: str) -> ShortWay | None:
-        """The short way for the samples of a key while this file is open; see ``fast_path``."""
+    def fast_path(self, key: str) -> FastPath | None:
+        """The fast path for the samples of a key while this file is open; see ``fast_path``."""
         route = self._channels.get(key)
         if route is None or not self.is_open:
             return None
@@ -170,7 +170,7 @@ class Session:
         """What is due: queries, handing the chunk over to the disk, ending a file of this size."""
         effects = self._robots.ask(now_ns) + self._backlog.ask(now_ns)
         if self._at_risk_since_ns is None and len(self._chunk):
-            # What came the short way since the last tick.
+            # What took the fast path since the last tick.
             self._at_risk_since_ns = self._heard_ns = now_ns
         if self._chunk.is_full:
             self._seal(effects)

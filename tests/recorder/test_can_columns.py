@@ -40,7 +40,7 @@ def common_batches(draw: st.DrawFn) -> CanFrames:
     )
 
 
-def long_way(message: CanFrames) -> Chunk | None:
+def slow_path(message: CanFrames) -> Chunk | None:
     """As ``Session`` writes them."""
     chunk = ChunkBuilder()
     for publish_ns, data in unfold(message):
@@ -48,7 +48,7 @@ def long_way(message: CanFrames) -> Chunk | None:
     return chunk.seal()
 
 
-def short_way(message: CanFrames) -> tuple[bool, Chunk | None, Tally]:
+def fast_path(message: CanFrames) -> tuple[bool, Chunk | None, Tally]:
     """By columns; whether it went that way."""
     tally, chunk = Tally(), ChunkBuilder()
     tally.next = message.sequence
@@ -59,14 +59,14 @@ def short_way(message: CanFrames) -> tuple[bool, Chunk | None, Tally]:
 @given(common_batches())
 def test_a_common_batch_becomes_the_same_records(message: CanFrames) -> None:
     """Byte for byte, index and counts included."""
-    added, chunk, tally = short_way(message)
+    added, chunk, tally = fast_path(message)
     assert added
-    assert chunk == long_way(message)
+    assert chunk == slow_path(message)
     assert (tally.samples, tally.messages, tally.dropped) == (1, len(message.data), message.dropped)
     assert tally.next == (message.sequence + 1) % SEQUENCE_SPAN
 
 
-def test_a_full_chunk_is_left_to_the_long_way() -> None:
+def test_a_full_chunk_is_left_to_the_slow_path() -> None:
     """Which has it handed over."""
     message = batch(0, [(WALL_NS, feedback(0))])
     tally, chunk = Tally(), ChunkBuilder(1)
@@ -78,14 +78,14 @@ def test_a_full_chunk_is_left_to_the_long_way() -> None:
 
 
 @given(message_of(CanFrames))
-def test_any_other_batch_is_left_to_the_long_way(message: Any) -> None:  # noqa: ANN401 - drawn by its class
-    """Either the records are those of the long way, or there are none."""
-    added, chunk, _ = short_way(message)
+def test_any_other_batch_is_left_to_the_slow_path(message: Any) -> None:  # noqa: ANN401 - drawn by its class
+    """Either the records are those of the slow path, or there are none."""
+    added, chunk, _ = fast_path(message)
     assert added == is_common(message)
-    assert chunk == (long_way(message) if added else None)
+    assert chunk == (slow_path(message) if added else None)
 
 
-def test_one_frame_of_another_form_sends_the_batch_the_long_way() -> None:
+def test_one_frame_of_another_form_sends_the_batch_down_the_slow_path() -> None:
     """Remote, error, short, FD, or an identifier of another length."""
     common = batch(0, [(WALL_NS + number, feedback(number)) for number in range(3)])
     word = common.can_id[0]
@@ -101,7 +101,7 @@ def test_one_frame_of_another_form_sends_the_batch_the_long_way() -> None:
         {"frame_time_ns": common.frame_time_ns[:2]},
     ):
         other = msgspec.structs.replace(common, **change)
-        assert short_way(other)[:2] == (False, None), change
+        assert fast_path(other)[:2] == (False, None), change
 
 
 def test_a_bus_has_no_long_name() -> None:

@@ -1,4 +1,4 @@
-"""The short way into a chunk writes what the long way writes."""
+"""The fast path into a chunk writes what the slow path writes."""
 
 import msgspec
 import pytest
@@ -19,7 +19,7 @@ KINDS = [subject.type for subject in SUBJECTS]
 CHANNEL = 7
 
 
-def long_way(messages: list[Message]) -> Chunk | None:
+def slow_path(messages: list[Message]) -> Chunk | None:
     """As ``Session`` writes them."""
     chunk = ChunkBuilder()
     for number, message in enumerate(messages):
@@ -39,7 +39,7 @@ def test_a_message_of_any_class_becomes_the_same_record(data: st.DataObject) -> 
     tally.next = first
     add = compile_adder(kind, tally, chunk, CHANNEL, latest)
     assert all(add(codec.encode(one), WALL_NS + number) for number, one in enumerate(messages))
-    assert chunk.seal() == long_way(messages)
+    assert chunk.seal() == slow_path(messages)
     assert (tally.samples, tally.messages, tally.missed) == (len(messages), len(messages), 0)
     assert tally.next == first + len(messages)
     assert latest.message == codec.decode(
@@ -49,7 +49,7 @@ def test_a_message_of_any_class_becomes_the_same_record(data: st.DataObject) -> 
 
 
 @pytest.mark.parametrize("sequence", [0, 4, 6, SEQUENCE_SPAN - 1])
-def test_what_does_not_follow_is_left_to_the_long_way(sequence: int) -> None:
+def test_what_does_not_follow_is_left_to_the_slow_path(sequence: int) -> None:
     """A gap, a repetition, a step back: nothing is written or counted."""
     tally, chunk = Tally(), ChunkBuilder()
     tally.next = 5
@@ -58,7 +58,7 @@ def test_what_does_not_follow_is_left_to_the_long_way(sequence: int) -> None:
     assert (len(chunk), tally.samples, tally.next) == (0, 0, 5)
 
 
-def test_a_full_chunk_is_left_to_the_long_way() -> None:
+def test_a_full_chunk_is_left_to_the_slow_path() -> None:
     """Which has it handed over."""
     tally, chunk = Tally(), ChunkBuilder(1000)
     tally.next = 0
@@ -88,4 +88,4 @@ def test_after_a_chunk_is_handed_over_the_next_one_is_filled() -> None:
     add = compile_adder(Gear, tally, chunk, CHANNEL, Latest())
     for number in range(3):
         assert add(codec.encode(gear(number)), WALL_NS)
-        assert chunk.seal() == long_way([gear(number)])
+        assert chunk.seal() == slow_path([gear(number)])

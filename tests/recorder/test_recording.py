@@ -712,7 +712,7 @@ def test_an_incident_declares_what_its_log_did(bench: Bench) -> None:
         b"",
     ],
 )
-def test_a_broken_payload_on_the_short_way_is_kept_as_it_is(payload: bytes) -> None:
+def test_a_broken_payload_on_the_fast_path_is_kept_as_it_is(payload: bytes) -> None:
     """Text that is none, nesting without end: whatever decoding raises is no reason to stop."""
     bench = Bench(msgspec.structs.replace(PLAN, sample_max_bytes=1_000_000))
     good = sample_of(gear(0))
