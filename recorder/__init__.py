@@ -13,6 +13,7 @@ The end of the telemetry flow::
 - ``inbox``, ``gaps``, ``completeness``  samples that wait, what was lost, and the account of it
 - ``orders``, ``health``  what operators ask of a recorder, and what it says of itself
 - ``retention``        which logs go when the disk is full
+- ``channels``         the channels of a log, and what is known of each
 - ``routes``           which channel a key's samples go to, and how they become records
 - ``tally``            what of a key has come in, and what is missing
 - ``backlog``          what a gateway still keeps and the log lacks

@@ -95,7 +95,7 @@ class Recording:
         """Per topic, what was received, written and lost."""
         reports = defaultdict(list)
         for log in self._logs.values():
-            for topic, report in log.session.counts.items():
+            for topic, report in log.session.channels.counts.items():
                 reports[topic].append(report)
         # Few are in several logs: what the recorder itself says, and what is beyond the limits.
         return {topic: found[0] if len(found) == 1 else total(found) for topic, found in reports.items()}
@@ -103,7 +103,7 @@ class Recording:
     @property
     def tallies(self) -> Iterable[Tally]:
         """Of every topic."""
-        return (tally for log in self._logs.values() for tally in log.session.tallies)
+        return (tally for log in self._logs.values() for tally in log.session.channels.tallies)
 
     @property
     def robots(self) -> int:

@@ -182,13 +182,13 @@ class RobotLog:
     def take_lost(self, lost: Lost) -> None:
         """The disk did not take messages. Those of an incident the log itself may have."""
         if lost.log == self.name:
-            for topic, count in self.session.lose_written(lost.counts, GapReason.DISK).items():
+            for topic, count in self.session.channels.lose_written(lost.counts, GapReason.DISK).items():
                 self._outlet.gaps.add(self.name, topic, GapReason.DISK, count, lost.first_ns, lost.last_ns)
 
     def _leave_out(self, effect: WriteChunk) -> None:
         """A chunk that only the ring holds. That the disk is full is a loss; that somebody stopped us is none."""
         chunk, reason = effect.chunk, self._outlet.left_out
-        for topic, count in self.session.lose_written(chunk.counts, reason).items():
+        for topic, count in self.session.channels.lose_written(chunk.counts, reason).items():
             if reason is not None:
                 self._outlet.gaps.add(self.name, topic, reason, count, chunk.start_ns, chunk.end_ns)
 

@@ -9,46 +9,40 @@ out, in order, and has each file repeat the channels of those before it.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import msgspec
 
 from recorder.backlog import Backlog
+from recorder.channels import Channels
 from recorder.chunk import ChunkBuilder, log_time
-from recorder.completeness import KeyReport, report, since
+from recorder.completeness import KeyReport, since
 from recorder.effects import (
     Alarm,
     CloseLog,
-    DeclareChannel,
     Effect,
-    LogChannel,
     OpenLog,
     SyncLog,
     WriteChunk,
     WriteMetadata,
 )
 from recorder.fast_path import FastPath
-from recorder.foxglove_log import LOG_CHUNK, SCHEMA_DATA, SCHEMA_NAME, log_record
-from recorder.protobuf_schema import descriptor_set, schema_name
+from recorder.foxglove_log import log_record
 from recorder.robots import Robots
 from recorder.routes import RAW_CHUNK, Route, keep_raw
 from recorder.sample import Sample
-from recorder.tally import SEQUENCE_SPAN, Tally
+from recorder.tally import SEQUENCE_SPAN
 from schemas import keys
 from schemas.decisions import EventKind, SafetyEvent, Severity
 from schemas.messages import CanFrames, GatewayHealth, GatewayInfo, Message
-from schemas.recorder_settings import CHANNEL_LIMIT
 from schemas.recording import GapReason, RecorderEvent
-from schemas.subjects import BY_DBC_MESSAGE, BY_TYPE, Subject
+from schemas.subjects import BY_DBC_MESSAGE, BY_TYPE
 
 INFO_MAX_BYTES: Final = 1_000_000
 """A gateway's answer that is larger is recorded like any sample, but not kept for every further file."""
 
 UNSAID_MAX: Final = 10_000
-
-OVERFLOW_TOPIC: Final = "@more"
-"""The topic of the channel that all keys beyond CHANNEL_LIMIT share."""
 
 ROLL_MIN_NS: Final = 1_000_000_000
 """A file is not ended for its size sooner: what each repeats may already be as large as that."""
@@ -96,12 +90,9 @@ class Session:
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
         self._chunk = ChunkBuilder(plan.chunk_bytes)
-        # By topic, which is the key but for broken samples; the one memory of keys, and a bounded one.
-        self._channels: dict[str, Route] = {}
+        self.channels = Channels()
         self._robots = Robots(plan.version)
         self._backlog = Backlog()
-        # By channel id, from 1.
-        self._routes: list[Route] = []
         self._file = 0
         """Which file of the recording is being written; ``is_open`` if there is one at present."""
         self.is_open = False
@@ -118,14 +109,6 @@ class Session:
         self._patience_ns = plan.flush_ns // 2
 
     @property
-    def counts(self) -> dict[str, KeyReport]:
-        """Per topic, what was received, written and lost."""
-        return {
-            topic: report(route.tally, counts_sequence=route.counts_sequence)
-            for topic, route in sorted(self._channels.items())
-        }
-
-    @property
     def robots(self) -> int:
         """Robots that were heard of."""
         return len(self._robots)
@@ -134,18 +117,13 @@ class Session:
         """Whether a sample of this robot has come."""
         return robot in self._robots
 
-    @property
-    def tallies(self) -> Iterable[Tally]:
-        """Of every topic."""
-        return (route.tally for route in self._routes)
-
     def receive_sample(self, sample: Sample, now_ns: int, wall_ns: int) -> Sequence[Effect]:
         """Record a sample. It may hold anything: nothing in it raises."""
         effects: list[Effect] = []
         log_ns = log_time(wall_ns)
         if not self.is_open and not self.is_paused:
             self._open(now_ns, log_ns, effects)
-        route = self._channels.get(sample.key) or self._find_route(sample.key, now_ns, effects)
+        route = self.channels.get(sample.key) or self._find_route(sample.key, now_ns, effects)
         message = route.decode(sample)
         if isinstance(message, str):
             self._add_raw(sample, message, route, log_ns, effects)
@@ -160,7 +138,7 @@ class Session:
 
     def fast_path(self, key: str) -> FastPath | None:
         """The fast path for the samples of a key while this file is open; see ``fast_path``."""
-        route = self._channels.get(key)
+        route = self.channels.get(key)
         if route is None or not self.is_open:
             return None
         add = route.adder(self._chunk)
@@ -211,7 +189,7 @@ class Session:
         self.is_paused = False
         effects = self.seal()
         if counts_anew:
-            self._counted = self.counts
+            self._counted = self.channels.counts
         return effects
 
     def describe(self) -> Sequence[Effect]:
@@ -230,7 +208,7 @@ class Session:
             self._unsaid.append((topic, message))
             return []
         effects: list[Effect] = []
-        route = self._channel(topic, BY_TYPE[type(message)], "", effects, is_own=True)
+        route = self.channels.declare(topic, BY_TYPE[type(message)], "", effects, is_own=True)
         self._add_records(route, message, log_time(message.time_ns))
         if isinstance(message, RecorderEvent):
             self._add_line(topic, message, log_time(message.time_ns), effects)
@@ -241,25 +219,9 @@ class Session:
     def lose(self, key: str, reason: GapReason, count: int, now_ns: int) -> Sequence[Effect]:
         """So many samples of a key were dropped before they came here."""
         effects: list[Effect] = []
-        route = self._channels.get(key) or self._find_route(key, now_ns, effects)
+        route = self.channels.get(key) or self._find_route(key, now_ns, effects)
         route.tally.lose(reason, count)
         return effects
-
-    def lose_written(self, counts: Mapping[int, int], reason: GapReason | None) -> dict[str, int]:
-        """So many messages of these channels are in no log. Without a reason it is no loss.
-
-        Returns:
-            The same by topic.
-        """
-        topics = {}
-        names = list(self._channels)
-        for channel_id, count in counts.items():
-            tally = self._routes[channel_id - 1].tally
-            tally.unwritten += count
-            if reason is not None:
-                tally.lose(reason, count)
-            topics[names[channel_id - 1]] = count
-        return topics
 
     def ask_last(self, now_ns: int) -> Sequence[Effect]:
         """What is worth asking once more before ``close``."""
@@ -275,7 +237,7 @@ class Session:
         self._at_risk_since_ns = None
         effects += self._robots.describe()
         completeness = WriteMetadata(COMPLETENESS_NAME, self._completeness())
-        self._counted = self.counts
+        self._counted = self.channels.counts
         return [*effects, completeness, CloseLog()]
 
     def _open(self, now_ns: int, log_ns: int, effects: list[Effect]) -> None:
@@ -286,7 +248,7 @@ class Session:
         effects += self._robots.describe()
         if self._file > 1:
             effects.append(WriteMetadata(CONTINUED_NAME, {"file": str(self._file), "because": self._ended_by}))
-            effects.append(WriteMetadata(LATEST_NAME, self._latest()))
+            effects.append(WriteMetadata(LATEST_NAME, self.channels.latest))
         while self._unsaid:
             effects += self.add_own(*self._unsaid.popleft(), now_ns)
 
@@ -294,14 +256,7 @@ class Session:
         none = KeyReport()
         return {
             topic: msgspec.json.encode(since(count, self._counted.get(topic, none))).decode()
-            for topic, count in self.counts.items()
-        }
-
-    def _latest(self) -> dict[str, str]:
-        return {
-            topic: msgspec.json.encode({"log_time_ns": latest.log_ns, "message": latest.message}).decode()
-            for topic, route in sorted(self._channels.items())
-            if (latest := route.latest).message is not None
+            for topic, count in self.channels.counts.items()
         }
 
     def _add_message(
@@ -352,13 +307,9 @@ class Session:
         self, topic: str, event: SafetyEvent | RecorderEvent, log_ns: int, effects: list[Effect]
     ) -> None:
         """The event once more, as viewers list them."""
-        line_topic = f"{topic}/{LOG_CHUNK}"
-        route = self._channels.get(line_topic)
+        route = self.channels.declare_line(topic, effects)
         if route is None:
-            if len(self._channels) >= CHANNEL_LIMIT:
-                return
-            route = self._add_route(line_topic, None, "")
-            effects.append(DeclareChannel(LogChannel(route.channel_id, line_topic, SCHEMA_NAME, SCHEMA_DATA)))
+            return
         parts = keys.parse(topic)
         name = (parts.robot or parts.recorder) if parts else topic
         data = log_record(event, name)
@@ -371,13 +322,13 @@ class Session:
         for frame in health.feedback:
             subject = BY_DBC_MESSAGE.get(frame.name)
             if parts is not None and subject is not None:
-                of_frame = self._channels.get(keys.build(parts.root, parts.robot, subject))
+                of_frame = self.channels.get(keys.build(parts.root, parts.robot, subject))
                 if of_frame is not None:
                     of_frame.tally.count_bus(frame.lost)
 
     def _add_raw(self, sample: Sample, reason: str, route: Route, log_ns: int, effects: list[Effect]) -> None:
         if route.subject is not None:
-            route = self._channel(f"{sample.key}/{RAW_CHUNK}", None, "", effects)
+            route = self.channels.declare(f"{sample.key}/{RAW_CHUNK}", None, "", effects)
         time_ns = log_time(sample.zenoh_time_ns)
         source, sequence = sample.source or ("", 0)
         if source and route.subject is None:
@@ -391,31 +342,12 @@ class Session:
     def _find_route(self, key: str, now_ns: int, effects: list[Effect]) -> Route:
         parts = keys.parse(key)
         if parts is None:
-            return self._channel(key, None, "", effects)
+            return self.channels.declare(key, None, "", effects)
         if not parts.robot:
-            return self._channel(key, parts.subject, "", effects)
+            return self.channels.declare(key, parts.subject, "", effects)
         robot = self._robots.see(parts.root, parts.robot, now_ns)
         self._backlog.see(parts.root, parts.robot, now_ns)
-        return self._channel(key, parts.subject, robot, effects)
-
-    def _channel(
-        self, topic: str, subject: Subject | None, robot: str, effects: list[Effect], *, is_own: bool = False
-    ) -> Route:
-        """The topic's channel, declared when it is new. There is always room for what the recorder itself says."""
-        if len(self._channels) >= CHANNEL_LIMIT and topic not in self._channels and not is_own:
-            topic, subject = OVERFLOW_TOPIC, None
-        route = self._channels.get(topic)
-        if route is None:
-            route = self._add_route(topic, subject, robot)
-            kind = route.kind
-            channel = LogChannel(route.channel_id, topic, schema_name(kind), descriptor_set(kind))
-            effects.append(DeclareChannel(channel))
-        return route
-
-    def _add_route(self, topic: str, subject: Subject | None, robot: str) -> Route:
-        route = self._channels[topic] = Route(len(self._channels) + 1, subject, robot)
-        self._routes.append(route)
-        return route
+        return self.channels.declare(key, parts.subject, robot, effects)
 
     def _seal(self, effects: list[Effect]) -> None:
         chunk = self._chunk.seal()

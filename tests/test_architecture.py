@@ -46,6 +46,7 @@ PURE_REMOTE = (
 )
 PURE_RECORDER = (
     "can_columns",
+    "channels",
     "chunk",
     "completeness",
     "effects",

@@ -16,8 +16,8 @@ from mcap.reader import make_reader
 from mcap.records import Message as McapMessage
 from mcap_protobuf.decoder import DecoderFactory
 
+from recorder import channels
 from recorder import robots as robots_module
-from recorder import session as session_module
 from recorder.completeness import KeyReport
 from recorder.effects import (
     Alarm,
@@ -142,7 +142,7 @@ def test_frames_sent_have_a_channel_of_their_own() -> None:
         (key, "cruiser.CanFrame"),
         (key, "cruiser.CanFrame"),
     ]
-    assert in_short(log.session.counts[key]) == (2, 0, 0)
+    assert in_short(log.session.channels.counts[key]) == (2, 0, 0)
     assert [record.publish_time for _, _, record, _ in records[1:]] == [WALL_NS, WALL_NS + MS]
 
 
@@ -219,7 +219,7 @@ def test_a_batch_is_unfolded_into_its_frames() -> None:
     assert {(record.sequence, record.log_time) for _, _, record, _ in records} == {(7, WALL_NS)}
     content = records[0][3]
     assert (content.identifier, content.is_extended, content.dlc, content.bus) == (GEAR_FEEDBACK, True, 8, "can0")
-    assert in_short(log.session.counts[FRAMES_KEY]) == (3, 0, 2)
+    assert in_short(log.session.channels.counts[FRAMES_KEY]) == (3, 0, 2)
 
 
 @pytest.mark.parametrize(
@@ -297,11 +297,11 @@ def test_what_a_gateway_still_keeps_fills_the_gap() -> None:
     log.receive(lived[0])
     log.tick(0)
     log.receive(lived[4], now_ns=1)
-    assert in_short(log.session.counts[key_of(Journal)]) == (2, 3, 0)
+    assert in_short(log.session.channels.counts[key_of(Journal)]) == (2, 3, 0)
     log.tick(2)
     log.receive(*replies[1:5], now_ns=3)
     log.receive(*replies, lived[5], now_ns=4)
-    assert in_short(log.session.counts[key_of(Journal)]) == (6, 0, 0)
+    assert in_short(log.session.channels.counts[key_of(Journal)]) == (6, 0, 0)
     sequences = [content.sequence for topic, _, _, content in read(log.close()) if topic == key_of(Journal)]
     assert sequences == [0, 4, 1, 2, 3, 5]
 
@@ -343,7 +343,7 @@ def test_a_restarted_gateway_is_asked_again() -> None:
     log.tick(0)
     log.receive(sample_of(gear(0)))
     assert AskInfo("fleet/cruiser-1/gateway/info") in log.tick(2 * SECOND)
-    assert log.session.counts[GEAR_KEY].lost_link == 0
+    assert log.session.channels.counts[GEAR_KEY].lost_link == 0
 
 
 def test_missed_samples_are_counted_for_each_key() -> None:
@@ -351,17 +351,17 @@ def test_missed_samples_are_counted_for_each_key() -> None:
     log = Log()
     log.receive(*(sample_of(gear(number)) for number in (0, 1, 5)))
     log.receive(sample_of(info(sequence=1)), sample_of(info(sequence=9)))
-    assert in_short(log.session.counts[GEAR_KEY]) == (3, 3, 0)
+    assert in_short(log.session.channels.counts[GEAR_KEY]) == (3, 3, 0)
     data = log.close()
     metadata = {one.name: one.metadata for one in make_reader(BytesIO(data)).iter_metadata()}
     told = msgspec.json.decode(metadata["cruiser.completeness"][GEAR_KEY], type=KeyReport)
     assert (told.sent, told.received, told.written, told.lost_link) == (6, 3, 3, 3)
-    assert log.session.counts["fleet/cruiser-1/gateway/info"].lost_link == 0
+    assert log.session.channels.counts["fleet/cruiser-1/gateway/info"].lost_link == 0
 
 
 def test_more_keys_than_channels_share_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """MCAP has 65,535 channels; samples beyond are kept with their key."""
-    monkeypatch.setattr(session_module, "CHANNEL_LIMIT", 2)
+    monkeypatch.setattr(channels, "CHANNEL_LIMIT", 2)
     log = Log()
     log.receive(*(FakeSample(f"k/{number}", "x", b"") for number in range(4)), sample_of(gear(0)))
     records = read(log.close())
@@ -371,7 +371,7 @@ def test_more_keys_than_channels_share_one(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_ever_new_keys_and_robots_cost_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beyond the limits a sample is written, and nothing of it is kept: neither its key, its robot nor a route."""
-    monkeypatch.setattr(session_module, "CHANNEL_LIMIT", 20)
+    monkeypatch.setattr(channels, "CHANNEL_LIMIT", 20)
     monkeypatch.setattr(robots_module, "ROBOT_LIMIT", 10)
     session = Session(Plan("x", 1, SECOND, "1"))  # Every sample is a chunk of its own, and goes.
 
@@ -390,8 +390,8 @@ def test_ever_new_keys_and_robots_cost_no_memory(monkeypatch: pytest.MonkeyPatch
     finally:
         tracemalloc.stop()
     assert after - before < 50_000  # 7,500 keys would be a million and more.
-    assert len(session.counts) == 21
-    assert sum(count.written for count in session.counts.values()) == 3 * 3000
+    assert len(session.channels.counts) == 21
+    assert sum(count.written for count in session.channels.counts.values()) == 3 * 3000
 
 
 def test_the_answer_of_a_robot_too_many_is_a_sample_like_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -482,7 +482,7 @@ def test_each_file_counts_what_it_holds() -> None:
     assert received(session.roll("time")) == (3, 3, 0)
     session.receive_sample(sample_of(gear(6)), 0, WALL_NS)
     assert received(session.close()) == (1, 0, 0)
-    assert in_short(session.counts[GEAR_KEY]) == (4, 3, 0)
+    assert in_short(session.channels.counts[GEAR_KEY]) == (4, 3, 0)
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.booleans()), max_size=40))
@@ -578,7 +578,7 @@ def test_what_the_recorder_says_is_in_the_log_like_a_sample() -> None:
 
 def test_there_is_always_room_for_what_the_recorder_says(monkeypatch: pytest.MonkeyPatch) -> None:
     """However many keys others have made up."""
-    monkeypatch.setattr(session_module, "CHANNEL_LIMIT", 3)
+    monkeypatch.setattr(channels, "CHANNEL_LIMIT", 3)
     log = Log()
     log.receive(*(FakeSample(f"x/{number}", "", b"") for number in range(9)))
     log.carry_out(log.session.add_own("own", GAP, SECOND))
@@ -613,7 +613,7 @@ def test_what_is_dropped_before_it_comes_is_counted_at_its_key() -> None:
     assert list(session.lose(GEAR_KEY, GapReason.SIZE, 1, 0)) == []
     assert (session.robots, session.has_heard("cruiser-1"), session.has_heard("b")) == (1, True, False)
     assert AskInfo("fleet/cruiser-1/gateway/info") in session.tick(0)
-    assert session.counts[GEAR_KEY] == KeyReport(sent=3, received=3, lost_queue=2, lost_size=1)
+    assert session.channels.counts[GEAR_KEY] == KeyReport(sent=3, received=3, lost_queue=2, lost_size=1)
 
 
 def test_what_is_in_no_log_is_counted_with_its_reason_or_without() -> None:
@@ -621,10 +621,10 @@ def test_what_is_in_no_log_is_counted_with_its_reason_or_without() -> None:
     session = Session(PLAN)
     session.receive_sample(sample_of(batch(0, [(WALL_NS, feedback(number)) for number in range(9)])), 0, WALL_NS)
     session.receive_sample(sample_of(gear(0)), 0, WALL_NS)
-    assert session.lose_written({1: 4, 2: 1}, GapReason.DISK) == {FRAMES_KEY: 4, GEAR_KEY: 1}
-    assert session.lose_written({1: 2}, None) == {FRAMES_KEY: 2}
-    assert session.counts[FRAMES_KEY] == KeyReport(sent=1, received=1, written=3, lost_disk=4)
-    assert session.counts[GEAR_KEY] == KeyReport(sent=1, received=1, written=0, lost_disk=1)
+    assert session.channels.lose_written({1: 4, 2: 1}, GapReason.DISK) == {FRAMES_KEY: 4, GEAR_KEY: 1}
+    assert session.channels.lose_written({1: 2}, None) == {FRAMES_KEY: 2}
+    assert session.channels.counts[FRAMES_KEY] == KeyReport(sent=1, received=1, written=3, lost_disk=4)
+    assert session.channels.counts[GEAR_KEY] == KeyReport(sent=1, received=1, written=0, lost_disk=1)
 
 
 @pytest.mark.parametrize("kind", EventKind)
@@ -655,7 +655,7 @@ def test_what_the_gateway_never_got_from_the_bus_is_counted_at_its_key(
     """By its own count, from when we came; of a frame that nobody publishes it is nowhere."""
     log = Log()
     log.receive(sample_of(gear(0)))
-    assert log.session.counts[GEAR_KEY].lost_bus is None
+    assert log.session.channels.counts[GEAR_KEY].lost_bus is None
     for sequence, count in enumerate(counts):
         frames = [
             FrameHealth(name, 100.0, 0, count, 0, 0, 0, silent=False, alive_faults=0, failures=[])
@@ -663,5 +663,5 @@ def test_what_the_gateway_never_got_from_the_bus_is_counted_at_its_key(
         ]
         log.receive(sample_of(msgspec.structs.replace(health, sequence=sequence, feedback=frames)))
     lost = sum(later - earlier if later >= earlier else later for earlier, later in pairwise(counts))
-    assert log.session.counts[GEAR_KEY].lost_bus == lost
-    assert set(log.session.counts) == {GEAR_KEY, key_of(GatewayHealth)}
+    assert log.session.channels.counts[GEAR_KEY].lost_bus == lost
+    assert set(log.session.channels.counts) == {GEAR_KEY, key_of(GatewayHealth)}
