@@ -42,7 +42,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "horn": ("gateway.remote.horn", "sound the horn"),
     "odometer": ("gateway.remote.odometer", "set the total mileage to zero"),
     "decode": ("gateway.cli.decode", "candump lines to JSON lines"),
-    "review": ("recorder.cli.review", "turn a log into answers"),
+    "review": ("recorder.cli.review.command", "turn a log into answers"),
 }
 """Name of the command, its module, and its line in the help."""
 

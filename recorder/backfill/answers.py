@@ -14,7 +14,8 @@ from recorder.backfill.questions import Question
 from recorder.effects import LogChannel
 from recorder.mcap_file import MESSAGE_ENCODING, SCHEMA_ENCODING
 from recorder.mcap_summary import MAGIC
-from recorder.review.walk import Fault, LoggedMessage, Walked, walk
+from recorder.review.pieces import Fault
+from recorder.review.walk import LoggedMessage, Walked, walk
 from schemas.recording import Backfill, BackfillPiece
 
 FIRST_BYTES: Final = 1_000_000

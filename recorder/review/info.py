@@ -15,7 +15,9 @@ from recorder.incidents import INCIDENT_NAME
 from recorder.mcap_summary import MAGIC
 from recorder.protobuf_schema import message_class, schema_name
 from recorder.review.alive import FRAME_BYTES, AliveCount, feedback_frames
-from recorder.review.walk import End, Fault, LoggedMessage, Walked, walk
+from recorder.review.faults import Faults
+from recorder.review.pieces import End, Fault
+from recorder.review.walk import LoggedMessage, Walked, walk
 from recorder.robots import METADATA_NAME
 from recorder.session import COMPLETENESS_NAME
 from recorder.tally import Tally
@@ -24,9 +26,6 @@ from schemas.messages import CanFrame, GatewayInfo, RawSample
 from schemas.printable import plain
 from schemas.recording import GapReason, RecorderEvent, RecordGap
 from schemas.subjects import SCHEMA_PREFIX, SUBJECTS
-
-FAULTS_SHOWN: Final = 20
-"""Faults that are told one by one; the rest are only counted."""
 
 _CAN_FRAME: Final = schema_name(CanFrame)
 _WITHOUT_SEQUENCE: Final = {schema_name(kind) for kind in (RawSample, GatewayInfo, RecorderEvent, RecordGap)}
@@ -228,8 +227,7 @@ class _Survey:
         self._channels: dict[int, _Channel] = {}
         self._attachments: list[AttachmentInfo] = []
         self._metadata: dict[str, dict[str, str]] = {}
-        self._faults: list[str] = []
-        self._fault_count = 0
+        self._faults = Faults()
         self._messages = 0
         self._promised: int | None = None
         self._ended = False
@@ -255,20 +253,20 @@ class _Survey:
             case End():
                 self._ended = True
             case Fault():
-                self._add_fault(f"byte {walked.offset}: {walked.detail}")
+                self._faults.add(f"byte {walked.offset}: {walked.detail}")
 
     def _take_message(self, message: LoggedMessage) -> None:
         channel = self._channels.get(message.channel_id)
         self._messages += 1
         if channel is None:
-            self._add_fault(f"a message of channel {message.channel_id}, which the file does not hold")
+            self._faults.add(f"a message of channel {message.channel_id}, which the file does not hold")
             return
         try:
             channel.take(message)
             if channel.schema == _RECORD_GAP:
                 self._take_gap(message.data)
         except DecodeError:
-            self._add_fault(f"a message of {channel.topic} that cannot be read")
+            self._faults.add(f"a message of {channel.topic} that cannot be read")
 
     def _take_gap(self, data: bytes) -> None:
         gap = _RecordGapMessage.FromString(data)
@@ -282,14 +280,9 @@ class _Survey:
             max(before.last_ns, gap.last_ns),
         )
 
-    def _add_fault(self, detail: str) -> None:
-        self._fault_count += 1
-        if len(self._faults) < FAULTS_SHOWN:
-            self._faults.append(detail)
-
     def sum_up(self, path: str, size: int) -> LogInfo:
         if self._promised is not None and self._promised != self._messages:
-            self._add_fault(f"the file says that it holds {self._promised} messages; {self._messages} were read")
+            self._faults.add(f"the file says that it holds {self._promised} messages; {self._messages} were read")
         channels = sorted((channel.sum_up() for channel in self._channels.values()), key=lambda one: one.topic)
         frames = [frame for channel in self._channels.values() for frame in channel.sum_up_frames()]
         starts = [channel.first_ns for channel in channels if channel.first_ns is not None]
@@ -299,9 +292,9 @@ class _Survey:
         return LogInfo(
             path=path,
             bytes=size,
-            whole=self._ended and not self._fault_count,
-            faults=self._faults,
-            fault_count=self._fault_count,
+            whole=self._ended and not self._faults,
+            faults=self._faults.told,
+            fault_count=self._faults.count,
             messages=self._messages,
             start_ns=min(starts, default=None),
             end_ns=max(ends, default=None),

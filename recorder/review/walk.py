@@ -1,12 +1,10 @@
-"""The records of an MCAP file one by one, whatever state the file is in.
+"""The messages of an MCAP file one by one, and the records around them, damaged or cut off as it may be.
 
-Every checksum is verified. What is wrong with a file is a value, a Fault, and the walk goes on where it can:
-past a damaged chunk, but not past a cut.
+Every checksum is verified.
 """
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from typing import BinaryIO, Final
@@ -15,28 +13,15 @@ import msgspec
 from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.stream_reader import get_chunk_data_stream
 
 from recorder.chunk import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE
 from recorder.mcap_scan import BROKEN
-from recorder.mcap_summary import CHECK, CHECK_OPCODE, FOOTER_LENGTH, MAGIC, RECORD_HEADER
+from recorder.mcap_summary import RECORD_HEADER
+from recorder.review.pieces import End, Fault, LooseMessage, PackedChunk, read_pieces
 
 
-class Fault(msgspec.Struct, frozen=True):
-    """Something wrong with the file.
-
-    Attributes:
-        offset: where in the file, in bytes.
-        cuts: nothing can be read beyond it.
-    """
-
-    offset: int
-    detail: str
-    cuts: bool = False
-
-
-class LoggedMessage(msgspec.Struct, frozen=True):
-    """A message record."""
+class LoggedMessage(msgspec.Struct, frozen=True, gc=False):
+    """A message record. Times are nanoseconds since 1970."""
 
     channel_id: int
     sequence: int
@@ -45,12 +30,9 @@ class LoggedMessage(msgspec.Struct, frozen=True):
     data: bytes
 
 
-class End(msgspec.Struct, frozen=True):
-    """The footer and the closing magic: the file is whole, but for the faults before."""
-
-
 Walked = (
-    records.Schema
+    records.Header
+    | records.Schema
     | records.Channel
     | records.Attachment
     | records.Metadata
@@ -60,115 +42,49 @@ Walked = (
     | End
 )
 
-_PARSED: Final = {
-    Opcode.SCHEMA: records.Schema.read,
-    Opcode.CHANNEL: records.Channel.read,
-    Opcode.METADATA: records.Metadata.read,
-    Opcode.STATISTICS: records.Statistics.read,
-}
+_DECLARED: Final = {Opcode.SCHEMA: records.Schema.read, Opcode.CHANNEL: records.Channel.read}
+"""What else may stand in a chunk."""
 
 
 def walk(stream: BinaryIO, size: int) -> Iterator[Walked]:
-    """What a file holds, in its order. The stream is past the opening magic.
+    """What a file holds, in its order.
 
     Args:
-        stream: the file.
+        stream: the file, which begins as MCAP does.
         size: its length in bytes.
     """
-    offset = len(MAGIC)
-    # Of the data section up to its end, then of the summary.
-    crc = zlib.crc32(MAGIC)
-    # Length and checksum of the record before, which a check repeats.
-    last = (0, 0)
-    while offset < size:
-        header = stream.read(RECORD_HEADER.size)
-        if len(header) < RECORD_HEADER.size:
-            yield Fault(offset, "the file is cut off within a record", cuts=True)
-            return
-        opcode, length = RECORD_HEADER.unpack(header)
-        if length > size - offset - len(header):
-            yield Fault(offset, "the file is cut off within a record", cuts=True)
-            return
-        body = stream.read(length)
-        if opcode == Opcode.FOOTER:
-            yield from _end(offset, header, body, crc, stream.read(len(MAGIC) + 1))
-            return
-        if opcode == Opcode.DATA_END:
-            expected = int.from_bytes(body[:4], "little")
-            if expected not in {0, crc}:
-                yield Fault(offset, "the data's checksum is wrong")
-            crc = 0
-        elif opcode == CHECK_OPCODE:
-            crc = zlib.crc32(body, zlib.crc32(header, crc))
-            if len(body) == 8 and header + body != CHECK.pack(CHECK_OPCODE, 8, *last):
-                yield Fault(offset, "the check of the record before is wrong")
-        else:
-            crc = zlib.crc32(body, zlib.crc32(header, crc))
-            last = len(header) + length, zlib.crc32(body, zlib.crc32(header))
-            yield from _read(offset, opcode, body)
-        offset += len(header) + length
-    yield Fault(size, "the file ends without a footer", cuts=True)
+    for piece in read_pieces(stream, size):
+        match piece:
+            case PackedChunk():
+                try:
+                    content = piece.unpack(stream)
+                except BROKEN as error:
+                    yield Fault(piece.offset, f"a record cannot be read: {error}")
+                    continue
+                yield from messages(piece.offset, content)
+            case LooseMessage():
+                yield from messages(piece.offset, piece.raw)
+            case _:
+                yield piece
 
 
-def _read(offset: int, opcode: int, body: bytes) -> Iterator[Walked]:
+def messages(offset: int, content: bytes) -> Iterator[LoggedMessage | records.Schema | records.Channel | Fault]:
+    """The records of a chunk, one after the other; ``offset`` is the chunk's in the file."""
+    position, end = 0, len(content)
+    unpack = MESSAGE_HEADER.unpack_from
     try:
-        if opcode == Opcode.CHUNK:
-            yield from _read_chunk(offset, body)
-        elif opcode == Opcode.ATTACHMENT:
-            attachment = records.Attachment.read(ReadDataStream(BytesIO(body)))
-            if int.from_bytes(body[-4:], "little") not in {0, zlib.crc32(body[:-4])}:
-                yield Fault(offset, "an attachment's checksum is wrong")
-            yield attachment
-        else:
-            yield from _read_plain(offset, opcode, body)
+        while position < end:
+            opcode, length = RECORD_HEADER.unpack_from(content, position)
+            start = position + RECORD_HEADER.size
+            position = start + length
+            if position > end or (opcode == MESSAGE_OPCODE and length < HEADER_IN_LENGTH):
+                yield Fault(offset, "a chunk holds half a record")
+                return
+            if opcode == MESSAGE_OPCODE:
+                _, _, channel_id, sequence, log_ns, publish_ns = unpack(content, start - RECORD_HEADER.size)
+                data = content[start + HEADER_IN_LENGTH : position]
+                yield LoggedMessage(channel_id, sequence, log_ns, publish_ns, data)
+            elif opcode in _DECLARED:
+                yield _DECLARED[Opcode(opcode)](ReadDataStream(BytesIO(content[start:position])))
     except BROKEN as error:
         yield Fault(offset, f"a record cannot be read: {error}")
-
-
-def _read_plain(offset: int, opcode: int, body: bytes) -> Iterator[Walked]:
-    """A record that may stand in a chunk or outside."""
-    if opcode == MESSAGE_OPCODE:
-        yield from _messages(offset, RECORD_HEADER.pack(opcode, len(body)) + body)
-    elif opcode in _PARSED:
-        yield _PARSED[Opcode(opcode)](ReadDataStream(BytesIO(body)))
-
-
-def _read_chunk(offset: int, body: bytes) -> Iterator[Walked]:
-    chunk = records.Chunk.read(ReadDataStream(BytesIO(body)))
-    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-    yield from _messages(offset, stream.read(length))
-
-
-def _messages(offset: int, data: bytes) -> Iterator[Walked]:
-    """The records of a chunk; ``offset`` is the chunk's in the file."""
-    position, end = 0, len(data)
-    unpack = MESSAGE_HEADER.unpack_from
-    while position < end:
-        opcode, length = RECORD_HEADER.unpack_from(data, position)
-        start = position + RECORD_HEADER.size
-        position = start + length
-        if position > end or (opcode == MESSAGE_OPCODE and length < HEADER_IN_LENGTH):
-            yield Fault(offset, "a chunk holds half a record")
-            return
-        if opcode == MESSAGE_OPCODE:
-            _, _, channel_id, sequence, log_ns, publish_ns = unpack(data, start - RECORD_HEADER.size)
-            content = data[start + HEADER_IN_LENGTH : position]
-            yield LoggedMessage(channel_id, sequence, log_ns, publish_ns, content)
-        else:
-            yield from _read_plain(offset, opcode, data[start:position])
-
-
-def _end(offset: int, header: bytes, body: bytes, crc: int, rest: bytes) -> Iterator[Walked]:
-    if len(body) != FOOTER_LENGTH:
-        yield Fault(offset, "the footer cannot be read", cuts=True)
-        return
-    expected = int.from_bytes(body[-4:], "little")
-    if expected not in {0, zlib.crc32(body[:-4], zlib.crc32(header, crc))}:
-        yield Fault(offset, "the summary's checksum is wrong")
-    if rest == MAGIC:
-        yield End()
-    elif rest.startswith(MAGIC):
-        yield Fault(offset, "there is more behind the end of the file")
-        yield End()
-    else:
-        yield Fault(offset, "the file is cut off within its last bytes", cuts=True)

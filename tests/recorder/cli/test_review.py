@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from recorder.cli import review
+from recorder.cli.review import command as review
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
 from tests.recorder.fakes import FakeSample, Log, small_log

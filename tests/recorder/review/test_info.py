@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from recorder.review.info import FAULTS_SHOWN, LogInfo, read_info
+from recorder.review.faults import FAULTS_SHOWN
+from recorder.review.info import LogInfo, read_info
 from schemas.decisions import Journal
 from schemas.exit_codes import CommandError
 from tests.recorder.fakes import (

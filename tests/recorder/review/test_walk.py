@@ -12,7 +12,8 @@ from recorder.effects import LogChannel
 from recorder.mcap_file import McapFile
 from recorder.mcap_summary import MAGIC
 from recorder.protobuf_schema import descriptor_set
-from recorder.review.walk import End, Fault, LoggedMessage, Walked, walk
+from recorder.review.pieces import End, Fault
+from recorder.review.walk import LoggedMessage, Walked, walk
 from schemas.messages import Gear
 from tests.recorder.fakes import Disk, small_log
 

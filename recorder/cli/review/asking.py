@@ -1,0 +1,113 @@
+"""What the questions have in common: which logs and which time they are about, and how an answer is shown."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from recorder.review.faults import Faults
+from recorder.review.logs import LogFile, find_logs
+from recorder.review.rows import END_OF_TIME_NS, Progress
+from recorder.review.times import FORMS, time_of
+from schemas.exit_codes import ExitCode
+from schemas.printable import plain
+
+JSON_HELP: Final = "print JSON"
+
+
+class Asked(msgspec.Struct):
+    """What a question is about.
+
+    Attributes:
+        logs: the files, by their beginning.
+        faults: what could not be read of them.
+        start_ns, end_ns: the first and the last log time of all.
+        from_ns: the first log time that is asked about...
+        to_ns: ...and the first one that is not any more.
+    """
+
+    logs: list[LogFile]
+    faults: Faults
+    start_ns: int
+    end_ns: int
+    from_ns: int
+    to_ns: int
+
+    @property
+    def bytes(self) -> int:
+        """The length of all files."""
+        return sum(log.bytes for log in self.logs)
+
+
+def add_logs(parser: argparse.ArgumentParser, *, json_help: str = JSON_HELP) -> None:
+    """Files and directories, and --json."""
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="a file, or a directory of logs")
+    parser.add_argument("--json", action="store_true", help=json_help)
+
+
+def add_period(parser: argparse.ArgumentParser) -> None:
+    """--from and --to."""
+    parser.add_argument("--from", dest="from_time", metavar="TIME", help=f"begin there: {FORMS}")
+    parser.add_argument("--to", dest="to_time", metavar="TIME", help="end before that, likewise")
+
+
+def find(arguments: argparse.Namespace) -> Asked:
+    """The logs and the time that are asked about.
+
+    Raises:
+        CommandError: there is nothing to read, or a time is of no known form.
+    """
+    faults = Faults()
+    logs = find_logs(arguments.logs, faults)
+    start_ns = min((log.start_ns for log in logs if log.end_ns), default=0)
+    end_ns = max(log.end_ns for log in logs)
+    begin, end = getattr(arguments, "from_time", None), getattr(arguments, "to_time", None)
+    from_ns = 0 if begin is None else time_of(begin, start_ns, end_ns)
+    to_ns = END_OF_TIME_NS if end is None else time_of(end, start_ns, end_ns)
+    return Asked(logs, faults, start_ns, end_ns, from_ns, to_ns)
+
+
+@contextmanager
+def progress_bar(about: str, total_bytes: int) -> Generator[Progress, None, None]:
+    """A bar on stderr, if that is a terminal. Gives what is to be told of the bytes that were read."""
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    from rich.console import Console  # noqa: PLC0415 - only where there is a terminal
+    from rich.progress import BarColumn, DownloadColumn, TextColumn, TimeRemainingColumn  # noqa: PLC0415
+    from rich.progress import Progress as Bar  # noqa: PLC0415
+
+    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(about, total=total_bytes)
+        yield lambda count: bar.advance(task, count)
+
+
+def end_with(faults: Faults) -> int:
+    """Tells on stderr what could not be read. Returns the exit code."""
+    for fault in faults.told:
+        sys.stderr.write(f"cruiser review: {plain(fault)}\n")
+    if faults.count > len(faults.told):
+        sys.stderr.write(f"cruiser review: and {faults.count - len(faults.told)} more faults\n")
+    return int(ExitCode.PARTIAL if faults else ExitCode.OK)
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]], words: int = 2) -> list[str]:
+    """Columns as lines; the first so many are words and begin left, the others are numbers."""
+    if not rows:
+        return []
+    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    return [
+        "  "
+        + "  ".join(
+            cell.ljust(width) if index < words else cell.rjust(width)
+            for index, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in (head, *rows)
+    ]

@@ -1,0 +1,72 @@
+"""``cruiser review``: finds the question, and asks it.
+
+Each question is a module with ``EXAMPLE``, ``DESCRIPTION``, ``add_arguments`` and ``run``. Some stand on large
+libraries, so it is imported only when it is asked for.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Any, Final, Protocol, cast
+
+from schemas.settings import Settings
+
+EXAMPLE: Final = "  cruiser review info logs\n  cruiser review QUESTION --help"
+
+QUESTIONS: Final[dict[str, tuple[str, str]]] = {
+    "info": ("recorder.cli.review.info", "what a log holds, and what it lacks"),
+    "recover": ("recorder.cli.review.recover", "make logs whole that their recorder could not finish"),
+}
+"""Name of the question, its module, and its line in the help."""
+
+
+class QuestionModule(Protocol):
+    """What a question's module offers."""
+
+    EXAMPLE: str
+    DESCRIPTION: str
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the question's flags."""
+        ...
+
+    def run(self, arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+        """Answer it. Returns the exit code."""
+        ...
+
+
+class _QuestionParser(argparse.ArgumentParser):
+    """A question's parser, which learns its flags when it is used."""
+
+    def __init__(self, *, module: str, **given: Any) -> None:  # noqa: ANN401 - argparse's own arguments
+        super().__init__(**given, formatter_class=argparse.RawDescriptionHelpFormatter)
+        self._module = module
+        self._is_ready = False
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        if not self._is_ready:
+            module = cast("QuestionModule", import_module(self._module))
+            self.description = module.DESCRIPTION
+            self.epilog = f"example:\n{module.EXAMPLE}"
+            module.add_arguments(self)
+            self._is_ready = True
+        return super().parse_known_args(args, namespace)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the questions; each declares its flags when it is asked."""
+    questions = parser.add_subparsers(
+        dest="question", required=True, metavar="QUESTION", parser_class=_QuestionParser
+    )
+    for name, (module, about) in QUESTIONS.items():
+        questions.add_parser(name, help=about, module=module)
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Answer."""
+    module = cast("QuestionModule", import_module(QUESTIONS[arguments.question][0]))
+    return module.run(arguments, settings, stopped)

@@ -1,0 +1,64 @@
+"""``cruiser review recover``: make logs whole that their recorder could not finish."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from recorder.ports.leftovers import Outcome, Recovery, recover
+from schemas.exit_codes import ExitCode
+from schemas.printable import plain
+from schemas.settings import Settings
+
+EXAMPLE: Final = "  cruiser review recover logs/*.mcap.part"
+DESCRIPTION: Final = (
+    "Makes logs whole, in place, that their recorder could not finish, and renames each "
+    ".mcap.part .mcap. The next 'cruiser record' does the same in its directory. What is behind the last "
+    "whole record is cut off; unless it is only the beginning of a write, it is kept beside as .mcap.rest. A "
+    "log with damage before its end becomes .mcap.damaged, and what is good in it is copied. Exit code 3 if a "
+    "file was damaged, 1 if nothing can be recovered."
+)
+
+_FINE: Final = {Outcome.WHOLE, Outcome.RECOVERED}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
+    parser.add_argument("--json", action="store_true", help="print a JSON object a line, one for each file")
+
+
+def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Recover."""
+    library = f"cruiser-gateway {version('cruiser-gateway')}"
+    outcomes: set[Outcome] = set()
+    for path in arguments.files:
+        if stopped():
+            break
+        recovery = recover(path, library)
+        outcomes.add(recovery.outcome)
+        text = msgspec.json.encode(recovery).decode() if arguments.json else describe_recovery(recovery)
+        sys.stdout.write(f"{text}\n")
+    if outcomes <= _FINE:
+        return int(ExitCode.OK)
+    return int(ExitCode.PARTIAL if outcomes & {*_FINE, Outcome.DAMAGED} else ExitCode.FAILURE)
+
+
+def describe_recovery(recovery: Recovery) -> str:
+    """What became of a log, for people."""
+    if recovery.outcome in {Outcome.NOTHING, Outcome.BUSY, Outcome.FAILED}:
+        lines = [f"{recovery.path}: not recovered: {recovery.detail or 'nothing in it can be read'}"]
+    else:
+        lines = [f"{recovery.result}: {recovery.outcome.value}, {recovery.messages} messages"]
+    lines += [f"  fault: {fault}" for fault in recovery.faults]
+    if recovery.fault_count > len(recovery.faults):
+        lines.append(f"  and {recovery.fault_count - len(recovery.faults)} more faults")
+    if recovery.kept is not None:
+        lines.append(f"  the rest is kept in {recovery.kept}")
+    return "\n".join(map(plain, lines))

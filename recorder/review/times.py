@@ -1,0 +1,64 @@
+"""Times as people write and read them. In a log they are nanoseconds since 1970."""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime, timedelta
+from typing import Final
+
+from schemas.exit_codes import CommandError, ExitCode
+
+FORMS: Final = (
+    "seconds since the log's beginning (12.5) or before its end (-12.5), a time of day in UTC (03:04:05.678), "
+    "or both date and time (2026-01-02T03:04:05.678Z)"
+)
+"""What ``time_of`` takes."""
+
+_NS_PER_S: Final = 1_000_000_000
+_SECONDS: Final = re.compile(r"([+-]?)(\d+)(?:\.(\d{1,9}))?s?")
+_DAY_TIME: Final = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:\.(\d{1,9}))?)?Z?")
+
+
+def time_of(text: str, start_ns: int, end_ns: int) -> int:
+    """A time in a log.
+
+    Args:
+        text: see FORMS. A time of day is the first such after the beginning.
+        start_ns: when the log begins.
+        end_ns: when it ends.
+
+    Raises:
+        CommandError: it is of no known form.
+    """
+    if match := _SECONDS.fullmatch(text):
+        sign, whole, part = match.groups()
+        offset_ns = int(whole) * _NS_PER_S + _fraction_ns(part)
+        return end_ns - offset_ns if sign == "-" else start_ns + offset_ns
+    if match := _DAY_TIME.fullmatch(text):
+        hours, minutes, seconds, part = match.groups()
+        since_midnight_ns = (int(hours) * 3600 + int(minutes) * 60 + int(seconds or 0)) * _NS_PER_S
+        day_ns = 24 * 3600 * _NS_PER_S
+        time_ns = start_ns - start_ns % day_ns + since_midnight_ns + _fraction_ns(part)
+        return time_ns if time_ns >= start_ns else time_ns + day_ns
+    try:
+        date, _, fraction = text.removesuffix("Z").partition(".")
+        moment = datetime.fromisoformat(date)
+        part_ns = _fraction_ns(fraction)
+    except ValueError:
+        raise CommandError(f"{text!r} is no time: give {FORMS}", ExitCode.USAGE) from None
+    moment = moment.replace(tzinfo=moment.tzinfo or UTC)
+    return (moment - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(seconds=1) * _NS_PER_S + part_ns
+
+
+def _fraction_ns(digits: str | None) -> int:
+    """The nanoseconds that the digits behind a point are."""
+    return int((digits or "0").ljust(9, "0")[:9])
+
+
+def in_words(time_ns: int) -> str:
+    """A time for people; MCAP's times reach further than the calendar's."""
+    try:
+        whole = datetime.fromtimestamp(time_ns // _NS_PER_S, UTC)
+    except (ValueError, OverflowError, OSError):
+        return f"{time_ns} ns"
+    return f"{whole:%Y-%m-%d %H:%M:%S}.{time_ns % _NS_PER_S // 1_000_000:03d} UTC"
