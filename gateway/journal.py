@@ -96,7 +96,12 @@ def read(journals: Iterable[Journal]) -> Iterator[Input]:
             cure = "" if expected else "; a run is run again from its first input alone, and the log begins later"
             raise JournalGapError(f"inputs {expected} to {journal.first - 1} are missing{cure}")
         expected += journal.count
-        yield from _DECODER.decode(journal.inputs)
+        yield from inputs_of(journal)
+
+
+def inputs_of(journal: Journal) -> list[Input]:
+    """The inputs that a message holds."""
+    return _DECODER.decode(journal.inputs)
 
 
 def reach(journals: Iterable[Journal]) -> dict[int, int]:

@@ -32,6 +32,7 @@ PURE_SIM = (
     "motion",
     "parameters",
     "socketcand_protocol",
+    "stand_in",
 )
 PURE_REMOTE = (
     "drive_stream",
@@ -77,7 +78,7 @@ PURE = [
     *sorted((ROOT / "gateway" / "chassis").glob("*.py")),
     *sorted((ROOT / "gateway" / "command").glob("*.py")),
     *sorted((ROOT / "gateway" / "telemetry").glob("*.py")),
-    *(ROOT / "gateway" / f"{name}.py" for name in ("core", "journal", "observation", "rerun")),
+    *(ROOT / "gateway" / f"{name}.py" for name in ("core", "journal", "observation", "rerun", "what_if")),
     *(ROOT / "gateway" / "guard" / f"{name}.py" for name in ("beat", "guardian", "sight", "stopper")),
     ROOT / "gateway" / "cli" / "candump.py",
     *(ROOT / "gateway" / "sim" / f"{name}.py" for name in PURE_SIM),

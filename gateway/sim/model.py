@@ -104,6 +104,18 @@ class VirtualChassis:
         else:
             self._ignored += 1
 
+    def adopt(self, *, speed_mps: float, angle_deg: float, gear: GearPosition, parked: bool) -> None:
+        """From now on it moves so, whatever it did before, as far as a chassis can.
+
+        Args:
+            speed_mps: signed, forward positive.
+            angle_deg: steering angle, left positive.
+            gear: drive, reverse or neutral.
+            parked: the parking brake is applied.
+        """
+        self._motion.adopt(speed_mps, angle_deg, gear)
+        self._parked = parked
+
     def inject(self, line: FaultLine, at_ns: int) -> None:
         """Causes a fault at a time, which may be to come."""
         self._disturbances.inject(line, at_ns)

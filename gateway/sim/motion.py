@@ -89,6 +89,12 @@ class Motion:
         """Encoder counts, rear left and rear right, as signed 16-bit numbers that wrap."""
         return _wrap16(self._left_m), _wrap16(self._right_m)
 
+    def adopt(self, speed_mps: float, angle_deg: float, gear: GearPosition) -> None:
+        """From now on it moves so, as far as it can."""
+        self.speed_mps = _clamp(speed_mps, TOP_SPEED_MPS)
+        self.angle_deg = _clamp(angle_deg, STEERING_LIMIT_DEG)
+        self.gear = gear
+
     def step(self, demand: Demand, dt_s: float) -> None:
         """Moves on by a short time."""
         self._shift(demand.gear)

@@ -1,0 +1,179 @@
+"""``cruiser review rerun``: the recorded frames and requests through today's arbiter."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
+from recorder.review.rerun import CONFIGURATION, RerunResult, rerun_logs
+from recorder.review.times import in_words
+from recorder.review.what_if import Journey, StopMade, Verdict, WhatIfResult, what_if_logs
+from schemas.configuration import TomlSource, merge
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
+from schemas.settings import Settings
+
+EXAMPLE: Final = """\
+  cruiser review rerun logs
+  cruiser review rerun logs --set command.speed_limit_mps=1.2"""
+DESCRIPTION: Final = (
+    "Gives the arbiter of this version the recorded frames and requests again, at the recorded times. Decisions, "
+    "events, states and sent frames must come out byte for byte; whatever differs is listed, with exit code 1. "
+    "A run can be run again from the start of its gateway, as far as its journal is in the log; exit code 3 if "
+    "it is not all there. With --set or --with the run is shown as it would have been with other settings: "
+    "decisions, distance and time, stops avoided or added. A model of the chassis then answers what the recorded "
+    "one was not asked; what people would have done otherwise nobody knows."
+)
+
+TOLD: Final = 20
+"""Differences that are told one by one, without --json."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    add_logs(parser, json_help="print a JSON object a line, one for each run of a gateway")
+    parser.add_argument(
+        "--set", action="append", default=[], dest="changes", metavar="SETTING=VALUE", help="try another value"
+    )
+    parser.add_argument(
+        "--with", type=Path, dest="file", metavar="FILE", help="try this whole configuration, a TOML file"
+    )
+
+
+def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Run again."""
+    changes = dict(map(_change, arguments.changes))
+    text = None if arguments.file is None else _read(arguments.file)
+    settings_of = _settings_of(text, arguments.file, changes)
+    if text is not None:
+        # A wrong file or a wrong value is told before a long log is read.
+        settings_of("")
+    asked = find(arguments)
+    with progress_bar("running again", asked.bytes) as progress:
+        results: Iterator[RerunResult | WhatIfResult] = (
+            what_if_logs(asked.logs, settings_of, asked.faults, progress=progress)
+            if changes or text is not None
+            else rerun_logs(asked.logs, asked.faults, progress=progress)
+        )
+        worst = ExitCode.OK
+        runs = 0
+        for result in results:
+            runs += 1
+            worst = max(worst, _outcome(result), key=_GRAVITY.index)
+            shown = msgspec.json.encode(result).decode() if arguments.json else _describe(result)
+            sys.stdout.write(f"{shown}\n")
+            if stopped():
+                break
+    ending = ExitCode(end_with(asked.faults))
+    if not runs:
+        raise CommandError("there is no journal in it, so nothing can be run again", ExitCode.PARTIAL)
+    return int(max(worst, ending, key=_GRAVITY.index))
+
+
+_GRAVITY: Final = (ExitCode.OK, ExitCode.PARTIAL, ExitCode.FAILURE)
+
+
+def _outcome(result: RerunResult | WhatIfResult) -> ExitCode:
+    if isinstance(result, RerunResult) and result.difference_count:
+        return ExitCode.FAILURE
+    return ExitCode.PARTIAL if result.detail else ExitCode.OK
+
+
+def _describe(result: RerunResult | WhatIfResult) -> str:
+    return describe(result) if isinstance(result, RerunResult) else describe_what_if(result)
+
+
+def _change(text: str) -> tuple[str, object]:
+    key, equals, value = text.partition("=")
+    if not equals:
+        raise CommandError(f"--set {text!r}: give SETTING=VALUE, as command.speed_limit_mps=1.2", ExitCode.USAGE)
+    return key.strip(), value.strip()
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise CommandError(f"cannot read {plain(str(path))}: {error}", ExitCode.USAGE) from error
+
+
+def _settings_of(text: str | None, path: Path | None, changes: dict[str, object]) -> Callable[[str], Settings]:
+    def settings_of(recorded: str) -> Settings:
+        source = TomlSource(CONFIGURATION, recorded) if text is None else TomlSource(str(path), text)
+        return merge(source, {}, changes)
+
+    return settings_of
+
+
+def describe(result: RerunResult) -> str:
+    """A run that was run again, for people."""
+    lines = [_head(result)]
+    if result.inputs:
+        same = ", ".join(f"{count} {subject}" for subject, count in result.same.items())
+        lines.append(f"  the same, byte for byte: {same or 'nothing'}")
+        if result.unrecorded:
+            lost = ", ".join(f"{count} {subject}" for subject, count in result.unrecorded.items())
+            lines.append(f"  not in the log, so not compared: {lost}")
+        if result.given_up:
+            lines.append(f"  {result.given_up} messages found no counterpart in time, and were not compared")
+        lines.append(f"  different: {result.difference_count}")
+    for difference in result.differences[:TOLD]:
+        lines.append(f"    {in_words(difference.time_ns)} {difference.subject}: {difference.what}")
+        lines += [f"      {name}: {was!r}, now {now!r}" for name, (was, now) in difference.fields.items()]
+        if difference.message is not None:
+            lines.append(f"      {difference.message!r}")
+    if result.difference_count > TOLD:
+        lines.append(f"    and {result.difference_count - TOLD} more")
+    return "\n".join(map(plain, lines))
+
+
+def describe_what_if(result: WhatIfResult) -> str:
+    """A run, and what it would have been, for people."""
+    lines = [_head(result)]
+    lines += [f"  {name}: {was}, tried {tried}" for name, (was, tried) in result.settings.items()]
+    if not result.settings:
+        lines.append("  the settings tried are those of the run")
+    lines += table(
+        ("", "distance/m", "moving/s", "top speed/mps", "stops"),
+        [_journey("as recorded", result.recorded), _journey("as it would have been", result.other)],
+        words=1,
+    )
+    lines += [f"  stop avoided: {_stop(stop)}" for stop in result.stops_avoided]
+    lines += [f"  stop added: {_stop(stop)}" for stop in result.stops_added]
+    changed = sum(change.count for change in result.changes)
+    lines.append(f"  {changed} of {result.decisions} decisions would have been others")
+    lines += [
+        f"    {change.count} x {change.request} of {change.operator}: {_verdict(change.recorded)}, then "
+        f"{_verdict(change.other)}, from {in_words(change.first_ns)} to {in_words(change.last_ns)}"
+        for change in sorted(result.changes, key=lambda one: one.first_ns)
+    ]
+    return "\n".join(map(plain, lines))
+
+
+def _head(result: RerunResult | WhatIfResult) -> str:
+    head = f"{result.robot}, run {result.run}: {result.inputs} inputs"
+    if result.start_ns:
+        seconds = (result.end_ns - result.start_ns) / 1e9
+        head += f", {in_words(result.start_ns)} and {seconds:.1f} s on"
+    return f"{head}; {result.detail}" if result.detail else head
+
+
+def _journey(name: str, journey: Journey) -> tuple[str, ...]:
+    numbers = (journey.distance_m, journey.moving_s, journey.top_speed_mps)
+    return name, *(f"{number:.2f}" for number in numbers), str(len(journey.stops))
+
+
+def _stop(stop: StopMade) -> str:
+    operator = f", {stop.operator}" if stop.operator else ""
+    return f"{in_words(stop.time_ns)} {stop.reason}{operator}: {stop.text}"
+
+
+def _verdict(verdict: Verdict) -> str:
+    text = verdict.verdict if verdict.reason == "none" else f"{verdict.verdict} ({verdict.reason})"
+    return f"{text}, bound by {' and '.join(verdict.bound_by)}" if verdict.bound_by else text

@@ -1,0 +1,142 @@
+"""What was recorded of a run, against what the same inputs give again: byte for byte.
+
+Either side may be ahead of the other. What both have is compared and forgotten, so memory holds no more than their
+distance.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Hashable
+from typing import Any, Final
+
+import msgspec
+
+DIFFERENCES_TOLD: Final = 1000
+"""So many are told one by one; the rest are only counted."""
+
+WAITING_MAX: Final = 400_000
+"""Records and samples that wait for their counterpart; beyond it the oldest are given up, and counted."""
+
+BATCH_NS: Final = 100_000_000
+"""What a gateway says in batches comes out so much later at most: the end of a run may be missing from them."""
+
+Key = tuple[str, Hashable]
+"""The subject, and what tells its message from every other."""
+
+
+class Said(msgspec.Struct, frozen=True, gc=False):
+    """A record: its publish time in nanoseconds since 1970, and its bytes."""
+
+    time_ns: int
+    data: bytes
+
+
+class Difference(msgspec.Struct, frozen=True):
+    """A message that is not the same.
+
+    Attributes:
+        subject: in the table of subjects.
+        time_ns: nanoseconds since 1970.
+        what: ``changed`` or ``only recorded``.
+        fields: of a changed one each field that differs: what was recorded, and what comes out again.
+        message: of one that was only recorded the whole of it.
+    """
+
+    subject: str
+    time_ns: int
+    what: str
+    fields: dict[str, tuple[Any, Any]] = {}
+    message: Any = None
+
+
+class Comparison:
+    """Compares the two sides.
+
+    Args:
+        decode: the bytes of a subject's record to its message, to say what differs.
+
+    Attributes:
+        same: how many messages are equal, by subject.
+        differences: the first ones.
+        difference_count: all of them.
+        unrecorded: messages that come out again and are not in the log, by subject: it lost them.
+        given_up: messages that waited too long for their counterpart.
+        ends_ns: the time of the newest message that came out again, since 1970.
+    """
+
+    def __init__(self, decode: Callable[[str, bytes], Any]) -> None:
+        self._decode = decode
+        self.same: Counter[str] = Counter()
+        self.differences: list[Difference] = []
+        self.difference_count = 0
+        self.unrecorded: Counter[str] = Counter()
+        self.given_up = 0
+        self.ends_ns = 0
+        self._recorded: dict[Key, Said] = {}
+        self._again: dict[Key, Said] = {}
+        self._newest: dict[str, int] = {}
+
+    def record(self, key: Key, said: Said) -> None:
+        """A message of the log."""
+        again = self._again.pop(key, None)
+        if again is not None:
+            self._compare(key[0], said, again)
+        elif not self._is_repeated(key):
+            self._wait(self._recorded, key, said)
+
+    def say_again(self, key: Key, said: Said) -> None:
+        """A message that comes out of the inputs."""
+        self.ends_ns = max(self.ends_ns, said.time_ns)
+        if isinstance(key[1], int):
+            self._newest[key[0]] = key[1]
+        recorded = self._recorded.pop(key, None)
+        if recorded is not None:
+            self._compare(key[0], recorded, said)
+        else:
+            self._wait(self._again, key, said)
+
+    def end(self) -> dict[Key, Said]:
+        """Nothing more comes out. Returns what was recorded later than that: it belongs to what follows."""
+        self.unrecorded.update(key[0] for key in self._again)
+        self._again.clear()
+        later: dict[Key, Said] = {}
+        for key, said in self._recorded.items():
+            if said.time_ns > self.ends_ns - BATCH_NS:
+                later[key] = said
+            elif not self._is_repeated(key):
+                self._differ(
+                    Difference(key[0], said.time_ns, "only recorded", message=self._decode(key[0], said.data))
+                )
+        self._recorded = {}
+        return later
+
+    def _is_repeated(self, key: Key) -> bool:
+        """Whether it is a second copy of what was compared already: the sequence has passed it."""
+        return isinstance(key[1], int) and key[1] <= self._newest.get(key[0], -1)
+
+    def _compare(self, subject: str, recorded: Said, again: Said) -> None:
+        if recorded.data == again.data:
+            self.same[subject] += 1
+            return
+        if self.difference_count >= DIFFERENCES_TOLD:
+            self.difference_count += 1
+            return
+        then, now = self._decode(subject, recorded.data), self._decode(subject, again.data)
+        fields = {
+            name: (before, after)
+            for name in then.__struct_fields__
+            if (before := getattr(then, name)) != (after := getattr(now, name))
+        }
+        self._differ(Difference(subject, recorded.time_ns, "changed", fields))
+
+    def _differ(self, difference: Difference) -> None:
+        self.difference_count += 1
+        if len(self.differences) < DIFFERENCES_TOLD:
+            self.differences.append(difference)
+
+    def _wait(self, waiting: dict[Key, Said], key: Key, said: Said) -> None:
+        waiting[key] = said
+        if len(waiting) > WAITING_MAX:
+            del waiting[next(iter(waiting))]
+            self.given_up += 1

@@ -1,0 +1,261 @@
+"""The recorded frames and requests through today's arbiter: are the decisions the same?
+
+The arbiter is not of this package. Whoever can run a journal again says so with an entry point in the group
+``cruiser.rerun``; the gateway of the same installation does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from importlib.metadata import entry_points
+from typing import Any, Final, Protocol
+
+import msgspec
+
+from recorder.review.comparison import Comparison, Difference, Key, Said
+from recorder.review.faults import Faults
+from recorder.review.logs import LogFile
+from recorder.review.rows import Progress, Row, Selection, read_rows
+from recorder.review.runs import JOURNAL, RunEnd, Tape
+from recorder.review.survey import Survey, survey
+from recorder.review.topics import UNREADABLE, typed_decoder
+from recorder.routes import Route
+from schemas import codec
+from schemas.configuration import TomlSource, merge
+from schemas.decisions import Journal
+from schemas.exit_codes import CommandError
+from schemas.settings import Settings
+from schemas.subjects import BY_NAME
+
+GROUP: Final = "cruiser.rerun"
+"""The group of entry points."""
+
+SENT: Final = "can/{bus}/tx"
+COMPARED: Final = ("safety/decision", "safety/event", "safety/state", SENT)
+"""The subjects that must come out the same."""
+
+CONFIGURATION: Final = "configuration.toml"
+"""The attachment ``{robot}/configuration.toml``."""
+
+
+ANSWERED_NS: Final = 30_000_000_000
+"""A gateway that starts has told a recorder that is there its configuration within this time."""
+
+
+class SampleAgain(Protocol):
+    """What comes out again: the subject's name and the MessagePack payload."""
+
+    @property
+    def subject(self) -> str: ...  # noqa: D102 - the class says it
+    @property
+    def payload(self) -> bytes: ...  # noqa: D102
+
+
+Rerun = Callable[[Settings, Iterable[Journal]], Iterator[SampleAgain]]
+"""Settings, and the journals of one run from its first input on, to all that comes out."""
+
+
+class RerunResult(msgspec.Struct, frozen=True):
+    """A run, run again.
+
+    Attributes:
+        run: its number.
+        inputs: so many were given to the arbiter again.
+        detail: why not all of the run, or none; empty if all was.
+        start_ns, end_ns: of what came out again, nanoseconds since 1970; 0 if nothing did.
+        same: how many messages are equal byte for byte, by subject.
+        unrecorded: messages that come out again and are not in the log.
+        difference_count: messages that differ; ``differences`` are the first ones.
+        given_up: messages that waited too long for their counterpart to be compared.
+    """
+
+    robot: str
+    run: int
+    inputs: int
+    detail: str
+    start_ns: int
+    end_ns: int
+    same: dict[str, int]
+    unrecorded: dict[str, int]
+    difference_count: int
+    differences: list[Difference]
+    given_up: int
+
+
+def installed(name: str) -> Any:  # noqa: ANN401 - whatever is installed
+    """What is installed under this name in the group of entry points.
+
+    Raises:
+        CommandError: nothing is.
+    """
+    for entry in entry_points(group=GROUP, name=name):
+        return entry.load()
+    raise CommandError("no gateway is installed here that could run a log again")
+
+
+def rerun_logs(
+    logs: Sequence[LogFile],
+    faults: Faults,
+    *,
+    rerun: Rerun | None = None,
+    settings_of: Callable[[str], Settings] | None = None,
+    progress: Progress = lambda _: None,
+) -> Iterator[RerunResult]:
+    """Every run of every robot, run again.
+
+    Args:
+        logs: in the order of their beginnings.
+        faults: takes what cannot be read.
+        rerun: runs a journal again; by default what is installed.
+        settings_of: turns the TOML text of a run's configuration into settings; by default as they are.
+        progress: is told of bytes that were read, for each robot anew.
+    """
+    again = rerun or installed("rerun")
+    found = survey(logs, faults)
+    for robot in found.robots:
+        player = Player(robot, logs, found, faults, progress)
+        while player.next_run():
+            yield _rerun(player, again, settings_of or settings_from)
+
+
+def settings_from(text: str) -> Settings:
+    """The settings that a configuration attachment holds.
+
+    Raises:
+        CommandError: they are none of this version.
+    """
+    return merge(TomlSource(CONFIGURATION, text), {}, {})
+
+
+def _rerun(player: Player, again: Rerun, settings_of: Callable[[str], Settings]) -> RerunResult:
+    text = player.configuration()
+    if text is None:
+        return player.skip("the log does not hold the robot's configuration")
+    start_ns = 0
+    for sample in again(settings_of(text), player.journals()):
+        if sample.subject in _ROUTES:
+            for key, said in records_of(sample):
+                start_ns = start_ns or said.time_ns
+                player.comparison.say_again(key, said)
+    return player.result(start_ns)
+
+
+class Player:
+    """The runs of one robot, one after the other.
+
+    Args:
+        robot: its name.
+        logs: in the order of their beginnings.
+        found: what a survey of these logs found.
+        faults: takes what cannot be read.
+        progress: is told of bytes that were read.
+
+    Attributes:
+        comparison: of the run that has come.
+    """
+
+    def __init__(
+        self, robot: str, logs: Sequence[LogFile], found: Survey, faults: Faults, progress: Progress
+    ) -> None:
+        self.comparison = Comparison(_decode)
+        self._robot = robot
+        self._texts = [
+            (one.log_time, one.data.decode("utf-8", "replace"))
+            for one in found.attachments
+            if one.name == f"{robot}/{CONFIGURATION}"
+        ]
+        wanted = {JOURNAL, *COMPARED}
+        selection = Selection(lambda topic: topic.robot == robot and topic.subject in wanted)
+        rows = read_rows(logs, selection, faults, progress)
+        self._tape = Tape(rows, self._record, faults)
+        self._end = RunEnd(0, 0, "")
+        self._faults = faults
+
+    def next_run(self) -> bool:
+        """Goes on to the next run."""
+        return self._tape.next_run()
+
+    def journals(self) -> Iterator[Journal]:
+        """Those of the run, in their order."""
+        return self._tape.journals(self._take_end)
+
+    def configuration(self) -> str | None:
+        """The TOML text that was in force in the run that has come; None if the log does not hold it."""
+        began_ns = self._tape.next_time_ns
+        before = [text for time_ns, text in self._texts if time_ns < began_ns]
+        soon = [text for time_ns, text in self._texts if began_ns <= time_ns < began_ns + ANSWERED_NS]
+        later = [text for time_ns, text in self._texts if time_ns >= began_ns + ANSWERED_NS]
+        # A recorder writes a configuration when it is new to it, and may have come long after the gateway.
+        return next(iter(soon[:1] + before[-1:] + later[:1]), None)
+
+    def skip(self, detail: str) -> RerunResult:
+        """The run is not run again."""
+        for _ in self.journals():
+            pass
+        self._end = msgspec.structs.replace(self._end, inputs=0, detail=detail)
+        return self.result(0)
+
+    def result(self, start_ns: int) -> RerunResult:
+        """How the run came out; what was recorded behind its end is kept for the next one."""
+        comparison, self.comparison = self.comparison, Comparison(_decode)
+        for key, said in comparison.end().items():
+            self.comparison.record(key, said)
+        return RerunResult(
+            robot=self._robot,
+            run=self._end.run,
+            inputs=self._end.inputs,
+            detail=self._end.detail,
+            start_ns=start_ns,
+            end_ns=comparison.ends_ns,
+            same=dict(comparison.same),
+            unrecorded=dict(comparison.unrecorded),
+            difference_count=comparison.difference_count,
+            differences=comparison.differences,
+            given_up=comparison.given_up,
+        )
+
+    def _take_end(self, end: RunEnd) -> None:
+        self._end = end
+
+    def _record(self, row: Row) -> None:
+        try:
+            key = key_of(row.topic.subject, row.sequence, row.publish_ns, row.data)
+        except UNREADABLE as error:
+            self._faults.add(f"{row.topic.name}: a record that cannot be read: {error}")
+            return
+        self.comparison.record(key, Said(row.publish_ns, row.data))
+
+
+def key_of(subject: str, sequence: int, time_ns: int, data: bytes) -> Key:
+    """What tells a record from every other of its subject, on either side.
+
+    It is the sequence; but batches of sent frames may be cut elsewhere when they come again, so of these it is
+    time and identifier: each goes out once in a tick at most.
+    """
+    if subject != SENT:
+        return subject, sequence
+    if data[:1] == _TIME_TAG and data[9:10] == _IDENTIFIER_TAG:
+        return subject, (time_ns, data[10:14])
+    identifier = _decode(subject, data).identifier
+    return subject, (time_ns, identifier.to_bytes(4, "little"))
+
+
+_TIME_TAG: Final = b"\x09"
+"""A record of a frame begins with the field 1, of 8 bytes..."""
+
+_IDENTIFIER_TAG: Final = b"\x1d"
+"""...and the field 3, of 4: what has a fixed width comes first, see ``recorder.transcode``."""
+
+
+def records_of(sample: SampleAgain) -> Iterator[tuple[Key, Said]]:
+    """The records that a recorder would write of a sample."""
+    message: Any = codec.decode(BY_NAME[sample.subject], sample.payload)
+    for time_ns, data in _ROUTES[sample.subject].transcode(message):
+        yield key_of(sample.subject, message.sequence, time_ns, data), Said(time_ns, data)
+
+
+_ROUTES: Final = {name: Route(0, BY_NAME[name], "") for name in COMPARED}
+
+
+def _decode(subject: str, data: bytes) -> Any:  # noqa: ANN401 - of any class of a record
+    return typed_decoder(_ROUTES[subject].kind)(data)

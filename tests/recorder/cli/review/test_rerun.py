@@ -1,0 +1,112 @@
+"""``cruiser review rerun``."""
+
+import argparse
+import json
+from pathlib import Path
+
+import pytest
+
+from recorder.cli.review import rerun
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.messages import Variant
+from schemas.settings import Settings
+from tests.gateway.command.loop_rig import Operator
+from tests.gateway.recorded_day import Day, recorded
+from tests.recorder.fakes import small_log
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two seconds with 1 m/s."""
+    day = Day(1, Variant.COARSE, ticks=0)
+    day.rig.run(0.6)
+    operator = Operator(day.rig)
+    operator.engage()
+    operator.drive(1.0, 0.0, 2.0)
+    day.rig.run(4)
+    path = tmp_path_factory.mktemp("logs") / "cruiser-1-20260102T030405Z.mcap"
+    path.write_bytes(recorded(day))
+    return path
+
+
+def run(*words: object) -> int:
+    """The command's exit code."""
+    parser = argparse.ArgumentParser()
+    rerun.add_arguments(parser)
+    return rerun.run(parser.parse_args(list(map(str, words))), Settings(), lambda: False)
+
+
+def test_the_same_decisions_are_exit_code_0(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With what was compared."""
+    assert run(log) == ExitCode.OK
+    out = capsys.readouterr().out
+    assert "cruiser-1, run " in out
+    assert "the same, byte for byte" in out
+    assert "different: 0" in out
+
+
+def test_a_directory_is_a_regression_test(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One object a line."""
+    assert run(log.parent, "--json") == ExitCode.OK
+    [line] = capsys.readouterr().out.splitlines()
+    assert json.loads(line)["difference_count"] == 0
+
+
+def test_other_settings_are_shown_beside_the_recorded_ones(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Distance, time, speed and stops of both."""
+    assert run(log, "--set", "command.speed_limit_mps=0.4") == ExitCode.OK
+    out = capsys.readouterr().out
+    assert "command.speed_limit_mps: 1.5, tried 0.4" in out
+    rows = {line[:25].strip(): line[25:].split() for line in out.splitlines() if line.startswith("  as ")}
+    assert float(rows["as recorded"][2]) == pytest.approx(1.0, abs=0.05)
+    assert float(rows["as it would have been"][2]) == pytest.approx(0.4, abs=0.05)
+    assert "decisions would have been others" in out
+
+
+def test_a_whole_configuration_can_be_tried(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What it does not say has its start value; --set is above it."""
+    file = tmp_path / "other.toml"
+    file.write_text("[command]\nspeed_limit_mps = 0.6\n")
+    assert run(log, "--with", file, "--set", "command.lease_s=1.0", "--json") == ExitCode.OK
+    result = json.loads(capsys.readouterr().out)
+    assert result["settings"]["command.speed_limit_mps"] == [1.5, 0.6]
+    assert result["settings"]["command.lease_s"] == [1.5, 1.0]
+    assert result["settings"]["command.deadman_s"] == [0.25, 0.3]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--set", "command.speed_limit_mps"], "SETTING=VALUE"),
+        (["--set", "command.speed_limit=1"], "no such setting"),
+        (["--set", "command.speed_limit_mps=fast"], "speed_limit_mps"),
+        (["--with", "/does/not/exist.toml"], "cannot read"),
+    ],
+)
+def test_a_wrong_setting_is_one_clear_error(log: Path, words: list[str], message: str) -> None:
+    """Before a long log is read, and with exit code 2."""
+    with pytest.raises(CommandError, match=message) as raised:
+        run(log, *words)
+    assert raised.value.code is ExitCode.USAGE
+
+
+def test_a_log_without_a_journal_is_partial(tmp_path: Path) -> None:
+    """There was nothing to run."""
+    path = tmp_path / "log.mcap"
+    path.write_bytes(small_log())
+    with pytest.raises(CommandError, match="no journal") as raised:
+        run(path)
+    assert raised.value.code is ExitCode.PARTIAL
+
+
+def test_damage_is_told_and_partial(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As far as the journal goes the run is run again; what follows is told."""
+    data = bytearray(log.read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 64] = bytes(64)
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(bytes(data))
+    assert run(path) == ExitCode.PARTIAL
+    captured = capsys.readouterr()
+    assert "damaged.mcap: byte" in captured.err
+    assert "different: 0" in captured.out or "are missing" in captured.out
