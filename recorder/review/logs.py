@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import BinaryIO
 
 import msgspec
-from mcap.reader import SeekingReader
-from mcap.summary import Summary
 
-from recorder.mcap_scan import BROKEN
 from recorder.mcap_summary import MAGIC
 from recorder.ports.log_directory import INCIDENT_SUFFIX, PART_SUFFIX, SUFFIX
 from recorder.review.faults import Faults
 from recorder.review.pieces import LooseMessage, PackedChunk, read_pieces
+from recorder.review.summary import read_summary
 from recorder.review.walk import LoggedMessage, messages
 from schemas.exit_codes import CommandError
 from schemas.printable import plain
@@ -45,13 +43,14 @@ class LogFile(msgspec.Struct, frozen=True):
         return self.path.with_name(self.path.name.rpartition("-")[0])
 
 
-def find_logs(paths: Sequence[Path], faults: Faults) -> list[LogFile]:
+def find_logs(paths: Sequence[Path], faults: Faults, *, with_covered: bool = False) -> list[LogFile]:
     """The logs at these paths, by their beginning.
 
     Args:
         paths: files, and directories whose logs are taken, whole or still being written. Of a directory an
             incident is left out whose time its other logs cover: all of it is in them.
         faults: takes what is wrong with single files of several.
+        with_covered: leave no incident out.
 
     Raises:
         CommandError: there is nothing to read.
@@ -65,7 +64,7 @@ def find_logs(paths: Sequence[Path], faults: Faults) -> list[LogFile]:
             except CommandError as error:
                 failure = failure or error
                 faults.add(str(error))
-        if path.is_dir():
+        if path.is_dir() and not with_covered:
             found = [log for log in found if log.path in paths or not _is_covered(log, found)]
     if not found:
         raise failure or CommandError(f"there is no log in {', '.join(plain(str(path)) for path in paths)}")
@@ -90,14 +89,6 @@ def look_at(path: Path) -> LogFile:
     except OSError as error:
         raise CommandError(f"cannot read {shown}: {error.strerror or error}") from error
     return LogFile(path, size, start_ns, end_ns)
-
-
-def read_summary(stream: BinaryIO) -> Summary | None:
-    """What the end of a file repeats of it; None if it has none that can be read."""
-    try:
-        return SeekingReader(stream, validate_crcs=True).get_summary()
-    except BROKEN:
-        return None
 
 
 def _span(stream: BinaryIO, size: int) -> tuple[int, int]:

@@ -28,6 +28,8 @@ from recorder.mcap_summary import CHECK, CHECK_OPCODE, FOOTER_LENGTH, MAGIC, REC
 _CHUNK_TIMES: Final = struct.Struct("<QQ")
 _INDEX_HEAD: Final = struct.Struct("<HI")
 _BLOCK_BYTES: Final = 1 << 20
+"""All that is read goes by in such blocks; where most is passed over, in smaller ones."""
+_GLANCE_BYTES: Final = 1 << 13
 
 _PARSED: Final = {
     Opcode.HEADER: records.Header.read,
@@ -55,6 +57,10 @@ class End(msgspec.Struct, frozen=True):
     """The footer and the closing magic: the file is whole, but for the faults before."""
 
 
+class SummaryStart(msgspec.Struct, frozen=True):
+    """The data ends here; what follows repeats some of it."""
+
+
 class LooseMessage(msgspec.Struct, frozen=True):
     """A message record outside of chunks.
 
@@ -75,6 +81,8 @@ class PackedChunk(msgspec.Struct, frozen=True):
         start_ns, end_ns: log times of its first and last message, as its head says.
         index: of each channel the log time and the offset of each message, in turns, as the message indexes
             behind the chunk say; None if there are none. Nothing has proven them.
+        places: of each channel in ``index`` where in the file its message index stands.
+        end: where in the file the message indexes end.
     """
 
     offset: int
@@ -82,16 +90,30 @@ class PackedChunk(msgspec.Struct, frozen=True):
     start_ns: int
     end_ns: int
     index: Mapping[int, array[int]] | None
+    places: Mapping[int, int]
+    end: int
 
-    def unpack(self, stream: BinaryIO) -> bytes:
+    def read(self, stream: BinaryIO) -> records.Chunk:
+        """The chunk as it stands in the file.
+
+        Raises:
+            what ``recorder.mcap_scan.BROKEN`` lists: it is damaged.
+        """
+        stream.seek(self.offset + RECORD_HEADER.size)
+        body = stream.read(self.length - RECORD_HEADER.size)
+        return records.Chunk.read(ReadDataStream(BytesIO(body)))
+
+    def unpack(self, stream: BinaryIO, chunk: records.Chunk | None = None) -> bytes:
         """The chunk's records; its checksum is verified.
+
+        Args:
+            stream: the file.
+            chunk: what ``read`` has given, if that was asked before.
 
         Raises:
             what ``recorder.mcap_scan.BROKEN`` lists: it is damaged, or packed in a way that nobody here knows.
         """
-        stream.seek(self.offset + RECORD_HEADER.size)
-        body = stream.read(self.length - RECORD_HEADER.size)
-        chunk = records.Chunk.read(ReadDataStream(BytesIO(body)))
+        chunk = chunk or self.read(stream)
         if chunk.uncompressed_size > RECORD_MAX:
             raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes is too large")
         if chunk.compression == "zstd" and zstandard.frame_content_size(chunk.data) not in {
@@ -112,6 +134,7 @@ Piece = (
     | records.Statistics
     | LooseMessage
     | PackedChunk
+    | SummaryStart
     | Fault
     | End
 )
@@ -136,8 +159,11 @@ class _Reading:
         self._is_verifying = is_verifying
         # Of the data section up to its end, then of the summary; None once bytes were passed over.
         self._crc: int | None = zlib.crc32(MAGIC)
-        # Length and checksum of the record before, which a check repeats.
+        # Where the record before begins and ends: a check repeats its length and checksum.
         self._last = (0, 0)
+        self._block = b""
+        self._block_at = 0
+        self._block_bytes = _BLOCK_BYTES if is_verifying else _GLANCE_BYTES
 
     def pieces(self) -> Iterator[Piece]:
         offset = len(MAGIC)
@@ -159,8 +185,12 @@ class _Reading:
         yield Fault(self._size, "the file ends without a footer", cuts=True)
 
     def _read(self, offset: int, length: int) -> bytes:
-        self._stream.seek(offset)
-        return self._stream.read(length)
+        start = offset - self._block_at
+        if start < 0 or start + length > len(self._block):
+            self._stream.seek(offset)
+            self._block = self._stream.read(max(length, self._block_bytes))
+            self._block_at, start = offset, 0
+        return self._block[start : start + length]
 
     def _pass_over(self, offset: int, detail: str) -> Generator[Piece, None, int | None]:
         """Looks for the next piece. Returns, at the end of the iteration, where it is; None if there is none."""
@@ -175,11 +205,11 @@ class _Reading:
         if opcode == Opcode.DATA_END:
             yield from self._data_end(offset, end)
             return end
-        before, self._last = self._last, self._take(offset, end)
+        before, self._last = self._last, (offset, end)
+        self._take(offset, end)
         if opcode == CHECK_OPCODE:
             is_ours = length == CHECK.size - RECORD_HEADER.size
-            expected = CHECK.pack(CHECK_OPCODE, length, *before) if is_ours else b""
-            if self._is_verifying and is_ours and self._read(offset, CHECK.size) != expected:
+            if self._is_verifying and is_ours and self._read(offset, CHECK.size) != self._check_of(*before):
                 yield Fault(offset, "the check of the record before is wrong")
         elif opcode == Opcode.CHUNK:
             end = yield from self._chunk(offset, end)
@@ -189,17 +219,21 @@ class _Reading:
             yield from self._other(offset, opcode, self._read(offset + RECORD_HEADER.size, length))
         return end
 
-    def _take(self, offset: int, end: int) -> tuple[int, int]:
-        """Adds bytes of the file to the checksum of all. Returns their number, and their own checksum."""
-        if not self._is_verifying:
-            return 0, 0
-        own = 0
+    def _take(self, offset: int, end: int) -> None:
+        """Adds bytes of the file to the checksum of all."""
+        if self._is_verifying and self._crc is not None:
+            self._crc = self._crc_of(offset, end, self._crc)
+
+    def _crc_of(self, offset: int, end: int, crc: int = 0) -> int:
         for start in range(offset, end, _BLOCK_BYTES):
-            block = self._read(start, min(_BLOCK_BYTES, end - start))
-            own = zlib.crc32(block, own)
-            if self._crc is not None:
-                self._crc = zlib.crc32(block, self._crc)
-        return end - offset, own
+            crc = zlib.crc32(self._read(start, min(_BLOCK_BYTES, end - start)), crc)
+        return crc
+
+    def _check_of(self, offset: int, end: int) -> bytes:
+        """The check that belongs behind this record."""
+        # A longer record than a check can hold is none of ours.
+        length = min(end - offset, 2**32 - 1)
+        return CHECK.pack(CHECK_OPCODE, CHECK.size - RECORD_HEADER.size, length, self._crc_of(offset, end))
 
     def _data_end(self, offset: int, end: int) -> Iterator[Piece]:
         expected = int.from_bytes(self._read(offset + RECORD_HEADER.size, 4), "little")
@@ -208,20 +242,24 @@ class _Reading:
         elif self._is_verifying and self._crc is not None and expected not in {0, self._crc}:
             yield Fault(offset, "the data's checksum is wrong")
         self._crc = 0
+        yield SummaryStart()
 
     def _chunk(self, offset: int, end: int) -> Generator[Piece, None, int]:
         """Yields the chunk. Returns where its message indexes end."""
         times = self._read(offset + RECORD_HEADER.size, _CHUNK_TIMES.size)
         length = end - offset
         index: dict[int, array[int]] = {}
+        places: dict[int, int] = {}
         while (entry := self._index(end)) is not None:
             channel_id, entries, behind = entry
-            self._last = self._take(end, behind)
+            self._last = end, behind
             index.setdefault(channel_id, array("Q")).extend(entries)
+            places.setdefault(channel_id, end)
             end = behind
+        self._take(offset + length, end)
         if len(times) == _CHUNK_TIMES.size:
             start_ns, end_ns = _CHUNK_TIMES.unpack(times)
-            yield PackedChunk(offset, length, start_ns, end_ns, index or None)
+            yield PackedChunk(offset, length, start_ns, end_ns, index or None, places, end)
         else:
             yield Fault(offset, "a chunk is too short")
         return end

@@ -10,6 +10,7 @@ import struct
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from heapq import merge
+from itertools import repeat
 from operator import attrgetter
 from typing import BinaryIO, Final
 
@@ -20,8 +21,9 @@ from recorder.chunk import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE
 from recorder.mcap_scan import BROKEN
 from recorder.mcap_summary import RECORD_HEADER
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile, read_summary
+from recorder.review.logs import LogFile
 from recorder.review.pieces import Fault, LooseMessage, PackedChunk, read_pieces
+from recorder.review.summary import read_summary
 from recorder.review.topics import Topic, topic_of
 from recorder.review.walk import LoggedMessage, messages
 
@@ -187,20 +189,23 @@ class LogReader:
         return any(channel in self._wanted or channel not in self.topics for channel in chunk.index)
 
     def _by_index(self, content: bytes, index: Mapping[int, array[int]]) -> list[Row] | None:
-        """The wanted rows, each found by its offset; None if an offset is wrong."""
-        wanted = [entries for channel, entries in index.items() if channel in self._wanted]
-        offsets = sorted(offset for entries in wanted for offset in entries[1::2])
+        """The wanted rows, each found by its offset; None if an entry does not fit the message there."""
+        places: list[tuple[int, int, int]] = []
+        for channel, entries in index.items():
+            if channel in self._wanted:
+                places += zip(entries[1::2], entries[::2], repeat(channel), strict=False)
+        places.sort()
         from_ns, to_ns = self._selection.from_ns, self._selection.to_ns
         unpack, topics = MESSAGE_HEADER.unpack_from, self.topics
         head, end = MESSAGE_HEADER.size, len(content)
         rows = []
         try:
-            for offset in offsets:
+            for offset, expected_ns, expected_id in places:
                 opcode, length, channel_id, sequence, log_ns, publish_ns = unpack(content, offset)
                 behind = offset + RECORD_HEADER.size + length
                 if opcode != MESSAGE_OPCODE or length < HEADER_IN_LENGTH or behind > end:
                     return None
-                if channel_id not in self._wanted:
+                if channel_id != expected_id or log_ns != expected_ns:
                     return None
                 if from_ns <= log_ns < to_ns:
                     data = content[offset + head : behind]
