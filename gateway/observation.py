@@ -68,9 +68,7 @@ class Observer:
             controller=controller,
             missing=tuple(self._missing(wheels, body, now_ns)),
             faulty=tuple(self._faulty(now_ns)),
-            absurd=tuple(
-                name for name, stream in self._streams.items() if stream.supervisor.implausible.has_failed(now_ns)
-            ),
+            absurd=tuple(self._absurd(now_ns)),
             variant=variant,
             confirmed=self._detector.confirmed,
             mode=body.mode if body is not None else Mode.UNDEFINED,
@@ -108,7 +106,16 @@ class Observer:
 
     def _faulty(self, now_ns: int) -> Iterable[str]:
         for name, stream in self._streams.items():
-            if stream.supervisor.alive.has_failed or stream.supervisor.checksums.has_failed(now_ns):
+            supervisor = stream.supervisor
+            # Nearly always there was none yet, and this is asked of ten frames in every tick.
+            checksums = supervisor.checksums
+            if supervisor.alive.has_failed or (checksums.faults and checksums.has_failed(now_ns)):
+                yield name
+
+    def _absurd(self, now_ns: int) -> Iterable[str]:
+        for name, stream in self._streams.items():
+            implausible = stream.supervisor.implausible
+            if implausible.faults and implausible.has_failed(now_ns):
                 yield name
 
     def _turns(self) -> bool | None:

@@ -22,6 +22,8 @@ class Encoder:
             message.name: (message, {signal.name: signal for signal in message.payload_signals})
             for message in layout.messages.values()
         }
+        # Of each message the last values and their bits: from one tick to the next most stay the same.
+        self._last: dict[str, tuple[dict[str, Value], int]] = {}
         first = next(iter(layout.messages.values()))
         # Every frame ends with these two, at the same bits (manual V2.0, section 5).
         self._alive_bit = first.signal(ALIVE_COUNTER).start_bit
@@ -41,16 +43,28 @@ class Encoder:
             ValueError: a value does not fit into its signal.
         """
         layout, signals = self._messages[name]
-        word = (alive_counter & 0xF) << self._alive_bit
-        if not values.keys() <= signals.keys():
-            unknown = values.keys() - signals.keys()
-            raise KeyError(f"{name} has no signal {', '.join(sorted(unknown))}")
-        for signal_name, signal in signals.items():
-            raw = to_raw(signal, values[signal_name]) if signal_name in values else signal.start_raw
-            word |= (raw & ((1 << signal.length) - 1)) << signal.start_bit
+        last = self._last.get(name)
+        if last is not None and last[0] == values:
+            word = last[1]
+        else:
+            word = _bits(name, values, signals)
+            self._last[name] = dict(values), word
+        word |= (alive_counter & 0xF) << self._alive_bit
         data = word.to_bytes(layout.length, "little")
         word |= checksum(data) << self._checksum_bit
         return Frame(layout.can_id, word.to_bytes(layout.length, "little"), wall_ns)
+
+
+def _bits(name: str, values: Mapping[str, Value], signals: Mapping[str, SignalLayout]) -> int:
+    """The signals' bits, at their places."""
+    if not values.keys() <= signals.keys():
+        unknown = values.keys() - signals.keys()
+        raise KeyError(f"{name} has no signal {', '.join(sorted(unknown))}")
+    word = 0
+    for signal_name, signal in signals.items():
+        raw = to_raw(signal, values[signal_name]) if signal_name in values else signal.start_raw
+        word |= (raw & ((1 << signal.length) - 1)) << signal.start_bit
+    return word
 
 
 def to_raw(signal: SignalLayout, value: Value) -> int:

@@ -99,12 +99,15 @@ class Watch:
         self.pressed = {bumper for bumper, is_pressed in zip(BUMPERS, pressed, strict=True) if is_pressed}
         self.struck = self.pressed - before
         # A hit that was reset counts as a new one once the bumper has been clear.
-        self._acknowledged &= self.pressed
+        if self._acknowledged:
+            self._acknowledged &= self.pressed
 
     @property
     def hits(self) -> list[Reason]:
         """The bumpers that are pressed and that nobody has acknowledged by a reset."""
-        return [bumper for bumper in BUMPERS if bumper in self.pressed - self._acknowledged]
+        return (
+            [bumper for bumper in BUMPERS if bumper in self.pressed - self._acknowledged] if self.pressed else []
+        )
 
     def acknowledge(self, latched: Iterable[Reason]) -> None:
         """A reset of these: from now on such a bumper, while pressed, forbids its direction and nothing more."""
@@ -118,20 +121,20 @@ class Watch:
     def chassis_faults(self) -> list[Reason]:
         """What speaks against commanding the chassis, but for its mode."""
         observed = self.observed
-        faults = {
-            Reason.BUS_OFF: observed.controller is ControllerState.BUS_OFF,
-            Reason.FEEDBACK_MISSING: bool(observed.missing),
-            Reason.FEEDBACK_FAULTY: bool(observed.faulty or observed.absurd),
-            Reason.FEEDBACK_LATE: observed.is_behind,
-            Reason.VARIANT_UNKNOWN: observed.variant is Variant.UNKNOWN or not observed.confirmed,
-        }
-        return [reason for reason, is_so in faults.items() if is_so]
+        faults = (
+            (Reason.BUS_OFF, observed.controller is ControllerState.BUS_OFF),
+            (Reason.FEEDBACK_MISSING, observed.missing),
+            (Reason.FEEDBACK_FAULTY, observed.faulty or observed.absurd),
+            (Reason.FEEDBACK_LATE, observed.is_behind),
+            (Reason.VARIANT_UNKNOWN, observed.variant is Variant.UNKNOWN or not observed.confirmed),
+        )
+        return [reason for reason, is_so in faults if is_so]
 
     def faults(self, commanded_mps: float, late_ns: int, now_ns: int) -> list[Reason]:
         """The causes to stop a robot that is being commanded; ``commanded_mps`` is signed."""
         observed = self.observed
         found = self.chassis_faults()
-        if SPEED_FRAMES & set(observed.absurd):
+        if observed.absurd and not SPEED_FRAMES.isdisjoint(observed.absurd):
             # Read in the wrong scale a speed is 40 times too high: no other fault looks like it.
             found.insert(0, Reason.IMPLAUSIBLE_SPEED)
         if self.plausibility.observe(observed.wheel_speed_mps, observed.speed_mps, commanded_mps, now_ns):

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 from schemas.decisions import SafetyEvent, SafetyState
 from schemas.printable import plain
-from schemas.reasons import TEXTS, Reason, Text
-
-_OF_A_ROBOT: Final = {Reason.NO_LEASE: Text("nobody holds the lease", "acquire it")}
-"""What a reason means where it is said of a robot, not of a request."""
+from schemas.reasons import OF_A_ROBOT, Reason, Text
 
 
 def text_of(reason: Reason) -> Text:
     """A reason for which a robot stands still."""
-    return _OF_A_ROBOT.get(reason, TEXTS[reason])
+    return OF_A_ROBOT[reason]
 
 
 def reason_line(reason: Reason) -> str:

@@ -88,3 +88,15 @@ def test_an_unknown_signal_is_our_own_bug() -> None:
     """A misspelt signal raises instead of being left out."""
     with pytest.raises(KeyError, match="Speed"):
         Encoder(load(Variant.COARSE)).encode("Auto_DriveCmd", {"Speed": 1.0}, 0)
+
+
+@given(st.lists(st.tuples(st.floats(-24, 24), st.booleans(), st.integers(0, 15)), min_size=2, max_size=10))
+def test_what_was_encoded_before_changes_nothing(rows: list[tuple[float, bool, int]]) -> None:
+    """Each frame is the one that a new encoder makes; values that are changed afterwards are not looked at again."""
+    encoder = Encoder(load(Variant.COARSE))
+    values: dict[str, Any] = {}
+    for angle_deg, enable, alive in rows:
+        values["TargetAngle"], values["Enable"] = angle_deg, enable
+        expected = Encoder(load(Variant.COARSE)).encode("Auto_SteeringCmd", values, alive)
+        assert encoder.encode("Auto_SteeringCmd", values, alive) == expected
+        assert encoder.encode("Auto_SteeringCmd", values, alive) == expected
