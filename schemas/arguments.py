@@ -12,6 +12,12 @@ from schemas.keys import OPERATOR_PATTERN, ROBOT_PATTERN
 
 def add_zenoh_arguments(parser: argparse.ArgumentParser) -> None:
     """Where the robots are."""
+    add_link_arguments(parser)
+    parser.add_argument("--root", dest="robot.root", metavar="ROOT", help="first chunks of every key")
+
+
+def add_link_arguments(parser: argparse._ActionsContainer) -> None:
+    """Which Zenoh to join; a parser, or a group of one, takes them."""
     parser.add_argument(
         "--connect",
         dest="zenoh.connect",
@@ -22,7 +28,6 @@ def add_zenoh_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--zenoh-config", dest="zenoh.config", metavar="FILE", help="a Zenoh configuration file to start from"
     )
-    parser.add_argument("--root", dest="robot.root", metavar="ROOT", help="first chunks of every key")
 
 
 def seconds(text: str) -> float:

@@ -166,3 +166,9 @@ TEXTS: Final[dict[Reason, Text]] = {
     Reason.SHUTDOWN: Text("the gateway is ending", "wait until it is back"),
 }
 """Every reason in words; a test holds that none is missing."""
+
+OF_A_ROBOT: Final[dict[Reason, Text]] = {
+    **TEXTS,
+    Reason.NO_LEASE: Text("nobody holds the lease", "acquire it"),
+}
+"""The same where a reason is said of a robot, not of a request."""

@@ -7,8 +7,14 @@ from typing import Annotated, Final, Literal
 import msgspec
 from msgspec import Meta
 
-CHANNEL_LIMIT: Final = 65_000
-"""Channels of a log, below MCAP's 65,535. Keys beyond it share one channel of RawSamples, each with its key."""
+CHANNEL_LIMIT: Final = 35_000
+"""Channels of a log for keys that anybody may make up. Those beyond share one channel of RawSamples, with their key."""
+
+TABLE_CHANNEL_LIMIT: Final = 30_000
+"""Channels of a log for the key table's own: together, and with what the recorder says, below MCAP's 65,535."""
+
+BUS_LIMIT: Final = 8
+"""Buses of a robot whose keys count among the table's: their names are not in it."""
 
 ROBOT_LIMIT: Final = 1024
 """Robots that have logs of their own and are asked who they are; those beyond it share one log."""

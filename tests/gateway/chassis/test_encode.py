@@ -92,7 +92,7 @@ def test_an_unknown_signal_is_our_own_bug() -> None:
 
 @given(st.lists(st.tuples(st.floats(-24, 24), st.booleans(), st.integers(0, 15)), min_size=2, max_size=10))
 def test_what_was_encoded_before_changes_nothing(rows: list[tuple[float, bool, int]]) -> None:
-    """Each frame is the one that a new encoder makes; values that are changed afterwards are not looked at again."""
+    """Each frame is the one that a new encoder makes, though the values be changed in place afterwards."""
     encoder = Encoder(load(Variant.COARSE))
     values: dict[str, Any] = {}
     for angle_deg, enable, alive in rows:
