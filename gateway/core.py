@@ -24,6 +24,7 @@ from gateway.chassis.layout import load
 from gateway.chassis.variant import WHEEL_SPEED, VariantDetector
 from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.request import RawRequest
+from gateway.command.rest import QUIET_NS, Rest, is_at_rest, memory_of, recall
 from gateway.journal import FRAME, JournalWriter, Kind
 from gateway.observation import Observer
 from gateway.telemetry.feedback import FeedbackStream
@@ -39,6 +40,12 @@ from schemas.settings import BATCH_MAX_FRAMES, BATCH_PERIOD_NS, HEALTH_PERIOD_NS
 from schemas.subjects import SUBJECTS
 
 CONFIGURED_VARIANT: Final = {"auto": Variant.UNKNOWN, "coarse": Variant.COARSE, "fine": Variant.FINE}
+
+REST_PERIOD_NS: Final = 60_000_000_000
+"""So often the journal says what a gateway at rest is remembered by..."""
+
+REST_LOOK_NS: Final = 1_000_000_000
+"""...and so often it looks whether the gateway is at rest."""
 
 SCALED_BY_VARIANT: Final = ("Auto_DriveFeedBack", WHEEL_SPEED)
 """The feedback frames whose layout depends on the variant; a test holds this against the two DBC files."""
@@ -102,6 +109,7 @@ class Core:
         self._requests: list[RawRequest] = []
         self._offered: list[Frame] = []
         self._journal = None if self.command is None else JournalWriter(run)
+        self._rest_due_ns = now_ns + QUIET_NS
 
     @property
     def variant(self) -> Variant:
@@ -187,6 +195,24 @@ class Core:
         self._offered = []
         return [_sample(decision) for decision in self.command.sent(count, now_ns, wall_ns)]
 
+    def recall(self, links: Links, controller: ControllerState, rest: Rest, now_ns: int) -> None:
+        """From here on this core is the one that was at rest; it has seen what that one saw before.
+
+        Args:
+            links: those of then.
+            controller: the CAN controller of then.
+            rest: what else was remembered.
+            now_ns: when it was, monotonic.
+        """
+        self.look_from(links, controller)
+        if self.command is not None:
+            recall(self.command, rest, now_ns)
+
+    def look_from(self, links: Links, controller: ControllerState) -> None:
+        """What is around it is not new to this core."""
+        self._links, self._told = links, _told(links)
+        self._health.controller = controller
+
     def last_batches(self, wall_ns: int) -> list[Sample]:
         """The gateway ends: the raw frames and the journal that have not been published yet."""
         samples: list[Sample] = []
@@ -212,6 +238,8 @@ class Core:
 
     def _command(self, command: CommandFlow, due: Due, now_ns: int, wall_ns: int, late_ns: int) -> None:
         if self._journal is not None:
+            if now_ns >= self._rest_due_ns:
+                self._remember(command, self._journal, now_ns)
             self._journal.add((Kind.TICK, now_ns, wall_ns, late_ns))
         links, controller = self._links, self._health.controller
         observed = self._observer.observe(links, controller, self.variant, self._commander_ns, now_ns)
@@ -221,6 +249,14 @@ class Core:
         due.replies = commanded.replies
         due.samples += [_sample(message) for message in commanded.messages]
         due.events = [message for message in commanded.messages if isinstance(message, SafetyEvent)]
+
+    def _remember(self, command: CommandFlow, journal: JournalWriter, now_ns: int) -> None:
+        """If the gateway is at rest, the journal can begin here as well as at the start."""
+        self._rest_due_ns = now_ns + REST_LOOK_NS
+        if is_at_rest(command, now_ns):
+            self._rest_due_ns = now_ns + REST_PERIOD_NS
+            controller = self._health.controller.value
+            journal.add((Kind.REST, now_ns, memory_of(command), controller, *_told(self._links)))
 
     def _take_batches(self, samples: list[Sample], wall_ns: int) -> None:
         for subject, batch in ((RX, self._received), (TX, self._sent)):

@@ -1,7 +1,8 @@
 """The journal: everything the core was given, in its order and with its times. Pure.
 
 With the configuration and the run number it is enough to run the core again: see ``gateway.rerun``. An input is an
-array: its kind, the monotonic time, and what the core's method of that kind was given.
+array: its kind, the monotonic time, and what the core's method of that kind was given. Once a minute, while the
+gateway is at rest, it says what it would have to be remembered by, so that what follows is enough.
 """
 
 from __future__ import annotations
@@ -30,6 +31,9 @@ class Kind(IntEnum):
     SENT = 4
     """count, wall_ns"""
     SHUT_DOWN = 5
+    REST = 6
+    """[what the arbiter is remembered by], controller, and the links as in LINKS: nothing is given to the core.
+    The gateway is at rest, and from here on a run can be run again: see ``gateway.command.rest``."""
 
 
 Input = tuple[Any, ...]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain
 from typing import Any, Final
 
@@ -10,30 +11,47 @@ import msgspec
 
 from gateway.chassis.frame import Frame
 from gateway.command.request import RawRequest
+from gateway.command.rest import Rest
 from gateway.core import Core, Due
 from gateway.journal import Input, Kind, inputs_of
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas.decisions import Journal
+from schemas.messages import ControllerState
 from schemas.settings import Settings
+
+WARM_UP_NS: Final = 3_000_000_000
+"""Before a place of rest the core sees so much of what was seen: nothing that it knows of frames is older."""
 
 
 class Run(msgspec.Struct, frozen=True):
-    """A recorded run.
+    """A recorded run, or the part of it that can be run again.
 
     Attributes:
         run: its number.
-        begins_ns: when its first input came, monotonic.
+        begins_ns: when its first input came, monotonic; of a part, the first of those that warm it up.
         inputs: all of them, in their order.
+        warm_up: of a part, what came right before it; the last of them is the place of rest.
     """
 
     run: int
     begins_ns: int
     inputs: Iterator[Input]
+    warm_up: tuple[Input, ...] = ()
 
     def core(self, settings: Settings) -> Core:
-        """A core as it was when the run began."""
-        return Core(settings, "", self.begins_ns, self.run)
+        """A core as it was when the run, or the part, began."""
+        core = Core(settings, "", self.begins_ns, self.run)
+        if self.warm_up:
+            *before, (_, now_ns, rest, controller, *told) = self.warm_up
+            links, state = _as_links(told), ControllerState(controller)
+            core.look_from(links, state)
+            for one in before:
+                # Nobody asked anything then.
+                if one[0] in {Kind.FRAME, Kind.TICK, Kind.SENT}:
+                    give(core, one)
+            core.recall(links, state, msgspec.convert(rest, Rest), now_ns)
+        return core
 
 
 def rerun(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
@@ -41,7 +59,8 @@ def rerun(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
 
     Args:
         settings: those of the run, or others.
-        journals: of one run, from its first input on, in their order and without a gap; they may come bit by bit.
+        journals: of one run, in their order and without a gap; they may come bit by bit. Where they do not begin
+            with the run's first input, it is run again from the first place of rest.
     """
     run = run_of(journals)
     if run is not None:
@@ -50,14 +69,25 @@ def rerun(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
 
 
 def run_of(journals: Iterable[Journal]) -> Run | None:
-    """The run that journals hold; None if they hold nothing. See ``rerun``."""
+    """The run that journals hold, from its first input or place of rest on; None if there is neither."""
     rest = iter(journals)
     first = next(rest, None)
     if first is None:
         return None
     inputs = chain.from_iterable(map(inputs_of, chain([first], rest)))
-    begin = next(inputs, None)
-    return None if begin is None else Run(first.run, begin[1], chain([begin], inputs))
+    if first.first == 0:
+        begin = next(inputs, None)
+        return None if begin is None else Run(first.run, begin[1], chain([begin], inputs))
+    warm_up: deque[Input] = deque()
+    is_warm = False
+    for one in inputs:
+        warm_up.append(one)
+        while one[1] - warm_up[0][1] > WARM_UP_NS:
+            warm_up.popleft()
+            is_warm = True
+        if is_warm and one[0] == Kind.REST:
+            return Run(first.run, warm_up[0][1], inputs, tuple(warm_up))
+    return None
 
 
 def run_again(core: Core, inputs: Iterable[Input]) -> Iterator[tuple[list[Frame], list[Sample]]]:
@@ -94,8 +124,13 @@ def _request(
 
 
 def _links(core: Core, now_ns: int, *told: Any) -> list[Sample]:  # noqa: ANN401 - as the journal holds them
+    core.observe_links(_as_links(told), now_ns)
+    return []
+
+
+def _as_links(told: Sequence[Any]) -> Links:
     bus_up, bus_losses, guarded, guard_sends, guard_stops, is_behind = told
-    links = Links(
+    return Links(
         bus_up=bus_up,
         bus_losses=bus_losses,
         guarded=guarded,
@@ -103,8 +138,6 @@ def _links(core: Core, now_ns: int, *told: Any) -> list[Sample]:  # noqa: ANN401
         guard_stops=guard_stops,
         is_behind=is_behind,
     )
-    core.observe_links(links, now_ns)
-    return []
 
 
 def _tick(core: Core, now_ns: int, wall_ns: int, late_ns: int) -> Due:
@@ -127,4 +160,5 @@ _GIVE: Final[dict[int, Callable[..., Due | list[Sample]]]] = {
     Kind.TICK: _tick,
     Kind.SENT: _sent,
     Kind.SHUT_DOWN: _shut_down,
+    Kind.REST: lambda *_: [],
 }

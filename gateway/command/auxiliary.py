@@ -40,6 +40,10 @@ class Auxiliary:
         """The odometer is being cleared."""
         return self._clearing_until_ns is not None
 
+    def is_off(self, now_ns: int) -> bool:
+        """Nothing is asked for, and no frame is left to say off."""
+        return self._light == _DARK and not self._horn and not self.is_clearing and not self.frames(now_ns)
+
     def set_light(self, light: Light, now_ns: int) -> None:
         """Set the lamps."""
         self._light = light

@@ -45,14 +45,17 @@ class CommandFlow:
     Attributes:
         arbiter: decides.
         is_mute: the gate refuses even the stop sequence, or our way to the bus is lost: the guard has to act.
+        maker, gate, reporter: make the frames, admit them, and make the messages.
+        busy_ns: when somebody last asked something, or something was told, monotonic.
     """
 
     def __init__(self, settings: Settings, run: int) -> None:
         self.arbiter = Arbiter(settings, run)
         self.is_mute = False
         self.maker = FrameMaker()
-        self._gate = Gate()
-        self._reporter = Reporter(self.arbiter)
+        self.gate = Gate()
+        self.reporter = Reporter(self.arbiter)
+        self.busy_ns = 0
         self._outcome: Outcome | None = None
         self._offered: list[Frame] = []
 
@@ -60,8 +63,10 @@ class CommandFlow:
         """Ten milliseconds have passed; see ``Arbiter.tick``."""
         outcome = self._outcome = self.arbiter.tick(observed, requests, now_ns, late_ns)
         self._offered = self._frames(outcome, now_ns)
-        messages: list[Message] = [self._reporter.event(event, wall_ns) for event in outcome.events]
-        state = self._reporter.state(now_ns, wall_ns)
+        if outcome.judged or outcome.events or outcome.actuation is not None:
+            self.busy_ns = now_ns
+        messages: list[Message] = [self.reporter.event(event, wall_ns) for event in outcome.events]
+        state = self.reporter.state(now_ns, wall_ns)
         if state is not None:
             messages.append(state)
         replies = [
@@ -77,7 +82,7 @@ class CommandFlow:
         self._outcome, self._offered = None, []
         sent = offered[:count]
         self.maker.sent(sent)
-        self._gate.sent(sent, now_ns)
+        self.gate.sent(sent, now_ns)
         watch = self.arbiter.watch
         watch.send_failures = watch.send_failures + 1 if len(sent) < len(offered) else 0
         bounds = self.arbiter.motion.bounds if self.arbiter.state is ArbiterState.ENGAGED else []
@@ -87,17 +92,17 @@ class CommandFlow:
             self.arbiter.unsent(is_speed_told=bool(sent))
         if watch.send_failures >= MUTE_FAILURES and self.arbiter.state is ArbiterState.STOPPING:
             self.is_mute = True
-        return [self._reporter.decision(judged, bounds, len(sent), wall_ns) for judged in outcome.judged]
+        return [self.reporter.decision(judged, bounds, len(sent), wall_ns) for judged in outcome.judged]
 
     def _frames(self, outcome: Outcome, now_ns: int) -> list[Frame]:
         if outcome.actuation is None:
             self.is_mute = self.arbiter.handover.is_cut_off
-            self._gate.pause()
+            self.gate.pause()
             return []
         variant = self.arbiter.variant
         frames = self.maker.make(outcome.actuation, outcome.auxiliary, variant)
         is_stop = self.arbiter.state is ArbiterState.STOPPING
-        fault = self._gate.admit(frames, variant, now_ns, stopping=is_stop)
+        fault = self.gate.admit(frames, variant, now_ns, stopping=is_stop)
         if fault is None:
             self.is_mute = False
             return frames

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import floor
 from typing import Final
 
@@ -63,6 +64,11 @@ class FrameMaker:
         frames = [encode(name, values[name], counters[name]) for name in MOTION_FRAMES]
         frames += [encode(extra.name, extra.values, counters[extra.name]) for extra in auxiliary]
         return frames
+
+    def recall(self, sent: Mapping[int, int]) -> None:
+        """These counters, by identifier, were sent last."""
+        for can_id, counter in sent.items():
+            self.counters[self._names[can_id]] = (counter + 1) % COUNTER_MODULO
 
     def sent(self, frames: list[Frame]) -> None:
         """These were sent: their counters advance."""

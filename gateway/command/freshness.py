@@ -23,6 +23,16 @@ class TickLog:
         self._published: deque[tuple[int, int]] = deque()
         self._times_ns: dict[int, int] = {}
 
+    @property
+    def published(self) -> list[tuple[int, int]]:
+        """Number and time of those that are remembered."""
+        return list(self._published)
+
+    def recall(self, published: list[tuple[int, int]]) -> None:
+        """Remember these, and no others."""
+        self._published = deque(published)
+        self._times_ns = dict(self._published)
+
     def publish(self, tick: int, now_ns: int) -> None:
         """This tick goes out now."""
         self._published.append((tick, now_ns))

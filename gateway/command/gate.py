@@ -88,10 +88,14 @@ class _Motion(msgspec.Struct, frozen=True):
 
 
 class Gate:
-    """Admits a burst as a whole or not at all."""
+    """Admits a burst as a whole or not at all.
+
+    Attributes:
+        counters: the last alive counter of each identifier that was ever sent.
+    """
 
     def __init__(self) -> None:
-        self._counters: dict[int, int] = {}
+        self.counters: dict[int, int] = {}
         self._times_ns: dict[int, deque[int]] = {can_id: deque(maxlen=RATE_FRAMES) for can_id in USED_BITS}
         self._before: _Motion | None = None
         self._before_ns = 0
@@ -122,7 +126,7 @@ class Gate:
     def sent(self, frames: list[Frame], now_ns: int) -> None:
         """These were sent, the first of a burst that was admitted: what follows is held against them."""
         for frame in frames:
-            self._counters[frame.can_id] = frame.data[6] >> 4
+            self.counters[frame.can_id] = frame.data[6] >> 4
             self._times_ns[frame.can_id].append(now_ns)
         if len(frames) >= len(MOTION):
             self._before = _read(frames)
@@ -143,7 +147,7 @@ class Gate:
             return "the checksum is wrong"
         if int.from_bytes(data[:7], "little") & ~allowed:
             return "a bit is set that has no meaning"
-        last = self._counters.get(frame.can_id)
+        last = self.counters.get(frame.can_id)
         if last is not None and data[6] >> 4 != (last + 1) & 0xF:
             return "the alive counter does not follow the last one"
         times_ns = self._times_ns[frame.can_id]

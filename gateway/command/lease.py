@@ -35,6 +35,7 @@ class LeaseDesk:
 
     Attributes:
         lease: the one in force, or None.
+        given: how many were given.
     """
 
     def __init__(self, duration_ns: int, random: Random) -> None:
@@ -45,9 +46,21 @@ class LeaseDesk:
             random: where the numbers come from, so that no number of another run fits this one.
         """
         self.lease: Lease | None = None
+        self.given = 0
         self._duration_ns = duration_ns
         self._random = random
         self._ended: deque[tuple[int, Reason]] = deque(maxlen=_ENDED_KEPT)
+
+    @property
+    def ended(self) -> list[tuple[int, Reason]]:
+        """The leases that ended last, and why."""
+        return list(self._ended)
+
+    def recall(self, given: int, ended: list[tuple[int, Reason]]) -> None:
+        """A new desk goes on as one that has given and ended these; nobody holds a lease."""
+        for _ in range(given - self.given):
+            self._number()
+        self._ended.extend(ended)
 
     def acquire(self, operator: str, role: Role, now_ns: int) -> Lease | Reason:
         """Give the lease, if nobody holds it."""
@@ -88,6 +101,9 @@ class LeaseDesk:
         return lease
 
     def _give(self, operator: str, role: Role, now_ns: int) -> Lease:
-        number = self._random.getrandbits(_NUMBER_BITS) + 1
-        self.lease = Lease(number, operator, role, now_ns + self._duration_ns)
+        self.lease = Lease(self._number(), operator, role, now_ns + self._duration_ns)
         return self.lease
+
+    def _number(self) -> int:
+        self.given += 1
+        return self._random.getrandbits(_NUMBER_BITS) + 1

@@ -31,32 +31,35 @@ _NS_PER_S: Final = 1e9
 
 
 class Reporter:
-    """Makes the messages of one arbiter, each subject with a sequence of its own."""
+    """Makes the messages of one arbiter, each subject with a sequence of its own.
+
+    Attributes:
+        sequences: the next one of each message, by the class's name.
+        state_due_ns: when the next state is due.
+    """
 
     def __init__(self, arbiter: Arbiter) -> None:
         self._arbiter = arbiter
-        self._sequences: dict[type, int] = {}
-        self._state_due_ns = 0
+        self.sequences: dict[str, int] = {}
+        self.state_due_ns = 0
         self._said: tuple[object, ...] = ()
+
+    def recall(self, sequences: dict[str, int], state_due_ns: int, now_ns: int) -> None:
+        """Goes on as one that has said so much, and lastly what the arbiter is now."""
+        self.sequences = dict(sequences)
+        self.state_due_ns = state_due_ns
+        self._said = self._says(self._blocked_by(now_ns))
 
     def state(self, now_ns: int, wall_ns: int) -> SafetyState | None:
         """The arbiter's state, if it is due or something has changed. Its tick counts as published."""
         arbiter = self._arbiter
         blocked_by = self._blocked_by(now_ns)
         lease = arbiter.desk.lease
-        says = (
-            arbiter.state,
-            arbiter.stop_phase,
-            arbiter.stop_reason,
-            lease.number if lease is not None else None,
-            tuple(arbiter.latched),
-            tuple(blocked_by),
-            arbiter.parked,
-        )
-        if now_ns < self._state_due_ns and says == self._said:
+        says = self._says(blocked_by)
+        if now_ns < self.state_due_ns and says == self._said:
             return None
         self._said = says
-        self._state_due_ns = now_ns + SAFETY_STATE_PERIOD_NS
+        self.state_due_ns = now_ns + SAFETY_STATE_PERIOD_NS
         arbiter.ticks.publish(arbiter.tick_number, now_ns)
         limits = arbiter.limits if arbiter.state in COMMANDING else arbiter.configured_limits
         told = arbiter.actuation
@@ -130,6 +133,20 @@ class Reporter:
             text=event.text,
         )
 
+    def _says(self, blocked_by: list[Reason]) -> tuple[object, ...]:
+        """What is told at once when it changes."""
+        arbiter = self._arbiter
+        lease = arbiter.desk.lease
+        return (
+            arbiter.state,
+            arbiter.stop_phase,
+            arbiter.stop_reason,
+            lease.number if lease is not None else None,
+            tuple(arbiter.latched),
+            tuple(blocked_by),
+            arbiter.parked,
+        )
+
     def _blocked_by(self, now_ns: int) -> list[Reason]:
         """Why the robot stands still, or cannot be engaged."""
         arbiter = self._arbiter
@@ -148,8 +165,8 @@ class Reporter:
                 return [*pressed, *parked, *([Reason.GEAR_SHIFTING] if shifting else [])]
 
     def _next(self, kind: type) -> int:
-        sequence = self._sequences.get(kind, 0)
-        self._sequences[kind] = (sequence + 1) & SEQUENCE_MAX
+        sequence = self.sequences.get(kind.__name__, 0)
+        self.sequences[kind.__name__] = (sequence + 1) & SEQUENCE_MAX
         return sequence
 
 

@@ -62,7 +62,8 @@ class Comparison:
         difference_count: all of them.
         unrecorded: messages that come out again and are not in the log, by subject: it lost them.
         given_up: messages that waited too long for their counterpart.
-        ends_ns: the time of the newest message that came out again, since 1970.
+        begins_ns, ends_ns: the times of the first and the newest message that came out again, since 1970;
+            ``begins_ns`` is None before.
     """
 
     def __init__(self, decode: Callable[[str, bytes], Any]) -> None:
@@ -72,6 +73,7 @@ class Comparison:
         self.difference_count = 0
         self.unrecorded: Counter[str] = Counter()
         self.given_up = 0
+        self.begins_ns: int | None = None
         self.ends_ns = 0
         self._recorded: dict[Key, Said] = {}
         self._again: dict[Key, Said] = {}
@@ -87,6 +89,8 @@ class Comparison:
 
     def say_again(self, key: Key, said: Said) -> None:
         """A message that comes out of the inputs."""
+        if self.begins_ns is None:
+            self.begins_ns = said.time_ns
         self.ends_ns = max(self.ends_ns, said.time_ns)
         if isinstance(key[1], int):
             self._newest[key[0]] = key[1]
@@ -97,14 +101,18 @@ class Comparison:
             self._wait(self._again, key, said)
 
     def end(self) -> dict[Key, Said]:
-        """Nothing more comes out. Returns what was recorded later than that: it belongs to what follows."""
+        """Nothing more comes out. Returns what was recorded later than that: it belongs to what follows.
+
+        What was recorded before the first message that came out again belongs to nothing.
+        """
         self.unrecorded.update(key[0] for key in self._again)
         self._again.clear()
         later: dict[Key, Said] = {}
+        begins_ns = self.begins_ns or 0
         for key, said in self._recorded.items():
             if said.time_ns > self.ends_ns - BATCH_NS:
                 later[key] = said
-            elif not self._is_repeated(key):
+            elif said.time_ns >= begins_ns and not self._is_repeated(key):
                 self._differ(
                     Difference(key[0], said.time_ns, "only recorded", message=self._decode(key[0], said.data))
                 )
@@ -139,4 +147,5 @@ class Comparison:
         waiting[key] = said
         if len(waiting) > WAITING_MAX:
             del waiting[next(iter(waiting))]
-            self.given_up += 1
+            # Before anything came out again nothing was to be compared.
+            self.given_up += self.begins_ns is not None

@@ -16,7 +16,7 @@ from recorder.review.comparison import Comparison, Difference, Key, Said
 from recorder.review.faults import Faults
 from recorder.review.logs import LogFile
 from recorder.review.rows import Progress, Row, Selection, read_rows
-from recorder.review.runs import JOURNAL, RunEnd, Tape
+from recorder.review.runs import JOURNAL, PartEnd, Tape
 from recorder.review.survey import Survey, survey
 from recorder.review.topics import UNREADABLE, typed_decoder
 from recorder.routes import Route
@@ -42,6 +42,11 @@ ANSWERED_NS: Final = 30_000_000_000
 """A gateway that starts has told a recorder that is there its configuration within this time."""
 
 
+NO_CONFIGURATION: Final = "the log does not hold the robot's configuration"
+NO_REST: Final = "the gateway was never at rest in it, so there is no place to begin"
+"""Why nothing was run again."""
+
+
 class SampleAgain(Protocol):
     """What comes out again: the subject's name and the MessagePack payload."""
 
@@ -60,8 +65,9 @@ class RerunResult(msgspec.Struct, frozen=True):
 
     Attributes:
         run: its number.
-        inputs: so many were given to the arbiter again.
-        detail: why not all of the run, or none; empty if all was.
+        first: the place of the first input that was there, from 0: behind a gap a run goes on in another result.
+        inputs: so many there were without a gap.
+        detail: what of the run is missing, or why nothing was run again; empty if all was.
         start_ns, end_ns: of what came out again, nanoseconds since 1970; 0 if nothing did.
         same: how many messages are equal byte for byte, by subject.
         unrecorded: messages that come out again and are not in the log.
@@ -71,6 +77,7 @@ class RerunResult(msgspec.Struct, frozen=True):
 
     robot: str
     run: int
+    first: int
     inputs: int
     detail: str
     start_ns: int
@@ -114,7 +121,7 @@ def rerun_logs(
     found = survey(logs, faults)
     for robot in found.robots:
         player = Player(robot, logs, found, faults, progress)
-        while player.next_run():
+        while player.next_part():
             yield _rerun(player, again, settings_of or settings_from)
 
 
@@ -130,7 +137,7 @@ def settings_from(text: str) -> Settings:
 def _rerun(player: Player, again: Rerun, settings_of: Callable[[str], Settings]) -> RerunResult:
     text = player.configuration()
     if text is None:
-        return player.skip("the log does not hold the robot's configuration")
+        return player.skip(NO_CONFIGURATION)
     start_ns = 0
     for sample in again(settings_of(text), player.journals()):
         if sample.subject in _ROUTES:
@@ -168,15 +175,15 @@ class Player:
         selection = Selection(lambda topic: topic.robot == robot and topic.subject in wanted)
         rows = read_rows(logs, selection, faults, progress)
         self._tape = Tape(rows, self._record, faults)
-        self._end = RunEnd(0, 0, "")
+        self._end = PartEnd(0, 0, 0, "")
         self._faults = faults
 
-    def next_run(self) -> bool:
-        """Goes on to the next run."""
-        return self._tape.next_run()
+    def next_part(self) -> bool:
+        """Goes on to the next run, or to the next part of one."""
+        return self._tape.next_part()
 
     def journals(self) -> Iterator[Journal]:
-        """Those of the run, in their order."""
+        """Those of the part, in their order."""
         return self._tape.journals(self._take_end)
 
     def configuration(self) -> str | None:
@@ -198,13 +205,17 @@ class Player:
     def result(self, start_ns: int) -> RerunResult:
         """How the run came out; what was recorded behind its end is kept for the next one."""
         comparison, self.comparison = self.comparison, Comparison(_decode)
+        end = self._end
+        if not start_ns and not end.detail.endswith(NO_CONFIGURATION):
+            end = msgspec.structs.replace(end, detail="; ".join(filter(None, (end.detail, NO_REST))))
         for key, said in comparison.end().items():
             self.comparison.record(key, said)
         return RerunResult(
             robot=self._robot,
-            run=self._end.run,
-            inputs=self._end.inputs,
-            detail=self._end.detail,
+            run=end.run,
+            first=end.first,
+            inputs=end.inputs,
+            detail=end.detail,
             start_ns=start_ns,
             end_ns=comparison.ends_ns,
             same=dict(comparison.same),
@@ -214,7 +225,7 @@ class Player:
             given_up=comparison.given_up,
         )
 
-    def _take_end(self, end: RunEnd) -> None:
+    def _take_end(self, end: PartEnd) -> None:
         self._end = end
 
     def _record(self, row: Row) -> None:

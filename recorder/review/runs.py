@@ -1,8 +1,8 @@
 """A robot's runs, out of its logs: the journal in its order, and beside it what the gateway said.
 
-A journal message holds what the gateway's core was given, in order. A run can be given to the arbiter again from
-its first input on, as far as none is missing. What a recorder asked for later stands behind newer messages, so
-what is ahead of its time is held until its turn, up to a bound.
+A journal message holds what the gateway's core was given, in order. Where none is missing a run is whole; else it
+falls into parts, each without a gap. What a recorder asked for later stands behind newer messages, so what is
+ahead of its time is held until its turn, up to a bound.
 """
 
 from __future__ import annotations
@@ -20,26 +20,28 @@ from schemas.decisions import Journal
 JOURNAL: Final = "journal"
 """The subject."""
 
-HELD_BYTES: Final = 64_000_000
-"""Inputs that wait for those before them. A gateway keeps 16 MB for those who come late."""
+HELD_MAX: Final = 600
+"""Journals that wait for those before them, half a minute's: what a recorder asks for comes within seconds."""
 
 
-class RunEnd(msgspec.Struct, frozen=True):
-    """How far a run's journal goes.
+class PartEnd(msgspec.Struct, frozen=True):
+    """How far a part of a run goes.
 
     Attributes:
-        run: its number.
-        inputs: so many from the first on are there without a gap.
-        detail: what is missing behind them; empty if nothing is.
+        run: the run's number.
+        first: the place of its first input in the run, from 0.
+        inputs: how many it has.
+        detail: what is missing before or behind it; empty if nothing is.
     """
 
     run: int
+    first: int
     inputs: int
     detail: str
 
 
 class Tape:
-    """Plays the rows of one robot: its journals run by run, everything else to whoever takes it.
+    """Plays the rows of one robot: its journals part by part, everything else to whoever takes it.
 
     Args:
         rows: of one robot, by log time.
@@ -51,40 +53,66 @@ class Tape:
         self._rows = rows
         self._take = take
         self._faults = faults
+        self._run: int | None = None
+        self._held: dict[int, Journal] = {}
+        self._reached = 0
+        """The place behind all that was played of the run."""
         self._next: Journal | None = None
+        """The first of the run that follows."""
         self._past: set[int] = set()
 
-    def next_run(self) -> bool:
-        """Goes on to the beginning of the next run; False if there is none."""
-        if self._next is None:
-            self._next = self._read()
-        return self._next is not None
+    def next_part(self) -> bool:
+        """Goes on to the beginning of the next part; False if there is none."""
+        if self._held:
+            return True
+        if self._run is not None:
+            self._past.add(self._run)
+            self._run = None
+        journal = self._next or self._read()
+        self._next = None
+        if journal is None:
+            return False
+        self._run, self._reached = journal.run, 0
+        self._held[journal.first] = journal
+        return True
 
     @property
     def next_time_ns(self) -> int:
-        """When the first journal of the run that has come was published; 0 if none has."""
-        return 0 if self._next is None else self._next.time_ns
+        """When the first journal of the part that has come was published; 0 if none has."""
+        return self._held[min(self._held)].time_ns if self._held else 0
 
-    def journals(self, ended: Callable[[RunEnd], None]) -> Iterator[Journal]:
-        """The journals of the run that has come, in their order; at the end it is told how far they go."""
-        journal, self._next = self._next, None
-        if journal is None:
+    def journals(self, ended: Callable[[PartEnd], None]) -> Iterator[Journal]:
+        """The journals of the part that has come, in their order; at the end it is told how far they go."""
+        run = self._run
+        if run is None:
             return
-        run, expected, held_bytes = journal.run, 0, 0
-        held: dict[int, Journal] = {}
-        while journal is not None and journal.run == run and held_bytes <= HELD_BYTES:
-            if journal.first >= expected and journal.first not in held:
-                held[journal.first] = journal
-                held_bytes += len(journal.inputs)
-            while (due := held.pop(expected, None)) is not None:
-                held_bytes -= len(due.inputs)
-                expected += due.count
+        # A part behind a gap has waited for what is missing; a run's beginning may still come.
+        while not self._reached and 0 not in self._held and self._waits():
+            pass
+        first = expected = 0 if 0 in self._held else min(self._held)
+        before, self._reached, is_over = self._reached, max(self._reached, first), False
+        while not is_over:
+            while (due := self._held.pop(expected, None)) is not None:
+                expected = self._reached = expected + due.count
                 yield due
-            journal = self._read()
-        self._past.add(run)
-        if journal is not None and journal.run != run:
+            is_over = not self._waits()
+        gaps = [(before, first), *([(expected, min(self._held))] if self._held else [])]
+        missing = [f"inputs {begin} to {end - 1} are missing" for begin, end in gaps if begin < end]
+        ended(PartEnd(run, first, expected - first, "; ".join(missing)))
+
+    def _waits(self) -> bool:
+        """Takes one more journal of the run; False if it has no more, or too many wait already."""
+        if self._next is not None or len(self._held) >= HELD_MAX:
+            return False
+        journal = self._read()
+        if journal is None:
+            return False
+        if journal.run != self._run:
             self._next = journal
-        ended(RunEnd(run, expected, _missing(expected, held)))
+            return False
+        if journal.first >= self._reached:
+            self._held.setdefault(journal.first, journal)
+        return True
 
     def _read(self) -> Journal | None:
         """The next journal of a run that is not over."""
@@ -101,10 +129,3 @@ class Tape:
             if isinstance(journal, Journal) and journal.count and journal.run not in self._past:
                 return journal
         return None
-
-
-def _missing(expected: int, held: dict[int, Journal]) -> str:
-    if not held:
-        return ""
-    cure = "" if expected else "; a run is run again from its first input alone, and the log begins later"
-    return f"inputs {expected} to {min(held) - 1} are missing{cure}"

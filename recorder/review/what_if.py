@@ -14,7 +14,7 @@ import msgspec
 
 from recorder.review.faults import Faults
 from recorder.review.logs import LogFile
-from recorder.review.rerun import Player, SampleAgain, installed, settings_from
+from recorder.review.rerun import NO_CONFIGURATION, Player, SampleAgain, installed, settings_from
 from recorder.review.rows import Progress
 from recorder.review.survey import survey
 from schemas import codec
@@ -97,13 +97,14 @@ class WhatIfResult(msgspec.Struct, frozen=True):
 
     Attributes:
         settings: each setting that differs: as it was, and as it is tried.
-        inputs, detail: as in ``rerun.RerunResult``.
+        first, inputs, detail: as in ``rerun.RerunResult``.
         decisions: how many both runs made; ``changes`` are those that differ.
         stops_avoided: stops that were recorded and would not have been; ``stops_added`` the other way round.
     """
 
     robot: str
     run: int
+    first: int
     inputs: int
     detail: str
     start_ns: int
@@ -138,7 +139,7 @@ def what_if_logs(
     found = survey(logs, faults)
     for robot in found.robots:
         player = Player(robot, logs, found, faults, progress)
-        while player.next_run():
+        while player.next_part():
             yield _what_if(player, run_both, settings_of)
 
 
@@ -147,7 +148,7 @@ def _what_if(player: Player, run_both: WhatIf, settings_of: Callable[[str], Sett
     pair = _Pair()
     changed: dict[str, tuple[object, object]] = {}
     if text is None:
-        run = player.skip("the log does not hold the robot's configuration")
+        run = player.skip(NO_CONFIGURATION)
     else:
         settings, other = settings_from(text), settings_of(text)
         changed = _changed(settings, other)
@@ -158,6 +159,7 @@ def _what_if(player: Player, run_both: WhatIf, settings_of: Callable[[str], Sett
     return WhatIfResult(
         robot=run.robot,
         run=run.run,
+        first=run.first,
         inputs=run.inputs,
         detail=run.detail,
         start_ns=pair.start_ns,

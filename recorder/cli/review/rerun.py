@@ -25,8 +25,8 @@ EXAMPLE: Final = """\
 DESCRIPTION: Final = (
     "Gives the arbiter of this version the recorded frames and requests again, at the recorded times. Decisions, "
     "events, states and sent frames must come out byte for byte; whatever differs is listed, with exit code 1. "
-    "A run can be run again from the start of its gateway, as far as its journal is in the log; exit code 3 if "
-    "it is not all there. With --set or --with the run is shown as it would have been with other settings: "
+    "A run whose beginning is not in the log is run again from where the gateway was at rest; exit code 3 if a "
+    "run is not all there. With --set or --with the run is shown as it would have been with other settings: "
     "decisions, distance and time, stops avoided or added. A model of the chassis then answers what the recorded "
     "one was not asked; what people would have done otherwise nobody knows."
 )
@@ -114,7 +114,7 @@ def _settings_of(text: str | None, path: Path | None, changes: dict[str, object]
 def describe(result: RerunResult) -> str:
     """A run that was run again, for people."""
     lines = [_head(result)]
-    if result.inputs:
+    if result.start_ns:
         same = ", ".join(f"{count} {subject}" for subject, count in result.same.items())
         lines.append(f"  the same, byte for byte: {same or 'nothing'}")
         if result.unrecorded:
@@ -158,6 +158,8 @@ def describe_what_if(result: WhatIfResult) -> str:
 
 def _head(result: RerunResult | WhatIfResult) -> str:
     head = f"{result.robot}, run {result.run}: {result.inputs} inputs"
+    if result.first:
+        head += f" from {result.first} on"
     if result.start_ns:
         seconds = (result.end_ns - result.start_ns) / 1e9
         head += f", {in_words(result.start_ns)} and {seconds:.1f} s on"

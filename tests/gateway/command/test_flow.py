@@ -25,7 +25,7 @@ def flow(rig: LoopRig) -> CommandFlow:
 
 def refuse(made: CommandFlow, monkeypatch: pytest.MonkeyPatch) -> None:
     """From now on the gate refuses."""
-    monkeypatch.setattr(made._gate, "admit", lambda *_, **__: GateFault(0x98C4D3D0, "because"))
+    monkeypatch.setattr(made.gate, "admit", lambda *_, **__: GateFault(0x98C4D3D0, "because"))
 
 
 def test_a_tick_makes_replies_and_messages() -> None:

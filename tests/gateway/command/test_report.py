@@ -26,7 +26,7 @@ class Told:
 
     def now(self) -> SafetyState:
         """The state, due or not."""
-        self.reporter._state_due_ns = 0
+        self.reporter.state_due_ns = 0
         state = self.state()
         assert state is not None
         return state
@@ -174,7 +174,7 @@ def test_an_event_keeps_what_it_is_made_of() -> None:
     """Each subject has a sequence of its own, which wraps."""
     told = Told()
     told.bench.ask("acquire")
-    told.reporter._sequences[type(told.reporter.event(told.bench.events[0], 0))] = SEQUENCE_MAX
+    told.reporter.sequences[type(told.reporter.event(told.bench.events[0], 0)).__name__] = SEQUENCE_MAX
     event = told.reporter.event(told.bench.events[0], WALL_NS)
     assert (event.kind, event.operator, event.reason) == (EventKind.LEASE, "first", Reason.NONE)
     assert (event.text, event.time_ns, event.tick) == (

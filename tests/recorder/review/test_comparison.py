@@ -90,9 +90,21 @@ def test_memory_and_output_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(comparison_module, "WAITING_MAX", 3)
     monkeypatch.setattr(comparison_module, "DIFFERENCES_TOLD", 2)
     comparison = compared()
+    comparison.say_again(("safety/state", 0), event(0))
     for number in range(5):
         comparison.record((SUBJECT, number), event(number))
     assert comparison.given_up == 2
     for number in range(5):
         comparison.say_again((SUBJECT, number), event(number, "x"))
     assert (comparison.difference_count, len(comparison.differences)) == (3, 2)
+
+
+def test_what_was_recorded_before_anything_came_again_is_not_compared() -> None:
+    """A run that begins in its midst has said much before, and none of it is a difference."""
+    comparison = compared()
+    for number in range(5):
+        comparison.record((SUBJECT, number), event(number))
+    comparison.say_again((SUBJECT, 3), event(3))
+    comparison.say_again(("safety/state", 9), event(BATCH_NS + 9))
+    assert comparison.end() == {}
+    assert (comparison.same[SUBJECT], comparison.difference_count) == (1, 1)

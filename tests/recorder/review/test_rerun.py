@@ -9,6 +9,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from gateway import core
 from gateway.rerun import rerun
 from gateway.telemetry.sample import Sample
 from recorder.review.faults import Faults
@@ -21,6 +22,7 @@ from schemas.exit_codes import CommandError
 from schemas.messages import Variant
 from schemas.settings import Settings
 from schemas.subjects import BY_NAME
+from tests.gateway.command.loop_rig import Operator
 from tests.gateway.recorded_day import Day, recorded
 from tests.recorder.fakes import small_log
 
@@ -108,16 +110,52 @@ def test_the_settings_are_those_of_the_run(log: Path) -> None:
 
 
 def test_a_log_in_two_files_is_one_run(tmp_path: Path, log: Path) -> None:
-    """The second alone is none, and says why."""
+    """The second alone is the rest of it, and has no place to begin if the gateway was never at rest."""
     first, second = split(log, tmp_path / "halves")
     [result], _ = run_again(first.parent)
     assert (result.detail, result.difference_count) == ("", 0)
     [late], _ = run_again(second)
-    assert late.inputs == 0
-    assert "the log begins later" in late.detail
+    assert late.first == early_inputs(first)
+    assert late.same == {}
+    assert "are missing; the gateway was never at rest" in late.detail
     [early], _ = run_again(first)
     assert 0 < early.inputs < result.inputs
     assert early.difference_count == 0
+
+
+def test_a_file_alone_is_run_again_from_where_the_gateway_was_at_rest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its beginning is lost with the file before, and all that was done later comes out the same."""
+    monkeypatch.setattr(core, "REST_PERIOD_NS", 1_000_000_000)
+    day = Day(1, Variant.COARSE, ticks=0)
+    rig = day.rig
+    rig.run(12)
+    operator = Operator(rig)
+    operator.engage()
+    operator.drive(1.0, 5.0, 2.0)
+    operator.ask("disengage")
+    rig.run(10)
+    operator.take_lease()
+    operator.engage()
+    operator.drive(-0.5, 0.0, 2.0)
+    rig.run(5)
+    log = tmp_path / "cruiser-1-20260102T030405Z.mcap"
+    log.write_bytes(recorded(day))
+    _, second = split(log, tmp_path / "halves")
+    [result], _ = run_again(second)
+    assert result.first > 0
+    assert "are missing" in result.detail
+    assert result.difference_count == 0
+    assert result.same["safety/decision"] > 90
+    assert result.same["can/{bus}/tx"] > 1000
+    [whole], _ = run_again(log)
+    assert whole.same["can/{bus}/tx"] > result.same["can/{bus}/tx"]
+
+
+def early_inputs(first: Path) -> int:
+    """How many inputs the first of the files holds."""
+    return run_again(first)[0][0].inputs
 
 
 def split(log: Path, directory: Path) -> tuple[Path, Path]:

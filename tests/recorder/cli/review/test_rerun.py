@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -100,13 +101,16 @@ def test_a_log_without_a_journal_is_partial(tmp_path: Path) -> None:
 
 
 def test_damage_is_told_and_partial(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """As far as the journal goes the run is run again; what follows is told."""
-    data = bytearray(log.read_bytes())
-    middle = len(data) // 2
-    data[middle : middle + 64] = bytes(64)
+    """As far as the journal goes the run is run again; damage is never taken for another decision."""
     path = tmp_path / "damaged.mcap"
-    path.write_bytes(bytes(data))
-    assert run(path) == ExitCode.PARTIAL
-    captured = capsys.readouterr()
-    assert "damaged.mcap: byte" in captured.err
-    assert "different: 0" in captured.out or "are missing" in captured.out
+    codes = []
+    for place in range(1, 10):
+        data = bytearray(log.read_bytes())
+        start = len(data) * place // 10
+        data[start : start + 64] = bytes(64)
+        path.write_bytes(bytes(data))
+        with suppress(CommandError):
+            codes.append(run(path))
+    assert set(codes) <= {ExitCode.OK, ExitCode.PARTIAL}
+    assert ExitCode.PARTIAL in codes
+    assert "damaged.mcap: byte" in capsys.readouterr().err
