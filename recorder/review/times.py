@@ -16,7 +16,8 @@ FORMS: Final = (
 
 _NS_PER_S: Final = 1_000_000_000
 _SECONDS: Final = re.compile(r"([+-]?)(\d+)(?:\.(\d{1,9}))?s?")
-_DAY_TIME: Final = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:\.(\d{1,9}))?)?Z?")
+_DAY_TIME: Final = re.compile(r"([01]?\d|2[0-3]):([0-5]\d)(?::([0-5]\d)(?:\.(\d{1,9}))?)?Z?")
+_DATE: Final = re.compile(r"(\d{4}-[^.]*)(?:\.(\d{1,9}))?([+-]\d\d:?\d\d|Z)?")
 
 
 def time_of(text: str, start_ns: int, end_ns: int) -> int:
@@ -41,8 +42,12 @@ def time_of(text: str, start_ns: int, end_ns: int) -> int:
         time_ns = start_ns - start_ns % day_ns + since_midnight_ns + _fraction_ns(part)
         return time_ns if time_ns >= start_ns else time_ns + day_ns
     try:
-        date, _, fraction = text.removesuffix("Z").partition(".")
-        moment = datetime.fromisoformat(date)
+        match = _DATE.fullmatch(text)
+        if match is None:
+            raise ValueError
+        # The calendar's own times end at the microsecond.
+        date, fraction, zone = match.groups()
+        moment = datetime.fromisoformat(date + (zone or ""))
         part_ns = _fraction_ns(fraction)
     except ValueError:
         raise CommandError(f"{text!r} is no time: give {FORMS}", ExitCode.USAGE) from None

@@ -57,14 +57,14 @@ def add_period(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--to", dest="to_time", metavar="TIME", help="end before that, likewise")
 
 
-def find(arguments: argparse.Namespace) -> Asked:
-    """The logs and the time that are asked about.
+def find(arguments: argparse.Namespace, *, with_covered: bool = False) -> Asked:
+    """The logs and the time that are asked about; of directories incidents too that are covered, if so wanted.
 
     Raises:
         CommandError: there is nothing to read, or a time is of no known form.
     """
     faults = Faults()
-    logs = find_logs(arguments.logs, faults)
+    logs = find_logs(arguments.logs, faults, with_covered=with_covered)
     start_ns = min((log.start_ns for log in logs if log.end_ns), default=0)
     end_ns = max(log.end_ns for log in logs)
     begin, end = getattr(arguments, "from_time", None), getattr(arguments, "to_time", None)

@@ -16,13 +16,18 @@ from schemas.settings import Settings
 EXAMPLE: Final = "  cruiser review info logs\n  cruiser review QUESTION --help"
 
 QUESTIONS: Final[dict[str, tuple[str, str]]] = {
-    "info": ("recorder.cli.review.info", "what a log holds, and what it lacks"),
+    "info": ("recorder.cli.review.info", "what logs hold, as their ends and their recorder tell"),
+    "check": ("recorder.cli.review.check", "whether logs are what they say, and what they lack"),
     "events": ("recorder.cli.review.events", "what happened, in order: stops, faults, refusals, and why"),
     "why": ("recorder.cli.review.why", "why the robot stopped, or did not move, at a time"),
     "rerun": ("recorder.cli.review.rerun", "the recorded run through today's arbiter, or with other settings"),
     "report": ("recorder.cli.review.report", "a drive as one HTML page or a picture, for people"),
     "layouts": ("recorder.cli.review.layouts", "layouts of Foxglove, Lichtblick, PlotJuggler and rerun for a log"),
     "replay": ("recorder.cli.review.replay", "publish a log again on Zenoh, or put its frames on a CAN bus"),
+    "export": ("recorder.cli.review.export", "logs as Parquet or CSV, raw frames for the tools of CAN"),
+    "query": ("recorder.cli.review.query", "SQL over logs, or over an exported dataset"),
+    "merge": ("recorder.cli.review.merge", "several logs in one"),
+    "cut": ("recorder.cli.review.cut", "a part of a log, as a log"),
     "recover": ("recorder.cli.review.recover", "make logs whole that their recorder could not finish"),
 }
 """Name of the question, its module, and its line in the help."""

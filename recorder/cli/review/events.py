@@ -1,0 +1,138 @@
+"""``cruiser review events``: what happened, in order."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Final
+
+import msgspec
+
+from recorder.cli.review.asking import Asked, add_logs, add_period, end_with, find, progress_bar
+from recorder.review.events import Question, read_events
+from recorder.review.timeline.entries import Entry, EntryKind
+from recorder.review.times import in_words
+from schemas.printable import plain
+from schemas.reasons import TEXTS, Reason
+from schemas.settings import Settings
+
+EXAMPLE: Final = """\
+  cruiser review events logs
+  cruiser review events logs --from 20 --to 40 --kind stop --kind refusal
+  cruiser review events logs --json | jq -r 'select(.severity == "error").text'"""
+DESCRIPTION: Final = (
+    "What happened, in order: leases, engages, stops, latches, faults, takeovers, refusals, and what the log "
+    "lacks, each with time, cause and operator. Alike refusals and faults that follow each other are told once, "
+    "with a count. What no message says, but two states of the arbiter, is marked 'derived'. Exit code 3 if a "
+    "file is not whole."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    add_logs(parser, json_help="print a JSON object a line")
+    add_period(parser)
+    parser.add_argument(
+        "--robot", action="append", default=[], metavar="NAME", help="of this robot; several times"
+    )
+    parser.add_argument(
+        "--kind",
+        action="append",
+        default=[],
+        choices=[kind.value for kind in EntryKind],
+        metavar="KIND",
+        help=f"of this kind; several times. One of {', '.join(kind.value for kind in EntryKind)}",
+    )
+
+
+def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Print the timeline as it is read."""
+    asked = find(arguments)
+    question = Question(
+        asked.from_ns, asked.to_ns, frozenset(arguments.robot), frozenset(map(EntryKind, arguments.kind))
+    )
+    show = _as_json if arguments.json else _as_table
+    with progress_bar("events", asked.bytes) as progress:
+        entries = read_events(asked.logs, question, asked.faults, progress)
+        for line in show(_until(entries, stopped), asked):
+            sys.stdout.write(f"{line}\n")
+    return end_with(asked.faults)
+
+
+def _until(entries: Iterable[Entry], stopped: Callable[[], bool]) -> Iterator[Entry]:
+    for entry in entries:
+        if stopped():
+            return
+        yield entry
+
+
+def record_of(entry: Entry, start_ns: int) -> dict[str, Any]:
+    """An entry as a JSON object: its own fields, and some more.
+
+    ``time`` is a text, ``since_s`` seconds since the beginning of the logs, ``cause`` the reason in words, and
+    ``derived`` tells what no message says.
+    """
+    return {
+        "time": in_words(entry.time_ns),
+        "since_s": round((entry.time_ns - start_ns) / 1e9, 6),
+        **msgspec.structs.asdict(entry),
+        "cause": "" if entry.reason is Reason.NONE else TEXTS[entry.reason].means,
+        "derived": entry.is_derived,
+    }
+
+
+def _as_json(entries: Iterable[Entry], asked: Asked) -> Iterator[str]:
+    for entry in entries:
+        yield msgspec.json.encode(record_of(entry, asked.start_ns)).decode()
+
+
+_HEAD: Final = ("since/s", "time (UTC)", "robot", "severity", "kind", "cause", "operator", "what")
+_WIDTHS: Final = (10, 12, 10, 8, 8, 16, 16)
+
+
+def _as_table(entries: Iterable[Entry], asked: Asked) -> Iterator[str]:
+    """Columns of fixed width, since nothing waits for the last entry."""
+    yield _line(_HEAD)
+    day = ""
+    for entry in entries:
+        date, _, time = in_words(entry.time_ns).removesuffix(" UTC").partition(" ")
+        if date != day:
+            yield f"{'':>{_WIDTHS[0]}}  {date}"
+            day = date
+        yield _line(
+            (
+                f"{(entry.time_ns - asked.start_ns) / 1e9:.3f}",
+                time,
+                entry.robot or "-",
+                entry.severity.value,
+                entry.kind.value,
+                "-" if entry.reason is Reason.NONE else entry.reason.value,
+                entry.operator or (f"({entry.holder})" if entry.holder and not entry.request else "-"),
+                _what(entry),
+            )
+        )
+
+
+def _what(entry: Entry) -> str:
+    lasted_s = (entry.last_ns - entry.time_ns) / 1e9
+    notes = []
+    if entry.count > 1:
+        notes.append(f"{entry.count} times" + (f" within {lasted_s:.1f} s" if lasted_s >= 0.05 else ""))
+    if entry.is_derived:
+        notes.append("derived")
+    if entry.is_late:
+        notes.append("out of order")
+    return entry.text + (f" [{', '.join(notes)}]" if notes else "")
+
+
+def _line(cells: tuple[str, ...]) -> str:
+    first, *words, what = cells
+    widths = _WIDTHS[1:]
+    shown = [
+        f"{first:>{_WIDTHS[0]}}",
+        *(f"{cell:{width}}" for cell, width in zip(words, widths, strict=True)),
+        what,
+    ]
+    # A log's names come from anywhere, and may try to rule the terminal.
+    return plain("  ".join(shown))

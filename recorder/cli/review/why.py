@@ -1,0 +1,114 @@
+"""``cruiser review why``: why the robot stopped, or did not move."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from textwrap import wrap
+from typing import Any, Final
+
+import msgspec
+
+from recorder.cli.review.asking import Asked, add_logs, end_with, find, progress_bar
+from recorder.review.survey import survey
+from recorder.review.times import FORMS, in_words, time_of
+from recorder.review.why import Explanation, explain
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
+from schemas.settings import Settings
+
+EXAMPLE: Final = """\
+  cruiser review why logs                  # the last stop
+  cruiser review why logs --at 23.3
+  cruiser review why logs --at 03:04:05.678 --robot cruiser-1 --json | jq -r '.chain[].text'"""
+DESCRIPTION: Final = (
+    "Why the robot stopped, or did not move, at a time: what it did, what it was asked for, the frames, silences "
+    "and requests that led to the decision, what was done, what is latched, and what would cure it. What the log "
+    "does not show is said. Exit code 1 if the log does not tell what the arbiter did, 3 if a file is not whole."
+)
+
+_WIDTH: Final = 110
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    add_logs(parser, json_help="print one JSON object, with the chain as data")
+    parser.add_argument("--at", metavar="TIME", help=f"the moment; the last stop if left out: {FORMS}")
+    parser.add_argument("--robot", metavar="NAME", help="whose, where the logs are of several")
+
+
+def run(arguments: argparse.Namespace, _settings: Settings, _stopped: Callable[[], bool]) -> int:
+    """Explain."""
+    asked = find(arguments)
+    at_ns = None if arguments.at is None else time_of(arguments.at, asked.start_ns, asked.end_ns)
+    found = survey(asked.logs, asked.faults)
+    robot = _robot(arguments.robot, found.robots)
+    with progress_bar("why", asked.bytes) as progress:
+        explanation = explain(robot, asked.logs, found, at_ns, asked.faults, progress)
+    if arguments.json:
+        sys.stdout.write(f"{msgspec.json.encode(record_of(explanation, asked.start_ns)).decode()}\n")
+    else:
+        sys.stdout.writelines(f"{line}\n" for line in describe(explanation, asked))
+    code = end_with(asked.faults)
+    return code if code or explanation.is_answered else int(ExitCode.FAILURE)
+
+
+def _robot(name: str | None, robots: list[str]) -> str:
+    """The robot that is asked about.
+
+    Raises:
+        CommandError: there is none, or it is not clear which.
+    """
+    shown = ", ".join(map(plain, robots))
+    if not robots:
+        raise CommandError("the log holds nothing of a robot")
+    if name is None and len(robots) > 1:
+        raise CommandError(f"the logs are of several robots: give --robot, one of {shown}", ExitCode.USAGE)
+    if name is not None and name not in robots:
+        raise CommandError(f"the log holds nothing of {plain(name)}, but of {shown}", ExitCode.USAGE)
+    return name or robots[0]
+
+
+def record_of(explanation: Explanation, start_ns: int) -> dict[str, Any]:
+    """The explanation as a JSON object: its own fields, and each time also in words and relative.
+
+    ``since_s`` is since the beginning of the logs, ``from_at_s`` since the moment, negative before it.
+    """
+    at_ns = explanation.at_ns
+    chain = [
+        {
+            **msgspec.structs.asdict(link),
+            "time": None if link.time_ns is None else in_words(link.time_ns),
+            "since_s": None if link.time_ns is None else round((link.time_ns - start_ns) / 1e9, 6),
+            "from_at_s": None if link.time_ns is None else round((link.time_ns - at_ns) / 1e9, 6),
+        }
+        for link in explanation.chain
+    ]
+    return {
+        "time": in_words(at_ns),
+        "since_s": round((at_ns - start_ns) / 1e9, 6),
+        **msgspec.structs.asdict(explanation),
+        "chain": chain,
+    }
+
+
+def describe(explanation: Explanation, asked: Asked) -> Iterator[str]:
+    """The explanation for people."""
+    at_ns = explanation.at_ns
+    yield plain(
+        f"{explanation.robot} at {(at_ns - asked.start_ns) / 1e9:.3f} s, {in_words(at_ns)}: {explanation.headline}"
+    )
+    yield ""
+    for link in explanation.chain:
+        when = "" if link.time_ns is None else f"{(link.time_ns - at_ns) / 1e9:+.3f} s"
+        clock = "" if link.time_ns is None else in_words(link.time_ns).split(" ")[-2]
+        head = f"  {when:>12}  {clock:12}  {link.step.value:8}  "
+        # A log's names come from anywhere, and may try to rule the terminal.
+        lines = wrap(plain(_sentence(link.text)), _WIDTH - 12) or [""]
+        yield f"{head}{lines[0]}"
+        yield from (f"{'':{len(head)}}{line}" for line in lines[1:])
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}"

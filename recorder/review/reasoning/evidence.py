@@ -1,0 +1,124 @@
+"""What the log shows for each reason: one table, a row a reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import msgspec
+
+from recorder.review.reasoning import frame_evidence, gateway_evidence, request_evidence
+from recorder.review.reasoning.chain import Link, missing
+from recorder.review.reasoning.scene import Scene
+from recorder.review.reasoning.signals import IDENTIFIERS
+from schemas.reasons import Reason
+
+
+class Clue(msgspec.Struct, frozen=True):
+    """Where to look.
+
+    Attributes:
+        scene: around the moment at which the reason arose.
+        detail: what the arbiter itself said of it; may be empty.
+    """
+
+    scene: Scene
+    detail: str = ""
+
+    @property
+    def names(self) -> list[str]:
+        """The feedback frames that the detail names."""
+        return [name for name in IDENTIFIERS if name in self.detail]
+
+
+Finder = Callable[[Clue], list[Link]]
+
+
+def _nothing(_clue: Clue) -> list[Link]:
+    return []
+
+
+def _gate(clue: Clue) -> list[Link]:
+    said = [] if clue.detail else [missing("which frame the gate refused, and why, is not in the log")]
+    return said + gateway_evidence.unsent(clue.scene)
+
+
+def _guard(clue: Clue) -> list[Link]:
+    return gateway_evidence.pause(clue.scene) + frame_evidence.commanders(clue.scene, 500_000_000)
+
+
+def _found_moving(clue: Clue) -> list[Link]:
+    return gateway_evidence.stray(clue.scene) + frame_evidence.mode(clue.scene, 0)
+
+
+def _not_confirmed(clue: Clue) -> list[Link]:
+    mode = [link for value in (2, 1) for link in frame_evidence.mode(clue.scene, value) if link.time_ns]
+    return request_evidence.not_confirmed(clue.scene) + mode
+
+
+def _faulty(clue: Clue) -> list[Link]:
+    return frame_evidence.faulty(clue.scene, clue.names)
+
+
+def _of_request(reason: Reason) -> Finder:
+    return lambda clue: request_evidence.refused(clue.scene, reason)
+
+
+def _asked(*verbs: str) -> Finder:
+    return lambda clue: request_evidence.asked(clue.scene, *verbs)
+
+
+EVIDENCE: Final[dict[Reason, Finder]] = {
+    Reason.NONE: _nothing,
+    **{
+        reason: _of_request(reason)
+        for reason in (
+            Reason.MALFORMED,
+            Reason.TOO_LARGE,
+            Reason.UNKNOWN_VERB,
+            Reason.BUSY,
+            Reason.NO_LEASE,
+            Reason.LEASE_HELD,
+            Reason.ROLE_TOO_LOW,
+            Reason.SEQUENCE,
+            Reason.TICK_UNKNOWN,
+            Reason.TOO_OLD,
+            Reason.NOT_ENGAGED,
+            Reason.ENGAGING,
+            Reason.ALREADY_ENGAGED,
+            Reason.STOPPING,
+            Reason.MOVING,
+            Reason.PARKED,
+            Reason.GEAR_SHIFTING,
+            Reason.COMMAND_NOT_ZERO,
+        )
+    },
+    Reason.LEASE_TAKEN: _asked("take"),
+    Reason.LEASE_RELEASED: _asked("release"),
+    Reason.LEASE_EXPIRED: lambda clue: request_evidence.lease_expired(clue.scene),
+    Reason.DEADMAN: lambda clue: request_evidence.deadman(clue.scene),
+    Reason.NOT_CONFIRMED: _not_confirmed,
+    Reason.DISENGAGED: _asked("disengage"),
+    Reason.BUS_DOWN: lambda clue: gateway_evidence.bus(clue.scene),
+    Reason.BUS_OFF: lambda clue: gateway_evidence.controller(clue.scene),
+    Reason.BUS_ERRORS: lambda clue: gateway_evidence.controller(clue.scene),
+    Reason.FEEDBACK_MISSING: lambda clue: frame_evidence.silence(clue.scene, clue.names),
+    Reason.FEEDBACK_FAULTY: _faulty,
+    Reason.FEEDBACK_LATE: lambda clue: gateway_evidence.load(clue.scene),
+    Reason.VARIANT_UNKNOWN: lambda clue: frame_evidence.variant(clue.scene),
+    Reason.HAND_TRANSMITTER: lambda clue: frame_evidence.mode(clue.scene, 1),
+    Reason.MODE_NOT_AUTO: lambda clue: frame_evidence.mode(clue.scene, 2),
+    Reason.FRONT_BUMPER: lambda clue: frame_evidence.bumper(clue.scene, "FrontBumper", "front_bumper"),
+    Reason.REAR_BUMPER: lambda clue: frame_evidence.bumper(clue.scene, "RearBumper", "rear_bumper"),
+    Reason.IMPLAUSIBLE_SPEED: lambda clue: frame_evidence.speeds(clue.scene),
+    Reason.FOUND_MOVING: _found_moving,
+    Reason.OTHER_COMMANDER: lambda clue: frame_evidence.commanders(clue.scene),
+    Reason.REMOTE_STOP: _asked("stop"),
+    Reason.LOOP_LATE: lambda clue: gateway_evidence.lateness(clue.scene),
+    Reason.SEND_FAILED: lambda clue: gateway_evidence.unsent(clue.scene),
+    Reason.GATE: _gate,
+    Reason.GUARD: _guard,
+    Reason.UNGUARDED: lambda clue: gateway_evidence.guard_watch(clue.scene),
+    Reason.SHUTDOWN: lambda clue: gateway_evidence.ending(clue.scene),
+}
+"""A test holds that none is missing."""

@@ -1,0 +1,211 @@
+"""What the requests show: the last acceptable command, who asked to stop, what was refused, and the numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from recorder.review.reasoning.chain import Link, count, evidence, missing, span, zero
+from recorder.review.reasoning.scene import Heard, Scene
+from schemas.decisions import Decision, EventKind, SafetyEvent, Verdict
+from schemas.reasons import TEXTS, Reason
+from schemas.settings import ENGAGE_TIMEOUT_NS, TICK_NS
+
+_NS_PER_S: Final = 1e9
+
+_FRESH: Final = frozenset({Reason.NONE, Reason.NOT_ENGAGED, Reason.ENGAGING, Reason.STOPPING})
+"""What becomes of a drive command that is fresh and its holder's: it keeps the lease, obeyed or not."""
+
+_RENEWING: Final = frozenset({"acquire", "take", "renew", "engage", "reset"})
+"""Requests that keep the lease, once accepted."""
+
+LATELY_NS: Final = 3_000_000_000
+"""A refusal that was longer ago is none of the moment's."""
+
+Test = Callable[[Decision], bool]
+
+
+def deadman(scene: Scene) -> list[Link]:
+    """The last acceptable drive command, its age, and what came after it."""
+    if not scene.all(Decision):
+        return [missing("no decision of these seconds is in the log, so which commands came is not known")]
+    last = _last(scene, _is_obeyed)
+    engaged = next((one for one in scene.until(SafetyEvent) if one.said.kind is EventKind.ENGAGED), None)
+    limit_ns = round(scene.limits.command.deadman_s * _NS_PER_S)
+    limit = f"the limit is {span(limit_ns)} ({scene.limits.origin})"
+    if last is not None and (engaged is None or last.time_ns >= engaged.time_ns):
+        said = last.said
+        age_ns = scene.at_ns - last.time_ns
+        text = (
+            f"the last acceptable drive command was seq {said.request_sequence} of {_who(said)}, judged in tick "
+            f"{said.tick}, {scene.ago(last.time_ns)}: {_asked(said)}; {limit}"
+        )
+        found = [evidence(text, last.time_ns, **_numbers(said), silent_ms=age_ns / 1e6, limit_ms=limit_ns / 1e6)]
+        return found + _since(scene, last.time_ns)
+    if engaged is not None:
+        text = f"no drive command was accepted since it was engaged, {scene.ago(engaged.time_ns)}; {limit}"
+        link = evidence(text, engaged.time_ns, limit_ms=limit_ns / 1e6)
+        return [link, *_since(scene, engaged.time_ns)]
+    return [missing(f"no acceptable drive command before this is in the log; {limit}"), *_since(scene, 0)]
+
+
+def _since(scene: Scene, from_ns: int) -> list[Link]:
+    """The drive commands that were refused since then, by reason; or that none came."""
+    refused: dict[Reason, list[Heard[Decision]]] = {}
+    for one in scene.all(Decision):
+        if from_ns < one.time_ns <= scene.at_ns and one.said.request == "drive" and not _is_accepted(one.said):
+            refused.setdefault(one.said.reason, []).append(one)
+    found = [_refusals(scene, heard) for heard in refused.values()]
+    if not found and not scene.lacks_decisions:
+        found = [evidence("no drive command at all came after it, neither good nor bad")]
+    return found + _holes(scene)
+
+
+def _refusals(scene: Scene, heard: Sequence[Heard[Decision]]) -> Link:
+    last = heard[-1]
+    said = last.said
+    verb = said.request or "nameless"
+    text = f"one {verb} request of {_who(said)} was refused {scene.ago(last.time_ns)}"
+    if len(heard) > 1:
+        text = f"{len(heard)} {verb} requests of {_who(said)} were refused, the first "
+        text += f"{span(last.time_ns - heard[0].time_ns)} before the last, which was {scene.ago(last.time_ns)}"
+    text += f": {said.detail or TEXTS[said.reason].means}"
+    if said.request_sequence is not None:
+        text += f" (seq {said.request_sequence}" + (
+            f", {said.age_ms:.0f} ms old)" if said.age_ms is not None else ")"
+        )
+    return evidence(text, last.time_ns, **_numbers(said), count=len(heard), reason=said.reason.value)
+
+
+def refused(scene: Scene, reason: Reason) -> list[Link]:
+    """The requests that were refused for this reason lately; nothing if none was."""
+    by_who: dict[tuple[str, str], list[Heard[Decision]]] = {}
+    for one in scene.all(Decision):
+        if one.time_ns <= scene.at_ns and one.said.reason is reason:
+            by_who.setdefault((one.said.operator, one.said.request), []).append(one)
+    return [_refusals(scene, heard) for heard in by_who.values()]
+
+
+def refused_lately(scene: Scene) -> list[Link]:
+    """All that was refused right before the moment."""
+    alike: dict[tuple[str, str, Reason], list[Heard[Decision]]] = {}
+    for one in scene.all(Decision):
+        if scene.at_ns - LATELY_NS < one.time_ns <= scene.at_ns and not _is_accepted(one.said):
+            alike.setdefault((one.said.operator, one.said.request, one.said.reason), []).append(one)
+    return [_refusals(scene, heard) for heard in alike.values()]
+
+
+def lease_expired(scene: Scene) -> list[Link]:
+    """The last sign of the lease's holder, and its age."""
+    limit_ns = round(scene.limits.command.lease_s * _NS_PER_S)
+    limit = f"a lease lasts {span(limit_ns)} ({scene.limits.origin})"
+    last = _last(scene, _is_renewing)
+    if last is None:
+        return [missing(f"no request that keeps the lease is in the log before this; {limit}"), *_holes(scene)]
+    said = last.said
+    text = f"the last request that kept the lease was {said.request!a} of {_who(said)}, ".replace("'", "")
+    text += f"{scene.ago(last.time_ns)}; {limit}"
+    silent_ms = (scene.at_ns - last.time_ns) / 1e6
+    return [
+        evidence(text, last.time_ns, **_numbers(said), silent_ms=silent_ms, limit_ms=limit_ns / 1e6),
+        *_holes(scene),
+    ]
+
+
+def asked(scene: Scene, *verbs: str) -> list[Link]:
+    """The accepted request that did it."""
+    last = _last(scene, lambda said: said.request in verbs and _is_accepted(said), later_ns=3 * TICK_NS)
+    if last is None:
+        words = " or ".join(verbs)
+        return [missing(f"the request itself ({words}) is not in the log"), *_holes(scene)]
+    said = last.said
+    text = f"the request was {said.request}, of {_who(said)}, judged in tick {said.tick}"
+    text += f", {scene.ago(last.time_ns)}" if abs(last.time_ns - scene.at_ns) > TICK_NS else ""
+    others = [
+        one
+        for one in scene.all(Decision)
+        if one.said.request in verbs and _is_accepted(one.said) and one.time_ns > last.time_ns
+    ]
+    text += f"; {count(len(others), 'more came', 'more came')} after it" if others else ""
+    return [evidence(text, last.time_ns, **_numbers(said))]
+
+
+def not_confirmed(scene: Scene) -> list[Link]:
+    """When it was asked to engage, and how long the chassis was given."""
+    last = _last(scene, lambda said: said.request in {"engage", "clear_odometer"} and _is_accepted(said))
+    limit = f"it has {span(ENGAGE_TIMEOUT_NS)}"
+    if last is None:
+        return [missing(f"the request that the chassis was to confirm is not in the log; {limit}")]
+    text = f"the request was {last.said.request}, of {_who(last.said)}, {scene.ago(last.time_ns)}; {limit}"
+    age_ms = (scene.at_ns - last.time_ns) / 1e6
+    return [evidence(text, last.time_ns, **_numbers(last.said), age_ms=age_ms, limit_ms=ENGAGE_TIMEOUT_NS / 1e6)]
+
+
+def last_command(scene: Scene) -> Heard[Decision] | None:
+    """The last acceptable drive command."""
+    return _last(scene, _is_obeyed)
+
+
+def describe_command(scene: Scene) -> list[Link]:
+    """What was commanded at the moment, by whom, and what bound it."""
+    last = last_command(scene)
+    if last is None:
+        return [evidence("no acceptable drive command is in the log in the seconds before"), *_holes(scene)]
+    said = last.said
+    text = f"the last acceptable drive command, seq {said.request_sequence} of {_who(said)}, came "
+    text += f"{scene.ago(last.time_ns)} and asked for {_asked(said)}; the chassis was told "
+    text += f"{said.output_speed_mps:.2f} m/s, {zero(said.output_angle_deg):.1f} deg"
+    if said.bound_by:
+        text += f"; bound by: {', '.join(bound.value.replace('_', ' ') for bound in said.bound_by)}"
+    return [evidence(text, last.time_ns, **_numbers(said), bound_by=[bound.value for bound in said.bound_by])]
+
+
+def _last(scene: Scene, test: Test, later_ns: int = 0) -> Heard[Decision] | None:
+    """The last decision of this sort; one of the moment's own tick is told a bit later than the event."""
+    return next((one for one in scene.until(Decision, scene.at_ns + later_ns) if test(one.said)), None)
+
+
+def _is_accepted(said: Decision) -> bool:
+    return said.verdict is Verdict.ACCEPTED
+
+
+def _is_obeyed(said: Decision) -> bool:
+    return said.request == "drive" and _is_accepted(said)
+
+
+def _is_renewing(said: Decision) -> bool:
+    if said.request == "drive":
+        return said.reason in _FRESH
+    return said.request in _RENEWING and _is_accepted(said)
+
+
+def _asked(said: Decision) -> str:
+    speed, angle = said.requested_speed_mps, said.requested_angle_deg
+    if speed is None or angle is None:
+        return "nothing that the log tells"
+    return f"{speed:.2f} m/s, {zero(angle):.1f} deg"
+
+
+def _who(said: Decision) -> str:
+    return said.operator or "an unnamed operator"
+
+
+def _numbers(said: Decision) -> dict[str, object]:
+    return {
+        "request": said.request,
+        "operator": said.operator,
+        "tick": said.tick,
+        "request_sequence": said.request_sequence,
+        "age_of_echo_ms": said.age_ms,
+        "requested_speed_mps": said.requested_speed_mps,
+        "requested_angle_deg": said.requested_angle_deg,
+    }
+
+
+def _holes(scene: Scene) -> list[Link]:
+    lacks = scene.lacks_decisions
+    return (
+        [missing(f"{count(lacks, 'decision')} of these seconds are not in the log; a request may be among them")]
+        if lacks
+        else []
+    )

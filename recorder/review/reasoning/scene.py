@@ -1,0 +1,307 @@
+"""Some seconds of one robot, out of its logs: what the arbiter saw, was asked, and did, around a moment."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from statistics import median
+from typing import Any, Final, Generic, TypeVar
+
+import msgspec
+
+from recorder.review.faults import Faults
+from recorder.review.logs import LogFile
+from recorder.review.reasoning.chain import before
+from recorder.review.reasoning.signals import Frame
+from recorder.review.rows import Row, Selection, read_rows
+from recorder.review.timeline.clock import NEAR_NS
+from recorder.review.topics import UNREADABLE
+from schemas import keys
+from schemas.configuration import TomlSource, merge
+from schemas.decisions import Decision, SafetyEvent, SafetyState
+from schemas.exit_codes import CommandError
+from schemas.messages import (
+    Body,
+    CanFrame,
+    Drive,
+    GatewayHealth,
+    Gear,
+    Message,
+    Parking,
+    RobotState,
+    Steering,
+    Variant,
+    WheelSpeed,
+)
+from schemas.recording import RecordGap
+from schemas.settings import TICK_NS, CommandSettings
+
+BEFORE_NS: Final = 12_000_000_000
+"""So much before a moment is looked at: the longest lease, and a bit."""
+
+AFTER_NS: Final = 9_000_000_000
+"""And so much behind it: the longest stop takes 7 s, and a hold and the silence follow."""
+
+LATER_NS: Final = 900_000_000_000
+"""Decisions that a recorder asked for later are looked for so far behind."""
+
+KEPT: Final = 5_000
+"""Messages of each class that are kept of a scene; the oldest go first."""
+
+FRAMES_KEPT: Final = 500
+"""Frames of each identifier that are kept up to the moment, 5 s of the most frequent; and behind it."""
+
+_LINK_NS: Final = 1_500_000_000
+"""What is published in a window is received within it and this much later."""
+
+Said = TypeVar("Said", bound=Message)
+
+
+class Heard(msgspec.Struct, Generic[Said], frozen=True):
+    """A message, and when it was."""
+
+    time_ns: int
+    said: Said
+
+
+class Limits(msgspec.Struct, frozen=True):
+    """The settings that were in force.
+
+    Attributes:
+        is_known: the log holds them; else these are the start values.
+    """
+
+    command: CommandSettings = CommandSettings()
+    is_known: bool = False
+
+    @property
+    def origin(self) -> str:
+        """Where a limit comes from, to be put behind it."""
+        return "by its configuration" if self.is_known else "the start value; the log holds no configuration"
+
+
+class Scene:
+    """What the log holds of a robot around a moment. Times are nanoseconds since 1970, as those of the moment.
+
+    Attributes:
+        at_ns: the moment.
+        what: it is, in words.
+        limits: the settings in force.
+        frames: received ones by identifier, those before the moment and those behind it, each in their order.
+        sent: likewise those that the gateway sent.
+        received: how many frames were received in the last second before the moment.
+        gaps: what the recorder says that it lacks of this time.
+    """
+
+    def __init__(self, robot: str, at_ns: int, shift_ns: int, limits: Limits) -> None:
+        self.robot = robot
+        self.at_ns = at_ns
+        self.what = "that moment"
+        self.limits = limits
+        self.frames: dict[int, tuple[deque[Frame], deque[Frame]]] = {}
+        self.sent: dict[int, tuple[deque[Frame], deque[Frame]]] = {}
+        self.received = 0
+        self.gaps: list[RecordGap] = []
+        self._shift_ns = shift_ns
+        self._taken: dict[type[Message], deque[Heard[Any]]] = {}
+        self._said: dict[type[Message], list[Heard[Any]]] = {}
+        self._seen: set[tuple[str, int, int]] = set()
+
+    def take(self, row: Row) -> None:
+        """A row of one of the classes that are wanted.
+
+        Raises:
+            what ``recorder.review.topics.UNREADABLE`` lists.
+        """
+        kind, decode = row.topic.kind, row.topic.decode
+        if kind is None or decode is None:
+            return
+        time_ns = row.publish_ns + self._shift_ns
+        if kind not in _ASKED_LATER and abs(row.log_ns - time_ns) > _STALL_NS:
+            # The robot's clock was set in these seconds. These are received soon, so the receipt tells enough.
+            time_ns = row.log_ns
+        if kind is CanFrame:
+            self._take_frame(row, time_ns, decode)
+            return
+        one = (row.topic.name, row.publish_ns, row.sequence)
+        if one in self._seen:
+            return
+        self._seen.add(one)
+        if kind is RecordGap:
+            gap = decode(row.data)
+            parts = keys.parse(gap.key)
+            if parts is None or parts.robot in {"", self.robot}:
+                self.gaps.append(gap)
+        elif issubclass(kind, Message):
+            heard = self._taken.setdefault(kind, deque(maxlen=KEPT))
+            heard.append(Heard(time_ns, decode(row.data)))
+
+    def settle(self) -> None:
+        """All is there: put what came late into its place."""
+        for kind in _ASKED_LATER & self._taken.keys():
+            self._taken[kind] = deque(map(self._by_tick, self._taken[kind]), maxlen=KEPT)
+        self._said = {kind: sorted(heard, key=lambda one: one.time_ns) for kind, heard in self._taken.items()}
+
+    def _by_tick(self, one: Heard[Any]) -> Heard[Any]:
+        """The same, at the time of its tick if its clock was wrong by then."""
+        states = self._taken.get(SafetyState, ())
+        near = min(states, key=lambda state: abs(state.said.tick - one.said.tick), default=None)
+        ticks = 0 if near is None else one.said.tick - near.said.tick
+        if near is None or abs(ticks) > _TICKS_NEAR:
+            return one
+        expected_ns = near.time_ns + ticks * TICK_NS
+        return one if abs(one.time_ns - expected_ns) <= NEAR_NS else Heard(expected_ns, one.said)
+
+    def ago(self, time_ns: int) -> str:
+        """``12.3 ms before the stop``."""
+        return before(time_ns, self.at_ns, self.what)
+
+    def all(self, kind: type[Said]) -> Sequence[Heard[Said]]:
+        """The messages of a class, by their time."""
+        return self._said.get(kind, [])
+
+    def last(self, kind: type[Said], at_ns: int | None = None) -> Heard[Said] | None:
+        """The last one up to a time, that of the moment if none is given."""
+        until_ns = self.at_ns if at_ns is None else at_ns
+        return next((one for one in reversed(self.all(kind)) if one.time_ns <= until_ns), None)
+
+    def after(self, kind: type[Said], at_ns: int | None = None) -> Iterator[Heard[Said]]:
+        """Those behind a time."""
+        from_ns = self.at_ns if at_ns is None else at_ns
+        return (one for one in self.all(kind) if one.time_ns > from_ns)
+
+    def until(self, kind: type[Said], at_ns: int | None = None) -> Iterator[Heard[Said]]:
+        """Those up to a time, the last one first."""
+        until_ns = self.at_ns if at_ns is None else at_ns
+        return (one for one in reversed(self.all(kind)) if one.time_ns <= until_ns)
+
+    def frames_before(self, identifier: int) -> Sequence[Frame]:
+        """Frames that were received up to the moment, in their order."""
+        return self.frames.get(identifier, _NONE)[0]
+
+    @property
+    def has_frames(self) -> bool:
+        """Raw frames were recorded."""
+        return bool(self.frames)
+
+    @property
+    def variant(self) -> Variant:
+        """The chassis's firmware variant at the moment; coarse where the log does not tell."""
+        state = self.last(RobotState)
+        return state.said.variant if state and state.said.variant is not Variant.UNKNOWN else Variant.COARSE
+
+    @property
+    def lacks_decisions(self) -> int:
+        """Decisions of this time that are not in the log, by their sequence."""
+        numbers = sorted({one.said.sequence for one in self.all(Decision)})
+        return numbers[-1] - numbers[0] + 1 - len(numbers) if numbers else 0
+
+    def _take_frame(self, row: Row, time_ns: int, decode: Callable[[bytes], Any]) -> None:
+        raw = decode(row.data)
+        is_behind = time_ns > self.at_ns
+        is_sent = row.topic.subject.endswith("/tx")
+        if not is_sent and not is_behind and time_ns > self.at_ns - 1_000_000_000:
+            self.received += 1
+        if not raw.is_extended or raw.is_remote or raw.is_error:
+            return
+        of = self.sent if is_sent else self.frames
+        pair = of.get(raw.identifier)
+        if pair is None:
+            if len(of) >= FRAMES_KEPT:
+                return
+            pair = of[raw.identifier] = deque(maxlen=FRAMES_KEPT), deque(maxlen=FRAMES_KEPT)
+        frame = Frame(time_ns, raw.identifier, raw.data)
+        if is_behind and len(pair[1]) == FRAMES_KEPT:
+            return
+        if not pair[is_behind] or pair[is_behind][-1] != frame:
+            pair[is_behind].append(frame)
+
+
+_ASKED_LATER: Final[frozenset[type[Message]]] = frozenset({Decision, SafetyEvent})
+
+_STALL_NS: Final = 2_000_000_000
+"""No link delays a sample that it delivers for longer; it would be cut."""
+
+_TICKS_NEAR: Final = 500
+
+_NONE: Final[tuple[deque[Frame], deque[Frame]]] = deque(), deque()
+
+_WANTED: Final = frozenset(
+    {
+        SafetyEvent, SafetyState, Decision, GatewayHealth, RobotState, CanFrame,
+        Drive, WheelSpeed, Steering, Gear, Body, Parking,
+    }
+)  # fmt: skip
+
+
+class Stage:
+    """A robot's logs, of which scenes are read.
+
+    Args:
+        robot: its name.
+        logs: in the order of their beginnings.
+        configurations: the texts of its configuration, each with its log time.
+        faults: takes what cannot be read.
+    """
+
+    def __init__(
+        self, robot: str, logs: Sequence[LogFile], configurations: Sequence[tuple[int, str]], faults: Faults
+    ) -> None:
+        self.robot = robot
+        self._logs = logs
+        self._configurations = configurations
+        self._faults = faults
+
+    def shift(self, at_ns: int) -> int | None:
+        """What is to be added to the robot's clock around a log time; None if nothing was heard then."""
+        around = Selection(
+            lambda topic: topic.robot == self.robot and topic.kind in {SafetyState, RobotState},
+            max(0, at_ns - 2_000_000_000),
+            at_ns + 2_000_000_000,
+        )
+        off_ns = [row.log_ns - row.publish_ns for row in read_rows(self._logs, around, self._faults)]
+        if not off_ns:
+            return None
+        middle_ns = round(median(off_ns))
+        return middle_ns if abs(middle_ns) > NEAR_NS else 0
+
+    def scene(self, at_ns: int, shift_ns: int, *, before_ns: int = BEFORE_NS, after_ns: int = AFTER_NS) -> Scene:
+        """What was around a moment."""
+        scene = Scene(self.robot, at_ns, shift_ns, self._limits(at_ns))
+        from_ns, to_ns = max(0, at_ns - before_ns), at_ns + after_ns
+        window = Selection(
+            lambda topic: (topic.robot == self.robot and topic.kind in _WANTED) or topic.kind is RecordGap,
+            from_ns,
+            to_ns + _LINK_NS,
+        )
+        self._read(scene, window)
+        if scene.lacks_decisions or not scene.all(Decision):
+            later = Selection(
+                lambda topic: topic.robot == self.robot and topic.kind in {Decision, SafetyEvent},
+                to_ns + _LINK_NS,
+                to_ns + LATER_NS,
+            )
+            self._read(scene, later, until_ns=to_ns)
+        scene.gaps = [gap for gap in scene.gaps if gap.first_ns < to_ns and gap.last_ns >= from_ns]
+        scene.settle()
+        return scene
+
+    def _read(self, scene: Scene, selection: Selection, until_ns: int | None = None) -> None:
+        for row in read_rows(self._logs, selection, self._faults):
+            if until_ns is not None and row.publish_ns >= until_ns:
+                continue
+            try:
+                scene.take(row)
+            except UNREADABLE as error:
+                self._faults.add(f"{row.topic.name}: a message that cannot be read: {error}")
+
+    def _limits(self, at_ns: int) -> Limits:
+        """By the configuration that was told last, or else next."""
+        texts = [text for time_ns, text in self._configurations if time_ns <= at_ns][-1:]
+        texts += [text for _, text in self._configurations][:1]
+        for text in texts:
+            try:
+                return Limits(merge(TomlSource("configuration.toml", text), {}, {}).command, is_known=True)
+            except CommandError as error:
+                self._faults.add(f"{self.robot}: its configuration cannot be read: {error}")
+        return Limits()

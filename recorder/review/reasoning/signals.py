@@ -1,0 +1,82 @@
+"""What a raw frame of the chassis says, by the DBC."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, Final
+
+import cantools
+import msgspec
+from cantools.database.can import Database
+
+from schemas.can_word import IDENTIFIER_MASK
+from schemas.dbc_files import DbcFrame, dbc_text, frames
+from schemas.messages import Variant
+from schemas.settings import SILENCE_MIN_NS, SILENCE_PERIODS
+
+FRAME_BYTES: Final = 8
+
+
+class Frame(msgspec.Struct, frozen=True):
+    """A raw frame with an extended identifier, as it was received or sent at ``time_ns`` since 1970."""
+
+    time_ns: int
+    identifier: int
+    data: bytes
+
+    @property
+    def is_whole(self) -> bool:
+        """Eight bytes whose checksum is right."""
+        return len(self.data) == FRAME_BYTES and self.checksum == self.data[7]
+
+    @property
+    def checksum(self) -> int:
+        """What byte 7 should be: the XOR of those before."""
+        found = 0
+        for byte in self.data[:7]:
+            found ^= byte
+        return found
+
+    @property
+    def alive_counter(self) -> int:
+        """The high half of byte 6."""
+        return self.data[6] >> 4
+
+    def __str__(self) -> str:
+        """Identifier, name and bytes."""
+        known = BY_IDENTIFIER.get(self.identifier)
+        name = f" {known.name}" if known is not None else ""
+        return f"0x{self.identifier:08X}{name}, {self.data.hex(' ').upper()}"
+
+
+BY_IDENTIFIER: Final[dict[int, DbcFrame]] = {
+    frame.can_id & IDENTIFIER_MASK: frame for frame in frames(dbc_text(Variant.COARSE))
+}
+"""Every frame of the DBC. Both variants have the same frames and cycle times."""
+
+IDENTIFIERS: Final = {frame.name: identifier for identifier, frame in BY_IDENTIFIER.items()}
+
+BODY: Final = IDENTIFIERS["Auto_MileageAndBodyFeedback"]
+WHEELS: Final = IDENTIFIERS["Auto_WheelSpdFeedback"]
+
+
+def silence_ns(name: str) -> int:
+    """How long a feedback frame may stay away before it counts as silent."""
+    return max(SILENCE_PERIODS * BY_IDENTIFIER[IDENTIFIERS[name]].period_ns, SILENCE_MIN_NS)
+
+
+@cache
+def _database(variant: Variant) -> Database:
+    database = cantools.database.load_string(dbc_text(variant), "dbc", strict=True)
+    assert isinstance(database, Database)  # noqa: S101 - a DBC is a CAN database
+    return database
+
+
+def signals(frame: Frame, variant: Variant = Variant.COARSE) -> dict[str, Any]:
+    """A frame's signals by name, scaled, whatever its checksum is; empty if it is none of the DBC."""
+    if frame.identifier not in BY_IDENTIFIER or len(frame.data) != FRAME_BYTES:
+        return {}
+    message = _database(variant).get_message_by_frame_id(frame.identifier)
+    decoded = message.decode(frame.data, decode_choices=False)
+    assert isinstance(decoded, dict)  # noqa: S101 - no container message is in the DBC
+    return decoded

@@ -1,0 +1,153 @@
+"""What was done to stop, as the arbiter's states and the chassis's feedback show it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise, takewhile
+from typing import Final
+
+from recorder.review.reasoning.chain import Link, Step, missing, span
+from recorder.review.reasoning.scene import Heard, Scene
+from schemas.decisions import ArbiterState, EventKind, SafetyEvent, SafetyState, StopPhase
+from schemas.messages import Drive
+from schemas.reasons import Reason
+from schemas.settings import STANDSTILL_MPS, STANDSTILL_TICKS, TICK_NS
+
+_PHASES: Final = {
+    StopPhase.BRAKE: "brake pedal",
+    StopPhase.NEUTRAL: "neutral",
+    StopPhase.HOLD: "parking brake",
+    StopPhase.DISABLE: "enables off",
+}
+
+_DOUBTFUL: Final = frozenset({Reason.IMPLAUSIBLE_SPEED, Reason.VARIANT_UNKNOWN})
+"""Reasons for which the speeds that the chassis tells are not to be believed."""
+
+_UNSEEN_NS: Final = 150_000_000
+"""Without drive feedback for so long, how far the robot came is not known."""
+
+_STANDS_NS: Final = STANDSTILL_TICKS * TICK_NS
+
+
+def actions(scene: Scene, reason: Reason) -> list[Link]:
+    """What became of the robot from the moment of the stop on, which was begun for this reason."""
+    states = list(scene.after(SafetyState, scene.at_ns - 1))
+    stopping = list(takewhile(lambda one: one.said.state is ArbiterState.STOPPING, states))
+    found: list[Link] = []
+    if stopping:
+        found += _ramp(scene, stopping)
+        found += _phases(scene, stopping)
+    elif states and states[0].said.state is ArbiterState.STANDBY:
+        text = "the gateway sent nothing more: who has the chassis, or its last command, moves it on"
+        found.append(Link(Step.ACTION, text, states[0].time_ns))
+    else:
+        found.append(missing("the arbiter's states after this are not in the log, so what it did cannot be told"))
+    found += _standstill(scene, is_doubtful=reason in _DOUBTFUL)
+    ended = next((one for one in scene.after(SafetyEvent) if one.said.kind is EventKind.STOPPED), None)
+    if ended is not None:
+        text = f"{ended.said.text}, after {span(ended.time_ns - scene.at_ns)}"
+        found.append(Link(Step.ACTION, text, ended.time_ns, {"after_s": (ended.time_ns - scene.at_ns) / 1e9}))
+    return found
+
+
+def _ramp(scene: Scene, stopping: Sequence[Heard[SafetyState]]) -> Iterator[Link]:
+    """How the commanded speed came down."""
+    was = next((one for one in scene.until(SafetyState) if one.time_ns < scene.at_ns), None)
+    from_mps = 0.0 if was is None else was.said.output_speed_mps
+    first = stopping[0]
+    zero = next((one for one in stopping if not one.said.output_speed_mps), None)
+    if was is None:
+        yield missing("what the chassis was told before this is not in the log")
+    elif not from_mps and was.said.state is ArbiterState.STANDBY:
+        yield Link(Step.ACTION, "the gateway had told it nothing until then", first.time_ns)
+    elif not from_mps:
+        yield Link(Step.ACTION, "it was told no speed, so there was nothing to bring down", first.time_ns)
+    elif zero is None:
+        yield missing(f"the log ends before the commanded speed, {from_mps:.2f} m/s, is down to zero")
+    else:
+        said = first.said
+        slope_mps2 = _slope_mps2(stopping)
+        which = ""
+        for limit_mps2, name in (
+            (said.emergency_deceleration_mps2, "emergency"),
+            (said.deceleration_limit_mps2, "normal"),
+        ):
+            if slope_mps2 is not None and abs(slope_mps2 - limit_mps2) < 0.15:
+                which = f", the {name} deceleration,"
+        took_ns = zero.time_ns - scene.at_ns
+        if took_ns <= 2 * TICK_NS:
+            text = f"the commanded speed went from {from_mps:.2f} m/s to zero at once"
+        elif slope_mps2 is None:
+            text = f"the commanded speed went from {from_mps:.2f} m/s to zero in {span(took_ns)}"
+        else:
+            text = f"the commanded speed went from {from_mps:.2f} m/s to zero at {slope_mps2:.1f} m/s2{which}"
+            text += f" in {span(took_ns)}"
+        data = {"from_mps": from_mps, "deceleration_mps2": slope_mps2, "took_s": took_ns / 1e9}
+        yield Link(Step.ACTION, text, scene.at_ns, data)
+
+
+def _slope_mps2(stopping: Sequence[Heard[SafetyState]]) -> float | None:
+    """How fast the commanded speed fell, from states in the ramp; None if there are not two."""
+    ramp = [one for one in stopping if one.said.output_speed_mps]
+    if len(ramp) < 2 or ramp[-1].said.tick <= ramp[0].said.tick:
+        return None
+    fallen_mps = abs(ramp[0].said.output_speed_mps) - abs(ramp[-1].said.output_speed_mps)
+    return fallen_mps / ((ramp[-1].said.tick - ramp[0].said.tick) * TICK_NS / 1e9)
+
+
+def _phases(scene: Scene, stopping: Sequence[Heard[SafetyState]]) -> Iterator[Link]:
+    """When each phase of the stop began."""
+    begun: dict[StopPhase, Heard[SafetyState]] = {}
+    for one in stopping:
+        begun.setdefault(one.said.stop_phase, one)
+    parts = []
+    for phase, words in _PHASES.items():
+        if phase in begun:
+            one = begun[phase]
+            pedal = f" at {one.said.brake_pedal_percent:.0f} %" if phase is StopPhase.BRAKE else ""
+            after_ns = one.time_ns - scene.at_ns
+            parts.append(f"{words}{pedal} {f'after {span(after_ns)}' if after_ns > TICK_NS else 'at once'}")
+    if parts:
+        data = {f"{phase.value}_after_s": (one.time_ns - scene.at_ns) / 1e9 for phase, one in begun.items()}
+        yield Link(Step.ACTION, ", ".join(parts), next(iter(begun.values())).time_ns, data)
+
+
+def _standstill(scene: Scene, *, is_doubtful: bool) -> Iterator[Link]:
+    """When the chassis stood, and how far it came until then, by its drive feedback."""
+    before = scene.last(Drive)
+    way = [*([before] if before is not None else []), *scene.after(Drive)]
+    if len(way) < 2:
+        yield missing("no drive feedback of this time is in the log, so when it stood cannot be told")
+        return
+    if way[0].said.speed_mps < STANDSTILL_MPS:
+        yield Link(Step.ACTION, "the robot stood already, by its drive feedback", way[0].time_ns)
+        return
+    metres, stood, unseen_ns = 0.0, None, 0
+    for was, now in pairwise(way):
+        if now.said.speed_mps >= STANDSTILL_MPS:
+            stood = None
+        elif stood is None:
+            stood = now
+        if stood is not None and now.time_ns - stood.time_ns >= _STANDS_NS:
+            break
+        begin_ns = max(was.time_ns, scene.at_ns)
+        unseen_ns = max(unseen_ns, now.time_ns - was.time_ns)
+        metres += (was.said.speed_mps + now.said.speed_mps) / 2 * max(0, now.time_ns - begin_ns) / 1e9
+    if stood is None:
+        last = way[-1]
+        ago = scene.ago(last.time_ns)
+        text = f"the last drive feedback looked at, {ago}, still said {last.said.speed_mps:.2f} m/s"
+        yield Link(Step.ACTION, text, last.time_ns)
+        return
+    took_ns = stood.time_ns - scene.at_ns
+    text = f"the robot, at {way[0].said.speed_mps:.2f} m/s, was seen to stand after {span(took_ns)}"
+    is_known = unseen_ns <= _UNSEEN_NS and not is_doubtful
+    if is_known:
+        text += f" and {metres:.2f} m"
+    elif is_doubtful:
+        text += "; the speeds are in doubt, so how far it came is not known"
+    else:
+        text += f"; for {span(unseen_ns)} there was no drive feedback, so how far it came is not known"
+    distance_m = metres if is_known else None
+    data = {"from_mps": way[0].said.speed_mps, "after_s": took_ns / 1e9, "distance_m": distance_m}
+    yield Link(Step.ACTION, text, stood.time_ns, data)

@@ -1,0 +1,84 @@
+"""What the arbiter has told of one robot over all of a log: its stops and latches, wherever they stand."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Final
+
+from recorder.review.events import Question, Timeline, read_events
+from recorder.review.faults import Faults
+from recorder.review.logs import LogFile
+from recorder.review.reasoning.scene import Scene
+from recorder.review.rows import END_OF_TIME_NS, Progress, Selection, read_rows
+from recorder.review.timeline.clock import NEAR_NS
+from recorder.review.timeline.entries import STOPS, Entry, EntryKind, Source
+from schemas.decisions import SafetyEvent
+from schemas.reasons import Reason
+
+KEPT: Final = 50_000
+"""Entries that are kept; the oldest go first."""
+
+
+class Story:
+    """The events of a robot, by their time."""
+
+    def __init__(self, entries: Iterable[Entry]) -> None:
+        self._entries = sorted(deque(entries, maxlen=KEPT), key=lambda entry: entry.time_ns)
+
+    def last_stop(self, until_ns: int = END_OF_TIME_NS) -> Entry | None:
+        """The last one up to a time with which the robot was commanded no longer."""
+        return next(filter(_stops, self._before(until_ns, STOPS)), None)
+
+    def next_stop(self, from_ns: int) -> Entry | None:
+        """The first one from a time on."""
+        return next((one for one in self._entries if one.time_ns >= from_ns and _stops(one)), None)
+
+    def last_latch(self, reason: Reason, until_ns: int) -> Entry | None:
+        """When this was last latched."""
+        return next((one for one in self._before(until_ns, {EntryKind.LATCH}) if one.reason is reason), None)
+
+    def off_ns(self, scene: Scene) -> int | None:
+        """By how much the scene's times are before the story's, by the ticks of its events.
+
+        None if a stop of the scene is not where the story has it: then the story's times are not to be believed.
+        """
+        told_ns = {one.tick: one.time_ns for one in self._entries if one.source is Source.EVENT}
+        both = [one for one in scene.all(SafetyEvent) if one.said.tick in told_ns]
+        if any(abs(told_ns[one.said.tick] - one.time_ns) > NEAR_NS for one in both):
+            return None
+        nearest = min(both, key=lambda one: abs(one.time_ns - scene.at_ns), default=None)
+        return 0 if nearest is None else told_ns[nearest.said.tick] - nearest.time_ns
+
+    def next(self, kind: EntryKind, after_ns: int) -> Entry | None:
+        """The first one of a kind behind a time."""
+        return next((one for one in self._entries if one.kind is kind and one.time_ns > after_ns), None)
+
+    def _before(self, until_ns: int, kinds: Iterable[EntryKind]) -> Iterable[Entry]:
+        wanted = frozenset(kinds)
+        return (one for one in reversed(self._entries) if one.time_ns <= until_ns and one.kind in wanted)
+
+
+def _stops(entry: Entry) -> bool:
+    # That a guard is there, or is gone, has no reason: it stops nothing by itself.
+    return entry.kind in STOPS and entry.reason is not Reason.NONE
+
+
+def told(robot: str, logs: Sequence[LogFile], faults: Faults, progress: Progress) -> Story:
+    """The story by the robot's own events. Most of a log need not be read for it."""
+    selection = Selection(lambda topic: topic.robot == robot and topic.kind is SafetyEvent)
+    timeline = Timeline(faults, has_states=False)
+
+    def entries() -> Iterator[Entry]:
+        for row in read_rows(logs, selection, faults, progress):
+            timeline.take(row)
+            yield from timeline.tell()
+        yield from timeline.end()
+
+    return Story(entries())
+
+
+def derived(robot: str, logs: Sequence[LogFile], faults: Faults, progress: Progress) -> Story:
+    """The story where events are missing: what the states tell too. All of a log is read for it."""
+    wanted = frozenset({*STOPS, EntryKind.LATCH, EntryKind.RESET, EntryKind.STOPPED, EntryKind.ENGAGED})
+    return Story(read_events(logs, Question(0, END_OF_TIME_NS, frozenset({robot}), wanted), faults, progress))

@@ -1,0 +1,92 @@
+"""The entries of the timeline that ``cruiser review events`` tells."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Final
+
+import msgspec
+
+from schemas.decisions import EventKind, Severity
+from schemas.messages import Count, TimeNs
+from schemas.reasons import Reason
+from schemas.requests import Tick
+
+
+class EntryKind(Enum):
+    """What an entry is about: the kinds of ``safety/event``, and what else a log tells."""
+
+    LEASE = "lease"
+    ENGAGED = "engaged"
+    STOP = "stop"
+    STOPPED = "stopped"
+    LATCH = "latch"
+    RESET = "reset"
+    TAKEOVER = "takeover"
+    FAULT = "fault"
+    GUARD = "guard"
+    REFUSAL = "refusal"
+    REQUEST = "request"
+    GATEWAY = "gateway"
+    RECORDER = "recorder"
+    GAP = "gap"
+    CLOCK = "clock"
+
+
+OF_EVENT: Final = {kind: EntryKind(kind.value) for kind in EventKind}
+
+STOPS: Final = frozenset({EntryKind.STOP, EntryKind.TAKEOVER, EntryKind.GUARD})
+"""Entries with which the robot is commanded no longer."""
+
+
+class Source(Enum):
+    """What of the log an entry was read from.
+
+    ``state``: no message says so; it was derived from two states of the arbiter, one after the other.
+    """
+
+    EVENT = "event"
+    STATE = "state"
+    DECISION = "decision"
+    HEALTH = "health"
+    RECORDER = "recorder"
+    LOG = "log"
+
+
+class Entry(msgspec.Struct, frozen=True, kw_only=True):
+    """What happened.
+
+    Attributes:
+        time_ns: when, in nanoseconds since 1970, by the robot's clock; by the recorder's where the two differ
+            by over a second.
+        last_ns: when the last of ``count`` alike ones was, or how long it lasted; else as ``time_ns``.
+        robot: whose; empty where it is about all.
+        count: so many alike ones are told together.
+        reason: why; ``none`` where nothing is wrong.
+        operator: who did it, or asked for it; empty if nobody did.
+        holder: who held the lease then, as far as the log tells; empty if nobody.
+        request: the verb; empty where it is about none.
+        tick: the arbiter's; None where there is none.
+        text: what happened, in a sentence.
+        is_late: others that happened later have been told before it.
+    """
+
+    time_ns: TimeNs
+    last_ns: TimeNs
+    robot: str
+    kind: EntryKind
+    severity: Severity
+    source: Source
+    text: str
+    count: Count = 1
+    reason: Reason = Reason.NONE
+    operator: str = ""
+    holder: str = ""
+    request: str = ""
+    tick: Tick | None = None
+    is_late: bool = False
+
+    @property
+    def is_derived(self) -> bool:
+        """No message says so."""
+        return self.source is Source.STATE

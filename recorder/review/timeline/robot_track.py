@@ -1,0 +1,95 @@
+"""What the log has told of one robot so far, as far as further entries need it."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import deque
+from typing import Final
+
+from recorder.review.rows import Row
+from recorder.review.timeline.clock import RUN_TICKS, RobotClock
+from recorder.review.timeline.entries import Entry, EntryKind, Source
+from recorder.review.timeline.repeats import Sequences
+from recorder.review.timeline.state_changes import EventTicks
+from schemas.decisions import SafetyState, Severity
+from schemas.messages import GatewayHealth
+
+HOLDERS_KEPT: Final = 10_000
+"""Changes of the lease that are remembered."""
+
+
+class RobotTrack:
+    """One robot.
+
+    Attributes:
+        name: empty for what is no robot's.
+        clock: its clock.
+        ticks: of its events.
+        state, state_ns, state_sequence: the arbiter's newest state, when it was, and its sequence.
+        health: the newest.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.clock = RobotClock()
+        self.ticks = EventTicks()
+        self.state: SafetyState | None = None
+        self.state_ns = 0
+        self.state_sequence = 0
+        self.health: GatewayHealth | None = None
+        self._holder_ticks: deque[int] = deque(maxlen=HOLDERS_KEPT)
+        self._holders: deque[str] = deque(maxlen=HOLDERS_KEPT)
+        self._runs: list[int] = []
+        self._sequences: dict[tuple[str, int], Sequences] = {}
+
+    def place(self, row: Row, tick: int | None = None) -> int:
+        """When it was, on the recorder's line of time."""
+        return self.clock.place(row.publish_ns, row.log_ns, tick)
+
+    def count(self, row: Row, tick: int, time_ns: int) -> None:
+        """A sample of a subject of which every one should be in the log."""
+        key = row.topic.name, self._run_of(tick)
+        sequences = self._sequences.get(key)
+        if sequences is None:
+            sequences = self._sequences[key] = Sequences()
+        sequences.add(row.sequence, time_ns)
+
+    def hear_state(self, state: SafetyState, sequence: int, time_ns: int) -> None:
+        """The arbiter's newest state."""
+        if not self._holders or self._holders[-1] != state.lease_holder:
+            if self._holder_ticks and state.tick < self._holder_ticks[-1]:
+                self._holder_ticks.clear()
+                self._holders.clear()
+            self._holder_ticks.append(state.tick)
+            self._holders.append(state.lease_holder)
+        self.state, self.state_ns, self.state_sequence = state, time_ns, sequence
+
+    def holder_at(self, tick: int) -> str:
+        """Who held the lease before this tick; empty if nobody did, or if the log does not tell."""
+        at = bisect_right(self._holder_ticks, tick - 1)
+        return self._holders[at - 1] if at else ""
+
+    def holes(self) -> list[Entry]:
+        """What is missing of the events and decisions."""
+        return [
+            Entry(
+                time_ns=hole.after_ns,
+                last_ns=max(hole.after_ns, hole.before_ns),
+                robot=self.name,
+                kind=EntryKind.GAP,
+                severity=Severity.WARNING,
+                source=Source.LOG,
+                count=hole.count,
+                text=f"{hole.count} samples of {topic} are not in the log",
+            )
+            for (topic, _), sequences in self._sequences.items()
+            for hole in sequences.holes()
+        ]
+
+    def _run_of(self, tick: int) -> int:
+        for number, newest in enumerate(self._runs):
+            if abs(tick - newest) < RUN_TICKS:
+                self._runs[number] = max(tick, newest)
+                return number
+        self._runs.append(tick)
+        return len(self._runs) - 1

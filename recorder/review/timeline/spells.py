@@ -1,0 +1,66 @@
+"""What happens again and again is told once, with a count: a drive stream is refused fifty times a second."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import Final
+
+import msgspec
+
+from recorder.review.timeline.entries import Entry
+
+SPELL_NS: Final = 2_500_000_000
+"""Alike ones that follow each other within this time are one spell; what is told each second is one, too."""
+
+LATE_NS: Final = 60_000_000_000
+"""A spell is told when nothing was added to it for so long: what was asked for later may come out of order."""
+
+SPELLS_MAX: Final = 10_000
+"""Spells that are under way; of more, the oldest is told."""
+
+
+class _Spell(msgspec.Struct):
+    entry: Entry
+    first_ns: int
+    last_ns: int
+    count: int
+    touched_ns: int
+
+
+class Spells:
+    """Gathers what is alike."""
+
+    def __init__(self) -> None:
+        self._open: dict[Hashable, _Spell] = {}
+        self._over: list[Entry] = []
+
+    def add(self, key: Hashable, entry: Entry, log_ns: int) -> None:
+        """One more, or ``entry.count`` more; alike are those with the same key. The spell's text is the last's."""
+        spell = self._open.get(key)
+        if spell is not None:
+            if spell.first_ns - SPELL_NS <= entry.time_ns <= spell.last_ns + SPELL_NS:
+                if entry.time_ns >= spell.last_ns:
+                    spell.entry, spell.last_ns = entry, entry.last_ns
+                spell.first_ns = min(spell.first_ns, entry.time_ns)
+                spell.count += entry.count
+                spell.touched_ns = log_ns
+                return
+            del self._open[key]
+            self._over.append(_told(spell))
+        elif len(self._open) >= SPELLS_MAX:
+            self._over.append(_told(self._open.pop(next(iter(self._open)))))
+        self._open[key] = _Spell(entry, entry.time_ns, entry.last_ns, entry.count, log_ns)
+
+    def take(self, log_ns: int | None = None) -> list[Entry]:
+        """The spells that are over at this log time; all of them without one."""
+        over, self._over = self._over, []
+        ended = [
+            key
+            for key, spell in self._open.items()
+            if log_ns is None or not 0 <= log_ns - spell.touched_ns <= LATE_NS
+        ]
+        return over + [_told(self._open.pop(key)) for key in ended]
+
+
+def _told(spell: _Spell) -> Entry:
+    return msgspec.structs.replace(spell.entry, time_ns=spell.first_ns, last_ns=spell.last_ns, count=spell.count)

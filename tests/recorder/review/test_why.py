@@ -1,0 +1,296 @@
+"""Why did the robot stop, or not move?"""
+
+from pathlib import Path
+
+import pytest
+
+from recorder.review.events import Question, read_events
+from recorder.review.faults import Faults
+from recorder.review.logs import find_logs
+from recorder.review.reasoning.chain import Step
+from recorder.review.survey import survey
+from recorder.review.timeline.entries import STOPS, EntryKind
+from recorder.review.why import Explanation, explain
+from schemas.decisions import ArbiterState
+from schemas.messages import Variant
+from schemas.reasons import TEXTS, Reason
+from tests.gateway.command.loop_rig import WALL_NS, Operator
+from tests.gateway.recorded_day import COMMAND, RUN, STARTED_NS, Day
+from tests.recorder.fakes import MS, SECOND, Log, gear, sample_of
+from tests.recorder.review import scenarios
+from tests.recorder.review.rig_log import ROBOT, RecordedRig, ask, texts
+from tests.recorder.review.scenarios import SCENARIOS, Scenario, acted, recorded
+
+HOUR_NS = 3600 * SECOND
+DAY_TICKS = 2500
+LATCHING = {Reason.FRONT_BUMPER, Reason.REAR_BUMPER, Reason.REMOTE_STOP, Reason.IMPLAUSIBLE_SPEED, Reason.GUARD}
+NORMAL = {Reason.DEADMAN, Reason.LEASE_TAKEN, Reason.LEASE_RELEASED, Reason.DISENGAGED, Reason.LEASE_EXPIRED}
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """Where a test's log goes."""
+    return tmp_path / "log.mcap"
+
+
+def data_of(explanation: Explanation, step: Step, name: str) -> object:
+    """The first number of this name in a step."""
+    return next(link.data[name] for link in explanation.chain if link.step is step and name in link.data)
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda one: one.__name__)
+def test_the_last_stop_has_its_cause_its_evidence_and_its_cure(scenario: Scenario, path: Path) -> None:
+    """The right reason, shown by the right frame, silence or request, with the right numbers."""
+    reason, words = SCENARIOS[scenario]
+    explanation = ask(path, recorded(scenario))
+    assert explanation.reason is reason, explanation.headline
+    assert TEXTS[reason].means in explanation.headline
+    assert TEXTS[reason].means in texts(explanation, Step.CAUSE)
+    shown = texts(explanation, Step.EVIDENCE).lower()
+    assert [word for word in words if word.lower() not in shown] == [], shown
+    assert f"to cure {reason.value}: {TEXTS[reason].cure}" in texts(explanation, Step.CURE)
+    assert (f"latched with this stop: {reason.value}" in texts(explanation, Step.LATCH)) is (reason in LATCHING)
+    assert explanation.stop_ns == explanation.at_ns
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda one: one.__name__)
+def test_the_same_is_found_where_the_events_are_missing(scenario: Scenario, path: Path) -> None:
+    """The states alone tell the reason, and the answer says that they do."""
+    reason, _ = SCENARIOS[scenario]
+    explanation = ask(path, recorded(scenario, "safety/event"))
+    assert explanation.reason is reason, explanation.headline
+    assert "no event says so" in texts(explanation, Step.CAUSE)
+
+
+@pytest.mark.parametrize("reason", sorted(NORMAL, key=str), ids=str)
+def test_a_normal_stop_is_told_as_one(reason: Reason, path: Path) -> None:
+    """Ramp at the normal deceleration, pedal, parking brake, standstill; time and way as the chassis had them."""
+    scenario = next(one for one, (its, _) in SCENARIOS.items() if its is reason)
+    explanation = ask(path, recorded(scenario))
+    done = texts(explanation, Step.ACTION)
+    assert "from 0.60 m/s to zero at 1.2 m/s2, the normal deceleration, in 490 ms" in done
+    assert "brake pedal at 30 % after 490 ms" in done
+    assert "stopped: the robot is told nothing, and stands" in done
+    assert data_of(explanation, Step.ACTION, "after_s") == pytest.approx(0.58, abs=0.02)
+    # Half a second from 0.6 m/s, and the chassis lags by a tenth.
+    assert data_of(explanation, Step.ACTION, "distance_m") == pytest.approx(0.21, abs=0.02)
+
+
+def test_an_emergency_is_told_as_one(path: Path) -> None:
+    """The bumper stops with 2 m/s2."""
+    done = texts(ask(path, recorded(scenarios.front_bumper)), Step.ACTION)
+    assert "from 0.60 m/s to zero at 2.0 m/s2, the emergency deceleration, in 290 ms" in done
+
+
+def test_a_speed_in_doubt_gives_no_distance(path: Path) -> None:
+    """Where the feedback's scale is what was wrong, how far the robot came is not claimed."""
+    explanation = ask(path, recorded(scenarios.wrong_scale))
+    assert "how far it came is not known" in texts(explanation, Step.ACTION)
+    assert data_of(explanation, Step.ACTION, "distance_m") is None
+
+
+def test_a_way_without_feedback_gives_no_distance(path: Path) -> None:
+    """Nobody saw it."""
+    explanation = ask(path, recorded(scenarios.found_moving))
+    assert "there was no drive feedback, so how far it came is not known" in texts(explanation, Step.ACTION)
+
+
+def test_what_was_commanded_is_told_with_its_numbers(path: Path) -> None:
+    """Speed, angle, sequence, operator, and how old it was."""
+    explanation = ask(path, recorded(scenarios.deadman))
+    assert data_of(explanation, Step.EVIDENCE, "silent_ms") == 310.0
+    assert data_of(explanation, Step.EVIDENCE, "limit_ms") == 300.0
+    assert data_of(explanation, Step.COMMAND, "requested_speed_mps") == 0.6
+    assert data_of(explanation, Step.COMMAND, "operator") == "operator-1"
+    assert data_of(explanation, Step.COMMAND, "request_sequence") == 69
+
+
+def test_a_moment_before_the_stop_shows_the_robot_as_it_was(path: Path) -> None:
+    """Engaged, and moving; and that a stop began soon after."""
+    rig = acted(scenarios.front_bumper)
+    stop_ns = ask(path, rig.log()).at_ns
+    explanation = ask(path, rig.log(), stop_ns - 100 * MS)
+    assert explanation.state is ArbiterState.ENGAGED
+    assert "It was engaged and moved, at 0.60 m/s; 100 ms later a stop began" in explanation.headline
+    assert explanation.reason is Reason.FRONT_BUMPER
+
+
+def test_a_moment_of_driving_is_no_stop(path: Path) -> None:
+    """What the robot did, and nothing else."""
+    rig = acted(scenarios.deadman)
+    stop_ns = ask(path, rig.log()).at_ns
+    explanation = ask(path, rig.log(), stop_ns - 1200 * MS)
+    assert explanation.reason is Reason.NONE
+    assert explanation.headline.startswith("It was engaged and moved, at 0.")
+    assert texts(explanation, Step.CAUSE) == ""
+    assert "m/s2" in texts(explanation, Step.ARBITER)  # It was speeding up.
+
+
+def test_a_latch_of_long_ago_is_traced_to_its_frame(path: Path) -> None:
+    """A quarter of a minute later the robot is not engaged, and the frame of then is shown."""
+    rig, operator = RecordedRig.driving()
+    rig.fault("bumper front on for 700ms")
+    operator.drive(0.6, 0.0, 0.2)
+    rig.rest()
+    rig.run(14)
+    operator.take_lease()
+    assert operator.reason("engage") is Reason.FRONT_BUMPER
+    explanation = ask(path, rig.log(), rig.at_ns)
+    assert explanation.state is ArbiterState.STANDBY
+    assert "FrontBumper = 1" in texts(explanation, Step.EVIDENCE)
+    assert "latched with this stop: front_bumper, and no reset of it is in the log" in texts(
+        explanation, Step.LATCH
+    )
+    assert "one engage request of operator-1 was refused" in texts(explanation, Step.COMMAND)
+
+
+def test_another_latch_than_that_of_the_stop_has_evidence_of_its_own(path: Path) -> None:
+    """A remote stop that came to a stopped robot is found although it stopped nothing."""
+    rig, _ = RecordedRig.driving()
+    rig.rest_after(1.0)
+    rig.put("desk", "stop", b"")
+    rig.tick()
+    rig.run(14)
+    explanation = ask(path, rig.log(), rig.at_ns)
+    assert explanation.reason is Reason.DEADMAN
+    assert "it was kept from moving, too: a remote stop was received" in texts(explanation, Step.CAUSE)
+    assert "the request was stop, of desk" in texts(explanation, Step.EVIDENCE)
+    assert "to cure remote_stop: reset, then engage again" in texts(explanation, Step.CURE)
+
+
+def test_a_parked_robot_stands_because_it_is_parked(path: Path) -> None:
+    """Engaged, asked for a speed, and told none."""
+    rig, operator = RecordedRig.ready()
+    operator.take_lease()
+    operator.ask("engage")
+    rig.run(0.2)
+    operator.drive(0.5, 0.0, 0.5)
+    explanation = ask(path, rig.log(), rig.at_ns)
+    assert explanation.headline == "It was engaged and stood: the parking brake is applied."
+    assert "no speed is told until unpark" in texts(explanation, Step.ARBITER)
+    assert "asked for 0.50 m/s, 0.0 deg; the chassis was told 0.00 m/s" in texts(explanation, Step.COMMAND)
+    assert "to cure parked: unpark first" in texts(explanation, Step.CURE)
+
+
+def test_zero_speed_is_nobodys_fault(path: Path) -> None:
+    """It stands because its operator says so."""
+    rig, operator = RecordedRig.ready()
+    operator.engage()
+    operator.drive(0.0, 0.0, 0.5)
+    assert "operator-1 asked for zero speed" in ask(path, rig.log(), rig.at_ns).headline
+
+
+def test_a_robot_that_nobody_has_engaged_stands_for_that(path: Path) -> None:
+    """And its cure is told."""
+    rig, _ = RecordedRig.ready()
+    rig.run(1)
+    explanation = ask(path, rig.log(), rig.at_ns)
+    assert "nobody holds the lease" in explanation.headline
+    assert "to cure not_engaged: engage first" in texts(explanation, Step.CURE)
+    assert explanation.reason is Reason.NONE
+
+
+def test_a_robot_whose_clock_is_wrong_gets_the_same_answer(path: Path) -> None:
+    """An hour ahead, or behind: the times are those of the recorder."""
+    for ahead_ns in (HOUR_NS, -HOUR_NS):
+        rig = acted(scenarios.one_silent_frame)
+        rig.robot_ahead_ns = ahead_ns
+        data = rig.log()
+        rig.robot_ahead_ns = 0
+        explanation = ask(path, data)
+        assert explanation.reason is Reason.FEEDBACK_MISSING
+        assert "came 110 ms before the stop" in texts(explanation, Step.EVIDENCE)
+        assert abs(explanation.at_ns + ahead_ns - ask(path, rig.log()).at_ns) < 50 * MS
+
+
+class _Day(Day):
+    """A day whose robot sets its clock by hours, and whose recorder does not."""
+
+    def __init__(self, seed: int) -> None:
+        super().__init__(seed, Variant.COARSE, DAY_TICKS)
+        self.rig = self.recorded = RecordedRig(Variant.COARSE, COMMAND, run=RUN, now_ns=STARTED_NS)
+        self.core = self.rig.core  # type: ignore[assignment]
+        self._operators = [Operator(self.rig, name) for name in ("first", "berta")]
+
+
+def test_of_a_day_in_which_everything_happens_every_stop_is_explained(path: Path) -> None:
+    """Each by its own reason, although the robot's clock is set by hours in between."""
+    day = _Day(6)
+    day.live()
+    path.write_bytes(day.recorded.log())
+    faults = Faults()
+    logs = find_logs([path], faults)
+    kinds = frozenset({*STOPS, EntryKind.CLOCK})
+    entries = list(read_events(logs, Question(kinds=kinds), faults))
+    assert EntryKind.CLOCK in {one.kind for one in entries}
+    stops = [one for one in entries if one.reason is not Reason.NONE]
+    assert len({one.reason for one in stops}) > 3
+    found = survey(logs, faults)
+    for stop in stops:
+        explanation = explain(ROBOT, logs, found, stop.time_ns, faults)
+        assert explanation.reason is stop.reason, explanation.headline
+        assert abs((explanation.stop_ns or 0) - stop.time_ns) <= 20 * MS
+
+
+def test_limits_are_those_of_the_log_or_said_to_be_the_start_values(path: Path) -> None:
+    """The configuration is an attachment; without it nothing is claimed."""
+    rig = acted(scenarios.deadman)
+    assert "the limit is 300 ms (by its configuration)" in texts(ask(path, rig.log()), Step.EVIDENCE)
+    without = ask(path, rig.log(with_info=False))
+    assert "the start value; the log holds no configuration" in texts(without, Step.EVIDENCE)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "missing", "says"),
+    [
+        (scenarios.one_silent_frame, ("can/{bus}/rx",), "no raw frames are in the log"),
+        (scenarios.checksums, ("can/{bus}/rx",), "no raw frames are in the log"),
+        (scenarios.other_commander, ("can/{bus}/rx",), "who else sent commands cannot be shown"),
+        (scenarios.deadman, ("safety/decision",), "which commands came is not known"),
+        (scenarios.lease_expired, ("safety/decision",), "no request that keeps the lease is in the log"),
+        (scenarios.remote_stop, ("safety/decision",), "the request itself (stop) is not in the log"),
+        (scenarios.deadman, ("chassis/drive",), "when it stood cannot be told"),
+        (scenarios.deadman, ("safety/state", "safety/event"), "no state of the arbiter at this moment"),
+    ],
+)
+def test_what_the_log_does_not_show_is_said(
+    scenario: Scenario, missing: tuple[str, ...], says: str, path: Path
+) -> None:
+    """Nothing is claimed of it."""
+    explanation = ask(path, recorded(scenario, *missing))
+    assert says in texts(explanation, Step.MISSING)
+
+
+def test_decoded_frames_stand_in_for_raw_ones(path: Path) -> None:
+    """The bumper is seen in chassis/body, and the answer says that there is nothing rawer."""
+    explanation = ask(path, recorded(scenarios.front_bumper, "can/{bus}/rx"))
+    assert "chassis/body said front_bumper = True" in texts(explanation, Step.EVIDENCE)
+
+
+def test_a_log_without_the_arbiter_is_not_answered(path: Path) -> None:
+    """That of a gateway that only listens: what the chassis did is told, and no more."""
+    safety = ("safety/event", "safety/state", "safety/decision", "journal")
+    explanation = ask(path, recorded(scenarios.deadman, *safety))
+    assert not explanation.is_answered
+    assert explanation.headline == "The log does not tell what the arbiter did then."
+
+
+def test_a_moment_outside_of_the_log_is_said_to_be_one(path: Path) -> None:
+    """The last stop is told all the same, with the time since."""
+    explanation = ask(path, recorded(scenarios.deadman), WALL_NS + HOUR_NS)
+    assert explanation.state is None
+    assert explanation.headline.startswith(
+        "The log holds no state of the arbiter at that moment. The last stop was 59 min"
+    )
+
+
+def test_a_log_of_gears_alone_says_that_it_knows_nothing(path: Path) -> None:
+    """No exception, and no claim."""
+    log = Log()
+    log.receive(*(sample_of(gear(number)) for number in range(5)))
+    path.write_bytes(log.close())
+    faults = Faults()
+    logs = find_logs([path], faults)
+    explanation = explain(ROBOT, logs, survey(logs, faults), None, faults)
+    assert not explanation.is_answered
+    assert {link.step for link in explanation.chain} == {Step.MISSING}

@@ -1,0 +1,82 @@
+"""What the gateway's health tells of what went wrong."""
+
+import msgspec
+import pytest
+
+from recorder.review.timeline.entries import EntryKind
+from recorder.review.timeline.health_changes import FAILURES_IN_WORDS, risen
+from schemas.decisions import Severity
+from schemas.messages import ControllerState, FrameHealth, GatewayHealth, Variant
+
+FRAME = FrameHealth("Auto_GearFeedBack", 100.0, 50, 0, 0, 0, 0, silent=False, alive_faults=0, failures=[])
+WELL = GatewayHealth(
+    time_ns=0, sequence=0, gateway_version="1", uptime_s=1.0, bus="can0", bus_up=True, bus_detail="", bus_losses=0,
+    bus_drops=0, controller=ControllerState.UNKNOWN, zenoh_peers=1, publish_failures=0, inbox_drops=0,
+    variant=Variant.COARSE, frames=630, frames_per_s=630.0, faults={}, unknown_identifiers={}, feedback=[FRAME],
+    tick_lateness_p50_ms=0.0, tick_lateness_p99_ms=0.0, tick_lateness_max_ms=0.0, tick_lateness_worst_ms=0.0,
+    cpu_percent=5.0,
+)  # fmt: skip
+
+
+def health(**changes: object) -> GatewayHealth:
+    """A health that is well, but for this."""
+    return msgspec.structs.replace(WELL, **changes)
+
+
+def frame(**changes: object) -> list[FrameHealth]:
+    """The feedback, with this changed."""
+    return [msgspec.structs.replace(FRAME, **changes)]
+
+
+def test_nothing_new_tells_nothing() -> None:
+    """However long it lasts."""
+    ill = health(faults={"checksum": 7}, feedback=frame(failures=["checksum"], checksum_faults=7), bus_losses=3)
+    assert list(risen(ill, ill)) == []
+    assert list(risen(None, WELL)) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "text", "count"),
+    [
+        ({"faults": {"silence": 2}}, "faults of frames: silence", 2),
+        ({"feedback": frame(checksum_faults=3)}, "Auto_GearFeedBack: frames with a wrong checksum", 3),
+        ({"feedback": frame(failures=["silence"])}, "Auto_GearFeedBack: it is silent", 1),
+        ({"bus_losses": 1}, "the CAN bus was lost", 1),
+        ({"bus_drops": 9}, "the kernel dropped frames that were not read in time", 9),
+        ({"publish_failures": 4}, "Zenoh did not take samples", 4),
+        ({"inbox_drops": 5}, "requests were dropped unread: too many came", 5),
+        ({"bus_up": False, "bus_detail": "no such device"}, "the CAN bus can0 is not there: no such device", 1),
+        ({"controller": ControllerState.PASSIVE}, "the CAN controller: unknown before, passive now", 1),
+        ({"variant": Variant.FINE}, "the firmware variant: coarse before, fine now", 1),
+    ],
+)
+def test_what_is_new_is_told_with_its_count(changes: dict[str, object], text: str, count: int) -> None:
+    """Once, and nothing else."""
+    assert [(one.text, one.count) for one in risen(WELL, health(**changes))] == [(text, count)]
+
+
+def test_the_end_of_a_fault_is_told() -> None:
+    """It is good news."""
+    (bus,) = risen(health(bus_up=False), WELL)
+    (over,) = risen(health(feedback=frame(failures=["period"])), WELL)
+    assert (bus.severity, over.severity) == (Severity.INFO, Severity.INFO)
+
+
+def test_a_log_that_begins_amid_faults_tells_those_that_last() -> None:
+    """Counts of before its beginning are none of its."""
+    ill = health(faults={"checksum": 7}, feedback=frame(failures=["checksum"], checksum_faults=7), bus_up=False)
+    assert [one.kind for one in risen(None, ill)] == [EntryKind.FAULT, EntryKind.FAULT]
+
+
+def test_a_frame_that_says_a_thing_is_not_said_twice() -> None:
+    """The sum over all frames is left out where a frame tells."""
+    new = health(faults={"checksum": 3, "length": 1}, feedback=frame(checksum_faults=3))
+    assert [one.text for one in risen(WELL, new)] == [
+        "Auto_GearFeedBack: frames with a wrong checksum",
+        "faults of frames: length",
+    ]
+
+
+def test_every_failure_has_words() -> None:
+    """Those of the supervision."""
+    assert set(FAILURES_IN_WORDS) == {"checksum", "implausible", "alive_counter", "period", "silence"}
