@@ -210,7 +210,8 @@ class LogReader:
                 if from_ns <= log_ns < to_ns:
                     data = content[offset + head : behind]
                     rows.append(Row(topics[channel_id], sequence, log_ns, publish_ns, data))
-        except struct.error:
+        except (struct.error, OverflowError):
+            # Beyond the content, or beyond what this machine can address.
             return None
         return rows
 
