@@ -32,6 +32,9 @@ from tests.recorder.fakes import RECORDING_PLAN, WALL_NS, FakeSample, FakeSource
 
 TICKS = 200
 
+DRAWN = {"double", "float", "bool", "string", "int64", "uint32"}
+"""What a chart can be made of, as Arrow calls it."""
+
 
 class Logged(msgspec.Struct, frozen=True):
     """One message as a reader sees it."""
@@ -118,3 +121,19 @@ def test_the_times_of_frames_are_their_own(log: Path) -> None:
     assert len(frames) > TICKS
     assert len({one.publish_ns for one in frames}) > TICKS // 2
     assert json.dumps(sorted(frames[0].fields)) != "[]"
+
+
+def test_rerun_draws_what_the_blueprint_names(log: Path, tmp_path: Path) -> None:
+    """The file is one of rerun's, and each field that it draws is a number or a text in the log."""
+    blueprint = tmp_path / "layout.rerun.rbl"
+    python = Path(os.environ["READERS_PYTHON"])
+    packages = Path(msgspec.__file__).parents[1]
+    project = Path(__file__).parents[2]
+    script = Path(__file__).with_name("with_blueprint.py")
+    done = subprocess.run(
+        [python, script, project, packages, log, blueprint], capture_output=True, text=True, check=True
+    )
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(lines) > 15
+    assert [(kind, field) for kind, field, drawn in lines if drawn not in DRAWN] == []
+    subprocess.run([python.with_name("rerun"), "rrd", "verify", blueprint], check=True, capture_output=True)

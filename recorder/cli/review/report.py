@@ -1,0 +1,131 @@
+"""``cruiser review report``: a page or a picture of a drive, for people."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from recorder.cli.review.asking import add_logs, add_period, end_with, find, progress_bar
+from recorder.review.report.findings import Report
+from recorder.review.report.page import page
+from recorder.review.report.survey import read_report
+from recorder.review.report.words import headline, summary_lines
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
+from schemas.settings import Settings
+
+EXAMPLE: Final = "  cruiser review report logs -o report.html -o report.png"
+DESCRIPTION: Final = (
+    "A report of a drive: summary, map of the path, speed, angle, mode and states on one time axis, stops, "
+    "refusals, what is missing, versions. As one HTML file that needs no network, or as PNG, by the file's "
+    "ending. With --json and without -o nothing is written but the summary. Exit code 3 if not all could be read."
+)
+
+DEFAULT_FILE: Final = "report.html"
+_ENDINGS: Final = (".html", ".png")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    add_logs(parser, json_help="print the summary as JSON")
+    add_period(parser)
+    parser.add_argument(
+        "-o",
+        "--out",
+        dest="outs",
+        action="append",
+        type=Path,
+        metavar="FILE",
+        help=f"write there, {' or '.join(_ENDINGS)}; may be given twice; {DEFAULT_FILE} unless told otherwise",
+    )
+
+
+def run(arguments: argparse.Namespace, _settings: Settings, _stopped: Callable[[], bool]) -> int:
+    """Read, and write what is asked for."""
+    outs = arguments.outs or ([] if arguments.json else [Path(DEFAULT_FILE)])
+    for path in outs:
+        if path.suffix not in _ENDINGS:
+            raise CommandError(f"{path} ends neither with {' nor with '.join(_ENDINGS)}", ExitCode.USAGE)
+    libraries = {path.suffix: _library(path.suffix) for path in outs}
+    asked = find(arguments)
+    with progress_bar("report", asked.bytes) as progress:
+        report = read_report(
+            asked.logs, asked.from_ns, asked.to_ns, asked.faults, progress, version=version("cruiser-gateway")
+        )
+    if not report.robots:
+        end_with(asked.faults)
+        raise CommandError("there is no state, decision or event of a robot in these logs, so nothing to report")
+    for path in outs:
+        _write(path, _made(report, path.suffix, libraries[path.suffix]))
+    if arguments.json:
+        sys.stdout.write(f"{summary_json(report)}\n")
+    else:
+        sys.stdout.write(f"{describe(report)}\n")
+        for path in outs:
+            sys.stdout.write(f"written: {plain(str(path))}\n")
+    return end_with(asked.faults)
+
+
+def summary_json(report: Report) -> str:
+    """All but what is drawn."""
+    fields: dict[str, Any] = msgspec.structs.asdict(report)
+    fields["robots"] = [
+        {**msgspec.structs.asdict(robot.summary), "moments": robot.charts.moments} for robot in report.robots
+    ]
+    return msgspec.json.encode(fields).decode()
+
+
+def describe(report: Report) -> str:
+    """The summaries, for a terminal."""
+    lines = []
+    for robot in report.robots:
+        lines.append(f"{robot.summary.name}: {headline(robot.summary)}")
+        lines += [f"  {name.ljust(16)} {said}" for name, said in summary_lines(robot.summary, report)]
+    return "\n".join(map(plain, lines))
+
+
+def _library(suffix: str) -> Any:  # noqa: ANN401 - a module
+    """What draws, loaded before the reading: it may be missing.
+
+    Raises:
+        CommandError: it is.
+    """
+    name = "plotly.offline" if suffix == ".html" else "recorder.review.report.picture"
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise CommandError(
+            f"a report as {suffix} needs {error.name}: pip install 'cruiser-gateway[review]'"
+        ) from error
+
+
+def _made(report: Report, suffix: str, library: Any) -> bytes:  # noqa: ANN401
+    if suffix == ".html":
+        return page(report, library.get_plotlyjs()).encode()
+    made: bytes = library.picture(report)
+    return made
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Whole or not at all.
+
+    Raises:
+        CommandError: it cannot be written.
+    """
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        try:
+            beside.write_bytes(content)
+            beside.replace(path)
+        finally:
+            beside.unlink(missing_ok=True)
+    except OSError as error:
+        raise CommandError(f"cannot write {plain(str(path))}: {error.strerror or error}") from error

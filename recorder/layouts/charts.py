@@ -1,0 +1,125 @@
+"""What is worth seeing of a robot: the one table that the layouts of all viewers are made from."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+import msgspec
+
+from recorder.foxglove_log import LOG_CHUNK
+from schemas import keys
+from schemas.decisions import SafetyEvent, SafetyState
+from schemas.messages import CanFrames, GatewayHealth, Message, RobotState
+from schemas.subjects import BY_NAME, BY_TYPE
+
+BLUE: Final = "#3987e5"
+ORANGE: Final = "#e08a1e"
+GREEN: Final = "#199e70"
+RED: Final = "#e0524d"
+GREY: Final = "#8a8f98"
+
+
+class Line(msgspec.Struct, frozen=True):
+    """A field over time.
+
+    Attributes:
+        kind: of the message that has the field.
+        is_mirrored: drawn below zero too, as a limit to both sides is.
+    """
+
+    kind: type[Message]
+    field: str
+    label: str
+    colour: str
+    is_mirrored: bool = False
+
+
+class Chart(msgspec.Struct, frozen=True):
+    """Lines that belong together."""
+
+    title: str
+    lines: tuple[Line, ...]
+
+
+SPEED: Final = Chart(
+    "speed, m/s",
+    (
+        Line(RobotState, "speed_mps", "measured", BLUE),
+        Line(SafetyState, "target_speed_mps", "asked for", ORANGE),
+        Line(SafetyState, "output_speed_mps", "told to the chassis", GREEN),
+        Line(SafetyState, "speed_limit_mps", "limit", GREY),
+    ),
+)
+ANGLE: Final = Chart(
+    "steering angle, deg",
+    (
+        Line(RobotState, "angle_deg", "measured", BLUE),
+        Line(SafetyState, "target_angle_deg", "asked for", ORANGE),
+        Line(SafetyState, "output_angle_deg", "told to the chassis", GREEN),
+        Line(SafetyState, "steering_limit_deg", "limit", GREY, is_mirrored=True),
+    ),
+)
+SWITCHES: Final = Chart(
+    "engaged, bumpers, parking brake asked for",
+    (
+        Line(SafetyState, "engaged", "engaged", GREEN),
+        Line(RobotState, "front_bumper", "front bumper", RED),
+        Line(RobotState, "rear_bumper", "rear bumper", ORANGE),
+        Line(SafetyState, "parking", "parking brake asked for", GREY),
+    ),
+)
+LATENESS: Final = Chart(
+    "tick lateness, ms",
+    (
+        Line(GatewayHealth, "tick_lateness_p50_ms", "median", GREEN),
+        Line(GatewayHealth, "tick_lateness_p99_ms", "99 %", ORANGE),
+        Line(GatewayHealth, "tick_lateness_max_ms", "latest", RED),
+    ),
+)
+LOAD: Final = Chart(
+    "frames/s, processor %",
+    (
+        Line(GatewayHealth, "frames_per_s", "frames/s", BLUE),
+        Line(GatewayHealth, "cpu_percent", "processor %", ORANGE),
+    ),
+)
+
+STATES: Final = (
+    Line(RobotState, "mode", "mode", ""),
+    Line(RobotState, "gear_position", "gear", ""),
+    Line(SafetyState, "state", "arbiter", ""),
+    Line(SafetyState, "stop_phase", "stop", ""),
+    Line(SafetyState, "stop_reason", "why stopped", ""),
+    Line(SafetyState, "lease_holder", "lease", ""),
+)
+"""Fields that are no numbers."""
+
+
+class Robot(msgspec.Struct, frozen=True):
+    """Whose log it is.
+
+    Attributes:
+        key: what its keys begin with: root and name.
+        bus: the CAN bus's name; empty if it is not known.
+    """
+
+    key: str
+    bus: str = ""
+
+    def topic(self, kind: type[Message]) -> str:
+        """The topic of the messages of this class, of which there is one for each robot."""
+        return f"{self.key}/{BY_TYPE[kind].name}"
+
+    @property
+    def events(self) -> str:
+        """The topic that lists events."""
+        return f"{self.topic(SafetyEvent)}/{LOG_CHUNK}"
+
+    @property
+    def frames(self) -> str:
+        """The topic of the raw frames received; empty if the bus is not known."""
+        if re.fullmatch(keys.BUS_PATTERN, self.bus) is None:
+            return ""
+        name = next(name for name, subject in BY_NAME.items() if subject.type is CanFrames)
+        return f"{self.key}/{name.format(bus=self.bus)}"

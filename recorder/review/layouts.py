@@ -1,0 +1,33 @@
+"""Whose layouts a log is opened with: its robots, as its topics name them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from recorder.layouts.charts import Robot
+from recorder.review.faults import Faults
+from recorder.review.logs import LogFile
+from recorder.review.survey import survey
+from recorder.review.topics import Topic
+from schemas import keys
+from schemas.subjects import RECORDER_CHUNK
+
+
+def robots_of(logs: Sequence[LogFile], faults: Faults) -> list[Robot]:
+    """The robots of logs, by their keys.
+
+    Args:
+        logs: as ``find_logs`` gives them. No chunk is read of those that are whole.
+        faults: takes what cannot be read.
+    """
+    return robots_in(survey(logs, faults).topics.values())
+
+
+def robots_in(topics: Iterable[Topic]) -> list[Robot]:
+    """The robots that these topics are of; of several CAN buses the first by name."""
+    buses: dict[str, set[str]] = {}
+    for topic in topics:
+        parts = keys.parse(topic.name)
+        if parts is not None and parts.robot and RECORDER_CHUNK not in topic.name.split("/"):
+            buses.setdefault(f"{parts.root}/{parts.robot}", set()).add(parts.bus)
+    return [Robot(key, min(found - {""}, default="")) for key, found in sorted(buses.items())]

@@ -1,0 +1,270 @@
+"""All of one robot, from its messages one by one, in memory that does not grow with them."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Sequence
+from math import isfinite
+from typing import Final
+
+import msgspec
+
+from recorder.completeness import KeyReport
+from recorder.review.report.findings import (
+    Driver,
+    Moment,
+    Refusal,
+    RobotCharts,
+    RobotReport,
+    RobotSummary,
+    Unwritten,
+)
+from recorder.review.report.odometry import GAP_NS, Path, Place
+from recorder.review.report.series import Series
+from recorder.review.report.spans import Spans
+from recorder.review.timeline.clock import RobotClock
+from recorder.review.timeline.repeats import Repeats
+from schemas.decisions import ArbiterState, Decision, EventKind, SafetyEvent, SafetyState, Verdict
+from schemas.messages import GatewayHealth, Message, Mode, RobotState
+
+HAND_TRANSMITTER: Final = "the hand transmitter"
+
+MOMENTS_MAX: Final = 2000
+REFUSALS_MAX: Final = 200
+DRIVERS_MAX: Final = 200
+OTHERS: Final = "(others)"
+
+REMEMBERED: Final = 4096
+"""Messages of a subject that are known again when they come a second time."""
+
+CLOCK_TRUST_NS: Final = 24 * 3600 * 1_000_000_000
+"""A time that is further from the receipt is of no use."""
+
+LINES: Final = (
+    "speed_mps",
+    "target_speed_mps",
+    "output_speed_mps",
+    "speed_limit_mps",
+    "angle_deg",
+    "target_angle_deg",
+    "output_angle_deg",
+    "steering_limit_deg",
+)
+"""What is drawn over time. Those of ``state`` were measured, those of ``safety/state`` were asked for or told."""
+
+BANDS: Final = ("mode", "arbiter", "lease")
+"""Who commands the chassis; where the arbiter is; who holds the lease."""
+
+
+class Account:
+    """Gathers what is said of a robot.
+
+    Args:
+        name: what it is to be called.
+        key: what its keys begin with.
+    """
+
+    def __init__(self, name: str, key: str) -> None:
+        self.name = name
+        self.key = key
+        self._start_ns, self._end_ns = 2**64, 0
+        self._clock = RobotClock()
+        self._path = Path()
+        self._lines = {line: Series(GAP_NS) for line in LINES}
+        self._bands = {band: Spans(GAP_NS) for band in BANDS}
+        self._seen: dict[type[Message], Repeats] = {}
+        self._held_by = ""
+        """Who drives the robot over Zenoh at present."""
+        self._state_ns = 0
+        self._driven: dict[str, list[float]] = {}
+        self._moments: list[tuple[int, SafetyEvent]] = []
+        self._stops: Counter[str] = Counter()
+        self._events: Counter[str] = Counter()
+        self._verdicts: Counter[Verdict] = Counter()
+        self._refusals: dict[tuple[str, str, str], list[int]] = {}
+        self._health: Counter[str] = Counter()
+        self._counts: dict[str, int] = {}
+        self._unwritten: Counter[tuple[str, str]] = Counter()
+
+    def take(self, message: Message, publish_ns: int, log_ns: int) -> None:
+        """The next message, of a kind that TAKEN lists: when the robot says it was, and when it was received."""
+        seen = self._seen.get(type(message))
+        if seen is None:
+            seen = self._seen[type(message)] = Repeats(REMEMBERED)
+        if not seen.is_new(message.time_ns, message.sequence):
+            return
+        time_ns = self._place(message, publish_ns, log_ns)
+        self._start_ns, self._end_ns = min(self._start_ns, time_ns), max(self._end_ns, time_ns)
+        match message:
+            case RobotState():
+                self._take_state(message, time_ns)
+            case SafetyState():
+                self._take_arbiter(message, time_ns)
+            case SafetyEvent():
+                self._take_event(message, time_ns)
+            case Decision():
+                self._take_decision(message, time_ns)
+            case GatewayHealth():
+                self._take_health(message)
+            case _:
+                pass
+
+    def _place(self, message: Message, publish_ns: int, log_ns: int) -> int:
+        """Its place on the time axis."""
+        tick: int | None = None
+        if isinstance(message, SafetyState):
+            self._clock.hear(message.tick, publish_ns, log_ns)
+        if isinstance(message, SafetyState | SafetyEvent | Decision):
+            tick = message.tick
+        time_ns = self._clock.place(publish_ns, log_ns, tick)
+        return time_ns if abs(time_ns - log_ns) < CLOCK_TRUST_NS else log_ns
+
+    def lose(self, topic: str, reason: str, count: int) -> None:
+        """The recorder says that it could not keep so many messages."""
+        if len(self._unwritten) < REFUSALS_MAX or (topic, reason) in self._unwritten:
+            self._unwritten[topic, reason] += count
+
+    def sum_up(self, completeness: dict[str, KeyReport], facts: dict[str, str]) -> RobotReport | None:
+        """What has been found; None if nothing came.
+
+        Args:
+            completeness: the recorder's account of this robot's topics.
+            facts: what else the logs say of it.
+        """
+        if not self._end_ns:
+            return None
+        path = self._path
+        drivers = [Driver(name, seconds, metres) for name, (seconds, metres) in self._driven.items()]
+        refusals = [Refusal(*about, *counted) for about, counted in self._refusals.items()]
+        refused = self._verdicts[Verdict.REFUSED]
+        summary = RobotSummary(
+            name=self.name,
+            key=self.key,
+            start_ns=self._start_ns,
+            end_ns=self._end_ns,
+            distance_m=path.distance_m,
+            moving_s=path.moving_ns / 1e9,
+            known_s=path.known_ns / 1e9,
+            top_mps=path.top_mps,
+            top_ns=path.top_ns,
+            stops=dict(self._stops.most_common()),
+            events=dict(self._events.most_common()),
+            drivers=sorted(drivers, key=lambda one: -one.seconds),
+            accepted=self._verdicts[Verdict.ACCEPTED],
+            refused=refused,
+            refusals=sorted(refusals, key=lambda one: -one.count),
+            other_refusals=refused - sum(one.count for one in refusals),
+            gaps=path.gaps,
+            gap_s=path.gap_ns / 1e9,
+            stale=path.stale,
+            health={name: count for name, count in self._health.items() if count},
+            completeness=completeness,
+            unwritten=[Unwritten(*about, count) for about, count in self._unwritten.most_common()],
+            facts=facts,
+        )
+        return RobotReport(summary, self._draw())
+
+    def _draw(self) -> RobotCharts:
+        places = self._path.end()
+        ordered = sorted(places, key=lambda place: place.time_ns)
+        times_ns = [place.time_ns for place in ordered]
+        moments = [
+            _moment(time_ns, event, ordered, times_ns)
+            for time_ns, event in sorted(self._moments, key=lambda one: (one[0], one[1].sequence))
+        ]
+        return RobotCharts(
+            lines={name: series.points() for name, series in self._lines.items()},
+            bands={name: spans.spans() for name, spans in self._bands.items()},
+            places=places,
+            moments=moments,
+            more_moments=self._events.total() - len(moments),
+        )
+
+    def _take_state(self, state: RobotState, time_ns: int) -> None:
+        grew_m = self._path.add(time_ns, state.speed_mps, state.angle_deg)
+        self._draw_on("speed_mps", time_ns, state.speed_mps)
+        self._draw_on("angle_deg", time_ns, state.angle_deg)
+        self._bands["mode"].add(time_ns, "" if state.mode is Mode.UNDEFINED else state.mode.value)
+        span_ns = time_ns - self._state_ns
+        self._state_ns = time_ns
+        driver = HAND_TRANSMITTER if state.mode is Mode.REMOTE else self._held_by
+        if not driver:
+            return
+        if driver not in self._driven and len(self._driven) >= DRIVERS_MAX:
+            driver = OTHERS
+        driven = self._driven.setdefault(driver, [0.0, 0.0])
+        driven[0] += span_ns / 1e9 if 0 < span_ns <= GAP_NS else 0.0
+        driven[1] += grew_m
+
+    def _take_arbiter(self, state: SafetyState, time_ns: int) -> None:
+        self._held_by = state.lease_holder if state.state is ArbiterState.ENGAGED else ""
+        self._bands["arbiter"].add(time_ns, state.state.value)
+        self._bands["lease"].add(time_ns, state.lease_holder)
+        self._draw_on("speed_limit_mps", time_ns, state.speed_limit_mps)
+        self._draw_on("steering_limit_deg", time_ns, state.steering_limit_deg)
+        for name in ("target_speed_mps", "output_speed_mps", "target_angle_deg", "output_angle_deg"):
+            # In standby the chassis is told nothing.
+            is_told = state.state is not ArbiterState.STANDBY
+            self._draw_on(name, time_ns, getattr(state, name) if is_told else None)
+
+    def _draw_on(self, line: str, time_ns: int, value: float | None) -> None:
+        if value is None or not isfinite(value):
+            self._lines[line].cut()
+        else:
+            self._lines[line].add(time_ns, value)
+
+    def _take_event(self, event: SafetyEvent, time_ns: int) -> None:
+        self._events[event.kind.value] += 1
+        if event.kind is EventKind.STOP:
+            self._stops[event.reason.value] += 1
+        if len(self._moments) < MOMENTS_MAX:
+            self._moments.append((time_ns, event))
+
+    def _take_decision(self, decision: Decision, time_ns: int) -> None:
+        self._verdicts[decision.verdict] += 1
+        if decision.verdict is not Verdict.REFUSED:
+            return
+        about = (decision.request, decision.operator, decision.reason.value)
+        counted = self._refusals.get(about)
+        if counted is not None:
+            counted[0] += 1
+            counted[1:] = [min(counted[1], time_ns), max(counted[2], time_ns)]
+        elif len(self._refusals) < REFUSALS_MAX:
+            self._refusals[about] = [1, time_ns, time_ns]
+
+    def _take_health(self, health: GatewayHealth) -> None:
+        counts = {
+            "lost frames": sum(frame.lost for frame in health.feedback),
+            "frames with a wrong checksum": sum(frame.checksum_faults for frame in health.feedback),
+            "frames with an implausible value": sum(frame.implausible for frame in health.feedback),
+            "frames that the kernel dropped": health.bus_drops,
+            "losses of the bus": health.bus_losses,
+            "samples that Zenoh did not take": health.publish_failures,
+            "requests dropped unread": health.inbox_drops,
+        }
+        for name, count in counts.items():
+            # The first one tells of the time before the log; a count that fell was begun anew.
+            grown = count - self._counts.get(name, count)
+            self._health[name] += grown if grown >= 0 else count
+        self._counts = counts
+
+
+TAKEN: Final[frozenset[type[msgspec.Struct]]] = frozenset(
+    {RobotState, SafetyState, SafetyEvent, Decision, GatewayHealth}
+)
+"""What an account is made of."""
+
+
+def _moment(time_ns: int, event: SafetyEvent, places: Sequence[Place], times_ns: Sequence[int]) -> Moment:
+    place = places[max(0, bisect_right(times_ns, time_ns) - 1)] if places else None
+    return Moment(
+        time_ns=time_ns,
+        kind=event.kind.value,
+        severity=event.severity.value,
+        reason=event.reason.value,
+        operator=event.operator,
+        text=event.text,
+        x_m=None if place is None else place.x_m,
+        y_m=None if place is None else place.y_m,
+    )

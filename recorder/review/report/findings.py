@@ -1,0 +1,162 @@
+"""What a report says, as data. Times are nanoseconds since 1970, by the robot's own clock."""
+
+from __future__ import annotations
+
+import msgspec
+
+from recorder.completeness import KeyReport
+from recorder.review.report.odometry import Place
+from recorder.review.report.series import Point
+from recorder.review.report.spans import Span
+
+
+class Moment(msgspec.Struct, frozen=True):
+    """Something that a person should know.
+
+    Attributes:
+        kind: of the event: stop, latch, takeover, ...
+        operator: who did it; empty if nobody did.
+        x_m, y_m: where, as far as the path is known.
+    """
+
+    time_ns: int
+    kind: str
+    severity: str
+    reason: str
+    operator: str
+    text: str
+    x_m: float | None
+    y_m: float | None
+
+
+class Driver(msgspec.Struct, frozen=True):
+    """Who had the robot, for how long, and how far it went."""
+
+    name: str
+    seconds: float
+    distance_m: float
+
+
+class Refusal(msgspec.Struct, frozen=True):
+    """Requests that were refused: those of one verb, operator and reason."""
+
+    request: str
+    operator: str
+    reason: str
+    count: int
+    first_ns: int
+    last_ns: int
+
+
+class Unwritten(msgspec.Struct, frozen=True):
+    """Messages of a topic that reached the recorder and are not in the log, for one reason."""
+
+    topic: str
+    reason: str
+    count: int
+
+
+class RobotSummary(msgspec.Struct, frozen=True):
+    """A robot in figures.
+
+    Attributes:
+        name: as it is called in this report.
+        key: what its keys begin with.
+        distance_m: the length of its path, by speed and time.
+        moving_s: how long it moved, of ``known_s`` of which its speed is known.
+        top_mps: its highest speed, negative in reverse; at ``top_ns``.
+        stops: how often it was stopped, by reason.
+        events: how many, by kind.
+        drivers: who had it.
+        accepted: requests that were; ``refused`` those that were not.
+        refusals: these, with ``other_refusals`` that are too many kinds to tell apart.
+        gaps: how often it is not known how it moved; ``gap_s`` in all.
+        stale: states that came late or twice, and are not in the path.
+        health: what the gateway counted while this log was written: lost frames, faults, losses.
+        completeness: the recorder's own account of each topic; empty if it gives none.
+        unwritten: what reached the recorder and is not in the log.
+        facts: variant, bus, versions and hash of the configuration, as the log's metadata has them.
+    """
+
+    name: str
+    key: str
+    start_ns: int
+    end_ns: int
+    distance_m: float
+    moving_s: float
+    known_s: float
+    top_mps: float
+    top_ns: int
+    stops: dict[str, int]
+    events: dict[str, int]
+    drivers: list[Driver]
+    accepted: int
+    refused: int
+    refusals: list[Refusal]
+    other_refusals: int
+    gaps: int
+    gap_s: float
+    stale: int
+    health: dict[str, int]
+    completeness: dict[str, KeyReport]
+    unwritten: list[Unwritten]
+    facts: dict[str, str]
+
+
+class RobotCharts(msgspec.Struct, frozen=True):
+    """A robot over time.
+
+    Attributes:
+        lines: by name: times and values, None where a line is broken.
+        bands: by name: what was so from when to when.
+        places: the path.
+        moments: the events; ``more_moments`` are left out.
+    """
+
+    lines: dict[str, list[Point | None]]
+    bands: dict[str, list[Span]]
+    places: list[Place]
+    moments: list[Moment]
+    more_moments: int
+
+
+class RobotReport(msgspec.Struct, frozen=True):
+    """A robot."""
+
+    summary: RobotSummary
+    charts: RobotCharts
+
+
+class ReportedFile(msgspec.Struct, frozen=True):
+    """A file that the report is about.
+
+    Attributes:
+        is_accounted: it ends with the recorder's account of what it received and lost.
+    """
+
+    name: str
+    bytes: int
+    start_ns: int
+    end_ns: int
+    is_accounted: bool
+
+
+class Report(msgspec.Struct, frozen=True):
+    """All that a report says.
+
+    Attributes:
+        files: the logs.
+        from_ns, to_ns: the log times that were asked about; 0 and None if all were.
+        robots: one by one; ``more_robots`` are left out.
+        faults: what could not be read, the first of ``fault_count``.
+        version: of the program that made it.
+    """
+
+    files: list[ReportedFile]
+    from_ns: int
+    to_ns: int | None
+    robots: list[RobotReport]
+    more_robots: int
+    faults: list[str]
+    fault_count: int
+    version: str

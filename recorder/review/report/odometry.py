@@ -1,0 +1,138 @@
+"""The path of a robot, from its speed and its steering angle.
+
+The bicycle model: yaw rate = speed * tan(angle) / wheelbase. Axes are those of ISO 8855, x forward and y left as
+the robot stood at first. Where samples are missing the path breaks off, and goes on from the same place: nobody
+knows where the robot was meanwhile.
+"""
+
+from __future__ import annotations
+
+from math import atan2, cos, degrees, hypot, isfinite, pi, radians, sin, tan
+from typing import Final
+
+import msgspec
+
+from schemas.settings import WHEELBASE_M
+
+GAP_NS: Final = 500_000_000
+"""Ten periods of ``state``: beyond that nothing is integrated."""
+
+CLOCK_STEP_NS: Final = 600_000_000_000
+"""A source's time that goes back further was set anew; one that goes back less is of a sample there before."""
+
+STANDING_MPS: Final = 0.02
+
+PLACES_MAX: Final = 4000
+
+_ANGLE_MAX_DEG: Final = 80.0
+"""The chassis steers to 24 deg; what is beyond sense must not end the path."""
+_SPEED_MAX_MPS: Final = 100.0
+_FIRST_STEP_M: Final = 0.01
+_FIRST_TURN_RAD: Final = radians(2)
+
+
+class Place(msgspec.Struct, frozen=True):
+    """Where the robot was.
+
+    Attributes:
+        x_m: forward, as it stood at first; ``y_m`` left.
+        heading_deg: from x to y.
+        begins: the path before it is broken off.
+    """
+
+    time_ns: int
+    x_m: float
+    y_m: float
+    heading_deg: float
+    begins: bool
+
+
+class Path:
+    """Integrates samples, and keeps as many places as are worth drawing.
+
+    Attributes:
+        distance_m: the length of the path, forward and in reverse.
+        moving_ns: how long it was faster than STANDING_MPS.
+        known_ns: how long it is known whether it was.
+        top_mps: the highest speed, in either direction...
+        top_ns: ...and when.
+        gaps: how often the path breaks off; ``gap_ns`` in all.
+        stale: samples that were there before, or came out of order.
+    """
+
+    def __init__(self, limit: int = PLACES_MAX) -> None:
+        self._limit = limit
+        self._step_m, self._turn_rad = _FIRST_STEP_M, _FIRST_TURN_RAD
+        self.places: list[Place] = []
+        self.x_m = self.y_m = self.heading_rad = 0.0
+        self.distance_m = 0.0
+        self.moving_ns = self.known_ns = self.gaps = self.gap_ns = self.stale = 0
+        self.top_mps, self.top_ns = 0.0, 0
+        self._last: tuple[int, float, float] | None = None
+        """The newest known sample: time, speed in m/s, steering angle in radians."""
+
+    def add(self, time_ns: int, speed_mps: float | None, angle_deg: float | None) -> float:
+        """One more sample; None where the robot does not know. Returns by how far the path grew, in metres."""
+        before = self._last
+        if before is not None and before[0] - CLOCK_STEP_NS < time_ns <= before[0]:
+            self.stale += 1
+            return 0.0
+        if not _is_sound(speed_mps, _SPEED_MAX_MPS) or not _is_sound(angle_deg, _ANGLE_MAX_DEG):
+            return 0.0
+        assert speed_mps is not None  # noqa: S101 - just tested; for the type checker
+        assert angle_deg is not None  # noqa: S101
+        if abs(speed_mps) > abs(self.top_mps):
+            self.top_mps, self.top_ns = speed_mps, time_ns
+        self._last = (time_ns, speed_mps, radians(angle_deg))
+        if before is None or not 0 < time_ns - before[0] <= GAP_NS:
+            if before is not None:
+                self.gaps += 1
+                self.gap_ns += max(0, time_ns - before[0])
+            self._keep(time_ns, begins=True)
+            return 0.0
+        return self._move(before, time_ns, speed_mps, radians(angle_deg))
+
+    def _move(self, before: tuple[int, float, float], time_ns: int, speed_mps: float, angle_rad: float) -> float:
+        """By the means of the two samples, with half the turn before the step and half behind it."""
+        span_ns = time_ns - before[0]
+        mean_mps = (before[1] + speed_mps) / 2
+        step_m = mean_mps * span_ns / 1e9
+        turn_rad = step_m * tan((before[2] + angle_rad) / 2) / WHEELBASE_M
+        self.x_m += step_m * cos(self.heading_rad + turn_rad / 2)
+        self.y_m += step_m * sin(self.heading_rad + turn_rad / 2)
+        self.heading_rad = (self.heading_rad + turn_rad + pi) % (2 * pi) - pi
+        self.distance_m += abs(step_m)
+        self.known_ns += span_ns
+        if abs(mean_mps) > STANDING_MPS:
+            self.moving_ns += span_ns
+        last = self.places[-1]
+        is_far = hypot(self.x_m - last.x_m, self.y_m - last.y_m) >= self._step_m
+        if is_far or abs(_between(self.heading_rad, radians(last.heading_deg))) >= self._turn_rad:
+            self._keep(time_ns, begins=False)
+        return abs(step_m)
+
+    def _keep(self, time_ns: int, *, begins: bool) -> None:
+        self.places.append(Place(time_ns, self.x_m, self.y_m, degrees(self.heading_rad), begins))
+        if len(self.places) > self._limit:
+            self._step_m *= 2
+            self._turn_rad = min(2 * self._turn_rad, pi / 8)
+            begun = [number for number, place in enumerate(self.places) if place.begins]
+            # Where each piece begins stays, unless the log is nothing but gaps.
+            kept = set(range(0, len(self.places), 2)) | set(begun[: self._limit // 4]) | {len(self.places) - 1}
+            self.places = [self.places[number] for number in sorted(kept)]
+
+    def end(self) -> list[Place]:
+        """The places, the last one included."""
+        if self._last is None or self.places[-1].time_ns == self._last[0]:
+            return self.places
+        last = Place(self._last[0], self.x_m, self.y_m, degrees(self.heading_rad), begins=False)
+        return [*self.places, last]
+
+
+def _is_sound(value: float | None, most: float) -> bool:
+    return value is not None and isfinite(value) and abs(value) <= most
+
+
+def _between(one_rad: float, other_rad: float) -> float:
+    """The angle between two headings."""
+    return atan2(sin(one_rad - other_rad), cos(one_rad - other_rad))

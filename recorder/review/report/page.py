@@ -1,0 +1,321 @@
+"""The report as one HTML file, which needs no network and runs no script but its own.
+
+All that comes from a log is escaped. Should that fail, the page's content security policy lets no other script run
+than those whose hashes it names, and nothing be fetched.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from base64 import b64encode
+from collections.abc import Iterable, Iterator, Sequence
+from html import escape
+from importlib.resources import files
+from typing import Any, Final
+
+import msgspec
+
+from recorder.review.report.figures import clock, on_map, over_time, placed
+from recorder.review.report.findings import Report, RobotReport, RobotSummary
+from recorder.review.report.words import (
+    Line,
+    duration,
+    headline,
+    is_lossy,
+    metres,
+    reason_words,
+    size,
+    summary_lines,
+)
+from recorder.review.times import in_words
+from schemas.printable import plain
+
+MOMENTS_SHOWN: Final = 300
+"""Rows of the table of events; the chart has all."""
+
+_LOSS_HEADS: Final = ("sent", "received", "written", "bus", "source", "link", "queue", "size", "full", "disk")
+_FOOT: Final = (
+    "Times are those of the robot's clock, in UTC. The path is reckoned from speed and steering angle, and drifts."
+)
+_OPENED: Final = 15
+"""A longer table is folded."""
+
+
+def page(report: Report, plotly_js: str) -> str:
+    """The page.
+
+    Args:
+        report: what it says.
+        plotly_js: the library that draws; it is part of the page.
+    """
+    here = files("recorder.review.report")
+    scripts = [plotly_js, (here / "page.js").read_text()]
+    charts = [
+        {"map": on_map(robot.charts), "time": over_time(robot.charts), "places": placed(robot.charts.places)}
+        for robot in report.robots
+    ]
+    policy = f"default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src {_hashes(scripts)}"
+    names = ", ".join(robot.summary.name for robot in report.robots)
+    return "\n".join(
+        [
+            "<!doctype html>",
+            '<html lang="en">',
+            "<head>",
+            '<meta charset="utf-8">',
+            f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            '<meta name="referrer" content="no-referrer">',
+            '<link rel="icon" href="data:,">',
+            f"<title>Report of {text(names)}</title>",
+            f"<style>{(here / 'page.css').read_text()}</style>",
+            "</head>",
+            "<body>",
+            *_head(report),
+            "<main>",
+            '<noscript><p class="note">The charts need JavaScript; all else is here without.</p></noscript>',
+            *(line for number, robot in enumerate(report.robots) for line in _robot(number, robot, report)),
+            *_files(report),
+            "</main>",
+            f"<footer><p>Made by cruiser-gateway {text(report.version)}. {_FOOT}</p></footer>",
+            f'<script type="application/json" id="charts">{safe_json(charts)}</script>',
+            *(f"<script>{script}</script>" for script in scripts),
+            "</body>",
+            "</html>",
+            "",
+        ]
+    )
+
+
+def text(value: object) -> str:
+    """Anything as text of the page: no tag, no attribute, no character that rules the line."""
+    return escape(plain(str(value)))
+
+
+def safe_json(value: Any) -> str:  # noqa: ANN401 - whatever JSON can hold
+    """JSON that can stand in a script element: nothing in it ends that, or begins a comment."""
+    encoded = msgspec.json.encode(value).decode()
+    for character in "<>&\u2028\u2029":
+        encoded = encoded.replace(character, f"\\u{ord(character):04x}")
+    return encoded
+
+
+def _hashes(scripts: Iterable[str]) -> str:
+    return " ".join(f"'sha256-{b64encode(hashlib.sha256(one.encode()).digest()).decode()}'" for one in scripts)
+
+
+def _head(report: Report) -> Iterator[str]:
+    starts = [robot.summary.start_ns for robot in report.robots]
+    ends = [robot.summary.end_ns for robot in report.robots]
+    yield "<header>"
+    yield "<h1>Drive report</h1>"
+    yield (
+        f'<p class="lead">{text(in_words(min(starts)))} to {text(in_words(max(ends)))}, '
+        f"{_counted(len(report.files), 'file')}, {text(size(sum(file.bytes for file in report.files)))}</p>"
+    )
+    if report.fault_count:
+        yield f'<p class="note">Not all could be read: {_counted(report.fault_count, "fault")}, see below.</p>'
+    if report.more_robots:
+        yield f'<p class="note">{_counted(report.more_robots, "more robot")} in these logs are not shown.</p>'
+    if len(report.robots) > 1:
+        links = ", ".join(
+            f'<a href="#robot-{number}">{text(robot.summary.name)}</a>'
+            for number, robot in enumerate(report.robots)
+        )
+        yield f"<nav aria-label='Robots'><p>{links}</p></nav>"
+    yield "</header>"
+
+
+def _robot(number: int, robot: RobotReport, report: Report) -> Iterator[str]:
+    summary, charts = robot.summary, robot.charts
+    yield f'<section id="robot-{number}" aria-labelledby="head-{number}">'
+    yield f'<h2 id="head-{number}">{text(summary.name)}</h2>'
+    yield f'<p class="lead">{text(headline(summary))}</p>'
+    yield from _figures(summary)
+    yield from _card("Summary", _definitions(summary_lines(summary, report)))
+    about = f"Map of the path of {summary.name}: {headline(summary)}"
+    yield from _card(
+        "Path",
+        _chart(f"map-{number}", "map", about, "By odometry: speed and steering angle. Left is up."),
+    )
+    about = f"Speed, steering angle, mode, arbiter state, lease and events of {summary.name} over time"
+    caption = "Point at a time to see the place on the map; drag to zoom all charts, click twice to go back."
+    yield from _card("Over time", _chart(f"time-{number}", "time", about, caption))
+    if charts.moments:
+        yield from _card("Events", _moments(robot))
+    if summary.refusals:
+        yield from _card("Refusals", _refusals(summary))
+    yield from _card("Completeness", _completeness(summary))
+    yield from _card("Versions", _facts(summary))
+    yield "</section>"
+
+
+def _figures(summary: RobotSummary) -> Iterator[str]:
+    stops = sum(summary.stops.values())
+    lost = sum(one.lost + one.lost_source + (one.lost_bus or 0) for one in summary.completeness.values())
+    tiles = [
+        ("", metres(summary.distance_m), "path"),
+        ("", duration(summary.moving_s), "moving"),
+        ("", f"{abs(summary.top_mps):.2f} m/s", "highest speed"),
+        ("", str(stops), "stop" if stops == 1 else "stops"),
+        ("bad" if summary.refused else "", str(summary.refused), "refused requests"),
+        _lost_tile(lost, is_known=bool(summary.completeness)),
+    ]
+    yield '<ul class="figures">'
+    for kind, value, name in tiles:
+        yield f'<li class="{kind}"><strong>{text(value)}</strong><span>{text(name)}</span></li>'
+    yield "</ul>"
+
+
+def _lost_tile(lost: int, *, is_known: bool) -> tuple[str, str, str]:
+    if not is_known:
+        return "bad", "?", "lost: not told"
+    return ("bad" if lost else "good"), str(lost), "samples lost"
+
+
+def _card(title: str, inner: Iterable[str]) -> Iterator[str]:
+    yield f'<div class="card"><h3>{text(title)}</h3>'
+    yield from inner
+    yield "</div>"
+
+
+def _definitions(lines: Sequence[Line]) -> Iterator[str]:
+    yield "<dl>"
+    for name, said in lines:
+        yield f"<dt>{text(name)}</dt><dd>{text(said)}</dd>"
+    yield "</dl>"
+
+
+def _chart(name: str, kind: str, about: str, caption: str) -> Iterator[str]:
+    yield "<figure>"
+    yield f'<div class="chart {kind}" id="{name}" role="img" aria-label="{text(about)}"></div>'
+    yield f"<figcaption>{text(caption)}</figcaption></figure>"
+
+
+def _moments(robot: RobotReport) -> Iterator[str]:
+    moments = robot.charts.moments
+    rows = [
+        (
+            moment.severity,
+            (
+                clock(moment.time_ns),
+                moment.kind,
+                "" if moment.reason == "none" else moment.reason,
+                moment.operator,
+                moment.text,
+            ),
+        )
+        for moment in moments[:MOMENTS_SHOWN]
+    ]
+    left_out = len(moments) - len(rows) + robot.charts.more_moments
+    caption = "What a person should know" + (f"; the first {len(rows)}, {left_out} more" if left_out else "")
+    yield from _folded(
+        caption, len(rows), _table(caption, ("time, UTC", "what", "reason", "operator", "text"), rows)
+    )
+
+
+def _refusals(summary: RobotSummary) -> Iterator[str]:
+    rows = [
+        (
+            "",
+            (str(one.count), one.request, one.operator, one.reason, reason_words(one.reason), clock(one.first_ns)),
+        )
+        for one in summary.refusals
+    ]
+    caption = "Refused requests by verb, operator and reason" + (
+        f"; {summary.other_refusals} of further kinds" if summary.other_refusals else ""
+    )
+    head = ("count", "request", "operator", "reason", "in words", "first")
+    yield from _folded(caption, len(rows), _table(caption, head, rows, numbers={0}))
+
+
+def _completeness(summary: RobotSummary) -> Iterator[str]:
+    lossy = {topic: one for topic, one in summary.completeness.items() if is_lossy(one)}
+    if not summary.completeness:
+        yield "<p>The log holds no account of what its recorder received and lost: it was not finished.</p>"
+    elif not lossy:
+        yield f"<p>{_counted(len(summary.completeness), 'topic')}, nothing lost.</p>"
+    if summary.unwritten:
+        unwritten = [("", (one.topic, one.reason, str(one.count))) for one in summary.unwritten]
+        yield from _table("Reached the recorder, and is not in the log", ("topic", "why", "count"), unwritten, {2})
+    if summary.completeness:
+        shown = lossy or summary.completeness
+        rows = [
+            (
+                "",
+                (
+                    topic.removeprefix(f"{summary.key}/"),
+                    *("-" if value is None else str(value) for value in msgspec.structs.astuple(one)),
+                ),
+            )
+            for topic, one in shown.items()
+        ]
+        caption = "Samples of each topic on their way from the source into the log, and where they were lost"
+        table = _table(caption, ("topic", *_LOSS_HEADS), rows, numbers=set(range(1, 11)))
+        yield from _folded("All topics" if not lossy else caption, 0 if lossy else _OPENED + 1, table)
+
+
+def _facts(summary: RobotSummary) -> Iterator[str]:
+    if not summary.facts:
+        yield "<p>The log does not tell.</p>"
+        return
+    yield from _definitions([(name.replace("_", " "), value) for name, value in sorted(summary.facts.items())])
+
+
+def _files(report: Report) -> Iterator[str]:
+    rows = [
+        (
+            "",
+            (
+                file.name,
+                size(file.bytes),
+                in_words(file.start_ns),
+                in_words(file.end_ns),
+                "finished" if file.is_accounted else "not finished by its recorder",
+            ),
+        )
+        for file in report.files
+    ]
+    yield '<section aria-labelledby="files"><h2 id="files">Files</h2><div class="card">'
+    yield from _table("What this report was made of", ("file", "size", "from", "to", "state"), rows)
+    if report.faults:
+        yield "<h3>What could not be read</h3><ul>"
+        yield from (f"<li>{text(fault)}</li>" for fault in report.faults)
+        if report.fault_count > len(report.faults):
+            yield f"<li>and {report.fault_count - len(report.faults)} more</li>"
+        yield "</ul>"
+    yield "</div></section>"
+
+
+def _folded(title: str, rows: int, table: Iterable[str]) -> Iterator[str]:
+    """A long table is folded."""
+    if rows <= _OPENED:
+        yield from table
+        return
+    yield f"<details><summary>{text(title)}</summary>"
+    yield from table
+    yield "</details>"
+
+
+def _table(
+    caption: str,
+    head: Sequence[str],
+    rows: Iterable[tuple[str, Sequence[str]]],
+    numbers: Iterable[int] = (),
+) -> Iterator[str]:
+    """A table; each row has a class and its cells, and the columns ``numbers`` hold numbers."""
+    right = set(numbers)
+    heads = "".join(
+        f'<th scope="col"{" class=number" if index in right else ""}>{text(name)}</th>'
+        for index, name in enumerate(head)
+    )
+    yield f'<div class="scroll"><table><caption>{text(caption)}</caption><thead><tr>{heads}</tr></thead><tbody>'
+    for kind, cells in rows:
+        written = "".join(
+            f"<td{' class=number' if index in right else ''}>{text(cell)}</td>" for index, cell in enumerate(cells)
+        )
+        yield f'<tr class="{text(kind)}">{written}</tr>'
+    yield "</tbody></table></div>"
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"

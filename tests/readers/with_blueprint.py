@@ -1,0 +1,39 @@
+"""A blueprint as rerun's package makes it, and whether each field that it draws is in a log as rerun reads that.
+
+Usage: PYTHON-WITH-RERUN tests/readers/with_blueprint.py PROJECT PACKAGES LOG BLUEPRINT
+
+It is run by an interpreter that has rerun; the project and the packages it stands on come behind that one's own.
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+
+def main(log: str, blueprint: str) -> None:
+    """Write the blueprint, and print for each line of each chart whether rerun finds it."""
+    from rerun.chunk import McapReader  # noqa: PLC0415 - the paths are set below
+
+    from recorder.layouts import charts, rerun_blueprint  # noqa: PLC0415
+
+    robot = charts.Robot("fleet/cruiser-1", "can0")
+    rerun_blueprint.save_blueprint(robot, "cruiser-1", Path(blueprint))
+    structs: dict[tuple[str, str], Any] = {}
+    for chunk in McapReader(log, decoders=["protobuf"]).stream():
+        for field in chunk.to_record_batch().schema:
+            if field.name.endswith(":message"):
+                structs[chunk.entity_path, field.name] = field.type.value_type
+    shown = (charts.SPEED, charts.ANGLE, charts.SWITCHES, charts.LATENESS)
+    for line in [*(line for chart in shown for line in chart.lines), *charts.STATES]:
+        mapping = rerun_blueprint.mapping_of(line, "")
+        kind = structs.get((f"/{robot.topic(line.kind)}", mapping.source_component))
+        for name in str(mapping.selector).split(".")[1:]:
+            index = kind.get_field_index(name) if kind is not None else -1
+            kind = kind.field(index).type if kind is not None and index >= 0 else None
+        print(json.dumps([line.kind.__name__, line.field, None if kind is None else str(kind)]))
+
+
+if __name__ == "__main__":
+    sys.path += sys.argv[1:3]
+    main(*sys.argv[3:])
