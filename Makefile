@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/installed
 
-.PHONY: demo test test-socketcan readers lint types architecture generate bench bench-recorder mutation clean
+.PHONY: demo test test-socketcan readers lint types architecture generate bench bench-recorder bench-review mutation clean
 
 demo: $(STAMP)  ## chassis, gateway and recorder and two operators, for half a minute
 	$(BIN)/cruiser demo --seconds 30 --out demo-log
@@ -38,6 +38,10 @@ generate: $(STAMP)  ## what is generated from the tables: JSON Schemas, README a
 
 bench: $(STAMP)
 	$(BIN)/python -m tests.bench
+
+bench-review: $(STAMP)  ## of that the review alone, on a log of 1 GB
+	$(BIN)/python -m tests.bench.review_rate
+	$(BIN)/python -m tests.bench.review_export
 
 bench-recorder: $(STAMP)  ## of that the recorder alone, against other writers, with five minutes of load
 	$(BIN)/python -m tests.bench.recorder_rate --sustain-s 300

@@ -1,0 +1,143 @@
+"""``cruiser review export``: logs in other forms."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from recorder.cli.review.asking import Asked, add_logs, add_period, end_with, find, progress_bar
+from recorder.cli.review.extras import needing_extra
+from recorder.cli.review.stopping import heeding
+from recorder.review.rows import END_OF_TIME_NS, Progress, Selection
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
+from schemas.settings import Settings
+
+EXAMPLE: Final = """  cruiser review export -o dataset logs
+  cruiser review export -o dataset --add logs/cruiser-1-20260102T030405Z.mcap
+  cruiser review export --format csv --topic 'chassis/*' -o tables logs
+  cruiser review export --format blf -o frames logs"""
+DESCRIPTION: Final = (
+    "Writes logs as a dataset of Parquet files (by topic, robot and date, with a manifest), as CSV, one file a "
+    "topic, or their raw frames as candump log, ASC or BLF, one file a robot. Nothing that is there is "
+    "overwritten. What several logs hold is written once. Exit code 3 if not all of a log could be read."
+)
+
+PARQUET, CSV = "parquet", "csv"
+_FRAME_FORMATS: Final = ("candump", "asc", "blf")
+FORMATS: Final = (PARQUET, CSV, *_FRAME_FORMATS)
+RUNNERS: Final = ("here", "daft")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    add_logs(parser, json_help="print what was written as JSON, an object a line")
+    parser.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="where it goes")
+    parser.add_argument("--format", choices=FORMATS, default=PARQUET, help=f"default {PARQUET}")
+    parser.add_argument("--add", action="store_true", help="add to a dataset that is there what it has not")
+    parser.add_argument(
+        "--topic",
+        action="append",
+        default=[],
+        metavar="PATTERN",
+        help="only these topics, by their names or by what follows the robot in them; may be given again",
+    )
+    parser.add_argument(
+        "--runner", choices=RUNNERS, default=RUNNERS[0], help="who does it: this process (default), or Daft"
+    )
+    parser.add_argument(
+        "--ray", metavar="ADDRESS", help="have Daft do it on this Ray cluster: auto, ray://HOST:PORT"
+    )
+    add_period(parser)
+
+
+def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Export."""
+    if arguments.format != PARQUET and (arguments.add or arguments.ray or arguments.runner != RUNNERS[0]):
+        raise CommandError("--add, --runner and --ray are of --format parquet", ExitCode.USAGE)
+    asked = find(arguments)
+    with needing_extra("review"), progress_bar("exporting", asked.bytes) as progress:
+        written = _EXPORTS[arguments.format](arguments, asked, heeding(progress, stopped))
+    for one in written:
+        text = msgspec.json.encode(one).decode() if arguments.json else plain(describe(one))
+        sys.stdout.write(f"{text}\n")
+    return end_with(asked.faults)
+
+
+def describe(one: Any) -> str:  # noqa: ANN401 - of modules that are imported late
+    """What was written, for people."""
+    about = msgspec.to_builtins(one)
+    if "frames" in about:
+        late = f", {about['late']} of them out of order" if about["late"] else ""
+        return f"{about['path']}: {about['frames']} frames{late}"
+    if "topic" in about:
+        return f"{about['path']}: {about['rows']} rows"
+    repeats = sum(one["repeats"] for one in about["inputs"])
+    rows = sum(one["rows"] for one in about["inputs"])
+    size = sum(part["bytes"] for part in about["files"])
+    parts = [f"{about['directory']}: {rows} rows in {len(about['files'])} files, {size / 1e6:.1f} MB"]
+    if repeats:
+        parts.append(f"{repeats} messages left out that were there already")
+    if about["known"]:
+        parts.append(f"{len(about['known'])} logs were in it already")
+    return "; ".join(parts)
+
+
+def _dataset(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:
+    from recorder.review.export import dataset  # noqa: PLC0415 - its libraries are an extra
+
+    run: dataset.Runner = dataset.one_after_the_other
+    if arguments.ray or arguments.runner == "daft":
+        from recorder.review.export.spread import LOCAL, daft_runner  # noqa: PLC0415 - as above
+
+        run = daft_runner(arguments.ray or LOCAL)
+    wanted = _wanted(arguments, asked)
+    return [
+        dataset.export_dataset(
+            asked.logs, arguments.out, wanted, asked.faults, is_adding=arguments.add, run=run, progress=progress
+        )
+    ]
+
+
+def _csv(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:
+    from recorder.review.export.csv_files import export_csv  # noqa: PLC0415 - its libraries are an extra
+
+    return export_csv(asked.logs, arguments.out, _wanted(arguments, asked), asked.faults, progress)
+
+
+def _wanted(arguments: argparse.Namespace, asked: Asked) -> Any:  # noqa: ANN401 - of a module that is imported late
+    from recorder.review.export.one_log import Wanted  # noqa: PLC0415 - its libraries are an extra
+
+    return Wanted(arguments.topic, asked.from_ns, -1 if asked.to_ns >= END_OF_TIME_NS else asked.to_ns)
+
+
+def _frames(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:
+    from recorder.ports.frame_files import FrameFile, FrameFormat  # noqa: PLC0415 - python-can takes a while
+    from recorder.review.export.raw_frames import FrameSink, read_frames, write_frames  # noqa: PLC0415
+    from recorder.review.topic_names import wants_of  # noqa: PLC0415
+
+    form = FrameFormat[arguments.format.upper()]
+    out: Path = arguments.out
+
+    def sink_of(robot: str) -> tuple[str, FrameSink]:
+        path = out / f"{robot}.{form.value}"
+        return str(path), FrameFile(path, form)
+
+    selection = Selection(wants_of(arguments.topic), asked.from_ns, asked.to_ns)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        return write_frames(read_frames(asked.logs, selection, asked.faults, progress), sink_of)
+    except OSError as error:
+        raise CommandError(f"cannot write {plain(str(out))}: {error.strerror or error}") from error
+
+
+_EXPORTS: Final[dict[str, Callable[[argparse.Namespace, Asked, Progress], Sequence[Any]]]] = {
+    PARQUET: _dataset,
+    CSV: _csv,
+    **dict.fromkeys(_FRAME_FORMATS, _frames),
+}

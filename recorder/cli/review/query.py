@@ -1,0 +1,147 @@
+"""``cruiser review query``: SQL over logs, or over a dataset."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from recorder.cli.review.asking import JSON_HELP, add_period, end_with, find, progress_bar, table
+from recorder.cli.review.extras import needing_extra
+from recorder.cli.review.stopping import heeding
+from recorder.review.rows import Selection
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
+from schemas.settings import Settings
+
+EXAMPLE: Final = """  cruiser review query 'SELECT log_time, kind, text FROM safety_event' logs
+  cruiser review query 'SELECT robot, max(speed_mps) FROM chassis_drive GROUP BY robot' dataset
+  cruiser review query --tables logs"""
+DESCRIPTION: Final = (
+    "Answers SQL, as DuckDB speaks it, from logs or from a dataset that 'cruiser review export' has made. Each "
+    "subject is a table: state, chassis_drive, safety_decision, can_rx, journal, ...; its columns are robot, "
+    "log_time, publish_time, sequence, and the fields of the message. The statement runs with your own rights: it "
+    "may read and write files. Exit code 2 if it is wrong, 3 if not all of a log could be read."
+)
+
+SHOWN_MAX: Final = 1000
+"""Rows of a table for people."""
+
+CELL_MAX: Final = 60
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    parser.usage = f"{parser.prog} [options] SQL LOG...\n       {parser.prog} --tables [options] LOG..."
+    parser.add_argument("words", nargs="+", metavar="SQL LOG", help="a statement, then logs or one dataset")
+    parser.add_argument("--tables", action="store_true", help="list the tables and their columns instead")
+    parser.add_argument("--json", action="store_true", help=f"{JSON_HELP}, an object a line")
+    parser.add_argument("--csv", action="store_true", help="print CSV")
+    add_period(parser)
+
+
+def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Ask."""
+    sql, *logs = ["", *arguments.words] if arguments.tables else arguments.words
+    if not logs:
+        raise CommandError("give a statement, and then a log or a dataset", ExitCode.USAGE)
+    arguments.logs = [Path(log) for log in logs]
+    with needing_extra("review"):
+        from recorder.review import query  # noqa: PLC0415 - its libraries are an extra
+        from recorder.review.export.manifest import read_manifest  # noqa: PLC0415
+    manifest = read_manifest(arguments.logs[0]) if len(logs) == 1 else None
+    if manifest is not None:
+        if arguments.from_time or arguments.to_time:
+            raise CommandError(
+                "of a dataset the statement itself says which time: WHERE log_time > ...", ExitCode.USAGE
+            )
+        _ask(query, query.DatasetSource(arguments.logs[0], manifest), sql, arguments, stopped)
+        return int(ExitCode.OK)
+    asked = find(arguments)
+    selection = Selection(from_ns=asked.from_ns, to_ns=asked.to_ns)
+    with progress_bar("reading", asked.bytes) as progress:
+        source = query.LogSource(asked.logs, selection, asked.faults, heeding(progress, stopped))
+        try:
+            _ask(query, source, sql, arguments, stopped)
+        except CommandError:
+            # DuckDB makes an error of its own of whatever interrupts it.
+            if stopped():
+                raise KeyboardInterrupt from None
+            raise
+    return end_with(asked.faults)
+
+
+def _ask(query: Any, source: Any, sql: str, arguments: argparse.Namespace, stopped: Callable[[], bool]) -> None:  # noqa: ANN401 - a module that is imported late
+    if arguments.tables:
+        _show_tables(source.tables, is_json=arguments.json)
+        return
+    with query.answer(source, sql) as rows, query.told():
+        if rows is None:
+            return
+        if arguments.csv:
+            _print_csv(rows, stopped)
+        elif arguments.json:
+            for one in _objects(rows, stopped):
+                sys.stdout.write(msgspec.json.encode(one).decode() + "\n")
+        else:
+            _print_table(rows.schema.names, _objects(rows, stopped))
+
+
+def _objects(rows: Iterable[Any], stopped: Callable[[], bool]) -> Iterator[dict[str, Any]]:
+    from recorder.review.export.cells import objects  # noqa: PLC0415 - as above
+
+    for batch in rows:
+        if stopped():
+            return
+        yield from objects(batch)
+
+
+def _print_csv(rows: Any, stopped: Callable[[], bool]) -> None:  # noqa: ANN401 - Arrow has no annotations
+    from recorder.review.export.cells import csv_text  # noqa: PLC0415 - as above
+
+    is_first = True
+    for batch in rows:
+        if stopped():
+            return
+        sys.stdout.write(csv_text(batch, with_header=is_first))
+        is_first = False
+    if is_first:
+        sys.stdout.write(csv_text(rows.schema.empty_table(), with_header=True))
+
+
+def _print_table(names: list[str], found: Iterator[dict[str, Any]]) -> None:
+    shown = list(islice(found, SHOWN_MAX))
+    # In a table of two columns of one name the last one would stand twice; SQL names columns by AS.
+    lines = table(names, [[_cell(row[name]) for name in names] for row in shown], words=len(names))
+    sys.stdout.write("\n".join(lines) + "\n" if lines else "  no rows\n")
+    if next(found, None) is not None:
+        sys.stderr.write(f"cruiser review: only the first {SHOWN_MAX} rows are shown; --csv and --json give all\n")
+
+
+def _cell(value: Any) -> str:  # noqa: ANN401 - whatever SQL gives
+    if value is None:
+        return "-"
+    if isinstance(value, str):
+        text = value
+    elif isinstance(value, float):
+        text = f"{value:.10g}"
+    else:
+        text = msgspec.json.encode(value).decode()
+    text = plain(text)
+    return text if len(text) <= CELL_MAX else f"{text[: CELL_MAX - 3]}..."
+
+
+def _show_tables(tables: list[Any], *, is_json: bool) -> None:
+    if is_json:
+        for one in tables:
+            sys.stdout.write(msgspec.json.encode(one).decode() + "\n")
+        return
+    for one in tables:
+        sys.stdout.write(f"{plain(one.name)}: {plain(', '.join(one.topics))}\n")
+        rows = [[plain(column.name), plain(column.type), plain(column.unit)] for column in one.columns]
+        sys.stdout.write("\n".join(table(("column", "type", "unit"), rows, words=3)) + "\n")

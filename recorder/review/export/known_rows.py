@@ -1,0 +1,140 @@
+"""What earlier logs hold already: an incident stands in its log too, two recorders may have heard one robot.
+
+Two messages of ours are one if topic, publish time and sequence are the same. Of others nobody knows what their
+times and sequences say: they are one if the log time is the same too. What a recorder says itself is left alone:
+it is counted over all its logs, and each holds what is about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.foxglove_log import SCHEMA_NAME as LOG_SCHEMA_NAME
+from recorder.review.columns.reader import Heads, read_batches
+from recorder.review.columns.shape import INT64_MAX
+from recorder.review.columns.tables import LOG_TIME, PUBLISH_TIME, SEQUENCE
+from recorder.review.faults import Faults
+from recorder.review.logs import LogFile
+from recorder.review.rows import Selection
+from recorder.review.summary import read_summary
+from recorder.review.topics import Topic
+from schemas.messages import RawSample
+from schemas.subjects import RECORDER_CHUNK
+
+SLACK_NS: Final = 600_000_000_000
+"""Logs may hold the same if their times overlap, give or take so much: clocks differ, and some comes late."""
+
+KNOWN_MAX: Final = 8_000_000
+"""So many messages of earlier logs are remembered, 8 bytes each; what is beyond may come twice."""
+
+Hashes = NDArray[np.uint64]
+_Key = tuple[str, str, str]
+
+
+def may_repeat(topic: Topic) -> bool:
+    """Whether messages of the topic may be in another log."""
+    return f"/{RECORDER_CHUNK}/" not in f"/{topic.name}"
+
+
+def overlapping(log: LogFile, earlier: Sequence[LogFile]) -> list[LogFile]:
+    """Those of earlier logs that may hold what this one holds."""
+    near = [
+        one for one in earlier if one.start_ns <= log.end_ns + SLACK_NS and one.end_ns >= log.start_ns - SLACK_NS
+    ]
+    if not near:
+        return []
+    own = _topic_names(log)
+    return [one for one in near if own is None or (names := _topic_names(one)) is None or names & own]
+
+
+class KnownRows:
+    """Leaves out what earlier logs hold.
+
+    Args:
+        log: the log that is read.
+        earlier: those before it, of ``overlapping``.
+        selection: what is wanted of all.
+
+    Attributes:
+        repeats: messages so far that were left out.
+        is_full: there were more than could be remembered.
+    """
+
+    def __init__(self, log: LogFile, earlier: Sequence[LogFile], selection: Selection) -> None:
+        self.repeats = 0
+        self.is_full = False
+        self._known = self._read(log, earlier, selection)
+
+    def sift(self, topic: Topic, heads: Heads) -> NDArray[np.bool_] | None:
+        """Which messages are new; None is all. See ``reader.Sift``."""
+        known = self._known.get(_key(topic))
+        if known is None:
+            return None
+        hashes = _hashes(topic, heads.log_ns, heads.publish_ns, heads.sequence)
+        places = np.minimum(np.searchsorted(known, hashes), len(known) - 1)
+        is_new: NDArray[np.bool_] = known[places] != hashes
+        self.repeats += len(is_new) - int(is_new.sum())
+        return is_new
+
+    def _read(self, log: LogFile, earlier: Sequence[LogFile], selection: Selection) -> dict[_Key, Hashes]:
+        found: dict[_Key, list[Hashes]] = {}
+        count = 0
+        for topic, hashes in _rows_of(log, earlier, selection):
+            found.setdefault(topic, []).append(hashes)
+            count += len(hashes)
+            if count > KNOWN_MAX:
+                self.is_full = True
+                break
+        return {topic: np.unique(np.concatenate(parts)) for topic, parts in found.items()}
+
+
+def _rows_of(log: LogFile, earlier: Sequence[LogFile], selection: Selection) -> Iterator[tuple[_Key, Hashes]]:
+    near = Selection(
+        wants=lambda topic: may_repeat(topic) and selection.wants(topic),
+        from_ns=max(0, log.start_ns - SLACK_NS),
+        to_ns=log.end_ns + SLACK_NS,
+    )
+    for one in earlier:
+        # What is wrong with it is told when it is read itself.
+        for batch in read_batches(one, near, Faults(), wanted=(LOG_TIME, PUBLISH_TIME, SEQUENCE)):
+            log_ns, publish_ns, sequence = (
+                np.frombuffer(column.buffers()[1], np.uint64)[: len(column)] for column in batch.rows.columns
+            )
+            topic = batch.columns.topic
+            yield _key(topic), _hashes(topic, log_ns, publish_ns, sequence)
+
+
+def _key(topic: Topic) -> _Key:
+    return topic.name, topic.schema, topic.encoding
+
+
+def _hashes(topic: Topic, log_ns: NDArray[Any], publish_ns: NDArray[Any], sequence: NDArray[Any]) -> Hashes:
+    """One number for each message, which two different ones share once in 2**64."""
+    is_ours = topic.kind not in {None, RawSample} or topic.schema == LOG_SCHEMA_NAME
+    mixed = np.zeros(len(log_ns), np.uint64)
+    for numbers in (publish_ns, sequence) if is_ours else (publish_ns, sequence, log_ns):
+        # Later times than Arrow's are all the same there.
+        mixed ^= np.minimum(numbers.astype(np.uint64), np.uint64(INT64_MAX))
+        for _ in range(2):
+            mixed ^= mixed >> np.uint64(32)
+            mixed *= np.uint64(0xD6E8FEB86659FD93)
+        mixed += np.uint64(0x9E3779B97F4A7C15)
+    return mixed
+
+
+def _topic_names(log: LogFile) -> set[str] | None:
+    """The topics of a log that may be in another; None if its summary does not say."""
+    try:
+        with log.path.open("rb") as stream:
+            summary = read_summary(stream)
+    except OSError:
+        return None
+    if summary is None:
+        return None
+    return {
+        channel.topic for channel in summary.channels.values() if f"/{RECORDER_CHUNK}/" not in f"/{channel.topic}"
+    }

@@ -1,0 +1,96 @@
+"""One log into a dataset: a function of its own, whose task and outcome are JSON, so that it may run anywhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from recorder.review.columns.reader import read_batches
+from recorder.review.export.known_rows import KnownRows
+from recorder.review.export.manifest import Column, Input, Part
+from recorder.review.export.parts import Parts
+from recorder.review.faults import Faults
+from recorder.review.logs import LogFile
+from recorder.review.rows import END_OF_TIME_NS, Progress, Selection
+from recorder.review.topic_names import wants_of
+
+
+class Wanted(msgspec.Struct, frozen=True):
+    """What is wanted of the logs.
+
+    Attributes:
+        topics: patterns of topics; none is all. See ``topic_names.wants_of``.
+        from_ns: the first log time...
+        to_ns: ...and the first one that is too late, or -1.
+    """
+
+    topics: list[str] = []
+    from_ns: int = 0
+    to_ns: int = -1
+
+    @property
+    def selection(self) -> Selection:
+        """The same for a reader."""
+        return Selection(wants_of(self.topics), self.from_ns, END_OF_TIME_NS if self.to_ns < 0 else self.to_ns)
+
+
+class Task(msgspec.Struct, frozen=True):
+    """A log to be exported.
+
+    Attributes:
+        log: the log.
+        sha256: of it.
+        earlier: logs before it that may hold the same messages.
+        directory: where the parts go.
+        wanted: what of it.
+    """
+
+    log: LogFile
+    sha256: str
+    earlier: list[LogFile]
+    directory: Path
+    wanted: Wanted
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """What became of a log."""
+
+    input: Input
+    parts: list[Part]
+    schemas: dict[str, list[Column]]
+
+
+def export_log(task: Task, progress: Progress = lambda _: None) -> Outcome:
+    """Write the parts of a log.
+
+    Raises:
+        OSError: the disk does not take them.
+    """
+    faults = Faults()
+    selection = task.wanted.selection
+    known = KnownRows(task.log, task.earlier, selection)
+    if known.is_full:
+        faults.add(
+            f"{task.log.path}: not all that logs before it hold could be remembered: messages may be there twice"
+        )
+    parts = Parts(task.directory, f"part-{task.sha256[:16]}", task.sha256)
+    try:
+        for batch in read_batches(task.log, selection, faults, progress, known.sift if task.earlier else None):
+            parts.add(batch.columns, batch.rows)
+        parts.close()
+    finally:
+        parts.abandon()
+    return Outcome(
+        input=Input(
+            path=str(task.log.path),
+            bytes=task.log.bytes,
+            sha256=task.sha256,
+            rows=sum(part.rows for part in parts.closed),
+            repeats=known.repeats,
+            faults=faults.told,
+            fault_count=faults.count,
+        ),
+        parts=parts.closed,
+        schemas=parts.schemas,
+    )

@@ -1,0 +1,103 @@
+"""The export over the cores of this machine, or over a cluster: the same function, mapped over logs by Daft.
+
+On a Ray cluster every machine needs the logs and the dataset's directory under the same paths, and this package.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from recorder.review.export.dataset import Runner
+from recorder.review.export.one_log import Outcome, Task, export_log
+from recorder.review.rows import Progress
+from schemas.exit_codes import CommandError
+
+QUIET: Final = {
+    "DAFT_ANALYTICS_ENABLED": "0",
+    "DAFT_PROGRESS_BAR": "0",
+    "DO_NOT_TRACK": "1",
+    "SCARF_NO_ANALYTICS": "1",
+    "RAY_USAGE_STATS_ENABLED": "0",
+}
+"""Daft tells its makers of every import, and Ray of every cluster, unless these are set before."""
+
+LOCAL: Final = "local"
+
+
+def daft_runner(address: str = LOCAL) -> Runner:
+    """A runner on Daft.
+
+    Args:
+        address: ``local``, or that of a Ray cluster.
+
+    Raises:
+        CommandError: Daft, or Ray where it is wanted, is not installed, or the cluster is not there.
+    """
+    os.environ.update(QUIET)
+    try:
+        import daft  # noqa: PLC0415 - only behind the settings above
+    except ImportError:
+        raise CommandError("this needs Daft: pip install 'cruiser-gateway[daft]'") from None
+    if address == LOCAL:
+        daft.set_runner_native()
+    else:
+        _connect(daft, address)
+    do_task = daft.func(task_to_outcome, return_dtype=daft.DataType.string(), use_process=True)
+
+    def run(tasks: Sequence[Task], progress: Progress) -> Iterator[Outcome]:
+        if not tasks:
+            return
+        names = ["number", "task"]
+        columns = {names[0]: list(range(len(tasks))), names[1]: [encode_task(task) for task in tasks]}
+        # One task a partition, or all of them would go to one worker.
+        frame = daft.from_pydict(columns).into_batches(1)
+        frame = frame.select(daft.col("number"), do_task(daft.col("task")).alias("outcome"))
+        outcomes: dict[int, Outcome] = {}
+        for row in frame.iter_rows():
+            outcome = decode_outcome(row["outcome"])
+            outcomes[row["number"]] = outcome
+            progress(outcome.input.bytes)
+        yield from (outcomes[number] for number in range(len(tasks)))
+
+    return run
+
+
+def task_to_outcome(task: str) -> str:
+    """Do a task: both are JSON."""
+    return msgspec.json.encode(export_log(decode_task(task)), enc_hook=str).decode()
+
+
+def encode_task(task: Task) -> str:
+    """A task as JSON."""
+    return msgspec.json.encode(task, enc_hook=str).decode()
+
+
+def decode_task(text: str) -> Task:
+    """The task that a JSON text is."""
+    return msgspec.json.decode(text, type=Task, dec_hook=_path)
+
+
+def decode_outcome(text: str) -> Outcome:
+    """The outcome that a JSON text is."""
+    return msgspec.json.decode(text, type=Outcome)
+
+
+def _path(_kind: type, text: Any) -> Path:  # noqa: ANN401 - whatever stands in the JSON
+    return Path(text)
+
+
+def _connect(daft: Any, address: str) -> None:  # noqa: ANN401 - a module
+    try:
+        import ray  # type: ignore[import-not-found,unused-ignore]  # noqa: PLC0415
+    except ImportError:
+        raise CommandError("a cluster needs Ray: pip install 'daft[ray]'") from None
+    try:
+        ray.init(address, runtime_env={"env_vars": QUIET}, ignore_reinit_error=True, log_to_driver=False)
+        daft.set_runner_ray(address, noop_if_initialized=True)
+    except (ConnectionError, RuntimeError, ValueError) as error:
+        raise CommandError(f"no Ray cluster answers at {address}: {error}") from error

@@ -1,0 +1,293 @@
+"""Export of a log to Parquet, in messages a second: our columns against the `mcap` package's reader.
+
+The peer is what a user would write first: `mcap` reads, `mcap-protobuf-support` decodes, `pyarrow` builds tables
+of the same columns and writes them with the same compression. Both take the same log, in turns. The log is a drive
+as the gateway's core tells it (see `recorder_load`), written by the recorder's own session.
+
+Usage: python -m tests.bench.review_export [--messages N] [--rounds N] [--keep DIR]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable
+from operator import attrgetter
+from pathlib import Path
+from statistics import median
+from typing import Any, Final
+
+import msgspec
+import pyarrow as pa
+import pyarrow.parquet as pq
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from recorder.effects import CloseLog, DeclareChannel, Effect, WriteAttachment, WriteChunk, WriteMetadata
+from recorder.mcap_file import McapFile
+from recorder.review.columns.tables import TIME_TYPE
+from recorder.review.export.dataset import export_dataset
+from recorder.review.export.manifest import read_manifest
+from recorder.review.export.one_log import Wanted
+from recorder.review.export.parts import COMPRESSION, COMPRESSION_LEVEL
+from recorder.review.faults import Faults
+from recorder.review.logs import find_logs
+from recorder.session import Plan, Session
+from schemas import keys
+from schemas.settings import TICK_NS
+from schemas.subjects import BY_NAME
+from tests.bench.recorder_load import _SEQUENCE_KEY, _STAMP, _TIME_KEY, BUS, ROOT, SLOTS, make_script
+from tests.gateway.frames import WALL_NS
+from tests.recorder.fakes import FakeSample
+
+MESSAGES: Final = 500_000
+ROUNDS: Final = 5
+GOAL_PER_S: Final = 1_000_000
+PEER_ROWS: Final = 100_000
+"""Rows that the peer gathers before it makes a table of them."""
+
+Row = tuple[str, str, str]
+
+
+class ExportRate(msgspec.Struct, frozen=True):
+    """Medians of the rounds; the ratios are those of each round.
+
+    Attributes:
+        ours_cpu_us: processor time of a message, all threads.
+        peak_mb: of the process that exported, and nothing else.
+    """
+
+    messages: int
+    log_bytes: int
+    dataset_bytes: int
+    ours_per_s: float
+    ours_cpu_us: float
+    peer_per_s: float
+    peer_cpu_us: float
+    ratio: float
+    cpu_ratio: float
+    peak_mb: float
+
+
+def write_log(path: Path, messages: int, robot: str = "cruiser-1") -> int:
+    """A log of so many messages at least. Returns how many."""
+    script = make_script()
+    plan = Plan(name=robot, chunk_bytes=1_000_000, flush_ns=500_000_000, version="0.1.0")
+    session = Session(plan)
+    names = [keys.build(ROOT, robot, BY_NAME[name], BUS if "{bus}" in name else "") for name in script.subjects]
+    encodings = [BY_NAME[name].encoding for name in script.subjects]
+    sequences = [0] * len(names)
+    with path.open("wb") as stream:
+        file = McapFile(stream, "bench")
+        tick = written = 0
+        while written < messages:
+            now_ns = tick * TICK_NS
+            wall_ns = WALL_NS + now_ns
+            for said in script.slots[tick % SLOTS]:
+                number = said.subject
+                stamp = _STAMP.pack(_TIME_KEY, b"\xcf", wall_ns, _SEQUENCE_KEY, b"\xce", sequences[number])
+                sequences[number] += 1
+                sample = FakeSample(names[number], encodings[number], said.head + stamp + said.tail)
+                _carry_out(file, session.receive_sample(sample, now_ns, wall_ns))
+                written += said.records
+            _carry_out(file, session.tick(now_ns))
+            tick += 1
+        _carry_out(file, session.close())
+    return file.messages
+
+
+def _carry_out(file: McapFile, effects: Iterable[Effect]) -> None:
+    for effect in effects:
+        match effect:
+            case DeclareChannel():
+                file.add_channel(effect.channel)
+            case WriteChunk():
+                file.write_chunk(effect.chunk)
+            case WriteMetadata():
+                file.add_metadata(effect.name, effect.entries)
+            case WriteAttachment():
+                file.add_attachment(effect.name, effect.media_type, effect.data, effect.wall_ns)
+            case CloseLog():
+                file.finish()
+            case _:
+                pass
+
+
+def export_ours(log: Path, directory: Path) -> int:
+    """Our export. Returns the rows."""
+    faults = Faults()
+    done = export_dataset(find_logs([log], faults), directory, Wanted(), faults)
+    assert not faults
+    return done.rows
+
+
+class _PeerTable:
+    """The rows of one topic, as a user would gather them."""
+
+    def __init__(self, path: Path, descriptor: Any) -> None:  # noqa: ANN401 - protobuf makes the class at run time
+        self._path = path
+        self._fields = list(descriptor.fields)
+        self._get = attrgetter(*[field.name for field in self._fields])
+        self._optional = [field.name for field in self._fields if field.has_presence]
+        self._rows: list[tuple[Any, ...]] = []
+        self._writer: pq.ParquetWriter | None = None
+
+    def add(self, message: Any, decoded: Any) -> None:  # noqa: ANN401
+        self._rows.append((message.log_time, message.publish_time, message.sequence, decoded, *self._get(decoded)))
+        if len(self._rows) >= PEER_ROWS:
+            self.flush()
+
+    def flush(self) -> None:
+        columns = list(zip(*self._rows, strict=True))
+        decoded = columns[3]
+        arrays = [
+            pa.array(columns[0], TIME_TYPE),
+            pa.array(columns[1], TIME_TYPE),
+            pa.array(columns[2], pa.int64()),
+        ]
+        for field, values in zip(self._fields, columns[4:], strict=True):
+            arrays.append(self._array(field, values, decoded))
+        names = ["log_time", "publish_time", "record_sequence", *(field.name for field in self._fields)]
+        table = pa.table(arrays, names)
+        if self._writer is None:
+            self._writer = pq.ParquetWriter(
+                self._path, table.schema, compression=COMPRESSION, compression_level=COMPRESSION_LEVEL
+            )
+        self._writer.write_table(table)
+        self._rows.clear()
+
+    def close(self) -> None:
+        if self._rows:
+            self.flush()
+        if self._writer is not None:
+            self._writer.close()
+
+    def _array(self, field: Any, values: Any, decoded: Any) -> pa.Array:  # noqa: ANN401
+        if field.enum_type is not None:
+            names = {number: value.name for number, value in field.enum_type.values_by_number.items()}
+            if field.is_repeated:
+                return pa.array(
+                    [[names.get(one, str(one)) for one in row] for row in values], pa.list_(pa.string())
+                )
+            return pa.array([names.get(one, str(one)) for one in values]).dictionary_encode()
+        if field.message_type is not None and field.message_type.GetOptions().map_entry:
+            return pa.array([list(row.items()) for row in values], pa.map_(pa.string(), pa.int64()))
+        if field.message_type is not None:
+            return pa.array([str(row) for row in values])
+        if field.is_repeated:
+            return pa.array([list(row) for row in values])
+        if field.has_presence:
+            name = field.name
+            kept = [one if row.HasField(name) else None for one, row in zip(values, decoded, strict=True)]
+            return pa.array(kept)
+        return pa.array(values)
+
+
+def export_peer(log: Path, directory: Path) -> int:
+    """The peer's export. Returns the rows."""
+    directory.mkdir()
+    tables: dict[int, _PeerTable] = {}
+    count = 0
+    with log.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        for _, channel, message, decoded in reader.iter_decoded_messages(log_time_order=False):
+            table = tables.get(channel.id)
+            if table is None:
+                path = directory / f"{channel.id}.parquet"
+                table = tables[channel.id] = _PeerTable(path, decoded.DESCRIPTOR)
+            table.add(message, decoded)
+            count += 1
+    for table in tables.values():
+        table.close()
+    return count
+
+
+def own_peak_mb() -> float:
+    """The peak memory of this process; what ``getrusage`` says begins with that of the process before it."""
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM:")) / 1024
+
+
+def peak_mb(log: Path, directory: Path) -> float:
+    """The peak memory of a process that exports the log."""
+    words = [sys.executable, "-m", "tests.bench.review_export", "--once", str(log), "--keep", str(directory)]
+    out = subprocess.run(words, check=True, capture_output=True, text=True).stdout
+    return float(json.loads(out))
+
+
+def measure(messages: int = MESSAGES, rounds: int = ROUNDS) -> ExportRate:
+    """Measure both in turns."""
+    with tempfile.TemporaryDirectory() as name:
+        root = Path(name)
+        log = root / "drive.mcap"
+        count = write_log(log, messages)
+        export_ours(log, root / "warm")
+        rates = []
+        for number in range(rounds):
+            pair = []
+            for run, word in ((export_ours, "ours"), (export_peer, "peer")):
+                begin_s, begin_cpu_s = time.perf_counter(), time.process_time()
+                assert run(log, root / f"{word}-{number}") == count
+                pair += [
+                    count / (time.perf_counter() - begin_s),
+                    (time.process_time() - begin_cpu_s) / count * 1e6,
+                ]
+            rates.append(pair)
+        manifest = read_manifest(root / "warm")
+        assert manifest is not None
+        return ExportRate(
+            messages=count,
+            log_bytes=log.stat().st_size,
+            dataset_bytes=sum(part.bytes for part in manifest.files),
+            ours_per_s=median(row[0] for row in rates),
+            ours_cpu_us=median(row[1] for row in rates),
+            peer_per_s=median(row[2] for row in rates),
+            peer_cpu_us=median(row[3] for row in rates),
+            ratio=median(row[0] / row[2] for row in rates),
+            cpu_ratio=median(row[3] / row[1] for row in rates),
+            peak_mb=peak_mb(log, root / "once"),
+        )
+
+
+def rows(messages: int = MESSAGES, rounds: int = ROUNDS) -> list[Row]:
+    """The figures, as rows of the bench's table."""
+    rate = measure(messages, rounds)
+    return [
+        (
+            f"export of {rate.messages} messages to Parquet",
+            f"{rate.ours_per_s / 1e6:.2f} million messages/s, {rate.ours_cpu_us:.2f} us CPU",
+            f"{GOAL_PER_S / 1e6:g} million",
+        ),
+        (
+            "  by mcap, mcap-protobuf-support, pyarrow",
+            f"{rate.peer_per_s / 1e6:.3f} million messages/s, {rate.peer_cpu_us:.1f} us CPU",
+            "",
+        ),
+        ("  ratio, and of CPU", f"{rate.ratio:.0f} x, {rate.cpu_ratio:.0f} x", ""),
+        ("  peak memory", f"{rate.peak_mb:.0f} MB", "300 MB"),
+        ("  log and dataset", f"{rate.log_bytes / 1e6:.1f} MB, {rate.dataset_bytes / 1e6:.1f} MB", ""),
+    ]
+
+
+def main() -> None:
+    """Measure, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--messages", type=int, default=MESSAGES)
+    parser.add_argument("--rounds", type=int, default=ROUNDS)
+    parser.add_argument("--once", type=Path, metavar="LOG", help="export this one, print the peak memory in MB")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="where that goes")
+    arguments = parser.parse_args()
+    if arguments.once is not None:
+        export_ours(arguments.once, arguments.keep)
+        print(own_peak_mb())
+        return
+    for figure, measured, goal in rows(arguments.messages, arguments.rounds):
+        print(f"{figure:45}  {measured:44}  {goal}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,176 @@
+"""The review on a large log: seconds and memory of the questions, and the arbiter's speed when it is run again.
+
+The log is a minute in which much happens (two operators, faults, stops), written again and again behind itself,
+each time a minute later. Each question is a process of its own. What runs again is a drive of some minutes.
+
+Usage: python -m tests.bench.review_rate [--megabytes N] [--minutes N]. Not a test: machines differ.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from recorder.chunk import ChunkBuilder
+from recorder.effects import LogChannel
+from recorder.mcap_file import McapFile
+from recorder.review.faults import Faults
+from recorder.review.logs import look_at
+from recorder.review.rows import Row as LogRow
+from recorder.review.rows import Selection, read_rows
+from schemas.messages import Variant
+from tests.bench.loads import Row, print_table
+from tests.gateway.command.loop_rig import Operator
+from tests.gateway.recorded_day import Day, recorded
+
+MEGABYTES: Final = 1000
+MINUTES: Final = 5
+CHUNK_BYTES: Final = 1 << 20
+MINUTE_NS: Final = 60_000_000_000
+CRUISER: Final = Path(sys.executable).with_name("cruiser")
+MEMORY_MB: Final = 300
+
+QUESTIONS: Final[dict[str, list[str]]] = {
+    "info": ["info"],
+    "check": ["check", "--json"],
+    "events": ["events", "--json"],
+}
+
+
+class Asked(msgspec.Struct, frozen=True):
+    """What a question cost: seconds, CPU seconds, and the most memory that its process had."""
+
+    seconds: float
+    cpu_s: float
+    peak_mb: float
+
+
+def main() -> None:
+    """Measure everything and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--megabytes", type=int, default=MEGABYTES, help=f"of the log (default {MEGABYTES})")
+    parser.add_argument("--minutes", type=float, default=MINUTES, help=f"that run again (default {MINUTES})")
+    arguments = parser.parse_args()
+    print_table(rows(arguments.megabytes, arguments.minutes))
+
+
+def rows(megabytes: int, minutes: float) -> list[Row]:
+    """The table of the review."""
+    with tempfile.TemporaryDirectory() as directory:
+        path = Path(directory) / "cruiser-1-20260102T030405Z.mcap"
+        messages = write_log(path, megabytes * 1_000_000)
+        size_mb = path.stat().st_size / 1e6
+        found: list[Row] = [("log of the review", f"{size_mb:.0f} MB, {messages:,} messages", "")]
+        for name, words in QUESTIONS.items():
+            asked = ask([*words, str(path)])
+            figure = f"{asked.seconds:.1f} s, {messages / asked.seconds:,.0f} messages/s, {asked.peak_mb:.0f} MB"
+            found.append((f"review {name}", figure, f"under {MEMORY_MB} MB"))
+    return found + [rerun_row(kind, minutes) for kind in ("driven", "standing by")]
+
+
+def ask(words: list[str]) -> Asked:
+    """A question to a log, in a process of its own."""
+    begun = time.perf_counter()
+    with subprocess.Popen([CRUISER, "review", *words], stdout=subprocess.DEVNULL) as process:
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    # Findings are an answer too: much happens in these logs.
+    if process.returncode not in {0, 1}:
+        raise SystemExit(f"cruiser review {' '.join(words)} ended with {process.returncode}")
+    return Asked(time.perf_counter() - begun, used.ru_utime + used.ru_stime, used.ru_maxrss / 1000)
+
+
+def rerun_row(kind: str, minutes: float) -> Row:
+    """How many times faster than real time a run is run again, reading and comparing included."""
+    with tempfile.TemporaryDirectory() as directory:
+        path = Path(directory) / "cruiser-1-20260102T030405Z.mcap"
+        path.write_bytes(drive(minutes) if kind == "driven" else standing(minutes))
+        asked = ask(["rerun", str(path)])
+    multiple = minutes * 60 / asked.seconds
+    return f"review rerun, a robot {kind}", f"{multiple:.0f} x real time, {asked.peak_mb:.0f} MB", "100 x"
+
+
+def drive(minutes: float) -> bytes:
+    """The log of a robot that is driven all the time, in bends and with a stop every minute."""
+    day = Day(1, Variant.FINE, ticks=0)
+    rig = day.rig
+    rig.run(0.6)
+    operator = Operator(rig)
+    for _ in range(round(minutes)):
+        operator.take_lease("take", override=True)
+        operator.engage()
+        for step in range(54):
+            operator.drive(1.0, 10.0 * (-1) ** (step // 9), 1.0)
+        operator.ask("disengage")
+        rig.run(4)
+    return recorded(day)
+
+
+def standing(minutes: float) -> bytes:
+    """The log of a robot that nobody commands."""
+    day = Day(1, Variant.FINE, ticks=0)
+    day.rig.run(60 * minutes)
+    return recorded(day)
+
+
+def write_log(path: Path, size: int) -> int:
+    """Writes a log of at least this size. Returns how many messages it holds."""
+    minute = _minute()
+    topics = {row.topic.name: row.topic for row in minute}
+    ids = {name: number for number, name in enumerate(topics, start=1)}
+    count = 0
+    with path.open("wb", buffering=0) as stream:
+        file = McapFile(stream, "bench")
+        for name, topic in topics.items():
+            file.add_channel(LogChannel(ids[name], name, topic.schema, topic.schema_data))
+        builder = ChunkBuilder(CHUNK_BYTES)
+        for row in _repeated(minute, path, size):
+            builder.add(ids[row.topic.name], row.sequence, row.log_ns, row.publish_ns, row.data)
+            count += 1
+            if builder.is_full:
+                _write(file, builder)
+        _write(file, builder)
+        file.finish()
+    return count
+
+
+def _minute() -> list[LogRow]:
+    day = Day(1, Variant.COARSE)
+    day.live()
+    with tempfile.TemporaryDirectory() as directory:
+        path = Path(directory) / "minute.mcap"
+        path.write_bytes(recorded(day))
+        return list(read_rows([look_at(path)], Selection(), Faults()))
+
+
+def _repeated(minute: list[LogRow], path: Path, size: int) -> Iterator[LogRow]:
+    """The same minute again and again, each time later, until the file is long enough."""
+    spans = {row.topic.name: row.sequence + 1 for row in minute}
+    turn = 0
+    while path.stat().st_size < size:
+        for number, row in enumerate(minute):
+            later_ns = turn * MINUTE_NS
+            # The minute's own clock steps now and then; a recorder's goes on.
+            log_ns = minute[0].log_ns + later_ns + number * MINUTE_NS // len(minute)
+            sequence = (row.sequence + turn * spans[row.topic.name]) % 2**32
+            yield LogRow(row.topic, sequence, log_ns, row.publish_ns + later_ns, row.data)
+        turn += 1
+
+
+def _write(file: McapFile, builder: ChunkBuilder) -> None:
+    chunk = builder.seal()
+    if chunk is not None:
+        file.write_chunk(chunk)
+
+
+if __name__ == "__main__":
+    main()
