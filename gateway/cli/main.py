@@ -46,6 +46,9 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
 }
 """Name of the command, its module, and its line in the help."""
 
+TAKE_HANGUPS: Final = frozenset({"record"})
+"""Commands to which SIGHUP says something: until they hear it, it says nothing. The others it ends."""
+
 Stopped = Callable[[], bool]
 
 
@@ -126,6 +129,8 @@ def _help() -> str:
 
 def _run(name: str, words: list[str]) -> int:
     module_name, about = COMMANDS[name]
+    if name in TAKE_HANGUPS and signal.getsignal(signal.SIGHUP) == signal.SIG_DFL:
+        signal.signal(signal.SIGHUP, _not_yet)
     module = cast("CommandModule", import_module(module_name))
     # Imported late for the same reason as the commands: they cost more than the help itself.
     from gateway.cli.configuration_file import load_settings  # noqa: PLC0415
@@ -160,6 +165,10 @@ def _run(name: str, words: list[str]) -> int:
         return int(error.code)
     except KeyboardInterrupt:
         return 128 + signal.SIGINT
+
+
+def _not_yet(_number: int, _frame: FrameType | None) -> None:
+    """Takes a signal before there is anything to do about it."""
 
 
 def _stop_on_signals() -> Stopped:

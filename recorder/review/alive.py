@@ -6,8 +6,9 @@ fewer than 16 periods; a longer gap is an outage, and what it cost is told by th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache, reduce
-from operator import xor
+from operator import sub, xor
 from typing import Final
 
 from schemas.can_word import IDENTIFIER_MASK
@@ -16,6 +17,12 @@ from schemas.messages import Variant
 
 COUNTER_SPAN: Final = 16
 FRAME_BYTES: Final = 8
+
+COUNTER_AT: Final = 6
+"""The byte whose upper half is the counter."""
+
+_UPPER_HALF: Final = bytes(byte >> 4 for byte in range(256))
+_CYCLE: Final = bytes(range(COUNTER_SPAN))
 
 
 @cache
@@ -39,11 +46,13 @@ class AliveCount:
         corrupt: frames with a wrong checksum; their counter is not read.
         outages: gaps in time too long for the counter.
         unseen: frames that the outages would have held, by the period.
+        first_ns: when each of these was seen for the first time, by the name of the count.
     """
 
     def __init__(self, frame: DbcFrame) -> None:
         self.name = frame.name
         self.frames = self.lost = self.repeated = self.corrupt = self.outages = self.unseen = 0
+        self.first_ns: dict[str, int] = {}
         self._period_ns = frame.period_ns
         self._window_ns = COUNTER_SPAN * frame.period_ns
         self._counter = 0
@@ -51,16 +60,41 @@ class AliveCount:
 
     def receive(self, time_ns: int, data: bytes) -> None:
         """The next frame: when it was received, and its eight bytes."""
-        self.frames += 1
         is_corrupt = reduce(xor, data) != 0
-        counter = (self._counter + 1) % COUNTER_SPAN if is_corrupt else data[6] >> 4
-        self.corrupt += is_corrupt
+        if is_corrupt:
+            self.corrupt += 1
+            self.first_ns.setdefault("corrupt", time_ns)
+        self._count(time_ns, (self._counter + 1) % COUNTER_SPAN if is_corrupt else data[COUNTER_AT] >> 4)
+
+    def receive_many(self, times_ns: Sequence[int], counters: bytes) -> None:
+        """The next frames, whose checksums are right: when they were received, and the byte with each counter."""
+        halves = counters.translate(_UPPER_HALF)
+        count, first = len(halves), (self._counter + 1) % COUNTER_SPAN
+        gaps_ns = list(map(sub, times_ns, (self._time_ns, *times_ns[:-1])))
+        is_regular = (
+            self.frames > 0
+            and min(gaps_ns) >= 0
+            and max(gaps_ns) < self._window_ns
+            and halves == (_CYCLE * (count // COUNTER_SPAN + 2))[first : first + count]
+        )
+        if is_regular:
+            self.frames += count
+            self._counter, self._time_ns = halves[-1], times_ns[-1]
+            return
+        for time_ns, counter in zip(times_ns, halves, strict=True):
+            self._count(time_ns, counter)
+
+    def _count(self, time_ns: int, counter: int) -> None:
+        self.frames += 1
         if self.frames > 1:
             if not 0 <= time_ns - self._time_ns < self._window_ns:
                 self.outages += 1
                 self.unseen += max(0, round((time_ns - self._time_ns) / self._period_ns) - 1)
+                self.first_ns.setdefault("outages", time_ns)
             elif counter == self._counter:
                 self.repeated += 1
-            else:
-                self.lost += (counter - self._counter - 1) % COUNTER_SPAN
+                self.first_ns.setdefault("repeated", time_ns)
+            elif passed := (counter - self._counter - 1) % COUNTER_SPAN:
+                self.lost += passed
+                self.first_ns.setdefault("lost", time_ns)
         self._counter, self._time_ns = counter, time_ns

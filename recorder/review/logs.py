@@ -59,6 +59,8 @@ def find_logs(paths: Sequence[Path], faults: Faults, *, with_covered: bool = Fal
     failure: CommandError | None = None
     for path in dict.fromkeys(paths):
         for name in [path] if not path.is_dir() else sorted(_logs_of(path)):
+            if any(log.path == name for log in found):
+                continue
             try:
                 found.append(look_at(name))
             except CommandError as error:

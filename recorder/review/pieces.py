@@ -27,6 +27,9 @@ from recorder.mcap_summary import CHECK, CHECK_OPCODE, FOOTER_LENGTH, MAGIC, REC
 
 _CHUNK_TIMES: Final = struct.Struct("<QQ")
 _INDEX_HEAD: Final = struct.Struct("<HI")
+COMPRESSIONS: Final = frozenset({"", "lz4", "zstd"})
+"""All that MCAP's registry names; the mcap package takes any other name for none."""
+
 _BLOCK_BYTES: Final = 1 << 20
 """All that is read goes by in such blocks; where most is passed over, in smaller ones."""
 _GLANCE_BYTES: Final = 1 << 13
@@ -101,7 +104,8 @@ class PackedChunk(msgspec.Struct, frozen=True):
         """
         stream.seek(self.offset + RECORD_HEADER.size)
         body = stream.read(self.length - RECORD_HEADER.size)
-        return records.Chunk.read(ReadDataStream(BytesIO(body)))
+        chunk: records.Chunk = records.Chunk.read(ReadDataStream(BytesIO(body)))
+        return chunk
 
     def unpack(self, stream: BinaryIO, chunk: records.Chunk | None = None) -> bytes:
         """The chunk's records; its checksum is verified.
@@ -114,6 +118,8 @@ class PackedChunk(msgspec.Struct, frozen=True):
             what ``recorder.mcap_scan.BROKEN`` lists: it is damaged, or packed in a way that nobody here knows.
         """
         chunk = chunk or self.read(stream)
+        if chunk.compression not in COMPRESSIONS:
+            raise ValueError(f"its compression {chunk.compression!r} is not known here")
         if chunk.uncompressed_size > RECORD_MAX:
             raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes is too large")
         if chunk.compression == "zstd" and zstandard.frame_content_size(chunk.data) not in {

@@ -66,7 +66,7 @@ def topic_of(channel: records.Channel, schema: records.Schema | None) -> Topic:
     if kind is not None:
         decode = typed_decoder(kind)
     elif is_protobuf and schema is not None:
-        decode = _foreign_decoder(name, schema.data)
+        decode = foreign_decoder(name, schema.data)
     elif channel.message_encoding == "json":
         decode = json.loads
     return Topic(
@@ -123,7 +123,7 @@ def _converted(value: str, name: str, field: inspect.Type, names: dict[str, Any]
     return value
 
 
-def _foreign_decoder(name: str, descriptors: bytes) -> Decode | None:
+def foreign_decoder(name: str, descriptors: bytes) -> Decode | None:
     """By the descriptor set that the log holds; None if that is of no use."""
     pool = DescriptorPool()
     try:

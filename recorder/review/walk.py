@@ -17,7 +17,7 @@ from mcap.opcode import Opcode
 from recorder.chunk import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE
 from recorder.mcap_scan import BROKEN
 from recorder.mcap_summary import RECORD_HEADER
-from recorder.review.pieces import End, Fault, LooseMessage, PackedChunk, read_pieces
+from recorder.review.pieces import End, Fault, LooseMessage, PackedChunk, SummaryStart, read_pieces
 
 
 class LoggedMessage(msgspec.Struct, frozen=True, gc=False):
@@ -64,6 +64,8 @@ def walk(stream: BinaryIO, size: int) -> Iterator[Walked]:
                 yield from messages(piece.offset, content)
             case LooseMessage():
                 yield from messages(piece.offset, piece.raw)
+            case SummaryStart():
+                pass
             case _:
                 yield piece
 

@@ -20,7 +20,7 @@ import msgspec
 from mcap.reader import make_reader
 
 from recorder.ports.leftovers import Outcome, recover
-from recorder.review.info import read_info
+from recorder.review.check import check_log
 from schemas.messages import Gear
 from tests.bench.processes import quantile, start
 from tests.recorder.fakes import gear, key_of, sample_of, wait_until
@@ -128,7 +128,7 @@ def _count(directory: Path, ends: list[tuple[int, int]], left: int) -> Kills:
         holes=sum(number not in log for log in logs for number in range(min(log) + JOINING, max(log))),
         doubled=sum(map(len, logs)) - len({sequence for log in logs for sequence in log}),
         left=left,
-        not_whole=[str(path) for path in directory.glob("*") if not read_info(path).whole],
+        not_whole=[str(path) for path in directory.glob("*") if not check_log(path).whole],
     )
 
 

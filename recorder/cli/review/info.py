@@ -1,100 +1,118 @@
-"""``cruiser review info``: what a log holds, and what it lacks."""
+"""``cruiser review info``: what logs hold."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterator
 from typing import Final
 
 import msgspec
 
-from recorder.cli.review.asking import table
-from recorder.review.info import LogInfo, read_info
+from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
+from recorder.completeness import KeyReport
+from recorder.review.info import LogInfo, SetInfo, Source, read_info, total
 from recorder.review.times import in_words
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings
 
-EXAMPLE: Final = "  cruiser review info logs/cruiser-1-20260102T030405Z.mcap"
+EXAMPLE: Final = "  cruiser review info logs/cruiser-1-20260102T030405Z.mcap\n  cruiser review info logs"
 DESCRIPTION: Final = (
-    "What a log holds: channels, rates, robots, versions, attachments; what it lacks: samples "
-    "missed by their sequence, raw frames lost by their alive counters, and whether the file is whole. "
-    "Exit code 3 if a file is not."
+    "What logs hold: channels, rates, times, robots, versions, attachments, and what the recorder says that it "
+    "lost while it wrote them. Of a whole log only its end is read; a log without one is gone through. Whether "
+    "all of it is true is asked with 'check'. Exit code 3 if a file is not whole."
 )
+JSON_HELP: Final = "print a JSON object a line, one for each file, and of several a last one for all together"
+
+_LOSSES: Final = ("lost_source", "lost_link", "lost_queue", "lost_size", "lost_full", "lost_disk")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
-    parser.add_argument("--json", action="store_true", help="print a JSON object a line, one for each file")
+    add_logs(parser, json_help=JSON_HELP)
 
 
 def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
     """What can be read of a broken file is shown all the same."""
-    shown, whole = 0, True
-    failure: CommandError | None = None
-    for path in arguments.files:
-        if stopped():
-            break
-        try:
-            info = read_info(path)
-        except CommandError as error:
-            if len(arguments.files) == 1:
-                raise
-            failure = error
-            sys.stderr.write(f"cruiser review: {error}\n")
-            continue
-        shown += 1
-        whole = whole and info.whole
-        text = msgspec.json.encode(info).decode() if arguments.json else describe(info)
+    asked = find(arguments)
+    infos: list[LogInfo] = []
+    with progress_bar("looking", asked.bytes) as progress:
+        for log in asked.logs:
+            if stopped():
+                break
+            try:
+                infos.append(read_info(log.path))
+            except CommandError as error:
+                asked.faults.add(str(error))
+            progress(log.bytes)
+    answers: list[LogInfo | SetInfo] = [*infos]
+    if len(infos) > 1:
+        answers.append(total(infos))
+    for answer in answers:
+        text = msgspec.json.encode(answer).decode() if arguments.json else describe(answer)
         sys.stdout.write(f"{text}\n")
-    if failure is not None and not shown:
-        return int(failure.code)
-    return int(ExitCode.OK if whole and failure is None else ExitCode.PARTIAL)
+    code = end_with(asked.faults)
+    return code if all(info.whole for info in infos) else int(ExitCode.PARTIAL)
 
 
-def describe(info: LogInfo) -> str:
-    """A log for people."""
-    lines = [
-        f"{info.path}: {'whole' if info.whole else 'NOT WHOLE'}, {info.bytes} bytes, {info.messages} messages",
-        *(f"  fault: {fault}" for fault in info.faults),
-    ]
-    if info.fault_count > len(info.faults):
-        lines.append(f"  and {info.fault_count - len(info.faults)} more faults")
+def describe(info: LogInfo | SetInfo) -> str:
+    """A log, or several together, for people."""
+    lines = list(_of_all(info) if isinstance(info, SetInfo) else _of_one(info))
+    # A log's names come from anywhere, and may try to rule the terminal.
+    return "\n".join(map(plain, lines))
+
+
+def _of_all(info: SetInfo) -> Iterator[str]:
+    yield f"{info.files} files, {info.whole} of them whole, {info.bytes} bytes, {info.messages} messages"
     if info.start_ns is not None and info.end_ns is not None:
-        lines.append(f"  {in_words(info.start_ns)} to {in_words(info.end_ns)}, {info.duration_s:.3f} s")
-    lines += [f"  robot {robot}, variant {info.variants.get(robot, 'not told')}" for robot in info.robots]
-    lines += [f"  {key.replace('_', ' ')} {value}" for key, value in sorted(info.versions.items())]
-    lines += table(
-        ("channel", "schema", "messages", "rate/Hz", "missed"),
+        yield f"  {in_words(info.start_ns)} to {in_words(info.end_ns)}, {info.duration_s:.3f} s"
+    yield f"  robots {', '.join(info.robots) or 'none'}"
+
+
+def _of_one(info: LogInfo) -> Iterator[str]:
+    state = "whole" if info.whole else "NOT WHOLE"
+    yield f"{info.path}: {state}, {info.bytes} bytes, {info.messages} messages"
+    if info.source is Source.RECORDS:
+        yield "  it has no end that tells what it holds: read record by record"
+    yield from (f"  fault: {fault}" for fault in info.faults)
+    if info.fault_count > len(info.faults):
+        yield f"  and {info.fault_count - len(info.faults)} more faults"
+    if info.start_ns is not None and info.end_ns is not None:
+        yield f"  {in_words(info.start_ns)} to {in_words(info.end_ns)}, {info.duration_s:.3f} s"
+    yield from (f"  robot {robot}, variant {info.variants.get(robot, 'not told')}" for robot in info.robots)
+    yield from (f"  {key.replace('_', ' ')} {value}" for key, value in sorted(info.versions.items()))
+    yield from table(
+        ("channel", "schema", "messages", "rate/Hz"),
         [
             (
                 channel.topic,
-                channel.schema,
+                channel.schema or channel.encoding,
                 str(channel.messages),
                 "-" if channel.rate_hz is None else f"{channel.rate_hz:.2f}",
-                "-" if channel.missed is None else str(channel.missed),
             )
             for channel in info.channels
         ],
     )
-    lines += table(
-        ("raw frames", "identifier", "frames", "lost", "repeated", "corrupt", "outages", "unseen"),
-        [
-            (
-                f"{one.topic} {one.name}",
-                one.identifier,
-                *map(str, (one.frames, one.lost, one.repeated, one.corrupt, one.outages, one.unseen)),
-            )
-            for one in info.frames
-        ],
-    )
-    lines += table(
+    yield from table(
         ("attachment", "type", "bytes"), [(one.name, one.media_type, str(one.bytes)) for one in info.attachments]
     )
-    lines += table(
+    if info.incident:
+        yield f"  incident {info.incident.get('file', '')}: {info.incident.get('because', '')}"
+    yield from _completeness(info)
+
+
+def _completeness(info: LogInfo) -> Iterator[str]:
+    """What its recorder says of it."""
+    if not info.completeness:
+        yield "  its recorder does not say what it lost"
+        return
+    if info.is_cut:
+        yield "  the whole log that this is a part of, as its recorder says:"
+    lost = {topic: one for topic, one in info.completeness.items() if one.lost or one.lost_bus or one.lost_source}
+    if not lost:
+        yield "  nothing was lost, as its recorder says"
+    yield from table(
         (
             "lost on the way",
             "sent",
@@ -108,33 +126,11 @@ def describe(info: LogInfo) -> str:
             "full",
             "disk",
         ),
-        [
-            (
-                topic,
-                "-" if one.sent is None else str(one.sent),
-                str(one.received),
-                str(one.written),
-                "-" if one.lost_bus is None else str(one.lost_bus),
-                *map(str, (one.lost_source, one.lost_link, one.lost_queue)),
-                *map(str, (one.lost_size, one.lost_full, one.lost_disk)),
-            )
-            for topic, one in info.completeness.items()
-            if one.lost or one.lost_bus or one.lost_source
-        ],
+        [(topic, *_counts(one)) for topic, one in lost.items()],
         words=1,
     )
-    lines += table(
-        ("not in the log", "why", "count", "from", "to"),
-        [
-            (one.topic, one.reason, str(one.count), in_words(one.first_ns), in_words(one.last_ns))
-            for one in info.gaps
-        ],
-    )
-    if info.incident:
-        lines.append(f"  incident {info.incident.get('file', '')}: {info.incident.get('because', '')}")
-    unseen = sum(one.unseen for one in info.frames)
-    lines.append(
-        f"  {info.missed} samples missed, {info.frames_lost} raw frames lost ({unseen} of them in outages)"
-    )
-    # A log's names come from anywhere, and may try to rule the terminal.
-    return "\n".join(map(plain, lines))
+
+
+def _counts(one: KeyReport) -> list[str]:
+    counts = [one.sent, one.received, one.written, one.lost_bus, *(getattr(one, name) for name in _LOSSES)]
+    return ["-" if count is None else str(count) for count in counts]

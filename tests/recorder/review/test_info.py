@@ -1,27 +1,30 @@
-"""What a log holds, and what it lacks."""
+"""What a log holds."""
 
 import random
 from pathlib import Path
+from typing import Any
 
 import pytest
+from mcap.writer import CompressionType
 
-from recorder.review.faults import FAULTS_SHOWN
-from recorder.review.info import LogInfo, read_info
-from schemas.decisions import Journal
+from recorder.completeness import KeyReport
+from recorder.effects import LogChannel
+from recorder.protobuf_schema import descriptor_set, schema_name
+from recorder.review.info import LogInfo, SetInfo, Source, read_info, total
+from recorder.session import COMPLETENESS_NAME
 from schemas.exit_codes import CommandError
+from schemas.messages import Gear
 from tests.recorder.fakes import (
     MS,
     SECOND,
     WALL_NS,
-    FakeSample,
     Log,
-    batch,
-    feedback,
     gear,
     info,
     sample_of,
     small_log,
 )
+from tests.recorder.review.made_logs import NO_INDEXES, foreign_log, gear_message, gears, own_log
 
 
 @pytest.fixture
@@ -39,8 +42,7 @@ def info_of(path: Path, data: bytes) -> LogInfo:
 def test_a_whole_log_tells_all_of_itself(path: Path) -> None:
     """Channels, schemas, counts, robots, variant, versions, attachments."""
     found = info_of(path, small_log())
-    assert found.whole
-    assert (found.faults, found.missed, found.frames_lost) == ([], 0, 0)
+    assert (found.whole, found.source, found.faults) == (True, Source.SUMMARY, [])
     assert found.messages == 12
     assert {channel.topic: (channel.schema, channel.messages) for channel in found.channels} == {
         "fleet/cruiser-1/can/can0/rx": ("cruiser.CanFrame", 5),
@@ -53,6 +55,8 @@ def test_a_whole_log_tells_all_of_itself(path: Path) -> None:
     assert [one.name for one in found.attachments] == [
         "cruiser-1/configuration.toml",
         "cruiser-1/cruiser-coarse.dbc",
+        "cruiser-1/layout.foxglove.json",
+        "cruiser-1/layout.plotjuggler.xml",
     ]
     assert found.bytes == len(small_log())
 
@@ -67,40 +71,6 @@ def test_rates_and_times_come_from_the_receipt(path: Path) -> None:
     assert found.channels[0].rate_hz == pytest.approx(10.0)
 
 
-def test_losses_are_told_by_key_and_by_frame(path: Path) -> None:
-    """Samples by the gaps in sequence, raw frames by their alive counters; neither where it says nothing."""
-    log = Log()
-    log.receive(*(sample_of(gear(number)) for number in (0, 3, 4)))
-    frames = [(WALL_NS + number * 10 * MS, feedback(number)) for number in range(40) if number not in {5, 20, 21}]
-    log.receive(
-        sample_of(batch(0, frames[:10])), sample_of(batch(1, frames[10:20])), sample_of(batch(3, frames[20:]))
-    )
-    log.receive(FakeSample("k", "x", b""), FakeSample("k", "x", b""))
-    found = info_of(path, log.close())
-    assert {channel.topic: channel.missed for channel in found.channels} == {
-        "fleet/cruiser-1/can/can0/rx": 1,
-        "fleet/cruiser-1/chassis/gear": 2,
-        "k": None,
-    }
-    assert found.missed == 3
-    frame = found.frames[0]
-    assert (frame.identifier, frame.name) == ("0x18C4D1EF", "Auto_GearFeedBack")
-    assert (frame.frames, frame.lost, found.frames_lost) == (37, 3, 3)
-
-
-def test_what_was_asked_for_later_is_not_missed(path: Path) -> None:
-    """It stands behind what came by itself; its time tells its place."""
-    log = Log()
-    said = [
-        sample_of(Journal(WALL_NS + number * MS, number, run=7, first=number, count=0, inputs=b"\x90"))
-        for number in range(7)
-    ]
-    replies = [FakeSample(one.key, one.encoding, one.payload, is_reply=True) for one in said]
-    log.receive(said[3], *replies[:3], said[4], said[6])
-    [channel] = info_of(path, log.close()).channels
-    assert (channel.messages, channel.missed) == (6, 1)
-
-
 def test_the_last_metadata_holds(path: Path) -> None:
     """A variant that became known later is the one that is told."""
     log = Log()
@@ -112,7 +82,7 @@ def test_the_last_metadata_holds(path: Path) -> None:
 
 def test_any_cut_leaves_what_was_before_it(path: Path) -> None:
     """At every byte: partial, never a traceback; before the magic is whole it is no MCAP file."""
-    data = small_log()
+    data = own_log([gears(0, 5, 100), gears(5, 5, 200)], attachments=[("x", b"abc")])
     for size in range(1, len(data)):
         if size < 8:
             with pytest.raises(CommandError, match="no MCAP file"):
@@ -124,32 +94,135 @@ def test_any_cut_leaves_what_was_before_it(path: Path) -> None:
 
 
 def test_any_noise_is_read_as_far_as_it_goes(path: Path) -> None:
-    """Random damage, many times over: never whole, never a traceback."""
-    data = small_log()
+    """Random damage, many times over, in a log of ours and one of somebody else: never a traceback."""
     generator = random.Random(1)  # noqa: S311 - nothing here is secret
-    for _ in range(500):
+    for data in (small_log(), foreign_log(), foreign_log(use_chunking=False)):
+        for _ in range(60):
+            damaged = bytearray(data)
+            for _ in range(generator.randint(1, 8)):
+                damaged[generator.randrange(8, len(data))] ^= generator.randint(1, 255)
+            info_of(path, bytes(damaged))
+
+
+def test_an_end_that_is_damaged_is_not_believed(path: Path) -> None:
+    """Its checksum tells; then the records themselves are asked."""
+    data = small_log()
+    summary_start = int.from_bytes(data[-28:-20], "little")
+    for place in range(summary_start, len(data), 97):
         damaged = bytearray(data)
-        for _ in range(generator.randint(1, 8)):
-            damaged[generator.randrange(8, len(data))] ^= generator.randint(1, 255)
-        if damaged != data:
-            assert not info_of(path, bytes(damaged)).whole
+        damaged[place] ^= 0x10
+        found = info_of(path, bytes(damaged))
+        assert (found.source, found.messages) == (Source.RECORDS, 12)
 
 
-def test_many_faults_are_counted_and_the_first_are_told(path: Path) -> None:
-    """Output does not grow with the damage."""
-    log = Log()
-    for number in range(2 * FAULTS_SHOWN):
-        log.receive(sample_of(gear(number)))
-        log.tick(number * SECOND)
-    data = log.close()
-    place = data.index(b"zstd")
-    damaged = data
-    while place >= 0 and place < len(data):
-        damaged = damaged[: place + 30] + bytes([damaged[place + 30] ^ 255]) + damaged[place + 31 :]
-        place = data.find(b"zstd", place + 100)
-    found = info_of(path, damaged)
-    assert len(found.faults) == FAULTS_SHOWN
-    assert found.fault_count > FAULTS_SHOWN
+def test_a_part_tells_the_same_as_the_whole(path: Path) -> None:
+    """But for what its end would have said."""
+    whole = info_of(path, own_log([gears(0, 5, 100), gears(5, 5, 200)], metadata=[("m", {"a": "b"})]))
+    part = info_of(path, path.read_bytes()[:-400])
+    assert (part.source, part.whole) == (Source.RECORDS, False)
+    assert (part.channels, part.metadata, part.start_ns, part.end_ns) == (
+        whole.channels,
+        whole.metadata,
+        whole.start_ns,
+        whole.end_ns,
+    )
+
+
+def test_no_chunk_of_a_whole_log_is_read(path: Path) -> None:
+    """Damage in one is not seen: that is another question."""
+    data = bytearray(own_log([gears(0, 5, 100), gears(5, 5, 200)]))
+    data[data.index(b"zstd") + 20] ^= 0xFF
+    found = info_of(path, bytes(data))
+    assert (found.whole, found.source, found.messages) == (True, Source.SUMMARY, 10)
+
+
+def test_each_channel_has_its_own_times(path: Path) -> None:
+    """By its first and its last message index, wherever these are."""
+    channels = [
+        LogChannel(number, f"t/{number}", schema_name(Gear), descriptor_set(Gear)) for number in (1, 2, 3, 4)
+    ]
+    chunks = [
+        [gear_message(0, 10), gear_message(1, 20, 2)],
+        [gear_message(2, 30), gear_message(3, 31, 3)],
+        [gear_message(4, 40), gear_message(5, 60, 2)],
+    ]
+    found = info_of(path, own_log(chunks, channels))
+    assert found.source is Source.SUMMARY
+    assert [(one.messages, one.first_ns, one.last_ns) for one in found.channels] == [
+        (3, 10, 40),
+        (2, 20, 60),
+        (1, 31, 31),
+        (0, None, None),
+    ]
+    assert [one.rate_hz for one in found.channels] == [
+        pytest.approx(2 / 30e-9),
+        pytest.approx(1 / 40e-9),
+        None,
+        None,
+    ]
+
+
+def test_chunks_that_are_not_in_order_are_gone_through(path: Path) -> None:
+    """The first one of a channel is then not the earliest."""
+    found = info_of(path, own_log([gears(0, 5, 500), gears(5, 5, 100)]))
+    assert found.source is Source.RECORDS
+    assert (found.channels[0].first_ns, found.channels[0].last_ns) == (100, 540)
+
+
+@pytest.mark.parametrize("compression", CompressionType)
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"use_chunking": False},
+        {"use_statistics": False},
+        {"use_summary_offsets": False},
+        {"repeat_channels": False},
+        {"repeat_schemas": False},
+        {"index_types": NO_INDEXES},
+        {"enable_crcs": False},
+    ],
+)
+def test_files_of_others_tell_the_same_however_they_end(
+    path: Path, compression: CompressionType, given: dict[str, Any]
+) -> None:
+    """What their ends leave out, the records tell."""
+    found = info_of(path, foreign_log(range(10, 20), compression=compression, **given))
+    [channel] = found.channels
+    assert (found.whole, found.messages, found.start_ns, found.end_ns) == (True, 10, 10, 19)
+    assert (channel.topic, channel.schema, channel.encoding, channel.messages) == ("/t", "thing", "json", 10)
+    assert (channel.first_ns, channel.last_ns) == (10, 19)
+    assert [(one.name, one.bytes) for one in found.attachments] == [("note", 10)]
+    assert found.metadata == {"origin": {"by": "somebody"}}
+    assert (found.robots, found.completeness) == ([], {})
+
+
+def test_robots_that_no_metadata_names_are_those_of_the_topics(path: Path) -> None:
+    """As in what another recorder has answered."""
+    assert info_of(path, own_log([gears(0, 1, 1)])).robots == ["cruiser-1"]
+
+
+def test_the_recorders_account_is_told(path: Path) -> None:
+    """What is no account is left out."""
+    account = {"t": '{"sent": 5, "received": 4, "written": 4, "lost_link": 1}', "u": "what"}
+    found = info_of(path, own_log([gears(0, 1, 1)], metadata=[(COMPLETENESS_NAME, account)]))
+    assert found.completeness == {"t": KeyReport(sent=5, received=4, written=4, lost_link=1)}
+
+
+def test_several_logs_together(path: Path) -> None:
+    """From the first message of all to the last; each robot once."""
+    infos = [info_of(path, own_log([gears(0, 5, start_ns)])) for start_ns in (1000, 100)]
+    infos.append(info_of(path, own_log([])[:-1]))
+    assert total(infos) == SetInfo(
+        files=3,
+        whole=2,
+        bytes=sum(info.bytes for info in infos),
+        messages=10,
+        start_ns=100,
+        end_ns=1040,
+        duration_s=940e-9,
+        robots=["cruiser-1"],
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,95 @@
+"""``cruiser review check``: whether logs are what they say, and what they lack."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from typing import Final
+
+import msgspec
+
+from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
+from recorder.review.check import LogCheck, check_log
+from recorder.review.checking.findings import About, Finding
+from recorder.review.times import in_words
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
+from schemas.settings import Settings
+
+EXAMPLE: Final = "  cruiser review check logs\n  cruiser review check --json logs/cruiser-1-20260102T030405Z.mcap"
+DESCRIPTION: Final = (
+    "Reads every byte of logs and verifies all that can be: checksums, the heads of chunks, indexes, statistics, "
+    "the order of log times, schemas, and every message against its schema; then what the data lacks: samples by "
+    "the gaps in their sequences, raw frames by their checksums and alive counters, and what the recorder says "
+    "that it could not write. Each finding tells whether it is about the file or about the data in it. Exit code "
+    "1 if there is any."
+)
+JSON_HELP: Final = "print a JSON object a line, one for each file"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    add_logs(parser, json_help=JSON_HELP)
+
+
+def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Check each file."""
+    asked = find(arguments, with_covered=True)
+    is_sound = True
+    with progress_bar("checking", asked.bytes) as progress:
+        for log in asked.logs:
+            if stopped():
+                break
+            try:
+                found = check_log(log.path, progress)
+            except CommandError as error:
+                asked.faults.add(str(error))
+                continue
+            is_sound = is_sound and found.is_sound
+            text = msgspec.json.encode(found).decode() if arguments.json else describe(found)
+            sys.stdout.write(f"{text}\n")
+    code = end_with(asked.faults)
+    return code if is_sound else int(ExitCode.FAILURE)
+
+
+def describe(found: LogCheck) -> str:
+    """What was found out about a log, for people."""
+    # A log's names come from anywhere, and may try to rule the terminal.
+    return "\n".join(map(plain, _lines(found)))
+
+
+def _lines(found: LogCheck) -> Iterator[str]:
+    about_file = [one for one in found.findings if one.about is About.FILE]
+    about_data = [one for one in found.findings if one.about is About.DATA]
+    yield f"{found.path}: {found.messages} messages, {found.bytes} bytes"
+    yield "  the file: nothing is wrong with it" if found.whole else "  the file:"
+    yield from (f"    {_finding(one)}" for one in about_file)
+    if found.untold:
+        yield f"    and {found.untold} more"
+    yield "  the data:" if about_data else "  the data: nothing is missing that could be told"
+    yield from (f"    {_finding(one)}" for one in about_data)
+    unread = [one.encoding or "no encoding" for one in found.channels if one.messages and not one.is_read]
+    if unread:
+        encodings = ", ".join(sorted(set(unread)))
+        yield f"  not read: messages of {len(unread)} channels, without a known encoding or schema ({encodings})"
+    yield from table(
+        ("raw frames", "identifier", "frames", "lost", "repeated", "corrupt", "outages", "unseen"),
+        [
+            (
+                f"{one.topic} {one.name}",
+                one.identifier,
+                *map(str, (one.frames, one.lost, one.repeated, one.corrupt, one.outages, one.unseen)),
+            )
+            for one in found.frames
+        ],
+    )
+
+
+def _finding(one: Finding) -> str:
+    """What, how many, where."""
+    place = [f"byte {one.offset}"] if one.offset is not None else []
+    place += [in_words(one.time_ns)] if one.time_ns is not None else []
+    where = f", first at {' and '.join(place)}" if place else ""
+    topic = f"{one.topic}: " if one.topic else ""
+    return f"{topic}{one.what} ({one.count}{where})"

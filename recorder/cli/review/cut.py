@@ -1,0 +1,51 @@
+"""``cruiser review cut``: a part of a log, as a log."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from recorder.cli.review.asking import add_logs, add_period, end_with, find, progress_bar
+from recorder.cli.review.merge import describe
+from recorder.review.cut import cut
+from schemas.settings import Settings
+
+EXAMPLE: Final = (
+    "  cruiser review cut logs --from 03:04:05 --to 03:05:00 -o part.mcap\n"
+    "  cruiser review cut logs --from -60 --topics '*/safety/*' --topics '*/state' -o part.mcap"
+)
+DESCRIPTION: Final = (
+    "Writes a part of logs into a new one: the messages of a time, by their log times, and of some topics, with "
+    "schemas, all metadata and all attachments. Nothing is overwritten. Exit code 3 if something could not be "
+    "read; the rest is in the new file."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    add_logs(parser)
+    add_period(parser)
+    parser.add_argument(
+        "--topics",
+        action="append",
+        default=[],
+        metavar="GLOB",
+        help="topics, as a shell's patterns; * matches any part of one; may be given several times (default: all)",
+    )
+    parser.add_argument("-o", "--out", type=Path, required=True, metavar="FILE", help="the new file")
+
+
+def run(arguments: argparse.Namespace, _settings: Settings, _stopped: Callable[[], bool]) -> int:
+    """Cut."""
+    asked = find(arguments)
+    period = asked.from_ns, asked.to_ns
+    with progress_bar("cutting", asked.bytes) as progress:
+        joined = cut(asked.logs, arguments.out, period, arguments.topics, asked.faults, progress)
+    text = msgspec.json.encode(joined).decode() if arguments.json else describe(joined)
+    sys.stdout.write(f"{text}\n")
+    return end_with(asked.faults)

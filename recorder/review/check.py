@@ -1,0 +1,217 @@
+"""Whether a log is what it says, and what it lacks: every byte, every checksum, every message.
+
+In one pass, in memory that does not grow with the log but for 16 bytes a chunk and what each gap takes.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import BinaryIO, Final
+
+import msgspec
+from mcap import records
+
+from recorder.mcap_scan import BROKEN, index_content
+from recorder.mcap_summary import MAGIC
+from recorder.review.checking.channel import Channel, ChannelCheck
+from recorder.review.checking.findings import About, Finding, Findings
+from recorder.review.checking.frames import FrameInfo
+from recorder.review.checking.proofs import faults_of_schema
+from recorder.review.checking.structure import Structure
+from recorder.review.checking.unpacking import Messages, unpack_at, unpack_indexed
+from recorder.review.pieces import End, Fault, LooseMessage, PackedChunk, Piece, SummaryStart, read_pieces
+from recorder.review.rows import Progress
+from schemas.exit_codes import CommandError
+from schemas.printable import plain
+
+WAITING_BYTES_MAX: Final = 16_000_000
+"""When all messages that wait to be judged are so large together, they are judged."""
+
+
+class LogCheck(msgspec.Struct, frozen=True):
+    """What was found out about a log.
+
+    Attributes:
+        whole: nothing is wrong with the file itself.
+        messages: that were read.
+        missed: samples missed on all channels.
+        frames_lost: raw frames that never came, by their alive counters and, across outages, by their period.
+        frames: the alive counters of each identifier.
+        findings: what is wrong, about the file first; ``untold`` more are about the file, too.
+    """
+
+    path: str
+    bytes: int
+    whole: bool
+    messages: int
+    missed: int
+    frames_lost: int
+    channels: list[ChannelCheck]
+    frames: list[FrameInfo]
+    findings: list[Finding]
+    untold: int
+
+    @property
+    def is_sound(self) -> bool:
+        """Nothing is wrong with the file, and nothing is missing in it."""
+        return not self.findings
+
+
+def check_log(path: Path, progress: Progress = lambda _: None) -> LogCheck:
+    """Check a log.
+
+    Args:
+        path: the file.
+        progress: is told of bytes that were read.
+
+    Raises:
+        CommandError: there is no such file, or it is no MCAP file.
+    """
+    shown = plain(str(path))
+    try:
+        with path.open("rb") as stream:
+            size = os.fstat(stream.fileno()).st_size
+            if size == 0:
+                raise CommandError(f"{shown} is empty")
+            if stream.read(len(MAGIC)) != MAGIC:
+                raise CommandError(f"{shown} is no MCAP file")
+            return check_stream(stream, size, str(path), progress)
+    except OSError as error:
+        raise CommandError(f"cannot read {shown}: {error.strerror or error}") from error
+
+
+def check_stream(stream: BinaryIO, size: int, path: str, progress: Progress = lambda _: None) -> LogCheck:
+    """As ``check_log``, of an open file that begins as MCAP does; ``path`` is what it is called."""
+    return _Check(stream, size, path).run(progress)
+
+
+class _Check:
+    def __init__(self, stream: BinaryIO, size: int, path: str) -> None:
+        self._stream = stream
+        self._size = size
+        self._path = path
+        self._findings = Findings(path)
+        self._structure = Structure(self._findings)
+        self._schemas: dict[int, records.Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._waiting_bytes = 0
+        self._statistics: records.Statistics | None = None
+        self._has_header = self._is_in_summary = self._has_ended = False
+        self._read_to = 0
+
+    def run(self, progress: Progress) -> LogCheck:
+        for piece in read_pieces(self._stream, self._size):
+            self._take(piece)
+            if isinstance(piece, PackedChunk):
+                progress(piece.end - self._read_to)
+                self._read_to = piece.end
+        progress(self._size - self._read_to)
+        if not self._has_header:
+            self._findings.file("the file has no header", len(MAGIC))
+        if self._statistics is not None:
+            self._structure.compare_statistics(self._statistics)
+        if self._has_ended:
+            self._structure.compare_summary(self._stream)
+        return self._sum_up()
+
+    def _sum_up(self) -> LogCheck:
+        findings = self._findings
+        by_topic = sorted(self._channels.values(), key=lambda one: one.topic)
+        channels = [channel.sum_up() for channel in by_topic]
+        frames = [info for channel in by_topic if channel.frames for info in channel.frames.info(channel.topic)]
+        return LogCheck(
+            path=self._path,
+            bytes=self._size,
+            whole=self._has_ended and not findings.has(About.FILE),
+            messages=self._structure.messages.total(),
+            missed=sum(channel.missed or 0 for channel in channels),
+            frames_lost=sum(frame.lost + frame.unseen for frame in frames),
+            channels=channels,
+            frames=frames,
+            findings=findings.told,
+            untold=findings.untold,
+        )
+
+    def _take(self, piece: Piece) -> None:
+        match piece:
+            case PackedChunk():
+                self._take_chunk(piece)
+            case LooseMessage():
+                self._take_loose(piece)
+            case records.Schema() | records.Channel():
+                self._declare(piece)
+            case records.Statistics():
+                self._statistics = piece
+            case SummaryStart():
+                self._is_in_summary = True
+            case End():
+                self._has_ended = True
+            case Fault():
+                self._findings.file(piece.detail, piece.offset)
+            case _:
+                self._has_header = self._has_header or isinstance(piece, records.Header)
+                self._structure.count(type(piece))
+
+    def _declare(self, record: records.Schema | records.Channel) -> None:
+        if isinstance(record, records.Schema):
+            if self._structure.take_schema(record, is_repeated=self._is_in_summary):
+                self._schemas[record.id] = record
+                for fault in faults_of_schema(record):
+                    self._findings.file(fault)
+        elif self._structure.take_channel(record, is_repeated=self._is_in_summary):
+            self._channels[record.id] = Channel(record, self._schemas.get(record.schema_id), self._findings)
+
+    def _take_loose(self, piece: LooseMessage) -> None:
+        try:
+            self._take_content(piece.raw, piece.offset)
+        except BROKEN as error:
+            self._findings.file(f"a message cannot be read: {error}", piece.offset)
+
+    def _take_chunk(self, piece: PackedChunk) -> None:
+        try:
+            chunk = piece.read(self._stream)
+            content = piece.unpack(self._stream, chunk)
+            found = None if piece.index is None else unpack_indexed(content, piece.index)
+            if found is None:
+                found = self._take_content(content, piece.offset)
+            else:
+                self._take_messages(found, piece.offset)
+        except BROKEN as error:
+            # Without the figures, which differ from chunk to chunk.
+            why = str(error).partition(",")[0]
+            self._findings.file(f"a chunk cannot be read: {why}", piece.offset)
+            self._structure.take_broken_chunk(piece)
+        else:
+            self._structure.take_chunk(piece, chunk, len(content), found)
+            self._waiting_bytes += len(content)
+            if self._waiting_bytes > WAITING_BYTES_MAX:
+                for channel in self._channels.values():
+                    channel.judge()
+                self._waiting_bytes = 0
+
+    def _take_content(self, content: bytes, offset: int) -> Messages | None:
+        """Records one by one: those that stand outside of chunks, or in one with more in it than messages.
+
+        Raises:
+            what ``recorder.mcap_scan.BROKEN`` lists: these are no records.
+        """
+        index, declared = index_content(content)
+        for record in declared:
+            if isinstance(record, records.Schema | records.Channel):
+                self._declare(record)
+        starts = sorted(start for entries in index.values() for start in entries[1::2])
+        found = unpack_at(content, starts) if starts else None
+        if found is not None:
+            self._take_messages(found, offset)
+        return found
+
+    def _take_messages(self, found: Messages, offset: int) -> None:
+        self._structure.take_messages(found, offset)
+        for messages in found.by_channel:
+            channel = self._channels.get(messages.channel_id)
+            if channel is None:
+                what = f"messages of channel {messages.channel_id}, which the file does not hold"
+                self._findings.file(what, offset, count=len(messages.starts))
+            else:
+                channel.take(messages, offset)

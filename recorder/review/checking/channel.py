@@ -1,0 +1,140 @@
+"""What is known of one channel while a log is checked.
+
+Messages wait until many of them can be judged at once: most of what that costs does not depend on how many.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+from mcap import records
+
+from recorder.protobuf_schema import schema_name
+from recorder.review.checking.findings import Findings
+from recorder.review.checking.frames import FrameCount
+from recorder.review.checking.proofs import Proof, proof_of
+from recorder.review.checking.sequences import sequence_count
+from recorder.review.checking.unpacking import ChannelMessages
+from recorder.review.topics import UNREADABLE, typed_decoder
+from schemas.messages import CanFrame
+from schemas.recording import RecordGap
+
+WAITING_MAX: Final = 1024
+"""So many messages of a channel wait at most, but for the rest of their chunk."""
+
+_CAN_FRAME: Final = schema_name(CanFrame)
+_RECORD_GAP: Final = schema_name(RecordGap)
+
+_FRAME_FAULTS: Final = {
+    "lost": "frames lost, by the alive counter",
+    "repeated": "frames with the alive counter of the one before",
+    "corrupt": "frames with a wrong checksum",
+    "outages": "gaps in time that are too long for the alive counter, or steps back",
+    "unseen": "frames lost in these, by the period",
+}
+
+
+class ChannelCheck(msgspec.Struct, frozen=True):
+    """A channel.
+
+    Attributes:
+        is_read: its messages were held against its schema; of an encoding that is not known here they cannot be.
+        unreadable: messages that are not what their schema says.
+        missed: samples that never came, by the gaps in ``sequence``; None where a gap says nothing.
+    """
+
+    topic: str
+    schema: str
+    encoding: str
+    messages: int
+    is_read: bool
+    unreadable: int
+    missed: int | None
+
+
+class Channel:
+    """Follows one channel through a log.
+
+    Args:
+        record: the channel.
+        schema: its schema, if the log holds it.
+        findings: takes what is wrong.
+    """
+
+    def __init__(self, record: records.Channel, schema: records.Schema | None, findings: Findings) -> None:
+        self.topic = record.topic
+        self._encoding = record.message_encoding
+        self._schema = "" if schema is None else schema.name
+        self._findings = findings
+        is_protobuf = record.message_encoding == "protobuf"
+        self.frames = FrameCount() if is_protobuf and self._schema == _CAN_FRAME else None
+        self._proof: Proof | None = self.frames.take if self.frames else proof_of(record, schema)
+        self._sequence = sequence_count(self._schema) if is_protobuf else None
+        self._is_gaps = is_protobuf and self._schema == _RECORD_GAP
+        self._messages = self._unreadable = 0
+        self._sequences: list[int] = []
+        self._publish_ns: list[int] = []
+        self._log_ns: list[int] = []
+        self._datas: list[bytes] = []
+        # Where in the file the chunk is that a message has come from, by its place among those that wait.
+        self._offsets: list[tuple[int, int]] = []
+
+    def take(self, messages: ChannelMessages, offset: int) -> None:
+        """Messages of the channel, of the chunk at this offset."""
+        self._messages += len(messages.starts)
+        if self._sequence is not None:
+            self._sequences += messages.sequences
+            self._publish_ns += messages.publish_ns
+            self._log_ns += messages.log_ns
+        if self._proof is not None:
+            self._offsets.append((len(self._datas), offset))
+            self._datas += messages.datas
+        if len(self._sequences) >= WAITING_MAX or len(self._datas) >= WAITING_MAX:
+            self.judge()
+
+    def judge(self) -> None:
+        """Judge the messages that wait."""
+        if self._sequence is not None and self._sequences:
+            self._sequence.take(self._sequences, self._publish_ns, self._log_ns)
+            self._sequences, self._publish_ns, self._log_ns = [], [], []
+        if self._proof is not None and self._datas:
+            for place in self._proof(self._datas):
+                self._unreadable += 1
+                offset = max(one for one in self._offsets if one[0] <= place)[1]
+                self._findings.file("messages are not what their schema says", offset, topic=self.topic)
+            if self._is_gaps:
+                self._tell_gaps()
+            self._datas, self._offsets = [], []
+
+    def sum_up(self) -> ChannelCheck:
+        """All of it, and what is missing."""
+        self.judge()
+        missed, missed_ns = (None, None) if self._sequence is None else self._sequence.missed()
+        if missed:
+            self._findings.data("samples missed, by the sequence", self.topic, missed, missed_ns)
+        for _, alive in self.frames.counts if self.frames else ():
+            for name, what in _FRAME_FAULTS.items():
+                count = getattr(alive, name)
+                if count:
+                    first_ns = alive.first_ns.get("outages" if name == "unseen" else name)
+                    self._findings.data(f"{alive.name}: {what}", self.topic, count, first_ns)
+        return ChannelCheck(
+            topic=self.topic,
+            schema=self._schema,
+            encoding=self._encoding,
+            messages=self._messages,
+            is_read=self._proof is not None,
+            unreadable=self._unreadable,
+            missed=missed,
+        )
+
+    def _tell_gaps(self) -> None:
+        """What the recorder says that it could not write."""
+        for data in self._datas:
+            try:
+                gap: RecordGap = typed_decoder(RecordGap)(data)
+            except UNREADABLE:
+                continue
+            what = f"not in the log, as its recorder says ({gap.reason.value})"
+            self._findings.data(what, gap.key, gap.count, gap.first_ns)

@@ -1,0 +1,90 @@
+"""What ``check`` finds: gathered by what it is, so that the answer does not grow with the damage."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Final
+
+import msgspec
+
+FINDINGS_MAX: Final = 500
+"""So many different ones of a file are told; further ones are only counted."""
+
+
+class About(Enum):
+    """What a finding is about."""
+
+    FILE = "file"
+    DATA = "data"
+
+
+class Finding(msgspec.Struct):
+    """Something wrong with a log.
+
+    Attributes:
+        path: the file.
+        about: the file itself (its structure, its checksums, its schemas), or what it lacks of what was said.
+        what: in words.
+        count: how often; of samples and frames, how many.
+        topic: the channel that it is about; empty if it is about none.
+        offset: where in the file it is for the first time, in bytes; None if it has no such place.
+        time_ns: when it is for the first time, by log time or, of frames, by their own; None if it has no time.
+    """
+
+    path: str
+    about: About
+    what: str
+    count: int
+    topic: str
+    offset: int | None
+    time_ns: int | None
+
+
+class Findings:
+    """Gathers the findings of one file.
+
+    Args:
+        path: the file.
+
+    Attributes:
+        told: those that are told.
+        untold: how many more there are, beyond FINDINGS_MAX.
+    """
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+        self._by_kind: dict[tuple[str, str], Finding] = {}
+        self.untold = 0
+
+    @property
+    def told(self) -> list[Finding]:
+        """Those about the file first, by their places; then those about the data."""
+        return sorted(
+            self._by_kind.values(),
+            key=lambda one: (one.about is About.DATA, one.offset or 0, one.topic, one.time_ns or 0),
+        )
+
+    def file(self, what: str, offset: int | None = None, *, topic: str = "", count: int = 1) -> None:
+        """Something wrong with the file itself."""
+        self._add(About.FILE, what, topic, count, offset, None)
+
+    def data(self, what: str, topic: str, count: int, time_ns: int | None = None) -> None:
+        """Something that the file lacks."""
+        self._add(About.DATA, what, topic, count, None, time_ns)
+
+    def has(self, about: About) -> bool:
+        """Whether there is any of this kind; those that are not told are about the file."""
+        return any(one.about is about for one in self._by_kind.values()) or (
+            about is About.FILE and self.untold > 0
+        )
+
+    def _add(
+        self, about: About, what: str, topic: str, count: int, offset: int | None, time_ns: int | None
+    ) -> None:
+        same = self._by_kind.get((what, topic))
+        if same is not None:
+            same.count += count
+        elif about is About.FILE and len(self._by_kind) >= FINDINGS_MAX:
+            self.untold += count
+        else:
+            self._by_kind[what, topic] = Finding(self._path, about, what, count, topic, offset, time_ns)

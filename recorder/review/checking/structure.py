@@ -1,0 +1,261 @@
+"""Whether what a file says of itself is true: heads of chunks, message indexes, statistics, and its summary.
+
+Of each chunk two numbers are kept until the summary is reached: 16 bytes, some 10 MB of a log of 10 GB.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections import Counter
+from collections.abc import Sequence
+from io import BytesIO
+from itertools import pairwise
+from typing import BinaryIO, Final
+
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+
+from recorder.mcap_scan import BROKEN, RECORD_MAX
+from recorder.mcap_summary import RECORD_HEADER
+from recorder.review.checking.findings import Findings
+from recorder.review.checking.unpacking import Messages
+from recorder.review.pieces import PackedChunk
+from recorder.review.summary import IndexedChunk, LogSummary, read_records, read_summary
+from schemas.subjects import RECORDER_CHUNK
+
+_INDEXED: Final = {
+    Opcode.ATTACHMENT: records.Attachment.read,
+    Opcode.METADATA: records.Metadata.read,
+}
+
+
+class Structure:
+    """Follows a file through its data, and then compares its summary.
+
+    Args:
+        findings: takes what is wrong.
+
+    Attributes:
+        messages: of each channel.
+    """
+
+    def __init__(self, findings: Findings) -> None:
+        self.messages: Counter[int] = Counter()
+        self._findings = findings
+        self._counts: Counter[type] = Counter()
+        self._start_ns: int | None = None
+        self._end_ns = 0
+        self._newest_ns = 0
+        self._offsets = array("Q")
+        self._digests = array("q")
+        self._schemas: dict[int, records.Schema] = {}
+        self._channels: dict[int, records.Channel] = {}
+        self._own: set[int] = set()
+
+    def take_schema(self, schema: records.Schema, *, is_repeated: bool = False) -> bool:
+        """A schema of the data, or the summary's. Whether it is the first of its id."""
+        before = self._schemas.get(schema.id)
+        if is_repeated:
+            if before is None or vars(before) != vars(schema):
+                self._findings.file(f"the summary's schema {schema.name} is not in the data")
+            return False
+        if before is not None and vars(before) != vars(schema):
+            self._findings.file(f"the schema {schema.name} has the id of another one")
+        if schema.id == 0:
+            self._findings.file(f"the schema {schema.name} has the id 0, which means none")
+        self._schemas.setdefault(schema.id, schema)
+        return before is None
+
+    def take_channel(self, channel: records.Channel, *, is_repeated: bool = False) -> bool:
+        """A channel of the data, or the summary's. Whether it is the first of its id."""
+        before = self._channels.get(channel.id)
+        if is_repeated:
+            if before is None or vars(before) != vars(channel):
+                self._findings.file("the summary's channel is not in the data", topic=channel.topic)
+            return False
+        if before is not None and vars(before) != vars(channel):
+            self._findings.file("the channel has the id of another one", topic=channel.topic)
+        elif before is None and channel.schema_id not in self._schemas:
+            what = "its schema is missing" if channel.schema_id else "the channel has no schema"
+            self._findings.file(what, topic=channel.topic)
+        self._channels.setdefault(channel.id, channel)
+        if RECORDER_CHUNK in channel.topic.split("/"):
+            self._own.add(channel.id)
+        return before is None
+
+    def count(self, kind: type) -> None:
+        """One more record of this kind."""
+        self._counts[kind] += 1
+
+    def take_messages(self, found: Messages, offset: int) -> None:
+        """The messages of a chunk, or a single one outside of chunks, at this offset of the file."""
+        for messages in found.by_channel:
+            self.messages[messages.channel_id] += len(messages.starts)
+        self._start_ns = found.start_ns if self._start_ns is None else min(self._start_ns, found.start_ns)
+        self._end_ns = max(self._end_ns, found.end_ns)
+        times = self._receipts(found)
+        if times:
+            backwards = sum(after < before for before, after in pairwise((self._newest_ns, *times)))
+            if backwards:
+                self._findings.file("the log time goes backwards", offset, count=backwards)
+            self._newest_ns = times[-1]
+
+    def _receipts(self, found: Messages) -> Sequence[int]:
+        """Log times in the order of the chunk; where all are in order, the first and the last will do.
+
+        What a recorder says itself is left out: where it had to wait for a file, it is older than its neighbours.
+        """
+        has_own = any(messages.channel_id in self._own for messages in found.by_channel)
+        if not has_own and not found.backwards:
+            return found.first_ns, found.last_ns
+        places = sorted(
+            place
+            for messages in found.by_channel
+            if messages.channel_id not in self._own
+            for place in zip(messages.starts, messages.log_ns, strict=True)
+        )
+        return [time_ns for _, time_ns in places]
+
+    def take_chunk(self, piece: PackedChunk, chunk: records.Chunk, size: int, found: Messages | None) -> None:
+        """A chunk that could be read, the bytes of its records, and the messages in it, if there are any."""
+        if chunk.uncompressed_size != size:
+            self._findings.file("a chunk's size is not the one that it says", piece.offset)
+        times = (0, 0) if found is None else (found.start_ns, found.end_ns)
+        if (chunk.message_start_time, chunk.message_end_time) != times:
+            self._findings.file("a chunk's times are not those of its messages", piece.offset)
+        if piece.index is not None and not (
+            found.is_indexed(piece.index) if found else not any(piece.index.values())
+        ):
+            self._findings.file("the message indexes behind a chunk are wrong", piece.offset)
+        self._offsets.append(piece.offset)
+        self._digests.append(
+            hash(
+                (
+                    chunk.message_start_time,
+                    chunk.message_end_time,
+                    piece.length,
+                    piece.end - piece.offset - piece.length,
+                    chunk.compression.encode(),
+                    len(chunk.data),
+                    chunk.uncompressed_size,
+                    frozenset(piece.places.items()),
+                )
+            )
+        )
+
+    def take_broken_chunk(self, piece: PackedChunk) -> None:
+        """A chunk that cannot be read: nothing of it can be compared but its place."""
+        self._offsets.append(piece.offset)
+        self._digests.append(0)
+
+    def compare_statistics(self, statistics: records.Statistics) -> None:
+        """What the summary counts."""
+        counted = {
+            "messages": (statistics.message_count, self.messages.total()),
+            "schemas": (statistics.schema_count, len(self._schemas)),
+            "channels": (statistics.channel_count, len(self._channels)),
+            "chunks": (statistics.chunk_count, len(self._offsets)),
+            "attachments": (statistics.attachment_count, self._counts[records.Attachment]),
+            "metadata records": (statistics.metadata_count, self._counts[records.Metadata]),
+        }
+        for name, (said, found) in counted.items():
+            if said != found:
+                self._findings.file(f"the file says that it holds {said} {name}; {found} were found")
+        said_of = {channel_id: count for channel_id, count in statistics.channel_message_counts.items() if count}
+        for channel_id in said_of.keys() | self.messages.keys():
+            said, found = said_of.get(channel_id, 0), self.messages[channel_id]
+            if said != found:
+                topic = self._channels[channel_id].topic if channel_id in self._channels else str(channel_id)
+                self._findings.file(
+                    f"the file says that it holds {said} messages; {found} were found", topic=topic
+                )
+        times = (self._start_ns or 0, self._end_ns)
+        if (statistics.message_start_time, statistics.message_end_time) != times:
+            self._findings.file("the file's first and last time are not those of its messages")
+
+    def compare_summary(self, stream: BinaryIO) -> None:
+        """The indexes of the summary; one with a wrong checksum has been told of."""
+        summary = read_summary(stream)
+        if summary is None:
+            return
+        try:
+            self._compare_groups(stream, summary)
+            self._compare_chunks(stream, summary)
+            for attachment in summary.attachments:
+                self._compare_record(stream, attachment)
+            for metadata in summary.metadata:
+                self._compare_record(stream, metadata)
+        except BROKEN as error:
+            self._findings.file(f"the summary cannot be read: {error}", summary.start)
+
+    def _compare_groups(self, stream: BinaryIO, summary: LogSummary) -> None:
+        for group in summary.groups:
+            end = group.group_start + group.group_length
+            is_inside = summary.start <= group.group_start <= end <= (summary.offset_start or summary.end)
+            opcodes = (
+                {opcode for opcode, _, _ in read_records(stream, group.group_start, end)} if is_inside else {0}
+            )
+            # Some writers name groups that hold nothing.
+            if opcodes != ({group.group_opcode} if group.group_length else set()):
+                self._findings.file("the summary's own offsets are wrong", summary.offset_start)
+
+    def _compare_chunks(self, stream: BinaryIO, summary: LogSummary) -> None:
+        at = {offset: place for place, offset in enumerate(self._offsets)} if summary.chunks_at else {}
+        indexed = 0
+        for chunk in summary.chunks(stream):
+            indexed += 1
+            place = at.get(chunk.offset)
+            if place is None:
+                self._findings.file("the summary's index names a chunk that is not there", summary.start)
+            elif self._digests[place] not in {0, _digest(chunk)}:
+                self._findings.file("the summary's index of a chunk is wrong", chunk.offset)
+        if summary.chunks_at and indexed != len(self._offsets):
+            self._findings.file(
+                f"the summary's index holds {indexed} chunks; {len(self._offsets)} were found", summary.start
+            )
+
+    def _compare_record(self, stream: BinaryIO, index: records.AttachmentIndex | records.MetadataIndex) -> None:
+        is_attachment = isinstance(index, records.AttachmentIndex)
+        opcode = Opcode.ATTACHMENT if is_attachment else Opcode.METADATA
+        stream.seek(index.offset)
+        head = stream.read(RECORD_HEADER.size)
+        is_true = len(head) == RECORD_HEADER.size
+        if is_true:
+            found, length = RECORD_HEADER.unpack(head)
+            is_true = (found, RECORD_HEADER.size + length) == (opcode, index.length) and length <= RECORD_MAX
+            if is_true:
+                record = _INDEXED[opcode](ReadDataStream(BytesIO(stream.read(length))))
+                is_true = _facts(record) == _facts(index)
+        if not is_true:
+            what = "attachment" if is_attachment else "metadata"
+            self._findings.file(f"the summary's index of the {what} {index.name} is wrong", index.offset)
+
+
+def _digest(chunk: IndexedChunk) -> int:
+    return hash(
+        (
+            chunk.start_ns,
+            chunk.end_ns,
+            chunk.length,
+            chunk.indexes_length,
+            chunk.compression,
+            chunk.packed,
+            chunk.unpacked,
+            frozenset(chunk.place_map().items()),
+        )
+    )
+
+
+def _facts(
+    record: records.Attachment | records.AttachmentIndex | records.Metadata | records.MetadataIndex,
+) -> tuple[object, ...]:
+    """What a record and its index have in common."""
+    match record:
+        case records.Attachment():
+            size = len(record.data)
+        case records.AttachmentIndex():
+            size = record.data_size
+        case _:
+            return (record.name,)
+    return record.name, record.media_type, record.log_time, record.create_time, size

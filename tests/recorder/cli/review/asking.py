@@ -1,0 +1,13 @@
+"""Asks ``cruiser review`` as a user does."""
+
+import argparse
+
+from recorder.cli.review import command as review
+from schemas.settings import Settings
+
+
+def run(*words: str) -> int:
+    """The command's exit code."""
+    parser = argparse.ArgumentParser()
+    review.add_arguments(parser)
+    return review.run(parser.parse_args(words), Settings(), lambda: False)
