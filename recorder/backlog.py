@@ -20,6 +20,10 @@ ANSWER_NS: Final = 1_000_000_000
 TRIES: Final = 5
 """...so many times in a row, then it is given up."""
 
+AGAIN_NS: Final = 2_000_000_000
+"""Of a gateway that begins anew so soon after a question, the next one waits: two of one name look like that with
+every sample."""
+
 RANGES_MAX: Final = 32
 """Gaps of one key that wait; beyond it the oldest are given up."""
 
@@ -55,11 +59,13 @@ class _Key:
         self.key = key
         # Where the past is cut off, the rest of a journal is worth nothing: it cannot be run again.
         self.whole_only = subject.type is Journal
+        self.asked_ns: int | None = None
         self.begin(now_ns)
 
     def begin(self, now_ns: int) -> None:
         """A gateway is new to us: all it has said is missing."""
         self.begun_ns = now_ns
+        self.ask_at_ns = now_ns if self.asked_ns is None else max(now_ns, self.asked_ns + AGAIN_NS)
         self.expected = 0
         self.ranges = [_Range(0, None, counted=False)]
 
@@ -76,14 +82,14 @@ class _Key:
     def ask(self, now_ns: int) -> Effect | None:
         """What is to be asked now."""
         self.ranges = [one for one in self.ranges if not one.is_over]
-        if not self.ranges or not self.ranges[0].is_due(now_ns):
+        if now_ns < self.ask_at_ns or not self.ranges or not self.ranges[0].is_due(now_ns):
             return None
         one = self.ranges[0]
         one.tries = one.tries + 1 if one.asked_ns is not None and one.start < one.asked_to else 0
         if one.tries >= TRIES:
             del self.ranges[0]
             return None
-        one.asked_ns = now_ns
+        self.asked_ns = one.asked_ns = now_ns
         one.asked_to = one.start + KEPT_PIECE
         return AskKept(self.key, one.start)
 

@@ -24,6 +24,9 @@ from schemas.messages import CanFrame, CanFrames
 DATA_BYTES: Final = 8
 """Length of the frames that go this way."""
 
+FRAMES_MAX: Final = 10_000
+"""Frames of a batch: what a saturated bus carries in a second, and a gateway sends each 50 ms."""
+
 TEMPLATES_MAX: Final = 4096
 """One for each channel and name of a bus; anybody may make up names."""
 
@@ -69,18 +72,23 @@ def _template(channel_id: int, bus: str, *, is_extended: bool) -> _Template:
 
 def can_adder(tally: Tally, chunk: ChunkBuilder, channel_id: int) -> Adder:
     """The function of one key of raw frames; see ``fast_path``."""
+    limit_bytes = chunk.limit_bytes
 
     def add(payload: bytes, log_ns: int) -> bool:
         batch = _DECODE(payload)
         if batch.sequence != tally.next or chunk.is_full or not is_common(batch):
             return False
+        count = len(batch.can_id)
+        if count:
+            template = _template(channel_id, batch.bus, is_extended=batch.can_id[0] & EXTENDED != 0)
+            # Of a batch that is a chunk by itself the slow path makes several.
+            if count > FRAMES_MAX or count * len(template.record) > limit_bytes:
+                return False
+            _write(batch, template, log_ns, chunk, channel_id)
         tally.next = (batch.sequence + 1) % SEQUENCE_SPAN
         tally.dropped = max(tally.dropped, batch.dropped)
         tally.samples += 1
-        count = len(batch.can_id)
-        if count:
-            tally.messages += count
-            _write(batch, count, log_ns, chunk, channel_id)
+        tally.messages += count
         return True
 
     return add
@@ -111,10 +119,8 @@ def is_common(batch: CanFrames) -> bool:
     )
 
 
-def _write(batch: CanFrames, count: int, log_ns: int, chunk: ChunkBuilder, channel_id: int) -> None:
-    is_extended = batch.can_id[0] & EXTENDED != 0
-    template = _template(channel_id, batch.bus, is_extended=is_extended)
-    size = len(template.record)
+def _write(batch: CanFrames, template: _Template, log_ns: int, chunk: ChunkBuilder, channel_id: int) -> None:
+    count, size = len(batch.can_id), len(template.record)
     one = bytearray(template.record)
     one[_LOG_AT:_PUBLISH_AT] = _WORDS.pack(batch.sequence, log_ns)
     records: Any = one * count

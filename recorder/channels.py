@@ -1,8 +1,14 @@
-"""The channels of a log, and what is known of each. Pure."""
+"""The channels of a log, and what is known of each. Pure.
+
+A sample is looked up by its key, and an event's second form by the key of the event: two maps, for both may want
+the same topic. What somebody publishes as ``KEY/log`` is no line of ours.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
+from enum import Enum, auto
 from typing import Final
 
 import msgspec
@@ -11,23 +17,44 @@ from recorder.completeness import KeyReport, report
 from recorder.effects import DeclareChannel, Effect, LogChannel
 from recorder.foxglove_log import LOG_CHUNK, SCHEMA_DATA, SCHEMA_NAME
 from recorder.protobuf_schema import descriptor_set, schema_name
-from recorder.routes import Route
+from recorder.routes import RAW_CHUNK, Route
 from recorder.tally import Tally
-from schemas.recorder_settings import CHANNEL_LIMIT
+from schemas.keys import KEY_MAX_LENGTH
+from schemas.recorder_settings import CHANNEL_LIMIT, TABLE_CHANNEL_LIMIT
 from schemas.recording import GapReason
 from schemas.subjects import Subject
 
 OVERFLOW_TOPIC: Final = "@more"
-"""The topic of the channel that all keys beyond CHANNEL_LIMIT share."""
+"""The topic of the channel that all keys share for which there is no other."""
+
+RESERVED_LINE_CHUNK: Final = "@log"
+"""Events as viewers list them go to ``{key}/@log`` where ``{key}/log`` is somebody's key; no key goes there."""
+
+
+class Room(Enum):
+    """Among which channels a new one counts: what anybody makes up must not take the place of the others."""
+
+    OTHER = auto()
+    TABLE = auto()
+    OWN = auto()
+
+
+LIMITS: Final = {Room.OTHER: CHANNEL_LIMIT, Room.TABLE: TABLE_CHANNEL_LIMIT}
+"""Channels of each sort. There is always room for what the recorder itself says."""
 
 
 class Channels:
-    """By topic, which is the key but for broken samples: the one memory of keys, and a bounded one."""
+    """By key: the one memory of keys, and a bounded one."""
 
     def __init__(self) -> None:
+        self._by_key: dict[str, Route] = {}
+        self._lines: dict[str, Route] = {}
+        """By the key of the events."""
         self._by_topic: dict[str, Route] = {}
         # By channel id, from 1.
         self._by_id: list[Route] = []
+        self._topics: list[str] = []
+        self._taken: Counter[Room] = Counter()
 
     @property
     def tallies(self) -> Iterable[Tally]:
@@ -51,31 +78,35 @@ class Channels:
             if (latest := route.latest).message is not None
         }
 
-    def get(self, topic: str) -> Route | None:
-        """The topic's route, if it has a channel."""
-        return self._by_topic.get(topic)
+    def get(self, key: str) -> Route | None:
+        """The route of a key's samples, if it has a channel."""
+        return self._by_key.get(key)
 
     def declare(
-        self, topic: str, subject: Subject | None, robot: str, effects: list[Effect], *, is_own: bool = False
+        self, key: str, subject: Subject | None, robot: str, effects: list[Effect], room: Room = Room.OTHER
     ) -> Route:
-        """The topic's channel, declared when it is new. There is always room for what the recorder itself says."""
-        if len(self._by_topic) >= CHANNEL_LIMIT and topic not in self._by_topic and not is_own:
-            topic, subject = OVERFLOW_TOPIC, None
-        route = self._by_topic.get(topic)
+        """The channel of a key's samples, declared when it is new; the one that many share if there is no room."""
+        route = self._by_key.get(key)
         if route is None:
-            route = self._add(topic, subject, robot)
-            kind = route.kind
-            channel = LogChannel(route.channel_id, topic, schema_name(kind), descriptor_set(kind))
-            effects.append(DeclareChannel(channel))
+            if len(key) > KEY_MAX_LENGTH or not self._take_room(room):
+                return self._add(OVERFLOW_TOPIC, None, "", effects)
+            topic = f"{key}/{RAW_CHUNK}" if self._is_line(key) else key
+            route = self._by_key[key] = self._add(topic, subject, robot, effects)
         return route
 
-    def declare_line(self, topic: str, effects: list[Effect]) -> Route | None:
-        """The channel of a topic's events as viewers list them, declared when new; None if there are too many."""
-        line_topic = f"{topic}/{LOG_CHUNK}"
-        route = self._by_topic.get(line_topic)
-        if route is None and len(self._by_topic) < CHANNEL_LIMIT:
-            route = self._add(line_topic, None, "")
-            effects.append(DeclareChannel(LogChannel(route.channel_id, line_topic, SCHEMA_NAME, SCHEMA_DATA)))
+    def declare_raw(self, key: str, effects: list[Effect]) -> Route:
+        """The channel of the broken samples of a known key."""
+        return self.declare(f"{key}/{RAW_CHUNK}", None, "", effects)
+
+    def declare_line(self, key: str, effects: list[Effect], room: Room = Room.TABLE) -> Route | None:
+        """The channel of a key's events as viewers list them, declared when new; None if there are too many."""
+        route = self._lines.get(key)
+        if route is None and self._take_room(room):
+            topic = f"{key}/{LOG_CHUNK}"
+            if topic in self._by_topic:
+                topic = f"{key}/{RESERVED_LINE_CHUNK}"
+            route = self._lines[key] = self._remember(topic, None, "")
+            effects.append(DeclareChannel(LogChannel(route.channel_id, topic, SCHEMA_NAME, SCHEMA_DATA)))
         return route
 
     def lose_written(self, counts: Mapping[int, int], reason: GapReason | None) -> dict[str, int]:
@@ -85,16 +116,40 @@ class Channels:
             The same by topic.
         """
         topics = {}
-        names = list(self._by_topic)
         for channel_id, count in counts.items():
             tally = self._by_id[channel_id - 1].tally
             tally.unwritten += count
             if reason is not None:
                 tally.lose(reason, count)
-            topics[names[channel_id - 1]] = count
+            topics[self._topics[channel_id - 1]] = count
         return topics
 
-    def _add(self, topic: str, subject: Subject | None, robot: str) -> Route:
-        route = self._by_topic[topic] = Route(len(self._by_topic) + 1, subject, robot)
-        self._by_id.append(route)
+    def _is_line(self, topic: str) -> bool:
+        """Whether a topic is one of a line, or is kept free for one."""
+        key, _, chunk = topic.rpartition("/")
+        return chunk == RESERVED_LINE_CHUNK or (chunk == LOG_CHUNK and key in self._lines)
+
+    def _take_room(self, room: Room) -> bool:
+        """Have one more channel of this sort, or else among those that anybody may make up."""
+        for one in (room, Room.OTHER):
+            limit = LIMITS.get(one)
+            if limit is None or self._taken[one] < limit:
+                self._taken[one] += 1
+                return True
+        return False
+
+    def _add(self, topic: str, subject: Subject | None, robot: str, effects: list[Effect]) -> Route:
+        route = self._by_topic.get(topic)
+        if route is None:
+            route = self._remember(topic, subject, robot)
+            kind = route.kind
+            effects.append(
+                DeclareChannel(LogChannel(route.channel_id, topic, schema_name(kind), descriptor_set(kind)))
+            )
+        return route
+
+    def _remember(self, topic: str, subject: Subject | None, robot: str) -> Route:
+        self._by_id.append(Route(len(self._by_id) + 1, subject, robot))
+        self._topics.append(topic)
+        route = self._by_topic[topic] = self._by_id[-1]
         return route

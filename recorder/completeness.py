@@ -1,9 +1,9 @@
-"""What of a key was sent, received and written, and where the rest was lost. Pure."""
+"""What of a key was sent, received and written, and where the rest was lost; what of that a file tells. Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
 
 import msgspec
 
@@ -74,6 +74,40 @@ def since(now: KeyReport, before: KeyReport) -> KeyReport:
         for name, value in msgspec.structs.asdict(now).items()
     }
     return KeyReport(**change)
+
+
+NEVER_MEANWHILE: Final = {"written": 0, "lost_disk": 0}
+"""What comes while nothing is written is neither; what the disk then fails to take was written before."""
+
+NONE: Final = KeyReport()
+
+
+class Account:
+    """From where the next file counts: its completeness is told since the end of the file before."""
+
+    def __init__(self) -> None:
+        self._counted: dict[str, KeyReport] = {}
+        self._left_off: dict[str, KeyReport] | None = None
+
+    def of_file(self, counts: Mapping[str, KeyReport]) -> dict[str, KeyReport]:
+        """What the file that ends tells of each topic; the next one counts from here."""
+        told = {topic: since(count, self._counted.get(topic, NONE)) for topic, count in counts.items()}
+        self._counted = dict(counts)
+        return told
+
+    def leave_off(self, counts: Mapping[str, KeyReport]) -> None:
+        """What comes from here on is no file's business: nobody wants it."""
+        if self._left_off is None:
+            self._left_off = dict(counts)
+
+    def take_up(self, counts: Mapping[str, KeyReport]) -> None:
+        """What comes from here on is. What came before ``leave_off`` still is, too."""
+        before, self._left_off = self._left_off, None
+        if before is None:
+            return
+        for topic, count in counts.items():
+            meanwhile = msgspec.structs.replace(since(count, before.get(topic, NONE)), **NEVER_MEANWHILE)
+            self._counted[topic] = total([self._counted.get(topic, NONE), meanwhile])
 
 
 def total(reports: Iterable[KeyReport]) -> KeyReport:

@@ -14,6 +14,7 @@ from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
 from schemas.decisions import SafetyEvent, Severity
+from schemas.printable import short
 from schemas.recording import RecorderEvent
 
 SCHEMA_NAME: Final = "foxglove.Log"
@@ -75,9 +76,10 @@ _Log: Final = _message_class()
 
 
 def log_record(event: SafetyEvent | RecorderEvent, name: str) -> bytes:
-    """An event as a line of a log; ``name`` is who says it."""
-    operator = f" ({event.operator})" if event.operator else ""
-    line = _Log(level=_LEVEL_OF[event.severity], message=f"{event.kind.value}: {event.text}{operator}", name=name)
+    """An event as a line of a log, cut to what a line holds; ``name`` is who says it."""
+    operator = f" ({short(event.operator)})" if event.operator else ""
+    text = f"{event.kind.value}: {short(event.text)}{operator}"
+    line = _Log(level=_LEVEL_OF[event.severity], message=text, name=name)
     line.timestamp.seconds, line.timestamp.nanos = divmod(event.time_ns, 1_000_000_000)
     data: bytes = line.SerializeToString()
     return data

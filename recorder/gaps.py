@@ -8,10 +8,12 @@ import msgspec
 
 from recorder.chunk import log_time
 from recorder.tally import SEQUENCE_SPAN
+from schemas.keys import KEY_MAX_LENGTH
 from schemas.recording import GapReason, RecordGap
 
 KEYS_MAX: Final = 10_000
-"""Gaps that wait to be told; what a log loses of further keys meanwhile is one gap of the key ``OTHER_KEYS``."""
+"""Gaps that wait to be told; what a log loses of further keys meanwhile is one gap of the key ``OTHER_KEYS``, and
+so is what it loses of keys that are none of ours for their length."""
 
 OTHER_KEYS: Final = "**"
 
@@ -31,7 +33,8 @@ class Gaps:
 
     def add(self, log: str, key: str, reason: GapReason, count: int, first_ns: int, last_ns: int) -> None:
         """So many samples or messages of a key, received between these times since 1970, are not in this log."""
-        if (log, key, reason) not in self._gaps and len(self._gaps) >= KEYS_MAX:
+        is_new = (log, key, reason) not in self._gaps
+        if len(key) > KEY_MAX_LENGTH or (is_new and len(self._gaps) >= KEYS_MAX):
             key = OTHER_KEYS
         gap = self._gaps.setdefault((log, key, reason), _Gap(first_ns, last_ns))
         gap.first_ns = min(gap.first_ns, first_ns)

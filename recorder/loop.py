@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain, islice
 from typing import Final, Protocol
 
 import msgspec
@@ -38,6 +39,12 @@ PASS_BYTES: Final = 4_000_000
 
 INTAKE_SAMPLES: Final = 20_000
 """Samples moved into the inbox between two ticks at most, when more come than are recorded."""
+
+PASS_NS: Final = 20_000_000
+"""Samples are recorded for so long before what is due is looked for: one may take as long as a thousand others."""
+
+SLICE_SAMPLES: Final = 100
+"""Quick ones between two looks at the clock."""
 
 TICK_NS: Final = 20_000_000
 """What is due is looked for so often: with a thousand logs that takes its time."""
@@ -105,6 +112,7 @@ class Recorded(msgspec.Struct, frozen=True):
         is_hung: the disk did not answer at the end: what it was given last may be lost, too.
         incidents: incidents that were begun.
         keys: per topic, what was received, written and lost.
+        unfinished: files that are not whole.
     """
 
     path: str | None
@@ -116,6 +124,7 @@ class Recorded(msgspec.Struct, frozen=True):
     incidents: int
     keys: dict[str, KeyReport]
     is_hung: bool = False
+    unfinished: int = 0
 
 
 def _nothing() -> None:
@@ -204,17 +213,34 @@ class Recorder:
             self._receive(self._inbox.take(PASS_SAMPLES, PASS_BYTES))
             return True
         samples = self._source.drain(PASS_SAMPLES)
-        self._receive(samples)
-        if self._source.is_behind:
+        is_behind = self._source.is_behind
+        left = iter(samples)
+        self._receive(left)
+        self._put_by(left)
+        if is_behind:
             # More than can be recorded at once: what waits in Zenoh's own ring would be dropped uncounted.
             self._take_in()
         return bool(samples)
 
-    def _receive(self, samples: Iterable[Sample]) -> None:
-        self._carry_out(self._recording.receive(samples, time.monotonic_ns()))
+    def _receive(self, samples: Iterator[Sample]) -> None:
+        """Record samples as long as there is time; the others are left in the iterator."""
+        end_ns = time.monotonic_ns() + PASS_NS
+
+        def is_late() -> bool:
+            return time.monotonic_ns() >= end_ns
+
+        for first in samples:
+            some = chain([first], islice(samples, SLICE_SAMPLES - 1))
+            self._carry_out(self._recording.receive(some, time.monotonic_ns(), is_late))
+            if is_late():
+                return
 
     def _take_in(self) -> None:
-        for sample in self._source.drain(INTAKE_SAMPLES):
+        self._put_by(self._source.drain(INTAKE_SAMPLES))
+
+    def _put_by(self, samples: Iterable[Sample]) -> None:
+        """Have samples wait in the inbox, which drops the oldest when they are too many."""
+        for sample in samples:
             for key, received_ns in self._inbox.put(sample):
                 self._recording.drop(key, GapReason.QUEUE, time.monotonic_ns(), received_ns)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import errno
 import zlib
+from collections.abc import Iterable
 from typing import Final, Protocol
 
 import zstandard
@@ -49,17 +50,18 @@ class McapFile:
     Args:
         stream: where the bytes go, from its present beginning on.
         library: who writes, for the file's header.
+        profile: what the header promises of the channels, by MCAP's registry; ours promise nothing.
     """
 
-    def __init__(self, stream: LogStream, library: str) -> None:
+    def __init__(self, stream: LogStream, library: str, profile: str = "") -> None:
         self._is_finished = False
         self._stream = stream
         self._size = 0
         self._data_crc = 0
         self._compressor = zstandard.ZstdCompressor(level=COMPRESSION_LEVEL)
-        self._schemas: dict[str, records.Schema] = {}
+        self._schemas: dict[tuple[str, str, bytes], records.Schema] = {}
         self._summary = Summary()
-        self._write(MAGIC + checked(encode(records.Header(profile="", library=library))))
+        self._write(MAGIC + checked(encode(records.Header(profile=profile, library=library))))
 
     @property
     def size(self) -> int:
@@ -72,29 +74,41 @@ class McapFile:
         return self._summary.messages
 
     def add_channel(self, channel: LogChannel) -> None:
-        """Write a channel, and its schema if it is the first of that name."""
-        data = b""
-        schema = self._schemas.get(channel.schema_name)
-        if schema is None:
-            schema = records.Schema(
-                id=len(self._schemas) + 1,
-                data=channel.schema_data,
-                encoding=SCHEMA_ENCODING,
-                name=channel.schema_name,
+        """Write a channel, and its schema unless that has been written."""
+        self.add_channels([channel])
+
+    def add_channels(self, channels: Iterable[LogChannel]) -> None:
+        """Write channels, each with its schema unless that has been written, at once: there may be thousands."""
+        data: list[bytes] = []
+        encoded: list[bytes] = []
+        new: dict[tuple[str, str, bytes], records.Schema] = {}
+        for channel in channels:
+            identity = channel.schema_name, channel.schema_encoding, channel.schema_data
+            schema = self._schemas.get(identity) or new.get(identity)
+            if schema is None and channel.has_schema:
+                schema = new[identity] = records.Schema(
+                    id=len(self._schemas) + len(new) + 1,
+                    data=channel.schema_data,
+                    encoding=channel.schema_encoding,
+                    name=channel.schema_name,
+                )
+                data.append(checked(encode(schema)))
+            one = encode(
+                records.Channel(
+                    id=channel.channel_id,
+                    topic=channel.topic,
+                    message_encoding=channel.message_encoding,
+                    metadata=channel.metadata,
+                    schema_id=0 if schema is None else schema.id,
+                )
             )
-            data = checked(encode(schema))
-        record = records.Channel(
-            id=channel.channel_id,
-            topic=channel.topic,
-            message_encoding=MESSAGE_ENCODING,
-            metadata={},
-            schema_id=schema.id,
-        )
-        self._write(data + checked(encode(record)))
-        if data:
-            self._schemas[schema.name] = schema
+            encoded.append(one)
+            data.append(checked(one))
+        self._write(b"".join(data))
+        self._schemas |= new
+        for schema in new.values():
             self._summary.add_schema(schema)
-        self._summary.add_channel(record)
+        self._summary.add_channels(encoded)
 
     def write_chunk(self, chunk: Chunk) -> None:
         """Compress and write messages, with an index per channel."""
@@ -111,9 +125,11 @@ class McapFile:
         self._write(b"".join([data, *indexes]))
         self._summary.add_chunk(record, start, len(data), chunk.index)
 
-    def add_attachment(self, name: str, media_type: str, data: bytes, log_ns: int) -> None:
-        """Write an attachment. Its time of creation is not known, which MCAP says with 0."""
-        record = records.Attachment(create_time=0, log_time=log_ns, name=name, media_type=media_type, data=data)
+    def add_attachment(self, name: str, media_type: str, data: bytes, log_ns: int, create_ns: int = 0) -> None:
+        """Write an attachment. That its time of creation is not known MCAP says with 0."""
+        record = records.Attachment(
+            create_time=create_ns, log_time=log_ns, name=name, media_type=media_type, data=data
+        )
         encoded, start = encode(record), self._size
         self._write(checked(encoded))
         self._summary.add_attachment(record, start, len(encoded))

@@ -11,7 +11,7 @@ import sys
 import zlib
 from array import array
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final, cast
 
 from mcap import records
@@ -85,6 +85,12 @@ class Summary:
     def add_channel(self, channel: records.Channel) -> None:
         """A channel, the first of its id."""
         self._groups[Opcode.CHANNEL].add(channel)
+
+    def add_channels(self, encoded: Sequence[bytes]) -> None:
+        """Channels, each the first of its id, as they stand in the data."""
+        group = self._groups[Opcode.CHANNEL]
+        group.encoded += b"".join(encoded)
+        group.count += len(encoded)
 
     def add_messages(self, counts: Mapping[int, int], start_ns: int, end_ns: int) -> None:
         """So many messages of each channel, of these log times."""

@@ -51,6 +51,12 @@ class Deleted(msgspec.Struct, frozen=True):
     bytes: int
 
 
+class Moved(msgspec.Struct, frozen=True):
+    """The directory of the logs is not the one any more in which they were begun."""
+
+    path: str
+
+
 class Recovered(msgspec.Struct, frozen=True):
     """A log that was left unfinished is whole now, as ``file``."""
 
@@ -72,7 +78,7 @@ class Room(msgspec.Struct, frozen=True):
     roll: bool = False
 
 
-Notice = Opened | Ended | Lost | DiskFault | DiskBack | Deleted | Recovered | Room
+Notice = Opened | Ended | Lost | DiskFault | DiskBack | Deleted | Moved | Recovered | Room
 
 
 class Word(msgspec.Struct, frozen=True):
@@ -107,6 +113,12 @@ def no_incident_word(robot: str, because: str) -> Word:
     return Word(RecorderEventKind.INCIDENT, Severity.ERROR, text)
 
 
+def cut_incident_word(robot: str, file: str) -> Word:
+    """What a person is told of an incident that was ended for want of room."""
+    text = f"the disk may hold no more incidents, so the one that was being written of {robot} has ended early"
+    return Word(RecorderEventKind.INCIDENT, Severity.ERROR, text, file)
+
+
 def in_words(notice: Notice) -> Word | None:
     """What a person is told of a notice, if it is worth telling."""
     match notice:
@@ -117,6 +129,9 @@ def in_words(notice: Notice) -> Word | None:
         case Deleted():
             text = f"{notice.file} was deleted for want of room: {notice.bytes} bytes"
             return Word(RecorderEventKind.DELETED, Severity.INFO, text, notice.file)
+        case Moved():
+            text = f"somebody has moved or removed {notice.path}: what was being written ends where it is now"
+            return Word(RecorderEventKind.DISK, Severity.WARNING, text)
         case Recovered():
             text = f"{notice.file} was left unfinished, and is whole now: {notice.messages} messages"
             return Word(RecorderEventKind.RECOVERED, Severity.INFO, text, notice.file)

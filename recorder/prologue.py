@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 from recorder.effects import DeclareChannel, FileEffect, WriteAttachment, WriteMetadata
+from recorder.layouts.attached import COUNT as LAYOUTS
 from schemas.recorder_settings import ROBOT_LIMIT
 
-ATTACHMENTS_MAX: Final = 2 * ROBOT_LIMIT
-"""A configuration and a DBC for each robot; beyond it the oldest go, for a robot may make up names."""
+ATTACHMENTS_MAX: Final = (2 + LAYOUTS) * ROBOT_LIMIT
+"""A configuration, a DBC and layouts for each robot; beyond it the oldest go, for a robot may make up names."""
 
 
 class Prologue:

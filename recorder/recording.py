@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final
 
 import msgspec
@@ -30,10 +30,13 @@ from schemas.recording import (
     RecorderState,
     RecordGap,
 )
+from schemas.subjects import BY_TYPE
 
 TELL_GAPS_NS: Final = 1_000_000_000
 """Gaps are told once a second."""
 
+QUICK_BYTES: Final = 65_536
+"""A larger payload takes the slow path, where the time is looked at after each: it may take long to decode."""
 
 TICK_LOGS: Final = 50
 """Logs that are looked after in every tick..."""
@@ -81,7 +84,10 @@ class Recording:
         self._sequence = 0
         self._is_stopped = plan.standby
         self._has_room = True
-        self._own = re.compile(rf"{re.escape(plan.root)}/({keys.ROBOT_PATTERN})/.*", re.DOTALL)
+        self._of_robot = re.compile(rf"{re.escape(plan.root)}/({keys.ROBOT_PATTERN})/.*", re.DOTALL)
+        own = (_own_topic(plan, kind) for kind in (RecorderEvent, RecordGap))
+        self._own_topics = frozenset(own)
+        """What is said there is in the logs already, should it come back as a sample."""
 
     @property
     def state(self) -> RecorderState:
@@ -135,12 +141,19 @@ class Recording:
         """Bytes of the messages in all rings."""
         return sum(log.incidents.ring_bytes for log in self._logs.values())
 
-    def receive(self, samples: Iterable[Sample], now_ns: int) -> Sequence[Doing]:
+    def receive(
+        self, samples: Iterable[Sample], now_ns: int, is_late: Callable[[], bool] = lambda: False
+    ) -> Sequence[Doing]:
         """Record samples, each received when it says. They may hold anything: nothing in them raises.
 
         Nearly all take the fast path of their key, see ``fast_path``; the others through ``receive_sample``.
+
+        Args:
+            samples: if it is an iterator, what there was no time for is still in it.
+            now_ns: monotonic time.
+            is_late: the time is over, asked after each sample that may have taken long.
         """
-        fast_paths, limit_bytes = self._outlet.fast_paths, self._plan.sample_max_bytes
+        fast_paths, limit_bytes = self._outlet.fast_paths, min(QUICK_BYTES, self._plan.sample_max_bytes)
         doings: list[Doing] = []
         for sample in samples:
             path = fast_paths.get(sample.key)
@@ -155,10 +168,14 @@ class Recording:
             log = self._by_key.get(sample.key)
             if log is not None:
                 log.find_fast_path(sample.key)
+            if is_late():
+                break
         return doings
 
     def receive_sample(self, sample: Sample, now_ns: int, wall_ns: int) -> Sequence[Doing]:
         """Record a sample. It may hold anything: nothing in it raises."""
+        if sample.key in self._own_topics:
+            return ()
         log = self._by_key.get(sample.key) or self._find_log(sample.key)
         if len(sample.payload) + len(sample.attachment) > self._plan.sample_max_bytes:
             self._drop(log, sample.key, GapReason.SIZE, now_ns, wall_ns)
@@ -171,7 +188,8 @@ class Recording:
 
     def drop(self, key: str, reason: GapReason, now_ns: int, wall_ns: int) -> None:
         """A sample of this key was dropped unread."""
-        self._drop(self._by_key.get(key) or self._find_log(key), key, reason, now_ns, wall_ns)
+        if key not in self._own_topics:
+            self._drop(self._by_key.get(key) or self._find_log(key), key, reason, now_ns, wall_ns)
 
     def tick(self, now_ns: int, wall_ns: int, sizes: Mapping[str, int]) -> Sequence[Doing]:
         """What is due.
@@ -194,9 +212,9 @@ class Recording:
         return self._take_doings()
 
     def roll(self, reason: str, now_ns: int) -> Sequence[Doing]:
-        """End all files; the next samples begin others."""
+        """End all files; the next samples begin others. See ``Session.roll`` for how soon."""
         for log in self._logs.values():
-            log.carry_on(log.session.roll(reason), now_ns)
+            log.carry_on(log.session.roll(reason, now_ns), now_ns)
         return self._take_doings()
 
     def stop(self, operator: str, now_ns: int, wall_ns: int) -> Sequence[Doing]:
@@ -284,13 +302,16 @@ class Recording:
             log = self._logs[name] = RobotLog(plan, self._plan.incident, self._outlet)
             if self.state is not RecorderState.RECORDING:
                 log.session.pause(self.state.value)
+            self._count_or_not(log)
+        if len(key) > keys.KEY_MAX_LENGTH:
+            return log
         if len(self._by_key) >= OWNED_KEY_LIMIT:
             self._by_key.clear()
         self._by_key[key] = log
         return log
 
     def _name_of(self, key: str) -> str:
-        own = self._own.fullmatch(key)
+        own = self._of_robot.fullmatch(key)
         if own is not None:
             return own[1]
         parts = keys.parse(key)
@@ -309,7 +330,10 @@ class Recording:
         self._outlet.has_incident_room = room.has_incident_room
         if room.roll:
             for log in self._logs.values():
-                log.carry_on(log.session.roll("room"), now_ns)
+                log.carry_on(log.session.roll("room", now_ns), now_ns)
+        if not room.has_incident_room:
+            for log in self._logs.values():
+                log.cut_incident(now_ns)
         if had_room and not room.has_room:
             self._tell(FULL, now_ns, wall_ns)
             self._pause_or_resume("full", now_ns)
@@ -322,11 +346,19 @@ class Recording:
         for log in self._logs.values():
             log.carry_on(log.session.seal(), now_ns)
             if log.session.is_paused != is_paused:
-                is_anew = self._outlet.left_out is None
-                effects = log.session.pause(reason) if is_paused else log.session.resume(counts_anew=is_anew)
+                effects = log.session.pause(reason) if is_paused else log.session.resume()
                 log.carry_on(effects, now_ns)
+            self._count_or_not(log)
         # Only now: what was in hand came before.
         self._outlet.left_out = GapReason.FULL if self.state is RecorderState.FULL else None
+
+    def _count_or_not(self, log: RobotLog) -> None:
+        """What comes while somebody has stopped us is no loss, and no file's business."""
+        account, counts = log.session.account, log.session.channels.counts
+        if self._is_stopped:
+            account.leave_off(counts)
+        else:
+            account.take_up(counts)
 
     def _drop(self, log: RobotLog, key: str, reason: GapReason, now_ns: int, wall_ns: int) -> None:
         log.carry_on(log.session.lose(key, reason, 1, now_ns), now_ns)
@@ -353,11 +385,15 @@ class Recording:
     def _say(self, message: RecorderEvent | RecordGap, log: RobotLog | None, now_ns: int) -> None:
         """Publish it, and write it into its log, or into all."""
         self._outlet.doings.append(Say(message))
-        name = "gap" if isinstance(message, RecordGap) else "event"
-        topic = keys.of_recorder(self._plan.root, self._plan.recorder, name)
+        topic = _own_topic(self._plan, type(message))
         for one in self._logs.values() if log is None else [log]:
             one.carry_on(one.session.add_own(topic, message, now_ns), now_ns)
 
     def _take_doings(self) -> Sequence[Doing]:
         doings, self._outlet.doings = self._outlet.doings, []
         return doings
+
+
+def _own_topic(plan: RecordingPlan, kind: type[RecorderEvent | RecordGap]) -> str:
+    """Where a recorder says such a thing."""
+    return keys.of_recorder(plan.root, plan.recorder, BY_TYPE[kind].name)

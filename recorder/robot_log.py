@@ -28,7 +28,7 @@ from recorder.effects import (
 from recorder.fast_path import FastPath
 from recorder.gaps import Gaps
 from recorder.incidents import INCIDENT_NAME, IncidentPlan, Incidents
-from recorder.notices import Ended, Lost, Opened, Word, incident_word, no_incident_word
+from recorder.notices import Ended, Lost, Opened, Word, cut_incident_word, incident_word, no_incident_word
 from recorder.session import Plan, Session
 from schemas.recorder_settings import OWNED_KEY_LIMIT
 from schemas.recording import GapReason
@@ -121,7 +121,7 @@ class RobotLog:
                 kept.append(effect)
                 written.append(effect)
                 if isinstance(effect, OpenLog | CloseLog):
-                    self.is_written = isinstance(effect, OpenLog)
+                    self.is_written = self.session.is_awaited = isinstance(effect, OpenLog)
                     self._named = ""
                     self._close_fast_paths()
         if written:
@@ -157,10 +157,17 @@ class RobotLog:
             self.carry_on(self.session.seal(), now_ns)
             self._write_incident(self.incidents.close())
 
+    def cut_incident(self, now_ns: int) -> None:
+        """End the incident, if there is one, for want of room."""
+        if self.incidents.is_open:
+            self.end_incident(now_ns)
+            self._outlet.words.append(cut_incident_word(self.name, self.incident_file))
+
     def take_opened(self, notice: Opened, now_ns: int) -> Word | None:
         """A file of the log, or of an incident of it, was begun. What is to be told of that."""
         if notice.log == self.name:
             self.file = notice.file
+            self.session.is_awaited = False
             self._write_incident(self.incidents.go_on_in(notice.file))
             if self.incidents.is_open and self.incident_file:
                 self._name_incident(now_ns)

@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 from recorder.effects import AskInfo, Effect, WriteAttachment, WriteMetadata
+from recorder.layouts.attached import layouts
+from recorder.layouts.charts import Robot
 from schemas import keys
 from schemas.messages import GatewayInfo, Variant
-from schemas.recorder_settings import ROBOT_LIMIT
+from schemas.recorder_settings import BUS_LIMIT, ROBOT_LIMIT
 from schemas.subjects import BY_TYPE
 
 METADATA_NAME: Final = "cruiser"
@@ -32,6 +34,7 @@ class _Robot:
         self.ask_at_ns: int | None = now_ns
         self.asked_ns = now_ns
         self.pause_ns = ASK_AGAIN_NS
+        self.buses: set[str] = set()
 
     @property
     def is_known(self) -> bool:
@@ -66,6 +69,16 @@ class Robots:
         if name not in self._robots and len(self._robots) < ROBOT_LIMIT:
             self._robots[name] = _Robot(key, now_ns)
         return name
+
+    def has_room(self, name: str, bus: str = "") -> bool:
+        """Whether the log keeps room for this robot's keys, and for those of this bus of it: for the first few."""
+        robot = self._robots.get(name)
+        if robot is None or not bus or bus in robot.buses:
+            return robot is not None
+        if len(robot.buses) >= BUS_LIMIT:
+            return False
+        robot.buses.add(bus)
+        return True
 
     def see_restart(self, name: str, now_ns: int) -> None:
         """The robot's gateway has begun anew, perhaps as another version: ask again."""
@@ -103,11 +116,17 @@ class Robots:
             robot.ask_at_ns = None
         effects: list[Effect] = []
         if info.configuration and (before is None or before.configuration != info.configuration):
+            configuration = info.configuration.encode()
             effects.append(
-                _attachment(f"{name}/configuration.toml", "application/toml", info.configuration, wall_ns)
+                WriteAttachment(f"{name}/configuration.toml", "application/toml", configuration, wall_ns)
             )
         if info.dbc and (before is None or before.dbc != info.dbc):
-            effects.append(_attachment(f"{name}/{info.dbc_name}", "text/plain", info.dbc, wall_ns))
+            effects.append(WriteAttachment(f"{name}/{info.dbc_name}", "text/plain", info.dbc.encode(), wall_ns))
+        if before is None or before.bus != info.bus:
+            effects += [
+                WriteAttachment(f"{name}/{layout.name}", layout.media_type, layout.data, wall_ns)
+                for layout in layouts(Robot(robot.key.removesuffix(f"/{_INFO.name}"), info.bus))
+            ]
         return effects + self.describe()
 
     def describe(self) -> list[Effect]:
@@ -126,7 +145,3 @@ class Robots:
             return []
         self._written = entries
         return [WriteMetadata(METADATA_NAME, dict(entries), lasts=True)]
-
-
-def _attachment(name: str, media_type: str, text: str, wall_ns: int) -> WriteAttachment:
-    return WriteAttachment(name, media_type, text.encode(), wall_ns)

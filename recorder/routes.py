@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import msgspec
 
-from recorder.can_columns import can_adder
+from recorder.can_columns import FRAMES_MAX, can_adder
 from recorder.chunk import ChunkBuilder
 from recorder.fast_path import Adder, Latest, compile_adder
 from recorder.sample import Sample
@@ -29,6 +29,9 @@ from schemas.subjects import ALL_SUBJECTS, Pattern, Subject
 
 RAW_CHUNK: Final = "@raw"
 """A broken sample of a known key goes to ``{key}/@raw``: viewers want one schema per topic."""
+
+FRAMES_MAX_BYTES: Final = 1_000_000
+"""FRAMES_MAX of the longest frames take less: a larger batch is not even decoded."""
 
 Record = tuple[int, bytes]
 """Publish time in nanoseconds, and protobuf bytes."""
@@ -103,20 +106,25 @@ class Route:
             return "deleted" if sample.deleted else "the key is no known subject"
         if sample.encoding != self.encoding:
             return "deleted" if sample.deleted else f"the encoding is not {self.encoding}"
+        if self.kind is CanFrame and len(sample.payload) > FRAMES_MAX_BYTES:
+            return f"a batch of frames is larger than {FRAMES_MAX_BYTES} bytes"
         message = decode(self.subject, sample.payload)
         if isinstance(message, PayloadFault):
             return message.detail
-        if isinstance(message, CanFrames) and not _has_equal_columns(message):
-            return "the columns differ in length"
+        if isinstance(message, CanFrames):
+            return _fault_of(message) or message
         return message
 
 
 _WATCHED: Final = frozenset({CanFrames, GatewayInfo, GatewayHealth, SafetyEvent})
 
 
-def _has_equal_columns(batch: CanFrames) -> bool:
+def _fault_of(batch: CanFrames) -> str:
+    """What is wrong with a batch; empty if nothing is."""
     count = len(batch.frame_time_ns)
-    return count == len(batch.can_id) == len(batch.fd_flags) == len(batch.length) == len(batch.data)
+    if not count == len(batch.can_id) == len(batch.fd_flags) == len(batch.length) == len(batch.data):
+        return "the columns differ in length"
+    return f"more than {FRAMES_MAX} frames in a batch" if count > FRAMES_MAX else ""
 
 
 def unfold(batch: CanFrames) -> list[Record]:

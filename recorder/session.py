@@ -8,16 +8,15 @@ out, in order, and has each file repeat the channels of those before it.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
 import msgspec
 
 from recorder.backlog import Backlog
-from recorder.channels import Channels
+from recorder.channels import Channels, Room
 from recorder.chunk import ChunkBuilder, log_time
-from recorder.completeness import KeyReport, since
+from recorder.completeness import Account
 from recorder.effects import (
     Alarm,
     CloseLog,
@@ -30,22 +29,23 @@ from recorder.effects import (
 from recorder.fast_path import FastPath
 from recorder.foxglove_log import log_record
 from recorder.robots import Robots
-from recorder.routes import RAW_CHUNK, Route, keep_raw
+from recorder.routes import Record, Route, keep_raw
 from recorder.sample import Sample
 from recorder.tally import SEQUENCE_SPAN
+from recorder.unsaid import Unsaid
 from schemas import keys
 from schemas.decisions import EventKind, SafetyEvent, Severity
 from schemas.messages import CanFrames, GatewayHealth, GatewayInfo, Message
+from schemas.printable import short
 from schemas.recording import GapReason, RecorderEvent
 from schemas.subjects import BY_DBC_MESSAGE, BY_TYPE
 
 INFO_MAX_BYTES: Final = 1_000_000
 """A gateway's answer that is larger is recorded like any sample, but not kept for every further file."""
 
-UNSAID_MAX: Final = 10_000
-
 ROLL_MIN_NS: Final = 1_000_000_000
-"""A file is not ended for its size sooner: what each repeats may already be as large as that."""
+"""A file is not ended for its size sooner: what each repeats may already be as large as that. Nor is one ended so
+soon after another, however often that is asked for."""
 
 COMPLETENESS_NAME: Final = "cruiser.completeness"
 """The metadata record with a ``KeyReport`` of each topic, as JSON: what was received and lost during this file."""
@@ -98,12 +98,15 @@ class Session:
         self.is_open = False
         self.is_paused = False
         """No file is written, and none begun; chunks are made all the same, for a ring of them."""
+        self.is_awaited = False
+        """The disk has not begun the file yet, says the caller: it is not ended for the sake of another."""
         self._opened_ns = self._heard_ns = 0
+        self._rolled_ns: int | None = None
+        self._roll_wanted = ""
+        """Why the file is to be ended as soon as may be."""
         self._ended_by = ""
-        self._counted: dict[str, KeyReport] = {}
-        """The counts when the file before was ended: what was lost in between is told in the next one."""
-        self._unsaid: deque[tuple[str, Message]] = deque(maxlen=UNSAID_MAX)
-        """What the recorder had to say while no file was open."""
+        self.account = Account()
+        self._unsaid = Unsaid()
         self._at_risk_since_ns: int | None = None
         # Half for what comes together, half for the ticks, the write and the sync.
         self._patience_ns = plan.flush_ns // 2
@@ -157,40 +160,34 @@ class Session:
             self._seal(effects)
             effects.append(SyncLog())
             self._at_risk_since_ns = None
-        age_ns = now_ns - self._opened_ns
-        if not self.is_open:
-            return effects
-        if 0 < self._plan.idle_ns <= now_ns - self._heard_ns:
-            effects += self.roll("silence")
-        elif 0 < self._plan.rotate_bytes <= file_bytes and age_ns >= ROLL_MIN_NS:
-            effects += self.roll("size")
-        elif 0 < self._plan.rotate_ns <= age_ns:
-            effects += self.roll("time")
+        if self.is_open and (reason := self._why_roll(now_ns, file_bytes)):
+            effects += self.roll(reason, now_ns)
         return effects
 
-    def roll(self, reason: str) -> Sequence[Effect]:
-        """End the file; the next sample begins another. Nothing if none is open."""
-        if self.is_open:
-            self._ended_by = reason
+    def roll(self, reason: str, now_ns: int) -> Sequence[Effect]:
+        """End the file; the next sample begins another. Nothing if none is open.
+
+        However often that is asked for, files do not become many: what comes too soon waits, and is one then.
+        """
+        if not self.is_open:
+            return self.close()
+        if self.is_awaited or (self._rolled_ns is not None and now_ns - self._rolled_ns < ROLL_MIN_NS):
+            self._roll_wanted = reason
+            return []
+        self._rolled_ns, self._ended_by = now_ns, reason
         return self.close()
 
     def pause(self, reason: str) -> Sequence[Effect]:
         """End the file, and begin none until ``resume``."""
-        effects = self.roll(reason)
+        if self.is_open:
+            self._ended_by = reason
         self.is_paused = True
-        return effects
+        return self.close()
 
-    def resume(self, *, counts_anew: bool = False) -> Sequence[Effect]:
-        """The next sample begins a file; what came before it is handed over, to the ring.
-
-        Args:
-            counts_anew: what came meanwhile is none of the next file's business.
-        """
+    def resume(self) -> Sequence[Effect]:
+        """The next sample begins a file; what came before it is handed over, to the ring."""
         self.is_paused = False
-        effects = self.seal()
-        if counts_anew:
-            self._counted = self.channels.counts
-        return effects
+        return self.seal()
 
     def describe(self) -> Sequence[Effect]:
         """Say what is known of the robots, unless that has been said."""
@@ -205,13 +202,13 @@ class Session:
     def add_own(self, topic: str, message: Message, now_ns: int) -> Sequence[Effect]:
         """Record something that the recorder itself has to say; while no file is open, in the next one."""
         if not self.is_open:
-            self._unsaid.append((topic, message))
+            self._unsaid.add(topic, message)
             return []
         effects: list[Effect] = []
-        route = self.channels.declare(topic, BY_TYPE[type(message)], "", effects, is_own=True)
-        self._add_records(route, message, log_time(message.time_ns))
+        route = self.channels.declare(topic, BY_TYPE[type(message)], "", effects, Room.OWN)
+        self._add_records(route, message, log_time(message.time_ns), effects)
         if isinstance(message, RecorderEvent):
-            self._add_line(topic, message, log_time(message.time_ns), effects)
+            self._add_line(topic, message, log_time(message.time_ns), effects, Room.OWN)
         if self._at_risk_since_ns is None:
             self._at_risk_since_ns = now_ns
         return effects
@@ -233,12 +230,24 @@ class Session:
         self._seal(effects)
         if not self.is_open:
             return effects
-        self.is_open = False
+        self.is_open = self.is_awaited = False
+        self._roll_wanted = ""
         self._at_risk_since_ns = None
         effects += self._robots.describe()
-        completeness = WriteMetadata(COMPLETENESS_NAME, self._completeness())
-        self._counted = self.channels.counts
-        return [*effects, completeness, CloseLog()]
+        told = self.account.of_file(self.channels.counts)
+        completeness = {topic: msgspec.json.encode(report).decode() for topic, report in told.items()}
+        return [*effects, WriteMetadata(COMPLETENESS_NAME, completeness), CloseLog()]
+
+    def _why_roll(self, now_ns: int, file_bytes: int) -> str:
+        """Why the file is to be ended now; empty if it is not."""
+        age_ns = now_ns - self._opened_ns
+        if 0 < self._plan.idle_ns <= now_ns - self._heard_ns:
+            return "silence"
+        if 0 < self._plan.rotate_bytes <= file_bytes and age_ns >= ROLL_MIN_NS:
+            return "size"
+        if 0 < self._plan.rotate_ns <= age_ns:
+            return "time"
+        return self._roll_wanted
 
     def _open(self, now_ns: int, log_ns: int, effects: list[Effect]) -> None:
         self.is_open = True
@@ -249,15 +258,8 @@ class Session:
         if self._file > 1:
             effects.append(WriteMetadata(CONTINUED_NAME, {"file": str(self._file), "because": self._ended_by}))
             effects.append(WriteMetadata(LATEST_NAME, self.channels.latest))
-        while self._unsaid:
-            effects += self.add_own(*self._unsaid.popleft(), now_ns)
-
-    def _completeness(self) -> dict[str, str]:
-        none = KeyReport()
-        return {
-            topic: msgspec.json.encode(since(count, self._counted.get(topic, none))).decode()
-            for topic, count in self.channels.counts.items()
-        }
+        for topic, message in self._unsaid.take():
+            effects += self.add_own(topic, message, now_ns)
 
     def _add_message(
         self, sample: Sample, message: Message, route: Route, now_ns: int, log_ns: int, effects: list[Effect]
@@ -278,12 +280,19 @@ class Session:
             self._look(sample, message, route, log_ns, effects)
         if route.is_state:
             route.latest.log_ns, route.latest.message = log_ns, message
-        self._add_records(route, message, log_ns)
+        self._add_records(route, message, log_ns, effects)
 
-    def _add_records(self, route: Route, message: Message, log_ns: int) -> None:
-        records = route.transcode(message)
+    def _add_records(self, route: Route, message: Message, log_ns: int, effects: list[Effect]) -> None:
+        self._add(route, message.sequence, log_ns, route.transcode(message), effects)
+
+    def _add(
+        self, route: Route, sequence: int, log_ns: int, records: Sequence[Record], effects: list[Effect]
+    ) -> None:
+        """Append the records of a sample. A chunk is handed over as soon as it is full: many more may follow."""
         for publish_ns, data in records:
-            self._chunk.add(route.channel_id, message.sequence, log_ns, publish_ns, data)
+            if self._chunk.is_full:
+                self._seal(effects)
+            self._chunk.add(route.channel_id, sequence, log_ns, publish_ns, data)
         route.tally.samples += 1
         route.tally.messages += len(records)
 
@@ -301,43 +310,44 @@ class Session:
             # What was asked for later is long past.
             is_alarm = message.kind in self._plan.alarms and message.severity is not Severity.INFO
             if is_alarm and not sample.is_reply:
-                effects.append(Alarm(f"{message.kind.value}: {message.text}", log_ns))
+                effects.append(Alarm(short(f"{message.kind.value}: {message.text}"), log_ns))
 
     def _add_line(
-        self, topic: str, event: SafetyEvent | RecorderEvent, log_ns: int, effects: list[Effect]
+        self,
+        key: str,
+        event: SafetyEvent | RecorderEvent,
+        log_ns: int,
+        effects: list[Effect],
+        room: Room = Room.TABLE,
     ) -> None:
         """The event once more, as viewers list them."""
-        route = self.channels.declare_line(topic, effects)
+        route = self.channels.declare_line(key, effects, room)
         if route is None:
             return
-        parts = keys.parse(topic)
-        name = (parts.robot or parts.recorder) if parts else topic
-        data = log_record(event, name)
-        self._chunk.add(route.channel_id, event.sequence, log_ns, event.time_ns, data)
-        route.tally.samples += 1
-        route.tally.messages += 1
+        parts = keys.parse(key)
+        name = (parts.robot or parts.recorder) if parts else key
+        self._add(route, event.sequence, log_ns, [(event.time_ns, log_record(event, name))], effects)
 
     def _count_bus(self, key: str, health: GatewayHealth) -> None:
         parts = keys.parse(key)
-        for frame in health.feedback:
-            subject = BY_DBC_MESSAGE.get(frame.name)
+        # Each name once: somebody may send a hundred thousand.
+        for name, lost in {frame.name: frame.lost for frame in health.feedback}.items():
+            subject = BY_DBC_MESSAGE.get(name)
             if parts is not None and subject is not None:
                 of_frame = self.channels.get(keys.build(parts.root, parts.robot, subject))
                 if of_frame is not None:
-                    of_frame.tally.count_bus(frame.lost)
+                    of_frame.tally.count_bus(lost)
 
     def _add_raw(self, sample: Sample, reason: str, route: Route, log_ns: int, effects: list[Effect]) -> None:
         if route.subject is not None:
-            route = self.channels.declare(f"{sample.key}/{RAW_CHUNK}", None, "", effects)
+            route = self.channels.declare_raw(sample.key, effects)
         time_ns = log_time(sample.zenoh_time_ns)
         source, sequence = sample.source or ("", 0)
         if source and route.subject is None:
             route.tally.count_source(source, sequence)
         # Without a time of the source's, the receipt's is the best there is.
-        data = keep_raw(sample, reason, time_ns)
-        self._chunk.add(route.channel_id, sequence % SEQUENCE_SPAN, log_ns, time_ns or log_ns, data)
-        route.tally.samples += 1
-        route.tally.messages += 1
+        records = [(time_ns or log_ns, keep_raw(sample, reason, time_ns))]
+        self._add(route, sequence % SEQUENCE_SPAN, log_ns, records, effects)
 
     def _find_route(self, key: str, now_ns: int, effects: list[Effect]) -> Route:
         parts = keys.parse(key)
@@ -347,7 +357,8 @@ class Session:
             return self.channels.declare(key, parts.subject, "", effects)
         robot = self._robots.see(parts.root, parts.robot, now_ns)
         self._backlog.see(parts.root, parts.robot, now_ns)
-        return self.channels.declare(key, parts.subject, robot, effects)
+        room = Room.TABLE if self._robots.has_room(robot, parts.bus) else Room.OTHER
+        return self.channels.declare(key, parts.subject, robot, effects, room)
 
     def _seal(self, effects: list[Effect]) -> None:
         chunk = self._chunk.seal()

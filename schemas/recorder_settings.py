@@ -8,7 +8,7 @@ import msgspec
 from msgspec import Meta
 
 CHANNEL_LIMIT: Final = 35_000
-"""Channels of a log for keys that anybody may make up. Those beyond share one channel of RawSamples, with their key."""
+"""Channels of a log for keys that anybody may make up. Those beyond share one of RawSamples, each with its key."""
 
 TABLE_CHANNEL_LIMIT: Final = 30_000
 """Channels of a log for the key table's own: together, and with what the recorder says, below MCAP's 65,535."""

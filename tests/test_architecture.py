@@ -57,6 +57,7 @@ PURE_RECORDER = (
     "health",
     "inbox",
     "incidents",
+    "log_queue",
     "mcap_scan",
     "notices",
     "orders",

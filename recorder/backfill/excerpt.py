@@ -2,17 +2,16 @@
 
 Messages stand in a log in the order of their receipt, and what was asked for later stands late, so the order of
 publish times is made here: of a slice of time the messages are gathered out of all logs, and sorted. Only the
-earliest GATHER_BYTES of them are held; where there are more, the slice is cut short and the rest comes with the
-next. So memory is bounded whatever is asked, no message is in two pieces, and ``next_ns`` is exact: every piece
-ends where the next one begins.
+earliest GATHER_BYTES of them are held; where there are more, the slice is cut short, within an instant if need be,
+and the rest comes with the next. So memory is bounded whatever the logs hold, no message is in two pieces, and
+``next_ns`` is exact: every piece ends where the next one begins.
 """
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
 from io import BytesIO
-from operator import attrgetter
+from operator import itemgetter
 from typing import BinaryIO, Final
 
 import msgspec
@@ -44,7 +43,13 @@ SLICE_NS: Final = 10_000_000_000
 SLICE_MAX_NS: Final = 600_000_000_000
 """...and the longest: slices grow where there is little, and shrink to what can be held."""
 
+LOOK_EVERY: Final = 5000
+"""Messages of a chunk between two looks at the time that is left."""
+
 _LIBRARY: Final = "cruiser backfill"
+
+Place = tuple[int, int, str, bytes]
+"""Where a message stands among all: publish time, sequence, topic and data. Those of one instant have an order."""
 
 
 class LogCopy(msgspec.Struct, frozen=True):
@@ -74,6 +79,11 @@ class Message(msgspec.Struct, frozen=True):
     def size(self) -> int:
         """Bytes of its record."""
         return MESSAGE_HEADER.size + len(self.data)
+
+    @property
+    def place(self) -> Place:
+        """Its place; two copies of a message have the same."""
+        return self.publish_ns, self.sequence, self.channel.topic, self.data
 
 
 class Excerpt:
@@ -112,9 +122,10 @@ class Excerpt:
             if message is None:
                 answered_ns = up_to_ns
                 continue
-            # Messages of one instant stay together, so that to ask again from the next one always gets further.
-            is_over = used + message.size > request.max_bytes or is_late
-            if is_over and used and message.publish_ns > piece.last_ns:
+            # Messages of one instant stay together, so that to ask again from the next one always gets further,
+            # unless there is no time for all of them.
+            is_over = used + message.size > request.max_bytes and message.publish_ns > piece.last_ns
+            if used and (is_over or is_late):
                 yield piece.seal(message.publish_ns, self._detail(), is_last=True)
                 return
             if not piece.fits(message):
@@ -140,40 +151,39 @@ class Excerpt:
         # Outside of these nothing can be: no need to look at every slice since 1970.
         first_ns = min((log.chart.start_ns for log in self._logs), default=0) - LATE_NS
         last_ns = max((log.chart.end_ns for log in self._logs), default=0) + EARLY_NS
-        from_ns, end_ns = max(request.from_ns, first_ns), min(request.to_ns, last_ns + 1)
-        while from_ns < end_ns:
-            gathered = self._gather(from_ns, min(from_ns + width_ns, end_ns))
+        end_ns = min(request.to_ns, last_ns + 1)
+        start = _before(max(request.from_ns, first_ns))
+        while start[0] < end_ns:
+            gathered = self._gather(start, min(start[0] + width_ns, end_ns))
             if gathered is None:
-                yield None, max(from_ns, request.from_ns)
+                yield None, max(start[0], request.from_ns)
                 return
-            found, to_ns, held = gathered
-            for message in _distinct(found):
+            found, end, held = gathered
+            for message in found:
                 yield message, message.publish_ns
             is_sparse = held <= GATHER_BYTES // 4
-            width_ns = min(2 * width_ns, SLICE_MAX_NS) if is_sparse else max(1, to_ns - from_ns)
-            from_ns = to_ns
+            width_ns = min(2 * width_ns, SLICE_MAX_NS) if is_sparse else max(1, end[0] - start[0])
+            start = end
         yield None, request.to_ns
 
-    def _gather(self, from_ns: int, to_ns: int) -> tuple[list[Message], int, int] | None:
-        """The messages of a slice, sorted; where it ends now; and what they take. None: no time is left."""
+    def _gather(self, start: Place, to_ns: int) -> tuple[list[Message], Place, int] | None:
+        """The messages from a place on, in order; where they end; and what they take. None: no time is left."""
         if self._is_expired():
             return None
         found: list[Message] = []
-        held, end_ns = 0, to_ns
+        held, end = 0, _before(to_ns)
         for log in list(self._logs):
-            for message in self._read(log, from_ns, to_ns):
+            # The end may be a place within an instant.
+            for message in self._read(log, start[0], end[0] + 1):
                 if message is None:
                     return None
-                if message.publish_ns >= end_ns:
+                if not start <= message.place < end:
                     continue
                 found.append(message)
                 held += len(message.data) + OBJECT_BYTES
                 if held > 2 * GATHER_BYTES:
-                    found, end_ns, held = _earliest(found, end_ns)
-        found.sort(key=attrgetter("publish_ns"))
-        if held > GATHER_BYTES:
-            found, end_ns, held = _earliest(found, end_ns)
-        return found, end_ns, held
+                    found, end, held = _earliest(found, end)
+        return _earliest(found, end)
 
     def _read(self, log: LogCopy, from_ns: int, to_ns: int) -> Iterator[Message | None]:
         """What a log has of a slice; None when the time is over."""
@@ -187,41 +197,39 @@ class Excerpt:
                     if self._is_expired():
                         yield None
                         return
-                    for channel_id, sequence, log_ns, publish_ns, data in log.chart.read(stream, number):
+                    for looks, one in enumerate(log.chart.read(stream, number), start=1):
+                        channel_id, sequence, log_ns, publish_ns, data = one
                         if from_ns <= publish_ns < to_ns and channel_id in channels:
                             yield Message(channels[channel_id], sequence, log_ns, publish_ns, data)
+                        if looks % LOOK_EVERY == 0 and self._is_expired():
+                            yield None
+                            return
         except OSError as error:
             self._logs.remove(log)
             self.faults.append(f"{log.name}: {error.strerror or error}")
 
 
-def _earliest(found: list[Message], end_ns: int) -> tuple[list[Message], int, int]:
-    """As many messages as may be held, up to which time, and what they take. At least those of one instant."""
-    found.sort(key=attrgetter("publish_ns"))
-    held = 0
-    for message in found:
+def _before(publish_ns: int) -> Place:
+    """The place before all messages of an instant: sequences begin at 0."""
+    return publish_ns, -1, "", b""
+
+
+def _earliest(found: list[Message], end: Place) -> tuple[list[Message], Place, int]:
+    """As many messages as may be held, at least one, in order and each once; up to which place; what they take.
+
+    What an incident's log holds is in the recorder's other log too.
+    """
+    kept: list[Message] = []
+    held, last = 0, None
+    for place, message in sorted(((one.place, one) for one in found), key=itemgetter(0)):
+        if place == last:
+            continue
+        if kept and held + len(message.data) + OBJECT_BYTES > GATHER_BYTES:
+            return kept, place, held
         held += len(message.data) + OBJECT_BYTES
-        if held > GATHER_BYTES:
-            end_ns = max(message.publish_ns, found[0].publish_ns + 1)
-            break
-    else:
-        return found, end_ns, held
-    kept = found[: bisect_left(found, end_ns, key=attrgetter("publish_ns"))]
-    return kept, end_ns, sum(len(message.data) + OBJECT_BYTES for message in kept)
-
-
-def _distinct(found: list[Message]) -> Iterator[Message]:
-    """Sorted messages, each once: what an incident's log holds is in the recorder's other log too."""
-    instant_ns = -1
-    seen: set[tuple[str, int, bytes]] = set()
-    for message in found:
-        if message.publish_ns != instant_ns:
-            instant_ns = message.publish_ns
-            seen.clear()
-        identity = message.channel.topic, message.sequence, message.data
-        if identity not in seen:
-            seen.add(identity)
-            yield message
+        kept.append(message)
+        last = place
+    return kept, end, held
 
 
 class _Piece:

@@ -70,6 +70,9 @@ CHUNK_MIN_BYTES: Final = 16_384
 BUDGET_FILES: Final = 20
 """A file is ended at this part of the budget."""
 
+BUDGET_RINGS: Final = 4
+"""What is held for incidents is no more than this part of the budget: an incident begins with all of it."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
@@ -119,6 +122,9 @@ def _add_actions(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Record until stopped, and print the log's path; or ask a recorder that is running."""
+    if arguments.action is not None and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+        # It says nothing to these, and whoever hangs up wants them ended, but for nohup.
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
     if arguments.action == "backfill":
         return backfill.run(arguments, settings, stopped)
     if arguments.action is not None:
@@ -127,6 +133,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    # First of all: a service may say it as soon as the process is there.
+    rolls = hangups()
     recorder, root = settings.recorder, settings.robot.root
     expressions = recorder.keys or [f"{root}/**"]
     release = version("cruiser-gateway")
@@ -158,8 +166,11 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
         one.obey(
             control, partial(_answer_backfill, stack.enter_context(closing(BackfillServer(path, key_matches))))
         )
-        recorded = one.run(ending_after(stopped, arguments.seconds, time.monotonic), hangups())
+        recorded = one.run(ending_after(stopped, arguments.seconds, time.monotonic), rolls)
     leftovers.wait(LEFTOVERS_S)
+    if not recorded.is_hung:
+        # Only now: what was left in a fault may have been recovered since.
+        recorded = msgspec.structs.replace(recorded, unfinished=writer.unfinished)
     code = _report(recorded, as_json=arguments.json)
     if recorded.is_hung:
         # Threads that wait for the disk would keep the process for ever.
@@ -198,7 +209,7 @@ def recording_plan(settings: Settings, name: str, expressions: Sequence[str], re
         incident=IncidentPlan(
             before_ns=round(recorder.incident_before_s * 1e9), after_ns=round(recorder.incident_after_s * 1e9)
         ),
-        ring_bytes=recorder.incident_ring_bytes,
+        ring_bytes=min(recorder.incident_ring_bytes, recorder.budget_bytes // BUDGET_RINGS or sys.maxsize),
         sample_max_bytes=recorder.sample_max_bytes,
         standby=recorder.standby,
     )
@@ -272,9 +283,10 @@ def _report(recorded: Recorded, *, as_json: bool) -> int:
         f"; {dropped} samples dropped" if dropped else "",
         f"; no room for {full} messages" if full else "",
         f"; the disk did not take {recorded.lost} messages" if recorded.lost else "",
+        f"; {recorded.unfinished} files are not whole" if recorded.unfinished else "",
     ]
     sys.stderr.write(
         f"record: {recorded.messages} messages on {recorded.channels} channels, {recorded.bytes} bytes, "
         f"{missed} samples missed{''.join(notes)}\n"
     )
-    return int(ExitCode.PARTIAL if recorded.lost or dropped or full else ExitCode.OK)
+    return int(ExitCode.PARTIAL if recorded.lost or dropped or full or recorded.unfinished else ExitCode.OK)

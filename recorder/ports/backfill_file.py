@@ -14,7 +14,8 @@ from recorder.backfill.excerpt import Message
 from recorder.chunk import ChunkBuilder
 from recorder.effects import LogChannel
 from recorder.mcap_file import McapFile
-from recorder.ports.log_directory import PART_SUFFIX, SUFFIX, free_path, lock, sync_directory
+from recorder.ports.log_directory import PART_SUFFIX, SUFFIX, free_path, lock
+from recorder.ports.log_file import sync_directory
 from schemas.exit_codes import CommandError
 from schemas.printable import plain
 

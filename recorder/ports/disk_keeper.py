@@ -14,7 +14,7 @@ from typing import Final
 
 import msgspec
 
-from recorder.notices import Deleted, Notice, Room
+from recorder.notices import Deleted, Moved, Notice, Room
 from recorder.ports.log_directory import INCIDENT_SUFFIX, PART_SUFFIX
 from recorder.retention import Limits, LogEntry, judge
 from schemas.printable import plain
@@ -100,6 +100,8 @@ class DiskKeeper:
         self._room = Room(has_room=True, has_incident_room=True)
         self._stuck: dict[str, float] = {}
         """Names of files that could not be deleted, and when to try again."""
+        self._place: os.stat_result | None = None
+        """The directory as it was at the last look; None if it was not there."""
         self._closed = threading.Event()
         self.use = DiskUse()
         self._thread = threading.Thread(target=self._run, name="disk keeper", daemon=True)
@@ -126,6 +128,7 @@ class DiskKeeper:
                 return
 
     def _look(self) -> None:
+        self._look_for_own()
         entries = read_entries(self._directory, self._own())
         disk = os.statvfs(self._directory)
         free = disk.f_bavail * disk.f_frsize
@@ -151,6 +154,18 @@ class DiskKeeper:
             self._room = room
             self._notices.append(room)
 
+    def _look_for_own(self) -> None:
+        """Where the directory is another one, and lacks what is being written, have that ended where it is."""
+        place, self._place = self._place, _state(self._directory)
+        if place is None or _is_same(place, self._place):
+            return
+        own = self._own()
+        if any(not (self._directory / name).exists() for name in own):
+            path = plain(str(self._directory))
+            log.warning("somebody has moved or removed %s; the logs go on in a new one", path)
+            self._notices.append(Moved(path))
+            self._notices.append(msgspec.structs.replace(self._room, roll=True))
+
     def _delete(self, name: str, size: int) -> None:
         try:
             (self._directory / name).unlink()
@@ -163,3 +178,15 @@ class DiskKeeper:
             return
         log.info("deleted %s for want of room", plain(name))
         self._notices.append(Deleted(name, size))
+
+
+def _state(directory: Path) -> os.stat_result | None:
+    try:
+        return directory.stat()
+    except FileNotFoundError:
+        return None
+
+
+def _is_same(before: os.stat_result, now: os.stat_result | None) -> bool:
+    """Whether it is the directory that it was, or another disk's in its place: what is there may come back."""
+    return now is not None and (before.st_dev != now.st_dev or before.st_ino == now.st_ino)

@@ -21,7 +21,8 @@ from typing import BinaryIO, Final
 import msgspec
 
 from recorder.notices import Notice, Recovered
-from recorder.ports.log_directory import PART_SUFFIX, SUFFIX, free_path, lock, sync_directory
+from recorder.ports.log_directory import PART_SUFFIX, SUFFIX, free_path, lock
+from recorder.ports.log_file import sync_directory
 from recorder.recovery import Survey, copy_good, survey
 from schemas.printable import plain
 

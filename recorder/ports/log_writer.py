@@ -1,8 +1,9 @@
 """The writer's thread: carries effects out on files, whatever the disk does, while the loop goes on receiving.
 
 When a write fails, the file is cut back to its last whole chunk and ended, and the next one begins with the chunk
-that failed; or, where the disk fails to keep what it had taken, with all that it has not kept. While none can be
-written, chunks wait, up to a bound; beyond that the oldest go, and are told.
+that failed; or, where the disk fails to keep what it had taken, with all that it has not kept. That is held until
+then, and when it is too much no more is written. What is not written waits, up to a bound; beyond that the oldest
+messages go, and are told.
 """
 
 from __future__ import annotations
@@ -10,16 +11,19 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
 from typing import Final
 
-import msgspec
-
-from recorder.chunk import Chunk
 from recorder.effects import CloseLog, FileEffect, OnLog, OpenLog, SyncLog, WriteChunk
+from recorder.log_queue import LogQueue, Waiting, waiting
 from recorder.notices import DiskBack, DiskFault, Ended, Lost, Notice, Opened
-from recorder.ports.log_directory import LogDirectory, LogFile
+from recorder.ports.log_chain import LogChain
+from recorder.ports.log_directory import SYNC_THREADS, LogDirectory
+from recorder.ports.log_file import LogFile
 from recorder.prologue import Prologue
 from schemas.exit_codes import CommandError
 
@@ -28,8 +32,8 @@ log = logging.getLogger(__name__)
 QUEUE_BYTES: Final = 64 * 1024 * 1024
 """Messages that may wait for the disk, before compression: a minute and more of a saturated bus."""
 
-UNKEPT_BYTES: Final = 16 * 1024 * 1024
-"""Messages of one log that the disk has taken and may not keep yet, held so that they can be written again."""
+UNKEPT_SHARE: Final = 0.5
+"""So much of what may wait may have been written already, and not be kept by the disk yet."""
 
 NOTICES_MAX: Final = 10_000
 
@@ -38,54 +42,11 @@ RETRY_MIN_S: Final = 0.2
 
 RETRY_MAX_S: Final = 5.0
 
+FAULT: Final = "fault"
+"""Why a file is begun after another could not be written, as ``cruiser.continued`` has it."""
+
 END_S: Final = 10.0
-"""How long the end waits for the disk."""
-
-
-class _Chain:
-    """The files of one log, one after the other."""
-
-    def __init__(self) -> None:
-        self.prologue = Prologue()
-        self.file: LogFile | None = None
-        self.wanted: OpenLog | None = None
-        """The file that is to be written; after a fault the next one is called like it."""
-        self.submitted = self.opened = 0
-        self.unkept: deque[tuple[int, _Waiting]] = deque()
-        """Chunks of the present file, each with its end, that the disk may not keep yet."""
-        self._unkept_bytes = 0
-        self.is_incident = False
-
-    def write(self, file: LogFile, one: _Waiting, effect: FileEffect) -> None:
-        """Write an effect into the present file.
-
-        Raises:
-            CommandError: the disk does not take it.
-        """
-        file.write(effect)
-        if one.bytes:
-            self.unkept.append((file.size, one))
-            self._unkept_bytes += one.bytes
-        while self.unkept and (self.unkept[0][0] <= file.kept_size or self._unkept_bytes > UNKEPT_BYTES):
-            self._unkept_bytes -= self.unkept.popleft()[1].bytes
-
-    def take_unkept(self, file: LogFile) -> list[_Waiting]:
-        """What the disk has failed to keep of a file that is ended."""
-        unkept = [one for end, one in self.unkept if file.is_doubtful and end > file.kept_size]
-        self.unkept.clear()
-        self._unkept_bytes = 0
-        return unkept
-
-
-class _Waiting(msgspec.Struct, frozen=True):
-    """An effect in the queue, and the log that it is meant for."""
-
-    log: str
-    effect: OpenLog | FileEffect
-
-    @property
-    def bytes(self) -> int:
-        return len(self.effect.chunk.records) if isinstance(self.effect, WriteChunk) else 0
+"""How long the end waits for a disk that gets on with nothing."""
 
 
 class LogWriter:
@@ -94,23 +55,31 @@ class LogWriter:
     Args:
         directory: where files go.
         library: who writes, for the files' headers.
-        queue_bytes: messages that may wait.
+        queue_bytes: messages that may wait, and be written but not kept yet, of all logs together.
     """
 
     def __init__(self, directory: LogDirectory, library: str, queue_bytes: int = QUEUE_BYTES) -> None:
         self._directory = directory
         self._library = library
-        self._queue_bytes = queue_bytes
-        self._waiting: deque[_Waiting] = deque()
-        self.waiting_bytes = 0
-        """Bytes of the messages that wait for the disk."""
+        self._unkept_max = int(UNKEPT_SHARE * queue_bytes)
+        self._waiting = LogQueue(queue_bytes)
+        self._unkept_bytes = 0
         self._changed = threading.Condition()
         self._is_closing = False
-        self._chains: dict[str, _Chain] = {}
+        self._chains: dict[str, LogChain] = {}
+        self._failed: deque[str] = deque()
+        """Logs of which a sync has failed."""
+        self._ending: dict[str, Waiting] = {}
+        """At the end: the logs whose file is to be ended when all is written."""
+        self._progress = 0
+        """Changes with everything that the disk gets on with."""
         self._pause_s = 0.0
         self._is_faulty = False
         self._fault: BaseException | None = None
         self._notices: deque[Notice] = deque(maxlen=NOTICES_MAX)
+        self._losses: dict[str, Lost] = {}
+        self._left: deque[Path] = deque(maxlen=NOTICES_MAX)
+        """Files with messages that could not be made whole."""
         self.path: str | None = None
         """The newest file with anything in it."""
         self.files = 0
@@ -124,15 +93,19 @@ class LogWriter:
         self._thread.start()
 
     @property
+    def waiting_bytes(self) -> int:
+        """Bytes of what waits for the disk."""
+        return self._waiting.bytes
+
+    @property
     def sizes(self) -> dict[str, int]:
-        """Bytes of the present file of each log, as far as it is begun."""
+        """Bytes of the present file of each log, as far as it is begun.
+
+        A log that is not here waits for the disk to begin its file: to end it already would only add to it.
+        """
         with self._changed:
-            chains = list(self._chains.items())
-        return {
-            name: file.size
-            for name, chain in chains
-            if (file := chain.file) is not None and chain.opened == chain.submitted
-        }
+            chains = list(self._chains.values())
+        return {chain.name: file.size for chain in chains if (file := chain.file) is not None and chain.is_begun}
 
     @property
     def parts(self) -> frozenset[str]:
@@ -141,8 +114,16 @@ class LogWriter:
             chains = list(self._chains.values())
         return frozenset(file.path.name for chain in chains if (file := chain.file) is not None)
 
+    @property
+    def unfinished(self) -> int:
+        """Files with messages that could not be made whole, nor recovered since. Asks the disk."""
+        return sum(path.exists() for path in self._left)
+
     def notices(self) -> Iterable[Notice]:
         """What became of the files since the last call."""
+        with self._changed:
+            losses, self._losses = self._losses, {}
+        yield from losses.values()
         while self._notices:
             yield self._notices.popleft()
 
@@ -155,134 +136,206 @@ class LogWriter:
         with self._changed:
             if self._fault is not None:
                 raise self._fault
-            chain = self._chains.setdefault(doing.log, _Chain())
+            chain = self._chains.setdefault(doing.log, LogChain(doing.log))
             for effect in doing.effects:
-                one = _Waiting(doing.log, effect)
-                self._waiting.append(one)
-                self.waiting_bytes += one.bytes
+                self._waiting.put(waiting(doing.log, effect))
                 if isinstance(effect, OpenLog):
                     chain.submitted += 1
                     chain.is_incident = effect.is_incident
-            if self.waiting_bytes > self._queue_bytes:
-                self._drop_oldest()
+            self._trim()
             self._changed.notify()
 
     def close(self) -> None:
-        """Have the disk take what waits, as far as it does in END_S; what it does not is lost."""
+        """Have the disk take what waits, as long as it gets on with it; what it does not take is lost."""
         with self._changed:
             self._is_closing = True
             self._changed.notify()
-        self._thread.join(END_S)
-        if self._thread.is_alive():
-            self.is_hung = True
+        while self._thread.is_alive() and not self.is_hung:
+            before = self._progress
+            self._thread.join(END_S)
+            self.is_hung = self._thread.is_alive() and self._progress == before
+        if self.is_hung:
             with self._changed:
-                for one in self._waiting:
-                    if isinstance(one.effect, WriteChunk):
-                        self._lose(one.log, one.effect.chunk)
-                self._waiting.clear()
+                while self._waiting:
+                    self._lose(self._waiting.take())
             log.error("the disk does not answer; the logs are not ended")
         elif self._fault is not None:
             raise self._fault
 
-    def _drop_oldest(self) -> None:
-        kept: deque[_Waiting] = deque()
-        while self._waiting and self.waiting_bytes > self._queue_bytes:
-            one = self._waiting.popleft()
-            self.waiting_bytes -= one.bytes
-            if isinstance(one.effect, WriteChunk):
-                self._lose(one.log, one.effect.chunk)
-            elif not isinstance(one.effect, SyncLog):
-                kept.append(one)
-        self._waiting.extendleft(reversed(kept))
+    def _trim(self) -> None:
+        for one in self._waiting.trim(self._unkept_bytes):
+            self._lose(one)
 
-    def _lose(self, name: str, chunk: Chunk) -> None:
-        counts = chunk.counts
+    def _lose(self, one: Waiting) -> None:
+        """It is not written; the lock is held."""
+        if not isinstance(one.effect, WriteChunk):
+            return
+        chunk, name = one.effect.chunk, one.log
         if self._chains[name].is_incident:
             log.error("the disk takes too little: an incident lacks messages")
             return
         if not self.lost:
             log.error("the disk takes too little: the oldest messages that wait for it are lost")
-        self.lost += sum(counts.values())
-        self._notices.append(Lost(name, counts, chunk.start_ns, chunk.end_ns))
+        self.lost += sum(chunk.counts.values())
+        before = self._losses.get(name, Lost(name, {}, chunk.start_ns, chunk.end_ns))
+        # One for all that is lost of a log until it is asked for: however much that is, none is forgotten.
+        self._losses[name] = Lost(
+            name,
+            dict(Counter(before.counts) + Counter(chunk.counts)),
+            min(before.first_ns, chunk.start_ns),
+            max(before.last_ns, chunk.end_ns),
+        )
 
     def _run(self) -> None:
         try:
-            while (one := self._next()) is not None:
-                self._carry_out(one)
+            while (one := self._next()) is not None or self._ending:
+                if one is None:
+                    self._end_files()
+                else:
+                    self._carry_out(one)
+                self._progress += 1
         except BaseException as error:  # noqa: BLE001 - the loop raises it
             self._fault = error
         finally:
-            for name, chain in self._chains.items():
-                self._leave(name, chain)
+            for chain in self._chains.values():
+                unkept = self._leave(chain)
+                with self._changed:
+                    for one in unkept:
+                        self._lose(one)
             self._directory.close()
 
-    def _next(self) -> _Waiting | None:
+    def _next(self) -> Waiting | None:
+        """What is to be carried out now; None at the end."""
         with self._changed:
             while True:
-                while not self._waiting and not self._is_closing:
+                if self._failed:
+                    # To look at a file is to be told.
+                    return waiting(self._failed.popleft(), SyncLog())
+                if self._waiting and isinstance(self._waiting.head.effect, WriteChunk) and not self._has_room():
                     self._changed.wait()
-                if self._waiting and self._is_stuck(self._waiting[0]):
+                    continue
+                if self._waiting and self._is_stuck(self._waiting.head):
                     # It waits in the queue, not in hand: the oldest are the first to go, perhaps all of them.
                     self._pause()
                 if self._waiting:
-                    one = self._waiting.popleft()
-                    self.waiting_bytes -= one.bytes
-                    return one
+                    return self._waiting.take()
                 if self._is_closing:
                     return None
+                self._changed.wait()
 
-    def _is_stuck(self, one: _Waiting) -> bool:
+    def _is_stuck(self, one: Waiting) -> bool:
         return self._is_faulty and isinstance(one.effect, WriteChunk) and self._chains[one.log].file is None
 
-    def _put_back(self, ones: Iterable[_Waiting]) -> None:
-        """These wait again, as the oldest."""
-        with self._changed:
-            for one in reversed(list(ones)):
-                if isinstance(one.effect, WriteChunk) and self._is_closing and self._pause_s > RETRY_MIN_S:
-                    self._lose(one.log, one.effect.chunk)
-                    continue
-                self._waiting.appendleft(one)
-                self.waiting_bytes += one.bytes
-            if self.waiting_bytes > self._queue_bytes:
-                self._drop_oldest()
+    def _has_room(self) -> bool:
+        """Whether more may be written before the disk has kept some, which it is told to do where it is not so."""
+        if self._unkept_bytes < self._unkept_max:
+            return True
+        chains = [chain for chain in self._chains.values() if chain.unkept_bytes]
+        for chain in chains:
+            chain.release()
+        self._unkept_bytes = sum(chain.unkept_bytes for chain in chains)
+        if self._unkept_bytes < self._unkept_max:
+            return True
+        for chain in chains:
+            if chain.unkept_bytes and chain.file is not None:
+                chain.file.sync()
+        return False
 
-    def _carry_out(self, one: _Waiting) -> None:
+    def _tell_synced(self, chain: LogChain, file: LogFile) -> None:
+        """On a thread of the syncs: the disk has kept something, or failed to."""
+        with self._changed:
+            self._progress += 1
+            if file.has_failed:
+                self._failed.append(chain.name)
+            self._changed.notify()
+
+    def _put_back(self, ones: Iterable[Waiting]) -> None:
+        """These wait again, as the oldest."""
+        again = []
+        with self._changed:
+            for one in ones:
+                if isinstance(one.effect, WriteChunk) and self._is_closing and self._pause_s > RETRY_MIN_S:
+                    self._lose(one)
+                else:
+                    again.append(one)
+            self._waiting.put_back(again)
+            self._trim()
+
+    def _carry_out(self, one: Waiting) -> None:
         chain, effect = self._chains[one.log], one.effect
         if isinstance(effect, OpenLog):
-            self._leave(one.log, chain)
-            chain.wanted = effect
-            if effect.is_incident:
-                chain.prologue = Prologue()
-            chain.opened += 1
-            self._begin(one.log, chain)
+            self._open(chain, one, effect)
             return
         chain.prologue.take(effect)
+        if isinstance(effect, CloseLog) and self._is_closing and chain.file is not None:
+            self._ending[one.log] = one
+            return
         if isinstance(effect, WriteChunk) and chain.file is None:
-            self._begin(one.log, chain)
-        again = self._write(one, chain, effect)
+            self._begin(chain, chain.beginning_ns(effect), FAULT)
+        self._settle(chain, one, self._write(chain, effect, one))
+
+    def _open(self, chain: LogChain, one: Waiting, effect: OpenLog) -> None:
+        ending = self._ending.pop(chain.name, None)
+        again = self._leave(chain)
+        if again:
+            # What the file before could not keep goes into another one, before this one.
+            self._put_back([*again, *([ending] if ending is not None else []), one])
+            return
+        chain.wanted = effect
+        chain.opened += 1
+        if effect.is_incident:
+            chain.prologue = Prologue()
+        self._begin(chain, effect.wall_ns)
+
+    def _write(self, chain: LogChain, effect: FileEffect, one: Waiting) -> CommandError | None:
+        """Write an effect into the present file, if there is one. Why the disk does not take it."""
+        before = chain.unkept_bytes
+        try:
+            chain.write(effect, one)
+        except CommandError as error:
+            return error
+        finally:
+            self._unkept_bytes += chain.unkept_bytes - before
+        return None
+
+    def _settle(self, chain: LogChain, one: Waiting, error: CommandError | None) -> None:
+        """After an effect was carried out, or not: what is to be written again waits again."""
+        file, again = chain.file, []
+        is_chunk, is_end = isinstance(one.effect, WriteChunk), isinstance(one.effect, CloseLog)
+        if error is not None:
+            log.error("%s; the log goes on in another file", error)
+            self._fall_ill(str(error))
+            again = self._leave(chain)
+            if again and not is_chunk:
+                again.append(one if is_end else waiting(chain.name, SyncLog()))
+        elif file is not None and file.has_synced:
+            file.has_synced = False
+            self._get_well()
+        if is_chunk and (file is None or error is not None):
+            again.append(one)
         if again:
             self._put_back(again)
-        elif isinstance(effect, CloseLog):
-            self._leave(one.log, chain)
+        elif is_end:
+            self._leave(chain)
             chain.wanted = None
 
-    def _write(self, one: _Waiting, chain: _Chain, effect: FileEffect) -> list[_Waiting]:
-        """Write an effect into the present file. What is to be written again, into another."""
-        if chain.file is None:
-            return [one] if isinstance(effect, WriteChunk) else []
+    def _end_files(self) -> None:
+        """At the end, when all is written: end the files of many logs at once."""
+        ending, self._ending = self._ending, {}
+        with ThreadPoolExecutor(SYNC_THREADS, "log end") as pool:
+            errors = list(pool.map(self._end_file, ending.values()))
+        self._unkept_bytes = sum(chain.unkept_bytes for chain in self._chains.values())
+        for one, error in zip(ending.values(), errors, strict=True):
+            self._settle(self._chains[one.log], one, error)
+
+    def _end_file(self, one: Waiting) -> CommandError | None:
         try:
-            chain.write(chain.file, one, effect)
+            self._chains[one.log].write(CloseLog(), one)
         except CommandError as error:
-            log.error("%s; the log goes on in another file", error)  # noqa: TRY400 - a full disk is no bug
-            self._fall_ill(str(error))
-            again = self._leave(one.log, chain)
-            if isinstance(effect, WriteChunk) or (again and isinstance(effect, CloseLog)):
-                again.append(one)
-            return again
-        if chain.file.has_synced:
-            chain.file.has_synced = False
-            self._get_well()
-        return []
+            return error
+        finally:
+            self._progress += 1
+        return None
 
     def _pause(self) -> None:
         """Before a file is begun again: at once after the first fault, then ever more seldom."""
@@ -292,6 +345,10 @@ class LogWriter:
         self._pause_s = min(max(2 * self._pause_s, RETRY_MIN_S), RETRY_MAX_S)
 
     def _fall_ill(self, detail: str) -> None:
+        for chain in self._chains.values():
+            if chain.file is not None:
+                # What it has kept until now says nothing of what is to come.
+                chain.file.has_synced = False
         if not self._is_faulty:
             self._is_faulty = True
             self._notices.append(DiskFault(detail))
@@ -303,37 +360,29 @@ class LogWriter:
             log.warning("the disk takes the logs again; %d messages are lost", self.lost)
             self._notices.append(DiskBack())
 
-    def _begin(self, name: str, chain: _Chain) -> None:
-        """Begin the file that is wanted, with all that those before it declared; if the disk takes it."""
-        wanted = chain.wanted
-        if wanted is None:
-            return
+    def _begin(self, chain: LogChain, wall_ns: int, because: str = "") -> None:
+        """Begin the file that is wanted, if the disk takes it."""
         try:
-            chain.file = self._directory.open(
-                wanted.name, wanted.wall_ns, self._library, is_incident=wanted.is_incident
-            )
-            for effect in chain.prologue.effects:
-                chain.file.write(effect)
+            file = chain.begin(self._directory, self._library, wall_ns, because)
         except CommandError as error:
             if self._pause_s <= RETRY_MIN_S:
                 log.error("%s; trying on", error)  # noqa: TRY400 - a full disk is no bug
             self._fall_ill(str(error))
-            if chain.file is not None:
-                # Nobody was told of it.
-                chain.file.salvage()
-                chain.file = None
             return
-        log.info("writing %s", chain.file.path)
-        self._notices.append(Opened(name, chain.file.name))
+        if file is not None:
+            file.when_synced = partial(self._tell_synced, chain, file)
+            log.info("writing %s", file.path)
+            self._notices.append(Opened(chain.name, file.name))
 
-    def _leave(self, name: str, chain: _Chain) -> list[_Waiting]:
+    def _leave(self, chain: LogChain) -> list[Waiting]:
         """End the present file of a log, as well as can be. What the disk has not kept of it."""
-        file, chain.file = chain.file, None
+        self._unkept_bytes -= chain.unkept_bytes
+        file, unkept = chain.leave()
         if file is None:
             return []
-        file.salvage()
-        unkept = chain.take_unkept(file)
-        self._notices.append(Ended(name, file.name, file.size))
+        self._notices.append(Ended(chain.name, file.name, file.size))
+        if file.is_left:
+            self._left.append(file.path)
         if file.is_kept:
             if not chain.is_incident:
                 self.path = str(file.path)

@@ -3,7 +3,7 @@
 The base:
 
 - ``logs``, ``summary``, ``survey``  which files, and what their ends and heads tell
-- ``pieces``, ``walk``, ``rows``     a file piece by piece in any state; every message; the wanted ones of many files
+- ``pieces``, ``walk``, ``rows``     a file piece by piece; every message; the wanted ones of many files
 - ``topics``, ``times``, ``faults``  how messages are read; times as people write them; what could not be read
 
 The questions:

@@ -41,18 +41,26 @@ def time_of(text: str, start_ns: int, end_ns: int) -> int:
         day_ns = 24 * 3600 * _NS_PER_S
         time_ns = start_ns - start_ns % day_ns + since_midnight_ns + _fraction_ns(part)
         return time_ns if time_ns >= start_ns else time_ns + day_ns
+    moment_ns = _date_ns(text)
+    if moment_ns is None:
+        raise CommandError(f"{text!r} is no time: give {FORMS}", ExitCode.USAGE)
+    return moment_ns
+
+
+def _date_ns(text: str) -> int | None:
+    """Of both date and time; None if it is none."""
+    match = _DATE.fullmatch(text)
+    if match is None:
+        return None
+    # The calendar's own times end at the microsecond.
+    date, fraction, zone = match.groups()
     try:
-        match = _DATE.fullmatch(text)
-        if match is None:
-            raise ValueError
-        # The calendar's own times end at the microsecond.
-        date, fraction, zone = match.groups()
         moment = datetime.fromisoformat(date + (zone or ""))
-        part_ns = _fraction_ns(fraction)
     except ValueError:
-        raise CommandError(f"{text!r} is no time: give {FORMS}", ExitCode.USAGE) from None
+        return None
     moment = moment.replace(tzinfo=moment.tzinfo or UTC)
-    return (moment - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(seconds=1) * _NS_PER_S + part_ns
+    whole_s = (moment - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(seconds=1)
+    return whole_s * _NS_PER_S + _fraction_ns(fraction)
 
 
 def _fraction_ns(digits: str | None) -> int:

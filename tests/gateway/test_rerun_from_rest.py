@@ -6,6 +6,7 @@ import pytest
 
 from gateway import core as core_module
 from gateway.chassis.frame import Frame
+from gateway.command.rest import QUIET_NS
 from gateway.journal import Kind, inputs_of
 from gateway.rerun import WARM_UP_NS, rerun, run_again, run_of
 from gateway.telemetry.sample import Sample
@@ -104,7 +105,7 @@ def test_the_places_are_told_from_seconds_of_quiet_on(day: RestfulDay) -> None:
             asked_ns = one[1]
         elif one[0] == Kind.REST:
             places += 1
-            assert one[1] - asked_ns >= core_module.QUIET_NS
+            assert one[1] - asked_ns >= QUIET_NS
     assert places > 20
 
 

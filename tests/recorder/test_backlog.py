@@ -7,7 +7,7 @@ import pytest
 from recorder.backlog import ANSWER_NS, KEPT_SUBJECTS, TRIES, Backlog
 from recorder.effects import AskKept, Effect
 from schemas.subjects import KEPT_PIECE
-from tests.recorder.fakes import MS
+from tests.recorder.fakes import MS, SECOND
 
 JOURNAL = "fleet/cruiser-1/journal"
 EVENT = "fleet/cruiser-1/safety/event"
@@ -135,3 +135,18 @@ def test_the_end_is_asked_for_too() -> None:
     for effect in robot.backlog.ask_last(robot.now_ns):
         robot.answer(effect)
     assert robot.got == [0, 1]
+
+
+def test_two_gateways_of_one_name_make_no_storm_of_questions() -> None:
+    """Each sample of the one looks like a restart of the other; a restart alone is asked about at once."""
+    backlog = Backlog()
+    backlog.see("fleet", "cruiser-1", 0)
+    asked = 0
+    for number in range(500):
+        now_ns = number * 20 * MS
+        backlog.hear(EVENT, 1000 + number, now_ns, is_restart=False)
+        backlog.hear(EVENT, number, now_ns, is_restart=True)
+        asked += sum(one.key == EVENT for one in backlog.ask(now_ns) if isinstance(one, AskKept))
+    assert 3 <= asked <= 6
+    backlog.hear(EVENT, 7, 60 * SECOND, is_restart=True)
+    assert AskKept(EVENT, 0) in backlog.ask(60 * SECOND)

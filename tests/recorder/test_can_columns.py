@@ -3,6 +3,7 @@
 from typing import Any
 
 import msgspec
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -69,12 +70,26 @@ def test_a_common_batch_becomes_the_same_records(message: CanFrames) -> None:
 def test_a_full_chunk_is_left_to_the_slow_path() -> None:
     """Which has it handed over."""
     message = batch(0, [(WALL_NS, feedback(0))])
-    tally, chunk = Tally(), ChunkBuilder(1)
+    whole = slow_path(message)
+    assert whole is not None
+    tally, chunk = Tally(), ChunkBuilder(len(whole.records))
     tally.next = 0
     add = can_adder(tally, chunk, CHANNEL)
     assert add(codec.encode(message), WALL_NS)
     assert not add(codec.encode(msgspec.structs.replace(message, sequence=1)), WALL_NS)
     assert (tally.samples, tally.next) == (1, 1)
+
+
+@pytest.mark.parametrize(("limit_frames", "added"), [(9, False), (10, True)])
+def test_a_batch_that_is_more_than_a_chunk_is_left_to_the_slow_path(limit_frames: int, added: bool) -> None:  # noqa: FBT001 - pytest gives it
+    """Which makes several of it: no chunk becomes twice as large as it is to be."""
+    message = batch(0, [(WALL_NS, feedback(number)) for number in range(10)])
+    whole = slow_path(message)
+    assert whole is not None
+    tally, chunk = Tally(), ChunkBuilder(len(whole.records) * limit_frames // 10)
+    tally.next = 0
+    assert can_adder(tally, chunk, CHANNEL)(codec.encode(message), WALL_NS) == added
+    assert (tally.messages, len(chunk) > 0) == (10 * added, added)
 
 
 @given(message_of(CanFrames))

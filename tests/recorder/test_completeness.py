@@ -6,7 +6,7 @@ import msgspec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.completeness import KeyReport, report, since, total
+from recorder.completeness import Account, KeyReport, report, since, total
 from recorder.tally import Tally
 from schemas.recording import GapReason
 
@@ -77,3 +77,24 @@ def test_a_topic_of_several_logs_is_counted_together(reports: list[KeyReport]) -
     for name, value in fields(total(reports)).items():
         told = [fields(one)[name] for one in reports if fields(one)[name] is not None]
         assert value == (sum(told) if told else getattr(KeyReport(), name))
+
+
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 9), st.booleans()), max_size=30))
+def test_files_together_tell_what_was_wanted(steps: list[tuple[bool, int, bool]]) -> None:
+    """Whenever one ends; what came while it was left off is in none, what the disk lost then is not forgotten."""
+    account = Account()
+    received = written = lost = wanted = told_received = told_lost = 0
+    for is_wanted, count, ends in steps:
+        before = {"k": KeyReport(received=received, written=written, lost_disk=lost)}
+        account.take_up(before) if is_wanted else account.leave_off(before)
+        received, lost = received + count, lost + 1
+        written, wanted = written + count * is_wanted, wanted + count * is_wanted
+        if ends and is_wanted:
+            told = account.of_file({"k": KeyReport(received=received, written=written, lost_disk=lost)})["k"]
+            told_received, told_lost = told_received + told.received, told_lost + told.lost_disk
+            assert told.received == told.written
+    last = {"k": KeyReport(received=received, written=written, lost_disk=lost)}
+    account.take_up(last)
+    told = account.of_file(last)["k"]
+    assert told_received + told.received == wanted
+    assert told_lost + told.lost_disk == lost

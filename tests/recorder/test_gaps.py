@@ -65,3 +65,11 @@ def test_ever_new_keys_cost_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
     gaps.add("a", "k/7", GapReason.QUEUE, 1, 0, 0)
     assert [gap.key for _, gap in gaps.tell(WALL_NS)] == ["k/7"]
+
+
+def test_very_long_keys_are_told_together() -> None:
+    """Ten thousand of them would take half a gigabyte."""
+    gaps = Gaps()
+    for number in range(10):
+        gaps.add("a", f"{'k' * 1000}{number}", GapReason.QUEUE, 1, number, number)
+    assert [(gap.key, gap.count) for _, gap in gaps.tell(WALL_NS)] == [(OTHER_KEYS, 10)]

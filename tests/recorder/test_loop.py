@@ -1,8 +1,10 @@
 """The run loop, with a source of its own and a real directory."""
 
 import errno
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Mapping, Sequence
 from io import BytesIO, FileIO
+from itertools import count, pairwise, takewhile
 from pathlib import Path
 
 import msgspec
@@ -10,9 +12,12 @@ import pytest
 from mcap.reader import make_reader
 
 from recorder import loop as loop_module
+from recorder import session as session_module
 from recorder.completeness import KeyReport
+from recorder.effects import Doing
 from recorder.health import HealthReport
 from recorder.inbox import Inbox
+from recorder.layouts.attached import COUNT as LAYOUTS
 from recorder.loop import Recorded, Recorder
 from recorder.notices import Deleted, Notice, Room
 from recorder.ports import log_directory, log_writer
@@ -20,7 +25,9 @@ from recorder.ports.leftovers import recover_leftovers
 from recorder.ports.log_directory import LogDirectory
 from recorder.ports.log_writer import LogWriter
 from recorder.recording import Recording
+from recorder.review.check import check_log
 from recorder.review.info import read_info
+from recorder.sample import Sample
 from recorder.session import CONTINUED_NAME, Plan
 from schemas.decisions import EventKind
 from schemas.messages import GatewayInfo, Gear, Message, Variant
@@ -40,6 +47,7 @@ from schemas.requests import Request
 from tests.recorder.fakes import (
     PLAN,
     RECORDING_PLAN,
+    WALL_NS,
     FakeAsked,
     FakeSample,
     FakeSource,
@@ -81,9 +89,9 @@ def test_a_recording_ends_in_a_whole_file(tmp_path: Path) -> None:
         incidents=0,
         keys={key_of(Gear): KeyReport(sent=6, received=4, written=4, lost_link=2)},
     )
-    found = read_info(Path(recorded.path))
+    found = check_log(Path(recorded.path))
     assert found.whole
-    assert found.messages == 4
+    assert (found.messages, found.missed) == (4, 2)
 
 
 def test_without_samples_there_is_no_file(tmp_path: Path) -> None:
@@ -99,7 +107,7 @@ def test_a_robot_is_asked_and_its_answer_recorded(tmp_path: Path) -> None:
     assert INFO_KEY in source.asked
     found = read_info(Path(recorded.path or ""))
     assert found.variants == {"cruiser-1": "coarse"}
-    assert len(found.attachments) == 2
+    assert len(found.attachments) == 2 + LAYOUTS
 
 
 def test_a_robot_that_did_not_know_its_variant_is_asked_at_the_end(tmp_path: Path) -> None:
@@ -109,7 +117,7 @@ def test_a_robot_that_did_not_know_its_variant_is_asked_at_the_end(tmp_path: Pat
     found = read_info(Path(record(source, tmp_path).path or ""))
     assert source.asked == [INFO_KEY, INFO_KEY]
     assert found.variants == {"cruiser-1": "coarse"}
-    assert len(found.attachments) == 2
+    assert len(found.attachments) == 2 + LAYOUTS
 
 
 def test_what_had_come_in_when_it_was_stopped_is_recorded(tmp_path: Path) -> None:
@@ -131,6 +139,22 @@ class FailingFile(FileIO):
         return super().write(taken)
 
 
+class Steady(FakeSource):
+    """Brings a few at a time."""
+
+    def drain(self, _limit: int) -> list[Sample]:
+        taken = super().drain(100)
+        self.is_behind = False
+        return taken
+
+
+def gear_sample(number: int) -> FakeSample:
+    """A sample of which the receipt may be another."""
+    sample = sample_of(gear(number))
+    assert isinstance(sample, FakeSample)
+    return sample
+
+
 @pytest.mark.parametrize("room", [5000, 20_000])
 def test_a_file_that_takes_no_more_is_ended_and_another_begun(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
@@ -143,27 +167,30 @@ def test_a_file_that_takes_no_more_is_ended_and_another_begun(
     monkeypatch.setattr(FailingFile, "room", room)
     monkeypatch.setattr(log_writer, "RETRY_MAX_S", 0.0)
     monkeypatch.setattr(log_writer, "END_S", 60.0)
-    source = FakeSource(sample_of(gear(number)) for number in range(3000))
-    recorded = record(source, tmp_path, Plan("x", 1024, 10**9, "1"))
+    # None waits for its turn: else what the recorder says meanwhile comes before it, and is of a later time.
+    monkeypatch.setattr(loop_module, "PASS_NS", 10**12)
+    numbers = map(gear_sample, range(3000))
+    samples = (msgspec.structs.replace(one, received_ns=time.time_ns()) for one in numbers)
+    recorded = record(Steady(samples), tmp_path, Plan("x", 1024, 10**9, "1"))
     assert recorded.files > 1
     assert (recorded.lost, recorded.keys[key_of(Gear)].written) == (0, 3000)
     sequences: list[int] = []
     for path in sorted(tmp_path.iterdir(), key=number_of):
-        assert read_info(path).whole == (path.suffix == ".mcap")
+        assert check_log(path).whole == (path.suffix == ".mcap")
     for _ in recover_leftovers(sorted(tmp_path.glob("*.part")), "test"):
         pass
     for path in sorted(tmp_path.iterdir(), key=number_of):
-        assert read_info(path).whole
+        assert check_log(path).whole
         reader = make_reader(BytesIO(path.read_bytes()), validate_crcs=True)
         messages = reader.iter_messages(topics=[key_of(Gear)], log_time_order=False)
         sequences += [message.sequence for _, _, message in messages]
     assert sequences == list(range(3000))
 
 
-def number_of(path: Path) -> int:
-    """Which of the files of one second and name a log is."""
-    number = path.name.partition(".")[0].rpartition("Z")[2]
-    return int(number[1:] or 1)
+def number_of(path: Path) -> tuple[str, int]:
+    """The second in which a log's file was begun, and which of those of that second it is."""
+    start, _, number = path.name.partition(".")[0].rpartition("Z")
+    return start, int(number[1:] or 1)
 
 
 def test_a_disk_that_takes_nothing_ends_no_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -175,15 +202,30 @@ def test_a_disk_that_takes_nothing_ends_no_recording(tmp_path: Path, monkeypatch
     assert logs_in(tmp_path) == []
 
 
-def test_a_new_file_is_begun_on_demand(tmp_path: Path) -> None:
+def test_a_new_file_is_begun_on_demand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As by SIGHUP; between two samples, none of which is lost."""
-    source = FakeSource(sample_of(gear(number)) for number in range(50_000))
-    answers = iter([False, True, True])
-    recorded = recorder(source, tmp_path).run(lambda: source.is_exhausted, lambda: next(answers, False))
-    assert (recorded.files, recorded.messages) == (3, 50_000)
+    monkeypatch.setattr(session_module, "ROLL_MIN_NS", 0)
+    files: list[str] = []
+
+    source = Steady(sample_of(gear(number)) for number in takewhile(lambda _: len(files) < 3, count()))
+    one = recorder(source, tmp_path)
+
+    def rolls() -> bool:
+        """Once for each file, as soon as it is there."""
+        file = one._recording.files.get("cruiser-1", "")
+        if not file or file in files:
+            return False
+        files.append(file)
+        return len(files) < 3
+
+    recorded = one.run(lambda: len(files) == 3 and source.is_exhausted, rolls)
+    assert recorded.files == 3
     found = [read_info(path) for path in sorted(tmp_path.iterdir(), key=number_of)]
-    assert all(one.whole and not one.missed for one in found)
-    assert sum(one.messages for one in found) == 50_000
+    assert all(check_log(path).is_sound for path in tmp_path.iterdir())
+    assert sum(one.messages for one in found) == recorded.messages
+    assert recorded.keys[GEAR_KEY] == KeyReport(
+        sent=recorded.messages, received=recorded.messages, written=recorded.messages
+    )
     assert [one.metadata.get(CONTINUED_NAME) for one in found] == [
         None,
         {"file": "2", "because": "signal"},
@@ -192,8 +234,9 @@ def test_a_new_file_is_begun_on_demand(tmp_path: Path) -> None:
     assert recorded.bytes == sum(one.bytes for one in found)
 
 
-def test_a_fault_of_our_own_leaves_a_readable_file(tmp_path: Path) -> None:
+def test_a_fault_of_our_own_leaves_a_readable_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever ends the loop, the log is closed."""
+    monkeypatch.setattr(loop_module, "PASS_NS", 10**12)
 
     def stopped() -> Callable[[], bool]:
         passes = iter([False, False])
@@ -331,3 +374,70 @@ def test_a_sample_that_is_too_large_holds_nothing_up(tmp_path: Path) -> None:
     recorded = record(FakeSource([sample_of(gear(0)), large, sample_of(gear(1))]), tmp_path)
     assert recorded.keys["x"] == KeyReport(received=1, lost_size=1)
     assert recorded.keys[GEAR_KEY].written == 2
+
+
+class SlowSample(msgspec.Struct):
+    """A sample that takes so long to record."""
+
+    key: str
+    clock: "Clock"
+    encoding: str = "x"
+    payload: bytes = b""
+    attachment: bytes = b""
+    deleted: bool = False
+    source: tuple[str, int] | None = None
+    received_ns: int = WALL_NS
+    is_reply: bool = False
+
+    @property
+    def zenoh_time_ns(self) -> int:
+        self.clock.now_ns += self.clock.slow_ns
+        return 0
+
+
+class Clock:
+    """What the loop takes for the time; it goes on where samples are slow, and a little by itself."""
+
+    def __init__(self, slow_ns: int) -> None:
+        self.now_ns = 1
+        self.slow_ns = slow_ns
+
+    def monotonic_ns(self) -> int:
+        self.now_ns += 1000
+        return self.now_ns
+
+    def time_ns(self) -> int:
+        return WALL_NS + self.now_ns
+
+    def sleep(self, wait_s: float) -> None:
+        time.sleep(wait_s)
+        self.now_ns += round(wait_s * 1e9)
+
+    def process_time_ns(self) -> int:
+        return self.now_ns
+
+
+@pytest.mark.parametrize("slow_ns", [10_000, 5_000_000, 35_000_000])
+def test_samples_that_take_long_do_not_hold_up_what_is_due(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, slow_ns: int
+) -> None:
+    """However many come at once: it is looked for in between, the others wait their turn, and all are recorded."""
+    clock = Clock(slow_ns)
+    monkeypatch.setattr(loop_module, "time", clock)
+    monkeypatch.setattr(loop_module, "LAST_SAMPLES_NS", 10**12)
+    source = FakeSource(SlowSample(f"k/{number % 7}", clock) for number in range(700))
+    one = recorder(source, tmp_path)
+    ticks: list[int] = []
+    tick = one._recording.tick
+
+    def watched(now_ns: int, wall_ns: int, sizes: Mapping[str, int]) -> Sequence[Doing]:
+        ticks.append(now_ns)
+        return tick(now_ns, wall_ns, sizes)
+
+    monkeypatch.setattr(one._recording, "tick", watched)
+    recorded = one.run(lambda: True)
+    assert recorded.messages == 700
+    # One sample may go beyond the time of a pass, but not two.
+    longest_ns = max(later - earlier for earlier, later in pairwise([0, *ticks, clock.now_ns]))
+    assert longest_ns < 2 * loop_module.PASS_NS + loop_module.TICK_NS + 2 * slow_ns
+    assert sum(report.received for report in recorded.keys.values()) == 700

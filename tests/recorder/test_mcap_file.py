@@ -75,6 +75,35 @@ def test_every_reader_of_the_mcap_package_reads_all_messages(
         )
 
 
+def test_many_channels_at_once_are_those_that_come_one_by_one() -> None:
+    """The same records in one write, each schema but once; those that came before count."""
+    others = [
+        LogChannel(7, "raw", "cruiser.RawSample", descriptor_set(RawSample)),
+        LogChannel(8, "none", "", b"", schema_encoding="", message_encoding="json"),
+    ]
+    alone, together = Disk(), Disk()
+    for disk in (alone, together):
+        file = McapFile(disk, "test")
+        file.add_channel(CHANNELS[0])
+        file.add_channels([])
+        if disk is alone:
+            for channel in [*CHANNELS[1:], *others]:
+                file.add_channel(channel)
+        else:
+            file.add_channels([*CHANNELS[1:], *others])
+        file.add_channels(others[:0])
+        file.finish()
+
+    def found(disk: Disk) -> list[McapRecord]:
+        return list(StreamReader(BytesIO(disk.getvalue())).records)
+
+    assert found(alone)[:-3] == found(together)[:-3]
+    summary = make_reader(BytesIO(together.getvalue()), validate_crcs=True).get_summary()
+    assert summary is not None
+    assert sorted(summary.channels) == [1, 2, 3, 7, 8]
+    assert sorted(summary.schemas) == [1, 2]
+
+
 @given(CHUNKS)
 def test_statistics_and_indexes_say_what_is_there(chunks: list[list[tuple[int, int, int, int, bytes]]]) -> None:
     """Counts, times, and the place of every chunk and of every message in it."""
@@ -144,7 +173,7 @@ def test_attachments_and_metadata_are_found_by_index() -> None:
     summary = reader.get_summary()
     assert summary is not None
     assert summary.statistics is not None
-    assert summary.statistics.attachment_count == len(summary.attachment_indexes) == 2
+    assert summary.statistics.attachment_count == len(summary.attachment_indexes) == 4
     assert summary.statistics.metadata_count == len(summary.metadata_indexes)
 
 

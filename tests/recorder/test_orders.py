@@ -73,7 +73,9 @@ def test_a_file_that_the_disk_has_not_begun_yet_is_waited_for() -> None:
     desk = Desk()
     desk.receive("a")
     asked = desk.ask(Split())
+    desk.notice()
     assert not asked.replies
+    desk.writer.carry_out(desk.recording.tick(desk.now_ns, WALL_NS, {}))
     desk.notice()
     assert (asked.answer.files, asked.answer.detail) == (["a-0.mcap"], "the next samples begin new files")
 
@@ -209,6 +211,7 @@ def test_the_files_are_ended_by_what_is_returned() -> None:
     """The caller carries it out; nothing is done behind its back."""
     desk = Desk()
     desk.receive("a")
+    desk.notice()
     doings = desk.orders.take(FakeAsked(Split()), 0, WALL_NS)
     (on_log,) = [one for one in doings if isinstance(one, OnLog)]
     assert on_log.effects[-1] == CloseLog()

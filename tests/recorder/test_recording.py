@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterator
 from io import BytesIO
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import pytest
@@ -11,21 +11,25 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, rule
 from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
+from recorder import channels, unsaid
 from recorder.completeness import KeyReport
 from recorder.effects import AskInfo, DeclareChannel, OnLog, Say, WriteMetadata
 from recorder.foxglove_log import LOG_CHUNK
+from recorder.gaps import OTHER_KEYS
 from recorder.health import HealthReport, Vitals
 from recorder.incidents import INCIDENT_NAME, IncidentPlan
 from recorder.notices import Deleted, Lost, Room
-from recorder.recording import TELL_GAPS_NS, Recording, RecordingPlan
+from recorder.recording import QUICK_BYTES, TELL_GAPS_NS, Recording, RecordingPlan
 from recorder.robot_log import INCIDENT_MARK
 from recorder.sample import Sample
-from recorder.session import CONTINUED_NAME, Plan
+from recorder.session import COMPLETENESS_NAME, CONTINUED_NAME, Plan
 from schemas import codec, keys
 from schemas.decisions import EventKind, SafetyEvent, Severity
 from schemas.messages import CanFrames, GatewayInfo, Gear
 from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, RecorderState, RecordGap
+from schemas.subjects import BY_TYPE
 from tests.recorder.fakes import (
     MS,
     RECORDING_PLAN,
@@ -261,6 +265,9 @@ class Machine(RuleBasedStateMachine):
     @rule(has_room=st.booleans(), has_incident_room=st.sampled_from([True, True, False]), roll=st.booleans())
     def fill_the_disk(self, has_room: bool, has_incident_room: bool, roll: bool) -> None:  # noqa: FBT001 - drawn
         self.bench.room(has_room=has_room, has_incident_room=has_incident_room, roll=roll)
+        if not has_incident_room:
+            for window in (one for windows in self.windows.values() for one in windows):
+                window.last_ns = min(window.last_ns, self.bench.now_ns)
         self.bench.notice()
 
     @rule(loses=st.booleans())
@@ -545,16 +552,22 @@ def test_an_alarm_is_of_its_kind_and_of_now(bench: Bench) -> None:
 
 
 def test_without_room_for_incidents_there_are_none(bench: Bench) -> None:
-    """Neither by an alarm nor by a mark; and none that is being written is cut short."""
+    """Neither by an alarm nor by a mark; one that is being written ends with what was in hand, and it is told."""
     bench.receive(sample_of(gear(0)))
     bench.mark()
+    bench.notice()
+    bench.receive(sample_of(gear(1)))
     bench.room(has_incident_room=False)
-    bench.receive(sample_of(gear(1)), sample_of(safety_event(EventKind.STOP)))
+    (incident,) = bench.writer.files["cruiser-1!"]
+    assert incident.is_ended
+    bench.receive(sample_of(gear(2)), sample_of(safety_event(EventKind.STOP)))
     assert bench.mark() == {}
     bench.run(3 * SECOND)
     bench.receive(sample_of(safety_event(EventKind.STOP, sequence=1)))
     assert bench.recording.incidents == 1
-    assert len(times(bench.writer.files["cruiser-1!"][0])) == 2
+    assert len(times(incident)) == 2
+    (cut,) = [one for one in bench.events() if "ended early" in one.text]
+    assert (cut.kind, cut.severity, cut.file) == (RecorderEventKind.INCIDENT, Severity.ERROR, incident.name)
 
 
 def test_the_rings_share_their_memory(bench: Bench) -> None:
@@ -645,6 +658,7 @@ def test_what_is_said_is_numbered_and_said_in_every_log_that_is_written(bench: B
 def test_a_file_says_why_the_one_before_it_ended(bench: Bench) -> None:
     """Whatever was asked for when none was being written."""
     bench.receive(sample_of(gear(0)))
+    bench.notice()
     bench.room(roll=True)
     bench.writer.carry_out(bench.recording.roll("signal", 0))
     bench.receive(sample_of(gear(1)))
@@ -734,3 +748,193 @@ def test_an_incident_without_room_is_told(bench: Bench) -> None:
     assert (said.kind, said.severity) == (RecorderEventKind.INCIDENT, Severity.ERROR)
     assert "stop: as it were" in said.text
     assert bench.recording.incidents == 0
+
+
+def test_files_do_not_become_many_however_often_it_is_asked_for(bench: Bench) -> None:
+    """One a second of each log; what comes too soon is one later, and nothing waits for a file that is ended."""
+    for number in range(300):
+        bench.receive(sample_of(gear(number)))
+        bench.writer.carry_out(bench.recording.roll("signal", bench.now_ns))
+        bench.run(10 * MS)
+    assert len(bench.logs()["cruiser-1"]) in {3, 4}
+    bench.run(2 * SECOND)
+    bench.receive(sample_of(gear(300)))
+    files = len(bench.logs()["cruiser-1"])
+    bench.run(5 * SECOND)
+    assert len(bench.logs()["cruiser-1"]) == files
+    assert bench.writer.open_file("cruiser-1") is not None
+
+
+def test_a_file_that_the_disk_has_not_begun_is_not_ended_for_another() -> None:
+    """While a disk hangs, what is to be begun does not pile up; when it goes on, the file is ended once."""
+    plan = msgspec.structs.replace(PLAN, session=msgspec.structs.replace(PLAN.session, rotate_ns=2 * SECOND))
+    bench = Bench(plan)
+    for number in range(200):
+        bench.receive(sample_of(gear(number)))
+        bench.writer.carry_out(bench.recording.roll("signal", bench.now_ns))
+        bench.now_ns += 100 * MS
+        bench.tick()
+    assert len(bench.logs()["cruiser-1"]) == 1
+    bench.notice()
+    bench.tick()
+    assert [file.is_ended for file in bench.logs()["cruiser-1"]] == [True]
+    bench.close()
+
+
+def test_a_key_that_is_a_lines_topic_is_another(bench: Bench) -> None:
+    """Whichever comes first: what anybody publishes there is decoded as what it is, and so are the events."""
+    intruder = FakeSample(f"{EVENT_KEY}/{LOG_CHUNK}", "zenoh/bytes", b"\xff\xfe")
+    reserved = FakeSample(f"{EVENT_KEY}/@log", "zenoh/bytes", b"\xff\xfe")
+    event = sample_of(safety_event(EventKind.LEASE))
+    for robot, samples in (("a", [event, intruder, reserved]), ("b", [intruder, reserved, event])):
+        moved = [FakeSample(one.key.replace("cruiser-1", robot), one.encoding, one.payload) for one in samples]
+        bench.receive(*moved, *moved)
+    bench.close()
+    for robot, line in (("a", LOG_CHUNK), ("b", "@log")):
+        (file,) = bench.logs()[robot]
+        reader = make_reader(BytesIO(file.disk.getvalue()), decoder_factories=[DecoderFactory()])
+        found: dict[str, list[tuple[str, Any]]] = {}
+        for schema, channel, _, content in reader.iter_decoded_messages():
+            assert schema is not None
+            found.setdefault(channel.topic.removeprefix(f"fleet/{robot}/"), []).append((schema.name, content))
+        names = {topic: {name for name, _ in pairs} for topic, pairs in found.items()}
+        somebodys = f"safety/event/{LOG_CHUNK}" + ("/@raw" if line == LOG_CHUNK else "")
+        assert names == {
+            "safety/event": {"cruiser.SafetyEvent"},
+            f"safety/event/{line}": {"foxglove.Log"},
+            somebodys: {"cruiser.RawSample"},
+            "safety/event/@log/@raw": {"cruiser.RawSample"},
+        }
+        assert all(content.payload == b"\xff\xfe" for _, content in found[somebodys])
+        assert len(found[somebodys]) == 2
+
+
+Step = str | int
+
+
+@pytest.mark.parametrize(
+    ("steps", "first", "second"),
+    [
+        # received, written, lost_full of each file
+        ([100, "full", 100, "room", 100], (100, 100, 0), (200, 100, 100)),
+        ([100, "stop", 100, "start", 100], (100, 100, 0), (100, 100, 0)),
+        ([100, "full", 100, "stop", "room", "start", 100], (100, 100, 0), (200, 100, 100)),
+        ([100, "full", 100, "stop", 50, "room", "start", 100], (100, 100, 0), (200, 100, 100)),
+        ([100, "stop", 100, "full", "start", 50, "room", 100], (100, 100, 0), (150, 100, 50)),
+        ([100, "full", 50, "stop", 50, "start", 50, "room", 100], (100, 100, 0), (200, 100, 100)),
+        (["stop", 50, "start", 10, "stop", 20, "full", "start", 5, "room", 7], (10, 10, 0), (12, 7, 5)),
+    ],
+)
+def test_a_file_counts_what_was_wanted_since_the_one_before_it(
+    bench: Bench, steps: list[Step], first: tuple[int, ...], second: tuple[int, ...]
+) -> None:
+    """In whatever order a disk was full and somebody stopped it; what came while it was stopped is no loss."""
+    sequence = 0
+    do = {"full": lambda: bench.room(has_room=False), "room": bench.room, "stop": bench.stop, "start": bench.start}
+    for step in steps:
+        if isinstance(step, str):
+            do[step]()
+            continue
+        for _ in range(step):
+            sequence += 1
+            bench.receive(sample_of(gear(sequence)))
+            bench.run(10 * MS)
+    bench.close()
+    told = [
+        msgspec.json.decode(one[GEAR_KEY], type=KeyReport)
+        for file in bench.logs()["cruiser-1"]
+        for one in metadata(file, COMPLETENESS_NAME)
+    ]
+    assert [(one.received, one.written, one.lost_full) for one in told] == [first, second]
+    assert not any(one.lost_link for one in told)
+
+
+def test_the_gaps_of_a_long_full_disk_are_in_the_next_file(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each is published in its second; in the file those of a key are one, so that it may last."""
+    monkeypatch.setattr(unsaid, "EVENTS_MAX", 10)
+    monkeypatch.setattr(unsaid, "KEYS_MAX", 3)
+    bench.receive(sample_of(gear(0)))
+    bench.room(has_room=False)
+    for _ in range(60):
+        bench.receive(*(FakeSample(f"fleet/cruiser-1/k/{number}", "x", b"") for number in range(5)))
+        bench.run(SECOND)
+    bench.room()
+    bench.receive(sample_of(gear(1)))
+    bench.close()
+    published = Counter[str]()
+    for gap in bench.gaps():
+        published[gap.key] += gap.count
+    file = bench.logs()["cruiser-1"][1]
+    reader = make_reader(BytesIO(file.disk.getvalue()), decoder_factories=[DecoderFactory()])
+    found = [content for _, _, _, content in reader.iter_decoded_messages(topics=[f"{OWN}/gap"])]
+    assert published == {f"fleet/cruiser-1/k/{number}": 60 for number in range(5)}
+    assert {gap.key: gap.count for gap in found} == {
+        **{f"fleet/cruiser-1/k/{number}": 60 for number in range(3)},
+        OTHER_KEYS: 120,
+    }
+    assert all(gap.last_ns - gap.first_ns >= 58 * SECOND for gap in found)
+
+
+def test_what_the_recorder_says_comes_back_and_is_recorded_once(bench: Bench) -> None:
+    """Whoever records the recorders' keys gets its own, too; another recorder's are samples like any other."""
+    bench.receive(sample_of(gear(0)))
+    bench.mark()
+    bench.notice()
+    (said,) = bench.events()
+    encoding, payload = BY_TYPE[RecorderEvent].encoding, codec.encode(said)
+    bench.receive(*(FakeSample(f"fleet/@recorder/{name}/event", encoding, payload) for name in ("bench", "depot")))
+    bench.recording.drop(f"{OWN}/event", GapReason.QUEUE, 0, WALL_NS)
+    bench.close()
+    files = [file for files in bench.logs().values() for file in files]
+    found = Counter(topic for file in files for topic, _ in messages(file))
+    assert found[f"{OWN}/event"] == found["fleet/@recorder/depot/event"] == 1
+    assert bench.recording.counts[f"{OWN}/event"].lost_queue == 0
+
+
+def test_keys_that_anybody_makes_up_take_nothing_from_the_tables(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However many came before it, a safety event makes its incident."""
+    monkeypatch.setitem(channels.LIMITS, channels.Room.OTHER, 10)
+    bench.receive(*(FakeSample(f"fleet/cruiser-1/k/{number}", "x", b"") for number in range(60)))
+    bench.receive(sample_of(safety_event(EventKind.STOP)))
+    assert bench.recording.incidents == 1
+    assert bench.recording.counts["@more"].written == 50
+    assert bench.recording.counts[f"{EVENT_KEY}/{LOG_CHUNK}"].written == 1
+
+
+LONG_KEY: Final = f"fleet/cruiser-1/{'y' * keys.KEY_MAX_LENGTH}"
+
+
+def test_very_long_keys_are_kept_and_not_remembered(bench: Bench) -> None:
+    """Each with its sample, which is all; what is lost of them is counted without them."""
+    monster = [FakeSample(f"{LONG_KEY}{number}", "x", b"") for number in range(20)]
+    bench.receive(*monster)
+    bench.receive(FakeSample(LONG_KEY, "x", bytes(2000)))
+    bench.run(TELL_GAPS_NS)
+    assert set(bench.recording.counts) == {"@more", f"{OWN}/gap"}
+    assert bench.recording.counts["@more"] == KeyReport(received=21, written=20, lost_size=1)
+    assert not bench.recording._by_key
+    assert [gap.key for gap in bench.gaps()] == [OTHER_KEYS]
+
+
+def test_a_pass_ends_when_its_time_is_over(bench: Bench) -> None:
+    """What there was no time for is still there; at least one is recorded."""
+    for is_late, taken in ((lambda: False, 7), (lambda: True, 1)):
+        waiting = iter([FakeSample("fleet/cruiser-1/k", "x", b"")] * 7)
+        before = sum(count.received for count in bench.recording.counts.values())
+        bench.writer.carry_out(bench.recording.receive(waiting, 0, is_late))
+        assert sum(count.received for count in bench.recording.counts.values()) - before == taken
+        assert len(list(waiting)) == 7 - taken
+
+
+def test_large_payloads_do_not_take_the_quick_way() -> None:
+    """What they hold besides the fields may take long to go through: the time is looked at after each."""
+    bench = Bench(msgspec.structs.replace(PLAN, sample_max_bytes=1_000_000))
+    bench.receive(*(sample_of(gear(number)) for number in range(3)))
+    large = msgspec.msgpack.encode({**msgspec.to_builtins(gear(3)), "more": bytes(QUICK_BYTES)})
+    good = sample_of(gear(3))
+    waiting = iter([FakeSample(good.key, good.encoding, large), sample_of(gear(4))])
+    bench.writer.carry_out(bench.recording.receive(waiting, 0, lambda: True))
+    assert len(list(waiting)) == 1
+    assert bench.recording.counts[GEAR_KEY].written == 4

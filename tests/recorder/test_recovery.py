@@ -18,8 +18,7 @@ from recorder.mcap_file import McapFile
 from recorder.mcap_summary import MAGIC
 from recorder.protobuf_schema import descriptor_set
 from recorder.recovery import Survey, copy_good, survey
-from recorder.review.info import _Survey as Review
-from recorder.review.walk import walk
+from recorder.review.check import check_stream
 from schemas.messages import Gear
 from tests.recorder.fakes import small_log
 
@@ -105,10 +104,7 @@ def test_a_recovered_log_says_what_it_holds(size: int) -> None:
     assert summary.statistics.message_count == len(rows(result))
     assert [one for one in others(result) if one not in OTHERS] == []
     assert survey(BytesIO(result), len(result)).is_whole
-    review = Review()
-    for walked in walk(_past_magic(result), len(result)):
-        review.take(walked)
-    assert review.sum_up("x", len(result)).whole
+    assert check_stream(BytesIO(result), len(result), "x").whole
 
 
 def _past_magic(data: bytes) -> BytesIO:

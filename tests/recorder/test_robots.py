@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 
+import msgspec
 import pytest
 
 from recorder import robots as robots_module
@@ -11,6 +12,7 @@ from schemas.messages import Variant
 from tests.recorder.fakes import SECOND, WALL_NS, info
 
 KEY = "fleet/cruiser-1/gateway/info"
+LAYOUTS = ["cruiser-1/layout.foxglove.json", "cruiser-1/layout.plotjuggler.xml"]
 
 
 def seen() -> Robots:
@@ -67,7 +69,7 @@ def test_an_answer_becomes_metadata_and_attachments() -> None:
     robots = seen()
     robots.ask(0)
     effects = robots.take_info("cruiser-1", info(), WALL_NS)
-    assert names(effects) == ["cruiser-1/configuration.toml", "cruiser-1/cruiser-coarse.dbc"]
+    assert names(effects) == ["cruiser-1/configuration.toml", "cruiser-1/cruiser-coarse.dbc", *LAYOUTS]
     metadata = effects[-1]
     assert isinstance(metadata, WriteMetadata)
     assert metadata.entries == {
@@ -87,10 +89,22 @@ def test_a_robot_whose_variant_is_unknown_is_asked_again() -> None:
     robots = seen()
     robots.ask(0)
     first = robots.take_info("cruiser-1", info(Variant.UNKNOWN, dbc=""), WALL_NS)
-    assert names(first) == ["cruiser-1/configuration.toml"]
+    assert names(first) == ["cruiser-1/configuration.toml", *LAYOUTS]
     assert robots.ask_last() == [AskInfo(KEY)]
     assert robots.ask(ASK_AGAIN_NS) == [AskInfo(KEY)]
     assert names(robots.take_info("cruiser-1", info(), WALL_NS)) == ["cruiser-1/cruiser-coarse.dbc"]
+
+
+def test_layouts_are_those_of_the_robot_and_its_bus() -> None:
+    """Under its root; they are attached again where the bus is another one, and only then."""
+    robots = Robots("1.0")
+    robots.see("depot/hall-2", "cruiser-1", 0)
+    effects = robots.take_info("cruiser-1", info(), WALL_NS)
+    layout = next(one for one in effects if isinstance(one, WriteAttachment) and one.name == LAYOUTS[0])
+    assert b"depot/hall-2/cruiser-1/can/can0/rx" in layout.data
+    other = msgspec.structs.replace(info(), bus="can1")
+    assert names(robots.take_info("cruiser-1", other, WALL_NS)) == LAYOUTS
+    assert names(robots.take_info("cruiser-1", other, WALL_NS)) == []
 
 
 def test_a_gateway_that_began_anew_is_asked_again() -> None:

@@ -18,6 +18,8 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from recorder import channels
 from recorder import robots as robots_module
+from recorder.can_columns import FRAMES_MAX
+from recorder.channels import Room
 from recorder.completeness import KeyReport
 from recorder.effects import (
     Alarm,
@@ -331,6 +333,8 @@ def test_a_gateways_answer_is_recorded_described_and_attached() -> None:
     assert [one.name for one in log.done if isinstance(one, WriteAttachment)] == [
         "cruiser-1/configuration.toml",
         "cruiser-1/cruiser-coarse.dbc",
+        "cruiser-1/layout.foxglove.json",
+        "cruiser-1/layout.plotjuggler.xml",
     ]
     assert AskInfo not in kinds(list(log.session.ask_last(0)))
     assert "cruiser.GatewayInfo" in {schema for _, schema, _, _ in read(log.close())}
@@ -360,18 +364,34 @@ def test_missed_samples_are_counted_for_each_key() -> None:
 
 
 def test_more_keys_than_channels_share_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """MCAP has 65,535 channels; samples beyond are kept with their key."""
-    monkeypatch.setattr(channels, "CHANNEL_LIMIT", 2)
+    """MCAP has 65,535 channels; samples beyond are kept with their key. The table's keys have room apart."""
+    monkeypatch.setitem(channels.LIMITS, Room.OTHER, 2)
+    monkeypatch.setitem(channels.LIMITS, Room.TABLE, 1)
     log = Log()
-    log.receive(*(FakeSample(f"k/{number}", "x", b"") for number in range(4)), sample_of(gear(0)))
+    log.receive(*(FakeSample(f"k/{number}", "x", b"") for number in range(4)))
+    log.receive(sample_of(gear(0)), sample_of(gear(0), "b"))
     records = read(log.close())
-    assert [topic for topic, _, _, _ in records] == ["k/0", "k/1", "@more", "@more", "@more"]
-    assert [content.key for _, _, _, content in records][2:] == ["k/2", "k/3", GEAR_KEY]
+    assert [topic for topic, _, _, _ in records] == ["k/0", "k/1", "@more", "@more", GEAR_KEY, "@more"]
+    keys_kept = [content.key for topic, _, _, content in records if topic == "@more"]
+    assert keys_kept == ["k/2", "k/3", key_of(Gear, "b")]
+
+
+def test_a_robot_has_room_for_a_few_buses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their names are not in the table: those of further ones are keys like any other."""
+    monkeypatch.setattr(robots_module, "BUS_LIMIT", 2)
+    monkeypatch.setitem(channels.LIMITS, Room.OTHER, 1)
+    log = Log()
+    sample = sample_of(batch(0, [(WALL_NS, feedback(0))]))
+    for bus in ("can0", "can1", "can2", "can3", "can0"):
+        log.receive(FakeSample(sample.key.replace("can0", bus), sample.encoding, sample.payload))
+    topics = [topic for topic, _, _, _ in read(log.close())]
+    assert topics == [*(FRAMES_KEY.replace("can0", bus) for bus in ("can0", "can1", "can2")), "@more", FRAMES_KEY]
 
 
 def test_ever_new_keys_and_robots_cost_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beyond the limits a sample is written, and nothing of it is kept: neither its key, its robot nor a route."""
-    monkeypatch.setattr(channels, "CHANNEL_LIMIT", 20)
+    monkeypatch.setitem(channels.LIMITS, Room.OTHER, 20)
+    monkeypatch.setitem(channels.LIMITS, Room.TABLE, 10)
     monkeypatch.setattr(robots_module, "ROBOT_LIMIT", 10)
     session = Session(Plan("x", 1, SECOND, "1"))  # Every sample is a chunk of its own, and goes.
 
@@ -390,7 +410,7 @@ def test_ever_new_keys_and_robots_cost_no_memory(monkeypatch: pytest.MonkeyPatch
     finally:
         tracemalloc.stop()
     assert after - before < 50_000  # 7,500 keys would be a million and more.
-    assert len(session.channels.counts) == 21
+    assert len(session.channels.counts) == 31
     assert sum(count.written for count in session.channels.counts.values()) == 3 * 3000
 
 
@@ -453,8 +473,8 @@ def test_the_next_file_begins_with_the_next_sample() -> None:
     session = Session(ROLLING)
     session.receive_sample(sample_of(gear(4)), 0, WALL_NS)
     session.receive_sample(sample_of(batch(0, [(WALL_NS, feedback(0))])), 0, WALL_NS)
-    assert kinds(list(session.roll("signal")))[-1] == CloseLog
-    assert list(session.roll("signal")) == []
+    assert kinds(list(session.roll("signal", 0)))[-1] == CloseLog
+    assert list(session.roll("signal", 0)) == []
     assert list(session.close()) == []
     effects = list(session.receive_sample(sample_of(gear(5)), SECOND, WALL_NS + SECOND))
     assert effects[0] == OpenLog("x", WALL_NS + SECOND)
@@ -479,7 +499,7 @@ def test_each_file_counts_what_it_holds() -> None:
 
     for number in (0, 1, 5):
         session.receive_sample(sample_of(gear(number)), 0, WALL_NS)
-    assert received(session.roll("time")) == (3, 3, 0)
+    assert received(session.roll("time", 10 * SECOND)) == (3, 3, 0)
     session.receive_sample(sample_of(gear(6)), 0, WALL_NS)
     assert received(session.close()) == (1, 0, 0)
     assert in_short(session.channels.counts[GEAR_KEY]) == (4, 3, 0)
@@ -492,9 +512,10 @@ def test_no_message_is_lost_or_doubled_between_files(steps: list[tuple[int, bool
     written: list[int] = []
     effects: list[Effect] = []
     for number, (robot, rolls) in enumerate(steps):
-        effects += session.receive_sample(sample_of(gear(number), f"robot-{robot}"), number, WALL_NS + number)
+        now_ns = number * SECOND
+        effects += session.receive_sample(sample_of(gear(number), f"robot-{robot}"), now_ns, WALL_NS + number)
         if rolls:
-            effects += session.roll("signal")
+            effects += session.roll("signal", now_ns)
     effects += session.close()
     is_open = False
     declared: set[int] = set()
@@ -539,8 +560,8 @@ def test_what_was_asked_for_while_no_file_was_open_ended_none() -> None:
     """The next file says what ended the one before."""
     session = Session(ROLLING)
     session.receive_sample(sample_of(gear(0)), 0, WALL_NS)
-    session.roll("size")
-    session.roll("signal")
+    session.roll("size", 0)
+    session.roll("signal", 0)
     effects = session.receive_sample(sample_of(gear(1)), 0, WALL_NS)
     records = {one.name: one.entries for one in effects if isinstance(one, WriteMetadata)}
     assert records[CONTINUED_NAME]["because"] == "size"
@@ -578,7 +599,7 @@ def test_what_the_recorder_says_is_in_the_log_like_a_sample() -> None:
 
 def test_there_is_always_room_for_what_the_recorder_says(monkeypatch: pytest.MonkeyPatch) -> None:
     """However many keys others have made up."""
-    monkeypatch.setattr(channels, "CHANNEL_LIMIT", 3)
+    monkeypatch.setitem(channels.LIMITS, Room.OTHER, 3)
     log = Log()
     log.receive(*(FakeSample(f"x/{number}", "", b"") for number in range(9)))
     log.carry_out(log.session.add_own("own", GAP, SECOND))
@@ -600,10 +621,12 @@ def test_what_is_lost_between_two_files_is_told_in_the_second() -> None:
     session.receive_sample(sample_of(gear(5)), 0, WALL_NS)
     second = report_at(session.pause("stopped"))
     assert (second.lost_size, second.written) == (4, 1)
+    session.account.leave_off(session.channels.counts)
     session.lose(GEAR_KEY, GapReason.SIZE, 2, 0)
-    session.resume(counts_anew=True)
+    session.account.take_up(session.channels.counts)
+    session.resume()
     session.receive_sample(sample_of(gear(8)), 0, WALL_NS)
-    assert report_at(session.roll("time")).lost_size == 0
+    assert report_at(session.roll("time", 0)).lost_size == 0
 
 
 def test_what_is_dropped_before_it_comes_is_counted_at_its_key() -> None:
@@ -665,3 +688,48 @@ def test_what_the_gateway_never_got_from_the_bus_is_counted_at_its_key(
     lost = sum(later - earlier if later >= earlier else later for earlier, later in pairwise(counts))
     assert log.session.channels.counts[GEAR_KEY].lost_bus == lost
     assert set(log.session.channels.counts) == {GEAR_KEY, key_of(GatewayHealth)}
+
+
+def test_a_batch_becomes_as_many_chunks_as_it_needs() -> None:
+    """None is much larger than it is to be: what cannot wait for the disk would take everything else with it."""
+    limit_bytes = 2000
+    session = Session(Plan("x", limit_bytes, SECOND, "1"))
+    rows = [(WALL_NS + number, feedback(number)) for number in range(1000)]
+    effects = [*session.receive_sample(sample_of(batch(0, rows)), 0, WALL_NS), *session.close()]
+    sizes = [len(one.chunk.records) for one in effects if isinstance(one, WriteChunk)]
+    assert len(sizes) > 20
+    assert max(sizes) < limit_bytes + 200
+    assert session.channels.counts[FRAMES_KEY].written == 1000
+    declared = next(place for place, one in enumerate(effects) if isinstance(one, DeclareChannel))
+    assert declared < next(place for place, one in enumerate(effects) if isinstance(one, WriteChunk))
+
+
+@pytest.mark.parametrize("count", [FRAMES_MAX, FRAMES_MAX + 1, 10 * FRAMES_MAX])
+def test_a_batch_of_absurdly_many_frames_is_kept_as_it_is(count: int) -> None:
+    """To unfold it would take seconds; where it is that large, to decode it, too."""
+    log = Log(Session(Plan("x", 1 << 30, SECOND, "1")))
+    log.receive(sample_of(batch(0, [(0, bytes(8))] * count)))
+    counts = log.session.channels.counts
+    if count <= FRAMES_MAX:
+        assert counts[FRAMES_KEY].written == count
+        return
+    ((topic, _, _, content),) = read(log.close())
+    assert topic == f"{FRAMES_KEY}/@raw"
+    assert content.reason in {
+        f"more than {FRAMES_MAX} frames in a batch",
+        "a batch of frames is larger than 1000000 bytes",
+    }
+
+
+def test_a_text_without_end_is_cut_where_it_becomes_a_line() -> None:
+    """The reason of an incident is one, and so is the second form of an event; its first form holds it all."""
+    event = msgspec.structs.replace(
+        safety_event(EventKind.STOP), text="x" * 1_000_000, operator="y" * 1_000_000, sequence=0
+    )
+    session = Session(Plan("x", 1 << 30, SECOND, "1", alarms=frozenset({EventKind.STOP})))
+    effects = [*session.receive_sample(sample_of(event), 0, WALL_NS), *session.close()]
+    (alarm,) = [one for one in effects if isinstance(one, Alarm)]
+    assert len(alarm.because) == 300
+    assert alarm.because.startswith("stop: xxx")
+    (chunk,) = [one.chunk for one in effects if isinstance(one, WriteChunk)]
+    assert 2_000_000 < len(chunk.records) < 2_002_000

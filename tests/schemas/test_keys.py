@@ -41,6 +41,14 @@ def test_no_text_makes_parsing_raise(key: str) -> None:
     assert parts is None or keys.build(parts.root, parts.robot, parts.subject, parts.bus) == key
 
 
+def test_a_key_that_is_very_long_is_none_of_ours() -> None:
+    """It is not looked through: that takes as long as the square of its length."""
+    rest = "/cruiser-1/chassis/gear"
+    root = "r" * (keys.KEY_MAX_LENGTH - len(rest))
+    assert keys.parse(root + rest) is not None
+    assert keys.parse("r" + root + rest) is None
+
+
 @given(root=ROOTS, robot=ROBOTS)
 def test_a_liveliness_key_names_its_robot(root: str, robot: str) -> None:
     """The robot can be read from the liveliness key under its root, and from no other root's."""

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.chassis.decode import Decoded, check
+from gateway.chassis.decode import Decoded, Value, check
 from gateway.chassis.encode import Encoder, checksum
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
@@ -27,7 +27,7 @@ class Beside:
 
     def tell(self, speed_mps: float, angle_deg: float = 0.0) -> None:
         """What the other run tells the chassis."""
-        values = {
+        values: dict[str, dict[str, Value]] = {
             "Auto_GearCmd": {"TargetGear": "drive"},
             "Auto_SteeringCmd": {"TargetAngle": angle_deg},
             "Auto_DriveCmd": {"TargetVelocity": speed_mps},

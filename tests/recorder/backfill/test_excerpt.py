@@ -3,6 +3,7 @@
 import random
 import tracemalloc
 from collections.abc import Iterator
+from functools import partial
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 from recorder.backfill import excerpt as module
-from recorder.backfill.excerpt import PIECE_NAME, Excerpt, LogCopy
+from recorder.backfill.excerpt import PIECE_NAME, Excerpt, LogCopy, Message
 from recorder.backfill.log_map import Logged, LogMap
 from recorder.chunk import ChunkBuilder
 from recorder.mcap_file import McapFile
@@ -212,6 +213,60 @@ def test_the_time_of_an_answer_is_bounded() -> None:
     assert found
 
 
+def test_an_instant_without_end_takes_no_more_time_than_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is answered in pieces that are put together once, and broken off when the time is over."""
+    monkeypatch.setattr(module, "GATHER_BYTES", 50_000)
+    monkeypatch.setattr(module, "PIECE_BYTES", 10_000)
+    monkeypatch.setattr(module, "LOOK_EVERY", 100)
+    rows = [row(number % 50, 0, topic, number.to_bytes(2), 1) for number in range(1000) for topic in (GEAR, RX)]
+    logs = copies(log_of(rows, 1000), log_of(rows[:700]))
+    sorts = 0
+
+    def earliest(found: list[Message], end: module.Place) -> tuple[list[Message], module.Place, int]:
+        nonlocal sorts
+        sorts += len(found)
+        return was(found, end)
+
+    was = module._earliest
+    monkeypatch.setattr(module, "_earliest", earliest)
+    pieces = list(Excerpt(logs, lambda _: True, REQUEST, bool).pieces())
+    found = rows_of(pieces)
+    assert len(found) == len(rows)
+    assert {(one.topic, one.sequence, one.data) for one in found} == {
+        (one.topic, one.sequence, one.data) for one in rows
+    }
+    assert pieces[-1].next_ns == REQUEST.to_ns
+    # Each time that it is gone through a message is sorted once or twice, and it is a dozen times.
+    assert sorts < 100 * len(rows)
+    ends = set()
+
+    def is_over(left: Iterator[int]) -> bool:
+        return next(left, None) is None
+
+    for looks in range(1, 400, 7):
+        left = iter(range(looks))
+        some = list(Excerpt(logs, lambda _: True, REQUEST, partial(is_over, left)).pieces())
+        assert some[-1].is_last
+        assert {one.data for one in rows_of(some)} <= {one.data for one in rows}
+        ends.add(some[-1].next_ns)
+    assert ends >= {START_NS}
+
+
+def test_the_time_is_looked_at_within_a_chunk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A chunk may hold half a million messages."""
+    monkeypatch.setattr(module, "LOOK_EVERY", 100)
+    looks = 0
+
+    def is_expired() -> bool:
+        nonlocal looks
+        looks += 1
+        return False
+
+    logs = copies(log_of(gear_rows(2000, period_ms=1), chunk_messages=2000))
+    assert len(rows_of(Excerpt(logs, lambda _: True, REQUEST, is_expired).pieces())) == 2000
+    assert looks >= 20
+
+
 def test_no_chunk_is_read_when_the_time_is_over(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is looked at before each."""
     read: list[int] = []
@@ -263,11 +318,11 @@ def test_truncated_and_flipped_logs_never_raise(data: st.DataObject) -> None:
 
 
 def test_memory_does_not_grow_with_the_log_or_the_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither with a long one, nor where all of it is published at nearly the same time."""
+    """Neither with a long one, nor where all of it is published at the same time, or nearly."""
     monkeypatch.setattr(module, "GATHER_BYTES", 1_000_000)
     path = tmp_path / "long.mcap"
-    for period_ns in (MS, 1):
-        _write_long(path, 40_000, period_ns)
+    for period_ns, count in ((MS, 40_000), (1, 40_000), (0, 10_000)):
+        _write_long(path, count, period_ns)
         stream = path.open("rb")
         with stream:
             chart = map_of(stream.read())
@@ -279,8 +334,8 @@ def test_memory_does_not_grow_with_the_log_or_the_answer(tmp_path: Path, monkeyp
             messages += piece.messages
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
-        assert messages == 40_000
-        assert path.stat().st_size > 10_000_000
+        assert messages == count
+        assert path.stat().st_size > 250 * count
         assert peak < 2 * module.GATHER_BYTES + 3_000_000
 
 

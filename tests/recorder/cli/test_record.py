@@ -5,16 +5,23 @@ import json
 import os
 import signal
 import time
+from collections.abc import Iterator
 from functools import partial
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
-from recorder.cli import record
+from gateway.cli import main
+from recorder.cli import record, remote
 from recorder.ports.leftovers import Outcome, recover
+from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas.exit_codes import ExitCode
 from schemas.messages import CanFrames, Gear
+from schemas.recorder_settings import RecorderSettings
+from schemas.settings import Settings
 from tests.bench import recorder_kills
 from tests.recorder.cli.running import CRUISER, counts, heard, link, readable, recording, whole
 from tests.recorder.fakes import (
@@ -62,8 +69,9 @@ def test_a_signal_ends_in_a_whole_file(tmp_path: Path, number: int) -> None:
     found = read_info(Path(result["path"]))
     assert logs_in(tmp_path / "logs") == [Path(result["path"]).name]
     assert Path(result["path"]).name.startswith("cruiser-1-")
-    assert found.whole
-    assert (found.missed, found.frames_lost) == (0, 0)
+    checked = check_log(Path(result["path"]))
+    assert checked.is_sound
+    assert (checked.missed, checked.frames_lost) == (0, 0)
     assert counts(found)[key_of(Gear)] == 200
     assert counts(found)[key_of(CanFrames)] == 400
     assert found.variants == {"cruiser-1": "coarse"}
@@ -101,7 +109,7 @@ def test_a_killed_recorder_leaves_all_but_the_last_moment(tmp_path: Path) -> Non
     assert not found.whole
     assert all("footer" in fault or "cut off" in fault for fault in found.faults)
     assert counts(found)[key_of(Gear)] > old
-    assert found.missed == 0
+    assert check_log(part).missed == 0
 
 
 def test_a_recorder_that_is_there_first_waits_and_goes_on_after_a_cut(tmp_path: Path) -> None:
@@ -194,6 +202,13 @@ def test_flags_set_settings() -> None:
     assert not {key for key, value in vars(parser.parse_args([])).items() if "." in key and value is not None}
 
 
+@pytest.mark.parametrize(("budget", "ring"), [(0, 9000), (40_000, 9000), (20_000, 5000)])
+def test_an_incident_does_not_begin_with_more_than_a_part_of_the_budget(budget: int, ring: int) -> None:
+    """Else a single one might leave no room for the logs, for ever."""
+    settings = Settings(recorder=RecorderSettings(budget_bytes=budget, incident_ring_bytes=9000))
+    assert record.recording_plan(settings, "depot", ["fleet/**"], "1").ring_bytes == ring
+
+
 @pytest.mark.parametrize(
     ("expressions", "name"),
     [
@@ -232,7 +247,7 @@ def test_a_file_that_may_grow_no_more_ends_no_recording(tmp_path: Path) -> None:
     assert "Traceback" not in err
     assert Path(out.strip()).exists()
     for path in tmp_path.iterdir():
-        assert read_info(path).whole == (path.suffix == ".mcap")
+        assert check_log(path).whole == (path.suffix == ".mcap")
         assert recover(path, "test").outcome in {Outcome.WHOLE, Outcome.RECOVERED}
 
 
@@ -284,13 +299,60 @@ def test_a_hangup_begins_a_new_file(tmp_path: Path) -> None:
     assert code == ExitCode.OK
     assert json.loads(out)["files"] == 3
     found = [read_info(path) for path in tmp_path.iterdir()]
-    assert all(one.whole and not one.missed for one in found)
+    assert all(check_log(path).is_sound for path in tmp_path.iterdir())
     assert sum(counts(one).get(key_of(Gear), 0) for one in found) == sent
 
 
 def has_gear(directory: Path) -> bool:
     """Has the newest log any message?"""
     return any(one.path.endswith(".part") and one.messages for one in readable(directory))
+
+
+class ReachedError(Exception):
+    """The recorder has come so far."""
+
+
+@pytest.fixture
+def hangup() -> Iterator[None]:
+    """SIGHUP ends the process, until somebody takes it."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("hangup")
+def test_a_hangup_ends_no_recorder_that_is_only_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is taken before anything is opened, and before the rest of the program is even there."""
+
+    def connect(*_: object) -> None:
+        assert callable(signal.getsignal(signal.SIGHUP))
+        raise ReachedError
+
+    def import_late(name: str) -> ModuleType:
+        assert callable(signal.getsignal(signal.SIGHUP))
+        os.kill(os.getpid(), signal.SIGHUP)
+        return import_module(name)
+
+    monkeypatch.setattr(record, "ZenohSource", connect)
+    monkeypatch.setattr(main, "import_module", import_late)
+    with pytest.raises(ReachedError):
+        main.main(["record"])
+
+
+@pytest.mark.usefixtures("hangup")
+@pytest.mark.parametrize("before", [signal.SIG_DFL, signal.SIG_IGN])
+def test_a_hangup_ends_who_only_asks_a_recorder(monkeypatch: pytest.MonkeyPatch, before: signal.Handlers) -> None:
+    """As it ends any other command, unless nohup began it."""
+    signal.signal(signal.SIGHUP, before)
+    found: list[object] = []
+
+    def ask(*_: object) -> int:
+        found.append(signal.getsignal(signal.SIGHUP))
+        return 0
+
+    monkeypatch.setattr(remote, "run", ask)
+    assert main.main(["record", "status"]) == 0
+    assert found == [before]
 
 
 def test_files_are_ended_by_time_and_by_size(tmp_path: Path) -> None:
@@ -316,7 +378,7 @@ def test_files_are_ended_by_time_and_by_size(tmp_path: Path) -> None:
         wait_until(partial(has_rolled_by, "time", 0))
         code, _, _ = process.end()
     assert code == ExitCode.OK
-    assert all(read_info(path).whole for path in logs.iterdir())
+    assert all(check_log(path).whole for path in logs.iterdir())
 
 
 def test_a_start_recovers_what_a_killed_recorder_left(tmp_path: Path) -> None:
@@ -331,7 +393,7 @@ def test_a_start_recovers_what_a_killed_recorder_left(tmp_path: Path) -> None:
     assert code == ExitCode.OK
     assert f"recovered 12 messages of {left} into {left.with_suffix('')}" in err
     assert read_info(left.with_suffix("")).messages == 12
-    assert all(read_info(path).whole for path in tmp_path.iterdir())
+    assert all(check_log(path).whole for path in tmp_path.iterdir())
 
 
 def test_recorders_killed_at_random_instants_lose_but_the_last_moment(tmp_path: Path) -> None:

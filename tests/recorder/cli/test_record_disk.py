@@ -12,7 +12,11 @@ from pathlib import Path
 
 import pytest
 
+from recorder.cli import record
+from recorder.completeness import KeyReport
+from recorder.loop import Recorded
 from recorder.ports.disk_keeper import read_entries
+from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas.decisions import EventKind, SafetyEvent, Severity
 from schemas.exit_codes import ExitCode
@@ -97,7 +101,7 @@ def test_a_budget_is_kept_and_the_oldest_logs_go(
     assert not set(deleted) & set(left)
     assert f"{deleted[0]} was deleted for want of room" in err
     found = [read_info(path) for path in whole(tmp_path)]
-    assert [(one.path, one.faults) for one in found if not one.whole] == []
+    assert [one.findings for one in map(check_log, whole(tmp_path)) if not one.whole] == []
     assert [(one.path, one.bytes) for one in found if one.bytes >= budget] == []
 
 
@@ -132,7 +136,7 @@ def test_some_of_the_disk_stays_free(
     assert "No space left" not in err
     assert not told.events(RecorderEventKind.FULL)
     assert not told.gaps()
-    assert all(read_info(path).whole for path in whole(small_disk))
+    assert all(check_log(path).whole for path in whole(small_disk))
 
 
 def test_when_nothing_may_go_recording_stops_and_goes_on_when_there_is_room(
@@ -172,7 +176,7 @@ def test_when_nothing_may_go_recording_stops_and_goes_on_when_there_is_room(
     lost = json.loads(out)["keys"]["fleet/cruiser-1/meanwhile"]["lost_full"]
     assert lost == sum(gap.count for gap in told.gaps() if gap.key == "fleet/cruiser-1/meanwhile") > 0
     assert "no room for" in err
-    found = [read_info(path) for path in whole(small_disk)]
+    found = [check_log(path) for path in whole(small_disk)]
     assert len(found) == 2
     assert all(one.whole for one in found)
 
@@ -210,8 +214,39 @@ def test_a_directory_that_is_removed_is_made_again(peer: Peer, endpoint: str, tm
         code, _, err = process.end()
     assert code == ExitCode.OK
     assert "Traceback" not in err
-    assert all(read_info(path).whole for path in logs.iterdir())
+    assert all(check_log(path).whole for path in logs.iterdir())
     assert told.events(RecorderEventKind.DISK)[0].severity is Severity.ERROR
+
+
+def test_of_a_directory_that_is_moved_the_logs_become_whole_where_they_are(
+    peer: Peer, endpoint: str, tmp_path: Path
+) -> None:
+    """It is told, and what comes then is in the old place; both are whole."""
+    logs, elsewhere = tmp_path / "logs", tmp_path / "elsewhere"
+    told = Told(peer)
+    with recording(*words(logs, endpoint)) as process:
+        wait_until(partial(heard, peer, logs, "first"))
+        logs.rename(elsewhere)
+        wait_until(lambda: bool(told.events(RecorderEventKind.DISK)))
+        wait_until(partial(heard, peer, logs, "last"))
+        code, out, err = process.end()
+    assert code == ExitCode.OK
+    assert "somebody has moved or removed" in err
+    assert out == f"{whole(logs)[0]}\n"
+    files = [*logs.iterdir(), *elsewhere.iterdir()]
+    assert {path.suffix for path in files} == {".mcap"}
+    assert all(read_info(path).whole for path in files)
+
+
+@pytest.mark.parametrize(("unfinished", "code"), [(0, ExitCode.OK), (1, ExitCode.PARTIAL)])
+def test_that_a_file_is_not_whole_is_no_success(
+    capsys: pytest.CaptureFixture[str], unfinished: int, code: ExitCode
+) -> None:
+    """Though nothing of it is lost: somebody has to recover it."""
+    keys = {"fleet/cruiser-1/key": KeyReport(received=1, written=1)}
+    recorded = Recorded("a.mcap", 1, 1, 0, 100, 1, 0, keys, unfinished=unfinished)
+    assert record._report(recorded, as_json=False) == code
+    assert ("1 files are not whole" in capsys.readouterr().err) == bool(unfinished)
 
 
 def remount(disk: Path, mode: str) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from recorder.incidents import INCIDENT_NAME
 from recorder.ports.disk_keeper import read_entries
+from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas.decisions import EventKind, SafetyEvent, Severity
 from schemas.exit_codes import ExitCode
@@ -103,7 +104,7 @@ def words(directory: Path, endpoint: str) -> list[str]:
 def check(incident: Path, robot_sent: int, early: int, before: int) -> list[int]:
     """An incident holds some of what came before and after, the alarm and why it was made."""
     found = read_info(incident)
-    assert found.whole
+    assert check_log(incident).whole
     assert found.metadata[INCIDENT_NAME]["because"] == "fault: a wheel is off"
     assert counts(found)[key_of(SafetyEvent)] == 1
     held = sequences(incident, key_of(Gear))
@@ -223,7 +224,7 @@ def test_an_incident_that_a_kill_cuts_off_is_recovered_as_one(
     }
     check(incident, robot.sent, early, before)
     assert [entry.name for entry in read_entries(tmp_path) if entry.is_incident] == [incident.name]
-    assert all(read_info(path).whole for path in tmp_path.iterdir())
+    assert all(check_log(path).whole for path in tmp_path.iterdir())
 
 
 def grows(part: Path, robot: Robot) -> bool:
@@ -244,7 +245,7 @@ def test_an_incident_at_the_end_is_whole(peer: Peer, endpoint: str, tmp_path: Pa
         code, _, _ = process.end(None)
     assert code == ExitCode.OK
     assert not part.exists()
-    assert all(read_info(path).whole for path in tmp_path.iterdir())
+    assert all(check_log(path).whole for path in tmp_path.iterdir())
     assert len(whole(tmp_path)) == 2
 
 

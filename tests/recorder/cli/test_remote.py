@@ -12,6 +12,7 @@ import pytest
 from recorder.cli import record
 from recorder.cli.remote import describe
 from recorder.incidents import INCIDENT_NAME
+from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas.exit_codes import ExitCode
 from schemas.recording import RecorderEventKind, RecorderReply, RecorderState
@@ -97,7 +98,7 @@ def test_a_recorder_can_be_stopped_and_started(depot: Depot) -> None:
     reply = depot.reply("stop")
     assert reply["files"] == [name]
     assert logs_in(depot.directory) == [name]
-    assert read_info(depot.directory / name).whole
+    assert check_log(depot.directory / name).whole
     assert not heard(depot.peer, depot.directory, "unheard")
     code, out, _ = depot.ask("status")
     assert code == ExitCode.OK
@@ -121,7 +122,7 @@ def test_the_logs_can_be_split(depot: Depot) -> None:
     code, out, err = depot.ask("split", "depot")
     assert (code, err) == (ExitCode.OK, "")
     assert out == f"depot: the next samples begin new files\n  {name}\n"
-    assert read_info(depot.directory / name).whole
+    assert check_log(depot.directory / name).whole
     wait_until(partial(heard, depot.peer, depot.directory, "later"))
     assert len(logs_in(depot.directory)) == 2
     depot.ask("split")

@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from recorder.notices import Deleted, Notice, Room
+from recorder.notices import Deleted, Moved, Notice, Room
 from recorder.ports import disk_keeper
 from recorder.ports.disk_keeper import DiskKeeper, read_entries
 from recorder.retention import Limits, LogEntry
@@ -275,6 +275,48 @@ def test_a_directory_that_vanishes_ends_no_looking(tmp_path: Path, monkeypatch: 
         directory.mkdir()
         name = log(directory, 1, 5000)
         wait_until(lambda: looks.has_said(Deleted(name, 5000)))
+
+
+@pytest.mark.parametrize("is_made_again", [False, True])
+def test_that_the_directory_was_moved_is_told_and_what_is_written_in_it_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, is_made_again: bool
+) -> None:
+    """Once: what comes next is begun where it belongs. To make room in the new one nothing is asked for."""
+    directory = tmp_path / "logs"
+    directory.mkdir()
+    part = log(directory, 1, suffix=".mcap.part")
+    with kept(directory, Limits(), monkeypatch, frozenset({part})) as looks:
+        looks.look_twice()
+        assert looks.notices == []
+        directory.rename(tmp_path / "elsewhere")
+        if is_made_again:
+            directory.mkdir()
+        wait_until(lambda: looks.has_said(Room(has_room=True, has_incident_room=True, roll=True)))
+        looks.look_twice()
+    assert looks.notices == [Moved(str(directory)), Room(has_room=True, has_incident_room=True, roll=True)]
+
+
+def test_a_directory_that_was_moved_with_nothing_being_written_is_no_matter(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor one in which all that is being written is there already."""
+    directory = tmp_path / "logs"
+    directory.mkdir()
+    with kept(directory, Limits(), monkeypatch) as looks:
+        looks.look_twice()
+        directory.rename(tmp_path / "elsewhere")
+        directory.mkdir()
+        looks.look_twice()
+        assert looks.notices == []
+    fresh = tmp_path / "fresh"
+    fresh.mkdir()
+    part = log(fresh, 1, suffix=".mcap.part")
+    with kept(directory, Limits(), monkeypatch, frozenset({part})) as looks:
+        looks.look_twice()
+        directory.rename(tmp_path / "again")
+        fresh.rename(directory)
+        looks.look_twice()
+        assert [one for one in looks.notices if isinstance(one, Room)] == []
 
 
 def test_the_end_does_not_wait_for_a_disk_that_does_not_answer(

@@ -17,7 +17,7 @@ from recorder.ports import leftovers
 from recorder.ports.disk_keeper import read_entries
 from recorder.ports.leftovers import LeftoverThread, Outcome, Recovery, recover, recover_leftovers
 from recorder.ports.log_directory import LogDirectory, lock
-from recorder.review.info import read_info
+from recorder.review.check import check_log
 from tests.recorder.fakes import WALL_NS, logs_in, small_log
 
 LOG = small_log()
@@ -50,7 +50,7 @@ def test_a_killed_recorders_log_is_made_whole_in_place(tmp_path: Path) -> None:
     assert (recovery.outcome, recovery.messages, recovery.cut_bytes) == (Outcome.RECOVERED, 12, 3)
     assert logs_in(tmp_path) == ["x.mcap"]
     assert (tmp_path / "x.mcap").stat().st_ino == inode
-    assert read_info(tmp_path / "x.mcap").whole
+    assert check_log(tmp_path / "x.mcap").whole
     assert messages(tmp_path / "x.mcap") == 12
 
 
@@ -117,7 +117,7 @@ def test_a_damaged_log_is_kept_as_it_is_beside_what_is_good_in_it(tmp_path: Path
     assert logs_in(tmp_path) == ["x.mcap", "x.mcap.damaged"]
     assert (tmp_path / "x.mcap.damaged").read_bytes() == data
     assert recovery.kept == str(tmp_path / "x.mcap.damaged")
-    assert read_info(tmp_path / "x.mcap").whole
+    assert check_log(tmp_path / "x.mcap").whole
     assert messages(tmp_path / "x.mcap") == 2
 
 
@@ -126,7 +126,7 @@ def test_what_is_cut_off_and_more_than_torn_is_kept(tmp_path: Path) -> None:
     recovery = recover(part(tmp_path, LOG[:SUMMARY] + b"\xffnobody knows"), "test")
     assert (recovery.outcome, recovery.messages) == (Outcome.DAMAGED, 12)
     assert (tmp_path / "x.mcap.rest").read_bytes() == b"\xffnobody knows"
-    assert read_info(tmp_path / "x.mcap").whole
+    assert check_log(tmp_path / "x.mcap").whole
 
 
 def test_a_log_that_is_no_part_keeps_its_name(tmp_path: Path) -> None:
@@ -134,11 +134,11 @@ def test_a_log_that_is_no_part_keeps_its_name(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     path.write_bytes(LOG[:SUMMARY])
     assert recover(path, "test").result == str(path)
-    assert read_info(path).whole
+    assert check_log(path).whole
     path.write_bytes(flipped(LOG))
     recovery = recover(path, "test")
     assert (recovery.result, recovery.kept) == (str(path), str(tmp_path / "log.mcap.damaged"))
-    assert read_info(path).whole
+    assert check_log(path).whole
 
 
 @pytest.mark.parametrize("data", [b"", b"\x89MC", bytes(3000), b"something else"])
