@@ -105,7 +105,9 @@ def unpack_indexed(content: bytes, index: Mapping[int, array[int]]) -> Messages 
     lengths = list(map(sub, [*starts[1:], len(content)], starts))
     if min(lengths) < MESSAGE_HEADER.size:
         return None
-    fields = struct.unpack("<" + "".join(map(_FORMS.__getitem__, lengths)), content)
+    # As a function of the module it would keep the last hundred of these layouts, each some megabytes.
+    layout = struct.Struct("<" + "".join(map(_FORMS.__getitem__, lengths)))
+    fields = layout.unpack(content)
     expected = [length - RECORD_HEADER.size for length in lengths]
     if fields[::_FIELDS].count(MESSAGE_OPCODE) != len(starts) or list(fields[1::_FIELDS]) != expected:
         return None
