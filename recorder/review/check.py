@@ -5,7 +5,6 @@ In one pass, in memory that does not grow with the log but for 16 bytes a chunk 
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -20,10 +19,9 @@ from recorder.review.checking.frames import FrameInfo
 from recorder.review.checking.proofs import faults_of_schema
 from recorder.review.checking.structure import Structure
 from recorder.review.checking.unpacking import Messages, unpack_at, unpack_indexed
+from recorder.review.logs import open_log
 from recorder.review.pieces import End, Fault, LooseMessage, PackedChunk, Piece, SummaryStart, read_pieces
 from recorder.review.rows import Progress
-from schemas.exit_codes import CommandError
-from schemas.printable import plain
 
 WAITING_BYTES_MAX: Final = 16_000_000
 """When all messages that wait to be judged are so large together, they are judged."""
@@ -68,17 +66,8 @@ def check_log(path: Path, progress: Progress = lambda _: None) -> LogCheck:
     Raises:
         CommandError: there is no such file, or it is no MCAP file.
     """
-    shown = plain(str(path))
-    try:
-        with path.open("rb") as stream:
-            size = os.fstat(stream.fileno()).st_size
-            if size == 0:
-                raise CommandError(f"{shown} is empty")
-            if stream.read(len(MAGIC)) != MAGIC:
-                raise CommandError(f"{shown} is no MCAP file")
-            return check_stream(stream, size, str(path), progress)
-    except OSError as error:
-        raise CommandError(f"cannot read {shown}: {error.strerror or error}") from error
+    with open_log(path) as (stream, size):
+        return check_stream(stream, size, str(path), progress)
 
 
 def check_stream(stream: BinaryIO, size: int, path: str, progress: Progress = lambda _: None) -> LogCheck:

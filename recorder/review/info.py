@@ -6,7 +6,6 @@ record, by the heads of its chunks. Whether all of it is true, and nothing missi
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from enum import Enum
@@ -17,13 +16,11 @@ import msgspec
 
 from recorder.completeness import KeyReport
 from recorder.incidents import INCIDENT_NAME
-from recorder.mcap_summary import MAGIC
 from recorder.review.contents import Contents, read_contents, walk_contents
+from recorder.review.logs import open_log
 from recorder.robots import METADATA_NAME
 from recorder.session import COMPLETENESS_NAME
 from schemas import keys
-from schemas.exit_codes import CommandError
-from schemas.printable import plain
 
 CUT_NAME: Final = "cruiser.cut"
 """The metadata record of a part of a log: which time and topics it is, and of which files."""
@@ -122,17 +119,8 @@ def read_info(path: Path) -> LogInfo:
     Raises:
         CommandError: there is no such file, or it is no MCAP file.
     """
-    shown = plain(str(path))
-    try:
-        with path.open("rb") as stream:
-            size = os.fstat(stream.fileno()).st_size
-            if size == 0:
-                raise CommandError(f"{shown} is empty")
-            if stream.read(len(MAGIC)) != MAGIC:
-                raise CommandError(f"{shown} is no MCAP file")
-            return _read(stream, size, str(path))
-    except OSError as error:
-        raise CommandError(f"cannot read {shown}: {error.strerror or error}") from error
+    with open_log(path) as (stream, size):
+        return _read(stream, size, str(path))
 
 
 def total(infos: Sequence[LogInfo]) -> SetInfo:

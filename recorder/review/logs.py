@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
@@ -79,6 +80,18 @@ def look_at(path: Path) -> LogFile:
     Raises:
         CommandError: it cannot be opened, is empty, or is no MCAP file.
     """
+    with open_log(path) as (stream, size):
+        start_ns, end_ns = _span(stream, size)
+    return LogFile(path, size, start_ns, end_ns)
+
+
+@contextmanager
+def open_log(path: Path) -> Generator[tuple[BinaryIO, int], None, None]:
+    """The file, and its length in bytes.
+
+    Raises:
+        CommandError: it cannot be read, is empty, or is no MCAP file.
+    """
     shown = plain(str(path))
     try:
         with path.open("rb") as stream:
@@ -87,10 +100,9 @@ def look_at(path: Path) -> LogFile:
                 raise CommandError(f"{shown} is empty")
             if stream.read(len(MAGIC)) != MAGIC:
                 raise CommandError(f"{shown} is no MCAP file")
-            start_ns, end_ns = _span(stream, size)
+            yield stream, size
     except OSError as error:
         raise CommandError(f"cannot read {shown}: {error.strerror or error}") from error
-    return LogFile(path, size, start_ns, end_ns)
 
 
 def _span(stream: BinaryIO, size: int) -> tuple[int, int]:
