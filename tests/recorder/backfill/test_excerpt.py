@@ -252,6 +252,19 @@ def test_an_instant_without_end_takes_no_more_time_than_any_other(monkeypatch: p
     assert ends >= {START_NS}
 
 
+def test_an_answer_is_broken_off_within_an_instant_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """When the time is over no more than a piece follows; what has been answered is all before that instant."""
+    monkeypatch.setattr(module, "PIECE_BYTES", 1000)
+    logs = copies(log_of([row(number, 0) for number in range(1000)], 1000))
+    came: list[BackfillPiece] = []
+    answer = Excerpt(logs, lambda _: True, REQUEST, lambda: len(came) >= 3).pieces()
+    while (piece := next(answer, None)) is not None:
+        came.append(piece)
+    assert len(came) <= 5
+    assert (came[-1].is_last, came[-1].next_ns) == (True, START_NS)
+    assert len(rows_of(came)) == sum(piece.messages for piece in came) > 60
+
+
 def test_the_time_is_looked_at_within_a_chunk(monkeypatch: pytest.MonkeyPatch) -> None:
     """A chunk may hold half a million messages."""
     monkeypatch.setattr(module, "LOOK_EVERY", 100)
