@@ -75,6 +75,10 @@ _ENCODER: Final = msgspec.msgpack.Encoder()
 _DECODER: Final = msgspec.msgpack.Decoder(list[tuple[Any, ...]])
 
 
+class BrokenJournalError(ValueError):
+    """An input that cannot be given to a core: the log was damaged, or a newer version wrote it."""
+
+
 class JournalGapError(Exception):
     """Part of a run's journal is missing, so it cannot be run again."""
 
@@ -104,8 +108,15 @@ def read(journals: Iterable[Journal]) -> Iterator[Input]:
 
 
 def inputs_of(journal: Journal) -> list[Input]:
-    """The inputs that a message holds."""
-    return _DECODER.decode(journal.inputs)
+    """The inputs that a message holds.
+
+    Raises:
+        BrokenJournalError: they cannot be read.
+    """
+    try:
+        return _DECODER.decode(journal.inputs)
+    except msgspec.MsgspecError as error:
+        raise BrokenJournalError(f"inputs {journal.first} on cannot be read: {error}") from error
 
 
 def reach(journals: Iterable[Journal]) -> dict[int, int]:

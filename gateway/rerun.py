@@ -13,7 +13,7 @@ from gateway.chassis.frame import Frame
 from gateway.command.request import RawRequest
 from gateway.command.rest import Rest
 from gateway.core import Core, Due
-from gateway.journal import Input, Kind, inputs_of
+from gateway.journal import BrokenJournalError, Input, Kind, inputs_of
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas.decisions import Journal
@@ -106,9 +106,16 @@ def run_again(core: Core, inputs: Iterable[Input]) -> Iterator[tuple[list[Frame]
 
 
 def give(core: Core, one: Input) -> Due | list[Sample]:
-    """Gives the core one input of a journal. Returns what the core does."""
+    """Gives the core one input of a journal. Returns what the core does.
+
+    Raises:
+        BrokenJournalError: it is of no known kind.
+    """
     kind, *arguments = one
-    return _GIVE[kind](core, *arguments)
+    act = _GIVE.get(kind)
+    if act is None:
+        raise BrokenJournalError(f"kind {kind!r} of an input is not known")
+    return act(core, *arguments)
 
 
 def _frame(core: Core, now_ns: int, frame: list[Any]) -> list[Sample]:

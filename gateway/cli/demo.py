@@ -149,7 +149,9 @@ def _drive(
     begin_s = time.monotonic()
     with (
         ThreadPoolExecutor(1, "operators") as pool,
-        Progress(*columns, console=Console(stderr=True), transient=True) as progress,
+        Progress(
+            *columns, console=Console(stderr=True), transient=True, redirect_stdout=False, redirect_stderr=False
+        ) as progress,
     ):
         driven = pool.submit(drive.run, seconds, stopped)
         task = progress.add_task("chassis, gateway, recorder, operators", total=seconds)

@@ -6,7 +6,7 @@ distance.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any, Final
 
@@ -15,8 +15,14 @@ import msgspec
 DIFFERENCES_TOLD: Final = 1000
 """So many are told one by one; the rest are only counted."""
 
-WAITING_MAX: Final = 400_000
+WAITING_MAX: Final = 200_000
 """Records and samples that wait for their counterpart; beyond it the oldest are given up, and counted."""
+
+COPIES_MAX: Final = 100_000
+"""So many messages without a sequence are remembered once they are compared: two recorders write each of them."""
+
+SAME_RUN_NS: Final = 10_000_000_000
+"""The two sides of a message have the same time. Where they do not by far, a sequence has begun anew."""
 
 BATCH_NS: Final = 100_000_000
 """What a gateway says in batches comes out so much later at most: the end of a run may be missing from them."""
@@ -75,16 +81,17 @@ class Comparison:
         self.given_up = 0
         self.begins_ns: int | None = None
         self.ends_ns = 0
-        self._recorded: dict[Key, Said] = {}
-        self._again: dict[Key, Said] = {}
+        self._recorded: OrderedDict[Key, Said] = OrderedDict()
+        self._again: OrderedDict[Key, Said] = OrderedDict()
         self._newest: dict[str, int] = {}
+        self._compared: OrderedDict[Key, None] = OrderedDict()
 
     def record(self, key: Key, said: Said) -> None:
         """A message of the log."""
-        again = self._again.pop(key, None)
+        again = _counterpart(self._again, key, said)
         if again is not None:
-            self._compare(key[0], said, again)
-        elif not self._is_repeated(key):
+            self._compare(key, said, again)
+        elif said.time_ns > self.ends_ns or not self._is_repeated(key):
             self._wait(self._recorded, key, said)
 
     def say_again(self, key: Key, said: Said) -> None:
@@ -94,9 +101,9 @@ class Comparison:
         self.ends_ns = max(self.ends_ns, said.time_ns)
         if isinstance(key[1], int):
             self._newest[key[0]] = key[1]
-        recorded = self._recorded.pop(key, None)
+        recorded = _counterpart(self._recorded, key, said)
         if recorded is not None:
-            self._compare(key[0], recorded, said)
+            self._compare(key, recorded, said)
         else:
             self._wait(self._again, key, said)
 
@@ -116,14 +123,21 @@ class Comparison:
                 self._differ(
                     Difference(key[0], said.time_ns, "only recorded", message=self._decode(key[0], said.data))
                 )
-        self._recorded = {}
+        self._recorded.clear()
         return later
 
     def _is_repeated(self, key: Key) -> bool:
         """Whether it is a second copy of what was compared already: the sequence has passed it."""
-        return isinstance(key[1], int) and key[1] <= self._newest.get(key[0], -1)
+        if isinstance(key[1], int):
+            return key[1] <= self._newest.get(key[0], -1)
+        return key in self._compared
 
-    def _compare(self, subject: str, recorded: Said, again: Said) -> None:
+    def _compare(self, key: Key, recorded: Said, again: Said) -> None:
+        subject = key[0]
+        if not isinstance(key[1], int):
+            self._compared[key] = None
+            if len(self._compared) > COPIES_MAX:
+                self._compared.popitem(last=False)
         if recorded.data == again.data:
             self.same[subject] += 1
             return
@@ -143,9 +157,18 @@ class Comparison:
         if len(self.differences) < DIFFERENCES_TOLD:
             self.differences.append(difference)
 
-    def _wait(self, waiting: dict[Key, Said], key: Key, said: Said) -> None:
+    def _wait(self, waiting: OrderedDict[Key, Said], key: Key, said: Said) -> None:
         waiting[key] = said
         if len(waiting) > WAITING_MAX:
-            del waiting[next(iter(waiting))]
+            waiting.popitem(last=False)
             # Before anything came out again nothing was to be compared.
             self.given_up += self.begins_ns is not None
+
+
+def _counterpart(waiting: OrderedDict[Key, Said], key: Key, said: Said) -> Said | None:
+    """The other side of a message, if it waits. One of another run, with the same sequence, is none."""
+    other = waiting.get(key)
+    if other is None or abs(other.time_ns - said.time_ns) > SAME_RUN_NS:
+        return None
+    del waiting[key]
+    return other

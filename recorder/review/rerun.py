@@ -7,6 +7,7 @@ The arbiter is not of this package. Whoever can run a journal again says so with
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from importlib.metadata import entry_points
 from typing import Any, Final, Protocol
 
@@ -24,6 +25,7 @@ from schemas import codec
 from schemas.configuration import TomlSource, merge
 from schemas.decisions import Journal
 from schemas.exit_codes import CommandError
+from schemas.messages import GatewayInfo
 from schemas.settings import Settings
 from schemas.subjects import BY_NAME
 
@@ -45,6 +47,15 @@ ANSWERED_NS: Final = 30_000_000_000
 NO_CONFIGURATION: Final = "the log does not hold the robot's configuration"
 NO_REST: Final = "the gateway was never at rest in it, so there is no place to begin"
 """Why nothing was run again."""
+
+
+STARTED_NS: Final = 1_000_000_000
+"""A run's first journal is published so soon after its gateway was started."""
+
+DETAIL_MAX: Final = 300
+"""Characters of an error that are told."""
+
+INFO: Final = "gateway/info"
 
 
 class SampleAgain(Protocol):
@@ -139,12 +150,27 @@ def _rerun(player: Player, again: Rerun, settings_of: Callable[[str], Settings])
     if text is None:
         return player.skip(NO_CONFIGURATION)
     start_ns = 0
-    for sample in again(settings_of(text), player.journals()):
-        if sample.subject in _ROUTES:
-            for key, said in records_of(sample):
-                start_ns = start_ns or said.time_ns
-                player.comparison.say_again(key, said)
+    try:
+        for sample in again(settings_of(text), player.journals()):
+            if sample.subject in _ROUTES:
+                for key, said in records_of(sample):
+                    start_ns = start_ns or said.time_ns
+                    player.comparison.say_again(key, said)
+    except UNREADABLE as error:
+        player.break_off(error)
     return player.result(start_ns)
+
+
+def _told(robot: str, logs: Sequence[LogFile], faults: Faults) -> list[tuple[int, str]]:
+    """When each gateway of the robot was started that told its configuration, and the TOML text; by the time."""
+    told: dict[int, str] = {}
+    selection = Selection(lambda topic: topic.robot == robot and topic.subject == INFO)
+    for row in read_rows(logs, selection, faults):
+        with suppress(*UNREADABLE):
+            info = row.topic.decode(row.data) if row.topic.decode is not None else None
+            if isinstance(info, GatewayInfo) and info.configuration:
+                told[info.started_ns] = info.configuration
+    return sorted(told.items())
 
 
 class Player:
@@ -171,6 +197,7 @@ class Player:
             for one in found.attachments
             if one.name == f"{robot}/{CONFIGURATION}"
         ]
+        self._told = _told(robot, logs, faults)
         wanted = {JOURNAL, *COMPARED}
         selection = Selection(lambda topic: topic.robot == robot and topic.subject in wanted)
         rows = read_rows(logs, selection, faults, progress)
@@ -189,11 +216,19 @@ class Player:
     def configuration(self) -> str | None:
         """The TOML text that was in force in the run that has come; None if the log does not hold it."""
         began_ns = self._tape.next_time_ns
+        told = [text for started_ns, text in self._told if started_ns <= began_ns + STARTED_NS]
+        if told:
+            return told[-1]
         before = [text for time_ns, text in self._texts if time_ns < began_ns]
         soon = [text for time_ns, text in self._texts if began_ns <= time_ns < began_ns + ANSWERED_NS]
         later = [text for time_ns, text in self._texts if time_ns >= began_ns + ANSWERED_NS]
         # A recorder writes a configuration when it is new to it, and may have come long after the gateway.
         return next(iter(soon[:1] + before[-1:] + later[:1]), None)
+
+    def break_off(self, error: Exception) -> None:
+        """The journal cannot be used from here on: this part ends."""
+        self._end = self._tape.break_off(f"the inputs that follow cannot be run again: {error!r}"[:DETAIL_MAX])
+        self._faults.add(f"{self._robot}: run {self._end.run}: {self._end.detail}")
 
     def skip(self, detail: str) -> RerunResult:
         """The run is not run again."""

@@ -60,6 +60,8 @@ class Tape:
         self._next: Journal | None = None
         """The first of the run that follows."""
         self._past: set[int] = set()
+        self._first = 0
+        """The place of the first input of the part."""
 
     def next_part(self) -> bool:
         """Goes on to the beginning of the next part; False if there is none."""
@@ -89,7 +91,7 @@ class Tape:
         # A part behind a gap has waited for what is missing; a run's beginning may still come.
         while not self._reached and 0 not in self._held and self._waits():
             pass
-        first = expected = 0 if 0 in self._held else min(self._held)
+        first = expected = self._first = 0 if 0 in self._held else min(self._held)
         before, self._reached, is_over = self._reached, max(self._reached, first), False
         while not is_over:
             while (due := self._held.pop(expected, None)) is not None:
@@ -99,6 +101,11 @@ class Tape:
         gaps = [(before, first), *([(expected, min(self._held))] if self._held else [])]
         missing = [f"inputs {begin} to {end - 1} are missing" for begin, end in gaps if begin < end]
         ended(PartEnd(run, first, expected - first, "; ".join(missing)))
+
+    def break_off(self, detail: str) -> PartEnd:
+        """What was played last cannot be used, and ends the part; another one begins behind it."""
+        run = -1 if self._run is None else self._run
+        return PartEnd(run, self._first, max(self._reached - self._first, 0), detail)
 
     def _waits(self) -> bool:
         """Takes one more journal of the run; False if it has no more, or too many wait already."""

@@ -24,7 +24,8 @@ def time_of(text: str, start_ns: int, end_ns: int) -> int:
     """A time in a log.
 
     Args:
-        text: see FORMS. A time of day is the first such after the beginning.
+        text: see FORMS. A time of day is the first such after the beginning, if the log reaches so far; else
+            that of the day on which the log begins.
         start_ns: when the log begins.
         end_ns: when it ends.
 
@@ -40,7 +41,8 @@ def time_of(text: str, start_ns: int, end_ns: int) -> int:
         since_midnight_ns = (int(hours) * 3600 + int(minutes) * 60 + int(seconds or 0)) * _NS_PER_S
         day_ns = 24 * 3600 * _NS_PER_S
         time_ns = start_ns - start_ns % day_ns + since_midnight_ns + _fraction_ns(part)
-        return time_ns if time_ns >= start_ns else time_ns + day_ns
+        is_tomorrow = time_ns < start_ns and time_ns + day_ns <= end_ns
+        return time_ns + day_ns if is_tomorrow else time_ns
     moment_ns = _date_ns(text)
     if moment_ns is None:
         raise CommandError(f"{text!r} is no time: give {FORMS}", ExitCode.USAGE)

@@ -17,6 +17,7 @@ from recorder.review.logs import LogFile
 from recorder.review.rerun import NO_CONFIGURATION, Player, SampleAgain, installed, settings_from
 from recorder.review.rows import Progress
 from recorder.review.survey import survey
+from recorder.review.topics import UNREADABLE
 from schemas import codec
 from schemas.decisions import Decision, EventKind, Journal, SafetyEvent
 from schemas.messages import RobotState
@@ -152,8 +153,11 @@ def _what_if(player: Player, run_both: WhatIf, settings_of: Callable[[str], Sett
     else:
         settings, other = settings_from(text), settings_of(text)
         changed = _changed(settings, other)
-        for said in run_both(settings, other, player.journals()):
-            pair.take(said)
+        try:
+            for said in run_both(settings, other, player.journals()):
+                pair.take(said)
+        except UNREADABLE as error:
+            player.break_off(error)
         run = player.result(pair.start_ns)
     recorded, tried = pair.sides[False].journey, pair.sides[True].journey
     return WhatIfResult(

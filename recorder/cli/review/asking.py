@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
@@ -14,8 +14,8 @@ import msgspec
 from recorder.review.faults import Faults
 from recorder.review.logs import LogFile, find_logs
 from recorder.review.rows import END_OF_TIME_NS, Progress
-from recorder.review.times import FORMS, time_of
-from schemas.exit_codes import ExitCode
+from recorder.review.times import FORMS, in_words, time_of
+from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 
 JSON_HELP: Final = "print JSON"
@@ -61,7 +61,7 @@ def find(arguments: argparse.Namespace, *, with_covered: bool = False) -> Asked:
     """The logs and the time that are asked about; of directories incidents too that are covered, if so wanted.
 
     Raises:
-        CommandError: there is nothing to read, or a time is of no known form.
+        CommandError: there is nothing to read, a time is of no known form, or the logs hold nothing of the time.
     """
     faults = Faults()
     logs = find_logs(arguments.logs, faults, with_covered=with_covered)
@@ -70,23 +70,55 @@ def find(arguments: argparse.Namespace, *, with_covered: bool = False) -> Asked:
     begin, end = getattr(arguments, "from_time", None), getattr(arguments, "to_time", None)
     from_ns = 0 if begin is None else time_of(begin, start_ns, end_ns)
     to_ns = END_OF_TIME_NS if end is None else time_of(end, start_ns, end_ns)
+    if from_ns >= to_ns:
+        raise CommandError("there is no time between --from and --to", ExitCode.USAGE)
+    if end_ns and (from_ns > end_ns or to_ns <= start_ns):
+        period = f"{in_words(start_ns)} to {in_words(end_ns)}"
+        raise CommandError(f"the logs hold nothing of that time: they go from {period}", ExitCode.USAGE)
     return Asked(logs, faults, start_ns, end_ns, from_ns, to_ns)
 
 
 @contextmanager
-def progress_bar(about: str, total_bytes: int) -> Generator[Progress, None, None]:
-    """A bar on stderr, if that is a terminal. Gives what is to be told of the bytes that were read."""
-    if not sys.stderr.isatty():
-        yield lambda _: None
+def progress_bar(
+    about: str, total_bytes: int, stopped: Callable[[], bool] = lambda: False, *, prints: bool = False
+) -> Generator[Progress, None, None]:
+    """A bar on stderr, if that is a terminal. Gives what is to be told of the bytes that were read.
+
+    Args:
+        about: what is done, in a word.
+        total_bytes: how much there is to read.
+        stopped: turns true at SIGINT; the reading then ends as KeyboardInterrupt does.
+        prints: the answer is printed while it is read. On a terminal it would be printed over the bar.
+
+    Raises:
+        KeyboardInterrupt: it was stopped.
+    """
+
+    def stop() -> None:
+        if stopped():
+            raise KeyboardInterrupt
+
+    def only_stop(_count: int) -> None:
+        stop()
+
+    if not sys.stderr.isatty() or (prints and sys.stdout.isatty()):
+        yield only_stop
         return
     from rich.console import Console  # noqa: PLC0415 - only where there is a terminal
     from rich.progress import BarColumn, DownloadColumn, TextColumn, TimeRemainingColumn  # noqa: PLC0415
     from rich.progress import Progress as Bar  # noqa: PLC0415
 
     columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    # Nothing of stdout may be taken: it may well be a file while stderr is a terminal.
+    with Bar(*columns, console=console, transient=True, redirect_stdout=False, redirect_stderr=False) as bar:
         task = bar.add_task(about, total=total_bytes)
-        yield lambda count: bar.advance(task, count)
+
+        def advance(count: int) -> None:
+            stop()
+            bar.advance(task, count)
+
+        yield advance
 
 
 def end_with(faults: Faults) -> int:

@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
         return int(ExitCode.OK)
     asked = find(arguments)
     selection = Selection(from_ns=asked.from_ns, to_ns=asked.to_ns)
-    with progress_bar("reading", asked.bytes) as progress:
+    with progress_bar("reading", asked.bytes, prints=True) as progress:
         source = query.LogSource(asked.logs, selection, asked.faults, heeding(progress, stopped))
         try:
             _ask(query, source, sql, arguments, stopped)

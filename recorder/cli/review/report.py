@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(arguments: argparse.Namespace, _settings: Settings, _stopped: Callable[[], bool]) -> int:
+def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
     """Read, and write what is asked for."""
     outs = arguments.outs or ([] if arguments.json else [Path(DEFAULT_FILE)])
     for path in outs:
@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, _stopped: Callable[[
             raise CommandError(f"{path} ends neither with {' nor with '.join(_ENDINGS)}", ExitCode.USAGE)
     libraries = {path.suffix: _library(path.suffix) for path in outs}
     asked = find(arguments)
-    with progress_bar("report", asked.bytes) as progress:
+    with progress_bar("report", asked.bytes, stopped) as progress:
         report = read_report(
             asked.logs, asked.from_ns, asked.to_ns, asked.faults, progress, version=version("cruiser-gateway")
         )

@@ -38,13 +38,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--robot", metavar="NAME", help="whose, where the logs are of several")
 
 
-def run(arguments: argparse.Namespace, _settings: Settings, _stopped: Callable[[], bool]) -> int:
+def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
     """Explain."""
     asked = find(arguments)
     at_ns = None if arguments.at is None else time_of(arguments.at, asked.start_ns, asked.end_ns)
     found = survey(asked.logs, asked.faults)
     robot = _robot(arguments.robot, found.robots)
-    with progress_bar("why", asked.bytes) as progress:
+    with progress_bar("why", asked.bytes, stopped) as progress:
         explanation = explain(robot, asked.logs, found, at_ns, asked.faults, progress)
     if arguments.json:
         sys.stdout.write(f"{msgspec.json.encode(record_of(explanation, asked.start_ns)).decode()}\n")

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.review import comparison as comparison_module
-from recorder.review.comparison import BATCH_NS, Comparison, Said
+from recorder.review.comparison import BATCH_NS, SAME_RUN_NS, Comparison, Said
 from recorder.review.topics import typed_decoder
 from recorder.transcode import compile_encoder
 from schemas.decisions import EventKind, SafetyEvent, Severity
@@ -108,3 +108,28 @@ def test_what_was_recorded_before_anything_came_again_is_not_compared() -> None:
     comparison.say_again(("safety/state", 9), event(BATCH_NS + 9))
     assert comparison.end() == {}
     assert (comparison.same[SUBJECT], comparison.difference_count) == (1, 1)
+
+
+def test_a_sequence_that_began_anew_is_another_message() -> None:
+    """The states of a new gateway are there before its journal, and are none that the log lost before."""
+    comparison = compared()
+    for number in range(1, 4):
+        comparison.say_again((SUBJECT, number), event(number))
+    comparison.say_again((SUBJECT, 9), event(9))
+    later = event(60 * SAME_RUN_NS)
+    comparison.record((SUBJECT, 2), later)
+    assert comparison.end() == {(SUBJECT, 2): later}
+    assert comparison.difference_count == 0
+
+
+def test_a_second_copy_of_what_has_no_sequence_is_no_difference() -> None:
+    """As of the frames that were sent."""
+    comparison = compared()
+    for number in range(3):
+        key = (SUBJECT, (number, b"id"))
+        comparison.record(key, event(number))
+        comparison.say_again(key, event(number))
+        comparison.record(key, event(number))
+    comparison.say_again(("safety/state", 9), event(BATCH_NS + 9))
+    assert comparison.end() == {}
+    assert (comparison.same[SUBJECT], comparison.difference_count) == (3, 0)

@@ -10,6 +10,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from gateway import core
+from gateway.journal import Kind
 from gateway.rerun import rerun
 from gateway.telemetry.sample import Sample
 from recorder.review.faults import Faults
@@ -17,14 +18,15 @@ from recorder.review.logs import find_logs
 from recorder.review.rerun import CONFIGURATION, Rerun, RerunResult, installed, rerun_logs, settings_from
 from schemas import codec
 from schemas.codec import encode
+from schemas.configuration import to_toml
 from schemas.decisions import Decision, Journal, Verdict
 from schemas.exit_codes import CommandError
 from schemas.messages import Variant
-from schemas.settings import Settings
+from schemas.settings import CommandSettings, Settings
 from schemas.subjects import BY_NAME
 from tests.gateway.command.loop_rig import Operator
 from tests.gateway.recorded_day import Day, recorded
-from tests.recorder.fakes import small_log
+from tests.recorder.fakes import MS, SECOND, WALL_NS, FakeSample, Log, info, sample_of, small_log
 
 
 @cache
@@ -151,6 +153,59 @@ def test_a_file_alone_is_run_again_from_where_the_gateway_was_at_rest(
     assert result.same["can/{bus}/tx"] > 1000
     [whole], _ = run_again(log)
     assert whole.same["can/{bus}/tx"] > result.same["can/{bus}/tx"]
+
+
+def test_what_two_recorders_wrote_is_compared_once(log: Path) -> None:
+    """A second copy of a frame or of a decision is no other one."""
+    log.with_name("depot-20260102T030405Z.mcap").write_bytes(log.read_bytes())
+    [result], faults = run_again(log.parent)
+    assert not faults
+    assert (result.difference_count, result.detail) == (0, "")
+
+
+def said_journal(run: int, inputs: bytes, time_ns: int) -> FakeSample:
+    """A journal of one message."""
+    message = Journal(time_ns, 0, run=run, first=0, count=1, inputs=inputs)
+    return sample_of(message)  # type: ignore[return-value]
+
+
+SHUT_DOWN = msgspec.msgpack.encode([[Kind.SHUT_DOWN, 1]])
+
+
+def test_each_run_has_the_configuration_that_its_gateway_told(tmp_path: Path) -> None:
+    """A recorder attaches a configuration only when it has changed; the next run's is not this one's."""
+    log = Log()
+    begins = [(1, WALL_NS, 0.5), (2, WALL_NS + 5 * SECOND, 0.5), (3, WALL_NS + 9 * SECOND, 1.0)]
+    for number, (run, time_ns, limit_mps) in enumerate(begins):
+        text = to_toml(Settings(command=CommandSettings(speed_limit_mps=limit_mps)))
+        answer = msgspec.structs.replace(info(sequence=number), started_ns=time_ns - MS, configuration=text)
+        log.receive(said_journal(run, SHUT_DOWN, time_ns), sample_of(answer), wall_ns=time_ns)
+    path = tmp_path / "log.mcap"
+    path.write_bytes(log.close())
+    seen: list[float] = []
+
+    def watch(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
+        seen.append(settings.command.speed_limit_mps)
+        return rerun(settings, journals)
+
+    run_again(path, watch)
+    assert seen == [0.5, 0.5, 1.0]
+
+
+@pytest.mark.parametrize(
+    "inputs", [b"\xc1", b"\x05", msgspec.msgpack.encode([[99, 1]]), msgspec.msgpack.encode([[Kind.TICK, 1]])]
+)
+def test_a_journal_that_makes_no_sense_ends_its_part(tmp_path: Path, inputs: bytes) -> None:
+    """Another version wrote it, or it was damaged: a fault, and the next run is run again all the same."""
+    log = Log()
+    log.receive(sample_of(info()), said_journal(1, inputs, WALL_NS), said_journal(2, SHUT_DOWN, WALL_NS + SECOND))
+    path = tmp_path / "log.mcap"
+    path.write_bytes(log.close())
+    results, faults = run_again(path)
+    assert [result.run for result in results] == [1, 2]
+    assert "cannot be run again" in results[0].detail
+    assert "cannot be run again" not in results[1].detail
+    assert faults.count == 1
 
 
 def early_inputs(first: Path) -> int:

@@ -32,10 +32,9 @@ def test_topics_metadata_and_attachments_are_found(tmp_path: Path, cut: int) -> 
     ]
     assert found.robots == ["cruiser-1"]
     assert found.metadata[METADATA_NAME]["robots"] == "cruiser-1"
-    assert [one.name for one in found.attachments] == [
-        "cruiser-1/configuration.toml",
-        "cruiser-1/cruiser-coarse.dbc",
-    ]
+    names = [one.name for one in found.attachments]
+    assert names[:2] == ["cruiser-1/configuration.toml", "cruiser-1/cruiser-coarse.dbc"]
+    assert all(name.startswith("cruiser-1/layout.") for name in names[2:])
     assert faults.count == bool(cut)
 
 
@@ -47,5 +46,6 @@ def test_of_several_logs_all_is_found(tmp_path: Path) -> None:
     logs = find_logs([tmp_path], faults)
     (tmp_path / "a.mcap").unlink()
     found = survey(logs, faults)
-    assert len(found.attachments) == 2
+    names = [one.name for one in found.attachments]
+    assert names.count("cruiser-1/configuration.toml") == 1
     assert faults.count == 1

@@ -31,7 +31,7 @@ END = START + 2 * 3600 * SECOND
         ("23:00:00", START),
         ("00:30:00Z", START + 5400 * SECOND),
         ("1:00", START + 7200 * SECOND),
-        ("22:59:59", START + DAY - SECOND),
+        ("22:59:59", START - SECOND),
         ("2024-10-04T23:00:01Z", START + SECOND),
         ("2024-10-04T23:00:01.000000002Z", START + SECOND + 2),
         ("2024-10-04 23:00:01", START + SECOND),
@@ -42,7 +42,7 @@ END = START + 2 * 3600 * SECOND
     ],
 )
 def test_every_form_of_a_time_is_understood(text: str, time_ns: int) -> None:
-    """Seconds from either end, a time of day (the first after the beginning), date and time."""
+    """Seconds from either end, a time of day (the first after the beginning that is in the log), date and time."""
     assert time_of(text, START, END) == time_ns
 
 
