@@ -8,8 +8,12 @@ FAULTS_SHOWN: Final = 20
 """Faults that are told one by one; the rest are only counted."""
 
 
+KNOWN_MAX: Final = 10_000
+"""So many are known again: a question may read a log more than once."""
+
+
 class Faults:
-    """Gathers faults.
+    """Gathers faults, each once.
 
     Attributes:
         told: the first ones, in lines for people.
@@ -19,9 +23,14 @@ class Faults:
     def __init__(self) -> None:
         self.told: list[str] = []
         self.count = 0
+        self._known: set[str] = set()
 
     def add(self, detail: str) -> None:
-        """One more."""
+        """One more, unless it is known."""
+        if detail in self._known:
+            return
+        if len(self._known) < KNOWN_MAX:
+            self._known.add(detail)
         self.count += 1
         if len(self.told) < FAULTS_SHOWN:
             self.told.append(detail)

@@ -179,9 +179,10 @@ def _what_if(player: Player, run_both: WhatIf, settings_of: Callable[[str], Sett
 
 
 def _changed(settings: Settings, other: Settings) -> dict[str, tuple[object, object]]:
+    """What the arbiter goes by; which bus or network it was on makes no difference here."""
     return {
         f"{section}.{name}": (getattr(getattr(settings, section), name), getattr(getattr(other, section), name))
-        for section in settings.__struct_fields__
+        for section in ("command", "chassis", "gateway")
         for name in getattr(settings, section).__struct_fields__
         if getattr(getattr(settings, section), name) != getattr(getattr(other, section), name)
     }

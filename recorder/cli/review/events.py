@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Final
 
 import msgspec
 
 from recorder.cli.review.asking import Asked, add_logs, add_period, end_with, find, progress_bar
 from recorder.review.events import Question, read_events
+from recorder.review.faults import Faults
+from recorder.review.survey import survey
 from recorder.review.timeline.entries import Entry, EntryKind
 from recorder.review.times import in_words
+from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import Settings
@@ -49,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
     """Print the timeline as it is read."""
     asked = find(arguments)
+    _check_robots(arguments.robot, asked)
     question = Question(
         asked.from_ns, asked.to_ns, frozenset(arguments.robot), frozenset(map(EntryKind, arguments.kind))
     )
@@ -58,6 +62,19 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
         for line in show(_until(entries, stopped), asked):
             sys.stdout.write(f"{line}\n")
     return end_with(asked.faults)
+
+
+def _check_robots(names: Sequence[str], asked: Asked) -> None:
+    """An empty table would look as if nothing had happened.
+
+    Raises:
+        CommandError: the logs hold nothing of one of these robots.
+    """
+    robots = survey(asked.logs, Faults()).robots if names else []
+    for name in names:
+        if name not in robots:
+            others = f", but of {', '.join(map(plain, robots))}" if robots else ""
+            raise CommandError(f"the log holds nothing of {plain(name)}{others}", ExitCode.USAGE)
 
 
 def _until(entries: Iterable[Entry], stopped: Callable[[], bool]) -> Iterator[Entry]:

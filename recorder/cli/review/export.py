@@ -63,6 +63,8 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     asked = find(arguments)
     with needing_extra("review"), progress_bar("exporting", asked.bytes) as progress:
         written = _EXPORTS[arguments.format](arguments, asked, heeding(progress, stopped))
+    if not written:
+        sys.stderr.write("cruiser review: there was nothing to write\n")
     for one in written:
         text = msgspec.json.encode(one).decode() if arguments.json else plain(describe(one))
         sys.stdout.write(f"{text}\n")

@@ -38,7 +38,9 @@ class CsvFile(msgspec.Struct, frozen=True):
 def file_name(topic: str) -> str:
     """``fleet/cruiser-1/state`` is ``fleet.cruiser-1.state``; what a name may not hold is escaped as in a URL."""
     chunks = [quote(chunk, safe="@ ", errors="replace").replace(".", "%2E") for chunk in topic.split("/")]
-    return ".".join(chunks)[:200] or "%"
+    name = ".".join(chunks)
+    # ROS's topics begin with a slash, and a name that begins with a dot is a hidden file's.
+    return (f"%2F{name[1:]}" if name.startswith(".") else name)[:200] or "%"
 
 
 def export_csv(

@@ -12,6 +12,6 @@ def test_all_are_counted_and_the_first_are_told(details: list[str]) -> None:
     faults = Faults()
     for detail in details:
         faults.add(detail)
-    assert faults.count == len(details)
-    assert faults.told == details[:FAULTS_SHOWN]
+    assert faults.count == len(dict.fromkeys(details))
+    assert faults.told == list(dict.fromkeys(details))[:FAULTS_SHOWN]
     assert bool(faults) == bool(details)

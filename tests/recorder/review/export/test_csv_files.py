@@ -74,7 +74,7 @@ def test_few_files_are_open_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 def test_any_topic_is_one_file_name() -> None:
     """Dots within a chunk are escaped: no two topics have one name."""
-    assert file_name("/a.b/c") == ".a%2Eb.c"
+    assert file_name("/a.b/c") == "%2Fa%2Eb.c"
     assert file_name("a/b.c") != file_name("a.b/c")
     assert file_name("") == "%"
     assert "/" not in file_name("a\\/..\n")
