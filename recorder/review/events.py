@@ -23,7 +23,7 @@ from recorder.review.timeline.spells import Spells
 from recorder.review.timeline.state_changes import Change, changes, entry_of
 from recorder.review.topics import UNREADABLE, Topic
 from schemas import keys
-from schemas.decisions import Decision, SafetyEvent, SafetyState, Severity, Verdict
+from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState, Severity, Verdict
 from schemas.messages import GatewayHealth
 from schemas.reasons import TEXTS, Reason
 from schemas.recording import RecorderEvent, RecordGap
@@ -234,8 +234,7 @@ class Timeline:
         if said:
             self._hold(_plain(robot.name, EntryKind.CLOCK, Severity.WARNING, time_ns, said, Source.LOG))
         if was is not None and is_other_run:
-            text = "the gateway began anew: nothing of before holds any more"
-            self._hold(_plain(robot.name, EntryKind.GATEWAY, Severity.WARNING, time_ns, text))
+            self._take_other_run(robot, was, time_ns)
         elif was is not None:
             if state.tick <= was.tick:
                 return
@@ -245,17 +244,33 @@ class Timeline:
                     self._hold(entry_of(change, robot.name, time_ns, state.lease_holder), change)
         robot.hear_state(state, row.sequence, time_ns)
 
+    def _take_other_run(self, robot: RobotTrack, was: SafetyState, time_ns: int) -> None:
+        """The first state of a gateway that began anew."""
+        active = was.state is not ArbiterState.STANDBY
+        severity = Severity.ERROR if active else Severity.WARNING
+        left = f"{was.state.value}, and told {was.output_speed_mps:.2f} m/s" if active else was.state.value
+        silent_ns = time_ns - robot.state_ns
+        if silent_ns > SILENT_NS:
+            text = f"nothing of the arbiter for {silent_ns / 1e9:.1f} s: the gateway fell silent, {left}"
+            silence = _plain(robot.name, EntryKind.GAP, severity, robot.state_ns, text, Source.LOG)
+            self._hold(msgspec.structs.replace(silence, last_ns=time_ns))
+        text = "the gateway began anew: nothing of before holds any more"
+        text += f"; the one before was {left}" if active else ""
+        self._hold(_plain(robot.name, EntryKind.GATEWAY, severity, time_ns, text))
+
     def _look_for_silence(
         self, robot: RobotTrack, row: Row, state: SafetyState, was: SafetyState, time_ns: int
     ) -> None:
-        silent_ns = time_ns - robot.state_ns
+        # What the clock was thought to be when the last one came may have been wrong.
+        was_ns = robot.state_ns + robot.clock.corrected_ns
+        silent_ns = time_ns - was_ns
         if silent_ns <= SILENT_NS:
             return
         missed = (row.sequence - robot.state_sequence - 1) % 2**32
         ticks = state.tick - was.tick
         why = f"{missed} samples are missing" if missed else f"the gateway made {ticks} ticks meanwhile"
         text = f"nothing of the arbiter for {silent_ns / 1e9:.1f} s: {why}"
-        entry = _plain(robot.name, EntryKind.GAP, Severity.WARNING, robot.state_ns, text, Source.LOG)
+        entry = _plain(robot.name, EntryKind.GAP, Severity.WARNING, was_ns, text, Source.LOG)
         self._hold(msgspec.structs.replace(entry, last_ns=time_ns, count=max(1, missed)))
 
     def _take_health(self, robot: RobotTrack, row: Row, health: GatewayHealth) -> None:

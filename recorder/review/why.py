@@ -15,20 +15,24 @@ import msgspec
 
 from recorder.review.faults import Faults
 from recorder.review.logs import LogFile
+from recorder.review.reasoning import silence as silences
 from recorder.review.reasoning import story as stories
 from recorder.review.reasoning.chain import Link, Step, before, missing, span
 from recorder.review.reasoning.evidence import EVIDENCE, Clue
 from recorder.review.reasoning.moment import arbiter, headline, motion
 from recorder.review.reasoning.request_evidence import describe_command, refused_lately
 from recorder.review.reasoning.scene import Scene, Stage
+from recorder.review.reasoning.silence import Silence, is_other_run, last_silence
 from recorder.review.reasoning.stopping import actions
 from recorder.review.reasoning.story import Story
 from recorder.review.rows import Progress
 from recorder.review.survey import Survey
+from recorder.review.timeline.clock import RUN_TICKS
 from recorder.review.timeline.entries import Entry, EntryKind
 from schemas.decisions import COMMANDING, ArbiterState, SafetyState
 from schemas.messages import TimeNs
 from schemas.reasons import OF_A_ROBOT, Reason
+from schemas.settings import SAFETY_STATE_PERIOD_NS
 
 SOON_NS: Final = 1_000_000_000
 """A stop that begins so soon after the moment is what is asked about."""
@@ -58,6 +62,7 @@ class Explanation(msgspec.Struct, frozen=True):
         state: the arbiter's at that moment; None if the log does not tell.
         reason: that of the stop that is told of; ``none`` if none is.
         stop_ns: when that stop began; None if none is told of.
+        silent_ns: when the gateway fell silent, if another one began after it; None if it did not, or long before.
         headline: the answer in one sentence.
         chain: the links that lead to it.
     """
@@ -67,13 +72,14 @@ class Explanation(msgspec.Struct, frozen=True):
     state: ArbiterState | None
     reason: Reason
     stop_ns: TimeNs | None
+    silent_ns: TimeNs | None
     headline: str
     chain: list[Link]
 
     @property
     def is_answered(self) -> bool:
         """The log tells what the arbiter did."""
-        return self.state is not None or self.stop_ns is not None
+        return self.state is not None or self.stop_ns is not None or self.silent_ns is not None
 
 
 def explain(
@@ -105,12 +111,12 @@ def explain(
         at_ns = last.time_ns if last is not None else max((log.end_ns for log in logs), default=0)
     now = _scene(stage, story, at_ns)
     state = _state(now)
-    focus = _focus(story, state, at_ns)
+    focus = _focus(story, state, now)
     if _is_untold(focus, state) or story.off_ns(now) is None:
         story = stories.derived(robot, logs, faults, progress)
         now = _scene(stage, story, at_ns)
         state = _state(now)
-        focus = _focus(story, state, at_ns)
+        focus = _focus(story, state, now)
     return _Answer(stage, story, now, state, focus).explanation()
 
 
@@ -118,7 +124,7 @@ def _scene(stage: Stage, story: Story, at_ns: int) -> Scene:
     """What was around a moment, with the story's times."""
     shift_ns = stage.shift(at_ns) or 0
     scene = stage.scene(at_ns, shift_ns)
-    off_ns = story.off_ns(scene) if shift_ns else 0
+    off_ns = story.off_ns(scene)
     return stage.scene(at_ns, shift_ns + off_ns) if off_ns else scene
 
 
@@ -127,12 +133,24 @@ def _state(now: Scene) -> SafetyState | None:
     return heard.said if heard is not None and now.at_ns - heard.time_ns <= STALE_NS else None
 
 
-def _focus(story: Story, state: SafetyState | None, at_ns: int) -> Entry | None:
-    """The stop that is asked about."""
-    if state is not None and state.state in COMMANDING:
-        soon = story.next_stop(at_ns)
-        return soon if soon is not None and soon.time_ns <= at_ns + SOON_NS else None
-    return story.last_stop(at_ns)
+def _focus(story: Story, state: SafetyState | None, now: Scene) -> Entry | None:
+    """The stop that is asked about.
+
+    None but one that was not followed by an engagement or by another run of the gateway: those ended it.
+    """
+    is_commanding = state is not None and state.state in COMMANDING
+    soon = story.next_stop(now.at_ns)
+    if soon is not None and soon.time_ns <= now.at_ns + (SOON_NS if is_commanding else SAFETY_STATE_PERIOD_NS):
+        return soon
+    if is_commanding:
+        return None
+    stop = story.stop_before(now.at_ns)
+    if stop is None or stop.tick is None:
+        return stop
+    if state is not None:
+        return stop if abs(state.tick - stop.tick) < RUN_TICKS else None
+    silence = last_silence(now)
+    return stop if silence is None or silence.was_stopping else None
 
 
 def _is_untold(focus: Entry | None, state: SafetyState | None) -> bool:
@@ -156,7 +174,10 @@ class _Answer:
 
     def explanation(self) -> Explanation:
         now, state, focus = self._now, self._state, self._focus
+        silence = self._silence()
         links = [*motion(now), *arbiter(now, state), *self._command()]
+        if silence is not None:
+            links += silences.links(silence)
         if focus is not None:
             links += self._stop(focus)
         links += self._blocked({Reason.NONE if focus is None else focus.reason})
@@ -167,9 +188,24 @@ class _Answer:
             state=None if state is None else state.state,
             reason=Reason.NONE if focus is None else focus.reason,
             stop_ns=None if focus is None else focus.time_ns,
-            headline=headline(now, state, focus),
+            silent_ns=None if silence is None else silence.was.time_ns,
+            headline=self._headline(silence),
             chain=_once(links),
         )
+
+    def _silence(self) -> Silence | None:
+        """That of the gateway, if nothing has happened since that tells more."""
+        if self._state is not None and (self._focus is not None or self._state.state is not ArbiterState.STANDBY):
+            return None
+        return last_silence(self._now)
+
+    def _headline(self, silence: Silence | None) -> str:
+        now, state = self._now, self._state
+        if silence is None:
+            latched = [] if state is None else state.latched
+            return headline(now, state, self._focus, self._story.newest_latch(latched, now.at_ns))
+        told = silences.in_a_sentence(silence, now.at_ns)
+        return told if state is None else f"{headline(now, state, None)} {told}"
 
     def _command(self) -> list[Link]:
         if self._state is None:
@@ -256,6 +292,8 @@ def _lacks(scene: Scene) -> Iterator[Link]:
     """What of this time is not in the log, as the recorder and the arbiter's states tell."""
     states = [one for one in scene.all(SafetyState) if one.time_ns > scene.at_ns - LOOKED_AT_NS]
     for was, now in pairwise(states):
+        if is_other_run(was.said, now.said):
+            continue
         if was.time_ns < scene.at_ns and now.time_ns - was.time_ns > STALE_NS:
             hole = f"{span(now.time_ns - was.time_ns)}, from {scene.ago(was.time_ns)} on"
             text = f"no state of the arbiter is in the log for {hole}: what it was asked and did then may be lost"

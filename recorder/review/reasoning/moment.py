@@ -143,8 +143,15 @@ def _mps(said: Decision) -> str:
     return f"{abs(said.requested_speed_mps or 0.0):.2f} m/s"
 
 
-def headline(now: Scene, state: SafetyState | None, focus: Entry | None) -> str:
-    """The answer in one sentence."""
+def headline(now: Scene, state: SafetyState | None, focus: Entry | None, latch: Entry | None = None) -> str:
+    """The answer in one sentence.
+
+    Args:
+        now: the moment.
+        state: the arbiter's; None if the log does not tell.
+        focus: the stop that is told of.
+        latch: the newest one of what is latched.
+    """
     why = "" if focus is None else _why(focus)
     if state is None:
         if focus is None:
@@ -154,17 +161,26 @@ def headline(now: Scene, state: SafetyState | None, focus: Entry | None) -> str:
     match state.state:
         case ArbiterState.STOPPING:
             return f"It was being stopped: {why or TEXTS[state.stop_reason].means}."
-        case ArbiterState.STANDBY if focus is not None and focus.kind is not EntryKind.STOP:
-            return f"The gateway let go of it {before(focus.time_ns, now.at_ns)}: {why}."
-        case ArbiterState.STANDBY if focus is not None:
-            return f"It was not engaged. The last stop was {before(focus.time_ns, now.at_ns)}: {why}."
         case ArbiterState.STANDBY:
-            return f"It was not engaged: {_blocked(state)}."
+            return _standby(now, state, focus, latch)
         case ArbiterState.ENGAGING:
             return "It was being engaged: the chassis did not read auto yet."
         case _:
             after = "" if focus is None else f"; {span(focus.time_ns - now.at_ns)} later a stop began: {why}"
             return f"{_engaged(now, state)}{after}."
+
+
+def _standby(now: Scene, state: SafetyState, focus: Entry | None, latch: Entry | None) -> str:
+    """Nobody commanded it."""
+    if focus is None:
+        return f"It was not engaged: {_blocked(state)}."
+    when, why = before(focus.time_ns, now.at_ns), _why(focus)
+    if latch is not None and latch.time_ns > focus.time_ns:
+        latched = f"{before(latch.time_ns, now.at_ns)}: {_why(latch)}"
+        return f"It was not engaged, and was latched {latched}. The last stop was {when}: {why}."
+    if focus.kind is not EntryKind.STOP:
+        return f"The gateway let go of it {when}: {why}."
+    return f"It was not engaged. The last stop was {when}: {why}."
 
 
 def _why(focus: Entry) -> str:

@@ -14,7 +14,7 @@ from recorder.review.logs import LogFile
 from recorder.review.reasoning.chain import before
 from recorder.review.reasoning.signals import Frame
 from recorder.review.rows import Row, Selection, read_rows
-from recorder.review.timeline.clock import NEAR_NS
+from recorder.review.timeline.clock import FAR_NS, NEAR_NS
 from recorder.review.topics import UNREADABLE
 from schemas import keys
 from schemas.configuration import TomlSource, merge
@@ -263,6 +263,9 @@ class Stage:
         if not off_ns:
             return None
         middle_ns = round(median(off_ns))
+        if NEAR_NS < middle_ns <= FAR_NS:
+            # They may have waited for the recorder: what came the soonest is nearest to the truth.
+            middle_ns = min(off_ns)
         return middle_ns if abs(middle_ns) > NEAR_NS else 0
 
     def scene(self, at_ns: int, shift_ns: int, *, before_ns: int = BEFORE_NS, after_ns: int = AFTER_NS) -> Scene:

@@ -30,6 +30,17 @@ class Story:
         """The last one up to a time with which the robot was commanded no longer."""
         return next(filter(_stops, self._before(until_ns, STOPS)), None)
 
+    def stop_before(self, until_ns: int) -> Entry | None:
+        """The last stop up to a time, if the robot has not been engaged since."""
+        stops = (one for one in self._before(until_ns, {*STOPS, EntryKind.ENGAGED}))
+        last = next((one for one in stops if one.kind is EntryKind.ENGAGED or _stops(one)), None)
+        return None if last is None or last.kind is EntryKind.ENGAGED else last
+
+    def newest_latch(self, reasons: Iterable[Reason], until_ns: int) -> Entry | None:
+        """Of what is latched, that which was latched last."""
+        latches = [entry for reason in reasons if (entry := self.last_latch(reason, until_ns)) is not None]
+        return max(latches, key=lambda entry: entry.time_ns, default=None)
+
     def next_stop(self, from_ns: int) -> Entry | None:
         """The first one from a time on."""
         return next((one for one in self._entries if one.time_ns >= from_ns and _stops(one)), None)

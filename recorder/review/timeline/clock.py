@@ -18,7 +18,10 @@ FAR_NS: Final = 60_000_000_000
 """No sample is under way for so long: clocks that differ by more do so from the first sample on..."""
 
 _SURE_AFTER: Final = 5
-"""...and by less if so many say so: the first ones may have waited for the link."""
+"""...and one that is behind by less, if so many say so..."""
+
+SETTLE_NS: Final = 3_000_000_000
+"""...and were received over so long: what waited for the link or for the recorder comes in one burst."""
 
 _TICKS_NEAR: Final = 500
 """Over so many ticks, 5 s, the tick tells time: later ones may have been late."""
@@ -30,16 +33,30 @@ RUN_TICKS: Final = 10**9
 class RobotClock:
     """The clock of one robot.
 
+    Nothing is received before it is said, and much may be received late. So the smallest difference of receipt and
+    robot's time is the nearest to that of the clocks, and a later one that is smaller proves the offset wrong.
+
     Attributes:
         offset_ns: what is to be added to its times; 0 while it agrees with the recorder's.
+        corrected_ns: by how much the state that was heard last proved the offset wrong: the times of those before
+            it are wrong by so much, too. 0 where the clock was set, and they are right.
     """
 
     def __init__(self) -> None:
         self.offset_ns = 0
+        self.corrected_ns = 0
         self._tick: int | None = None
         self._publish_ns = self._log_ns = 0
-        self._first: list[int] | None = []
-        """How far the first states of a run are off; None once that is settled."""
+        self._told_ns = 0
+        """The offset that was told of last."""
+        self._begin(0)
+
+    def _begin(self, log_ns: int) -> None:
+        """What the clock was before tells nothing of the states that come now."""
+        self._least_ns: int | None = None
+        self._since_ns = log_ns
+        self._states = 0
+        self._is_settled = False
 
     def is_other_run(self, tick: int) -> bool:
         """The tick is not of the run that was heard last."""
@@ -51,50 +68,73 @@ class RobotClock:
         Returns:
             what it tells of the clock, in words; empty if nothing.
         """
-        if self.is_other_run(tick):
-            self._tick, self._first = None, []
-        if self._tick is not None and tick <= self._tick:
+        self.corrected_ns = 0
+        if self._tick is not None and tick <= self._tick and not self.is_other_run(tick):
             return ""
         said = ""
-        if self._first is not None:
-            said = self._settle(log_ns - publish_ns)
-        elif self._tick is not None:
-            offset_ns = _unless_near(self.place(publish_ns, log_ns, tick) - publish_ns)
-            set_ns, self.offset_ns = self.offset_ns - offset_ns, offset_ns
-            said = f"the robot's clock was set by {set_ns / 1e9:+.1f} s" if set_ns else ""
+        before_ns = self.offset_ns
+        is_near = self._is_near(tick)
+        set_ns = self._set_by(publish_ns, log_ns, tick)
+        if not is_near and not self._explains(log_ns - publish_ns):
+            self._begin(log_ns)
+        elif set_ns:
+            said = f"the robot's clock was set by {set_ns / 1e9:+.1f} s"
+            self._least_ns = self.offset_ns - set_ns
+            self._is_settled = True
+        self._weigh(log_ns - publish_ns, log_ns)
+        if said:
+            self._told_ns = self.offset_ns
+        elif is_near:
+            self.corrected_ns = self.offset_ns - before_ns
         self._tick, self._publish_ns, self._log_ns = tick, publish_ns, log_ns
-        return said
+        return said or self._news()
 
-    def _settle(self, off_ns: int) -> str:
-        """How far is it from the recorder's? Told once that is sure."""
-        first = self._first if self._first is not None else []
-        first.append(off_ns)
-        nearest_ns = min(first, key=abs)
-        is_near, is_far = abs(nearest_ns) <= NEAR_NS, abs(nearest_ns) > FAR_NS
-        if not is_near and not is_far and len(first) < _SURE_AFTER:
+    def _explains(self, off_ns: int) -> bool:
+        """The clock is as it was before the pause, as far as can be told."""
+        return self._is_settled and self._least_ns is not None and 0 <= off_ns - self._least_ns <= NEAR_NS
+
+    def _weigh(self, off_ns: int, log_ns: int) -> None:
+        """A state was received so long after the robot's time. The smallest such time counts, once it is sure."""
+        self._states += 1
+        self._least_ns = off_ns if self._least_ns is None else min(self._least_ns, off_ns)
+        is_behind = NEAR_NS < self._least_ns <= FAR_NS
+        is_sure = self._states >= _SURE_AFTER and log_ns - self._since_ns >= SETTLE_NS
+        if is_behind and not is_sure and not self._is_settled:
+            return
+        self._is_settled = True
+        self.offset_ns = 0 if 0 <= self._least_ns <= NEAR_NS else self._least_ns
+
+    def _news(self) -> str:
+        """How far it is from the recorder's, if that is not what was told before."""
+        if abs(self.offset_ns - self._told_ns) <= NEAR_NS:
             return ""
-        self._first = None
-        before_ns, self.offset_ns = self.offset_ns, _unless_near(nearest_ns)
-        if not self.offset_ns or abs(before_ns - self.offset_ns) <= NEAR_NS:
-            return ""
+        self._told_ns = self.offset_ns
+        if abs(self.offset_ns) <= NEAR_NS:
+            return (
+                "the robot's clock agrees with the recorder's; where an entry said otherwise, it no longer holds"
+            )
         way = "behind" if self.offset_ns > 0 else "ahead of"
         seconds = abs(self.offset_ns) / 1e9
         return f"the robot's clock is {seconds:.1f} s {way} the recorder's; the times here are the recorder's"
 
     def place(self, publish_ns: int, log_ns: int, tick: int | None = None) -> int:
-        """When something was that the robot says was at ``publish_ns``, and that was received at ``log_ns``."""
-        by_clock_ns = publish_ns + self.offset_ns
-        if tick is None or self._tick is None or abs(tick - self._tick) > _TICKS_NEAR:
-            return by_clock_ns if by_clock_ns <= log_ns + NEAR_NS else log_ns
-        expected_ns = self._publish_ns + (tick - self._tick) * TICK_NS
-        if abs(publish_ns - expected_ns) <= NEAR_NS:
-            return by_clock_ns
+        """When something was that the robot says was at ``publish_ns``, and that was received at ``log_ns``.
+
+        Never later than it was received.
+        """
+        set_ns = 0 if tick is None else self._set_by(publish_ns, log_ns, tick)
+        return min(publish_ns + self.offset_ns - set_ns, log_ns)
+
+    def _is_near(self, tick: int) -> bool:
+        """The tick is so near to that of the last state that it tells time."""
+        return self._tick is not None and abs(tick - self._tick) <= _TICKS_NEAR
+
+    def _set_by(self, publish_ns: int, log_ns: int, tick: int) -> int:
+        """By how much the clock was set since the last state, as far as the ticks tell."""
+        if self._tick is None or not self._is_near(tick):
+            return 0
+        set_ns = publish_ns - self._publish_ns - (tick - self._tick) * TICK_NS
         # Either the clock was set, or the gateway made a pause, and then the receipt is as late as the clock says.
-        by_tick_ns = expected_ns + self.offset_ns
         received_ns = log_ns - self._log_ns
         paused = abs((publish_ns - self._publish_ns) - received_ns) <= NEAR_NS
-        return by_clock_ns if paused else by_tick_ns
-
-
-def _unless_near(offset_ns: int) -> int:
-    return offset_ns if abs(offset_ns) > NEAR_NS else 0
+        return 0 if paused or abs(set_ns) <= NEAR_NS else set_ns

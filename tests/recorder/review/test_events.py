@@ -254,6 +254,35 @@ def test_a_gateway_that_begins_anew_is_told(path: Path) -> None:
     ]
 
 
+def test_what_waited_for_the_recorder_is_no_clock_that_is_wrong(path: Path) -> None:
+    """States of 1.5 s that come in one burst, and then all in time: nothing is told of it, and times are right."""
+    said: list[tuple[int, Message]] = [(max(150, n * 5), state(n * 5, n)) for n in range(200)]
+    said.insert(40, (200, event(200, 0)))
+    entries = told(path, log_of(said))
+    assert [(one.kind, one.time_ns) for one in entries] == [(EntryKind.RESET, at(200))]
+
+
+def test_a_clock_that_is_found_to_be_wrong_later_is_no_silence(path: Path) -> None:
+    """It takes some seconds until one that is 5 s behind is believed to be so."""
+    entries = told(path, log_of([(n * 5, state(n * 5, n, -5 * SECOND)) for n in range(200)]))
+    assert [one.kind for one in entries] == [EntryKind.CLOCK]
+
+
+def test_a_gateway_that_dies_is_a_silence(path: Path) -> None:
+    """What it did then is told, as an error if it commanded the robot; and that another began."""
+    driven: dict[str, Any] = {"state": ArbiterState.ENGAGED, "engaged": True, "output_speed_mps": 1.2}
+    said: list[tuple[int, Message]] = [(n * 5, state(n * 5, n, **driven)) for n in range(5)]
+    said += [(350, msgspec.structs.replace(state(350, 0), tick=5))]
+    entries = told(path, log_of(said))
+    assert [(one.kind, one.severity, one.time_ns, one.last_ns) for one in entries] == [
+        (EntryKind.GAP, Severity.ERROR, at(20), at(350)),
+        (EntryKind.GATEWAY, Severity.ERROR, at(350), at(350)),
+    ]
+    assert entries[0].text == (
+        "nothing of the arbiter for 3.3 s: the gateway fell silent, engaged, and told 1.20 m/s"
+    )
+
+
 def test_samples_that_are_missing_are_told(path: Path) -> None:
     """Events by their sequence, states by their silence."""
     said: list[tuple[int, Message]] = [(n * 5, state(n * 5, n)) for n in range(100) if not 20 <= n < 60]
@@ -318,7 +347,7 @@ def test_a_message_that_cannot_be_read_is_a_fault(path: Path) -> None:
     for row in read_rows(find_logs([path], unread), Selection(), unread):
         is_event = row.topic.kind is SafetyEvent
         timeline.take(msgspec.structs.replace(row, data=b"\xff" * 5) if is_event else row)
-    assert unread.count == len(acted(scenarios.deadman).events)
+    assert unread.count == 1  # The same of each is one fault.
     assert "safety/event: a message that cannot be read" in unread.told[0]
     assert EntryKind.STOP in {entry.kind for entry in timeline.end()}
 

@@ -6,7 +6,7 @@ import pytest
 
 from recorder.review.events import Question, read_events
 from recorder.review.faults import Faults
-from recorder.review.logs import find_logs
+from recorder.review.logs import LogFile, find_logs
 from recorder.review.reasoning.chain import Step
 from recorder.review.survey import survey
 from recorder.review.timeline.entries import STOPS, EntryKind
@@ -153,9 +153,109 @@ def test_another_latch_than_that_of_the_stop_has_evidence_of_its_own(path: Path)
     rig.run(14)
     explanation = ask(path, rig.log(), rig.at_ns)
     assert explanation.reason is Reason.DEADMAN
+    assert explanation.headline.startswith("It was not engaged, and was latched 14.0")
+    assert "s before that moment: a remote stop was received" in explanation.headline
     assert "it was kept from moving, too: a remote stop was received" in texts(explanation, Step.CAUSE)
     assert "the request was stop, of desk" in texts(explanation, Step.EVIDENCE)
     assert "to cure remote_stop: reset, then engage again" in texts(explanation, Step.CURE)
+
+
+def _another(dead_ns: int) -> RecordedRig:
+    """A gateway that begins 3 s after another one died."""
+    rig = RecordedRig(run=2)
+    later_ns = dead_ns + 3 * SECOND - rig.at_ns
+    rig.wall_ns += later_ns
+    rig.recorder_ns += later_ns
+    rig.run(4)
+    return rig
+
+
+def _dead_gateway(tmp_path: Path) -> tuple[list[LogFile], int]:
+    """A stop, an engagement, and a gateway that dies while the robot drives; another begins 3 s later.
+
+    Returns:
+        the logs, and when the one was last heard.
+    """
+    rig, _ = RecordedRig.driving(run=1)
+    rig.rest_after(1.0)
+    rig.run(2)
+    operator = Operator(rig, "operator-2")
+    operator.engage()
+    operator.drive(0.6, 0.0, 1.5)
+    dead_ns = rig.at_ns
+    (tmp_path / "one.mcap").write_bytes(rig.log())
+    (tmp_path / "two.mcap").write_bytes(_another(dead_ns).log())
+    return find_logs([tmp_path], Faults()), dead_ns
+
+
+def test_a_gateway_that_died_is_told_and_no_stop_of_before(tmp_path: Path) -> None:
+    """Between the two gateways, and after the next has begun: the old stop was cured, and is no answer."""
+    logs, dead_ns = _dead_gateway(tmp_path)
+    faults = Faults()
+    found = survey(logs, faults)
+    between = explain(ROBOT, logs, found, dead_ns + SECOND, faults)
+    assert between.is_answered
+    assert (between.state, between.reason, between.stop_ns) == (None, Reason.NONE, None)
+    assert abs((between.silent_ns or 0) - dead_ns) <= 60 * MS
+    assert "The gateway fell silent 1.0" in between.headline
+    assert "before that moment, engaged, at 0.60 m/s; another began 2.0" in between.headline
+    assert "deadman" not in texts(between, Step.CAUSE)
+    after = explain(ROBOT, logs, found, dead_ns + 3500 * MS, faults)
+    assert (after.state, after.reason, after.stop_ns) == (ArbiterState.STANDBY, Reason.NONE, None)
+    assert after.headline.startswith("It was not engaged: nobody holds the lease")
+    assert "The gateway fell silent 3.5" in after.headline
+    assert after.silent_ns == between.silent_ns
+
+
+def test_a_stop_that_was_followed_by_an_engagement_is_no_answer(tmp_path: Path) -> None:
+    """Where the log ends while the robot is driven, it says that it does not tell what was after it."""
+    logs, dead_ns = _dead_gateway(tmp_path)
+    faults = Faults()
+    explanation = explain(ROBOT, logs[:1], survey(logs, faults), dead_ns + 5 * SECOND, faults)
+    assert explanation.stop_ns is None
+    assert not explanation.is_answered
+    assert "the last came 5.0" in texts(explanation, Step.MISSING)
+
+
+def test_a_stop_of_another_run_is_no_answer(tmp_path: Path) -> None:
+    """The robot was not engaged since, but the gateway that stopped it is gone, with all that it held."""
+    rig, _ = RecordedRig.driving(run=1)
+    rig.rest_after(1.0)
+    (tmp_path / "one.mcap").write_bytes(rig.log())
+    (tmp_path / "two.mcap").write_bytes(_another(rig.at_ns).log())
+    faults = Faults()
+    logs = find_logs([tmp_path], faults)
+    found = survey(logs, faults)
+    assert explain(ROBOT, logs, found, rig.at_ns, faults).reason is Reason.DEADMAN
+    for later_ns in (SECOND, 3500 * MS):
+        explanation = explain(ROBOT, logs, found, rig.at_ns + later_ns, faults)
+        assert (explanation.reason, explanation.stop_ns) == (Reason.NONE, None)
+        assert "standby, standing; another began" in explanation.headline
+
+
+def test_a_moment_that_a_table_shows_is_that_of_the_stop(path: Path) -> None:
+    """It is rounded, and may be a bit before it."""
+    data = recorded(scenarios.found_moving)
+    explanation = ask(path, data)
+    assert ask(path, data, explanation.at_ns - MS).stop_ns == explanation.stop_ns
+
+
+def test_what_waited_for_the_recorder_is_where_it_was_said(path: Path) -> None:
+    """States and feedback of seconds that came in one burst: no clock is wrong for that."""
+    rig, operator = RecordedRig.driving()
+    operator.drive(0.6, 0.0, 3.0)
+    at_ns = rig.at_ns
+    operator.drive(0.3, 0.0, 1.0)
+    rig.rest_after(1.0)
+    in_time = ask(path, rig.log(), at_ns)
+    kept = rig.keeping.kept
+    rig.keeping.kept = [(max(one_ns, at_ns + 500 * MS), sample) for one_ns, sample in kept]
+    data = rig.log()
+    rig.keeping.kept = kept
+    late = ask(path, data, at_ns)
+    assert late.headline == in_time.headline
+    for step in (Step.MOTION, Step.ARBITER, Step.COMMAND):
+        assert texts(late, step) == texts(in_time, step)
 
 
 def test_a_parked_robot_stands_because_it_is_parked(path: Path) -> None:

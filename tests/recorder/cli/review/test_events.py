@@ -80,8 +80,15 @@ def test_time_and_kind_bound_what_is_told(log: Path, capsys: pytest.CaptureFixtu
     assert run("events", log, "--json", "--kind", "stop", "--kind", "refusal", "--from", "2.5", "--to", "2.7") == 0
     kinds = [json.loads(line)["kind"] for line in capsys.readouterr().out.splitlines()]
     assert kinds == ["refusal", "stop"]
-    assert run("events", log, "--json", "--robot", "cruiser-9") == 0
-    assert capsys.readouterr().out == ""
+
+
+def test_a_robot_that_is_not_in_the_logs_is_refused(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An empty table would say that nothing happened; the names are told."""
+    with pytest.raises(CommandError, match="nothing of cruiser-9, but of cruiser-1") as refused:
+        run("events", log, "--robot", "cruiser-1", "--robot", "cruiser-9")
+    assert refused.value.code is ExitCode.USAGE
+    assert run("events", log, "--robot", "cruiser-1") == ExitCode.OK
+    assert "deadman" in capsys.readouterr().out
 
 
 def test_what_is_derived_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

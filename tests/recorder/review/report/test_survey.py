@@ -107,7 +107,9 @@ def test_what_the_recorder_could_not_keep_is_told(tmp_path: Path) -> None:
 def test_what_cannot_be_read_is_a_fault_or_nobodys(tmp_path: Path) -> None:
     """A sample that is no message of ours is no state of the robot's."""
     log = Log()
-    log.receive(undecodable(), *(sample_of(message) for message in drive(3)))
+    log.receive(undecodable())
+    for message in drive(3):
+        log.receive(sample_of(message), wall_ns=message.time_ns)
     path = tmp_path / "a.mcap"
     path.write_bytes(log.close())
     assert report_of(path).robots[0].summary.known_s == pytest.approx(0.1)
