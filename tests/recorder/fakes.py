@@ -2,6 +2,7 @@
 
 import errno
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable
 from io import BytesIO
 from itertools import islice
@@ -238,8 +239,8 @@ class MemoryWriter:
         self.notices: list[Notice] = []
         self.loses = False
         """Chunks are lost, but for those of incidents."""
-        self.lost: set[tuple[str, int]] = set()
-        """Topic and log time of the messages of those."""
+        self.lost: Counter[tuple[str, int]] = Counter()
+        """How many messages of those there were, by topic and log time: a sample of many may lose a part."""
         self._prologues: dict[str, Prologue] = {}
         self._topics: dict[tuple[str, int], str] = {}
 
@@ -287,7 +288,7 @@ class MemoryWriter:
         chunk = effect.chunk
         counts = {channel_id: len(entries) // 2 for channel_id, entries in chunk.index.items()}
         for channel_id, entries in chunk.index.items():
-            self.lost |= {(self._topics[log, channel_id], time_ns) for time_ns in entries[::2]}
+            self.lost.update((self._topics[log, channel_id], time_ns) for time_ns in entries[::2])
         self.notices.append(Lost(log, counts, chunk.start_ns, chunk.end_ns))
 
 

@@ -292,11 +292,10 @@ class Machine(RuleBasedStateMachine):
             for topic, time_ns in (one for file in files for one in messages(file)):
                 found.setdefault((log, topic), Counter())[time_ns] += 1
         for place, known in self.keys.items():
-            wanted = {
-                time_ns: count
-                for time_ns, (state, count) in known.fate_of.items()
-                if state == "recording" and (place[1], time_ns) not in self.bench.writer.lost
-            }
+            wanted = Counter[int]()
+            for time_ns, (state, count) in known.fate_of.items():
+                if state == "recording":
+                    wanted[time_ns] = count - self.bench.writer.lost[place[1], time_ns]
             assert found.pop(place, Counter()) == wanted
         assert all(_is_ours(topic) for _, topic in found)
 
@@ -314,7 +313,9 @@ class Machine(RuleBasedStateMachine):
             assert report.sent == report.received + report.lost_link
         states = Counter[str]()
         for time_ns, (state, count) in known.fate_of.items():
-            states["lost" if state == "recording" and (key, time_ns) in self.bench.writer.lost else state] += count
+            lost = self.bench.writer.lost[key, time_ns] if state == "recording" else 0
+            states["lost"] += lost
+            states[state] += count - lost
         assert report.written == states["recording"]
         assert (report.lost_full, report.lost_disk) == (states["full"], states["lost"])
 
