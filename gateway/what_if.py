@@ -21,6 +21,7 @@ from gateway.journal import Input, Kind
 from gateway.rerun import give, run_of
 from gateway.sim.stand_in import StandIn
 from gateway.telemetry.sample import Sample
+from schemas.codec import PAYLOAD_ERRORS
 from schemas.decisions import Journal
 from schemas.messages import Variant
 from schemas.settings import Settings
@@ -152,7 +153,7 @@ class _Echo:
         kind, now_ns, handle, verb, operator, payload, size = one
         try:
             request = msgspec.msgpack.decode(payload)
-        except (msgspec.MsgspecError, ValueError):
+        except PAYLOAD_ERRORS:
             return one
         if not isinstance(request, dict):
             return one

@@ -158,3 +158,19 @@ def test_afterwards_the_recorded_chassis_is_believed_again() -> None:
 def test_nothing_comes_of_nothing() -> None:
     """A run without inputs."""
     assert not list(what_if(Settings(), Settings(command=CommandSettings()), []))
+
+
+NESTED = b"\x91" * 1000 + b"\x01"
+
+
+@pytest.mark.parametrize("payload", [NESTED, b"\x81\x91\x01\x01", b"\xc1", b"\x81\xa4tick\x91\x01"])
+def test_whatever_somebody_asked_is_asked_of_both(payload: bytes) -> None:
+    """A request is anybody's bytes, nested as deep as it may be."""
+
+    def ask(rig: LoopRig, _operator: Operator) -> None:
+        rig.put("stranger", "drive", payload)
+        rig.run(0.1)
+
+    for side in said(drive_out(ask), speed_limit_mps=0.5):
+        strangers = [one for one in side if isinstance(one, Decision) and one.operator == "stranger"]
+        assert [one.reason for one in strangers] == [Reason.MALFORMED]
