@@ -195,23 +195,20 @@ class Core:
         self._offered = []
         return [_sample(decision) for decision in self.command.sent(count, now_ns, wall_ns)]
 
-    def recall(self, links: Links, controller: ControllerState, rest: Rest, now_ns: int) -> None:
-        """From here on this core is the one that was at rest; it has seen what that one saw before.
-
-        Args:
-            links: those of then.
-            controller: the CAN controller of then.
-            rest: what else was remembered.
-            now_ns: when it was, monotonic.
-        """
-        self.look_from(links, controller)
-        if self.command is not None:
-            recall(self.command, rest, now_ns)
-
     def look_from(self, links: Links, controller: ControllerState) -> None:
-        """What is around it is not new to this core."""
+        """A new core begins in the midst of a run: with these around it, which are no news."""
         self._links, self._told = links, _told(links)
         self._health.controller = controller
+
+    def recall(self, rest: Rest, now_ns: int) -> None:
+        """From here on this core is the one that was at rest, as far as it has seen what that one saw before.
+
+        Args:
+            rest: what was remembered.
+            now_ns: when it was, monotonic.
+        """
+        if self.command is not None:
+            recall(self.command, rest, now_ns)
 
     def last_batches(self, wall_ns: int) -> list[Sample]:
         """The gateway ends: the raw frames and the journal that have not been published yet."""

@@ -79,7 +79,7 @@ class BrokenJournalError(ValueError):
     """An input that cannot be given to a core: the log was damaged, or a newer version wrote it."""
 
 
-class JournalGapError(Exception):
+class JournalGapError(BrokenJournalError):
     """Part of a run's journal is missing, so it cannot be run again."""
 
 
@@ -88,18 +88,28 @@ def read(journals: Iterable[Journal]) -> Iterator[Input]:
 
     Raises:
         JournalGapError: they do not begin with the first input, some are missing, or they are of several runs.
+        BrokenJournalError: one cannot be read.
     """
-    run: int | None = None
-    ordered: list[Journal] = []
+    once = {(journal.first, journal.run): journal for journal in journals}
+    yield from follow([journal for _, journal in sorted(once.items())], 0)
+
+
+def follow(journals: Iterable[Journal], first: int | None = None) -> Iterator[Input]:
+    """The inputs of journals that follow each other.
+
+    Args:
+        journals: of one run, in their order.
+        first: the place of the first input; None takes it as it comes.
+
+    Raises:
+        JournalGapError: some are missing, or another run begins.
+        BrokenJournalError: one cannot be read.
+    """
+    run, expected = None, first
     for journal in journals:
         if run not in {None, journal.run}:
-            raise JournalGapError(f"run {run} ends after {len(ordered)} journals, and run {journal.run} begins")
-        run = journal.run
-        ordered.append(journal)
-    expected = 0
-    for journal in sorted(ordered, key=lambda one: one.first):
-        if journal.first < expected:
-            continue
+            raise JournalGapError(f"run {run} ends after {expected} inputs, and run {journal.run} begins")
+        run, expected = journal.run, journal.first if expected is None else expected
         if journal.first != expected:
             cure = "" if expected else "; a run is run again from its first input alone, and the log begins later"
             raise JournalGapError(f"inputs {expected} to {journal.first - 1} are missing{cure}")

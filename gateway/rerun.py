@@ -13,7 +13,7 @@ from gateway.chassis.frame import Frame
 from gateway.command.request import RawRequest
 from gateway.command.rest import Rest
 from gateway.core import Core, Due
-from gateway.journal import BrokenJournalError, Input, Kind, inputs_of
+from gateway.journal import BrokenJournalError, Input, Kind, follow
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas.decisions import Journal
@@ -44,13 +44,12 @@ class Run(msgspec.Struct, frozen=True):
         core = Core(settings, "", self.begins_ns, self.run)
         if self.warm_up:
             *before, (_, now_ns, rest, controller, *told) = self.warm_up
-            links, state = _as_links(told), ControllerState(controller)
-            core.look_from(links, state)
+            core.look_from(_as_links(told), ControllerState(controller))
             for one in before:
                 # Nobody asked anything then.
                 if one[0] in {Kind.FRAME, Kind.TICK, Kind.SENT}:
                     give(core, one)
-            core.recall(links, state, msgspec.convert(rest, Rest), now_ns)
+            core.recall(msgspec.convert(rest, Rest), now_ns)
         return core
 
 
@@ -61,6 +60,9 @@ def rerun(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
         settings: those of the run, or others.
         journals: of one run, in their order and without a gap; they may come bit by bit. Where they do not begin
             with the run's first input, it is run again from the first place of rest.
+
+    Raises:
+        BrokenJournalError: an input cannot be given to a core, or some are missing.
     """
     run = run_of(journals)
     if run is not None:
@@ -74,7 +76,7 @@ def run_of(journals: Iterable[Journal]) -> Run | None:
     first = next(rest, None)
     if first is None:
         return None
-    inputs = chain.from_iterable(map(inputs_of, chain([first], rest)))
+    inputs = follow(chain([first], rest))
     if first.first == 0:
         begin = next(inputs, None)
         return None if begin is None else Run(first.run, begin[1], chain([begin], inputs))

@@ -148,3 +148,13 @@ def test_a_run_may_come_bit_by_bit() -> None:
     samples = [sample for _, published in log.run_again() for sample in published]
     assert list(rerun(log.settings, iter(log.journals))) == samples
     assert not list(rerun(log.settings, iter(())))
+
+
+def test_a_gap_is_noticed_wherever_a_run_is_run_again() -> None:
+    """Bit by bit too: what comes before it has come out, and nothing that looks like a run comes after."""
+    day = Day(3, Variant.COARSE)
+    day.rig.run(2)
+    log = ReadBack(recorded(day))
+    del log.journals[20]
+    with pytest.raises(JournalGapError, match="are missing"):
+        list(rerun(log.settings, log.journals))
