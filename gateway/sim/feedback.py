@@ -16,10 +16,6 @@ from gateway.sim.faults import Disturbance
 
 Values = Mapping[str, Value]
 
-_COUNTER_BYTE: Final = 6
-_COUNTER_SHIFT: Final = 4
-"""The alive counter is the high nibble of byte 6 (manual V2.0, 4.3.1)."""
-
 _CHECKSUM_BYTE: Final = 7
 _CHECKSUM_ERROR: Final = 0xA5
 """What a bad checksum is off by. Any bits but none would do."""
@@ -30,7 +26,7 @@ class _Row(msgspec.Struct):
 
     Attributes:
         sent: how often it was due so far.
-        values: those that ``data`` shows, with the counter at 0.
+        counter: the next alive counter, not yet wrapped.
     """
 
     name: str
@@ -39,9 +35,6 @@ class _Row(msgspec.Struct):
     next_ns: int
     sent: int = 0
     counter: int = 0
-    encoder: Encoder | None = None
-    values: Values | None = None
-    data: bytes = b""
 
 
 class FeedbackSender:
@@ -85,23 +78,14 @@ class FeedbackSender:
 
 def _data(row: _Row, encoder: Encoder, values: Values, disturbances: Disturbances) -> bytes:
     """The frame's bytes; none if it is not on the bus."""
-    if values != row.values or encoder is not row.encoder:
-        row.encoder, row.values, row.data = encoder, values, encoder.encode(row.name, values, 0).data
+    if not disturbances.quiet and disturbances.strike(Disturbance.SILENCE, row.name):
+        return b""
+    data = encoder.encode(row.name, values, row.counter).data
     if disturbances.quiet:
-        data = _counted(row.data, row.counter)
         row.counter += 1
         return data
-    if disturbances.strike(Disturbance.SILENCE, row.name):
-        return b""
-    data = _counted(row.data, row.counter)
     if disturbances.strike(Disturbance.CHECKSUM, row.name):
         data = data[:_CHECKSUM_BYTE] + bytes([data[_CHECKSUM_BYTE] ^ _CHECKSUM_ERROR])
     if not disturbances.strike(Disturbance.STUCK, row.name):
         row.counter += disturbances.strike(Disturbance.SKIP, row.name) or 1
     return b"" if disturbances.strike(Disturbance.DROP, row.name) else data
-
-
-def _counted(data: bytes, counter: int) -> bytes:
-    """The data with this alive counter, and the checksum that goes with it."""
-    nibble = (counter & 0xF) << _COUNTER_SHIFT
-    return data[:_COUNTER_BYTE] + bytes([data[_COUNTER_BYTE] | nibble, data[_CHECKSUM_BYTE] ^ nibble])
