@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import chain
+from itertools import chain, pairwise
 from typing import Any, Final
 
 import msgspec
@@ -13,7 +13,7 @@ from gateway.chassis.frame import Frame
 from gateway.command.request import RawRequest
 from gateway.command.rest import Rest
 from gateway.core import Core, Due
-from gateway.journal import BrokenJournalError, Input, Kind, follow
+from gateway.journal import BrokenJournalError, Input, Kind, follow, inputs_of
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas.decisions import Journal
@@ -90,6 +90,16 @@ def run_of(journals: Iterable[Journal]) -> Run | None:
         if is_warm and one[0] == Kind.REST:
             return Run(first.run, warm_up[0][1], inputs, tuple(warm_up))
     return None
+
+
+def rests(journal: Journal) -> list[int]:
+    """When the gateway was at rest, of what a message of the journal holds: nanoseconds since 1970, by its clock.
+
+    Raises:
+        BrokenJournalError: it cannot be read.
+    """
+    # The tick in which it was is the next input, and tells the time of day.
+    return [tick[2] for one, tick in pairwise(inputs_of(journal)) if one[0] == Kind.REST]
 
 
 def run_again(core: Core, inputs: Iterable[Input]) -> Iterator[tuple[list[Frame], list[Sample]]]:

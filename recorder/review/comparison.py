@@ -61,6 +61,7 @@ class Comparison:
 
     Args:
         decode: the bytes of a subject's record to its message, to say what differs.
+        holds: whether what was published at a time, in nanoseconds since 1970, is compared; by default all is.
 
     Attributes:
         same: how many messages are equal, by subject.
@@ -72,8 +73,9 @@ class Comparison:
             ``begins_ns`` is None before.
     """
 
-    def __init__(self, decode: Callable[[str, bytes], Any]) -> None:
+    def __init__(self, decode: Callable[[str, bytes], Any], holds: Callable[[int], bool] = lambda _: True) -> None:
         self._decode = decode
+        self._holds = holds
         self.same: Counter[str] = Counter()
         self.differences: list[Difference] = []
         self.difference_count = 0
@@ -88,6 +90,8 @@ class Comparison:
 
     def record(self, key: Key, said: Said) -> None:
         """A message of the log."""
+        if not self._holds(said.time_ns):
+            return
         again = _counterpart(self._again, key, said)
         if again is not None:
             self._compare(key, said, again)
@@ -99,6 +103,8 @@ class Comparison:
         if self.begins_ns is None:
             self.begins_ns = said.time_ns
         self.ends_ns = max(self.ends_ns, said.time_ns)
+        if not self._holds(said.time_ns):
+            return
         if isinstance(key[1], int):
             self._newest[key[0]] = key[1]
         recorded = _counterpart(self._recorded, key, said)

@@ -23,17 +23,22 @@ class Faults:
     def __init__(self) -> None:
         self.told: list[str] = []
         self.count = 0
-        self._known: set[str] = set()
+        self._known: dict[str, None] = {}
 
     def add(self, detail: str) -> None:
         """One more, unless it is known."""
         if detail in self._known:
             return
         if len(self._known) < KNOWN_MAX:
-            self._known.add(detail)
+            self._known[detail] = None
         self.count += 1
         if len(self.told) < FAULTS_SHOWN:
             self.told.append(detail)
+
+    def add_all(self, others: Faults) -> None:
+        """Those that somebody else found, in the same logs."""
+        for detail in others._known:
+            self.add(detail)
 
     def __bool__(self) -> bool:
         """Whether there are any."""

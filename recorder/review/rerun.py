@@ -7,25 +7,24 @@ The arbiter is not of this package. Whoever can run a journal again says so with
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
 from importlib.metadata import entry_points
 from typing import Any, Final, Protocol
 
 import msgspec
 
 from recorder.review.comparison import Comparison, Difference, Key, Said
+from recorder.review.configurations import Configurations, configurations_of, settings_from
 from recorder.review.faults import Faults
 from recorder.review.logs import LogFile
 from recorder.review.rows import Progress, Row, Selection, read_rows
 from recorder.review.runs import JOURNAL, PartEnd, Tape
-from recorder.review.survey import Survey, survey
+from recorder.review.stretches import WHOLE, Stretch
+from recorder.review.survey import survey
 from recorder.review.topics import UNREADABLE, typed_decoder
 from recorder.routes import Route
 from schemas import codec
-from schemas.configuration import TomlSource, merge
 from schemas.decisions import Journal
 from schemas.exit_codes import CommandError
-from schemas.messages import GatewayInfo
 from schemas.settings import Settings
 from schemas.subjects import BY_NAME
 
@@ -36,26 +35,15 @@ SENT: Final = "can/{bus}/tx"
 COMPARED: Final = ("safety/decision", "safety/event", "safety/state", SENT)
 """The subjects that must come out the same."""
 
-CONFIGURATION: Final = "configuration.toml"
-"""The attachment ``{robot}/configuration.toml``."""
-
-
-ANSWERED_NS: Final = 30_000_000_000
-"""A gateway that starts has told a recorder that is there its configuration within this time."""
-
-
 NO_CONFIGURATION: Final = "the log does not hold the robot's configuration"
 NO_REST: Final = "the gateway was never at rest in it, so there is no place to begin"
 """Why nothing was run again."""
 
 
-STARTED_NS: Final = 1_000_000_000
-"""A run's first journal is published so soon after its gateway was started."""
+BROKEN_OFF: Final = "the inputs that follow cannot be run again"
 
 DETAIL_MAX: Final = 300
 """Characters of an error that are told."""
-
-INFO: Final = "gateway/info"
 
 
 class SampleAgain(Protocol):
@@ -128,21 +116,20 @@ def rerun_logs(
         settings_of: turns the TOML text of a run's configuration into settings; by default as they are.
         progress: is told of bytes that were read, for each robot anew.
     """
-    again = rerun or installed("rerun")
     found = survey(logs, faults)
     for robot in found.robots:
-        player = Player(robot, logs, found, faults, progress)
-        while player.next_part():
-            yield _rerun(player, again, settings_of or settings_from)
+        configurations = configurations_of(robot, logs, found, faults)
+        player = Player(robot, logs, configurations, faults, progress)
+        yield from rerun_parts(player, rerun, settings_of)
 
 
-def settings_from(text: str) -> Settings:
-    """The settings that a configuration attachment holds.
-
-    Raises:
-        CommandError: they are none of this version.
-    """
-    return merge(TomlSource(CONFIGURATION, text), {}, {})
+def rerun_parts(
+    player: Player, rerun: Rerun | None = None, settings_of: Callable[[str], Settings] | None = None
+) -> Iterator[RerunResult]:
+    """Every run that a player plays, run again; arguments as of ``rerun_logs``."""
+    again = rerun or installed("rerun")
+    while player.next_part():
+        yield _rerun(player, again, settings_of or settings_from)
 
 
 def _rerun(player: Player, again: Rerun, settings_of: Callable[[str], Settings]) -> RerunResult:
@@ -161,46 +148,39 @@ def _rerun(player: Player, again: Rerun, settings_of: Callable[[str], Settings])
     return player.result(start_ns)
 
 
-def _told(robot: str, logs: Sequence[LogFile], faults: Faults) -> list[tuple[int, str]]:
-    """When each gateway of the robot was started that told its configuration, and the TOML text; by the time."""
-    told: dict[int, str] = {}
-    selection = Selection(lambda topic: topic.robot == robot and topic.subject == INFO)
-    for row in read_rows(logs, selection, faults):
-        with suppress(*UNREADABLE):
-            info = row.topic.decode(row.data) if row.topic.decode is not None else None
-            if isinstance(info, GatewayInfo) and info.configuration:
-                told[info.started_ns] = info.configuration
-    return sorted(told.items())
-
-
 class Player:
     """The runs of one robot, one after the other.
 
     Args:
         robot: its name.
         logs: in the order of their beginnings.
-        found: what a survey of these logs found.
+        configurations: those of its runs.
         faults: takes what cannot be read.
         progress: is told of bytes that were read.
+        stretch: the part of its time that is played.
 
     Attributes:
         comparison: of the run that has come.
     """
 
     def __init__(
-        self, robot: str, logs: Sequence[LogFile], found: Survey, faults: Faults, progress: Progress
+        self,
+        robot: str,
+        logs: Sequence[LogFile],
+        configurations: Configurations,
+        faults: Faults,
+        progress: Progress,
+        stretch: Stretch = WHOLE,
     ) -> None:
-        self.comparison = Comparison(_decode)
+        self.comparison = Comparison(_decode, stretch.holds)
         self._robot = robot
-        self._texts = [
-            (one.log_time, one.data.decode("utf-8", "replace"))
-            for one in found.attachments
-            if one.name == f"{robot}/{CONFIGURATION}"
-        ]
-        self._told = _told(robot, logs, faults)
+        self._configurations = configurations
+        self._stretch = stretch
         wanted = {JOURNAL, *COMPARED}
-        selection = Selection(lambda topic: topic.robot == robot and topic.subject in wanted)
-        rows = read_rows(logs, selection, faults, progress)
+        selection = Selection(
+            lambda topic: topic.robot == robot and topic.subject in wanted, stretch.log_from_ns, stretch.log_to_ns
+        )
+        rows = filter(stretch.needs, read_rows(logs, selection, faults, progress))
         self._tape = Tape(rows, self._record, faults)
         self._end = PartEnd(0, 0, 0, "")
         self._faults = faults
@@ -215,19 +195,11 @@ class Player:
 
     def configuration(self) -> str | None:
         """The TOML text that was in force in the run that has come; None if the log does not hold it."""
-        began_ns = self._tape.next_time_ns
-        told = [text for started_ns, text in self._told if started_ns <= began_ns + STARTED_NS]
-        if told:
-            return told[-1]
-        before = [text for time_ns, text in self._texts if time_ns < began_ns]
-        soon = [text for time_ns, text in self._texts if began_ns <= time_ns < began_ns + ANSWERED_NS]
-        later = [text for time_ns, text in self._texts if time_ns >= began_ns + ANSWERED_NS]
-        # A recorder writes a configuration when it is new to it, and may have come long after the gateway.
-        return next(iter(soon[:1] + before[-1:] + later[:1]), None)
+        return self._configurations.at(self._tape.next_time_ns)
 
     def break_off(self, error: Exception) -> None:
         """The journal cannot be used from here on: this part ends."""
-        self._end = self._tape.break_off(f"the inputs that follow cannot be run again: {error!r}"[:DETAIL_MAX])
+        self._end = self._tape.break_off(f"{BROKEN_OFF}: {error!r}"[:DETAIL_MAX])
         self._faults.add(f"{self._robot}: run {self._end.run}: {self._end.detail}")
 
     def skip(self, detail: str) -> RerunResult:
@@ -239,7 +211,7 @@ class Player:
 
     def result(self, start_ns: int) -> RerunResult:
         """How the run came out; what was recorded behind its end is kept for the next one."""
-        comparison, self.comparison = self.comparison, Comparison(_decode)
+        comparison, self.comparison = self.comparison, Comparison(_decode, self._stretch.holds)
         end = self._end
         if not start_ns and not end.detail.endswith(NO_CONFIGURATION):
             end = msgspec.structs.replace(end, detail="; ".join(filter(None, (end.detail, NO_REST))))

@@ -12,9 +12,10 @@ from typing import Final, Protocol
 
 import msgspec
 
+from recorder.review.configurations import configurations_of, settings_from
 from recorder.review.faults import Faults
 from recorder.review.logs import LogFile
-from recorder.review.rerun import NO_CONFIGURATION, Player, SampleAgain, installed, settings_from
+from recorder.review.rerun import NO_CONFIGURATION, Player, SampleAgain, installed
 from recorder.review.rows import Progress
 from recorder.review.survey import survey
 from recorder.review.topics import UNREADABLE
@@ -139,7 +140,7 @@ def what_if_logs(
     run_both = what_if or installed("what_if")
     found = survey(logs, faults)
     for robot in found.robots:
-        player = Player(robot, logs, found, faults, progress)
+        player = Player(robot, logs, configurations_of(robot, logs, found, faults), faults, progress)
         while player.next_part():
             yield _what_if(player, run_both, settings_of)
 

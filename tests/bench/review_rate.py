@@ -93,11 +93,23 @@ def ask(words: list[str]) -> Asked:
 
 
 def _peak_kb(pid: int) -> int:
-    """The most memory that a process has had; 0 if it has ended."""
+    """The most memory that a process has had, and those that it has begun; 0 if it has ended."""
     with suppress(OSError):
         status = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
-        return next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")), 0)
+        own_kb = next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")), 0)
+        return own_kb + sum(map(_peak_kb, _children(pid)))
     return 0
+
+
+def _children(pid: int) -> list[int]:
+    """The processes that a process has begun."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            # Behind the name in brackets: the state, and the parent.
+            if int(stat.read_text(encoding="utf-8").rpartition(")")[2].split()[1]) == pid:
+                found.append(int(stat.parent.name))
+    return found
 
 
 def rerun_row(kind: str, minutes: float) -> Row:
@@ -123,14 +135,14 @@ def drive(minutes: float) -> bytes:
             operator.drive(1.0, 10.0 * (-1) ** (step // 9), 1.0)
         operator.ask("disengage")
         rig.run(4)
-    return recorded(day)
+    return recorded(day, LAG_NS)
 
 
 def standing(minutes: float) -> bytes:
     """The log of a robot that nobody commands."""
     day = Day(1, Variant.FINE, ticks=0)
     day.rig.run(60 * minutes)
-    return recorded(day)
+    return recorded(day, LAG_NS)
 
 
 def write_log(path: Path, size: int) -> int:

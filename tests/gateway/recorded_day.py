@@ -1,22 +1,25 @@
 """A minute in which everything happens, and its log."""
 
 from collections.abc import Callable
+from functools import cache
 from random import Random
 
 import msgspec
+import pytest
 
+from gateway import core
 from gateway.chassis.frame import Frame
 from gateway.core import Core, Due
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
-from schemas import keys
+from schemas import codec, keys
 from schemas.configuration import to_toml
 from schemas.decisions import Decision, SafetyEvent, SafetyState
 from schemas.messages import GatewayInfo, Message, Variant
 from schemas.settings import CommandSettings, Settings
 from schemas.subjects import BY_NAME
 from tests.gateway.command.loop_rig import GUARDED, LoopRig, Operator
-from tests.recorder.fakes import FakeSample, Log, info, sample_of
+from tests.recorder.fakes import WALL_NS, FakeSample, Log, info, sample_of
 
 MINUTE_TICKS = 6000
 QUIET_NS = 8_000_000_000
@@ -181,16 +184,62 @@ class Day:
         self.rig.run(3)
 
 
-def recorded(day: Day) -> bytes:
-    """The log of a day, as the recorder writes it."""
+class RestfulDay(Day):
+    """Somebody drives, or something happens, and then nobody does anything for a while; again and again."""
+
+    rounds = 5
+
+    def live(self) -> None:
+        rig, first = self.rig, self._operators[0]
+        rig.run(9)
+        acts = [self._drive, self._stop, self._fault, self._lights, self._hand_over, self._bad_bus, self._links]
+        for number in range(self.rounds):
+            self._drive()
+            acts[number % len(acts)]()
+            self._drive()
+            rig.fault("clear")
+            rig.links = GUARDED
+            rig.run(3)
+            if number % 2:
+                first.take_lease("take", override=True)
+                first.reason("reset")
+                first.ask("release")
+            else:
+                first.take_lease("take", override=True)
+                rig.run(0.6)
+                first.reason("reset")
+            rig.run(9)
+
+
+@cache
+def restful_day(seed: int, rounds: int = 5) -> RestfulDay:
+    """Such a day, with a place of rest wherever there is one."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(core, "REST_PERIOD_NS", 100_000_000)
+        day = RestfulDay(seed, Variant.COARSE, ticks=0)
+        day.rounds = rounds
+        day.live()
+    return day
+
+
+def recorded(day: Day, lag_ns: int | None = None) -> bytes:
+    """The log of a day, as the recorder writes it.
+
+    Args:
+        day: over.
+        lag_ns: so much later than its time each message is received; by default all are at the same time.
+    """
     log = Log()
     robot = day.rig.settings.robot
     answer = msgspec.structs.replace(info(), configuration=to_toml(day.rig.settings))
     for number, sample in enumerate(day.core.samples):
         subject = BY_NAME[sample.subject]
         key = keys.build(robot.root, robot.name, subject, "can0" if "{bus}" in subject.name else "")
-        log.receive(FakeSample(key, subject.encoding, sample.payload))
+        message = codec.decode(subject, sample.payload)
+        assert isinstance(message, Message)
+        received_ns = WALL_NS if lag_ns is None else message.time_ns + lag_ns
+        log.receive(FakeSample(key, subject.encoding, sample.payload), wall_ns=received_ns)
         if number == 0:
             assert isinstance(answer, GatewayInfo)
-            log.receive(sample_of(answer))
+            log.receive(sample_of(answer), wall_ns=received_ns)
     return log.close()

@@ -4,7 +4,6 @@ from random import Random
 
 import pytest
 
-from gateway import core as core_module
 from gateway.chassis.frame import Frame
 from gateway.command.rest import QUIET_NS
 from gateway.journal import Kind, inputs_of
@@ -12,47 +11,16 @@ from gateway.rerun import WARM_UP_NS, rerun, run_again, run_of
 from gateway.telemetry.sample import Sample
 from schemas import codec
 from schemas.decisions import Journal
-from schemas.messages import Variant
 from schemas.subjects import BY_NAME
-from tests.gateway.command.loop_rig import GUARDED
-from tests.gateway.recorded_day import Day
+from tests.gateway.recorded_day import Day, RestfulDay, restful_day
 
 SAFETY = ("safety/decision", "safety/event", "safety/state")
 
 
-class RestfulDay(Day):
-    """Somebody drives, or something happens, and then nobody does anything for a while; again and again."""
-
-    def live(self) -> None:
-        rig, first = self.rig, self._operators[0]
-        rig.run(9)
-        acts = [self._drive, self._stop, self._fault, self._lights, self._hand_over, self._bad_bus, self._links]
-        for number in range(5):
-            self._drive()
-            acts[number % len(acts)]()
-            self._drive()
-            rig.fault("clear")
-            rig.links = GUARDED
-            rig.run(3)
-            if number % 2:
-                first.take_lease("take", override=True)
-                first.reason("reset")
-                first.ask("release")
-            else:
-                first.take_lease("take", override=True)
-                rig.run(0.6)
-                first.reason("reset")
-            rig.run(9)
-
-
-@pytest.fixture(scope="module", params=[1])
-def day(request: pytest.FixtureRequest) -> RestfulDay:
+@pytest.fixture(scope="module")
+def day() -> RestfulDay:
     """Such a day, with a place of rest wherever there is one."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(core_module, "REST_PERIOD_NS", 100_000_000)
-        day = RestfulDay(request.param, Variant.COARSE, ticks=0)
-        day.live()
-    return day
+    return restful_day(1)
 
 
 def journals_of(day: Day) -> list[Journal]:

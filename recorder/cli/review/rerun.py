@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 import msgspec
 
 from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
-from recorder.review.rerun import CONFIGURATION, RerunResult, rerun_logs
+from recorder.review.configurations import CONFIGURATION
+from recorder.review.rerun import RerunResult
+from recorder.review.side_by_side import rerun_side_by_side
 from recorder.review.times import in_words
 from recorder.review.what_if import Journey, StopMade, Verdict, WhatIfResult, what_if_logs
 from schemas.configuration import TomlSource, merge
@@ -44,6 +48,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--with", type=Path, dest="file", metavar="FILE", help="try this whole configuration, a TOML file"
     )
+    processors = len(os.sched_getaffinity(0))
+    parser.add_argument(
+        "--jobs",
+        type=_jobs,
+        default=processors,
+        metavar="N",
+        help=f"without --set and --with: run in N processes at once (default: {processors}, the processors)",
+    )
 
 
 def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
@@ -59,7 +71,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
         results: Iterator[RerunResult | WhatIfResult] = (
             what_if_logs(asked.logs, settings_of, asked.faults, progress=progress)
             if changes or text is not None
-            else rerun_logs(asked.logs, asked.faults, progress=progress)
+            else rerun_side_by_side(asked.logs, asked.faults, arguments.jobs, progress=progress)
         )
         worst = ExitCode.OK
         runs = 0
@@ -87,6 +99,13 @@ def _outcome(result: RerunResult | WhatIfResult) -> ExitCode:
 
 def _describe(result: RerunResult | WhatIfResult) -> str:
     return describe(result) if isinstance(result, RerunResult) else describe_what_if(result)
+
+
+def _jobs(text: str) -> int:
+    with suppress(ValueError):
+        if (jobs := int(text)) > 0:
+            return jobs
+    raise argparse.ArgumentTypeError(f"{text!r} is no number of processes")
 
 
 def _change(text: str) -> tuple[str, object]:

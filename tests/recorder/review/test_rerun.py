@@ -13,9 +13,10 @@ from gateway import core
 from gateway.journal import Kind
 from gateway.rerun import rerun
 from gateway.telemetry.sample import Sample
+from recorder.review.configurations import CONFIGURATION, settings_from
 from recorder.review.faults import Faults
 from recorder.review.logs import find_logs
-from recorder.review.rerun import CONFIGURATION, Rerun, RerunResult, installed, rerun_logs, settings_from
+from recorder.review.rerun import Rerun, RerunResult, installed, rerun_logs
 from schemas import codec
 from schemas.codec import encode
 from schemas.configuration import to_toml

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from gateway.telemetry.sample import Sample
 from gateway.what_if import Said
+from recorder.review.configurations import settings_from
 from recorder.review.faults import Faults
 from recorder.review.logs import find_logs
-from recorder.review.rerun import settings_from
 from recorder.review.what_if import STOP_TOLERANCE_NS, StopMade, WhatIfResult, what_if_logs, without
 from schemas.codec import encode
 from schemas.decisions import Decision, EventKind, Journal, SafetyEvent, Severity, Verdict
