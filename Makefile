@@ -11,8 +11,9 @@ STAMP := $(VENV)/installed
 demo: $(STAMP)  ## chassis, gateway and recorder and two operators, for half a minute
 	$(BIN)/cruiser demo --seconds 30 --out demo-log
 
+# Many tests wait for processes, so one more runs than there are processors.
 test: $(STAMP)  ## the whole test suite
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses $$(( $$(nproc) + 1 )) --dist worksteal
 
 test-socketcan: $(STAMP)  ## the gateway on a real SocketCAN interface; boots user-mode Linux where the kernel has none
 	tests/socketcan/run
