@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from contextlib import suppress
+from datetime import datetime
 from enum import Enum
 from pathlib import Path
 from typing import Any, Final
@@ -15,6 +17,7 @@ from typing import Any, Final
 import can
 
 from recorder.review.export.raw_frames import LoggedFrame
+from recorder.review.joining.output import give_name
 from schemas.exit_codes import CommandError
 from schemas.messages import CanFrame
 from schemas.printable import plain
@@ -45,7 +48,7 @@ class FrameFile:
     """One file of the frames of one robot.
 
     Args:
-        path: of the file, which must not be there yet.
+        path: of the file, which must not be there yet; until it is whole it is called ``.part`` behind that.
         form: its format.
 
     Raises:
@@ -60,11 +63,13 @@ class FrameFile:
         self._form = form
         self.channels: dict[str, int] = {}
         self._is_begun = False
+        self._part = path.with_name(f"{path.name}.part")
+        if path.exists() or self._part.exists():
+            there = path if path.exists() else self._part
+            raise CommandError(f"{plain(str(there))} is there already; nothing is overwritten")
         try:
-            path.touch(exist_ok=False)
-            self._writer = _WRITERS[form](path)
-        except FileExistsError:
-            raise CommandError(f"{plain(str(path))} is there already; nothing is overwritten") from None
+            self._part.touch(exist_ok=False)
+            self._writer = _WRITERS[form](self._part)
         except OSError as error:
             raise CommandError(f"cannot write {plain(str(path))}: {error.strerror or error}") from error
 
@@ -87,12 +92,32 @@ class FrameFile:
             OSError: the disk does not take it.
         """
         self._writer.stop()
+        give_name(self._part, self._path)
+
+    def discard(self) -> None:
+        """Leave nothing of what is not whole."""
+        with suppress(OSError):
+            self._writer.stop()
+        with suppress(OSError):
+            self._part.unlink(missing_ok=True)
 
     def _begin(self, time_ns: int) -> None:
         self._is_begun = True
         if self._form is FrameFormat.ASC:
+            self._date(time_ns)
             # The file's beginning is told in milliseconds, and all times from there: let it be a whole one.
             self._writer.log_event(STARTED, time_ns // 1_000_000 / 1000)
+
+    def _date(self, time_ns: int) -> None:
+        """The day of the frames, in local time as the format has it; python-can's writer has put today's."""
+        file = self._writer.file
+        file.flush()
+        lines = self._part.read_text(encoding="utf-8").splitlines(keepends=True)
+        began = datetime.fromtimestamp(time_ns // 1_000_000 / 1000)  # noqa: DTZ006 - as the format has it
+        lines[0] = f"date {began:%a %b %d %H:%M:%S}.{began.microsecond // 1000} {began:%Y}\n"
+        file.seek(0)
+        file.truncate()
+        file.writelines(lines)
 
     def _channel(self, bus: str) -> str | int:
         if self._form is FrameFormat.CANDUMP:

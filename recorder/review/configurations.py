@@ -9,7 +9,7 @@ from typing import Final
 import msgspec
 
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.rows import Selection, read_rows
 from recorder.review.survey import Survey
 from recorder.review.topics import UNREADABLE
@@ -68,12 +68,17 @@ def configurations_of(robot: str, logs: Sequence[LogFile], found: Survey, faults
             info = row.topic.decode(row.data) if row.topic.decode is not None else None
             if isinstance(info, GatewayInfo) and info.configuration:
                 told[info.started_ns] = info.configuration
-    attached = [
-        (one.log_time, one.data.decode("utf-8", "replace"))
-        for one in found.attachments
-        if one.name == f"{robot}/{CONFIGURATION}"
-    ]
-    return Configurations(sorted(told.items()), attached)
+    return Configurations(sorted(told.items()), attached(robot, found))
+
+
+def attached(robot: str, found: Survey) -> list[tuple[int, str]]:
+    """When recorders attached a robot's configuration, and the text; by the time."""
+    texts: dict[str, list[tuple[int, str]]] = {}
+    for one in found.attachments:
+        texts.setdefault(one.name, []).append((one.log_time, one.data.decode("utf-8", "replace")))
+    # A recorder calls only the second robot of a name by its root too.
+    bare = f"{robot.rpartition('/')[2]}/{CONFIGURATION}"
+    return texts.get(f"{robot}/{CONFIGURATION}", texts.get(bare, []))
 
 
 def settings_from(text: str) -> Settings:

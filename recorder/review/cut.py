@@ -9,7 +9,7 @@ from pathlib import Path
 from recorder.review.faults import Faults
 from recorder.review.info import CUT_NAME
 from recorder.review.joining.joining import Joined, Wanted, join
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.rows import Progress
 
 

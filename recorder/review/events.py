@@ -13,11 +13,11 @@ from typing import Any, Final
 import msgspec
 
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.rows import END_OF_TIME_NS, Progress, Row, Selection, read_rows
 from recorder.review.timeline.entries import OF_EVENT, Entry, EntryKind, Source
 from recorder.review.timeline.health_changes import risen
-from recorder.review.timeline.repeats import Repeats
+from recorder.review.timeline.repeats import IDS_KEPT, Repeats
 from recorder.review.timeline.robot_track import RobotTrack
 from recorder.review.timeline.spells import Spells
 from recorder.review.timeline.state_changes import Change, changes, entry_of
@@ -106,11 +106,13 @@ class Timeline:
     Args:
         faults: takes what cannot be read.
         has_states: the arbiter's states are among the rows. Else the events alone tell of its clock.
+        kept: so many samples of each topic are known again when they come a second time.
     """
 
-    def __init__(self, faults: Faults, *, has_states: bool = True) -> None:
+    def __init__(self, faults: Faults, *, has_states: bool = True, kept: int = IDS_KEPT) -> None:
         self._faults = faults
         self._has_states = has_states
+        self._kept = kept
         self._robots: dict[str, RobotTrack] = {}
         self._repeats: dict[str, Repeats] = {}
         self._held: list[tuple[int, int, Entry, Change | None]] = []
@@ -119,19 +121,19 @@ class Timeline:
         self._spells_due_ns = 0
         self._told_ns = 0
 
-    def take(self, row: Row) -> None:
-        """The next row, by log time; of a class of ours."""
+    def take(self, row: Row, decoded: Any = None) -> None:  # noqa: ANN401 - any message of ours
+        """The next row, by log time; of a class of ours. ``decoded`` if somebody has decoded it already."""
         topic = row.topic
         take = _TAKES.get(topic.kind)
         if take is None or topic.decode is None:
             return
         repeats = self._repeats.get(topic.name)
         if repeats is None:
-            repeats = self._repeats[topic.name] = Repeats()
+            repeats = self._repeats[topic.name] = Repeats(self._kept)
         if not repeats.is_new(row.publish_ns, row.sequence):
             return
         try:
-            message = topic.decode(row.data)
+            message = topic.decode(row.data) if decoded is None else decoded
         except UNREADABLE as error:
             self._faults.add(f"{topic.name}: a message that cannot be read: {error}")
             return
@@ -300,7 +302,10 @@ class Timeline:
         parts = keys.parse(gap.key)
         words = _GAPS.get(gap.reason.value, gap.reason.value)
         text = f"{gap.count} messages of {gap.key} reached the recorder and are not in the log: {words}"
-        robot = parts.robot if parts is not None else ""
+        robot = ""
+        if parts is not None:
+            of_root = f"{parts.root}/{parts.robot}"
+            robot = of_root if of_root in self._robots else parts.robot
         entry = _plain(robot, EntryKind.GAP, Severity.WARNING, gap.first_ns, text, Source.RECORDER)
         self._hold(msgspec.structs.replace(entry, last_ns=max(gap.first_ns, gap.last_ns), count=gap.count))
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from recorder.layouts.charts import Robot
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.survey import survey
 from recorder.review.topics import Topic
 from schemas import keys

@@ -8,7 +8,7 @@ from typing import Final
 
 from recorder.review.faults import Faults
 from recorder.review.joining.joining import Joined, Wanted, join
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.rows import Progress
 
 MERGED_NAME: Final = "cruiser.merged"

@@ -83,7 +83,7 @@ class PackedChunk(msgspec.Struct, frozen=True):
         offset, length: of the chunk's record in the file, opcode and length included.
         start_ns, end_ns: log times of its first and last message, as its head says.
         index: of each channel the log time and the offset of each message, in turns, as the message indexes
-            behind the chunk say; None if there are none. Nothing has proven them.
+            behind the chunk say; None if there are none, or some may be missing. Nothing has proven them.
         places: of each channel in ``index`` where in the file its message index stands.
         end: where in the file the message indexes end.
     """
@@ -158,6 +158,10 @@ def read_pieces(stream: BinaryIO, size: int, *, is_verifying: bool = True) -> It
     return _Reading(stream, size, is_verifying=is_verifying).pieces()
 
 
+def _is_no_opcode(opcode: int) -> bool:
+    return opcode == 0 or max(Opcode) < opcode < CHECK_OPCODE
+
+
 class _Reading:
     def __init__(self, stream: BinaryIO, size: int, *, is_verifying: bool) -> None:
         self._stream = stream
@@ -178,7 +182,7 @@ class _Reading:
             opcode, length = RECORD_HEADER.unpack(head) if len(head) == RECORD_HEADER.size else (0, self._size)
             if length > self._size - offset - len(head):
                 behind = yield from self._pass_over(offset, "the file is cut off within a record")
-            elif opcode == 0 or max(Opcode) < opcode < CHECK_OPCODE:
+            elif _is_no_opcode(opcode):
                 behind = yield from self._pass_over(offset, "this is no record")
             elif opcode == Opcode.FOOTER:
                 yield from self._end(offset, head, length)
@@ -265,10 +269,20 @@ class _Reading:
         self._take(offset + length, end)
         if len(times) == _CHUNK_TIMES.size:
             start_ns, end_ns = _CHUNK_TIMES.unpack(times)
-            yield PackedChunk(offset, length, start_ns, end_ns, index or None, places, end)
+            is_all = bool(index) and self._is_record(end)
+            yield PackedChunk(offset, length, start_ns, end_ns, index if is_all else None, places, end)
         else:
             yield Fault(offset, "a chunk is too short")
         return end
+
+    def _is_record(self, offset: int) -> bool:
+        """Whether a whole record of another kind follows. Else one of the message indexes may be missing."""
+        head = self._read(offset, RECORD_HEADER.size)
+        if len(head) < RECORD_HEADER.size:
+            return False
+        opcode, length = RECORD_HEADER.unpack(head)
+        is_other = not _is_no_opcode(opcode) and opcode != Opcode.MESSAGE_INDEX
+        return is_other and offset + len(head) + int(length) <= self._size
 
     def _index(self, offset: int) -> tuple[int, array[int], int] | None:
         """The message index there: its channel, its entries, and where it ends; None if there is none."""

@@ -13,7 +13,7 @@ from typing import Final
 import msgspec
 
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.rows import Row, Selection, read_rows
 from recorder.review.topics import Topic
 from schemas.messages import CanFrame

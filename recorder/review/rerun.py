@@ -15,7 +15,7 @@ import msgspec
 from recorder.review.comparison import Comparison, Difference, Key, Said
 from recorder.review.configurations import Configurations, configurations_of, settings_from
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.rows import Progress, Row, Selection, read_rows
 from recorder.review.runs import JOURNAL, PartEnd, Tape
 from recorder.review.stretches import WHOLE, Stretch

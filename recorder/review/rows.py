@@ -20,11 +20,12 @@ from mcap import records
 from recorder.chunk import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE
 from recorder.mcap_scan import BROKEN
 from recorder.mcap_summary import RECORD_HEADER
+from recorder.review.declared import Declared
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.pieces import Fault, LooseMessage, PackedChunk, read_pieces
 from recorder.review.summary import read_summary
-from recorder.review.topics import Topic, topic_of
+from recorder.review.topics import Topic
 from recorder.review.walk import LoggedMessage, messages
 
 END_OF_TIME_NS: Final = 2**64
@@ -100,7 +101,7 @@ def read_rows(
 def _rows_from(log: LogFile, selection: Selection, faults: Faults, progress: Progress) -> Iterator[Row]:
     try:
         with log.path.open("rb") as stream:
-            yield from LogReader(stream, log.bytes, str(log.path), selection, faults).rows(progress)
+            yield from LogReader(stream, log, selection, faults).rows(progress)
     except OSError as error:
         faults.add(f"{log.path}: {error.strerror or error}")
 
@@ -110,8 +111,7 @@ class LogReader:
 
     Args:
         stream: the file.
-        size: its length in bytes.
-        name: begins what is told of it.
+        log: which it is.
         selection: what is wanted.
         faults: takes what cannot be read.
 
@@ -121,26 +121,22 @@ class LogReader:
         attachments: those met so far.
     """
 
-    def __init__(self, stream: BinaryIO, size: int, name: str, selection: Selection, faults: Faults) -> None:
+    def __init__(self, stream: BinaryIO, log: LogFile, selection: Selection, faults: Faults) -> None:
         self._stream = stream
-        self._size = size
-        self._name = name
+        self._size = log.bytes
+        self._name = str(log.path)
         self._selection = selection
         self._faults = faults
-        self._schemas: dict[int, records.Schema] = {}
+        self._declared = Declared(log.namesakes)
         self._wanted: set[int] = set()
-        self.topics: dict[int, Topic] = {}
+        self.topics = self._declared.topics
         self.metadata: dict[str, dict[str, str]] = {}
         self.attachments: list[records.Attachment] = []
 
     def rows(self, progress: Progress = lambda _: None) -> Iterator[Row]:
         """The wanted rows, in the order of the file."""
         # Others declare channels within chunks; the summary tells them before.
-        summary = read_summary(self._stream)
-        if summary is not None:
-            self._schemas.update(summary.schemas)
-            for channel in summary.channels.values():
-                self._declare(channel)
+        self._want(self._declared.take_summary(read_summary(self._stream)))
         told = 0
         for piece in read_pieces(self._stream, self._size, is_verifying=False):
             match piece:
@@ -230,17 +226,11 @@ class LogReader:
     def _take(self, piece: records.Schema | records.Channel | Fault) -> None:
         if isinstance(piece, Fault):
             self._fault(piece.offset, piece.detail)
-        elif isinstance(piece, records.Schema):
-            self._schemas.setdefault(piece.id, piece)
         else:
-            self._declare(piece)
+            self._want(self._declared.take(piece))
 
-    def _declare(self, channel: records.Channel) -> None:
-        # The summary repeats them.
-        if channel.id not in self.topics:
-            topic = self.topics[channel.id] = topic_of(channel, self._schemas.get(channel.schema_id))
-            if self._selection.wants(topic):
-                self._wanted.add(channel.id)
+    def _want(self, found: list[tuple[int, Topic]]) -> None:
+        self._wanted.update(channel_id for channel_id, topic in found if self._selection.wants(topic))
 
     def _fault(self, offset: int, detail: str) -> None:
         self._faults.add(f"{self._name}: byte {offset}: {detail}")

@@ -21,7 +21,7 @@ import msgspec
 from recorder.review.comparison import DIFFERENCES_TOLD
 from recorder.review.configurations import Configurations, configurations_of
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.rerun import BROKEN_OFF, Player, RerunResult, installed, rerun_logs, rerun_parts
 from recorder.review.rows import Progress, Selection, read_rows
 from recorder.review.runs import JOURNAL

@@ -11,11 +11,12 @@ from mcap import records
 from mcap.reader import SeekingReader
 
 from recorder.mcap_scan import BROKEN
+from recorder.review.declared import Declared
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.rows import LogReader, Selection
 from recorder.review.summary import read_summary
-from recorder.review.topics import Topic, topic_of
+from recorder.review.topics import Topic
 
 
 class Survey(msgspec.Struct):
@@ -48,7 +49,7 @@ def survey(logs: Sequence[LogFile], faults: Faults) -> Survey:
     for log in logs:
         try:
             with log.path.open("rb") as stream:
-                if not _by_summary(stream, found):
+                if not _by_summary(stream, log, found):
                     _by_records(stream, log, found, faults)
         except OSError as error:
             faults.add(f"{log.path}: {error.strerror or error}")
@@ -56,7 +57,7 @@ def survey(logs: Sequence[LogFile], faults: Faults) -> Survey:
     return found
 
 
-def _by_summary(stream: BinaryIO, found: Survey) -> bool:
+def _by_summary(stream: BinaryIO, log: LogFile, found: Survey) -> bool:
     """Whether the file's end told all."""
     summary = read_summary(stream)
     if summary is None:
@@ -65,8 +66,7 @@ def _by_summary(stream: BinaryIO, found: Survey) -> bool:
         reader = SeekingReader(stream, validate_crcs=True)
         attachments = list(reader.iter_attachments())
         metadata = {one.name: one.metadata for one in reader.iter_metadata()}
-        for channel in summary.channels.values():
-            topic = topic_of(channel, summary.schemas.get(channel.schema_id))
+        for _, topic in Declared(log.namesakes).take_summary(summary):
             found.topics.setdefault(topic.name, topic)
         found.attachments += attachments
         found.metadata.update(metadata)
@@ -76,7 +76,7 @@ def _by_summary(stream: BinaryIO, found: Survey) -> bool:
 
 def _by_records(stream: BinaryIO, log: LogFile, found: Survey, faults: Faults) -> None:
     selection = Selection(wants=lambda _: False)
-    reader = LogReader(stream, log.bytes, str(log.path), selection, faults)
+    reader = LogReader(stream, log, selection, faults)
     for _ in reader.rows():
         pass
     for topic in reader.topics.values():

@@ -5,29 +5,23 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
-from typing import Final
+from urllib.parse import quote
 
-from recorder.foxglove_log import LOG_CHUNK
 from recorder.review.rows import Wants
-from recorder.review.topics import Topic
+from recorder.review.topics import Topic, key_of
 from schemas import keys
 from schemas.messages import RawSample
-
-RAW_CHUNK: Final = "@raw"
-_SIDE_CHUNKS: Final = (LOG_CHUNK, RAW_CHUNK)
-"""The last chunks of topics that a recorder makes beside the one of a key."""
 
 
 def place_of(topic: Topic) -> tuple[str, str]:
     """The topic without root and robot, and the robot."""
-    key, _, last = topic.name.rpartition("/")
-    side = f"/{last}" if last in _SIDE_CHUNKS else ""
-    parts = keys.parse(key if side else topic.name)
+    key, side = key_of(topic.name)
+    parts = keys.parse(key)
     if parts is None:
         return topic.name, ""
     if parts.recorder:
         return f"@recorder/{parts.recorder}/{parts.subject.name}{side}", ""
-    return f"{parts.subject.name.format(bus=parts.bus)}{side}", parts.robot
+    return f"{parts.subject.name.format(bus=parts.bus)}{side}", topic.owner
 
 
 def table_of(topic: Topic) -> str:
@@ -35,10 +29,9 @@ def table_of(topic: Topic) -> str:
     if topic.kind is RawSample:
         return "raw_sample"
     name = topic.name
-    key, _, last = topic.name.rpartition("/")
-    parts = keys.parse(key if last in _SIDE_CHUNKS else topic.name)
+    key, side = key_of(topic.name)
+    parts = keys.parse(key)
     if parts is not None:
-        side = f"/{last}" if last in _SIDE_CHUNKS else ""
         name = parts.subject.name.replace("{bus}/", "") + side
         if parts.recorder:
             name = f"recorder/{name}"
@@ -54,3 +47,11 @@ def wants_of(patterns: Sequence[str]) -> Wants:
         return not patterns or any(fnmatchcase(name, pattern) for pattern in patterns for name in names)
 
     return wants
+
+
+def file_name(topic: str) -> str:
+    """``fleet/cruiser-1/state`` is ``fleet.cruiser-1.state``; what a name may not hold is escaped as in a URL."""
+    chunks = [quote(chunk, safe="@ ", errors="replace").replace(".", "%2E") for chunk in topic.split("/")]
+    name = ".".join(chunks)
+    # ROS's topics begin with a slash, and a name that begins with a dot is a hidden file's.
+    return (f"%2F{name[1:]}" if name.startswith(".") else name)[:200] or "%"

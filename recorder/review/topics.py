@@ -19,13 +19,18 @@ from google.protobuf.message_factory import GetMessageClass
 from mcap import records
 from msgspec import inspect
 
+from recorder.foxglove_log import LOG_CHUNK
 from recorder.protobuf_schema import LOGGED, fields, message_class, optional_part, schema_name
+from recorder.routes import RAW_CHUNK
 from schemas import keys
 
 UNREADABLE: Final = (DecodeError, ValueError, TypeError, KeyError, IndexError, RecursionError)
 """What decoding raises on bytes that are no such message."""
 
 Decode = Callable[[bytes], Any]
+
+_SIDE_CHUNKS: Final = (LOG_CHUNK, RAW_CHUNK)
+"""The last chunks of topics that a recorder makes beside the one of a key."""
 
 _BY_SCHEMA: Final = {schema_name(kind): kind for kind in LOGGED}
 
@@ -40,7 +45,9 @@ class Topic(msgspec.Struct, frozen=True, eq=False):
         schema_encoding: of the schema.
         schema_data: the schema.
         kind: the class of the messages if they are ours, else None.
-        robot: the robot's name if the topic is a key of ours, else empty.
+        robot: the robot's name if the topic is a key of ours, else empty; with its root before it where the logs
+            are of several robots of this name.
+        owner: the same, but also for what a recorder writes beside the topic of a key.
         subject: the name in the table of subjects, for such a key; else empty.
         decode: a message's bytes to the message; raises what UNREADABLE lists. None if nobody here can read them.
     """
@@ -52,16 +59,20 @@ class Topic(msgspec.Struct, frozen=True, eq=False):
     schema_data: bytes
     kind: type[msgspec.Struct] | None
     robot: str
+    owner: str
     subject: str
     decode: Decode | None
 
 
-def topic_of(channel: records.Channel, schema: records.Schema | None) -> Topic:
-    """The topic of a channel record."""
+def topic_of(
+    channel: records.Channel, schema: records.Schema | None, namesakes: frozenset[str] = frozenset()
+) -> Topic:
+    """The topic of a channel record; with the names that robots under several roots have."""
     name = "" if schema is None else schema.name
     is_protobuf = channel.message_encoding == "protobuf"
     kind = _BY_SCHEMA.get(name) if is_protobuf else None
     parts = keys.parse(channel.topic)
+    of_key = parts or keys.parse(key_of(channel.topic)[0])
     decode: Decode | None = None
     if kind is not None:
         decode = typed_decoder(kind)
@@ -76,10 +87,22 @@ def topic_of(channel: records.Channel, schema: records.Schema | None) -> Topic:
         schema_encoding="" if schema is None else schema.encoding,
         schema_data=b"" if schema is None else schema.data,
         kind=kind,
-        robot="" if parts is None else parts.robot,
+        robot="" if parts is None else robot_of(parts, namesakes),
+        owner="" if of_key is None else robot_of(of_key, namesakes),
         subject="" if parts is None else parts.subject.name,
         decode=decode,
     )
+
+
+def key_of(topic: str) -> tuple[str, str]:
+    """The key whose samples a topic is about, and what a recorder added to it: nothing, ``/@log`` or ``/@raw``."""
+    key, _, last = topic.rpartition("/")
+    return (key, f"/{last}") if last in _SIDE_CHUNKS else (topic, "")
+
+
+def robot_of(parts: keys.KeyParts, namesakes: frozenset[str]) -> str:
+    """What the robot of a key is called: by its name, or by root and name where others have the same name."""
+    return f"{parts.root}/{parts.robot}" if parts.robot in namesakes else parts.robot
 
 
 @cache

@@ -14,7 +14,7 @@ import msgspec
 
 from recorder.review.configurations import configurations_of, settings_from
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.rerun import NO_CONFIGURATION, Player, SampleAgain, installed
 from recorder.review.rows import Progress
 from recorder.review.survey import survey

@@ -12,7 +12,8 @@ from typing import Final
 import msgspec
 
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile, find_logs
+from recorder.review.log_file import LogFile
+from recorder.review.logs import find_logs
 from recorder.review.rows import END_OF_TIME_NS, Progress
 from recorder.review.times import FORMS, in_words, time_of
 from schemas.exit_codes import CommandError, ExitCode

@@ -40,12 +40,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--out", type=Path, required=True, metavar="FILE", help="the new file")
 
 
-def run(arguments: argparse.Namespace, _settings: Settings, _stopped: Callable[[], bool]) -> int:
+def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
     """Cut."""
     asked = find(arguments)
     period = asked.from_ns, asked.to_ns
-    with progress_bar("cutting", asked.bytes) as progress:
+    with progress_bar("cutting", asked.bytes, stopped) as progress:
         joined = cut(asked.logs, arguments.out, period, arguments.topics, asked.faults, progress)
+    if arguments.topics and not joined.channels:
+        sys.stderr.write("cruiser review: no topic is of these patterns\n")
     text = msgspec.json.encode(joined).decode() if arguments.json else describe(joined)
     sys.stdout.write(f"{text}\n")
     return end_with(asked.faults)

@@ -121,13 +121,13 @@ def _wanted(arguments: argparse.Namespace, asked: Asked) -> Any:  # noqa: ANN401
 def _frames(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:
     from recorder.ports.frame_files import FrameFile, FrameFormat  # noqa: PLC0415 - python-can takes a while
     from recorder.review.export.raw_frames import FrameSink, read_frames, write_frames  # noqa: PLC0415
-    from recorder.review.topic_names import wants_of  # noqa: PLC0415
+    from recorder.review.topic_names import file_name, wants_of  # noqa: PLC0415
 
     form = FrameFormat[arguments.format.upper()]
     out: Path = arguments.out
 
     def sink_of(robot: str) -> tuple[str, FrameSink]:
-        path = out / f"{robot}.{form.value}"
+        path = out / f"{file_name(robot)}.{form.value}"
         return str(path), FrameFile(path, form)
 
     selection = Selection(wants_of(arguments.topic), asked.from_ns, asked.to_ns)

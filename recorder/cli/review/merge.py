@@ -19,9 +19,9 @@ from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser review merge robot-logs depot-logs -o all.mcap"
 DESCRIPTION: Final = (
-    "Puts logs together into a new one, in the order of their log times: all messages, each once (the same topic, "
-    "publish time, sequence and data), all metadata and all attachments. Nothing is overwritten. Exit code 3 if "
-    "something could not be read; the rest is in the new file."
+    "Puts logs together into a new one, in the order of their log times: all messages, each once where several "
+    "logs hold it (the same topic, publish time, sequence and data), all metadata and all attachments. Nothing is "
+    "overwritten. Exit code 3 if something could not be read; the rest is in the new file."
 )
 
 
@@ -31,10 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--out", type=Path, required=True, metavar="FILE", help="the new file")
 
 
-def run(arguments: argparse.Namespace, _settings: Settings, _stopped: Callable[[], bool]) -> int:
+def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
     """Merge."""
     asked = find(arguments)
-    with progress_bar("merging", asked.bytes) as progress:
+    with progress_bar("merging", asked.bytes, stopped) as progress:
         joined = merge(asked.logs, arguments.out, asked.faults, progress)
     text = msgspec.json.encode(joined).decode() if arguments.json else describe(joined)
     sys.stdout.write(f"{text}\n")

@@ -54,18 +54,19 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     with needing_extra("review"):
         from recorder.review import query  # noqa: PLC0415 - its libraries are an extra
         from recorder.review.export.manifest import read_manifest  # noqa: PLC0415
+        from recorder.review.querying import dataset_source, log_source  # noqa: PLC0415
     manifest = read_manifest(arguments.logs[0]) if len(logs) == 1 else None
     if manifest is not None:
         if arguments.from_time or arguments.to_time:
             raise CommandError(
                 "of a dataset the statement itself says which time: WHERE log_time > ...", ExitCode.USAGE
             )
-        _ask(query, query.DatasetSource(arguments.logs[0], manifest), sql, arguments, stopped)
+        _ask(query, dataset_source.DatasetSource(arguments.logs[0], manifest), sql, arguments, stopped)
         return int(ExitCode.OK)
     asked = find(arguments)
     selection = Selection(from_ns=asked.from_ns, to_ns=asked.to_ns)
     with progress_bar("reading", asked.bytes, prints=True) as progress:
-        source = query.LogSource(asked.logs, selection, asked.faults, heeding(progress, stopped))
+        source = log_source.LogSource(asked.logs, selection, asked.faults, heeding(progress, stopped))
         try:
             _ask(query, source, sql, arguments, stopped)
         except CommandError:
@@ -80,7 +81,7 @@ def _ask(query: Any, source: Any, sql: str, arguments: argparse.Namespace, stopp
     if arguments.tables:
         _show_tables(source.tables, is_json=arguments.json)
         return
-    with query.answer(source, sql) as rows, query.told():
+    with query.answer(source, sql, stopped) as rows, query.told():
         if rows is None:
             return
         if arguments.csv:

@@ -60,6 +60,7 @@ EVERY_KEY: Final = "**"
 MATCHES_KEPT: Final = 10_000
 MAX: Final = "max"
 FOREVER: Final = "forever"
+NOTHING: Final = "the logs hold nothing that could be replayed"
 SPEED_MIN: Final = 0.001
 SPEED_MAX: Final = 1e6
 LONGEST_PAUSE_S: Final = 60.0
@@ -178,7 +179,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if halt is not None:
         raise CommandError(halt.detail, halt.code)
     if not replayed.sent and not replayed.failed and replayed.ended == "end":
-        raise CommandError("the logs hold nothing that could be replayed")
+        raise CommandError(NOTHING)
     return int(ExitCode.PARTIAL) if replayed.failed or replayed.was_alone else code
 
 
@@ -197,6 +198,9 @@ def _to_zenoh(
         found = runs(rows, by)
         return samples.of(in_order(found) if by is By.PUBLISH else found)
 
+    # Or it would wait for somebody, and have nothing to say.
+    if not any(may_hold(topic, wants) for topic in topics_of(asked.logs)):
+        raise CommandError(NOTHING)
     player = _player(arguments, asked, lambda topic: may_hold(topic, wants), read)
     with closing(ZenohOutlet(settings.zenoh, root, waits=not player.is_paced)) as outlet:
         _meet(outlet, settings, arguments.timeout, stopped)
@@ -376,8 +380,7 @@ def _speed(text: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    # 0 is the other way to say it.
-    if not (value == 0 or SPEED_MIN <= value <= SPEED_MAX):
+    if not SPEED_MIN <= value <= SPEED_MAX:
         raise argparse.ArgumentTypeError(
             f"{text!r} is no speed: a number from {SPEED_MIN} to {SPEED_MAX:g}, or 'max'"
         )

@@ -34,12 +34,13 @@ from recorder.review.columns.places import (
 )
 from recorder.review.columns.tables import Columns, columns_of
 from recorder.review.columns.unpacking import Unpacker
+from recorder.review.declared import Declared
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.pieces import Fault, LooseMessage, PackedChunk, read_pieces
 from recorder.review.rows import END_OF_TIME_NS, Progress, Selection
-from recorder.review.summary import LogSummary, read_summary
-from recorder.review.topics import Topic, topic_of
+from recorder.review.summary import read_summary
+from recorder.review.topics import Topic
 
 BATCH_BYTES: Final = 4_000_000
 """So much is unpacked at once: enough that the work on a batch is more than that around it."""
@@ -92,9 +93,7 @@ def read_batches(
     """
     try:
         with log.path.open("rb") as stream:
-            yield from ColumnReader(stream, log.bytes, str(log.path), selection, faults, wanted).batches(
-                progress, sift
-            )
+            yield from ColumnReader(stream, log, selection, faults, wanted).batches(progress, sift)
     except OSError as error:
         faults.add(f"{log.path}: {error.strerror or error}")
 
@@ -132,8 +131,7 @@ class ColumnReader:
 
     Args:
         stream: the file.
-        size: its length in bytes.
-        name: begins what is told of it.
+        log: which it is.
         selection: what is wanted.
         faults: takes what cannot be read.
         wanted: names of the columns that are wanted; None is all.
@@ -145,22 +143,21 @@ class ColumnReader:
     def __init__(
         self,
         stream: BinaryIO,
-        size: int,
-        name: str,
+        log: LogFile,
         selection: Selection,
         faults: Faults,
         wanted: Collection[str] | None = None,
     ) -> None:
         self._stream = stream
         self._unpacker = Unpacker(stream)
-        self._size = size
-        self._name = name
+        self._size = log.bytes
+        self._name = str(log.path)
         self._selection = selection
         self._faults = faults
         self._wanted_columns = wanted
-        self._schemas: dict[int, records.Schema] = {}
+        self._declared = Declared(log.namesakes)
         self._decoders: dict[int, Decoder] = {}
-        self._topics: dict[int, Topic] = {}
+        self._topics = self._declared.topics
 
     @property
     def columns(self) -> dict[int, Columns]:
@@ -170,7 +167,7 @@ class ColumnReader:
     def batches(self, progress: Progress, sift: Sift | None) -> Iterator[Batch]:
         """The wanted batches."""
         # Others declare channels within chunks; the summary tells them before.
-        self._declare_all(read_summary(self._stream))
+        self._want(self._declared.take_summary(read_summary(self._stream)))
         pending = _Pending()
         told = 0
         for piece in read_pieces(self._stream, self._size, is_verifying=False):
@@ -184,7 +181,7 @@ class ColumnReader:
                 case Fault():
                     self._fault(piece.offset, piece.detail)
                 case records.Schema() | records.Channel():
-                    self._take(piece)
+                    self._want(self._declared.take(piece))
                 case _:
                     pass
             if pending.size >= BATCH_BYTES:
@@ -287,7 +284,7 @@ class ColumnReader:
                     lengths.append(behind - at)
                 elif opcode in _DECLARED:
                     body = content[at + RECORD_HEADER.size : behind]
-                    self._take(_DECLARED[Opcode(opcode)](ReadDataStream(BytesIO(body))))
+                    self._want(self._declared.take(_DECLARED[Opcode(opcode)](ReadDataStream(BytesIO(body)))))
                 at = behind
         except BROKEN as error:
             self._fault(offset, f"a record cannot be read: {error}")
@@ -301,24 +298,10 @@ class ColumnReader:
             for channel, (offsets, lengths) in found.items()
         }
 
-    def _declare_all(self, summary: LogSummary | None) -> None:
-        if summary is not None:
-            self._schemas.update(summary.schemas)
-            for channel in summary.channels.values():
-                self._declare(channel)
-
-    def _take(self, piece: records.Schema | records.Channel) -> None:
-        if isinstance(piece, records.Schema):
-            self._schemas.setdefault(piece.id, piece)
-        else:
-            self._declare(piece)
-
-    def _declare(self, channel: records.Channel) -> None:
-        # The summary repeats them.
-        if channel.id not in self._topics:
-            topic = self._topics[channel.id] = topic_of(channel, self._schemas.get(channel.schema_id))
+    def _want(self, found: list[tuple[int, Topic]]) -> None:
+        for channel_id, topic in found:
             if self._selection.wants(topic):
-                self._decoders[channel.id] = Decoder(columns_of(topic), self._wanted_columns)
+                self._decoders[channel_id] = Decoder(columns_of(topic), self._wanted_columns)
 
     def _fault(self, offset: int, detail: str) -> None:
         self._faults.add(f"{self._name}: byte {offset}: {detail}")

@@ -20,7 +20,7 @@ from recorder.review.topic_names import place_of, table_of
 from recorder.review.topics import UNREADABLE, Topic
 
 TIME_TYPE: Final = pa.timestamp("ns", "UTC")
-LOG_TIME, PUBLISH_TIME, SEQUENCE, ROBOT = "log_time", "publish_time", "sequence", "robot"
+LOG_TIME, PUBLISH_TIME, SEQUENCE, ROBOT, TOPIC = "log_time", "publish_time", "sequence", "robot", "topic"
 
 HEAD: Final = (
     pa.field(LOG_TIME, TIME_TYPE, nullable=False),
@@ -29,7 +29,7 @@ HEAD: Final = (
 )
 """What every table begins with: when the recorder received it, when its source says it was, the source's count."""
 
-RESERVED: Final = frozenset({LOG_TIME, PUBLISH_TIME, SEQUENCE, ROBOT, "topic", "date"})
+RESERVED: Final = frozenset({LOG_TIME, PUBLISH_TIME, SEQUENCE, ROBOT, TOPIC, "date"})
 """Names that no field may have, for a dataset's directories are columns too."""
 
 FIELD_PREFIX: Final = "message_"

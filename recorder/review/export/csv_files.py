@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO, Final
-from urllib.parse import quote
 
 import msgspec
 import pyarrow as pa
@@ -18,8 +18,10 @@ from recorder.review.export.known_rows import KnownRows, overlapping
 from recorder.review.export.manifest import described
 from recorder.review.export.one_log import Wanted
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
+from recorder.review.joining.output import give_name
+from recorder.review.log_file import LogFile
 from recorder.review.rows import Progress
+from recorder.review.topic_names import file_name
 from schemas.exit_codes import CommandError
 from schemas.printable import plain
 
@@ -33,14 +35,6 @@ class CsvFile(msgspec.Struct, frozen=True):
     path: str
     topic: str
     rows: int
-
-
-def file_name(topic: str) -> str:
-    """``fleet/cruiser-1/state`` is ``fleet.cruiser-1.state``; what a name may not hold is escaped as in a URL."""
-    chunks = [quote(chunk, safe="@ ", errors="replace").replace(".", "%2E") for chunk in topic.split("/")]
-    name = ".".join(chunks)
-    # ROS's topics begin with a slash, and a name that begins with a dot is a hidden file's.
-    return (f"%2F{name[1:]}" if name.startswith(".") else name)[:200] or "%"
 
 
 def export_csv(
@@ -63,16 +57,22 @@ def export_csv(
             known = KnownRows(log, overlapping(log, logs[:place]), selection)
             for batch in read_batches(log, selection, faults, progress, known.sift):
                 files.add(batch.columns, batch.rows)
-    except OSError as error:
-        raise CommandError(f"cannot write {plain(str(directory))}: {error.strerror or error}") from error
-    finally:
         files.close()
+    except OSError as error:
+        files.discard()
+        raise CommandError(f"cannot write {plain(str(directory))}: {error.strerror or error}") from error
+    except BaseException:
+        files.discard()
+        raise
     return files.written
 
 
 class _File:
+    """Until it is whole it is called ``.part`` behind its name."""
+
     def __init__(self, path: Path, topic: str) -> None:
         self.path = path
+        self.part = path.with_name(f"{path.name}.part")
         self.topic = topic
         self.rows = 0
         self.stream: BinaryIO | None = None
@@ -96,19 +96,33 @@ class _Files:
         file = self._files.get(key)
         if file is None:
             file = self._files[key] = _File(self._new_path(columns.topic.name), columns.topic.name)
-            file.path.touch(exist_ok=False)
+            file.part.touch(exist_ok=False)
         if file.stream is None:
             self._make_room()
-            file.stream = file.path.open("ab")
+            file.stream = file.part.open("ab")
         options = csv.WriteOptions(include_header=file.rows == 0)
         csv.write_csv(cells(rows), file.stream, options)
         file.rows += rows.num_rows
 
     def close(self) -> None:
-        """End all files."""
+        """End all files: they are whole.
+
+        Raises:
+            OSError: the disk does not take one.
+        """
         for file in self._files.values():
             if file.stream is not None:
                 file.stream.close()
+            give_name(file.part, file.path)
+
+    def discard(self) -> None:
+        """Leave nothing of what is not whole."""
+        for file in self._files.values():
+            with suppress(OSError):
+                if file.stream is not None:
+                    file.stream.close()
+            with suppress(OSError):
+                file.part.unlink(missing_ok=True)
 
     def _new_path(self, topic: str) -> Path:
         """A name that none of ours has; one that was there before is not overwritten."""

@@ -32,7 +32,7 @@ from recorder.review.export.manifest import (
 )
 from recorder.review.export.one_log import Outcome, Task, Wanted, export_log
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.rows import Progress
 from schemas.exit_codes import CommandError
 from schemas.printable import plain

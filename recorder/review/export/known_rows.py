@@ -18,7 +18,7 @@ from recorder.review.columns.reader import Heads, read_batches
 from recorder.review.columns.shape import INT64_MAX
 from recorder.review.columns.tables import LOG_TIME, PUBLISH_TIME, SEQUENCE
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.rows import Selection
 from recorder.review.summary import read_summary
 from recorder.review.topics import Topic

@@ -11,7 +11,7 @@ from recorder.review.export.known_rows import KnownRows
 from recorder.review.export.manifest import Column, Input, Part
 from recorder.review.export.parts import Parts
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.rows import END_OF_TIME_NS, Progress, Selection
 from recorder.review.topic_names import wants_of
 

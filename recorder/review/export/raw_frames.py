@@ -9,7 +9,7 @@ from typing import Final, Protocol
 import msgspec
 
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.rows import Progress, Row, Selection, read_rows
 from recorder.review.topics import UNREADABLE, Topic, typed_decoder
 from schemas.messages import CanFrame
@@ -43,7 +43,11 @@ class FrameSink(Protocol):
         ...
 
     def close(self) -> None:
-        """End the file."""
+        """End the file: it is whole."""
+        ...
+
+    def discard(self) -> None:
+        """Leave nothing of it."""
         ...
 
 
@@ -113,9 +117,12 @@ def write_frames(frames: Iterator[LoggedFrame], sink_of: Callable[[str], tuple[s
             late[robot] += time_ns < last_ns[robot]
             last_ns[robot] = max(last_ns[robot], time_ns)
             sinks[robot][1].write(logged)
-    finally:
         for _, sink in sinks.values():
             sink.close()
+    except BaseException:
+        for _, sink in sinks.values():
+            sink.discard()
+        raise
     return [FramesOf(robot, path, counts[robot], late[robot]) for robot, (path, _) in sinks.items()]
 
 

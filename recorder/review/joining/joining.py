@@ -21,7 +21,7 @@ from recorder.review.joining.duplicates import LATE_MAX, RECENT_MAX, Recent
 from recorder.review.joining.ordered import in_order
 from recorder.review.joining.output import new_file
 from recorder.review.joining.source import Row, Source
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.rows import END_OF_TIME_NS, Progress
 from recorder.robots import METADATA_NAME
 from recorder.session import COMPLETENESS_NAME

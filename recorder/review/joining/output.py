@@ -33,7 +33,7 @@ def new_file(path: Path) -> Generator[BufferedWriter, None, None]:
                 yield stream
                 stream.flush()
                 os.fsync(stream.fileno())
-                _name(part, path)
+                give_name(part, path)
             except BaseException:
                 part.unlink(missing_ok=True)
                 raise
@@ -43,7 +43,13 @@ def new_file(path: Path) -> Generator[BufferedWriter, None, None]:
         raise CommandError(f"cannot write {shown}: {error.strerror or error}") from error
 
 
-def _name(part: Path, path: Path) -> None:
+def give_name(part: Path, path: Path) -> None:
+    """A whole part becomes the file.
+
+    Raises:
+        FileExistsError: somebody else has put one there meanwhile.
+        OSError: the disk does not take it.
+    """
     try:
         # Unlike a rename, a link does not replace what somebody else has put there meanwhile.
         os.link(part, path)

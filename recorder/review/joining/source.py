@@ -18,7 +18,7 @@ from recorder.mcap_scan import BROKEN, RECORD_MAX
 from recorder.mcap_summary import MAGIC, RECORD_HEADER
 from recorder.review.contents import tells_all
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.pieces import Fault, LooseMessage, PackedChunk, read_pieces
 from recorder.review.summary import read_summary
 from recorder.review.walk import LoggedMessage, messages

@@ -2,6 +2,7 @@
 
 import shutil
 import subprocess
+from datetime import datetime
 from pathlib import Path
 
 import can
@@ -143,3 +144,28 @@ def test_can_utils_read_the_candump_log(tmp_path: Path) -> None:
         check=True,
     ).stdout
     assert sum("18C4D1EFx" in line or " 123 " in line for line in out.splitlines()) == len(plain)
+
+
+@pytest.mark.parametrize("form", FrameFormat)
+def test_until_it_is_whole_a_file_has_not_its_name(tmp_path: Path, form: FrameFormat) -> None:
+    """Half a file is not taken for all of a drive; of what is given up nothing stays."""
+    for path in (tmp_path / "whole", tmp_path / "half"):
+        file = FrameFile(path, form)
+        for frame in FRAMES:
+            file.write(frame)
+        assert not path.exists()
+        if path.name == "whole":
+            file.close()
+        else:
+            file.discard()
+    assert [path.name for path in tmp_path.iterdir()] == ["whole"]
+
+
+def test_an_asc_file_is_dated_by_its_frames(tmp_path: Path) -> None:
+    """Not by the day on which it was exported; in local time, as the format has it."""
+    written(tmp_path / "x.asc", FrameFormat.ASC, FRAMES)
+    with can.ASCReader(tmp_path / "x.asc") as reader:
+        list(reader)
+        assert reader.date is not None
+        began = datetime.strptime(reader.date, "%b %d %H:%M:%S.%f %Y").timestamp()  # noqa: DTZ007
+    assert began == START_NS // 1_000_000 / 1000

@@ -9,7 +9,8 @@ from mcap import records
 
 from recorder.protobuf_schema import descriptor_set, schema_name
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile, find_logs
+from recorder.review.log_file import LogFile
+from recorder.review.logs import find_logs
 from recorder.review.replay_run import Halt, Order
 from recorder.review.rows import Row, Selection, read_rows
 from recorder.review.topics import Topic, topic_of

@@ -71,16 +71,39 @@ def test_an_incident_that_logs_cover_is_left_out(tmp_path: Path) -> None:
         {"r-1.mcap": (200, 10)},
         {"r-1.mcap": (100, 3)},
         {"r-1.mcap": (100, 3), "r-3.mcap": (150, 10)},
-        {"q-1.mcap": (100, 10)},
         {"r-1.incident.mcap": (100, 3)},
     ],
 )
 def test_an_incident_that_is_not_covered_is_taken(tmp_path: Path, others: dict[str, tuple[int, int]]) -> None:
-    """Logs that begin later, end sooner, have a break or are another robot's."""
+    """Logs that begin later, end sooner, or have a break."""
     saved(tmp_path / "r-2.incident.mcap", log(110, 7))
     for name, given in others.items():
         saved(tmp_path / name, log(*given))
     assert "r-2.incident.mcap" in names([tmp_path])
+
+
+def test_an_incident_of_a_log_that_is_damaged_is_taken(tmp_path: Path) -> None:
+    """It holds what cannot be read there any more; and so where the recorder lost something of it."""
+    saved(tmp_path / "r-2.incident.mcap", log(120, 5))
+    path = saved(tmp_path / "r-1.mcap", log(100))
+    assert names([tmp_path]) == ["r-1.mcap"]
+    data = bytearray(log(100))
+    place = data.index(b"zstd") + 40
+    data[place] ^= 0x55
+    saved(path, bytes(data))
+    assert names([tmp_path]) == ["r-1.mcap", "r-2.incident.mcap"]
+    saved(path, own_log([gears(0, 3, 100), gears(4, 6, 140)]))
+    assert names([tmp_path]) == ["r-1.mcap", "r-2.incident.mcap"]
+
+
+@pytest.mark.parametrize("data", [foreign_log(range(5, 10)), foreign_log(range(5, 10), use_chunking=False)])
+def test_other_peoples_logs_cover_too(tmp_path: Path, data: bytes) -> None:
+    """With message indexes or without, and whatever they are called."""
+    saved(tmp_path / "all.mcap", data)
+    saved(tmp_path / "r-2.incident.mcap", foreign_log(range(6, 9)))
+    assert names([tmp_path]) == ["all.mcap"]
+    saved(tmp_path / "r-2.incident.mcap", foreign_log(range(6, 11)))
+    assert names([tmp_path]) == ["all.mcap", "r-2.incident.mcap"]
 
 
 def test_logs_that_follow_each_other_cover_together(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from recorder.effects import LogChannel
 from recorder.review.columns.reader import ColumnReader
 from recorder.review.export.cells import objects
 from recorder.review.export.dataset import export_dataset
@@ -12,7 +13,9 @@ from recorder.review.export.manifest import read_manifest
 from recorder.review.export.one_log import Wanted
 from recorder.review.faults import Faults
 from recorder.review.logs import find_logs
-from recorder.review.query import DatasetSource, LogSource, Source, answer, told
+from recorder.review.query import Source, answer, told
+from recorder.review.querying.dataset_source import DatasetSource
+from recorder.review.querying.log_source import LogSource
 from recorder.review.rows import Selection
 from schemas.exit_codes import CommandError, ExitCode
 from tests.recorder.fakes import WALL_NS
@@ -109,6 +112,7 @@ def test_tables_tell_their_columns(source: Source) -> None:
     assert table.topics == ["fleet/cruiser-1/chassis/gear", "fleet/cruiser-2/chassis/gear"]
     assert [column.name for column in table.columns] == [
         "robot",
+        "topic",
         "log_time",
         "publish_time",
         "sequence",
@@ -117,7 +121,7 @@ def test_tables_tell_their_columns(source: Source) -> None:
         "active",
         "gear_position",
     ]
-    assert table.columns[4].unit == "ns"
+    assert table.columns[5].unit == "ns"
 
 
 @pytest.mark.parametrize(
@@ -149,7 +153,7 @@ def test_only_the_columns_that_are_asked_for_are_made(tmp_path: Path, monkeypatc
     unpatched = ColumnReader.__init__
 
     def spy(*arguments: Any, **named: Any) -> None:  # noqa: ANN401
-        asked.append(set(arguments[6] or ()))
+        asked.append(set(arguments[5] or ()))
         unpatched(*arguments, **named)
 
     monkeypatch.setattr(ColumnReader, "__init__", spy)
@@ -202,6 +206,61 @@ def test_others_topics_are_tables_too(tmp_path: Path) -> None:
     source = LogSource(find_logs(logs, Faults()), Selection(), Faults())
     assert ask(source, "SELECT f_int32 FROM t") == [{"f_int32": 5}]
     assert ask(source, "SELECT data FROM t_2") == [{"data": "eA=="}]
+
+
+def test_own_subjects_have_their_tables_in_any_case(source: Source) -> None:
+    """A robot that was never driven has decided nothing: no rows, and no wrong statement."""
+    assert ask(source, "SELECT reason, count(*) FROM safety_decision GROUP BY reason") == []
+    assert ask(source, "SELECT count(*) AS n FROM recorder_gap JOIN state USING (robot)") == [{"n": 0}]
+    assert "safety_decision" not in {table.name for table in source.tables}
+
+
+def test_own_subjects_have_their_names_before_others(tmp_path: Path) -> None:
+    """Whatever somebody else writes under a key of ours."""
+    other = LogChannel(1, "fleet/a/chassis/gear", "s", b"", "jsonschema", "json")
+    logs = [write(tmp_path, "1", log_of([other], [[(1, b'{"x": 1}')]])), write(tmp_path, "2", drive(count=3))]
+    directory = tmp_path / "set"
+    export_dataset(find_logs(logs, Faults()), directory, Wanted(), Faults())
+    manifest = read_manifest(directory)
+    assert manifest is not None
+    for source in (
+        LogSource(find_logs(logs, Faults()), Selection(), Faults()),
+        DatasetSource(directory, manifest),
+    ):
+        assert ask(source, "SELECT robot, count(*) AS n FROM chassis_gear GROUP BY ALL") == [
+            {"robot": "cruiser-1", "n": 3}
+        ]
+        assert ask(source, "SELECT robot, topic, json FROM chassis_gear_2") == [
+            {"robot": "a", "topic": "chassis/gear", "json": '{"x": 1}'}
+        ]
+
+
+def test_robots_of_one_name_are_told_apart(tmp_path: Path) -> None:
+    """By their roots, in a dataset as over the logs."""
+    data = [drive(count=3), drive(count=4).replace(b"fleet/cruiser-1", b"depot/cruiser-1")]
+    found = find_logs([write(tmp_path, str(place), one) for place, one in enumerate(data)], Faults())
+    export_dataset(found, tmp_path / "set", Wanted(), Faults())
+    manifest = read_manifest(tmp_path / "set")
+    assert manifest is not None
+    for source in (LogSource(found, Selection(), Faults()), DatasetSource(tmp_path / "set", manifest)):
+        assert ask(source, "SELECT robot, count(*) AS n FROM chassis_gear GROUP BY robot ORDER BY robot") == [
+            {"robot": "depot/cruiser-1", "n": 4},
+            {"robot": "fleet/cruiser-1", "n": 3},
+        ]
+
+
+def test_a_statement_that_would_take_days_can_be_stopped(source: Source) -> None:
+    """DuckDB is interrupted in the midst of it."""
+    looks = iter([False, False])
+    sql = "SELECT sum(a.range % c.range) FROM range(1, 1000000) a, range(1, 1000000) b, range(1, 1000000) c"
+
+    def read() -> None:
+        with answer(source, sql, lambda: next(looks, True)) as rows:
+            assert rows is not None
+            rows.read_all()
+
+    with pytest.raises(KeyboardInterrupt):
+        read()
 
 
 def test_a_statement_may_write_a_file(source: Source, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """The messages of logs, as rows."""
 
 from array import array
+from io import BytesIO
 from pathlib import Path
 
 import pytest
@@ -8,11 +9,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from recorder.effects import LogChannel
-from recorder.mcap_summary import encode_index
+from recorder.mcap_summary import MAGIC, encode_index
 from recorder.protobuf_schema import descriptor_set, schema_name
 from recorder.review.faults import Faults
+from recorder.review.log_file import LogFile
 from recorder.review.logs import find_logs
-from recorder.review.rows import END_OF_TIME_NS, Row, Selection, read_rows
+from recorder.review.pieces import PackedChunk, read_pieces
+from recorder.review.rows import END_OF_TIME_NS, LogReader, Row, Selection, read_rows
 from schemas.messages import Drive, Gear
 from tests.recorder.review.made_logs import GEAR_TOPIC, foreign_log, gears, own_log, saved
 
@@ -170,3 +173,13 @@ def test_nothing_that_a_file_may_hold_raises(tmp_path: Path, noise: bytes, place
     """Noise in place of a file's bytes."""
     place = 8 + place % (len(LOG) - 8)
     rows(tmp_path, Selection(), LOG[:place] + noise + LOG[place + len(noise) :], faults=Faults())
+
+
+def test_wherever_a_file_is_cut_off_its_whole_chunks_are_read() -> None:
+    """Also where the cut goes through the message indexes behind the last one."""
+    data = own_log([[*gears(0, 3, 100), (2, 0, 115, b""), *gears(3, 2, 130)]], CHANNELS)
+    [chunk] = [piece for piece in read_pieces(BytesIO(data), len(data)) if isinstance(piece, PackedChunk)]
+    for size in range(len(MAGIC), len(data)):
+        log = LogFile(Path("log"), size, 0, 0)
+        found = list(LogReader(BytesIO(data[:size]), log, Selection(), Faults()).rows())
+        assert len(found) == (6 if size >= chunk.offset + chunk.length else 0)

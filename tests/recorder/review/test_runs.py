@@ -19,7 +19,18 @@ from schemas.decisions import Journal
 def topic(subject: str) -> Topic:
     """A topic of a robot."""
     decode = typed_decoder(Journal) if subject == "journal" else None
-    return Topic(f"fleet/cruiser-1/{subject}", "", "protobuf", "protobuf", b"", None, "cruiser-1", subject, decode)
+    return Topic(
+        f"fleet/cruiser-1/{subject}",
+        "",
+        "protobuf",
+        "protobuf",
+        b"",
+        None,
+        "cruiser-1",
+        "cruiser-1",
+        subject,
+        decode,
+    )
 
 
 JOURNAL, STATE = topic("journal"), topic("state")

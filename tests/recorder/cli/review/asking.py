@@ -6,8 +6,8 @@ from recorder.cli.review import command as review
 from schemas.settings import Settings
 
 
-def run(*words: str) -> int:
+def run(*words: str, is_stopped: bool = False) -> int:
     """The command's exit code."""
     parser = argparse.ArgumentParser()
     review.add_arguments(parser)
-    return review.run(parser.parse_args(words), Settings(), lambda: False)
+    return review.run(parser.parse_args(words), Settings(), lambda: is_stopped)

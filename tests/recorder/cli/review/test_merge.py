@@ -49,3 +49,19 @@ def test_a_part_is_cut(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
         run("cut", str(path), "--from", "soon", "-o", str(tmp_path / "other.mcap"))
     assert caught.value.code == ExitCode.USAGE
     assert not (tmp_path / "other.mcap").exists()
+
+
+@pytest.mark.parametrize("question", ["merge", "cut"])
+def test_whoever_is_told_to_stop_leaves_nothing(tmp_path: Path, question: str) -> None:
+    """At the first Ctrl-C."""
+    log = saved(tmp_path / "in" / "a.mcap", own_log([gears(0, 3, 10)]))
+    with pytest.raises(KeyboardInterrupt):
+        run(question, str(log), "-o", str(tmp_path / "out.mcap"), is_stopped=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]
+
+
+def test_a_part_of_no_topic_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A wrong pattern looks like an empty drive."""
+    log = saved(tmp_path / "a.mcap", own_log([gears(0, 3, 10)]))
+    assert run("cut", str(log), "--topics", "nothing", "-o", str(tmp_path / "out.mcap")) == ExitCode.OK
+    assert "no topic is of these patterns" in capsys.readouterr().err

@@ -297,7 +297,8 @@ def test_flags_that_do_not_fit_are_a_mistake(log: str, words: list[str]) -> None
 
 
 @pytest.mark.parametrize(
-    "words", [["--speed", "-1"], ["--speed", "nan"], ["--speed", "x"], ["--loop", "0"], ["--loop", "x"]]
+    "words",
+    [*(["--speed", text] for text in ("-1", "0", "nan", "x")), ["--loop", "0"], ["--loop", "x"]],
 )
 def test_numbers_that_are_none_are_a_mistake(log: str, words: list[str]) -> None:
     """Said by argparse."""
@@ -480,9 +481,9 @@ def test_a_gateway_on_the_replayed_bus_says_what_the_first_one_said(log: str) ->
 def test_a_log_that_holds_nothing_to_replay_is_told(tmp_path: Path, peer: tuple[Peer, str], log: str) -> None:
     """Exit code 1: no such keys, or another maker's log."""
     _, endpoint = peer
-    for words in ([log, "--keys", "fleet/nobody/**"],):
+    for words in (["--timeout", "0.1"], ["--listen", "tcp/127.0.0.1:0"]):
         with pytest.raises(CommandError, match="nothing that could be replayed") as caught:
-            run(*words, "--timeout", "0.1", endpoint=endpoint)
+            run(log, "--keys", "fleet/nobody/**", *words, endpoint=endpoint)
         assert caught.value.code is ExitCode.FAILURE
     with pytest.raises(CommandError, match="No such file"):
         run(str(tmp_path / "none.mcap"), endpoint=endpoint)

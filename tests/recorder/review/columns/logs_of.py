@@ -16,6 +16,7 @@ from recorder.protobuf_schema import descriptor_set, schema_name
 from recorder.review.columns.reader import Batch, ColumnReader, Sift
 from recorder.review.export.cells import values
 from recorder.review.faults import Faults
+from recorder.review.log_file import LogFile
 from recorder.review.rows import Selection
 from recorder.review.topics import typed_decoder
 from recorder.transcode import compile_encoder
@@ -53,7 +54,7 @@ def batches_of(
     stream = BytesIO(data)
     stream.seek(len(MAGIC))
     taken = Faults() if faults is None else faults
-    reader = ColumnReader(stream, len(data), "log", selection or Selection(), taken)
+    reader = ColumnReader(stream, LogFile(Path("log"), len(data), 0, 0), selection or Selection(), taken)
     found = list(reader.batches(lambda _: None, sift))
     if faults is None:
         assert not taken, taken.told

@@ -6,10 +6,11 @@ from pathlib import Path
 import pytest
 
 from recorder.review.export import csv_files
-from recorder.review.export.csv_files import CsvFile, export_csv, file_name
+from recorder.review.export.csv_files import CsvFile, export_csv
 from recorder.review.export.one_log import Wanted
 from recorder.review.faults import Faults
 from recorder.review.logs import find_logs
+from recorder.review.topic_names import file_name
 from schemas.exit_codes import CommandError
 from tests.recorder.review.export.drives import drive, write
 
@@ -78,3 +79,15 @@ def test_any_topic_is_one_file_name() -> None:
     assert file_name("a/b.c") != file_name("a.b/c")
     assert file_name("") == "%"
     assert "/" not in file_name("a\\/..\n")
+
+
+def test_of_an_export_that_is_broken_off_nothing_is_left(tmp_path: Path) -> None:
+    """Half a file is not taken for all of a drive."""
+
+    def stop(_bytes: int) -> None:
+        raise KeyboardInterrupt
+
+    logs = find_logs([write(tmp_path, "1", drive())], Faults())
+    with pytest.raises(KeyboardInterrupt):
+        export_csv(logs, tmp_path / "out", Wanted(), Faults(), stop)
+    assert list((tmp_path / "out").iterdir()) == []

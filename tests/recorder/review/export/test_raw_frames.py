@@ -29,6 +29,9 @@ class FakeFile:
     def close(self) -> None:
         self.is_closed = True
 
+    def discard(self) -> None:
+        self.frames.clear()
+
 
 def read(paths: list[Path]) -> list[LoggedFrame]:
     """All frames of files."""

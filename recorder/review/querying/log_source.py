@@ -1,0 +1,183 @@
+"""The tables of logs, which are read when a statement asks for them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from typing import Any
+
+import duckdb
+import msgspec
+import pyarrow as pa
+import pyarrow.dataset as ds
+from mcap import records
+
+from recorder.mcap_scan import BROKEN
+from recorder.review.columns.reader import read_batches
+from recorder.review.columns.tables import LOG_TIME, ROBOT, TOPIC, Columns, columns_of
+from recorder.review.declared import Declared
+from recorder.review.export.known_rows import KnownRows, overlapping
+from recorder.review.export.manifest import described
+from recorder.review.faults import Faults
+from recorder.review.log_file import LogFile
+from recorder.review.pieces import PackedChunk, read_pieces
+from recorder.review.querying.tables import WHOSE, TableInfo, column_info, free_name, own_columns
+from recorder.review.rows import Progress, Selection
+from recorder.review.summary import read_summary
+from recorder.review.topics import Topic
+from recorder.review.walk import messages
+
+
+class Table(msgspec.Struct, eq=False):
+    """A table of logs: topics whose columns are the same.
+
+    Attributes:
+        schema: with robot and topic as its first columns.
+        topics: by the log's place the names of the topics that it holds.
+    """
+
+    name: str
+    schema: pa.Schema
+    topics: dict[int, set[str]]
+
+
+def tables_of(logs: Sequence[LogFile], faults: Faults, wanted: Selection) -> list[Table]:
+    """The tables of logs, by name; those of our own subjects are there in any case, if only without a row.
+
+    Topics of one name whose columns differ get a number: ``odometry_2``.
+    """
+    found: dict[tuple[str, str], Table] = {}
+    for columns in own_columns().values():
+        _table_of(found, columns)
+    for place, log in enumerate(logs):
+        for topic in topics_of(log, faults):
+            if wanted.wants(topic):
+                columns = columns_of(topic)
+                _table_of(found, columns).topics.setdefault(place, set()).add(topic.name)
+    return sorted(found.values(), key=lambda table: table.name)
+
+
+def _table_of(found: dict[tuple[str, str], Table], columns: Columns) -> Table:
+    key = columns.table, described(columns.schema)[0]
+    table = found.get(key)
+    if table is None:
+        name = free_name(columns.table, {one.name for one in found.values()})
+        table = found[key] = Table(name, pa.schema([*WHOSE, *columns.schema]), {})
+    return table
+
+
+def topics_of(log: LogFile, faults: Faults) -> list[Topic]:
+    """The topics of a log, by its summary, or else by all that is in it."""
+    declared = Declared(log.namesakes)
+    try:
+        with log.path.open("rb") as stream:
+            declared.take_summary(read_summary(stream))
+            if not declared.topics:
+                for one in _declared(stream, log.bytes):
+                    declared.take(one)
+    except OSError as error:
+        faults.add(f"{log.path}: {error.strerror or error}")
+    return list(declared.topics.values())
+
+
+def _declared(stream: Any, size: int) -> Iterator[records.Schema | records.Channel]:  # noqa: ANN401 - BinaryIO
+    known: set[int] = set()
+    for piece in read_pieces(stream, size, is_verifying=False):
+        found: Iterator[Any] = iter([piece])
+        if isinstance(piece, PackedChunk):
+            if piece.index is not None and piece.index.keys() <= known:
+                continue
+            try:
+                found = messages(piece.offset, piece.unpack(stream))
+            except BROKEN:
+                continue
+        for one in found:
+            if isinstance(one, records.Channel):
+                known.add(one.id)
+            if isinstance(one, records.Schema | records.Channel):
+                yield one
+
+
+class LogSource:
+    """Tables that are read from logs while a statement runs.
+
+    Args:
+        logs: in the order of their beginnings.
+        selection: topics and time.
+        faults: takes what cannot be read, once, however often a statement reads it.
+        progress: is told of bytes that were read.
+    """
+
+    def __init__(
+        self, logs: Sequence[LogFile], selection: Selection, faults: Faults, progress: Progress = lambda _: None
+    ) -> None:
+        self._logs = logs
+        self._selection = selection
+        self._faults = faults
+        self._told: set[str] = set()
+        self._progress = progress
+        self._tables = tables_of(logs, faults, selection)
+
+    @property
+    def tables(self) -> list[TableInfo]:
+        """What there is; tables without a row are not told."""
+        return [
+            TableInfo(
+                table.name,
+                sorted(set().union(*table.topics.values())),
+                [column_info(field) for field in table.schema],
+            )
+            for table in self._tables
+            if table.topics
+        ]
+
+    def declare(self, connection: duckdb.DuckDBPyConnection, _names: Collection[str]) -> None:
+        """Make the tables known."""
+        for table in self._tables:
+            connection.register(table.name, _LogTable(self, table))
+
+    def batches(self, table: Table, wanted: Collection[str]) -> Iterator[pa.RecordBatch]:
+        """The rows of a table, with the wanted columns only."""
+        schema = pa.schema([field for field in table.schema if field.name in wanted])
+        own = pa.schema(list(table.schema)[len(WHOSE) :])
+        for place, names in table.topics.items():
+            log = self._logs[place]
+            selection = msgspec.structs.replace(
+                self._selection, wants=lambda topic, names=names: topic.name in names
+            )
+            faults = Faults()
+            known = KnownRows(log, overlapping(log, self._logs[:place]), selection)
+            # Without any column of the log nothing would say how many rows there are.
+            for batch in read_batches(log, selection, faults, self._progress, known.sift, {*wanted, LOG_TIME}):
+                if batch.columns.schema == own:
+                    whose = {ROBOT: batch.columns.robot or None, TOPIC: batch.columns.place}
+                    columns = [
+                        pa.repeat(pa.scalar(whose[name], pa.string()), batch.rows.num_rows)
+                        if name in whose
+                        else batch.rows.column(name)
+                        for name in schema.names
+                    ]
+                    yield pa.RecordBatch.from_arrays(columns, schema=schema)
+            self._tell(faults)
+
+    def _tell(self, faults: Faults) -> None:
+        for fault in faults.told:
+            if fault not in self._told:
+                self._told.add(fault)
+                self._faults.add(fault)
+
+
+class _LogTable(ds.InMemoryDataset):  # type: ignore[misc]  # pyarrow has no annotations
+    """What DuckDB takes for a dataset: each time that it scans, it says which columns it wants."""
+
+    def __init__(self, source: LogSource, table: Table) -> None:
+        super().__init__([], schema=table.schema)
+        self._source = source
+        self._table = table
+
+    def scanner(self, columns: Sequence[str] | None = None, filter: Any = None, **_rest: Any) -> ds.Scanner:  # noqa: A002, ANN401 - pyarrow's names
+        names = self._table.schema.names
+        about = "" if filter is None else str(filter)
+        wanted = [name for name in names if columns is None or name in columns or name in about]
+        schema = pa.schema([self._table.schema.field(name) for name in wanted])
+        rows = self._source.batches(self._table, frozenset(wanted))
+        return ds.Scanner.from_batches(rows, schema=schema, columns=columns, filter=filter)
