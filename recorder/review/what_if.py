@@ -28,6 +28,9 @@ from schemas.subjects import BY_NAME
 STOP_TOLERANCE_NS: Final = 2_000_000_000
 """Stops of one reason that lie no further apart are the same stop."""
 
+MOVED_NS: Final = 10_000_000
+"""A stop that is this much sooner or later, a tick of the arbiter, is told."""
+
 STATE_GAP_S: Final = 1.0
 """Over a longer gap between two states nothing is known of the way."""
 
@@ -52,6 +55,21 @@ class StopMade(msgspec.Struct, frozen=True):
     reason: str
     operator: str
     text: str
+
+
+class StopMoved(msgspec.Struct, frozen=True):
+    """A stop that both runs make, and the other one at another time, in nanoseconds since 1970."""
+
+    stop: StopMade
+    other_ns: int
+
+
+class StopsCompared(msgspec.Struct, frozen=True):
+    """The stops of two runs: only in the recorded one, only in the other, and in both but not at the same time."""
+
+    avoided: list[StopMade]
+    added: list[StopMade]
+    moved: list[StopMoved]
 
 
 class Verdict(msgspec.Struct, frozen=True):
@@ -101,7 +119,8 @@ class WhatIfResult(msgspec.Struct, frozen=True):
         settings: each setting that differs: as it was, and as it is tried.
         first, inputs, detail: as in ``rerun.RerunResult``.
         decisions: how many both runs made; ``changes`` are those that differ.
-        stops_avoided: stops that were recorded and would not have been; ``stops_added`` the other way round.
+        stops_avoided: stops that were recorded and would not have been; ``stops_added`` the other way round;
+            ``stops_moved`` those of both that would have been sooner or later.
     """
 
     robot: str
@@ -118,6 +137,7 @@ class WhatIfResult(msgspec.Struct, frozen=True):
     other: Journey
     stops_avoided: list[StopMade]
     stops_added: list[StopMade]
+    stops_moved: list[StopMoved]
 
 
 def what_if_logs(
@@ -161,6 +181,7 @@ def _what_if(player: Player, run_both: WhatIf, settings_of: Callable[[str], Sett
             player.break_off(error)
         run = player.result(pair.start_ns)
     recorded, tried = pair.sides[False].journey, pair.sides[True].journey
+    stops = compared(recorded.stops, tried.stops)
     return WhatIfResult(
         robot=run.robot,
         run=run.run,
@@ -174,8 +195,9 @@ def _what_if(player: Player, run_both: WhatIf, settings_of: Callable[[str], Sett
         changes=list(pair.changes.values()),
         recorded=recorded,
         other=tried,
-        stops_avoided=without(recorded.stops, tried.stops),
-        stops_added=without(tried.stops, recorded.stops),
+        stops_avoided=stops.avoided,
+        stops_added=stops.added,
+        stops_moved=stops.moved,
     )
 
 
@@ -189,22 +211,24 @@ def _changed(settings: Settings, other: Settings) -> dict[str, tuple[object, obj
     }
 
 
-def without(stops: Sequence[StopMade], others: Sequence[StopMade]) -> list[StopMade]:
-    """The stops without a counterpart among the others: of the same reason, near in time, and no other's."""
+def compared(recorded: Sequence[StopMade], other: Sequence[StopMade]) -> StopsCompared:
+    """Which stops of either run are those of the other: of the same reason, and near in time."""
     by_reason: dict[str, deque[StopMade]] = {}
-    for other in sorted(others, key=_time):
-        by_reason.setdefault(other.reason, deque()).append(other)
-    alone = []
-    for stop in sorted(stops, key=_time):
+    for stop in sorted(other, key=_time):
+        by_reason.setdefault(stop.reason, deque()).append(stop)
+    found = StopsCompared([], [], [])
+    for stop in sorted(recorded, key=_time):
         left = by_reason.get(stop.reason, deque())
         # Both in the order of time: what is too early for this stop is so for all that follow.
         while left and left[0].time_ns < stop.time_ns - STOP_TOLERANCE_NS:
-            left.popleft()
-        if left and left[0].time_ns <= stop.time_ns + STOP_TOLERANCE_NS:
-            left.popleft()
-        else:
-            alone.append(stop)
-    return alone
+            found.added.append(left.popleft())
+        if not left or left[0].time_ns > stop.time_ns + STOP_TOLERANCE_NS:
+            found.avoided.append(stop)
+        elif abs((other_ns := left.popleft().time_ns) - stop.time_ns) >= MOVED_NS:
+            found.moved.append(StopMoved(stop, other_ns))
+    found.added.extend(stop for left in by_reason.values() for stop in left)
+    found.added.sort(key=_time)
+    return found
 
 
 def _time(stop: StopMade) -> int:

@@ -17,7 +17,7 @@ from recorder.review.configurations import CONFIGURATION
 from recorder.review.rerun import RerunResult
 from recorder.review.side_by_side import rerun_side_by_side
 from recorder.review.times import in_words
-from recorder.review.what_if import Journey, StopMade, Verdict, WhatIfResult, what_if_logs
+from recorder.review.what_if import Journey, StopMade, StopMoved, Verdict, WhatIfResult, what_if_logs
 from schemas.configuration import TomlSource, merge
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
@@ -31,8 +31,8 @@ DESCRIPTION: Final = (
     "events, states and sent frames must come out byte for byte; whatever differs is listed, with exit code 1. "
     "A run whose beginning is not in the log is run again from where the gateway was at rest; exit code 3 if a "
     "run is not all there. With --set or --with the run is shown as it would have been with other settings: "
-    "decisions, distance and time, stops avoided or added. A model of the chassis then answers what the recorded "
-    "one was not asked; what people would have done otherwise nobody knows."
+    "decisions, distance and time, stops avoided, added or moved. A model of the chassis then answers what the "
+    "recorded one was not asked; what people would have done otherwise nobody knows."
 )
 
 TOLD: Final = 20
@@ -165,6 +165,7 @@ def describe_what_if(result: WhatIfResult) -> str:
     )
     lines += [f"  stop avoided: {_stop(stop)}" for stop in result.stops_avoided]
     lines += [f"  stop added: {_stop(stop)}" for stop in result.stops_added]
+    lines += [f"  stop {_moved(one)}: {_stop(one.stop)}" for one in result.stops_moved]
     changed = sum(change.count for change in result.changes)
     lines.append(f"  {changed} of {result.decisions} decisions would have been others")
     lines += [
@@ -193,6 +194,11 @@ def _journey(name: str, journey: Journey) -> tuple[str, ...]:
 def _stop(stop: StopMade) -> str:
     operator = f", {stop.operator}" if stop.operator else ""
     return f"{in_words(stop.time_ns)} {stop.reason}{operator}: {stop.text}"
+
+
+def _moved(moved: StopMoved) -> str:
+    seconds = (moved.other_ns - moved.stop.time_ns) / 1e9
+    return f"{abs(seconds):.2f} s {'later' if seconds > 0 else 'sooner'}"
 
 
 def _verdict(verdict: Verdict) -> str:

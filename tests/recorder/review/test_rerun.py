@@ -250,6 +250,14 @@ def test_a_log_without_a_configuration_is_not_run_with_another(log: Path) -> Non
     assert (result.inputs, result.detail) == (0, "the log does not hold the robot's configuration")
 
 
+def test_robots_of_one_name_under_two_roots_are_run_each(log: Path) -> None:
+    """Each by itself, with the name and the root."""
+    other = log.with_name("other.mcap")
+    other.write_bytes(day_log().replace(b"fleet/", b"depot/"))
+    found = [(one.robot, one.difference_count, one.detail) for one in run_again(log.parent)[0]]
+    assert found == [("depot/cruiser-1", 0, ""), ("fleet/cruiser-1", 0, "")]
+
+
 def test_a_log_without_a_journal_has_nothing_to_run(tmp_path: Path) -> None:
     """Nor any result."""
     path = tmp_path / "log.mcap"

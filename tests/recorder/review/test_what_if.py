@@ -13,7 +13,14 @@ from gateway.what_if import Said
 from recorder.review.configurations import settings_from
 from recorder.review.faults import Faults
 from recorder.review.logs import find_logs
-from recorder.review.what_if import STOP_TOLERANCE_NS, StopMade, WhatIfResult, what_if_logs, without
+from recorder.review.what_if import (
+    STOP_TOLERANCE_NS,
+    StopMade,
+    StopsCompared,
+    WhatIfResult,
+    compared,
+    what_if_logs,
+)
 from schemas.codec import encode
 from schemas.decisions import Decision, EventKind, Journal, SafetyEvent, Severity, Verdict
 from schemas.messages import Message, RobotState, Variant
@@ -101,12 +108,30 @@ STOPS = st.builds(
 @given(st.lists(STOPS, max_size=8), st.lists(STOPS, max_size=8))
 def test_each_stop_has_one_counterpart_at_most(stops: list[StopMade], others: list[StopMade]) -> None:
     """Of the same reason, near in time; what is left on either side is the same number as what differs."""
-    alone, others_alone = without(stops, others), without(others, stops)
-    assert without(stops, stops) == []
-    assert len(stops) - len(alone) == len(others) - len(others_alone)
-    for stop in alone:
-        same = [one for one in others_alone if one.reason == stop.reason]
+    found = compared(stops, others)
+    assert compared(stops, stops) == StopsCompared([], [], [])
+    assert len(stops) - len(found.avoided) == len(others) - len(found.added)
+    for stop in found.avoided:
+        same = [one for one in found.added if one.reason == stop.reason]
         assert all(abs(one.time_ns - stop.time_ns) > STOP_TOLERANCE_NS for one in same)
+    assert all(0 < abs(one.other_ns - one.stop.time_ns) <= STOP_TOLERANCE_NS for one in found.moved)
+
+
+def test_a_longer_deadman_stops_later(tmp_path: Path) -> None:
+    """The same stop, a quarter of a second later; the decisions are the same."""
+    day = Day(1, Variant.COARSE, ticks=0)
+    day.rig.run(0.6)
+    operator = Operator(day.rig)
+    operator.engage()
+    operator.drive(1.0, 0.0, 1.0)
+    day.rig.run(6)
+    path = tmp_path / "log.mcap"
+    path.write_bytes(recorded(day))
+    result = tried(path, deadman_s=0.5)
+    assert (result.stops_added, result.stops_avoided, result.changes) == ([], [], [])
+    assert [
+        (one.stop.reason, round((one.other_ns - one.stop.time_ns) / 1e9, 2)) for one in result.stops_moved
+    ] == [("deadman", 0.25)]
 
 
 def both(messages: Callable[[bool], list[Message]]) -> Callable[..., Iterator[Said]]:
