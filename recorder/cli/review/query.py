@@ -55,7 +55,10 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
         from recorder.review import query  # noqa: PLC0415 - its libraries are an extra
         from recorder.review.export.manifest import read_manifest  # noqa: PLC0415
         from recorder.review.querying import dataset_source, log_source  # noqa: PLC0415
-    manifest = read_manifest(arguments.logs[0]) if len(logs) == 1 else None
+    manifests = list(map(read_manifest, arguments.logs))
+    if len(logs) > 1 and any(manifests):
+        raise CommandError("a dataset is asked alone, without logs or other datasets", ExitCode.USAGE)
+    manifest = manifests[0]
     if manifest is not None:
         if arguments.from_time or arguments.to_time:
             raise CommandError(
@@ -73,6 +76,8 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
             # DuckDB makes an error of its own of whatever interrupts it.
             if stopped():
                 raise KeyboardInterrupt from None
+            # What cannot be read may be why.
+            end_with(asked.faults)
             raise
     return end_with(asked.faults)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
-from typing import Any
+from typing import Any, BinaryIO
 
 import duckdb
 import msgspec
@@ -19,7 +19,7 @@ from recorder.review.export.known_rows import KnownRows, overlapping
 from recorder.review.export.manifest import described
 from recorder.review.faults import Faults
 from recorder.review.log_file import LogFile
-from recorder.review.pieces import PackedChunk, read_pieces
+from recorder.review.pieces import Fault, PackedChunk, read_pieces
 from recorder.review.querying.tables import WHOSE, TableInfo, column_info, free_name, own_columns
 from recorder.review.rows import Progress, Selection
 from recorder.review.summary import read_summary
@@ -72,16 +72,18 @@ def topics_of(log: LogFile, faults: Faults) -> list[Topic]:
         with log.path.open("rb") as stream:
             declared.take_summary(read_summary(stream))
             if not declared.topics:
-                for one in _declared(stream, log.bytes):
+                for one in _declared(stream, log, faults):
                     declared.take(one)
     except OSError as error:
         faults.add(f"{log.path}: {error.strerror or error}")
     return list(declared.topics.values())
 
 
-def _declared(stream: Any, size: int) -> Iterator[records.Schema | records.Channel]:  # noqa: ANN401 - BinaryIO
+def _declared(stream: BinaryIO, log: LogFile, faults: Faults) -> Iterator[records.Schema | records.Channel]:
     known: set[int] = set()
-    for piece in read_pieces(stream, size, is_verifying=False):
+    for piece in read_pieces(stream, log.bytes, is_verifying=False):
+        if isinstance(piece, Fault):
+            faults.add(f"{log.path}: byte {piece.offset}: {piece.detail}")
         found: Iterator[Any] = iter([piece])
         if isinstance(piece, PackedChunk):
             if piece.index is not None and piece.index.keys() <= known:

@@ -117,3 +117,21 @@ def test_what_a_log_holds_does_not_rule_the_terminal(asked: Path, capsys: pytest
     out = capsys.readouterr().out
     assert "\x1b" not in out
     assert "xxx..." in out
+
+
+def test_a_dataset_is_asked_alone(tmp_path: Path) -> None:
+    """Beside logs it would be left out without a word."""
+    log = write(tmp_path, "1", drive())
+    run("export", "-o", tmp_path / "out", log)
+    with pytest.raises(CommandError, match="a dataset is asked alone") as caught:
+        run("query", "SELECT 1", log, tmp_path / "out")
+    assert caught.value.code is ExitCode.USAGE
+
+
+def test_of_a_damaged_log_a_wrong_statement_tells_the_damage_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A table may be missing because of it."""
+    with pytest.raises(CommandError, match="does not exist"):
+        run("query", "SELECT * FROM odometry_of_others", write(tmp_path, "1", drive()[:400]))
+    assert "the file is cut off" in capsys.readouterr().err
