@@ -13,25 +13,29 @@ from typing import Final
 
 import msgspec
 
+from recorder.review.configurations import attached
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
+from recorder.review.reasoning import ending as endings
 from recorder.review.reasoning import silence as silences
 from recorder.review.reasoning import story as stories
 from recorder.review.reasoning.chain import Link, Step, before, missing, span
 from recorder.review.reasoning.evidence import EVIDENCE, Clue
+from recorder.review.reasoning.hindrance import PLAIN, cures, hinders, hindrance
 from recorder.review.reasoning.moment import arbiter, headline, motion
 from recorder.review.reasoning.request_evidence import describe_command, refused_lately
-from recorder.review.reasoning.scene import Scene, Stage
-from recorder.review.reasoning.silence import Silence, is_other_run, last_silence
+from recorder.review.reasoning.scene import BEFORE_NS, Heard, Scene, Stage, is_other_run
+from recorder.review.reasoning.silence import Silence, last_silence, next_silence
 from recorder.review.reasoning.stopping import actions
 from recorder.review.reasoning.story import Story
 from recorder.review.rows import Progress
 from recorder.review.survey import Survey
-from recorder.review.timeline.clock import RUN_TICKS
-from recorder.review.timeline.entries import Entry, EntryKind
+from recorder.review.timeline.clock import NEAR_NS, RUN_TICKS
+from recorder.review.timeline.entries import Entry
+from recorder.review.times import in_words
 from schemas.decisions import COMMANDING, ArbiterState, SafetyState
 from schemas.messages import TimeNs
-from schemas.reasons import OF_A_ROBOT, Reason
+from schemas.reasons import Reason
 from schemas.settings import SAFETY_STATE_PERIOD_NS
 
 SOON_NS: Final = 1_000_000_000
@@ -46,13 +50,6 @@ LOOKED_AT_NS: Final = 5_000_000_000
 LATCHES_SHOWN: Final = 3
 """Latches besides that of the stop whose evidence is looked for."""
 
-_PLAIN: Final = frozenset({Reason.STOPPING, Reason.NOT_ENGAGED, Reason.ENGAGING, Reason.NO_LEASE})
-"""What blocks a robot that nobody has engaged: there is nothing to show but that nobody has."""
-
-
-_PASSING: Final = frozenset({Reason.STOPPING, Reason.ENGAGING})
-"""What ends by itself."""
-
 
 class Explanation(msgspec.Struct, frozen=True):
     """An answer.
@@ -62,7 +59,8 @@ class Explanation(msgspec.Struct, frozen=True):
         state: the arbiter's at that moment; None if the log does not tell.
         reason: that of the stop that is told of; ``none`` if none is.
         stop_ns: when that stop began; None if none is told of.
-        silent_ns: when the gateway fell silent, if another one began after it; None if it did not, or long before.
+        silent_ns: when the gateway fell silent, if another one began after it; None if it did not, or long before
+            or after the moment.
         headline: the answer in one sentence.
         chain: the links that lead to it.
     """
@@ -96,19 +94,23 @@ def explain(
         robot: its name.
         logs: in the order of their beginnings.
         found: what a survey of these logs found.
-        at_ns: the moment, in nanoseconds since 1970; the last stop of the logs if it is None.
+        at_ns: the moment, in nanoseconds since 1970; if it is None, the last stop of the logs, or when a gateway
+            that died at work was last heard, whichever is later.
         faults: takes what cannot be read.
         progress: is told of bytes that were read.
     """
-    name = f"{robot}/configuration.toml"
-    texts = [(one.log_time, one.data.decode("utf-8", "replace")) for one in found.attachments if one.name == name]
-    stage = Stage(robot, logs, texts, faults)
+    stage = Stage(robot, logs, attached(robot, found), faults)
     story = stories.told(robot, logs, faults, progress)
-    if at_ns is None and story.last_stop() is None:
-        story = stories.derived(robot, logs, faults, progress)
+    last: Heard[SafetyState] | None = None
     if at_ns is None:
-        last = story.last_stop()
-        at_ns = last.time_ns if last is not None else max((log.end_ns for log in logs), default=0)
+        if story.last_stop() is None:
+            story = stories.derived(robot, logs, faults, progress)
+        stop = story.last_stop()
+        ended = endings.ending(robot, logs, 0 if stop is None else stop.time_ns - NEAR_NS, faults, progress)
+        last = ended.last
+        at_ns = max(
+            (one.time_ns for one in (stop, ended.died) if one is not None), default=_period(robot, logs)[1]
+        )
     now = _scene(stage, story, at_ns)
     state = _state(now)
     focus = _focus(story, state, now)
@@ -117,7 +119,37 @@ def explain(
         now = _scene(stage, story, at_ns)
         state = _state(now)
         focus = _focus(story, state, now)
-    return _Answer(stage, story, now, state, focus).explanation()
+    beyond = _beyond(robot, logs, at_ns) if state is None else None
+    return beyond or _Answer(stage, story, now, state, focus).explanation(last)
+
+
+def _period(robot: str, logs: Sequence[LogFile]) -> tuple[int, int]:
+    """The first and the last log time of the files that hold a robot, of all where none says so; 0 if none is."""
+    filled = [log for log in logs if log.end_ns]
+    its = [log for log in filled if any(robot in {name, f"{root}/{name}"} for root, name in log.robots)]
+    # A file that is not whole may not tell whose it is.
+    of = [log for log in filled if log in its or not log.robots] or filled
+    return min((log.start_ns for log in of), default=0), max((log.end_ns for log in of), default=0)
+
+
+def _beyond(robot: str, logs: Sequence[LogFile], at_ns: int) -> Explanation | None:
+    """What there is to say of a moment that the logs do not hold; None if they do."""
+    start_ns, end_ns = _period(robot, logs)
+    if start_ns - STALE_NS <= at_ns <= end_ns + STALE_NS or not end_ns:
+        return None
+    ends = (
+        f"ends {span(at_ns - end_ns)} before it" if at_ns > end_ns else f"begins {span(start_ns - at_ns)} after it"
+    )
+    return Explanation(
+        robot=robot,
+        at_ns=at_ns,
+        state=None,
+        reason=Reason.NONE,
+        stop_ns=None,
+        silent_ns=None,
+        headline=f"The log does not hold that moment: it {ends}.",
+        chain=[missing(f"the log goes from {in_words(start_ns)} to {in_words(end_ns)}")],
+    )
 
 
 def _scene(stage: Stage, story: Story, at_ns: int) -> Scene:
@@ -129,8 +161,11 @@ def _scene(stage: Stage, story: Story, at_ns: int) -> Scene:
 
 
 def _state(now: Scene) -> SafetyState | None:
-    heard = now.last(SafetyState)
-    return heard.said if heard is not None and now.at_ns - heard.time_ns <= STALE_NS else None
+    """The arbiter's at the moment; None if there is none, or if its gateway had fallen silent."""
+    heard, silence = now.last(SafetyState), last_silence(now)
+    if heard is None or now.at_ns - heard.time_ns > STALE_NS:
+        return None
+    return None if silence is not None and silence.then.time_ns > now.at_ns else heard.said
 
 
 def _focus(story: Story, state: SafetyState | None, now: Scene) -> Entry | None:
@@ -138,17 +173,20 @@ def _focus(story: Story, state: SafetyState | None, now: Scene) -> Entry | None:
 
     None but one that was not followed by an engagement or by another run of the gateway: those ended it.
     """
+    stop = story.stop_before(now.at_ns)
+    is_stopping = state is not None and state.state is ArbiterState.STOPPING
+    if state is not None and is_stopping and stop is not None and stop.reason is state.stop_reason:
+        return stop
     is_commanding = state is not None and state.state in COMMANDING
     soon = story.next_stop(now.at_ns)
     if soon is not None and soon.time_ns <= now.at_ns + (SOON_NS if is_commanding else SAFETY_STATE_PERIOD_NS):
         return soon
-    if is_commanding:
+    if is_commanding or stop is None:
         return None
-    stop = story.stop_before(now.at_ns)
-    if stop is None or stop.tick is None:
-        return stop
     if state is not None:
-        return stop if abs(state.tick - stop.tick) < RUN_TICKS else None
+        return stop if stop.tick is None or abs(state.tick - stop.tick) < RUN_TICKS else None
+    if now.at_ns - stop.time_ns > BEFORE_NS:
+        return None  # What was since is not known.
     silence = last_silence(now)
     return stop if silence is None or silence.was_stopping else None
 
@@ -172,7 +210,8 @@ class _Answer:
         self._state = state
         self._focus = focus
 
-    def explanation(self) -> Explanation:
+    def explanation(self, last: Heard[SafetyState] | None) -> Explanation:
+        """The answer; with the last state of the logs, if no moment was asked about."""
         now, state, focus = self._now, self._state, self._focus
         silence = self._silence()
         links = [*motion(now), *arbiter(now, state), *self._command()]
@@ -182,30 +221,54 @@ class _Answer:
             links += self._stop(focus)
         links += self._blocked({Reason.NONE if focus is None else focus.reason})
         links += _lacks(now)
+        links += self._untold(silence, last)
         return Explanation(
             robot=now.robot,
             at_ns=now.at_ns,
             state=None if state is None else state.state,
             reason=Reason.NONE if focus is None else focus.reason,
             stop_ns=None if focus is None else focus.time_ns,
-            silent_ns=None if silence is None else silence.was.time_ns,
+            silent_ns=None if silence is None else silence.heard_ns,
             headline=self._headline(silence),
             chain=_once(links),
         )
 
     def _silence(self) -> Silence | None:
-        """That of the gateway, if nothing has happened since that tells more."""
-        if self._state is not None and (self._focus is not None or self._state.state is not ArbiterState.STANDBY):
-            return None
-        return last_silence(self._now)
+        """That of the gateway at the moment or soon after it; or before it, if nothing since tells more."""
+        if self._state is not None and self._state.state is not ArbiterState.STANDBY:
+            return next_silence(self._now, SOON_NS)
+        return None if self._state is not None and self._focus is not None else last_silence(self._now)
 
     def _headline(self, silence: Silence | None) -> str:
         now, state = self._now, self._state
+        latched = [] if state is None else state.latched
+        said = headline(now, state, self._focus, self._story.newest_latch(latched, now.at_ns))
         if silence is None:
-            latched = [] if state is None else state.latched
-            return headline(now, state, self._focus, self._story.newest_latch(latched, now.at_ns))
+            return said
         told = silences.in_a_sentence(silence, now.at_ns)
-        return told if state is None else f"{headline(now, state, None)} {told}"
+        return told if state is None else f"{said} {told}"
+
+    def _untold(self, silence: Silence | None, last: Heard[SafetyState] | None) -> Iterator[Link]:
+        """What was before the moment, or came after it, and is not told of."""
+        at_ns, state, focus = self._now.at_ns, self._state, self._focus
+        if state is None and focus is None and silence is None:
+            stop = self._story.stop_before(at_ns)
+            if stop is not None:
+                yield missing(
+                    f"the last stop in the log was {before(stop.time_ns, at_ns)}; what was since is not told"
+                )
+        is_active = state is not None and state.state is not ArbiterState.STANDBY
+        if is_active and silence is None:
+            heard_ns = max(one.time_ns for one in self._now.all(SafetyState))
+            if heard_ns < at_ns + SOON_NS:
+                text = f"the arbiter's states end {before(heard_ns, at_ns)}, and none follows for seconds"
+                yield missing(f"{text}: whether the gateway died, or the recording ended, is not told")
+        engaged = None if last is None or focus is None else self._story.next_engaged(focus.time_ns)
+        if last is not None and engaged is not None and last.said.state in COMMANDING:
+            text = (
+                f"it was engaged again {before(engaged.time_ns, at_ns)}, and so it is in the last state of the log"
+            )
+            yield missing(f"{text}, {before(last.time_ns, at_ns)}: what came then is not told")
 
     def _command(self) -> list[Link]:
         if self._state is None:
@@ -217,14 +280,17 @@ class _Answer:
 
     def _stop(self, focus: Entry) -> Iterator[Link]:
         """The stop: cause, evidence, what was done, what is latched, the cure."""
-        scene = self._scene(focus.time_ns, "the stop")
+        is_taken = focus.reason is Reason.HAND_TRANSMITTER
+        scene = self._scene(focus.time_ns, "the takeover" if is_taken else "the stop")
         by = f", by {focus.operator}" if focus.operator and focus.operator not in focus.text else ""
         derived = "; no event says so, two states of the arbiter do" if focus.is_derived else ""
         yield Link(Step.CAUSE, f"{focus.text}{by}{derived}", focus.time_ns, {"reason": focus.reason.value})
         yield from EVIDENCE[focus.reason](Clue(scene, focus.text))
         yield from actions(scene, focus.reason)
         yield from self._latches(scene, focus)
-        yield from _cures([focus.reason])
+        latched = [] if self._state is None else self._state.latched
+        is_past = self._state is not None and focus.tick is not None and self._state.tick >= focus.tick
+        yield from cures(focus.reason, is_reset=is_past and focus.reason not in latched)
         yield from _lacks(scene)
 
     def _latches(self, scene: Scene, focus: Entry) -> Iterator[Link]:
@@ -242,7 +308,7 @@ class _Answer:
         if focus is not None and entry.tick == focus.tick:
             when = "with this stop"
         text = f"latched {when}: {reason.value}"
-        reset = self._story.next(EntryKind.RESET, entry.time_ns)
+        reset = self._story.reset_of(entry)
         if reset is None:
             text += ", and no reset of it is in the log"
         else:
@@ -250,25 +316,27 @@ class _Answer:
         return Link(Step.LATCH, text, entry.time_ns, {"reason": reason.value})
 
     def _blocked(self, told: set[Reason]) -> Iterator[Link]:
-        """What besides kept the robot where it was, at the moment itself."""
-        if self._state is None:
+        """What besides kept the robot where it was, or from being engaged, at the moment itself."""
+        state = self._state
+        if state is None:
             return
-        blocked_by = [reason for reason in self._state.blocked_by if reason not in told]
+        blocked_by = [reason for reason in state.blocked_by if reason not in told]
+        if state.state is ArbiterState.ENGAGED:
+            blocked_by = [reason for reason in blocked_by if hinders(reason, self._now, state)]
         for number, reason in enumerate(blocked_by):
-            latch = None
-            if reason in self._state.latched and number < LATCHES_SHOWN:
-                latch = self._story.last_latch(reason, self._now.at_ns)
-            if reason in _PLAIN:
+            if reason in PLAIN:
                 continue
-            text = f"it was kept from moving, too: {OF_A_ROBOT[reason].means}"
-            yield Link(Step.CAUSE, text, None, {"reason": reason.value})
-            if reason in self._state.latched:
+            yield Link(Step.CAUSE, hindrance(reason, state), None, {"reason": reason.value})
+            is_latched = reason in state.latched
+            if is_latched:
                 yield self._latch(reason)
-            if latch is not None:
+            latch = self._story.last_latch(reason, self._now.at_ns) if number < LATCHES_SHOWN else None
+            if is_latched and latch is not None:
                 yield from EVIDENCE[reason](Clue(self._scene(latch.time_ns, "the latch"), latch.text))
-            elif reason not in self._state.latched:
+            elif not is_latched:
                 yield from EVIDENCE[reason](Clue(self._now))
-        yield from _cures(blocked_by)
+        for reason in blocked_by:
+            yield from cures(reason, is_reset=reason not in state.latched)
 
     def _scene(self, at_ns: int, what: str) -> Scene:
         scene = self._now
@@ -279,13 +347,6 @@ class _Answer:
 
 
 _COMMANDS: Final = {Step.EVIDENCE: Step.COMMAND, Step.MISSING: Step.MISSING}
-
-
-def _cures(reasons: Sequence[Reason]) -> Iterator[Link]:
-    for reason in reasons:
-        cure = OF_A_ROBOT[reason].cure
-        if cure and reason not in _PASSING:
-            yield Link(Step.CURE, f"to cure {reason.value}: {cure}", None, {"reason": reason.value})
 
 
 def _lacks(scene: Scene) -> Iterator[Link]:

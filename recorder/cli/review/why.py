@@ -11,6 +11,7 @@ from typing import Any, Final
 import msgspec
 
 from recorder.cli.review.asking import Asked, add_logs, end_with, find, progress_bar
+from recorder.review.faults import Faults
 from recorder.review.survey import survey
 from recorder.review.times import FORMS, in_words, time_of
 from recorder.review.why import Explanation, explain
@@ -19,14 +20,17 @@ from schemas.printable import plain
 from schemas.settings import Settings
 
 EXAMPLE: Final = """\
-  cruiser review why logs                  # the last stop
+  cruiser review why logs                  # the last stop, or the death of a gateway at work
   cruiser review why logs --at 23.3
   cruiser review why logs --at 03:04:05.678 --robot cruiser-1 --json | jq -r '.chain[].text'"""
 DESCRIPTION: Final = (
     "Why the robot stopped, or did not move, at a time: what it did, what it was asked for, the frames, silences "
     "and requests that led to the decision, what was done, what is latched, and what would cure it. What the log "
-    "does not show is said. Exit code 1 if the log does not tell what the arbiter did, 3 if a file is not whole."
+    "does not show is said. Exit code 1 if the log does not tell what the arbiter did, or does not hold that "
+    "time; 3 if a file is not whole."
 )
+
+_LAST: Final = "the last stop, or the death of a gateway at work if that was later,"
 
 _WIDTH: Final = 110
 
@@ -34,7 +38,7 @@ _WIDTH: Final = 110
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
     add_logs(parser, json_help="print one JSON object, with the chain as data")
-    parser.add_argument("--at", metavar="TIME", help=f"the moment; the last stop if left out: {FORMS}")
+    parser.add_argument("--at", metavar="TIME", help=f"the moment; {_LAST} if left out: {FORMS}")
     parser.add_argument("--robot", metavar="NAME", help="whose, where the logs are of several")
 
 
@@ -43,7 +47,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     asked = find(arguments)
     at_ns = None if arguments.at is None else time_of(arguments.at, asked.start_ns, asked.end_ns)
     found = survey(asked.logs, asked.faults)
-    robot = _robot(arguments.robot, found.robots)
+    robot = _robot(arguments.robot, found.robots, asked.faults)
     with progress_bar("why", asked.bytes, stopped) as progress:
         explanation = explain(robot, asked.logs, found, at_ns, asked.faults, progress)
     if arguments.json:
@@ -54,18 +58,21 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     return code if code or explanation.is_answered else int(ExitCode.FAILURE)
 
 
-def _robot(name: str | None, robots: list[str]) -> str:
+def _robot(name: str | None, robots: list[str], faults: Faults) -> str:
     """The robot that is asked about.
 
     Raises:
-        CommandError: there is none, or it is not clear which.
+        CommandError: there is none, or it is not clear which. What cannot be read of the logs is told before.
     """
     shown = ", ".join(map(plain, robots))
     if not robots:
-        raise CommandError("the log holds nothing of a robot")
+        code = end_with(faults)
+        raise CommandError("the log holds nothing of a robot", ExitCode(code or ExitCode.FAILURE))
     if name is None and len(robots) > 1:
+        end_with(faults)
         raise CommandError(f"the logs are of several robots: give --robot, one of {shown}", ExitCode.USAGE)
     if name is not None and name not in robots:
+        end_with(faults)
         raise CommandError(f"the log holds nothing of {plain(name)}, but of {shown}", ExitCode.USAGE)
     return name or robots[0]
 

@@ -72,6 +72,11 @@ def zero(value: float) -> float:
     return 0.0 if abs(value) < 0.05 else value
 
 
+def mps(speed_mps: float) -> str:
+    """A signed speed; what would be shown as minus nothing is nothing."""
+    return f"{round(speed_mps, 2) + 0.0:.2f} m/s"
+
+
 def count(number: int, one: str, many: str = "") -> str:
     """``1 frame``, ``2 frames``."""
     return f"{number} {one if number == 1 else many or one + 's'}"

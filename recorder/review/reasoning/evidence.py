@@ -96,7 +96,7 @@ EVIDENCE: Final[dict[Reason, Finder]] = {
     Reason.LEASE_TAKEN: _asked("take"),
     Reason.LEASE_RELEASED: _asked("release"),
     Reason.LEASE_EXPIRED: lambda clue: request_evidence.lease_expired(clue.scene),
-    Reason.DEADMAN: lambda clue: request_evidence.deadman(clue.scene),
+    Reason.DEADMAN: lambda clue: request_evidence.deadman(clue.scene, clue.detail),
     Reason.NOT_CONFIRMED: _not_confirmed,
     Reason.DISENGAGED: _asked("disengage"),
     Reason.BUS_DOWN: lambda clue: gateway_evidence.bus(clue.scene),

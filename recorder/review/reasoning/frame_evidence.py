@@ -27,8 +27,10 @@ from schemas.settings import (
     IMPLAUSIBLE_MPS,
     IMPLAUSIBLE_NS,
     IMPLAUSIBLE_RATIO,
+    SAFETY_STATE_PERIOD_NS,
     SPEED_PLAUSIBLE_MPS,
     STEERING_PLAUSIBLE_DEG,
+    TICK_NS,
 )
 
 _MODES: Final = {0: "auto", 1: "remote", 2: "stop"}
@@ -39,6 +41,8 @@ _ABSURD: Final = {
     "RearRightSpeed": SPEED_PLAUSIBLE_MPS,
 }
 _COUNTER_MODULO: Final = 16
+_TOLD_NS: Final = SAFETY_STATE_PERIOD_NS + TICK_NS
+"""What the arbiter says is so may be over since, for so long: it says so again after its period."""
 
 
 def bumper(scene: Scene, signal: str, field: str) -> list[Link]:
@@ -59,10 +63,11 @@ def _turned(scene: Scene, signal: str, value: int, word: str) -> list[Link]:
     for frame in reversed(scene.frames_before(BODY)):
         if not frame.is_whole:
             continue
-        if signals(frame)[signal] != value:
+        if signals(frame)[signal] == value:
+            first = frame
+        elif first is not None or frame.time_ns < scene.at_ns - _TOLD_NS:
             other = frame
             break
-        first = frame
     if first is None:
         return []
     if other is None:

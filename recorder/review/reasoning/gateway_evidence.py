@@ -43,7 +43,7 @@ def controller(scene: Scene) -> list[Link]:
     """What the CAN controller said, as the events and the health tell."""
     found = [
         evidence(f"{one.said.text}, {scene.ago(one.time_ns)}", one.time_ns)
-        for one in scene.all(SafetyEvent)
+        for one in scene.during(SafetyEvent)
         if one.time_ns <= scene.at_ns
         and one.said.reason in {Reason.BUS_OFF, Reason.BUS_ERRORS}
         and one.said.kind is EventKind.FAULT
@@ -113,7 +113,7 @@ def lateness(scene: Scene) -> list[Link]:
 
 def pause(scene: Scene) -> list[Link]:
     """How long the arbiter said nothing right before."""
-    states = scene.all(SafetyState)
+    states = scene.during(SafetyState)
     for was, now in zip(reversed(states[:-1]), reversed(states[1:]), strict=True):
         if was.time_ns > scene.at_ns or now.time_ns < scene.at_ns - 2 * 10**9:
             continue
@@ -169,7 +169,9 @@ def stray(scene: Scene) -> list[Link]:
     if drive is None and state is None:
         return [missing("the chassis's speed and mode before this are not in the log")]
     found = []
-    left = next((one for one in scene.until(SafetyEvent) if one.said.kind in _LEFT), None)
+    # That a guard is there, or is gone, is of its kind too, and has no reason.
+    events = (one for one in scene.until(SafetyEvent) if one.said.reason is not Reason.NONE)
+    left = next((one for one in events if one.said.kind in _LEFT), None)
     if left is not None:
         text = f"it had been left to itself or to others {scene.ago(left.time_ns)}: {left.said.text}"
         found.append(evidence(text, left.time_ns, reason=left.said.reason.value))
@@ -192,7 +194,7 @@ def stray(scene: Scene) -> list[Link]:
 
 def ending(scene: Scene) -> list[Link]:
     """When the gateway last said something."""
-    last = scene.all(SafetyState)[-1:]
+    last = scene.during(SafetyState)[-1:]
     if not last:
         return [missing("what the gateway said around its end is not in the log")]
     text = f"the last state of the arbiter in these seconds came {scene.ago(last[0].time_ns)}"

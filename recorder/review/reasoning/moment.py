@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
-from recorder.review.reasoning.chain import Link, Step, before, missing, span, zero
+from recorder.review.reasoning.chain import Link, Step, before, missing, mps, span, zero
+from recorder.review.reasoning.hindrance import is_told, kept_by
 from recorder.review.reasoning.request_evidence import last_command
 from recorder.review.reasoning.scene import Heard, Said, Scene
 from recorder.review.timeline.entries import Entry, EntryKind
 from schemas.decisions import COMMANDING, ArbiterState, Bound, Decision, SafetyState, StopPhase
 from schemas.messages import Body, Drive, Gear, GearPosition, Parking, ParkingStatus, RobotState, Steering
-from schemas.reasons import OF_A_ROBOT, TEXTS
+from schemas.reasons import OF_A_ROBOT, TEXTS, Reason
 from schemas.settings import STANDSTILL_MPS
 
 FRESH_NS: Final = 500_000_000
 """Feedback that is older is no longer what the robot does; the slowest frame comes every 50 ms."""
+
+_STILL_MPS: Final = 0.005
+"""What would be shown as 0.00 m/s."""
 
 _WAYS: Final = {GearPosition.REVERSE: "backward", GearPosition.DRIVE: "forward"}
 
@@ -31,7 +35,7 @@ def motion(now: Scene) -> Iterator[Link]:
     position = gear.said.gear_position if gear is not None else GearPosition.UNDEFINED
     way = _WAYS.get(position, "")
     if speed_mps < STANDSTILL_MPS:
-        parts = [f"it stood ({speed_mps:.2f} m/s)"]
+        parts = [f"it {_stood(speed_mps)}"]
     else:
         parts = [f"it moved {way}{' ' if way else ''}at {speed_mps:.2f} m/s"]
     if steering is not None:
@@ -51,6 +55,11 @@ def motion(now: Scene) -> Iterator[Link]:
         "mode": None if body is None else body.said.mode.value,
     }
     yield Link(Step.MOTION, ", ".join(parts), drive.time_ns, data)
+
+
+def _stood(speed_mps: float) -> str:
+    """What a robot did that counts as standing; it may still roll, or begin to."""
+    return "stood" if speed_mps < _STILL_MPS else f"hardly moved, at {speed_mps:.2f} m/s"
 
 
 def _thin_motion(now: Scene) -> Iterator[Link]:
@@ -74,7 +83,7 @@ def arbiter(now: Scene, state: SafetyState | None) -> Iterator[Link]:
     """What the arbiter did, and for whom."""
     if state is None:
         last = now.last(SafetyState)
-        behind = next(now.after(SafetyState), None)
+        behind = next((one for one in now.all(SafetyState) if one.time_ns > now.at_ns), None)
         words = [f"the last came {before(last.time_ns, now.at_ns)}"] if last is not None else []
         words += [f"the next {before(behind.time_ns, now.at_ns)}"] if behind is not None else []
         near = ", ".join(words) or "nor any in the seconds around"
@@ -152,28 +161,36 @@ def headline(now: Scene, state: SafetyState | None, focus: Entry | None, latch: 
         focus: the stop that is told of.
         latch: the newest one of what is latched.
     """
-    why = "" if focus is None else _why(focus)
     if state is None:
         if focus is None:
             return "The log does not tell what the arbiter did then."
-        since = span(now.at_ns - focus.time_ns)
-        return f"The log holds no state of the arbiter at that moment. The last stop was {since} before: {why}."
+        when, why = before(focus.time_ns, now.at_ns), _why(focus)
+        return f"The log holds no state of the arbiter at that moment. The last stop was {when}: {why}."
     match state.state:
         case ArbiterState.STOPPING:
-            return f"It was being stopped: {why or TEXTS[state.stop_reason].means}."
+            return f"It was being stopped: {TEXTS[state.stop_reason].means if focus is None else _why(focus)}."
         case ArbiterState.STANDBY:
             return _standby(now, state, focus, latch)
         case ArbiterState.ENGAGING:
-            return "It was being engaged: the chassis did not read auto yet."
+            return f"It was being engaged: the chassis did not read auto yet{_soon(now, focus)}."
         case _:
-            after = "" if focus is None else f"; {span(focus.time_ns - now.at_ns)} later a stop began: {why}"
-            return f"{_engaged(now, state)}{after}."
+            return f"{_engaged(now, state)}{_soon(now, focus)}."
+
+
+def _soon(now: Scene, focus: Entry | None) -> str:
+    """The stop that came right after the moment."""
+    if focus is None:
+        return ""
+    what = "a stop began" if focus.kind is EntryKind.STOP else "the gateway let go of it"
+    return f"; {span(focus.time_ns - now.at_ns)} later {what}: {_why(focus)}"
 
 
 def _standby(now: Scene, state: SafetyState, focus: Entry | None, latch: Entry | None) -> str:
     """Nobody commanded it."""
     if focus is None:
-        return f"It was not engaged: {_blocked(state)}."
+        return f"It was not engaged: {_in_words(state.blocked_by)}."
+    if focus.time_ns > now.at_ns:
+        return f"It was not engaged{_soon(now, focus)}."
     when, why = before(focus.time_ns, now.at_ns), _why(focus)
     if latch is not None and latch.time_ns > focus.time_ns:
         latched = f"{before(latch.time_ns, now.at_ns)}: {_why(latch)}"
@@ -190,25 +207,34 @@ def _why(focus: Entry) -> str:
 
 def _engaged(now: Scene, state: SafetyState) -> str:
     """What an engaged robot did."""
-    drive = _fresh(now, Drive)
-    speed_mps = None if drive is None else drive.said.speed_mps
+    speed_mps = _speed_mps(now)
     if speed_mps is not None and speed_mps >= STANDSTILL_MPS:
         return f"It was engaged and moved, at {speed_mps:.2f} m/s"
-    if state.blocked_by:
-        return f"It was engaged and stood: {_blocked(state)}"
-    if state.output_speed_mps:
-        return f"It was engaged and told {state.output_speed_mps:.2f} m/s, but was not seen to move"
+    did = "was not seen to move" if speed_mps is None else _stood(speed_mps)
+    if is_told(state):
+        return f"It was engaged and told {mps(state.output_speed_mps)}, and {did}"
+    blocking = kept_by(now, state)
+    if blocking:
+        return f"It was engaged and {did}: {_in_words(blocking)}"
     last = last_command(now)
     if last is None:
-        return "It was engaged and stood: no drive command is in the log"
-    asked_mps = last.said.requested_speed_mps or 0.0
+        return f"It was engaged and {did}: no drive command to it is in the log"
+    asked_mps = round(last.said.requested_speed_mps or 0.0, 2)
     if asked_mps:
-        return f"It was engaged and asked for {asked_mps:.2f} m/s, and was told 0"
-    return f"It was engaged and stood: {last.said.operator} asked for zero speed"
+        return f"It was engaged and asked for {mps(asked_mps)}, was told 0.00 m/s, and {did}"
+    return f"It was engaged and {did}: {last.said.operator} asked for zero speed"
 
 
-def _blocked(state: SafetyState) -> str:
-    return "; ".join(OF_A_ROBOT[reason].means for reason in state.blocked_by) or "nothing blocked it"
+def _speed_mps(now: Scene) -> float | None:
+    """By its feedback, or by the robot's state; None if neither is there."""
+    drive, state = _fresh(now, Drive), _fresh(now, RobotState)
+    if drive is not None:
+        return drive.said.speed_mps
+    return None if state is None else state.said.speed_mps
+
+
+def _in_words(reasons: Sequence[Reason]) -> str:
+    return "; ".join(OF_A_ROBOT[reason].means for reason in reasons) or "nothing blocked it"
 
 
 def _fresh(now: Scene, kind: type[Said]) -> Heard[Said] | None:

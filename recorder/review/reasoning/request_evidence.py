@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from recorder.review.reasoning.chain import Link, count, evidence, missing, span, zero
+from recorder.review.reasoning.chain import Link, count, evidence, missing, mps, span, zero
 from recorder.review.reasoning.scene import Heard, Scene
 from schemas.decisions import Decision, EventKind, SafetyEvent, Verdict
 from schemas.reasons import TEXTS, Reason
@@ -22,12 +23,22 @@ _RENEWING: Final = frozenset({"acquire", "take", "renew", "engage", "reset"})
 LATELY_NS: Final = 3_000_000_000
 """A refusal that was longer ago is none of the moment's."""
 
+_COUNTED: Final = re.compile(r"none for (\d+) ms")
+
+_LEFT: Final = frozenset({EventKind.STOPPED, EventKind.TAKEOVER, EventKind.GUARD})
+
 Test = Callable[[Decision], bool]
 
 
-def deadman(scene: Scene) -> list[Link]:
-    """The last acceptable drive command, its age, and what came after it."""
-    if not scene.all(Decision):
+def deadman(scene: Scene, detail: str = "") -> list[Link]:
+    """The last acceptable drive command, its age, and what came after it.
+
+    Args:
+        scene: around the stop.
+        detail: what the arbiter said of it. A decision is told some time after its tick has begun, from which the
+            arbiter counts: its own figure is the right one.
+    """
+    if not scene.during(Decision):
         return [missing("no decision of these seconds is in the log, so which commands came is not known")]
     last = _last(scene, _is_obeyed)
     engaged = next((one for one in scene.until(SafetyEvent) if one.said.kind is EventKind.ENGAGED), None)
@@ -36,12 +47,17 @@ def deadman(scene: Scene) -> list[Link]:
     if last is not None and (engaged is None or last.time_ns >= engaged.time_ns):
         said = last.said
         age_ns = scene.at_ns - last.time_ns
+        counted = _COUNTED.search(detail)
+        counted_ms = None if counted is None else float(counted[1])
+        by_arbiter = ""
+        if counted_ms is not None and span(counted_ms * 1e6) != span(age_ns):
+            by_arbiter = f", {span(counted_ms * 1e6)} as the arbiter counts"
         text = (
             f"the last acceptable drive command was seq {said.request_sequence} of {_who(said)}, judged in tick "
-            f"{said.tick}, {scene.ago(last.time_ns)}: {_asked(said)}; {limit}"
+            f"{said.tick}, {scene.ago(last.time_ns)}{by_arbiter}: {_asked(said)}; {limit}"
         )
-        found = [evidence(text, last.time_ns, **_numbers(said), silent_ms=age_ns / 1e6, limit_ms=limit_ns / 1e6)]
-        return found + _since(scene, last.time_ns)
+        numbers = {**_numbers(said), "silent_ms": age_ns / 1e6, "counted_ms": counted_ms}
+        return [evidence(text, last.time_ns, **numbers, limit_ms=limit_ns / 1e6), *_since(scene, last.time_ns)]
     if engaged is not None:
         text = f"no drive command was accepted since it was engaged, {scene.ago(engaged.time_ns)}; {limit}"
         link = evidence(text, engaged.time_ns, limit_ms=limit_ns / 1e6)
@@ -52,7 +68,7 @@ def deadman(scene: Scene) -> list[Link]:
 def _since(scene: Scene, from_ns: int) -> list[Link]:
     """The drive commands that were refused since then, by reason; or that none came."""
     refused: dict[Reason, list[Heard[Decision]]] = {}
-    for one in scene.all(Decision):
+    for one in scene.during(Decision):
         if from_ns < one.time_ns <= scene.at_ns and one.said.request == "drive" and not _is_accepted(one.said):
             refused.setdefault(one.said.reason, []).append(one)
     found = [_refusals(scene, heard) for heard in refused.values()]
@@ -80,7 +96,7 @@ def _refusals(scene: Scene, heard: Sequence[Heard[Decision]]) -> Link:
 def refused(scene: Scene, reason: Reason) -> list[Link]:
     """The requests that were refused for this reason lately; nothing if none was."""
     by_who: dict[tuple[str, str], list[Heard[Decision]]] = {}
-    for one in scene.all(Decision):
+    for one in scene.during(Decision):
         if one.time_ns <= scene.at_ns and one.said.reason is reason:
             by_who.setdefault((one.said.operator, one.said.request), []).append(one)
     return [_refusals(scene, heard) for heard in by_who.values()]
@@ -123,8 +139,8 @@ def asked(scene: Scene, *verbs: str) -> list[Link]:
     text += f", {scene.ago(last.time_ns)}" if abs(last.time_ns - scene.at_ns) > TICK_NS else ""
     others = [
         one
-        for one in scene.all(Decision)
-        if one.said.request in verbs and _is_accepted(one.said) and one.time_ns > last.time_ns
+        for one in scene.during(Decision)
+        if one.said.request in verbs and _is_accepted(one.said) and last.time_ns < one.time_ns < scene.over_ns
     ]
     text += f"; {count(len(others), 'more came', 'more came')} after it" if others else ""
     return [evidence(text, last.time_ns, **_numbers(said))]
@@ -142,22 +158,43 @@ def not_confirmed(scene: Scene) -> list[Link]:
 
 
 def last_command(scene: Scene) -> Heard[Decision] | None:
-    """The last acceptable drive command."""
-    return _last(scene, _is_obeyed)
+    """The last acceptable drive command to a robot that is engaged: one of before it was is none any more."""
+    left = _left_or_engaged(scene)
+    last = _last(scene, _is_obeyed)
+    return None if last is None or (left is not None and last.said.tick <= left.said.tick) else last
 
 
 def describe_command(scene: Scene) -> list[Link]:
     """What was commanded at the moment, by whom, and what bound it."""
     last = last_command(scene)
     if last is None:
-        return [evidence("no acceptable drive command is in the log in the seconds before"), *_holes(scene)]
+        left = _left_or_engaged(scene)
+        if left is None:
+            text = "no acceptable drive command is in the log in the seconds before"
+        elif left.said.kind is EventKind.ENGAGED:
+            text = f"no drive command was accepted since it was engaged, {scene.ago(left.time_ns)}"
+        else:
+            return []
+        return [evidence(text), *_holes(scene)]
     said = last.said
     text = f"the last acceptable drive command, seq {said.request_sequence} of {_who(said)}, came "
-    text += f"{scene.ago(last.time_ns)} and asked for {_asked(said)}; the chassis was told "
-    text += f"{said.output_speed_mps:.2f} m/s, {zero(said.output_angle_deg):.1f} deg"
+    text += f"{scene.ago(last.time_ns)} and asked for {_asked(said)}; "
+    if said.frames_sent:
+        text += f"the chassis was told {mps(said.output_speed_mps)}, {zero(said.output_angle_deg):.1f} deg"
+    else:
+        text += "no frame went out in its tick"
     if said.bound_by:
         text += f"; bound by: {', '.join(bound.value.replace('_', ' ') for bound in said.bound_by)}"
     return [evidence(text, last.time_ns, **_numbers(said), bound_by=[bound.value for bound in said.bound_by])]
+
+
+def _left_or_engaged(scene: Scene) -> Heard[SafetyEvent] | None:
+    """With what the last drive commands began, or ended, to count."""
+    for one in scene.until(SafetyEvent):
+        # That a guard is there, or is gone, has no reason.
+        if one.said.kind is EventKind.ENGAGED or (one.said.kind in _LEFT and one.said.reason is not Reason.NONE):
+            return one
+    return None
 
 
 def _last(scene: Scene, test: Test, later_ns: int = 0) -> Heard[Decision] | None:
@@ -183,7 +220,7 @@ def _asked(said: Decision) -> str:
     speed, angle = said.requested_speed_mps, said.requested_angle_deg
     if speed is None or angle is None:
         return "nothing that the log tells"
-    return f"{speed:.2f} m/s, {zero(angle):.1f} deg"
+    return f"{mps(speed)}, {zero(angle):.1f} deg"
 
 
 def _who(said: Decision) -> str:

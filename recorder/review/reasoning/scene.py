@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
 from statistics import median
 from typing import Any, Final, Generic, TypeVar
 
 import msgspec
 
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.reasoning.chain import before
 from recorder.review.reasoning.signals import Frame
-from recorder.review.rows import Row, Selection, read_rows
-from recorder.review.timeline.clock import FAR_NS, NEAR_NS
+from recorder.review.rows import END_OF_TIME_NS, Row, Selection, read_rows
+from recorder.review.timeline.clock import FAR_NS, NEAR_NS, RUN_TICKS
 from recorder.review.topics import UNREADABLE
 from schemas import keys
 from schemas.configuration import TomlSource, merge
-from schemas.decisions import Decision, SafetyEvent, SafetyState
+from schemas.decisions import COMMANDING, ArbiterState, Decision, EventKind, SafetyEvent, SafetyState
 from schemas.exit_codes import CommandError
 from schemas.messages import (
     Body,
@@ -80,6 +81,11 @@ class Limits(msgspec.Struct, frozen=True):
         return "by its configuration" if self.is_known else "the start value; the log holds no configuration"
 
 
+def is_other_run(one: SafetyState, other: SafetyState) -> bool:
+    """The two are not of one run of a gateway."""
+    return abs(one.tick - other.tick) >= RUN_TICKS
+
+
 class Scene:
     """What the log holds of a robot around a moment. Times are nanoseconds since 1970, as those of the moment.
 
@@ -105,6 +111,8 @@ class Scene:
         self._shift_ns = shift_ns
         self._taken: dict[type[Message], deque[Heard[Any]]] = {}
         self._said: dict[type[Message], list[Heard[Any]]] = {}
+        self._during: dict[type[Message], list[Heard[Any]]] = {}
+        self._run_ns = (0, END_OF_TIME_NS)
         self._seen: set[tuple[str, int, int]] = set()
 
     def take(self, row: Row) -> None:
@@ -130,7 +138,7 @@ class Scene:
         if kind is RecordGap:
             gap = decode(row.data)
             parts = keys.parse(gap.key)
-            if parts is None or parts.robot in {"", self.robot}:
+            if parts is None or self.robot in {parts.robot, f"{parts.root}/{parts.robot}"} or not parts.robot:
                 self.gaps.append(gap)
         elif issubclass(kind, Message):
             heard = self._taken.setdefault(kind, deque(maxlen=KEPT))
@@ -139,8 +147,26 @@ class Scene:
     def settle(self) -> None:
         """All is there: put what came late into its place."""
         for kind in _ASKED_LATER & self._taken.keys():
-            self._taken[kind] = deque(map(self._by_tick, self._taken[kind]), maxlen=KEPT)
+            placed = map(self._by_tick, self._taken[kind])
+            # One that was asked for later, of a clock that was set meanwhile, may be of any other time.
+            self._taken[kind] = deque((one for one in placed if self._is_near(one.time_ns)), maxlen=KEPT)
         self._said = {kind: sorted(heard, key=lambda one: one.time_ns) for kind, heard in self._taken.items()}
+        from_ns, to_ns = self._run_ns = self._run()
+        for kind in _OF_A_GATEWAY & self._said.keys():
+            self._during[kind] = [one for one in self._said[kind] if from_ns <= one.time_ns < to_ns]
+
+    def _run(self) -> tuple[int, int]:
+        """When the gateway of the moment began, and when the next one did."""
+        from_ns, to_ns = 0, END_OF_TIME_NS
+        for was, then in pairwise(self.all(SafetyState)):
+            if is_other_run(was.said, then.said):
+                if then.time_ns > self.at_ns:
+                    return from_ns, then.time_ns
+                from_ns = then.time_ns
+        return from_ns, to_ns
+
+    def _is_near(self, time_ns: int) -> bool:
+        return self.at_ns - BEFORE_NS - _STALL_NS <= time_ns <= self.at_ns + AFTER_NS + _STALL_NS
 
     def _by_tick(self, one: Heard[Any]) -> Heard[Any]:
         """The same, at the time of its tick if its clock was wrong by then."""
@@ -160,20 +186,37 @@ class Scene:
         """The messages of a class, by their time."""
         return self._said.get(kind, [])
 
+    def during(self, kind: type[Said]) -> Sequence[Heard[Said]]:
+        """The same, but of what a gateway says only that of the run of the moment: what another said is past."""
+        return self._during.get(kind) or (() if kind in _OF_A_GATEWAY else self.all(kind))
+
     def last(self, kind: type[Said], at_ns: int | None = None) -> Heard[Said] | None:
         """The last one up to a time, that of the moment if none is given."""
         until_ns = self.at_ns if at_ns is None else at_ns
-        return next((one for one in reversed(self.all(kind)) if one.time_ns <= until_ns), None)
+        return next((one for one in reversed(self.during(kind)) if one.time_ns <= until_ns), None)
 
     def after(self, kind: type[Said], at_ns: int | None = None) -> Iterator[Heard[Said]]:
         """Those behind a time."""
         from_ns = self.at_ns if at_ns is None else at_ns
-        return (one for one in self.all(kind) if one.time_ns > from_ns)
+        return (one for one in self.during(kind) if one.time_ns > from_ns)
 
     def until(self, kind: type[Said], at_ns: int | None = None) -> Iterator[Heard[Said]]:
         """Those up to a time, the last one first."""
         until_ns = self.at_ns if at_ns is None else at_ns
-        return (one for one in reversed(self.all(kind)) if one.time_ns <= until_ns)
+        return (one for one in reversed(self.during(kind)) if one.time_ns <= until_ns)
+
+    @property
+    def over_ns(self) -> int:
+        """When what was at the moment was over: the next engagement, the next stop, or the end of the run."""
+        has_begun = has_rested = False
+        for one in self.after(SafetyState, self.at_ns - 1):
+            state = one.said.state
+            if (has_rested and state is ArbiterState.STOPPING) or (has_begun and state in COMMANDING):
+                return one.time_ns
+            has_begun |= state not in COMMANDING
+            has_rested |= state is ArbiterState.STANDBY
+        engaged = (one for one in self.after(SafetyEvent) if one.said.kind is EventKind.ENGAGED)
+        return next((one.time_ns for one in engaged), self._run_ns[1])
 
     def frames_before(self, identifier: int) -> Sequence[Frame]:
         """Frames that were received up to the moment, in their order."""
@@ -218,6 +261,11 @@ class Scene:
 
 
 _ASKED_LATER: Final[frozenset[type[Message]]] = frozenset({Decision, SafetyEvent})
+
+_OF_A_GATEWAY: Final[frozenset[type[Message]]] = frozenset(
+    {Decision, SafetyEvent, SafetyState, GatewayHealth, RobotState}
+)
+"""What a gateway says of itself and of what it made of the chassis; the others are what the chassis says."""
 
 _STALL_NS: Final = 2_000_000_000
 """No link delays a sample that it delivers for longer; it would be cut."""

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import Final
 
 import msgspec
 
-from recorder.review.reasoning.chain import Link, Step, before
-from recorder.review.reasoning.scene import Heard, Scene
-from recorder.review.timeline.clock import RUN_TICKS
-from schemas.decisions import ArbiterState, SafetyState
-from schemas.messages import Drive
+from recorder.review.reasoning.chain import Link, Step, before, evidence, missing, span
+from recorder.review.reasoning.scene import Heard, Scene, is_other_run
+from schemas.decisions import ArbiterState, Decision, SafetyState
+from schemas.messages import Drive, RobotState
 from schemas.settings import STANDSTILL_MPS
 
-_FRESH_NS = 500_000_000
+_FRESH_NS: Final = 500_000_000
 """Feedback that is older is no longer what the robot did."""
+
+_SIGNS: Final = (SafetyState, RobotState, Decision, Drive)
+"""What a gateway says so often that the last of it tells when it fell silent."""
 
 
 class Silence(msgspec.Struct, frozen=True):
@@ -23,13 +26,22 @@ class Silence(msgspec.Struct, frozen=True):
 
     Attributes:
         was: the last state of the one.
-        then: the first of the other.
+        heard_ns: when anything of it was heard last.
+        then: the first state of the other.
         speed_mps: the robot's, when the one was last heard; None if the log does not tell.
+        found: the first drive feedback that the other told; None if the log holds none.
     """
 
     was: Heard[SafetyState]
+    heard_ns: int
     then: Heard[SafetyState]
     speed_mps: float | None
+    found: Heard[Drive] | None
+
+    @property
+    def was_active(self) -> bool:
+        """It commanded the robot, or stopped it."""
+        return self.was.said.state is not ArbiterState.STANDBY
 
     @property
     def was_stopping(self) -> bool:
@@ -45,41 +57,67 @@ class Silence(msgspec.Struct, frozen=True):
         return f"{self.was.said.state.value}, {motion}"
 
 
-def is_other_run(one: SafetyState, other: SafetyState) -> bool:
-    """The two are not of one run of a gateway."""
-    return abs(one.tick - other.tick) >= RUN_TICKS
-
-
 def last_silence(now: Scene) -> Silence | None:
     """The last one that began before the moment; None if none is in these seconds."""
-    found = None
-    for was, then in pairwise(now.all(SafetyState)):
-        if was.time_ns <= now.at_ns and is_other_run(was.said, then.said):
-            found = was, then
-    if found is None:
-        return None
-    was, then = found
-    drive = now.last(Drive, was.time_ns + _FRESH_NS)
-    is_known = drive is not None and drive.time_ns > was.time_ns - _FRESH_NS and drive.time_ns < then.time_ns
-    return Silence(was, then, drive.said.speed_mps if drive is not None and is_known else None)
+    return next((one for one in reversed(_silences(now)) if one.heard_ns < now.at_ns), None)
+
+
+def next_silence(now: Scene, within_ns: int) -> Silence | None:
+    """The first one that begins at the moment or so soon after it, of a gateway that was not standing by."""
+    soon = (one for one in _silences(now) if now.at_ns <= one.heard_ns <= now.at_ns + within_ns)
+    return next((one for one in soon if one.was_active), None)
+
+
+def _silences(now: Scene) -> list[Silence]:
+    """All of these seconds."""
+    states = now.all(SafetyState)
+    return [_silence(now, was, then) for was, then in pairwise(states) if is_other_run(was.said, then.said)]
+
+
+def _silence(now: Scene, was: Heard[SafetyState], then: Heard[SafetyState]) -> Silence:
+    signs = (one.time_ns for kind in _SIGNS for one in now.all(kind) if was.time_ns <= one.time_ns < then.time_ns)
+    heard_ns = max(signs, default=was.time_ns)
+    drive = now.last(Drive, heard_ns)
+    is_known = drive is not None and drive.time_ns > was.time_ns - _FRESH_NS
+    speed_mps = drive.said.speed_mps if drive is not None and is_known else None
+    return Silence(was, heard_ns, then, speed_mps, next(now.after(Drive, then.time_ns), None))
 
 
 def in_a_sentence(silence: Silence, at_ns: int) -> str:
     """For a headline."""
-    fell = before(silence.was.time_ns, at_ns)
+    fell = before(silence.heard_ns, at_ns)
     return f"The gateway fell silent {fell}, {silence.left}; another began {before(silence.then.time_ns, at_ns)}."
 
 
 def links(silence: Silence) -> Iterator[Link]:
-    """The silence, and its end."""
+    """The silence, its end, and what is known of the robot in between."""
     said = silence.was.said
+    silent_ns = silence.then.time_ns - silence.heard_ns
     data = {
         "state": said.state.value,
         "lease_holder": said.lease_holder,
         "speed_mps": silence.speed_mps,
         "output_speed_mps": said.output_speed_mps,
-        "silent_ms": (silence.then.time_ns - silence.was.time_ns) / 1e6,
+        "guarded": said.guarded,
+        "silent_ms": silent_ns / 1e6,
     }
     told = f"; it told the chassis {said.output_speed_mps:.2f} m/s" if said.state is ArbiterState.ENGAGED else ""
-    yield Link(Step.CAUSE, f"the gateway fell silent, {silence.left}{told}", silence.was.time_ns, data)
-    yield Link(Step.CAUSE, "another gateway began: nothing of before holds any more", silence.then.time_ns)
+    yield Link(Step.CAUSE, f"the gateway fell silent, {silence.left}{told}", silence.heard_ns, data)
+    if silence.was_active and said.guarded:
+        text = (
+            "a guard watched the gateway, and is there to stop the robot in its place: what it did then is not in"
+        )
+        yield missing(f"{text} the log, for only the gateway tells of the bus")
+    elif silence.was_active:
+        yield missing(
+            "no guard watched the gateway; what the chassis, which obeys its last command, did is not told"
+        )
+    text = f"another gateway began after {span(silent_ns)}: nothing of before holds any more"
+    yield Link(Step.CAUSE, text, silence.then.time_ns)
+    if silence.was_active and silence.found is not None:
+        found = silence.found
+        after = span(found.time_ns - silence.heard_ns)
+        text = (
+            f"its first drive feedback, {after} after the other fell silent, said {found.said.speed_mps:.2f} m/s"
+        )
+        yield evidence(text, found.time_ns, speed_mps=found.said.speed_mps)

@@ -31,6 +31,7 @@ _STANDS_NS: Final = STANDSTILL_TICKS * TICK_NS
 
 def actions(scene: Scene, reason: Reason) -> list[Link]:
     """What became of the robot from the moment of the stop on, which was begun for this reason."""
+    over_ns = scene.over_ns
     states = list(scene.after(SafetyState, scene.at_ns - 1))
     stopping = list(takewhile(lambda one: one.said.state is ArbiterState.STOPPING, states))
     found: list[Link] = []
@@ -42,9 +43,9 @@ def actions(scene: Scene, reason: Reason) -> list[Link]:
         found.append(Link(Step.ACTION, text, states[0].time_ns))
     else:
         found.append(missing("the arbiter's states after this are not in the log, so what it did cannot be told"))
-    found += _standstill(scene, is_doubtful=reason in _DOUBTFUL)
+    found += _standstill(scene, over_ns, is_doubtful=reason in _DOUBTFUL)
     ended = next((one for one in scene.after(SafetyEvent) if one.said.kind is EventKind.STOPPED), None)
-    if ended is not None:
+    if ended is not None and ended.time_ns < over_ns:
         text = f"{ended.said.text}, after {span(ended.time_ns - scene.at_ns)}"
         found.append(Link(Step.ACTION, text, ended.time_ns, {"after_s": (ended.time_ns - scene.at_ns) / 1e9}))
     return found
@@ -112,15 +113,19 @@ def _phases(scene: Scene, stopping: Sequence[Heard[SafetyState]]) -> Iterator[Li
         yield Link(Step.ACTION, ", ".join(parts), next(iter(begun.values())).time_ns, data)
 
 
-def _standstill(scene: Scene, *, is_doubtful: bool) -> Iterator[Link]:
-    """When the chassis stood, and how far it came until then, by its drive feedback."""
+def _standstill(scene: Scene, over_ns: int, *, is_doubtful: bool) -> Iterator[Link]:
+    """When the chassis stood, and how far it came until then, by its drive feedback until this was over."""
     before = scene.last(Drive)
-    way = [*([before] if before is not None else []), *scene.after(Drive)]
+    way = [
+        *([before] if before is not None else []),
+        *takewhile(lambda one: one.time_ns < over_ns, scene.after(Drive)),
+    ]
     if len(way) < 2:
         yield missing("no drive feedback of this time is in the log, so when it stood cannot be told")
         return
     if way[0].said.speed_mps < STANDSTILL_MPS:
-        yield Link(Step.ACTION, "the robot stood already, by its drive feedback", way[0].time_ns)
+        text = f"the robot stood already, by its drive feedback{_moved_again(way, way[0])}"
+        yield Link(Step.ACTION, text, way[0].time_ns)
         return
     metres, stood, unseen_ns = 0.0, None, 0
     for was, now in pairwise(way):
@@ -148,6 +153,16 @@ def _standstill(scene: Scene, *, is_doubtful: bool) -> Iterator[Link]:
         text += "; the speeds are in doubt, so how far it came is not known"
     else:
         text += f"; for {span(unseen_ns)} there was no drive feedback, so how far it came is not known"
+    text += _moved_again(way, stood)
     distance_m = metres if is_known else None
     data = {"from_mps": way[0].said.speed_mps, "after_s": took_ns / 1e9, "distance_m": distance_m}
     yield Link(Step.ACTION, text, stood.time_ns, data)
+
+
+def _moved_again(way: Sequence[Heard[Drive]], stood: Heard[Drive]) -> str:
+    """That it did not stay where it stood, in words; empty if it did."""
+    moving = [one for one in way if one.time_ns > stood.time_ns and one.said.speed_mps >= STANDSTILL_MPS]
+    if not moving:
+        return ""
+    fastest_mps = max(one.said.speed_mps for one in moving)
+    return f"; it moved again {span(moving[0].time_ns - stood.time_ns)} later, at up to {fastest_mps:.2f} m/s"

@@ -8,10 +8,10 @@ from typing import Final
 
 from recorder.review.events import Question, Timeline, read_events
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
+from recorder.review.log_file import LogFile
 from recorder.review.reasoning.scene import Scene
 from recorder.review.rows import END_OF_TIME_NS, Progress, Selection, read_rows
-from recorder.review.timeline.clock import NEAR_NS
+from recorder.review.timeline.clock import NEAR_NS, RUN_TICKS
 from recorder.review.timeline.entries import STOPS, Entry, EntryKind, Source
 from schemas.decisions import SafetyEvent
 from schemas.reasons import Reason
@@ -61,9 +61,18 @@ class Story:
         nearest = min(both, key=lambda one: abs(one.time_ns - scene.at_ns), default=None)
         return 0 if nearest is None else told_ns[nearest.said.tick] - nearest.time_ns
 
-    def next(self, kind: EntryKind, after_ns: int) -> Entry | None:
-        """The first one of a kind behind a time."""
-        return next((one for one in self._entries if one.kind is kind and one.time_ns > after_ns), None)
+    def next_engaged(self, after_ns: int) -> Entry | None:
+        """The first engagement behind a time."""
+        return next(self._behind(EntryKind.ENGAGED, after_ns), None)
+
+    def reset_of(self, latch: Entry) -> Entry | None:
+        """The first reset of what was latched, in the run in which it was."""
+        resets = self._behind(EntryKind.RESET, latch.time_ns)
+        named = (one for one in resets if latch.reason.value in one.text.partition(": ")[2].split(", "))
+        return next((one for one in named if _is_same_run(latch, one)), None)
+
+    def _behind(self, kind: EntryKind, after_ns: int) -> Iterator[Entry]:
+        return (one for one in self._entries if one.kind is kind and one.time_ns > after_ns)
 
     def _before(self, until_ns: int, kinds: Iterable[EntryKind]) -> Iterable[Entry]:
         wanted = frozenset(kinds)
@@ -73,6 +82,10 @@ class Story:
 def _stops(entry: Entry) -> bool:
     # That a guard is there, or is gone, has no reason: it stops nothing by itself.
     return entry.kind in STOPS and entry.reason is not Reason.NONE
+
+
+def _is_same_run(one: Entry, other: Entry) -> bool:
+    return one.tick is None or other.tick is None or abs(one.tick - other.tick) < RUN_TICKS
 
 
 def told(robot: str, logs: Sequence[LogFile], faults: Faults, progress: Progress) -> Story:

@@ -1,12 +1,14 @@
 """Why did the robot stop, or not move?"""
 
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 from recorder.review.events import Question, read_events
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile, find_logs
+from recorder.review.log_file import LogFile
+from recorder.review.logs import find_logs
 from recorder.review.reasoning.chain import Step
 from recorder.review.survey import survey
 from recorder.review.timeline.entries import STOPS, EntryKind
@@ -155,7 +157,7 @@ def test_another_latch_than_that_of_the_stop_has_evidence_of_its_own(path: Path)
     assert explanation.reason is Reason.DEADMAN
     assert explanation.headline.startswith("It was not engaged, and was latched 14.0")
     assert "s before that moment: a remote stop was received" in explanation.headline
-    assert "it was kept from moving, too: a remote stop was received" in texts(explanation, Step.CAUSE)
+    assert "it could not be engaged: a remote stop was received" in texts(explanation, Step.CAUSE)
     assert "the request was stop, of desk" in texts(explanation, Step.EVIDENCE)
     assert "to cure remote_stop: reset, then engage again" in texts(explanation, Step.CURE)
 
@@ -207,14 +209,91 @@ def test_a_gateway_that_died_is_told_and_no_stop_of_before(tmp_path: Path) -> No
     assert after.silent_ns == between.silent_ns
 
 
-def test_a_stop_that_was_followed_by_an_engagement_is_no_answer(tmp_path: Path) -> None:
-    """Where the log ends while the robot is driven, it says that it does not tell what was after it."""
+def test_a_stop_that_was_followed_by_an_engagement_is_no_answer(path: Path) -> None:
+    """Where the log has no state to tell what was then, the stop of before is not taken for it."""
+    rig, _ = RecordedRig.driving()
+    rig.rest_after(1.0)
+    stopped_ns = rig.at_ns
+    operator = Operator(rig, "operator-2")
+    operator.engage()
+    operator.drive(0.6, 0.0, 1.5)
+    data = rig.log(without=("safety/state",))
+    assert ask(path, data, stopped_ns).reason is Reason.DEADMAN
+    explanation = ask(path, data, rig.at_ns)
+    assert (explanation.reason, explanation.stop_ns) == (Reason.NONE, None)
+    assert not explanation.is_answered
+
+
+def test_a_stop_of_long_ago_is_no_answer_where_no_state_is(path: Path) -> None:
+    """What was since is not known; the stop is named, and said not to be the answer."""
+    rig, _ = RecordedRig.driving()
+    rig.rest_after(1.0)
+    rig.run(15)
+    explanation = ask(path, rig.log(without=("safety/state",)), rig.at_ns)
+    assert (explanation.reason, explanation.stop_ns) == (Reason.NONE, None)
+    assert not explanation.is_answered
+    assert "the last stop in the log was 17." in texts(explanation, Step.MISSING)
+
+
+def test_of_a_stop_and_a_death_the_later_one_is_explained(tmp_path: Path) -> None:
+    """Without a moment: the gateway that died while the robot drove, and not the stop that was cured before it."""
     logs, dead_ns = _dead_gateway(tmp_path)
     faults = Faults()
-    explanation = explain(ROBOT, logs[:1], survey(logs, faults), dead_ns + 5 * SECOND, faults)
-    assert explanation.stop_ns is None
-    assert not explanation.is_answered
-    assert "the last came 5.0" in texts(explanation, Step.MISSING)
+    found = survey(logs, faults)
+    explanation = explain(ROBOT, logs, found, None, faults)
+    assert abs(explanation.at_ns - dead_ns) <= 60 * MS
+    assert (explanation.reason, explanation.silent_ns is None) == (Reason.NONE, False)
+    assert explanation.headline.startswith("It was engaged and moved, at 0.60 m/s. The gateway fell silent")
+    alone = explain(ROBOT, logs[:1], found, None, faults)
+    assert alone.reason is Reason.DEADMAN
+    assert "it was engaged again" in texts(alone, Step.MISSING)
+    assert "what came then is not told" in texts(alone, Step.MISSING)
+
+
+def test_a_stop_behind_a_death_is_the_last_thing(tmp_path: Path) -> None:
+    """The gateway that came after the dead one has stopped the robot since."""
+    first, _ = RecordedRig.driving(run=1)
+    second = RecordedRig(run=2)
+    later_ns = first.at_ns + 3 * SECOND - second.at_ns
+    second.wall_ns += later_ns
+    second.recorder_ns += later_ns
+    second.run(0.6)
+    operator = Operator(second, "operator-2")
+    operator.engage()
+    operator.drive(0.6, 0.0, 1.0)
+    second.put("desk", "stop", b"")
+    second.tick()
+    second.rest()
+    (tmp_path / "one.mcap").write_bytes(first.log())
+    (tmp_path / "two.mcap").write_bytes(second.log())
+    faults = Faults()
+    logs = find_logs([tmp_path], faults)
+    assert explain(ROBOT, logs, survey(logs, faults), None, faults).reason is Reason.REMOTE_STOP
+
+
+@pytest.mark.parametrize(("before_ns", "words"), [(400 * MS, "4"), (60 * MS, "")])
+def test_a_death_right_after_the_moment_is_told(before_ns: int, words: str, tmp_path: Path) -> None:
+    """As a stop would be; with the guard that watched, and what the next gateway found."""
+    logs, dead_ns = _dead_gateway(tmp_path)
+    faults = Faults()
+    explanation = explain(ROBOT, logs, survey(logs, faults), dead_ns - before_ns, faults)
+    assert explanation.state is ArbiterState.ENGAGED
+    assert f"m/s. The gateway fell silent {words}" in explanation.headline
+    assert "after that moment, engaged, at 0.60 m/s; another began 3." in explanation.headline
+    assert "a guard watched the gateway" in texts(explanation, Step.MISSING)
+    assert "what it did then is not in the log" in texts(explanation, Step.MISSING)
+    assert "its first drive feedback, 3." in texts(explanation, Step.EVIDENCE)
+    long_before = explain(ROBOT, logs, survey(logs, faults), dead_ns - 1200 * MS, faults)
+    assert "silent" not in long_before.headline
+
+
+def test_a_recording_that_ends_at_work_is_said_to_end(path: Path) -> None:
+    """Whether the gateway died nobody can tell then."""
+    rig, operator = RecordedRig.driving()
+    operator.drive(0.6, 0.0, 2.0)
+    ends = "whether the gateway died, or the recording ended, is not told"
+    assert ends in texts(ask(path, rig.log(), rig.at_ns - 200 * MS), Step.MISSING)
+    assert ends not in texts(ask(path, rig.log(), rig.at_ns - 1500 * MS), Step.MISSING)
 
 
 def test_a_stop_of_another_run_is_no_answer(tmp_path: Path) -> None:
@@ -272,6 +351,17 @@ def test_a_parked_robot_stands_because_it_is_parked(path: Path) -> None:
     assert "to cure parked: unpark first" in texts(explanation, Step.CURE)
 
 
+def test_a_robot_that_rolls_is_not_said_to_stand(path: Path) -> None:
+    """It is slower than what counts as standing, and its speed is not nothing."""
+    rig, operator = RecordedRig.ready()
+    operator.engage()
+    operator.drive(0.5, 0.0, 0.2)
+    explanation = ask(path, rig.log(), rig.at_ns)
+    assert "and hardly moved, at 0.04 m/s" in explanation.headline
+    assert "it hardly moved, at 0.04 m/s" in texts(explanation, Step.MOTION)
+    assert "stood" not in texts(explanation, Step.MOTION) + explanation.headline
+
+
 def test_zero_speed_is_nobodys_fault(path: Path) -> None:
     """It stands because its operator says so."""
     rig, operator = RecordedRig.ready()
@@ -313,11 +403,31 @@ class _Day(Day):
         self._operators = [Operator(self.rig, name) for name in ("first", "berta")]
 
 
-def test_of_a_day_in_which_everything_happens_every_stop_is_explained(path: Path) -> None:
-    """Each by its own reason, although the robot's clock is set by hours in between."""
+@cache
+def _day() -> bytes:
+    """The log of such a day."""
     day = _Day(6)
     day.live()
-    path.write_bytes(day.recorded.log())
+    return day.recorded.log()
+
+
+def test_what_was_said_at_another_time_is_none_of_the_moment_s(path: Path) -> None:
+    """A decision that is told after the clock was set back by hours may bear any time, and is none of before."""
+    path.write_bytes(_day())
+    faults = Faults()
+    logs = find_logs([path], faults)
+    found = survey(logs, faults)
+    engaged = list(read_events(logs, Question(kinds=frozenset({EntryKind.ENGAGED})), faults))
+    assert len(engaged) == 3
+    for one in engaged:
+        chain = explain(ROBOT, logs, found, one.time_ns + 5 * MS, faults).chain
+        far_ns = [abs((link.time_ns or one.time_ns) - one.time_ns) for link in chain if link.step is Step.COMMAND]
+        assert max(far_ns, default=0) < 15 * SECOND
+
+
+def test_of_a_day_in_which_everything_happens_every_stop_is_explained(path: Path) -> None:
+    """Each by its own reason, although the robot's clock is set by hours in between."""
+    path.write_bytes(_day())
     faults = Faults()
     logs = find_logs([path], faults)
     kinds = frozenset({*STOPS, EntryKind.CLOCK})
@@ -375,13 +485,17 @@ def test_a_log_without_the_arbiter_is_not_answered(path: Path) -> None:
     assert explanation.headline == "The log does not tell what the arbiter did then."
 
 
-def test_a_moment_outside_of_the_log_is_said_to_be_one(path: Path) -> None:
-    """The last stop is told all the same, with the time since."""
-    explanation = ask(path, recorded(scenarios.deadman), WALL_NS + HOUR_NS)
-    assert explanation.state is None
-    assert explanation.headline.startswith(
-        "The log holds no state of the arbiter at that moment. The last stop was 59 min"
-    )
+@pytest.mark.parametrize(
+    ("off_ns", "words"),
+    [(HOUR_NS, "it ends 59 min"), (8 * SECOND, "it ends 3."), (-100 * SECOND, "it begins 100")],
+)
+def test_a_moment_outside_of_the_log_is_said_to_be_one(off_ns: int, words: str, path: Path) -> None:
+    """No stop of the log is taken for an answer, however near."""
+    explanation = ask(path, recorded(scenarios.deadman), WALL_NS + off_ns)
+    assert explanation.headline.startswith(f"The log does not hold that moment: {words}")
+    assert (explanation.state, explanation.reason, explanation.stop_ns) == (None, Reason.NONE, None)
+    assert not explanation.is_answered
+    assert {link.step for link in explanation.chain} == {Step.MISSING}
 
 
 def test_a_log_of_gears_alone_says_that_it_knows_nothing(path: Path) -> None:

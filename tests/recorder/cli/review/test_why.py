@@ -6,6 +6,7 @@ import random
 from pathlib import Path
 
 import pytest
+from mcap.writer import Writer
 
 from recorder.cli.review import command as review
 from schemas.exit_codes import CommandError, ExitCode
@@ -95,6 +96,41 @@ def test_a_log_that_tells_nothing_of_the_arbiter_is_a_failure(
     path.write_bytes(small_log())
     assert run("why", path) == ExitCode.FAILURE
     assert "The log does not tell what the arbiter did then." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("at", ["100", "2027-01-01T00:00:00Z", "-100"])
+def test_a_moment_that_the_log_does_not_hold_is_a_failure(
+    at: str, log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before it or behind it: exit code 1, and no reason, no stop."""
+    assert run("why", log, f"--at={at}", "--json") == ExitCode.FAILURE
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["state"], answer["reason"], answer["stop_ns"]) == (None, "none", None)
+    assert answer["headline"].startswith("The log does not hold that moment: it ")
+    (only,) = answer["chain"]
+    assert only["text"].startswith("the log goes from 2023-11-14 22:13:20")
+
+
+@pytest.mark.parametrize(("size", "fault"), [(8, "ends without a footer"), (100, "is cut off within a record")])
+def test_a_stub_says_that_it_is_one(size: int, fault: str, log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing of a robot is left of it, since it is cut off: both are said, and the exit code is 3."""
+    log.write_bytes(log.read_bytes()[:size])
+    with pytest.raises(CommandError, match="nothing of a robot") as refused:
+        run("why", log)
+    assert refused.value.code is ExitCode.PARTIAL
+    assert fault in capsys.readouterr().err
+
+
+def test_a_whole_log_without_a_robot_is_a_failure(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """There is nothing wrong with it, and nothing to answer."""
+    with log.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        writer.finish()
+    with pytest.raises(CommandError, match="nothing of a robot") as refused:
+        run("why", log)
+    assert refused.value.code is ExitCode.FAILURE
+    assert capsys.readouterr().err == ""
 
 
 def test_a_log_that_is_cut_off_is_answered_as_far_as_it_goes(

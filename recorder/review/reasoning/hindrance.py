@@ -1,0 +1,73 @@
+"""What is in the way of a robot at a moment: of its motion, or of its being engaged; and what would cure it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+from recorder.review.reasoning.chain import Link, Step
+from recorder.review.reasoning.request_evidence import last_command
+from recorder.review.reasoning.scene import Scene
+from schemas.decisions import ArbiterState, Bound, SafetyState
+from schemas.reasons import OF_A_ROBOT, Reason
+
+PLAIN: Final = frozenset({Reason.STOPPING, Reason.NOT_ENGAGED, Reason.ENGAGING, Reason.NO_LEASE})
+"""What blocks a robot that nobody has engaged: there is nothing to show but that nobody has."""
+
+_PASSING: Final = frozenset({Reason.STOPPING, Reason.ENGAGING, Reason.GEAR_SHIFTING})
+"""What ends by itself."""
+
+_FORBIDS: Final = {Reason.FRONT_BUMPER: (1, "forward"), Reason.REAR_BUMPER: (-1, "backward")}
+"""The sign of the speeds that a pressed bumper forbids to an engaged robot, and their direction in words."""
+
+_RESET: Final = "reset, then "
+"""With what the cure of a latch begins; what stands before it is done by then, too."""
+
+
+def is_told(state: SafetyState) -> bool:
+    """The chassis is told a speed that would not be shown as none."""
+    return bool(round(state.output_speed_mps, 2))
+
+
+def kept_by(now: Scene, state: SafetyState) -> list[Reason]:
+    """What kept an engaged robot from moving; nothing if it was told to.
+
+    A pressed bumper forbids one direction alone: it counts if that one was asked for.
+    """
+    if is_told(state):
+        return []
+    last = last_command(now)
+    is_bound = last is not None and Bound.BUMPER in last.said.bound_by
+    return [reason for reason in state.blocked_by if reason not in _FORBIDS or is_bound]
+
+
+def hinders(reason: Reason, now: Scene, state: SafetyState) -> bool:
+    """Something that blocks is in the way; a pressed bumper is not if the robot goes away from it."""
+    if state.state is not ArbiterState.ENGAGED:
+        return True
+    if reason in _FORBIDS:
+        return (state.output_speed_mps or state.target_speed_mps) * _FORBIDS[reason][0] >= 0
+    return reason in kept_by(now, state)
+
+
+def hindrance(reason: Reason, state: SafetyState) -> str:
+    """What a reason that blocks means for a robot in this state."""
+    means = OF_A_ROBOT[reason].means
+    match state.state:
+        case ArbiterState.ENGAGED if reason in _FORBIDS:
+            return f"it could not be driven {_FORBIDS[reason][1]}: {means}, and was pressed still"
+        case ArbiterState.ENGAGED:
+            return f"it was told no speed: {means}"
+        case ArbiterState.STOPPING:
+            return f"it could not be engaged again: {means}"
+        case _:
+            return f"it could not be engaged: {means}"
+
+
+def cures(reason: Reason, *, is_reset: bool) -> Iterator[Link]:
+    """What would cure it: of what is latched no more, what is left to do after the reset."""
+    cure = OF_A_ROBOT[reason].cure
+    if is_reset:
+        cure = cure.rpartition(_RESET)[2]
+    if cure and reason not in _PASSING:
+        yield Link(Step.CURE, f"to cure {reason.value}: {cure}", None, {"reason": reason.value})
