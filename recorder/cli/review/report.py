@@ -25,8 +25,9 @@ from schemas.settings import Settings
 EXAMPLE: Final = "  cruiser review report logs -o report.html -o report.png"
 DESCRIPTION: Final = (
     "A report of a drive: summary, map of the path, speed, angle, mode and states on one time axis, stops, "
-    "refusals, what is missing, versions. As one HTML file that needs no network, or as PNG, by the file's "
-    "ending. With --json and without -o nothing is written but the summary. Exit code 3 if not all could be read."
+    "refusals, whether the gateway died, what is missing, versions and configurations. As one HTML file that "
+    "needs no network, or as PNG, by the file's ending. With --json and without -o nothing is written but the "
+    "summary. Exit code 3 if not all could be read."
 )
 
 DEFAULT_FILE: Final = "report.html"

@@ -1,13 +1,16 @@
 """A report of a drive, for people: one page that needs no network, or a picture.
 
-- ``series``    numbers over time, reduced while they stream in, so that spikes survive
-- ``spans``     what was so from when to when
-- ``odometry``  the path, from speed and steering angle
-- ``account``   all of one robot, from its rows
-- ``findings``  what the report says, as data
-- ``survey``    reads logs, and finds it
-- ``words``     the summary in plain words
-- ``figures``   the charts, as plotly wants them
-- ``page``      the HTML page
-- ``picture``   the PNG
+- ``series``      numbers over time, reduced while they stream in, so that spikes survive
+- ``spans``       what was so from when to when
+- ``odometry``    the path, from speed and steering angle
+- ``account``     all of one robot, from its rows
+- ``happenings``  what happened to it, from the entries of the timeline
+- ``versions``    which gateways it had, and what was otherwise
+- ``margins``     what a log says besides its messages
+- ``findings``    what the report says, as data
+- ``survey``      reads logs, and finds it
+- ``words``       the summary in plain words
+- ``figures``     the charts, as plotly wants them
+- ``page``        the HTML page
+- ``picture``     the PNG
 """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections import Counter
 from collections.abc import Sequence
 from math import isfinite
@@ -13,30 +12,35 @@ import msgspec
 from recorder.completeness import KeyReport
 from recorder.review.report.findings import (
     Driver,
-    Moment,
+    Outage,
     Refusal,
     RobotCharts,
     RobotReport,
     RobotSummary,
     Unwritten,
 )
-from recorder.review.report.odometry import GAP_NS, Path, Place
+from recorder.review.report.happenings import Happenings
+from recorder.review.report.odometry import GAP_NS, Path
 from recorder.review.report.series import Series
 from recorder.review.report.spans import Spans
+from recorder.review.report.versions import Versions
 from recorder.review.timeline.clock import RobotClock
+from recorder.review.timeline.entries import Entry, EntryKind, Source
 from recorder.review.timeline.repeats import Repeats
-from schemas.decisions import ArbiterState, Decision, EventKind, SafetyEvent, SafetyState, Verdict
+from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState, Severity, Verdict
 from schemas.messages import GatewayHealth, Message, Mode, RobotState
 
 HAND_TRANSMITTER: Final = "the hand transmitter"
 
-MOMENTS_MAX: Final = 2000
 REFUSALS_MAX: Final = 200
 DRIVERS_MAX: Final = 200
 OTHERS: Final = "(others)"
 
 REMEMBERED: Final = 4096
 """Messages of a subject that are known again when they come a second time."""
+
+SILENT_NS: Final = 1_000_000_000
+"""The arbiter's state comes 20 times a second: a log that goes on without it for so long has lost the gateway."""
 
 CLOCK_TRUST_NS: Final = 24 * 3600 * 1_000_000_000
 """A time that is further from the receipt is of no use."""
@@ -53,6 +57,9 @@ LINES: Final = (
 )
 """What is drawn over time. Those of ``state`` were measured, those of ``safety/state`` were asked for or told."""
 
+TARGETS: Final = frozenset({"target_speed_mps", "target_angle_deg"})
+"""What was asked for. It stands in the state until something else is; it holds while the arbiter is engaged."""
+
 BANDS: Final = ("mode", "arbiter", "lease")
 """Who commands the chassis; where the arbiter is; who holds the lease."""
 
@@ -63,11 +70,14 @@ class Account:
     Args:
         name: what it is to be called.
         key: what its keys begin with.
+        versions: of its gateways, as far as they are known before.
     """
 
-    def __init__(self, name: str, key: str) -> None:
+    def __init__(self, name: str, key: str, versions: Versions | None = None) -> None:
         self.name = name
         self.key = key
+        self.versions = Versions() if versions is None else versions
+        self.happenings = Happenings()
         self._start_ns, self._end_ns = 2**64, 0
         self._clock = RobotClock()
         self._path = Path()
@@ -78,37 +88,42 @@ class Account:
         """Who drives the robot over Zenoh at present."""
         self._state_ns = 0
         self._driven: dict[str, list[float]] = {}
-        self._moments: list[tuple[int, SafetyEvent]] = []
-        self._stops: Counter[str] = Counter()
-        self._events: Counter[str] = Counter()
+        self._arbiter: SafetyState | None = None
+        """The newest; when it was, and when it was received."""
+        self._arbiter_ns = self._arbiter_log_ns = 0
+        self._ends_commanding = False
         self._verdicts: Counter[Verdict] = Counter()
         self._refusals: dict[tuple[str, str, str], list[int]] = {}
         self._health: Counter[str] = Counter()
         self._counts: dict[str, int] = {}
         self._unwritten: Counter[tuple[str, str]] = Counter()
 
-    def take(self, message: Message, publish_ns: int, log_ns: int) -> None:
-        """The next message, of a kind that TAKEN lists: when the robot says it was, and when it was received."""
+    def take(self, message: Message, publish_ns: int, log_ns: int) -> bool:
+        """The next message, of a kind that TAKEN lists: when the robot says it was, and when it was received.
+
+        Returns:
+            whether it is new, and not there for the second time.
+        """
         seen = self._seen.get(type(message))
         if seen is None:
             seen = self._seen[type(message)] = Repeats(REMEMBERED)
         if not seen.is_new(message.time_ns, message.sequence):
-            return
+            return False
         time_ns = self._place(message, publish_ns, log_ns)
         self._start_ns, self._end_ns = min(self._start_ns, time_ns), max(self._end_ns, time_ns)
         match message:
             case RobotState():
                 self._take_state(message, time_ns)
             case SafetyState():
+                self._arbiter_log_ns = log_ns
                 self._take_arbiter(message, time_ns)
-            case SafetyEvent():
-                self._take_event(message, time_ns)
             case Decision():
                 self._take_decision(message, time_ns)
             case GatewayHealth():
                 self._take_health(message)
             case _:
                 pass
+        return True
 
     def _place(self, message: Message, publish_ns: int, log_ns: int) -> int:
         """Its place on the time axis."""
@@ -125,15 +140,55 @@ class Account:
         if len(self._unwritten) < REFUSALS_MAX or (topic, reason) in self._unwritten:
             self._unwritten[topic, reason] += count
 
-    def sum_up(self, completeness: dict[str, KeyReport], facts: dict[str, str]) -> RobotReport | None:
+    def end(self, spans: Sequence[tuple[int, int]] = (), to_ns: int = 2**64) -> None:
+        """No more messages come. An end in the middle of a drive is told, and a gateway that fell silent before.
+
+        Args:
+            spans: first and last log time of each of this robot's logs.
+            to_ns: the first log time that was not asked about.
+        """
+        self.happenings.set_apart(_pauses(spans))
+        logs_end_ns = max((end_ns for _, end_ns in spans), default=0)
+        state = self._arbiter
+        if state is None:
+            return
+        is_commanding = state.state is not ArbiterState.STANDBY
+        left = f"{state.state.value}, and told {state.output_speed_mps:.2f} m/s" if is_commanding else "standby"
+        silent_ns = min(logs_end_ns, to_ns) - self._arbiter_log_ns
+        if silent_ns > SILENT_NS:
+            severity = Severity.ERROR if is_commanding else Severity.WARNING
+            silent = f"nothing of the arbiter for {silent_ns / 1e9:.1f} s, up to the end"
+            ending = self._ending(f"{silent}: the gateway fell silent, {left}", severity, silent_ns)
+            self.happenings.end(ending, Outage(self._arbiter_ns, None, is_commanding))
+        elif logs_end_ns < to_ns and is_commanding:
+            self._ends_commanding = True
+            self.happenings.end(self._ending(f"the log ends here: {left}", Severity.WARNING, 0))
+
+    def _ending(self, text: str, severity: Severity, silent_ns: int) -> Entry:
+        return Entry(
+            time_ns=self._arbiter_ns,
+            last_ns=self._arbiter_ns + silent_ns,
+            robot=self.name,
+            kind=EntryKind.GAP,
+            severity=severity,
+            source=Source.LOG,
+            text=text,
+        )
+
+    def sum_up(
+        self, completeness: dict[str, KeyReport], facts: dict[str, str], from_ns: int = 0, to_ns: int = 2**64
+    ) -> RobotReport | None:
         """What has been found; None if nothing came.
 
         Args:
             completeness: the recorder's account of this robot's topics.
             facts: what else the logs say of it.
+            from_ns: gateways that were in force before are left out...
+            to_ns: ...and those that came then or later.
         """
         if not self._end_ns:
             return None
+        happened = self.happenings
         path = self._path
         drivers = [Driver(name, seconds, metres) for name, (seconds, metres) in self._driven.items()]
         refusals = [Refusal(*about, *counted) for about, counted in self._refusals.items()]
@@ -148,8 +203,11 @@ class Account:
             known_s=path.known_ns / 1e9,
             top_mps=path.top_mps,
             top_ns=path.top_ns,
-            stops=dict(self._stops.most_common()),
-            events=dict(self._events.most_common()),
+            stops=dict(happened.stops.most_common()),
+            outages=happened.outages,
+            more_outages=happened.more_outages,
+            ends_commanding=self._ends_commanding,
+            events=dict(happened.counts.most_common()),
             drivers=sorted(drivers, key=lambda one: -one.seconds),
             accepted=self._verdicts[Verdict.ACCEPTED],
             refused=refused,
@@ -158,27 +216,27 @@ class Account:
             gaps=path.gaps,
             gap_s=path.gap_ns / 1e9,
             stale=path.stale,
+            silences=happened.silences,
+            more_silences=happened.more_silences,
             health={name: count for name, count in self._health.items() if count},
             completeness=completeness,
             unwritten=[Unwritten(*about, count) for about, count in self._unwritten.most_common()],
             facts=facts,
+            in_force=self.versions.in_force(self._clock.offset_ns, from_ns, to_ns),
+            more_in_force=self.versions.left_out,
         )
         return RobotReport(summary, self._draw())
 
     def _draw(self) -> RobotCharts:
         places = self._path.end()
         ordered = sorted(places, key=lambda place: place.time_ns)
-        times_ns = [place.time_ns for place in ordered]
-        moments = [
-            _moment(time_ns, event, ordered, times_ns)
-            for time_ns, event in sorted(self._moments, key=lambda one: (one[0], one[1].sequence))
-        ]
         return RobotCharts(
             lines={name: series.points() for name, series in self._lines.items()},
             bands={name: spans.spans() for name, spans in self._bands.items()},
             places=places,
-            moments=moments,
-            more_moments=self._events.total() - len(moments),
+            moments=self.happenings.moments(ordered, self._start_ns, self._end_ns),
+            more_moments=self.happenings.more_moments,
+            outages=[(one.heard_ns, one.began_ns) for one in self.happenings.outages if one.began_ns is not None],
         )
 
     def _take_state(self, state: RobotState, time_ns: int) -> None:
@@ -203,23 +261,18 @@ class Account:
         self._bands["lease"].add(time_ns, state.lease_holder)
         self._draw_on("speed_limit_mps", time_ns, state.speed_limit_mps)
         self._draw_on("steering_limit_deg", time_ns, state.steering_limit_deg)
+        self._arbiter, self._arbiter_ns = state, time_ns
+        # In standby the chassis is told nothing.
+        is_told = state.state is not ArbiterState.STANDBY
         for name in ("target_speed_mps", "output_speed_mps", "target_angle_deg", "output_angle_deg"):
-            # In standby the chassis is told nothing.
-            is_told = state.state is not ArbiterState.STANDBY
-            self._draw_on(name, time_ns, getattr(state, name) if is_told else None)
+            is_drawn = state.state is ArbiterState.ENGAGED if name in TARGETS else is_told
+            self._draw_on(name, time_ns, getattr(state, name) if is_drawn else None)
 
     def _draw_on(self, line: str, time_ns: int, value: float | None) -> None:
         if value is None or not isfinite(value):
             self._lines[line].cut()
         else:
             self._lines[line].add(time_ns, value)
-
-    def _take_event(self, event: SafetyEvent, time_ns: int) -> None:
-        self._events[event.kind.value] += 1
-        if event.kind is EventKind.STOP:
-            self._stops[event.reason.value] += 1
-        if len(self._moments) < MOMENTS_MAX:
-            self._moments.append((time_ns, event))
 
     def _take_decision(self, decision: Decision, time_ns: int) -> None:
         self._verdicts[decision.verdict] += 1
@@ -256,15 +309,12 @@ TAKEN: Final[frozenset[type[msgspec.Struct]]] = frozenset(
 """What an account is made of."""
 
 
-def _moment(time_ns: int, event: SafetyEvent, places: Sequence[Place], times_ns: Sequence[int]) -> Moment:
-    place = places[max(0, bisect_right(times_ns, time_ns) - 1)] if places else None
-    return Moment(
-        time_ns=time_ns,
-        kind=event.kind.value,
-        severity=event.severity.value,
-        reason=event.reason.value,
-        operator=event.operator,
-        text=event.text,
-        x_m=None if place is None else place.x_m,
-        y_m=None if place is None else place.y_m,
-    )
+def _pauses(spans: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """From when to when no log holds anything, between the first and the last one; a change of files is none."""
+    found: list[tuple[int, int]] = []
+    ends_ns: int | None = None
+    for start_ns, end_ns in sorted(spans):
+        if ends_ns is not None and start_ns - ends_ns > SILENT_NS:
+            found.append((ends_ns, start_ns))
+        ends_ns = end_ns if ends_ns is None else max(ends_ns, end_ns)
+    return found

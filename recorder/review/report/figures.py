@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from recorder.review.report.findings import Moment, RobotCharts
 from recorder.review.report.odometry import Place
-from recorder.review.report.words import reason_words
+from recorder.review.report.words import moment_words, reason_words
 from schemas.printable import plain
 
 Figure = dict[str, Any]
@@ -48,10 +48,14 @@ MARKS: Final = {
     "engaged": ("circle", GREEN),
     "stopped": ("square-open", GREY),
     "reset": ("diamond-open", BLUE),
+    "gateway": ("cross", RED),
+    "gap": ("line-ns", RED),
+    "clock": ("diamond-tall", ORANGE),
+    "recorder": ("pentagon-open", GREY),
 }
 """Symbol and colour of each kind of event; they differ in form too, for who cannot tell colours apart."""
 
-ON_MAP: Final = frozenset({"stop", "latch", "fault", "guard", "takeover"})
+ON_MAP: Final = frozenset({"stop", "latch", "fault", "guard", "takeover", "gateway", "gap"})
 
 BAND_ROWS: Final = ("lease", "arbiter", "mode", "events")
 """From the bottom to the top."""
@@ -96,7 +100,6 @@ def over_time(charts: RobotCharts) -> Figure:
         *_bands(charts),
         *_event_rows(charts.moments),
     ]
-    stops_ms = [_ms(time_ns) for time_ns in stop_lines(charts)]
     return {
         "data": data,
         "layout": {
@@ -105,6 +108,14 @@ def over_time(charts: RobotCharts) -> Figure:
             "hovermode": "x unified",
             "hoversubplots": "axis",
             "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0, "font": _AXIS_FONT},
+            "legend2": {
+                "orientation": "h",
+                "y": -0.11,
+                "yanchor": "top",
+                "x": 0,
+                "font": _AXIS_FONT,
+                "itemsizing": "constant",
+            },
             "barmode": "overlay",
             "bargap": 0.35,
             "uniformtext": {"minsize": 10, "mode": "hide"},
@@ -132,18 +143,16 @@ def over_time(charts: RobotCharts) -> Figure:
                 "zeroline": False,
             },
             "shapes": [
-                {
-                    "type": "line",
-                    "xref": "x",
-                    "yref": "paper",
-                    "x0": stop_ms,
-                    "x1": stop_ms,
-                    "y0": 0,
-                    "y1": 1,
-                    "line": {"color": RED, "width": 1, "dash": "dot"},
-                    "layer": "below",
-                }
-                for stop_ms in stops_ms
+                *(
+                    _across(
+                        from_ns, to_ns, {"type": "rect", "fillcolor": RED, "opacity": 0.15, "line": {"width": 0}}
+                    )
+                    for from_ns, to_ns in outages(charts)
+                ),
+                *(
+                    _across(stop_ns, stop_ns, {"type": "line", "line": {"color": RED, "width": 1, "dash": "dot"}})
+                    for stop_ns in stop_lines(charts)
+                ),
             ],
         },
     }
@@ -153,6 +162,11 @@ def stop_lines(charts: RobotCharts) -> list[int]:
     """When to draw a line across the charts."""
     stops = [moment.time_ns for moment in charts.moments if moment.kind == "stop"]
     return stops if len(stops) <= STOP_LINES_MAX else []
+
+
+def outages(charts: RobotCharts) -> list[tuple[int, int]]:
+    """From when to when to shade the charts, because the gateway was silent and another one began."""
+    return charts.outages if len(charts.outages) <= STOP_LINES_MAX else []
 
 
 def on_map(charts: RobotCharts) -> Figure:
@@ -236,12 +250,20 @@ def band_colours(values: Iterable[str]) -> dict[str, str]:
 
 def hover_text(moment: Moment) -> str:
     """What is to be known of an event, in plotly's lines."""
-    parts = [f"<b>{shown(moment.kind)}</b> {clock(moment.time_ns)}", shown(moment.text)]
+    parts = [f"<b>{shown(moment.kind)}</b> {clock(moment.time_ns)}", shown(moment_words(moment))]
     if moment.reason != "none":
         parts.append(f"reason: {shown(reason_words(moment.reason))}")
     if moment.operator:
         parts.append(f"operator: {shown(moment.operator)}")
+    elif moment.holder:
+        parts.append(f"holder of the lease: {shown(moment.holder)}")
     return "<br>".join(parts)
+
+
+def _across(from_ns: int, to_ns: int, look: Figure) -> Figure:
+    """A shape across all charts."""
+    place = {"xref": "x", "yref": "paper", "x0": _ms(from_ns), "x1": _ms(to_ns), "y0": 0, "y1": 1}
+    return {**place, **look, "layer": "below"}
 
 
 def _ms(time_ns: int) -> float:
@@ -332,7 +354,8 @@ def _event_rows(moments: Sequence[Moment]) -> list[Figure]:
                 "type": "scatter",
                 "mode": "markers",
                 "name": kind,
-                "showlegend": False,
+                "legend": "legend2",
+                "showlegend": True,
                 "xaxis": "x",
                 "yaxis": "y3",
                 "x": [_ms(moment.time_ns) for moment in of_kind],

@@ -14,19 +14,67 @@ class Moment(msgspec.Struct, frozen=True):
     """Something that a person should know.
 
     Attributes:
-        kind: of the event: stop, latch, takeover, ...
+        last_ns: when the last of ``count`` alike ones was, or how long it lasted; else as ``time_ns``.
+        kind: stop, latch, takeover, ..., gateway, gap: those of ``cruiser review events``.
         operator: who did it; empty if nobody did.
+        holder: who held the lease then, as far as the log tells; empty if nobody.
         x_m, y_m: where, as far as the path is known.
     """
 
     time_ns: int
+    last_ns: int
     kind: str
     severity: str
+    count: int
     reason: str
     operator: str
+    holder: str
     text: str
     x_m: float | None
     y_m: float | None
+
+
+class Outage(msgspec.Struct, frozen=True):
+    """The gateway fell silent, or began anew.
+
+    Attributes:
+        heard_ns: when the arbiter was heard last.
+        began_ns: when another one was heard first; None if the log holds none.
+        is_commanding: the chassis was told something when it was heard last.
+        is_between_logs: one log ends and another one begins meanwhile; whether it was silent is not known.
+    """
+
+    heard_ns: int
+    began_ns: int | None
+    is_commanding: bool
+    is_between_logs: bool = False
+
+
+class Silence(msgspec.Struct, frozen=True):
+    """Something of one and the same gateway is not in the log: from when to when, and what, in words."""
+
+    from_ns: int
+    to_ns: int
+    text: str
+
+
+class InForce(msgspec.Struct, frozen=True):
+    """A gateway, as it was in force until the next one was.
+
+    Attributes:
+        since_ns: since when: since it was started, as far as it is the first of this start.
+        configuration_sha256: of its configuration.
+        versions: of its packages.
+        changes: what is otherwise than in the one before, in words.
+        settings: which settings are, as far as the log holds both configurations; in words.
+    """
+
+    since_ns: int
+    variant: str
+    configuration_sha256: str
+    versions: dict[str, str]
+    changes: list[str]
+    settings: list[str]
 
 
 class Driver(msgspec.Struct, frozen=True):
@@ -66,16 +114,21 @@ class RobotSummary(msgspec.Struct, frozen=True):
         moving_s: how long it moved, of ``known_s`` of which its speed is known.
         top_mps: its highest speed, negative in reverse; at ``top_ns``.
         stops: how often it was stopped, by reason.
+        outages: when the gateway fell silent or began anew; ``more_outages`` are left out.
+        ends_commanding: the log ends while the chassis was told something.
         events: how many, by kind.
         drivers: who had it.
         accepted: requests that were; ``refused`` those that were not.
         refusals: these, with ``other_refusals`` that are too many kinds to tell apart.
         gaps: how often it is not known how it moved; ``gap_s`` in all.
         stale: states that came late or twice, and are not in the path.
+        silences: what else is not in the log; ``more_silences`` are left out.
         health: what the gateway counted while this log was written: lost frames, faults, losses.
         completeness: the recorder's own account of each topic; empty if it gives none.
         unwritten: what reached the recorder and is not in the log.
-        facts: variant, bus, versions and hash of the configuration, as the log's metadata has them.
+        facts: variant, bus, versions and hash of the configuration, as the logs' metadata have them at their ends.
+        in_force: all gateways that the logs tell of, one after the other, with their configurations;
+            ``more_in_force`` are left out.
     """
 
     name: str
@@ -88,6 +141,9 @@ class RobotSummary(msgspec.Struct, frozen=True):
     top_mps: float
     top_ns: int
     stops: dict[str, int]
+    outages: list[Outage]
+    more_outages: int
+    ends_commanding: bool
     events: dict[str, int]
     drivers: list[Driver]
     accepted: int
@@ -97,10 +153,14 @@ class RobotSummary(msgspec.Struct, frozen=True):
     gaps: int
     gap_s: float
     stale: int
+    silences: list[Silence]
+    more_silences: int
     health: dict[str, int]
     completeness: dict[str, KeyReport]
     unwritten: list[Unwritten]
     facts: dict[str, str]
+    in_force: list[InForce]
+    more_in_force: int
 
 
 class RobotCharts(msgspec.Struct, frozen=True):
@@ -111,6 +171,7 @@ class RobotCharts(msgspec.Struct, frozen=True):
         bands: by name: what was so from when to when.
         places: the path.
         moments: the events; ``more_moments`` are left out.
+        outages: from when to when nothing was heard of the gateway, before another one began.
     """
 
     lines: dict[str, list[Point | None]]
@@ -118,6 +179,7 @@ class RobotCharts(msgspec.Struct, frozen=True):
     places: list[Place]
     moments: list[Moment]
     more_moments: int
+    outages: list[tuple[int, int]]
 
 
 class RobotReport(msgspec.Struct, frozen=True):

@@ -18,14 +18,19 @@ import msgspec
 from recorder.review.report.figures import clock, on_map, over_time, placed
 from recorder.review.report.findings import Report, RobotReport, RobotSummary
 from recorder.review.report.words import (
+    SHOWN,
     Line,
     duration,
+    gateway_lines,
     headline,
     is_lossy,
     metres,
+    moment_words,
     reason_words,
     size,
     summary_lines,
+    times,
+    who,
 )
 from recorder.review.times import in_words
 from schemas.printable import plain
@@ -37,6 +42,11 @@ _LOSS_HEADS: Final = ("sent", "received", "written", "bus", "source", "link", "q
 _FOOT: Final = (
     "Times are those of the robot's clock, in UTC. The path is reckoned from speed and steering angle, and drifts."
 )
+_RANKS: Final = {"error": -2, "warning": -1}
+_GATEWAY: Final = "cruiser-gateway"
+_OTHER_FACTS: Final = ("bus", "recorder_version")
+"""What a gateway does not tell with its version."""
+
 _OPENED: Final = 15
 """A longer table is folded."""
 
@@ -130,6 +140,11 @@ def _robot(number: int, robot: RobotReport, report: Report) -> Iterator[str]:
     yield f'<section id="robot-{number}" aria-labelledby="head-{number}">'
     yield f'<h2 id="head-{number}">{text(summary.name)}</h2>'
     yield f'<p class="lead">{text(headline(summary))}</p>'
+    notes = gateway_lines(summary)
+    for note in notes[:SHOWN]:
+        yield f'<p class="note">Gateway: {text(note)}.</p>'
+    if len(notes) > SHOWN:
+        yield f'<p class="note">Gateway: {len(notes) - SHOWN} more such; see the events.</p>'
     yield from _figures(summary)
     yield from _card("Summary", _definitions(summary_lines(summary, report)))
     about = f"Map of the path of {summary.name}: {headline(summary)}"
@@ -145,18 +160,20 @@ def _robot(number: int, robot: RobotReport, report: Report) -> Iterator[str]:
     if summary.refusals:
         yield from _card("Refusals", _refusals(summary))
     yield from _card("Completeness", _completeness(summary))
-    yield from _card("Versions", _facts(summary))
+    yield from _card("Versions and configurations", _in_force(summary))
     yield "</section>"
 
 
 def _figures(summary: RobotSummary) -> Iterator[str]:
     stops = sum(summary.stops.values())
+    outages = sum(not one.is_between_logs for one in summary.outages) + summary.more_outages
     lost = sum(one.lost + one.lost_source + (one.lost_bus or 0) for one in summary.completeness.values())
     tiles = [
         ("", metres(summary.distance_m), "path"),
         ("", duration(summary.moving_s), "moving"),
         ("", f"{abs(summary.top_mps):.2f} m/s", "highest speed"),
         ("", str(stops), "stop" if stops == 1 else "stops"),
+        *([("bad", str(outages), "gateway outage" if outages == 1 else "gateway outages")] if outages else []),
         ("bad" if summary.refused else "", str(summary.refused), "refused requests"),
         _lost_tile(lost, is_known=bool(summary.completeness)),
     ]
@@ -193,6 +210,10 @@ def _chart(name: str, kind: str, about: str, caption: str) -> Iterator[str]:
 
 def _moments(robot: RobotReport) -> Iterator[str]:
     moments = robot.charts.moments
+    if len(moments) > MOMENTS_SHOWN:
+        # Those that matter most, in the order of their times.
+        worst = sorted(range(len(moments)), key=lambda number: _RANKS.get(moments[number].severity, 0))
+        moments = [moments[number] for number in sorted(worst[:MOMENTS_SHOWN])]
     rows = [
         (
             moment.severity,
@@ -200,14 +221,16 @@ def _moments(robot: RobotReport) -> Iterator[str]:
                 clock(moment.time_ns),
                 moment.kind,
                 "" if moment.reason == "none" else moment.reason,
-                moment.operator,
-                moment.text,
+                who(moment),
+                moment_words(moment),
             ),
         )
-        for moment in moments[:MOMENTS_SHOWN]
+        for moment in moments
     ]
-    left_out = len(moments) - len(rows) + robot.charts.more_moments
-    caption = "What a person should know" + (f"; the first {len(rows)}, {left_out} more" if left_out else "")
+    left_out = len(robot.charts.moments) - len(rows) + robot.charts.more_moments
+    caption = "What a person should know; in parentheses, who held the lease" + (
+        f"; {left_out} of less weight, or later, are left out" if left_out else ""
+    )
     yield from _folded(
         caption, len(rows), _table(caption, ("time, UTC", "what", "reason", "operator", "text"), rows)
     )
@@ -254,11 +277,36 @@ def _completeness(summary: RobotSummary) -> Iterator[str]:
         yield from _folded("All topics" if not lossy else caption, 0 if lossy else _OPENED + 1, table)
 
 
-def _facts(summary: RobotSummary) -> Iterator[str]:
-    if not summary.facts:
+def _in_force(summary: RobotSummary) -> Iterator[str]:
+    if summary.in_force:
+        rows = [
+            (
+                "changed" if one.changes else "",
+                (
+                    in_words(one.since_ns),
+                    one.variant,
+                    one.configuration_sha256[:12] or "not told",
+                    one.versions.get(_GATEWAY, "not told"),
+                    "; ".join([*one.changes, *one.settings]),
+                ),
+            )
+            for one in summary.in_force
+        ]
+        caption = "Gateways that were in force, each until the next" + (
+            f"; there was no room for what was told {times(summary.more_in_force)} more"
+            if summary.more_in_force
+            else ""
+        )
+        head = ("since", "variant", "configuration", "version", "what is otherwise")
+        yield from _folded(caption, len(rows), _table(caption, head, rows))
+    facts = {name: value for name, value in summary.facts.items() if name in _OTHER_FACTS}
+    if summary.in_force:
+        first = summary.in_force[0].versions
+        facts["packages of the first"] = ", ".join(f"{name} {value}" for name, value in sorted(first.items()))
+    if facts:
+        yield from _definitions([(name.replace("_", " "), value) for name, value in sorted(facts.items())])
+    else:
         yield "<p>The log does not tell.</p>"
-        return
-    yield from _definitions([(name.replace("_", " "), value) for name, value in sorted(summary.facts.items())])
 
 
 def _files(report: Report) -> Iterator[str]:

@@ -21,10 +21,14 @@ from recorder.review.report.figures import (
     BAND_ROWS,
     BLUE,
     GREEN,
+    GREY,
     ON_MAP,
+    ORANGE,
     RED,
     SPEED_LINES,
+    VIOLET,
     band_colours,
+    outages,
     stop_lines,
 )
 from recorder.review.report.findings import Moment, Report, RobotCharts, RobotReport
@@ -36,7 +40,7 @@ ROBOTS_SHOWN: Final = 8
 """A picture of more would be larger than viewers like."""
 
 _WIDTH_IN: Final = 13.0
-_HEIGHT_IN: Final = 12.5
+_HEIGHT_IN: Final = 14.5
 _DPI: Final = 110
 _DAY_NS: Final = 24 * 3600 * 10**9
 _LAST_NS: Final = 2_900_000 * _DAY_NS
@@ -44,20 +48,29 @@ _INK: Final = "#16181d"
 _SOFT: Final = "#565c66"
 _GRID: Final = "#e4e6ea"
 _SUMMARY_COLUMNS: Final = 68
-_SUMMARY_LINES_MAX: Final = 27
-_FIRST_LINE: Final = 2.2
+_SUMMARY_LINES_MAX: Final = 36
+_LEGEND_COLUMNS: Final = 9
+_HEAD_COLUMNS: Final = 60
+_HEAD_LINES_MAX: Final = 4
+_HEAD_LINE: Final = 1.4
+"""Its letters are larger."""
+
 _BETWEEN_LINES: Final = 0.5
 _DASHES: Final = {"solid": "-", "dash": "--", "dot": ":"}
 _MARKS: Final = {
     "stop": ("s", RED, RED),
     "latch": ("D", RED, "none"),
-    "fault": ("x", "#e08a1e", "#e08a1e"),
+    "fault": ("x", ORANGE, ORANGE),
     "guard": ("*", RED, RED),
-    "takeover": ("^", "#9085e9", "#9085e9"),
+    "takeover": ("^", VIOLET, VIOLET),
     "lease": ("o", BLUE, "none"),
     "engaged": ("o", GREEN, GREEN),
-    "stopped": ("s", "#8a8f98", "none"),
+    "stopped": ("s", GREY, "none"),
     "reset": ("D", BLUE, "none"),
+    "gateway": ("P", RED, RED),
+    "gap": ("|", RED, RED),
+    "clock": ("d", ORANGE, ORANGE),
+    "recorder": ("p", GREY, "none"),
 }
 """Symbol, edge and face of each kind of event, as the page has them."""
 
@@ -89,7 +102,7 @@ def _draw(part: SubFigure, robot: RobotReport, report: Report, left_out: int) ->
     part.suptitle(title, fontsize=17, fontweight="bold", color=_INK, x=0.02, ha="left", parse_math=False)
     axes = part.subplot_mosaic(
         [["map", "summary"], ["speed", "speed"], ["angle", "angle"], ["bands", "bands"]],
-        height_ratios=[4.6, 2.2, 2.2, 1.9],
+        height_ratios=[6.6, 2.2, 2.2, 1.9],
         width_ratios=[1.0, 1.15],
     )
     _map(axes["map"], robot.charts)
@@ -103,6 +116,8 @@ def _draw(part: SubFigure, robot: RobotReport, report: Report, left_out: int) ->
     for name in ("speed", "angle", "bands"):
         for time_ns in stops:
             axes[name].axvline(_date(time_ns), color=RED, linewidth=0.8, linestyle=":", zorder=0)
+        for from_ns, to_ns in outages(robot.charts):
+            axes[name].axvspan(_date(from_ns), _date(to_ns), color=RED, alpha=0.15, linewidth=0, zorder=0)
         axes[name].set_xlim(*limits)
         locator = AutoDateLocator()  # type: ignore[no-untyped-call]  # matplotlib's stubs are not whole
         axes[name].xaxis.set_major_locator(locator)
@@ -115,9 +130,11 @@ def _draw(part: SubFigure, robot: RobotReport, report: Report, left_out: int) ->
 
 def _summary(axes: Axes, robot: RobotReport, report: Report) -> None:
     axes.axis("off")
-    place: dict[str, Any] = {"transform": axes.transAxes, "va": "top", "parse_math": False}
-    axes.text(0.0, 1.0, plain(headline(robot.summary)), color=_INK, fontsize=12, fontweight="bold", **place)
-    lines = _FIRST_LINE
+    # Texts that are too wide are cut off; they must not take the map's room.
+    place: dict[str, Any] = {"transform": axes.transAxes, "va": "top", "parse_math": False, "in_layout": False}
+    head = wrap(plain(headline(robot.summary)), _HEAD_COLUMNS, break_on_hyphens=False)[:_HEAD_LINES_MAX]
+    axes.text(0.0, 1.0, "\n".join(head), color=_INK, fontsize=12, fontweight="bold", **place)
+    lines = _HEAD_LINE * len(head) + _BETWEEN_LINES
     for name, said in summary_lines(robot.summary, report):
         wrapped = wrap(plain(said), _SUMMARY_COLUMNS, break_on_hyphens=False) or [""]
         room = max(1, int(_SUMMARY_LINES_MAX - lines))
@@ -125,7 +142,7 @@ def _summary(axes: Axes, robot: RobotReport, report: Report) -> None:
             wrapped = [*wrapped[: room - 1], "..."]
         height = 1.0 - lines / _SUMMARY_LINES_MAX
         axes.text(0.0, height, name, color=_SOFT, fontsize=9.2, **place)
-        axes.text(0.19, height, "\n".join(wrapped), color=_INK, fontsize=9.2, linespacing=1.25, **place)
+        axes.text(0.2, height, "\n".join(wrapped), color=_INK, fontsize=9.2, linespacing=1.25, **place)
         lines += len(wrapped) + _BETWEEN_LINES
         if lines > _SUMMARY_LINES_MAX:
             return
@@ -147,13 +164,13 @@ def _map(axes: Axes, charts: RobotCharts) -> None:
         axes.plot([last.x_m], [last.y_m], "o", color=GREEN, markerfacecolor="none", markersize=9, label="end")
     for kind in sorted({moment.kind for moment in charts.moments} & ON_MAP):
         known = [one for one in charts.moments if one.kind == kind and one.x_m is not None]
-        _scatter(axes, kind, [one.x_m for one in known], [one.y_m for one in known], label=kind)
+        _scatter(axes, kind, [one.x_m for one in known], [one.y_m for one in known], kind)
     _dress(axes)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("x, m: forward as it stood at first", color=_SOFT)
     axes.set_ylabel("y, m: left", color=_SOFT)
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=6, frameon=False, fontsize=9)
+        axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=5, frameon=False, fontsize=9)
 
 
 def _lines(axes: Axes, charts: RobotCharts, about: Sequence[tuple[str, str, str, str]], title: str) -> None:
@@ -203,11 +220,13 @@ def _bands(axes: Axes, charts: RobotCharts) -> None:
     for kind in dict.fromkeys(moment.kind for moment in charts.moments):
         of_kind: list[Moment] = [moment for moment in charts.moments if moment.kind == kind]
         height = BAND_ROWS.index("events")
-        _scatter(axes, kind, [_date(moment.time_ns) for moment in of_kind], [height] * len(of_kind))
+        _scatter(axes, kind, [_date(moment.time_ns) for moment in of_kind], [height] * len(of_kind), kind)
+    if charts.moments:
+        axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=_LEGEND_COLUMNS, frameon=False, fontsize=9)
     _dress(axes)
 
 
-def _scatter(axes: Axes, kind: str, x: Sequence[Any], y: Sequence[Any], label: str | None = None) -> None:
+def _scatter(axes: Axes, kind: str, x: Sequence[Any], y: Sequence[Any], label: str) -> None:
     symbol, edge, face = _MARKS.get(kind, _UNKNOWN_MARK)
     axes.plot(
         x,

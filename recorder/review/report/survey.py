@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 import msgspec
-from mcap import records
 
-from recorder.completeness import KeyReport, total
+from recorder.review.events import BEFORE_NS, Question, Timeline
 from recorder.review.faults import Faults
-from recorder.review.logs import LogFile
-from recorder.review.pieces import Fault, read_pieces
+from recorder.review.log_file import LogFile
 from recorder.review.report.account import TAKEN, Account
-from recorder.review.report.findings import Report, ReportedFile
-from recorder.review.rows import END_OF_TIME_NS, Progress, Selection, read_rows
+from recorder.review.report.findings import Report, ReportedFile, RobotReport
+from recorder.review.report.margins import Margins, of_robot, read_margins, versions_of
+from recorder.review.report.versions import Versions
+from recorder.review.rows import END_OF_TIME_NS, Progress, Row, Selection, read_rows
+from recorder.review.timeline.entries import Entry
 from recorder.review.topics import UNREADABLE, Topic
-from recorder.robots import METADATA_NAME
-from recorder.session import COMPLETENESS_NAME
-from schemas.recording import RecordGap
+from schemas.decisions import SafetyState
+from schemas.messages import GatewayInfo
+from schemas.recording import RecorderEvent, RecordGap
 
 ROBOTS_MAX: Final = 30
-TOPICS_MAX: Final = 5000
-FACTS_MAX: Final = 100
-VALUES_MAX: Final = 5
+OTHERS_MAX: Final = 5000
+
+REMEMBERED: Final = 256
+"""What recorders say is known again, if it comes a second time, among so many."""
+
+_OF_ROBOTS: Final = TAKEN | {GatewayInfo}
+_OF_RECORDERS: Final = frozenset({RecordGap, RecorderEvent})
 
 
 def read_report(
@@ -47,102 +50,128 @@ def read_report(
         progress: is told of bytes that were read.
         version: of the program, which the report names.
     """
-    margins = [_Margins.read(log) for log in logs]
-    accounts: dict[str, Account] = {}
-    others: set[str] = set()
-    for row in read_rows(logs, Selection(_is_wanted, from_ns, to_ns), faults, progress):
+    versions: dict[str, Versions] = {}
+    margins = [read_margins(log, versions) for log in logs]
+    fleet = _Fleet(Question(from_ns, to_ns), versions, faults)
+    # The states before tell whether the first one is of another gateway.
+    selection = Selection(_is_wanted, max(0, from_ns - BEFORE_NS), to_ns)
+    for row in read_rows(logs, selection, faults, progress):
         try:
             message: Any = None if row.topic.decode is None else row.topic.decode(row.data)
         except UNREADABLE:
             faults.add(f"a message of {row.topic.name} at {row.log_ns} ns that cannot be read")
             continue
-        topic = message.key if isinstance(message, RecordGap) else row.topic.name
-        key = _robot_key(row.topic) if not isinstance(message, RecordGap) else _known_key(topic, accounts)
-        account = accounts.get(key)
-        if account is None:
-            if len(accounts) >= ROBOTS_MAX or not key:
-                if key and len(others) < TOPICS_MAX:
-                    others.add(key)
-                continue
-            account = accounts[key] = Account(_name_of(key, accounts), key)
-        if isinstance(message, RecordGap):
-            account.lose(topic, message.reason.value, message.count)
-        else:
-            account.take(message, row.publish_ns, row.log_ns)
-    reports = [account.sum_up(*_of_robot(account.key, margins)) for account in accounts.values()]
+        if row.log_ns >= from_ns:
+            fleet.take(row, message)
+        elif isinstance(message, SafetyState):
+            fleet.look_back(row, message)
     return Report(
         files=[_reported(log, margin) for log, margin in zip(logs, margins, strict=True)],
         from_ns=from_ns,
         to_ns=None if to_ns == END_OF_TIME_NS else to_ns,
-        robots=sorted((one for one in reports if one is not None), key=lambda one: one.summary.name),
-        more_robots=len(others),
+        robots=sorted(fleet.end(logs, margins), key=lambda one: one.summary.name),
+        more_robots=len(fleet.others),
         faults=faults.told,
         fault_count=faults.count,
         version=version,
     )
 
 
-class _Margins(msgspec.Struct):
-    """What a file says besides its messages: its metadata, the last of each name."""
+class _Fleet:
+    """The robots of a report.
 
-    facts: dict[str, str]
-    completeness: dict[str, KeyReport]
+    Args:
+        asked: the period that is asked about.
+        versions: what is known of the robots' gateways, by their keys.
+        faults: takes what cannot be read.
 
-    @classmethod
-    def read(cls, log: LogFile) -> _Margins:
-        """Of one file; chunks are passed over. What is wrong with it is told by who reads the rows."""
-        metadata: dict[str, dict[str, str]] = {}
-        with suppress(OSError), log.path.open("rb") as stream:
-            for piece in read_pieces(stream, log.bytes, is_verifying=False):
-                if isinstance(piece, records.Metadata) and piece.name in {METADATA_NAME, COMPLETENESS_NAME}:
-                    metadata[piece.name] = piece.metadata
-                elif isinstance(piece, Fault) and piece.cuts:
-                    break
-        completeness = {}
-        for topic, text in list(metadata.get(COMPLETENESS_NAME, {}).items())[:TOPICS_MAX]:
-            with suppress(msgspec.MsgspecError):
-                completeness[topic] = msgspec.json.decode(text, type=KeyReport)
-        return cls(metadata.get(METADATA_NAME, {}), completeness)
+    Attributes:
+        others: keys of robots for which there was no room.
+    """
+
+    def __init__(self, asked: Question, versions: dict[str, Versions], faults: Faults) -> None:
+        self.others: set[str] = set()
+        self._asked = asked
+        self._versions = versions
+        self._accounts: dict[str, Account] = {}
+        self._timeline = Timeline(faults, kept=REMEMBERED)  # The accounts remember the robots' messages.
+
+    def look_back(self, row: Row, message: SafetyState) -> None:
+        """A state of the time before."""
+        if self._account(row.topic) is not None:
+            self._timeline.take(row, message)
+
+    def take(self, row: Row, message: Any) -> None:  # noqa: ANN401 - any message that is wanted
+        """The next row."""
+        if row.topic.kind in _OF_RECORDERS:
+            if isinstance(message, RecordGap):
+                self._lose(message)
+            else:
+                message = self._known(row.topic, message)
+        else:
+            account = self._account(row.topic)
+            if account is None:
+                return
+            if isinstance(message, GatewayInfo):
+                account.versions.hear(message, row.log_ns)
+            elif not account.take(message, row.publish_ns, row.log_ns):
+                return
+        self._timeline.take(row, message)
+        self._note(self._timeline.tell())
+
+    def end(self, logs: Sequence[LogFile], margins: Sequence[Margins]) -> list[RobotReport]:
+        """No more rows come: all robots of which something is known."""
+        self._note(self._timeline.end())
+        asked = self._asked
+        found = []
+        for key, account in self._accounts.items():
+            root, _, robot = key.rpartition("/")
+            spans = [(log.start_ns, log.end_ns) for log in logs if (root, robot) in log.robots]
+            account.end(spans, asked.to_ns)
+            found.append(account.sum_up(*of_robot(key, margins), asked.from_ns, asked.to_ns))
+        return [one for one in found if one is not None]
+
+    def _account(self, topic: Topic) -> Account | None:
+        key = _robot_key(topic)
+        account = self._accounts.get(key)
+        if account is None and len(self._accounts) < ROBOTS_MAX:
+            account = self._accounts[key] = Account(topic.robot, key, versions_of(key, self._versions))
+        elif account is None and len(self.others) < OTHERS_MAX:
+            self.others.add(key)
+        return account
+
+    def _lose(self, gap: RecordGap) -> None:
+        for key, account in self._accounts.items():
+            if gap.key.startswith(f"{key}/"):
+                account.lose(gap.key, gap.reason.value, gap.count)
+                return
+
+    def _known(self, topic: Topic, event: RecorderEvent) -> RecorderEvent:
+        """The same, with the robot called as it is here: a recorder may know no other of this name."""
+        account = self._accounts.get(f"{topic.name.partition('/@')[0]}/{event.robot}")
+        return event if account is None else msgspec.structs.replace(event, robot=account.name)
+
+    def _note(self, entries: Iterable[Entry]) -> None:
+        for entry in filter(self._asked.takes, entries):
+            for account in self._named(entry.robot):
+                account.happenings.take(entry)
+
+    def _named(self, robot: str) -> list[Account]:
+        """Whose entry it is; everybody's where it is about all."""
+        accounts = list(self._accounts.values())
+        known = [one for one in accounts if robot in {"", one.name, one.key}]
+        # A recorder calls by its root only the second robot of a name.
+        return known or [one for one in accounts if one.key.endswith(f"/{robot}")]
 
 
 def _is_wanted(topic: Topic) -> bool:
-    return topic.kind is RecordGap or (topic.kind in TAKEN and bool(topic.robot))
+    return topic.kind in _OF_RECORDERS or (topic.kind in _OF_ROBOTS and bool(topic.robot))
 
 
 def _robot_key(topic: Topic) -> str:
     return topic.name.removesuffix(f"/{topic.subject}")
 
 
-def _known_key(topic: str, accounts: dict[str, Account]) -> str:
-    """Whose topic it is; empty if nobody's that is known."""
-    return next((key for key in accounts if topic.startswith(f"{key}/")), "")
-
-
-def _name_of(key: str, accounts: dict[str, Account]) -> str:
-    """Two roots may hold a robot of the same name; the second is called by its root too."""
-    name = key.rpartition("/")[2]
-    return key if any(account.name == name for account in accounts.values()) else name
-
-
-def _reported(log: LogFile, margins: _Margins) -> ReportedFile:
+def _reported(log: LogFile, margins: Margins) -> ReportedFile:
     is_accounted = log.is_incident or bool(margins.completeness)
     return ReportedFile(log.path.name, log.bytes, log.start_ns, log.end_ns, is_accounted)
-
-
-def _of_robot(key: str, margins: Sequence[_Margins]) -> tuple[dict[str, KeyReport], dict[str, str]]:
-    """The account of its topics, and what is known of it, of all files."""
-    reports: dict[str, list[KeyReport]] = {}
-    values: dict[str, Counter[str]] = {}
-    for margin in margins:
-        for topic, report in margin.completeness.items():
-            if topic.startswith(f"{key}/"):
-                reports.setdefault(topic, []).append(report)
-        known = margin.facts.get("robots", "").split(",")
-        prefix = f"{key if key in known else key.rpartition('/')[2]}."
-        for name, value in margin.facts.items():
-            fact = name.removeprefix(prefix)
-            if fact != name or name == "recorder_version":
-                values.setdefault(fact, Counter())[value] += 1
-    completeness = {topic: total(of_topic) for topic, of_topic in sorted(reports.items())}
-    facts = {name: ", ".join(list(found)[:VALUES_MAX]) for name, found in list(values.items())[:FACTS_MAX]}
-    return completeness, facts

@@ -6,10 +6,12 @@ Names and texts come from the log, and may hold anything: who shows them has to 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import pairwise
 from typing import Final
 
 from recorder.completeness import KeyReport, total
-from recorder.review.report.findings import Report, ReportedFile, RobotSummary
+from recorder.review.report.findings import InForce, Moment, Outage, Report, ReportedFile, RobotSummary
+from recorder.review.timeline.entries import EntryKind
 from recorder.review.times import in_words
 from schemas.reasons import TEXTS
 
@@ -43,11 +45,12 @@ def summary_lines(robot: RobotSummary, report: Report) -> list[Line]:
         ("When", f"{in_words(robot.start_ns)} to {in_words(robot.end_ns)}: {duration(span_s)}"),
         ("How far", _how_far(robot)),
         ("Stopped", _stops(robot)),
+        *([("Gateway", _list(gateway_lines(robot)))] if gateway_lines(robot) else []),
         ("Driven by", _drivers(robot)),
         ("Refused", _refused(robot)),
         ("Missing", " ".join(_missing(robot, report.files))),
         ("Bus and gateway", _counts(robot.health) or "nothing was lost or faulty, as far as the gateway tells"),
-        ("Versions", _versions(robot.facts)),
+        ("Versions", _versions(robot)),
     ]
 
 
@@ -55,7 +58,79 @@ def headline(robot: RobotSummary) -> str:
     """The robot in a sentence."""
     stops = sum(robot.stops.values())
     how_far = "stood still" if robot.distance_m < STANDING_M else f"went {metres(robot.distance_m)}"
-    return f"It {how_far}, and was {f'stopped {times(stops)}' if stops else 'not stopped'}."
+    said = [f"It {how_far}, and was {f'stopped {times(stops)}' if stops else 'not stopped'}."]
+    outages = [one for one in robot.outages if not one.is_between_logs]
+    if len(outages) == 1 and not robot.more_outages:
+        said.append(f"Its gateway {_outage(outages[0])}.")
+    elif outages:
+        worst = sum(one.is_commanding for one in outages)
+        said.append(
+            f"Its gateway began anew or fell silent {times(len(outages) + robot.more_outages)}"
+            f"{f', {worst} of these while it commanded the robot' if worst else ''}."
+        )
+    configurations = sum(_is_reconfigured(*pair) for pair in pairwise(robot.in_force))
+    if configurations:
+        said.append(f"Its configuration changed{'' if configurations == 1 else f' {times(configurations)}'}.")
+    if robot.ends_commanding:
+        said.append("The log ends while it was commanded.")
+    return " ".join(said)
+
+
+def gateway_lines(robot: RobotSummary) -> list[str]:
+    """What befell its gateway, and what was otherwise afterwards; nothing if there is nothing to say."""
+    said = [_outage_at(one) for one in robot.outages]
+    if robot.more_outages:
+        said.append(f"and so on, {robot.more_outages} times more")
+    for before, now in pairwise(robot.in_force):
+        if _is_reconfigured(before, now):
+            settings = f": {_list(now.settings, ', ')}" if now.settings else ""
+            said.append(f"since {in_words(now.since_ns)} it has another configuration{settings}")
+    if robot.ends_commanding:
+        said.append("the log ends while it commanded the robot")
+    return said
+
+
+def moment_words(moment: Moment) -> str:
+    """What happened, and how often. What is missing says itself how much of it is."""
+    if moment.count <= 1 or moment.kind == EntryKind.GAP.value:
+        return moment.text
+    lasted_s = (moment.last_ns - moment.time_ns) / 1e9
+    return f"{moment.text} [{moment.count} times{f' within {duration(lasted_s)}' if lasted_s >= 0.05 else ''}]"
+
+
+def who(moment: Moment) -> str:
+    """Who did it, or in parentheses who held the lease then."""
+    return moment.operator or (f"({moment.holder})" if moment.holder else "")
+
+
+def _outage(outage: Outage) -> str:
+    """For a headline."""
+    commanding = " while it commanded the robot" if outage.is_commanding else ""
+    if outage.began_ns is None:
+        return f"fell silent{commanding}, and was not heard again until the end"
+    return (
+        f"fell silent{commanding}, and began anew"
+        if outage.began_ns > outage.heard_ns
+        else f"began anew{commanding}"
+    )
+
+
+def _outage_at(outage: Outage) -> str:
+    heard, commanding = in_words(outage.heard_ns), " while it commanded the robot" if outage.is_commanding else ""
+    if outage.began_ns is None:
+        return f"it fell silent at {heard}{commanding}, and was not heard again until the end"
+    if outage.is_between_logs:
+        return (
+            f"a log ends at {heard}{commanding}, and the next one, at {in_words(outage.began_ns)}, is of another"
+        )
+    if outage.began_ns == outage.heard_ns:
+        return f"it began anew at {heard}{commanding}"
+    later = duration((outage.began_ns - outage.heard_ns) / 1e9)
+    return f"it fell silent at {heard}{commanding}, and began anew {later} later"
+
+
+def _is_reconfigured(before: InForce, now: InForce) -> bool:
+    return before.configuration_sha256 != now.configuration_sha256
 
 
 def reason_words(reason: str) -> str:
@@ -138,6 +213,10 @@ def _missing(robot: RobotSummary, files: Iterable[ReportedFile]) -> list[str]:
         said.append(
             f"The path breaks off {times(robot.gaps)}, for {duration(robot.gap_s)} in all, and goes on from there."
         )
+    if robot.silences:
+        counted = len(robot.silences) + robot.more_silences
+        first = f"{robot.silences[0].text}, from {in_words(robot.silences[0].from_ns)} on"
+        said.append(f"Gaps: {first}{f'; and {counted - 1} more such' if counted > 1 else ''}.")
     sums = total(robot.completeness.values())
     losses = [f"{getattr(sums, name)} {what}" for name, what in _LOSSES.items() if getattr(sums, name)]
     if losses:
@@ -156,27 +235,30 @@ def _missing(robot: RobotSummary, files: Iterable[ReportedFile]) -> list[str]:
     return said or ["the log does not tell"]
 
 
-def _versions(facts: dict[str, str]) -> str:
-    packages = [
-        f"{name.removeprefix('versions.')} {value}"
-        for name, value in facts.items()
-        if name.startswith("versions.")
-    ]
+def _versions(robot: RobotSummary) -> str:
+    """Those of the first gateway, and what was otherwise in the others."""
+    recorder = robot.facts.get("recorder_version")
+    said = [f"recorder {recorder}"] if recorder else []
+    if not robot.in_force:
+        return ", ".join(said) or "the log does not tell"
+    first = robot.in_force[0]
     said = [
-        f"variant {facts.get('variant', 'not told')}",
-        *([f"recorder {facts['recorder_version']}"] if "recorder_version" in facts else []),
-        *packages,
+        f"variant {first.variant}",
+        *said,
+        *(f"{package} {value}" for package, value in sorted(first.versions.items())),
+        *([f"configuration {first.configuration_sha256[:12]}"] if first.configuration_sha256 else []),
     ]
-    if "configuration_sha256" in facts:
-        said.append(f"configuration {facts['configuration_sha256'][:12]}")
-    return ", ".join(said)
+    later = (
+        f"{_list(one.changes, ', ') or 'the same'} since {in_words(one.since_ns)}" for one in robot.in_force[1:]
+    )
+    return _list([f"{', '.join(said)}, since {in_words(first.since_ns)}", *later])
 
 
 def _counts(counts: dict[str, int]) -> str:
     return ", ".join(f"{count} {name}" for name, count in counts.items())
 
 
-def _list(parts: Iterable[str]) -> str:
+def _list(parts: Iterable[str], between: str = "; ") -> str:
     found = list(parts)
-    more = [f"and {len(found) - SHOWN} more kinds"] if len(found) > SHOWN else []
-    return "; ".join([*found[:SHOWN], *more])
+    more = [f"and {len(found) - SHOWN} more"] if len(found) > SHOWN else []
+    return between.join([*found[:SHOWN], *more])

@@ -12,7 +12,7 @@ from recorder.cli.review import command as review
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
 from tests.recorder.fakes import Log, gear, sample_of, small_log
-from tests.recorder.review.report.drive import drive, write_log
+from tests.recorder.review.report.drive import drive, restart, write_log
 
 Asking = Callable[..., int]
 
@@ -53,6 +53,23 @@ def test_a_page_and_a_picture_by_the_files_endings(
     assert "cruiser-1: It went 2.9 m, and was stopped once." in said.out
     assert "written: r.html" in said.out
     assert not said.err
+
+
+def test_a_gateway_that_died_is_told_on_the_terminal_and_as_json(
+    ask: Asking, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the first line of the robot, and with its times."""
+    path = write_log(tmp_path / "a.mcap", restart(60, 40))
+    assert ask(path) == ExitCode.OK
+    said = capsys.readouterr().out
+    assert "Its gateway fell silent while it commanded the robot, and began anew." in said.splitlines()[0]
+    assert "  Gateway          it fell silent at " in said
+    assert ask(path, "--json") == ExitCode.OK
+    (robot,) = json.loads(capsys.readouterr().out)["robots"]
+    (outage,) = robot["outages"]
+    assert (outage["began_ns"] - outage["heard_ns"]) / 1e9 == pytest.approx(2.05)
+    assert [one["kind"] for one in robot["moments"]][:2] == ["gap", "gateway"]
+    assert robot["in_force"][0]["variant"] == "coarse"
 
 
 def test_json_alone_writes_no_file(

@@ -1,6 +1,7 @@
 """Messages of a drive, and logs of them, made up."""
 
 from collections.abc import Iterable
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +26,7 @@ from schemas.messages import (
     BrakingStatus,
     FrameHealth,
     GatewayHealth,
+    GatewayInfo,
     GearPosition,
     Message,
     Mode,
@@ -35,7 +37,7 @@ from schemas.messages import (
 from schemas.messages import ControllerState as Controller
 from schemas.reasons import Reason
 from schemas.requests import Role
-from tests.recorder.fakes import MS, WALL_NS, FakeSample, Log, info, sample_of
+from tests.recorder.fakes import MS, ROOT, WALL_NS, FakeSample, Log, info, sample_of
 
 HOSTILE: Final = (
     "</script><script>document.body.dataset.owned=1</script><img src=http://evil.test/x> <b>&amp; $x^2$ \u202e"
@@ -215,14 +217,37 @@ def drive(periods: int = 200) -> list[Message]:
     return [*found, refusal(periods - 1), event(periods - 1)]
 
 
-def write_log(path: Path, messages: Iterable[Message], robots: Iterable[str] = ("cruiser-1",)) -> Path:
+def restart(periods: int = 200, silent: int = 60) -> list[Message]:
+    """A drive of so many periods; its gateway dies, and another one stands by from so many periods later on."""
+    found: list[Message] = [one for number in range(periods) for one in (state(number), arbiter(number))]
+    for number in range(periods + silent, periods + silent + 40):
+        other = arbiter(number, sequence=number - periods - silent, state=ArbiterState.STANDBY, lease_holder="")
+        found += [state(number, speed_mps=0.0), msgspec.structs.replace(other, tick=10**12 + 5 * number)]
+    return found
+
+
+def gateway(number: int, configuration: str = "[can]\n", **fields: Any) -> GatewayInfo:  # noqa: ANN401 - any field
+    """What a gateway is that was started at that time; its configuration's hash is made of the text."""
+    known = info(sequence=number)
+    said = {
+        "time_ns": WALL_NS + number * PERIOD_NS,
+        "started_ns": WALL_NS + number * PERIOD_NS,
+        "configuration": configuration,
+        "configuration_sha256": sha256(configuration.encode()).hexdigest(),
+    }
+    return msgspec.structs.replace(known, **{**said, **fields})
+
+
+def write_log(
+    path: Path, messages: Iterable[Message], robots: Iterable[str] = ("cruiser-1",), root: str = ROOT
+) -> Path:
     """A log in which each of these robots says all of these messages, received when they were sent."""
     log = Log()
     for robot in robots:
-        log.receive(sample_of(info(), robot))
+        log.receive(sample_of(info(), robot, root))
     for message in messages:
         for robot in robots:
-            log.receive(sample_of(message, robot), wall_ns=message.time_ns)
+            log.receive(sample_of(message, robot, root), wall_ns=message.time_ns)
     path.write_bytes(log.close())
     return path
 

@@ -1,28 +1,45 @@
 """All of one robot, from its messages one by one."""
 
+from collections.abc import Sequence
+
 import pytest
 
+from recorder.review.events import Timeline
+from recorder.review.faults import Faults
 from recorder.review.report.account import (
     DRIVERS_MAX,
     HAND_TRANSMITTER,
-    MOMENTS_MAX,
     OTHERS,
     REFUSALS_MAX,
     Account,
 )
 from recorder.review.report.findings import RobotCharts, RobotReport, RobotSummary
+from recorder.review.report.happenings import MOMENTS_MAX
+from recorder.review.rows import Row
+from recorder.review.topics import Topic
 from schemas.decisions import ArbiterState, EventKind, Verdict
 from schemas.messages import Message, Mode
 from schemas.reasons import Reason
-from tests.recorder.fakes import SECOND, WALL_NS
-from tests.recorder.review.report.drive import PERIOD_NS, arbiter, drive, event, health, refusal, state
+from tests.recorder.fakes import SECOND, WALL_NS, key_of
+from tests.recorder.review.report.drive import PERIOD_NS, arbiter, drive, event, health, refusal, restart, state
 
 
-def account_of(*messages: Message, off_ns: int = 0) -> Account:
-    """Of messages that were received when they were sent, by a clock that is so much ahead."""
+def row_of(message: Message, log_ns: int) -> Row:
+    """A row that has been decoded already."""
+    key = key_of(type(message))
+    topic = Topic(key, "", "", "", b"", type(message), "cruiser-1", "cruiser-1", "", lambda _: message)
+    return Row(topic, message.sequence, log_ns, message.time_ns, b"")
+
+
+def account_of(*messages: Message, off_ns: int = 0, late: Sequence[tuple[int, Message]] = ()) -> Account:
+    """Of messages that were received when they were sent, by a clock that is so much ahead; then of late ones."""
     account = Account("cruiser-1", "fleet/cruiser-1")
-    for message in messages:
-        account.take(message, message.time_ns, message.time_ns + off_ns)
+    timeline = Timeline(Faults())
+    for log_ns, message in [*((message.time_ns + off_ns, message) for message in messages), *late]:
+        account.take(message, message.time_ns, log_ns)
+        timeline.take(row_of(message, log_ns), message)
+    for entry in timeline.end():
+        account.happenings.take(entry)
     return account
 
 
@@ -93,6 +110,17 @@ def test_commands_are_drawn_while_the_chassis_is_told_something() -> None:
     assert None not in lines["speed_limit_mps"]
 
 
+def test_what_was_asked_for_is_drawn_while_it_holds() -> None:
+    """The state repeats the last command while the robot is stopped; nobody asks for that any more."""
+    was = {5: ArbiterState.STOPPING, 6: ArbiterState.STOPPING, 7: ArbiterState.ENGAGING}
+    messages = [arbiter(number, state=was.get(number, ArbiterState.ENGAGED)) for number in range(12)]
+    lines = charts_of(*messages).lines
+    for line in ("target_speed_mps", "target_angle_deg"):
+        drawn = [None if point is None else (point[0] - WALL_NS) // PERIOD_NS for point in lines[line]]
+        assert drawn == [0, 1, 2, 3, 4, None, 8, 9, 10, 11]
+    assert None not in lines["output_speed_mps"]
+
+
 def test_values_that_are_no_numbers_are_not_drawn() -> None:
     """Neither are those that the robot does not know."""
     lines = charts_of(
@@ -111,10 +139,9 @@ def test_an_event_is_placed_on_the_path() -> None:
 
 def test_what_was_asked_for_later_stands_where_it_happened() -> None:
     """By the robot's time, though it was received long after."""
-    account = account_of(*(one for number in range(100) for one in (state(number), arbiter(number))))
     late = event(20)
-    account.take(late, late.time_ns, late.time_ns + 60 * SECOND)
-    report = account.sum_up({}, {})
+    drive_on = (one for number in range(100) for one in (state(number), arbiter(number)))
+    report = account_of(*drive_on, late=[(late.time_ns + 60 * SECOND, late)]).sum_up({}, {})
     assert report is not None
     assert [moment.time_ns for moment in report.charts.moments] == [late.time_ns]
     assert report.summary.end_ns < WALL_NS + 10 * SECOND
@@ -162,3 +189,58 @@ def test_accepted_requests_and_other_events_are_no_stops() -> None:
 def test_a_robot_that_said_nothing_is_no_report() -> None:
     """It was only named."""
     assert Account("cruiser-1", "fleet/cruiser-1").sum_up({}, {}) is None
+
+
+@pytest.mark.parametrize("engaged", [ArbiterState.ENGAGED, ArbiterState.STOPPING, ArbiterState.STANDBY])
+def test_a_log_that_ends_in_the_middle_of_a_drive_says_so(engaged: ArbiterState) -> None:
+    """What came after is not known; in standby there is nothing to say."""
+    account = account_of(*(arbiter(number, state=engaged) for number in range(5)))
+    account.end([(WALL_NS, WALL_NS + 5 * PERIOD_NS)])
+    report = account.sum_up({}, {})
+    assert report is not None
+    assert report.summary.ends_commanding is (engaged is not ArbiterState.STANDBY)
+    texts = [moment.text for moment in report.charts.moments]
+    assert texts == ([f"the log ends here: {engaged.value}, and told 1.00 m/s"] * report.summary.ends_commanding)
+
+
+def test_a_period_that_ends_in_the_middle_of_a_drive_is_no_end_of_the_log() -> None:
+    """The log goes on."""
+    account = account_of(*(arbiter(number) for number in range(5)))
+    account.end([(WALL_NS, WALL_NS + 60 * SECOND)], WALL_NS + 5 * PERIOD_NS)
+    report = account.sum_up({}, {})
+    assert report is not None
+    assert not report.summary.ends_commanding
+    assert report.summary.outages == []
+
+
+@pytest.mark.parametrize("is_commanding", [True, False])
+def test_a_gateway_of_which_nothing_comes_any_more_fell_silent(is_commanding: bool) -> None:  # noqa: FBT001 - a case
+    """The log goes on without it; that matters more if it commanded the robot."""
+    engaged = ArbiterState.ENGAGED if is_commanding else ArbiterState.STANDBY
+    account = account_of(*(arbiter(number, state=engaged) for number in range(5)))
+    account.end([(WALL_NS, WALL_NS + 60 * SECOND)])
+    report = account.sum_up({}, {})
+    assert report is not None
+    (outage,) = report.summary.outages
+    assert (outage.heard_ns, outage.began_ns) == (WALL_NS + 4 * PERIOD_NS, None)
+    assert outage.is_commanding is is_commanding
+    (moment,) = report.charts.moments
+    assert moment.severity == ("error" if is_commanding else "warning")
+    assert moment.text.startswith("nothing of the arbiter for 59.8 s, up to the end: the gateway fell silent")
+    assert not report.summary.ends_commanding
+
+
+def test_between_two_logs_nobody_knows_whether_a_gateway_was_silent() -> None:
+    """As after a night in which nothing was recorded; a log that goes on meanwhile tells that it was."""
+    for spans, is_between in (
+        ([(WALL_NS, WALL_NS + 10 * SECOND), (WALL_NS + 13 * SECOND, WALL_NS + 15 * SECOND)], True),
+        ([(WALL_NS, WALL_NS + 15 * SECOND), (WALL_NS + 13 * SECOND, WALL_NS + 15 * SECOND)], False),
+        ([(WALL_NS, WALL_NS + 11 * SECOND), (WALL_NS + 11 * SECOND + 1, WALL_NS + 15 * SECOND)], False),
+    ):
+        account = account_of(*restart())
+        account.end(spans)
+        report = account.sum_up({}, {})
+        assert report is not None
+        (outage,) = report.summary.outages
+        assert outage.is_between_logs is is_between
+        assert outage.is_commanding

@@ -17,11 +17,23 @@ from PIL import Image
 from plotly.offline import get_plotlyjs
 
 from recorder.review.report.figures import BLUE
-from recorder.review.report.findings import Report
-from recorder.review.report.page import page, safe_json, text
+from recorder.review.report.findings import Outage, Report
+from recorder.review.report.page import MOMENTS_SHOWN, page, safe_json, text
+from recorder.review.report.words import SHOWN
 from schemas.messages import Message
 from tests.recorder.review.report.browser import Opened, browser, open_page, take_picture
-from tests.recorder.review.report.drive import HOSTILE, arbiter, drive, event, refusal, report_of, state, write_log
+from tests.recorder.review.report.drive import (
+    HOSTILE,
+    arbiter,
+    drive,
+    event,
+    gateway,
+    refusal,
+    report_of,
+    restart,
+    state,
+    write_log,
+)
 
 in_browser = pytest.mark.skipif(browser() is None, reason="there is no Chromium")
 
@@ -199,6 +211,42 @@ def test_what_the_summary_says_is_on_the_page(report: Report) -> None:
         assert said in html
     assert "&lt;b&gt;a&amp;b.mcap" in html
     assert "<b>a&b" not in html
+
+
+def test_a_gateway_that_died_stands_before_all_else(tmp_path: Path) -> None:
+    """As a note, a figure, and among the events; each configuration is in a table, with since when."""
+    log = [gateway(0, "a = 1\n"), *restart(100, 60), gateway(160, "a = 2\n")]
+    html = page(report_of(write_log(tmp_path / "a.mcap", sorted(log, key=lambda one: one.time_ns))), "")
+    before, _, after = html.partition(">Summary<")
+    assert '<p class="note">Gateway: it fell silent at 2027-01-15 08:00:04.950 UTC while it commanded' in before
+    assert "Gateway: since 2027-01-15 08:00:08.000 UTC it has another configuration: a 2, 1 before.</p>" in before
+    assert "<strong>1</strong><span>gateway outage</span>" in before
+    assert '<tr class="error"><td>08:00:08.000</td><td>gateway</td>' in after
+    for text_of_one in ("a = 1\n", "a = 2\n"):
+        assert f"<td>{gateway(0, text_of_one).configuration_sha256[:12]}</td>" in after
+
+
+def test_errors_are_shown_however_many_events_there_are(report: Report) -> None:
+    """The table has room for so many; those that matter least are left out."""
+    robot = report.robots[0]
+    lease = msgspec.structs.replace(robot.charts.moments[0], severity="info", kind="lease")
+    death = msgspec.structs.replace(lease, severity="error", kind="gateway", time_ns=lease.time_ns + 1)
+    moments = [lease] * (MOMENTS_SHOWN + 50) + [death]
+    charts = msgspec.structs.replace(robot.charts, moments=moments, more_moments=2)
+    html = page(msgspec.structs.replace(report, robots=[msgspec.structs.replace(robot, charts=charts)]), "")
+    assert html.count("<td>lease</td>") == MOMENTS_SHOWN - 1
+    assert html.count("<td>gateway</td>") == 1
+    assert "53 of less weight, or later, are left out" in html
+
+
+def test_a_gateway_that_dies_without_end_fills_no_page(report: Report) -> None:
+    """A few notes, and how many more."""
+    robot = report.robots[0]
+    outages = [Outage(number, number, is_commanding=True) for number in range(100)]
+    summary = msgspec.structs.replace(robot.summary, outages=outages)
+    html = page(msgspec.structs.replace(report, robots=[msgspec.structs.replace(robot, summary=summary)]), "")
+    assert html.count('<p class="note">Gateway: it began anew') == SHOWN
+    assert "more such; see the events" in html
 
 
 @settings(max_examples=40)

@@ -1,0 +1,160 @@
+"""What happened to one robot, from the entries of the timeline, in memory that does not grow with them."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import Counter, deque
+from collections.abc import Sequence
+from typing import Final
+
+import msgspec
+
+from recorder.review.report.findings import Moment, Outage, Silence
+from recorder.review.report.odometry import Place
+from recorder.review.timeline.entries import Entry, EntryKind, Source
+from schemas.decisions import Severity
+
+MOMENTS_MAX: Final = 2000
+ERRORS_MAX: Final = 500
+"""So many more, if they are errors: a thousand leases must not hide a gateway that died."""
+
+OUTAGES_MAX: Final = 200
+SILENCES_MAX: Final = 200
+
+RECENT: Final = 50
+"""Silences among which that before a restart is."""
+
+BEYOND_NS: Final = 24 * 3600 * 1_000_000_000
+"""A time that is further from all that the robot said is of no use."""
+
+CLOCKS_APART_NS: Final = 2_000_000_000
+"""The robot's clock and the recorder's may differ by so much, and the log times are the recorder's."""
+
+_IN_OTHER_TABLES: Final = frozenset({EntryKind.REFUSAL, EntryKind.REQUEST})
+
+
+class Happenings:
+    """Gathers entries, which come in the order of their time, as far as that can be told.
+
+    Attributes:
+        stops: how often the robot was stopped, by reason.
+        counts: entries by kind.
+        outages: when the gateway fell silent or began anew; ``more_outages`` are left out.
+        silences: what else is not in the log; ``more_silences`` are left out.
+    """
+
+    def __init__(self) -> None:
+        self.stops: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()
+        self.outages: list[Outage] = []
+        self.silences: list[Silence] = []
+        self.more_outages = self.more_silences = 0
+        self._entries: list[Entry] = []
+        self._recent: deque[Silence] = deque(maxlen=RECENT)
+
+    def take(self, entry: Entry) -> None:
+        """The next one."""
+        if entry.kind in _IN_OTHER_TABLES:
+            return
+        self._keep(entry)
+        if entry.kind is EntryKind.STOP:
+            self.stops[entry.reason.value] += 1
+        elif entry.kind is EntryKind.GAP and entry.source is Source.LOG:
+            self._take_silence(entry)
+        elif entry.kind is EntryKind.GATEWAY and entry.severity is not Severity.INFO:
+            self._take_restart(entry)
+
+    def end(self, entry: Entry, outage: Outage | None = None) -> None:
+        """What is to be said of the end of the log; ``outage`` if the gateway fell silent before."""
+        self._keep(entry)
+        if outage is not None:
+            self._add_outage(outage)
+
+    def set_apart(self, pauses: Sequence[tuple[int, int]]) -> None:
+        """Between two logs nobody knows whether a gateway was silent."""
+        self.outages = [
+            msgspec.structs.replace(one, is_between_logs=True) if _is_pause(one, pauses) else one
+            for one in self.outages
+        ]
+
+    def moments(self, places: Sequence[Place], start_ns: int, end_ns: int) -> list[Moment]:
+        """What is to be shown, by time.
+
+        Args:
+            places: the path, by time.
+            start_ns: the first time of what the robot said...
+            end_ns: ...and the last one.
+        """
+        times_ns = [place.time_ns for place in places]
+        first_ns, last_ns = start_ns - BEYOND_NS, end_ns + BEYOND_NS
+        found = []
+        for entry in self._entries:
+            near_ns = (
+                entry.time_ns if first_ns < entry.time_ns < last_ns else min(max(entry.time_ns, start_ns), end_ns)
+            )
+            place = places[max(0, bisect_right(times_ns, near_ns) - 1)] if places else None
+            found.append(_moment(entry, near_ns, place))
+        return sorted(found, key=lambda moment: moment.time_ns)
+
+    @property
+    def more_moments(self) -> int:
+        """Those for which there was no room."""
+        return self.counts.total() - len(self._entries)
+
+    def _keep(self, entry: Entry) -> None:
+        self.counts[entry.kind.value] += 1
+        room = MOMENTS_MAX + (ERRORS_MAX if entry.severity is Severity.ERROR else 0)
+        if len(self._entries) < room:
+            self._entries.append(entry)
+
+    def _take_silence(self, entry: Entry) -> None:
+        silence = Silence(entry.time_ns, entry.last_ns, entry.text)
+        self._recent.append(silence)
+        if len(self.silences) < SILENCES_MAX:
+            self.silences.append(silence)
+        else:
+            self.more_silences += 1
+
+    def _take_restart(self, entry: Entry) -> None:
+        """Another gateway; the silence before it, if it was a long one, has been told."""
+        heard_ns = entry.time_ns
+        before = next((one for one in reversed(self._recent) if one.to_ns == entry.time_ns), None)
+        if before is not None:
+            heard_ns = before.from_ns
+            if before in self.silences:
+                self.silences.remove(before)
+            else:
+                self.more_silences -= 1
+        self._add_outage(Outage(heard_ns, entry.time_ns, entry.severity is Severity.ERROR))
+
+    def _add_outage(self, outage: Outage) -> None:
+        if len(self.outages) < OUTAGES_MAX:
+            self.outages.append(outage)
+        else:
+            self.more_outages += 1
+
+
+def _is_pause(outage: Outage, pauses: Sequence[tuple[int, int]]) -> bool:
+    began_ns = outage.began_ns
+    if began_ns is None:
+        return False
+    return any(
+        outage.heard_ns - CLOCKS_APART_NS <= from_ns and to_ns <= began_ns + CLOCKS_APART_NS
+        for from_ns, to_ns in pauses
+    )
+
+
+def _moment(entry: Entry, time_ns: int, place: Place | None) -> Moment:
+    return Moment(
+        time_ns=time_ns,
+        last_ns=max(time_ns, entry.last_ns + time_ns - entry.time_ns),
+        kind=entry.kind.value,
+        severity=entry.severity.value,
+        count=entry.count,
+        reason=entry.reason.value,
+        operator=entry.operator,
+        holder=entry.holder,
+        text=entry.text,
+        x_m=None if place is None else place.x_m,
+        y_m=None if place is None else place.y_m,
+    )
