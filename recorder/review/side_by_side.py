@@ -94,7 +94,8 @@ def rerun_in(
     found = survey(logs, faults)
     size = sum(log.bytes for log in logs)
     # All are begun before the first is waited for.
-    for begun in [_begin(pool, robot, logs, found, length_ns, faults) for robot in found.robots]:
+    tasks = [_task(robot, logs, found, faults) for robot in found.robots]
+    for begun in [_begin(pool, task, length_ns, faults, lambda _: progress(0)) for task in tasks]:
         yield from _gather(pool, begun, faults, lambda part: progress(int(size * part)))
 
 
@@ -106,13 +107,14 @@ class _Begun(msgspec.Struct, frozen=True):
     futures: list[Future[Outcome]]
 
 
-def _begin(
-    pool: Executor, robot: str, logs: Sequence[LogFile], found: Survey, length_ns: int, faults: Faults
-) -> _Begun:
+def _task(robot: str, logs: Sequence[LogFile], found: Survey, faults: Faults) -> Task:
+    return Task(robot, list(logs), configurations_of(robot, logs, found, faults), WHOLE)
+
+
+def _begin(pool: Executor, whole: Task, length_ns: int, faults: Faults, progress: Progress) -> _Begun:
     rests: Rests = installed("rests")
-    selection = Selection(lambda topic: topic.robot == robot and topic.subject == JOURNAL)
-    planned = plan(read_rows(logs, selection, faults), rests, length_ns, faults)
-    whole = Task(robot, list(logs), configurations_of(robot, logs, found, faults), WHOLE)
+    selection = Selection(lambda topic: topic.robot == whole.robot and topic.subject == JOURNAL)
+    planned = plan(read_rows(whole.logs, selection, faults, progress), rests, length_ns, faults)
     tasks = [msgspec.structs.replace(whole, stretch=stretch) for stretch in planned.stretches]
     return _Begun(whole, planned, [pool.submit(run_task, task) for task in tasks])
 

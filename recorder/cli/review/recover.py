@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final
@@ -12,11 +12,12 @@ from typing import Final
 import msgspec
 
 from recorder.ports.leftovers import Outcome, Recovery, recover
+from recorder.ports.log_directory import PART_SUFFIX
 from schemas.exit_codes import ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings
 
-EXAMPLE: Final = "  cruiser review recover logs/*.mcap.part"
+EXAMPLE: Final = "  cruiser review recover logs\n  cruiser review recover logs/*.mcap.part"
 DESCRIPTION: Final = (
     "Makes logs whole, in place, that their recorder could not finish, and renames each "
     ".mcap.part .mcap. The next 'cruiser record' does the same in its directory. What is behind the last "
@@ -30,7 +31,13 @@ _FINE: Final = {Outcome.WHOLE, Outcome.RECOVERED}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
+    parser.add_argument(
+        "files",
+        nargs="+",
+        type=Path,
+        metavar="LOG",
+        help="a file, or a directory: its .mcap.part files",
+    )
     parser.add_argument("--json", action="store_true", help="print a JSON object a line, one for each file")
 
 
@@ -38,7 +45,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     """Recover."""
     library = f"cruiser-gateway {version('cruiser-gateway')}"
     outcomes: set[Outcome] = set()
-    for path in arguments.files:
+    for path in _leftovers(arguments.files):
         if stopped():
             break
         recovery = recover(path, library)
@@ -48,6 +55,14 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     if outcomes <= _FINE:
         return int(ExitCode.OK)
     return int(ExitCode.PARTIAL if outcomes & {*_FINE, Outcome.DAMAGED} else ExitCode.FAILURE)
+
+
+def _leftovers(paths: Sequence[Path]) -> Iterator[Path]:
+    for path in paths:
+        found = sorted(path.glob(f"*{PART_SUFFIX}")) if path.is_dir() else [path]
+        if not found:
+            sys.stderr.write(f"cruiser review: {plain(str(path))} holds no log that is not finished\n")
+        yield from found
 
 
 def describe_recovery(recovery: Recovery) -> str:

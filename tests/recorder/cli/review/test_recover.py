@@ -49,3 +49,15 @@ def test_what_cannot_be_recovered_is_a_failure_and_among_others_a_part(
     assert "nothing in it can be read" in out
     assert "No such file" in out
     assert run("recover", str(empty), str(cut)) == ExitCode.PARTIAL
+
+
+def test_of_a_directory_what_is_not_finished_is_recovered(cut: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each part, and nothing else; where there is none it says so."""
+    whole = cut.parent / "whole.mcap"
+    whole.write_bytes(small_log())
+    assert run("recover", str(cut.parent)) == ExitCode.OK
+    assert capsys.readouterr().out == f"{cut.with_suffix('')}: recovered, 12 messages\n"
+    assert run("recover", str(cut.parent)) == ExitCode.OK
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "holds no log that is not finished" in captured.err
