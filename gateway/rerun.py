@@ -54,7 +54,7 @@ class Run(msgspec.Struct, frozen=True):
 
 
 def rerun(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
-    """All that the core says when a run is given to it again.
+    """All that the core says when a run is given to it again; at last the batches that are not full.
 
     Args:
         settings: those of the run, or others.
@@ -66,8 +66,11 @@ def rerun(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
     """
     run = run_of(journals)
     if run is not None:
-        for _, samples in run_again(run.core(settings), run.inputs):
+        core = run.core(settings)
+        for _, samples in run_again(core, run.inputs):
             yield from samples
+        # Where one ends depends on when the core was made.
+        yield from core.last_batches(0)
 
 
 def run_of(journals: Iterable[Journal]) -> Run | None:

@@ -96,7 +96,8 @@ class FrameFile:
 
     def discard(self) -> None:
         """Leave nothing of what is not whole."""
-        with suppress(OSError):
+        # A writer that was stopped already says that its file is closed.
+        with suppress(OSError, ValueError):
             self._writer.stop()
         with suppress(OSError):
             self._part.unlink(missing_ok=True)
@@ -105,16 +106,17 @@ class FrameFile:
         self._is_begun = True
         if self._form is FrameFormat.ASC:
             self._date(time_ns)
-            # The file's beginning is told in milliseconds, and all times from there: let it be a whole one.
-            self._writer.log_event(STARTED, time_ns // 1_000_000 / 1000)
+            # All times count from the file's beginning, which python-can tells to the millisecond, and 5 of them
+            # as .5: let it be a whole second.
+            self._writer.log_event(STARTED, time_ns // 1_000_000_000)
 
     def _date(self, time_ns: int) -> None:
         """The day of the frames, in local time as the format has it; python-can's writer has put today's."""
         file = self._writer.file
         file.flush()
         lines = self._part.read_text(encoding="utf-8").splitlines(keepends=True)
-        began = datetime.fromtimestamp(time_ns // 1_000_000 / 1000)  # noqa: DTZ006 - as the format has it
-        lines[0] = f"date {began:%a %b %d %H:%M:%S}.{began.microsecond // 1000} {began:%Y}\n"
+        began = datetime.fromtimestamp(time_ns // 1_000_000_000)  # noqa: DTZ006 - as the format has it
+        lines[0] = f"date {began:%a %b %d %H:%M:%S}.0 {began:%Y}\n"
         file.seek(0)
         file.truncate()
         file.writelines(lines)

@@ -118,7 +118,9 @@ class Comparison:
 
         What was recorded before the first message that came out again belongs to nothing.
         """
-        self.unrecorded.update(key[0] for key in self._again)
+        # What was said last is in a batch that may not have been published any more.
+        last_ns = self.ends_ns - BATCH_NS
+        self.unrecorded.update(key[0] for key, said in self._again.items() if said.time_ns <= last_ns)
         self._again.clear()
         later: dict[Key, Said] = {}
         begins_ns = self.begins_ns or 0

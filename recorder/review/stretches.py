@@ -26,7 +26,7 @@ BEFORE_NS: Final = 4_500_000_000
 BEHIND_NS: Final = 1_500_000_000
 """The inputs that are needed behind the end of a stretch, so that all that belongs in it has come out."""
 
-ASIDE_NS: Final = 10_000_000_000
+ASIDE_NS: Final = 30_000_000_000
 """A record is received no later than the latest journal was, and this."""
 
 Rests = Callable[[Journal], list[int]]

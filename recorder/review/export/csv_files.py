@@ -95,8 +95,10 @@ class _Files:
         key = columns.topic.name, described(columns.schema)[0]
         file = self._files.get(key)
         if file is None:
-            file = self._files[key] = _File(self._new_path(columns.topic.name), columns.topic.name)
+            file = _File(self._new_path(columns.topic.name), columns.topic.name)
+            # What is somebody else's is not ours to discard.
             file.part.touch(exist_ok=False)
+            self._files[key] = file
         if file.stream is None:
             self._make_room()
             file.stream = file.part.open("ab")
@@ -131,8 +133,9 @@ class _Files:
         while path in taken:
             number += 1
             path = self._directory / f"{file_name(topic)}~{number}{SUFFIX}"
-        if path.exists():
-            raise CommandError(f"{plain(str(path))} is there already; nothing is overwritten")
+        for there in (path, path.with_name(f"{path.name}.part")):
+            if there.exists():
+                raise CommandError(f"{plain(str(there))} is there already; nothing is overwritten")
         return path
 
     def _make_room(self) -> None:

@@ -34,6 +34,8 @@ from recorder.review.export.one_log import Outcome, Task, Wanted, export_log
 from recorder.review.faults import Faults
 from recorder.review.log_file import LogFile
 from recorder.review.rows import Progress
+from recorder.review.topics import key_of
+from schemas import keys
 from schemas.exit_codes import CommandError
 from schemas.printable import plain
 
@@ -98,7 +100,9 @@ def export_dataset(
         directory.mkdir(parents=True, exist_ok=True)
         with _locked(directory):
             before = _manifest_before(directory, is_adding=is_adding)
-            return _export(logs, directory, wanted, faults, before, run, progress)
+            return _export(
+                _as_called_before(before, logs, shown), directory, wanted, faults, before, run, progress
+            )
     except OSError as error:
         raise CommandError(f"cannot write {shown}: {error.strerror or error}") from error
 
@@ -173,6 +177,25 @@ def _manifest_before(directory: Path, *, is_adding: bool) -> Manifest:
     if any(not path.name.startswith(".") for path in directory.iterdir()):
         raise CommandError(f"{shown} is not empty, and no dataset: it has no {MANIFEST_NAME}")
     return Manifest(FORMAT, VERSION, "", [], [], {})
+
+
+def _as_called_before(before: Manifest, logs: Sequence[LogFile], shown: str) -> list[LogFile]:
+    """The logs, whose robots are called as in the dataset: with their roots if they are so there.
+
+    Raises:
+        CommandError: one of them has the name of another root's that is there by its name alone.
+    """
+    of_parts = [(keys.parse(key_of(part.topic)[0]), part.robot) for part in before.files if part.robot]
+    there = {(parts.root, parts.robot): called for parts, called in of_parts if parts is not None}
+    with_root = frozenset(name for (_, name), called in there.items() if called != name)
+    for root, name in {robot for log in logs for robot in log.robots} - there.keys():
+        for (other_root, other), called in there.items():
+            if other == name == called:
+                raise CommandError(
+                    f"{shown} holds {other_root}/{name} by its name alone, and these logs hold {root}/{name}: "
+                    "export all of them together, or these into a dataset of their own"
+                )
+    return [msgspec.structs.replace(log, namesakes=log.namesakes | with_root) for log in logs]
 
 
 def _move(staging: Path, directory: Path, part: Part) -> Part:

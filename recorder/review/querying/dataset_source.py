@@ -8,7 +8,7 @@ from pathlib import Path
 import duckdb
 import pyarrow as pa
 
-from recorder.review.columns.tables import ROBOT, TOPIC
+from recorder.review.columns.tables import HEAD, ROBOT, TOPIC
 from recorder.review.export.manifest import Manifest, Part, described
 from recorder.review.querying.tables import (
     WHOSE,
@@ -39,8 +39,16 @@ class DatasetSource:
         for part in sorted(manifest.files, key=lambda part: (part.table, part.columns) not in own):
             key = part.table, part.columns
             if key not in names:
-                names[key] = free_name(part.table, self._parts)
+                is_own = key in own or self._is_like(part)
+                taken = self._parts if is_own else {*self._parts, *own_columns()}
+                names[key] = free_name(part.table, taken)
             self._parts.setdefault(names[key], []).append(part)
+
+    def _is_like(self, part: Part) -> bool:
+        """Whether a table is of a subject of ours, as another version had it: it has fields in common."""
+        own = own_columns().get(part.table)
+        names = {column.name for column in self._manifest.schemas.get(part.columns, [])}
+        return own is not None and bool(names & set(own.schema.names[len(HEAD) :]))
 
     @property
     def tables(self) -> list[TableInfo]:

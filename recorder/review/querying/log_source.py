@@ -176,10 +176,43 @@ class _LogTable(ds.InMemoryDataset):  # type: ignore[misc]  # pyarrow has no ann
         self._source = source
         self._table = table
 
-    def scanner(self, columns: Sequence[str] | None = None, filter: Any = None, **_rest: Any) -> ds.Scanner:  # noqa: A002, ANN401 - pyarrow's names
+    def scanner(self, columns: Sequence[str] | None = None, filter: Any = None, **_rest: Any) -> _Scan:  # noqa: A002, ANN401 - pyarrow's names
         names = self._table.schema.names
         about = "" if filter is None else str(filter)
         wanted = [name for name in names if columns is None or name in columns or name in about]
         schema = pa.schema([self._table.schema.field(name) for name in wanted])
-        rows = self._source.batches(self._table, frozenset(wanted))
-        return ds.Scanner.from_batches(rows, schema=schema, columns=columns, filter=filter)
+        return _Scan(self._source.batches(self._table, frozenset(wanted)), schema, columns or wanted, filter)
+
+
+class _Scan:
+    """What DuckDB takes for a scanner: it reads when it is asked, in the thread of who asks.
+
+    Arrow's own reads ahead in threads that outlive a statement that ends early, and the interpreter with it.
+
+    Args:
+        rows: with every column that the statement needs.
+        schema: of these.
+        columns: those that DuckDB wants to see.
+        wanted: which rows, an expression of pyarrow's; None for all.
+    """
+
+    def __init__(
+        self,
+        rows: Iterator[pa.RecordBatch],
+        schema: pa.Schema,
+        columns: Sequence[str],
+        wanted: Any,  # noqa: ANN401 - pyarrow has no annotations
+    ) -> None:
+        self._rows = rows
+        self._schema = pa.schema([schema.field(name) for name in columns])
+        self._columns = list(columns)
+        self._wanted = wanted
+
+    def to_reader(self) -> pa.RecordBatchReader:
+        """The rows that are wanted, as they come."""
+        return pa.RecordBatchReader.from_batches(self._schema, self._batches())
+
+    def _batches(self) -> Iterator[pa.RecordBatch]:
+        for batch in self._rows:
+            found = batch if self._wanted is None else batch.filter(self._wanted)
+            yield found.select(self._columns)

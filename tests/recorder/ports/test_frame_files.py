@@ -168,4 +168,27 @@ def test_an_asc_file_is_dated_by_its_frames(tmp_path: Path) -> None:
         list(reader)
         assert reader.date is not None
         began = datetime.strptime(reader.date, "%b %d %H:%M:%S.%f %Y").timestamp()  # noqa: DTZ007
-    assert began == START_NS // 1_000_000 / 1000
+    assert began == START_NS // 1_000_000_000
+
+
+@pytest.mark.parametrize("offset_ms", [0, 5, 50, 123, 999])
+def test_times_of_an_asc_file_are_right_whenever_it_begins(tmp_path: Path, offset_ms: int) -> None:
+    """python-can writes 5 ms as .5, which its reader takes for half a second."""
+    time_ns = START_NS // 1_000_000_000 * 1_000_000_000 + offset_ms * 1_000_000
+    frame = LoggedFrame("r", False, msgspec.structs.replace(PLAIN, time_ns=time_ns))  # noqa: FBT003
+    [message] = written(tmp_path / "x.asc", FrameFormat.ASC, [frame])
+    assert abs(message.timestamp - time_ns / 1e9) < 2e-6
+
+
+@pytest.mark.parametrize("form", FrameFormat)
+def test_a_file_that_cannot_be_named_leaves_nothing(tmp_path: Path, form: FrameFormat) -> None:
+    """Somebody else has put one there meanwhile: it stays."""
+    path = tmp_path / "x"
+    file = FrameFile(path, form)
+    file.write(FRAMES[0])
+    path.write_text("mine")
+    with pytest.raises(OSError, match="exist"):
+        file.close()
+    file.discard()
+    assert [one.name for one in tmp_path.iterdir()] == ["x"]
+    assert path.read_text() == "mine"

@@ -235,6 +235,20 @@ def test_own_subjects_have_their_names_before_others(tmp_path: Path) -> None:
         ]
 
 
+def test_of_others_alone_our_names_stay_free(tmp_path: Path) -> None:
+    """Over the logs and in a dataset: a table of ours without a row is not theirs."""
+    logs = find_logs(
+        [write(tmp_path, "1", log_of([LogChannel(1, "/state", "s", b"", "jsonschema", "json")], [[(1, b"{}")]]))],
+        Faults(),
+    )
+    export_dataset(logs, tmp_path / "set", Wanted(), Faults())
+    manifest = read_manifest(tmp_path / "set")
+    assert manifest is not None
+    for source in (LogSource(logs, Selection(), Faults()), DatasetSource(tmp_path / "set", manifest)):
+        assert ask(source, "SELECT speed_mps FROM state") == []
+        assert ask(source, "SELECT json FROM state_2") == [{"json": "{}"}]
+
+
 def test_robots_of_one_name_are_told_apart(tmp_path: Path) -> None:
     """By their roots, in a dataset as over the logs."""
     data = [drive(count=3), drive(count=4).replace(b"fleet/cruiser-1", b"depot/cruiser-1")]
@@ -247,6 +261,20 @@ def test_robots_of_one_name_are_told_apart(tmp_path: Path) -> None:
             {"robot": "depot/cruiser-1", "n": 4},
             {"robot": "fleet/cruiser-1", "n": 3},
         ]
+
+
+def test_a_robot_that_is_added_is_called_as_before_or_refused(tmp_path: Path) -> None:
+    """Whatever was exported first."""
+    data = [drive(count=3), drive(count=4).replace(b"fleet/cruiser-1", b"depot/cruiser-1"), drive(count=5)]
+    paths = [write(tmp_path, str(place), one) for place, one in enumerate(data)]
+    export_dataset(find_logs(paths[:2], Faults()), tmp_path / "both", Wanted(), Faults())
+    export_dataset(find_logs(paths[2:], Faults()), tmp_path / "both", Wanted(), Faults(), is_adding=True)
+    manifest = read_manifest(tmp_path / "both")
+    assert manifest is not None
+    assert {part.robot for part in manifest.files} - {""} == {"depot/cruiser-1", "fleet/cruiser-1"}
+    export_dataset(find_logs(paths[:1], Faults()), tmp_path / "one", Wanted(), Faults())
+    with pytest.raises(CommandError, match="holds fleet/cruiser-1 by its name alone"):
+        export_dataset(find_logs(paths[1:2], Faults()), tmp_path / "one", Wanted(), Faults(), is_adding=True)
 
 
 def test_a_statement_that_would_take_days_can_be_stopped(source: Source) -> None:

@@ -41,6 +41,9 @@ from tests.gateway.recorded_day import recorded, restful_day
 from tests.recorder.fakes import MS, SECOND, wait_until
 
 LENGTH_NS: Final = 5 * SECOND
+DRIVEN_NS: Final = 1_700_000_050_000_000_000
+"""Somebody drives then."""
+
 NAME = "cruiser-1-20260102T030405Z.mcap"
 
 
@@ -83,6 +86,7 @@ class Change:
 
     def __init__(self, seed: int) -> None:
         self.random = Random(seed)  # noqa: S311 - the same ones each time
+        self.end_ns = DRIVEN_NS + seed * 17 * MS
 
     def nothing(self, topic: str, message: Message) -> list[Message]:  # noqa: ARG002 - as all
         return [message]
@@ -110,6 +114,10 @@ class Change:
         """And second copies."""
         late_ns = 3 * SECOND if self.random.random() < 0.05 else 0
         return [_with(message, log_time=message.log_time + late_ns), _with(message, log_time=message.log_time + 2)]
+
+    def ends(self, topic: str, message: Message) -> list[Message]:  # noqa: ARG002 - as all
+        """In the midst of a drive: what is in a batch then is not in the log."""
+        return [message] if message.publish_time < self.end_ns else []
 
     def nonsense(self, topic: str, message: Message) -> list[Message]:
         """Only whoever gives it to a core sees that it is none."""
@@ -167,6 +175,15 @@ def test_the_answer_is_the_one_that_a_single_process_gives(name: str, is_cut: bo
     # Where the stretches do not fit together all is done once more, in one piece.
     assert len(tasks) > 2
     assert (tasks[-1].stretch != WHOLE) == is_cut
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_log_that_ends_in_a_drive_has_the_same_end(seed: int, tmp_path: Path) -> None:
+    """To the last frame that came out of the inputs."""
+    path = changed(tmp_path / NAME, Change(seed).ends)
+    results, _, tasks = side_by_side(path)
+    assert results == alone(path)[0]
+    assert len(tasks) > 1
 
 
 def test_processes_do_it(tmp_path: Path) -> None:

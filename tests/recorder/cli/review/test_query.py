@@ -2,6 +2,8 @@
 
 import argparse
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -135,3 +137,20 @@ def test_of_a_damaged_log_a_wrong_statement_tells_the_damage_too(
     with pytest.raises(CommandError, match="does not exist"):
         run("query", "SELECT * FROM odometry_of_others", write(tmp_path, "1", drive()[:400]))
     assert "the file is cut off" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("sql", "code"),
+    [
+        ("SELECT sequence FROM can_rx LIMIT 1", ExitCode.OK),
+        ("SELECT EXISTS(SELECT 1 FROM chassis_gear)", ExitCode.OK),
+        ("SELECT CAST(robot AS INT) FROM can_rx", ExitCode.USAGE),
+    ],
+)
+def test_a_statement_that_needs_not_all_ends_well(tmp_path: Path, sql: str, code: ExitCode) -> None:
+    """As a process of its own: nothing reads on when it ends."""
+    log = write(tmp_path, "1", drive(count=20_000))
+    cruiser = Path(sys.executable).with_name("cruiser")
+    for _ in range(3):
+        ended = subprocess.run([cruiser, "review", "query", sql, log], capture_output=True, check=False)
+        assert (ended.returncode, b"Fatal" in ended.stderr) == (code, False)

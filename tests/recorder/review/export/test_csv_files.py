@@ -91,3 +91,15 @@ def test_of_an_export_that_is_broken_off_nothing_is_left(tmp_path: Path) -> None
     with pytest.raises(KeyboardInterrupt):
         export_csv(logs, tmp_path / "out", Wanted(), Faults(), stop)
     assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_what_another_export_is_writing_stays(tmp_path: Path) -> None:
+    """It is named, and not taken for a part of this one."""
+    logs = find_logs([write(tmp_path, "1", drive())], Faults())
+    [*_, one] = export_csv(logs, tmp_path / "first", Wanted(), Faults())
+    part = tmp_path / "out" / f"{Path(one.path).name}.part"
+    part.parent.mkdir()
+    part.write_text("theirs")
+    with pytest.raises(CommandError, match="part is there already"):
+        export_csv(logs, part.parent, Wanted(), Faults())
+    assert [(path, path.read_text()) for path in part.parent.iterdir()] == [(part, "theirs")]
