@@ -32,7 +32,7 @@ from schemas.exit_codes import CommandError
 STRETCH_NS: Final = 120_000_000_000
 """A stretch is at least so long: the seconds before and behind it are run twice."""
 
-STRETCHES_PER_JOB: Final = 4
+STRETCHES_PER_JOB: Final = 8
 """So that no process waits long for the last one."""
 
 LOOK_S: Final = 0.1

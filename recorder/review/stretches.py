@@ -26,8 +26,11 @@ BEFORE_NS: Final = 4_500_000_000
 BEHIND_NS: Final = 1_500_000_000
 """The inputs that are needed behind the end of a stretch, so that all that belongs in it has come out."""
 
-ASIDE_NS: Final = 30_000_000_000
-"""A record is received no later than the latest journal was, and this."""
+EARLY_NS: Final = 5_000_000_000
+"""A record is received no sooner than the soonest journal was, less this..."""
+
+LATE_NS: Final = 30_000_000_000
+"""...and no later than the latest one, and this."""
 
 Rests = Callable[[Journal], list[int]]
 """When the gateway was at rest, of what a journal message holds, in nanoseconds since 1970."""
@@ -54,8 +57,10 @@ class Stretch(msgspec.Struct, frozen=True):
         return self.from_ns <= time_ns < self.to_ns
 
     def needs(self, row: Row) -> bool:
-        """Whether a row is not a journal of another stretch."""
-        return row.topic.subject != JOURNAL or self.inputs_from_ns <= row.publish_ns <= self.inputs_to_ns
+        """Whether a row is a journal that is needed, or something else that is compared."""
+        if row.topic.subject == JOURNAL:
+            return self.inputs_from_ns <= row.publish_ns <= self.inputs_to_ns
+        return self.holds(row.publish_ns)
 
 
 WHOLE: Final = Stretch()
@@ -130,8 +135,8 @@ def _stretches(cuts: list[int], lateness: _Lateness) -> list[Stretch]:
             stretches[-1],
             to_ns=cut_ns,
             inputs_to_ns=last_ns,
-            log_to_ns=last_ns + lateness.most_ns + ASIDE_NS,
+            log_to_ns=last_ns + lateness.most_ns + LATE_NS,
         )
-        log_from_ns = max(0, first_ns + lateness.least_ns - ASIDE_NS)
+        log_from_ns = max(0, first_ns + lateness.least_ns - EARLY_NS)
         stretches.append(Stretch(from_ns=cut_ns, inputs_from_ns=first_ns, log_from_ns=log_from_ns))
     return stretches
