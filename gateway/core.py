@@ -104,7 +104,7 @@ class Core:
         self._health_due_ns = now_ns + HEALTH_PERIOD_NS
         self._state_sequence = 0
         self.command = None if settings.gateway.listen_only else CommandFlow(settings, run)
-        self._observer = Observer(self._streams.values(), self._detector)
+        self._observer = Observer(self._streams.values(), self._detector, settings.chassis.required_feedback)
         self._commander_ns: int | None = None
         self._requests: list[RawRequest] = []
         self._offered: list[Frame] = []

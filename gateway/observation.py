@@ -18,11 +18,14 @@ from schemas.messages import (
     Gear,
     GearPosition,
     Mode,
+    Parking,
+    ParkingStatus,
     Steering,
     Variant,
+    WheelPulse,
     WheelSpeed,
 )
-from schemas.settings import TURNING_RAW_MIN
+from schemas.settings import PULSES_MOVING_FRAMES, TURNING_RAW_MIN
 
 BODY: Final = "Auto_MileageAndBodyFeedback"
 DRIVE: Final = "Auto_DriveFeedBack"
@@ -33,8 +36,19 @@ _Kind = TypeVar("_Kind", bound=Feedback)
 class Observer:
     """Looks at the feedback streams each tick."""
 
-    def __init__(self, streams: Iterable[FeedbackStream], detector: VariantDetector) -> None:
+    def __init__(
+        self, streams: Iterable[FeedbackStream], detector: VariantDetector, required: Iterable[str]
+    ) -> None:
+        """Nothing was seen yet.
+
+        Args:
+            streams: of all feedback frames.
+            detector: of the variant.
+            required: the frames without which the robot is not commanded, by their names in the DBC.
+        """
         self._streams = {stream.layout.name: stream for stream in streams}
+        self._required = {name: self._streams[name] for name in required}
+        self._encoders = Encoders()
         self._detector = detector
         # A frame that says that it is not valid is waited for as long as one that stays away.
         self._patience_ns = {
@@ -62,6 +76,7 @@ class Observer:
         wheels, body = self._latest(WHEEL_SPEED, WheelSpeed), self._latest(BODY, Body)
         drive, gear = self._latest(DRIVE, Drive), self._latest("Auto_GearFeedBack", Gear)
         steering = self._latest("Auto_SteeringFeedBack", Steering)
+        parking = self._latest("Auto_ParkingFeedBack", Parking)
         return Observed(
             bus_up=links.bus_up,
             bus_losses=links.bus_losses,
@@ -73,10 +88,12 @@ class Observer:
             confirmed=self._detector.confirmed,
             mode=body.mode if body is not None else Mode.UNDEFINED,
             gear=gear.gear_position if gear is not None else GearPosition.UNDEFINED,
+            brake=parking.parking_status if parking is not None else ParkingStatus.UNDEFINED,
             speed_mps=drive.speed_mps if drive is not None else None,
             wheel_speed_mps=_mean_mps(wheels),
             fastest_wheel_mps=_fastest_mps(wheels),
             turns=self._turns(),
+            pulses=self._encoders.direction(self._latest("Auto_WheelPulseFeedback", WheelPulse)),
             angle_deg=steering.angle_deg if steering is not None else None,
             front_bumper=_bumper(body, body.front_bumper) if body is not None else None,
             rear_bumper=_bumper(body, body.rear_bumper) if body is not None else None,
@@ -96,7 +113,7 @@ class Observer:
         for name, message in ((WHEEL_SPEED, wheels), (BODY, body)):
             if message is not None and message.valid:
                 self._valid_ns[name] = now_ns
-        for name, stream in self._streams.items():
+        for name, stream in self._required.items():
             if stream.supervisor.is_silent or (
                 name in self._valid_ns
                 and stream.latest is not None
@@ -105,15 +122,15 @@ class Observer:
                 yield name
 
     def _faulty(self, now_ns: int) -> Iterable[str]:
-        for name, stream in self._streams.items():
+        for name, stream in self._required.items():
             supervisor = stream.supervisor
-            # Nearly always there was none yet, and this is asked of ten frames in every tick.
+            # Nearly always there was none yet, and this is asked of each frame in every tick.
             checksums = supervisor.checksums
             if supervisor.alive.has_failed or (checksums.faults and checksums.has_failed(now_ns)):
                 yield name
 
     def _absurd(self, now_ns: int) -> Iterable[str]:
-        for name, stream in self._streams.items():
+        for name, stream in self._required.items():
             implausible = stream.supervisor.implausible
             if implausible.faults and implausible.has_failed(now_ns):
                 yield name
@@ -122,6 +139,41 @@ class Observer:
         """Whether the drive feedback is not zero, in whatever scale: a robot that moves shows no variant."""
         data = self._streams[DRIVE].data
         return None if data is None else int.from_bytes(data[1:3], "little") >= TURNING_RAW_MIN
+
+
+class Encoders:
+    """Reads from wheel pulses whether and where the robot goes, without knowing how far a pulse is."""
+
+    def __init__(self) -> None:
+        self._before: WheelPulse | None = None
+        self._frames = 0
+
+    def direction(self, pulses: WheelPulse | None) -> int:
+        """1 forward, -1 backward: both wheels together count that way in so many frames in a row; else 0."""
+        if pulses is None or not pulses.valid:
+            self._before, self._frames = None, 0
+        elif self._before is None:
+            self._before = pulses
+        elif pulses is not self._before:
+            way = _sign(_counted(pulses, self._before))
+            self._frames = self._frames + way if way * self._frames > 0 else way
+            self._before = pulses
+        return _sign(self._frames) if abs(self._frames) >= PULSES_MOVING_FRAMES else 0
+
+
+def _counted(pulses: WheelPulse, before: WheelPulse) -> int:
+    """What both wheels have counted, across the wrap of the signed 16 bits."""
+    left = pulses.rear_left_pulses - before.rear_left_pulses
+    right = pulses.rear_right_pulses - before.rear_right_pulses
+    return _wrapped(left) + _wrapped(right)
+
+
+def _wrapped(pulses: int) -> int:
+    return (pulses + 0x8000) % 0x1_0000 - 0x8000
+
+
+def _sign(number: int) -> int:
+    return (number > 0) - (number < 0)
 
 
 def _mean_mps(wheels: WheelSpeed | None) -> float | None:

@@ -17,7 +17,7 @@ from msgspec import inspect
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.setting_table import CONFIG_VARIABLE, GIVEN, SECTIONS, SETTINGS, VARIABLE_PREFIX, Setting
-from schemas.settings import Settings
+from schemas.settings import NEEDED_FEEDBACK, Settings
 from schemas.toml_text import Path, lines_of_keys, write_key, write_value
 
 _FLAG_WORDS: Final = {
@@ -80,6 +80,9 @@ def merge(toml: TomlSource | None, environ: Mapping[str, str], flags: Mapping[st
             f"command.emergency_deceleration_mps2 is {command.emergency_deceleration_mps2:g}, and "
             f"command.deceleration_mps2 {command.deceleration_mps2:g}: a stop at once may not be the gentler one"
         )
+    left_out = [name for name in NEEDED_FEEDBACK if name not in settings.chassis.required_feedback]
+    if left_out:
+        raise _wrong(f"chassis.required_feedback leaves out {', '.join(left_out)}: no robot is commanded without")
     return settings
 
 

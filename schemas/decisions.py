@@ -92,12 +92,13 @@ COMMANDING: Final = frozenset({ArbiterState.ENGAGING, ArbiterState.ENGAGED})
 
 
 class StopPhase(Enum):
-    """How far a stop has come. ``idle``: no stop is under way."""
+    """How far a stop has come. ``idle``: no stop is under way. ``neutral`` stands in logs of before alone."""
 
     IDLE = "idle"
     RAMP = "ramp"
     BRAKE = "brake"
     NEUTRAL = "neutral"
+    PARK = "park"
     HOLD = "hold"
     DISABLE = "disable"
 

@@ -58,6 +58,10 @@ class Reason(Enum):
     FRONT_BUMPER = "front_bumper"
     REAR_BUMPER = "rear_bumper"
     IMPLAUSIBLE_SPEED = "implausible_speed"
+    ROLLING = "rolling"
+    OVERSPEED = "overspeed"
+    STEERING = "steering"
+    FEEDBACK_FROZEN = "feedback_frozen"
     FOUND_MOVING = "found_moving"
     OTHER_COMMANDER = "other_commander"
 
@@ -120,7 +124,7 @@ TEXTS: Final[dict[Reason, Text]] = {
     Reason.STOPPING: Text("the stop sequence is under way", "wait until it has ended"),
     Reason.MOVING: Text("the robot moves", "stop it first"),
     Reason.PARKED: Text("the parking brake is applied", "unpark first"),
-    Reason.GEAR_SHIFTING: Text("the gear is being changed", "wait"),
+    Reason.GEAR_SHIFTING: Text("the gear is being changed, or the parking brake released", "wait"),
     Reason.COMMAND_NOT_ZERO: Text("the drive command is not zero", "command zero speed first"),
     Reason.NOT_CONFIRMED: Text("the chassis did not confirm it in time", "look at the chassis and its feedback"),
     Reason.DISENGAGED: Text("the holder of the lease disengaged", "engage again"),
@@ -151,6 +155,16 @@ TEXTS: Final[dict[Reason, Text]] = {
     Reason.FRONT_BUMPER: Text("the front bumper was hit", f"reset, then drive backward until it is clear{_BOTH}"),
     Reason.REAR_BUMPER: Text("the rear bumper was hit", f"reset, then drive forward until it is clear{_BOTH}"),
     Reason.IMPLAUSIBLE_SPEED: Text("the speeds do not fit each other or the command", _RESET),
+    Reason.ROLLING: Text(
+        "the robot moves although it is told to stand, or against what it is told: the parking brake is applied",
+        "look for a slope that is too steep, a weak motor, or somebody who pushes; then reset, then engage again",
+    ),
+    Reason.OVERSPEED: Text("the robot is faster than the limit in force", _RESET),
+    Reason.STEERING: Text("the steering does not follow what it is told", _RESET),
+    Reason.FEEDBACK_FROZEN: Text(
+        "the mileage stands still although the robot drives: its frame, which has bumpers and mode, is frozen",
+        _RESET,
+    ),
     Reason.FOUND_MOVING: Text("the chassis was found in auto and moving, and nobody commanded it", _AGAIN),
     Reason.OTHER_COMMANDER: Text("another computer commands the chassis on the bus", "end the other one first"),
     Reason.REMOTE_STOP: Text("a remote stop was received", "reset, then engage again"),

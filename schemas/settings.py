@@ -102,11 +102,20 @@ DISABLE_NS: Final = 500_000_000
 REST_TIMEOUT_NS: Final = 10_000_000_000
 """A gateway that is told to end waits this long for the robot to come to rest; the longest stop takes 7 s."""
 
-NEUTRAL_NS: Final = 100_000_000
-"""A stop gives neutral this long before the parking brake."""
+NOT_SLOWING_NS: Final = 300_000_000
+"""A robot that is not seen to slow down for this long, while it is being stopped, gets its parking brake..."""
+
+SLOWING_MPS: Final = 0.02
+"""...and it slows down if it is slower by this than it was."""
 
 BRAKE_UNSEEN_NS: Final = 3_000_000_000
-"""A stop that cannot see the robot stand (no feedback) brakes for this long before it goes on."""
+"""A stop that gets no word of the parking brake waits this long before it goes on."""
+
+SHIFT_TICKS: Final = 10
+"""Each gear is told for 100 ms behind the parking brake before the next step."""
+
+AUTO_HOLD_NS: Final = 1_000_000_000
+"""An engaged robot that stands at zero command for this long gets its parking brake."""
 
 STANDSTILL_TICKS: Final = 5
 """The robot stands when its speed was under STANDSTILL_MPS for this many ticks, 50 ms."""
@@ -128,6 +137,36 @@ IMPLAUSIBLE_NS: Final = 300_000_000
 
 REFERENCE_DECELERATION_MPS2: Final = 0.8
 """A commanded speed that falls is held against the measured one no faster than this: the chassis lags."""
+
+DRIVE_LAG_S: Final = 0.4
+"""The chassis follows a falling command with no more lag than this (chosen: the manual says nothing)."""
+
+ROLLING_NS: Final = 100_000_000
+"""A robot that moves for this long while it is told to stand, or against what it is told, is rolling."""
+
+OVERSPEED_MPS: Final = 0.3
+"""A measured speed that is over the limit in force by this..."""
+
+OVERSPEED_NS: Final = 300_000_000
+"""...for this long is too fast."""
+
+STEERING_DEVIATION_DEG: Final = 5.0
+"""A measured steering angle that is off what was told by more than this..."""
+
+STEERING_DEVIATION_NS: Final = 300_000_000
+"""...for this long does not follow..."""
+
+STEERING_FOLLOWS_DEGPS: Final = 30.0
+"""...where a chassis that turns its wheels at this rate still does."""
+
+FROZEN_BODY_M: Final = 3.0
+"""The mileage counts whole metres: after this way without a change, the body frame is frozen."""
+
+BUMPER_CLEAR_NS: Final = 300_000_000
+"""A bumper is released once it has read clear for this long: contacts bounce."""
+
+PULSES_MOVING_FRAMES: Final = 4
+"""Wheel pulses that count the same way in so many frames in a row, 200 ms, are those of a robot that moves."""
 
 SEND_FAILURES: Final = 5
 """This many ticks in a row whose frames the bus did not take are a failure."""
@@ -265,6 +304,17 @@ class CanSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = {}
 
 
+NEEDED_FEEDBACK: Final = (
+    "Auto_GearFeedBack",
+    "Auto_SteeringFeedBack",
+    "Auto_DriveFeedBack",
+    "Auto_ParkingFeedBack",
+    "Auto_WheelSpdFeedback",
+    "Auto_MileageAndBodyFeedback",
+)
+"""Feedback that the arbiter decides by: `chassis.required_feedback` may name more, and not less."""
+
+
 class ChassisSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The chassis."""
 
@@ -272,6 +322,26 @@ class ChassisSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Literal["auto", "coarse", "fine"],
         Meta(description="firmware variant; auto waits for evidence at standstill"),
     ] = "auto"
+    required_feedback: Annotated[
+        list[
+            Literal[
+                "Auto_GearFeedBack",
+                "Auto_SteeringFeedBack",
+                "Auto_DriveFeedBack",
+                "Auto_BrakingFeedBack",
+                "Auto_ParkingFeedBack",
+                "Auto_WheelSpdFeedback",
+                "Auto_WheelPulseFeedback",
+                "Auto_MileageAndBodyFeedback",
+                "Auto_LightFeedback",
+                "Auto_SpeakerFeedback",
+            ]
+        ],
+        Meta(
+            description="feedback frames without which the robot is not commanded; braking (reserved, says the "
+            "manual), wheel pulses, lamps and horn may be left out or added, the others are always needed"
+        ),
+    ] = msgspec.field(default_factory=lambda: [*NEEDED_FEEDBACK, "Auto_WheelPulseFeedback"])
 
 
 class ZenohSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -20,7 +20,15 @@ from gateway.ports.open_bus import describe, open_bus
 from schemas.arguments import seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import Mode, Variant
-from schemas.settings import COMMANDER_NS, GUARD_POLL_NS, HALT_LISTEN_NS, HALT_YIELD_NS, SEND_FAILURES, Settings
+from schemas.settings import (
+    COMMANDER_NS,
+    GUARD_GIVES_UP_NS,
+    GUARD_POLL_NS,
+    HALT_LISTEN_NS,
+    HALT_YIELD_NS,
+    SEND_FAILURES,
+    Settings,
+)
 
 EXAMPLE: Final = """\
   cruiser halt --interface socketcan --channel can0"""
@@ -34,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags of ``cruiser halt``."""
     parser.description = (
         "Listens, says what it finds, and brings a robot that nobody commands any more to rest: zero speed, "
-        "brake, neutral, parking brake, then silence. It waits for a guard at work, and for a hand transmitter "
+        "parking brake, neutral, then silence. It waits for a guard at work, and for a hand transmitter "
         "that has the robot: the chassis would obey its last command again afterwards. Not an emergency stop: "
         "that is the button on the robot."
     )
@@ -161,8 +169,13 @@ class Halt:
         _say("sending the stop sequence")
         failures = 0
         given_up_ns = now_ns + self._wait_ns
+        braked_ns = now_ns + GUARD_GIVES_UP_NS
         while not stopper.is_over:
             now_ns = time.monotonic_ns()
+            if now_ns > braked_ns and not stopper.is_paused:
+                # It goes on being told so: the chassis obeys its last command for ever.
+                stopper.give_up("it is told zero speed and the parking brake, and is not seen to obey")
+                break
             frames = stopper.tick(now_ns)
             if not stopper.is_paused:
                 given_up_ns = now_ns + self._wait_ns

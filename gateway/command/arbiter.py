@@ -10,12 +10,14 @@ from math import inf
 from random import Random
 from typing import Final
 
+import msgspec
+
 from gateway.command import verbs
-from gateway.command.actuation import Actuation
+from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.auxiliary import Auxiliary
 from gateway.command.causes import STOPS, Stop, Watch
 from gateway.command.freshness import TickLog
-from gateway.command.handover import Handover, may_obey
+from gateway.command.handover import Handover, may_be_stopped
 from gateway.command.lease import LeaseDesk
 from gateway.command.limits import Limits
 from gateway.command.motion import Motion, Surroundings, Target
@@ -25,9 +27,9 @@ from gateway.command.outcome import Event, Outcome
 from gateway.command.request import Answer, Judged, RawRequest, Ruling
 from gateway.command.seen import seen_actuation, seen_angle_deg
 from gateway.command.states import TRANSITIONS, Trigger
-from gateway.command.stop import StopSequence
+from gateway.command.stop import StopFeedback, StopSequence
 from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity, StopPhase
-from schemas.messages import Mode, Variant
+from schemas.messages import Mode, ParkingStatus, Variant
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import ENGAGE_TIMEOUT_NS, TICK_NS, TOLD_LONG_AGO_NS, Settings
 
@@ -48,7 +50,7 @@ class Arbiter:
         limits: those in force.
         motion: what the chassis is being told while engaged.
         target: what the last acceptable drive command asks for.
-        parked: the parking brake is asked for.
+        parked: the parking brake stays applied, whatever speed is asked for, until ``unpark``.
         latched: what must be reset, with its detail.
         latched_ns: when the newest of it was latched.
         stop_reason: why the last stop was begun.
@@ -76,7 +78,7 @@ class Arbiter:
         self.auxiliary = Auxiliary()
         self.state = ArbiterState.STANDBY
         self.configured_limits = self.limits = Limits.of(self.settings)
-        self.motion = Motion(self.settings.brake_pedal_percent)
+        self.motion = Motion()
         self.target = Target()
         self.parked = True
         self.latched: dict[Reason, str] = {}
@@ -89,6 +91,7 @@ class Arbiter:
         self.is_closing = False
         self.latched_ns = 0
         self._sequence: StopSequence | None = None
+        self._is_brake_missed = False
         self._engage_until_ns = 0
         self.told_ns = 0
         self.handover = Handover()
@@ -115,7 +118,7 @@ class Arbiter:
         """
         self.tick_number += 1
         self._late_ns = late_ns
-        self.watch.observe(observed)
+        self.watch.observe(observed, now_ns)
         self.handover.is_cut_off &= not observed.bus_up
         if observed.variant is not self.variant:
             self.variant = Variant.UNKNOWN
@@ -149,10 +152,10 @@ class Arbiter:
         self._go(Trigger.ENGAGE)
         self.limits = limits
         angle_deg = seen_angle_deg(self.watch.observed, self.configured_limits)
-        self.motion = Motion(self.settings.brake_pedal_percent, angle_deg)
+        self.motion = Motion(angle_deg)
         self.target = Target()
         self.parked = True
-        self._begin_telling(0.0)
+        self._begin_telling(Actuation(angle_deg=angle_deg))
         self.auxiliary.end(now_ns)
         self.watch.send_failures = 0
         self._engage_until_ns = now_ns + ENGAGE_TIMEOUT_NS
@@ -164,13 +167,19 @@ class Arbiter:
         deceleration_mps2 = self._deceleration_mps2(stop)
         if self._sequence is not None:
             self._sequence.hasten(deceleration_mps2)
+            if stop.parks:
+                self._sequence.park(now_ns)
             return
         last = self._last_told()
         if self.state is ArbiterState.STANDBY:
-            if not may_obey(self.watch.observed):
+            if not may_be_stopped(self.watch.observed):
                 return  # Standing by stays silent.
-            self._begin_telling(self.watch.observed.wheel_speed_mps or 0.0)
-        self._sequence = StopSequence(last, deceleration_mps2, self.settings.brake_pedal_percent, now_ns)
+            self.limits = self.configured_limits
+            self._begin_telling(last)
+        self._sequence = StopSequence(last, deceleration_mps2, now_ns)
+        if stop.parks or self.watch.observed.mode is Mode.STOP:
+            self._sequence.park(now_ns)
+        self._is_brake_missed = False
         self.auxiliary.end(now_ns)
         self.stop_reason = reason
         self._go(Trigger.STOP)
@@ -195,7 +204,8 @@ class Arbiter:
         if not stop.ramps:
             return inf
         limits = self.configured_limits
-        return limits.emergency_deceleration_mps2 if stop.at_once else limits.deceleration_mps2
+        at_once = stop.at_once or self.latched
+        return limits.emergency_deceleration_mps2 if at_once else limits.deceleration_mps2
 
     def shut_down(self, now_ns: int) -> None:
         """The gateway is to end: bring the robot to rest first, and engage it no more."""
@@ -214,10 +224,16 @@ class Arbiter:
         if is_speed_told and told is not None and self._sequence is not None:
             self._sequence.not_above(told.speed_mps)
 
-    def refuse_output(self, detail: str, now_ns: int) -> None:
-        """The gate refused what was to be sent: a fault of our own, and the robot is stopped."""
+    def refuse_output(self, detail: str, now_ns: int) -> Actuation:
+        """The gate refused what was to be sent: a fault of our own, and the robot is stopped.
+
+        Returns what is told in its place: zero speed and the parking brake, and all else as it was told last.
+        """
         self.unsent()
+        last = self._last_told()
         self.begin_stop(Reason.GATE, now_ns, detail)
+        self.actuation = msgspec.structs.replace(last, enabled=True, speed_mps=0.0, parking=True)
+        return self.actuation
 
     def tell(self, severity: Severity, kind: EventKind, reason: Reason, text: str, operator: str = "") -> None:
         """Tell people."""
@@ -241,7 +257,11 @@ class Arbiter:
             if observed.guard_sends:
                 self.latch(Reason.GUARD, "", now_ns)
             return
-        reason = self.handover.reason_to_yield(observed, is_disabling=self.stop_phase is StopPhase.DISABLE)
+        reason = self.handover.reason_to_yield(observed)
+        if reason is Reason.MODE_NOT_AUTO and (observed.moves or self.state is ArbiterState.STOPPING):
+            # Nobody commands it, and it may coast: the parking brake is told all the same.
+            self.begin_stop(reason, now_ns)
+            return
         if reason is Reason.NONE:
             return
         if reason is Reason.GUARD:
@@ -273,8 +293,8 @@ class Arbiter:
 
     def _look_for_faults(self, now_ns: int, late_ns: int) -> None:
         # During a stop too: a graver cause hastens it, and may latch.
-        told_mps = self.actuation.signed_speed_mps if self.actuation is not None else 0.0
-        for reason in self.watch.faults(told_mps, late_ns, now_ns):
+        told = self.actuation if self.actuation is not None else AT_REST
+        for reason in self.watch.faults(told, self.limits.speed_mps, late_ns, now_ns):
             self.begin_stop(reason, now_ns, self.watch.fault_detail(reason, late_ns))
         if self.variant is Variant.UNKNOWN:
             self.begin_stop(Reason.VARIANT_UNKNOWN, now_ns)
@@ -310,20 +330,40 @@ class Arbiter:
             if max(now_ns - self.told_ns, self._late_ns) > TOLD_LONG_AGO_NS:
                 # Held up by a pause or by the bus: the robot may have been brought to rest meanwhile.
                 self._sequence.not_above(self.watch.observed.seen_mps)
-            actuation = self._sequence.tick(now_ns, stands=self.watch.stands)
+            actuation = self._sequence.tick(now_ns, self._stop_feedback())
+            if self._sequence.lacks_brake(now_ns) and not self._is_brake_missed:
+                self._is_brake_missed = True
+                text = "the parking brake does not read applied; the motor holds the robot in gear meanwhile"
+                self.tell(Severity.ERROR, EventKind.FAULT, Reason.NOT_CONFIRMED, text)
             if actuation is None:
                 self._rest(now_ns)
             return actuation
-        pressed = self.watch.pressed
+        pressed, observed = self.watch.pressed, self.watch.observed
         surroundings = Surroundings(
             stands=self.watch.stands,
-            gear=self.watch.observed.gear,
+            gear=observed.gear,
+            brake=observed.brake,
             parked=self.parked,
+            speed_mps=observed.fastest_mps or 0.0,
+            angle_deg=observed.angle_deg or 0.0,
             forward=Reason.FRONT_BUMPER not in pressed,
             backward=Reason.REAR_BUMPER not in pressed,
         )
         target = self.target if self.state is ArbiterState.ENGAGED else Target(0.0, self.motion.angle_deg)
         return self.motion.tick(target, self.limits, surroundings, _TICK_S)
+
+    def _stop_feedback(self) -> StopFeedback:
+        observed = self.watch.observed
+        is_braked = observed.brake is ParkingStatus.APPLIED
+        # In mode stop the chassis need not heed the request, and a brake that is not seen proves nothing.
+        is_open = observed.brake is ParkingStatus.UNDEFINED or observed.mode is not Mode.AUTO
+        return StopFeedback(
+            stands=self.watch.stands,
+            moves=observed.moves,
+            speed_mps=observed.fastest_mps,
+            wheel_speed_mps=observed.wheel_speed_mps,
+            is_braked=None if is_open and not is_braked else is_braked,
+        )
 
     def _confirm(self, now_ns: int) -> None:
         self._go(Trigger.CONFIRMED)
@@ -348,18 +388,18 @@ class Arbiter:
             ruling = Ruling() if cleared else Ruling(Reason.NOT_CONFIRMED, "the mileage does not read zero")
             self._answer_waiting("clear_odometer", ruling)
 
-    def _begin_telling(self, speed_mps: float) -> None:
-        """From here on the chassis is told something; it has this signed speed."""
-        self.variant = self.watch.observed.variant
-        self.watch.plausibility.forget(speed_mps)
-        self.handover.begin(self.watch.observed)
+    def _begin_telling(self, last: Actuation) -> None:
+        """From here on the chassis is told something; this is what it must have been told before."""
+        observed = self.watch.observed
+        self.variant = observed.variant
+        self.watch.plausibility.forget(observed.wheel_speed_mps or 0.0, last.angle_deg)
+        self.handover.begin(observed)
 
     def _last_told(self) -> Actuation:
         """Where a stop begins: what the chassis was last told, or must have been told."""
         if self.actuation is not None:
             return self.actuation
-        parking = self.handover.left.parking if self.handover.left is not None else None
-        return seen_actuation(self.watch.observed, self.configured_limits, parking=parking)
+        return seen_actuation(self.watch.observed, self.configured_limits, self.handover.left)
 
     def _go(self, trigger: Trigger) -> None:
         self.state = TRANSITIONS[self.state, trigger]

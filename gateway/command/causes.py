@@ -7,11 +7,13 @@ from typing import Final
 
 import msgspec
 
+from gateway.command.actuation import Actuation
 from gateway.command.observed import Observed
 from gateway.command.plausibility import Plausibility
 from schemas.messages import ControllerState, Mode, Variant
 from schemas.reasons import Reason
 from schemas.settings import (
+    BUMPER_CLEAR_NS,
     COMMANDER_NS,
     FOUND_MOVING_NS,
     LOOP_LATE_STOP_NS,
@@ -28,20 +30,27 @@ class Stop(msgspec.Struct, frozen=True):
         latched: the robot cannot be engaged again before a reset.
         ramps: the commanded speed goes to zero by that deceleration. Where its scale is in doubt it is zero at
             once: a ramp in the wrong scale would ask for 40 times the speed.
+        parks: the parking brake is applied at once, at whatever speed.
     """
 
     at_once: bool
     latched: bool = False
     ramps: bool = True
+    parks: bool = False
 
 
 STOPS: Final[dict[Reason, Stop]] = {
     Reason.REMOTE_STOP: Stop(at_once=True, latched=True),
     Reason.FRONT_BUMPER: Stop(at_once=True, latched=True),
     Reason.REAR_BUMPER: Stop(at_once=True, latched=True),
+    Reason.ROLLING: Stop(at_once=True, latched=True, parks=True),
     Reason.IMPLAUSIBLE_SPEED: Stop(at_once=True, latched=True, ramps=False),
-    Reason.GATE: Stop(at_once=True, latched=True),
+    Reason.OVERSPEED: Stop(at_once=True, latched=True),
+    Reason.STEERING: Stop(at_once=True, latched=True),
+    Reason.FEEDBACK_FROZEN: Stop(at_once=True, latched=True),
+    Reason.GATE: Stop(at_once=True, latched=True, parks=True),
     Reason.GUARD: Stop(at_once=True, latched=True),
+    Reason.MODE_NOT_AUTO: Stop(at_once=True, parks=True),
     Reason.BUS_OFF: Stop(at_once=True),
     Reason.FEEDBACK_MISSING: Stop(at_once=True),
     Reason.FEEDBACK_FAULTY: Stop(at_once=True),
@@ -73,9 +82,9 @@ class Watch:
     Attributes:
         stands: the robot was seen to stand for long enough. False also when that cannot be seen.
         observed: the chassis at this tick.
-        pressed: the bumpers that are pressed.
-        struck: those that were not, a tick before.
-        plausibility: do the speeds fit.
+        pressed: the bumpers that are pressed, or have not read clear for long enough.
+        struck: those that were clear, a tick before.
+        plausibility: does the robot do what it is told.
         send_failures: ticks in a row whose frames the bus did not take.
     """
 
@@ -89,14 +98,18 @@ class Watch:
         self._slow_ticks = 0
         self._moving_since_ns: int | None = None
         self._acknowledged: set[Reason] = set()
+        self._pressed_ns: dict[Reason, int] = {}
 
-    def observe(self, observed: Observed) -> None:
+    def observe(self, observed: Observed, now_ns: int) -> None:
         """Take in the chassis at this tick."""
         self.observed = observed
         self._slow_ticks = self._slow_ticks + 1 if observed.is_slow else 0
         self.stands = self._slow_ticks >= STANDSTILL_TICKS
-        before, pressed = self.pressed, (observed.front_bumper, observed.rear_bumper)
-        self.pressed = {bumper for bumper, is_pressed in zip(BUMPERS, pressed, strict=True) if is_pressed}
+        for bumper, is_pressed in zip(BUMPERS, (observed.front_bumper, observed.rear_bumper), strict=True):
+            if is_pressed:
+                self._pressed_ns[bumper] = now_ns
+        before = self.pressed
+        self.pressed = {b for b, pressed_ns in self._pressed_ns.items() if now_ns - pressed_ns < BUMPER_CLEAR_NS}
         self.struck = self.pressed - before
         # A hit that was reset counts as a new one once the bumper has been clear.
         if self._acknowledged:
@@ -130,15 +143,14 @@ class Watch:
         )
         return [reason for reason, is_so in faults if is_so]
 
-    def faults(self, commanded_mps: float, late_ns: int, now_ns: int) -> list[Reason]:
-        """The causes to stop a robot that is being commanded; ``commanded_mps`` is signed."""
+    def faults(self, told: Actuation, limit_mps: float, late_ns: int, now_ns: int) -> list[Reason]:
+        """The causes to stop a robot that is being told this, under this speed limit."""
         observed = self.observed
         found = self.chassis_faults()
         if observed.absurd and not SPEED_FRAMES.isdisjoint(observed.absurd):
             # Read in the wrong scale a speed is 40 times too high: no other fault looks like it.
             found.insert(0, Reason.IMPLAUSIBLE_SPEED)
-        if self.plausibility.observe(observed.wheel_speed_mps, observed.speed_mps, commanded_mps, now_ns):
-            found.append(Reason.IMPLAUSIBLE_SPEED)
+        found += self.plausibility.observe(observed, told, limit_mps, now_ns)
         if late_ns > LOOP_LATE_STOP_NS:
             found.append(Reason.LOOP_LATE)
         if self.send_failures >= SEND_FAILURES:
@@ -152,19 +164,20 @@ class Watch:
         return {
             Reason.FEEDBACK_MISSING: ", ".join(self.observed.missing),
             Reason.FEEDBACK_FAULTY: ", ".join([*self.observed.faulty, *self.observed.absurd]),
-            Reason.IMPLAUSIBLE_SPEED: self.plausibility.detail or self._absurd_speed(),
             Reason.LOOP_LATE: f"by {late_ns / 1e6:.0f} ms",
-        }.get(reason, "")
+        }.get(reason) or self.plausibility.details.get(reason, self._absurd_speed(reason))
 
-    def _absurd_speed(self) -> str:
+    def _absurd_speed(self, reason: Reason) -> str:
+        if reason is not Reason.IMPLAUSIBLE_SPEED:
+            return ""
         frames = ", ".join(name for name in self.observed.absurd if name in SPEED_FRAMES)
         other = {Variant.COARSE: "the fine scale", Variant.FINE: "the coarse scale"}.get(self.observed.variant)
         return f"{frames} reads beyond what the chassis can do" + (f"; {other} may fit" if other else "")
 
     def found_moving(self, now_ns: int) -> bool:
-        """The chassis is in auto and moves, and nobody commands it, for long enough to be no accident."""
-        adrift = self.observed.mode is Mode.AUTO and not self.is_commanded_by_other(now_ns)
-        if not adrift or not self.observed.turns:
+        """The chassis may be in auto and moves, and nobody commands it, for long enough to be no accident."""
+        adrift = self.observed.mode in {Mode.AUTO, Mode.UNDEFINED} and not self.is_commanded_by_other(now_ns)
+        if not adrift or not self.observed.moves:
             self._moving_since_ns = None
             return False
         if self._moving_since_ns is None:

@@ -106,10 +106,11 @@ class CommandFlow:
         if fault is None:
             self.is_mute = False
             return frames
-        # Nothing of it goes out. If this was the stop sequence itself, only the guard is left.
-        self.is_mute = self.arbiter.state is ArbiterState.STOPPING
-        self.arbiter.refuse_output(f"{fault.can_id & 0x1FFF_FFFF:08X}: {fault.detail}", now_ns)
-        return []
+        # In its place zero speed and the parking brake go out. If they are refused too, only the guard is left.
+        instead = self.arbiter.refuse_output(f"{fault.can_id & 0x1FFF_FFFF:08X}: {fault.detail}", now_ns)
+        frames = self.maker.make(instead, [], variant)
+        self.is_mute = self.gate.admit(frames, variant, now_ns, stopping=True) is not None
+        return [] if self.is_mute else frames
 
 
 _ENCODER: Final = msgspec.msgpack.Encoder()

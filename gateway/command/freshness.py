@@ -38,7 +38,7 @@ class TickLog:
         self._published.append((tick, now_ns))
         self._times_ns[tick] = now_ns
         while now_ns - self._published[0][1] > REMEMBERED_NS:
-            del self._times_ns[self._published.popleft()[0]]
+            self._times_ns.pop(self._published.popleft()[0], None)
 
     def age_ns(self, tick: int, now_ns: int) -> int | Reason:
         """The greatest age of a command that echoes this tick, or why it is not known."""

@@ -14,6 +14,12 @@ def may_obey(observed: Observed) -> bool:
     return observed.bus_up and observed.mode in {Mode.AUTO, Mode.UNDEFINED} and not observed.guard_sends
 
 
+def may_be_stopped(observed: Observed) -> bool:
+    """A stop can be told: to a chassis that may obey a command, and to one that moves in mode stop."""
+    is_coasting = observed.mode is Mode.STOP and observed.moves
+    return may_obey(observed) or (observed.bus_up and is_coasting and not observed.guard_sends)
+
+
 class Handover:
     """What becomes of a chassis that is told something.
 
@@ -38,13 +44,8 @@ class Handover:
         self._bus_losses = observed.bus_losses
         self._guard_stops = observed.guard_stops
 
-    def reason_to_yield(self, observed: Observed, *, is_disabling: bool) -> Reason:
-        """Why nothing may be told any more; NONE if there is no reason.
-
-        Args:
-            observed: the chassis now, which we are telling something.
-            is_disabling: we are taking the enables away, so that it is to leave auto.
-        """
+    def reason_to_yield(self, observed: Observed) -> Reason:
+        """Why nothing may be told any more to the chassis, which we are telling something; NONE if nothing is."""
         self._was_auto = self._was_auto or observed.mode is Mode.AUTO
         if observed.guard_sends or observed.guard_stops != self._guard_stops:
             # Also when it has ended by now: this process was stopped meanwhile, and what it knows is old.
@@ -53,7 +54,7 @@ class Handover:
             return Reason.BUS_DOWN
         if observed.mode is Mode.REMOTE:
             return Reason.HAND_TRANSMITTER
-        if observed.mode is Mode.STOP and self._was_auto and not is_disabling:
+        if observed.mode is Mode.STOP and self._was_auto:
             return Reason.MODE_NOT_AUTO
         return Reason.NONE
 

@@ -10,10 +10,10 @@ import msgspec
 from gateway.command.actuation import Actuation
 from gateway.command.limits import Limits
 from schemas.decisions import Bound
-from schemas.messages import GearPosition
+from schemas.messages import GearPosition, ParkingStatus
+from schemas.settings import AUTO_HOLD_NS, SHIFT_TICKS, TICK_NS
 
-_SIGN: Final = {GearPosition.DRIVE: 1.0, GearPosition.REVERSE: -1.0, GearPosition.NEUTRAL: 0.0}
-_GEAR: Final = {1.0: GearPosition.DRIVE, -1.0: GearPosition.REVERSE, 0.0: GearPosition.NEUTRAL}
+AUTO_HOLD_TICKS: Final = AUTO_HOLD_NS // TICK_NS
 
 
 class Target(msgspec.Struct, frozen=True):
@@ -28,14 +28,18 @@ class Surroundings(msgspec.Struct, frozen=True):
 
     Attributes:
         stands: the measured speed is that of a standing robot.
-        gear: the gear feedback.
-        parked: the parking brake is asked for.
+        gear, brake: the feedback of gear and parking brake.
+        parked: the parking brake is to be applied, whatever is asked.
+        speed_mps, angle_deg: as measured, the speed as a magnitude; zero where it is not known.
         forward, backward: whether motion in this direction is allowed; a bumper that is still pressed forbids it.
     """
 
     stands: bool
     gear: GearPosition
+    brake: ParkingStatus
     parked: bool
+    speed_mps: float = 0.0
+    angle_deg: float = 0.0
     forward: bool = True
     backward: bool = True
 
@@ -43,19 +47,25 @@ class Surroundings(msgspec.Struct, frozen=True):
 class Motion:
     """What the chassis is being told, tick by tick.
 
+    The robot never stands in neutral unbraked: in gear the motor holds it, and the gear is changed behind the
+    applied parking brake.
+
     Attributes:
         speed_mps: signed.
         angle_deg: left is positive.
-        gear: neutral while nothing is asked and the robot stands.
+        gear: neutral until the first gear is wanted.
+        parking: the parking brake is asked for.
         bounds: the limits that changed what was asked in the last tick.
     """
 
-    def __init__(self, pedal_percent: float, angle_deg: float = 0.0) -> None:
+    def __init__(self, angle_deg: float = 0.0) -> None:
         self.speed_mps = 0.0
         self.angle_deg = angle_deg
         self.gear = GearPosition.NEUTRAL
+        self.parking = True
         self.bounds: list[Bound] = []
-        self._pedal_percent = pedal_percent
+        self._stood_ticks = 0
+        self._gear_ticks = SHIFT_TICKS
 
     def __copy__(self) -> Motion:
         # Taken in every tick; copy's own way costs ten times as much.
@@ -68,16 +78,20 @@ class Motion:
         self.bounds = []
         angle_deg = self._within(target.angle_deg, limits.steering_deg, Bound.STEERING)
         speed_mps = self._wanted_speed(target.speed_mps, angle_deg, limits, surroundings)
-        self._step_speed(self._through_standstill(speed_mps, surroundings), limits, dt_s)
+        self._stood_ticks = self._stood_ticks + 1 if surroundings.stands and not self.speed_mps else 0
+        self._gear_ticks += 1
+        speed_mps = self._drive_off(speed_mps, surroundings) if speed_mps else self._stand(surroundings)
+        self._step_speed(speed_mps, limits, dt_s)
+        # While the speed is still on its way down to what the angle allows, the steering waits for it.
+        fastest_mps = max(abs(self.speed_mps), surroundings.speed_mps)
+        angle_deg = self._within(angle_deg, limits.angle_at(fastest_mps), Bound.LATERAL_ACCELERATION)
         self._step_angle(angle_deg, limits, dt_s)
-        holds = self.speed_mps == 0 and self.gear is GearPosition.NEUTRAL
         return Actuation(
             enabled=True,
             gear=self.gear,
             speed_mps=abs(self.speed_mps),
             angle_deg=self.angle_deg,
-            pedal_percent=self._pedal_percent if holds else 0.0,
-            parking=surroundings.parked,
+            parking=self.parking,
         )
 
     def _wanted_speed(
@@ -92,28 +106,43 @@ class Motion:
             return 0.0
         speed_mps = self._within(speed_mps, limits.speed_mps, Bound.SPEED)
         # The wheels may still be turned further than they shall be.
-        furthest_deg = max(abs(angle_deg), abs(self.angle_deg))
+        furthest_deg = max(abs(angle_deg), abs(self.angle_deg), abs(surroundings.angle_deg))
         return self._within(speed_mps, limits.speed_at(furthest_deg), Bound.LATERAL_ACCELERATION)
 
-    def _through_standstill(self, speed_mps: float, surroundings: Surroundings) -> float:
-        """The speed to go to now: zero until the gear of the wanted direction is in, and confirmed."""
-        wanted = copysign(1.0, speed_mps) if speed_mps else 0.0
-        engaged = _SIGN[self.gear]
-        if wanted == engaged:
-            if surroundings.gear is self.gear or not speed_mps:
-                return speed_mps
+    def _stand(self, surroundings: Surroundings) -> float:
+        """Go to zero speed in gear; the parking brake follows when it is asked for, or the robot has stood."""
+        if surroundings.parked or self._stood_ticks > AUTO_HOLD_TICKS:
+            self.parking = True
+        if self.parking:
+            self.speed_mps = 0.0
+        return 0.0
+
+    def _drive_off(self, speed_mps: float, surroundings: Surroundings) -> float:
+        """The speed to go to now: zero until the gear of that direction is in and the brake is released."""
+        wanted = GearPosition.DRIVE if speed_mps > 0 else GearPosition.REVERSE
+        if self.gear is not wanted:
+            self._bound(Bound.GEAR if self.gear is GearPosition.NEUTRAL else Bound.REVERSAL)
+            self._shift(wanted, surroundings)
+            return 0.0
+        if self.parking:
+            self._bound(Bound.PARKING)
+            self.parking = self._gear_ticks < SHIFT_TICKS
+            return 0.0
+        if surroundings.brake is not ParkingStatus.RELEASED:
+            self._bound(Bound.PARKING)
+            return 0.0
+        if surroundings.gear is not self.gear:
             self._bound(Bound.GEAR)
             return 0.0
-        if wanted and engaged:
-            self._bound(Bound.REVERSAL)
-        elif wanted:
-            self._bound(Bound.GEAR)
-        if self.speed_mps == 0 and surroundings.stands:
-            if engaged:
-                self.gear = GearPosition.NEUTRAL
-            elif surroundings.gear is GearPosition.NEUTRAL:
-                self.gear = _GEAR[wanted]
-        return 0.0
+        return speed_mps
+
+    def _shift(self, wanted: GearPosition, surroundings: Surroundings) -> None:
+        """One step on the way to another gear: standstill, parking brake, neutral, gear."""
+        if not self.parking:
+            self.parking = self.speed_mps == 0 and surroundings.stands
+        elif surroundings.brake is ParkingStatus.APPLIED and self._gear_ticks >= SHIFT_TICKS:
+            self.gear = wanted if self.gear is GearPosition.NEUTRAL else GearPosition.NEUTRAL
+            self._gear_ticks = 0
 
     def _step_speed(self, speed_mps: float, limits: Limits, dt_s: float) -> None:
         before_mps = self.speed_mps
@@ -134,8 +163,7 @@ class Motion:
         if abs(change_deg) > most_deg:
             self._bound(Bound.STEERING_RATE)
             angle_deg = self.angle_deg + copysign(most_deg, change_deg)
-        # While the speed is still on its way down to what the angle allows, the steering waits for it.
-        self.angle_deg = self._within(angle_deg, limits.angle_at(self.speed_mps), Bound.LATERAL_ACCELERATION)
+        self.angle_deg = angle_deg
 
     def _within(self, value: float, magnitude: float, bound: Bound) -> float:
         if abs(value) <= magnitude:

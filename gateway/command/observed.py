@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from schemas.messages import ControllerState, GearPosition, Mode, Variant
+from schemas.messages import ControllerState, GearPosition, Mode, ParkingStatus, Variant
 from schemas.settings import STANDSTILL_MPS
 
 
@@ -15,15 +15,18 @@ class Observed(msgspec.Struct, frozen=True):
         bus_up: the bus is open.
         bus_losses: how often it was lost since the start.
         controller: the CAN controller's error state, if that is known.
-        missing: feedback frames that were never seen, are silent, or say that they are not valid.
-        faulty: feedback frames whose checksums or alive counters have failed.
-        absurd: feedback frames whose values this chassis cannot have, again and again.
+        missing: required feedback frames that were never seen, are silent, or say that they are not valid.
+        faulty: required feedback frames whose checksums or alive counters have failed.
+        absurd: required feedback frames whose values this chassis cannot have, again and again.
         variant: the firmware variant in force; UNKNOWN while there is any doubt.
         confirmed: evidence from the bus agrees with the variant.
+        brake: the parking brake's feedback.
         speed_mps: the drive feedback, a magnitude.
         wheel_speed_mps: mean of the rear wheels, signed.
         fastest_wheel_mps: the faster of the two, a magnitude.
         turns: the raw drive feedback is not zero: the robot moves, in whatever scale.
+        pulses: the direction in which the wheel encoders count, 1 forward, -1 backward; 0 while they stand still
+            or are not known. The manual gives no resolution, so they tell a direction and no speed.
         commander_ns: when another computer's command frame was last heard; None if never.
         guarded: the guard watches this process.
         guard_sends: the guard is stopping the robot in our place.
@@ -41,10 +44,12 @@ class Observed(msgspec.Struct, frozen=True):
     confirmed: bool = False
     mode: Mode = Mode.UNDEFINED
     gear: GearPosition = GearPosition.UNDEFINED
+    brake: ParkingStatus = ParkingStatus.UNDEFINED
     speed_mps: float | None = None
     wheel_speed_mps: float | None = None
     fastest_wheel_mps: float | None = None
     turns: bool | None = None
+    pulses: int = 0
     angle_deg: float | None = None
     front_bumper: bool | None = None
     rear_bumper: bool | None = None
@@ -57,16 +62,30 @@ class Observed(msgspec.Struct, frozen=True):
 
     @property
     def is_slow(self) -> bool:
-        """Both speeds are known and are those of a standing robot."""
+        """Both speeds are known and are those of a standing robot, and no encoder counts."""
         return (
             self.speed_mps is not None
             and self.fastest_wheel_mps is not None
             and self.speed_mps < STANDSTILL_MPS
             and self.fastest_wheel_mps < STANDSTILL_MPS
+            and not self.pulses
         )
+
+    @property
+    def moves(self) -> bool:
+        """Drive feedback, wheels or encoders show a robot that moves, whichever does."""
+        return bool(self.turns or self.pulses or (self.fastest_wheel_mps or 0.0) > STANDSTILL_MPS)
 
     @property
     def seen_mps(self) -> float:
         """How fast the robot is seen to be at least, a magnitude: no single faulty sensor sets it going."""
-        known = [speed for speed in (self.speed_mps, self.fastest_wheel_mps) if speed is not None]
-        return min(known, default=0.0)
+        return min(self._known_mps, default=0.0)
+
+    @property
+    def fastest_mps(self) -> float | None:
+        """How fast the robot may be, a magnitude: the fastest that any sensor shows; None if none does."""
+        return max(self._known_mps, default=None)
+
+    @property
+    def _known_mps(self) -> list[float]:
+        return [speed for speed in (self.speed_mps, self.fastest_wheel_mps) if speed is not None]

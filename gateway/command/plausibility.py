@@ -1,21 +1,46 @@
-"""Do the speeds fit each other? Wheel speeds against the command, and against the drive feedback.
+"""Does the robot do what it is told? Speeds against the command and each other, direction, steering, the limit.
 
-A chassis whose firmware has the other scale moves 40 times as fast as it is told, or as slow; this notices it.
+A chassis whose firmware has the other scale moves 40 times as fast as it is told, or as slow; one on a slope or
+pushed by somebody moves without being told. This notices both, and more.
 """
 
 from __future__ import annotations
 
 from typing import Final
 
+from gateway.command.actuation import Actuation
+from gateway.command.observed import Observed
+from schemas.reasons import Reason
 from schemas.settings import (
+    DRIVE_LAG_S,
+    FROZEN_BODY_M,
     IMPLAUSIBLE_MPS,
     IMPLAUSIBLE_NS,
     IMPLAUSIBLE_RATIO,
+    OVERSPEED_MPS,
+    OVERSPEED_NS,
     REFERENCE_DECELERATION_MPS2,
+    ROLLING_NS,
+    STANDSTILL_MPS,
+    STEERING_DEVIATION_DEG,
+    STEERING_DEVIATION_NS,
+    STEERING_FOLLOWS_DEGPS,
 )
 
 SCALE_RATIO: Final = 40.0
 """Between the coarse scale, 0.04 m/s a bit, and the fine one, 0.001 m/s a bit."""
+
+_LASTS_NS: Final = {
+    Reason.IMPLAUSIBLE_SPEED: IMPLAUSIBLE_NS,
+    Reason.ROLLING: ROLLING_NS,
+    Reason.OVERSPEED: OVERSPEED_NS,
+    Reason.STEERING: STEERING_DEVIATION_NS,
+    Reason.FEEDBACK_FROZEN: 0,
+}
+"""How long each has to last before it counts."""
+
+_HAIR: Final = 1e-9
+"""So that a speed that is just on a bound is not below it by rounding."""
 
 
 def exceeds(larger_mps: float, smaller_mps: float) -> bool:
@@ -39,53 +64,89 @@ def fitting_scale(drive_mps: float, wheel_mps: float) -> str:
     return ""
 
 
-class Plausibility:
-    """Watches the speeds while the robot is commanded.
+class Envelope:
+    """How fast and how far turned the robot may still be, by what it was told: a chassis lags behind.
 
     Attributes:
-        detail: what does not fit, in words; empty while all does.
+        forward_mps, backward_mps: the highest speed each way.
+        left_deg, right_deg: the furthest angles, left positive.
+    """
+
+    def __init__(self, speed_mps: float, angle_deg: float) -> None:
+        self.forward_mps = max(0.0, speed_mps)
+        self.backward_mps = max(0.0, -speed_mps)
+        self.left_deg = self.right_deg = angle_deg
+
+    def follow(self, told: Actuation, elapsed_s: float) -> None:
+        """Time has passed since the last call, and this is told."""
+        told_mps = told.signed_speed_mps
+        self.forward_mps = _fallen(self.forward_mps, max(told_mps, 0.0), elapsed_s)
+        self.backward_mps = _fallen(self.backward_mps, max(-told_mps, 0.0), elapsed_s)
+        turned_deg = STEERING_FOLLOWS_DEGPS * elapsed_s
+        self.left_deg = max(told.angle_deg, self.left_deg - turned_deg)
+        self.right_deg = min(told.angle_deg, self.right_deg + turned_deg)
+
+
+def _fallen(before_mps: float, told_mps: float, elapsed_s: float) -> float:
+    """The speed that a slow chassis may still have, on its way down to the one that it is told."""
+    lag_mps = (before_mps - told_mps) * min(1.0, elapsed_s / DRIVE_LAG_S)
+    return max(told_mps, before_mps - min(lag_mps, REFERENCE_DECELERATION_MPS2 * elapsed_s))
+
+
+class Plausibility:
+    """Watches a robot that is being commanded.
+
+    Attributes:
+        details: what does not fit, in words, by its reason.
     """
 
     def __init__(self) -> None:
-        self.detail = ""
         self.forget()
 
-    def forget(self, speed_mps: float = 0.0) -> None:
-        """Begin anew, with a robot that already has this signed speed."""
-        self._forward_mps = max(0.0, speed_mps)
-        self._backward_mps = max(0.0, -speed_mps)
-        self._since_ns: int | None = None
+    def forget(self, speed_mps: float = 0.0, angle_deg: float = 0.0) -> None:
+        """Begin anew, with a robot that already has this signed speed and this angle."""
+        self.details: dict[Reason, str] = {}
+        self._envelope = Envelope(speed_mps, angle_deg)
+        self._since_ns: dict[Reason, int] = {}
         self._observed_ns: int | None = None
+        self._mileage_km: float | None = None
+        self._driven_m = 0.0
 
-    def observe(self, wheel_mps: float | None, drive_mps: float | None, commanded_mps: float, now_ns: int) -> bool:
-        """Whether the speeds have not fitted for too long.
+    def observe(self, observed: Observed, told: Actuation, limit_mps: float, now_ns: int) -> list[Reason]:
+        """What has not been plausible for too long.
 
         Args:
-            wheel_mps: mean of the wheels, signed; None if not known.
-            drive_mps: the drive feedback, a magnitude; None if not known.
-            commanded_mps: what the chassis is told, signed: wheels that turn the other way do not fit either.
+            observed: the chassis now.
+            told: what it was last told.
+            limit_mps: the speed limit in force.
             now_ns: monotonic.
         """
-        before_ns = self._observed_ns if self._observed_ns is not None else now_ns
-        fallen_mps = REFERENCE_DECELERATION_MPS2 * (now_ns - before_ns) / 1e9
-        self._forward_mps = max(commanded_mps, self._forward_mps - fallen_mps, 0.0)
-        self._backward_mps = max(-commanded_mps, self._backward_mps - fallen_mps, 0.0)
+        elapsed_s = 0.0 if self._observed_ns is None else (now_ns - self._observed_ns) / 1e9
         self._observed_ns = now_ns
-        what = self._misfit(wheel_mps, drive_mps)
-        if not what:
-            self._since_ns = None
-            return False
-        if self._since_ns is None:
-            self._since_ns = now_ns
-        if now_ns - self._since_ns < IMPLAUSIBLE_NS:
-            return False
-        self.detail = what
-        return True
+        self._envelope.follow(told, elapsed_s)
+        self._count_way(observed, elapsed_s)
+        found = {
+            Reason.IMPLAUSIBLE_SPEED: self._misfit(observed),
+            Reason.ROLLING: self._rolling(observed, told),
+            Reason.OVERSPEED: self._overspeed(observed, limit_mps),
+            Reason.STEERING: self._deviation(observed),
+            Reason.FEEDBACK_FROZEN: f"for {self._driven_m:.1f} m" if self._driven_m > FROZEN_BODY_M else "",
+        }
+        return [reason for reason, detail in found.items() if self._lasts(reason, detail, now_ns)]
 
-    def _misfit(self, wheel_mps: float | None, drive_mps: float | None) -> str:
+    def _lasts(self, reason: Reason, detail: str, now_ns: int) -> bool:
+        if not detail:
+            self._since_ns.pop(reason, None)
+            return False
+        self.details[reason] = detail
+        return now_ns - self._since_ns.setdefault(reason, now_ns) >= _LASTS_NS[reason]
+
+    def _misfit(self, observed: Observed) -> str:
+        wheel_mps, drive_mps = observed.wheel_speed_mps, observed.speed_mps
         if wheel_mps is None or drive_mps is None:
             return ""  # Missing feedback is a cause of its own.
-        reference_mps = self._forward_mps if wheel_mps >= 0 else self._backward_mps
+        envelope = self._envelope
+        reference_mps = envelope.forward_mps if wheel_mps >= 0 else envelope.backward_mps
         way = "forward" if wheel_mps >= 0 else "backward"
         wheel_mps = abs(wheel_mps)
         fit = fitting_scale(drive_mps, wheel_mps) or fitting_scale(reference_mps, wheel_mps)
@@ -94,3 +155,42 @@ class Plausibility:
         if not fits(wheel_mps, drive_mps):
             return f"the wheels turn at {wheel_mps:.2f} m/s, the drive feedback says {drive_mps:.2f} m/s{fit}"
         return ""
+
+    def _rolling(self, observed: Observed, told: Actuation) -> str:
+        """Moves a way that is not commanded, beyond what is left of a ramp."""
+        told_mps, wheels_mps = told.signed_speed_mps, observed.wheel_speed_mps or 0.0
+        left_mps = {1: self._envelope.forward_mps, -1: self._envelope.backward_mps}
+        for sign, way in ((1, "forward"), (-1, "backward")):
+            if told_mps * sign > 0:
+                continue
+            if wheels_mps * sign > left_mps[sign] + STANDSTILL_MPS:
+                return f"{way} at {abs(wheels_mps):.2f} m/s by the wheels"
+            if observed.pulses == sign and left_mps[sign] < STANDSTILL_MPS:
+                return f"{way} by the wheel pulses"
+        fastest_mps = observed.fastest_mps or 0.0
+        if not told_mps and fastest_mps > max(left_mps.values()) + STANDSTILL_MPS:
+            return f"at {fastest_mps:.2f} m/s"
+        return ""
+
+    def _overspeed(self, observed: Observed, limit_mps: float) -> str:
+        """Over the limit; one that has just been lowered has to be reached first."""
+        speeds = (observed.speed_mps or 0.0, abs(observed.wheel_speed_mps or 0.0))
+        bound_mps = max(limit_mps, self._envelope.forward_mps, self._envelope.backward_mps)
+        if max(speeds) < bound_mps + OVERSPEED_MPS - _HAIR:
+            return ""
+        return f"{max(speeds):.2f} m/s, the limit is {limit_mps:.2f} m/s"
+
+    def _deviation(self, observed: Observed) -> str:
+        angle_deg = observed.angle_deg
+        if angle_deg is None:
+            return ""
+        envelope = self._envelope
+        off_deg = max(angle_deg - envelope.left_deg, envelope.right_deg - angle_deg)
+        return f"off by {off_deg:.1f} deg, at {angle_deg:.1f} deg" if off_deg > STEERING_DEVIATION_DEG else ""
+
+    def _count_way(self, observed: Observed, elapsed_s: float) -> None:
+        """How far the robot has driven, at the least, since the mileage has changed."""
+        if observed.total_mileage_km != self._mileage_km or observed.total_mileage_km is None:
+            self._mileage_km = observed.total_mileage_km
+            self._driven_m = 0.0
+        self._driven_m += observed.seen_mps * elapsed_s

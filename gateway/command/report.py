@@ -28,6 +28,7 @@ from schemas.settings import SAFETY_STATE_PERIOD_NS
 from schemas.subjects import BY_VERB
 
 _NS_PER_S: Final = 1e9
+_SHIFTING: Final = frozenset({Bound.GEAR, Bound.REVERSAL, Bound.PARKING})
 
 
 class Reporter:
@@ -144,7 +145,7 @@ class Reporter:
             lease.number if lease is not None else None,
             tuple(arbiter.latched),
             tuple(blocked_by),
-            arbiter.parked,
+            arbiter.actuation is None or arbiter.actuation.parking,
         )
 
     def _blocked_by(self, now_ns: int) -> list[Reason]:
@@ -161,7 +162,7 @@ class Reporter:
             case _:
                 pressed = [bumper for bumper in BUMPERS if bumper in arbiter.watch.pressed]
                 parked = [Reason.PARKED] if arbiter.parked else []
-                shifting = Bound.GEAR in arbiter.motion.bounds or Bound.REVERSAL in arbiter.motion.bounds
+                shifting = not arbiter.parked and not _SHIFTING.isdisjoint(arbiter.motion.bounds)
                 return [*pressed, *parked, *([Reason.GEAR_SHIFTING] if shifting else [])]
 
     def _next(self, kind: type) -> int:

@@ -7,7 +7,7 @@ from gateway.command.limits import Limits
 from gateway.command.observed import Observed
 from schemas.messages import GearPosition
 
-_IN_GEAR = frozenset({GearPosition.DRIVE, GearPosition.REVERSE})
+IN_GEAR = frozenset({GearPosition.DRIVE, GearPosition.REVERSE})
 
 
 def seen_angle_deg(observed: Observed, limits: Limits) -> float:
@@ -15,20 +15,25 @@ def seen_angle_deg(observed: Observed, limits: Limits) -> float:
     return max(-limits.steering_deg, min(limits.steering_deg, observed.angle_deg or 0.0))
 
 
-def seen_actuation(observed: Observed, limits: Limits, *, parking: bool | None) -> Actuation:
+def seen_actuation(observed: Observed, limits: Limits, left: Actuation | None = None) -> Actuation:
     """What the chassis must have been told.
 
     Args:
         observed: the chassis now.
         limits: the configured ones; no speed is above them.
-        parking: what we ourselves last asked of the parking brake; None if it was not us. Then it is asked for
-            where the gear is that of a parked robot, or is not seen: released, it may set a standing robot going.
+        left: what we ourselves left it on, if it may obey that again: no speed is above that one. If it was not
+            us, the parking brake is asked for where the gear is that of a parked robot, or is not seen: released,
+            it may set a standing robot going.
     """
-    rolls = observed.gear in _IN_GEAR
+    rolls = observed.gear in IN_GEAR
+    parking = observed.gear in {GearPosition.PARK, GearPosition.UNDEFINED} if left is None else left.parking
+    speed_mps = min(observed.seen_mps, limits.speed_mps)
+    if left is not None:
+        speed_mps = min(speed_mps, left.speed_mps) if left.gear is observed.gear else 0.0
     return Actuation(
         enabled=True,
         gear=observed.gear if rolls else GearPosition.NEUTRAL,
-        speed_mps=min(observed.seen_mps, limits.speed_mps) if rolls else 0.0,
+        speed_mps=speed_mps if rolls and not parking else 0.0,
         angle_deg=seen_angle_deg(observed, limits),
-        parking=parking if parking is not None else observed.gear in {GearPosition.PARK, GearPosition.UNDEFINED},
+        parking=parking,
     )

@@ -1,36 +1,52 @@
 """The stop sequence: how a robot that is being told something comes to rest, and is then told nothing.
 
-Ramp to zero speed, brake pedal, neutral, parking brake at standstill, hold, disabled frames, silence. The arbiter
-uses it, and so does the guard when there is no arbiter any more.
+The speed falls to zero in gear, for the motor is the only service brake that the manual promises. The parking
+brake follows as soon as the robot stands, or does not slow down as it should. Neutral, which frees the motor, is
+told only behind the applied parking brake. Then hold, disabled frames, silence. The arbiter uses this sequence; so
+does the guard when there is no arbiter any more.
 """
 
 from __future__ import annotations
 
 from typing import Final
 
+import msgspec
+
 from gateway.command.actuation import AT_REST, Actuation
 from schemas.decisions import StopPhase
 from schemas.messages import GearPosition
-from schemas.settings import BRAKE_UNSEEN_NS, DISABLE_NS, HOLD_NS, NEUTRAL_NS, TICK_NS
+from schemas.settings import (
+    BRAKE_UNSEEN_NS,
+    DISABLE_NS,
+    HOLD_NS,
+    NOT_SLOWING_NS,
+    SLOWING_MPS,
+    STANDSTILL_MPS,
+    TICK_NS,
+)
 
 _STEP_MAX_NS: Final = 10 * TICK_NS
 """After a pause the ramp goes on with no greater step than this."""
 
-_NEXT: Final = {
-    StopPhase.RAMP: StopPhase.BRAKE,
-    StopPhase.BRAKE: StopPhase.NEUTRAL,
-    StopPhase.NEUTRAL: StopPhase.HOLD,
-    StopPhase.HOLD: StopPhase.DISABLE,
-    StopPhase.DISABLE: StopPhase.IDLE,
-}
+_DIRECTION: Final = {GearPosition.DRIVE: 1.0, GearPosition.REVERSE: -1.0}
 
-_LASTS_NS: Final = {
-    StopPhase.BRAKE: BRAKE_UNSEEN_NS,
-    StopPhase.NEUTRAL: NEUTRAL_NS,
-    StopPhase.HOLD: HOLD_NS,
-    StopPhase.DISABLE: DISABLE_NS,
-}
-"""How long a phase lasts; the brake phase less, if the robot is seen to stand."""
+
+class StopFeedback(msgspec.Struct, frozen=True):
+    """What a stop looks at.
+
+    Attributes:
+        stands: the robot is seen to stand; False also when that cannot be seen.
+        moves: it is seen to move; False also when that cannot be seen.
+        speed_mps: how fast it may be, a magnitude; None if no sensor tells.
+        wheel_speed_mps: the same by the wheels, forward positive; None if they do not tell.
+        is_braked: the parking brake reads applied; None if nothing can be concluded from it.
+    """
+
+    stands: bool = False
+    moves: bool = False
+    speed_mps: float | None = None
+    wheel_speed_mps: float | None = None
+    is_braked: bool | None = None
 
 
 class StopSequence:
@@ -40,62 +56,89 @@ class StopSequence:
         phase: how far it has come; IDLE when it has ended.
     """
 
-    def __init__(self, last: Actuation, deceleration_mps2: float, pedal_percent: float, now_ns: int) -> None:
+    def __init__(self, last: Actuation, deceleration_mps2: float, now_ns: int) -> None:
         """Begin to stop.
 
         Args:
             last: what the chassis was last told.
             deceleration_mps2: how fast the commanded speed goes to zero.
-            pedal_percent: the brake pedal, once it is there.
             now_ns: monotonic.
         """
-        self.phase = StopPhase.RAMP if last.speed_mps else StopPhase.BRAKE
         self._gear = last.gear
         self._speed_mps = last.speed_mps
         self._angle_deg = last.angle_deg
-        # A robot that was parked stays so.
-        self._parked = last.parking
         self._deceleration_mps2 = deceleration_mps2
-        self._pedal_percent = pedal_percent
         # The last frame was sent a tick ago: the ramp begins with this one.
         self._ticked_ns = now_ns - TICK_NS
+        self._lowest_mps: float | None = None
+        self._slowed_ns = now_ns
+        self.phase = StopPhase.RAMP if last.speed_mps else StopPhase.BRAKE
         self._begun_ns = now_ns
+        if last.parking or last.gear not in _DIRECTION:
+            # Parked it stays so, and in neutral nothing else brakes.
+            self.park(now_ns)
+
+    def lacks_brake(self, now_ns: int) -> bool:
+        """The parking brake should read applied by now, and the sequence still waits for it."""
+        return self.phase is StopPhase.PARK and now_ns - self._begun_ns >= BRAKE_UNSEEN_NS
 
     def hasten(self, deceleration_mps2: float) -> None:
-        """A graver cause came: slow down faster. Never slower."""
+        """Slow down faster, for a graver cause. Never slower."""
         self._deceleration_mps2 = max(self._deceleration_mps2, deceleration_mps2)
 
     def not_above(self, speed_mps: float) -> None:
-        """The ramp goes on from this speed, if it is a lower one."""
+        """Go on with the ramp from this speed, if it is a lower one."""
         self._speed_mps = min(self._speed_mps, speed_mps)
 
-    def tick(self, now_ns: int, *, stands: bool) -> Actuation | None:
+    def park(self, now_ns: int) -> None:
+        """Apply the parking brake at once, at whatever speed."""
+        if self.phase in {StopPhase.RAMP, StopPhase.BRAKE}:
+            self._speed_mps = 0.0
+            self._enter(StopPhase.PARK, now_ns)
+
+    def tick(self, now_ns: int, seen: StopFeedback) -> Actuation | None:
         """What the chassis is told now; None when the sequence has ended.
 
         Args:
             now_ns: monotonic.
-            stands: the robot is seen to stand; False also when that cannot be seen.
+            seen: the chassis now.
         """
         elapsed_ns = min(now_ns - self._ticked_ns, _STEP_MAX_NS)
         self._ticked_ns = now_ns
-        if self.phase is StopPhase.RAMP:
-            self._speed_mps = max(0.0, self._speed_mps - self._deceleration_mps2 * elapsed_ns / 1e9)
-            if self._speed_mps == 0:
-                self.phase, self._begun_ns = StopPhase.BRAKE, now_ns
-        # One phase a tick at most: zero speed has to be told before neutral is, also after a pause.
-        elif self._is_over(now_ns, stands=stands):
-            self.phase = _NEXT[self.phase]
-            self._begun_ns = now_ns
+        match self.phase:
+            case StopPhase.RAMP:
+                self._speed_mps = max(0.0, self._speed_mps - self._deceleration_mps2 * elapsed_ns / 1e9)
+                if self._runs_away(seen, now_ns):
+                    self.park(now_ns)
+                elif self._speed_mps == 0:
+                    self._enter(StopPhase.BRAKE, now_ns)
+            # One phase a tick at most: zero speed has to be told before all else, also after a pause.
+            case StopPhase.BRAKE if seen.stands or self._runs_away(seen, now_ns):
+                self.park(now_ns)
+            case StopPhase.PARK if seen.is_braked or (
+                seen.is_braked is None and now_ns - self._begun_ns >= BRAKE_UNSEEN_NS
+            ):
+                if seen.is_braked:
+                    self._gear = GearPosition.NEUTRAL
+                self._enter(StopPhase.HOLD, now_ns)
+            case StopPhase.HOLD if seen.moves:
+                self._begun_ns = now_ns
+            case StopPhase.HOLD if now_ns - self._begun_ns >= HOLD_NS:
+                self._enter(StopPhase.DISABLE, now_ns)
+            case StopPhase.DISABLE if now_ns - self._begun_ns >= DISABLE_NS:
+                self._enter(StopPhase.IDLE, now_ns)
         return self._actuation()
 
-    def _is_over(self, now_ns: int, *, stands: bool) -> bool:
-        match self.phase:
-            case StopPhase.IDLE:
-                return False
-            case StopPhase.BRAKE if stands:
-                return True
-            case _:
-                return now_ns - self._begun_ns >= _LASTS_NS[self.phase]
+    def _enter(self, phase: StopPhase, now_ns: int) -> None:
+        self.phase, self._begun_ns = phase, now_ns
+
+    def _runs_away(self, seen: StopFeedback, now_ns: int) -> bool:
+        """The robot moves against the ramp, or is not seen to slow down."""
+        against_mps = -(seen.wheel_speed_mps or 0.0) * _DIRECTION.get(self._gear, 0.0)
+        speed_mps = seen.speed_mps
+        if speed_mps is not None and (self._lowest_mps is None or speed_mps < self._lowest_mps - SLOWING_MPS):
+            self._lowest_mps, self._slowed_ns = speed_mps, now_ns
+        return against_mps > STANDSTILL_MPS or now_ns - self._slowed_ns >= NOT_SLOWING_NS
 
     def _actuation(self) -> Actuation | None:
         match self.phase:
@@ -104,12 +147,10 @@ class StopSequence:
             case StopPhase.DISABLE:
                 return Actuation(angle_deg=self._angle_deg, parking=AT_REST.parking)
             case _:
-                rolling = self.phase in {StopPhase.RAMP, StopPhase.BRAKE}
                 return Actuation(
                     enabled=True,
-                    gear=self._gear if rolling else GearPosition.NEUTRAL,
+                    gear=self._gear,
                     speed_mps=self._speed_mps,
                     angle_deg=self._angle_deg,
-                    pedal_percent=0.0 if self.phase is StopPhase.RAMP else self._pedal_percent,
-                    parking=self._parked or self.phase is StopPhase.HOLD,
+                    parking=self.phase in {StopPhase.PARK, StopPhase.HOLD},
                 )

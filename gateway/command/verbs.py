@@ -72,8 +72,21 @@ def engage_blockers(arbiter: Arbiter, now_ns: int) -> list[Reason]:
 
 
 def _stop(arbiter: Arbiter, operator: str, now_ns: int) -> Ruling:
+    """Latched in any case. Where it cannot be carried out, the reply says so, and what the robot does."""
     arbiter.begin_stop(Reason.REMOTE_STOP, now_ns, f"by {operator or 'an unnamed operator'}", operator)
-    return Ruling()
+    observed = arbiter.watch.observed
+    speed_mps = observed.fastest_mps
+    speed = "at a speed that is not known" if speed_mps is None else f"at {speed_mps:.2f} m/s"
+    does = "the robot stands" if arbiter.watch.stands else f"the robot moves {speed}"
+    if observed.guard_sends:
+        return Ruling(detail=f"the guard is stopping it; {does}")
+    obstacles = {
+        Reason.BUS_DOWN: not observed.bus_up,
+        Reason.HAND_TRANSMITTER: observed.mode is Mode.REMOTE,
+        Reason.OTHER_COMMANDER: arbiter.watch.is_commanded_by_other(now_ns),
+    }
+    obstacle = next((reason for reason, holds in obstacles.items() if holds), Reason.NONE)
+    return Ruling(obstacle, f"latched, but not carried out: {does}" if obstacle is not Reason.NONE else does)
 
 
 def _acquire(arbiter: Arbiter, request: requests.Acquire, operator: str, now_ns: int) -> Ruling:
@@ -204,8 +217,6 @@ def _park(arbiter: Arbiter, request: requests.Park, operator: str, now_ns: int) 
     del operator, now_ns
     if arbiter.state is not ArbiterState.ENGAGED:
         return Ruling(Reason.NOT_ENGAGED, lease=request.lease)
-    if not arbiter.watch.stands or arbiter.motion.speed_mps:
-        return Ruling(Reason.MOVING, lease=request.lease)
     if arbiter.target.speed_mps:
         return Ruling(Reason.COMMAND_NOT_ZERO, lease=request.lease)
     arbiter.parked = True

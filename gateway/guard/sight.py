@@ -17,7 +17,8 @@ _GEAR: Final = "Auto_GearFeedBack"
 _STEERING: Final = "Auto_SteeringFeedBack"
 _DRIVE: Final = "Auto_DriveFeedBack"
 _BODY: Final = "Auto_MileageAndBodyFeedback"
-_WATCHED: Final = (_GEAR, _STEERING, _DRIVE, _BODY, WHEEL_SPEED)
+_PARKING: Final = "Auto_ParkingFeedBack"
+_WATCHED: Final = (_GEAR, _STEERING, _DRIVE, _PARKING, _BODY, WHEEL_SPEED)
 
 _STANDS_NS: Final = STANDSTILL_TICKS * TICK_NS
 
@@ -107,6 +108,25 @@ class Sight:
         """The same; zero where that is None."""
         return self.seen_mps(variant, now_ns) or 0.0
 
+    def fastest_mps(self, variant: Variant, now_ns: int) -> float | None:
+        """How fast the robot may be, a magnitude: by drive feedback or wheels; None if neither tells."""
+        speeds = (self._drive_mps(variant, now_ns), self._fastest_wheel_mps(variant, now_ns))
+        return max((speed for speed in speeds if speed is not None), default=None)
+
+    def wheel_speed_mps(self, variant: Variant, now_ns: int) -> float | None:
+        """Mean of the rear wheels, forward positive; None if they do not tell."""
+        wheels = self._wheels_mps(variant, now_ns)
+        return None if wheels is None else sum(wheels) / 2
+
+    def moves(self, variant: Variant, now_ns: int) -> bool:
+        """The robot is seen to move."""
+        return (self.fastest_mps(variant, now_ns) or 0.0) > STANDSTILL_MPS
+
+    def is_braked(self, now_ns: int) -> bool | None:
+        """The parking brake reads applied; None if it is not told."""
+        data = self._fresh(_PARKING, now_ns)
+        return None if data is None else self._read[Variant.COARSE][_PARKING](data)["ParkingStatus"] == "applied"
+
     def sees(self, now_ns: int) -> bool:
         """All that a stop has to begin from: mode, gear, angle and speed."""
         return all(self._fresh(name, now_ns) is not None for name in (_GEAR, _STEERING, _DRIVE, _BODY))
@@ -132,13 +152,17 @@ class Sight:
         return float(self._read[variant][_DRIVE](data)["Speed"])
 
     def _fastest_wheel_mps(self, variant: Variant, now_ns: int) -> float | None:
+        wheels = self._wheels_mps(variant, now_ns)
+        # Each by itself: one that turns forward and one that turns back are no robot at rest.
+        return None if wheels is None else max(map(abs, wheels))
+
+    def _wheels_mps(self, variant: Variant, now_ns: int) -> tuple[float, float] | None:
+        """Rear left and rear right, forward positive."""
         data = self._fresh(WHEEL_SPEED, now_ns)
         if data is None or variant is Variant.UNKNOWN:
             return None
         speeds = self._read[variant][WHEEL_SPEED](data)
-        # Each by itself: one that turns forward and one that turns back are no robot at rest.
-        fastest_mps = max(abs(float(speeds["RearLeftSpeed"])), abs(float(speeds["RearRightSpeed"])))
-        return fastest_mps if speeds["Valid"] else None
+        return (float(speeds["RearLeftSpeed"]), float(speeds["RearRightSpeed"])) if speeds["Valid"] else None
 
     def _fresh(self, name: str, now_ns: int) -> bytes | None:
         latest = self._latest.get(name)

@@ -14,7 +14,7 @@ from gateway.command.auxiliary import AuxiliaryFrame
 from gateway.command.frames import COUNTER_MODULO, MOTION_FRAMES, FrameMaker
 from gateway.command.gate import Gate
 from gateway.command.limits import Limits
-from gateway.command.stop import StopSequence
+from gateway.command.stop import StopFeedback, StopSequence
 from gateway.guard.sight import Sight
 from schemas.decisions import StopPhase
 from schemas.messages import GearPosition, Mode, Variant
@@ -60,7 +60,6 @@ class Stopper:
     def __init__(self, sight: Sight, settings: CommandSettings) -> None:
         self._sight = sight
         self._deceleration_mps2 = Limits.of(settings).emergency_deceleration_mps2
-        self._pedal_percent = settings.brake_pedal_percent
         self._maker = FrameMaker()
         self._gate = Gate()
         self._sequence: StopSequence | None = None
@@ -128,7 +127,7 @@ class Stopper:
         if self._sequence is None:
             return []
         self._before = copy(self._sequence)
-        actuation = self._sequence.tick(now_ns, stands=stands)
+        actuation = self._sequence.tick(now_ns, self._stop_feedback(now_ns, stands=stands))
         if actuation is None:
             return self._end(STANDS if stands else UNSEEN)
         frames = self._maker.make(actuation, list(_OFF) if self._bursts_off < OFF_BURSTS else [], self._variant)
@@ -190,10 +189,11 @@ class Stopper:
         seen_mps = self._sight.seen_mps(self._variant, now_ns)
         if seen_mps is not None:
             first = replace(first, speed_mps=_lower(first.speed_mps, seen_mps))
-        self._sequence = StopSequence(
-            _possible(first, self._variant), self._deceleration_mps2, self._pedal_percent, now_ns
-        )
-        if mode is Mode.STOP:
+        self._sequence = StopSequence(_possible(first, self._variant), self._deceleration_mps2, now_ns)
+        if mode is Mode.STOP and self._sight.moves(self._variant, now_ns):
+            # Nobody commands it, and it coasts: the parking brake is told all the same.
+            self._sequence.park(now_ns)
+        elif mode is Mode.STOP:
             # It obeys nobody: enables would only switch it back to auto.
             self._sequence.phase = StopPhase.DISABLE
         self._went_on_ns = now_ns
@@ -209,6 +209,19 @@ class Stopper:
             speed_mps=speed_mps if self._told is None else _lower(self._told.speed_mps, speed_mps),
             angle_deg=self._sight.angle_deg(now_ns),
             parking=gear in {GearPosition.PARK, GearPosition.UNDEFINED},
+        )
+
+    def _stop_feedback(self, now_ns: int, *, stands: bool) -> StopFeedback:
+        sight, variant = self._sight, self._variant
+        is_braked = sight.is_braked(now_ns)
+        is_open = sight.mode(now_ns) is not Mode.AUTO
+        return StopFeedback(
+            stands=stands,
+            moves=sight.moves(variant, now_ns),
+            speed_mps=sight.fastest_mps(variant, now_ns),
+            wheel_speed_mps=sight.wheel_speed_mps(variant, now_ns),
+            # In mode stop the chassis need not heed the request.
+            is_braked=None if is_open and not is_braked else is_braked,
         )
 
     def give_up(self, outcome: str) -> None:

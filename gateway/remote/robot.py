@@ -135,11 +135,11 @@ class Robot:
 
         Raises:
             Unreachable: nobody answered. It was sent all the same, again and again.
-            Refused: it answered with something else than yes.
+            Refused: the stop is latched but cannot be carried out, and the text says what the robot does.
         """
         report = remote_stop.stop(self._link.commands, self._root, self.name, timeout_s)
         if report.refused:
-            raise Refused(f"{self.name} refuses stop", Reason.NONE, "; ".join(report.refused.values()))
+            raise Refused(f"{self.name} is not stopped", Reason.NONE, "; ".join(report.refused.values()))
         if not report.stopped:
             raise Unreachable(f"{self.name} did not answer the stop within {timeout_s:g} s")
 

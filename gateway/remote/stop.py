@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Stop. Exit code 0 if all that are there answered, 3 if some did, 4 if nobody did, 5 if it was refused.
+    """Stop. Exit code 0 if all that are there stop, 3 if one is silent or cannot be stopped, 4 if all are silent.
 
     Raises:
         CommandError: nobody answered, or the arguments are wrong.
@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         sys.stdout.writelines(f"{name}: stops, latched until a reset\n" for name in report.stopped)
     sys.stdout.flush()
     for name, why in report.refused.items():
-        sys.stderr.write(f"{name}: {plain(why)}\n")
+        sys.stderr.write(f"{name}: NOT STOPPED: {plain(why)}. Use the button on the robot\n")
     for name in report.silent:
         sent = "it was sent all the same" if report.linked else "it could NOT BE SENT: there is no link"
         sys.stderr.write(f"{name}: NO ANSWER; {sent}. Use the button on the robot\n")
@@ -66,6 +66,4 @@ def _code(report: StopReport, where: str) -> ExitCode:
     if not report.stopped and not report.refused:
         who = "nobody answered" if report.linked else "no Zenoh node answered"
         raise CommandError(f"{who} within {where}", ExitCode.UNREACHABLE)
-    if report.silent:
-        return ExitCode.PARTIAL
-    return ExitCode.REFUSED if report.refused else ExitCode.OK
+    return ExitCode.PARTIAL if report.silent or report.refused else ExitCode.OK

@@ -7,7 +7,7 @@ from gateway.command.observed import Observed
 from gateway.command.outcome import Event, Outcome
 from gateway.command.request import RawRequest, Ruling
 from schemas.decisions import EventKind
-from schemas.messages import GearPosition, Mode, Variant
+from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
 from schemas.settings import CommandSettings, GatewaySettings, Settings
 
 MS = 1_000_000
@@ -17,6 +17,7 @@ STANDING = Observed(
     confirmed=True,
     mode=Mode.STOP,
     gear=GearPosition.PARK,
+    brake=ParkingStatus.APPLIED,
     speed_mps=0.0,
     wheel_speed_mps=0.0,
     fastest_wheel_mps=0.0,
@@ -62,6 +63,7 @@ class Bench:
                 STANDING,
                 mode=Mode.AUTO,
                 gear=GearPosition.PARK if told.parking else told.gear,
+                brake=ParkingStatus.APPLIED if told.parking else ParkingStatus.RELEASED,
                 speed_mps=told.speed_mps,
                 wheel_speed_mps=told.signed_speed_mps,
                 fastest_wheel_mps=told.speed_mps,
