@@ -1,6 +1,6 @@
 """A virtual chassis: it behaves as the manual says, with faults on demand.
 
-- ``parameters``   its figures, with their units
+- ``parameters``   its figures, with their units, and the conditions it is in
 - ``motion``       how it moves
 - ``model``        what it obeys and what it reports: ``VirtualChassis``
 - ``feedback``     its frames: order, period, alive counter, checksum

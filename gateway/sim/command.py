@@ -7,14 +7,22 @@ import contextlib
 import logging
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import Final
 
 from gateway.chassis.layout import load
 from gateway.sim.address import parse_address, show_address
 from gateway.sim.faults import GRAMMAR, FaultTextError, ScheduledFault, parse_scheduled
 from gateway.sim.model import VirtualChassis
-from gateway.sim.parameters import MAX_RATE_MULTIPLIER, MIN_RATE_MULTIPLIER
+from gateway.sim.parameters import (
+    CONDITION_BOUNDS,
+    MAX_RATE_MULTIPLIER,
+    MIN_RATE_MULTIPLIER,
+    NOMINAL,
+    Conditions,
+    StopMode,
+)
 from gateway.sim.run import CanBusLink, Clock, Link, live
 from gateway.sim.socketcand import SocketcandServer
 from gateway.sim.typed_lines import TypedLines
@@ -28,10 +36,23 @@ _logger = logging.getLogger(__name__)
 EXAMPLE: Final = """\
   cruiser sim                                     a coarse chassis on 127.0.0.1:29536
   cruiser sim --variant fine --fault "3s bumper front on" --fault "5s silence Auto_GearFeedBack for 2s"
+  cruiser sim --slope 8 --payload 100 --stop-mode coasts
   cruiser sim --interface socketcan --channel vcan0
   cruiser gateway --interface socketcand --channel 127.0.0.1:29536      puts it on Zenoh"""
 
 _STDIN: Final = 0
+
+_CONDITION_FLAGS: Final = {
+    "slope_deg": ("--slope", "DEG", "stand on a slope, nose up positive, from {low:g} to {high:g}"),
+    "payload_kg": ("--payload", "KG", "carry this much, up to {high:g}"),
+    "pedal_gain": (
+        "--pedal-gain",
+        "GAIN",
+        "how much of the brake the brake pedal applies, from {low:g} to {high:g}",
+    ),
+    "parking_delay_s": ("--parking-delay", "S", "seconds that the parking brake takes, up to {high:g}"),
+}
+"""The conditions that have a flag: its name, its value, its help."""
 
 _FAULT_HELP: Final = f"""\
 Faults, for --fault (with a delay before them, as in '3s bumper front on'), for 'cruiser fault', or typed while
@@ -56,10 +77,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=seconds, metavar="N", help="end after this time")
     parser.add_argument(
         "--rate-multiplier",
-        type=_rate_multiplier,
+        type=partial(_bounded, low=MIN_RATE_MULTIPLIER, high=MAX_RATE_MULTIPLIER),
         default=1.0,
         metavar="N",
         help="send the feedback N times as often as the DBC says, to load a bus: 11.9 gives 7,500 frames/s",
+    )
+    for field, (flag, metavar, text) in _CONDITION_FLAGS.items():
+        low, high = CONDITION_BOUNDS[field]
+        default = getattr(NOMINAL, field)
+        parser.add_argument(
+            flag,
+            dest=field,
+            type=partial(_bounded, low=low, high=high),
+            default=default,
+            metavar=metavar,
+            help=f"{text.format(low=low, high=high)} (default {default:g})",
+        )
+    parser.add_argument(
+        "--stop-mode",
+        choices=[mode.value for mode in StopMode],
+        default=NOMINAL.stop_mode.value,
+        help="what the chassis does in mode stop, of which the manual says nothing (default brakes)",
     )
     parser.add_argument(
         "--interface", dest="can.interface", metavar="NAME", help="be on this python-can bus instead of listening"
@@ -80,7 +118,9 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     with _bus(settings.can) if attached else _server(settings.sim.listen) as (link, place):
         clock = Clock()
         now_ns = clock.monotonic_ns()
-        chassis = VirtualChassis(layout, now_ns, rate_multiplier=arguments.rate_multiplier)
+        chassis = VirtualChassis(
+            layout, now_ns, rate_multiplier=arguments.rate_multiplier, conditions=_conditions(flags)
+        )
         for fault in faults:
             chassis.inject(fault.line, now_ns + fault.after_ns)
         _say(f"{layout.variant.value} chassis on {place}")
@@ -136,8 +176,9 @@ def _scheduled(text: str) -> ScheduledFault:
     return fault
 
 
-def _rate_multiplier(text: str) -> float:
-    return _bounded(text, MIN_RATE_MULTIPLIER, MAX_RATE_MULTIPLIER)
+def _conditions(flags: Mapping[str, object]) -> Conditions:
+    stop_mode = StopMode(flags["stop_mode"])
+    return Conditions(**{field: flags[field] for field in _CONDITION_FLAGS}, stop_mode=stop_mode)  # type: ignore[arg-type]
 
 
 def _bounded(text: str, low: float, high: float) -> float:

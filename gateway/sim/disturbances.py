@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from itertools import count
+from itertools import accumulate, count
 from typing import Final
 
 import msgspec
@@ -13,6 +13,7 @@ from gateway.sim.faults import (
     ALL_MESSAGES,
     Bumper,
     Clear,
+    Condition,
     Disturbance,
     Fault,
     FaultLine,
@@ -20,11 +21,13 @@ from gateway.sim.faults import (
     Foreign,
     MessageFault,
     Radio,
+    Reboot,
     Scale,
     Sticks,
     Switch,
     is_end,
 )
+from gateway.sim.parameters import BOUNCE_NS, REBOOT_NS, Conditions
 from schemas.messages import Variant
 
 _NEVER_NS: Final = 2**63
@@ -59,6 +62,7 @@ class Disturbances:
         self._active: dict[_Slot, _Active] = {}
         self._waiting: list[tuple[int, int, FaultLine]] = []
         self._order = count()
+        self._now_ns = 0
 
     def inject(self, line: FaultLine, at_ns: int) -> None:
         """Begins a fault, once ``advance`` reaches its time."""
@@ -66,6 +70,7 @@ class Disturbances:
 
     def advance(self, now_ns: int) -> None:
         """Begins and ends what is due."""
+        self._now_ns = now_ns
         while self._waiting and self._waiting[0][0] <= now_ns:
             at_ns, _, line = heapq.heappop(self._waiting)
             self._begin(line, at_ns)
@@ -109,12 +114,12 @@ class Disturbances:
     @property
     def front_bumper(self) -> bool:
         """The front bumper is hit."""
-        return ("bumper", "front") in self._active
+        return self._is_hit("front")
 
     @property
     def rear_bumper(self) -> bool:
         """The rear bumper is hit."""
-        return ("bumper", "rear") in self._active
+        return self._is_hit("rear")
 
     @property
     def remote(self) -> bool:
@@ -138,6 +143,17 @@ class Disturbances:
         active = self._active.get(("firmware", ""))
         return active.fault.variant if active is not None and isinstance(active.fault, Firmware) else None
 
+    @property
+    def rebooting(self) -> bool:
+        """The control unit reboots."""
+        return ("reboot", "") in self._active
+
+    def conditions(self, start: Conditions) -> Conditions:
+        """The conditions in force, given those of the start."""
+        faults = [active.fault for active in self._active.values()]
+        changed = {fault.field: fault.value for fault in faults if isinstance(fault, Condition)}
+        return msgspec.structs.replace(start, **changed) if changed else start
+
     def transmitter_lost_for_ns(self, now_ns: int) -> int:
         """How long the hand transmitter has been lost; 0 if it is not."""
         active = self._active.get(("radio", ""))
@@ -151,8 +167,8 @@ class Disturbances:
             if is_end(line.fault):
                 self._active.pop(slot, None)
                 continue
-            until_ns = now_ns + line.duration_ns if line.duration_ns else _NEVER_NS
-            active = _Active(line.fault, now_ns, until_ns, line.frames or None)
+            duration_ns = line.duration_ns or (REBOOT_NS if isinstance(line.fault, Reboot) else _NEVER_NS)
+            active = _Active(line.fault, now_ns, now_ns + duration_ns, line.frames or None)
             if isinstance(line.fault, Foreign):
                 active.next_ns = now_ns
             self._active[slot] = active
@@ -166,10 +182,21 @@ class Disturbances:
                 return [("foreign", can_id & (EXTENDED | IDENTIFIER_MASK)) for can_id in can_ids]
             case Bumper(sides):
                 return [("bumper", side) for side in sides]
-            case Switch() | Radio() | Sticks() | Scale() | Firmware():
+            case Switch() | Radio() | Sticks() | Scale() | Firmware() | Reboot():
                 return [(type(fault).__name__.lower(), "")]
+            case Condition(field):
+                return [("condition", field)]
             case Clear():
                 return []
+
+    def _is_hit(self, side: str) -> bool:
+        active = self._active.get(("bumper", side))
+        if active is None or not isinstance(active.fault, Bumper):
+            return False
+        since_ns = self._now_ns - active.since_ns
+        changes = [end_ns for end_ns in accumulate(BOUNCE_NS) if end_ns > since_ns] if active.fault.bounces else []
+        # After an even number of changes it rests, so one that is still to come out even is in the new state.
+        return active.fault.hit is (len(changes) % 2 == 0)
 
 
 def _foreign_frame(fault: Foreign, can_id: int, wall_ns: int) -> Frame:

@@ -16,6 +16,7 @@ from schemas.settings import Settings
 
 EXAMPLE: Final = """\
   cruiser fault bumper front on
+  cruiser fault slope 8
   cruiser fault silence Auto_GearFeedBack for 2s
   cruiser fault clear"""
 

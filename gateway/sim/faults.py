@@ -15,7 +15,7 @@ from typing import Final
 import msgspec
 
 from gateway.chassis.frame import ERROR, EXTENDED, IDENTIFIER_MASK, REMOTE, STANDARD_MASK
-from gateway.sim.parameters import FOREIGN_PERIOD_NS, SIBLING_PERIOD_NS
+from gateway.sim.parameters import CONDITION_BOUNDS, FOREIGN_PERIOD_NS, SIBLING_PERIOD_NS
 from schemas.messages import Variant
 from schemas.subjects import BY_DBC_MESSAGE
 
@@ -26,15 +26,23 @@ GRAMMAR: Final = """\
   skip MESSAGE [by N]          its alive counter rises by N, 2 unless told
   drop MESSAGE every N         each N-th is lost on the way: the counter goes on
   drop MESSAGE next N          the next N are lost on the way
+  freeze MESSAGE               its values stay as they are; its counter goes on and its checksum is right
   foreign ID [HEX|remote|error] [every DURATION]
                                frames of another identifier: 3 digits standard, 8 extended
   foreign siblings             the battery frames 200, 201 and 202 of a sibling chassis
-  bumper front|rear|both on|off
+  bumper front|rear|both on|off [bounce]
+                               hit, or free again; with 'bounce' the contact chatters first
   transmitter remote|command   the hand transmitter takes over, or gives back
   transmitter lost|found       its radio link
   sticks SPEED_MPS ANGLE_DEG   what the hand transmitter asks for in remote mode
   scale wrong|right            drive command and feedback in the other variant's scale, wheel speeds not
   variant coarse|fine          another firmware
+  slope DEG                    -30 to 30, nose up positive, whichever way the robot turns
+  payload KG                   0 to 100
+  pedal GAIN                   0 to 1: how much of the brake the brake pedal applies
+  motor STRENGTH               0 to 1: how much of its force the motor has; 1 is whole
+  reboot                       the control unit reboots, 2 s unless told otherwise: no feedback, no drive, all
+                               commands forgotten, counters from 0
   clear                        everything as it was at the start
 
 MESSAGE is a feedback frame's name in the DBC, or 'all'. A MESSAGE fault ends with 'MESSAGE off', 'clear', or by
@@ -54,6 +62,7 @@ class Disturbance(Enum):
     STUCK = "stuck"
     SKIP = "skip"
     DROP = "drop"
+    FREEZE = "freeze"
 
 
 class MessageFault(msgspec.Struct, frozen=True):
@@ -85,10 +94,11 @@ class Foreign(msgspec.Struct, frozen=True):
 
 
 class Bumper(msgspec.Struct, frozen=True):
-    """Front, rear or both bumpers are hit, or free again."""
+    """Front, rear or both bumpers are hit, or free again; the contact may bounce before it rests."""
 
     sides: tuple[str, ...]
     hit: bool
+    bounces: bool = False
 
 
 class Switch(msgspec.Struct, frozen=True):
@@ -122,17 +132,32 @@ class Firmware(msgspec.Struct, frozen=True):
     variant: Variant
 
 
+class Condition(msgspec.Struct, frozen=True):
+    """A number in ``Conditions`` has another value.
+
+    Attributes:
+        field: its name there.
+    """
+
+    field: str
+    value: float
+
+
+class Reboot(msgspec.Struct, frozen=True):
+    """The chassis's control unit reboots."""
+
+
 class Clear(msgspec.Struct, frozen=True):
     """Everything is as it was at the start."""
 
 
-Fault = MessageFault | Foreign | Bumper | Switch | Radio | Sticks | Scale | Firmware | Clear
+Fault = MessageFault | Foreign | Bumper | Switch | Radio | Sticks | Scale | Firmware | Condition | Reboot | Clear
 
 
 def is_end(fault: Fault) -> bool:
     """True for what ends a fault instead of beginning one."""
     match fault:
-        case MessageFault(ended=True) | Foreign(ended=True) | Bumper(hit=False):
+        case MessageFault(ended=True) | Foreign(ended=True) | Bumper(hit=False, bounces=False):
             return True
         case Switch(remote=False) | Radio(lost=False) | Scale(wrong=False):
             return True
@@ -339,7 +364,8 @@ def _choice(words: _Words, *right: str) -> str:
 def _bumper(words: _Words) -> _Parsed:
     side = _choice(words, "front", "rear", "both")
     sides = ("front", "rear") if side == "both" else (side,)
-    return Bumper(sides, _choice(words, "on", "off") == "on"), 0
+    hit = _choice(words, "on", "off") == "on"
+    return Bumper(sides, hit, words.take_if("bounce")), 0
 
 
 def _transmitter(words: _Words) -> _Parsed:
@@ -354,6 +380,19 @@ def _sticks(words: _Words) -> _Parsed:
     return Sticks(speed_mps, _number(words.take("an angle in deg"))), 0
 
 
+def _condition(field: str) -> Callable[[_Words], _Parsed]:
+    low, high = CONDITION_BOUNDS[field]
+
+    def parse_words(words: _Words) -> _Parsed:
+        word = words.take(f"a number from {low:g} to {high:g}")
+        value = _number(word)
+        if not low <= value <= high:
+            raise _WrongWordError(f"{_shown(word)} is not from {low:g} to {high:g}")
+        return Condition(field, value), 0
+
+    return parse_words
+
+
 _PARSERS: Final[dict[str, Callable[[_Words], _Parsed]]] = {
     **{disturbance.value: _message_fault(disturbance) for disturbance in Disturbance},
     "foreign": _foreign,
@@ -362,5 +401,10 @@ _PARSERS: Final[dict[str, Callable[[_Words], _Parsed]]] = {
     "sticks": _sticks,
     "scale": lambda words: (Scale(_choice(words, "wrong", "right") == "wrong"), 0),
     "variant": lambda words: (Firmware(Variant(_choice(words, "coarse", "fine"))), 0),
+    "slope": _condition("slope_deg"),
+    "payload": _condition("payload_kg"),
+    "pedal": _condition("pedal_gain"),
+    "motor": _condition("motor_strength"),
+    "reboot": lambda _words: (Reboot(), 0),
     "clear": lambda _words: (Clear(), 0),
 }

@@ -27,6 +27,7 @@ class _Row(msgspec.Struct):
     Attributes:
         sent: how often it was due so far.
         counter: the next alive counter, not yet wrapped.
+        frozen: the values that it keeps.
     """
 
     name: str
@@ -35,6 +36,7 @@ class _Row(msgspec.Struct):
     next_ns: int
     sent: int = 0
     counter: int = 0
+    frozen: Values | None = None
 
 
 class FeedbackSender:
@@ -65,6 +67,9 @@ class FeedbackSender:
         for row in self._rows:
             if row.next_ns <= now_ns:
                 self._plan(row)
+                if disturbances.rebooting:
+                    row.counter = 0
+                    continue
                 data = _data(row, encoder, reports[row.name](), disturbances)
                 if data:
                     frames.append(Frame(row.can_id, data, wall_ns))
@@ -80,6 +85,8 @@ def _data(row: _Row, encoder: Encoder, values: Values, disturbances: Disturbance
     """The frame's bytes; none if it is not on the bus."""
     if not disturbances.quiet and disturbances.strike(Disturbance.SILENCE, row.name):
         return b""
+    row.frozen = (row.frozen or values) if disturbances.strike(Disturbance.FREEZE, row.name) else None
+    values = row.frozen or values
     data = encoder.encode(row.name, values, row.counter).data
     if disturbances.quiet:
         row.counter += 1

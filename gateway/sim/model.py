@@ -20,7 +20,7 @@ from gateway.sim.disturbances import Disturbances
 from gateway.sim.faults import FaultLine
 from gateway.sim.feedback import FeedbackSender, Values
 from gateway.sim.motion import Demand, Motion
-from gateway.sim.parameters import FULL_PEDAL_PERCENT, STOP_MODE_PEDAL_PERCENT, TRANSMITTER_LOSS_NS
+from gateway.sim.parameters import FULL_PEDAL_PERCENT, NOMINAL, TRANSMITTER_LOSS_NS, Conditions, StopMode
 from schemas.messages import BrakingStatus, GearPosition, Mode, ParkingStatus, Variant
 
 _FIVE: Final = ("Auto_GearCmd", "Auto_SteeringCmd", "Auto_DriveCmd", "Auto_BrakingCmd", "Auto_ParkingCmd")
@@ -28,7 +28,6 @@ _FIVE: Final = ("Auto_GearCmd", "Auto_SteeringCmd", "Auto_DriveCmd", "Auto_Braki
 
 _LAMPS: Final = ("Headlamp", "RightIndicator", "LeftIndicator")
 
-_MAX_MILEAGE_KM: Final = 0xFF_FFFF * 0.001
 _NS_PER_S: Final = 1_000_000_000
 _GEARS: Final = {gear.value: gear for gear in (GearPosition.DRIVE, GearPosition.REVERSE)}
 _OTHER: Final = {Variant.COARSE: Variant.FINE, Variant.FINE: Variant.COARSE}
@@ -60,22 +59,32 @@ class ChassisState(msgspec.Struct, frozen=True):
 class VirtualChassis:
     """A Cruiser. Feed it frames with ``receive``, and call ``advance`` when ``next_due_ns`` has come."""
 
-    def __init__(self, layout: ChassisLayout, now_ns: int, *, rate_multiplier: float = 1.0) -> None:
+    def __init__(
+        self,
+        layout: ChassisLayout,
+        now_ns: int,
+        *,
+        rate_multiplier: float = 1.0,
+        conditions: Conditions = NOMINAL,
+    ) -> None:
         """Powers up: standing, parked, nothing commanded, the hand transmitter on command control.
 
         Args:
             layout: the firmware variant.
             now_ns: the time of the first ``advance``; the first frames are due one period later.
             rate_multiplier: the feedback comes this many times as often as the DBC says, to load a bus.
+            conditions: where it stands and what it is like, until a fault says otherwise.
         """
         self._first_layout = layout
         self._disturbances = Disturbances(tuple(message.name for message in layout.feedback))
         self._feedback = FeedbackSender(layout, now_ns, rate_multiplier)
-        self._motion = Motion()
+        self._conditions = conditions
+        self._motion = Motion(conditions)
+        self._motion.parked = True
+        self._park_wanted = True
         self._commands: dict[str, Signals] = {}
         self._last_ns = now_ns
         self._mode = Mode.STOP
-        self._parked = True
         self._pedal_percent = 0.0
         self._ignored = 0
         self._reports: dict[str, Callable[[], Values]] = {
@@ -113,8 +122,8 @@ class VirtualChassis:
             gear: drive, reverse or neutral.
             parked: the parking brake is applied.
         """
-        self._motion.adopt(speed_mps, angle_deg, gear)
-        self._parked = parked
+        self._motion.adopt(speed_mps=speed_mps, angle_deg=angle_deg, gear=gear, parked=parked)
+        self._park_wanted = parked
 
     def inject(self, line: FaultLine, at_ns: int) -> None:
         """Causes a fault at a time, which may be to come."""
@@ -165,8 +174,9 @@ class VirtualChassis:
         wanted = self._first_layout if firmware is None else load(firmware)
         if wanted is not self._layout:
             self._use_firmware(wanted)
+        self._motion.conditions = self._disturbances.conditions(self._conditions)
         demand = self._demand(instant_ns)
-        self._parked = demand.parked
+        self._park_wanted = demand.parked
         self._pedal_percent = demand.pedal_percent
         self._motion.step(demand, (instant_ns - self._last_ns) / _NS_PER_S)
         self._last_ns = instant_ns
@@ -174,16 +184,20 @@ class VirtualChassis:
             self._motion.mileage_m = 0.0
 
     def _demand(self, now_ns: int) -> Demand:
+        if self._disturbances.rebooting:
+            self._commands.clear()
+            self._mode = Mode.STOP
+            return Demand(GearPosition.NEUTRAL, 0.0, None, 0.0, self._motion.parked)
         if self._disturbances.remote:
             self._mode = Mode.REMOTE
             # The mode stays remote: with the transmitter back, driving goes on (manual V2.0, 6.4).
             lost = self._disturbances.transmitter_lost_for_ns(now_ns) >= TRANSMITTER_LOSS_NS
-            return self._stop_demand(parked=False) if lost else self._remote_demand()
+            return self._standstill(parked=False) if lost else self._remote_demand()
         if all(self._flag(name, "Enable") for name in _FIVE):
             self._mode = Mode.AUTO
             return self._auto_demand()
         self._mode = Mode.STOP
-        return self._stop_demand(parked=self._parked)
+        return self._stop_demand()
 
     def _auto_demand(self) -> Demand:
         speed_mps = self._number("Auto_DriveCmd", "TargetVelocity") * self._drive_scale_ratio(command=True)
@@ -199,20 +213,23 @@ class VirtualChassis:
 
     def _remote_demand(self) -> Demand:
         sticks = self._disturbances.sticks
-        gear = GearPosition.NEUTRAL
-        if sticks.speed_mps:
-            gear = GearPosition.DRIVE if sticks.speed_mps > 0 else GearPosition.REVERSE
-        # Sticks let go stop the robot, as on the real one: in neutral it would roll.
-        pedal_percent = 0.0 if sticks.speed_mps or self._stands else STOP_MODE_PEDAL_PERCENT
-        return Demand(gear, abs(sticks.speed_mps), sticks.angle_deg, pedal_percent, parked=False)
+        if not sticks.speed_mps:
+            return self._standstill(parked=False, angle_deg=sticks.angle_deg)
+        gear = GearPosition.DRIVE if sticks.speed_mps > 0 else GearPosition.REVERSE
+        return Demand(gear, abs(sticks.speed_mps), sticks.angle_deg, 0.0, parked=False)
 
-    def _stop_demand(self, *, parked: bool) -> Demand:
-        pedal_percent = 0.0 if self._stands else STOP_MODE_PEDAL_PERCENT
-        return Demand(GearPosition.NEUTRAL, 0.0, None, pedal_percent, parked)
+    def _stop_demand(self) -> Demand:
+        if self._conditions.stop_mode is StopMode.BRAKES:
+            return self._standstill(parked=self._park_wanted)
+        parked = self._park_wanted or self._conditions.stop_mode is StopMode.PARKS
+        return Demand(GearPosition.NEUTRAL, 0.0, None, 0.0, parked)
 
-    @property
-    def _stands(self) -> bool:
-        return self._motion.speed_mps == 0
+    def _standstill(self, *, parked: bool, angle_deg: float | None = None) -> Demand:
+        """The motor brakes in gear and then holds; in neutral the robot would roll."""
+        gear, speed_mps = self._motion.gear, self._motion.speed_mps
+        if gear is GearPosition.NEUTRAL and speed_mps:
+            gear = GearPosition.DRIVE if speed_mps > 0 else GearPosition.REVERSE
+        return Demand(gear, 0.0, angle_deg, 0.0, parked)
 
     def _flag(self, message: str, signal: str) -> bool:
         signals = self._commands.get(message)
@@ -239,7 +256,7 @@ class VirtualChassis:
 
     @property
     def _gear_position(self) -> GearPosition:
-        return GearPosition.PARK if self._parked else self._motion.gear
+        return GearPosition.PARK if self._motion.parked else self._motion.gear
 
     @property
     def _braking_status(self) -> BrakingStatus:
@@ -249,7 +266,12 @@ class VirtualChassis:
 
     @property
     def _parking_status(self) -> ParkingStatus:
-        return ParkingStatus.APPLIED if self._parked else ParkingStatus.RELEASED
+        return ParkingStatus.APPLIED if self._motion.parked else ParkingStatus.RELEASED
+
+    def _shown(self, message: str, signal: str, value: float) -> float:
+        """The value, or the nearest that the frame has room for: a robot may roll faster than it can say."""
+        limits = self._layout.messages[message].signal(signal)
+        return max(limits.minimum, min(limits.maximum, value))
 
     def _active(self, command: str) -> bool:
         return self._mode is not Mode.REMOTE and self._flag(command, "Enable")
@@ -262,7 +284,8 @@ class VirtualChassis:
 
     def _drive(self) -> Values:
         speed_mps = abs(self._motion.speed_mps) * self._drive_scale_ratio(command=False)
-        return {"Active": self._active("Auto_DriveCmd"), "Speed": speed_mps}
+        shown_mps = self._shown("Auto_DriveFeedBack", "Speed", speed_mps)
+        return {"Active": self._active("Auto_DriveCmd"), "Speed": shown_mps}
 
     def _braking(self) -> Values:
         return {"Active": self._active("Auto_BrakingCmd"), "BrakingStatus": self._braking_status.value}
@@ -272,7 +295,12 @@ class VirtualChassis:
 
     def _wheel_speed(self) -> Values:
         left_mps, right_mps = self._motion.wheel_speeds_mps
-        return {"Valid": True, "RearLeftSpeed": left_mps, "RearRightSpeed": right_mps}
+        name = "Auto_WheelSpdFeedback"
+        return {
+            "Valid": True,
+            "RearLeftSpeed": self._shown(name, "RearLeftSpeed", left_mps),
+            "RearRightSpeed": self._shown(name, "RearRightSpeed", right_mps),
+        }
 
     def _wheel_pulse(self) -> Values:
         left, right = self._motion.wheel_pulses
@@ -280,7 +308,9 @@ class VirtualChassis:
 
     def _body(self) -> Values:
         # An odometer shows the metres that are full.
-        mileage_km = min(math.floor(self._motion.mileage_m) / 1000, _MAX_MILEAGE_KM)
+        mileage_km = self._shown(
+            "Auto_MileageAndBodyFeedback", "TotalMileage", math.floor(self._motion.mileage_m) / 1000
+        )
         return {
             "Valid": True,
             "TotalMileage": mileage_km,

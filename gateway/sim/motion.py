@@ -1,4 +1,4 @@
-"""How the chassis moves: a bicycle model with a lagging drive, brakes and a steering motor. Pure.
+"""How the chassis moves: a bicycle model on a slope, with a lagging drive, brakes and a steering motor. Pure.
 
 Axes are those of ISO 8855. The pose is that of the middle of the rear axle.
 """
@@ -13,6 +13,7 @@ from gateway.sim.parameters import (
     ACCELERATION_MPS2,
     BRAKING_DECELERATION_MPS2,
     DECELERATION_MPS2,
+    NOMINAL,
     PARKING_DECELERATION_MPS2,
     PULSES_PER_TURN,
     ROLLING_DECELERATION_MPS2,
@@ -25,11 +26,13 @@ from gateway.sim.parameters import (
     TOP_SPEED_MPS,
     TRACK_M,
     TYRE_DIAMETER_M,
+    Conditions,
 )
 from schemas.messages import GearPosition
 from schemas.settings import WHEELBASE_M
 
 _PULSES_PER_M = PULSES_PER_TURN / (math.pi * TYRE_DIAMETER_M)
+_TIME_RESOLUTION_S = 1e-9
 _DIRECTION = {GearPosition.DRIVE: 1.0, GearPosition.REVERSE: -1.0}
 
 
@@ -40,8 +43,8 @@ class Demand(msgspec.Struct, frozen=True):
         gear: drive, reverse or neutral.
         speed_mps: a magnitude; the gear gives the direction.
         angle_deg: left positive; None holds the angle.
-        pedal_percent: brake pedal; pressing it cuts the drive.
-        parked: the parking brake is applied.
+        pedal_percent: brake pedal; where it has a gain, pressing it cuts the drive.
+        parked: the parking brake is to be applied.
     """
 
     gear: GearPosition
@@ -55,6 +58,8 @@ class Motion:
     """The moving chassis.
 
     Attributes:
+        conditions: may change from step to step.
+        parked: the parking brake is applied, and the drive is cut. It follows the demand with a delay.
         gear: the gear in force: that of the other direction engages only at standstill.
         speed_mps: signed, forward positive.
         angle_deg: steering angle, left positive.
@@ -62,7 +67,10 @@ class Motion:
         mileage_m: distance driven in either direction.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, conditions: Conditions = NOMINAL) -> None:
+        self.conditions = conditions
+        self.parked = False
+        self._parking_s = 0.0
         self.gear = GearPosition.NEUTRAL
         self.speed_mps = 0.0
         self.angle_deg = 0.0
@@ -89,20 +97,29 @@ class Motion:
         """Encoder counts, rear left and rear right, as signed 16-bit numbers that wrap."""
         return _wrap16(self._left_m), _wrap16(self._right_m)
 
-    def adopt(self, speed_mps: float, angle_deg: float, gear: GearPosition) -> None:
+    def adopt(self, *, speed_mps: float, angle_deg: float, gear: GearPosition, parked: bool) -> None:
         """From now on it moves so, as far as it can."""
-        self.speed_mps = _clamp(speed_mps, TOP_SPEED_MPS)
+        self.speed_mps = speed_mps
         self.angle_deg = _clamp(angle_deg, STEERING_LIMIT_DEG)
         self.gear = gear
+        self.parked = parked
+        self._parking_s = 0.0
 
     def step(self, demand: Demand, dt_s: float) -> None:
         """Moves on by a short time."""
+        self._park(demand.parked, dt_s)
         self._shift(demand.gear)
-        self.speed_mps += self._speed_change(demand, dt_s)
+        self.speed_mps = self._next_speed_mps(demand, dt_s)
         if demand.angle_deg is not None:
             target_deg = _clamp(demand.angle_deg, STEERING_LIMIT_DEG)
             self.angle_deg += _clamp(target_deg - self.angle_deg, STEERING_RATE_DEGPS * dt_s)
         self._travel(dt_s)
+
+    def _park(self, wanted: bool, dt_s: float) -> None:  # noqa: FBT001
+        self._parking_s = 0.0 if wanted is self.parked else self._parking_s + dt_s
+        if wanted is not self.parked and self._parking_s >= self.conditions.parking_delay_s - _TIME_RESOLUTION_S:
+            self.parked = wanted
+            self._parking_s = 0.0
 
     def _shift(self, wanted: GearPosition) -> None:
         direction = _DIRECTION.get(wanted, 0.0)
@@ -110,25 +127,32 @@ class Motion:
         if self.speed_mps * direction > -SHIFT_SPEED_MPS:
             self.gear = wanted
 
-    def _speed_change(self, demand: Demand, dt_s: float) -> float:
-        if demand.parked:
-            return self._toward_zero(PARKING_DECELERATION_MPS2 * dt_s)
-        if demand.pedal_percent > 0:
-            braking_mps2 = BRAKING_DECELERATION_MPS2 * demand.pedal_percent / 100
-            return self._toward_zero((ROLLING_DECELERATION_MPS2 + braking_mps2) * dt_s)
-        if demand.gear == self.gear == GearPosition.NEUTRAL:
-            return self._toward_zero(ROLLING_DECELERATION_MPS2 * dt_s)
-        in_gear = demand.gear == self.gear
-        target_mps = min(demand.speed_mps, TOP_SPEED_MPS) * _DIRECTION.get(demand.gear, 0.0) if in_gear else 0.0
+    def _next_speed_mps(self, demand: Demand, dt_s: float) -> float:
+        if self.parked:
+            return self._pushed(0.0, PARKING_DECELERATION_MPS2, dt_s)
+        pedal_mps2 = BRAKING_DECELERATION_MPS2 * self.conditions.pedal_gain * demand.pedal_percent / 100
+        if pedal_mps2 or demand.gear is GearPosition.NEUTRAL:
+            return self._pushed(0.0, ROLLING_DECELERATION_MPS2 + pedal_mps2, dt_s)
+        # The motor follows its target, whatever the slope, as far as its force goes.
+        most_mps2 = self.conditions.drive_mps2
+        lowest_mps = self._pushed(-most_mps2, ROLLING_DECELERATION_MPS2, dt_s)
+        highest_mps = self._pushed(most_mps2, ROLLING_DECELERATION_MPS2, dt_s)
+        return max(lowest_mps, min(highest_mps, self._lagging_mps(demand, dt_s)))
+
+    def _pushed(self, drive_mps2: float, resistance_mps2: float, dt_s: float) -> float:
+        """The speed after a time of drive and gravity, and of a resistance that stops but never sets in motion."""
+        free_mps = self.speed_mps + (drive_mps2 + self.conditions.downhill_mps2) * dt_s
+        return free_mps - _clamp(free_mps, resistance_mps2 * dt_s)
+
+    def _lagging_mps(self, demand: Demand, dt_s: float) -> float:
+        in_gear = demand.gear is self.gear
+        target_mps = min(demand.speed_mps, TOP_SPEED_MPS) * _DIRECTION[demand.gear] if in_gear else 0.0
         missing_mps = target_mps - self.speed_mps
         if abs(missing_mps) < SPEED_RESOLUTION_MPS:
-            return missing_mps
+            return target_mps
         slowing = missing_mps * self.speed_mps < 0
         limit_mps2 = DECELERATION_MPS2 if slowing else ACCELERATION_MPS2
-        return _clamp(missing_mps * -math.expm1(-dt_s / SPEED_LAG_S), limit_mps2 * dt_s)
-
-    def _toward_zero(self, most_mps: float) -> float:
-        return _clamp(-self.speed_mps, most_mps)
+        return self.speed_mps + _clamp(missing_mps * -math.expm1(-dt_s / SPEED_LAG_S), limit_mps2 * dt_s)
 
     def _travel(self, dt_s: float) -> None:
         left_mps, right_mps = self.wheel_speeds_mps

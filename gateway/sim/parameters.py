@@ -7,10 +7,19 @@ nothing outside the simulation may rest on it. The wheelbase, which the gateway 
 
 from __future__ import annotations
 
+import math
+from enum import Enum
 from typing import Final
 
+import msgspec
+
+GRAVITY_MPS2: Final = 9.81
+
+EMPTY_MASS_KG: Final = 116.0
+"""Manual V2.0, 2.2."""
+
 TOP_SPEED_MPS: Final = 8 / 3.6
-"""8 km/h (manual V2.0, 2.2). The chassis holds itself to it, whatever the frame asks for."""
+"""8 km/h (manual V2.0, 2.2). It drives no faster, whatever the frame asks for; downhill it may roll faster."""
 
 STEERING_LIMIT_DEG: Final = 24.0
 """The soft limit inside the chassis (manual V2.0, 5 (2))."""
@@ -33,20 +42,24 @@ ACCELERATION_MPS2: Final = 1.5
 DECELERATION_MPS2: Final = 2.0
 """Most the drive alone can slow down. Chosen."""
 
+MAX_DRIVE_FORCE_N: Final = 630.0
+"""Most the motor can push or hold back. Chosen from what the chassis climbs (manual V2.0, 2.2).
+
+20 deg empty take 424 N, 15 deg with full payload 613 N, each with rolling resistance. Holding 20 deg with full
+payload would take 660 N.
+"""
+
 ROLLING_DECELERATION_MPS2: Final = 0.3
-"""What rolling resistance takes in neutral. Chosen."""
+"""Rolling resistance, at any speed, load and slope. Chosen; in neutral it holds the robot up to 1.75 deg."""
 
 BRAKING_DECELERATION_MPS2: Final = 3.0
-"""The service brake at full pedal. Chosen."""
+"""The service brake at full pedal and a pedal gain of 1. Chosen."""
 
-PARKING_DECELERATION_MPS2: Final = 4.0
-"""The electromagnetic parking brake, which locks the wheels. Chosen."""
+PARKING_DECELERATION_MPS2: Final = 7.0
+"""The grip of the applied electromagnetic parking brake, standing or moving. Chosen; 20 deg need 3.4."""
 
 FULL_PEDAL_PERCENT: Final = 99.0
 """From here on the brake reads fully braked; eight bits of 0.390625 % end at 99.6 %."""
-
-STOP_MODE_PEDAL_PERCENT: Final = 60.0
-"""How hard the chassis brakes by itself when it leaves auto mode while moving. Chosen."""
 
 STEERING_RATE_DEGPS: Final = 60.0
 """Chosen."""
@@ -59,6 +72,12 @@ SPEED_RESOLUTION_MPS: Final = 0.0005
 
 TRANSMITTER_LOSS_NS: Final = 3_000_000_000
 """In remote mode the chassis stops when the hand transmitter is lost for 3 s (manual V2.0, 6.4)."""
+
+REBOOT_NS: Final = 2_000_000_000
+"""How long the chassis's control unit reboots unless asked otherwise. Chosen."""
+
+BOUNCE_NS: Final = tuple(number * 1_000_000 for number in (30, 50, 10, 80, 20, 40))
+"""How long a bouncing contact is closed, open, closed and so on, before it rests. Chosen."""
 
 START_MILEAGE_M: Final = 12_345.0
 """Mileage at power-up: not zero, so that clearing it shows. Chosen."""
@@ -73,3 +92,53 @@ MAX_RATE_MULTIPLIER: Final = 100.0
 """The feedback's rate may be raised to this multiple; 11.9 saturates a 1 Mbit/s bus (7,500 frames/s)."""
 
 MIN_RATE_MULTIPLIER: Final = 0.1
+
+
+class StopMode(Enum):
+    """What the chassis does in mode stop. The manual does not say."""
+
+    BRAKES = "brakes"
+    COASTS = "coasts"
+    PARKS = "parks"
+
+
+class Conditions(msgspec.Struct, frozen=True):
+    """What the manual leaves open, and what differs from place to place.
+
+    Attributes:
+        slope_deg: positive with the nose up, whichever way the robot turns.
+        pedal_gain: how much of the service brake the brake pedal applies. The manual calls the pedal reserved.
+        motor_strength: how much of its greatest force the motor has.
+        parking_delay_s: how long the parking brake takes to apply, and to release. Chosen.
+        stop_mode: what the chassis does in mode stop.
+    """
+
+    slope_deg: float = 0.0
+    payload_kg: float = 0.0
+    pedal_gain: float = 0.0
+    motor_strength: float = 1.0
+    parking_delay_s: float = 0.05
+    stop_mode: StopMode = StopMode.BRAKES
+
+    @property
+    def downhill_mps2(self) -> float:
+        """How gravity accelerates the free robot: forward positive."""
+        return -GRAVITY_MPS2 * math.sin(math.radians(self.slope_deg))
+
+    @property
+    def drive_mps2(self) -> float:
+        """How the motor's greatest force accelerates the robot."""
+        return self.motor_strength * MAX_DRIVE_FORCE_N / (EMPTY_MASS_KG + self.payload_kg)
+
+
+NOMINAL: Final = Conditions()
+"""On the flat, empty."""
+
+CONDITION_BOUNDS: Final = {
+    "slope_deg": (-30.0, 30.0),
+    "payload_kg": (0.0, 100.0),
+    "pedal_gain": (0.0, 1.0),
+    "motor_strength": (0.0, 1.0),
+    "parking_delay_s": (0.0, 1.0),
+}
+"""Each condition with a number: from, to. The payload's is the manual's (V2.0, 2.2)."""

@@ -629,7 +629,7 @@ def test_what_is_not_seen_is_waited_for_a_little_and_then_taken_for_a_parked_rob
     rig.run(1)
     rig.chassis._commands.clear()
     rig.run(3)
-    rig.chassis._parked = True
+    rig.chassis.adopt(speed_mps=0.0, angle_deg=0.0, gear=GearPosition.NEUTRAL, parked=True)
     rig.fault("silence all")
     rig.run(1)
     rig.bus_up = True

@@ -6,6 +6,7 @@ from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
 from gateway.sim.faults import FaultLine, parse
 from gateway.sim.model import VirtualChassis
+from gateway.sim.parameters import NOMINAL, Conditions
 from schemas.messages import Variant
 
 MS = 1_000_000
@@ -17,9 +18,14 @@ ENABLES = ("Auto_GearCmd", "Auto_SteeringCmd", "Auto_DriveCmd", "Auto_BrakingCmd
 class Rig:
     """Holds the time, and the latest feedback of each name."""
 
-    def __init__(self, variant: Variant = Variant.COARSE, rate_multiplier: float = 1.0) -> None:
+    def __init__(
+        self,
+        variant: Variant = Variant.COARSE,
+        rate_multiplier: float = 1.0,
+        conditions: Conditions = NOMINAL,
+    ) -> None:
         layout = load(variant)
-        self.chassis = VirtualChassis(layout, 0, rate_multiplier=rate_multiplier)
+        self.chassis = VirtualChassis(layout, 0, rate_multiplier=rate_multiplier, conditions=conditions)
         self.encoder = Encoder(layout)
         self.decoder = Decoder(layout)
         self.now_ns = 0

@@ -12,8 +12,13 @@ from pathlib import Path
 import can
 import pytest
 
+from gateway.chassis.encode import Encoder
+from gateway.chassis.frame import IDENTIFIER_MASK
+from gateway.chassis.layout import load
 from gateway.cli.main import main
 from schemas.exit_codes import ExitCode
+from schemas.messages import Variant
+from tests.gateway.sim.rig import ENABLES
 from tests.gateway.sim.served import DEADLINE_S, Served, receive, served
 
 CRUISER = Path(sys.executable).with_name("cruiser")
@@ -81,6 +86,17 @@ def test_faults_come_by_flag_and_by_line() -> None:
         assert process.poll() is None
 
 
+def test_conditions_come_by_flag() -> None:
+    """On a hill whose mode stop coasts it rolls once an order to release its parking brake is gone."""
+    flags = ("--slope", "-20", "--payload", "50", "--pedal-gain", "0.5", "--parking-delay", "0")
+    with sim(*flags, "--stop-mode", "coasts") as (_, place), bus_at(place) as bus:
+        encoder = Encoder(load(Variant.COARSE))
+        for name in ENABLES:
+            frame = encoder.encode(name, {"Enable": True}, 0)
+            bus.send(can.Message(arbitration_id=frame.can_id & IDENTIFIER_MASK, data=frame.data))
+        assert receive(bus, lambda message: message.arbitration_id == 0x18C4D7EF and message.data[1] > 225)
+
+
 def test_it_attaches_to_a_bus_of_python_can(running: Served) -> None:
     """The second chassis is a client of the first one's server, and ends when that bus is lost."""
     channel = f"{running.host}:{running.port}"
@@ -127,7 +143,17 @@ def test_an_error_is_one_line_and_a_code(
 
 
 @pytest.mark.parametrize(
-    "flags", [["--rate-multiplier", "1000"], ["--seconds", "0"], ["--seconds", "x"], ["--variant", "medium"]]
+    "flags",
+    [
+        ["--rate-multiplier", "1000"],
+        ["--seconds", "0"],
+        ["--seconds", "x"],
+        ["--variant", "medium"],
+        ["--slope", "-31"],
+        ["--payload", "x"],
+        ["--pedal-gain", "nan"],
+        ["--stop-mode", "x"],
+    ],
 )
 def test_a_flag_out_of_bounds_is_a_usage_error(flags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     """Argparse says which."""

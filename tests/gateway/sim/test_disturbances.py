@@ -1,5 +1,7 @@
 """Faults in force: what each does to the frames, and how it ends."""
 
+from itertools import pairwise
+
 import pytest
 
 from gateway.chassis.decode import Decoded
@@ -65,6 +67,61 @@ def test_a_dropped_frame_leaves_a_gap() -> None:
     assert rig.counters(GEAR, rig.run(0.06)) == [13, 14, 15]
 
 
+def test_a_frozen_message_counts_on() -> None:
+    """Values as they were, counters and checksums as they should be; the other messages tell the truth."""
+    rig = Rig()
+    rig.command("drive", 1.0)
+    rig.run(2)
+    rig.fault(f"freeze {DRIVE}")
+    rig.run(0.01)
+    rig.command("drive", 0.0)
+    frames = rig.run(2)
+    assert rig.seen[DRIVE]["Speed"] == 1.0
+    assert rig.seen["Auto_WheelSpdFeedback"]["RearLeftSpeed"] == 0
+    assert rig.counters(DRIVE, frames) == [(201 + number) % 16 for number in range(200)]
+    assert all(checksum(frame.data) == frame.data[7] for frame in frames)
+    rig.fault(f"freeze {DRIVE} off")
+    rig.run(0.1)
+    assert rig.seen[DRIVE]["Speed"] == 0
+
+
+def test_a_message_freezes_anew_each_time() -> None:
+    """Frozen again, it keeps what it was then."""
+    rig = Rig()
+    rig.command("drive", 1.0)
+    rig.fault(f"freeze {DRIVE} for 10 frames")
+    rig.run(0.1)
+    assert rig.seen[DRIVE]["Speed"] == 0
+    rig.run(2)
+    rig.fault(f"freeze {DRIVE}")
+    rig.run(0.01)
+    rig.command("drive", 0.0)
+    rig.run(2)
+    assert rig.seen[DRIVE]["Speed"] == 1.0
+
+
+@pytest.mark.parametrize("hit", [True, False])
+def test_a_bouncing_bumper_chatters_and_rests(hit: bool) -> None:  # noqa: FBT001
+    """Contact comes and goes, each time alike, and ends as it was asked to."""
+    seen = []
+    for _ in range(2):
+        rig = Rig()
+        if not hit:
+            rig.fault("bumper both on")
+            rig.run(0.1)
+        rig.fault(f"bumper both {'on' if hit else 'off'} bounce")
+        contacts = []
+        for _ in range(40):
+            rig.run(0.01)
+            body = rig.seen["Auto_MileageAndBodyFeedback"] if rig.now_ns >= 2 * S // 100 else {}
+            contacts.append(body.get("FrontBumper", False))
+            assert body.get("RearBumper", False) is contacts[-1]
+        seen.append(contacts)
+    assert seen[0] == seen[1]
+    assert sum(before is not after for before, after in pairwise(seen[0])) >= 4
+    assert set(seen[0][-15:]) == {hit}
+
+
 def test_all_means_every_message() -> None:
     """With all silent there is nothing on the bus."""
     rig = Rig()
@@ -111,6 +168,11 @@ def test_clear_ends_everything() -> None:
         "sticks 1 1",
         "scale wrong",
         "variant fine",
+        "slope 20",
+        "payload 100",
+        "pedal 1",
+        "motor 0",
+        "reboot",
     ):
         rig.fault(text)
     rig.run(1)
@@ -123,7 +185,16 @@ def test_clear_ends_everything() -> None:
     assert rig.speed_mps == 0
 
 
-@pytest.mark.parametrize("text", ["bumper rear on for 1s", "transmitter remote for 1s", f"checksum {GEAR} for 1s"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "bumper rear on for 1s",
+        "slope 8 for 1s",
+        "reboot for 1s",
+        "transmitter remote for 1s",
+        f"checksum {GEAR} for 1s",
+    ],
+)
 def test_a_fault_with_a_duration_ends_by_itself(text: str) -> None:
     """Nobody has to come back to end it."""
     rig = Rig()

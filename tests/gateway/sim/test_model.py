@@ -1,6 +1,7 @@
 """How the chassis behaves: the protocol notes, sentence by sentence."""
 
 import json
+import math
 from collections import Counter
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from gateway.chassis.decode import Decoded, Decoder
 from gateway.chassis.frame import EXTENDED, REMOTE, Frame
 from gateway.chassis.layout import load
 from gateway.sim.model import VirtualChassis
+from gateway.sim.parameters import Conditions, StopMode
 from schemas.messages import BrakingStatus, GearPosition, Mode, ParkingStatus, Variant
 from tests.gateway.chassis.strategies import frames as any_frames
 from tests.gateway.sim.rig import ENABLES, MS, Rig, S
@@ -371,3 +373,176 @@ def test_the_firmware_can_change() -> None:
     assert rig.named("Auto_WheelSpdFeedback", rig.run(0.1))[-1].data[1:5] == bytes.fromhex("00800080")
     rig.run(1)
     assert rig.chassis.state.variant is Variant.COARSE
+
+
+@pytest.mark.parametrize("slope_deg", [-20.0, 0.0, 20.0])
+@pytest.mark.parametrize(
+    ("stop_mode", "gear"), [(StopMode.BRAKES, GearPosition.DRIVE), (StopMode.PARKS, GearPosition.PARK)]
+)
+def test_mode_stop_brakes_or_parks(stop_mode: StopMode, gear: GearPosition, slope_deg: float) -> None:
+    """By the motor or by the parking brake the robot comes to a stand, and is held."""
+    rig = in_mode_stop(stop_mode, slope_deg)
+    begin_m = rig.chassis.state.x_m
+    rig.run(2)
+    state = rig.chassis.state
+    assert (state.mode, state.speed_mps, state.gear_position) == (Mode.STOP, 0, gear)
+    assert 0.05 < state.x_m - begin_m < 0.5
+    rig.run(10)
+    assert rig.chassis.state.x_m == state.x_m
+
+
+@pytest.mark.parametrize(
+    ("slope_deg", "speed_mps"),
+    [
+        pytest.param(-20.0, 1.0 + 2 * (3.355 - 0.3), id="faster and faster"),
+        pytest.param(0.0, 1.0 - 2 * 0.3, id="slower"),
+        pytest.param(20.0, -(2 - 1.0 / (3.355 + 0.3)) * (3.355 - 0.3), id="back down"),
+    ],
+)
+def test_mode_stop_may_coast(slope_deg: float, speed_mps: float) -> None:
+    """In neutral, by gravity and rolling resistance alone."""
+    rig = in_mode_stop(StopMode.COASTS, slope_deg)
+    rig.run(2)
+    assert rig.chassis.state.gear_position is GearPosition.NEUTRAL
+    assert rig.speed_mps == pytest.approx(speed_mps, abs=0.01)
+
+
+def in_mode_stop(stop_mode: StopMode, slope_deg: float) -> Rig:
+    """A robot that loses an enable at 1 m/s."""
+    rig = Rig(conditions=Conditions(slope_deg=slope_deg, stop_mode=stop_mode))
+    rig.command("drive", 1.0)
+    rig.run(2)
+    rig.send("Auto_GearCmd", Enable=False)
+    return rig
+
+
+def test_mode_stop_keeps_the_parking_brake() -> None:
+    """A request of just before goes on to take effect, however the chassis stops."""
+    rig = Rig(conditions=Conditions(stop_mode=StopMode.COASTS))
+    rig.command("drive", 1.0)
+    rig.run(2)
+    rig.command("drive", 1.0, park=True)
+    rig.run(0.01)
+    rig.send("Auto_GearCmd", Enable=False)
+    rig.run(0.1)
+    assert rig.chassis.state.parking_status is ParkingStatus.APPLIED
+    rig.run(1)
+    assert rig.speed_mps == 0
+
+
+def test_the_parking_feedback_says_when_it_is_so() -> None:
+    """Asked for, the brake applies and releases 50 ms later, and so do its status and the gear's P."""
+    rig = Rig()
+    for park, status, gear in ((False, "released", "drive"), (True, "applied", "park")):
+        before = "applied" if status == "released" else "released"
+        rig.run(0.2)
+        rig.command("drive", 0.0, park=park)
+        rig.run(0.04)
+        assert rig.seen["Auto_ParkingFeedBack"]["ParkingStatus"] == before
+        rig.run(0.01)
+        assert rig.seen["Auto_ParkingFeedBack"]["ParkingStatus"] == status
+        assert rig.seen["Auto_GearFeedBack"]["GearPosition"] == gear
+
+
+def test_the_ground_may_change_while_it_drives() -> None:
+    """Slope, payload and strengths by fault; without them it is as it was at the start."""
+    rig = Rig(conditions=Conditions(slope_deg=3.0))
+    rig.command("neutral")
+    rig.fault("slope 0 for 1995ms")
+    rig.run(1.99)
+    assert rig.speed_mps == 0
+    rig.run(1)
+    assert rig.speed_mps == pytest.approx(0.3 - 9.81 * math.sin(math.radians(3)), abs=0.01)
+    rig.command("drive")
+    rig.run(2)
+    for weaker in ("payload 100", "motor 0.5"):
+        rig.fault("slope 20")
+        rig.run(1)
+        assert rig.speed_mps == 0
+        rig.fault(weaker)
+        rig.run(1)
+        assert rig.speed_mps < 0
+        rig.fault("clear")
+        rig.run(3)
+        assert rig.speed_mps == 0
+    rig.fault("slope 10")
+    rig.fault("pedal 1")
+    rig.command("neutral", pedal_percent=60.0)
+    rig.run(1)
+    assert rig.speed_mps == 0
+    rig.fault("pedal 0.3")
+    rig.run(1)
+    assert rig.speed_mps < -0.5
+
+
+@VARIANTS
+def test_it_may_roll_faster_than_its_frames_can_say(variant: Variant) -> None:
+    """They show the most they have room for."""
+    rig = Rig(variant, conditions=Conditions(slope_deg=30.0))
+    rig.command("neutral")
+    rig.run(30)
+    layout = load(variant)
+    assert rig.speed_mps < -100
+    wheels = layout.messages["Auto_WheelSpdFeedback"].signal("RearLeftSpeed")
+    rig.fault("scale wrong")
+    frames = rig.run(2)
+    assert len(frames) == 1260
+    shown = [int.from_bytes(frame.data[1:3], "little") for frame in rig.named("Auto_WheelSpdFeedback", frames)]
+    assert {raw & (2**wheels.length - 1) for raw in shown} == {0}
+
+
+def test_sticks_at_rest_hold_it_on_a_slope() -> None:
+    """Also where the takeover finds it in neutral: it rolls no further than the next instant."""
+    rig = Rig(conditions=Conditions(slope_deg=20.0))
+    rig.fault("transmitter remote")
+    rig.run(5)
+    assert rig.speed_mps == 0
+    assert abs(rig.chassis.state.x_m) < 0.005
+
+
+def test_a_reboot_forgets_everything() -> None:
+    """Two seconds without feedback and drive; then mode stop, and counters from 0."""
+    rig = Rig()
+    rig.command("drive", 1.0)
+    rig.send("Auto_SpeakerCmd", Horn=True)
+    rig.run(2.005)
+    rig.fault("reboot")
+    assert rig.run(2) == []
+    assert rig.speed_mps == pytest.approx(1.0 - 0.3 * 2, abs=0.01)
+    frames = rig.run(0.1)
+    assert rig.counters("Auto_GearFeedBack", frames) == list(range(10))
+    assert rig.chassis.state.mode is Mode.STOP
+    rig.run(1)
+    assert rig.speed_mps == 0
+    assert rig.seen["Auto_SpeakerFeedback"]["Horn"] is False
+
+
+@pytest.mark.parametrize("missing", ENABLES)
+def test_after_a_reboot_all_five_enables_must_come_again(missing: str) -> None:
+    """Those from before, and those that came meanwhile, count for nothing."""
+    rig = Rig()
+    rig.command("drive", 1.0)
+    rig.run(2)
+    rig.fault("reboot for 500ms")
+    rig.run(0.2)
+    rig.command("drive", 1.0)
+    rig.run(1)
+    assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "stop"
+    rig.command("drive", 1.0)
+    rig.chassis._commands.pop(missing)
+    rig.run(0.1)
+    assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "stop"
+    rig.command("drive", 1.0)
+    rig.run(0.1)
+    assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "auto"
+
+
+def test_a_reboot_leaves_the_parking_brake_as_it_is() -> None:
+    """Applied it stays applied, and released it lets the robot roll."""
+    for park in (True, False):
+        rig = Rig(conditions=Conditions(slope_deg=10.0))
+        rig.command("drive", park=park)
+        rig.run(1)
+        rig.fault("reboot for 1s")
+        rig.run(0.9)
+        assert (rig.speed_mps == 0) is park

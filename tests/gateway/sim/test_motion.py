@@ -4,7 +4,7 @@ import math
 from itertools import pairwise
 
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from gateway.sim.motion import Demand, Motion
@@ -12,9 +12,13 @@ from gateway.sim.parameters import (
     ACCELERATION_MPS2,
     BRAKING_DECELERATION_MPS2,
     DECELERATION_MPS2,
+    EMPTY_MASS_KG,
+    MAX_DRIVE_FORCE_N,
     PARKING_DECELERATION_MPS2,
+    ROLLING_DECELERATION_MPS2,
     STEERING_RATE_DEGPS,
     TOP_SPEED_MPS,
+    Conditions,
 )
 from schemas.messages import GearPosition
 
@@ -43,10 +47,10 @@ def moving(what: Demand, seconds: float, motion: Motion | None = None) -> Motion
     return motion
 
 
-@given(st.lists(st.tuples(DEMANDS, st.integers(1, 40)), max_size=30))
-def test_no_demand_makes_it_jump(script: list[tuple[Demand, int]]) -> None:
+@given(st.lists(st.tuples(DEMANDS, st.integers(1, 40)), max_size=30), st.sampled_from([0.0, 0.3, 1.0]))
+def test_no_demand_makes_it_jump(script: list[tuple[Demand, int]], pedal_gain: float) -> None:
     """Whatever is asked for, speed, steering and their changes stay within what the machine can do."""
-    motion = Motion()
+    motion = Motion(Conditions(pedal_gain=pedal_gain))
     most_mps2 = max(
         ACCELERATION_MPS2, DECELERATION_MPS2, BRAKING_DECELERATION_MPS2 + 0.3, PARKING_DECELERATION_MPS2
     )
@@ -97,16 +101,16 @@ def test_in_neutral_it_rolls() -> None:
 
 
 def test_the_pedal_wins_over_the_drive() -> None:
-    """Braking with the speed still asked for stops it."""
-    motion = moving(demand(speed_mps=2.0), 3)
+    """Where the pedal has its gain, braking with the speed still asked for stops it."""
+    motion = moving(demand(speed_mps=2.0), 3, Motion(Conditions(pedal_gain=1.0)))
     moving(Demand(GearPosition.DRIVE, 2.0, 0.0, 100.0, parked=False), 0.7, motion)
     assert motion.speed_mps == 0
 
 
 def test_the_parking_brake_stops_it() -> None:
-    """Applied at speed, it locks the wheels."""
+    """Applied at speed, with the drive still asked for."""
     motion = moving(demand(speed_mps=2.0), 3)
-    moving(Demand(GearPosition.DRIVE, 2.0, 0.0, 0.0, parked=True), 0.55, motion)
+    moving(Demand(GearPosition.DRIVE, 2.0, 0.0, 0.0, parked=True), 0.35, motion)
     assert motion.speed_mps == 0
 
 
@@ -153,3 +157,145 @@ def test_mileage_counts_both_ways() -> None:
     there_m = motion.mileage_m
     moving(demand(GearPosition.REVERSE, 1.0), 5, motion)
     assert motion.mileage_m > there_m + 2
+
+
+GRAVITY_MPS2 = 9.81
+ROLLS = demand(GearPosition.NEUTRAL)
+PARKS = Demand(GearPosition.NEUTRAL, 0.0, 0.0, 0.0, parked=True)
+
+
+@given(slope_deg=st.floats(-30, 30), payload_kg=st.floats(0, 100))
+def test_in_neutral_it_rolls_downhill(slope_deg: float, payload_kg: float) -> None:
+    """Gravity less rolling resistance, whatever the load; where resistance holds the robot, it stands."""
+    motion = moving(ROLLS, 2, Motion(Conditions(slope_deg=slope_deg, payload_kg=payload_kg)))
+    pull_mps2 = GRAVITY_MPS2 * math.sin(math.radians(slope_deg))
+    rolls_mps2 = max(0.0, abs(pull_mps2) - ROLLING_DECELERATION_MPS2)
+    assert motion.speed_mps == pytest.approx(math.copysign(2 * rolls_mps2, -slope_deg), abs=1e-6)
+    assert motion.x_m == pytest.approx(math.copysign(rolls_mps2 * 2**2 / 2, -slope_deg), rel=0.01, abs=1e-6)
+
+
+def test_in_neutral_it_does_not_creep() -> None:
+    """On the flat it comes to rest by rolling resistance, after v^2 / 2r, and stays there."""
+    motion = moving(ROLLS, 60, moving(demand(speed_mps=1.5), 3))
+    rest_m = motion.x_m
+    assert motion.speed_mps == 0
+    assert moving(ROLLS, 60, motion).x_m == rest_m
+    assert rest_m - moving(demand(speed_mps=1.5), 3).x_m == pytest.approx(1.5**2 / 0.6, rel=0.01)
+
+
+@pytest.mark.parametrize("gear", [GearPosition.DRIVE, GearPosition.REVERSE])
+@pytest.mark.parametrize(("slope_deg", "payload_kg"), [(20, 0), (-20, 0), (18, 100), (-18, 100), (25, 0)])
+def test_in_gear_the_motor_holds_zero_speed(gear: GearPosition, slope_deg: float, payload_kg: float) -> None:
+    """Uphill and downhill, as far as the motor's force goes."""
+    motion = moving(demand(gear), 10, Motion(Conditions(slope_deg=slope_deg, payload_kg=payload_kg)))
+    assert (motion.speed_mps, motion.x_m) == (0, 0)
+
+
+@pytest.mark.parametrize(("slope_deg", "payload_kg"), [(20, 0), (15, 100)])
+def test_it_climbs_what_the_manual_says(slope_deg: float, payload_kg: float) -> None:
+    """20 deg empty and 15 deg with full payload (manual V2.0, 2.2); 20 deg with full payload is too much."""
+    assert (
+        moving(demand(speed_mps=0.5), 20, Motion(Conditions(slope_deg=slope_deg, payload_kg=payload_kg))).speed_mps
+        == 0.5
+    )
+    assert moving(demand(speed_mps=0.5), 20, Motion(Conditions(slope_deg=20.0, payload_kg=100.0))).speed_mps < 0
+
+
+def test_with_full_payload_the_motor_slips_on_20_deg() -> None:
+    """Whatever is asked for, the robot rolls back by what gravity has over resistance and the motor's force."""
+    mass_kg = EMPTY_MASS_KG + 100
+    slips_mps2 = (
+        GRAVITY_MPS2 * math.sin(math.radians(20)) - ROLLING_DECELERATION_MPS2 - MAX_DRIVE_FORCE_N / mass_kg
+    )
+    for speed_mps in (0.0, 1.0):
+        motion = moving(demand(speed_mps=speed_mps), 2, Motion(Conditions(slope_deg=20.0, payload_kg=100.0)))
+        assert slips_mps2 > 0
+        assert motion.speed_mps == pytest.approx(-2 * slips_mps2)
+
+
+def test_a_motor_that_weakens_lets_the_robot_go() -> None:
+    """On 20 deg half its force is too little; whole again, it catches the robot and holds it."""
+    motion = Motion(Conditions(slope_deg=20.0))
+    moving(demand(), 1, motion)
+    assert motion.speed_mps == 0
+    motion.conditions = Conditions(slope_deg=20.0, motor_strength=0.5)
+    moving(demand(), 1, motion)
+    pull_mps2 = GRAVITY_MPS2 * math.sin(math.radians(20))
+    assert motion.speed_mps == pytest.approx(0.5 * MAX_DRIVE_FORCE_N / EMPTY_MASS_KG + 0.3 - pull_mps2)
+    motion.conditions = Conditions(slope_deg=20.0)
+    assert moving(demand(), 1, motion).speed_mps == 0
+
+
+@given(
+    slope_deg=st.floats(-25, 20),
+    payload_kg=st.floats(0, 60),
+    gear=st.sampled_from([GearPosition.DRIVE, GearPosition.REVERSE]),
+    speeds_mps=st.lists(st.floats(0, 3), max_size=5),
+)
+def test_a_slope_that_the_motor_masters_does_not_show(
+    slope_deg: float, payload_kg: float, gear: GearPosition, speeds_mps: list[float]
+) -> None:
+    """Within its force the motor follows its target as on the flat."""
+    flat, hilly = Motion(), Motion(Conditions(slope_deg=slope_deg, payload_kg=payload_kg))
+    most_mps2 = GRAVITY_MPS2 * math.sin(math.radians(abs(slope_deg))) + 2.0 + ROLLING_DECELERATION_MPS2
+    assume(most_mps2 < hilly.conditions.drive_mps2)
+    for speed_mps in speeds_mps:
+        for motion in (flat, hilly):
+            moving(demand(gear, speed_mps), 0.5, motion)
+    assert (hilly.speed_mps, hilly.x_m) == (flat.speed_mps, flat.x_m)
+
+
+@pytest.mark.parametrize("slope_deg", [-20, 0, 20])
+@pytest.mark.parametrize("payload_kg", [0, 100])
+def test_the_parking_brake_stops_a_rolling_robot(slope_deg: float, payload_kg: float) -> None:
+    """Within v^2 / 2a of where it applies, a its grip less or more gravity; then it holds."""
+    motion = Motion(Conditions(slope_deg=slope_deg, payload_kg=payload_kg, parking_delay_s=0.0))
+    motion.adopt(speed_mps=2.0, angle_deg=0.0, gear=GearPosition.NEUTRAL, parked=False)
+    moving(PARKS, 3, motion)
+    grip_mps2 = PARKING_DECELERATION_MPS2 + GRAVITY_MPS2 * math.sin(math.radians(slope_deg))
+    assert motion.speed_mps == 0
+    assert motion.x_m == pytest.approx(2.0**2 / (2 * grip_mps2), abs=2.0 * DT_S)
+    rest_m = motion.x_m
+    assert moving(PARKS, 60, motion).x_m == rest_m
+
+
+@given(delay_steps=st.integers(1, 30), begins_parked=st.booleans())
+def test_the_parking_brake_takes_its_time(delay_steps: int, begins_parked: bool) -> None:  # noqa: FBT001
+    """To apply and to release; a demand that is taken back meanwhile has had no effect."""
+    motion = Motion(Conditions(parking_delay_s=delay_steps * DT_S))
+    motion.parked = begins_parked
+    other = PARKS if not begins_parked else ROLLS
+    same = ROLLS if not begins_parked else PARKS
+    for what, steps in ((other, delay_steps - 1), (same, 1), (other, delay_steps - 1)):
+        moving(what, steps * DT_S, motion)
+        assert motion.parked is begins_parked
+    moving(other, DT_S, motion)
+    assert motion.parked is not begins_parked
+
+
+def test_the_drive_ends_when_the_parking_brake_applies() -> None:
+    """Until then the motor goes on; and it has no force before the brake has released."""
+    motion = moving(demand(speed_mps=1.0), 3)
+    held = Demand(GearPosition.DRIVE, 1.0, 0.0, 0.0, parked=True)
+    moving(held, 0.04, motion)
+    assert motion.speed_mps == 1.0
+    moving(held, 1, motion)
+    assert (motion.speed_mps, motion.parked) == (0, True)
+    moving(demand(speed_mps=1.0), 0.04, motion)
+    assert motion.speed_mps == 0
+    assert moving(demand(speed_mps=1.0), 0.1, motion).speed_mps > 0
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.3, 1.0])
+def test_the_pedal_helps_by_its_gain(gain: float) -> None:
+    """In neutral on a slope, gravity against resistance and gain times 3 m/s^2; by default it does nothing."""
+    motion = Motion(Conditions(slope_deg=15.0, pedal_gain=gain))
+    moving(Demand(GearPosition.NEUTRAL, 0.0, 0.0, 50.0, parked=False), 2, motion)
+    rolls_mps2 = max(0.0, GRAVITY_MPS2 * math.sin(math.radians(15)) - 0.3 - 0.5 * gain * BRAKING_DECELERATION_MPS2)
+    assert motion.speed_mps == pytest.approx(-2 * rolls_mps2)
+
+
+def test_a_pedal_without_gain_leaves_the_drive_alone() -> None:
+    """It is reserved: pressing it changes nothing at all."""
+    motion = moving(Demand(GearPosition.DRIVE, 1.0, 0.0, 100.0, parked=False), 3)
+    assert motion.speed_mps == 1.0
