@@ -17,18 +17,25 @@ from recorder.review.reasoning.signals import (
     silence_ns,
 )
 from schemas.decisions import SafetyState
-from schemas.messages import Body, Drive, Mode, RobotState, Variant, WheelSpeed
+from schemas.messages import Body, Drive, Mode, RobotState, Steering, Variant, WheelSpeed
 from schemas.settings import (
     ALIVE_FAULTS,
     CHECKSUM_FAULTS,
     CHECKSUM_WINDOW_NS,
     COMMANDER_NS,
+    FROZEN_BODY_M,
     IMPLAUSIBLE_FAULTS,
     IMPLAUSIBLE_MPS,
     IMPLAUSIBLE_NS,
     IMPLAUSIBLE_RATIO,
+    OVERSPEED_MPS,
+    OVERSPEED_NS,
+    ROLLING_NS,
     SAFETY_STATE_PERIOD_NS,
     SPEED_PLAUSIBLE_MPS,
+    STANDSTILL_MPS,
+    STEERING_DEVIATION_DEG,
+    STEERING_DEVIATION_NS,
     STEERING_PLAUSIBLE_DEG,
     TICK_NS,
 )
@@ -217,8 +224,15 @@ def absurd(scene: Scene, name: str) -> Iterable[Link]:
         yield evidence(text, frame.time_ns, name=name, signal=signal, value=float(value), limit=_ABSURD[signal])
 
 
-def speeds(scene: Scene) -> list[Link]:
-    """Wheels, drive feedback and command side by side, and the limit between them."""
+_IMPLAUSIBLE: Final = f"over {IMPLAUSIBLE_MPS:g} m/s and a factor of {IMPLAUSIBLE_RATIO:g} apart for {span(IMPLAUSIBLE_NS)} is too much"
+
+ROLLING: Final = f"over {STANDSTILL_MPS:g} m/s for {span(ROLLING_NS)} where none is told is rolling"
+
+OVERSPEED: Final = f"{OVERSPEED_MPS:g} m/s over the limit in force for {span(OVERSPEED_NS)} is too fast"
+
+
+def speeds(scene: Scene, rule: str = _IMPLAUSIBLE) -> list[Link]:
+    """Wheels, drive feedback and command side by side, and the rule that they broke."""
     names = ("Auto_DriveFeedBack", "Auto_WheelSpdFeedback")
     found = [link for name in names for link in absurd(scene, name)]
     wheels, drive, state = scene.last(WheelSpeed), scene.last(Drive), _told_before(scene)
@@ -228,8 +242,7 @@ def speeds(scene: Scene) -> list[Link]:
     told = f", the gateway told it {state.said.output_speed_mps:.2f} m/s" if state is not None else ""
     text = (
         f"the rear wheels turned at {mean_mps:.2f} m/s, the drive feedback said {drive.said.speed_mps:.2f} m/s"
-        f"{told}; over {IMPLAUSIBLE_MPS:g} m/s and a factor of {IMPLAUSIBLE_RATIO:g} apart for "
-        f"{span(IMPLAUSIBLE_NS)} is too much"
+        f"{told}; {rule}"
     )
     link = evidence(
         text,
@@ -239,6 +252,26 @@ def speeds(scene: Scene) -> list[Link]:
         output_speed_mps=None if state is None else state.said.output_speed_mps,
     )
     return [*found, link]
+
+
+def steering(scene: Scene) -> list[Link]:
+    """The steering angle beside the one that was told."""
+    seen, state = scene.last(Steering), _told_before(scene)
+    if seen is None or state is None:
+        return [missing("the steering angle, or what was told, is not in the log before this")]
+    told_deg = state.said.output_angle_deg
+    text = f"the steering read {seen.said.angle_deg:.1f} deg, the gateway told it {told_deg:.1f} deg; over "
+    text += f"{STEERING_DEVIATION_DEG:g} deg apart for {span(STEERING_DEVIATION_NS)} does not follow"
+    return [evidence(text, seen.time_ns, angle_deg=seen.said.angle_deg, output_angle_deg=told_deg)]
+
+
+def mileage(scene: Scene) -> list[Link]:
+    """The mileage that stood still while the robot drove."""
+    body = scene.last(Body)
+    if body is None:
+        return [missing("no body frame is in the log before this")]
+    text = f"the mileage read {body.said.total_mileage_km:.3f} km, and did not change over {FROZEN_BODY_M:g} m"
+    return [evidence(text, body.time_ns, total_mileage_km=body.said.total_mileage_km)]
 
 
 def _told_before(scene: Scene) -> Heard[SafetyState] | None:

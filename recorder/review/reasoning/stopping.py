@@ -14,9 +14,10 @@ from schemas.reasons import Reason
 from schemas.settings import STANDSTILL_MPS, STANDSTILL_TICKS, TICK_NS
 
 _PHASES: Final = {
-    StopPhase.BRAKE: "brake pedal",
+    StopPhase.BRAKE: "zero speed",
+    StopPhase.PARK: "parking brake",
     StopPhase.NEUTRAL: "neutral",
-    StopPhase.HOLD: "parking brake",
+    StopPhase.HOLD: "hold",
     StopPhase.DISABLE: "enables off",
 }
 
@@ -105,9 +106,8 @@ def _phases(scene: Scene, stopping: Sequence[Heard[SafetyState]]) -> Iterator[Li
     for phase, words in _PHASES.items():
         if phase in begun:
             one = begun[phase]
-            pedal = f" at {one.said.brake_pedal_percent:.0f} %" if phase is StopPhase.BRAKE else ""
             after_ns = one.time_ns - scene.at_ns
-            parts.append(f"{words}{pedal} {f'after {span(after_ns)}' if after_ns > TICK_NS else 'at once'}")
+            parts.append(f"{words} {f'after {span(after_ns)}' if after_ns > TICK_NS else 'at once'}")
     if parts:
         data = {f"{phase.value}_after_s": (one.time_ns - scene.at_ns) / 1e9 for phase, one in begun.items()}
         yield Link(Step.ACTION, ", ".join(parts), next(iter(begun.values())).time_ns, data)
