@@ -41,8 +41,15 @@ USED_BITS: Final[dict[int, int]] = {
 }
 """The bits of bytes 0 to 6 that may be set, by identifier (manual V2.0, section 5)."""
 
+_UNUSED_BITS: Final = {can_id: (1 << 56) - 1 & ~bits for can_id, bits in USED_BITS.items()}
+
 REVERSE, NEUTRAL, DRIVE = 2, 3, 4
 """Raw gears. Park, 1, is reserved."""
+
+GEARS: Final = frozenset({REVERSE, NEUTRAL, DRIVE})
+
+ENABLES: Final = frozenset({0, len(MOTION)})
+"""None of the five, or all."""
 
 ANGLE_RAW: Final = range(1502, 2595)
 """-24 to 24 deg at 0.043945 deg/bit from -90 deg."""
@@ -76,10 +83,16 @@ class GateFault(msgspec.Struct, frozen=True):
     detail: str
 
 
-class _Motion(msgspec.Struct, frozen=True):
-    """The five frames of a burst, read back from their bytes."""
+class Motion(msgspec.Struct, frozen=True, gc=False):
+    """The five frames of a burst, read back from their bytes.
 
-    enables: tuple[int, ...]
+    Attributes:
+        enables: how many of the five are set.
+        gear, angle_raw, speed_raw, pedal_raw: unscaled, as in the bytes.
+        parking: the parking request.
+    """
+
+    enables: int
     gear: int
     angle_raw: int
     speed_raw: int
@@ -97,7 +110,7 @@ class Gate:
     def __init__(self) -> None:
         self.counters: dict[int, int] = {}
         self._times_ns: dict[int, deque[int]] = {can_id: deque(maxlen=RATE_FRAMES) for can_id in USED_BITS}
-        self._before: _Motion | None = None
+        self._before: Motion | None = None
         self._before_ns = 0
 
     def admit(
@@ -105,11 +118,15 @@ class Gate:
     ) -> GateFault | None:
         """Why these frames must not be sent together, or None if they may.
 
+        One stop is always admitted, whatever was admitted before: zero speed, gear and angle of the burst before,
+        the parking request, all enables and no pedal.
+
         Args:
             frames: a burst.
             variant: the scale of the speed in it.
             now_ns: monotonic.
-            stopping: they belong to a stop. Only a stop may begin with a speed, and in a stop no speed rises.
+            stopping: they belong to a stop. Only a stop may begin with a speed; in a stop no speed rises, and the
+                parking brake stays applied.
         """
         if len(frames) > BURST_MAX_FRAMES or len({frame.can_id for frame in frames}) != len(frames):
             return GateFault(0, "too many frames, or one twice")
@@ -119,8 +136,9 @@ class Gate:
                 return GateFault(frame.can_id, fault)
         if tuple(frame.can_id for frame in frames[: len(MOTION)]) != MOTION:
             return GateFault(0, "a burst begins with the five motion frames")
+        motion = read_motion(frames)
         before = self._before if now_ns - self._before_ns < FORGET_NS else None
-        fault = _motion_fault(_read(frames), before, variant, stopping=stopping)
+        fault = motion_fault(motion, variant) or step_fault(motion, before, variant, stopping=stopping)
         return GateFault(_DRIVE, fault) if fault else None
 
     def sent(self, frames: list[Frame], now_ns: int) -> None:
@@ -129,7 +147,7 @@ class Gate:
             self.counters[frame.can_id] = frame.data[6] >> 4
             self._times_ns[frame.can_id].append(now_ns)
         if len(frames) >= len(MOTION):
-            self._before = _read(frames)
+            self._before = read_motion(frames)
             self._before_ns = now_ns
 
     def pause(self) -> None:
@@ -137,29 +155,41 @@ class Gate:
         self._before = None
 
     def _frame_fault(self, frame: Frame, now_ns: int) -> str:
-        allowed = USED_BITS.get(frame.can_id)
-        if allowed is None:
+        can_id, data = frame.can_id, frame.data
+        if can_id not in USED_BITS:
             return "this identifier is not sent"
-        data = frame.data
         if len(data) != 8 or frame.fd_flags or frame.remote_length:
             return "a command frame is a classic one of 8 bytes"
-        if data[0] ^ data[1] ^ data[2] ^ data[3] ^ data[4] ^ data[5] ^ data[6] != data[7]:
-            return "the checksum is wrong"
-        if int.from_bytes(data[:7], "little") & ~allowed:
-            return "a bit is set that has no meaning"
-        last = self.counters.get(frame.can_id)
-        if last is not None and data[6] >> 4 != (last + 1) & 0xF:
-            return "the alive counter does not follow the last one"
-        times_ns = self._times_ns[frame.can_id]
+        times_ns = self._times_ns[can_id]
         if len(times_ns) == RATE_FRAMES and now_ns - times_ns[0] < RATE_WINDOW_NS:
             return "too many frames of this identifier"
-        return ""
+        return word_fault(can_id, int.from_bytes(data, "little"), self.counters.get(can_id))
 
 
-def _read(frames: list[Frame]) -> _Motion:
+def word_fault(can_id: int, word: int, last_counter: int | None) -> str:
+    """What is wrong with the eight bytes of a frame, read as one little-endian number; empty if nothing is.
+
+    Args:
+        can_id: one of ``USED_BITS``.
+        word: the bytes.
+        last_counter: the alive counter sent last under this identifier; None if none was.
+    """
+    folded = word ^ word >> 32
+    folded ^= folded >> 16
+    if (folded ^ folded >> 8) & 0xFF:
+        return "the checksum is wrong"
+    if word & _UNUSED_BITS[can_id]:
+        return "a bit is set that has no meaning"
+    if last_counter is not None and word >> 52 & 0xF != (last_counter + 1) & 0xF:
+        return "the alive counter does not follow the last one"
+    return ""
+
+
+def read_motion(frames: list[Frame]) -> Motion:
+    """What the five frames that a burst begins with say."""
     drive, gear, steering, braking, parking = (int.from_bytes(frame.data, "little") for frame in frames[:5])
-    return _Motion(
-        enables=tuple(word & 1 for word in (gear, steering, drive, braking, parking)),
+    return Motion(
+        enables=(drive & 1) + (gear & 1) + (steering & 1) + (braking & 1) + (parking & 1),
         gear=gear >> 8 & 0x7,
         angle_raw=steering >> 8 & 0xFFF,
         speed_raw=drive >> 8 & 0xFFFF,
@@ -168,34 +198,52 @@ def _read(frames: list[Frame]) -> _Motion:
     )
 
 
-def _motion_fault(motion: _Motion, before: _Motion | None, variant: Variant, *, stopping: bool) -> str:
-    """What is wrong with the five frames taken together, or with the step from those before."""
+def motion_fault(motion: Motion, variant: Variant) -> str:
+    """What is wrong with the five frames taken together; empty if nothing is."""
+    moves = motion.speed_raw > 0
     rules = (
-        (motion.gear in {REVERSE, NEUTRAL, DRIVE}, "this gear is not commanded"),
+        (motion.gear in GEARS, "this gear is not commanded"),
         (motion.angle_raw in ANGLE_RAW, "the angle is beyond 24 deg"),
         (motion.speed_raw <= SPEED_RAW_MAX[variant], "the speed is beyond what this variant may be told"),
-        (len(set(motion.enables)) == 1, "the five enables differ"),
-        (not motion.speed_raw or motion.enables[0] == 1, "a speed without the enables"),
-        (motion.gear == NEUTRAL or motion.enables[0] == 1, "a gear without the enables"),
-        (not motion.speed_raw or motion.gear != NEUTRAL, "a speed in neutral"),
-        (not motion.speed_raw or not motion.parking, "a speed against the parking brake"),
-        (not motion.speed_raw or not motion.pedal_raw, "a speed against the brake pedal"),
+        (motion.enables in ENABLES, "the five enables differ"),
+        # Disabled is neutral, neutral is parked, parked is at zero speed: each of these follows from the next.
+        (motion.gear == NEUTRAL or motion.enables, "a gear without the enables"),
+        (motion.gear != NEUTRAL or motion.parking, "neutral without the parking brake"),
+        (not moves or not motion.parking, "a speed against the parking brake"),
+        (not moves or not motion.pedal_raw, "a speed against the brake pedal"),
     )
+    return _broken(rules)
+
+
+def step_fault(motion: Motion, before: Motion | None, variant: Variant, *, stopping: bool) -> str:
+    """What is wrong with the step from one burst to the next; empty if nothing is.
+
+    Args:
+        motion: the burst; neither it nor the one before has a motion fault.
+        before: the one before; None out of silence.
+        variant: the scale of the speeds.
+        stopping: the burst belongs to a stop.
+    """
+    moves = motion.speed_raw > 0
+    if before is None:
+        return "a speed out of silence" if moves and not stopping else ""
+    rise_raw = 0 if stopping else SPEED_RISE_RAW[variant]
+    shifts = motion.gear != before.gear
+    releases = before.parking > motion.parking
+    rules = (
+        (motion.speed_raw - before.speed_raw <= rise_raw, "the speed rises too fast"),
+        (abs(motion.angle_raw - before.angle_raw) <= ANGLE_STEP_RAW, "the angle changes too fast"),
+        # Parked is at zero speed: this keeps the gear at speed as well.
+        (not shifts or motion.parking & before.parking, "the gear changes without the parking brake"),
+        (not shifts or NEUTRAL in {motion.gear, before.gear}, "the direction changes without neutral"),
+        (not releases or not stopping, "a stop releases the parking brake"),
+        (not releases or not moves, "the parking brake is released at speed"),
+    )
+    return _broken(rules)
+
+
+def _broken(rules: tuple[tuple[object, str], ...]) -> str:
     for holds, fault in rules:
         if not holds:
             return fault
-    if before is None:
-        return "" if stopping or not motion.speed_raw else "a speed out of silence"
-    return _step_fault(motion, before, 0 if stopping else SPEED_RISE_RAW[variant])
-
-
-def _step_fault(motion: _Motion, before: _Motion, rise_raw: int) -> str:
-    rises = motion.speed_raw - before.speed_raw
-    shifts = motion.gear != before.gear
-    rules = (
-        (rises <= rise_raw, "the speed rises too fast"),
-        (abs(motion.angle_raw - before.angle_raw) <= ANGLE_STEP_RAW, "the angle changes too fast"),
-        (not shifts or not before.speed_raw, "the gear changes at speed"),
-        (not shifts or NEUTRAL in {motion.gear, before.gear}, "the direction changes without neutral"),
-    )
-    return next((fault for holds, fault in rules if not holds), "")
+    return ""

@@ -249,9 +249,12 @@ def test_each_combination_of_enables() -> None:
     ("changes", "why"),
     [
         ({}, ""),
-        ({"enabled": False}, "a speed without the enables"),
+        ({"enabled": False}, "a gear without the enables"),
         ({"enabled": False, "speed_mps": 0.0}, "a gear without the enables"),
-        ({"gear": GearPosition.NEUTRAL}, "a speed in neutral"),
+        ({"enabled": False, "gear": GearPosition.NEUTRAL}, "neutral without the parking brake"),
+        ({"gear": GearPosition.NEUTRAL}, "neutral without the parking brake"),
+        ({"gear": GearPosition.NEUTRAL, "speed_mps": 0.0}, "neutral without the parking brake"),
+        ({"gear": GearPosition.NEUTRAL, "parking": True}, "a speed against the parking brake"),
         ({"parking": True}, "a speed against the parking brake"),
         ({"pedal_percent": 0.4}, "a speed against the brake pedal"),
     ],
@@ -287,18 +290,39 @@ def test_an_angle_changes_by_steps(sign: int) -> None:
         assert bench.offer(bench.burst(actuation)).startswith(why), bits
 
 
-def test_the_gear_changes_at_zero_speed_and_through_neutral() -> None:
-    """Row 'reversal of direction'."""
+def test_the_gear_changes_through_neutral_behind_the_parking_brake() -> None:
+    """Row 'reversal of direction': a robot on a slope never stands in neutral unbraked."""
     bench = Bench()
     slow = msgspec.structs.replace(DRIVING, speed_mps=0.04)
     still = msgspec.structs.replace(DRIVING, speed_mps=0.0)
-    back = msgspec.structs.replace(still, gear=GearPosition.REVERSE)
+    parked = msgspec.structs.replace(still, parking=True)
+    back = msgspec.structs.replace(parked, gear=GearPosition.REVERSE)
+    away = msgspec.structs.replace(back, parking=False)
+    for actuation, why in (
+        (slow, ""),
+        (REST, "the gear changes without the parking brake"),
+        (parked, ""),
+        (back, "the direction changes without neutral"),
+        (away, "the gear changes without the parking brake"),
+        (REST, ""),
+        (away, "the gear changes without the parking brake"),
+        (back, ""),
+        (away, ""),
+    ):
+        assert bench.offer(bench.burst(actuation)) == why
+
+
+def test_the_parking_brake_is_released_in_gear_at_zero_speed_and_not_in_a_stop() -> None:
+    """Rows 'standing' and 'stop': the brake is released first, and the speed comes after."""
+    bench = Bench()
+    parked = msgspec.structs.replace(DRIVING, speed_mps=0.0, parking=True)
+    slow = msgspec.structs.replace(DRIVING, speed_mps=0.04)
+    released = msgspec.structs.replace(DRIVING, speed_mps=0.0)
+    assert bench.offer(bench.burst(parked)) == ""
+    assert bench.offer(bench.burst(slow)) == "the parking brake is released at speed"
+    assert bench.offer(bench.burst(released), stopping=True) == "a stop releases the parking brake"
+    assert bench.offer(bench.burst(released)) == ""
     assert bench.offer(bench.burst(slow)) == ""
-    assert bench.offer(bench.burst(REST)) == "the gear changes at speed"
-    assert bench.offer(bench.burst(still)) == ""
-    assert bench.offer(bench.burst(back)) == "the direction changes without neutral"
-    assert bench.offer(bench.burst(REST)) == ""
-    assert bench.offer(bench.burst(back)) == ""
 
 
 def test_what_follows_a_pause_begins_anew() -> None:
