@@ -162,15 +162,22 @@ class Core:
             self._journal.add((Kind.LINKS, now_ns, *told))
         self._told = told
 
-    def tick(self, now_ns: int, wall_ns: int, late_ns: int) -> Due:
-        """Every 10 ms. Returns what is due: commands, raw frames, state, health."""
+    def tick(self, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes) -> Due:
+        """Every 10 ms. Returns what is due: commands, raw frames, state, health.
+
+        Args:
+            now_ns: monotonic.
+            wall_ns: since 1970.
+            late_ns: how much after its time this tick begins.
+            challenge: random bytes that were never given before; a command that echoes them was made after this.
+        """
         self._health.tick_lateness(late_ns)
         for stream in self._streams.values():
             if now_ns > stream.supervisor.overdue_ns:
                 stream.tick(now_ns)
         due = Due([], [], [], [])
         if self.command is not None:
-            self._command(self.command, due, now_ns, wall_ns, late_ns)
+            self._command(self.command, due, now_ns, wall_ns, late_ns, challenge)
         if now_ns >= self._batch_due_ns:
             self._batch_due_ns = _next_due(self._batch_due_ns, BATCH_PERIOD_NS, now_ns)
             self._take_batches(due.samples, wall_ns)
@@ -233,15 +240,17 @@ class Core:
         """Nothing is sent on the bus."""
         return self.command is None or self.command.arbiter.state is ArbiterState.STANDBY
 
-    def _command(self, command: CommandFlow, due: Due, now_ns: int, wall_ns: int, late_ns: int) -> None:
+    def _command(
+        self, command: CommandFlow, due: Due, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes
+    ) -> None:
         if self._journal is not None:
             if now_ns >= self._rest_due_ns:
                 self._remember(command, self._journal, now_ns)
-            self._journal.add((Kind.TICK, now_ns, wall_ns, late_ns))
+            self._journal.add((Kind.TICK, now_ns, wall_ns, late_ns, challenge))
         links, controller = self._links, self._health.controller
         observed = self._observer.observe(links, controller, self.variant, self._commander_ns, now_ns)
         requests, self._requests = self._requests, []
-        commanded = command.tick(observed, requests, now_ns, wall_ns, late_ns)
+        commanded = command.tick(observed, requests, now_ns, wall_ns, late_ns, challenge)
         due.frames = self._offered = commanded.frames
         due.replies = commanded.replies
         due.samples += [_sample(message) for message in commanded.messages]

@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import msgspec
 
+from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Journal
 from schemas.messages import SEQUENCE_MAX
 
@@ -27,7 +28,7 @@ class Kind(IntEnum):
     LINKS = 2
     """bus_up, bus_losses, guarded, guard_sends, guard_stops, is_behind; only when one of them has changed"""
     TICK = 3
-    """wall_ns, late_ns"""
+    """wall_ns, late_ns, challenge; under rules 1 without the challenge"""
     SENT = 4
     """count, wall_ns"""
     SHUT_DOWN = 5
@@ -64,6 +65,7 @@ class JournalWriter:
             first=self._first,
             count=len(inputs),
             inputs=_ENCODER.encode(inputs),
+            rules=COMMAND_RULES,
         )
         self._first += len(inputs)
         self._sequence = (self._sequence + 1) & SEQUENCE_MAX

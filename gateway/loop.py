@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import logging
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,6 +20,7 @@ from gateway.guard.beat import GuardView
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas.decisions import Severity
+from schemas.requests import CHALLENGE_BYTES
 from schemas.settings import BEHIND_NS, LATE_NS, LATE_TOLD_NS, LOOP_LATE_STOP_NS, REST_TIMEOUT_NS, TICK_NS
 
 log = logging.getLogger(__name__)
@@ -189,7 +191,7 @@ def _tick(around: Surroundings, core: Core, links: Links, now_ns: int, late_ns: 
     if inbox is not None:
         for request in inbox.drain(core.lease_holder):
             core.receive_request(request, now_ns)
-    due = core.tick(now_ns, time.time_ns(), late_ns)
+    due = core.tick(now_ns, time.time_ns(), late_ns, os.urandom(CHALLENGE_BYTES))
     # Asked once more, right before: this process may have been stopped since, for longer than the guard needs.
     seen = around.guard.look() if around.guard is not None else NO_GUARD
     is_ours = not seen.is_sending and seen.stops == links.guard_stops

@@ -16,8 +16,10 @@ from gateway.core import Core, Due
 from gateway.journal import BrokenJournalError, Input, Kind, follow, inputs_of
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
+from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Journal
 from schemas.messages import ControllerState
+from schemas.requests import CHALLENGE_BYTES
 from schemas.settings import Settings
 
 WARM_UP_NS: Final = 3_000_000_000
@@ -59,7 +61,8 @@ def rerun(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
     Args:
         settings: those of the run, or others.
         journals: of one run, in their order and without a gap; they may come bit by bit. Where they do not begin
-            with the run's first input, it is run again from the first place of rest.
+            with the run's first input, it is run again from the first place of rest; but of a run that was made
+            under other rules, which remembered other things, there is none.
 
     Raises:
         BrokenJournalError: an input cannot be given to a core, or some are missing.
@@ -90,7 +93,7 @@ def run_of(journals: Iterable[Journal]) -> Run | None:
         while one[1] - warm_up[0][1] > WARM_UP_NS:
             warm_up.popleft()
             is_warm = True
-        if is_warm and one[0] == Kind.REST:
+        if is_warm and one[0] == Kind.REST and first.rules == COMMAND_RULES:
             return Run(first.run, warm_up[0][1], inputs, tuple(warm_up))
     return None
 
@@ -106,7 +109,7 @@ def rests(journal: Journal) -> list[int]:
         BrokenJournalError: it cannot be read.
     """
     # Most hold none, and looking through their inputs takes much longer.
-    if _REST_BEGINS not in journal.inputs:
+    if journal.rules != COMMAND_RULES or _REST_BEGINS not in journal.inputs:
         return []
     # The tick in which it was is the next input, and tells the time of day.
     return [tick[2] for one, tick in pairwise(inputs_of(journal)) if one[0] == Kind.REST]
@@ -169,8 +172,9 @@ def _as_links(told: Sequence[Any]) -> Links:
     )
 
 
-def _tick(core: Core, now_ns: int, wall_ns: int, late_ns: int) -> Due:
-    return core.tick(now_ns, wall_ns, late_ns)
+def _tick(core: Core, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes = b"") -> Due:
+    # Under rules 1 there was none; whatever nobody echoes will do.
+    return core.tick(now_ns, wall_ns, late_ns, challenge or now_ns.to_bytes(CHALLENGE_BYTES))
 
 
 def _sent(core: Core, now_ns: int, count: int, wall_ns: int) -> list[Sample]:

@@ -3,12 +3,12 @@
 Both runs get the same inputs at the same times. Where the other one tells the chassis something else, a virtual
 chassis answers in place of the recorded one, until both robots stand again with nobody in command: see
 ``gateway.sim.stand_in``. What people would have done otherwise nobody knows: the requests stay as recorded, but
-for the numbers that the arbiter gave out itself, the lease and the tick to echo.
+for what the arbiter gave out itself, the lease and the challenge to echo.
 """
 
 from __future__ import annotations
 
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Iterable, Iterator
 from typing import Final
 
@@ -31,7 +31,7 @@ _REST_NS: Final = 100_000_000
 
 SAFETY_STATE: Final = "safety/state"
 
-_TICKS_KEPT: Final = 200
+_CHALLENGES_KEPT: Final = 500
 """Ten seconds of them. A command that echoes an older one is refused for its age in any case."""
 
 _COUNTED_BYTES: Final = 6
@@ -135,18 +135,25 @@ class _Pair:
 class _Echo:
     """Requests as their senders would have sent them, had they heard the other arbiter.
 
-    A drive echoes the newest tick that was published, and everything names the lease that was given. The two
-    arbiters publish at other ticks, and may have given another lease.
+    A drive echoes the newest challenge that was published, and everything names the lease that was given. The two
+    arbiters publish in other ticks, and may have given another lease.
     """
 
     def __init__(self, core: Core, other: Core) -> None:
         self._core = core
         self._other = other
-        self._ticks: dict[bool, deque[int]] = {False: deque(maxlen=_TICKS_KEPT), True: deque(maxlen=_TICKS_KEPT)}
+        self._recorded: OrderedDict[bytes, int] = OrderedDict()
+        self._published: deque[_State] = deque(maxlen=_CHALLENGES_KEPT)
 
     def published(self, sample: Sample, *, is_other: bool) -> None:
         """A safety/state went out."""
-        self._ticks[is_other].append(_TICK.decode(sample.payload).tick)
+        state = _STATE.decode(sample.payload)
+        if is_other:
+            self._published.append(state)
+            return
+        self._recorded[state.challenge] = state.tick
+        if len(self._recorded) > _CHALLENGES_KEPT:
+            self._recorded.popitem(last=False)
 
     def asked(self, one: Input) -> Input:
         """The request, with the numbers that the other arbiter gave out."""
@@ -158,9 +165,11 @@ class _Echo:
         if not isinstance(request, dict):
             return one
         changed = dict(request)
-        if request.get("tick") in self._ticks[False]:
-            heard = [tick for tick in self._ticks[True] if tick <= request["tick"]]
-            changed["tick"] = heard[-1] if heard else request["tick"]
+        challenge = request.get("challenge")
+        tick = self._recorded.get(challenge) if isinstance(challenge, bytes) else None
+        if tick is not None:
+            seen = [state.challenge for state in self._published if state.tick <= tick]
+            changed["challenge"] = seen[-1] if seen else challenge
         lease, other = _lease(self._core), _lease(self._other)
         if (
             lease is not None
@@ -181,9 +190,10 @@ def _lease(core: Core) -> Lease | None:
 
 class _State(msgspec.Struct):
     tick: int
+    challenge: bytes
 
 
-_TICK: Final = msgspec.msgpack.Decoder(_State)
+_STATE: Final = msgspec.msgpack.Decoder(_State)
 
 
 def _told(frames: list[Frame]) -> list[tuple[int, bytes]]:

@@ -19,7 +19,7 @@ from schemas.messages import (
     unit_keyword,
 )
 from schemas.reasons import Reason
-from schemas.requests import LeaseNumber, Role, Tick
+from schemas.requests import Challenge, LeaseNumber, Role, Tick
 
 AccelerationMps2 = Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("m/s2"))]
 AngleRateDegps = Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("deg/s"))]
@@ -129,7 +129,7 @@ class SafetyState(Message, frozen=True):
     """The arbiter, at 20 Hz and whenever something changes.
 
     Attributes:
-        tick: echo the newest one in each drive command; it tells the arbiter how old the command can be.
+        tick: the arbiter's tick, which people tell states apart by.
         engaged: drive commands are obeyed.
         stop_reason: why the stop that is under way, or the last one, was begun.
         stop_phase: how far it has come.
@@ -144,7 +144,10 @@ class SafetyState(Message, frozen=True):
         output_speed_mps: what the chassis is told; forward is positive.
         output_gear: undefined while nothing is sent.
         parking: the parking brake is asked for.
+        challenge: echo the newest one in each drive command; it tells the arbiter how old the command can be.
     """
+
+    version: ClassVar[int] = 2
 
     tick: Tick
     state: ArbiterState
@@ -171,6 +174,7 @@ class SafetyState(Message, frozen=True):
     output_gear: GearPosition
     brake_pedal_percent: PedalPercent
     parking: bool
+    challenge: Challenge
 
 
 class Decision(Message, frozen=True):
@@ -181,7 +185,7 @@ class Decision(Message, frozen=True):
         request: the verb.
         lease: the lease that the request names; null if it names none.
         request_sequence: a drive command's ``seq``; null for every other request.
-        age_ms: at most this old, by the echoed tick; null if that is not known, or not asked.
+        age_ms: at most this old, by the echoed challenge; null if that is not known, or not asked.
         bound_by: the limits that changed what was asked.
         requested_speed_mps: a drive command's; null for every other request.
         requested_angle_deg: the same, as a steering angle.
@@ -231,9 +235,13 @@ class Journal(Message, frozen=True):
         first: the place of the first input in the order, from 0; a gap between two messages is a loss.
         count: how many inputs there are.
         inputs: a MessagePack array of arrays: the kind, the monotonic time in nanoseconds, and the arguments.
+        rules: the number of the command rules by which it was decided; 0 in logs from before they had one.
     """
+
+    version: ClassVar[int] = 2
 
     run: Count
     first: Count
     count: Count
     inputs: bytes
+    rules: Count = 0

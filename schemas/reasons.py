@@ -29,7 +29,7 @@ class Reason(Enum):
 
     # The age of a command.
     SEQUENCE = "sequence"
-    TICK_UNKNOWN = "tick_unknown"
+    CHALLENGE_UNKNOWN = "challenge_unknown"
     TOO_OLD = "too_old"
     DEADMAN = "deadman"
 
@@ -74,6 +74,9 @@ class Reason(Enum):
     UNGUARDED = "unguarded"
     SHUTDOWN = "shutdown"
 
+    # Last, because a log holds a reason by its place.
+    LINK_TOO_SLOW = "link_too_slow"
+
 
 class Text(msgspec.Struct, frozen=True):
     """A reason in words.
@@ -110,11 +113,11 @@ TEXTS: Final[dict[Reason, Text]] = {
     Reason.LEASE_RELEASED: Text("the lease was given back", "acquire the lease again"),
     Reason.LEASE_EXPIRED: Text("the lease was not renewed in time", "acquire the lease again; renew it or drive"),
     Reason.SEQUENCE: Text("the sequence number does not rise", "let seq rise with each drive command of a lease"),
-    Reason.TICK_UNKNOWN: Text(
-        "the echoed tick was not published lately, so the command's age is not known",
-        "echo the newest tick of safety/state",
+    Reason.CHALLENGE_UNKNOWN: Text(
+        "the echoed challenge was not published lately, so the command's age is not known",
+        "echo the newest challenge of safety/state",
     ),
-    Reason.TOO_OLD: Text("the command is too old", "echo the newest tick of safety/state; mend the link"),
+    Reason.TOO_OLD: Text("the command is too old", "echo the newest challenge of safety/state; mend the link"),
     Reason.DEADMAN: Text(
         "no acceptable drive command came in time", "keep the stream of drive commands, and engage"
     ),
@@ -178,6 +181,9 @@ TEXTS: Final[dict[Reason, Text]] = {
         "gateway.accept_unguarded",
     ),
     Reason.SHUTDOWN: Text("the gateway is ending", "wait until it is back"),
+    Reason.LINK_TOO_SLOW: Text(
+        "the link is too slow to drive over", "echo the newest challenge of safety/state, over a faster link"
+    ),
 }
 """Every reason in words; a test holds that none is missing."""
 

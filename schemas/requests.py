@@ -19,8 +19,18 @@ LEASE_MAX: Final = 2**53 - 1
 
 TICK_MAX: Final = 2**53 - 1
 
+CHALLENGE_BYTES: Final = 8
+
 LeaseNumber = Annotated[int, Meta(ge=0, le=LEASE_MAX, description="The number that acquire or take gave.")]
 Tick = Annotated[int, Meta(ge=0, le=TICK_MAX)]
+Challenge = Annotated[
+    bytes,
+    Meta(
+        min_length=CHALLENGE_BYTES,
+        max_length=CHALLENGE_BYTES,
+        description=f"{CHALLENGE_BYTES} random bytes, drawn anew for each safety/state.",
+    ),
+]
 CurvatureInverseM = Annotated[
     float, Meta(description="One over the radius; left is positive.", extra_json_schema=unit_keyword("1/m"))
 ]
@@ -80,9 +90,14 @@ class Engage(Leased, frozen=True, forbid_unknown_fields=True):
     """Take command of the chassis, standing still. The reply comes when the chassis reads auto, or when it failed.
 
     Attributes:
+        challenge: the newest one of ``safety/state`` that the sender saw; a link over which it comes too old is
+            too slow to drive over.
         speed_limit_mps: a lower speed limit than the configured one, until the robot is disengaged.
     """
 
+    version: ClassVar[int] = 2
+
+    challenge: Challenge
     speed_limit_mps: SpeedMps | None = None
 
 
@@ -94,11 +109,13 @@ class Reset(Leased, frozen=True, forbid_unknown_fields=True):
     """Clear what is latched, once its cause is gone and the robot stands.
 
     Attributes:
-        tick: the newest tick that the sender saw. With it a reset never clears what was latched after that, nor
-            comes late; without it only what was latched a moment ago is kept.
+        challenge: the newest one of ``safety/state`` that the sender saw. With it a reset never clears what was
+            latched after that, nor comes late; without it only what was latched a moment ago is kept.
     """
 
-    tick: Tick | None = None
+    version: ClassVar[int] = 2
+
+    challenge: Challenge | None = None
 
 
 class Park(Leased, frozen=True, forbid_unknown_fields=True):
@@ -139,14 +156,18 @@ class Drive(Leased, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         seq: rises by at least 1 with each command of a lease.
-        tick: the newest ``tick`` of ``safety/state`` that the sender has seen; it bounds the command's age.
+        challenge: the newest one of ``safety/state`` that the sender has seen; it bounds the command's age.
         speed_mps: forward is positive.
         angle_deg: steering angle of the bicycle model.
+        tick: the ``tick`` beside that challenge, for people who read a recording. Nothing depends on it.
     """
 
+    version: ClassVar[int] = 2
+
     seq: Annotated[int, Meta(ge=0, le=2**53 - 1)]
-    tick: Tick
+    challenge: Challenge
     speed_mps: SpeedMps
     angle_deg: AngleDeg | None = None
     curvature_1pm: CurvatureInverseM | None = None
     yaw_rate_radps: YawRateRadps | None = None
+    tick: Tick | None = None

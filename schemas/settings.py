@@ -404,7 +404,7 @@ class CommandSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.3
     max_age_s: Annotated[
         float, Meta(ge=0.1, le=1.0, description="s; a drive command that may be older, by its echo, is refused")
-    ] = 0.4
+    ] = 1.0
     speed_limit_mps: Annotated[float, Meta(ge=0.05, le=2.222, description="m/s; highest speed, either way")] = (
         2.222
     )

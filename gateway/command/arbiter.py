@@ -16,7 +16,7 @@ from gateway.command import verbs
 from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.auxiliary import Auxiliary
 from gateway.command.causes import STOPS, Stop, Watch
-from gateway.command.freshness import TickLog
+from gateway.command.freshness import ChallengeLog
 from gateway.command.handover import Handover, may_be_stopped
 from gateway.command.lease import LeaseDesk
 from gateway.command.limits import Limits
@@ -45,7 +45,7 @@ class Arbiter:
         state: where it is in the table of states.
         desk: the lease.
         watch: the chassis as it is seen.
-        ticks: when each tick was published.
+        challenges: when each challenge was published.
         tick_number: rises with each tick, from a number that differs with each run.
         limits: those in force.
         motion: what the chassis is being told while engaged.
@@ -74,7 +74,7 @@ class Arbiter:
         self.tick_number = random.getrandbits(_TICK_BITS)
         self.desk = LeaseDesk(round(self.settings.lease_s * _NS_PER_S), random)
         self.watch = Watch()
-        self.ticks = TickLog()
+        self.challenges = ChallengeLog()
         self.auxiliary = Auxiliary()
         self.state = ArbiterState.STANDBY
         self.configured_limits = self.limits = Limits.of(self.settings)

@@ -59,14 +59,22 @@ class CommandFlow:
         self._outcome: Outcome | None = None
         self._offered: list[Frame] = []
 
-    def tick(self, observed: Observed, requests: list[RawRequest], now_ns: int, wall_ns: int, late_ns: int) -> Due:
-        """Ten milliseconds have passed; see ``Arbiter.tick``."""
+    def tick(
+        self,
+        observed: Observed,
+        requests: list[RawRequest],
+        now_ns: int,
+        wall_ns: int,
+        late_ns: int,
+        challenge: bytes,
+    ) -> Due:
+        """Ten milliseconds have passed; see ``Arbiter.tick``. The challenge is for a state that is due."""
         outcome = self._outcome = self.arbiter.tick(observed, requests, now_ns, late_ns)
         self._offered = self._frames(outcome, now_ns)
         if outcome.judged or outcome.events or outcome.actuation is not None:
             self.busy_ns = now_ns
         messages: list[Message] = [self.reporter.event(event, wall_ns) for event in outcome.events]
-        state = self.reporter.state(now_ns, wall_ns)
+        state = self.reporter.state(now_ns, wall_ns, challenge)
         if state is not None:
             messages.append(state)
         replies = [

@@ -51,8 +51,8 @@ class Reporter:
         self.state_due_ns = state_due_ns
         self._said = self._says(self._blocked_by(now_ns))
 
-    def state(self, now_ns: int, wall_ns: int) -> SafetyState | None:
-        """The arbiter's state, if it is due or something has changed. Its tick counts as published."""
+    def state(self, now_ns: int, wall_ns: int, challenge: bytes) -> SafetyState | None:
+        """The arbiter's state, if it is due or something has changed. Only then is the challenge published."""
         arbiter = self._arbiter
         blocked_by = self._blocked_by(now_ns)
         lease = arbiter.desk.lease
@@ -61,7 +61,7 @@ class Reporter:
             return None
         self._said = says
         self.state_due_ns = now_ns + SAFETY_STATE_PERIOD_NS
-        arbiter.ticks.publish(arbiter.tick_number, now_ns)
+        arbiter.challenges.publish(challenge, now_ns)
         limits = arbiter.limits if arbiter.state in COMMANDING else arbiter.configured_limits
         told = arbiter.actuation
         output = told or AT_REST
@@ -93,6 +93,7 @@ class Reporter:
             output_gear=told.gear if told is not None else GearPosition.UNDEFINED,
             brake_pedal_percent=output.pedal_percent,
             parking=output.parking,
+            challenge=challenge,
         )
 
     def decision(self, judged: Judged, bounds: list[Bound], frames_sent: int, wall_ns: int) -> Decision:

@@ -40,7 +40,8 @@ class Ruling(msgspec.Struct, frozen=True):
         is_pending: accepted; the reply comes later, when it is known what became of it.
         lease: what the request names, or what was given.
         expires_ns: how long the lease lasts from now.
-        sequence, age_ns, asked: a drive command's.
+        sequence, asked: a drive command's.
+        age_ns: how old it can be at most, where it echoes a challenge that is known.
     """
 
     reason: Reason = Reason.NONE

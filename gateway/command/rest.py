@@ -24,7 +24,7 @@ class Rest(msgspec.Struct, frozen=True, array_like=True):
 
     Attributes:
         tick_number: of the last tick.
-        ticks: number and monotonic time of the ticks that were published lately.
+        challenges: those that were published lately, each with its monotonic time.
         leases: how many leases were given in this run.
         ended: the leases that ended last, and why.
         stop_reason: why the last stop was begun.
@@ -35,7 +35,7 @@ class Rest(msgspec.Struct, frozen=True, array_like=True):
     """
 
     tick_number: int
-    ticks: list[tuple[int, int]]
+    challenges: list[tuple[bytes, int]]
     leases: int
     ended: list[tuple[int, str]]
     stop_reason: str
@@ -70,7 +70,7 @@ def memory_of(flow: CommandFlow) -> Rest:
     arbiter = flow.arbiter
     return Rest(
         tick_number=arbiter.tick_number,
-        ticks=arbiter.ticks.published,
+        challenges=arbiter.challenges.published,
         leases=arbiter.desk.given,
         ended=[(number, reason.value) for number, reason in arbiter.desk.ended],
         stop_reason=arbiter.stop_reason.value,
@@ -93,7 +93,7 @@ def recall(flow: CommandFlow, rest: Rest, now_ns: int) -> None:
     """
     arbiter = flow.arbiter
     arbiter.tick_number = rest.tick_number
-    arbiter.ticks.recall(rest.ticks)
+    arbiter.challenges.recall(rest.challenges)
     arbiter.desk.recall(rest.leases, [(number, Reason(reason)) for number, reason in rest.ended])
     arbiter.stop_reason = Reason(rest.stop_reason)
     arbiter.parked = rest.parked

@@ -150,11 +150,20 @@ def _engage(arbiter: Arbiter, request: requests.Engage, operator: str, now_ns: i
         others = ", ".join(blocker.value for blocker in blockers[1:])
         detail = "; ".join(filter(None, (named, f"and {others}" if others else "")))
         return Ruling(blockers[0], detail, lease=request.lease)
+    age_ns = arbiter.challenges.age_ns(request.challenge, now_ns)
+    if isinstance(age_ns, Reason):
+        return Ruling(age_ns, lease=request.lease)
+    if age_ns > arbiter.settings.max_age_s * 1e9:
+        return Ruling(Reason.LINK_TOO_SLOW, _age_text(arbiter, age_ns), lease=request.lease, age_ns=age_ns)
     if request.speed_limit_mps is not None and request.speed_limit_mps <= 0:
         return Ruling(Reason.MALFORMED, "speed_limit_mps must be above zero", lease=request.lease)
     arbiter.desk.renew(now_ns)
     arbiter.begin_engaging(arbiter.configured_limits.lowered(request.speed_limit_mps), now_ns)
-    return Ruling(is_pending=True, lease=request.lease)
+    return Ruling(is_pending=True, lease=request.lease, age_ns=age_ns)
+
+
+def _age_text(arbiter: Arbiter, age_ns: int) -> str:
+    return f"{age_ns / 1e6:.0f} ms, at most {arbiter.settings.max_age_s * 1e3:.0f} ms"
 
 
 def _disengage(arbiter: Arbiter, request: requests.Disengage, operator: str, now_ns: int) -> Ruling:
@@ -173,7 +182,7 @@ def _reset(arbiter: Arbiter, request: requests.Reset, operator: str, now_ns: int
         # Whoever sent this reset cannot have seen the newest cause yet.
         detail = f"latched {latched_for_ns / 1e6:.0f} ms ago; a reset counts after {RESET_MIN_NS / 1e6:.0f} ms"
         return Ruling([*arbiter.latched][-1], detail, lease=request.lease)
-    unseen = _unseen_reason(arbiter, request.tick, now_ns)
+    unseen = _unseen_reason(arbiter, request.challenge, now_ns)
     if unseen is not Reason.NONE:
         return Ruling(unseen, "it was made before this was to be seen", lease=request.lease)
     arbiter.watch.acknowledge(arbiter.latched)
@@ -186,11 +195,11 @@ def _reset(arbiter: Arbiter, request: requests.Reset, operator: str, now_ns: int
     return Ruling(detail=cleared, lease=request.lease)
 
 
-def _unseen_reason(arbiter: Arbiter, tick: int | None, now_ns: int) -> Reason:
-    """Why a reset that echoes this tick may not be meant for all that is latched."""
-    if tick is None:
+def _unseen_reason(arbiter: Arbiter, challenge: bytes | None, now_ns: int) -> Reason:
+    """Why a reset that echoes this challenge may not be meant for all that is latched."""
+    if challenge is None:
         return Reason.NONE
-    age_ns = arbiter.ticks.age_ns(tick, now_ns)
+    age_ns = arbiter.challenges.age_ns(challenge, now_ns)
     if isinstance(age_ns, Reason):
         return age_ns
     if age_ns > arbiter.settings.max_age_s * 1e9:
@@ -265,7 +274,7 @@ def _drive(arbiter: Arbiter, request: requests.Drive, operator: str, now_ns: int
     del operator
     asked_deg = steering_angle_deg(request)
     asked = Target(request.speed_mps, asked_deg) if isinstance(asked_deg, float) else None
-    age_ns = arbiter.ticks.age_ns(request.tick, now_ns)
+    age_ns = arbiter.challenges.age_ns(request.challenge, now_ns)
     known_age_ns = age_ns if isinstance(age_ns, int) else None
 
     def ruled(reason: Reason, detail: str = "") -> Ruling:
@@ -274,9 +283,9 @@ def _drive(arbiter: Arbiter, request: requests.Drive, operator: str, now_ns: int
     if request.seq <= arbiter.last_sequence:
         return ruled(Reason.SEQUENCE, f"{request.seq} after {arbiter.last_sequence}")
     if isinstance(age_ns, Reason):
-        return ruled(age_ns, f"tick {request.tick}")
+        return ruled(age_ns)
     if age_ns > arbiter.settings.max_age_s * 1e9:
-        return ruled(Reason.TOO_OLD, f"{age_ns / 1e6:.0f} ms, at most {arbiter.settings.max_age_s * 1e3:.0f} ms")
+        return ruled(Reason.TOO_OLD, _age_text(arbiter, age_ns))
     if asked is None:
         return ruled(Reason.MALFORMED, str(asked_deg))
     # From here on the command is known to be fresh and its holder's: the holder is there, whatever the state is.

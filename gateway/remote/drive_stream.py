@@ -1,4 +1,4 @@
-"""The stream of drive commands of one lease: set points that age, the sequence, the echoed tick. Pure.
+"""The stream of drive commands of one lease: set points that age, the sequence, the echoed challenge. Pure.
 
 What is heard of the robot goes in with ``see``; ``command`` says what to send now, or that nothing is to be sent.
 """
@@ -23,8 +23,8 @@ HOLD_S: Final = 0.5
 HOLD_MAX_S: Final = 2.0
 """No set point holds for longer: a program that hangs shall not drive on."""
 
-TICK_STALE_NS: Final = 400_000_000
-"""A command that echoes a tick heard longer ago than this would be refused, so it is not sent."""
+STALE_NS: Final = 1_000_000_000
+"""A command that echoes a challenge received longer ago than this would be refused, so it is not sent."""
 
 SILENT_NS: Final = 1_000_000_000
 """A robot whose safety/state was not heard for this long is out of reach."""
@@ -38,11 +38,12 @@ class SetPoint(msgspec.Struct, frozen=True):
     curvature_1pm: float | None = None
     yaw_rate_radps: float | None = None
 
-    def command(self, lease: int, seq: int, tick: int) -> Drive:
+    def command(self, lease: int, seq: int, challenge: bytes, tick: int) -> Drive:
         """The drive command that asks for it."""
         return Drive(
             lease=lease,
             seq=seq,
+            challenge=challenge,
             tick=tick,
             speed_mps=self.speed_mps,
             angle_deg=self.angle_deg,
@@ -117,7 +118,7 @@ class DriveStream:
         """
         if not 0 < hold_s <= HOLD_MAX_S:
             raise ValueError(f"hold_s must be above 0 and at most {HOLD_MAX_S:g} s")
-        angle_deg = steering_angle_deg(set_point.command(0, 0, 0))
+        angle_deg = steering_angle_deg(set_point.command(0, 0, b"", 0))
         if isinstance(angle_deg, str):
             raise ValueError(angle_deg)  # noqa: TRY004 - it is the value that is wrong
         self._set_point = set_point
@@ -147,10 +148,10 @@ class DriveStream:
     def command(self, now_ns: int) -> Drive | None:
         """The drive command to send now, or None if none is to be sent."""
         state = self._state
-        if state is None or not self.is_wanted or now_ns - self._seen_ns > TICK_STALE_NS:
+        if state is None or not self.is_wanted or now_ns - self._seen_ns > STALE_NS:
             return None
         self._sequence += 1
-        return self._in_force(state, now_ns).command(self.lease, self._sequence, state.tick)
+        return self._in_force(state, now_ns).command(self.lease, self._sequence, state.challenge, state.tick)
 
     def take_note(self) -> str:
         """What the program should know, once; empty if there is nothing."""
@@ -164,7 +165,7 @@ class DriveStream:
             return SetPoint(0.0, angle_deg=state.output_angle_deg)
         if now_ns < self._until_ns or not wanted.speed_mps:
             return wanted
-        angle_deg = steering_angle_deg(wanted.command(0, 0, 0))
+        angle_deg = steering_angle_deg(wanted.command(0, 0, b"", 0))
         self._set_point = SetPoint(0.0, angle_deg=angle_deg if isinstance(angle_deg, float) else 0.0)
         self._note = "the set point was not renewed in time: zero speed"
         return self._set_point

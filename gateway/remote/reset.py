@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     """
     with connect(arguments, settings, stopped) as robot:
         if arguments.lease is not None:
-            cleared = robot.ask(Reset(lease=arguments.lease, tick=robot.state().state.tick)).detail
+            cleared = robot.ask(Reset(lease=arguments.lease, challenge=robot.state().state.challenge)).detail
         else:
             with robot.lease() as lease:
                 cleared = lease.reset()

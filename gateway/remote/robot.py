@@ -244,7 +244,13 @@ class Lease:
         with self._link.heard:
             stream.expect_engaged()
         try:
-            self._ask(Engage(lease=stream.lease, speed_limit_mps=speed_limit_mps))
+            self._ask(
+                Engage(
+                    lease=stream.lease,
+                    challenge=self._link.sighting().state.challenge,
+                    speed_limit_mps=speed_limit_mps,
+                )
+            )
         except CommandError:
             with self._link.heard:
                 stream.give_up()
@@ -289,7 +295,7 @@ class Lease:
 
     def reset(self) -> str:
         """Clear what is latched. Returns what that was, in words."""
-        return self._ask(Reset(lease=self.number, tick=self._link.sighting().state.tick)).detail
+        return self._ask(Reset(lease=self.number, challenge=self._link.sighting().state.challenge)).detail
 
     def park(self) -> None:
         """Apply the parking brake of the standing, engaged robot."""

@@ -23,6 +23,7 @@ from recorder.review.survey import survey
 from recorder.review.topics import UNREADABLE, typed_decoder
 from recorder.routes import Route
 from schemas import codec
+from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Journal
 from schemas.exit_codes import CommandError
 from schemas.settings import Settings
@@ -37,6 +38,7 @@ COMPARED: Final = ("safety/decision", "safety/event", "safety/state", SENT)
 
 NO_CONFIGURATION: Final = "the log does not hold the robot's configuration"
 NO_REST: Final = "the gateway was never at rest in it, so there is no place to begin"
+OTHER_RULES: Final = "made under other rules, it can be run again from its first input alone"
 """Why nothing was run again."""
 
 
@@ -72,6 +74,7 @@ class RerunResult(msgspec.Struct, frozen=True):
         unrecorded: messages that come out again and are not in the log.
         difference_count: messages that differ; ``differences`` are the first ones.
         given_up: messages that waited too long for their counterpart to be compared.
+        rules: the command rules under which the run was made, as in ``schemas.command_rules``.
     """
 
     robot: str
@@ -86,6 +89,7 @@ class RerunResult(msgspec.Struct, frozen=True):
     difference_count: int
     differences: list[Difference]
     given_up: int
+    rules: int = COMMAND_RULES
 
 
 def installed(name: str) -> Any:  # noqa: ANN401 - whatever is installed
@@ -183,6 +187,7 @@ class Player:
         rows = filter(stretch.needs, read_rows(logs, selection, faults, progress))
         self._tape = Tape(rows, self._record, faults)
         self._end = PartEnd(0, 0, 0, "")
+        self._rules = COMMAND_RULES
         self._faults = faults
 
     def next_part(self) -> bool:
@@ -191,7 +196,9 @@ class Player:
 
     def journals(self) -> Iterator[Journal]:
         """Those of the part, in their order."""
-        return self._tape.journals(self._take_end)
+        for journal in self._tape.journals(self._take_end):
+            self._rules = journal.rules
+            yield journal
 
     def configuration(self) -> str | None:
         """The TOML text that was in force in the run that has come; None if the log does not hold it."""
@@ -214,7 +221,8 @@ class Player:
         comparison, self.comparison = self.comparison, Comparison(_decode, self._stretch.holds)
         end = self._end
         if not start_ns and not end.detail.endswith(NO_CONFIGURATION):
-            end = msgspec.structs.replace(end, detail="; ".join(filter(None, (end.detail, NO_REST))))
+            why = NO_REST if self._rules == COMMAND_RULES else OTHER_RULES
+            end = msgspec.structs.replace(end, detail="; ".join(filter(None, (end.detail, why))))
         for key, said in comparison.end().items():
             self.comparison.record(key, said)
         return RerunResult(
@@ -230,6 +238,7 @@ class Player:
             difference_count=comparison.difference_count,
             differences=comparison.differences,
             given_up=comparison.given_up,
+            rules=self._rules,
         )
 
     def _take_end(self, end: PartEnd) -> None:

@@ -20,6 +20,7 @@ from recorder.review.rows import Progress
 from recorder.review.survey import survey
 from recorder.review.topics import UNREADABLE
 from schemas import codec
+from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Decision, EventKind, Journal, SafetyEvent
 from schemas.messages import RobotState
 from schemas.settings import STANDSTILL_MPS, Settings
@@ -117,7 +118,7 @@ class WhatIfResult(msgspec.Struct, frozen=True):
 
     Attributes:
         settings: each setting that differs: as it was, and as it is tried.
-        first, inputs, detail: as in ``rerun.RerunResult``.
+        first, inputs, detail, rules: as in ``rerun.RerunResult``.
         decisions: how many both runs made; ``changes`` are those that differ.
         stops_avoided: stops that were recorded and would not have been; ``stops_added`` the other way round;
             ``stops_moved`` those of both that would have been sooner or later.
@@ -138,6 +139,7 @@ class WhatIfResult(msgspec.Struct, frozen=True):
     stops_avoided: list[StopMade]
     stops_added: list[StopMade]
     stops_moved: list[StopMoved]
+    rules: int = COMMAND_RULES
 
 
 def what_if_logs(
@@ -198,6 +200,7 @@ def _what_if(player: Player, run_both: WhatIf, settings_of: Callable[[str], Sett
         stops_avoided=stops.avoided,
         stops_added=stops.added,
         stops_moved=stops.moved,
+        rules=run.rules,
     )
 
 

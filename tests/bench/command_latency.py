@@ -142,7 +142,7 @@ class Driver:
     def drive(self, speed_mps: float, angle_deg: float = 0.0) -> float:
         """A drive command; when it was put."""
         self._sequence += 1
-        fields = {"lease": self._lease, "seq": self._sequence, "tick": self.look()["tick"]}
+        fields = {"lease": self._lease, "seq": self._sequence, "challenge": self.look()["challenge"]}
         payload = msgspec.msgpack.encode(fields | {"speed_mps": speed_mps, "angle_deg": angle_deg})
         put_s = time.monotonic()
         self.session.put(f"{COMMAND}drive", payload, express=True, priority=zenoh.Priority.INTERACTIVE_HIGH)
@@ -159,8 +159,9 @@ class Driver:
         overcome = {"no_lease", "not_engaged", "remote_stop"}
         until(lambda: self.look()["state"] == "standby" and set(self.state["blocked_by"]) <= overcome)
         self._lease, self._sequence = self._must("take", role="supervisor")["lease"], 0
-        for verb in ("reset", "engage", "unpark"):
-            self._must(verb, lease=self._lease)
+        self._must("reset", lease=self._lease)
+        self._must("engage", lease=self._lease, challenge=self.look()["challenge"])
+        self._must("unpark", lease=self._lease)
         until(lambda: self.look()["output_speed_mps"] == speed_mps, lambda: self.drive(speed_mps), 0.02)
 
     def close(self) -> None:

@@ -76,7 +76,9 @@ def flood(endpoint: str) -> None:
     """Put, in bursts, from a process of its own; says when it begins, and how many a second it were."""
     session = open_session(ZenohSettings(mode="client"), [endpoint], [])
     publisher = session.declare_publisher(KEY, congestion_control=zenoh.CongestionControl.DROP)
-    payload = msgspec.msgpack.encode({"lease": 1, "seq": 1, "tick": 1, "speed_mps": 1.0, "angle_deg": 0.0})
+    payload = msgspec.msgpack.encode(
+        {"lease": 1, "seq": 1, "challenge": bytes(8), "speed_mps": 1.0, "angle_deg": 0.0}
+    )
     print("begun", flush=True)
     begun_s = time.monotonic()
     bursts = round(SECONDS * BURSTS_PER_S)

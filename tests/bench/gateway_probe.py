@@ -21,10 +21,10 @@ CPU_S: list[float] = []
 class ProbedCore(Core):
     """A core that remembers how late its ticks began."""
 
-    def tick(self, now_ns: int, wall_ns: int, late_ns: int) -> Due:
+    def tick(self, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes) -> Due:
         LATE_NS.append(late_ns)
         CPU_S.append(time.process_time())
-        return super().tick(now_ns, wall_ns, late_ns)
+        return super().tick(now_ns, wall_ns, late_ns, challenge)
 
 
 if __name__ == "__main__":

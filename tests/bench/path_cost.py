@@ -145,7 +145,7 @@ def run_ours(
     for now_ns in range(begin_ns, begin_ns + SECONDS_OF_FRAMES * 1_000_000_000, TICK_NS):
         reader.read_burst(1)
         if with_ticks:
-            due = core.tick(now_ns, WALL_NS + now_ns, 0)
+            due = core.tick(now_ns, WALL_NS + now_ns, 0, now_ns.to_bytes(8))
             for sample in due.samples + core.sent(0, now_ns, WALL_NS + now_ns):
                 node.publish(sample)
     gc.enable()

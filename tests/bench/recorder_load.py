@@ -118,7 +118,7 @@ def make_script() -> Script:
             sample = core.receive_frame(frames.popleft(), now_ns)
             if sample is not None:
                 samples.append(sample)
-        samples += core.tick(now_ns, WALL_NS + now_ns, 0).samples
+        samples += core.tick(now_ns, WALL_NS + now_ns, 0, now_ns.to_bytes(8)).samples
         samples += core.sent(0, now_ns, WALL_NS + now_ns)
         slots.append([_said(sample, subjects.index(sample.subject)) for sample in samples])
     return Script(subjects, slots)

@@ -10,6 +10,7 @@ from schemas.messages import Variant
 
 MS = 1_000_000
 WALL_NS = 1_700_000_000_000_000_000
+CHALLENGE = b"\1\2\3\4\5\6\7\10"
 
 STANDING: dict[str, dict[str, Value]] = {
     "Auto_GearFeedBack": {"GearPosition": "park"},

@@ -10,11 +10,12 @@ import pytest
 from gateway import core
 from gateway.chassis.frame import Frame
 from gateway.core import Core, Due
+from gateway.journal import Kind, inputs_of
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas import codec, keys
 from schemas.configuration import to_toml
-from schemas.decisions import Decision, SafetyEvent, SafetyState
+from schemas.decisions import Decision, Journal, SafetyEvent, SafetyState
 from schemas.messages import GatewayInfo, Message, Variant
 from schemas.settings import CommandSettings, Settings
 from schemas.subjects import BY_NAME
@@ -65,8 +66,8 @@ class Kept(Core):
         self.samples += [] if sample is None else [sample]
         return sample
 
-    def tick(self, now_ns: int, wall_ns: int, late_ns: int) -> Due:
-        due = super().tick(now_ns, wall_ns, late_ns)
+    def tick(self, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes) -> Due:
+        due = super().tick(now_ns, wall_ns, late_ns, challenge)
         self.samples += due.samples
         self.offered.append(due.frames)
         return due
@@ -222,12 +223,21 @@ def restful_day(seed: int, rounds: int = 5) -> RestfulDay:
     return day
 
 
-def recorded(day: Day, lag_ns: int | None = None) -> bytes:
+def under_rules_1(journal: Journal) -> Journal:
+    """The journal as it was before the rules had a number: its ticks have no challenge."""
+    inputs = [one[:4] if one[0] == Kind.TICK else one for one in inputs_of(journal)]
+    return msgspec.structs.replace(journal, rules=0, inputs=msgspec.msgpack.encode(inputs))
+
+
+def recorded(
+    day: Day, lag_ns: int | None = None, journal: Callable[[Journal], Journal] = lambda one: one
+) -> bytes:
     """The log of a day, as the recorder writes it.
 
     Args:
         day: over.
         lag_ns: so much later than its time each message is received; by default all are at the same time.
+        journal: what becomes of each message of the journal before it is recorded.
     """
     log = Log()
     robot = day.rig.settings.robot
@@ -238,7 +248,8 @@ def recorded(day: Day, lag_ns: int | None = None) -> bytes:
         message = codec.decode(subject, sample.payload)
         assert isinstance(message, Message)
         received_ns = WALL_NS if lag_ns is None else message.time_ns + lag_ns
-        log.receive(FakeSample(key, subject.encoding, sample.payload), wall_ns=received_ns)
+        payload = codec.encode(journal(message)) if isinstance(message, Journal) else sample.payload
+        log.receive(FakeSample(key, subject.encoding, payload), wall_ns=received_ns)
         if number == 0:
             assert isinstance(answer, GatewayInfo)
             log.receive(sample_of(answer), wall_ns=received_ns)

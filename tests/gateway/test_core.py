@@ -34,7 +34,7 @@ from schemas.messages import (
 from schemas.settings import REST_TIMEOUT_NS, CanSettings, ChassisSettings, GatewaySettings, Settings
 from schemas.subjects import BY_NAME
 from tests.gateway.chassis.strategies import VARIANTS, frames
-from tests.gateway.frames import MS, STANDING, WALL_NS, Feedback
+from tests.gateway.frames import CHALLENGE, MS, STANDING, WALL_NS, Feedback
 from tests.gateway.sim.rig import Rig
 
 UP = Links(bus_up=True)
@@ -59,7 +59,7 @@ def ticks(made: Core, until_ms: int, from_ms: int = 0) -> dict[str, list[Message
     """What the ticks of this time publish, by subject."""
     published: dict[str, list[Message]] = {}
     for at_ms in range(from_ms, until_ms + 1, 10):
-        for sample in made.tick(at_ms * MS, WALL_NS + at_ms * MS, 0).samples:
+        for sample in made.tick(at_ms * MS, WALL_NS + at_ms * MS, 0, CHALLENGE).samples:
             published.setdefault(sample.subject, []).append(read(sample))
     return published
 
@@ -151,7 +151,9 @@ def test_a_bus_that_returns_has_to_prove_its_variant_again() -> None:
 
 def health_after(made: Core, at_ms: int = 1000) -> GatewayHealth:
     """The health of this time."""
-    health = next(read(s) for s in made.tick(at_ms * MS, WALL_NS, 0).samples if s.subject == "gateway/health")
+    health = next(
+        read(s) for s in made.tick(at_ms * MS, WALL_NS, 0, CHALLENGE).samples if s.subject == "gateway/health"
+    )
     assert isinstance(health, GatewayHealth)
     return health
 
@@ -205,7 +207,7 @@ def test_zero_bytes_without_end_are_silence(name: str) -> None:
     made = core("coarse")
     for at_ms in range(0, 1001, 10):
         made.receive_frame(Frame(load(Variant.COARSE).messages[name].can_id, bytes(8), WALL_NS), at_ms * MS)
-        published = made.tick(at_ms * MS, WALL_NS, 0).samples
+        published = made.tick(at_ms * MS, WALL_NS, 0, CHALLENGE).samples
     state = next(read(sample) for sample in published if sample.subject == "state")
     assert isinstance(state, RobotState)
     assert name in state.silent
@@ -301,7 +303,9 @@ def test_no_frame_raises_and_a_malformed_one_is_never_data(frame: Frame) -> None
     """Whatever comes is counted; a sample comes out only of a valid feedback frame; the raw frame is kept."""
     made = core("coarse")
     sample = made.receive_frame(frame, 0)
-    health = next(read(s) for s in made.tick(1000 * MS, WALL_NS, 0).samples if s.subject == "gateway/health")
+    health = next(
+        read(s) for s in made.tick(1000 * MS, WALL_NS, 0, CHALLENGE).samples if s.subject == "gateway/health"
+    )
     assert isinstance(health, GatewayHealth)
     assert health.frames == 1
     commands = {layout.can_id for layout in load(Variant.COARSE).commands}
@@ -327,13 +331,15 @@ def test_raw_frames_come_in_batches_of_50_ms_in_their_order() -> None:
     received: list[tuple[int, bytes, int]] = []
     for number, frame in enumerate(sent):
         made.receive_frame(frame, number * MS)
-        for sample in made.tick(number * MS, WALL_NS, 0).samples:
+        for sample in made.tick(number * MS, WALL_NS, 0, CHALLENGE).samples:
             if sample.subject == "can/{bus}/rx":
                 batch = read(sample)
                 assert isinstance(batch, CanFrames)
                 assert batch.sequence * 50 <= number
                 received += zip(batch.can_id, batch.data, batch.frame_time_ns, strict=True)
-    batch = next(read(s) for s in made.tick(150 * MS, WALL_NS, 0).samples if s.subject == "can/{bus}/rx")
+    batch = next(
+        read(s) for s in made.tick(150 * MS, WALL_NS, 0, CHALLENGE).samples if s.subject == "can/{bus}/rx"
+    )
     assert isinstance(batch, CanFrames)
     received += zip(batch.can_id, batch.data, batch.frame_time_ns, strict=True)
     assert received == [(frame.can_id, frame.data, frame.wall_ns) for frame in sent]
@@ -413,7 +419,9 @@ def test_health_counts_a_second_of_a_whole_bus() -> None:
     made, feedback = core("coarse"), Feedback(Variant.COARSE)
     for at_ns, frame in feedback.second():
         made.receive_frame(frame, at_ns)
-    health = next(read(s) for s in made.tick(1000 * MS, WALL_NS, 0).samples if s.subject == "gateway/health")
+    health = next(
+        read(s) for s in made.tick(1000 * MS, WALL_NS, 0, CHALLENGE).samples if s.subject == "gateway/health"
+    )
     assert isinstance(health, GatewayHealth)
     assert (health.frames, health.frames_per_s) == (630, 630)
     assert health.faults == {}
@@ -433,9 +441,9 @@ def test_health_counts_every_lost_frame(skips: list[int]) -> None:
         for _ in range(skip):
             feedback.frame("Auto_GearFeedBack")
         at_ms += 10 * (skip + 1)
-        made.tick(at_ms * MS, WALL_NS, 0)
+        made.tick(at_ms * MS, WALL_NS, 0, CHALLENGE)
         made.receive_frame(feedback.frame("Auto_GearFeedBack"), at_ms * MS)
-    samples = made.tick((at_ms // 1000 + 1) * 1000 * MS, WALL_NS, 0).samples
+    samples = made.tick((at_ms // 1000 + 1) * 1000 * MS, WALL_NS, 0, CHALLENGE).samples
     health = next(read(s) for s in samples if s.subject == "gateway/health")
     assert isinstance(health, GatewayHealth)
     assert health.feedback[0].lost == sum(skips)
@@ -464,7 +472,9 @@ def test_a_bus_full_of_strangers_does_not_fill_the_memory() -> None:
     made = core()
     for number in range(1000):
         made.receive_frame(Frame(EXTENDED | number, b""), 0)
-    health = next(read(s) for s in made.tick(1000 * MS, WALL_NS, 0).samples if s.subject == "gateway/health")
+    health = next(
+        read(s) for s in made.tick(1000 * MS, WALL_NS, 0, CHALLENGE).samples if s.subject == "gateway/health"
+    )
     assert isinstance(health, GatewayHealth)
     assert len(health.unknown_identifiers) == 65
     assert health.unknown_identifiers["other"] == 1000 - 64
@@ -475,8 +485,10 @@ def test_lateness_is_told_as_quantiles() -> None:
     """p50, p99 and the maximum of the ticks since the last report."""
     made = core()
     for number in range(100):
-        made.tick(number * MS, WALL_NS, number * MS)
-    health = next(read(s) for s in made.tick(1000 * MS, WALL_NS, 0).samples if s.subject == "gateway/health")
+        made.tick(number * MS, WALL_NS, number * MS, CHALLENGE)
+    health = next(
+        read(s) for s in made.tick(1000 * MS, WALL_NS, 0, CHALLENGE).samples if s.subject == "gateway/health"
+    )
     assert isinstance(health, GatewayHealth)
     assert health.tick_lateness_p50_ms == pytest.approx(49)
     assert health.tick_lateness_max_ms == pytest.approx(99)
@@ -503,7 +515,7 @@ class Bench:
             for frame in self.rig.run(0.01):
                 self.core.receive_frame(frame, self.rig.now_ns)
             now_ns, wall_ns = self.rig.now_ns, WALL_NS + self.rig.now_ns
-            due = self.core.tick(now_ns, wall_ns, 0)
+            due = self.core.tick(now_ns, wall_ns, 0, CHALLENGE)
             self.offered = due.frames
             self.samples += due.samples
             for frame in due.frames[: self.takes]:
@@ -530,7 +542,7 @@ class Bench:
         assert self.core.command is not None
         lease = self.core.command.arbiter.desk.lease
         assert lease is not None
-        handle = self.ask("engage", lease=lease.number)
+        handle = self.ask("engage", lease=lease.number, challenge=CHALLENGE)
         self.tick(30)
         assert self.replies[handle], "it is engaged"
         return lease.number
@@ -556,7 +568,7 @@ def test_a_listening_gateway_has_no_command_flow() -> None:
     for at_ms in range(0, 2001, 10):
         for frame in Feedback(Variant.COARSE).all():
             made.receive_frame(frame, at_ms * MS)
-        due = made.tick(at_ms * MS, WALL_NS, 0)
+        due = made.tick(at_ms * MS, WALL_NS, 0, CHALLENGE)
         assert (due.frames, due.replies, made.sent(0, at_ms * MS, WALL_NS)) == ([], [], [])
         subjects |= {sample.subject for sample in due.samples}
     assert subjects == {"can/{bus}/rx", "state", "gateway/health"}
@@ -662,7 +674,7 @@ def test_whose_command_frames_are_another_computers(*, guard_sends: bool, spoilt
     made.observe_links(Links(bus_up=True, guard_sends=guard_sends), 0)
     frame = Encoder(load(Variant.COARSE)).encode("Auto_DriveCmd", {}, 0)
     made.receive_frame(Frame(frame.can_id, b"\1" + frame.data[1:]) if spoilt else frame, 7)
-    made.tick(10 * MS, WALL_NS, 0)
+    made.tick(10 * MS, WALL_NS, 0, CHALLENGE)
     assert made.command is not None
     assert made.command.arbiter.watch.observed.commander_ns == (7 if is_other else None)
 
@@ -679,7 +691,7 @@ def test_an_end_brings_the_robot_to_rest_first() -> None:
         assert bench.rig.now_ns - begun_ns <= REST_TIMEOUT_NS
     assert not bench.offered
     assert bench.rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "stop"
-    handle = bench.ask("engage", lease=lease)
+    handle = bench.ask("engage", lease=lease, challenge=CHALLENGE)
     bench.ask("renew", lease=lease)
     bench.tick()
     assert bench.replies[handle] is False

@@ -12,7 +12,7 @@ from schemas import codec
 from schemas.decisions import Journal
 from schemas.settings import Settings
 from schemas.subjects import BY_NAME
-from tests.gateway.frames import MS, WALL_NS
+from tests.gateway.frames import CHALLENGE, MS, WALL_NS
 
 
 def journals(batches: list[int], run: int = 7) -> list[Journal]:
@@ -30,7 +30,7 @@ def journals(batches: list[int], run: int = 7) -> list[Journal]:
 
 def inputs_of(core: Core, at_ms: int) -> list[Input]:
     """The inputs that the core publishes at a tick that makes a batch due, but for that tick itself."""
-    samples = core.tick(at_ms * MS, WALL_NS, 0).samples
+    samples = core.tick(at_ms * MS, WALL_NS, 0, CHALLENGE).samples
     (sample,) = (sample for sample in samples if sample.subject == "journal")
     journal = codec.decode(BY_NAME["journal"], sample.payload)
     assert isinstance(journal, Journal)
@@ -96,10 +96,10 @@ def test_every_input_of_the_core_is_written_down() -> None:
         (Kind.SHUT_DOWN, 6),
     ]
     core.sent(0, 8, WALL_NS + 8)
-    core.tick(10 * MS, WALL_NS + 10, 11)
+    core.tick(10 * MS, WALL_NS + 10, 11, CHALLENGE)
     assert inputs_of(core, 50) == [
         (Kind.SENT, 8, 0, WALL_NS + 8),
-        (Kind.TICK, 10 * MS, WALL_NS + 10, 11),
+        (Kind.TICK, 10 * MS, WALL_NS + 10, 11, CHALLENGE),
     ]
 
 

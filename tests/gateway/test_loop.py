@@ -211,9 +211,9 @@ def test_after_a_pause_the_bus_is_read_before_anything_is_decided() -> None:
     bus = StallingBus(frames)
     tick = made.tick
 
-    def spied(now_ns: int, wall_ns: int, late_ns: int) -> Due:
+    def spied(now_ns: int, wall_ns: int, late_ns: int, challenge: bytes) -> Due:
         seen.append((late_ns, len(bus.frames)))
-        return tick(now_ns, wall_ns, late_ns)
+        return tick(now_ns, wall_ns, late_ns, challenge)
 
     made.tick = spied  # type: ignore[method-assign]
     run(Surroundings(bus, zenoh), made, lambda: b"info", StopWhen(lambda: zenoh.answered >= 3))
@@ -358,7 +358,8 @@ class Commanded:
         handle = self.inbox.ask("acquire")
         while handle not in self.inbox.replies:
             yield False
-        handle = self.inbox.ask("engage", lease=self.inbox.replies[handle]["lease"])
+        lease, challenge = self.inbox.replies[handle]["lease"], self.says("challenge")
+        handle = self.inbox.ask("engage", lease=lease, challenge=challenge)
         while handle not in self.inbox.replies:
             yield False
         assert self.inbox.replies[handle]["ok"], self.inbox.replies

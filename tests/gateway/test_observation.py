@@ -18,7 +18,7 @@ from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import Links
 from schemas.messages import ControllerState, GearPosition, Mode, Variant
 from schemas.settings import CHECKSUM_FAULTS, VARIANT_EVIDENCE_FRAMES, ChassisSettings, Settings
-from tests.gateway.frames import MS, STANDING, Feedback
+from tests.gateway.frames import CHALLENGE, MS, STANDING, Feedback
 
 UP = Links(bus_up=True, bus_losses=2, guarded=True)
 PATIENCE_MS = {
@@ -280,7 +280,7 @@ def test_motion_is_seen_while_the_variant_is_not_known(variant: Variant, speed_m
         moves = {"Speed": speed_mps} if name == DRIVE else None
         made.receive_frame(feedback.frame(name, moves), 0)
     made.observe_links(UP, 0)
-    made.tick(10 * MS, 0, 0)
+    made.tick(10 * MS, 0, 0, CHALLENGE)
     assert made.command is not None
     seen = made.command.arbiter.watch.observed
     assert (seen.variant, seen.speed_mps, seen.wheel_speed_mps) == (Variant.UNKNOWN, None, None)
@@ -295,8 +295,8 @@ def test_another_computer_is_noticed_by_its_command_frames() -> None:
         for frame in Feedback(Variant.COARSE).all():
             made.receive_frame(frame, 10 * MS)
         made.receive_frame(Frame(0x18C4D1D0, bytes(8)), 10 * MS)
-        made.tick(10 * MS, 0, 0)
+        made.tick(10 * MS, 0, 0, CHALLENGE)
         assert made.command.arbiter.watch.observed.commander_ns is None
         made.receive_frame(Frame(layout.can_id, bytes(8)), 17 * MS)
-        made.tick(20 * MS, 0, 0)
+        made.tick(20 * MS, 0, 0, CHALLENGE)
         assert made.command.arbiter.watch.observed.commander_ns == 17 * MS

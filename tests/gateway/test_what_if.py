@@ -95,7 +95,7 @@ def test_a_lower_limit_slows_the_robot_and_stops_nothing() -> None:
 
 
 def test_the_commands_are_still_good_for_the_other_arbiter() -> None:
-    """It published other ticks, and whoever had heard it would have echoed those."""
+    """It published in other ticks, and whoever had heard it would have echoed those challenges."""
     then, now = said(drive_out(), speed_limit_mps=0.5)
     judged = [decision for decision in of(now, Decision) if isinstance(decision, Decision)]
     assert len(judged) == len(list(of(then, Decision))) > 100
@@ -163,7 +163,7 @@ def test_nothing_comes_of_nothing() -> None:
 NESTED = b"\x91" * 1000 + b"\x01"
 
 
-@pytest.mark.parametrize("payload", [NESTED, b"\x81\x91\x01\x01", b"\xc1", b"\x81\xa4tick\x91\x01"])
+@pytest.mark.parametrize("payload", [NESTED, b"\x81\x91\x01\x01", b"\xc1", b"\x81\xa9challenge\x91\x01"])
 def test_whatever_somebody_asked_is_asked_of_both(payload: bytes) -> None:
     """A request is anybody's bytes, nested as deep as it may be."""
 

@@ -63,16 +63,21 @@ def _values(info: inspect.Type) -> st.SearchStrategy[Any]:
             values = st.dictionaries(_values(info.key_type), _values(info.value_type), max_size=4)
         case inspect.UnionType():
             values = st.one_of([_values(part) for part in info.types])
-        case inspect.StrType(min_length=int(least)):
-            values = TEXTS.filter(lambda text: len(text) >= least)
+        case inspect.StrType() | inspect.BytesType():
+            values = _sized(info)
         case _:
             values = _SIMPLE[type(info)]
     return values
 
 
+def _sized(info: inspect.StrType | inspect.BytesType) -> st.SearchStrategy[Any]:
+    least = info.min_length or 0
+    if isinstance(info, inspect.StrType):
+        return TEXTS.filter(lambda text: len(text) >= least)
+    return st.binary(min_size=least, max_size=info.max_length or 64)
+
+
 _SIMPLE: dict[type[inspect.Type], st.SearchStrategy[Any]] = {
     inspect.BoolType: st.booleans(),
-    inspect.StrType: TEXTS,
-    inspect.BytesType: st.binary(max_size=64),
     inspect.NoneType: st.none(),
 }

@@ -100,7 +100,8 @@ def test_a_missing_field_is_a_fault_that_names_it() -> None:
     assert fault == PayloadFault("Object missing required field `gear_position`")
 
 
-DRIVE: dict[str, object] = {"lease": 1, "seq": 2, "tick": 3, "speed_mps": 0.5, "angle_deg": 1.0}
+CHALLENGE = b"challeng"
+DRIVE: dict[str, object] = {"lease": 1, "seq": 2, "challenge": CHALLENGE, "speed_mps": 0.5, "angle_deg": 1.0}
 
 
 def judge(verb: str, fields: object) -> Request | PayloadFault:
@@ -160,7 +161,9 @@ def test_a_number_that_is_none_is_a_fault_that_names_the_field(field: str, numbe
 @pytest.mark.parametrize("number", [nan, inf, -inf])
 def test_a_speed_limit_is_finite_too(number: float) -> None:
     """A limit that is no number would limit nothing."""
-    assert isinstance(judge("engage", {"lease": 1, "speed_limit_mps": number}), PayloadFault)
+    assert isinstance(
+        judge("engage", {"lease": 1, "challenge": CHALLENGE, "speed_limit_mps": number}), PayloadFault
+    )
 
 
 @pytest.mark.parametrize("number", [1.7976931348623157e308, -1.7976931348623157e308, 5e-324, 2**64 - 1, -(2**63)])
@@ -169,19 +172,31 @@ def test_a_huge_number_is_a_number(number: float) -> None:
     assert isinstance(judge("drive", DRIVE | {"speed_mps": number}), Drive)
 
 
-@pytest.mark.parametrize("field", ["lease", "seq", "tick"])
+@pytest.mark.parametrize("field", ["lease", "seq"])
 @pytest.mark.parametrize("number", [-1, 2**53, 2**64 - 1, -(2**63), 1.5, 1e300, True, None, "1", [1]])
 def test_a_whole_number_has_bounds(field: str, number: object) -> None:
-    """A lease, a sequence and a tick are what every language holds exactly, and nothing else."""
+    """A lease and a sequence are what every language holds exactly, and nothing else."""
     fault = judge("drive", DRIVE | {field: number})
     assert isinstance(fault, PayloadFault)
     assert field in fault.detail
+
+
+@pytest.mark.parametrize("verb", ["drive", "engage", "reset"])
+@pytest.mark.parametrize("challenge", [b"", bytes(7), bytes(9), "challeng", 8, [8]])
+def test_a_challenge_is_eight_bytes(verb: str, challenge: object) -> None:
+    """Row 'command age, by echo': nothing else is one."""
+    fields = DRIVE if verb == "drive" else {"lease": 1}
+    fault = judge(verb, fields | {"challenge": challenge})
+    assert isinstance(fault, PayloadFault)
+    assert "challenge" in fault.detail
+    assert not isinstance(judge(verb, fields | {"challenge": CHALLENGE}), PayloadFault)
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
 def test_a_request_with_a_field_that_is_not_known_is_refused(command: Command) -> None:
     """Who sent it meant something by it: a command is not obeyed in part."""
     own: dict[str, dict[str, object]] = {"acquire": {}, "take": {}, "stop": {}, "drive": DRIVE}
+    own["engage"] = {"lease": 1, "challenge": CHALLENGE}
     fields = own.get(command.verb, {"lease": 1} | ({"on": True} if command.verb == "horn" else {}))
     assert isinstance(judge(command.verb, fields), command.request)
     fault = judge(command.verb, fields | {"novelty": 1})

@@ -77,7 +77,10 @@ def test_the_verbs_are_those_of_the_contract() -> None:
 def test_a_request_is_called_like_its_verb(command: Command) -> None:
     """One class for each verb; its schema's name differs from that of any message."""
     assert snake_case(command.request.__name__) == command.verb
-    assert command.encoding == f"application/msgpack;cruiser.request.{command.request.__name__}/1"
+    assert (
+        command.encoding
+        == f"application/msgpack;cruiser.request.{command.request.__name__}/{command.request.version}"
+    )
     assert command.request.__struct_config__.forbid_unknown_fields
 
 

@@ -18,6 +18,7 @@ from recorder.review.rerun import RerunResult
 from recorder.review.side_by_side import rerun_side_by_side
 from recorder.review.times import in_words
 from recorder.review.what_if import Journey, StopMade, StopMoved, Verdict, WhatIfResult, what_if_logs
+from schemas.command_rules import COMMAND_RULES, rules_notice
 from schemas.configuration import TomlSource, merge
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
@@ -29,6 +30,7 @@ EXAMPLE: Final = """\
 DESCRIPTION: Final = (
     "Gives the arbiter of this version the recorded frames and requests again, at the recorded times. Decisions, "
     "events, states and sent frames must come out byte for byte; whatever differs is listed, with exit code 1. "
+    "So it ends too for a run that was made under other command rules, and says so first. "
     "A run whose beginning is not in the log is run again from where the gateway was at rest; exit code 3 if a "
     "run is not all there. With --set or --with the run is shown as it would have been with other settings: "
     "decisions, distance and time, stops avoided, added or moved. A model of the chassis then answers what the "
@@ -92,7 +94,7 @@ _GRAVITY: Final = (ExitCode.OK, ExitCode.PARTIAL, ExitCode.FAILURE)
 
 
 def _outcome(result: RerunResult | WhatIfResult) -> ExitCode:
-    if isinstance(result, RerunResult) and result.difference_count:
+    if result.rules != COMMAND_RULES or (isinstance(result, RerunResult) and result.difference_count):
         return ExitCode.FAILURE
     return ExitCode.PARTIAL if result.detail else ExitCode.OK
 
@@ -132,7 +134,7 @@ def _settings_of(text: str | None, path: Path | None, changes: dict[str, object]
 
 def describe(result: RerunResult) -> str:
     """A run that was run again, for people."""
-    lines = [_head(result)]
+    lines = _heads(result)
     if result.start_ns:
         same = ", ".join(f"{count} {subject}" for subject, count in result.same.items())
         lines.append(f"  the same, byte for byte: {same or 'nothing'}")
@@ -154,7 +156,7 @@ def describe(result: RerunResult) -> str:
 
 def describe_what_if(result: WhatIfResult) -> str:
     """A run, and what it would have been, for people."""
-    lines = [_head(result)]
+    lines = _heads(result)
     lines += [f"  {name}: {was}, tried {tried}" for name, (was, tried) in result.settings.items()]
     if not result.settings:
         lines.append("  the settings tried are those of the run")
@@ -174,6 +176,12 @@ def describe_what_if(result: WhatIfResult) -> str:
         for change in sorted(result.changes, key=lambda one: one.first_ns)
     ]
     return "\n".join(map(plain, lines))
+
+
+def _heads(result: RerunResult | WhatIfResult) -> list[str]:
+    """The line of a run; above it what to expect, if it was made under other rules."""
+    notice = rules_notice(result.rules)
+    return [*([f"{result.robot}, run {result.run}: {notice}"] if notice else []), _head(result)]
 
 
 def _head(result: RerunResult | WhatIfResult) -> str:

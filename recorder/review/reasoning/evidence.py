@@ -81,7 +81,7 @@ EVIDENCE: Final[dict[Reason, Finder]] = {
             Reason.LEASE_HELD,
             Reason.ROLE_TOO_LOW,
             Reason.SEQUENCE,
-            Reason.TICK_UNKNOWN,
+            Reason.CHALLENGE_UNKNOWN,
             Reason.TOO_OLD,
             Reason.NOT_ENGAGED,
             Reason.ENGAGING,

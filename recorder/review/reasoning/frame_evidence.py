@@ -224,7 +224,10 @@ def absurd(scene: Scene, name: str) -> Iterable[Link]:
         yield evidence(text, frame.time_ns, name=name, signal=signal, value=float(value), limit=_ABSURD[signal])
 
 
-_IMPLAUSIBLE: Final = f"over {IMPLAUSIBLE_MPS:g} m/s and a factor of {IMPLAUSIBLE_RATIO:g} apart for {span(IMPLAUSIBLE_NS)} is too much"
+_IMPLAUSIBLE: Final = (
+    f"over {IMPLAUSIBLE_MPS:g} m/s and a factor of {IMPLAUSIBLE_RATIO:g} "
+    f"apart for {span(IMPLAUSIBLE_NS)} is too much"
+)
 
 ROLLING: Final = f"over {STANDSTILL_MPS:g} m/s for {span(ROLLING_NS)} where none is told is rolling"
 

@@ -274,7 +274,7 @@ SENT = "fleet/cruiser-1/can/can0/tx"
 def bad_payloads(lease: int) -> list[bytes]:
     """What a broken or hostile client may send: noise, wrong types, numbers that are none, depth, size."""
     random = Random(1)  # noqa: S311 - the same bytes each time
-    drive = {"lease": lease, "seq": 1, "tick": 1, "speed_mps": 1.0, "angle_deg": 0.0}
+    drive = {"lease": lease, "seq": 1, "challenge": bytes(8), "speed_mps": 1.0, "angle_deg": 0.0}
     odd: list[object] = [
         None,
         True,
@@ -346,11 +346,12 @@ def test_an_end_while_driving_brings_the_robot_to_rest_first(monkeypatch: pytest
         try:
             listener.wait_for(STATE, lambda said: said["blocked_by"] == ["no_lease", "not_engaged"])
             lease = listener.ask("acquire")["lease"]
-            assert listener.ask("engage", lease=lease)["ok"]
+            assert listener.ask("engage", lease=lease, challenge=listener.latest[STATE]["challenge"])["ok"]
             numbers = itertools.count()
 
             def drive(speed_mps: float) -> None:
-                command = {"lease": lease, "seq": next(numbers), "tick": listener.latest[STATE]["tick"]}
+                challenge = listener.latest[STATE]["challenge"]
+                command = {"lease": lease, "seq": next(numbers), "challenge": challenge}
                 payload = msgpack.packb(command | {"speed_mps": speed_mps, "angle_deg": 5.0})
                 listener.session.put("fleet/cruiser-1/@cmd/first/drive", payload)
                 listener.hear()

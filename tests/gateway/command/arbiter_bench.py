@@ -8,6 +8,7 @@ from gateway.command.outcome import Event, Outcome
 from gateway.command.request import RawRequest, Ruling
 from schemas.decisions import EventKind
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
+from schemas.requests import CHALLENGE_BYTES
 from schemas.settings import CommandSettings, GatewaySettings, Settings
 
 MS = 1_000_000
@@ -28,6 +29,11 @@ STANDING = Observed(
     total_mileage_km=1.0,
     guarded=True,
 )
+
+
+def challenge_of(tick: int) -> bytes:
+    """The challenge that is published in a tick."""
+    return tick.to_bytes(CHALLENGE_BYTES)
 
 
 class Bench:
@@ -76,7 +82,7 @@ class Bench:
         """Ticks; the requests come in the first."""
         for _ in range(count):
             self.now_ns += 10 * MS
-            self.arbiter.ticks.publish(self.arbiter.tick_number, self.now_ns)
+            self.arbiter.challenges.publish(challenge_of(self.arbiter.tick_number), self.now_ns)
             self.outcome = self.arbiter.tick(self.observed, requests or [], self.now_ns, late_ns)
             if self.outcome.actuation is not None:
                 self.arbiter.told_ns = self.now_ns
@@ -84,6 +90,10 @@ class Bench:
             requests = None
         assert self.outcome is not None
         return self.outcome
+
+    def challenge(self, ticks_ago: int = 0) -> bytes:
+        """The challenge that was published so many ticks ago."""
+        return challenge_of(self.arbiter.tick_number - ticks_ago)
 
     def send(
         self, verb: str, payload: bytes, operator: str = "first", *, handle: int = 1, size: int | None = None
@@ -96,18 +106,20 @@ class Bench:
         """A query of the holder, with the bench's lease unless it names another."""
         if verb not in {"acquire", "take", "stop"}:
             fields = {"lease": self.lease} | fields
+        if verb == "engage":
+            fields = {"challenge": self.challenge()} | fields
         ruling = self.send(verb, msgspec.msgpack.encode(fields), operator)
         if verb in {"acquire", "take"} and ruling.lease is not None:
             self.lease, self.sequence = ruling.lease, 0
         return ruling
 
     def drive(self, speed_mps: float = 0.0, **fields: object) -> Ruling:
-        """A drive command that echoes the newest tick."""
+        """A drive command that echoes the newest challenge."""
         self.sequence += 1
         asked: dict[str, object] = {
             "lease": self.lease,
             "seq": self.sequence,
-            "tick": self.arbiter.tick_number,
+            "challenge": self.challenge(),
             "speed_mps": speed_mps,
             "angle_deg": 0.0,
         }

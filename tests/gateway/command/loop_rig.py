@@ -5,6 +5,7 @@ must always be true, whatever a test does.
 """
 
 from collections.abc import Callable
+from hashlib import blake2b
 from math import radians, tan
 
 import msgspec
@@ -23,6 +24,7 @@ from schemas import codec, decisions
 from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState
 from schemas.messages import Variant
 from schemas.reasons import Reason
+from schemas.requests import CHALLENGE_BYTES
 from schemas.settings import MUTE_FAILURES, ChassisSettings, CommandSettings, Settings
 from schemas.subjects import BY_NAME, BY_VERB
 
@@ -35,6 +37,11 @@ Signals = dict[str, Value]
 DRIVE_CAN_ID = load(Variant.COARSE).messages["Auto_DriveCmd"].can_id
 
 
+def challenge_of(run: int, now_ns: int) -> bytes:
+    """A challenge that no other run and no other time has."""
+    return blake2b(b"%d %d" % (run, now_ns), digest_size=CHALLENGE_BYTES).digest()
+
+
 class LoopRig:
     """A gateway's core, a chassis, and time.
 
@@ -45,6 +52,7 @@ class LoopRig:
         wall_ns: the wall clock.
         late_ns: how late the next tick begins.
         state, events, decided, replies: what was published and replied.
+        published: the challenges that were published, the newest last.
         bursts: all motion frames that went out, read by the DBC: the time, and the signals by frame.
         out: all frames that went out.
         heard: the raw speeds of all drive frames that reached the chassis.
@@ -75,6 +83,7 @@ class LoopRig:
         self.late_ns = 0
         self.chassis_hears = True
         self.state: SafetyState | None = None
+        self.published: list[bytes] = []
         self.events: list[SafetyEvent] = []
         self.decided: list[Decision] = []
         self.replies: dict[int, decisions.Reply] = {}
@@ -83,6 +92,7 @@ class LoopRig:
         self.heard: list[int] = []
         self.faults: list[str] = []
         self._decoder = Decoder(load(variant))
+        self._run = run
         self._requests: list[RawRequest] = []
         self._handles = 0
         self._counters: dict[int, int] = {}
@@ -162,7 +172,7 @@ class LoopRig:
         for request in requests:
             self.core.receive_request(request, self.now_ns)
         self.core.observe_links(self.links, self.now_ns)
-        due = self.core.tick(self.now_ns, self.wall_ns, late_ns)
+        due = self.core.tick(self.now_ns, self.wall_ns, late_ns, challenge_of(self._run, self.now_ns))
         taken = due.frames[: self.takes]
         for frame in taken:
             self._send(frame)
@@ -187,6 +197,7 @@ class LoopRig:
         match message:
             case SafetyState():
                 self.state = message
+                self.published.append(message.challenge)
             case SafetyEvent():
                 self.events.append(message)
             case Decision():
@@ -286,6 +297,8 @@ class Operator:
         """Send a query."""
         if verb not in {"acquire", "take", "stop"}:
             fields = {"lease": self.lease, **fields}
+        if verb == "engage":
+            fields = {"challenge": self.rig.says.challenge, **fields}
         return self.rig.query(self.name, verb, msgspec.msgpack.encode(fields))
 
     def reason(self, verb: str, **fields: object) -> Reason:
@@ -305,12 +318,12 @@ class Operator:
         return reply.reason
 
     def drive_payload(self, speed_mps: float, angle_deg: float = 0.0, **fields: object) -> bytes:
-        """A drive command that echoes the newest tick."""
+        """A drive command that echoes the newest challenge."""
         self.sequence += 1
         made: dict[str, object] = {
             "lease": self.lease,
             "seq": self.sequence,
-            "tick": self.rig.says.tick,
+            "challenge": self.rig.says.challenge,
             "speed_mps": speed_mps,
             "angle_deg": angle_deg,
         }

@@ -533,21 +533,21 @@ def test_a_reset_does_not_clear_a_hit_that_its_sender_has_not_seen(hit_ms: int) 
 
 
 def test_a_reset_names_what_its_sender_saw() -> None:
-    """With the tick it never clears what came later, however long ago, and is refused when it is old itself."""
+    """With a challenge it never clears what came later, however long ago, and is refused when it is old itself."""
     rig, operator = ready()
     rig.put("anyone", "stop", b"")
     rig.run(1)
     operator.take_lease()
-    seen = rig.says.tick
-    rig.run(0.1)
+    seen = rig.says.challenge
+    rig.run(0.5)
     rig.put("anyone", "stop", b"")
     rig.run(0.55)
-    assert operator.reason("reset", tick=seen) is Reason.TOO_OLD
-    assert operator.reason("reset", tick=seen + 10_000) is Reason.TICK_UNKNOWN
+    assert operator.reason("reset", challenge=seen) is Reason.TOO_OLD
+    assert operator.reason("reset", challenge=bytes(8)) is Reason.CHALLENGE_UNKNOWN
     rig.run(0.6)
-    seen = rig.says.tick
+    seen = rig.says.challenge
     rig.run(0.1)
-    assert operator.reason("reset", tick=seen) is Reason.NONE
+    assert operator.reason("reset", challenge=seen) is Reason.NONE
     rig.put("anyone", "stop", b"")
     rig.run(0.6)
     assert rig.says.latched == [Reason.REMOTE_STOP]
@@ -692,15 +692,15 @@ def test_a_stall_that_delivers_everything_at_once_moves_the_robot_by_nothing(
     stall_s: float,
     down_too: bool,  # noqa: FBT001 - a parameter
 ) -> None:
-    """Row 'command age, by echo: over 400 ms: refused'. The stream of the whole stall comes in one tick.
+    """Row 'command age, by echo: over 1 s: refused'. The stream of the whole stall comes in one tick.
 
-    ``down_too``: the operator sees no new tick meanwhile; otherwise only the way up is stalled.
+    ``down_too``: the operator sees no new challenge meanwhile; otherwise only the way up is stalled.
     """
     rig, operator = driving(1.0)
     stalled: list[bytes] = []
-    seen = rig.says.tick
+    seen = rig.says.challenge
     for _ in range(round(stall_s * 50)):
-        stalled.append(operator.drive_payload(1.0, **({"tick": seen} if down_too else {})))
+        stalled.append(operator.drive_payload(1.0, challenge=seen if down_too else rig.says.challenge))
         rig.tick(2)
     rig.until(lambda: rig.says.state is ArbiterState.STANDBY or stall_s < 5, 0.1)
     x_m, told = rig.chassis.state.mileage_m, len(rig.bursts)
@@ -736,16 +736,16 @@ def test_a_stalled_stream_is_refused_although_the_robot_is_engaged_again(stall_s
     for payload in stalled[:8]:
         rig.put(operator.name, "drive", payload)
     rig.tick()
-    assert {decision.reason for decision in rig.decided[-8:]} <= {Reason.TOO_OLD, Reason.TICK_UNKNOWN}
+    assert {decision.reason for decision in rig.decided[-8:]} <= {Reason.TOO_OLD, Reason.CHALLENGE_UNKNOWN}
     rig.run(0.2)
     assert rig.says.stop_reason is Reason.DEADMAN
     assert rig.speed_mps == 0
 
 
 def test_yesterdays_commands_are_refused() -> None:
-    """A capture of another run: neither its lease nor its ticks are of this one."""
+    """A capture of another run: neither its lease nor its challenges are of this one."""
     yesterday, first = driving()
-    lease, tick = first.lease, yesterday.says.tick
+    lease, challenge = first.lease, yesterday.says.challenge
     rig = LoopRig(run=8)
     rig.run(0.6)
     today = Operator(rig)
@@ -755,11 +755,21 @@ def test_yesterdays_commands_are_refused() -> None:
     rig.tick()
     assert rig.ruled() is Reason.NO_LEASE
     today.lease = own
-    for other in (tick, tick + 1):
-        rig.put("first", "drive", today.drive_payload(1.0, tick=other))
-        rig.tick()
-        assert rig.ruled() is Reason.TICK_UNKNOWN
+    rig.put("first", "drive", today.drive_payload(1.0, challenge=challenge))
+    rig.tick()
+    assert rig.ruled() is Reason.CHALLENGE_UNKNOWN
     assert rig.speed_mps == 0
+
+
+def test_a_command_that_was_made_today_for_a_tick_of_tomorrow_is_refused() -> None:
+    """Row 'command age, by echo': a tick to come can be guessed, and its challenge cannot."""
+    rig, operator = driving(0.5)
+    kept_back = operator.drive_payload(2.0, challenge=bytes(8), tick=rig.says.tick + 400, seq=10**6)
+    operator.drive(0.5, 0.0, 3.98)
+    rig.put(operator.name, "drive", kept_back)
+    rig.tick()
+    assert rig.ruled() is Reason.CHALLENGE_UNKNOWN
+    assert rig.says.target_speed_mps == 0.5
 
 
 def test_this_mornings_commands_are_refused() -> None:

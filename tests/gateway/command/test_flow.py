@@ -13,6 +13,7 @@ from schemas.reasons import Reason
 from schemas.settings import MUTE_FAILURES, CommandSettings, Settings
 from tests.gateway.command.arbiter_bench import MS, STANDING
 from tests.gateway.command.loop_rig import LoopRig, driving, ready
+from tests.gateway.frames import CHALLENGE
 
 WALL_NS = 1_700_000_000_000_000_000
 
@@ -32,7 +33,7 @@ def test_a_tick_makes_replies_and_messages() -> None:
     """And decisions come once it is known what was sent."""
     made = CommandFlow(Settings(), 7)
     request = RawRequest(5, "acquire", "first", b"\x80", 1)
-    due = made.tick(STANDING, [request], 10 * MS, WALL_NS, 0)
+    due = made.tick(STANDING, [request], 10 * MS, WALL_NS, 0, CHALLENGE)
     assert due.frames == []
     [reply] = due.replies
     assert (reply.handle, reply.verb) == (5, "acquire")
@@ -47,8 +48,8 @@ def test_a_tick_makes_replies_and_messages() -> None:
 def test_events_come_before_the_state_that_they_explain() -> None:
     """A state is not sent where nothing is due."""
     made = CommandFlow(Settings(), 7)
-    assert isinstance(made.tick(STANDING, [], 10 * MS, WALL_NS, 0).messages[0], SafetyState)
-    assert made.tick(STANDING, [], 20 * MS, WALL_NS, 0).messages == []
+    assert isinstance(made.tick(STANDING, [], 10 * MS, WALL_NS, 0, CHALLENGE).messages[0], SafetyState)
+    assert made.tick(STANDING, [], 20 * MS, WALL_NS, 0, CHALLENGE).messages == []
 
 
 def test_what_the_gate_refuses_stops_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -177,11 +178,13 @@ def test_after_a_silence_the_gate_begins_anew() -> None:
     made = flow(rig)
     while made.arbiter.state is not ArbiterState.STANDBY:
         rig.tick()
-    engage = RawRequest(9, "engage", "first", msgspec.msgpack.encode({"lease": operator.lease}), 20)
+    engage = RawRequest(
+        9, "engage", "first", msgspec.msgpack.encode({"lease": operator.lease, "challenge": CHALLENGE}), 40
+    )
     now_ns = rig.now_ns
     frames = []
     for tick in range(1, 12):
-        due = made.tick(observed, [engage] if tick == 8 else [], now_ns + tick * 10 * MS, WALL_NS, 0)
+        due = made.tick(observed, [engage] if tick == 8 else [], now_ns + tick * 10 * MS, WALL_NS, 0, CHALLENGE)
         made.sent(len(due.frames), now_ns + tick * 10 * MS, WALL_NS)
         frames += due.frames
     assert Reason.GATE not in made.arbiter.latched

@@ -82,10 +82,11 @@ class Machine(RuleBasedStateMachine):
         operator = self.driver if who == 0 and self.driver is not None else self.people[who]
         operator.drive(speed_mps, angle_deg, seconds)
 
-    @rule(who=operators, speed_mps=speeds, behind=st.integers(0, 10**6))
+    @rule(who=operators, speed_mps=speeds, behind=st.integers(0, 600))
     def drive_by_an_old_echo(self, who: int, speed_mps: float, behind: int) -> None:
         operator = self.people[who]
-        payload = operator.drive_payload(speed_mps, tick=max(0, self.rig.says.tick - behind))
+        published = self.rig.published
+        payload = operator.drive_payload(speed_mps, challenge=published[-1 - behind % len(published)])
         self.rig.put(operator.name, "drive", payload)
         self.rig.tick()
 

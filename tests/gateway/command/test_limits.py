@@ -1,6 +1,7 @@
 """The limits in force, and the bicycle model."""
 
 from math import atan, degrees, radians, sqrt, tan
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -13,9 +14,9 @@ from schemas.settings import CommandSettings
 LIMITS = Limits.of(CommandSettings())
 
 
-def drive(speed_mps: float = 1.0, **asked: float) -> Drive:
+def drive(speed_mps: float = 1.0, **asked: Any) -> Drive:  # noqa: ANN401 - any field
     """A command with this bend."""
-    return Drive(lease=1, seq=1, tick=1, speed_mps=speed_mps, **asked)
+    return Drive(lease=1, seq=1, challenge=bytes(8), speed_mps=speed_mps, **asked)
 
 
 def test_the_start_values_are_those_of_the_table() -> None:

@@ -22,7 +22,7 @@ class Told:
         self.reporter = Reporter(self.bench.arbiter)
 
     def state(self) -> SafetyState | None:
-        return self.reporter.state(self.bench.now_ns, WALL_NS)
+        return self.reporter.state(self.bench.now_ns, WALL_NS, self.bench.challenge())
 
     def now(self) -> SafetyState:
         """The state, due or not."""
@@ -33,13 +33,15 @@ class Told:
 
 
 def test_the_state_goes_out_at_20_hz_and_on_change() -> None:
-    """And its tick counts as published from then on, and only then."""
+    """And its challenge counts as published from then on, and only then."""
     told = Told()
     due = []
     for _ in range(20):
         told.bench.outcome = told.bench.arbiter.tick(told.bench.observed, [], told.bench.now_ns, 0)
-        tick, state = told.bench.arbiter.tick_number, told.state()
-        assert isinstance(told.bench.arbiter.ticks.age_ns(tick, told.bench.now_ns), int) is (state is not None)
+        challenge, state = told.bench.challenge(), told.state()
+        age_ns = told.bench.arbiter.challenges.age_ns(challenge, told.bench.now_ns)
+        assert isinstance(age_ns, int) is (state is not None)
+        assert state is None or state.challenge == challenge
         due.append(state is not None)
         told.bench.now_ns += 10 * MS
     assert due == [True, False, False, False, False] * 4
@@ -143,7 +145,7 @@ def test_a_decision_says_all_that_became_of_a_request() -> None:
     bench = told.bench
     bench.engage()
     bench.tick(count=3)
-    bench.drive(1.0, tick=bench.arbiter.tick_number - 2, angle_deg=2.0)
+    bench.drive(1.0, challenge=bench.challenge(2), angle_deg=2.0)
     assert bench.outcome is not None
     decision = told.reporter.decision(bench.outcome.judged[0], [Bound.ACCELERATION], 5, WALL_NS)
     assert (decision.request, decision.operator, decision.lease) == ("drive", "first", bench.lease)

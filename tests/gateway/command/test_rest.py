@@ -42,15 +42,15 @@ def test_what_is_remembered_is_recalled() -> None:
     assert memory.target_angle_deg == 3.0
     assert not memory.parked
     assert len(memory.sent) == 5
-    assert len(memory.ticks) > 50
+    assert len(memory.challenges) > 50
     read = msgspec.convert(msgspec.msgpack.decode(msgspec.msgpack.encode(memory)), Rest)
     assert read == memory
     flow = CommandFlow(rig.settings, 7)
     recall(flow, read, rig.now_ns)
     assert memory_of(flow) == memory
     assert flow.maker.counters == flow_of(rig).maker.counters
-    tick, published_ns = memory.ticks[-1]
-    assert flow.arbiter.ticks.age_ns(tick, published_ns + 5) == 5
+    challenge, published_ns = memory.challenges[-1]
+    assert flow.arbiter.challenges.age_ns(challenge, published_ns + 5) == 5
     number, reason = memory.ended[-1]
     assert flow.arbiter.desk.refusal(number, "second") is Reason(reason)
 

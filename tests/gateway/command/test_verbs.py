@@ -107,9 +107,11 @@ def test_every_other_verb_wants_the_lease_in_force(command: object) -> None:
     bench = engaged()
     fields: dict[str, object] = {"lease": bench.lease + 1}
     if command.verb == "drive":
-        fields |= {"seq": 99, "tick": bench.arbiter.tick_number, "speed_mps": 1.0, "angle_deg": 0.0}
+        fields |= {"seq": 99, "challenge": bench.challenge(), "speed_mps": 1.0, "angle_deg": 0.0}
     if command.verb == "horn":
         fields["on"] = True
+    if command.verb == "engage":
+        fields["challenge"] = bench.challenge()
     payload = msgspec.msgpack.encode(fields)
     handle = int(command.asking is Asking.QUERY)
     ruling = bench.send(command.verb, payload, handle=handle)
@@ -267,6 +269,27 @@ def test_engage_tells_every_blocker() -> None:
 
 
 @pytest.mark.parametrize(
+    ("ticks_ago", "reason", "detail"),
+    [
+        (100, Reason.NONE, ""),
+        (101, Reason.LINK_TOO_SLOW, "1010 ms, at most 1000 ms"),
+        (500, Reason.CHALLENGE_UNKNOWN, ""),
+        (-5, Reason.CHALLENGE_UNKNOWN, ""),
+    ],
+)
+def test_engage_is_refused_over_a_link_that_is_too_slow(ticks_ago: int, reason: Reason, detail: str) -> None:
+    """Row 'command age, by echo', before anything moves: with the age; and a forged challenge has none."""
+    bench = Bench(CommandSettings(lease_s=10.0))
+    bench.tick(count=200)
+    bench.ask("acquire")
+    ruling = bench.ask("engage", challenge=bench.challenge(ticks_ago))
+    assert (ruling.reason, ruling.detail) == (reason, detail)
+    assert (bench.arbiter.state is ArbiterState.ENGAGING) is (reason is Reason.NONE)
+    known = reason is not Reason.CHALLENGE_UNKNOWN
+    assert ruling.age_ns == (ticks_ago * 10 * MS if known else None)
+
+
+@pytest.mark.parametrize(
     ("ticks", "reason"), [(28, Reason.COMMAND_NOT_ZERO), (29, Reason.COMMAND_NOT_ZERO), (31, Reason.NONE)]
 )
 def test_engage_wants_the_command_to_be_zero(ticks: int, reason: Reason) -> None:
@@ -396,15 +419,15 @@ def test_a_reset_that_comes_at_once_was_not_meant_for_this_latch(ticks: int, rea
 
 @pytest.mark.parametrize(
     ("seen_ticks_ago", "reason"),
-    [(0, Reason.NONE), (40, Reason.NONE), (41, Reason.TOO_OLD), (500, Reason.TICK_UNKNOWN)],
+    [(0, Reason.NONE), (100, Reason.NONE), (101, Reason.TOO_OLD), (500, Reason.CHALLENGE_UNKNOWN)],
 )
-def test_a_reset_with_a_tick_is_as_old_as_its_tick(seen_ticks_ago: int, reason: Reason) -> None:
-    """Row 'command age, by echo' for it too: 400 ms."""
-    bench = Bench()
+def test_a_reset_is_as_old_as_the_challenge_that_it_echoes(seen_ticks_ago: int, reason: Reason) -> None:
+    """Row 'command age, by echo' for it too: 1 s."""
+    bench = Bench(CommandSettings(lease_s=10.0))
     bench.ask("acquire")
     bench.ask("stop")
-    bench.tick(count=100)
-    ruling = bench.ask("reset", tick=bench.arbiter.tick_number - seen_ticks_ago)
+    bench.tick(count=200)
+    ruling = bench.ask("reset", challenge=bench.challenge(seen_ticks_ago))
     assert ruling.reason is reason
     assert (ruling.lease, bool(bench.arbiter.latched)) == (bench.lease, reason is not Reason.NONE)
     if reason is not Reason.NONE:
@@ -412,22 +435,23 @@ def test_a_reset_with_a_tick_is_as_old_as_its_tick(seen_ticks_ago: int, reason: 
 
 
 @pytest.mark.parametrize(("more_ticks", "reason"), [(1, Reason.NONE), (2, Reason.REMOTE_STOP)])
-def test_a_reset_with_a_tick_clears_nothing_that_was_latched_after_it(more_ticks: int, reason: Reason) -> None:
-    """Though it is young enough: the newest cause is named. The bench publishes a tick one tick later."""
+def test_a_reset_with_a_challenge_clears_nothing_that_was_latched_after_it(
+    more_ticks: int, reason: Reason
+) -> None:
+    """Though it is young enough: the newest cause is named. The bench publishes a challenge one tick later."""
     bench = Bench(CommandSettings(max_age_s=1.0))
     bench.ask("acquire")
     bench.ask("stop")
-    latched_at = bench.arbiter.tick_number
     bench.tick(count=60)
-    assert bench.ask("reset", tick=latched_at - more_ticks).reason is reason
+    assert bench.ask("reset", challenge=bench.challenge(60 + more_ticks)).reason is reason
 
 
-def test_a_reset_with_a_tick_and_nothing_latched_is_served() -> None:
+def test_a_reset_with_a_challenge_and_nothing_latched_is_served() -> None:
     """There is nothing that it has not seen."""
     bench = Bench()
     bench.ask("acquire")
     bench.tick(count=60)
-    assert bench.ask("reset", tick=bench.arbiter.tick_number - 20).reason is Reason.NONE
+    assert bench.ask("reset", challenge=bench.challenge(20)).reason is Reason.NONE
 
 
 def test_a_second_hit_of_a_latched_bumper_counts_anew() -> None:
@@ -451,7 +475,8 @@ def test_a_second_stop_is_not_wiped_by_a_reset_of_its_tick() -> None:
     bench.ask("acquire")
     bench.ask("stop")
     bench.tick(count=60)
-    reset, engage = (msgspec.msgpack.encode({"lease": bench.lease}) for _ in range(2))
+    reset = msgspec.msgpack.encode({"lease": bench.lease})
+    engage = msgspec.msgpack.encode({"lease": bench.lease, "challenge": bench.challenge()})
     requests = [
         RawRequest(0, "stop", "second", b"", 0),
         RawRequest(1, "reset", "first", reset, len(reset)),
@@ -594,12 +619,12 @@ def test_zero_is_a_sequence_number_and_each_lease_begins_anew() -> None:
 
 @pytest.mark.parametrize(("ticks", "reason"), [(40, Reason.NONE), (41, Reason.TOO_OLD)])
 def test_the_age_is_bounded_by_the_echo(ticks: int, reason: Reason) -> None:
-    """Row 'command age, by echo: over 400 ms: refused'; at 400 ms it is not. What is refused does not renew."""
-    bench = engaged(deadman_s=0.5)
-    echo = bench.arbiter.tick_number
+    """Row 'command age, by echo': at the limit it is not refused. What is refused does not renew."""
+    bench = engaged(deadman_s=0.5, max_age_s=0.4)
+    echo = bench.challenge()
     bench.tick(count=ticks)
     before_ns = bench.arbiter.fresh_ns
-    ruling = bench.drive(1.0, tick=echo)
+    ruling = bench.drive(1.0, challenge=echo)
     assert (ruling.reason, ruling.age_ns) == (reason, ticks * 10 * MS)
     assert (bench.arbiter.fresh_ns > before_ns) is (reason is Reason.NONE)
     if reason is Reason.TOO_OLD:
@@ -607,12 +632,12 @@ def test_the_age_is_bounded_by_the_echo(ticks: int, reason: Reason) -> None:
         assert bench.drive(1.0, seq=bench.sequence).reason is Reason.NONE, "its sequence does not count either"
 
 
-def test_an_unknown_tick_is_refused() -> None:
-    """It was not published: of another run, or of none."""
+def test_an_unknown_challenge_is_refused() -> None:
+    """It was not published: of another run, of none, or one that nobody can have seen yet."""
     bench = engaged()
-    for tick in (0, bench.arbiter.tick_number + 5):
-        ruling = bench.drive(1.0, tick=tick)
-        assert (ruling.reason, ruling.age_ns) == (Reason.TICK_UNKNOWN, None)
+    for challenge in (bytes(8), bench.challenge(-5)):
+        ruling = bench.drive(1.0, challenge=challenge, tick=bench.arbiter.tick_number)
+        assert (ruling.reason, ruling.age_ns) == (Reason.CHALLENGE_UNKNOWN, None)
     assert bench.arbiter.target.speed_mps == 0
 
 

@@ -1,5 +1,6 @@
 """A robot that serves commands: the real command flow on Zenoh. Its chassis does at once what it is told."""
 
+import os
 import threading
 import time
 from dataclasses import dataclass, field
@@ -109,7 +110,7 @@ class FakeRobot:
             now_ns = time.monotonic_ns()
             late_ns = max(0, now_ns - due_ns)
             # This machine may be busy: how late the loop is, is no matter of these tests.
-            due = self.flow.tick(self._observed(), self._requests(), now_ns, time.time_ns(), 0)
+            due = self.flow.tick(self._observed(), self._requests(), now_ns, time.time_ns(), 0, os.urandom(8))
             messages = [*due.messages, *self.flow.sent(len(due.frames), now_ns, time.time_ns())]
             # Before anybody hears of them: who has the reply may ask at once what was decided.
             self.decisions += [message for message in messages if isinstance(message, Decision)]

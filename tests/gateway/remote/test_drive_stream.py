@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.remote.drive_stream import HOLD_MAX_S, TICK_STALE_NS, DriveStream, SetPoint
+from gateway.remote.drive_stream import HOLD_MAX_S, STALE_NS, DriveStream, SetPoint
 from schemas.decisions import ArbiterState, SafetyState, StopPhase
 from schemas.messages import GearPosition
 from schemas.reasons import Reason
@@ -16,6 +16,7 @@ STANDBY = SafetyState(
     time_ns=1,
     sequence=0,
     tick=100,
+    challenge=bytes(8),
     state=ArbiterState.STANDBY,
     engaged=False,
     stop_reason=Reason.NONE,
@@ -73,23 +74,25 @@ def test_while_nothing_is_driven_the_stream_asks_for_zero_speed_and_leaves_the_w
         assert (command.lease, command.speed_mps, command.angle_deg) == (7, 0.0, 7.0)
 
 
-def test_the_sequence_rises_and_the_newest_tick_is_echoed() -> None:
-    """Each command has a higher seq than the one before, and the tick that was seen last."""
+def test_the_sequence_rises_and_the_newest_challenge_is_echoed() -> None:
+    """Each command has a higher seq than the one before, and the challenge that was seen last."""
     stream = stream_that_saw(ENGAGED)
     commands = []
     for tick in (102, 102, 105):
-        stream.see(msgspec.structs.replace(ENGAGED, tick=tick), START_NS)
+        challenge = tick.to_bytes(8)
+        stream.see(msgspec.structs.replace(ENGAGED, tick=tick, challenge=challenge), START_NS)
         commands.append(stream.command(START_NS))
     assert [command.tick for command in commands if command] == [102, 102, 105]
+    assert [command.challenge[-1] for command in commands if command] == [102, 102, 105]
     sequences = [command.seq for command in commands if command]
     assert sequences == sorted(set(sequences))
 
 
-def test_an_old_tick_is_not_echoed() -> None:
+def test_an_old_challenge_is_not_echoed() -> None:
     """A command that the robot would refuse for its age is not sent."""
     stream = stream_that_saw(ENGAGED)
-    assert stream.command(START_NS + TICK_STALE_NS) is not None
-    assert stream.command(START_NS + TICK_STALE_NS + 1) is None
+    assert stream.command(START_NS + STALE_NS) is not None
+    assert stream.command(START_NS + STALE_NS + 1) is None
 
 
 @given(hold_ms=st.integers(1, 2000), late_ms=st.integers(-2000, 2000))

@@ -36,7 +36,8 @@ def test_a_reply_of_another_schema_is_a_fault() -> None:
 
 
 @pytest.mark.parametrize(
-    "request_", [Take(override=True), Drive(lease=1, seq=2, tick=3, speed_mps=-1.5, angle_deg=2)]
+    "request_",
+    [Take(override=True), Drive(lease=1, seq=2, challenge=b"challeng", tick=3, speed_mps=-1.5, angle_deg=2)],
 )
 def test_a_request_arrives_as_it_was_meant(request_: Take | Drive) -> None:
     """The robot's decoder reads what is sent."""

@@ -39,8 +39,8 @@ class _Keeping(Core):
         self.kept += [] if sample is None else [(self._rig.at_ns, sample)]
         return sample
 
-    def tick(self, now_ns: int, wall_ns: int, late_ns: int) -> Due:
-        due = super().tick(now_ns, wall_ns, late_ns)
+    def tick(self, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes) -> Due:
+        due = super().tick(now_ns, wall_ns, late_ns, challenge)
         self.kept += [(self._rig.at_ns, sample) for sample in due.samples]
         return due
 

@@ -53,9 +53,9 @@ def deadman() -> RecordedRig:
 def stale_commands() -> RecordedRig:
     """The stream goes on, but its commands grow old."""
     rig, operator = RecordedRig.driving()
-    tick = rig.says.tick
-    for _ in range(40):
-        rig.put(operator.name, "drive", operator.drive_payload(0.6, tick=tick))
+    challenge = rig.says.challenge
+    for _ in range(80):
+        rig.put(operator.name, "drive", operator.drive_payload(0.6, challenge=challenge))
         rig.tick(2)
     rig.rest()
     return rig
@@ -243,7 +243,7 @@ SCENARIOS: dict[Scenario, tuple[Reason, tuple[str, ...]]] = {
         Reason.DEADMAN,
         ("of operator-1", "310 ms before", "the limit is 300 ms", "No drive command at all"),
     ),
-    stale_commands: (Reason.DEADMAN, ("15 drive requests", "690 ms, at most 400 ms", "seq 102, 690 ms old")),
+    stale_commands: (Reason.DEADMAN, ("15 drive requests", "1290 ms, at most 1000 ms", "seq 102, 1290 ms old")),
     repeated_sequence: (Reason.DEADMAN, ("15 drive requests", "sequence number does not rise; 6 after 69")),
     lease_expired: (Reason.LEASE_EXPIRED, ("drive of operator-1, 500 ms before the stop", "a lease lasts 500 ms")),
     lease_taken: (Reason.LEASE_TAKEN, ("take, of operator-2",)),

@@ -67,6 +67,7 @@ def state(tick: int, sequence: int, ahead_ns: int = 0, **changes: Any) -> Safety
         steering_limit_deg=24.0, steering_rate_limit_degps=60.0, lateral_acceleration_limit_mps2=1.5,
         target_speed_mps=0.0, target_angle_deg=0.0, output_speed_mps=0.0, output_angle_deg=0.0,
         output_gear=GearPosition.UNDEFINED, brake_pedal_percent=0.0, parking=False,
+        challenge=tick.to_bytes(8, signed=True),
     )  # fmt: skip
     return msgspec.structs.replace(said, **changes)
 

@@ -5,19 +5,23 @@ import json
 from contextlib import suppress
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from recorder.cli.review import rerun
+from recorder.review.rerun import OTHER_RULES
+from schemas.command_rules import rules_notice
+from schemas.decisions import Journal
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import Variant
 from schemas.settings import Settings
 from tests.gateway.command.loop_rig import Operator
-from tests.gateway.recorded_day import Day, recorded
+from tests.gateway.recorded_day import RUN, Day, recorded, restful_day, under_rules_1
 from tests.recorder.fakes import small_log
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def day() -> Day:
     """Two seconds with 1 m/s."""
     day = Day(1, Variant.COARSE, ticks=0)
     day.rig.run(0.6)
@@ -25,6 +29,12 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     operator.engage()
     operator.drive(1.0, 0.0, 2.0)
     day.rig.run(4)
+    return day
+
+
+@pytest.fixture(scope="module")
+def log(day: Day, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its log."""
     path = tmp_path_factory.mktemp("logs") / "cruiser-1-20260102T030405Z.mcap"
     path.write_bytes(recorded(day))
     return path
@@ -114,6 +124,43 @@ def test_damage_is_told_and_partial(log: Path, tmp_path: Path, capsys: pytest.Ca
     assert set(codes) <= {ExitCode.OK, ExitCode.PARTIAL}
     assert ExitCode.PARTIAL in codes
     assert "damaged.mcap: byte" in capsys.readouterr().err
+
+
+def test_a_run_under_other_rules_says_so_first_and_is_exit_code_1(
+    day: Day, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What has changed, above all differences; with other settings too."""
+    path = tmp_path / "cruiser-1-20260102T030405Z.mcap"
+    path.write_bytes(recorded(day, journal=under_rules_1))
+    assert run(path) == ExitCode.FAILURE
+    notice, head, *rest = capsys.readouterr().out.splitlines()
+    assert notice == f"cruiser-1, run {RUN}: {rules_notice(0)}"
+    assert head.startswith(f"cruiser-1, run {RUN}: ")
+    assert any(line.startswith("  different: ") and not line.endswith(" 0") for line in rest)
+    assert run(path, "--set", "command.speed_limit_mps=0.4") == ExitCode.FAILURE
+    assert capsys.readouterr().out.startswith(notice)
+    assert run(path, "--json") == ExitCode.FAILURE
+    assert json.loads(capsys.readouterr().out)["rules"] == 0
+
+
+def test_a_part_of_a_run_under_other_rules_has_no_place_to_begin(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What a gateway at rest is remembered by is another thing under each; so it says, and compares nothing."""
+    path = tmp_path / "cruiser-1-20260102T030405Z.mcap"
+    first = 3000
+    path.write_bytes(recorded(restful_day(1), journal=lambda one: _from(first, under_rules_1(one))))
+    assert run(path) == ExitCode.FAILURE
+    out = capsys.readouterr().out
+    assert out.startswith(f"cruiser-1, run {RUN}: {rules_notice(0)}\n")
+    assert OTHER_RULES in out
+    assert "different:" not in out
+
+
+def _from(first: int, journal: Journal) -> Journal:
+    """The journal, empty where it is before an input."""
+    kept = journal.first >= first
+    return journal if kept else msgspec.structs.replace(journal, count=0, inputs=b"\x90")
 
 
 @pytest.mark.parametrize("jobs", ["0", "-1", "two", "1.5"])

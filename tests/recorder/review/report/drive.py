@@ -99,6 +99,7 @@ def arbiter(number: int, **fields: Any) -> SafetyState:  # noqa: ANN401 - any fi
         time_ns=WALL_NS + number * PERIOD_NS,
         sequence=number,
         tick=10_000 + 5 * number,
+        challenge=number.to_bytes(8),
         state=ArbiterState.ENGAGED,
         engaged=True,
         stop_reason=Reason.NONE,
