@@ -13,7 +13,7 @@ from gateway.chassis.frame import Frame
 from gateway.command.request import RawRequest
 from gateway.command.rest import Rest
 from gateway.core import Core, Due
-from gateway.journal import BrokenJournalError, Input, Kind, follow, inputs_of
+from gateway.journal import LINKS, BrokenJournalError, Input, Kind, follow, inputs_of
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas.decisions import Journal
@@ -95,8 +95,10 @@ def run_of(journals: Iterable[Journal]) -> Run | None:
     return None
 
 
-_REST_BEGINS: Final = msgspec.msgpack.encode([Kind.REST.value, *range(9)])[:2]
-"""An array of ten, of which the first says that it is a place of rest."""
+_REST_BEGINS: Final = tuple(
+    msgspec.msgpack.encode([Kind.REST.value, *range(3 + links)])[:2] for links in (6, len(LINKS))
+)
+"""A place of rest is an array that begins so: with as many links as there were once, or as there are."""
 
 
 def rests(journal: Journal) -> list[int]:
@@ -106,7 +108,7 @@ def rests(journal: Journal) -> list[int]:
         BrokenJournalError: it cannot be read.
     """
     # Most hold none, and looking through their inputs takes much longer.
-    if _REST_BEGINS not in journal.inputs:
+    if not any(begin in journal.inputs for begin in _REST_BEGINS):
         return []
     # The tick in which it was is the next input, and tells the time of day.
     return [tick[2] for one, tick in pairwise(inputs_of(journal)) if one[0] == Kind.REST]
@@ -157,16 +159,12 @@ def _links(core: Core, now_ns: int, *told: Any) -> list[Sample]:  # noqa: ANN401
     return []
 
 
+_NOT_YET_TOLD: Final = {"realtime": True}
+"""What holds for a journal that does not say it."""
+
+
 def _as_links(told: Sequence[Any]) -> Links:
-    bus_up, bus_losses, guarded, guard_sends, guard_stops, is_behind = told
-    return Links(
-        bus_up=bus_up,
-        bus_losses=bus_losses,
-        guarded=guarded,
-        guard_sends=guard_sends,
-        guard_stops=guard_stops,
-        is_behind=is_behind,
-    )
+    return Links(**(_NOT_YET_TOLD | dict(zip(LINKS, told, strict=False))))
 
 
 def _tick(core: Core, now_ns: int, wall_ns: int, late_ns: int) -> Due:
@@ -175,6 +173,11 @@ def _tick(core: Core, now_ns: int, wall_ns: int, late_ns: int) -> Due:
 
 def _sent(core: Core, now_ns: int, count: int, wall_ns: int) -> list[Sample]:
     return core.sent(count, now_ns, wall_ns)
+
+
+def _guard_stop(core: Core, now_ns: int, words: str) -> list[Sample]:
+    core.latch_guard_stop(words, now_ns)
+    return []
 
 
 def _shut_down(core: Core, now_ns: int) -> list[Sample]:
@@ -190,4 +193,5 @@ _GIVE: Final[dict[int, Callable[..., Due | list[Sample]]]] = {
     Kind.SENT: _sent,
     Kind.SHUT_DOWN: _shut_down,
     Kind.REST: lambda *_: [],
+    Kind.GUARD_STOP: _guard_stop,
 }

@@ -15,7 +15,7 @@ from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.request import RawRequest
 from gateway.core import Core, Due
 from gateway.guard.beat import GuardView
-from gateway.loop import BURST_MAX_FRAMES, PEERS_TICKS, Surroundings, run
+from gateway.loop import BURST_MAX_FRAMES, SELDOM_TICKS, Surroundings, run
 from gateway.sim.model import VirtualChassis
 from gateway.telemetry.sample import Sample
 from schemas import codec
@@ -229,7 +229,7 @@ def test_zenoh_is_asked_who_is_there_in_every_tenth_tick() -> None:
         Surroundings(FakeBus([]), zenoh),
         core(),
         lambda: b"info",
-        StopWhen(lambda: zenoh.answered == 3 * PEERS_TICKS),
+        StopWhen(lambda: zenoh.answered == 3 * SELDOM_TICKS),
     )
     assert zenoh.asked == 3
 

@@ -29,7 +29,7 @@ from schemas.subjects import BY_NAME, BY_VERB
 MS = 1_000_000
 TICK = 10 * MS
 WALL_NS = 1_700_000_000_000_000_000
-GUARDED = Links(bus_up=True, guarded=True)
+GUARDED = Links(bus_up=True, guarded=True, realtime=True)
 
 Signals = dict[str, Value]
 DRIVE_CAN_ID = load(Variant.COARSE).messages["Auto_DriveCmd"].can_id

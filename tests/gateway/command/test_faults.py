@@ -346,11 +346,11 @@ def test_a_parked_robot_stays_parked_when_its_stop_is_begun_again(by: str) -> No
         rig.run(0.5)
         rig.fault("transmitter command")
     else:
-        rig.links = Links(bus_up=False, guarded=True, bus_losses=1)
+        rig.links = Links(bus_up=False, guarded=True, bus_losses=1, realtime=True)
         rig.chassis_hears = False
         rig.corrupt = lambda _frame: None
         rig.run(1)
-        rig.links = Links(bus_up=True, guarded=True, bus_losses=1)
+        rig.links = Links(bus_up=True, guarded=True, bus_losses=1, realtime=True)
         rig.chassis_hears = True
         if by == "bus":
             rig.corrupt = lambda frame: frame
@@ -364,13 +364,13 @@ def test_a_parked_robot_stays_parked_when_its_stop_is_begun_again(by: str) -> No
 def test_a_bus_that_was_lost_and_returns_finds_the_robot_stopped(seconds: float) -> None:
     """While it is away nothing reaches the chassis, which goes on; the stop comes with the first sign of auto."""
     rig, _ = driving(1.0)
-    rig.links = Links(bus_up=not seconds, guarded=True, bus_losses=1)
+    rig.links = Links(bus_up=not seconds, guarded=True, bus_losses=1, realtime=True)
     rig.chassis_hears = False
     rig.corrupt = lambda frame: frame if not seconds else None
     rig.tick()
     assert rig.event_reasons(EventKind.TAKEOVER) == [Reason.BUS_DOWN]
     rig.run(seconds)
-    rig.links = Links(bus_up=True, guarded=True, bus_losses=1)
+    rig.links = Links(bus_up=True, guarded=True, bus_losses=1, realtime=True)
     rig.chassis_hears = True
     rig.corrupt = lambda frame: frame
     rig.tick(3)
@@ -904,7 +904,7 @@ def test_the_guards_frames_are_not_taken_for_another_computers() -> None:
     maker = FrameMaker()
     for frame in maker.make(Actuation(enabled=True), [], Variant.COARSE):
         rig.core.receive_frame(frame, rig.now_ns)
-    rig.links = Links(bus_up=True, guarded=True, guard_stops=1)
+    rig.links = Links(bus_up=True, guarded=True, guard_stops=1, realtime=True)
     rig.tick(3)
     assert rig.event_reasons(EventKind.STOP) == [Reason.FOUND_MOVING]
     assert Reason.OTHER_COMMANDER not in rig.says.blocked_by
