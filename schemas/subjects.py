@@ -178,7 +178,7 @@ SUBJECTS: Final[tuple[Subject, ...]] = (
         messages.GatewayHealth,
         "frame rates, losses, faults by kind, bus and Zenoh connection, loop lateness",
         "1 Hz",
-        Qos(Priority.BACKGROUND, history=1),
+        Qos(Priority.BACKGROUND),
     ),
     Subject(
         "gateway/info",

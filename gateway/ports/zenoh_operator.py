@@ -186,12 +186,7 @@ class SafetyListener:
             # Without history: an old tick is worse than none.
             session.declare_subscriber(state, zenoh.handlers.RingChannel(STATES_WAITING)),
             session.declare_subscriber(chassis, zenoh.handlers.RingChannel(STATES_WAITING)),
-            ext.declare_advanced_subscriber(
-                session,
-                health,
-                zenoh.handlers.RingChannel(1),
-                history=ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
-            ),
+            session.declare_subscriber(health, zenoh.handlers.RingChannel(STATES_WAITING)),
             ext.declare_advanced_subscriber(
                 session,
                 event,

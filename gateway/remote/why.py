@@ -22,8 +22,13 @@ EXAMPLE = """\
 
 EVENTS_SHOWN: Final = 5
 
+POLL_S: Final = 0.02
+
 EVENTS_S: Final = 0.3
-"""Past events come a moment after the state."""
+"""Past events come a moment after the state..."""
+
+HEALTH_S: Final = 1.2
+"""...and the gateway's health once a second."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,7 +45,9 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     """
     with connect(arguments, settings, stopped) as robot:
         time.sleep(EVENTS_S)
-        sighting = robot.state()
+        deadline_s = time.monotonic() + HEALTH_S - EVENTS_S
+        while (sighting := robot.state()).health is None and time.monotonic() < deadline_s:
+            time.sleep(POLL_S)
         events = robot.events()[-EVENTS_SHOWN:]
     state, health = sighting.state, sighting.health
     slowed_by = [Reason.NO_REALTIME] if health is not None and not health.realtime else []

@@ -385,6 +385,59 @@ def test_an_end_while_driving_brings_the_robot_to_rest_first(monkeypatch: pytest
     assert [event for event in events if event[0] != "lease"] == [("stop", "shutdown"), ("stopped", "shutdown")]
 
 
+def test_a_stop_by_the_guard_is_latched_until_a_reset_whatever_is_restarted() -> None:
+    """Row 'the guard has stopped the robot: latched, also across a restart of the gateway (kept on disk)'."""
+    endpoint = free_endpoint()
+    event = "fleet/cruiser-1/safety/event"
+    with chassis() as (_, address), listening(address) as bus:
+        with gateway(address, endpoint) as running:
+            listener = Listener(endpoint)
+            try:
+                listener.wait_for(STATE, lambda said: said["blocked_by"] == ["no_lease", "not_engaged"])
+                assert listener.ask("engage", lease=listener.ask("acquire")["lease"])["ok"]
+                running.stop(signal.SIGKILL)
+                running.wait_says("guard: done: the robot stands")
+            finally:
+                listener.close()
+        for is_reset in (False, True):
+            with gateway(address, endpoint) as running:
+                listener = Listener(endpoint)
+                try:
+                    blocked = ["no_lease", "guard", "not_engaged"]
+                    listener.wait_for(STATE, lambda said: said["blocked_by"] == blocked)
+                    running.wait_says("latched until a reset: .* guard: the gateway is gone.* the robot stands")
+                    if is_reset:
+                        assert listener.ask("reset", lease=listener.ask("acquire")["lease"])["ok"]
+                finally:
+                    listener.close()
+                assert running.stop() == 0
+        with gateway(address, endpoint) as running:
+            listener = Listener(endpoint)
+            try:
+                listener.wait_for(STATE, lambda said: said["blocked_by"] == ["no_lease", "not_engaged"])
+            finally:
+                listener.close()
+            assert running.stop() == 0
+            assert event not in listener.latest
+        assert bus.stands()
+
+
+def test_a_gateway_says_at_its_start_what_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Row 'a gateway without real-time priority says so at start', with the limit and the cure; so without a note."""
+    monkeypatch.setenv("CRUISER_GATEWAY_REALTIME_PRIORITY", "0")
+    monkeypatch.setenv("CRUISER_GATEWAY_STATE_DIR", "")
+    endpoint = free_endpoint()
+    with chassis() as (_, address), gateway(address, endpoint) as running:
+        running.wait_says("will not stay latched across a restart: gateway.state_dir is empty")
+        running.wait_says(r"no real-time priority.*: 1 m/s \(command.speed_limit_without_realtime_mps\); .*rtprio")
+        listener = Listener(endpoint)
+        try:
+            assert not listener.wait_for("fleet/cruiser-1/gateway/health")["realtime"]
+        finally:
+            listener.close()
+        assert running.stop() == 0
+
+
 @pytest.mark.parametrize("guarded", ["no guard", "a guard"])
 def test_a_loop_that_fails_unguarded_stops_the_robot_before_it_ends(
     guarded: str, monkeypatch: pytest.MonkeyPatch
