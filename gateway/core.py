@@ -12,7 +12,9 @@ same inputs, the core does the same.
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Callable
+from operator import attrgetter
+from typing import Any, Final
 
 import msgspec
 
@@ -25,7 +27,7 @@ from gateway.chassis.variant import WHEEL_SPEED, VariantDetector
 from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.request import RawRequest
 from gateway.command.rest import QUIET_NS, Rest, is_at_rest, memory_of, recall
-from gateway.journal import FRAME, JournalWriter, Kind
+from gateway.journal import FRAME, LINKS, JournalWriter, Kind
 from gateway.observation import Observer
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import HealthMeter, Links
@@ -36,6 +38,7 @@ from schemas.codec import encode
 from schemas.dbc_files import DBC_FILES
 from schemas.decisions import ArbiterState, SafetyEvent
 from schemas.messages import SEQUENCE_MAX, ControllerState, Message, Variant
+from schemas.reasons import Reason
 from schemas.settings import BATCH_MAX_FRAMES, BATCH_PERIOD_NS, HEALTH_PERIOD_NS, STATE_PERIOD_NS, Settings
 from schemas.subjects import SUBJECTS
 
@@ -223,6 +226,12 @@ class Core:
         self._take_batches(samples, wall_ns)
         return samples
 
+    def latch_guard_stop(self, words: str, now_ns: int) -> None:
+        """The guard stopped the robot before this start, and nobody has reset that: latched, with these words."""
+        if self.command is not None and self._journal is not None:
+            self._journal.add((Kind.GUARD_STOP, now_ns, words))
+            self.command.arbiter.latch(Reason.GUARD, words, now_ns)
+
     def shut_down(self, now_ns: int) -> None:
         """The gateway is to end: bring the robot to rest. ``is_at_rest`` says when that is done."""
         if self.command is not None and self._journal is not None:
@@ -316,16 +325,8 @@ class Core:
         return _sample(state)
 
 
-def _told(links: Links) -> tuple[bool | int, ...]:
-    """What of the links the command flow is told, and the journal holds."""
-    return (
-        links.bus_up,
-        links.bus_losses,
-        links.guarded,
-        links.guard_sends,
-        links.guard_stops,
-        links.is_behind,
-    )
+_told: Final[Callable[[Links], tuple[Any, ...]]] = attrgetter(*LINKS)
+"""What of the links the command flow is told, and the journal holds."""
 
 
 def _sample(message: Message) -> Sample:

@@ -26,7 +26,7 @@ class Kind(IntEnum):
     REQUEST = 1
     """handle, verb, operator, payload, size"""
     LINKS = 2
-    """bus_up, bus_losses, guarded, guard_sends, guard_stops, is_behind; only when one of them has changed"""
+    """Those that ``LINKS`` names, in its order; only when one of them has changed"""
     TICK = 3
     """wall_ns, late_ns, challenge; under rules 1 without the challenge"""
     SENT = 4
@@ -35,9 +35,23 @@ class Kind(IntEnum):
     REST = 6
     """[what the arbiter is remembered by], controller, and the links as in LINKS: nothing is given to the core.
     The gateway is at rest, and from here on a run can be run again: see ``gateway.command.rest``."""
+    GUARD_STOP = 7
+    """words: the guard stopped the robot before this start, and nobody has reset that"""
 
 
 Input = tuple[Any, ...]
+
+LINKS: Final = (
+    "bus_up",
+    "bus_losses",
+    "guarded",
+    "guard_sends",
+    "guard_stops",
+    "is_behind",
+    "realtime",
+    "guard_says",
+)
+"""The links that the command flow decides by. A journal of before holds the first six alone."""
 
 FRAME: Final = Kind.FRAME.value
 """Of all kinds this one is written 7,500 times a second, and a plain integer is encoded in half the time."""

@@ -20,6 +20,7 @@ from gateway.guard.beat import GuardView
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas.decisions import Severity
+from schemas.reasons import Reason
 from schemas.requests import CHALLENGE_BYTES
 from schemas.settings import BEHIND_NS, LATE_NS, LATE_TOLD_NS, LOOP_LATE_STOP_NS, REST_TIMEOUT_NS, TICK_NS
 
@@ -35,8 +36,8 @@ BURST_MAX_FRAMES: Final = 32
 
 NO_GUARD: Final = GuardView()
 
-PEERS_TICKS: Final = 10
-"""Who is connected is asked in every tenth tick: asking takes Zenoh tens of microseconds."""
+SELDOM_TICKS: Final = 10
+"""Who is connected, and whether there is real-time priority, is asked in every tenth tick: asking takes time."""
 
 
 CATCH_UP_BURSTS: Final = 256
@@ -112,13 +113,23 @@ class Guard(Protocol):
         ...
 
 
+class Note(Protocol):
+    """The note of a stop by the guard, as the loop sees it: it never fails and never blocks."""
+
+    def follow(self, *, is_latched: bool) -> None:
+        """Each tick: whether a stop by the guard is latched."""
+        ...
+
+
 class Surroundings(msgspec.Struct):
-    """What the loop runs between. ``inbox`` and ``guard`` are None for a gateway that only listens."""
+    """What the loop runs between. ``inbox``, ``guard`` and ``note`` are None for a gateway that only listens."""
 
     bus: FrameSource
     sink: SampleSink
     inbox: Inbox | None = None
     guard: Guard | None = None
+    note: Note | None = None
+    has_realtime: Callable[[], bool] = lambda: False
 
 
 @contextmanager
@@ -171,8 +182,8 @@ def run(around: Surroundings, core: Core, info: Callable[[], bytes], stopped: Ca
         if core.command is None and late_ns > LATE_NS and now_ns - complained_ns > LATE_TOLD_NS:
             complained_ns = now_ns
             log.warning("the loop was %d ms late; frames that waited keep their own times", late_ns // MS)
-        peers = links.zenoh_peers if ticks % PEERS_TICKS else sink.peers()
-        links = _observe(around, links, peers, is_behind=now_ns - reader.read_all_ns > BEHIND_NS)
+        is_behind = now_ns - reader.read_all_ns > BEHIND_NS
+        links = _observe(around, links, is_behind=is_behind, is_full=ticks % SELDOM_TICKS == 0)
         ticks += 1
         _tick(around, core, links, now_ns, late_ns)
         sink.answer(info)
@@ -199,6 +210,8 @@ def _tick(around: Surroundings, core: Core, links: Links, now_ns: int, late_ns: 
     samples = core.sent(count, monotonic_ns(), time.time_ns())
     if around.guard is not None and core.command is not None:
         around.guard.beat(monotonic_ns(), core.command)
+    if around.note is not None and core.command is not None:
+        around.note.follow(is_latched=Reason.GUARD in core.command.arbiter.latched)
     if inbox is not None:
         for reply in due.replies:
             inbox.reply(reply)
@@ -253,8 +266,9 @@ class Reader:
                 return
 
 
-def _observe(around: Surroundings, before: Links, peers: int, *, is_behind: bool) -> Links:
+def _observe(around: Surroundings, before: Links, *, is_behind: bool, is_full: bool) -> Links:
     bus, sink = around.bus, around.sink
+    peers = sink.peers() if is_full else before.zenoh_peers
     guard = around.guard.look() if around.guard is not None else NO_GUARD
     if bus.is_up and not before.bus_up:
         log.info("the bus is up%s", " again" if bus.losses else "")
@@ -275,6 +289,8 @@ def _observe(around: Surroundings, before: Links, peers: int, *, is_behind: bool
         guarded=guard.is_watching,
         guard_sends=guard.is_sending,
         guard_stops=guard.stops,
+        guard_says=guard.says,
         is_behind=is_behind,
+        realtime=around.has_realtime() if is_full else before.realtime,
         inbox_drops=around.inbox.drops if around.inbox is not None else 0,
     )

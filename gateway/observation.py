@@ -102,7 +102,9 @@ class Observer:
             guarded=links.guarded,
             guard_sends=links.guard_sends,
             guard_stops=links.guard_stops,
+            guard_says=links.guard_says,
             is_behind=links.is_behind,
+            realtime=links.realtime,
         )
 
     def _latest(self, name: str, kind: type[_Kind]) -> _Kind | None:

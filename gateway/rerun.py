@@ -13,7 +13,7 @@ from gateway.chassis.frame import Frame
 from gateway.command.request import RawRequest
 from gateway.command.rest import Rest
 from gateway.core import Core, Due
-from gateway.journal import BrokenJournalError, Input, Kind, follow, inputs_of
+from gateway.journal import LINKS, BrokenJournalError, Input, Kind, follow, inputs_of
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas.command_rules import COMMAND_RULES
@@ -98,8 +98,8 @@ def run_of(journals: Iterable[Journal]) -> Run | None:
     return None
 
 
-_REST_BEGINS: Final = msgspec.msgpack.encode([Kind.REST.value, *range(9)])[:2]
-"""An array of ten, of which the first says that it is a place of rest."""
+_REST_BEGINS: Final = msgspec.msgpack.encode([Kind.REST.value, *range(3 + len(LINKS))])[:2]
+"""A place of rest is an array that begins so."""
 
 
 def rests(journal: Journal) -> list[int]:
@@ -160,16 +160,12 @@ def _links(core: Core, now_ns: int, *told: Any) -> list[Sample]:  # noqa: ANN401
     return []
 
 
+_NOT_YET_TOLD: Final = {"realtime": True}
+"""What holds for a journal that does not say it."""
+
+
 def _as_links(told: Sequence[Any]) -> Links:
-    bus_up, bus_losses, guarded, guard_sends, guard_stops, is_behind = told
-    return Links(
-        bus_up=bus_up,
-        bus_losses=bus_losses,
-        guarded=guarded,
-        guard_sends=guard_sends,
-        guard_stops=guard_stops,
-        is_behind=is_behind,
-    )
+    return Links(**(_NOT_YET_TOLD | dict(zip(LINKS, told, strict=False))))
 
 
 def _tick(core: Core, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes = b"") -> Due:
@@ -179,6 +175,11 @@ def _tick(core: Core, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes 
 
 def _sent(core: Core, now_ns: int, count: int, wall_ns: int) -> list[Sample]:
     return core.sent(count, now_ns, wall_ns)
+
+
+def _guard_stop(core: Core, now_ns: int, words: str) -> list[Sample]:
+    core.latch_guard_stop(words, now_ns)
+    return []
 
 
 def _shut_down(core: Core, now_ns: int) -> list[Sample]:
@@ -194,4 +195,5 @@ _GIVE: Final[dict[int, Callable[..., Due | list[Sample]]]] = {
     Kind.SENT: _sent,
     Kind.SHUT_DOWN: _shut_down,
     Kind.REST: lambda *_: [],
+    Kind.GUARD_STOP: _guard_stop,
 }

@@ -326,6 +326,7 @@ class GatewayHealth(Message, frozen=True):
         tick_lateness_max_ms: the same, the latest.
         tick_lateness_worst_ms: the latest since the start.
         cpu_percent: processor time of this process over the last second; 100 is one core.
+        realtime: the loop runs with real-time priority. Without it a lower speed limit is in force.
     """
 
     gateway_version: str
@@ -350,6 +351,7 @@ class GatewayHealth(Message, frozen=True):
     tick_lateness_max_ms: DurationMs
     tick_lateness_worst_ms: DurationMs
     cpu_percent: Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("%"))]
+    realtime: bool = True
 
 
 class GatewayInfo(Message, frozen=True):

@@ -72,6 +72,7 @@ class Reason(Enum):
     GATE = "gate"
     GUARD = "guard"
     UNGUARDED = "unguarded"
+    NO_REALTIME = "no_realtime"
     SHUTDOWN = "shutdown"
 
     # Last, because a log holds a reason by its place.
@@ -179,6 +180,12 @@ TEXTS: Final[dict[Reason, Text]] = {
         "no guard watches the gateway, not yet or not on this interface",
         "wait a second; else use an interface that several processes can open, or accept it with "
         "gateway.accept_unguarded",
+    ),
+    Reason.NO_REALTIME: Text(
+        "the gateway has no real-time priority: a busy processor can delay it until the guard stops the robot, so "
+        "its speed limit is lower",
+        "run it as deploy/cruiser-gateway.service does (LimitRTPRIO=20), or allow it in /etc/security/limits.conf "
+        "(USER - rtprio 20), with gateway.realtime_priority above 0",
     ),
     Reason.SHUTDOWN: Text("the gateway is ending", "wait until it is back"),
     Reason.LINK_TOO_SLOW: Text(

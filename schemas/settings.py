@@ -393,6 +393,14 @@ class GatewaySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     realtime_priority: Annotated[
         int, Meta(ge=0, le=99, description="SCHED_FIFO priority of the loop, where the system allows it; 0 is off")
     ] = 10
+    state_dir: Annotated[
+        str,
+        Meta(
+            description="directory of the note that keeps a stop by the guard latched across a restart; auto: "
+            "$STATE_DIRECTORY, which systemd sets, else $XDG_STATE_HOME/cruiser, else ~/.local/state/cruiser; "
+            "empty: no note is kept"
+        ),
+    ] = "auto"
 
 
 class CommandSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -408,6 +416,14 @@ class CommandSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     speed_limit_mps: Annotated[float, Meta(ge=0.05, le=2.222, description="m/s; highest speed, either way")] = (
         2.222
     )
+    speed_limit_without_realtime_mps: Annotated[
+        float,
+        Meta(
+            ge=0.05,
+            le=2.222,
+            description="m/s; highest speed of a gateway that no guard watches or that has no real-time priority",
+        ),
+    ] = 1.0
     acceleration_mps2: Annotated[float, Meta(ge=0.1, le=1.5, description="m/s2; most it speeds up")] = 0.8
     deceleration_mps2: Annotated[
         float, Meta(ge=0.3, le=2.0, description="m/s2; how it slows down, and stops in a controlled way")

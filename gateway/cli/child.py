@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -20,13 +21,14 @@ LINES_KEPT: Final = 50
 class Child:
     """One of our own commands in a process of its own. It says that it is ready with its first line on stderr."""
 
-    def __init__(self, name: str, words: Sequence[str]) -> None:
+    def __init__(self, name: str, words: Sequence[str], **environment: str) -> None:
         self._name = name
         command = [sys.executable, "-m", "gateway", name, *words]
         self._process = subprocess.Popen(  # noqa: S603 - our own command
             # Ctrl-C is for the demo, which ends its children in their order.
             command,
             start_new_session=True,
+            env=os.environ | environment,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

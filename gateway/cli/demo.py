@@ -119,7 +119,9 @@ def _record(
         if ready is None:
             raise CommandError("the virtual chassis does not say where it is")
         bus = ["--interface", "socketcand", "--channel", ready[1]]
-        gateway = stack.enter_context(Child("gateway", [*configuration, *bus, "--listen", endpoint]))
+        # What a demo leaves must latch no gateway of the same name, nor what that left a demo.
+        words = [*configuration, *bus, "--listen", endpoint]
+        gateway = stack.enter_context(Child("gateway", words, CRUISER_GATEWAY_STATE_DIR=""))
         gateway.wait_ready()
         recorder = stack.enter_context(
             Child(

@@ -23,8 +23,9 @@ from gateway.ports.can_bus import Bus, BusLost
 from gateway.ports.guard_process import GuardLink, start_guard
 from gateway.ports.log_queue import logging_aside
 from gateway.ports.open_bus import describe, open_bus
-from gateway.ports.realtime import request_realtime
+from gateway.ports.realtime import has_realtime, request_realtime
 from gateway.ports.reconnecting_bus import ReconnectingBus
+from gateway.ports.stop_note import NoteClearer, StopNote
 from gateway.ports.zenoh_inbox import open_inbox
 from gateway.ports.zenoh_node import open_node
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
@@ -34,6 +35,7 @@ from schemas.dbc_files import DBC_FILES, dbc_text
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.json_schema import robot_schema_texts
 from schemas.messages import GatewayInfo, Variant
+from schemas.reasons import TEXTS, Reason
 from schemas.settings import Settings
 
 log = logging.getLogger(__name__)
@@ -100,12 +102,16 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         mode = "listen-only" if inbox is None else "commands through the arbiter"
         sys.stderr.write(f"gateway: {settings.robot.name} {where}, bus {describe(settings.can)}, {mode}\n")
         sys.stderr.flush()
+        note = NoteClearer(_recall_guard_stop(core, settings))
+        closing.callback(note.close)
         if inbox is not None and guard.why_not:
             log.warning("%s", _unguarded(settings, guard.why_not))
         if settings.zenoh.connect and not node.peers():
             log.warning("no Zenoh node answers at %s yet; trying on", ", ".join(settings.zenoh.connect))
         request_realtime(settings.gateway.realtime_priority)
-        around = Surroundings(bus, node, inbox, guard)
+        if inbox is not None and not has_realtime():
+            log.warning("%s", _without_realtime(settings))
+        around = Surroundings(bus, node, inbox, guard, note, has_realtime)
         try:
             with logging_aside():
                 run_loop(around, core, info, ending_after(stopped, arguments.seconds, time.monotonic))
@@ -128,9 +134,29 @@ def _stop_unguarded(core: Core, bus: ReconnectingBus, guard: GuardLink, settings
     log.error("the loop has failed, and no guard watches: the robot was stopped from here; %s", outcome)
 
 
+def _recall_guard_stop(core: Core, settings: Settings) -> StopNote:
+    """What the guard did before this start stays latched. Returns the note that says so."""
+    note = StopNote.of(settings)
+    why_not = note.why_not()
+    if core.command is not None and why_not:
+        log.warning("a stop by the guard will not stay latched across a restart: %s", why_not)
+    words = note.read()
+    if words:
+        core.latch_guard_stop(words, time.monotonic_ns())
+    return note
+
+
+def _without_realtime(settings: Settings) -> str:
+    text = TEXTS[Reason.NO_REALTIME]
+    limit_mps = settings.command.speed_limit_without_realtime_mps
+    limit = f"{limit_mps:g} m/s (command.speed_limit_without_realtime_mps)"
+    return f"{text.means}: {limit}; {text.cure}"
+
+
 def _unguarded(settings: Settings, why: str) -> str:
     consequence = (
-        "engaging is accepted all the same (gateway.accept_unguarded)"
+        "engaging is accepted all the same (gateway.accept_unguarded), up to "
+        f"{settings.command.speed_limit_without_realtime_mps:g} m/s"
         if settings.gateway.accept_unguarded
         else "engaging is refused (gateway.accept_unguarded = true would accept it)"
     )

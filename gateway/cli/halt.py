@@ -17,6 +17,7 @@ from gateway.guard.sight import Sight
 from gateway.guard.stopper import OTHER, REMOTE, STANDS, UNSEEN, Stopper
 from gateway.ports.can_bus import Bus, BusFull, BusLost
 from gateway.ports.open_bus import describe, open_bus
+from gateway.ports.stop_note import NoteWriter, StopNote
 from schemas.arguments import seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import Mode, Variant
@@ -43,8 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Listens, says what it finds, and brings a robot that nobody commands any more to rest: zero speed, "
         "parking brake, neutral, then silence. It waits for a guard at work, and for a hand transmitter "
-        "that has the robot: the chassis would obey its last command again afterwards. Not an emergency stop: "
-        "that is the button on the robot."
+        "that has the robot: the chassis would obey its last command again afterwards. A gateway that starts "
+        "afterwards wants a reset first. Not an emergency stop: that is the button on the robot."
     )
     parser.add_argument("--interface", dest="can.interface", metavar="NAME", help="python-can interface")
     parser.add_argument("--channel", dest="can.channel", metavar="CHANNEL", help="the interface's channel")
@@ -166,7 +167,18 @@ class Halt:
         variant, now_ns = self._variant, time.monotonic_ns()
         stopper = Stopper(self._sight, self._settings.command)
         stopper.begin(None, variant, None, now_ns)
-        _say("sending the stop sequence")
+        note = NoteWriter(StopNote.of(self._settings), _say)
+        try:
+            return self._bring_to_rest(stopper, now_ns, note)
+        finally:
+            note.close()
+
+    def _bring_to_rest(self, stopper: Stopper, now_ns: int, note: NoteWriter) -> ExitCode:
+        def say(line: str) -> None:
+            _say(line)
+            note.add(f"halt: {line}")
+
+        say("sending the stop sequence")
         failures = 0
         given_up_ns = now_ns + self._wait_ns
         braked_ns = now_ns + GUARD_GIVES_UP_NS
@@ -186,10 +198,10 @@ class Halt:
                 count = self._send_all(stopper, now_ns, frames)
                 failures = failures + 1 if count < len(frames) else 0
             if failures >= SEND_FAILURES:
-                _say("the bus takes no frames")
+                say("the bus takes no frames")
                 return ExitCode.UNREACHABLE
             self._receive_until(now_ns + GUARD_POLL_NS)
-        _say(f"{stopper.outcome}; {stopper.frames} frames sent")
+        say(f"{stopper.outcome}; {stopper.frames} frames sent")
         return _EXIT_CODES.get(stopper.outcome, ExitCode.FAILURE)
 
     def _send_all(self, stopper: Stopper, now_ns: int, frames: list[Frame]) -> int:

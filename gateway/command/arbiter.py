@@ -98,6 +98,7 @@ class Arbiter:
         self._late_ns = 0
         self._before: tuple[Motion, StopSequence | None, Actuation | None] = (self.motion, None, None)
         self._waiting: dict[str, int] = {}
+        self._guard_stops: int | None = None
         self._notices = Notices()
         self._answers: list[Answer] = []
         self._events: list[Event] = []
@@ -253,9 +254,11 @@ class Arbiter:
     def _give_way(self, now_ns: int) -> None:
         """Who else commands the chassis, or where no command can reach it, the output ceases at once."""
         observed = self.watch.observed
+        before, self._guard_stops = self._guard_stops, observed.guard_stops
         if self.state is ArbiterState.STANDBY:
-            if observed.guard_sends:
-                self.latch(Reason.GUARD, "", now_ns)
+            has_acted = before is not None and observed.guard_stops > before
+            if observed.guard_sends or has_acted:
+                self.latch(Reason.GUARD, observed.guard_says, now_ns)
             return
         reason = self.handover.reason_to_yield(observed)
         if reason is Reason.MODE_NOT_AUTO and (observed.moves or self.state is ArbiterState.STOPPING):
@@ -264,8 +267,9 @@ class Arbiter:
             return
         if reason is Reason.NONE:
             return
+        detail = observed.guard_says if reason is Reason.GUARD else ""
         if reason is Reason.GUARD:
-            self.latch(reason, "", now_ns)
+            self.latch(reason, detail, now_ns)
         self._go(Trigger.YIELD)
         told = self.actuation if self.actuation is not None else Actuation(parking=self.parked)
         self.handover.leave(told, reason, observed, now_ns)
@@ -275,11 +279,11 @@ class Arbiter:
         self._sequence = None
         self._fail_waiting(reason, "")
         kind = EventKind.GUARD if reason is Reason.GUARD else EventKind.TAKEOVER
-        self.tell(Severity.WARNING, kind, reason, f"nothing is sent any more: {_in_words(reason, '')}")
+        self.tell(Severity.WARNING, kind, reason, f"nothing is sent any more: {_in_words(reason, detail)}")
 
     def _look_for_causes(self, now_ns: int, late_ns: int) -> None:
         for notice in self._notices.look(self.watch.observed, now_ns, late_ns):
-            self.tell(notice.severity, EventKind.FAULT, notice.reason, notice.text)
+            self.tell(notice.severity, notice.kind, notice.reason, notice.text)
         for bumper in self.watch.hits:
             self.latch(bumper, "", now_ns)
         if self.state is ArbiterState.STANDBY:
@@ -301,8 +305,12 @@ class Arbiter:
 
     def _look_for_lapses(self, now_ns: int) -> None:
         """What somebody ought to have done in time, and has not."""
-        if not self.watch.observed.guarded and not self.accepts_unguarded:
+        observed = self.watch.observed
+        if not observed.guarded and not self.accepts_unguarded:
             self.begin_stop(Reason.UNGUARDED, now_ns)
+        if not (observed.guarded and observed.realtime):
+            # It stays lower until the robot is engaged again: limits are never raised while it is driven.
+            self.limits = self.limits.lowered(self.settings.speed_limit_without_realtime_mps)
         if self.state is ArbiterState.ENGAGING and now_ns >= self._engage_until_ns:
             self.begin_stop(Reason.NOT_CONFIRMED, now_ns, "the mode does not read auto")
         if self.state is ArbiterState.ENGAGED and now_ns - self.fresh_ns > self.settings.deadman_s * _NS_PER_S:

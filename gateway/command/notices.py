@@ -1,4 +1,4 @@
-"""What a person should know although it stops nothing: a late loop, a CAN controller in trouble."""
+"""What a person should know although it stops nothing: a late loop, a CAN controller in trouble, a guard's end."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from gateway.command.observed import Observed
-from schemas.decisions import Severity
+from schemas.decisions import EventKind, Severity
 from schemas.messages import ControllerState
-from schemas.reasons import Reason
+from schemas.reasons import TEXTS, Reason
 from schemas.settings import LATE_NS, LATE_TOLD_NS
 
 
@@ -18,6 +18,7 @@ class Notice(NamedTuple):
     severity: Severity
     reason: Reason
     text: str
+    kind: EventKind = EventKind.FAULT
 
 
 _GRAVITY = {
@@ -33,6 +34,8 @@ class Notices:
     def __init__(self) -> None:
         self._late_told_ns = -LATE_TOLD_NS
         self._controller = ControllerState.UNKNOWN
+        self._guard_says = ""
+        self._is_realtime = False
 
     def look(self, observed: Observed, now_ns: int, late_ns: int) -> Iterator[Notice]:
         """What is new at this tick, which began so late."""
@@ -46,3 +49,11 @@ class Notices:
                 Reason.BUS_OFF if self._controller is ControllerState.BUS_OFF else Reason.BUS_ERRORS,
                 f"the CAN controller: {before.value} before, {self._controller.value} now",
             )
+        was_realtime, self._is_realtime = self._is_realtime, observed.realtime
+        if was_realtime and not observed.realtime:
+            yield Notice(Severity.WARNING, Reason.NO_REALTIME, TEXTS[Reason.NO_REALTIME].means)
+        if not observed.guard_sends and observed.guard_says != self._guard_says:
+            self._guard_says = observed.guard_says
+            if observed.guard_says:
+                text = f"the guard's stop has ended: {observed.guard_says}"
+                yield Notice(Severity.WARNING, Reason.GUARD, text, EventKind.GUARD)

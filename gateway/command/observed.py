@@ -31,7 +31,9 @@ class Observed(msgspec.Struct, frozen=True):
         guarded: the guard watches this process.
         guard_sends: the guard is stopping the robot in our place.
         guard_stops: how often it has begun to, since the start.
+        guard_says: why it last did, and how that ended; empty if it never did.
         is_behind: frames come faster than they can be read, so what is seen is old.
+        realtime: the gateway has real-time priority.
     """
 
     bus_up: bool = False
@@ -58,7 +60,9 @@ class Observed(msgspec.Struct, frozen=True):
     guarded: bool = False
     guard_sends: bool = False
     guard_stops: int = 0
+    guard_says: str = ""
     is_behind: bool = False
+    realtime: bool = False
 
     @property
     def is_slow(self) -> bool:

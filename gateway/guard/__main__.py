@@ -24,6 +24,7 @@ from gateway.ports.heartbeat import Heartbeat
 from gateway.ports.open_bus import open_bus
 from gateway.ports.realtime import request_realtime
 from gateway.ports.reconnecting_bus import ReconnectingBus
+from gateway.ports.stop_note import NoteWriter, StopNote
 from schemas.exit_codes import CommandError
 from schemas.messages import Variant
 from schemas.settings import Settings
@@ -79,16 +80,25 @@ def main() -> None:
     settings = order.settings
     guardian = Guardian(settings.command)
     _spare_from_memory_killer()
-    if settings.gateway.realtime_priority:
-        request_realtime(min(settings.gateway.realtime_priority + 1, _PRIORITY_MAX))
+    priority = settings.gateway.realtime_priority
+    if priority:
+        priority = min(priority + 1, _PRIORITY_MAX)
+        request_realtime(priority)
+    note = NoteWriter(StopNote.of(settings), say, priority)
+
+    def announce(line: str) -> None:
+        say(line)
+        note.add(f"guard: {line}")
+
     bus = ReconnectingBus(lambda: _open_bus(settings), _first_bus(settings))
     gc.collect()
     gc.freeze()
     gc.disable()
     try:
-        run(bus, memory, guardian, lambda: os.getppid() == order.parent, asked, say)
+        run(bus, memory, guardian, lambda: os.getppid() == order.parent, asked, announce)
     finally:
         bus.close()
+        note.close()
         memory.close()
 
 

@@ -7,6 +7,7 @@ from enum import Enum
 import msgspec
 
 from gateway.command.actuation import AT_REST, Actuation
+from gateway.guard import stopper
 from schemas.messages import Variant
 
 
@@ -45,6 +46,17 @@ class Cause(Enum):
     GONE = "the gateway is gone"
 
 
+class Outcome(Enum):
+    """How the guard's stop ended, in words."""
+
+    NONE = ""
+    STANDS = stopper.STANDS
+    UNSEEN = stopper.UNSEEN
+    REMOTE = stopper.REMOTE
+    OTHER = stopper.OTHER
+    GIVEN_UP = "it has given up"
+
+
 class GuardView(msgspec.Struct, frozen=True):
     """The guard, as the loop sees it at one time.
 
@@ -52,11 +64,13 @@ class GuardView(msgspec.Struct, frozen=True):
         is_watching: it lives, has its bus and hears feedback: it would stop the robot in our place.
         is_sending: it does so now, and we must be silent. One that gives no sign of life any more is not.
         stops: how often it has begun to, since the start.
+        says: why it last did, and how that ended; empty if it never did.
     """
 
     is_watching: bool = False
     is_sending: bool = False
     stops: int = 0
+    says: str = ""
 
 
 class GuardStatus(msgspec.Struct, frozen=True):
@@ -69,6 +83,7 @@ class GuardStatus(msgspec.Struct, frozen=True):
             give the robot back.
         stops: how many stops it has begun since it was started.
         cause: of the last one, or of the one under way.
+        outcome: how the last one ended; NONE while one is under way.
     """
 
     now_ns: int
@@ -76,3 +91,9 @@ class GuardStatus(msgspec.Struct, frozen=True):
     is_sending: bool = False
     stops: int = 0
     cause: Cause = Cause.NONE
+    outcome: Outcome = Outcome.NONE
+
+    @property
+    def says(self) -> str:
+        """Cause and outcome in words; empty if it has not acted."""
+        return "" if self.cause is Cause.NONE else "; ".join(filter(None, (self.cause.value, self.outcome.value)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from gateway.chassis.frame import Frame
-from gateway.guard.beat import Beat, Cause, GuardStatus
+from gateway.guard.beat import Beat, Cause, GuardStatus, Outcome
 from gateway.guard.sight import Sight
 from gateway.guard.stopper import REMOTE, STANDS, UNSEEN, Stopper
 from schemas.messages import Mode
@@ -21,6 +21,8 @@ from schemas.settings import (
 _LATE_LOOKS: Final = 2
 """Late in so many looks: where the whole machine stood still, the loop may beat before the second."""
 
+_OUTCOMES: Final = {outcome.value: outcome for outcome in Outcome}
+
 
 class Guardian:
     """Watches the heartbeat, and stops the robot when it fails.
@@ -31,6 +33,7 @@ class Guardian:
             comes back: a loop that has seen this will not take the robot again.
         stops: how many stops it has begun.
         cause: of the last one, or of the one under way.
+        outcome: how the last one ended; NONE while one is under way.
     """
 
     def __init__(self, settings: CommandSettings) -> None:
@@ -39,6 +42,7 @@ class Guardian:
         self.is_sending = False
         self.stops = 0
         self.cause = Cause.NONE
+        self.outcome = Outcome.NONE
         self._stopper = Stopper(self.sight, settings)
         # One stop for each failure: after it, only a loop that is well again can fail again.
         self._is_armed = True
@@ -115,7 +119,7 @@ class Guardian:
     def status(self, now_ns: int, *, bus_up: bool) -> GuardStatus:
         """What the loop is told."""
         is_ready = bus_up and self.sight.hears(now_ns)
-        return GuardStatus(now_ns, is_ready, self.is_sending, self.stops, self.cause)
+        return GuardStatus(now_ns, is_ready, self.is_sending, self.stops, self.cause, self.outcome)
 
     def take_lines(self) -> list[str]:
         """What there is to tell people since the last call."""
@@ -162,6 +166,7 @@ class Guardian:
     def _begin(self, last: Beat, cause: Cause, now_ns: int) -> None:
         self.is_sending = True
         self.cause = cause
+        self.outcome = Outcome.NONE
         self.stops += 1
         self._began_ns = self._heard_ns = now_ns
         self._stopper.begin(last.last, last.variant, last.counters, now_ns, last.told_ns)
@@ -192,6 +197,7 @@ class Guardian:
         self.is_sending = False
         self._is_armed = False
         self._late_looks = 0
+        self.outcome = _OUTCOMES.get(self._stopper.outcome, Outcome.GIVEN_UP)
         if self._stopper.outcome in {STANDS, UNSEEN}:
             self._ended_ns = self._ticked_ns or 0
         self._lines.append(f"done: {self._stopper.outcome}; {self._stopper.frames} frames sent")

@@ -115,6 +115,7 @@ class GuardProcess:
             is_watching=lives and status.is_ready,
             is_sending=lives and status.is_sending,
             stops=self._stops_before + status.stops,
+            says=status.says,
         )
 
     @property

@@ -13,7 +13,7 @@ from typing import Any, Final, Self
 from zlib import crc32
 
 from gateway.command.actuation import Actuation
-from gateway.guard.beat import Beat, Cause, GuardStatus
+from gateway.guard.beat import Beat, Cause, GuardStatus, Outcome
 from schemas.messages import GearPosition, Variant
 
 SIZE_BYTES: Final = 4096
@@ -21,16 +21,18 @@ _BEATS_AT: Final = 0
 _STATUS_AT: Final = 2048
 
 _BEAT: Final = struct.Struct("<2q4?B?Bddd?8s")
-_STATUS: Final = struct.Struct("<q2?QB")
+_STATUS: Final = struct.Struct("<q2?Q2B")
 _NUMBER: Final = struct.Struct("<Q")
 _CHECKSUM: Final = struct.Struct("<I")
 
 _VARIANTS: Final = tuple(Variant)
 _GEARS: Final = tuple(GearPosition)
 _CAUSES: Final = tuple(Cause)
+_OUTCOMES: Final = tuple(Outcome)
 _VARIANT_CODES: Final = {variant: code for code, variant in enumerate(_VARIANTS)}
 _GEAR_CODES: Final = {gear: code for code, gear in enumerate(_GEARS)}
 _CAUSE_CODES: Final = {cause: code for code, cause in enumerate(_CAUSES)}
+_OUTCOME_CODES: Final = {outcome: code for code, outcome in enumerate(_OUTCOMES)}
 
 
 class _Record:
@@ -119,12 +121,13 @@ class Heartbeat:
     def write_status(self, status: GuardStatus) -> None:
         """The guard lives."""
         cause = _CAUSE_CODES[status.cause]
-        self._status.write(status.now_ns, status.is_ready, status.is_sending, status.stops, cause)
+        outcome = _OUTCOME_CODES[status.outcome]
+        self._status.write(status.now_ns, status.is_ready, status.is_sending, status.stops, cause, outcome)
 
     def read_status(self) -> GuardStatus | None:
         """The guard's newest status; None before the first."""
         values = self._status.read()
         if values is None:
             return None
-        now_ns, is_ready, is_sending, stops, cause = values
-        return GuardStatus(now_ns, is_ready, is_sending, stops, _CAUSES[cause])
+        now_ns, is_ready, is_sending, stops, cause, outcome = values
+        return GuardStatus(now_ns, is_ready, is_sending, stops, _CAUSES[cause], _OUTCOMES[outcome])

@@ -22,7 +22,7 @@ def request_realtime(priority: int) -> bool:
         priority: 1 to 99; 0 asks for nothing.
 
     Returns:
-        Whether both were granted. A refusal is logged and changes nothing else.
+        Whether SCHED_FIFO was granted. A refusal of either is logged and changes nothing else.
     """
     if priority == 0:
         return False
@@ -33,5 +33,9 @@ def request_realtime(priority: int) -> bool:
         return False
     if ctypes.CDLL(None, use_errno=True).mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) != 0:
         log.info("no locked memory: %s", os.strerror(ctypes.get_errno()))
-        return False
     return True
+
+
+def has_realtime() -> bool:
+    """Look whether the calling thread has a real-time policy, whoever gave it."""
+    return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK in {os.SCHED_FIFO, os.SCHED_RR}

@@ -169,7 +169,7 @@ class CommandPort:
 
 
 class SafetyListener:
-    """Hears what a robot's arbiter says, and the robot's state. Owns its session."""
+    """Hears what a robot's arbiter says, the robot's state and its gateway's health. Owns its session."""
 
     def __init__(self, session: zenoh.Session, root: str, robot: str) -> None:
         """Subscribe on a session.
@@ -178,13 +178,15 @@ class SafetyListener:
             ValueError: a part of the keys is not of its form.
         """
         self._session = session
-        state, event, chassis = (
-            keys.build(root, robot, BY_NAME[name]) for name in ("safety/state", "safety/event", "state")
+        state, event, chassis, health = (
+            keys.build(root, robot, BY_NAME[name])
+            for name in ("safety/state", "safety/event", "state", "gateway/health")
         )
         self._subscribers: tuple[Any, ...] = (
             # Without history: an old tick is worse than none.
             session.declare_subscriber(state, zenoh.handlers.RingChannel(STATES_WAITING)),
             session.declare_subscriber(chassis, zenoh.handlers.RingChannel(STATES_WAITING)),
+            session.declare_subscriber(health, zenoh.handlers.RingChannel(STATES_WAITING)),
             ext.declare_advanced_subscriber(
                 session,
                 event,

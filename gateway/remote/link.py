@@ -20,7 +20,7 @@ from schemas import codec, keys
 from schemas.codec import PayloadFault
 from schemas.decisions import Reply, SafetyEvent, SafetyState
 from schemas.exit_codes import CommandError
-from schemas.messages import RobotState
+from schemas.messages import GatewayHealth, RobotState
 from schemas.requests import Renew, Request
 
 log = logging.getLogger(__name__)
@@ -40,11 +40,13 @@ class Sighting(msgspec.Struct, frozen=True):
         state: what its arbiter says.
         age_s: time since it was heard.
         chassis: what its chassis does; None if that was not heard lately.
+        health: how its gateway was when it last said so; None if it has not.
     """
 
     state: SafetyState
     age_s: float
     chassis: RobotState | None
+    health: GatewayHealth | None = None
 
 
 class Link:
@@ -67,6 +69,7 @@ class Link:
         self._state_ns = 0
         self._chassis: RobotState | None = None
         self._chassis_ns = 0
+        self._health: GatewayHealth | None = None
         self._events: deque[SafetyEvent] = deque(maxlen=EVENTS_KEPT)
         self._stream: DriveStream | None = None
         self._renewal: Question | None = None
@@ -106,7 +109,7 @@ class Link:
                 for_s = f", for {(now_ns - self._state_ns) / _S:.1f} s" if self._state is not None else ""
                 raise Unreachable(f"{self.robot} is not heard any more{for_s}")
             chassis = self._chassis if self.hears_chassis else None
-            return Sighting(self._state, (now_ns - self._state_ns) / _S, chassis)
+            return Sighting(self._state, (now_ns - self._state_ns) / _S, chassis, self._health)
 
     def take_events(self) -> list[SafetyEvent]:
         """The events that were heard since the last call."""
@@ -193,6 +196,8 @@ class Link:
                 self._events.append(message)
             case RobotState():
                 self._chassis, self._chassis_ns = message, now_ns
+            case GatewayHealth():
+                self._health = message
             case PayloadFault():
                 self.unreadable = f"{parts.subject.name}: {message.detail}"
 

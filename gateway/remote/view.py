@@ -90,6 +90,7 @@ def health_facts(health: GatewayHealth) -> list[Fact]:
         Fact("faults", faults or "none", BAD if faults else PLAIN),
         Fact("version", plain(health.gateway_version)),
         Fact("up", f"{health.uptime_s:.0f} s"),
+        *([] if health.realtime else [Fact("real-time", "no", BAD)]),
     ]
 
 

@@ -13,6 +13,7 @@ import msgspec
 from gateway.remote.operator_arguments import add_robot_arguments, connect
 from gateway.remote.reasons_text import event_line, reason_line, state_line, text_of
 from schemas.exit_codes import ExitCode
+from schemas.reasons import Reason
 from schemas.settings import Settings
 
 EXAMPLE = """\
@@ -21,8 +22,13 @@ EXAMPLE = """\
 
 EVENTS_SHOWN: Final = 5
 
+POLL_S: Final = 0.02
+
 EVENTS_S: Final = 0.3
-"""Past events come a moment after the state."""
+"""Past events come a moment after the state..."""
+
+HEALTH_S: Final = 1.2
+"""...and the gateway's health once a second."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,18 +45,25 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     """
     with connect(arguments, settings, stopped) as robot:
         time.sleep(EVENTS_S)
-        sighting = robot.state()
+        deadline_s = time.monotonic() + HEALTH_S - EVENTS_S
+        while (sighting := robot.state()).health is None and time.monotonic() < deadline_s:
+            time.sleep(POLL_S)
         events = robot.events()[-EVENTS_SHOWN:]
-    state = sighting.state
+    state, health = sighting.state, sighting.health
+    slowed_by = [Reason.NO_REALTIME] if health is not None and not health.realtime else []
     if arguments.json:
         blocked_by = [{"reason": reason, **msgspec.structs.asdict(text_of(reason))} for reason in state.blocked_by]
         record = {"robot": arguments.robot, "age_s": sighting.age_s, "state": state, "blocked_by": blocked_by}
+        record["slowed_by"] = [
+            {"reason": reason, **msgspec.structs.asdict(text_of(reason))} for reason in slowed_by
+        ]
         sys.stdout.write(f"{msgspec.json.encode({**record, 'events': events}).decode()}\n")
     else:
         sys.stdout.write(f"{arguments.robot}: {state_line(state)}\n")
         sys.stdout.writelines(f"  {reason_line(reason)}\n" for reason in state.blocked_by)
         if not state.blocked_by:
             sys.stdout.write("  nothing keeps it from moving: it does what its operator's drive commands say\n")
+        sys.stdout.writelines(f"  slowed by {reason_line(reason)}\n" for reason in slowed_by)
         if events:
             sys.stdout.write("lately:\n")
             now_ns = time.time_ns()

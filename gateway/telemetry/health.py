@@ -29,7 +29,9 @@ class Links(msgspec.Struct, frozen=True):
         guarded: the guard watches this process.
         guard_sends: the guard is stopping the robot in our place.
         guard_stops: how often it has begun to, since the start.
+        guard_says: why it last did, and how that ended; empty if it never did.
         is_behind: frames come faster than they can be read.
+        realtime: the loop has real-time priority.
         inbox_drops: requests that were dropped unread because too many came, since the start.
     """
 
@@ -43,7 +45,9 @@ class Links(msgspec.Struct, frozen=True):
     guarded: bool = False
     guard_sends: bool = False
     guard_stops: int = 0
+    guard_says: str = ""
     is_behind: bool = False
+    realtime: bool = False
     inbox_drops: int = 0
 
 
@@ -112,6 +116,7 @@ class HealthMeter:
             tick_lateness_max_ms=_quantile_ms(late_ns, 1),
             tick_lateness_worst_ms=round(self._worst_ns / 1e6, 3),
             cpu_percent=round((links.cpu_ns - self._reported_cpu_ns) / elapsed_s / 1e7, 1),
+            realtime=links.realtime,
         )
         self._reported_ns = now_ns
         self._reported_frames = frames

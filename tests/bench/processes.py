@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import socket
 import subprocess
@@ -127,13 +128,18 @@ def _watch(latency_us: list[float]) -> Any:  # noqa: ANN401 - Zenoh's own callba
 
 
 def start(stack: ExitStack, words: list[str], ready: str) -> tuple[subprocess.Popen[str], str]:
-    """A process of ours, once it has said this. Returns it and that line; it ends with the stack."""
+    """A process of ours, once it has said this. Returns it and that line; it ends with the stack.
+
+    It may drive fast without real-time priority, and leaves no latch behind.
+    """
     process = subprocess.Popen(
         [sys.executable, *words],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        env={"CRUISER_GATEWAY_STATE_DIR": "", "CRUISER_COMMAND_SPEED_LIMIT_WITHOUT_REALTIME_MPS": "2.222"}
+        | os.environ,
     )
     stack.enter_context(process)
     stack.callback(process.terminate)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gateway.cli.main import COMMANDS
-from schemas.settings import HALT_LISTEN_NS, HALT_YIELD_NS, REST_TIMEOUT_NS
+from schemas.settings import HALT_LISTEN_NS, HALT_YIELD_NS, REST_TIMEOUT_NS, Settings
 
 DEPLOY = Path(__file__).parent.parent.parent / "deploy"
 
@@ -47,6 +47,15 @@ def test_the_guard_outlives_the_gateway(service: dict[str, str]) -> None:
     assert service["KillMode"] == "process"
     assert service["OOMPolicy"] == "continue"
     assert int(service["TimeoutStopSec"]) * 1e9 > 2 * HALT_YIELD_NS + 2 * HALT_LISTEN_NS + REST_TIMEOUT_NS
+
+
+def test_a_stop_by_the_guard_has_a_place_on_the_disk(service: dict[str, str]) -> None:
+    """Row 'latched, also across a restart': the gateway, the guard and the halt are told the same directory.
+
+    It lies apart from the recorder's, whose owner would be changed with it.
+    """
+    assert service["StateDirectory"] == "cruiser/gateway"
+    assert int(service["LimitRTPRIO"]) >= Settings().gateway.realtime_priority + 1
 
 
 def test_the_recorder_records_into_the_directory_that_it_may_write_to() -> None:

@@ -86,14 +86,21 @@ def test_every_input_of_the_core_is_written_down() -> None:
     core.receive_request(RawRequest(9, "stop", "first", b"\xff\x00", 2), 3)
     core.observe_links(Links(bus_up=True, bus_losses=1, guarded=True), 4)
     core.observe_links(Links(bus_up=True, bus_losses=1, guarded=True, zenoh_peers=5, cpu_ns=7), 5)
-    core.shut_down(6)
+    says = "it has given up"
+    core.observe_links(
+        Links(bus_up=True, bus_losses=1, guarded=True, guard_stops=1, guard_says=says, realtime=True), 6
+    )
+    core.latch_guard_stop("the robot stands", 7)
+    core.shut_down(8)
     assert inputs_of(core, 0) == [
         (Kind.FRAME, 0, [EXTENDED | 0x18C4D1EF, bytes(8), WALL_NS, 0, 0]),
         (Kind.FRAME, 1, [0x123 | REMOTE, b"", 5, 0, 3]),
         (Kind.FRAME, 2, [0x7, bytes(64), 6, FD, 0]),
         (Kind.REQUEST, 3, 9, "stop", "first", b"\xff\x00", 2),
-        (Kind.LINKS, 4, True, 1, True, False, 0, False),
-        (Kind.SHUT_DOWN, 6),
+        (Kind.LINKS, 4, True, 1, True, False, 0, False, False, ""),
+        (Kind.LINKS, 6, True, 1, True, False, 1, False, True, "it has given up"),
+        (Kind.GUARD_STOP, 7, "the robot stands"),
+        (Kind.SHUT_DOWN, 8),
     ]
     core.sent(0, 8, WALL_NS + 8)
     core.tick(10 * MS, WALL_NS + 10, 11, CHALLENGE)

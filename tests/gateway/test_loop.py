@@ -15,7 +15,7 @@ from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.request import RawRequest
 from gateway.core import Core, Due
 from gateway.guard.beat import GuardView
-from gateway.loop import BURST_MAX_FRAMES, PEERS_TICKS, Surroundings, run
+from gateway.loop import BURST_MAX_FRAMES, SELDOM_TICKS, Surroundings, run
 from gateway.sim.model import VirtualChassis
 from gateway.telemetry.sample import Sample
 from schemas import codec
@@ -229,7 +229,7 @@ def test_zenoh_is_asked_who_is_there_in_every_tenth_tick() -> None:
         Surroundings(FakeBus([]), zenoh),
         core(),
         lambda: b"info",
-        StopWhen(lambda: zenoh.answered == 3 * PEERS_TICKS),
+        StopWhen(lambda: zenoh.answered == 3 * SELDOM_TICKS),
     )
     assert zenoh.asked == 3
 
@@ -304,15 +304,27 @@ class FakeGuard:
         self.is_watching = True
         self.is_sending = False
         self.stops = 0
+        self.says = ""
         self.beats_ns: list[int] = []
 
     def look(self) -> GuardView:
-        return GuardView(self.is_watching, self.is_sending, self.stops)
+        return GuardView(self.is_watching, self.is_sending, self.stops, self.says)
 
     def beat(self, now_ns: int, command: CommandFlow) -> None:
         assert isinstance(command, CommandFlow)
         self.order.append("beat")
         self.beats_ns.append(now_ns)
+
+
+class FakeNote:
+    """Remembers what it was told of the latch."""
+
+    def __init__(self) -> None:
+        self.latched: list[bool] = []
+
+    def follow(self, *, is_latched: bool) -> None:
+        if [is_latched] != self.latched[-1:]:
+            self.latched.append(is_latched)
 
 
 class OrderedZenoh(FakeZenoh):
@@ -338,6 +350,8 @@ class Commanded:
         self.zenoh = OrderedZenoh(self.order)
         self.inbox = FakeInbox(self.order)
         self.guard = FakeGuard(self.order)
+        self.note = FakeNote()
+        self.is_realtime = True
         self.core = core()
 
     def run(self, script: Callable[["Commanded"], Iterator[bool]]) -> None:
@@ -349,7 +363,10 @@ class Commanded:
             assert time.monotonic() < deadline_s, "the script came no further"
             return next(steps, None) is None
 
-        run(Surroundings(self.bus, self.zenoh, self.inbox, self.guard), self.core, lambda: b"", stopped)
+        around = Surroundings(
+            self.bus, self.zenoh, self.inbox, self.guard, self.note, has_realtime=lambda: self.is_realtime
+        )
+        run(around, self.core, lambda: b"", stopped)
 
     def engage(self) -> Iterator[bool]:
         """First takes the lease and engages."""
@@ -500,6 +517,50 @@ def test_what_the_guard_does_reaches_the_arbiter() -> None:
             yield False
 
     commanded.run(script)
+
+
+def test_a_stop_by_the_guard_is_noted_until_it_is_reset() -> None:
+    """Row 'the guard has stopped the robot: latched, also across a restart': each tick, latched or not."""
+    commanded = Commanded()
+
+    def script(one: Commanded) -> Iterator[bool]:
+        while one.says("blocked_by") != ["no_lease", "not_engaged"]:
+            yield False
+        one.guard.stops, one.guard.says = 1, "the gateway is gone; the robot stands"
+        while one.says("latched") != ["guard"]:
+            yield False
+        handle = one.inbox.ask("acquire")
+        while handle not in one.inbox.replies:
+            yield False
+        lease = one.inbox.replies[handle]["lease"]
+        while one.says("latched"):
+            if not one.inbox.waiting:
+                one.inbox.ask("reset", lease=lease)
+            yield False
+
+    commanded.run(script)
+    assert commanded.note.latched == [False, True, False]
+    events = [sample.payload for sample in commanded.zenoh.samples if sample.subject == "safety/event"]
+    assert any(msgspec.msgpack.decode(event)["text"].endswith(commanded.guard.says) for event in events)
+
+
+def test_real_time_priority_is_in_health_and_sets_the_speed_limit() -> None:
+    """Row 'a gateway without real-time priority': it is looked at in the run too, for it can be taken away."""
+    commanded = Commanded()
+
+    def script(one: Commanded) -> Iterator[bool]:
+        yield from one.engage()
+        assert one.says("speed_limit_mps") == 2.222
+        one.is_realtime = False
+        while one.says("speed_limit_mps") != 1.0:
+            yield False
+        while not one.zenoh.of("gateway/health"):
+            yield False
+
+    commanded.run(script)
+    health = commanded.zenoh.of("gateway/health")[-1]
+    assert isinstance(health, GatewayHealth)
+    assert not health.realtime
 
 
 def test_a_guard_that_acted_during_the_tick_is_noticed_before_anything_is_sent() -> None:

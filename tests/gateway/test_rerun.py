@@ -11,16 +11,17 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from gateway.chassis.frame import Frame
 from gateway.core import Core
-from gateway.journal import JournalGapError, read
-from gateway.rerun import rerun, run_again
+from gateway.journal import JournalGapError, Kind, read
+from gateway.rerun import give, rerun, rests, run_again
 from gateway.telemetry.sample import Sample
 from recorder.transcode import compile_encoder
 from schemas import codec
 from schemas.can_word import EXTENDED
 from schemas.configuration import TomlSource, merge
-from schemas.decisions import Decision, Journal, SafetyEvent, SafetyState
+from schemas.decisions import Decision, EventKind, Journal, SafetyEvent, SafetyState
 from schemas.messages import Message, Variant
 from schemas.reasons import Reason
+from schemas.settings import Settings
 from schemas.subjects import BY_NAME
 from tests.gateway.command.loop_rig import Operator
 from tests.gateway.recorded_day import STARTED_NS, Day, recorded
@@ -125,6 +126,40 @@ def test_a_log_that_misses_a_batch_is_refused() -> None:
     del log.journals[20]
     with pytest.raises(JournalGapError):
         list(log.run_again())
+
+
+def test_a_run_that_began_latched_by_the_guard_is_run_again_so() -> None:
+    """Row 'the guard has stopped the robot: latched, also across a restart': what the note said is an input."""
+    day = Day(3, Variant.COARSE)
+    day.rig.core.latch_guard_stop("yesterday guard: the gateway is gone", day.rig.now_ns)
+    day.rig.run(2)
+    log = ReadBack(recorded(day))
+    again = [s.payload for _, samples in log.run_again() for s in samples if s.subject == "safety/event"]
+    assert again == [s.payload for s in day.core.samples if s.subject == "safety/event"]
+    (event,) = (codec.decode(BY_NAME["safety/event"], payload) for payload in again)
+    assert isinstance(event, SafetyEvent)
+    assert (event.kind, event.reason) == (EventKind.LATCH, Reason.GUARD)
+    assert event.text.endswith("; yesterday guard: the gateway is gone")
+
+
+def test_a_journal_of_before_has_six_links_and_the_speed_limit_of_its_time() -> None:
+    """It does not say whether there was real-time priority, which lowered no limit then."""
+    core = Core(Settings(), "", 0)
+    give(core, (Kind.LINKS, 5, True, 1, True, False, 2, False))
+    give(core, (Kind.TICK, 10, 11, 0))
+    assert core.command is not None
+    seen = core.command.arbiter.watch.observed
+    assert (seen.bus_losses, seen.guarded, seen.guard_stops, seen.guard_says, seen.realtime) == (
+        1,
+        True,
+        2,
+        "",
+        True,
+    )
+    rest = [Kind.REST, 9, [], "unknown", True, 1, True, False, 2, False]
+    for links_then in (rest, [*rest, True, ""]):
+        inputs = msgspec.msgpack.encode([links_then, [Kind.TICK, 10, 11, 0]])
+        assert rests(Journal(time_ns=0, sequence=0, run=1, first=0, count=2, inputs=inputs)) == [11]
 
 
 def test_another_run_number_gives_other_leases() -> None:

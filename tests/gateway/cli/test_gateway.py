@@ -5,6 +5,7 @@ import signal
 import socket
 from argparse import Namespace
 from collections.abc import Callable
+from functools import partial
 from random import Random
 from typing import Any
 
@@ -70,6 +71,10 @@ class Listener:
             answer: dict[str, Any] = msgpack.unpackb(reply.ok.payload.to_bytes())
             return answer
         raise AssertionError("nobody replied")
+
+    def accepts(self, verb: str, **fields: object) -> bool:
+        """The verb is accepted."""
+        return bool(self.ask(verb, **fields)["ok"])
 
     def stop(self, robot: str) -> None:
         """The remote stop; hears what has come since the last one."""
@@ -384,6 +389,62 @@ def test_an_end_while_driving_brings_the_robot_to_rest_first(monkeypatch: pytest
     events = [(said["kind"], said["reason"]) for key, said in listener.heard if key.endswith("safety/event")]
     # Nobody renews the lease meanwhile.
     assert [event for event in events if event[0] != "lease"] == [("stop", "shutdown"), ("stopped", "shutdown")]
+
+
+def test_a_stop_by_the_guard_is_latched_until_a_reset_whatever_is_restarted() -> None:
+    """Row 'the guard has stopped the robot: latched, also across a restart of the gateway (kept on disk)'."""
+    endpoint = free_endpoint()
+    event = "fleet/cruiser-1/safety/event"
+    with chassis() as (_, address):
+        with gateway(address, endpoint) as running:
+            listener = Listener(endpoint)
+            try:
+                listener.wait_for(STATE, lambda said: said["blocked_by"] == ["no_lease", "not_engaged"])
+                assert listener.ask("engage", lease=listener.ask("acquire")["lease"])["ok"]
+                running.stop(signal.SIGKILL)
+                # Its guard says so, on the stderr that it has of it.
+                wait_until(lambda: any(line.startswith("guard: done: the robot stands") for line in running.said))
+            finally:
+                listener.close()
+        for is_reset in (False, True):
+            with gateway(address, endpoint) as running:
+                listener = Listener(endpoint)
+                try:
+                    listener.wait_for(
+                        STATE, lambda said: said["blocked_by"] == ["no_lease", "guard", "not_engaged"]
+                    )
+                    running.wait_says("latched until a reset: .* guard: the gateway is gone.* the robot stands")
+                    if is_reset:
+                        lease = listener.ask("acquire")["lease"]
+                        # One that comes within half a second of the latch was not meant for it.
+                        wait_until(partial(listener.accepts, "reset", lease=lease))
+                finally:
+                    listener.close()
+                assert running.stop() == 0
+        with gateway(address, endpoint) as running:
+            listener = Listener(endpoint)
+            try:
+                listener.wait_for(STATE, lambda said: said["blocked_by"] == ["no_lease", "not_engaged"])
+            finally:
+                listener.close()
+            assert running.stop() == 0
+            assert event not in listener.latest
+
+
+def test_a_gateway_says_at_its_start_what_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Row 'a gateway without real-time priority says so at start', with limit and cure; so without a note."""
+    monkeypatch.setenv("CRUISER_GATEWAY_REALTIME_PRIORITY", "0")
+    monkeypatch.setenv("CRUISER_GATEWAY_STATE_DIR", "")
+    endpoint = free_endpoint()
+    with chassis() as (_, address), gateway(address, endpoint) as running:
+        running.wait_says("will not stay latched across a restart: gateway.state_dir is empty")
+        running.wait_says(r"no real-time priority.*: 1 m/s \(command.speed_limit_without_realtime_mps\); .*rtprio")
+        listener = Listener(endpoint)
+        try:
+            assert not listener.wait_for("fleet/cruiser-1/gateway/health")["realtime"]
+        finally:
+            listener.close()
+        assert running.stop() == 0
 
 
 @pytest.mark.parametrize("guarded", ["no guard", "a guard"])

@@ -12,8 +12,9 @@ from gateway.command.actuation import Actuation
 from gateway.command.frames import FrameMaker
 from gateway.ports.can_bus import Bus
 from gateway.ports.open_bus import open_bus
+from gateway.ports.stop_note import StopNote
 from schemas.messages import GearPosition, Mode, Variant
-from schemas.settings import CanSettings
+from schemas.settings import CanSettings, Settings
 from tests.gateway.cli.running import Running, chassis, run
 from tests.gateway.guard.watched import COMMANDS, Listener, listening, watched
 from tests.gateway.remote.waiting import wait_until
@@ -61,6 +62,9 @@ def test_a_robot_that_was_left_rolling_is_stopped(words: tuple[str, ...]) -> Non
         assert done.returncode == 0, done.stderr
         assert "mode auto, the robot is not seen to stand" in done.stderr
         assert "the robot stands; " in done.stderr
+        note = StopNote.of(Settings()).read()
+        assert " halt: sending the stop sequence; " in note, "a gateway that starts afterwards is latched"
+        assert " halt: the robot stands; " in note
         wait_until(lambda: listener.stands() and listener.mode() is Mode.STOP)
         assert len(listener.bursts) > heard + 100
         assert {len(burst.frames) for burst in listener.bursts} == {5, 8}
@@ -74,6 +78,7 @@ def test_a_robot_at_rest_is_sent_nothing_unless_forced() -> None:
         assert "mode stop, the robot stands" in done.stderr
         assert "nothing is sent" in done.stderr
         assert listener.bursts == []
+        assert StopNote.of(Settings()).read() == ""
         done = halt(address, "--force")
         assert done.returncode == 0, done.stderr
         assert len(listener.bursts) > 30

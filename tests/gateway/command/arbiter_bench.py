@@ -28,6 +28,7 @@ STANDING = Observed(
     rear_bumper=False,
     total_mileage_km=1.0,
     guarded=True,
+    realtime=True,
 )
 
 

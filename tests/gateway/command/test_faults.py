@@ -12,11 +12,12 @@ from gateway.chassis.frame import ERROR, FD, Frame
 from gateway.chassis.layout import load
 from gateway.command.actuation import Actuation
 from gateway.command.frames import MOTION_FRAMES, FrameMaker
+from gateway.guard.beat import Cause
 from gateway.sim.model import VirtualChassis
 from gateway.telemetry.health import Links
 from schemas.decisions import ArbiterState, Bound, EventKind, StopPhase
 from schemas.messages import Mode, Variant
-from schemas.reasons import Reason
+from schemas.reasons import TEXTS, Reason
 from tests.gateway.chassis.strategies import VARIANTS, with_checksum
 from tests.gateway.command.loop_rig import GUARDED, MS, LoopRig, Operator, driving, ready
 from tests.gateway.frames import STANDING, Feedback
@@ -346,11 +347,11 @@ def test_a_parked_robot_stays_parked_when_its_stop_is_begun_again(by: str) -> No
         rig.run(0.5)
         rig.fault("transmitter command")
     else:
-        rig.links = Links(bus_up=False, guarded=True, bus_losses=1)
+        rig.links = Links(bus_up=False, guarded=True, bus_losses=1, realtime=True)
         rig.chassis_hears = False
         rig.corrupt = lambda _frame: None
         rig.run(1)
-        rig.links = Links(bus_up=True, guarded=True, bus_losses=1)
+        rig.links = Links(bus_up=True, guarded=True, bus_losses=1, realtime=True)
         rig.chassis_hears = True
         if by == "bus":
             rig.corrupt = lambda frame: frame
@@ -364,13 +365,13 @@ def test_a_parked_robot_stays_parked_when_its_stop_is_begun_again(by: str) -> No
 def test_a_bus_that_was_lost_and_returns_finds_the_robot_stopped(seconds: float) -> None:
     """While it is away nothing reaches the chassis, which goes on; the stop comes with the first sign of auto."""
     rig, _ = driving(1.0)
-    rig.links = Links(bus_up=not seconds, guarded=True, bus_losses=1)
+    rig.links = Links(bus_up=not seconds, guarded=True, bus_losses=1, realtime=True)
     rig.chassis_hears = False
     rig.corrupt = lambda frame: frame if not seconds else None
     rig.tick()
     assert rig.event_reasons(EventKind.TAKEOVER) == [Reason.BUS_DOWN]
     rig.run(seconds)
-    rig.links = Links(bus_up=True, guarded=True, bus_losses=1)
+    rig.links = Links(bus_up=True, guarded=True, bus_losses=1, realtime=True)
     rig.chassis_hears = True
     rig.corrupt = lambda frame: frame
     rig.tick(3)
@@ -908,13 +909,87 @@ def test_the_guard_stops_in_our_place() -> None:
     assert operator.reason("engage") is Reason.GUARD
 
 
+def test_the_guards_words_are_in_the_events_and_in_the_latch() -> None:
+    """Row 'the guard has stopped the robot: latched, with its words as an event': cause and outcome."""
+    rig, operator = driving()
+    cause = Cause.LATE.value
+    rig.links = msgspec.structs.replace(GUARDED, guard_sends=True, guard_stops=1, guard_says=cause)
+    operator.drive(1.0)
+    yielded, latched = (
+        next(e for e in rig.events if e.kind is kind) for kind in (EventKind.GUARD, EventKind.LATCH)
+    )
+    assert yielded.text == f"nothing is sent any more: {TEXTS[Reason.GUARD].means}; {cause}"
+    assert latched.text.endswith(cause)
+    rig.links = msgspec.structs.replace(GUARDED, guard_stops=1, guard_says=f"{cause}; the robot stands")
+    rig.tick()
+    ended = [event.text for event in rig.events if event.kind is EventKind.GUARD][1:]
+    assert ended == [f"the guard's stop has ended: {cause}; the robot stands"]
+
+
+def test_a_stop_of_the_guards_before_the_start_is_latched_until_a_reset() -> None:
+    """Row 'the guard has stopped the robot: latched, also across a restart of the gateway'."""
+    rig = LoopRig()
+    rig.core.latch_guard_stop("yesterday guard: the gateway is gone", rig.now_ns)
+    rig.run(0.6)
+    operator = Operator(rig)
+    (event,) = [event for event in rig.events if event.kind is EventKind.LATCH]
+    assert event.text.endswith("; yesterday guard: the gateway is gone")
+    assert operator.take_lease() is Reason.NONE
+    assert operator.reason("engage") is Reason.GUARD
+    assert operator.reason("reset") is Reason.NONE
+    operator.engage()
+
+
+def test_a_stop_of_the_guards_that_began_and_ended_unseen_is_latched_while_standing_by_too() -> None:
+    """Row 'the guard has stopped the robot: latched': the loop stood still meanwhile."""
+    rig, operator = ready()
+    rig.links = msgspec.structs.replace(GUARDED, guard_stops=1)
+    rig.tick()
+    assert rig.says.latched == [Reason.GUARD]
+    assert operator.take_lease() is Reason.NONE
+    rig.run(0.6)
+    assert operator.reason("reset") is Reason.NONE
+    assert rig.says.latched == []
+
+
+@pytest.mark.parametrize("lacks", ["realtime", "guarded"])
+def test_without_realtime_or_a_guard_the_robot_is_engaged_to_a_lower_speed_limit(lacks: str) -> None:
+    """Row 'a gateway without real-time priority: its speed limit is a setting of its own (1.0 m/s)'."""
+    rig, operator = ready(accept_unguarded=True)
+    rig.links = msgspec.structs.replace(GUARDED, **{lacks: False})
+    operator.engage()
+    assert rig.says.speed_limit_mps == 1.0
+    operator.drive(2.0, seconds=3.0)
+    assert rig.told_mps == pytest.approx(1.0, abs=0.04)
+    operator.drive(0.0, seconds=2.0)
+    assert operator.reason("disengage") is Reason.NONE
+    rig.until(lambda: rig.says.state is ArbiterState.STANDBY, 8)
+    operator.engage(speed_limit_mps=0.4)
+    assert rig.says.speed_limit_mps == 0.4, "the lower of the two"
+
+
+def test_the_speed_limit_falls_at_once_with_real_time_priority_and_rises_with_the_next_engage() -> None:
+    """Row 'a gateway without real-time priority', and 'limits scale down, never up, at run time'."""
+    rig, operator = driving(2.0)
+    rig.links = msgspec.structs.replace(GUARDED, realtime=False)
+    operator.drive(2.0, seconds=0.2)
+    assert rig.says.speed_limit_mps == 1.0
+    assert Reason.NO_REALTIME in rig.event_reasons(EventKind.FAULT)
+    operator.drive(2.0, seconds=2.0)
+    assert rig.told_mps == pytest.approx(1.0, abs=0.04)
+    assert rig.says.engaged
+    rig.links = GUARDED
+    operator.drive(2.0, seconds=1.0)
+    assert rig.says.speed_limit_mps == 1.0
+
+
 def test_the_guards_frames_are_not_taken_for_another_computers() -> None:
     """Read before it is known that the guard acted: what was left is stopped at once, not when it moves."""
     rig, _ = driving(1.0)
     maker = FrameMaker()
     for frame in maker.make(Actuation(enabled=True), [], Variant.COARSE):
         rig.core.receive_frame(frame, rig.now_ns)
-    rig.links = Links(bus_up=True, guarded=True, guard_stops=1)
+    rig.links = Links(bus_up=True, guarded=True, guard_stops=1, realtime=True)
     rig.tick(3)
     assert rig.event_reasons(EventKind.STOP) == [Reason.FOUND_MOVING]
     assert Reason.OTHER_COMMANDER not in rig.says.blocked_by

@@ -108,18 +108,18 @@ def test_who_is_cut_off_from_a_chassis_that_obeys_leaves_it_to_the_guard() -> No
     rig, _ = driving(1.0)
     made = flow(rig)
     rig._witness = lambda *_: None  # type: ignore[method-assign]
-    rig.links = Links(bus_up=False, guarded=True, bus_losses=1)
+    rig.links = Links(bus_up=False, guarded=True, bus_losses=1, realtime=True)
     rig.tick()
     assert made.arbiter.state is ArbiterState.STANDBY
     assert made.is_mute
     rig.tick()
     assert made.is_mute
-    rig.links = Links(bus_up=True, guarded=True, bus_losses=1)
+    rig.links = Links(bus_up=True, guarded=True, bus_losses=1, realtime=True)
     rig.tick()
     assert not made.is_mute
     rig.run(10)
     assert made.arbiter.state is ArbiterState.STANDBY
-    rig.links = Links(bus_up=False, guarded=True, bus_losses=2)
+    rig.links = Links(bus_up=False, guarded=True, bus_losses=2, realtime=True)
     rig.tick()
     assert not made.is_mute, "standing by, nothing is left to anybody"
 

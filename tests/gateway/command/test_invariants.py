@@ -166,7 +166,7 @@ class Machine(RuleBasedStateMachine):
         losses = self.rig.links.bus_losses + 1
         self.rig.links = msgspec.structs.replace(self.rig.links, bus_up=False, bus_losses=losses)
         self.rig.tick(ticks)
-        self.rig.links = Links(bus_up=True, guarded=True, bus_losses=losses)
+        self.rig.links = Links(bus_up=True, guarded=True, bus_losses=losses, realtime=True)
         self._go_on(30, driving=driving)
 
     @rule(sends=st.booleans(), ticks=st.integers(1, 20))

@@ -2,7 +2,7 @@
 
 from gateway.command.notices import Notice, Notices
 from gateway.command.observed import Observed
-from schemas.decisions import Severity
+from schemas.decisions import EventKind, Severity
 from schemas.messages import ControllerState
 from schemas.reasons import Reason
 from schemas.settings import LATE_TOLD_NS
@@ -36,3 +36,24 @@ def test_each_change_of_the_controller_is_told() -> None:
         (Severity.ERROR, Reason.BUS_OFF, f"{begin}passive before, bus_off now"),
         (Severity.INFO, Reason.BUS_ERRORS, f"{begin}bus_off before, active now"),
     ]
+
+
+def test_the_end_of_the_guards_stop_is_told_with_its_words() -> None:
+    """Row 'the guard has stopped the robot': once, when it sends no more."""
+    notices = Notices()
+    cause = "the gateway's loop gave no sign of life"
+    assert list(notices.look(Observed(guard_sends=True, guard_stops=1, guard_says=cause), 0, 0)) == []
+    ended = Observed(guard_stops=1, guard_says=f"{cause}; the robot stands")
+    text = f"the guard's stop has ended: {cause}; the robot stands"
+    assert list(notices.look(ended, 1, 0)) == [Notice(Severity.WARNING, Reason.GUARD, text, EventKind.GUARD)]
+    assert list(notices.look(ended, 2, 0)) == []
+    assert list(notices.look(Observed(), 3, 0)) == [], "another guard has begun, and says nothing yet"
+
+
+def test_lost_real_time_priority_is_told_and_its_absence_is_not() -> None:
+    """Row 'a gateway without real-time priority': from the start on it is in health, and is no event."""
+    notices = Notices()
+    assert list(notices.look(Observed(), 0, 0)) == []
+    assert list(notices.look(Observed(realtime=True), 1, 0)) == []
+    (notice,) = notices.look(Observed(), 2, 0)
+    assert (notice.severity, notice.reason) == (Severity.WARNING, Reason.NO_REALTIME)

@@ -89,6 +89,7 @@ class StandIn:
                 ("sending", guard.look().is_sending),
                 ("stops", guard.look().stops),
                 ("cause", guard.cause.name),
+                ("says", guard.look().says),
             ):
                 if said.get(name) != value:
                     said[name] = value

@@ -70,6 +70,7 @@ def test_however_the_gateway_fails_the_robot_comes_to_rest(end: str, variant: Va
     assert state.parking_status is ParkingStatus.APPLIED
     assert state.mode is Mode.STOP
     assert rig.guardian.cause is cause
+    assert rig.guardian.status(rig.now_ns, bus_up=True).says == f"{cause.value}; the robot stands"
     assert rig.guardian.stops == 1
     assert not rig.guardian.is_sending
     assert cause.value in rig.lines[0]

@@ -16,6 +16,7 @@ from gateway.command.flow import CommandFlow
 from gateway.command.frames import FrameMaker
 from gateway.guard.beat import Cause
 from gateway.ports.guard_process import GuardProcess, NoGuard, start_guard
+from gateway.ports.stop_note import StopNote
 from schemas.messages import Mode, Variant
 from schemas.settings import GUARD_HANGS_TICKS, GUARD_RESTART_NS, CanSettings, GatewaySettings, Settings
 from tests.gateway.cli.running import chassis
@@ -51,6 +52,9 @@ def test_a_killed_gateway_is_stopped_for() -> None:
         said = "".join(running.complaints)
         assert f"guard: {Cause.GONE.value}" in said
         assert "guard: done: the robot stands" in said
+        note = StopNote.of(Settings()).read()
+        assert f" guard: {Cause.GONE.value}" in note, "and the next gateway is latched by what it says"
+        assert " guard: done: the robot stands" in note
 
 
 def test_a_stopped_gateway_that_comes_back_keeps_silent_and_learns_of_the_stop() -> None:
@@ -66,6 +70,8 @@ def test_a_stopped_gateway_that_comes_back_keeps_silent_and_learns_of_the_stop()
         running.wait_says("stops 1")
         running.wait_says("sending False")
         running.wait_says(f"cause {Cause.LATE.name}")
+        running.wait_says(f"says {Cause.LATE.value}")
+        running.wait_says(f"says {Cause.LATE.value}; the robot stands")
         # What was under way when it was stopped may have gone out; after that there is nothing of the gateway's.
         after = [burst for burst in running.listener.bursts if not burst.is_by_guard][len(by_gateway) :]
         assert len(after) <= 1

@@ -26,3 +26,15 @@ def test_a_refusal_is_logged_and_changes_nothing(
     with caplog.at_level(logging.INFO):
         assert realtime.request_realtime(10) is False
     assert "no real-time scheduling" in caplog.text
+
+
+def test_real_time_priority_is_what_the_system_says_whoever_gave_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also a policy that was there from the start; locked memory is another matter."""
+    for policy, is_realtime in (
+        (os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, True),
+        (os.SCHED_RR, True),
+        (os.SCHED_OTHER, False),
+        (os.SCHED_BATCH | os.SCHED_RESET_ON_FORK, False),
+    ):
+        monkeypatch.setattr(os, "sched_getscheduler", lambda _pid, policy=policy: policy)
+        assert realtime.has_realtime() is is_realtime

@@ -16,10 +16,10 @@ from gateway.command.request import RawRequest
 from gateway.ports.zenoh_client import close_session, open_session
 from schemas import codec, keys
 from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState
-from schemas.messages import GearPosition, Message, Mode, Variant
+from schemas.messages import GatewayHealth, GearPosition, Message, Mode, Variant
 from schemas.settings import TICK_NS, Settings, ZenohSettings
 from schemas.subjects import BY_NAME, BY_VERB
-from tests.gateway.remote.fake_gateway import ROOT, free_endpoint
+from tests.gateway.remote.fake_gateway import HEALTH, ROOT, free_endpoint
 
 _SIGN = {GearPosition.DRIVE: 1.0, GearPosition.REVERSE: -1.0}
 
@@ -32,6 +32,7 @@ class FakeRobot:
         deaf: queries get no answer, and do nothing.
         mute: nothing is published.
         front_bumper: is pressed.
+        health: what its gateway says of itself, in each tick.
         mode: what the chassis reads; None is what it is told.
         token: its liveliness token is there.
     """
@@ -43,6 +44,7 @@ class FakeRobot:
     deaf: bool = False
     mute: bool = False
     front_bumper: bool = False
+    health: GatewayHealth = HEALTH
     mode: Mode | None = None
     decisions: list[Decision] = field(default_factory=list)
     said: list[SafetyState] = field(default_factory=list)
@@ -118,7 +120,7 @@ class FakeRobot:
                 query, key = self._waiting.pop(reply.handle)
                 command = BY_VERB.get(reply.verb, BY_VERB["stop"])
                 query.reply(key, reply.payload, encoding=command.reply_encoding)
-            for message in messages:
+            for message in [*messages, self.health]:
                 self._publish(message)
             due_ns += TICK_NS * (1 + late_ns // TICK_NS)
             self._closing.wait(max(0.0, (due_ns - time.monotonic_ns()) / 1e9))
@@ -167,6 +169,7 @@ class FakeRobot:
             rear_bumper=False,
             total_mileage_km=self._mileage_km,
             guarded=True,
+            realtime=True,
         )
 
     def _publish(self, message: Message) -> None:
@@ -180,3 +183,8 @@ class FakeRobot:
             )
         elif isinstance(message, SafetyEvent):
             self._event_publisher.put(codec.encode(message))
+        elif isinstance(message, GatewayHealth):
+            subject = BY_NAME["gateway/health"]
+            self._session.put(
+                keys.build(ROOT, self.name, subject), codec.encode(message), encoding=subject.encoding
+            )

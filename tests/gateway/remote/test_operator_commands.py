@@ -3,15 +3,16 @@ import json
 import time
 from collections.abc import Callable
 
+import msgspec
 import pytest
 
 from gateway.remote import drive, horn, lease, light, odometer, park, reset, stop, unpark, why
 from gateway.remote.robot import Robot
 from schemas.decisions import ArbiterState
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.reasons import Reason
+from schemas.reasons import TEXTS, Reason
 from schemas.settings import RESET_MIN_NS, Settings, ZenohSettings
-from tests.gateway.remote.fake_gateway import free_endpoint
+from tests.gateway.remote.fake_gateway import HEALTH, free_endpoint
 from tests.gateway.remote.fake_robot import FakeRobot
 from tests.gateway.remote.waiting import StopWhen, wait_until
 
@@ -175,6 +176,20 @@ def test_why_says_each_reason_with_its_cure(capsys: Capture) -> None:
             assert robot.wait_for(lambda state: state.blocked_by == [], 20)
             assert run(why, fake.listen, "cruiser-1") == 0
             assert "nothing keeps it from moving" in capsys.readouterr().out
+
+
+def test_why_says_that_the_gateway_has_no_real_time_priority(capsys: Capture) -> None:
+    """Row 'a gateway without real-time priority says so in why': with its cure, also as JSON."""
+    slow = msgspec.structs.replace(HEALTH, realtime=False)
+    with FakeRobot(health=slow) as fake:
+        run(why, fake.listen, "cruiser-1")
+        text = TEXTS[Reason.NO_REALTIME]
+        assert f"  slowed by no_realtime: {text.means} -> {text.cure}\n" in capsys.readouterr().out
+        run(why, fake.listen, "cruiser-1", "--json")
+        assert [one["reason"] for one in json.loads(capsys.readouterr().out)["slowed_by"]] == ["no_realtime"]
+        fake.health = HEALTH
+        run(why, fake.listen, "cruiser-1")
+        assert "slowed" not in capsys.readouterr().out
 
 
 def test_lease_shows_the_holder_and_can_be_held(capsys: Capture) -> None:

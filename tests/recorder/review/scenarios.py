@@ -154,7 +154,7 @@ def other_commander() -> RecordedRig:
 def bus_lost() -> RecordedRig:
     """The bus goes away, and stays away."""
     rig, operator = RecordedRig.driving()
-    rig.links = Links(bus_up=False, bus_losses=1, guarded=True)
+    rig.links = Links(bus_up=False, bus_losses=1, guarded=True, realtime=True)
     rig.corrupt = lambda _: None
     operator.drive(0.6, 0.0, 1.2)
     return rig
@@ -162,13 +162,13 @@ def bus_lost() -> RecordedRig:
 
 def guard_lost() -> RecordedRig:
     """No guard watches any more."""
-    return _linked(Links(bus_up=True, guarded=False))
+    return _linked(Links(bus_up=True, guarded=False, realtime=True))
 
 
 def guard_acts() -> RecordedRig:
     """The guard stops the robot."""
     rig, operator = RecordedRig.driving()
-    rig.links = Links(bus_up=True, guarded=True, guard_sends=True, guard_stops=1)
+    rig.links = Links(bus_up=True, guarded=True, guard_sends=True, guard_stops=1, realtime=True)
     operator.drive(0.6, 0.0, 0.3)
     return rig
 
@@ -186,7 +186,7 @@ def late_loop() -> RecordedRig:
 
 def flooded() -> RecordedRig:
     """Frames come faster than they can be read."""
-    return _linked(Links(bus_up=True, guarded=True, is_behind=True), 0.1)
+    return _linked(Links(bus_up=True, guarded=True, is_behind=True, realtime=True), 0.1)
 
 
 def full_bus() -> RecordedRig:
@@ -214,7 +214,7 @@ def not_confirmed() -> RecordedRig:
 def found_moving() -> RecordedRig:
     """The bus comes back to a robot that obeys its last command."""
     rig, _ = RecordedRig.driving()
-    rig.links = Links(bus_up=False, bus_losses=1, guarded=True)
+    rig.links = Links(bus_up=False, bus_losses=1, guarded=True, realtime=True)
     rig.run(0.1)
     rig.links = BACK
     rig.run(0.3)
