@@ -388,7 +388,7 @@ PARTS: Final[dict[str, Part]] = {
     "recorder-commands": recorder_command_tables,
 }
 
-FROM_ELSEWHERE: Final = frozenset({"states", "stops"})
+FROM_ELSEWHERE: Final = frozenset({"bus-frames", "bus-rules", "states", "stops"})
 """Parts that only ``gateway.documents`` can make."""
 
 

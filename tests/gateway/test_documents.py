@@ -1,3 +1,4 @@
+import re
 from pathlib import Path
 
 import pytest
@@ -5,7 +6,7 @@ import pytest
 from gateway import documents
 from gateway.command.causes import STOPS
 from gateway.command.states import TRANSITIONS
-from schemas.documents import FROM_ELSEWHERE
+from schemas.documents import FROM_ELSEWHERE, ROOT
 
 
 def test_the_documents_are_current(capsys: pytest.CaptureFixture[str]) -> None:
@@ -49,3 +50,20 @@ def test_every_cause_to_stop_has_a_row() -> None:
     for row, stop in zip(rows, STOPS.values(), strict=True):
         assert ("| emergency |" in row) == stop.at_once
         assert row.endswith("| yes |") == stop.latched
+
+
+def test_every_test_that_the_safety_page_names_exists() -> None:
+    """A line of it that nothing holds would be a claim."""
+    page = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
+    named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", page)
+    assert len(named) >= len(documents.BUS_RULES)
+    for path, test in named:
+        assert f"\ndef {test}(" in (ROOT / path).read_text(encoding="utf-8"), test
+
+
+def test_every_frame_of_the_gate_has_its_bits() -> None:
+    """In runs, without the counter and the checksum that all have."""
+    rows = documents.bus_frame_table().splitlines()[2:]
+    assert len(rows) == 8
+    assert rows[1].startswith("| `0x18C4D2D0` | Auto_SteeringCmd | 0, 8..19 | 1502..2594: -23.99 to 23.99 deg |")
+    assert "| `0x18C4D7D0` | Auto_LightCmd | 0, 8, 16 | 0, 1 each |" in rows
