@@ -96,7 +96,7 @@ def test_the_whole_sequence() -> None:
 @pytest.mark.parametrize("deceleration_mps2", [1.2, 2.0])
 @pytest.mark.parametrize("gear", [DRIVE, REVERSE])
 def test_the_ramp_keeps_its_deceleration_and_its_gear(deceleration_mps2: float, gear: GearPosition) -> None:
-    """Rows 'normal / emergency deceleration' and 'stop: ramp in gear': from the first tick, no more and no less."""
+    """Rows 'normal / emergency deceleration' and 'stop: ramp in gear': from the first tick on, exactly."""
     stop = Run(Actuation(True, gear, 1.0, 10.0, 0.0, parking=False), deceleration_mps2)  # noqa: FBT003
     stop.run(ms=10_000)
     ramp = [actuation for phase, actuation in stop.told if phase is StopPhase.RAMP]
@@ -177,7 +177,7 @@ def test_a_robot_that_is_not_seen_to_slow_gets_its_parking_brake(told_mps: float
 
 
 def test_a_robot_that_stops_slowing_gets_its_parking_brake_300_ms_later() -> None:
-    """Row 'stop: not to slow for 300 ms': counted from when it was last slower by a little; noise is not slower."""
+    """Row 'stop: not to slow for 300 ms': from when it was last slower; noise is not slower."""
     stop = Run(deceleration_mps2=1.2)
     for at_ms in range(0, 200, 10):
         stop.run(moving(1.0 - 1.2 * at_ms / 1000))
@@ -224,7 +224,7 @@ def test_a_stop_that_parks_does_so_at_any_speed_and_once_only() -> None:
 
 @pytest.mark.parametrize("seen", [HELD, moving(1.0, is_braked=True)], ids=["stands", "moves"])
 def test_the_parking_brake_is_told_before_neutral_is(seen: StopFeedback) -> None:
-    """Row 'neutral only behind an applied parking brake': a brake that reads applied already was not told by us."""
+    """Row 'neutral only behind an applied parking brake': one that reads applied was not told by us."""
     stop = Run()
     stop.run(moving(0.9))
     stop.sequence.park(stop.now_ms * MS)
