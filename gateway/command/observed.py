@@ -78,7 +78,10 @@ class Observed(msgspec.Struct, frozen=True):
     @property
     def moves(self) -> bool:
         """Drive feedback, wheels or encoders show a robot that moves, whichever does."""
-        return bool(self.turns or self.pulses or (self.fastest_wheel_mps or 0.0) > STANDSTILL_MPS)
+        # Where the scale is in doubt the raw drive feedback counts; else a fine one would never be at rest.
+        is_scaled = self.confirmed and self.speed_mps is not None
+        turns = bool(self.turns) and not is_scaled
+        return turns or bool(self.pulses) or (self.fastest_mps or 0.0) > STANDSTILL_MPS
 
     @property
     def seen_mps(self) -> float:

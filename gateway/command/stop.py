@@ -73,6 +73,7 @@ class StopSequence:
         self._lowest_mps: float | None = None
         self._slowed_ns = now_ns
         self.phase = StopPhase.RAMP if last.speed_mps else StopPhase.BRAKE
+        self._told = StopPhase.IDLE
         self._begun_ns = now_ns
         if last.parking or last.gear not in _DIRECTION:
             # Parked it stays so, and in neutral nothing else brakes.
@@ -105,6 +106,8 @@ class StopSequence:
         """
         elapsed_ns = min(now_ns - self._ticked_ns, _STEP_MAX_NS)
         self._ticked_ns = now_ns
+        # Neutral only behind the request: a brake that reads applied may have been applied by the chassis.
+        is_park_told = self._told is StopPhase.PARK
         match self.phase:
             case StopPhase.RAMP:
                 self._speed_mps = max(0.0, self._speed_mps - self._deceleration_mps2 * elapsed_ns / 1e9)
@@ -115,7 +118,7 @@ class StopSequence:
             # One phase a tick at most: zero speed has to be told before all else, also after a pause.
             case StopPhase.BRAKE if seen.stands or self._runs_away(seen, now_ns):
                 self.park(now_ns)
-            case StopPhase.PARK if seen.is_braked or (
+            case StopPhase.PARK if (seen.is_braked and is_park_told) or (
                 seen.is_braked is None and now_ns - self._begun_ns >= BRAKE_UNSEEN_NS
             ):
                 if seen.is_braked:
@@ -127,6 +130,7 @@ class StopSequence:
                 self._enter(StopPhase.DISABLE, now_ns)
             case StopPhase.DISABLE if now_ns - self._begun_ns >= DISABLE_NS:
                 self._enter(StopPhase.IDLE, now_ns)
+        self._told = self.phase
         return self._actuation()
 
     def _enter(self, phase: StopPhase, now_ns: int) -> None:

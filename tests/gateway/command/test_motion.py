@@ -10,7 +10,7 @@ from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.limits import Limits
 from gateway.command.motion import Motion, Surroundings, Target
 from schemas.decisions import Bound
-from schemas.messages import GearPosition
+from schemas.messages import GearPosition, ParkingStatus
 from schemas.settings import CommandSettings
 
 LIMITS = Limits.of(CommandSettings())
@@ -20,23 +20,29 @@ DRIVE, REVERSE, NEUTRAL, PARK = (
     GearPosition.NEUTRAL,
     GearPosition.PARK,
 )
+APPLIED, RELEASED = ParkingStatus.APPLIED, ParkingStatus.RELEASED
 DT_S = 0.01
+GO_TICKS = 30
+"""More than it takes to shift and to release the brake, where the chassis follows at once."""
 
 
 class Robot:
-    """A motion with a chassis that follows at once.
+    """A motion with a chassis that follows at once, unless something is set otherwise.
 
     Attributes:
-        gear: the gear feedback; None follows.
-        stands: None follows.
+        gear, brake, stands: the feedback; None follows.
+        speed_mps, angle_deg: as measured; None follows.
     """
 
     def __init__(self, limits: Limits = LIMITS) -> None:
-        self.motion = Motion(30.0)
+        self.motion = Motion()
         self.limits = limits
         self.told = AT_REST
         self.gear: GearPosition | None = None
+        self.brake: ParkingStatus | None = None
         self.stands: bool | None = None
+        self.speed_mps: float | None = None
+        self.angle_deg: float | None = None
         self.parked = False
         self.forward = self.backward = True
         self.bounds: set[Bound] = set()
@@ -45,10 +51,14 @@ class Robot:
         """Ticks with this target."""
         self.bounds = set()
         for _ in range(count):
+            told = self.told
             seen = Surroundings(
-                stands=self.told.speed_mps == 0 if self.stands is None else self.stands,
-                gear=self.gear or (PARK if self.parked else self.told.gear),
+                stands=told.speed_mps == 0 if self.stands is None else self.stands,
+                gear=self.gear or (PARK if told.parking else told.gear),
+                brake=self.brake or (APPLIED if told.parking else RELEASED),
                 parked=self.parked,
+                speed_mps=told.speed_mps if self.speed_mps is None else self.speed_mps,
+                angle_deg=told.angle_deg if self.angle_deg is None else self.angle_deg,
                 forward=self.forward,
                 backward=self.backward,
             )
@@ -57,35 +67,86 @@ class Robot:
         return self.told
 
 
-def test_at_rest_it_is_in_neutral_and_braked() -> None:
-    """With all enables."""
-    assert Robot().tick(0.0) == Actuation(True, NEUTRAL, 0.0, 0.0, 30.0, parking=False)  # noqa: FBT003
+def going(speed_mps: float = 1.0, limits: Limits = LIMITS) -> Robot:
+    """A robot that drives at this speed."""
+    robot = Robot(limits)
+    assert robot.tick(speed_mps, count=GO_TICKS + 300).signed_speed_mps == speed_mps
+    return robot
+
+
+# Setting off.
+
+
+def test_before_any_speed_is_asked_for_it_is_parked() -> None:
+    """Row 'slopes: never stands in neutral unbraked': with all enables, for as long as nobody drives it."""
+    assert Robot().tick(0.0, count=500) == Actuation(True, NEUTRAL, 0.0, 0.0, 0.0, parking=True)  # noqa: FBT003
 
 
 @pytest.mark.parametrize(("sign", "gear"), [(1, DRIVE), (-1, REVERSE)])
-def test_it_starts_with_the_gear(sign: int, gear: GearPosition) -> None:
-    """First the gear without a speed; then, once the feedback reads it, 0.8 m/s2 up to the target."""
+def test_it_sets_off_by_gear_brake_and_ramp(sign: int, gear: GearPosition) -> None:
+    """Row 'reversal: brake confirmed, the other gear, brake released'; then 0.8 m/s2 up to the target."""
     robot = Robot()
     first = robot.tick(sign * 0.5)
-    assert (first.gear, first.speed_mps, first.pedal_percent) == (gear, 0.0, 0.0)
+    assert (first.gear, first.parking, first.speed_mps) == (gear, True, 0.0)
     assert robot.bounds == {Bound.GEAR}
-    robot.gear = NEUTRAL
-    assert robot.tick(sign * 0.5, count=50).speed_mps == 0
-    robot.gear = None
+    while robot.told.parking:
+        assert robot.tick(sign * 0.5).gear is gear
+        assert robot.told.speed_mps == 0
+    assert robot.motion.bounds == [Bound.PARKING]
     told = [robot.tick(sign * 0.5).speed_mps for _ in range(63)]
     assert told == pytest.approx([min(0.5, 0.008 * tick) for tick in range(1, 64)])
     assert robot.told.signed_speed_mps == sign * 0.5
     assert robot.motion.bounds == []
 
 
-def test_it_waits_for_neutral_before_any_gear() -> None:
-    """The chassis reads park, or another gear, while it is changing."""
+@pytest.mark.parametrize("brake", [APPLIED, ParkingStatus.UNDEFINED])
+def test_a_hill_start_waits_for_the_feedback_of_the_brake(brake: ParkingStatus) -> None:
+    """Row 'standing: a drive command releases it, waits until the feedback says so, then ramps'."""
+    robot = going()
+    robot.tick(0.0, count=300)
+    assert robot.told.parking
+    robot.brake = brake
+    told = robot.tick(0.5, count=100)
+    assert (told.parking, told.speed_mps, told.gear) == (False, 0.0, DRIVE)
+    assert robot.motion.bounds == [Bound.PARKING]
+    robot.brake = RELEASED
+    assert robot.tick(0.5).speed_mps == pytest.approx(0.008)
+
+
+@pytest.mark.parametrize("brake", [RELEASED, ParkingStatus.UNDEFINED])
+def test_without_an_applied_brake_there_is_no_gear(brake: ParkingStatus) -> None:
+    """Row 'reversal: parking brake applied and confirmed': neither the first gear nor another one."""
     robot = Robot()
-    robot.gear = PARK
-    assert robot.tick(1.0, count=9).gear is NEUTRAL
-    assert robot.bounds == {Bound.GEAR}
-    robot.gear = None
-    assert robot.tick(1.0).gear is DRIVE
+    robot.brake = brake
+    told = robot.tick(1.0, count=100)
+    assert (told.gear, told.parking, robot.bounds) == (NEUTRAL, True, {Bound.GEAR})
+    robot = going()
+    robot.brake = brake
+    told = robot.tick(-1.0, count=200)
+    assert (told.gear, told.parking, told.speed_mps) == (DRIVE, True, 0.0)
+
+
+def test_a_gear_that_is_not_in_gets_no_speed() -> None:
+    """Row 'reversal: the other gear, confirmed': neither at first nor where it is lost at speed."""
+    robot = Robot()
+    robot.gear = NEUTRAL
+    assert robot.tick(1.0, count=200).speed_mps == 0
+    robot = going()
+    robot.gear = NEUTRAL
+    assert robot.tick(1.0, count=100).speed_mps == 0
+    assert Bound.GEAR in robot.bounds
+    assert robot.told.gear is DRIVE
+
+
+def test_a_brake_that_does_not_read_released_at_speed_takes_the_speed() -> None:
+    """By the normal deceleration, and in gear."""
+    robot = going()
+    robot.brake = APPLIED
+    assert robot.tick(1.0).speed_mps == pytest.approx(0.988)
+    assert (robot.tick(1.0, count=100).speed_mps, robot.told.gear) == (0.0, DRIVE)
+
+
+# Limits.
 
 
 @pytest.mark.parametrize(
@@ -106,8 +167,7 @@ def test_the_lower_speed_limit() -> None:
 
 def test_acceleration_and_deceleration() -> None:
     """Row 'acceleration / normal deceleration: 0.8 / 1.2 m/s2', also between two speeds."""
-    robot = Robot()
-    robot.tick(1.0, count=200)
+    robot = going()
     assert robot.tick(2.0).speed_mps == pytest.approx(1.008)
     assert robot.bounds == {Bound.ACCELERATION}
     assert robot.tick(0.5).speed_mps == pytest.approx(0.996)
@@ -146,8 +206,7 @@ def test_in_a_bend_the_speed_is_reduced_and_not_the_steering() -> None:
 
 def test_steering_waits_for_the_speed() -> None:
     """Turned at speed: never beyond the lateral limit on the way, and there in the end."""
-    robot = Robot()
-    robot.tick(2.2, count=400)
+    robot = going(2.2)
     for _ in range(200):
         told = robot.tick(2.2, 24.0)
         assert told.speed_mps**2 * tan(radians(told.angle_deg)) / 0.66 <= 1.5 + 1e-9
@@ -160,54 +219,91 @@ def test_steering_waits_for_the_speed() -> None:
     assert robot.tick(2.2, 0.0).speed_mps < 1.5
 
 
+def test_wheels_that_are_turned_further_than_they_were_told_bound_the_speed() -> None:
+    """Row 'steering: limits use the greater of commanded and measured angle'."""
+    robot = going(2.2)
+    robot.angle_deg = -24.0
+    assert robot.tick(2.2, 0.0, count=100).speed_mps == pytest.approx(1.491, abs=0.001)
+    assert Bound.LATERAL_ACCELERATION in robot.motion.bounds
+
+
+def test_a_robot_that_is_faster_than_it_was_told_is_not_turned_further() -> None:
+    """Row 'steering: limits use the greater of commanded and measured speed'."""
+    robot = going(1.0)
+    robot.speed_mps = 2.2
+    told = robot.tick(1.0, 24.0, count=100)
+    assert told.angle_deg == pytest.approx(LIMITS.angle_at(2.2))
+    assert Bound.LATERAL_ACCELERATION in robot.motion.bounds
+    robot.speed_mps = None
+    assert robot.tick(1.0, 24.0, count=100).angle_deg == 24.0
+
+
+# Standing and reversing.
+
+
+def test_standing_at_zero_command_it_stays_in_gear_and_is_held_after_a_second() -> None:
+    """Row 'standing: in gear at zero speed; after 1 s of standing the parking brake is applied by itself'."""
+    robot = going()
+    robot.stands = False
+    told = robot.tick(0.0, count=300)
+    assert (told.gear, told.speed_mps, told.parking) == (DRIVE, 0.0, False)
+    robot.stands = True
+    told = robot.tick(0.0, count=100)
+    assert (told.gear, told.speed_mps, told.parking) == (DRIVE, 0.0, False)
+    told = robot.tick(0.0)
+    assert (told.gear, told.speed_mps, told.parking) == (DRIVE, 0.0, True)
+    assert robot.bounds == set()
+
+
+def test_the_second_of_standing_begins_anew_with_each_motion() -> None:
+    """Row 'standing: after 1 s of standing'."""
+    robot = going()
+    robot.tick(0.0, count=84)
+    for stands in (True, False, True):
+        robot.stands = stands
+        assert not robot.tick(0.0, count=99).parking
+
+
 @pytest.mark.parametrize(("sign", "before", "after"), [(1, DRIVE, REVERSE), (-1, REVERSE, DRIVE)])
-def test_reversal_goes_through_standstill_and_neutral(
+def test_reversal_goes_through_standstill_behind_the_parking_brake(
     sign: int, before: GearPosition, after: GearPosition
 ) -> None:
-    """Row 'reversal: through standstill: measured speed under 0.05 m/s, neutral, then the other gear'."""
-    robot = Robot()
-    robot.tick(sign * 1.0, count=200)
+    """Row 'reversal: standstill, parking brake applied and confirmed, neutral, the other gear, released'."""
+    robot = going(sign * 1.0)
     robot.stands = False
     told = robot.tick(-sign * 1.0, count=200)
-    assert (told.speed_mps, told.gear) == (0.0, before)
+    assert (told.speed_mps, told.gear, told.parking) == (0.0, before, False)
     assert robot.bounds == {Bound.REVERSAL, Bound.DECELERATION}
-    robot.stands = True
-    assert robot.tick(-sign * 1.0).gear is NEUTRAL
-    robot.gear = before
-    assert robot.tick(-sign * 1.0, count=20).gear is NEUTRAL
-    robot.gear = None
-    assert robot.tick(-sign * 1.0).gear is after
+    robot.stands, robot.brake = True, RELEASED
+    told = robot.tick(-sign * 1.0, count=50)
+    assert (told.gear, told.parking) == (before, True)
+    robot.brake = None
+    steps = [(robot.tick(-sign * 1.0).gear, robot.told.parking) for _ in range(25)]
+    assert list(dict.fromkeys(steps)) == [(NEUTRAL, True), (after, True), (after, False)]
+    assert steps.count((NEUTRAL, True)) == steps.count((after, True)) == 10, "each for 100 ms"
     robot.stands = None
     assert robot.tick(-sign * 1.0, count=200).signed_speed_mps == -sign * 1.0
 
 
-def test_a_gear_that_is_lost_takes_the_speed() -> None:
-    """The feedback reads another gear than the one that is asked for."""
-    robot = Robot()
-    robot.tick(1.0, count=200)
-    robot.gear = NEUTRAL
-    assert robot.tick(1.0, count=100).speed_mps == 0
-    assert Bound.GEAR in robot.bounds
+def test_a_reversal_that_is_given_up_midway_stays_parked() -> None:
+    """Row 'slopes: never stands in neutral unbraked', whatever is asked next."""
+    robot = going()
+    while robot.told.gear is not NEUTRAL:
+        robot.tick(-1.0)
+    told = robot.tick(0.0, count=300)
+    assert (told.gear, told.parking) == (NEUTRAL, True)
+    assert robot.tick(1.0, count=GO_TICKS + 200).signed_speed_mps == 1.0
 
 
-def test_zero_speed_ends_in_neutral() -> None:
-    """Once it stands; and braked."""
-    robot = Robot()
-    robot.tick(1.0, count=200)
-    robot.stands = False
-    told = robot.tick(0.0, count=200)
-    assert (told.gear, told.speed_mps, told.pedal_percent) == (DRIVE, 0.0, 0.0)
-    robot.stands = True
-    assert robot.tick(0.0) == Actuation(True, NEUTRAL, 0.0, 0.0, 30.0, parking=False)  # noqa: FBT003
-    assert robot.bounds == set()
-
-
-def test_the_parking_brake_holds_it() -> None:
-    """No speed against it, and it is told."""
-    robot = Robot()
-    robot.parked = True
+@pytest.mark.parametrize("stands", [True, False])
+def test_the_parking_brake_is_told_at_once_when_it_is_asked_for(*, stands: bool) -> None:
+    """Row 'rolling: park is accepted at any speed while the command is zero': in gear, and no speed against it."""
+    robot = going()
+    robot.parked, robot.stands = True, stands
+    told = robot.tick(0.0)
+    assert (told.speed_mps, told.gear, told.parking) == (0.0, DRIVE, True)
     told = robot.tick(1.0, count=50)
-    assert (told.speed_mps, told.gear, told.parking) == (0.0, NEUTRAL, True)
+    assert (told.speed_mps, told.gear, told.parking) == (0.0, DRIVE, True)
     assert robot.bounds == {Bound.PARKING}
 
 
@@ -225,14 +321,20 @@ def test_a_pressed_bumper_forbids_its_direction(toward: int) -> None:
 
 
 targets = st.lists(st.tuples(st.floats(-4, 4), st.floats(-40, 40), st.integers(1, 60)), min_size=1, max_size=8)
+feedback = st.lists(
+    st.tuples(st.none() | st.booleans(), st.none() | st.sampled_from(ParkingStatus)), min_size=1, max_size=8
+)
 
 
-@given(targets=targets)
-def test_every_step_is_within_every_limit(targets: list[tuple[float, float, int]]) -> None:
-    """Whatever is asked in whatever order."""
+@given(targets=targets, feedback=feedback)
+def test_every_step_is_within_every_limit(
+    targets: list[tuple[float, float, int]], feedback: list[tuple[bool | None, ParkingStatus | None]]
+) -> None:
+    """Whatever is asked in whatever order, and whatever standstill and brake read."""
     robot = Robot()
     before = robot.tick(0.0)
-    for speed_mps, angle_deg, ticks in targets:
+    for number, (speed_mps, angle_deg, ticks) in enumerate(targets):
+        robot.stands, robot.brake = feedback[number % len(feedback)]
         for _ in range(ticks):
             told = robot.tick(speed_mps, angle_deg)
             change_mps = told.signed_speed_mps - before.signed_speed_mps
@@ -242,8 +344,12 @@ def test_every_step_is_within_every_limit(targets: list[tuple[float, float, int]
             assert abs(told.angle_deg) <= 24
             assert told.speed_mps <= 2.222
             assert told.speed_mps**2 * abs(tan(radians(told.angle_deg))) / 0.66 <= 1.5 + 1e-9
-            assert told.speed_mps == 0 or told.gear is not NEUTRAL
-            assert told.gear is before.gear or (NEUTRAL in {told.gear, before.gear} and before.speed_mps == 0)
+            assert told.parking or told.gear is not NEUTRAL
+            assert not (told.speed_mps and told.parking)
+            if told.gear is not before.gear:
+                assert NEUTRAL in {told.gear, before.gear}
+                assert told.parking
+                assert before.parking
             before = told
 
 

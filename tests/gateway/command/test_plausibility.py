@@ -1,22 +1,79 @@
-"""Row 'plausibility: wheel speeds against the command and against drive feedback: over by 0.3 m/s and 1.5 x'."""
+"""Rows 'plausibility', 'rolling', 'steering', 'measured speed over the limit', and a body frame that is frozen."""
 
+from collections.abc import Callable
+
+import msgspec
 import pytest
 
+from gateway.command.actuation import AT_REST, Actuation
+from gateway.command.observed import Observed
 from gateway.command.plausibility import Plausibility, exceeds, fits, fitting_scale
+from schemas.messages import GearPosition
+from schemas.reasons import Reason
 
 MS = 1_000_000
+LAG_S = 0.4
+"""The lag of a slow chassis that still does what it is told."""
 
 
-def watched(
-    wheel_mps: float | None, drive_mps: float | None, commanded_mps: float, for_ms: int, start_mps: float = 0.0
-) -> Plausibility | None:
-    """What it says after so long; None if all fits."""
-    made = Plausibility()
-    made.forget(start_mps)
-    found = False
-    for at_ms in range(0, for_ms + 1, 10):
-        found = made.observe(wheel_mps, drive_mps, commanded_mps, at_ms * MS)
-    return made if found else None
+def told(speed_mps: float = 0.0, angle_deg: float = 0.0) -> Actuation:
+    """A signed speed."""
+    gear = GearPosition.REVERSE if speed_mps < 0 else GearPosition.DRIVE
+    return Actuation(True, gear, abs(speed_mps), angle_deg, parking=False)  # noqa: FBT003
+
+
+def seen(wheel_mps: float | None = 0.0, drive_mps: float | None = None, **changes: object) -> Observed:
+    """A chassis whose drive feedback fits its wheels, but for what is given."""
+    fastest_mps = None if wheel_mps is None else abs(wheel_mps)
+    observed = Observed(
+        speed_mps=fastest_mps if drive_mps is None else drive_mps,
+        wheel_speed_mps=wheel_mps,
+        fastest_wheel_mps=fastest_mps,
+        angle_deg=0.0,
+    )
+    return msgspec.structs.replace(observed, **changes)
+
+
+class Watched:
+    """A robot that is told and seen something, tick by tick."""
+
+    def __init__(self, start_mps: float = 0.0, angle_deg: float = 0.0) -> None:
+        self.made = Plausibility()
+        self.made.forget(start_mps, angle_deg)
+        self.now_ms = 0
+
+    def run(
+        self, observed: Observed, actuation: Actuation = AT_REST, ms: int = 10, limit_mps: float = 2.222
+    ) -> list[Reason]:
+        """Ticks, the last of them so many milliseconds after the first; what is found in the last."""
+        found: list[Reason] = []
+        for _ in range(0, ms, 10):
+            found = self.made.observe(observed, actuation, limit_mps, self.now_ms * MS)
+            self.now_ms += 10
+        return found
+
+    def found_after_ms(self, reason: Reason, observed: Observed, actuation: Actuation = AT_REST) -> int | None:
+        """When this is found, counted from the first tick; None if it is not within 10 s."""
+        begun_ms = self.now_ms
+        for _ in range(1_000):
+            if reason in self.run(observed, actuation):
+                return self.now_ms - begun_ms - 10
+        return None
+
+    def follow(
+        self, way: Callable[[float], Actuation], seconds: float, limit_mps: float = 2.222, lag_s: float = LAG_S
+    ) -> set[Reason]:
+        """A chassis that follows what it is told with this lag; all that is found on the way."""
+        found: set[Reason] = set()
+        actual_mps = way(0.0).signed_speed_mps
+        for tick in range(round(seconds * 100)):
+            now = way(tick / 100)
+            actual_mps += (now.signed_speed_mps - actual_mps) * 0.01 / lag_s
+            found |= set(self.run(seen(actual_mps, angle_deg=now.angle_deg), now, limit_mps=limit_mps))
+        return found
+
+
+# Speeds.
 
 
 @pytest.mark.parametrize(
@@ -37,66 +94,40 @@ def test_over_by_both_the_difference_and_the_factor(larger: float, smaller: floa
     assert fits(larger, smaller) is fits(smaller, larger) is not over
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-def test_wheels_that_turn_faster_than_commanded_are_found_after_300_ms(sign: int) -> None:
-    """Row 'plausibility: for 300 ms: stop': at 300 ms, and not at 290; in either direction."""
-    assert watched(sign * 1.0, 1.0, sign * 0.5, 290) is None
-    found = watched(sign * 1.0, 1.0, sign * 0.5, 300)
-    assert found is not None
-    assert "at 1.00 m/s, commanded is 0.50" in found.detail
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_wheels_that_turn_the_other_way_are_found(sign: int) -> None:
-    """A robot that rolls back down a slope, or has the wrong gear in."""
-    found = watched(-sign * 0.5, 0.5, sign * 0.5, 300)
-    assert found is not None
-    assert ("backward" if sign > 0 else "forward") in found.detail
-    assert watched(-sign * 0.3, 0.3, sign * 0.5, 900) is None
-
-
-@pytest.mark.parametrize(("wheel_mps", "drive_mps"), [(0.0, 1.0), (1.0, 0.5), (-1.0, 0.5)])
-def test_wheels_and_drive_feedback_that_differ_are_found(wheel_mps: float, drive_mps: float) -> None:
-    """Whichever is the larger, while the command fits."""
-    commanded_mps = 1.0 if wheel_mps >= 0 else -1.0
-    assert watched(wheel_mps, drive_mps, commanded_mps, 290) is None
-    found = watched(wheel_mps, drive_mps, commanded_mps, 300)
-    assert found is not None
-    assert f"at {abs(wheel_mps):.2f} m/s, the drive feedback says {drive_mps:.2f}" in found.detail
+@pytest.mark.parametrize(
+    ("sign", "wheel_mps", "drive_mps", "told_mps", "words"),
+    [
+        (1, 1.0, 1.0, 0.5, "the wheels turn forward at 1.00 m/s, commanded is 0.50"),
+        (-1, 1.0, 1.0, 0.5, "the wheels turn backward at 1.00 m/s, commanded is 0.50"),
+        (1, -0.5, 0.5, 0.5, "the wheels turn backward at 0.50 m/s, commanded is 0.00"),
+        (-1, -0.5, 0.5, 0.5, "the wheels turn forward at 0.50 m/s, commanded is 0.00"),
+        (1, 0.0, 1.0, 1.0, "the wheels turn at 0.00 m/s, the drive feedback says 1.00"),
+        (1, 1.0, 0.5, 1.0, "the wheels turn at 1.00 m/s, the drive feedback says 0.50"),
+        (-1, 1.0, 0.5, 1.0, "the wheels turn at 1.00 m/s, the drive feedback says 0.50"),
+        (1, 2.0, 2.0, 0.05, "the coarse scale of the drive frames would fit"),
+    ],
+)
+def test_speeds_that_do_not_fit_are_found_after_300_ms(
+    sign: int, wheel_mps: float, drive_mps: float, told_mps: float, words: str
+) -> None:
+    """Row 'plausibility: wheels against the command and drive feedback, for 300 ms: stop, and say which scale'."""
+    watched = Watched()
+    observed = seen(sign * wheel_mps, drive_mps)
+    assert watched.found_after_ms(Reason.IMPLAUSIBLE_SPEED, observed, told(sign * told_mps)) == 300
+    assert words in watched.made.details[Reason.IMPLAUSIBLE_SPEED]
 
 
 def test_what_fits_in_between_begins_anew() -> None:
-    """300 ms without a break."""
-    made = Plausibility()
+    """Row 'plausibility: for 300 ms': without a break."""
+    watched = Watched()
     for at_ms in range(0, 2_000, 10):
-        wheel_mps = 0.5 if at_ms % 300 == 290 else 1.0
-        assert not made.observe(wheel_mps, wheel_mps, 0.5, at_ms * MS)
+        assert watched.run(seen(0.5 if at_ms % 300 == 290 else 1.0), told(0.5)) == []
 
 
-def test_a_robot_that_slows_down_lags() -> None:
-    """A command that falls to zero is held against the wheels no faster than by 0.8 m/s2."""
-    made = Plausibility()
-    made.observe(1.0, 1.0, 1.0, 0)
-    for at_ms in range(10, 1_300, 10):
-        wheel_mps = max(0.0, 1.0 - 0.8 * at_ms / 1000)
-        assert not made.observe(wheel_mps, wheel_mps, 0.0, at_ms * MS)
-    made.forget()
-    made.observe(1.0, 1.0, 1.0, 0)
-    found = [made.observe(1.0, 1.0, 0.0, at_ms * MS) for at_ms in range(10, 1_300, 10)]
-    assert True in found
-
-
-@pytest.mark.parametrize("speed_mps", [1.5, -1.5])
-def test_a_robot_that_is_found_moving_has_its_speed(speed_mps: float) -> None:
-    """It was not commanded by us."""
-    assert watched(speed_mps, 1.5, 0.0, 600, start_mps=speed_mps) is None
-    assert watched(speed_mps, 1.5, 0.0, 300) is not None
-
-
-@pytest.mark.parametrize(("wheel_mps", "drive_mps"), [(None, 2.0), (2.0, None)])
-def test_what_is_not_known_does_not_misfit(wheel_mps: float | None, drive_mps: float | None) -> None:
+@pytest.mark.parametrize("observed", [seen(None, 2.0), seen(2.0, speed_mps=None), seen(None, angle_deg=None)])
+def test_what_is_not_known_does_not_misfit(observed: Observed) -> None:
     """Missing feedback is a cause of its own."""
-    assert watched(wheel_mps, drive_mps, 0.0, 900) is None
+    assert Watched().found_after_ms(Reason.IMPLAUSIBLE_SPEED, observed, told(2.0)) is None
 
 
 @pytest.mark.parametrize(
@@ -116,8 +147,169 @@ def test_which_scale_fits(drive_mps: float, wheel_mps: float, words: str) -> Non
     assert fitting_scale(drive_mps, wheel_mps) == words
 
 
-def test_the_scale_of_the_command_is_told_too() -> None:
-    """A coarse chassis that is told speeds in fine bits, while its feedback is right."""
-    found = watched(2.0, 2.0, 0.05, 300)
-    assert found is not None
-    assert found.detail.endswith("the coarse scale of the drive frames would fit")
+# Rolling.
+
+FORWARD, BACKWARD = told(0.5), told(-0.5)
+
+
+@pytest.mark.parametrize(
+    ("observed", "actuation", "words"),
+    [
+        (seen(0.051, 0.0), AT_REST, "forward at 0.05 m/s by the wheels"),
+        (seen(-0.051, 0.0), AT_REST, "backward at 0.05 m/s by the wheels"),
+        (seen(None, 0.051), AT_REST, "at 0.05 m/s"),
+        (seen(0.0, fastest_wheel_mps=0.06), AT_REST, "at 0.06 m/s"),
+        (seen(0.0, pulses=1), AT_REST, "forward by the wheel pulses"),
+        (seen(None, None, pulses=-1), AT_REST, "backward by the wheel pulses"),
+        (seen(-0.051), FORWARD, "backward at 0.05 m/s by the wheels"),
+        (seen(0.051), BACKWARD, "forward at 0.05 m/s by the wheels"),
+        (seen(0.0, pulses=-1), FORWARD, "backward by the wheel pulses"),
+        (seen(0.0, pulses=1), BACKWARD, "forward by the wheel pulses"),
+    ],
+)
+def test_a_robot_that_rolls_is_found_after_100_ms(observed: Observed, actuation: Actuation, words: str) -> None:
+    """Row 'rolling: at zero command, or against the commanded direction, by wheels or pulses, for 100 ms'."""
+    watched = Watched()
+    assert watched.found_after_ms(Reason.ROLLING, observed, actuation) == 100
+    assert watched.made.details[Reason.ROLLING] == words
+
+
+@pytest.mark.parametrize(
+    ("observed", "actuation"),
+    [
+        (seen(0.05), AT_REST),
+        (seen(-0.05), AT_REST),
+        (seen(-0.05), FORWARD),
+        (seen(0.7), FORWARD),
+        (seen(-0.7), BACKWARD),
+        (seen(0.5, pulses=1), FORWARD),
+        (seen(None, 0.5), FORWARD),
+    ],
+)
+def test_what_stands_or_goes_as_it_is_told_does_not_roll(observed: Observed, actuation: Actuation) -> None:
+    """Row 'rolling: over the standstill bound'."""
+    assert Watched().found_after_ms(Reason.ROLLING, observed, actuation) is None
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("deceleration_mps2", [1.2, 2.0])
+def test_a_slow_chassis_that_follows_its_ramp_does_not_roll(sign: int, deceleration_mps2: float) -> None:
+    """Row 'rolling: beyond the ramp': with a lag of 0.4 s, from any speed; nothing else is found either."""
+    for start_mps in (0.2, 1.0, 2.222):
+        watched = Watched(sign * start_mps)
+
+        def ramp(at_s: float, start_mps: float = start_mps) -> Actuation:
+            return told(sign * max(0.0, start_mps - deceleration_mps2 * at_s))
+
+        assert watched.follow(ramp, 6) == set()
+
+
+def test_a_robot_that_does_not_follow_its_ramp_rolls() -> None:
+    """Row 'rolling: beyond the ramp': the command is zero, and half a metre a second is left."""
+    watched = Watched(0.5)
+    after_ms = watched.found_after_ms(Reason.ROLLING, seen(0.5))
+    assert after_ms is not None
+    assert 100 < after_ms < 300
+
+
+@pytest.mark.parametrize("speed_mps", [1.5, -1.5])
+def test_a_robot_that_is_found_moving_has_its_speed(speed_mps: float) -> None:
+    """It was not commanded by us: it lags behind from there."""
+    assert Watched(speed_mps).run(seen(speed_mps), ms=100) == []
+    assert Watched().found_after_ms(Reason.ROLLING, seen(speed_mps)) == 100
+
+
+# The limit.
+
+
+@pytest.mark.parametrize(
+    ("limit_mps", "observed", "is_over"),
+    [
+        (2.222, seen(2.53), True),
+        (2.222, seen(2.51), False),
+        (0.5, seen(0.8), True),
+        (0.5, seen(0.79), False),
+        (0.5, seen(-0.8), True),
+        (0.5, seen(0.5, 0.8), True),
+    ],
+)
+def test_a_robot_that_is_faster_than_its_limit_is_found(
+    limit_mps: float,
+    observed: Observed,
+    is_over: bool,  # noqa: FBT001 - a case of the table
+) -> None:
+    """Row 'measured speed over the limit in force by 0.3 m/s for 300 ms', also under a lowered limit."""
+    watched = Watched()
+    assert observed.wheel_speed_mps is not None
+    actuation = told(limit_mps if observed.wheel_speed_mps > 0 else -limit_mps)
+    assert Reason.OVERSPEED not in watched.run(observed, actuation, 300, limit_mps)
+    assert (Reason.OVERSPEED in watched.run(observed, actuation, 10, limit_mps)) is is_over
+
+
+def test_a_limit_that_was_lowered_has_to_be_reached_first() -> None:
+    """Row 'measured speed over the limit in force': not while the robot still slows down to it."""
+    watched = Watched(2.0)
+    assert watched.follow(lambda at_s: told(max(0.5, 2.0 - 1.2 * at_s)), 5, limit_mps=0.5) == set()
+
+
+# Steering.
+
+
+@pytest.mark.parametrize(("angle_deg", "is_off"), [(5.1, True), (-5.1, True), (4.9, False), (-4.9, False)])
+def test_wheels_that_are_not_turned_as_they_were_told_are_found(angle_deg: float, is_off: bool) -> None:  # noqa: FBT001
+    """Row 'steering: measured against commanded, over 5 deg for 300 ms'."""
+    found_ms = Watched().found_after_ms(Reason.STEERING, seen(0.0, angle_deg=angle_deg))
+    assert found_ms == (300 if is_off else None)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_steering_that_turns_slowly_follows(sign: int) -> None:
+    """Row 'steering: beyond the rate': at 30 deg/s to the other side and back, half the rate of the command."""
+    watched = Watched(0.0, sign * -24.0)
+    actual_deg = sign * -24.0
+    for target_deg in (sign * 24.0, sign * -24.0, 0.0):
+        for _ in range(200):
+            actual_deg += max(-0.3, min(0.3, target_deg - actual_deg))
+            assert watched.run(seen(0.0, angle_deg=actual_deg), told(0.0, target_deg)) == []
+
+
+def test_steering_that_is_stuck_is_found() -> None:
+    """Row 'steering': at full lock while straight on is told."""
+    watched = Watched(0.0, 24.0)
+    after_ms = watched.found_after_ms(Reason.STEERING, seen(0.0, angle_deg=24.0))
+    assert after_ms is not None
+    assert after_ms < 500
+    assert watched.made.details[Reason.STEERING] == "off by 14.1 deg, at 24.0 deg"
+
+
+# A body frame that is frozen.
+
+
+def test_a_mileage_that_stands_still_while_the_robot_drives_is_found() -> None:
+    """It counts whole metres: after three of them its frame is frozen, whatever its counter does."""
+    watched = Watched()
+    after_ms = watched.found_after_ms(Reason.FEEDBACK_FROZEN, seen(1.0, total_mileage_km=1.5), told(1.0))
+    assert after_ms == pytest.approx(3_000, abs=20)
+    assert watched.made.details[Reason.FEEDBACK_FROZEN] == "for 3.0 m"
+
+
+@pytest.mark.parametrize(
+    "observed",
+    [
+        seen(0.0, 1.0, total_mileage_km=1.5),
+        seen(1.0, 0.0, total_mileage_km=1.5),
+        seen(0.0, total_mileage_km=1.5),
+        seen(1.0, total_mileage_km=None),
+    ],
+    ids=["drive alone", "wheels alone", "stands", "no mileage"],
+)
+def test_what_may_be_another_fault_is_no_frozen_mileage(observed: Observed) -> None:
+    """The lower of both speeds counts, and a mileage that is not known is missing, not frozen."""
+    assert Watched().found_after_ms(Reason.FEEDBACK_FROZEN, observed, told(1.0)) is None
+
+
+def test_a_mileage_that_counts_or_is_cleared_is_not_frozen() -> None:
+    """Metre by metre, and from zero again."""
+    watched = Watched()
+    for metre in (*range(1500, 1503), *range(6)):
+        assert watched.run(seen(1.0, total_mileage_km=metre / 1000), told(1.0), 1_000) == []

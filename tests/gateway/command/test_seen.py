@@ -1,7 +1,9 @@
-"""Where a stop begins that nobody of us led up to."""
+"""What is seen of a chassis, and where a stop begins that nobody of us led up to."""
 
+import msgspec
 import pytest
 
+from gateway.command.actuation import Actuation
 from gateway.command.limits import Limits
 from gateway.command.observed import Observed
 from gateway.command.seen import seen_actuation, seen_angle_deg
@@ -9,17 +11,60 @@ from schemas.messages import GearPosition
 from schemas.settings import CommandSettings
 
 LIMITS = Limits.of(CommandSettings(speed_limit_mps=1.5, steering_limit_deg=10.0))
+DRIVE, REVERSE, NEUTRAL, PARK, UNDEFINED = (
+    GearPosition.DRIVE,
+    GearPosition.REVERSE,
+    GearPosition.NEUTRAL,
+    GearPosition.PARK,
+    GearPosition.UNDEFINED,
+)
 
 
 @pytest.mark.parametrize(
-    ("drive_mps", "wheels_mps", "seen_mps"),
-    [(1.0, 0.9, 0.9), (0.9, 1.0, 0.9), (2.0, 0.0, 0.0), (None, 0.7, 0.7), (0.7, None, 0.7), (None, None, 0.0)],
+    ("drive_mps", "wheels_mps", "seen_mps", "fastest_mps"),
+    [
+        (1.0, 0.9, 0.9, 1.0),
+        (0.9, 1.0, 0.9, 1.0),
+        (2.0, 0.0, 0.0, 2.0),
+        (None, 0.7, 0.7, 0.7),
+        (0.7, None, 0.7, 0.7),
+        (None, None, 0.0, None),
+    ],
 )
-def test_the_lower_speed_counts(drive_mps: float | None, wheels_mps: float | None, seen_mps: float) -> None:
-    """No single faulty sensor sets a robot going."""
-    observed = Observed(speed_mps=drive_mps, fastest_wheel_mps=wheels_mps, gear=GearPosition.DRIVE)
-    assert observed.seen_mps == seen_mps
-    assert seen_actuation(observed, LIMITS, parking=False).speed_mps == seen_mps
+def test_the_lower_speed_is_told_and_the_higher_one_is_feared(
+    drive_mps: float | None, wheels_mps: float | None, seen_mps: float, fastest_mps: float | None
+) -> None:
+    """No single faulty sensor sets a robot going, and none hides a motion."""
+    observed = Observed(speed_mps=drive_mps, fastest_wheel_mps=wheels_mps, gear=DRIVE)
+    assert (observed.seen_mps, observed.fastest_mps) == (seen_mps, fastest_mps)
+    assert seen_actuation(observed, LIMITS).speed_mps == seen_mps
+
+
+SLOW = Observed(speed_mps=0.0499, fastest_wheel_mps=0.0499, turns=False, confirmed=True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_slow", "moves"),
+    [
+        ({}, True, False),
+        ({"speed_mps": 0.051}, False, True),
+        ({"fastest_wheel_mps": 0.051}, False, True),
+        ({"pulses": 1}, False, True),
+        ({"pulses": -1}, False, True),
+        ({"speed_mps": None}, False, False),
+        ({"fastest_wheel_mps": None}, False, False),
+        ({"speed_mps": None, "turns": True}, False, True),
+        ({"turns": True}, True, False),
+        ({"turns": True, "confirmed": False}, True, True),
+    ],
+)
+def test_what_stands_and_what_moves(changes: dict[str, object], *, is_slow: bool, moves: bool) -> None:
+    """Rows 'found at start: moving by drive, wheels or pulses' and 'standstill: under 0.05 m/s'.
+
+    The raw drive feedback counts where its scale is in doubt: else a fine scale's millimetres a second are rest.
+    """
+    observed = msgspec.structs.replace(SLOW, **changes)
+    assert (observed.is_slow, observed.moves) == (is_slow, moves)
 
 
 @pytest.mark.parametrize(("seen_deg", "told_deg"), [(None, 0.0), (-30.0, -10.0), (30.0, 10.0), (4.0, 4.0)])
@@ -29,20 +74,39 @@ def test_the_angle_is_within_the_limit(seen_deg: float | None, told_deg: float) 
 
 
 @pytest.mark.parametrize(
-    ("gear", "told", "parks"),
+    ("gear", "told", "speed_mps", "parking"),
     [
-        (GearPosition.DRIVE, GearPosition.DRIVE, False),
-        (GearPosition.REVERSE, GearPosition.REVERSE, False),
-        (GearPosition.NEUTRAL, GearPosition.NEUTRAL, False),
-        (GearPosition.PARK, GearPosition.NEUTRAL, True),
-        (GearPosition.UNDEFINED, GearPosition.NEUTRAL, True),
+        (DRIVE, DRIVE, 1.5, False),
+        (REVERSE, REVERSE, 1.5, False),
+        (NEUTRAL, NEUTRAL, 0.0, False),
+        (PARK, NEUTRAL, 0.0, True),
+        (UNDEFINED, NEUTRAL, 0.0, True),
     ],
 )
-def test_only_in_gear_is_there_a_speed(gear: GearPosition, told: GearPosition, parks: bool) -> None:  # noqa: FBT001
-    """The brake is asked for where the robot may be parked, unless it is known what was asked."""
+def test_only_in_gear_is_there_a_speed(
+    gear: GearPosition, told: GearPosition, speed_mps: float, *, parking: bool
+) -> None:
+    """Within the limit; the brake is asked for where the robot may be parked."""
     observed = Observed(speed_mps=2.0, fastest_wheel_mps=2.0, gear=gear)
-    first = seen_actuation(observed, LIMITS, parking=None)
-    assert (first.enabled, first.gear, first.parking) == (True, told, parks)
-    assert first.speed_mps == (1.5 if told is gear and gear is not GearPosition.NEUTRAL else 0.0)
-    for parking in (True, False):
-        assert seen_actuation(observed, LIMITS, parking=parking).parking is parking
+    assert seen_actuation(observed, LIMITS) == Actuation(True, told, speed_mps, parking=parking)  # noqa: FBT003
+
+
+@pytest.mark.parametrize(
+    ("left", "seen_mps", "gear", "told_mps"),
+    [
+        (Actuation(True, DRIVE, 1.0, parking=False), 0.4, DRIVE, 0.4),  # noqa: FBT003
+        (Actuation(True, DRIVE, 0.4, parking=False), 1.0, DRIVE, 0.4),  # noqa: FBT003
+        (Actuation(True, DRIVE, 0.0, parking=False), 1.9, DRIVE, 0.0),  # noqa: FBT003
+        (Actuation(True, DRIVE, 1.0, parking=False), 1.0, REVERSE, 0.0),  # noqa: FBT003
+        (Actuation(True, DRIVE, 1.0, parking=False), 1.0, UNDEFINED, 0.0),  # noqa: FBT003
+        (Actuation(True, DRIVE, 0.0, parking=True), 1.0, DRIVE, 0.0),  # noqa: FBT003
+        (Actuation(True, NEUTRAL, 0.0, parking=True), 1.0, DRIVE, 0.0),  # noqa: FBT003
+    ],
+)
+def test_what_was_left_bounds_what_is_told(
+    left: Actuation, seen_mps: float, gear: GearPosition, told_mps: float
+) -> None:
+    """Row 'given back: never a speed above the lower of what it was left on and what is seen'; parked it stays."""
+    observed = Observed(speed_mps=seen_mps, fastest_wheel_mps=seen_mps, gear=gear)
+    told = seen_actuation(observed, LIMITS, left)
+    assert (told.speed_mps, told.parking) == (told_mps, left.parking)

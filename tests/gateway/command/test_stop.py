@@ -1,5 +1,6 @@
-"""Row 'stop: ramp to zero speed, brake pedal, neutral, parking brake at standstill, hold, disable'."""
+"""Row 'stop: ramp to zero in gear, parking brake, neutral behind it, hold 1 s, disable 0.5 s, silence'."""
 
+from collections.abc import Callable
 from math import inf
 
 import pytest
@@ -7,149 +8,321 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.command.actuation import Actuation
-from gateway.command.stop import StopSequence
+from gateway.command.stop import StopFeedback, StopSequence
 from schemas.decisions import StopPhase
 from schemas.messages import GearPosition
 
 MS = 1_000_000
-DRIVING = Actuation(True, GearPosition.DRIVE, 1.0, 10.0, 0.0, parking=False)  # noqa: FBT003
+DRIVE, REVERSE, NEUTRAL = GearPosition.DRIVE, GearPosition.REVERSE, GearPosition.NEUTRAL
+DRIVING = Actuation(True, DRIVE, 1.0, 10.0, 0.0, parking=False)  # noqa: FBT003
+BLIND = StopFeedback()
+STANDS = StopFeedback(stands=True, speed_mps=0.0, wheel_speed_mps=0.0, is_braked=False)
+HELD = StopFeedback(stands=True, speed_mps=0.0, wheel_speed_mps=0.0, is_braked=True)
+
+Told = list[tuple[StopPhase, Actuation]]
+See = Callable[[Actuation], StopFeedback]
 
 
-def phases(
-    last: Actuation, stands_from_ms: int, deceleration_mps2: float = 2.0
-) -> list[tuple[StopPhase, Actuation]]:
-    """Phase and output of every tick until the sequence has ended."""
-    sequence = StopSequence(last, deceleration_mps2, 30.0, 0)
-    told: list[tuple[StopPhase, Actuation]] = []
-    for at_ms in range(0, 20_000, 10):
-        actuation = sequence.tick(at_ms * MS, stands=at_ms >= stands_from_ms)
-        if actuation is None:
-            assert sequence.phase is StopPhase.IDLE
-            assert sequence.tick((at_ms + 10) * MS, stands=True) is None
-            return told
-        told.append((sequence.phase, actuation))
-    raise AssertionError("it never ends")
+def moving(speed_mps: float, *, is_braked: bool | None = False, backward: bool = False) -> StopFeedback:
+    """A robot that is seen to move."""
+    wheels_mps = -speed_mps if backward else speed_mps
+    return StopFeedback(moves=True, speed_mps=speed_mps, wheel_speed_mps=wheels_mps, is_braked=is_braked)
 
 
-def lasted(told: list[tuple[StopPhase, Actuation]]) -> dict[StopPhase, int]:
-    """Ticks of each phase, in their order."""
-    counts: dict[StopPhase, int] = {}
-    for phase, _ in told:
-        counts[phase] = counts.get(phase, 0) + 1
-    return counts
+def obedient(told: Actuation) -> StopFeedback:
+    """A robot that follows at once, brake and all."""
+    if told.speed_mps == 0:
+        return HELD if told.parking else STANDS
+    return moving(told.speed_mps, backward=told.gear is REVERSE)
+
+
+class Run:
+    """A stop, tick by tick.
+
+    Attributes:
+        told: the output of every tick so far, with its phase.
+    """
+
+    def __init__(self, last: Actuation = DRIVING, deceleration_mps2: float = 2.0) -> None:
+        self.sequence = StopSequence(last, deceleration_mps2, 0)
+        self.now_ms = 0
+        self.told: Told = []
+        self._last = last
+
+    @property
+    def last(self) -> Actuation:
+        """What was told last."""
+        return self.told[-1][1] if self.told else self._last
+
+    def run(self, see: See | StopFeedback = obedient, ms: int = 10) -> Actuation:
+        """Time passes; what is seen follows from what was told, or stays as it is."""
+        for _ in range(ms // 10):
+            seen = see if isinstance(see, StopFeedback) else see(self.last)
+            actuation = self.sequence.tick(self.now_ms * MS, seen)
+            self.now_ms += 10
+            if actuation is None:
+                assert self.sequence.phase is StopPhase.IDLE
+                break
+            self.told.append((self.sequence.phase, actuation))
+        return self.last
+
+    def lasted_ms(self) -> dict[StopPhase, int]:
+        """How long each phase took, in their order."""
+        phases = [phase for phase, _ in self.told]
+        return {phase: 10 * phases.count(phase) for phase in dict.fromkeys(phases)}
 
 
 def test_the_whole_sequence() -> None:
-    """Each phase as long as the table says, and each output as its name says."""
-    told = phases(DRIVING, 800)
-    assert lasted(told) == {
-        StopPhase.RAMP: 49,
-        StopPhase.BRAKE: 31,
-        StopPhase.NEUTRAL: 10,
-        StopPhase.HOLD: 100,
-        StopPhase.DISABLE: 50,
+    """Row 'stop': in gear until the parking brake reads applied, then neutral; nothing but the brake holds it."""
+    stop = Run()
+    stop.run(ms=10_000)
+    assert stop.lasted_ms() == {
+        StopPhase.RAMP: 490,
+        StopPhase.BRAKE: 10,
+        StopPhase.PARK: 10,
+        StopPhase.HOLD: 1000,
+        StopPhase.DISABLE: 500,
     }
-    assert list(lasted(told)) == [phase for phase in StopPhase if phase is not StopPhase.IDLE]
-    drive, neutral = GearPosition.DRIVE, GearPosition.NEUTRAL
-    outputs = {phase: actuation for phase, actuation in told if phase is not StopPhase.RAMP}
+    outputs = {phase: actuation for phase, actuation in stop.told if phase is not StopPhase.RAMP}
     assert outputs == {
-        StopPhase.BRAKE: Actuation(True, drive, 0.0, 10.0, 30.0, parking=False),  # noqa: FBT003
-        StopPhase.NEUTRAL: Actuation(True, neutral, 0.0, 10.0, 30.0, parking=False),  # noqa: FBT003
-        StopPhase.HOLD: Actuation(True, neutral, 0.0, 10.0, 30.0, parking=True),  # noqa: FBT003
-        StopPhase.DISABLE: Actuation(False, neutral, 0.0, 10.0, 0.0, parking=True),  # noqa: FBT003
+        StopPhase.BRAKE: Actuation(True, DRIVE, 0.0, 10.0, 0.0, parking=False),  # noqa: FBT003
+        StopPhase.PARK: Actuation(True, DRIVE, 0.0, 10.0, 0.0, parking=True),  # noqa: FBT003
+        StopPhase.HOLD: Actuation(True, NEUTRAL, 0.0, 10.0, 0.0, parking=True),  # noqa: FBT003
+        StopPhase.DISABLE: Actuation(False, NEUTRAL, 0.0, 10.0, 0.0, parking=True),  # noqa: FBT003
     }
+    assert stop.sequence.tick(99_999 * MS, HELD) is None, "it has ended"
 
 
 @pytest.mark.parametrize("deceleration_mps2", [1.2, 2.0])
-def test_the_ramp_keeps_its_deceleration(deceleration_mps2: float) -> None:
-    """Rows 'normal / emergency deceleration': it begins with the first tick, and goes by no more and no less."""
-    ramp = [actuation for phase, actuation in phases(DRIVING, 9_000, deceleration_mps2) if phase is StopPhase.RAMP]
+@pytest.mark.parametrize("gear", [DRIVE, REVERSE])
+def test_the_ramp_keeps_its_deceleration_and_its_gear(deceleration_mps2: float, gear: GearPosition) -> None:
+    """Rows 'normal / emergency deceleration' and 'stop: ramp in gear': from the first tick on, exactly."""
+    stop = Run(Actuation(True, gear, 1.0, 10.0, 0.0, parking=False), deceleration_mps2)  # noqa: FBT003
+    stop.run(ms=10_000)
+    ramp = [actuation for phase, actuation in stop.told if phase is StopPhase.RAMP]
+    assert len(ramp) == pytest.approx(100 / deceleration_mps2, abs=1)
     for tick, actuation in enumerate(ramp, 1):
         assert actuation.speed_mps == pytest.approx(1.0 - deceleration_mps2 * tick * 0.01)
-        assert (actuation.gear, actuation.pedal_percent, actuation.parking) == (GearPosition.DRIVE, 0.0, False)
+        assert (actuation.gear, actuation.parking) == (gear, False)
 
 
 def test_what_cannot_ramp_is_zero_at_once() -> None:
     """Where the scale is in doubt."""
-    assert lasted(phases(DRIVING, 0, inf))[StopPhase.BRAKE] == 1
+    stop = Run(deceleration_mps2=inf)
+    assert stop.run().speed_mps == 0
+    assert stop.sequence.phase is StopPhase.BRAKE
 
 
 def test_a_graver_cause_hastens_and_a_lesser_one_does_not_slow_it() -> None:
     """Row 'emergency deceleration'."""
-    sequence = StopSequence(DRIVING, 1.2, 30.0, 0)
-    sequence.hasten(2.0)
-    sequence.hasten(1.2)
-    first, second = (sequence.tick(at_ms * MS, stands=False) for at_ms in (0, 10))
-    assert first is not None
-    assert second is not None
-    assert (first.speed_mps, second.speed_mps) == pytest.approx((0.98, 0.96))
+    stop = Run(deceleration_mps2=1.2)
+    stop.sequence.hasten(2.0)
+    stop.sequence.hasten(1.2)
+    assert (stop.run().speed_mps, stop.run().speed_mps) == pytest.approx((0.98, 0.96))
 
 
 def test_a_pause_makes_one_step_of_a_tenth_of_a_second_at_most() -> None:
     """A late loop is no jump to zero."""
-    sequence = StopSequence(DRIVING, 2.0, 30.0, 0)
-    actuation = sequence.tick(5_000 * MS, stands=False)
+    actuation = StopSequence(DRIVING, 2.0, 0).tick(5_000 * MS, moving(0.9))
     assert actuation is not None
     assert actuation.speed_mps == pytest.approx(0.8)
 
 
 def test_a_ramp_may_be_cut_lower_and_never_higher() -> None:
     """From the lower speed it goes on in the same steps."""
-    sequence = StopSequence(DRIVING, 2.0, 30.0, 0)
-    sequence.not_above(5.0)
-    first = sequence.tick(0, stands=False)
-    assert first is not None
-    assert first.speed_mps == pytest.approx(DRIVING.speed_mps - 0.02)
-    sequence.not_above(0.5)
-    second = sequence.tick(10_000_000, stands=False)
-    assert second is not None
-    assert second.speed_mps == pytest.approx(0.48)
-    assert sequence.phase is StopPhase.RAMP
+    stop = Run()
+    stop.sequence.not_above(5.0)
+    assert stop.run().speed_mps == pytest.approx(0.98)
+    stop.sequence.not_above(0.5)
+    assert stop.run().speed_mps == pytest.approx(0.48)
+    assert stop.sequence.phase is StopPhase.RAMP
 
 
-def test_a_robot_that_is_not_seen_to_stand_is_braked_for_three_seconds() -> None:
-    """Then the rest comes all the same."""
-    assert lasted(phases(DRIVING, 99_999))[StopPhase.BRAKE] == 300
+# The parking brake.
 
 
-def test_zero_speed_is_told_before_neutral() -> None:
-    """Also when it is told a speed and already stands, and the loop was late: one phase a tick."""
-    sequence = StopSequence(DRIVING, 2.0, 30.0, 0)
-    told = [sequence.tick(at_ms * MS, stands=True) for at_ms in range(0, 20_000, 500)]
-    gears = [(actuation.speed_mps, actuation.gear) for actuation in told if actuation is not None]
-    first = gears.index((0.0, GearPosition.NEUTRAL))
-    assert gears[first - 1] == (0.0, GearPosition.DRIVE)
+def test_the_parking_brake_waits_for_standstill_while_the_robot_slows_down() -> None:
+    """Row 'stop: parking brake as soon as the robot stands': not while it only lags behind the ramp."""
+    stop = Run()
+    for at_ms in range(0, 1200, 10):
+        stop.run(moving(1.0 - at_ms / 1200))
+    assert not stop.last.parking
+    assert stop.run(STANDS).parking
+    assert stop.last.gear is DRIVE
 
 
-def test_a_parked_robot_stays_parked() -> None:
-    """And braked, from the first tick on."""
-    told = phases(Actuation(enabled=True, parking=True), 0)
-    assert all(actuation.parking for _, actuation in told)
-    assert told[0][1].pedal_percent == 30.0
-    assert StopPhase.RAMP not in lasted(told)
+@pytest.mark.parametrize(("gear", "backward"), [(DRIVE, True), (REVERSE, False)])
+@pytest.mark.parametrize("ramps", [True, False])
+def test_the_parking_brake_is_told_at_once_when_it_moves_against_the_ramp(
+    gear: GearPosition,
+    *,
+    backward: bool,
+    ramps: bool,
+) -> None:
+    """Row 'stop: or is seen to move against the ramp': by more than the standstill bound, at any told speed."""
+    stop = Run(Actuation(True, gear, 1.0 if ramps else 0.0, 0.0, 0.0, parking=False))  # noqa: FBT003
+    assert not stop.run(moving(0.05, backward=backward)).parking
+    told = stop.run(moving(0.051, backward=backward))
+    assert (told.parking, told.speed_mps, told.gear) == (True, 0.0, gear)
+
+
+@pytest.mark.parametrize("told_mps", [1.0, 0.0])
+@pytest.mark.parametrize("seen", [moving(1.0), moving(0.06), BLIND], ids=["fast", "slow", "blind"])
+def test_a_robot_that_is_not_seen_to_slow_gets_its_parking_brake(told_mps: float, seen: StopFeedback) -> None:
+    """Row 'stop: or not to slow for 300 ms', also when nothing can be seen; in gear meanwhile."""
+    stop = Run(Actuation(True, DRIVE, told_mps, 0.0, 0.0, parking=False), 1.2)  # noqa: FBT003
+    assert not stop.run(seen, 300).parking
+    told = stop.run(seen)
+    assert (told.parking, told.speed_mps, told.gear) == (True, 0.0, DRIVE)
+
+
+def test_a_robot_that_stops_slowing_gets_its_parking_brake_300_ms_later() -> None:
+    """Row 'stop: not to slow for 300 ms': from when it was last slower; noise is not slower."""
+    stop = Run(deceleration_mps2=1.2)
+    for at_ms in range(0, 200, 10):
+        stop.run(moving(1.0 - 1.2 * at_ms / 1000))
+    for tick in range(28):
+        assert not stop.run(moving(0.772 + 0.015 * (tick % 2))).parking
+    stop.run(moving(0.772), 30)
+    assert stop.last.parking
+
+
+@pytest.mark.parametrize("seen", [STANDS, moving(0.5), BLIND], ids=["stands", "moves", "blind"])
+@pytest.mark.parametrize(
+    "last",
+    [
+        Actuation(True, NEUTRAL, 0.0, parking=False),  # noqa: FBT003
+        Actuation(True, GearPosition.UNDEFINED, 0.0, parking=False),  # noqa: FBT003
+        Actuation(True, DRIVE, 0.0, parking=True),  # noqa: FBT003
+        Actuation(True, NEUTRAL, 0.0, parking=True),  # noqa: FBT003
+    ],
+    ids=["neutral", "unknown", "parked in gear", "parked"],
+)
+def test_what_began_in_neutral_or_parked_is_parked_from_the_first_tick_on(
+    last: Actuation, seen: StopFeedback
+) -> None:
+    """Row 'stop: or the stop began in neutral'; what was parked is never released in a stop."""
+    stop = Run(last)
+    stop.run(seen, 8_000)
+    assert all(actuation.parking and not actuation.speed_mps for _, actuation in stop.told)
+
+
+def test_a_stop_that_parks_does_so_at_any_speed_and_once_only() -> None:
+    """Rows 'rolling' and 'gate': zero speed and the parking brake in one tick; later nothing begins again."""
+    stop = Run()
+    stop.run(ms=50)
+    stop.sequence.park(stop.now_ms * MS)
+    told = stop.run(moving(0.9))
+    assert (told.parking, told.speed_mps, told.gear) == (True, 0.0, DRIVE)
+    stop.run(HELD, 500)
+    stop.sequence.park(stop.now_ms * MS)
+    assert stop.sequence.phase is StopPhase.HOLD
+
+
+# Neutral.
+
+
+@pytest.mark.parametrize("seen", [HELD, moving(1.0, is_braked=True)], ids=["stands", "moves"])
+def test_the_parking_brake_is_told_before_neutral_is(seen: StopFeedback) -> None:
+    """Row 'neutral only behind an applied parking brake': one that reads applied was not told by us."""
+    stop = Run()
+    stop.run(moving(0.9))
+    stop.sequence.park(stop.now_ms * MS)
+    assert (stop.run(seen).gear, stop.last.parking) == (DRIVE, True)
+    assert stop.run(seen).gear is NEUTRAL
+
+
+def test_a_parking_brake_that_never_reads_applied_keeps_the_robot_in_gear() -> None:
+    """Row 'neutral only behind an applied parking brake': the motor holds it, for ever; said after 3 s."""
+    stop = Run()
+    stop.run(lambda told: STANDS if told.speed_mps == 0 else obedient(told), 510)
+    begun_ms = stop.now_ms - 10
+    assert stop.sequence.phase is StopPhase.PARK
+    while stop.now_ms < begun_ms + 3_000:
+        assert not stop.sequence.lacks_brake((stop.now_ms - 1) * MS)
+        stop.run(STANDS)
+    assert stop.sequence.lacks_brake(stop.now_ms * MS)
+    told = stop.run(STANDS, 60_000)
+    assert (stop.sequence.phase, told.gear, told.parking, told.enabled) == (StopPhase.PARK, DRIVE, True, True)
+    assert stop.run(HELD).gear is NEUTRAL
+    assert not stop.sequence.lacks_brake(stop.now_ms * MS)
+
+
+def test_a_parking_brake_of_which_nothing_is_known_is_waited_for_and_the_gear_stays() -> None:
+    """Row 'neutral only behind an applied parking brake': 3 s, then the rest comes all the same, in gear."""
+    stop = Run()
+    stop.run(BLIND, 10_000)
+    assert stop.lasted_ms() == {
+        StopPhase.RAMP: 300,
+        StopPhase.PARK: 3_000,
+        StopPhase.HOLD: 1_000,
+        StopPhase.DISABLE: 500,
+    }
+    assert {actuation.gear for phase, actuation in stop.told if phase is not StopPhase.DISABLE} == {DRIVE}
+
+
+# The end.
+
+
+def test_a_robot_that_is_seen_to_move_is_not_left() -> None:
+    """Row 'stop: hold 1 s': the second begins anew as long as it moves, brake or no brake."""
+    stop = Run()
+    stop.run(ms=1_000)
+    assert stop.sequence.phase is StopPhase.HOLD
+    stop.run(moving(0.1, is_braked=True), 60_000)
+    assert stop.sequence.phase is StopPhase.HOLD
+    stop.run(HELD, 990)
+    assert stop.sequence.phase is StopPhase.HOLD
+    stop.run(HELD)
+    assert stop.sequence.phase is StopPhase.DISABLE
+
+
+def test_each_phase_is_told_also_after_a_pause() -> None:
+    """Zero speed before the parking brake, and that before neutral: one phase a tick, however late the loop is."""
+    sequence = StopSequence(DRIVING, inf, 0)
+    told = [sequence.tick(at_ms * MS, HELD) for at_ms in range(0, 20_000, 5_000)]
+    outputs = [(one.speed_mps, one.parking, one.gear) for one in told if one is not None]
+    assert outputs[:3] == [(0.0, False, DRIVE), (0.0, True, DRIVE), (0.0, True, NEUTRAL)]
 
 
 @given(
     speed_mps=st.floats(0, 2.222),
-    gear=st.sampled_from([GearPosition.DRIVE, GearPosition.REVERSE]),
-    stands=st.lists(st.booleans(), min_size=1, max_size=30),
+    gear=st.sampled_from([DRIVE, REVERSE, NEUTRAL]),
+    parking=st.booleans(),
+    seen=st.lists(
+        st.builds(
+            StopFeedback,
+            stands=st.booleans(),
+            moves=st.booleans(),
+            speed_mps=st.none() | st.floats(0, 3),
+            wheel_speed_mps=st.none() | st.floats(-3, 3),
+            is_braked=st.none() | st.booleans(),
+        ),
+        min_size=1,
+        max_size=30,
+    ),
     steps_ms=st.lists(st.integers(1, 400), min_size=1, max_size=30),
 )
-def test_it_always_ends_and_never_speeds_up(
-    speed_mps: float, gear: GearPosition, stands: list[bool], steps_ms: list[int]
+def test_nothing_is_ever_taken_back_in_a_stop(
+    speed_mps: float, gear: GearPosition, *, parking: bool, seen: list[StopFeedback], steps_ms: list[int]
 ) -> None:
-    """However the ticks come, and whatever is seen."""
-    last = Actuation(True, gear, speed_mps, 0.0, 0.0, parking=False)  # noqa: FBT003
-    sequence = StopSequence(last, 1.2, 30.0, 0)
-    now_ms, before = 0, last
-    for tick in range(2_000):
+    """Whatever is seen, however the ticks come: the speed falls, the brake stays, neutral only behind it."""
+    is_driven = gear is not NEUTRAL and not parking
+    last = before = Actuation(True, gear, speed_mps if is_driven else 0.0, 0.0, 0.0, parking=parking)  # noqa: FBT003
+    sequence = StopSequence(last, 1.2, 0)
+    now_ms = 0
+    for tick in range(400):
         now_ms += steps_ms[tick % len(steps_ms)]
-        told = sequence.tick(now_ms * MS, stands=stands[tick % len(stands)])
+        one = seen[tick % len(seen)]
+        told = sequence.tick(now_ms * MS, one)
         if told is None:
-            return
+            break
         assert told.speed_mps <= before.speed_mps
-        assert told.gear in {before.gear, GearPosition.NEUTRAL}
-        assert told.gear is before.gear or before.speed_mps == 0
+        assert not (told.parking and told.speed_mps)
         assert told.parking or not before.parking
+        assert told.enabled or (told.gear is NEUTRAL and told.parking)
+        if told.gear is not before.gear:
+            assert (told.gear, before.parking, before.speed_mps) == (NEUTRAL, True, 0.0)
+            assert one.is_braked or not told.enabled, "neutral, enabled, without a brake"
         before = told
-    assert now_ms < 12_000
+    assert before.parking, "within 300 ms of any robot that does not slow down"
