@@ -9,7 +9,7 @@ import secrets
 import sys
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from importlib.metadata import version
 
 from gateway.chassis.layout import load
@@ -131,7 +131,10 @@ def _stop_unguarded(core: Core, bus: ReconnectingBus, guard: GuardLink, settings
     counters = bytes(core.command.maker.counters.values())
     stopper.begin(told, core.command.arbiter.variant, counters, time.monotonic_ns())
     outcome = stop_alone(bus, stopper, sight, lambda: guard.look().is_sending)
-    log.error("the loop has failed, and no guard watches: the robot was stopped from here; %s", outcome)
+    text = f"the loop has failed, and no guard watches: the robot was stopped from here; {outcome}"
+    log.error("%s", text)
+    with suppress(OSError):
+        StopNote.of(settings).add(f"gateway: {text}")
 
 
 def _recall_guard_stop(core: Core, settings: Settings) -> StopNote:

@@ -20,6 +20,7 @@ from gateway.core import Core
 from gateway.guard.beat import GuardView
 from gateway.loop import Surroundings
 from gateway.ports.guard_process import NoGuard
+from gateway.ports.stop_note import StopNote
 from gateway.ports.zenoh_client import close_session, open_session
 from schemas.dbc_files import dbc_text
 from schemas.messages import GearPosition, Mode, Variant
@@ -485,6 +486,7 @@ def test_a_loop_that_fails_unguarded_stops_the_robot_before_it_ends(
             assert listener.speed_mps() > 0.4
         else:
             wait_until(lambda: listener.stands() and listener.mode() is Mode.STOP)
+            assert " gateway: the loop has failed" in StopNote.of(settings).read(), "latched at the next start"
 
 
 class FakeGuard(NoGuard):
