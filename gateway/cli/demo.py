@@ -119,7 +119,7 @@ def _record(
         if ready is None:
             raise CommandError("the virtual chassis does not say where it is")
         bus = ["--interface", "socketcand", "--channel", ready[1]]
-        # What a demo leaves must latch no gateway of the same name, nor what that left a demo.
+        # A stop by the guard in another run must not latch the demo's robot, nor the other way round.
         words = [*configuration, *bus, "--listen", endpoint]
         gateway = stack.enter_context(Child("gateway", words, CRUISER_GATEWAY_STATE_DIR=""))
         gateway.wait_ready()

@@ -233,6 +233,8 @@ class Arbiter:
         self.unsent()
         last = self._last_told()
         self.begin_stop(Reason.GATE, now_ns, detail)
+        # Where the bus does not take this either, the stop that has begun is still to be told.
+        self._before = (self.motion, self._sequence, self._before[2])
         self.actuation = msgspec.structs.replace(last, enabled=True, speed_mps=0.0, parking=True)
         return self.actuation
 

@@ -76,8 +76,8 @@ def _stop(arbiter: Arbiter, operator: str, now_ns: int) -> Ruling:
     arbiter.begin_stop(Reason.REMOTE_STOP, now_ns, f"by {operator or 'an unnamed operator'}", operator)
     observed = arbiter.watch.observed
     speed_mps = observed.fastest_mps
-    speed = "at a speed that is not known" if speed_mps is None else f"at {speed_mps:.2f} m/s"
-    does = "the robot stands" if arbiter.watch.stands else f"the robot moves {speed}"
+    moves = "the robot is not seen to stand" if speed_mps is None else f"the robot moves at {speed_mps:.2f} m/s"
+    does = "the robot stands" if arbiter.watch.stands else moves
     if observed.guard_sends:
         return Ruling(detail=f"the guard is stopping it; {does}")
     obstacles = {

@@ -27,8 +27,11 @@ AUTO: Final = "auto"
 NOTE_MAX_BYTES: Final = 2048
 """A longer note is neither extended nor read to its end: its first lines say what happened."""
 
-END_TIMEOUT_S: Final = 1.0
-"""A disk that stalls does not keep a process from ending."""
+WRITE_TIMEOUT_S: Final = 10.0
+"""The longest wait of a guard, or a halt, that has done for a disk that stalls."""
+
+CLEAR_TIMEOUT_S: Final = 1.0
+"""The longest wait of a gateway that ends for a disk that stalls; a note that stays latches once more."""
 
 
 class StopNote:
@@ -133,7 +136,7 @@ class NoteWriter:
     def close(self) -> None:
         """Wait until all lines are written, or until the disk has had its time."""
         self._lines.put(None)
-        self._thread.join(END_TIMEOUT_S)
+        self._thread.join(WRITE_TIMEOUT_S)
 
     def _run(self) -> None:
         request_realtime(self._realtime_priority)
@@ -163,7 +166,7 @@ class NoteClearer:
     def close(self) -> None:
         """Wait until the note is removed, or until the disk has had its time."""
         if self._thread is not None:
-            self._thread.join(END_TIMEOUT_S)
+            self._thread.join(CLEAR_TIMEOUT_S)
 
     def _clear(self) -> None:
         try:

@@ -25,10 +25,10 @@ EVENTS_SHOWN: Final = 5
 POLL_S: Final = 0.02
 
 EVENTS_S: Final = 0.3
-"""Past events come a moment after the state..."""
+"""Past events come a moment after the state."""
 
 HEALTH_S: Final = 1.2
-"""...and the gateway's health once a second."""
+"""The longest wait for the gateway's health, which is published once a second."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

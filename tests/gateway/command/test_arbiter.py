@@ -2,11 +2,12 @@
 
 import pytest
 
+from gateway.command.actuation import Actuation
 from gateway.command.auxiliary import AuxiliaryFrame
 from gateway.command.motion import Target
 from gateway.command.request import Ruling
 from schemas.decisions import ArbiterState, EventKind, Severity, StopPhase
-from schemas.messages import GearPosition, Mode, Variant
+from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
 from schemas.settings import CommandSettings
 from tests.gateway.command.arbiter_bench import MS, Bench
@@ -193,7 +194,6 @@ def test_unguarded_is_accepted_where_the_settings_say_so() -> None:
     ("changes", "reason"),
     [
         ({"mode": Mode.REMOTE}, Reason.HAND_TRANSMITTER),
-        ({"mode": Mode.STOP}, Reason.MODE_NOT_AUTO),
         ({"bus_up": False}, Reason.BUS_DOWN),
         ({"bus_losses": 1, "mode": Mode.UNDEFINED, "bus_up": False}, Reason.BUS_DOWN),
         ({"guard_sends": True}, Reason.GUARD),
@@ -201,7 +201,7 @@ def test_unguarded_is_accepted_where_the_settings_say_so() -> None:
 )
 @pytest.mark.parametrize("stopping", [True, False])
 def test_the_output_ceases_at_once(changes: dict[str, object], reason: Reason, *, stopping: bool) -> None:
-    """Row 'hand transmitter takes over, or mode leaves auto: output ceases at once', in a stop too."""
+    """Row 'hand transmitter takes over: output ceases at once', in a stop too."""
     bench = engaged()
     bench.drive_for(100, 0.5)
     if stopping:
@@ -220,6 +220,41 @@ def test_the_output_ceases_at_once(changes: dict[str, object], reason: Reason, *
     assert handle.reason in {Reason.MOVING, Reason.NOT_ENGAGED}
     for _ in range(50):
         assert bench.tick().actuation is None, "no automatic return"
+
+
+AT_REST = {"speed_mps": 0.0, "wheel_speed_mps": 0.0, "fastest_wheel_mps": 0.0, "turns": False}
+
+
+def test_a_standing_robot_whose_mode_leaves_auto_is_told_nothing() -> None:
+    """Row 'mode leaves auto: output ceases at once, no automatic return'."""
+    bench = engaged()
+    bench.changes = {"mode": Mode.STOP}
+    bench.tick()
+    assert [event.reason for event in bench.told(EventKind.TAKEOVER)] == [Reason.MODE_NOT_AUTO]
+    bench.changes = {}
+    for _ in range(50):
+        assert bench.tick().actuation is None
+
+
+@pytest.mark.parametrize("seen", [{"pulses": 1}, {"fastest_wheel_mps": 0.5}, {"turns": True, "confirmed": False}])
+@pytest.mark.parametrize("stopping", [True, False])
+def test_a_robot_that_coasts_in_mode_stop_is_told_the_parking_brake(
+    seen: dict[str, object], *, stopping: bool
+) -> None:
+    """Row 'a robot in mode stop that is seen to move: enables, zero speed, parking brake', until it stands."""
+    bench = engaged()
+    bench.drive_for(100, 0.5)
+    if stopping:
+        bench.ask("disengage")
+    bench.changes = {"mode": Mode.STOP} | AT_REST | seen
+    told = bench.tick().actuation
+    assert told is not None
+    assert (told.enabled, told.speed_mps, told.gear, told.parking) == (True, 0.0, GearPosition.DRIVE, True)
+    bench.tick(count=1_000)
+    assert bench.arbiter.stop_phase is StopPhase.HOLD, "a robot that is seen to move is not left"
+    bench.changes = {"mode": Mode.STOP} | AT_REST
+    assert bench.tick(count=200).actuation is None
+    assert bench.arbiter.stop_reason is (Reason.DISENGAGED if stopping else Reason.MODE_NOT_AUTO)
 
 
 STOPPED_BY_GUARD = {
@@ -308,11 +343,10 @@ def test_nothing_is_released_that_is_not_seen() -> None:
 
 
 @pytest.mark.parametrize("parked", [True, False])
-def test_a_bus_that_comes_back_finds_the_parking_brake_as_it_was(parked: bool) -> None:  # noqa: FBT001
-    """And what is not seen in the first moment may be seen in the next: nothing is told before."""
+def test_a_bus_that_comes_back_to_a_chassis_that_is_not_seen_parks_it(*, parked: bool) -> None:
+    """What is not seen in the first moment may be seen in the next: nothing is told before."""
     bench = engaged()
-    if parked:
-        bench.ask("park")
+    bench.drive_for(60, 0.0 if parked else 0.5)
     blind = {"mode": Mode.UNDEFINED, "gear": GearPosition.UNDEFINED}
     bench.changes = blind | {"bus_up": False, "bus_losses": 1}
     bench.tick(count=100)
@@ -321,7 +355,31 @@ def test_a_bus_that_comes_back_finds_the_parking_brake_as_it_was(parked: bool) -
         assert bench.tick().actuation is None
     told = bench.tick().actuation
     assert told is not None
-    assert (told.speed_mps, told.parking) == (0.0, parked)
+    assert (told.speed_mps, told.parking) == (0.0, True)
+
+
+@pytest.mark.parametrize(
+    ("left_mps", "seen_mps", "told_mps"),
+    [(0.5, 0.3, 0.3), (0.5, 1.9, 0.5), (0.0, 1.9, 0.0), (-0.5, 0.3, 0.0)],
+)
+@pytest.mark.parametrize("latched", [True, False])
+def test_a_robot_that_is_given_back_is_not_told_a_speed_above_what_it_was_left_on(
+    left_mps: float, seen_mps: float, told_mps: float, *, latched: bool
+) -> None:
+    """Row 'given back: never above the lower of left on and seen; emergency deceleration if latched'."""
+    bench = engaged()
+    bench.drive_for(150, left_mps)
+    bench.changes = {"mode": Mode.REMOTE}
+    bench.tick(count=100)
+    if latched:
+        bench.ask("stop", "anyone")
+    moving = {"speed_mps": seen_mps, "wheel_speed_mps": seen_mps, "fastest_wheel_mps": seen_mps}
+    bench.changes = {"mode": Mode.AUTO, "gear": GearPosition.DRIVE, "brake": ParkingStatus.RELEASED} | moving
+    speeds = [told.speed_mps for told in (bench.tick().actuation for _ in range(40)) if told is not None]
+    assert len(speeds) == 40
+    step_mps = 0.02 if latched else 0.012
+    assert speeds[:5] == pytest.approx([max(0.0, told_mps - step_mps * tick) for tick in range(1, 6)])
+    assert speeds == sorted(speeds, reverse=True)
 
 
 def test_who_waits_is_told_when_the_output_ceases() -> None:
@@ -417,7 +475,6 @@ def test_what_another_computer_has_taken_is_not_ours_any_more() -> None:
         ({"gear": GearPosition.DRIVE}, GearPosition.DRIVE, 1.0, 24.0),
         ({"gear": GearPosition.REVERSE, "wheel_speed_mps": -1.0}, GearPosition.REVERSE, 1.0, 24.0),
         ({"gear": GearPosition.NEUTRAL, "angle_deg": None}, GearPosition.NEUTRAL, 0.0, 0.0),
-        ({"gear": GearPosition.DRIVE, "fastest_wheel_mps": 0.0}, GearPosition.DRIVE, 0.0, 24.0),
         ({"gear": GearPosition.DRIVE, "speed_mps": None, "angle_deg": -30.0}, GearPosition.DRIVE, 1.0, -24.0),
         ({"gear": GearPosition.DRIVE, "speed_mps": 2.5}, GearPosition.DRIVE, 2.222, 24.0),
     ],
@@ -428,19 +485,46 @@ def test_a_robot_found_moving_is_stopped_from_what_is_seen(
     """Row 'found at start: in auto, moving, nobody sending: the stop sequence, an event'."""
     bench = Bench()
     moving = {"mode": Mode.AUTO, "turns": True, "speed_mps": 1.0, "wheel_speed_mps": 1.0, "angle_deg": 30.0}
-    bench.changes = moving | {"fastest_wheel_mps": 2.6 if seen.get("speed_mps") else 1.0} | seen
+    released = {"brake": ParkingStatus.RELEASED}
+    bench.changes = moving | released | {"fastest_wheel_mps": 2.6 if seen.get("speed_mps") else 1.0} | seen
     bench.tick(count=20)
     assert bench.arbiter.state is ArbiterState.STANDBY
     told = bench.tick().actuation
     assert told is not None
-    assert (told.enabled, told.gear, told.parking) == (True, gear, False)
+    assert (told.enabled, told.gear, told.parking) == (True, gear, gear is GearPosition.NEUTRAL)
     assert told.speed_mps == pytest.approx(max(0.0, speed_mps - 0.012))
     assert told.angle_deg == angle_deg
     assert [event.reason for event in bench.told(EventKind.STOP)] == [Reason.FOUND_MOVING]
     later = bench.tick(count=25).actuation
     assert later is not None
     assert later.speed_mps == pytest.approx(max(0.0, speed_mps - 26 * 0.012)), "its scale is known"
-    assert bench.arbiter.latched == {}, "its own speed is no fault"
+    rolls = gear is GearPosition.NEUTRAL  # told to stand, and no slower for a fifth of a second
+    assert [*bench.arbiter.latched] == [Reason.ROLLING] * rolls, "its own speed is no fault"
+
+
+@pytest.mark.parametrize(
+    "seen",
+    [
+        {"pulses": -1, "speed_mps": None, "fastest_wheel_mps": None, "wheel_speed_mps": None},
+        {"fastest_wheel_mps": 0.5, "wheel_speed_mps": 0.5, "speed_mps": None, "missing": ("Auto_DriveFeedBack",)},
+        {"speed_mps": 0.5, "mode": Mode.UNDEFINED, "missing": ("Auto_MileageAndBodyFeedback",)},
+    ],
+    ids=["pulses alone", "wheels alone", "no body frame"],
+)
+def test_a_robot_is_found_moving_by_whatever_shows_it(seen: dict[str, object]) -> None:
+    """Row 'found at start: moving by drive, wheels or pulses': stopped, and not left before it stands."""
+    bench = Bench()
+    bench.changes = {"mode": Mode.AUTO, "gear": GearPosition.DRIVE, "brake": ParkingStatus.RELEASED} | seen
+    told = bench.tick(count=21).actuation
+    assert bench.told(EventKind.STOP)[0].reason is Reason.FOUND_MOVING
+    assert told is not None
+    for _ in range(60):
+        told = bench.tick().actuation
+    assert told is not None
+    assert (told.speed_mps, told.gear, told.parking) == (0.0, GearPosition.DRIVE, True)
+    bench.changes = {}
+    bench.tick(count=200)
+    assert bench.arbiter.state is ArbiterState.STANDBY
 
 
 @pytest.mark.parametrize(
@@ -464,6 +548,106 @@ def test_nothing_is_sent_where_it_cannot_or_must_not_be(changes: dict[str, objec
     bench.ask("stop")
     assert bench.arbiter.actuation is None
     assert Reason.REMOTE_STOP in bench.arbiter.latched
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason", "detail"),
+    [
+        ({}, Reason.NONE, "the robot stands"),
+        ({"mode": Mode.AUTO, "speed_mps": 0.7}, Reason.NONE, "the robot moves at 0.70 m/s"),
+        ({"speed_mps": None, "fastest_wheel_mps": None}, Reason.NONE, "the robot is not seen to stand"),
+        ({"guard_sends": True}, Reason.NONE, "the guard is stopping it; the robot stands"),
+        ({"bus_up": False}, Reason.BUS_DOWN, "latched, but not carried out: the robot stands"),
+        (
+            {"mode": Mode.REMOTE, "fastest_wheel_mps": 0.8, "pulses": 1},
+            Reason.HAND_TRANSMITTER,
+            "latched, but not carried out: the robot moves at 0.80 m/s",
+        ),
+        ({"commander_ns": 10**12}, Reason.OTHER_COMMANDER, "latched, but not carried out: the robot stands"),
+    ],
+)
+def test_the_reply_to_a_stop_says_what_the_robot_does(
+    changes: dict[str, object], reason: Reason, detail: str
+) -> None:
+    """Row 'a stop that cannot be carried out: the reply says so with reason and what the robot does now'."""
+    bench = Bench()
+    bench.changes = changes
+    bench.tick()
+    ruling = bench.ask("stop", "anyone")
+    assert (ruling.reason, ruling.detail) == (reason, detail)
+    assert Reason.REMOTE_STOP in bench.arbiter.latched
+
+
+@pytest.mark.parametrize("seen", [{"pulses": 1}, {"fastest_wheel_mps": 0.5}])
+def test_a_stop_reaches_a_robot_that_coasts_in_mode_stop(seen: dict[str, object]) -> None:
+    """Row 'a stop that cannot be carried out': enables, zero speed, parking brake; ok, and what the robot does."""
+    bench = Bench()
+    bench.changes = {"mode": Mode.STOP, "gear": GearPosition.DRIVE, "brake": ParkingStatus.RELEASED} | seen
+    bench.tick()
+    assert bench.ask("stop", "anyone").reason is Reason.NONE
+    told = bench.arbiter.actuation
+    assert told is not None
+    assert (told.enabled, told.speed_mps, told.gear, told.parking) == (True, 0.0, GearPosition.DRIVE, True)
+
+
+def test_a_brake_that_does_not_read_applied_is_told_once() -> None:
+    """Row 'stop: neutral only behind an applied parking brake': after 3 s, and in gear till then."""
+    bench = engaged()
+    bench.drive_for(100, 0.5)
+    bench.changes = {"brake": ParkingStatus.RELEASED}
+    bench.ask("stop")
+    bench.tick(count=30)
+    assert bench.arbiter.stop_phase is StopPhase.PARK
+    bench.tick(count=269)
+    assert bench.told(EventKind.FAULT) == []
+    told = bench.tick(count=500).actuation
+    [event] = bench.told(EventKind.FAULT)
+    assert (event.reason, event.severity) == (Reason.NOT_CONFIRMED, Severity.ERROR)
+    assert "the parking brake does not read applied" in event.text
+    assert told is not None
+    assert (told.gear, told.parking) == (GearPosition.DRIVE, True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason", "ticks"),
+    [
+        ({"wheel_speed_mps": -0.1, "fastest_wheel_mps": 0.1, "speed_mps": 0.1}, Reason.ROLLING, 11),
+        ({"pulses": -1}, Reason.ROLLING, 11),
+        ({"speed_mps": 0.8, "wheel_speed_mps": 0.8, "fastest_wheel_mps": 0.8}, Reason.OVERSPEED, 31),
+        ({"angle_deg": 5.1}, Reason.STEERING, 31),
+    ],
+)
+def test_what_the_robot_does_of_itself_stops_it_and_is_latched(
+    changes: dict[str, object], reason: Reason, ticks: int
+) -> None:
+    """Rows 'rolling', 'measured speed over the limit in force' (a lowered one) and 'steering'."""
+    bench = Bench()
+    bench.ask("acquire")
+    bench.ask("engage", speed_limit_mps=0.5)
+    bench.tick(count=2)
+    bench.drive()
+    bench.ask("unpark")
+    bench.drive_for(150, 0.5)
+    bench.changes = changes
+    bench.drive_for(ticks - 1, 0.5)
+    assert bench.arbiter.state is ArbiterState.ENGAGED
+    bench.drive(0.5)
+    assert [*bench.arbiter.latched] == [reason]
+    told = bench.arbiter.actuation
+    assert told is not None
+    assert (told.speed_mps, told.parking) == ((0.0, True) if reason is Reason.ROLLING else (0.48, False))
+
+
+def test_a_body_frame_that_is_frozen_stops_the_robot() -> None:
+    """It has bumpers and mode; the mileage counts whole metres, and three have gone by."""
+    bench = engaged()
+    for tick in range(150):
+        bench.changes = {"total_mileage_km": 1.0 + tick // 20 / 1000}
+        bench.drive(1.0)
+    bench.drive_for(280, 1.0)
+    assert bench.arbiter.latched == {}
+    bench.drive_for(40, 1.0)
+    assert [*bench.arbiter.latched] == [Reason.FEEDBACK_FROZEN]
 
 
 def test_stop_wins_over_everything_in_its_tick() -> None:
@@ -558,7 +742,7 @@ def test_shutting_down() -> None:
 def test_what_the_bus_did_not_take_was_no_step() -> None:
     """The next burst is a step from what the chassis was told last."""
     bench = engaged()
-    bench.drive_for(10, 1.0)
+    bench.drive_for(60, 1.0)
     before = bench.arbiter.actuation
     bench.drive(1.0)
     once = bench.arbiter.actuation
@@ -573,18 +757,24 @@ def test_what_the_bus_did_not_take_was_no_step() -> None:
     assert bench.arbiter.actuation.speed_mps == pytest.approx(before.speed_mps - 0.02)
 
 
-def test_a_refused_burst_is_a_fault_of_our_own() -> None:
-    """'Whatever the gate refuses is a fault that stops the robot'; from what it was told last."""
+@pytest.mark.parametrize("stopping", [True, False])
+def test_in_place_of_a_refused_burst_zero_speed_and_the_parking_brake_are_told(*, stopping: bool) -> None:
+    """A fault of our own: latched, in gear, and from there the stop goes on; also where the bus takes nothing."""
     bench = engaged()
-    bench.drive_for(10, 1.0)
-    before = bench.arbiter.actuation
+    bench.drive_for(60, 1.0)
+    if stopping:
+        bench.ask("disengage")
     bench.drive(1.0)
-    bench.arbiter.refuse_output("why", bench.now_ns)
+    instead = Actuation(True, GearPosition.DRIVE, 0.0, parking=True)  # noqa: FBT003
+    assert bench.arbiter.refuse_output("why", bench.now_ns) == bench.arbiter.actuation == instead
     assert bench.arbiter.latched == {Reason.GATE: "why"}
-    assert before is not None
+    bench.arbiter.unsent()
     told = bench.tick().actuation
-    assert told is not None
-    assert told.speed_mps == pytest.approx(before.speed_mps - 0.04), "two ticks after it was told"
+    assert told == instead
+    bench.tick(count=3)
+    assert bench.arbiter.stop_phase is StopPhase.HOLD
+    bench.tick(count=200)
+    assert bench.arbiter.state is ArbiterState.STANDBY
 
 
 def test_a_run_is_told_by_its_number() -> None:

@@ -52,26 +52,48 @@ def test_events_come_before_the_state_that_they_explain() -> None:
     assert made.tick(STANDING, [], 20 * MS, WALL_NS, 0, CHALLENGE).messages == []
 
 
-def test_what_the_gate_refuses_stops_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing of the burst goes out; the stop that follows does, if the gate lets it."""
+@pytest.mark.parametrize("taken", [True, False])
+def test_in_place_of_what_the_gate_refuses_the_parking_brake_is_told(
+    monkeypatch: pytest.MonkeyPatch, *, taken: bool
+) -> None:
+    """In the same tick: zero speed, the parking brake and the gear as it was; later where the bus is full."""
     rig, operator = driving(1.0)
     made = flow(rig)
+    rig._witness = lambda *_: None  # type: ignore[method-assign]
+    verdicts = iter([GateFault(0x98C4D3D0, "because")])
+    admit = made.gate.admit
+    monkeypatch.setattr(made.gate, "admit", lambda *burst, **how: next(verdicts, None) or admit(*burst, **how))
+    rig.put("first", "drive", operator.drive_payload(1.0))
+    sent = len(rig.out)
+    rig.takes = None if taken else 0
+    rig.tick()
+    assert made.arbiter.latched == {Reason.GATE: "18C4D3D0: because"}
+    assert made.arbiter.state is ArbiterState.STOPPING
+    assert not made.is_mute
+    rig.takes = None
+    rig.tick(not taken)
+    drive, gear, _, _, parking = rig.out[sent:]
+    assert int.from_bytes(drive.data[1:3], "little") == 0
+    assert (gear.data[1], parking.data[1]) == (4, 1)
+    rig.run(6)
+    assert rig.speed_mps == 0
+    assert rig.says.state is ArbiterState.STANDBY
+
+
+def test_where_the_gate_refuses_the_parking_brake_too_the_guard_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing goes out, and the guard is told; what the gate admits later goes out, and the robot stops."""
+    rig, _ = driving(1.0)
+    made = flow(rig)
+    rig._witness = lambda *_: None  # type: ignore[method-assign]
+    sent = len(rig.out)
     with monkeypatch.context() as patch:
         refuse(made, patch)
-        rig._witness = lambda *_: None  # type: ignore[method-assign]
-        operator_payload = operator.drive_payload(1.0)
-        rig.put("first", "drive", operator_payload)
-        sent = len(rig.out)
-        rig.tick()
-        assert len(rig.out) == sent
-        assert made.arbiter.latched == {Reason.GATE: "18C4D3D0: because"}
-        assert made.arbiter.state is ArbiterState.STOPPING
-        assert not made.is_mute, "the stop has not been refused"
-        rig.tick()
+        rig.tick(5)
         assert made.is_mute
         assert len(rig.out) == sent
+        assert made.arbiter.state is ArbiterState.STOPPING
     rig.tick()
-    assert not made.is_mute, "a stop that the gate admits goes out"
+    assert not made.is_mute
     assert len(rig.out) == sent + 5
     rig.run(6)
     assert rig.speed_mps == 0

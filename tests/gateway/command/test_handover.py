@@ -4,7 +4,7 @@ import msgspec
 import pytest
 
 from gateway.command.actuation import Actuation
-from gateway.command.handover import Handover, may_obey
+from gateway.command.handover import Handover, may_be_stopped, may_obey
 from gateway.command.observed import Observed
 from schemas.messages import GearPosition, Mode
 from schemas.reasons import Reason
@@ -45,20 +45,19 @@ def commanding() -> Handover:
 def test_what_ends_the_output(changes: dict[str, object], reason: Reason) -> None:
     """The gravest first; losses and stops of before we began are none."""
     handover = commanding()
-    assert handover.reason_to_yield(AUTO, is_disabling=False) is Reason.NONE
-    assert handover.reason_to_yield(but(**changes), is_disabling=False) is reason
+    assert handover.reason_to_yield(AUTO) is Reason.NONE
+    assert handover.reason_to_yield(but(**changes)) is reason
 
 
 def test_a_chassis_that_was_never_auto_has_not_left_it() -> None:
-    """Engaging takes a while; and taking the enables away is no surprise."""
+    """Engaging takes a while, and a stop may begin in mode stop."""
     handover = commanding()
     stopped = but(mode=Mode.STOP)
-    assert handover.reason_to_yield(stopped, is_disabling=False) is Reason.NONE
-    assert handover.reason_to_yield(AUTO, is_disabling=False) is Reason.NONE
-    assert handover.reason_to_yield(stopped, is_disabling=True) is Reason.NONE
-    assert handover.reason_to_yield(stopped, is_disabling=False) is Reason.MODE_NOT_AUTO
+    assert handover.reason_to_yield(stopped) is Reason.NONE
+    assert handover.reason_to_yield(AUTO) is Reason.NONE
+    assert handover.reason_to_yield(stopped) is Reason.MODE_NOT_AUTO
     handover.begin(AUTO)
-    assert handover.reason_to_yield(stopped, is_disabling=False) is Reason.NONE
+    assert handover.reason_to_yield(stopped) is Reason.NONE
 
 
 @pytest.mark.parametrize(
@@ -98,6 +97,26 @@ def test_what_may_be_obeyed(changes: dict[str, object], obeyed: bool) -> None:  
     handover.leave(TOLD, Reason.HAND_TRANSMITTER, AUTO, NOW_NS)
     later_ns = NOW_NS + LEFT_BLIND_NS
     assert handover.is_obeyed_again(but(**changes), later_ns, is_taken=False) is obeyed
+
+
+@pytest.mark.parametrize(
+    ("changes", "stopped"),
+    [
+        ({}, True),
+        ({"mode": Mode.UNDEFINED}, True),
+        ({"mode": Mode.STOP}, False),
+        ({"mode": Mode.STOP, "pulses": -1}, True),
+        ({"mode": Mode.STOP, "fastest_wheel_mps": 0.1}, True),
+        ({"mode": Mode.STOP, "turns": True}, True),
+        ({"mode": Mode.STOP, "pulses": 1, "bus_up": False}, False),
+        ({"mode": Mode.STOP, "pulses": 1, "guard_sends": True}, False),
+        ({"mode": Mode.REMOTE, "pulses": 1}, False),
+        ({"bus_up": False}, False),
+    ],
+)
+def test_who_can_be_told_a_stop(changes: dict[str, object], stopped: bool) -> None:  # noqa: FBT001
+    """Row 'a stop that cannot be carried out: a robot in mode stop that is seen to move is told all the same'."""
+    assert may_be_stopped(but(**changes)) is stopped
 
 
 def test_what_is_not_seen_yet_is_waited_for_from_when_the_bus_is_back() -> None:

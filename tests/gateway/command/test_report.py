@@ -58,7 +58,7 @@ def test_what_the_state_says() -> None:
     told = Told()
     bench = told.bench
     bench.engage()
-    for _ in range(60):
+    for _ in range(80):
         bench.drive(-0.4, angle_deg=-6.0)
     said = told.now()
     assert (said.state, said.engaged, said.stop_phase.value, said.stop_reason) == (

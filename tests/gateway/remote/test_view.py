@@ -115,13 +115,14 @@ def test_what_is_wrong_is_in_every_view(change: dict[str, object], word: str) ->
 def test_what_is_wrong_with_the_gateway_is_shown() -> None:
     """Faults by kind, losses and a lost bus are shown with the reason that the gateway gives."""
     sick = msgspec.structs.replace(
-        HEALTH, bus_up=False, bus_detail="no such device", faults={"checksum": 3, "length": 0}
+        HEALTH, bus_up=False, bus_detail="no such device", faults={"checksum": 3, "length": 0}, realtime=False
     )
     report = msgspec.structs.replace(FRESH, health=sick)
     for text in (view.health_line(report), drawn(view.panel(report)), drawn(view.table([report]))):
         assert "checksum 3" in text
         assert "length" not in text
         assert "no such device" in text
+        assert "real-time" in text
     assert "faults checksum 3" in view.line(report)
 
 
