@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable
 from typing import Final, TypeVar
 
@@ -148,19 +149,30 @@ class Encoders:
 
     def __init__(self) -> None:
         self._before: WheelPulse | None = None
-        self._frames = 0
+        self._counted: deque[int] = deque(maxlen=PULSES_MOVING_FRAMES)
+        self._direction = 0
 
     def direction(self, pulses: WheelPulse | None) -> int:
-        """1 forward, -1 backward: both wheels together count that way in so many frames in a row; else 0."""
+        """1 forward, -1 backward: both wheels together count that way in many frames, and no slower; else 0.
+
+        A robot on its last centimetres to standstill counts slower and slower, and does not roll.
+        """
         if pulses is None or not pulses.valid:
-            self._before, self._frames = None, 0
-        elif self._before is None:
-            self._before = pulses
+            self._before, self._direction = None, 0
+            self._counted.clear()
         elif pulses is not self._before:
-            way = _sign(_counted(pulses, self._before))
-            self._frames = self._frames + way if way * self._frames > 0 else way
+            if self._before is not None:
+                self._counted.append(_counted(pulses, self._before))
+                self._direction = self._judge()
             self._before = pulses
-        return _sign(self._frames) if abs(self._frames) >= PULSES_MOVING_FRAMES else 0
+        return self._direction
+
+    def _judge(self) -> int:
+        counted = list(self._counted)
+        if len(counted) < PULSES_MOVING_FRAMES or len({_sign(count) for count in counted}) > 1:
+            return 0
+        half = PULSES_MOVING_FRAMES // 2
+        return _sign(counted[0]) if abs(sum(counted[half:])) >= abs(sum(counted[:half])) else 0
 
 
 def _counted(pulses: WheelPulse, before: WheelPulse) -> int:

@@ -165,8 +165,8 @@ FROZEN_BODY_M: Final = 3.0
 BUMPER_CLEAR_NS: Final = 300_000_000
 """A bumper is released once it has read clear for this long: contacts bounce."""
 
-PULSES_MOVING_FRAMES: Final = 4
-"""Wheel pulses that count the same way in so many frames in a row, 200 ms, are those of a robot that moves."""
+PULSES_MOVING_FRAMES: Final = 8
+"""Wheel pulses that count the same way, and no slower, in so many frames in a row, 400 ms, tell that it moves."""
 
 SEND_FAILURES: Final = 5
 """This many ticks in a row whose frames the bus did not take are a failure."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gateway.command.actuation import Actuation
 from gateway.command.observed import Observed
-from schemas.messages import Mode
+from schemas.messages import Mode, ParkingStatus
 from schemas.reasons import Reason
 from schemas.settings import LEFT_BLIND_NS
 
@@ -15,9 +15,9 @@ def may_obey(observed: Observed) -> bool:
 
 
 def may_be_stopped(observed: Observed) -> bool:
-    """A stop can be told: to a chassis that may obey a command, and to one that moves in mode stop."""
-    is_coasting = observed.mode is Mode.STOP and observed.moves
-    return may_obey(observed) or (observed.bus_up and is_coasting and not observed.guard_sends)
+    """A stop can be told: to a chassis that may obey a command, and to one in mode stop that is not held."""
+    is_loose = observed.mode is Mode.STOP and (observed.moves or observed.brake is ParkingStatus.RELEASED)
+    return may_obey(observed) or (observed.bus_up and is_loose and not observed.guard_sends)
 
 
 class Handover:

@@ -116,7 +116,8 @@ class StopSequence:
                 elif self._speed_mps == 0:
                     self._enter(StopPhase.BRAKE, now_ns)
             # One phase a tick at most: zero speed has to be told before all else, also after a pause.
-            case StopPhase.BRAKE if seen.stands or self._runs_away(seen, now_ns):
+            # The robot should stand by now: what cannot be seen is not waited for.
+            case StopPhase.BRAKE if seen.stands or seen.speed_mps is None or self._runs_away(seen, now_ns):
                 self.park(now_ns)
             case StopPhase.PARK if (seen.is_braked and is_park_told) or (
                 seen.is_braked is None and now_ns - self._begun_ns >= BRAKE_UNSEEN_NS
