@@ -107,7 +107,7 @@ class Motion:
 
     def step(self, demand: Demand, dt_s: float) -> None:
         """Moves on by a short time."""
-        self._park(demand.parked, dt_s)
+        self._park(demand, dt_s)
         self._shift(demand.gear)
         self.speed_mps = self._next_speed_mps(demand, dt_s)
         if demand.angle_deg is not None:
@@ -115,11 +115,12 @@ class Motion:
             self.angle_deg += _clamp(target_deg - self.angle_deg, STEERING_RATE_DEGPS * dt_s)
         self._travel(dt_s)
 
-    def _park(self, wanted: bool, dt_s: float) -> None:  # noqa: FBT001
-        self._parking_s = 0.0 if wanted is self.parked else self._parking_s + dt_s
-        if wanted is not self.parked and self._parking_s >= self.conditions.parking_delay_s - _TIME_RESOLUTION_S:
-            self.parked = wanted
+    def _park(self, demand: Demand, dt_s: float) -> None:
+        self._parking_s += dt_s
+        if demand.parked is self.parked:
             self._parking_s = 0.0
+        elif self._parking_s >= self.conditions.parking_delay_s - _TIME_RESOLUTION_S:
+            self.parked, self._parking_s = demand.parked, 0.0
 
     def _shift(self, wanted: GearPosition) -> None:
         direction = _DIRECTION.get(wanted, 0.0)

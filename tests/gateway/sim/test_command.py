@@ -6,7 +6,7 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import can
@@ -23,6 +23,7 @@ from tests.gateway.sim.served import DEADLINE_S, Served, receive, served
 
 CRUISER = Path(sys.executable).with_name("cruiser")
 BODY = 0x18C4D9EF
+ENCODER = Encoder(load(Variant.COARSE))
 
 
 @contextlib.contextmanager
@@ -87,14 +88,24 @@ def test_faults_come_by_flag_and_by_line() -> None:
 
 
 def test_conditions_come_by_flag() -> None:
-    """On a hill whose mode stop coasts it rolls once an order to release its parking brake is gone."""
+    """On a hill it rolls when its parking brake is released, and in a mode stop that coasts it rolls on."""
     flags = ("--slope", "-20", "--payload", "50", "--pedal-gain", "0.5", "--parking-delay", "0")
     with sim(*flags, "--stop-mode", "coasts") as (_, place), bus_at(place) as bus:
-        encoder = Encoder(load(Variant.COARSE))
-        for name in ENABLES:
-            frame = encoder.encode(name, {"Enable": True}, 0)
-            bus.send(can.Message(arbitration_id=frame.can_id & IDENTIFIER_MASK, data=frame.data))
-        assert receive(bus, lambda message: message.arbitration_id == 0x18C4D7EF and message.data[1] > 225)
+        for enable, least_mps in ((True, 0.1), (False, 4.0)):
+            for name in ENABLES:
+                frame = ENCODER.encode(name, {"Enable": enable}, 0)
+                bus.send(can.Message(arbitration_id=frame.can_id & IDENTIFIER_MASK, data=frame.data))
+            assert receive(bus, wheels_faster_than(least_mps))
+
+
+def wheels_faster_than(least_mps: float) -> Callable[[can.Message], bool]:
+    """Accept a wheel speed frame whose rear left wheel is faster."""
+
+    def is_faster(message: can.Message) -> bool:
+        speed_mps = (int.from_bytes(message.data[1:3], "little") & 0x1FF) * 0.04 - 8
+        return message.arbitration_id == 0x18C4D7EF and speed_mps > least_mps
+
+    return is_faster
 
 
 def test_it_attaches_to_a_bus_of_python_can(running: Served) -> None:

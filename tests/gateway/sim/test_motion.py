@@ -201,16 +201,17 @@ def test_it_climbs_what_the_manual_says(slope_deg: float, payload_kg: float) -> 
     assert moving(demand(speed_mps=0.5), 20, Motion(Conditions(slope_deg=20.0, payload_kg=100.0))).speed_mps < 0
 
 
-def test_with_full_payload_the_motor_slips_on_20_deg() -> None:
-    """Whatever is asked for, the robot rolls back by what gravity has over resistance and the motor's force."""
-    mass_kg = EMPTY_MASS_KG + 100
+@pytest.mark.parametrize(("slope_deg", "speed_mps", "downhill"), [(20, 0.0, -1), (20, 1.0, -1), (-20, 0.0, 1)])
+def test_with_full_payload_the_motor_slips_on_20_deg(slope_deg: float, speed_mps: float, downhill: int) -> None:
+    """Whatever is asked for, the robot rolls down by what gravity has over resistance and the motor's force."""
     slips_mps2 = (
-        GRAVITY_MPS2 * math.sin(math.radians(20)) - ROLLING_DECELERATION_MPS2 - MAX_DRIVE_FORCE_N / mass_kg
+        GRAVITY_MPS2 * math.sin(math.radians(20))
+        - ROLLING_DECELERATION_MPS2
+        - MAX_DRIVE_FORCE_N / (EMPTY_MASS_KG + 100)
     )
-    for speed_mps in (0.0, 1.0):
-        motion = moving(demand(speed_mps=speed_mps), 2, Motion(Conditions(slope_deg=20.0, payload_kg=100.0)))
-        assert slips_mps2 > 0
-        assert motion.speed_mps == pytest.approx(-2 * slips_mps2)
+    motion = moving(demand(speed_mps=speed_mps), 2, Motion(Conditions(slope_deg=slope_deg, payload_kg=100.0)))
+    assert slips_mps2 > 0
+    assert motion.speed_mps == pytest.approx(downhill * 2 * slips_mps2)
 
 
 def test_a_motor_that_weakens_lets_the_robot_go() -> None:
@@ -271,6 +272,10 @@ def test_the_parking_brake_takes_its_time(delay_steps: int, begins_parked: bool)
         assert motion.parked is begins_parked
     moving(other, DT_S, motion)
     assert motion.parked is not begins_parked
+    moving(same, (delay_steps - 1) * DT_S, motion)
+    assert motion.parked is not begins_parked
+    moving(same, DT_S, motion)
+    assert motion.parked is begins_parked
 
 
 def test_the_drive_ends_when_the_parking_brake_applies() -> None:
