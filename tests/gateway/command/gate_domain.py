@@ -203,7 +203,7 @@ class Walk:
         raw, is_stop = self._next(), random.random() < 0.3
         frames = self._spoilt(self._frames(raw))
         if self._offer(frames, is_stop=is_stop):
-            self._send(frames[: random.choice((3, 5, 8, 8, 8, 8, 8))])
+            self._send(frames[: random.choice((1, 4, 5, 8, 8, 8, 8, 8))])
             return
         # Whatever came before, a stop in place is admitted; only the rate can be in its way.
         twelfth_ns = max(times[0] if len(times) == 12 else -TICK_NS * 10 for times in self.bus.sent_ns.values())
