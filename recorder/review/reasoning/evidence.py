@@ -123,6 +123,7 @@ EVIDENCE: Final[dict[Reason, Finder]] = {
     Reason.GATE: _gate,
     Reason.GUARD: _guard,
     Reason.UNGUARDED: lambda clue: gateway_evidence.guard_watch(clue.scene),
+    Reason.NO_REALTIME: lambda clue: gateway_evidence.load(clue.scene),
     Reason.SHUTDOWN: lambda clue: gateway_evidence.ending(clue.scene),
 }
 """A test holds that none is missing."""
