@@ -1,0 +1,106 @@
+"""Many scenarios, and a table of what came of them.
+
+Usage: python -m tests.system.scenarios [--count N] [--seed FIRST] [--jobs N] [--run-again-every N]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+import traceback
+from collections import Counter, defaultdict
+from multiprocessing import Pool
+
+import msgspec
+
+from tests.system.scenarios.oracle import Violation
+from tests.system.scenarios.scenario import Play, Result, run, scenario
+
+SLOPES_DEG = (1, 5, 10, 15, 20)
+SEEDS_SHOWN = 6
+
+
+TRACE_TICKS = 5
+
+
+def trace(play_: Play) -> None:
+    """Print a line each 50 ms, and each new violation."""
+    if round(play_.rig.now_s * 100) % TRACE_TICKS == 0:
+        print(play_.oracle.line(play_.rig.now_s))
+    for violation in play_.oracle.violations.values():
+        if violation.at_s >= play_.rig.now_s - 0.005:
+            print(f"   >>> {violation.kind} at {violation.at_s:.2f} s: {violation.detail}")
+
+
+def play(job: tuple[int, bool]) -> Result:
+    """One scenario; a fault of the gateway's or of ours is a violation like any other."""
+    seed, runs_again = job
+    try:
+        return run(seed, runs_again=runs_again)
+    except Exception as error:  # noqa: BLE001 - the seed must be told, whatever it was
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        crash = Violation("crash", 0.0, f"{type(error).__name__}: {error} in {where.name}, line {where.lineno}")
+        return Result(seed, [crash], 0, 0.0, 0.0, scenario(seed).slope_deg, 0.0, 0.0, [])
+
+
+def main() -> int:
+    """Play them all and print the summary; 1 if a rule was broken."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=1, help="scenarios (default 1, told in full)")
+    parser.add_argument("--seed", type=int, default=1, help="of the first (default 1)")
+    parser.add_argument("--jobs", type=int, default=1, help="processes (default 1)")
+    parser.add_argument("--run-again-every", type=int, default=20, help="journals run again (default every 20th)")
+    parser.add_argument("--trace", action="store_true", help="print the first one as it goes, and nothing more")
+    arguments = parser.parse_args()
+    if arguments.trace:
+        return 1 if run(arguments.seed, runs_again=True, watch=trace).violations else 0
+    first, every = arguments.seed, arguments.run_again_every
+    jobs = [(seed, (seed - first) % every == 0) for seed in range(first, first + arguments.count)]
+    began_s = time.perf_counter()
+    if arguments.jobs > 1:
+        with Pool(arguments.jobs) as pool:
+            results = list(pool.imap_unordered(play, jobs, chunksize=8))
+    else:
+        results = [play(job) for job in jobs]
+    if arguments.count == 1:
+        print(msgspec.json.format(msgspec.json.encode(scenario(first)), indent=1).decode())
+    summary(results, time.perf_counter() - began_s)
+    return 1 if any(result.violations for result in results) else 0
+
+
+def summary(results: list[Result], took_s: float) -> None:
+    """Print what came of them."""
+    simulated_s = sum(result.simulated_s for result in results)
+    print(
+        f"{len(results)} scenarios, {simulated_s / 60:.0f} min simulated in {took_s:.0f} s, "
+        f"{sum(result.driven_m for result in results):.0f} m driven, "
+        f"{sum(result.stops for result in results)} stop phases, "
+        f"{sum(bool(result.violations) for result in results)} scenarios with a violation"
+    )
+    print("\nsteepest slope   scenarios   worst roll-back at release   at a stop")
+    for low, high in zip((0, *SLOPES_DEG), (*SLOPES_DEG, 91), strict=True):
+        some = [result for result in results if low <= abs(result.slope_deg) < high]
+        if some:
+            release_m = max(result.worst_release_m for result in some)
+            stop_m = max(result.worst_stop_m for result in some)
+            print(
+                f"{low:>3} to {min(high, 20):>2} deg     {len(some):>9}   {release_m:>24.2f} m   {stop_m:>7.2f} m"
+            )
+    kinds: dict[str, list[tuple[int, Violation]]] = defaultdict(list)
+    for result in sorted(results, key=lambda one: one.seed):
+        for violation in result.violations:
+            kinds[violation.kind].append((result.seed, violation))
+    if kinds:
+        print("\nviolation                   scenarios   seeds; the first")
+    for kind, found in sorted(kinds.items(), key=lambda item: -len(item[1])):
+        seeds = ", ".join(str(seed) for seed, _ in found[:SEEDS_SHOWN])
+        seed, violation = found[0]
+        print(f"{kind:<27} {len(found):>9}   {seeds}; {seed} at {violation.at_s:.2f} s: {violation.detail}")
+    if kinds:
+        print("\nagain: python -m tests.system.scenarios --seed SEED")
+    print("\ndisturbances:", dict(Counter(name for result in results for name in result.disturbances)))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

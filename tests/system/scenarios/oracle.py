@@ -1,0 +1,645 @@
+"""What must be true of the robot's motion and of the bytes on the bus, by the table "Command rules" of the design.
+
+Judged are the plant's true motion and the frames themselves; of what the gateway says only its replies and what it
+latches. A time that a rule gives is counted from the moment at which the cause shows on the bus, with the margin
+of ``SEEING_S``: a 50 ms frame, one of them lost, and a tick.
+"""
+
+from __future__ import annotations
+
+from math import radians, tan
+from typing import Any, Final
+
+import msgspec
+
+from tests.system.scenarios.plant import (
+    AUTO,
+    BODY,
+    DRIVE,
+    GEAR_N,
+    MOTION_CMDS,
+    PARKING_MPS2,
+    REMOTE,
+    SIGN,
+    STEERING,
+    STOP,
+    WHEELBASE_M,
+    WHEELS,
+    CanFrame,
+    Plant,
+    Told,
+    checksum,
+    told,
+)
+
+TICK_S: Final = 0.01
+SEEING_S: Final = 0.15
+MOVES_MPS: Final = 0.1
+"""Seen to move for certain: the standstill bound, 0.05 m/s, and a coarse bit."""
+
+ACCELERATION_MPS2, DECELERATION_MPS2, EMERGENCY_MPS2 = 0.8, 1.2, 2.0
+LATERAL_MPS2: Final = 1.5
+STEERING_DEG, STEERING_DEGPS, ANGLE_BIT_DEG = 24.0, 60.0, 0.044
+DEADMAN_S: Final = 0.3
+PAUSE_S: Final = 0.1
+"""After a silence of this length a burst begins anew, and is not compared with the one before."""
+
+RETURNS_S: Final = 0.5
+"""From when the robot is back in the gateway's hands until its motion is judged again."""
+
+GUARD_S: Final = 0.1
+RELEASE_M, STOP_M = 0.10, 0.30
+UNSTARTED_M: Final = 0.10
+LATCHING: Final = frozenset({"rolling", "remote_stop", "front_bumper", "rear_bumper", "implausible_speed"})
+STUCK_DEG: Final = 6.5
+"""5 deg, and what noise and a bit make of it."""
+
+LAGGING_S, LAGGING_MPS2 = 0.4, 0.8
+"""The slowest drive that a gateway has to allow for: its lag, and how fast it slows down."""
+
+FOLLOWS_MPS2: Final = 1.5
+"""With less than this the motor cannot follow the ramps down this hill, and a stop is no false one."""
+
+Fields = dict[str, Any]
+
+
+class Violation(msgspec.Struct, frozen=True):
+    """A rule that did not hold: which, when, and with which figures."""
+
+    kind: str
+    at_s: float
+    detail: str
+
+
+class Since:
+    """For how long something has been so."""
+
+    def __init__(self) -> None:
+        self._from_s: float | None = None
+
+    def lasts(self, now_s: float, *, holds: bool) -> float:
+        """Seconds for which it has held without a break; 0 if it does not."""
+        if not holds:
+            self._from_s = None
+            return 0.0
+        if self._from_s is None:
+            self._from_s = now_s
+        return now_s - self._from_s
+
+
+class Oracle:
+    """Watches a scenario.
+
+    Attributes:
+        violations: the first of each kind.
+        stops: stop phases that were seen.
+        worst_release_m, worst_stop_m: roll-back while zero was asked, and after a stop had begun.
+        was_driven_m: metres travelled, so that a suite in which nothing moves is noticed.
+    """
+
+    def __init__(self, speed_limit_mps: float, *, fine: bool, is_undisturbed: bool, lag_s: float) -> None:
+        self.violations: dict[str, Violation] = {}
+        self.stops = 0
+        self.worst_release_m = self.worst_stop_m = self.was_driven_m = 0.0
+        self._limit_mps = speed_limit_mps
+        self._fine = fine
+        self._bit_mps = 0.001 if fine else 0.04
+        self._is_undisturbed = is_undisturbed
+        self._lag_s = lag_s
+        # What is asked.
+        self._asked_mps = 0.0
+        self._asked_s = -9.0
+        self._zero_since_s = 0.0
+        self._is_permitted = False
+        self._was_engaged = False
+        self._engage_asked_s: float | None = None
+        self._cause_s: float | None = None
+        self._cause = ""
+        self._emergency = False
+        self._latched: list[str] = []
+        # What is told.
+        self._order: Told | None = None
+        self._order_s = -9.0
+        self._is_guards = False
+        self._bytes: dict[int, bytes] = {}
+        self._counters: dict[int, int] = {}
+        self._ceiling_mps = 0.0
+        self._excess_s: float | None = None
+        self._excess_mps = 0.0
+        self._excess_rate = DECELERATION_MPS2
+        # What happens.
+        self._plant: Plant | None = None
+        self._excused_until_s = 0.0
+        self._blind_until_s = 0.0
+        self._was_excused = False
+        self._disturbed_until_s = -9.0
+        self._left_mps: float | None = None
+        self._remote = Since()
+        self._seen_mps = 0.0
+        self._rest_m: float | None = None
+        self._rest_sign = 0.0
+        self._rest_is_stop = False
+        self._rest_bound_m = 0.0
+        self._best_m: float | None = None
+        self._asked_sign = 0.0
+        self._stop_record: tuple[float, float, float, float] | None = None
+        self._shadow_deg = 0.0
+        self._explained = {1.0: 0.0, -1.0: 0.0}
+        self._frozen_from: tuple[float, bool] | None = None
+        self._struck: str | None = None
+        self._clear_s = -9.0
+        self._acknowledged = False
+        self._timers: dict[str, Since] = {}
+        self._gateway_lives = True
+
+    # What reaches it.
+
+    def requests(self, verb: str, fields: Fields, now_s: float) -> None:
+        if verb == "drive":
+            speed_mps = fields["speed_mps"]
+            if speed_mps and not self._asked_mps:
+                self._zero_since_s = now_s
+            if not speed_mps and self._asked_mps:
+                self._zero_since_s = now_s
+            self._asked_mps, self._asked_s = speed_mps, now_s
+        elif verb == "engage" and self._engage_asked_s is None:
+            self._engage_asked_s = now_s
+        elif verb in {"stop", "disengage"}:
+            self._cause_stop(verb, now_s, at_once=verb == "stop")
+
+    def reply(self, verb: str, fields: Fields, now_s: float) -> None:
+        plant = self._plant
+        if verb == "engage" and fields["ok"]:
+            self._is_permitted, self._cause_s, self._emergency = True, None, False
+            self._engage_asked_s = None
+            self._asked_s = now_s
+            self._rest_m, self._rest_sign, self._rest_is_stop, self._rest_bound_m = None, 0.0, False, 0.0
+        elif verb == "park" and plant is not None:
+            standing = self._was_engaged and self._is_permitted and now_s - self._zero_since_s > 0.1
+            if not fields["ok"] and standing and not self._asked_mps and fields["reason"] != "not_engaged":
+                self._fail("park_refused", now_s, f"{fields['reason']} at {plant.speed_mps:.2f} m/s")
+        elif verb == "stop" and self._remote.lasts(now_s, holds=self._is_remote()) > 0.2:
+            if fields["ok"] and not fields["detail"]:
+                self._fail("stop_lies", now_s, "ok alone, while the remote control has the robot")
+        elif verb == "reset" and fields["ok"]:
+            self._acknowledged = self._struck is not None
+
+    def state(self, state: Fields, now_s: float) -> None:
+        latched = state["latched"]
+        if self._acknowledged and self._struck in latched and self._struck not in self._latched:
+            self._fail("bumper_relatched", now_s, f"{self._struck} again, while acknowledged")
+        self._latched = latched
+        if state["engaged"]:
+            self._was_engaged = True
+        elif self._was_engaged:
+            self._was_engaged = False
+            self.stops += 1
+            if self._cause_s is None:
+                self._find_cause(state, now_s)
+            self._begin_stop(now_s)
+
+    def frames(self, frames: list[CanFrame], now_s: float, *, by_guard: bool) -> None:
+        if not frames:
+            self._judge_silence(now_s)
+            return
+        self._is_guards = by_guard
+        goes_on = now_s - self._order_s < PAUSE_S
+        for identifier, data in frames:
+            counter = data[6] >> 4
+            expected = self._counters.get(identifier, counter) if goes_on else counter
+            self._counters[identifier] = (counter + 1) % 16
+            if data[7] != checksum(data) or counter != expected:
+                self._fail("malformed_frame", now_s, f"{identifier:08X} {data.hex()}, counter {expected} is due")
+            self._bytes[identifier] = data
+        if set(MOTION_CMDS) <= {identifier for identifier, _ in frames}:
+            self._judge_order(told(self._bytes, fine=self._fine), now_s)
+
+    def motion(self, plant: Plant, now_s: float, *, gateway_lives: bool) -> None:
+        self._plant = plant
+        self._gateway_lives = gateway_lives
+        self.was_driven_m += abs(plant.speed_mps) * TICK_S
+        # With the robot in other hands, its controller away or its brakes out of ours, physics sets no bound that
+        # the gateway could keep: only what is told is judged, and its motion anew from half a second after.
+        if plant.hand or plant.sticks or plant.is_away or plant.button:
+            self._excused_until_s = max(self._excused_until_s, now_s + RETURNS_S)
+        if not plant.can_hold or plant.slows_mps2 < FOLLOWS_MPS2:
+            self._disturbed_until_s = now_s + 3.0
+        self._expect_deadman(now_s)
+        if self._was_excused and now_s >= self._excused_until_s and not self._is_permitted:
+            # Back in our hands, and maybe moving: from here on it is a stop like any other.
+            self._begin_stop(now_s)
+        self._was_excused = now_s < self._excused_until_s
+        self._judge_remote(plant, now_s)
+        self._judge_roll_back(plant, now_s)
+        self._judge_stop(plant, now_s)
+        self._judge_supervision(plant, now_s)
+        self._judge_bumpers(plant, now_s)
+        self._judge_service(plant, now_s)
+        self._seen_mps = max(abs(plant.speed_mps), self._seen_mps - 1.0 * TICK_S)
+
+    def disturb(self, now_s: float, lasts_s: float) -> None:
+        """A disturbance was caused, and may show for this long: a stop meanwhile has a cause."""
+        self._disturbed_until_s = max(self._disturbed_until_s, now_s + lasts_s)
+
+    def blind(self, now_s: float, lasts_s: float) -> None:
+        """The bus loses so many frames that nothing is seen in time and nothing is heard, for this long."""
+        self._blind_until_s = now_s + lasts_s
+        self._excused_until_s = max(self._excused_until_s, self._blind_until_s + RETURNS_S)
+
+    # The bytes.
+
+    def _judge_order(self, order: Told, now_s: float) -> None:
+        before = self._order if now_s - self._order_s < PAUSE_S else None
+        gap_s = max(now_s - self._order_s, TICK_S / 2)
+        lateral_mps2 = order.speed_mps**2 * tan(radians(abs(order.angle_deg))) / WHEELBASE_M
+        last = order if before is None else before
+        shifts = order.enabled and last.enabled and order.gear != last.gear
+        turned_deg = abs(order.angle_deg - last.angle_deg)
+        turns_deg = STEERING_DEGPS * max(gap_s, TICK_S) + 2 * ANGLE_BIT_DEG
+        broken = {
+            "partly_enabled": order.any_enabled != order.enabled,
+            "neutral_unbraked": order.enabled and order.gear == GEAR_N and not order.parking,
+            "gear_change_unbraked": shifts and not (order.parking and last.parking),
+            "gear_reserved": order.gear not in {*SIGN, GEAR_N},
+            "speed_against_brake": order.speed_mps > 0 and order.parking,
+            "over_limit": order.speed_mps > self._limit_mps + self._bit_mps / 2,
+            "angle": abs(order.angle_deg) > STEERING_DEG + ANGLE_BIT_DEG,
+            "steering_rate": turned_deg > turns_deg,
+            "lateral_told": lateral_mps2 > LATERAL_MPS2 + 0.03 + 2 * order.speed_mps * self._bit_mps,
+        }
+        for kind, is_broken in broken.items():
+            if is_broken:
+                self._fail(kind, now_s, f"{_brief(order)}; before {_brief(last)}")
+        self._judge_speed(order, before, gap_s, now_s)
+        in_stop = self._plant is not None and self._mode(self._plant) == STOP and not self._plant.is_away
+        if self._timer("stop").lasts(now_s, holds=in_stop and order.speed_mps > 0) > SEEING_S:
+            self._fail("speed_in_mode_stop", now_s, f"{order.speed_mps:.2f} m/s")
+        taken_s = self._remote.lasts(now_s, holds=self._is_remote())
+        if taken_s > 0.1 and now_s >= self._blind_until_s and self._plant is not None and self._plant.sticks:
+            self._fail("talks_to_remote", now_s, "a frame, 100 ms after the remote control took over")
+        self._order, self._order_s = order, now_s
+
+    def _judge_speed(self, order: Told, before: Told | None, gap_s: float, now_s: float) -> None:
+        """The told speed: never up without leave, never faster than the ramps, down when it has to be."""
+        speed_mps, bit_mps = order.speed_mps, self._bit_mps
+        before_mps = before.speed_mps if before is not None and before.gear == order.gear else 0.0
+        is_fresh = self._is_permitted and now_s - self._asked_s <= DEADMAN_S + 0.02
+        same_way = self._asked_mps * order.signed_mps > 0
+        goal_mps = abs(self._asked_mps) if is_fresh and same_way and self._cause_s is None else 0.0
+        if before is not None and speed_mps > before_mps + 1e-9:
+            if not is_fresh:
+                self._fail("rises_unasked", now_s, f"{before_mps:.3f} to {speed_mps:.3f} m/s, nobody asks")
+            elif self._cause_s is not None and now_s - self._cause_s > 0.02:
+                self._fail("resumes", now_s, f"{before_mps:.3f} to {speed_mps:.3f} m/s after {self._cause}")
+            elif speed_mps > goal_mps + bit_mps and now_s - self._zero_since_s > 0.03:
+                self._fail("rises_unasked", now_s, f"to {speed_mps:.3f} m/s, asked {self._asked_mps:.3f}")
+        if before is not None and self._is_permitted:
+            self._ceiling_mps += ACCELERATION_MPS2 * gap_s
+            if speed_mps > self._ceiling_mps + bit_mps + 0.002:
+                self._fail("acceleration", now_s, f"{speed_mps:.3f} m/s, at most {self._ceiling_mps:.3f}")
+        self._ceiling_mps = min(self._ceiling_mps, speed_mps) if before is not None else speed_mps
+        if before is None and speed_mps:
+            # A burst after a silence begins where the chassis was left, or by what is seen.
+            most = self._seen_mps + 0.05 if self._left_mps is None else min(self._seen_mps + 0.05, self._left_mps)
+            if speed_mps > most + bit_mps + 0.02:
+                left = "" if self._left_mps is None else f", left on {self._left_mps:.2f}"
+                self._fail("given_back_fast", now_s, f"told {speed_mps:.2f}{left}, seen {self._seen_mps:.2f}")
+        self._judge_fall(speed_mps, goal_mps, now_s, begins=before is None)
+
+    def _judge_fall(self, speed_mps: float, goal_mps: float, now_s: float, *, begins: bool) -> None:
+        rate = (EMERGENCY_MPS2 if self._emergency else DECELERATION_MPS2) * 0.9
+        if begins:
+            self._excess_s = None
+        if speed_mps <= goal_mps + self._bit_mps:
+            self._excess_s = None
+            return
+        if self._excess_s is None or rate != self._excess_rate:
+            self._excess_s, self._excess_mps, self._excess_rate = now_s, speed_mps, rate
+        grace_s = 0.03 + (DEADMAN_S if not self._is_permitted and self._cause_s is None else 0.0)
+        most_mps = max(goal_mps, self._excess_mps - rate * max(0.0, now_s - self._excess_s - grace_s))
+        if speed_mps > most_mps + self._bit_mps + 0.02:
+            why = self._cause or f"asked {self._asked_mps:.2f}"
+            self._fail("not_falling", now_s, f"{speed_mps:.2f} m/s, at most {most_mps:.2f} after {why}")
+
+    def _judge_silence(self, now_s: float) -> None:
+        """Output has ceased in this tick: the last word must have been a stop that was carried out."""
+        order, plant = self._order, self._plant
+        if order is None or plant is None or now_s - self._order_s > TICK_S * 1.5 or self._is_guards:
+            return
+        if not self._gateway_lives:
+            return
+        self._left_mps = order.speed_mps
+        if plant.mode == AUTO and order.enabled and not order.parking and self._is_reachable(now_s):
+            self._fail("silence_unbraked", now_s, f"enabled and no parking request at {plant.speed_mps:.2f} m/s")
+
+    # The causes of stops.
+
+    def _cause_stop(self, cause: str, now_s: float, *, at_once: bool) -> None:
+        self._emergency = self._emergency or at_once
+        if self._cause_s is None:
+            self._cause_s, self._cause = now_s, cause
+        self._is_permitted = False
+
+    def gateway_fails(self, now_s: float) -> None:
+        """The gateway's process stands still or is gone: within 100 ms the guard is to begin a stop."""
+        self._cause_stop("the gateway failed", now_s + GUARD_S, at_once=False)
+        self._excess_s, self._excess_rate = now_s + GUARD_S, DECELERATION_MPS2 * 0.9
+        self._excess_mps = self._order.speed_mps if self._order is not None else 0.0
+        self._begin_stop(now_s)
+        self.disturb(now_s, 6.0)
+
+    def line(self, now_s: float) -> str:
+        """What is asked, told and true now, for a person."""
+        order, plant = self._order, self._plant
+        if plant is None:
+            return ""
+        told_now = "-"
+        if order is not None and now_s - self._order_s < 2 * TICK_S:
+            told_now = _brief(order)
+        true = (
+            f"{'ARS'[plant.mode]} {'?PRND'[plant.gear]}{'P' if plant.braked else '-'} {plant.speed_mps:6.3f} m/s"
+        )
+        return (
+            f"{now_s:6.2f} | asked {self._asked_mps:5.2f} {'yes' if self._is_permitted else 'no ':3} "
+            f"| {told_now:18} | {true} {plant.x_m:8.3f} m {plant.angle_deg:5.1f} deg, "
+            f"hill {plant.slope_deg:5.1f} | "
+            f"{self._cause if self._cause_s is not None else ''} {','.join(self._latched)}"
+        )
+
+    @property
+    def is_commanded(self) -> bool:
+        """The chassis obeys somebody's enabled frames."""
+        return (
+            self._order is not None
+            and self._order.enabled
+            and self._plant is not None
+            and self._plant.mode == AUTO
+        )
+
+    def _expect_deadman(self, now_s: float) -> None:
+        if self._is_permitted and now_s - self._asked_s > DEADMAN_S + 0.03:
+            self._cause_stop("deadman", now_s, at_once=False)
+
+    def _find_cause(self, state: Fields, now_s: float) -> None:
+        """The gateway has stopped the robot, and nobody of us asked it to."""
+        reason = state["stop_reason"]
+        is_free = now_s < max(self._disturbed_until_s, self._excused_until_s)
+        if not is_free and not (reason == "deadman" and now_s - self._asked_s > DEADMAN_S - 0.03):
+            self._fail("false_stop", now_s, f"{reason}; latched {state['latched']}")
+        if reason in LATCHING and reason not in state["latched"]:
+            self._fail("not_latched", now_s, f"{reason}; latched {state['latched']}")
+        self._cause_s, self._cause, self._is_permitted = now_s, reason, False
+
+    def _begin_stop(self, now_s: float) -> None:
+        plant = self._plant
+        if plant is None:
+            return
+        self._stop_record = (now_s, plant.x_m, plant.speed_mps, plant.slope_deg)
+        if self._rest_m is not None:
+            # The roll-back of a stop counts from its own moment.
+            self._rest_m = plant.x_m
+        self._rest_is_stop = True
+
+    def _is_reachable(self, now_s: float) -> bool:
+        return now_s >= self._excused_until_s
+
+    @staticmethod
+    def _mode(plant: Plant) -> int | None:
+        """The mode, if what is shown of it is true."""
+        body = plant.shown.get(BODY)
+        return plant.mode if body is not None and body[5] == plant.mode and BODY not in plant.frozen else None
+
+    def _is_remote(self) -> bool:
+        return self._plant is not None and self._mode(self._plant) == REMOTE
+
+    # The motion.
+
+    def _judge_remote(self, plant: Plant, now_s: float) -> None:
+        if self._remote.lasts(now_s, holds=self._is_remote()) > 0.1:
+            self._cause_stop("taken over", now_s, at_once=False)
+        if self._mode(plant) == AUTO and self._left_mps is not None and now_s - self._order_s > 1.0:
+            # Given back while it obeys an old command: told to stop at once.
+            moving = self._timer("left").lasts(now_s, holds=abs(plant.speed_mps) > MOVES_MPS)
+            if moving > 0.2 + SEEING_S + 0.2 and self._gateway_lives:
+                self._fail("left_moving", now_s, f"{plant.speed_mps:.2f} m/s in auto, nobody tells it to stop")
+
+    def _judge_roll_back(self, plant: Plant, now_s: float) -> None:
+        wants_zero = self._cause_s is not None or not self._is_permitted or not self._asked_mps
+        if not self._is_reachable(now_s):
+            self._rest_m = self._best_m = None
+            self._rest_sign = 0.0
+            return
+        speed_mps, x_m = plant.speed_mps, plant.x_m
+        if not wants_zero:
+            self._rest_m, self._rest_sign, self._rest_is_stop, self._rest_bound_m = None, 0.0, False, 0.0
+            self._judge_start(plant, now_s)
+            return
+        self._best_m = None
+        if not plant.can_hold:
+            self._rest_bound_m = max(self._rest_bound_m, _dead_motor_m(plant))
+        if self._rest_m is None:
+            if not self._rest_sign:
+                self._rest_sign = 1.0 if speed_mps > 0 else -1.0 if speed_mps < 0 else 0.0
+            if speed_mps * self._rest_sign > 0:
+                return
+            self._rest_m = x_m
+        rolled_m = abs(x_m - self._rest_m)
+        if self._rest_is_stop:
+            self.worst_stop_m = max(self.worst_stop_m, rolled_m)
+        else:
+            self.worst_release_m = max(self.worst_release_m, rolled_m)
+        if rolled_m > (STOP_M if self._rest_is_stop else RELEASE_M) + self._rest_bound_m:
+            kind = "roll_back_at_stop" if self._rest_is_stop else "roll_back_at_release"
+            self._fail(kind, now_s, f"{rolled_m:.2f} m on {plant.slope_deg:.0f} deg, {speed_mps:.2f} m/s")
+
+    def _judge_start(self, plant: Plant, now_s: float) -> None:
+        """While a speed is asked for, the robot does not roll the other way."""
+        sign = 1.0 if self._asked_mps > 0 else -1.0
+        if sign != self._asked_sign:
+            self._asked_sign, self._best_m = sign, None
+        if self._best_m is None:
+            if plant.speed_mps * sign < 0:
+                return
+            self._best_m = plant.x_m
+        self._best_m = max(self._best_m * sign, plant.x_m * sign) * sign
+        rolled_m = (self._best_m - plant.x_m) * sign
+        bound_m = UNSTARTED_M + (0.0 if plant.can_hold else _dead_motor_m(plant) + 0.2)
+        if rolled_m > bound_m:
+            self._fail("roll_back_at_start", now_s, f"{rolled_m:.2f} m on {plant.slope_deg:.0f} deg")
+
+    def _judge_stop(self, plant: Plant, now_s: float) -> None:
+        """A stop ends: standing, the parking brake applied, and not far away."""
+        if self._stop_record is None:
+            return
+        if not self._is_reachable(now_s):
+            self._stop_record = None
+            return
+        began_s, x_m, speed_mps, _ = self._stop_record
+        if self._is_permitted:
+            self._stop_record = None
+            return
+        # 0.3 s until it is seen not to slow, the brake's delay and the drive's lag, then the lesser of the ramp
+        # and of what the parking brake has left on this hill.
+        grip = (PARKING_MPS2 + 0.2) - abs(plant.load_mps2)
+        reach_m = abs(speed_mps) * (0.6 + plant.build.brake_delay_s + self._lag_s)
+        reach_m += (abs(speed_mps) + 0.5) ** 2 / (2 * min(DECELERATION_MPS2, grip)) + STOP_M
+        if plant.slows_mps2 < FOLLOWS_MPS2:
+            # It slows, but less than it is told: the brake comes where the ramp has ended.
+            reach_m += 0.75 * speed_mps**2 / DECELERATION_MPS2
+        if abs(plant.x_m - x_m) > reach_m:
+            self._fail("stop_distance", now_s, f"{abs(plant.x_m - x_m):.1f} m from {speed_mps:.2f} m/s")
+        due_s = abs(speed_mps) / DECELERATION_MPS2 + 2.0 + plant.build.brake_delay_s + 3 * self._lag_s
+        if now_s - began_s > due_s:
+            self._stop_record = None
+            if plant.speed_mps or not plant.braked:
+                how = "braked" if plant.braked else "not braked"
+                self._fail("stop_unfinished", now_s, f"{due_s:.1f} s after, {plant.speed_mps:.2f} m/s, {how}")
+
+    def _judge_supervision(self, plant: Plant, now_s: float) -> None:
+        order = self._order if now_s - self._order_s < 3 * TICK_S else None
+        shown = plant.shown
+        is_blind = now_s < self._blind_until_s or not {STEERING, DRIVE, WHEELS} <= shown.keys()
+        commands = order is not None and order.enabled and plant.mode == AUTO
+        if not self._gateway_lives or not commands or order is None or is_blind:
+            for name in ("roll1.0", "roll-1.0", "stuck", "fast", "lateral", "drive", "brake"):
+                self._timer(name).lasts(now_s, holds=False)
+            self._shadow_deg = plant.angle_deg
+            self._explained = {1.0: plant.speed_mps, -1.0: -plant.speed_mps}
+            return
+        speed_mps = plant.speed_mps
+        # Rolling: faster one way than the last commands that way, and a drive that follows them late, explain.
+        for sign in (1.0, -1.0):
+            lag_mps2 = min(LAGGING_MPS2, self._explained[sign] / LAGGING_S)
+            self._explained[sign] = max(order.signed_mps * sign, self._explained[sign] - lag_mps2 * TICK_S, 0.0)
+            rolls = speed_mps * sign > self._explained[sign] + MOVES_MPS and order.signed_mps * sign <= 0
+            lasts_s = self._timer(f"roll{sign}").lasts(now_s, holds=rolls and not order.parking)
+            if lasts_s > 0.1 + SEEING_S:
+                kind = "rolling_against" if order.speed_mps else "rolling_unnoticed"
+                self._fail(kind, now_s, f"{speed_mps:.2f} m/s, told {order.signed_mps:.2f}, no parking request")
+        # Steering: as it is shown, against a follower that is slower than any chassis.
+        shown_deg = (int.from_bytes(shown[STEERING][1:3], "little") & 0xFFF) * 0.043945 - 90
+        follow = 25.0 * TICK_S
+        self._shadow_deg += max(-follow, min(follow, order.angle_deg - self._shadow_deg))
+        low, high = sorted((self._shadow_deg, order.angle_deg))
+        off = not low - STUCK_DEG < shown_deg < high + STUCK_DEG
+        self._expect_latch("stuck", "steering_unnoticed", 0.3, now_s, f"{shown_deg:.1f} deg", holds=off)
+        fast = abs(speed_mps) > self._limit_mps + 0.3 + 2 * self._bit_mps
+        self._expect_latch("fast", "overspeed_unnoticed", 0.3, now_s, f"{speed_mps:.2f} m/s", holds=fast)
+        lateral = max(order.speed_mps, abs(speed_mps)) ** 2
+        lateral *= tan(radians(max(abs(order.angle_deg), abs(plant.angle_deg)))) / WHEELBASE_M
+        # From full speed to what full lock allows takes 0.6 s; the drive lags.
+        if (
+            self._timer("lateral").lasts(now_s, holds=lateral > LATERAL_MPS2 + 0.4)
+            > 0.75 + 2 * self._lag_s + SEEING_S
+        ):
+            self._fail("lateral_measured", now_s, f"{lateral:.2f} m/s2")
+        shown_mps = int.from_bytes(shown[DRIVE][1:3], "little") * self._bit_mps
+        raw = int.from_bytes(shown[WHEELS][1:3], "little") + int.from_bytes(shown[WHEELS][3:5], "little")
+        wheels_mps = abs(raw / 2 - (32768 if self._fine else 200)) * self._bit_mps
+        larger, smaller = max(shown_mps, wheels_mps), min(shown_mps, wheels_mps)
+        misfit = larger > smaller + 0.38 and larger > 1.6 * smaller
+        self._expect_latch("drive", "speeds_unnoticed", 0.3, now_s, f"{larger:.2f}, {smaller:.2f}", holds=misfit)
+        if self._timer("brake").lasts(now_s, holds=plant.braked and order.speed_mps > 0) > SEEING_S:
+            self._fail("speed_against_closed_brake", now_s, f"told {order.speed_mps:.2f} m/s")
+        self._judge_frozen_body(plant, now_s)
+
+    def _expect_latch(
+        self, timer: str, kind: str, rule_s: float, now_s: float, detail: str, *, holds: bool
+    ) -> None:
+        """After the rule's time the robot is being stopped, and that is latched."""
+        lasts_s = self._timer(timer).lasts(now_s, holds=holds)
+        if lasts_s > rule_s + SEEING_S and not self._latched:
+            self._fail(kind, now_s, f"{detail}, for {lasts_s:.2f} s")
+
+    def _judge_frozen_body(self, plant: Plant, now_s: float) -> None:
+        """A mileage that stays while the pulses count: its step is a metre, so 3 m must show it."""
+        if BODY not in plant.frozen:
+            self._frozen_from = None
+        elif self._frozen_from is None:
+            self._frozen_from = (plant.travelled_m, True)
+        elif plant.travelled_m - self._frozen_from[0] > 3.0 and not self._latched and self._is_permitted:
+            self._fail("frozen_body_unnoticed", now_s, "3 m driven with a mode and bumpers that are old")
+
+    def _judge_bumpers(self, plant: Plant, now_s: float) -> None:
+        body = plant.shown.get(BODY, bytes(6))
+        if now_s < self._blind_until_s:
+            self._timer("bumper").lasts(now_s, holds=False)
+            return
+        order = self._order if now_s - self._order_s < 3 * TICK_S else None
+        pressed = "front_bumper" if body[4] & 1 else "rear_bumper" if body[4] & 0x10 else None
+        if pressed is not None:
+            self._clear_s = now_s
+        if plant.wall is None and now_s - self._clear_s > 0.3 + SEEING_S:
+            self._struck, self._acknowledged = None, False
+        if self._struck is None and pressed is not None:
+            self._struck = pressed
+        commanding = order is not None and order.enabled and plant.mode == AUTO and self._gateway_lives
+        held = self._timer("bumper").lasts(
+            now_s, holds=commanding and pressed is not None and not self._acknowledged
+        )
+        if held > 0.02 + 0.06:
+            if pressed not in self._latched:
+                self._fail("bumper_unnoticed", now_s, f"{pressed} for {held * 1e3:.0f} ms")
+            self._cause_stop(str(pressed), now_s, at_once=True)
+        if commanding and order is not None and self._acknowledged and self._struck is not None:
+            toward = 1.0 if self._struck == "front_bumper" else -1.0
+            if order.signed_mps * toward > self._bit_mps and now_s - self._clear_s < 0.2 and self._is_permitted:
+                self._fail("into_bumper", now_s, f"told {order.signed_mps:.2f} m/s")
+
+    def _judge_service(self, plant: Plant, now_s: float) -> None:
+        """What the operator may rely on: the robot engages, holds itself, moves, and says when it is adrift."""
+        order = self._order if now_s - self._order_s < 3 * TICK_S else None
+        quiet = now_s > max(self._disturbed_until_s, self._excused_until_s)
+        if self._engage_asked_s is not None and now_s - self._engage_asked_s > 6.0 and self._is_undisturbed:
+            self._fail("cannot_engage", now_s, "6 s after it was asked")
+        engaged = self._is_permitted and self._was_engaged and order is not None
+        holds_zero = engaged and not self._asked_mps and abs(plant.speed_mps) < 0.02
+        stands_s = self._timer("hold").lasts(now_s, holds=holds_zero)
+        if order is not None and stands_s > 1.0 + 0.4 and not order.parking and now_s - self._zero_since_s > 1.5:
+            self._fail("no_auto_hold", now_s, f"standing for {stands_s:.1f} s without the parking brake")
+        kept = engaged and abs(self._asked_mps) >= 0.2 and abs(plant.speed_mps) < 0.05 and plant.can_climb
+        if self._timer("kept").lasts(now_s, holds=kept and quiet and plant.wall is None) > 3.0:
+            self._fail("does_not_move", now_s, f"asked {self._asked_mps:.2f} m/s for 3 s")
+        adrift = (
+            self._mode(plant) == STOP and not plant.braked and abs(plant.speed_mps) > 0.15 and not plant.is_away
+        )
+        adrift_s = self._timer("adrift").lasts(now_s, holds=adrift and self._gateway_lives)
+        if adrift_s > 0.2 + 2 * SEEING_S and (order is None or not order.parking):
+            self._fail("mode_stop_moving", now_s, f"{plant.speed_mps:.2f} m/s in mode stop, and nothing is told")
+
+    def expect_rest(self, now_s: float, kind: str) -> None:
+        """By now the robot must stand with its parking brake applied."""
+        plant = self._plant
+        if plant is None or self._is_permitted or not self._is_reachable(now_s):
+            return
+        if abs(plant.speed_mps) > 0.02 or not plant.braked:
+            how = "braked" if plant.braked else "not braked"
+            self._fail(kind, now_s, f"{plant.speed_mps:.2f} m/s, {how}")
+
+    def expect_frames(self, now_s: float, kind: str) -> None:
+        """By now somebody must be telling the chassis to stop."""
+        if now_s - self._order_s > 3 * TICK_S:
+            self._fail(kind, now_s, f"the last frame was {now_s - self._order_s:.2f} s ago")
+
+    def _timer(self, name: str) -> Since:
+        return self._timers.setdefault(name, Since())
+
+    def _fail(self, kind: str, now_s: float, detail: str) -> None:
+        self.violations.setdefault(kind, Violation(kind, now_s, detail))
+
+
+def _brief(order: Told) -> str:
+    """Enables, gear, parking request, speed and angle, for a person."""
+    brake, on = "P" if order.parking else "-", "on" if order.enabled else "off"
+    return f"{on:3} {'?PRND???'[order.gear]}{brake} {order.speed_mps:5.3f} {order.angle_deg:5.1f}"
+
+
+def _dead_motor_m(plant: Plant) -> float:
+    """How far a robot rolls that nothing holds, until the rule on rolling has closed the parking brake.
+
+    A motor that cannot hold this hill leaves gravity alone with the robot for 0.1 s, ``SEEING_S`` and the brake's
+    delay; then the brake has what gravity leaves of its grip. No gateway can do better.
+    """
+    pull = abs(plant.load_mps2)
+    free_s = 0.1 + SEEING_S + plant.build.brake_delay_s
+    return pull * free_s**2 / 2 + (pull * free_s) ** 2 / (2 * (PARKING_MPS2 - pull))

@@ -1,0 +1,407 @@
+"""A scenario from a seed: a chassis, a hill, an operator, and what goes wrong. ``run`` plays and judges it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from random import Random
+from typing import Any, Final
+
+import msgspec
+
+from schemas.settings import ChassisSettings, CommandSettings, Settings
+from tests.system.scenarios.oracle import GUARD_S, Oracle, Violation
+from tests.system.scenarios.plant import (
+    BODY,
+    BRAKING,
+    DRIVE,
+    GEAR,
+    GEAR_D,
+    GEAR_R,
+    LIGHT,
+    PARKING,
+    SPEAKER,
+    STEERING,
+    WHEELS,
+    Build,
+    Plant,
+)
+from tests.system.scenarios.rig import Bus, Gateway, Guard, Leg, Operator, Rig
+
+SCRIPT_S: Final = 18.0
+"""How long the operator's script is; engaging comes before it, and coming to rest after it."""
+
+LIMIT_S: Final = 30.0
+FOREVER_S: Final = 99.0
+SHOWS_S: Final = 3.0
+"""A disturbance that has ended may still show in a stop for this long."""
+
+LOSS, CORRUPTION = 0.01, 0.001
+
+
+class Act(msgspec.Struct, frozen=True):
+    """A knob of the plant or of the bus is turned.
+
+    Attributes:
+        shows_s: for so long a stop has a cause in it.
+    """
+
+    at_s: float
+    knob: str
+    value: Any
+    shows_s: float = 0.0
+
+
+class Scenario(msgspec.Struct, frozen=True, kw_only=True):
+    """All that a seed decides.
+
+    Attributes:
+        found_mps: at the start the chassis drives by itself at this speed; 0 if it stands.
+        fails_s, hangs_s: when the gateway's process fails, and for how long; without a guard never.
+    """
+
+    seed: int
+    build: Build
+    slope_deg: float
+    pedal_gain: float
+    speed_limit_mps: float
+    link_s: float
+    loss: float
+    corruption: float
+    legs: list[Leg]
+    gives_up_s: float
+    recovers: bool
+    acts: list[Act]
+    disturbances: list[str]
+    found_mps: float = 0.0
+    fails_s: float = 0.0
+    hangs_s: float = 0.0
+
+    @property
+    def is_undisturbed(self) -> bool:
+        """Nothing goes wrong but for single frames."""
+        return not self.disturbances
+
+
+class Result(msgspec.Struct, frozen=True):
+    """What came of a scenario.
+
+    Attributes:
+        slope_deg: the steepest.
+    """
+
+    seed: int
+    violations: list[Violation]
+    stops: int
+    driven_m: float
+    simulated_s: float
+    slope_deg: float
+    worst_release_m: float
+    worst_stop_m: float
+    disturbances: list[str]
+
+
+def _slope(random: Random) -> list[Act]:
+    return [Act(0, "slope_rate_degps", random.uniform(2, 30)), Act(0, "slope_target_deg", random.uniform(-20, 20))]
+
+
+def _for_a_while(knob: str, value: object, before: object, random: Random, most_s: float) -> list[Act]:
+    lasts_s = random.choice((random.uniform(0.2, most_s), FOREVER_S))
+    return [Act(0, knob, value, lasts_s + SHOWS_S), Act(lasts_s, knob, before)]
+
+
+def _motor(random: Random) -> list[Act]:
+    return _for_a_while("motor_strength", random.choice((0.0, random.uniform(0, 1))), 1.0, random, 4.0)
+
+
+def _pedal(random: Random) -> list[Act]:
+    return [Act(0, "pedal_gain", random.choice((0.0, 0.3, 1.0)))]
+
+
+def _overspeed(random: Random) -> list[Act]:
+    return _for_a_while("speed_gain", random.uniform(1.2, 2.5), 1.0, random, 5.0)
+
+
+def _stuck(random: Random) -> list[Act]:
+    return _for_a_while("stuck", True, False, random, 5.0)  # noqa: FBT003 - a knob's values
+
+
+def _hand(random: Random) -> list[Act]:
+    push = (random.choice((-1, 1)) * random.uniform(0.15, 1.0), random.uniform(300, 900))
+    lasts_s = random.uniform(0.5, 4.0)
+    return [Act(0, "hand", push, lasts_s + SHOWS_S), Act(lasts_s, "hand", None)]
+
+
+def _button(random: Random) -> list[Act]:
+    lasts_s = random.uniform(0.1, 4.0)
+    return [Act(0, "button", value=True, shows_s=lasts_s + SHOWS_S), Act(lasts_s, "button", value=False)]
+
+
+def _remote(random: Random) -> list[Act]:
+    lasts_s = random.uniform(0.3, 5.0)
+    sticks = [(random.uniform(-1.0, 1.0) * random.choice((0, 1)), random.uniform(-20, 20)) for _ in range(2)]
+    stops = [Act(lasts_s * random.random(), "ask", "stop")] if random.random() < 0.4 else []
+    return [
+        *stops,
+        Act(0, "sticks", sticks[0], lasts_s + SHOWS_S),
+        Act(lasts_s * random.random(), "sticks", sticks[1]),
+        Act(lasts_s, "sticks", None),
+    ]
+
+
+def _reboot(random: Random) -> list[Act]:
+    lasts_s = random.uniform(0.3, 2.0)
+    return [Act(0, "reboot", lasts_s, lasts_s + SHOWS_S)]
+
+
+def _freeze(random: Random) -> list[Act]:
+    identifier = random.choice((GEAR, STEERING, DRIVE, PARKING, WHEELS, BODY, BODY))
+    lasts_s = random.uniform(0.5, 6.0)
+    return [Act(0, "freeze", identifier, lasts_s + SHOWS_S), Act(lasts_s, "thaw", identifier)]
+
+
+def _touch(random: Random) -> list[Act]:
+    return [Act(0, "touch", random.choice(("front", "rear")), FOREVER_S)]
+
+
+def _losses(random: Random) -> list[Act]:
+    lasts_s = random.uniform(0.1, 1.0)
+    return [Act(0, "loss", random.uniform(0.2, 1.0), lasts_s + SHOWS_S), Act(lasts_s, "loss", 0.0)]
+
+
+DISTURBANCES: Final[dict[str, Callable[[Random], list[Act]]]] = {
+    "slope": _slope,
+    "motor": _motor,
+    "pedal": _pedal,
+    "overspeed": _overspeed,
+    "stuck steering": _stuck,
+    "hand": _hand,
+    "button": _button,
+    "remote control": _remote,
+    "reboot": _reboot,
+    "freeze": _freeze,
+    "bumper": _touch,
+    "losses": _losses,
+}
+
+
+def _legs(random: Random, speed_limit_mps: float) -> list[Leg]:
+    legs: list[Leg] = []
+    sign = random.choice((-1.0, 1.0, 1.0))
+    while sum(leg.lasts_s for leg in legs) < SCRIPT_S:
+        speed_mps = sign * random.choice((0.1, 0.3, 0.5, 1.0, speed_limit_mps, 3.0))
+        angle_deg = random.choice((0.0, 0.0, random.uniform(-30, 30)))
+        drive = Leg(random.uniform(1.0, 4.0), speed_mps, angle_deg)
+        match random.choice(
+            ("release", "release", "release", "hold", "reverse", "steer", "verb", "silence", "park")
+        ):
+            case "release":
+                legs += [drive, Leg(random.uniform(0.1, 1.5), 0.0, angle_deg)]
+            case "hold":
+                legs += [drive, Leg(random.uniform(2.5, 6.0)), Leg(2.0, speed_mps)]
+            case "reverse":
+                sign = -sign
+                legs += [drive, Leg(random.uniform(1.0, 3.0), -speed_mps, angle_deg)]
+            case "steer":
+                legs += [drive, Leg(random.uniform(0.5, 2.0), speed_mps, -angle_deg)]
+            case "verb":
+                legs += [
+                    drive,
+                    Leg(random.uniform(1.0, 3.0), speed_mps, verb=random.choice(("stop", "disengage"))),
+                ]
+            case "silence":
+                legs += [drive, Leg(random.uniform(0.1, 2.5), streams=False)]
+            case _:
+                legs += [drive, Leg(random.uniform(0.0, 1.0)), Leg(random.uniform(0.3, 2.0), verb="park")]
+                legs += [Leg(random.choice((0.1, 1.0)), verb="unpark")]
+    return legs
+
+
+def scenario(seed: int) -> Scenario:
+    """The scenario of a seed."""
+    random = Random(seed)  # noqa: S311 - scenarios keep no secrets
+    kind = random.choices(("undisturbed", "disturbed", "guard", "found"), (30, 50, 15, 5))[0]
+    found = frozenset({random.choice((DRIVE, BODY, WHEELS))} if kind == "found" and random.random() < 0.6 else ())
+    build = Build(
+        fine=random.random() < 0.5,
+        payload_kg=random.choice((0.0, 100.0, random.uniform(0, 100))),
+        stop_mode=random.choice(("brakes", "coasts", "parks")),
+        drive_lag_s=random.choice((0.05, 0.15, 0.4, random.uniform(0.05, 0.4))),
+        steering_lag_s=random.uniform(0.05, 0.2),
+        brake_delay_s=random.choice((0.0, 0.05, 0.15)),
+        pulses_per_m=random.uniform(200, 3000),
+        is_noisy=random.random() < 0.4,
+        missing=found or frozenset({BRAKING, LIGHT, SPEAKER} if random.random() < 0.05 else ()),
+    )
+    is_lossy = random.random() < 0.5
+    speed_limit_mps = random.choice((2.222, 2.222, 1.0, 0.5))
+    names: list[str] = []
+    acts: list[Act] = []
+    if kind == "disturbed":
+        for _ in range(random.randint(1, 3)):
+            name = random.choice(list(DISTURBANCES))
+            at_s = random.uniform(2.0, SCRIPT_S)
+            names.append(name)
+            acts += [msgspec.structs.replace(act, at_s=at_s + act.at_s) for act in DISTURBANCES[name](random)]
+    fails_s = random.uniform(2.5, SCRIPT_S) if kind == "guard" else 0.0
+    if kind in {"guard", "found"}:
+        names.append(kind)
+    return Scenario(
+        seed=seed,
+        build=build,
+        slope_deg=random.choice(
+            (0.0, random.uniform(-20, 20), random.uniform(-20, 20), random.choice((-20.0, 20.0)))
+        ),
+        pedal_gain=random.choice((0.0, 0.0, 0.3, 1.0)),
+        speed_limit_mps=speed_limit_mps,
+        link_s=random.choice((0.0, 0.02, 0.1)),
+        loss=LOSS if is_lossy else 0.0,
+        corruption=CORRUPTION if is_lossy else 0.0,
+        legs=_legs(random, speed_limit_mps),
+        gives_up_s=random.uniform(0.3, 2.0),
+        recovers=random.random() < 0.8,
+        acts=sorted(acts, key=lambda act: act.at_s),
+        disturbances=names,
+        found_mps=random.uniform(0.3, 1.8) if kind == "found" else 0.0,
+        fails_s=fails_s,
+        hangs_s=random.choice((FOREVER_S, random.uniform(0.15, 2.0))) if fails_s else 0.0,
+    )
+
+
+class Play:
+    """A scenario being played."""
+
+    def __init__(self, plan: Scenario, *, keeps: bool, watch: Callable[[Play], None] | None = None) -> None:
+        self._watch = watch
+        random = Random(plan.seed + 1)  # noqa: S311 - scenarios keep no secrets
+        self.plan = plan
+        self.plant = Plant(plan.build, random, plan.slope_deg)
+        self.plant.pedal_gain = plan.pedal_gain
+        if plan.found_mps:
+            self.plant.found_driving(random.choice((GEAR_D, GEAR_R)), plan.found_mps)
+        settings = Settings(
+            command=CommandSettings(speed_limit_mps=plan.speed_limit_mps),
+            chassis=ChassisSettings(variant="fine" if plan.build.fine else "coarse"),
+        )
+        self.oracle = Oracle(
+            plan.speed_limit_mps,
+            fine=plan.build.fine,
+            is_undisturbed=plan.is_undisturbed,
+            lag_s=plan.build.drive_lag_s,
+        )
+        self.gateway = Gateway(settings, random, keeps=keeps)
+        operator = Operator(plan.legs, gives_up_s=plan.gives_up_s, recovers=plan.recovers)
+        bus = Bus(random, plan.loss, plan.corruption)
+        guard = Guard(settings.command) if plan.fails_s else None
+        self.rig = Rig(self.plant, self.gateway, operator, bus, self.oracle, guard)
+        self.rig.link_ns = round(plan.link_s * 1e9)
+        self._acts = list(plan.acts)
+        self._checks = self._expectations()
+
+    def run(self) -> Result:
+        """Play it to its end."""
+        rig, plan = self.rig, self.plan
+        steepest_deg = plan.slope_deg
+        end_s = LIMIT_S
+        while rig.now_s < end_s:
+            self._turn_knobs()
+            rig.tick()
+            if self._watch is not None:
+                self._watch(self)
+            if rig.operator.is_done:
+                end_s = min(end_s, rig.now_s + 5.0)
+                rig.operator.is_done = False
+            if abs(self.plant.slope_deg) > abs(steepest_deg):
+                steepest_deg = self.plant.slope_deg
+        oracle = self.oracle
+        return Result(
+            plan.seed,
+            list(oracle.violations.values()),
+            oracle.stops,
+            oracle.was_driven_m,
+            rig.now_s,
+            steepest_deg,
+            oracle.worst_release_m,
+            oracle.worst_stop_m,
+            plan.disturbances,
+        )
+
+    def _expectations(self) -> list[tuple[float, Callable[[float], None]]]:
+        oracle, plan = self.oracle, self.plan
+        checks: list[tuple[float, Callable[[float], None]]] = []
+        if plan.found_mps:
+            checks = [
+                (1.2, lambda now_s: oracle.expect_frames(now_s, "found_moving_ignored")),
+                (
+                    1.2 + plan.found_mps / 1.2 + 4.0,
+                    lambda now_s: oracle.expect_rest(now_s, "found_moving_no_rest"),
+                ),
+            ]
+            self.rig.operator.wait_until(8.0)
+        if plan.fails_s:
+            checks = [
+                (plan.fails_s, self._fail_gateway),
+                (plan.fails_s + plan.hangs_s, self._revive_gateway),
+            ]
+        return checks
+
+    def _fail_gateway(self, now_s: float) -> None:
+        rig, oracle = self.rig, self.oracle
+        rig.hangs, rig.dead = True, self.plan.hangs_s == FOREVER_S
+        if oracle.is_commanded:
+            speed_mps = abs(self.plant.speed_mps)
+            self._checks.append((now_s + GUARD_S, lambda at_s: oracle.expect_frames(at_s, "guard_late")))
+            rest_s = now_s + speed_mps / 1.2 + 4.0
+            self._checks.append((rest_s, lambda at_s: oracle.expect_rest(at_s, "guard_no_rest")))
+            oracle.gateway_fails(now_s)
+
+    def _revive_gateway(self, now_s: float) -> None:
+        del now_s
+        self.rig.hangs = False
+
+    def _turn_knobs(self) -> None:
+        rig, now_s = self.rig, self.rig.now_s
+        due = [check for check in self._checks if now_s >= check[0]]
+        for check in due:
+            self._checks.remove(check)
+            check[1](now_s)
+        if now_s - rig.bus.excused_ns / 1e9 < 0.1:
+            self.oracle.disturb(now_s, SHOWS_S)
+        while self._acts and now_s >= self._acts[0].at_s:
+            self._turn(self._acts.pop(0), now_s)
+
+    def _turn(self, act: Act, now_s: float) -> None:
+        rig, plant, oracle = self.rig, self.plant, self.oracle
+        if act.shows_s:
+            oracle.disturb(now_s, act.shows_s)
+        match act.knob:
+            case "reboot":
+                plant.reboot(act.value)
+            case "freeze":
+                plant.frozen.add(act.value)
+            case "thaw":
+                plant.frozen.discard(act.value)
+            case "touch":
+                plant.touch(act.value)
+            case "ask":
+                rig.ask(act.value)
+            case "loss":
+                oracle.blind(now_s, max(0.0, act.shows_s - SHOWS_S))
+                rig.bus.loss = act.value or self.plan.loss
+            case knob:
+                setattr(plant, knob, act.value)
+
+
+def run(seed: int, *, runs_again: bool = False, watch: Callable[[Play], None] | None = None) -> Result:
+    """Play the scenario of a seed.
+
+    Args:
+        seed: of the scenario.
+        runs_again: run its journal again too, and compare.
+        watch: called after each tick.
+    """
+    play = Play(scenario(seed), keeps=runs_again, watch=watch)
+    result = play.run()
+    difference = play.gateway.differs_when_run_again() if runs_again else ""
+    if difference:
+        result.violations.append(Violation("run_again_differs", play.rig.now_s, difference))
+    return result

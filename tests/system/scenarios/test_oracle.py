@@ -1,0 +1,331 @@
+"""The oracle finds what it is there to find: each case breaks one rule, and the first does not."""
+
+from collections.abc import Callable
+from functools import partial
+from random import Random
+from typing import Any
+
+import pytest
+
+from tests.system.scenarios.oracle import Oracle
+from tests.system.scenarios.plant import (
+    AUTO,
+    GEAR_D,
+    GEAR_N,
+    GEAR_R,
+    PARKING_CMD,
+    REMOTE,
+    STEERING_CMD,
+    STEP_S,
+    Build,
+    Plant,
+    checksum,
+    orders,
+)
+
+
+class Stage:
+    """An oracle, a plant that it may believe, and whoever commands it."""
+
+    def __init__(self, slope_deg: float = 0.0) -> None:
+        self.oracle = Oracle(1.0, fine=True, is_undisturbed=True, lag_s=0.1)
+        self.plant = Plant(Build(fine=True, drive_lag_s=0.1), Random(1), slope_deg)  # noqa: S311
+        self.now_s = 1.0
+        self.state: dict[str, Any] = {"latched": [], "engaged": True, "stop_reason": "none"}
+        self._counter = 0
+        self.asked_mps = 0.0
+        self.asks = True
+        self.burst(GEAR_D, parking=1)
+        self.run(0.5, lambda: self.burst(GEAR_D, parking=1))
+        self.oracle.reply("engage", {"ok": True, "reason": "none"}, self.now_s)
+
+    def burst(self, gear: int, speed_mps: float = 0.0, *, parking: int = 0, raw_angle: int = 2048) -> None:
+        """The five go out."""
+        frames = orders(gear, speed_mps, fine=True)
+        bodies = {PARKING_CMD: bytes([1, parking, 0]), STEERING_CMD: b"\x01" + raw_angle.to_bytes(2, "little")}
+        sent = []
+        for identifier, data in frames.items():
+            head = bodies.get(identifier, data[:3]) + bytes([0, 0, 0, self._counter << 4])
+            sent.append((identifier, head + bytes([checksum(head)])))
+        self._counter = (self._counter + 1) % 16
+        self.oracle.frames(sent, self.now_s, by_guard=False)
+        for identifier, data in sent:
+            self.plant.receive(identifier, data)
+
+    def run(self, seconds: float, each: Callable[[], None]) -> None:
+        """Time passes, and each tick this is done."""
+        for _ in range(round(seconds * 100)):
+            self.now_s += 0.01
+            for _ in range(round(0.01 / STEP_S)):
+                self.plant.step()
+            self.oracle.motion(self.plant, self.now_s, gateway_lives=True)
+            if self.asks:
+                self.oracle.requests("drive", {"speed_mps": self.asked_mps}, self.now_s)
+            self.oracle.state(self.state, self.now_s)
+            each()
+
+    def slow_down(self, ticks: int) -> None:
+        """The ramp from 0.5 m/s to zero, and on at zero."""
+        for step in range(ticks):
+            told_mps = max(0.0, 0.49 - 0.012 * step)
+            self.run(0.01, partial(self.burst, GEAR_D, told_mps))
+
+    def accelerate(self, to_mps: float = 0.5) -> None:
+        """Drive as the rules want it, from the parking brake on."""
+        self.run(0.2, lambda: self.burst(GEAR_D))
+        self.asked_mps = to_mps
+        speed_mps = 0.0
+        while speed_mps < to_mps:
+            speed_mps = min(to_mps, speed_mps + 0.008)
+            self.run(0.01, partial(self.burst, GEAR_D, speed_mps))
+        self.run(0.5, lambda: self.burst(GEAR_D, to_mps))
+
+
+def as_it_should_be(stage: Stage) -> None:
+    """Up, along and down again, and the parking brake."""
+    stage.accelerate()
+    stage.asked_mps = 0.0
+    stage.slow_down(50)
+    stage.run(1.0, lambda: stage.burst(GEAR_D, parking=1))
+
+
+def neutral_unbraked(stage: Stage) -> None:
+    """Enabled, neutral, and no parking request."""
+    stage.run(0.1, lambda: stage.burst(GEAR_N))
+
+
+def gear_change_unbraked(stage: Stage) -> None:
+    """From drive to reverse without the parking brake."""
+    stage.run(0.1, lambda: stage.burst(GEAR_D))
+    stage.burst(GEAR_R)
+
+
+def speed_against_brake(stage: Stage) -> None:
+    """A speed and the parking request in one burst."""
+    stage.burst(GEAR_D, 0.005, parking=1)
+
+
+def over_limit(stage: Stage) -> None:
+    """A tenth over the limit in force."""
+    stage.accelerate(1.1)
+
+
+def acceleration(stage: Stage) -> None:
+    """From zero to 0.1 m/s in a tick."""
+    stage.asked_mps = 1.0
+    stage.run(0.1, lambda: stage.burst(GEAR_D))
+    stage.run(0.05, lambda: stage.burst(GEAR_D, 0.1))
+
+
+def angle(stage: Stage) -> None:
+    """24.6 deg."""
+    stage.burst(GEAR_D, raw_angle=2048 + 560)
+
+
+def steering_rate(stage: Stage) -> None:
+    """0.9 deg in a tick."""
+    stage.run(0.1, lambda: stage.burst(GEAR_D))
+    stage.run(0.01, lambda: stage.burst(GEAR_D, raw_angle=2048 + 20))
+
+
+def lateral_told(stage: Stage) -> None:
+    """Full speed at 22 deg."""
+    stage.oracle._limit_mps = 3.0
+    stage.burst(GEAR_D, 2.0, raw_angle=2048 + 500)
+
+
+def rises_unasked(stage: Stage) -> None:
+    """Up, although nobody has asked for anything for half a second."""
+    stage.run(0.1, lambda: stage.burst(GEAR_D))
+    stage.asks = False
+    stage.run(0.5, lambda: stage.burst(GEAR_D))
+    stage.run(0.1, lambda: stage.burst(GEAR_D, 0.006))
+
+
+def not_falling(stage: Stage) -> None:
+    """Zero is asked, and the speed stays."""
+    stage.accelerate()
+    stage.asked_mps = 0.0
+    stage.run(0.3, lambda: stage.burst(GEAR_D, 0.5))
+
+
+def deadman(stage: Stage) -> None:
+    """The operator is silent, and the speed stays."""
+    stage.accelerate()
+    stage.asks = False
+    stage.run(0.7, lambda: stage.burst(GEAR_D, 0.5))
+
+
+def remote_stop(stage: Stage) -> None:
+    """A remote stop comes, and the speed stays."""
+    stage.accelerate()
+    stage.oracle.requests("stop", {}, stage.now_s)
+    stage.run(0.3, lambda: stage.burst(GEAR_D, 0.5))
+
+
+def roll_back_at_release(stage: Stage) -> None:
+    """Neutral on a hill."""
+    stage.plant.slope_deg = stage.plant.slope_target_deg = 8
+    stage.run(1.5, lambda: stage.burst(GEAR_N))
+
+
+def rolling_unnoticed(stage: Stage) -> None:
+    """The motor dies on a hill, and zero is told on and on."""
+    stage.run(0.2, lambda: stage.burst(GEAR_D))
+    stage.plant.motor_strength = 0.0
+    stage.plant.slope_deg = stage.plant.slope_target_deg = 8
+    stage.run(0.5, lambda: stage.burst(GEAR_D))
+
+
+def rolling_against(stage: Stage) -> None:
+    """Pushed back while told to go forward."""
+    stage.accelerate()
+    stage.plant.hand = (-0.3, 2000.0)
+    stage.run(1.5, lambda: stage.burst(GEAR_D, 0.5))
+
+
+def pushed(stage: Stage) -> None:
+    """Pushed at walking pace at zero command."""
+    stage.run(0.2, lambda: stage.burst(GEAR_D))
+    stage.plant.hand = (0.25, 2000.0)
+    stage.run(1.0, lambda: stage.burst(GEAR_D))
+
+
+def steering_unnoticed(stage: Stage) -> None:
+    """The steering stays while the told angle goes."""
+    stage.plant.stuck = True
+    for step in range(100):
+        stage.run(0.01, partial(stage.burst, GEAR_D, raw_angle=2048 + min(300, 10 * step)))
+
+
+def overspeed_unnoticed(stage: Stage) -> None:
+    """The chassis drives faster than it is told."""
+    stage.plant.speed_gain = 1.6
+    stage.accelerate(1.0)
+    stage.run(0.5, lambda: stage.burst(GEAR_D, 1.0))
+
+
+def frozen_body_unnoticed(stage: Stage) -> None:
+    """The body frame says the same for 3 m."""
+    stage.accelerate()
+    stage.plant.frozen.add(0x18C4D9EF)
+    stage.run(7.0, lambda: stage.burst(GEAR_D, 0.5))
+
+
+def bumper_unnoticed(stage: Stage) -> None:
+    """On into the wall."""
+    stage.accelerate()
+    stage.plant.touch("front")
+    stage.run(1.0, lambda: stage.burst(GEAR_D, 0.5))
+
+
+def talks_to_remote(stage: Stage) -> None:
+    """Commands while the remote control drives."""
+    stage.plant.sticks = (0.5, 0.0)
+    stage.run(0.3, lambda: stage.burst(GEAR_D))
+
+
+def stop_lies(stage: Stage) -> None:
+    """A stop is ok, although the remote control has the robot."""
+    stage.plant.sticks = (0.5, 0.0)
+    stage.run(0.4, lambda: None)
+    assert stage.plant.mode == REMOTE
+    stage.oracle.reply("stop", {"ok": True, "reason": "none", "detail": ""}, stage.now_s)
+    stage.oracle.requests("stop", {}, stage.now_s)
+    stage.run(0.3, lambda: None)
+    stage.oracle.reply("stop", {"ok": True, "reason": "none", "detail": ""}, stage.now_s)
+
+
+def silence_unbraked(stage: Stage) -> None:
+    """Enabled, not parked, and then nothing more."""
+    stage.run(0.2, lambda: stage.burst(GEAR_D))
+    assert stage.plant.mode == AUTO
+    stage.run(0.01, lambda: stage.oracle.frames([], stage.now_s, by_guard=False))
+
+
+def no_auto_hold(stage: Stage) -> None:
+    """Standing for two seconds on the motor alone."""
+    stage.run(2.0, lambda: stage.burst(GEAR_D))
+
+
+def stop_unfinished(stage: Stage) -> None:
+    """A ramp to zero that ends without the parking brake."""
+    stage.accelerate()
+    stage.oracle.requests("disengage", {}, stage.now_s)
+    stage.state = {**stage.state, "engaged": False}
+    stage.slow_down(300)
+
+
+def false_stop(stage: Stage) -> None:
+    """A stop that nobody asked for and nothing has caused."""
+    stage.accelerate()
+    stage.state = {**stage.state, "engaged": False, "stop_reason": "implausible_speed"}
+    stage.run(0.02, lambda: stage.burst(GEAR_D, 0.49))
+
+
+def malformed_frame(stage: Stage) -> None:
+    """A counter that jumps."""
+    stage.run(0.1, lambda: stage.burst(GEAR_D))
+    stage._counter = (stage._counter + 3) % 16
+    stage.burst(GEAR_D)
+
+
+def given_back_fast(stage: Stage) -> None:
+    """A first burst with a speed that nobody sees."""
+    stage.run(0.2, lambda: stage.burst(GEAR_D, parking=1))
+    stage.run(0.5, lambda: stage.oracle.frames([], stage.now_s, by_guard=False))
+    stage.burst(GEAR_D, 0.5)
+
+
+def does_not_move(stage: Stage) -> None:
+    """Parked on, whatever is asked."""
+    stage.asked_mps = 0.5
+    stage.run(4.0, lambda: stage.burst(GEAR_D, parking=1))
+
+
+BREAKS: dict[Callable[[Stage], None], str] = {
+    neutral_unbraked: "neutral_unbraked",
+    gear_change_unbraked: "gear_change_unbraked",
+    speed_against_brake: "speed_against_brake",
+    over_limit: "over_limit",
+    acceleration: "acceleration",
+    angle: "angle",
+    steering_rate: "steering_rate",
+    lateral_told: "lateral_told",
+    rises_unasked: "rises_unasked",
+    not_falling: "not_falling",
+    deadman: "not_falling",
+    remote_stop: "not_falling",
+    roll_back_at_release: "roll_back_at_release",
+    rolling_unnoticed: "rolling_unnoticed",
+    rolling_against: "rolling_against",
+    pushed: "rolling_unnoticed",
+    steering_unnoticed: "steering_unnoticed",
+    overspeed_unnoticed: "overspeed_unnoticed",
+    frozen_body_unnoticed: "frozen_body_unnoticed",
+    bumper_unnoticed: "bumper_unnoticed",
+    talks_to_remote: "talks_to_remote",
+    stop_lies: "stop_lies",
+    silence_unbraked: "silence_unbraked",
+    no_auto_hold: "no_auto_hold",
+    stop_unfinished: "stop_unfinished",
+    false_stop: "false_stop",
+    malformed_frame: "malformed_frame",
+    given_back_fast: "given_back_fast",
+    does_not_move: "does_not_move",
+}
+
+
+def test_a_drive_by_the_rules_breaks_none() -> None:
+    """Nothing is found where nothing is wrong."""
+    stage = Stage()
+    as_it_should_be(stage)
+    assert stage.oracle.violations == {}
+
+
+@pytest.mark.parametrize(("breaks", "kind"), BREAKS.items(), ids=lambda case: getattr(case, "__name__", ""))
+def test_each_broken_rule_is_found(breaks: Callable[[Stage], None], kind: str) -> None:
+    """What breaks a rule is found under that rule's name."""
+    stage = Stage()
+    breaks(stage)
+    assert kind in stage.oracle.violations, stage.oracle.violations
