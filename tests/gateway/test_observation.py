@@ -16,11 +16,14 @@ from gateway.core import Core
 from gateway.observation import BODY, DRIVE, Observer
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import Links
-from schemas.messages import ControllerState, GearPosition, Mode, Variant
+from schemas.messages import ControllerState, GearPosition, Mode, ParkingStatus, Variant
 from schemas.settings import CHECKSUM_FAULTS, VARIANT_EVIDENCE_FRAMES, ChassisSettings, Settings
 from tests.gateway.frames import CHALLENGE, MS, STANDING, Feedback
 
 UP = Links(bus_up=True, bus_losses=2, guarded=True)
+PULSES = "Auto_WheelPulseFeedback"
+REQUIRED = ChassisSettings().required_feedback
+RESERVED = sorted(set(STANDING) - set(REQUIRED))
 PATIENCE_MS = {
     name: silence_ns(load(Variant.COARSE).messages[name].period_ns) // MS for name in (WHEEL_SPEED, BODY)
 }
@@ -29,14 +32,14 @@ PATIENCE_MS = {
 class Eye:
     """An observer with its streams and detector, and frames to show them."""
 
-    def __init__(self, variant: Variant = Variant.COARSE) -> None:
+    def __init__(self, variant: Variant = Variant.COARSE, required: list[str] = REQUIRED) -> None:
         faults: Counter[object] = Counter()
         self.streams = {
             layout.name: FeedbackStream(compile_message(layout), faults)  # type: ignore[arg-type]
             for layout in load(variant).feedback
         }
         self.detector = VariantDetector(variant)
-        self.observer = Observer(self.streams.values(), self.detector)
+        self.observer = Observer(self.streams.values(), self.detector, required)
         self.feedback = Feedback(variant)
         self.links = UP
         self.controller = ControllerState.ACTIVE
@@ -67,6 +70,7 @@ STANDS = Observed(
     variant=Variant.COARSE,
     mode=Mode.STOP,
     gear=GearPosition.PARK,
+    brake=ParkingStatus.APPLIED,
     speed_mps=0.0,
     wheel_speed_mps=0.0,
     fastest_wheel_mps=0.0,
@@ -109,7 +113,7 @@ def test_a_standing_chassis_is_seen_whole() -> None:
         (BODY, {"RearBumper": True}, {"rear_bumper": True}),
         (BODY, {"TotalMileage": 7.0}, {"total_mileage_km": 7.0}),
         ("Auto_BrakingFeedBack", {"BrakingStatus": "braking"}, {}),
-        ("Auto_ParkingFeedBack", {"ParkingStatus": "released"}, {}),
+        ("Auto_ParkingFeedBack", {"ParkingStatus": "released"}, {"brake": ParkingStatus.RELEASED}),
         ("Auto_WheelPulseFeedback", {"RearLeftPulses": 7}, {}),
         ("Auto_LightFeedback", {"Headlamp": True}, {}),
         ("Auto_SpeakerFeedback", {"Horn": True}, {}),
@@ -140,7 +144,20 @@ def test_bus_and_guard_are_as_the_loop_sees_them(links: Links, changed: dict[str
     assert rounded(eye.look()) == rounded(STANDS) | changed
 
 
-@pytest.mark.parametrize("name", STANDING)
+@pytest.mark.parametrize("name", RESERVED)
+@pytest.mark.parametrize("required", [True, False])
+def test_what_is_missed_is_a_setting(name: str, *, required: bool) -> None:
+    """Row 'engage: every feedback that chassis.required_feedback names': silence, checksums and values of it."""
+    eye = Eye(required=[*REQUIRED, name] if required else REQUIRED)
+    eye.show_all(but=(name,))
+    assert (eye.look().missing == (name,)) is required
+    for number in range(CHECKSUM_FAULTS):
+        good = eye.feedback.frame(name)
+        eye.streams[name].receive(Frame(good.can_id, good.data[:7] + bytes([good.data[7] ^ 1])), number * MS)
+    assert (eye.look(CHECKSUM_FAULTS).faulty == (name,)) is required
+
+
+@pytest.mark.parametrize("name", REQUIRED)
 def test_a_frame_that_never_came_is_missing(name: str) -> None:
     """That one, and no other; what it would tell is not known."""
     eye = Eye()
@@ -149,7 +166,7 @@ def test_a_frame_that_never_came_is_missing(name: str) -> None:
     assert not eye.look().faulty
 
 
-@pytest.mark.parametrize("name", STANDING)
+@pytest.mark.parametrize("name", REQUIRED)
 def test_a_frame_that_falls_silent_is_missing(name: str) -> None:
     """After its ten periods, not before; what it told is not known any more."""
     eye = Eye()
@@ -165,6 +182,7 @@ def test_a_frame_that_falls_silent_is_missing(name: str) -> None:
         "Auto_SteeringFeedBack": seen.angle_deg is None,
         DRIVE: seen.speed_mps is None and seen.turns is None,
         WHEEL_SPEED: seen.wheel_speed_mps is None,
+        "Auto_ParkingFeedBack": seen.brake is ParkingStatus.UNDEFINED,
         BODY: (seen.mode, seen.front_bumper, seen.rear_bumper) == (Mode.UNDEFINED, None, None),
     }
     assert unknown.get(name, True)
@@ -197,6 +215,56 @@ def test_a_frame_that_was_never_valid_is_missing(name: str) -> None:
     assert eye.look(5000).missing == (name,)
 
 
+def counted(*pulses: tuple[int, int], valid: bool = True) -> int:
+    """The direction that is seen after these counts of the left and the right wheel, a frame each."""
+    eye = Eye()
+    eye.show_all()
+    seen = eye.look()
+    for number, (left, right) in enumerate(pulses):
+        eye.show(PULSES, {"RearLeftPulses": left, "RearRightPulses": right, "Valid": valid}, 50 * number)
+        seen = eye.look(50 * number)
+    return seen.pulses
+
+
+@pytest.mark.parametrize(
+    ("pulses", "direction"),
+    [
+        ([(0, 0)] * 9, 0),
+        ([(1, 1), (2, 2), (3, 3)], 0),
+        ([(1, 1), (2, 2), (3, 3), (4, 4)], 1),
+        ([(-1, -1), (-2, -2), (-3, -3), (-4, -4)], -1),
+        ([(1, 0), (2, 0), (3, 0), (4, 0)], 1),
+        ([(5, -5), (10, -10), (15, -15), (20, -20)], 0),
+        ([(1, 1), (0, 0)] * 9, 0),
+        ([(1, 1), (2, 2), (3, 3), (3, 3), (4, 4), (5, 5), (6, 6)], 0),
+        ([(1, 1), (2, 2), (3, 3), (4, 4), (4, 4)], 0),
+        ([(1, 1), (2, 2), (3, 3), (4, 4), (3, 3)], 0),
+        ([(20_000, 20_000), (32_767, 32_767), (-20_000, -20_000), (-1, -1)], 1),
+        ([(-20_000, -20_000), (-32_768, -32_768), (20_000, 20_000), (1, 1)], -1),
+    ],
+)
+def test_pulses_tell_a_direction_when_four_frames_in_a_row_count_that_way(
+    pulses: list[tuple[int, int]], direction: int
+) -> None:
+    """Row 'rolling: wheels or pulses, whichever shows': both wheels, across the wrap; noise is none."""
+    assert counted(*pulses) == direction
+
+
+def test_pulses_that_are_not_valid_or_not_there_tell_no_direction() -> None:
+    """And what was counted before does not go on afterwards."""
+    moving = [(number, number) for number in range(1, 9)]
+    assert counted(*moving, valid=False) == 0
+    eye = Eye()
+    eye.show_all()
+    for number in range(8):
+        eye.show(PULSES, {"RearLeftPulses": number, "RearRightPulses": number}, 50 * number)
+        eye.look(50 * number)
+    assert eye.look(350).pulses == 1
+    assert eye.look(1_500).pulses == 0
+    eye.show(PULSES, {"RearLeftPulses": 9, "RearRightPulses": 9}, 1_510)
+    assert eye.look(1_510).pulses == 0
+
+
 def test_wheels_that_are_not_valid_have_no_speed() -> None:
     """What they say meanwhile is not believed, be it that the robot stands."""
     eye = Eye()
@@ -216,7 +284,7 @@ def test_a_body_that_is_not_valid_can_only_hit() -> None:
     assert (seen.front_bumper, seen.rear_bumper, seen.total_mileage_km) == (True, None, None)
 
 
-@pytest.mark.parametrize("name", STANDING)
+@pytest.mark.parametrize("name", REQUIRED)
 def test_a_frame_whose_checksums_fail_is_faulty(name: str) -> None:
     """Three within a second, of that frame alone."""
     eye = Eye()

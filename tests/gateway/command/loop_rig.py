@@ -244,6 +244,9 @@ class LoopRig:
         enables = {signals[name]["Enable"] for name in MOTION_FRAMES}
         assert len(enables) == 1, "all five enables or none"
         assert gear in {"reverse", "neutral", "drive"}
+        parking = bool(signals["Auto_ParkingCmd"]["ParkingRequest"])
+        assert parking or gear != "neutral", "neutral only behind the parking request"
+        assert enables == {True} or (gear == "neutral" and not speed_mps), "disabled it is told nothing else"
         limits = arbiter.limits if arbiter.state in {ArbiterState.ENGAGED, ArbiterState.ENGAGING} else None
         lateral_mps2 = speed_mps**2 * tan(radians(abs(angle_deg))) / 0.660
         assert lateral_mps2 <= self.settings.command.lateral_acceleration_mps2 + 0.02
@@ -256,7 +259,7 @@ class LoopRig:
         if speed_mps:
             assert enables == {True}
             assert gear != "neutral"
-            assert not signals["Auto_ParkingCmd"]["ParkingRequest"]
+            assert not parking
             if arbiter.state is ArbiterState.ENGAGED:
                 lease = arbiter.desk.lease
                 assert lease is not None, "motion without a lease"
@@ -276,10 +279,14 @@ class LoopRig:
             before["Auto_SteeringCmd"]["TargetAngle"]
         )
         assert abs(step_deg) <= command.steering_rate_degps * 0.01 + 0.06
-        gears = {signals["Auto_GearCmd"]["TargetGear"], before["Auto_GearCmd"]["TargetGear"]}
-        if len(gears) > 1:
-            assert "neutral" in gears
-            assert not before["Auto_DriveCmd"]["TargetVelocity"]
+        was_parking, parking = (bool(one["Auto_ParkingCmd"]["ParkingRequest"]) for one in (before, signals))
+        if signals["Auto_GearCmd"]["TargetGear"] != before["Auto_GearCmd"]["TargetGear"]:
+            assert "neutral" in {signals["Auto_GearCmd"]["TargetGear"], before["Auto_GearCmd"]["TargetGear"]}
+            assert was_parking, "a gear is changed behind the parking request only"
+            assert parking
+        if was_parking and not parking:
+            assert self.core.command.arbiter.state is ArbiterState.ENGAGED  # type: ignore[union-attr]
+            assert not signals["Auto_DriveCmd"]["TargetVelocity"]
 
 
 class Operator:

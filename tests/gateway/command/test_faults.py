@@ -18,11 +18,13 @@ from gateway.telemetry.health import Links
 from schemas.decisions import ArbiterState, Bound, EventKind, StopPhase
 from schemas.messages import Mode, Variant
 from schemas.reasons import TEXTS, Reason
+from schemas.settings import ChassisSettings
 from tests.gateway.chassis.strategies import VARIANTS, with_checksum
 from tests.gateway.command.loop_rig import GUARDED, MS, LoopRig, Operator, driving, ready
 from tests.gateway.frames import STANDING, Feedback
 
 YEAR_NS = 365 * 24 * 3600 * 10**9
+REQUIRED = ChassisSettings().required_feedback
 FAST = ("Auto_GearFeedBack", "Auto_SteeringFeedBack", "Auto_DriveFeedBack")
 CAN_IDS = {message.name: message.can_id for message in load(Variant.COARSE).feedback}
 NAMES = {can_id: name for name, can_id in CAN_IDS.items()}
@@ -54,23 +56,21 @@ def assert_stops(rig: LoopRig, reason: Reason, within_s: float = 0.4) -> None:
 
 
 def assert_stop_order(rig: LoopRig, begun_ns: int) -> None:
-    """Zero speed, brake, neutral, parking brake, disabled: in this order, and nothing is ever taken back."""
+    """Zero speed in gear, parking brake, neutral, disabled: in this order, and nothing is ever taken back."""
     reached = 0
     for at_ns, burst in rig.bursts:
         if at_ns < begun_ns:
             continue
-        pedal, parked = burst["Auto_BrakingCmd"]["BrakePedal"], burst["Auto_ParkingCmd"]["ParkingRequest"]
         marks = (
             not burst["Auto_DriveCmd"]["TargetVelocity"],
-            bool(pedal) or not burst["Auto_DriveCmd"]["Enable"],
+            bool(burst["Auto_ParkingCmd"]["ParkingRequest"]),
             burst["Auto_GearCmd"]["TargetGear"] == "neutral",
-            bool(parked),
             not burst["Auto_ParkingCmd"]["Enable"],
         )
         done = marks.index(False) if False in marks else len(marks)
         assert done >= reached, (at_ns, burst)
         reached = done
-    assert reached == 5
+    assert reached == len(marks)
 
 
 # The bytes.
@@ -140,7 +140,7 @@ def test_two_flipped_bits_never_clear_a_latch(name: str) -> None:
     assert all(not burst["Auto_DriveCmd"]["TargetVelocity"] for _, burst in rig.bursts)
 
 
-@pytest.mark.parametrize("name", STANDING)
+@pytest.mark.parametrize("name", REQUIRED)
 @pytest.mark.parametrize("wrong", ["zeros", "reversed"])
 def test_frames_of_zeros_or_with_swapped_bytes_stop_the_robot(name: str, wrong: str) -> None:
     """Both pass the checksum: the counter and the plausibility of the values find them."""
@@ -184,6 +184,22 @@ def test_frames_of_a_wrong_length_are_silence(length: int) -> None:
 
 
 @pytest.mark.parametrize("name", STANDING)
+def test_what_is_engaged_without_each_message(name: str) -> None:
+    """Row 'engage: every feedback that chassis.required_feedback names': not what the manual calls reserved."""
+    rig = LoopRig()
+    rig.fault(f"silence {name}")
+    rig.run(1)
+    operator = Operator(rig)
+    operator.take_lease()
+    handle = operator.ask("engage")
+    rig.run(0.5)
+    assert rig.replies[handle].ok is (name not in REQUIRED), rig.replies[handle]
+    if name in REQUIRED:
+        assert rig.replies[handle].reason is Reason.FEEDBACK_MISSING
+        assert name in rig.replies[handle].detail
+
+
+@pytest.mark.parametrize("name", REQUIRED)
 def test_silence_of_each_message_stops_the_robot(name: str) -> None:
     """Row 'feedback silence, per frame, over 10 periods (at least 100 ms): stop'."""
     rig, operator = driving()
@@ -198,7 +214,17 @@ def test_silence_of_each_message_stops_the_robot(name: str) -> None:
     assert rig.says.state is ArbiterState.STANDBY
 
 
-@pytest.mark.parametrize("name", STANDING)
+@pytest.mark.parametrize("name", sorted(set(STANDING) - set(REQUIRED)))
+@pytest.mark.parametrize("fault", ["silence", "checksum", "stuck"])
+def test_what_is_not_required_does_not_stop_the_robot(name: str, fault: str) -> None:
+    """Row 'engage: all but those the manual calls reserved, lamps and horn'."""
+    rig, operator = driving()
+    rig.fault(f"{fault} {name}")
+    operator.drive(1.0, seconds=2)
+    assert rig.says.engaged
+
+
+@pytest.mark.parametrize("name", REQUIRED)
 def test_checksum_faults_stop_the_robot(name: str) -> None:
     """Row 'checksum faults: 3 in 1 s on one identifier: stop'; two are borne."""
     rig, operator = driving()
@@ -386,20 +412,35 @@ def test_a_bus_that_was_lost_and_returns_finds_the_robot_stopped(seconds: float)
 
 
 @pytest.mark.parametrize("name", MOTION_FRAMES)
-def test_each_cleared_enable_ends_the_output_at_once(name: str) -> None:
-    """Row 'mode leaves auto: output ceases at once, no automatic return'."""
+def test_each_cleared_enable_at_speed_is_answered_with_the_parking_brake(name: str) -> None:
+    """Rows 'mode leaves auto: no automatic return' and 'a robot in mode stop that is seen to move is told'."""
     rig, operator = driving()
     rig.chassis_hears = False
     rig.chassis.receive(Frame(load(Variant.COARSE).messages[name].can_id, bytes(8)), rig.now_ns)
     operator.drive(1.0, seconds=0.06)
-    assert rig.says.state is ArbiterState.STANDBY
     assert rig.says.stop_reason is Reason.MODE_NOT_AUTO
-    sent = len(rig.out)
+    assert (rig.told_mps, rig.told["Auto_ParkingCmd"]["ParkingRequest"]) == (0.0, True)
     rig.chassis_hears = True
-    operator.drive(1.0, seconds=3)
-    assert len(rig.out) == sent
+    operator.drive(1.0, seconds=4)
+    assert rig.says.state is ArbiterState.STANDBY
     assert rig.ruled() is Reason.NOT_ENGAGED
     assert rig.speed_mps == 0
+
+
+@pytest.mark.parametrize("name", MOTION_FRAMES)
+def test_each_cleared_enable_at_rest_ends_the_output_at_once(name: str) -> None:
+    """Row 'mode leaves auto: output ceases at once, no automatic return'."""
+    rig, operator = ready()
+    operator.engage()
+    rig.chassis_hears = False
+    rig.chassis.receive(Frame(load(Variant.COARSE).messages[name].can_id, bytes(8)), rig.now_ns)
+    operator.drive(1.0, seconds=0.06)
+    assert rig.event_reasons(EventKind.TAKEOVER) == [Reason.MODE_NOT_AUTO]
+    sent = len(rig.out)
+    rig.chassis_hears = True
+    operator.drive(1.0, seconds=2)
+    assert len(rig.out) == sent
+    assert rig.ruled() is Reason.NOT_ENGAGED
 
 
 def test_a_chassis_that_reads_auto_again_is_not_left_to_its_old_command() -> None:
@@ -416,7 +457,9 @@ def test_a_chassis_that_reads_auto_again_is_not_left_to_its_old_command() -> Non
     rig.corrupt = corrupt
     operator.drive(1.5, seconds=0.06)
     assert rig.says.state is ArbiterState.STOPPING
-    assert rig.says.stop_reason is Reason.FOUND_MOVING
+    assert rig.says.stop_reason is Reason.MODE_NOT_AUTO
+    rig.run(6)
+    assert rig.speed_mps == 0
 
 
 def test_a_takeover_that_is_followed_by_silence_is_not_believed() -> None:
@@ -449,6 +492,27 @@ def test_the_hand_transmitter_takes_over() -> None:
     operator.drive(1.0, seconds=2)
     assert len(rig.out) == sent
     assert operator.reason("engage") is Reason.HAND_TRANSMITTER
+
+
+@pytest.mark.parametrize(
+    ("disturb", "reason"), [("remote", Reason.HAND_TRANSMITTER), ("bus", Reason.BUS_DOWN), ("none", Reason.NONE)]
+)
+def test_a_stop_that_cannot_be_carried_out_says_so(disturb: str, reason: Reason) -> None:
+    """Row 'a stop that cannot be carried out: the reply says so with reason and what the robot does now'."""
+    rig, operator = driving(1.0)
+    if disturb == "remote":
+        rig.fault("transmitter remote")
+        rig.fault("sticks 0.8 0")
+        rig.run(1)
+    elif disturb == "bus":
+        rig.links = Links(bus_up=False, guarded=True, bus_losses=1)
+    handle = operator.ask("stop")
+    rig.tick()
+    reply = rig.replies[handle]
+    assert (reply.ok, reply.reason) == (reason is Reason.NONE, reason)
+    assert ("not seen to stand" if disturb == "bus" else "the robot moves at") in reply.detail
+    assert ("not carried out" in reply.detail) is not reply.ok
+    assert rig.says.latched == [Reason.REMOTE_STOP]
 
 
 def test_a_robot_that_the_hand_transmitter_gives_back_does_not_move() -> None:
@@ -485,6 +549,69 @@ def test_a_bumper_stops_the_robot_and_latches(side: str, speed_mps: float) -> No
     rig.tick(40)
     assert operator.reason("reset") is Reason.NONE
     assert rig.says.latched == []
+
+
+@pytest.mark.parametrize("chatter_ms", [20, 40, 80])
+def test_a_bumper_that_bounces_while_the_robot_backs_off_latches_nothing_new(chatter_ms: int) -> None:
+    """Row 'bumper: contact bounce of an acknowledged bumper latches nothing new', and a later hit does."""
+    rig, operator = ready()
+    rig.fault("bumper front on")
+    rig.run(1)
+    operator.take_lease()
+    assert operator.reason("reset") is Reason.NONE
+    operator.engage()
+    body, bumper_bit = CAN_IDS["Auto_MileageAndBodyFeedback"], 32
+
+    def bounce(frame: Frame) -> Frame:
+        if frame.can_id != body or rig.now_ns // MS // chatter_ms % 2:
+            return frame
+        return Frame(frame.can_id, with_checksum(flipped(frame.data, bumper_bit)))
+
+    rig.corrupt = bounce
+    operator.drive(-0.3, seconds=2)
+    assert (rig.says.latched, rig.says.engaged) == ([], True)
+    assert rig.speed_mps < -0.2
+    rig.corrupt = lambda frame: frame
+    rig.fault("bumper front off")
+    operator.drive(-0.3, seconds=0.4)
+    assert rig.says.latched == []
+    rig.fault("bumper front on for 50ms")
+    operator.drive(-0.3, seconds=0.1)
+    assert rig.says.latched == [Reason.FRONT_BUMPER]
+
+
+def test_a_body_frame_that_is_frozen_hides_a_bumper_for_four_metres_at_most() -> None:
+    """Its counter runs and its checksum fits: the wheels contradict its mileage."""
+    rig, operator = driving(1.0)
+    body, frozen = CAN_IDS["Auto_MileageAndBodyFeedback"], list[bytes]()
+
+    def freeze(frame: Frame) -> Frame:
+        if frame.can_id != body:
+            return frame
+        frozen.append(frame.data[:6])
+        return Frame(frame.can_id, with_checksum(frozen[0] + frame.data[6:]))
+
+    rig.corrupt = freeze
+    operator.drive(1.0, seconds=0.1)
+    rig.fault("bumper front on")
+    begun_m = rig.chassis.state.mileage_m
+    operator.drive(1.0, seconds=6)
+    assert rig.says.latched == [Reason.FEEDBACK_FROZEN]
+    assert rig.chassis.state.mileage_m - begun_m < 4
+
+
+def test_a_robot_that_stands_is_held_by_its_parking_brake_and_goes_on_by_a_drive_command() -> None:
+    """Row 'standing': in gear at zero speed, parking brake after 1 s; unpark once allows the next."""
+    rig, operator = driving(0.5)
+    operator.drive(0.0, seconds=1.2)
+    assert rig.speed_mps == pytest.approx(0.0, abs=0.01)
+    assert rig.told["Auto_GearCmd"]["TargetGear"] == "drive"
+    assert not rig.told["Auto_ParkingCmd"]["ParkingRequest"]
+    operator.drive(0.0, seconds=1)
+    assert rig.told["Auto_GearCmd"]["TargetGear"] == "drive"
+    assert rig.told["Auto_ParkingCmd"]["ParkingRequest"]
+    operator.drive(-0.5, seconds=2)
+    assert rig.speed_mps == pytest.approx(-0.5, abs=0.05)
 
 
 def test_a_bumper_that_is_pressed_at_the_start_latches() -> None:
@@ -590,7 +717,11 @@ def test_a_chassis_of_the_other_scale_is_found_and_told(variant: Variant) -> Non
     rig.fault("scale wrong")
     operator.drive(1.0, seconds=2)
     assert Reason.IMPLAUSIBLE_SPEED in rig.says.latched
-    [text] = [event.text for event in rig.events if event.kind is EventKind.LATCH]
+    [text] = [
+        event.text
+        for event in rig.events
+        if (event.kind, event.reason) == (EventKind.LATCH, Reason.IMPLAUSIBLE_SPEED)
+    ]
     other = "coarse" if variant is Variant.FINE else "fine"
     assert f"the {other} scale of the drive frames would fit" in text
     rig.run(6)
@@ -646,6 +777,20 @@ def test_a_robot_found_moving_is_stopped() -> None:
     found.run(6)
     assert found.speed_mps == 0
     assert found.says.state is ArbiterState.STANDBY
+
+
+@pytest.mark.parametrize("missing", ["Auto_DriveFeedBack", "Auto_WheelSpdFeedback", "Auto_MileageAndBodyFeedback"])
+@pytest.mark.parametrize("speed_mps", [1.0, -1.0])
+def test_a_robot_found_moving_is_stopped_whatever_frame_is_missing(missing: str, speed_mps: float) -> None:
+    """Row 'found at start: moving by drive, wheels or pulses': also with no mode at hand."""
+    rig, _ = driving(speed_mps)
+    found = LoopRig(now_ns=rig.now_ns)
+    found.chassis = rig.chassis
+    found.fault(f"silence {missing}")
+    found.run(1)
+    assert found.event_reasons(EventKind.STOP)[:1] == [Reason.FOUND_MOVING]
+    found.run(8)
+    assert found.speed_mps == 0
 
 
 def test_a_robot_that_another_computer_drives_is_left_alone() -> None:
