@@ -18,6 +18,7 @@ from gateway.command.freshness import ChallengeLog
 from gateway.command.handover import Handover, may_obey
 from gateway.command.lease import LeaseDesk
 from gateway.command.limits import Limits
+from gateway.command.link_age import LinkAge
 from gateway.command.motion import Motion, Surroundings, Target
 from gateway.command.notices import Notices
 from gateway.command.observed import Observed
@@ -26,7 +27,7 @@ from gateway.command.request import Answer, Judged, RawRequest, Ruling
 from gateway.command.seen import seen_actuation, seen_angle_deg
 from gateway.command.states import TRANSITIONS, Trigger
 from gateway.command.stop import StopSequence
-from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity, StopPhase
+from schemas.decisions import COMMANDING, ArbiterState, Bound, EventKind, Severity, StopPhase
 from schemas.messages import Mode, Variant
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import ENGAGE_TIMEOUT_NS, TICK_NS, TOLD_LONG_AGO_NS, Settings
@@ -44,6 +45,7 @@ class Arbiter:
         desk: the lease.
         watch: the chassis as it is seen.
         challenges: when each challenge was published.
+        link: the age of the holder's commands, the deadman, and the speed that they allow.
         tick_number: rises with each tick, from a number that differs with each run.
         limits: those in force.
         motion: what the chassis is being told while engaged.
@@ -51,7 +53,7 @@ class Arbiter:
         parked: the parking brake is asked for.
         latched: what must be reset, with its detail.
         latched_ns: when the newest of it was latched.
-        stop_reason: why the last stop was begun.
+        stop_reason, stop_detail: why the last stop was begun, and its figures.
         variant: the one in which the chassis is told speeds; UNKNOWN as soon as there was any doubt, until it is
             engaged again.
         actuation: what the chassis was last told; None while it is told nothing.
@@ -73,6 +75,7 @@ class Arbiter:
         self.desk = LeaseDesk(round(self.settings.lease_s * _NS_PER_S), random)
         self.watch = Watch()
         self.challenges = ChallengeLog()
+        self.link = LinkAge(self.settings)
         self.auxiliary = Auxiliary()
         self.state = ArbiterState.STANDBY
         self.configured_limits = self.limits = Limits.of(self.settings)
@@ -81,6 +84,7 @@ class Arbiter:
         self.parked = True
         self.latched: dict[Reason, str] = {}
         self.stop_reason = Reason.NONE
+        self.stop_detail = ""
         self.variant = Variant.UNKNOWN
         self.actuation: Actuation | None = None
         self.last_sequence = -1
@@ -172,7 +176,7 @@ class Arbiter:
             self._begin_telling(self.watch.observed.wheel_speed_mps or 0.0)
         self._sequence = StopSequence(last, deceleration_mps2, self.settings.brake_pedal_percent, now_ns)
         self.auxiliary.end(now_ns)
-        self.stop_reason = reason
+        self.stop_reason, self.stop_detail = reason, detail
         self._go(Trigger.STOP)
         self._fail_waiting(reason, detail)
         severity = Severity.WARNING if stop.at_once else Severity.INFO
@@ -251,7 +255,7 @@ class Arbiter:
         self.handover.leave(told, reason, observed, now_ns)
         # From here on what is seen counts, not what we told.
         self.actuation = None
-        self.stop_reason = reason
+        self.stop_reason, self.stop_detail = reason, ""
         self._sequence = None
         self._fail_waiting(reason, "")
         kind = EventKind.GUARD if reason is Reason.GUARD else EventKind.TAKEOVER
@@ -285,9 +289,9 @@ class Arbiter:
             self.begin_stop(Reason.UNGUARDED, now_ns)
         if self.state is ArbiterState.ENGAGING and now_ns >= self._engage_until_ns:
             self.begin_stop(Reason.NOT_CONFIRMED, now_ns, "the mode does not read auto")
-        if self.state is ArbiterState.ENGAGED and now_ns - self.fresh_ns > self.settings.deadman_s * _NS_PER_S:
-            silent_ms = (now_ns - self.fresh_ns) / 1e6
-            self.begin_stop(Reason.DEADMAN, now_ns, f"none for {silent_ms:.0f} ms")
+        silent_ns = now_ns - self.fresh_ns
+        if self.state is ArbiterState.ENGAGED and silent_ns > self.link.deadman_ns:
+            self.begin_stop(Reason.DEADMAN, now_ns, self.link.silence(silent_ns))
 
     def _look_for_strays(self, now_ns: int) -> None:
         """Standing by: does the chassis obey a command that nobody gives any more?"""
@@ -323,7 +327,11 @@ class Arbiter:
             backward=Reason.REAR_BUMPER not in pressed,
         )
         target = self.target if self.state is ArbiterState.ENGAGED else Target(0.0, self.motion.angle_deg)
-        return self.motion.tick(target, self.limits, surroundings, _TICK_S)
+        bounded = self.link.bounded(target, self.limits.speed_mps, now_ns)
+        actuation = self.motion.tick(bounded, self.limits, surroundings, _TICK_S)
+        if bounded is not target:
+            self.motion.bounds.append(Bound.TRAVEL_DELAY)
+        return actuation
 
     def _confirm(self, now_ns: int) -> None:
         self._go(Trigger.CONFIRMED)
