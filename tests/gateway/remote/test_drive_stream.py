@@ -90,7 +90,7 @@ def test_a_stop_after_refused_commands_says_so() -> None:
     """Whoever drove over a link that is too slow does not only read that the robot is not engaged."""
     stream = stream_that_saw(ENGAGED)
     detail = "none for 310 ms; 12 commands refused as too old, 1470 ms"
-    stream.see(msgspec.structs.replace(STOPPING, stop_reason=Reason.DEADMAN, stop_detail=detail), START_NS)
+    stream.see(msgspec.structs.replace(STOPPED, stop_reason=Reason.DEADMAN, stop_detail=detail), START_NS)
     assert stream.ending == Ending(Reason.DEADMAN, f"{TEXTS[Reason.DEADMAN].means}; {detail}")
 
 
