@@ -58,12 +58,13 @@ class Link:
     """Both ways of a link.
 
     Attributes:
-        is_cut: whatever is sent from now on never arrives, nor does what is under way.
+        profile: what kind of link it is now; what is under way keeps its delay.
+        is_cut: nothing arrives any more.
     """
 
     def __init__(self, profile: LinkProfile, seed: int) -> None:
         self.is_cut = False
-        self._profile = profile
+        self.profile = profile
         self._random = Random(seed)  # noqa: S311 - the same link each time
         self._stall_ends_ns = 0
         self._stalls_ns = self._next_stall_ns(0)
@@ -86,7 +87,7 @@ class Link:
         return self._receive(self._down, now_ns)
 
     def _send(self, direction: _Direction, message: object, now_ns: int) -> None:
-        profile, random = self._profile, self._random
+        profile, random = self.profile, self._random
         delay_s = profile.one_way_s * (1 + profile.jitter * random.uniform(-1, 1))
         while random.random() < profile.loss:
             delay_s += 2 * profile.one_way_s
@@ -95,7 +96,7 @@ class Link:
 
     def _receive(self, direction: _Direction, now_ns: int) -> list[Any]:
         if now_ns >= self._stalls_ns:
-            self._stall_ends_ns = self._stalls_ns + round(self._profile.stall_s * 1e9)
+            self._stall_ends_ns = self._stalls_ns + round(self.profile.stall_s * 1e9)
             self._stalls_ns = self._next_stall_ns(self._stall_ends_ns)
         if self.is_cut or now_ns < self._stall_ends_ns:
             return []
@@ -105,5 +106,5 @@ class Link:
         return arrived
 
     def _next_stall_ns(self, from_ns: int) -> int:
-        every_s = self._profile.stall_every_s
+        every_s = self.profile.stall_every_s
         return from_ns + round(self._random.expovariate(1 / every_s) * 1e9) if every_s else 2**63

@@ -109,6 +109,9 @@ class FarOperator:
             self._stream = stream = None if stream.is_lost else stream
             if stream is not None:
                 stream.ending = None
+        if stream is not None and not stream.is_wanted and now_ns >= self._renew_ns:
+            self._renew_ns = now_ns + RENEW_NS
+            self._send(Renew(stream.lease), now_ns)
         if self._asked is not None and now_ns - self._asked[1] < ANSWER_NS:
             return
         if stream is None:
@@ -117,17 +120,17 @@ class FarOperator:
             stream.expect_engaged()
             self._is_unparked = False
             self._ask(Engage(stream.lease, state.challenge, deadman_s=self._deadman_s), now_ns)
-        elif not stream.is_wanted and now_ns >= self._renew_ns:
-            self._renew_ns = now_ns + RENEW_NS
-            self._ask(Renew(stream.lease), now_ns)
         elif stream.engaged and not self._is_unparked:
             self._ask(Unpark(stream.lease), now_ns)
         elif stream.engaged:
             stream.aim(self._set_point, 0.5, now_ns)
 
     def _ask(self, request: Request, now_ns: int) -> None:
+        self._asked = type(request), now_ns
+        self._send(request, now_ns)
+
+    def _send(self, request: Request, now_ns: int) -> None:
         kind = type(request)
-        self._asked = kind, now_ns
         self._link.send_up((VERBS[kind], kind, encode_request(request)), now_ns)
 
     def _answered(self, kind: type[Request], reply: Reply, now_ns: int) -> None:
