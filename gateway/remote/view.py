@@ -108,7 +108,7 @@ def line(report: RobotReport) -> str:
 
 def link_facts(report: RobotReport) -> list[Fact]:
     """How old the commands are that drive the robot; nothing while it obeys none."""
-    text = "" if report.safety is None else link_line(report.safety)
+    text = "" if report.state is None or report.safety is None else link_line(report.safety)
     return [Fact("link", text)] if text else []
 
 

@@ -50,6 +50,15 @@ def deadman() -> RecordedRig:
     return rig
 
 
+def longer_deadman() -> RecordedRig:
+    """The same over a link that stalls, for which a longer deadman was asked for."""
+    rig, operator = RecordedRig.ready()
+    operator.engage(deadman_s=0.8)
+    operator.drive(0.6, 0.0, 1.5)
+    rig.rest_after(1.5)
+    return rig
+
+
 def stale_commands() -> RecordedRig:
     """The stream goes on, but its commands grow old."""
     rig, operator = RecordedRig.driving()
@@ -239,6 +248,7 @@ SCENARIOS: dict[Scenario, tuple[Reason, tuple[str, ...]]] = {
         ("0x18C4D9EF Auto_MileageAndBodyFeedback, 01 39 30 00 01", "FrontBumper = 1", "20.0 ms earlier said 0"),
     ),
     rear_bumper: (Reason.REAR_BUMPER, ("01 39 30 00 10", "RearBumper = 1")),
+    longer_deadman: (Reason.DEADMAN, ("810 ms before", "the limit is 800 ms (as engage asked for)")),
     deadman: (
         Reason.DEADMAN,
         ("of operator-1", "310 ms before", "the limit is 300 ms", "No drive command at all"),
