@@ -15,7 +15,8 @@ _UNNUMBERED: Final = 0
 """What journals hold that were made under the rules 1, before these had a number."""
 
 CHANGES: Final[dict[int, str]] = {
-    2: "drive and engage echo a challenge instead of a tick, so all of before are refused as malformed",
+    2: "drive and engage echo a challenge instead of a tick, so all of before are refused as malformed; "
+    "the speed is bounded by the age of the commands; commands up to 1 s old are accepted",
 }
 """What each version of the rules changed."""
 

@@ -11,6 +11,7 @@ from msgspec import Meta
 from schemas.messages import (
     AngleDeg,
     Count,
+    DistanceM,
     DurationMs,
     DurationS,
     GearPosition,
@@ -76,6 +77,7 @@ class Bound(Enum):
     BUMPER = "bumper"
     GEAR = "gear"
     PARKING = "parking"
+    TRAVEL_DELAY = "travel_delay"
 
 
 class ArbiterState(Enum):
@@ -126,7 +128,7 @@ class EventKind(Enum):
 
 
 class SafetyState(Message, frozen=True):
-    """The arbiter, at 20 Hz and whenever something changes.
+    """The arbiter, at 20 Hz, at 50 Hz while the robot is engaged, and whenever something changes.
 
     Attributes:
         tick: the arbiter's tick, which people tell states apart by.
@@ -145,6 +147,16 @@ class SafetyState(Message, frozen=True):
         output_gear: undefined while nothing is sent.
         parking: the parking brake is asked for.
         challenge: echo the newest one in each drive command; it tells the arbiter how old the command can be.
+        link_age_s: the age of the holder's drive commands, the mean of those accepted in the last second.
+        link_age_last_s: the age of the last accepted one.
+        link_age_p50_s: the median of the last ten seconds.
+        link_age_p99_s: the 99th percentile of the last ten seconds.
+        travel_delay_m: how far an engaged robot drives, at the speed that it is told, before it can react to its
+            operator: over the age and the deadman.
+        travel_speed_limit_mps: the speed limit that the setting ``command.travel_delay_m`` gives for them.
+        deadman_s: without an acceptable drive command for this long, an engaged robot is stopped.
+        accepted_seq: the ``seq`` of the last drive command that the holder of the lease had accepted.
+        stop_detail: the figures of the stop that is under way, or of the last one.
     """
 
     version: ClassVar[int] = 2
@@ -175,6 +187,15 @@ class SafetyState(Message, frozen=True):
     brake_pedal_percent: PedalPercent
     parking: bool
     challenge: Challenge
+    link_age_s: DurationS | None
+    link_age_last_s: DurationS | None
+    link_age_p50_s: DurationS | None
+    link_age_p99_s: DurationS | None
+    travel_delay_m: DistanceM
+    travel_speed_limit_mps: SpeedMps | None
+    deadman_s: DurationS
+    accepted_seq: Count | None
+    stop_detail: str
 
 
 class Decision(Message, frozen=True):

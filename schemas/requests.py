@@ -31,6 +31,7 @@ Challenge = Annotated[
         description=f"{CHALLENGE_BYTES} random bytes, drawn anew for each safety/state.",
     ),
 ]
+DeadmanS = Annotated[float, Meta(ge=0.05, le=1.0, extra_json_schema=unit_keyword("s"))]
 CurvatureInverseM = Annotated[
     float, Meta(description="One over the radius; left is positive.", extra_json_schema=unit_keyword("1/m"))
 ]
@@ -93,12 +94,15 @@ class Engage(Leased, frozen=True, forbid_unknown_fields=True):
         challenge: the newest one of ``safety/state`` that the sender saw; a link over which it comes too old is
             too slow to drive over.
         speed_limit_mps: a lower speed limit than the configured one, until the robot is disengaged.
+        deadman_s: a longer deadman than the configured one, until the robot is disengaged; a shorter one changes
+            nothing. It is for links that stall, and costs speed.
     """
 
     version: ClassVar[int] = 2
 
     challenge: Challenge
     speed_limit_mps: SpeedMps | None = None
+    deadman_s: DeadmanS | None = None
 
 
 class Disengage(Leased, frozen=True, forbid_unknown_fields=True):

@@ -205,7 +205,13 @@ REQUEST_MAX_BYTES: Final = 1024
 """No request is larger."""
 
 SAFETY_STATE_PERIOD_NS: Final = 50_000_000
-"""`safety/state` goes out every 50 ms, and on change."""
+"""`safety/state` is published every 50 ms, and on change..."""
+
+SAFETY_STATE_ENGAGED_PERIOD_NS: Final = 20_000_000
+"""...and every 20 ms while the robot is engaged: each half of this period is age."""
+
+DEADMAN_MAX_S: Final = 1.0
+"""No engagement has a longer deadman."""
 
 WHEELBASE_M: Final = 0.660
 """The Cruiser's wheelbase (manual V2.0, 2.2)."""
@@ -412,6 +418,15 @@ class CommandSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.3
     max_age_s: Annotated[
         float, Meta(ge=0.1, le=1.0, description="s; a drive command that may be older, by its echo, is refused")
+    ] = 1.0
+    travel_delay_m: Annotated[
+        float,
+        Meta(
+            ge=0.2,
+            le=5.0,
+            description="m; farthest it drives before it can react to its operator: its speed is at most this "
+            "over the age of the commands and the deadman",
+        ),
     ] = 1.0
     speed_limit_mps: Annotated[float, Meta(ge=0.05, le=2.222, description="m/s; highest speed, either way")] = (
         2.222

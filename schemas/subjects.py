@@ -148,8 +148,8 @@ SUBJECTS: Final[tuple[Subject, ...]] = (
     Subject(
         "safety/state",
         decisions.SafetyState,
-        "the arbiter: who holds the lease, the limits in force, the tick to echo, why it stands still",
-        "20 Hz and on change",
+        "the arbiter: who holds the lease, the limits in force, the challenge to echo, why it stands still",
+        "20 Hz, 50 Hz while engaged, and on change",
         Qos(Priority.INTERACTIVE_HIGH, express=True, history=1),
     ),
     Subject(

@@ -20,6 +20,7 @@ from gateway.command.freshness import ChallengeLog
 from gateway.command.handover import Handover, may_be_stopped
 from gateway.command.lease import LeaseDesk
 from gateway.command.limits import Limits
+from gateway.command.link_age import LinkAge
 from gateway.command.motion import Motion, Surroundings, Target
 from gateway.command.notices import Notices
 from gateway.command.observed import Observed
@@ -28,7 +29,7 @@ from gateway.command.request import Answer, Judged, RawRequest, Ruling
 from gateway.command.seen import seen_actuation, seen_angle_deg
 from gateway.command.states import TRANSITIONS, Trigger
 from gateway.command.stop import StopFeedback, StopSequence
-from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity, StopPhase
+from schemas.decisions import COMMANDING, ArbiterState, Bound, EventKind, Severity, StopPhase
 from schemas.messages import Mode, ParkingStatus, Variant
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import ENGAGE_TIMEOUT_NS, TICK_NS, TOLD_LONG_AGO_NS, Settings
@@ -46,6 +47,7 @@ class Arbiter:
         desk: the lease.
         watch: the chassis as it is seen.
         challenges: when each challenge was published.
+        link: the age of the holder's commands, the deadman, and the speed that they allow.
         tick_number: rises with each tick, from a number that differs with each run.
         limits: those in force.
         motion: what the chassis is being told while engaged.
@@ -53,7 +55,7 @@ class Arbiter:
         parked: the parking brake stays applied, whatever speed is asked for, until ``unpark``.
         latched: what must be reset, with its detail.
         latched_ns: when the newest of it was latched.
-        stop_reason: why the last stop was begun.
+        stop_reason, stop_detail: why the last stop was begun, and its figures.
         variant: the one in which the chassis is told speeds; UNKNOWN as soon as there was any doubt, until it is
             engaged again.
         actuation: what the chassis was last told; None while it is told nothing.
@@ -75,6 +77,7 @@ class Arbiter:
         self.desk = LeaseDesk(round(self.settings.lease_s * _NS_PER_S), random)
         self.watch = Watch()
         self.challenges = ChallengeLog()
+        self.link = LinkAge(self.settings)
         self.auxiliary = Auxiliary()
         self.state = ArbiterState.STANDBY
         self.configured_limits = self.limits = Limits.of(self.settings)
@@ -83,6 +86,7 @@ class Arbiter:
         self.parked = True
         self.latched: dict[Reason, str] = {}
         self.stop_reason = Reason.NONE
+        self.stop_detail = ""
         self.variant = Variant.UNKNOWN
         self.actuation: Actuation | None = None
         self.last_sequence = -1
@@ -182,7 +186,7 @@ class Arbiter:
             self._sequence.park(now_ns)
         self._is_brake_missed = False
         self.auxiliary.end(now_ns)
-        self.stop_reason = reason
+        self.stop_reason, self.stop_detail = reason, detail
         self._go(Trigger.STOP)
         self._fail_waiting(reason, detail)
         severity = Severity.WARNING if stop.at_once else Severity.INFO
@@ -277,7 +281,7 @@ class Arbiter:
         self.handover.leave(told, reason, observed, now_ns)
         # From here on what is seen counts, not what we told.
         self.actuation = None
-        self.stop_reason = reason
+        self.stop_reason, self.stop_detail = reason, ""
         self._sequence = None
         self._fail_waiting(reason, "")
         kind = EventKind.GUARD if reason is Reason.GUARD else EventKind.TAKEOVER
@@ -315,9 +319,9 @@ class Arbiter:
             self.limits = self.limits.lowered(self.settings.speed_limit_without_realtime_mps)
         if self.state is ArbiterState.ENGAGING and now_ns >= self._engage_until_ns:
             self.begin_stop(Reason.NOT_CONFIRMED, now_ns, "the mode does not read auto")
-        if self.state is ArbiterState.ENGAGED and now_ns - self.fresh_ns > self.settings.deadman_s * _NS_PER_S:
-            silent_ms = (now_ns - self.fresh_ns) / 1e6
-            self.begin_stop(Reason.DEADMAN, now_ns, f"none for {silent_ms:.0f} ms")
+        silent_ns = now_ns - self.fresh_ns
+        if self.state is ArbiterState.ENGAGED and silent_ns > self.link.deadman_ns:
+            self.begin_stop(Reason.DEADMAN, now_ns, self.link.silence(silent_ns))
 
     def _look_for_strays(self, now_ns: int) -> None:
         """Standing by: does the chassis obey a command that nobody gives any more?"""
@@ -360,7 +364,11 @@ class Arbiter:
             backward=Reason.REAR_BUMPER not in pressed,
         )
         target = self.target if self.state is ArbiterState.ENGAGED else Target(0.0, self.motion.angle_deg)
-        return self.motion.tick(target, self.limits, surroundings, _TICK_S)
+        bounded = self.link.bounded(target, self.limits.speed_mps, now_ns)
+        actuation = self.motion.tick(bounded, self.limits, surroundings, _TICK_S)
+        if bounded is not target:
+            self.motion.bounds.append(Bound.TRAVEL_DELAY)
+        return actuation
 
     def _stop_feedback(self) -> StopFeedback:
         observed = self.watch.observed

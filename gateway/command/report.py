@@ -7,6 +7,7 @@ from typing import Final
 from gateway.command.actuation import AT_REST
 from gateway.command.arbiter import Arbiter
 from gateway.command.causes import BUMPERS
+from gateway.command.link_age import LinkAge
 from gateway.command.outcome import Event
 from gateway.command.request import Answer, Judged
 from gateway.command.verbs import engage_blockers
@@ -24,7 +25,7 @@ from schemas.decisions import (
 from schemas.messages import SEQUENCE_MAX, GearPosition
 from schemas.reasons import TEXTS, Reason
 from schemas.requests import Role
-from schemas.settings import SAFETY_STATE_PERIOD_NS
+from schemas.settings import SAFETY_STATE_ENGAGED_PERIOD_NS, SAFETY_STATE_PERIOD_NS
 from schemas.subjects import BY_VERB
 
 _NS_PER_S: Final = 1e9
@@ -60,17 +61,21 @@ class Reporter:
         if now_ns < self.state_due_ns and says == self._said:
             return None
         self._said = says
-        self.state_due_ns = now_ns + SAFETY_STATE_PERIOD_NS
+        engaged = arbiter.state is ArbiterState.ENGAGED
+        self.state_due_ns = now_ns + (SAFETY_STATE_ENGAGED_PERIOD_NS if engaged else SAFETY_STATE_PERIOD_NS)
         arbiter.challenges.publish(challenge, now_ns)
         limits = arbiter.limits if arbiter.state in COMMANDING else arbiter.configured_limits
         told = arbiter.actuation
         output = told or AT_REST
+        # Without a holder there is no link; what is left of the last one's would not be at rest.
+        link = arbiter.link if lease is not None else LinkAge(arbiter.settings)
+        ages, delay_s, travel_limit_mps = link.ages(now_ns), link.delay_s(now_ns), link.speed_limit_mps(now_ns)
         return SafetyState(
             time_ns=wall_ns,
             sequence=self._next(SafetyState),
             tick=arbiter.tick_number,
             state=arbiter.state,
-            engaged=arbiter.state is ArbiterState.ENGAGED,
+            engaged=engaged,
             stop_reason=arbiter.stop_reason,
             stop_phase=arbiter.stop_phase,
             lease_holder=lease.operator if lease is not None else "",
@@ -94,6 +99,15 @@ class Reporter:
             brake_pedal_percent=output.pedal_percent,
             parking=output.parking,
             challenge=challenge,
+            link_age_s=ages.mean_s,
+            link_age_last_s=ages.last_s,
+            link_age_p50_s=ages.p50_s,
+            link_age_p99_s=ages.p99_s,
+            travel_delay_m=round(output.speed_mps * (delay_s or 0.0), 3) if engaged else 0.0,
+            travel_speed_limit_mps=None if travel_limit_mps is None else round(travel_limit_mps, 3),
+            deadman_s=link.deadman_ns / _NS_PER_S,
+            accepted_seq=link.accepted_seq,
+            stop_detail=arbiter.stop_detail,
         )
 
     def decision(self, judged: Judged, bounds: list[Bound], frames_sent: int, wall_ns: int) -> Decision:

@@ -27,7 +27,7 @@ class Rest(msgspec.Struct, frozen=True, array_like=True):
         challenges: those that were published lately, each with its monotonic time.
         leases: how many leases were given in this run.
         ended: the leases that ended last, and why.
-        stop_reason: why the last stop was begun.
+        stop_reason, stop_detail: why the last stop was begun, and its figures.
         parked, target_speed_mps, target_angle_deg: what was asked last.
         sequences: the next sequence of each message of the arbiter, by the class's name.
         state_due_ns: when the next safety/state is due, monotonic.
@@ -39,6 +39,7 @@ class Rest(msgspec.Struct, frozen=True, array_like=True):
     leases: int
     ended: list[tuple[int, str]]
     stop_reason: str
+    stop_detail: str
     parked: bool
     target_speed_mps: float
     target_angle_deg: float
@@ -74,6 +75,7 @@ def memory_of(flow: CommandFlow) -> Rest:
         leases=arbiter.desk.given,
         ended=[(number, reason.value) for number, reason in arbiter.desk.ended],
         stop_reason=arbiter.stop_reason.value,
+        stop_detail=arbiter.stop_detail,
         parked=arbiter.parked,
         target_speed_mps=arbiter.target.speed_mps,
         target_angle_deg=arbiter.target.angle_deg,
@@ -95,7 +97,7 @@ def recall(flow: CommandFlow, rest: Rest, now_ns: int) -> None:
     arbiter.tick_number = rest.tick_number
     arbiter.challenges.recall(rest.challenges)
     arbiter.desk.recall(rest.leases, [(number, Reason(reason)) for number, reason in rest.ended])
-    arbiter.stop_reason = Reason(rest.stop_reason)
+    arbiter.stop_reason, arbiter.stop_detail = Reason(rest.stop_reason), rest.stop_detail
     arbiter.parked = rest.parked
     arbiter.target = Target(rest.target_speed_mps, rest.target_angle_deg)
     flow.maker.recall(rest.sent)

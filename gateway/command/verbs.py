@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from gateway.command.lease import Lease
 from gateway.command.limits import steering_angle_deg
+from gateway.command.link_age import LinkAge
 from gateway.command.motion import Target
 from gateway.command.request import RawRequest, Ruling
 from schemas import codec, requests
@@ -116,6 +117,7 @@ def _take(arbiter: Arbiter, request: requests.Take, operator: str, now_ns: int) 
 def _begin_lease(arbiter: Arbiter, lease: Lease, how: str, now_ns: int) -> Ruling:
     arbiter.last_sequence = -1
     arbiter.last_drive = None
+    arbiter.link = LinkAge(arbiter.settings)
     text = f"{lease.operator} has {how} the lease as {lease.role.value}"
     arbiter.tell(Severity.INFO, EventKind.LEASE, Reason.NONE, text, lease.operator)
     return Ruling(lease=lease.number, expires_ns=lease.expires_ns - now_ns)
@@ -158,6 +160,7 @@ def _engage(arbiter: Arbiter, request: requests.Engage, operator: str, now_ns: i
     if request.speed_limit_mps is not None and request.speed_limit_mps <= 0:
         return Ruling(Reason.MALFORMED, "speed_limit_mps must be above zero", lease=request.lease)
     arbiter.desk.renew(now_ns)
+    arbiter.link.begin(request.deadman_s)
     arbiter.begin_engaging(arbiter.configured_limits.lowered(request.speed_limit_mps), now_ns)
     return Ruling(is_pending=True, lease=request.lease, age_ns=age_ns)
 
@@ -278,6 +281,7 @@ def _drive(arbiter: Arbiter, request: requests.Drive, operator: str, now_ns: int
     known_age_ns = age_ns if isinstance(age_ns, int) else None
 
     def ruled(reason: Reason, detail: str = "") -> Ruling:
+        arbiter.link.refuse(reason, known_age_ns)
         return Ruling(reason, detail, lease=request.lease, sequence=request.seq, age_ns=known_age_ns, asked=asked)
 
     if request.seq <= arbiter.last_sequence:
@@ -295,10 +299,10 @@ def _drive(arbiter: Arbiter, request: requests.Drive, operator: str, now_ns: int
     if arbiter.state is ArbiterState.ENGAGED:
         arbiter.fresh_ns = now_ns
         arbiter.target = asked
-        return ruled(Reason.NONE)
-    if arbiter.state is ArbiterState.ENGAGING and request.speed_mps == 0:
-        return ruled(Reason.NONE)
-    return ruled(_DRIVE_REFUSALS[arbiter.state])
+    elif arbiter.state is not ArbiterState.ENGAGING or request.speed_mps:
+        return ruled(_DRIVE_REFUSALS[arbiter.state])
+    arbiter.link.accept(request.seq, age_ns, now_ns)
+    return ruled(Reason.NONE)
 
 
 _DRIVE_REFUSALS: Final = {
@@ -313,7 +317,7 @@ def _wants_motion(arbiter: Arbiter, now_ns: int) -> bool:
     if arbiter.last_drive is None:
         return False
     speed_mps, at_ns = arbiter.last_drive
-    return speed_mps != 0 and now_ns - at_ns <= arbiter.settings.deadman_s * 1e9
+    return speed_mps != 0 and now_ns - at_ns <= arbiter.link.deadman_ns
 
 
 _VERBS: Final[dict[type[requests.Request], Callable[[Arbiter, Any, str, int], Ruling]]] = {

@@ -139,7 +139,7 @@ def place(settings: ZenohSettings) -> str:
 
 
 class RobotListener:
-    """Hears ``state``, ``gateway/health`` and the liveliness tokens of one robot, or of all."""
+    """Receives ``state``, ``safety/state``, ``gateway/health`` and liveliness tokens of one robot, or of all."""
 
     def __init__(self, session: zenoh.Session, robot: RobotSettings, name: str = "") -> None:
         """Subscribe on a session, which the listener then owns.
@@ -151,13 +151,12 @@ class RobotListener:
         """
         self._session = session
         chunk = name or "*"
-        state, health = (
-            f"{robot.root}/{chunk}/{BY_NAME[subject].name}" for subject in ("state", "gateway/health")
-        )
-        self._samples = (
-            session.declare_subscriber(state, zenoh.handlers.RingChannel(SAMPLES_WAITING)),
-            # Without history: Zenoh's threads would hand out the last health of a gateway that hangs, for ever.
-            session.declare_subscriber(health, zenoh.handlers.RingChannel(SAMPLES_WAITING)),
+        # Without history: Zenoh's threads would hand out the last health of a gateway that hangs, for ever.
+        self._samples = tuple(
+            session.declare_subscriber(
+                f"{robot.root}/{chunk}/{BY_NAME[subject].name}", zenoh.handlers.RingChannel(SAMPLES_WAITING)
+            )
+            for subject in ("state", "safety/state", "gateway/health")
         )
         self._tokens = session.liveliness().declare_subscriber(
             keys.liveliness(robot.root, chunk), zenoh.handlers.RingChannel(SAMPLES_WAITING), history=True

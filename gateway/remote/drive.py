@@ -24,7 +24,7 @@ from gateway.remote.terminal import Terminal
 from schemas.arguments import seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.reasons import Reason
-from schemas.settings import Settings
+from schemas.settings import DEADMAN_MAX_S, Settings
 
 EXAMPLE = """\
   cruiser drive cruiser-1                                         keys: w s a d or arrows, held; x leaves
@@ -71,6 +71,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"left is positive ({ANGLE_DEG:g} with keys, 0 else)",
     )
     parser.add_argument("--seconds", type=seconds, metavar="S", help="drive for this time, without a terminal")
+    parser.add_argument(
+        "--deadman",
+        type=seconds,
+        metavar="S",
+        help=f"stop no sooner than after S without a command, at most {DEADMAN_MAX_S:g}: for a link that stalls; "
+        "the robot drives the slower for it",
+    )
     add_take_arguments(parser)
 
 
@@ -97,7 +104,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 def _by_script(robot: Robot, lease: Lease, arguments: argparse.Namespace, stopped: Callable[[], bool]) -> ExitCode:
     fastest_mps = 0.0
     blocked_by: list[Reason] = []
-    with engaged(lease, robot):
+    with engaged(lease, robot, arguments.deadman):
         lease.unpark()
         end_s = time.monotonic() + arguments.seconds
         while not stopped() and time.monotonic() < end_s:
@@ -122,6 +129,7 @@ class _Keys:
         self._lease = lease
         self._speed_mps = abs(arguments.speed or SPEED_MPS)
         self._angle_deg = abs(ANGLE_DEG if arguments.angle is None else arguments.angle)
+        self._deadman_s = arguments.deadman
         self._decoder = KeyDecoder()
         self._keys = HeldKeys()
         self._message = ""
@@ -173,7 +181,7 @@ class _Keys:
 
     def _engage(self) -> None:
         try:
-            self._lease.engage()
+            self._lease.engage(deadman_s=self._deadman_s)
             self._lease.unpark()
             self._message = ""
         except (Refused, Stopped) as error:

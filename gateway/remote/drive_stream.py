@@ -11,7 +11,7 @@ import msgspec
 
 from gateway.command.limits import steering_angle_deg
 from schemas.decisions import COMMANDING, ArbiterState, SafetyState
-from schemas.reasons import Reason
+from schemas.reasons import TEXTS, Reason
 from schemas.requests import Drive
 
 PERIOD_S: Final = 0.02
@@ -79,6 +79,7 @@ class DriveStream:
         self.engaged = False
         self._operator = operator
         self._is_wanted = False
+        self._is_asked = False
         self._was_holder = False
         self._state: SafetyState | None = None
         self._seen_ns = 0
@@ -89,8 +90,12 @@ class DriveStream:
 
     @property
     def is_wanted(self) -> bool:
-        """The robot is engaged for us, or is about to be: drive commands renew the lease."""
-        return self._is_wanted and self._state is not None and self._state.state in COMMANDING
+        """The robot is engaged for us, or is being engaged: drive commands renew the lease."""
+        if not self._is_wanted or self._state is None:
+            return False
+        # From the moment that engage is asked for: over a slow link the robot would wait for the first command for
+        # longer than its deadman, if that waited until the robot is seen to be engaged.
+        return self._is_asked or self._state.state in COMMANDING
 
     @property
     def is_lost(self) -> bool:
@@ -99,7 +104,7 @@ class DriveStream:
 
     def expect_engaged(self) -> None:
         """Engage is about to be asked for. What was driven before counts no more."""
-        self._is_wanted = True
+        self._is_wanted = self._is_asked = True
         self.engaged = False
         self._set_point = None
         if not self.is_lost:
@@ -107,7 +112,7 @@ class DriveStream:
 
     def give_up(self) -> None:
         """The program itself disengages or releases: send nothing more, and call it no failure."""
-        self._is_wanted = self.engaged = False
+        self._is_wanted = self._is_asked = self.engaged = False
         self._set_point = None
 
     def aim(self, set_point: SetPoint, hold_s: float, now_ns: int) -> None:
@@ -137,8 +142,11 @@ class DriveStream:
             return
         if state.state is ArbiterState.ENGAGED:
             self.engaged = True
+            self._is_asked = False
         elif self.engaged:
-            self._end(Ending(state.stop_reason if state.stop_reason is not Reason.NONE else Reason.NOT_ENGAGED))
+            reason = state.stop_reason if state.stop_reason is not Reason.NONE else Reason.NOT_ENGAGED
+            detail = "; ".join(filter(None, (TEXTS[reason].means, state.stop_detail)))
+            self._end(Ending(reason, detail))
 
     def lose(self, reason: Reason, detail: str = "") -> None:
         """The lease is lost."""
@@ -172,5 +180,5 @@ class DriveStream:
 
     def _end(self, ending: Ending) -> None:
         self.ending = ending
-        self._is_wanted = self.engaged = False
+        self._is_wanted = self._is_asked = self.engaged = False
         self._set_point = None

@@ -9,7 +9,7 @@ from rich.text import Text
 
 from gateway.remote.held_keys import Wish
 from gateway.remote.link import Sighting
-from gateway.remote.reasons_text import reason_line, state_line
+from gateway.remote.reasons_text import link_line, reason_line, state_line
 from gateway.remote.view import BAD, GOOD, LOUD, NO_VALUE
 from schemas.decisions import ArbiterState
 from schemas.printable import plain
@@ -44,6 +44,9 @@ def panel(cockpit: Cockpit) -> RenderableType:
         Text(state_line(state), style=GOOD if good else BAD),
         Text(_speeds(cockpit)),
     ]
+    link = link_line(state)
+    if link:
+        lines.append(Text(link))
     if chassis is not None:
         hit = [side for side, on in (("front", chassis.front_bumper), ("rear", chassis.rear_bumper)) if on]
         text = f"mode {chassis.mode.value}, gear {chassis.gear_position.value}, bumpers {' '.join(hit) or 'clear'}"

@@ -29,10 +29,10 @@ it is stopped and the lease given back."""
 
 
 @contextmanager
-def engaged(lease: Lease, robot: Robot, speed_limit_mps: float | None = None) -> Iterator[None]:
+def engaged(lease: Lease, robot: Robot, deadman_s: float | None = None) -> Iterator[None]:
     """The robot is engaged within the block, and stands by after it. A stop under way is waited for."""
     robot.wait_for(lambda state: state.state is ArbiterState.STANDBY, REST_S)
-    lease.engage(speed_limit_mps)
+    lease.engage(deadman_s=deadman_s)
     try:
         yield
     finally:

@@ -12,6 +12,7 @@ import msgspec
 from gateway.telemetry.heard import Heard, Received
 from schemas import codec, keys
 from schemas.codec import PayloadFault
+from schemas.decisions import SafetyState
 from schemas.messages import GatewayHealth, RobotState
 
 STATE_STALE_NS: Final = 1_000_000_000
@@ -34,6 +35,7 @@ class RobotReport(msgspec.Struct, frozen=True):
         health: the last health, with the same rule.
         unreadable: why the last sample that could not be read could not; empty if all could.
         linked: this end is connected to Zenoh.
+        safety: the last of the arbiter's states, with the same rule; null where there is no arbiter.
     """
 
     robot: str
@@ -44,6 +46,7 @@ class RobotReport(msgspec.Struct, frozen=True):
     health_age_s: float | None
     unreadable: str
     linked: bool
+    safety: SafetyState | None = None
 
 
 class _Known:
@@ -53,6 +56,8 @@ class _Known:
         self.connected = False
         self.state: RobotState | None = None
         self.state_ns = 0
+        self.safety: SafetyState | None = None
+        self.safety_ns = 0
         self.health: GatewayHealth | None = None
         self.health_ns = 0
         self.heard_ns = 0
@@ -100,6 +105,7 @@ class Fleet:
             connected=known.connected and self._linked,
             state=known.state if state_age_ns < STATE_STALE_NS else None,
             state_age_s=None if known.state is None else state_age_ns / 1e9,
+            safety=known.safety if now_ns - known.safety_ns < STATE_STALE_NS else None,
             health=known.health if health_age_ns < HEALTH_STALE_NS else None,
             health_age_s=None if known.health is None else health_age_ns / 1e9,
             unreadable=known.unreadable,
@@ -124,5 +130,7 @@ class Fleet:
         match message:
             case RobotState():
                 known.state, known.state_ns = message, now_ns
+            case SafetyState():
+                known.safety, known.safety_ns = message, now_ns
             case GatewayHealth():
                 known.health, known.health_ns = message, now_ns

@@ -23,9 +23,27 @@ def state_line(state: SafetyState) -> str:
     """What the arbiter does, and for whom."""
     words = [state.state.value]
     if state.stop_phase.value != "idle":
-        words.append(f"{state.stop_phase.value}, because of {state.stop_reason.value}")
+        detail = f" ({plain(state.stop_detail)})" if state.stop_detail else ""
+        words.append(f"{state.stop_phase.value}, because of {state.stop_reason.value}{detail}")
     words.append(holder_line(state))
     return "; ".join(words)
+
+
+def link_line(state: SafetyState) -> str:
+    """How old the commands are that drive the robot, and what that costs; empty while it obeys none."""
+    if state.link_age_s is None or state.travel_speed_limit_mps is None:
+        return ""
+    words = [f"commands {_ms(state.link_age_s)} old"]
+    if state.link_age_p50_s is not None and state.link_age_p99_s is not None:
+        words[0] += f" (p50 {_ms(state.link_age_p50_s)}, p99 {_ms(state.link_age_p99_s)})"
+    words.append(f"deadman {_ms(state.deadman_s)}")
+    words.append(f"{state.travel_delay_m:.2f} m until it can react")
+    words.append(f"at most {state.travel_speed_limit_mps:.2f} m/s by that")
+    return ", ".join(words)
+
+
+def _ms(time_s: float) -> str:
+    return f"{time_s * 1e3:.0f} ms"
 
 
 def holder_line(state: SafetyState) -> str:

@@ -122,6 +122,15 @@ class Robot:
         """
         return self._link.sighting()
 
+    @property
+    def link_age_s(self) -> float | None:
+        """How old drive commands are when the robot obeys them, the mean of a second; None while it obeys none.
+
+        Raises:
+            Unreachable: it was not heard for a second.
+        """
+        return self._link.sighting().state.link_age_s
+
     def events(self) -> list[SafetyEvent]:
         """The events that were heard since the last call; at first some of before too."""
         return self._link.take_events()
@@ -232,8 +241,13 @@ class Lease:
             raise Stopped(f"{self._link.robot} obeys no more", ending.reason, ending.detail)
         self._link.sighting()
 
-    def engage(self, speed_limit_mps: float | None = None) -> None:
+    def engage(self, speed_limit_mps: float | None = None, deadman_s: float | None = None) -> None:
         """Take command of the standing chassis. Returns once it reads auto.
+
+        Args:
+            speed_limit_mps: a lower limit than the configured one.
+            deadman_s: a longer deadman than the configured one, up to 1 s, for a link that stalls. The robot
+                drives the slower for it: see ``travel_speed_limit_mps`` in its state.
 
         Raises:
             Refused, LeaseLost, Stopped, Unreachable: it does not.
@@ -244,13 +258,8 @@ class Lease:
         with self._link.heard:
             stream.expect_engaged()
         try:
-            self._ask(
-                Engage(
-                    lease=stream.lease,
-                    challenge=self._link.sighting().state.challenge,
-                    speed_limit_mps=speed_limit_mps,
-                )
-            )
+            challenge = self._link.sighting().state.challenge
+            self._ask(Engage(stream.lease, challenge, speed_limit_mps, deadman_s))
         except CommandError:
             with self._link.heard:
                 stream.give_up()

@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gateway.remote.fleet import RobotReport
+from gateway.remote.reasons_text import link_line
 from schemas.messages import GatewayHealth, RobotState
 from schemas.printable import plain
 
@@ -100,10 +101,16 @@ def line(report: RobotReport) -> str:
     if report.state is None:
         words.append(alarm(report))
     else:
-        words += [_word(fact) for fact in state_facts(report.state)]
+        words += [_word(fact) for fact in (*state_facts(report.state), *link_facts(report))]
         words.append(f"age {report.state_age_s or 0:.2f} s")
     words.append(_faults_word(report))
     return "  ".join(words)
+
+
+def link_facts(report: RobotReport) -> list[Fact]:
+    """How old the commands are that drive the robot; nothing while it obeys none."""
+    text = "" if report.state is None or report.safety is None else link_line(report.safety)
+    return [Fact("link", text)] if text else []
 
 
 def health_line(report: RobotReport) -> str:
@@ -129,7 +136,8 @@ def panel(report: RobotReport) -> RenderableType:
     else:
         top = Text(alarm(report), style=LOUD)
     # What is wrong comes first: a small window cuts the rest off.
-    return Panel(Group(top, _health_text(report), grid), title=Text(report.robot), expand=False)
+    links = [Text(fact.text, style=fact.style) for fact in link_facts(report)]
+    return Panel(Group(top, _health_text(report), *links, grid), title=Text(report.robot), expand=False)
 
 
 def table(reports: Sequence[RobotReport]) -> RenderableType:

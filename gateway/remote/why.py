@@ -11,7 +11,7 @@ from typing import Final
 import msgspec
 
 from gateway.remote.operator_arguments import add_robot_arguments, connect
-from gateway.remote.reasons_text import event_line, reason_line, state_line, text_of
+from gateway.remote.reasons_text import event_line, link_line, reason_line, state_line, text_of
 from schemas.exit_codes import ExitCode
 from schemas.reasons import Reason
 from schemas.settings import Settings
@@ -60,6 +60,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         sys.stdout.write(f"{msgspec.json.encode({**record, 'events': events}).decode()}\n")
     else:
         sys.stdout.write(f"{arguments.robot}: {state_line(state)}\n")
+        sys.stdout.write(f"  link: {link_line(state) or 'no commands are obeyed, so their age is not known'}\n")
         sys.stdout.writelines(f"  {reason_line(reason)}\n" for reason in state.blocked_by)
         if not state.blocked_by:
             sys.stdout.write("  nothing keeps it from moving: it does what its operator's drive commands say\n")

@@ -9,7 +9,16 @@ import argparse
 import os
 import platform
 
-from tests.bench import command_latency, flood, guard_latency, path_cost, recorder_rate, review_export, review_rate
+from tests.bench import (
+    command_latency,
+    flood,
+    guard_latency,
+    links,
+    path_cost,
+    recorder_rate,
+    review_export,
+    review_rate,
+)
 from tests.bench.loads import Row, load_rows, print_table
 from tests.bench.on_vcan import vcan
 from tests.bench.processes import quantile
@@ -41,6 +50,7 @@ def main() -> None:
     rows += command_rows(command_latency.measure())
     rows += flood_rows(flood.measure())
     rows += [guard_row(latency) for latency in guard_latency.measure(arguments.kills)]
+    rows += links.rows()
     rows += recorder_rate.rows(recorder_rate.ROUNDS, min(seconds, recorder_rate.HELD_S), seconds)
     rows += review_rate.rows(REVIEW_MB, REVIEW_MINUTES)
     rows += review_export.rows()

@@ -27,10 +27,9 @@ UNIT_SUFFIXES = {
     "_deg": "deg",
     "_km": "km",
     "_hz": "Hz",
-    "uptime_s": "s",
-    "expires_s": "s",
     "_per_s": "Hz",
-    "since_s": "s",
+    "_s": "s",
+    "_m": "m",
     "_bytes": "B",
     "_percent": "%",
 }

@@ -125,5 +125,6 @@ EVIDENCE: Final[dict[Reason, Finder]] = {
     Reason.UNGUARDED: lambda clue: gateway_evidence.guard_watch(clue.scene),
     Reason.NO_REALTIME: lambda clue: gateway_evidence.load(clue.scene),
     Reason.SHUTDOWN: lambda clue: gateway_evidence.ending(clue.scene),
+    Reason.LINK_TOO_SLOW: _of_request(Reason.LINK_TOO_SLOW),
 }
 """A test holds that none is missing."""

@@ -8,7 +8,7 @@ from typing import Final
 
 from recorder.review.reasoning.chain import Link, count, evidence, missing, mps, span, zero
 from recorder.review.reasoning.scene import Heard, Scene
-from schemas.decisions import Decision, EventKind, SafetyEvent, Verdict
+from schemas.decisions import Decision, EventKind, SafetyEvent, SafetyState, Verdict
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import ENGAGE_TIMEOUT_NS, TICK_NS
 
@@ -42,8 +42,11 @@ def deadman(scene: Scene, detail: str = "") -> list[Link]:
         return [missing("no decision of these seconds is in the log, so which commands came is not known")]
     last = _last(scene, _is_obeyed)
     engaged = next((one for one in scene.until(SafetyEvent) if one.said.kind is EventKind.ENGAGED), None)
-    limit_ns = round(scene.limits.command.deadman_s * _NS_PER_S)
-    limit = f"the limit is {span(limit_ns)} ({scene.limits.origin})"
+    limit_ns, origin = round(scene.limits.command.deadman_s * _NS_PER_S), scene.limits.origin
+    state = scene.last(SafetyState)
+    if state is not None and state.said.deadman_s * _NS_PER_S > limit_ns:
+        limit_ns, origin = round(state.said.deadman_s * _NS_PER_S), "as engage asked for"
+    limit = f"the limit is {span(limit_ns)} ({origin})"
     if last is not None and (engaged is None or last.time_ns >= engaged.time_ns):
         said = last.said
         age_ns = scene.at_ns - last.time_ns

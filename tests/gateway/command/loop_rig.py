@@ -264,7 +264,7 @@ class LoopRig:
                 lease = arbiter.desk.lease
                 assert lease is not None, "motion without a lease"
                 assert self.now_ns < lease.expires_ns, "motion without a live lease"
-                assert self.now_ns - arbiter.fresh_ns <= self.settings.command.deadman_s * 1e9, "a stale command"
+                assert self.now_ns - arbiter.fresh_ns <= arbiter.link.deadman_ns, "a stale command"
             else:
                 assert arbiter.state is ArbiterState.STOPPING, "only a stop goes on with a speed"
                 assert before_mps is None or speed_mps <= before_mps + 1e-9, "a stop never speeds up"

@@ -77,6 +77,46 @@ def test_what_the_state_says() -> None:
     assert (said.steering_rate_limit_degps, said.lateral_acceleration_limit_mps2) == (60.0, 1.5)
 
 
+def test_the_state_is_published_at_50_hz_while_engaged() -> None:
+    """Each half of the period between two challenges is age."""
+    told = Told()
+    told.bench.engage()
+    told.now()
+    due = []
+    for _ in range(20):
+        told.bench.drive()
+        due.append(told.state() is not None)
+    assert due == [False, True] * 10
+
+
+def test_what_the_state_says_of_the_link() -> None:
+    """Row 'travel delay': the ages, the metres until it can react, the limit from them, the deadman, the echo."""
+    told = Told()
+    bench = told.bench
+    said = told.now()
+    assert (said.link_age_s, said.link_age_last_s, said.link_age_p50_s, said.link_age_p99_s) == (None,) * 4
+    assert (said.travel_delay_m, said.travel_speed_limit_mps, said.accepted_seq) == (0.0, None, None)
+    assert (said.deadman_s, said.stop_detail) == (0.3, "")
+    bench.ask("acquire")
+    bench.ask("engage", deadman_s=0.8)
+    bench.tick(count=2)
+    bench.drive()
+    bench.ask("unpark")
+    for _ in range(150):
+        bench.drive(1.0, challenge=bench.challenge(20))
+    said = told.now()
+    assert (said.link_age_s, said.link_age_last_s, said.link_age_p50_s, said.link_age_p99_s) == (0.2,) * 4
+    assert (said.travel_speed_limit_mps, said.output_speed_mps) == (1.0, 1.0)
+    assert (said.travel_delay_m, said.deadman_s, said.accepted_seq) == (1.0, 0.8, bench.sequence)
+    bench.tick(count=90)
+    said = told.now()
+    assert (said.stop_reason, said.stop_detail) == (Reason.DEADMAN, "none for 810 ms")
+    assert (said.travel_delay_m, said.deadman_s) == (0.0, 0.8)
+    bench.ask("release")
+    said = told.now()
+    assert (said.link_age_s, said.link_age_p50_s, said.accepted_seq, said.deadman_s) == (None, None, None, 0.3)
+
+
 def test_a_lower_limit_is_told_while_it_is_in_force() -> None:
     """Then the configured one again."""
     told = Told()

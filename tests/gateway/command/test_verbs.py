@@ -1,12 +1,14 @@
 """What is ruled on each verb."""
 
+from itertools import pairwise
+
 import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.command.request import RawRequest
-from schemas.decisions import ArbiterState, EventKind
+from schemas.decisions import ArbiterState, Bound, EventKind
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.reasons import Reason
 from schemas.settings import CommandSettings
@@ -620,6 +622,60 @@ def test_the_age_is_bounded_by_the_echo(ticks: int, reason: Reason) -> None:
     if reason is Reason.TOO_OLD:
         assert ruling.detail == "410 ms, at most 400 ms"
         assert bench.drive(1.0, seq=bench.sequence).reason is Reason.NONE, "its sequence does not count either"
+
+
+def test_the_deadman_tells_what_was_refused_before_it() -> None:
+    """Row 'deadman': a stream that comes too late is told from one that has ended."""
+    bench = engaged(max_age_s=0.4)
+    bench.drive_for(60, 0.5)
+    while bench.arbiter.state is ArbiterState.ENGAGED:
+        bench.drive(0.5, challenge=bench.challenge(47))
+    [stop] = bench.told(EventKind.STOP)
+    assert stop.reason is Reason.DEADMAN
+    assert stop.text.endswith("none for 310 ms; 31 commands refused as too old, 470 ms")
+    assert bench.arbiter.stop_detail == "none for 310 ms; 31 commands refused as too old, 470 ms"
+
+
+@pytest.mark.parametrize(("asked_s", "ticks"), [(None, 31), (0.1, 31), (0.8, 81), (1.0, 101)])
+def test_an_engagement_has_the_deadman_that_it_asked_for(asked_s: float | None, ticks: int) -> None:
+    """Row 'deadman: engage may ask for up to 1 s'; the configured one is the least."""
+    bench = Bench()
+    bench.ask("acquire")
+    bench.ask("engage", deadman_s=asked_s)
+    bench.tick(count=2)
+    bench.drive()
+    bench.tick(count=ticks - 1)
+    assert bench.arbiter.state is ArbiterState.ENGAGED
+    bench.tick()
+    assert bench.arbiter.stop_reason is Reason.DEADMAN
+
+
+@pytest.mark.parametrize("deadman_s", [0.0, 0.04, 1.01, -1.0])
+def test_a_deadman_beyond_its_bounds_is_malformed(deadman_s: float) -> None:
+    """Longer than 1 s is none."""
+    bench = Bench()
+    bench.ask("acquire")
+    assert bench.ask("engage", deadman_s=deadman_s).reason is Reason.MALFORMED
+
+
+def test_old_commands_drive_slowly() -> None:
+    """Row 'travel delay': down by the normal deceleration, up by the acceleration, and recorded as what bound."""
+    bench = engaged()
+    bench.drive_for(300, 2.0)
+    assert bench.arbiter.motion.speed_mps == 2.0
+    assert Bound.TRAVEL_DELAY not in bench.arbiter.motion.bounds
+    speeds_mps = [2.0]
+    for ticks_ago in [70] * 300 + [0] * 300:
+        bench.drive(2.0, challenge=bench.challenge(ticks_ago))
+        limit_mps = bench.arbiter.link.speed_limit_mps(bench.now_ns)
+        assert limit_mps is not None
+        assert (Bound.TRAVEL_DELAY in bench.arbiter.motion.bounds) is (limit_mps < 2.0)
+        speeds_mps.append(bench.arbiter.motion.speed_mps)
+    assert speeds_mps[300] == pytest.approx(1.0 / (0.7 + 0.3))
+    assert speeds_mps[-1] == 2.0
+    steps_mps = [after - before for before, after in pairwise(speeds_mps)]
+    assert min(steps_mps) == pytest.approx(-0.012)
+    assert max(steps_mps) == pytest.approx(0.008)
 
 
 def test_an_unknown_challenge_is_refused() -> None:

@@ -3,10 +3,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.remote.drive_stream import HOLD_MAX_S, STALE_NS, DriveStream, SetPoint
+from gateway.remote.drive_stream import HOLD_MAX_S, STALE_NS, DriveStream, Ending, SetPoint
 from schemas.decisions import ArbiterState, SafetyState, StopPhase
 from schemas.messages import GearPosition
-from schemas.reasons import Reason
+from schemas.reasons import TEXTS, Reason
 from schemas.requests import Role
 
 START_NS = 10**12
@@ -17,6 +17,15 @@ STANDBY = SafetyState(
     sequence=0,
     tick=100,
     challenge=bytes(8),
+    link_age_s=None,
+    link_age_last_s=None,
+    link_age_p50_s=None,
+    link_age_p99_s=None,
+    travel_delay_m=0.0,
+    travel_speed_limit_mps=None,
+    deadman_s=0.3,
+    accepted_seq=None,
+    stop_detail="",
     state=ArbiterState.STANDBY,
     engaged=False,
     stop_reason=Reason.NONE,
@@ -63,7 +72,26 @@ def test_nothing_is_sent_before_engage_was_asked_for() -> None:
     """A lease alone sends no drive command, whatever the robot's state is."""
     for state in (STANDBY, ENGAGING, ENGAGED):
         assert stream_that_saw(state, expects=False).command(START_NS) is None
-    assert stream_that_saw(STANDBY).command(START_NS) is None
+
+
+def test_the_stream_begins_when_engage_is_asked_for() -> None:
+    """Over a slow link the deadman would be over before the robot was seen to be engaged; a refusal ends it."""
+    stream = stream_that_saw(STANDBY)
+    command = stream.command(START_NS)
+    assert command is not None
+    assert command.speed_mps == 0.0
+    assert stream.is_wanted, "each drive command renews the lease"
+    stream.give_up()
+    assert stream.command(START_NS) is None
+    assert not stream.is_wanted
+
+
+def test_a_stop_after_refused_commands_says_so() -> None:
+    """Whoever drove over a link that is too slow does not only read that the robot is not engaged."""
+    stream = stream_that_saw(ENGAGED)
+    detail = "none for 310 ms; 12 commands refused as too old, 1470 ms"
+    stream.see(msgspec.structs.replace(STOPPED, stop_reason=Reason.DEADMAN, stop_detail=detail), START_NS)
+    assert stream.ending == Ending(Reason.DEADMAN, f"{TEXTS[Reason.DEADMAN].means}; {detail}")
 
 
 def test_while_nothing_is_driven_the_stream_asks_for_zero_speed_and_leaves_the_wheels() -> None:

@@ -40,8 +40,9 @@ def run(module: object, endpoint: str, *words: str, until: Callable[[], bool] = 
 def test_drive_for_a_script_drives_and_leaves_the_robot_at_rest(capsys: Capture) -> None:
     """Acquire, engage, unpark, drive, disengage, release: in this order, and the robot stands by at the end."""
     with FakeRobot() as fake:
-        words = ("cruiser-1", "--speed", "-0.2", "--angle", "3", "--seconds", "1")
+        words = ("cruiser-1", "--speed", "-0.2", "--angle", "3", "--seconds", "1", "--deadman", "0.9")
         assert run(drive, fake.listen, *words) == 0
+        assert {one.deadman_s for one in fake.said if one.engaged} == {0.9}
         assert fake.state is ArbiterState.STANDBY
         verbs = list(dict.fromkeys(one.request for one in fake.decisions if one.request not in {"drive", "renew"}))
         assert verbs == ["acquire", "engage", "unpark", "disengage", "release"]

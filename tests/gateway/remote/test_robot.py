@@ -37,11 +37,25 @@ def engaged(fake: FakeRobot) -> Iterator[tuple[Robot, Lease]]:
         yield robot, lease
 
 
+def test_the_age_of_the_commands_is_known() -> None:
+    """``robot.link_age_s`` and the deadman that was asked for."""
+    with FakeRobot() as fake, connected(fake) as robot, robot.lease() as lease:
+        assert robot.link_age_s is None
+        lease.engage(deadman_s=0.9)
+        assert robot.wait_for(lambda state: state.link_age_s is not None, 5)
+        age_s = robot.link_age_s
+        assert age_s is not None
+        assert 0 < age_s < 1
+        assert robot.state().state.deadman_s == 0.9
+
+
 def test_a_drive_that_is_renewed_moves_the_robot_and_ends_in_standby() -> None:
-    """Acquire, engage, drive, disengage: no command of the stream is refused, until the robot gives up."""
+    """Acquire, engage, drive, disengage: no command of the stream is refused from engaging on."""
     with FakeRobot() as fake, engaged(fake) as (robot, lease):
         wait_until(lambda: fake.speed_mps == 0.5, lambda: lease.drive(0.5, angle_deg=5.0))
-        assert fake.refused("drive") == []
+        assert {one.requested_speed_mps for one in fake.refused("drive")} <= {0.0}, "before engage was received"
+        first = fake.accepted("drive")[0].tick
+        assert all(one.tick < first for one in fake.refused("drive"))
         assert fake.accepted("drive")[-1].requested_angle_deg == 5.0
         lease.disengage()
         assert robot.wait_for(lambda state: state.state is ArbiterState.STANDBY, 20)

@@ -8,8 +8,10 @@ from rich.console import Console, RenderableType
 
 from gateway.remote import view
 from gateway.remote.fleet import RobotReport
+from schemas.decisions import SafetyState
 from schemas.messages import GatewayHealth, Mode, RobotState, Variant
 from tests.gateway.remote.fake_gateway import HEALTH, STATE
+from tests.gateway.remote.test_drive_stream import ENGAGED
 from tests.schemas.random_messages import TEXTS, message_of
 
 FRESH = RobotReport(
@@ -34,6 +36,7 @@ REPORTS = st.builds(
     health_age_s=st.none() | st.floats(0, 1e6),
     unreadable=TEXTS,
     linked=st.booleans(),
+    safety=st.none() | message_of(SafetyState),
 )
 
 
@@ -67,6 +70,24 @@ def test_a_fresh_state_shows_what_the_robot_does() -> None:
         ):
             assert part in text
         assert "STALE" not in text
+
+
+def test_the_view_shows_how_old_the_commands_are() -> None:
+    """Row 'travel delay': the age, the metres and the limit from it, while the robot obeys commands."""
+    safety = msgspec.structs.replace(
+        ENGAGED, link_age_s=0.43, link_age_p50_s=0.42, link_age_p99_s=0.81, deadman_s=1.0, travel_delay_m=0.71,
+        travel_speed_limit_mps=0.7,
+    )  # fmt: skip
+    far = msgspec.structs.replace(FRESH, safety=safety)
+    words = "commands 430 ms old (p50 420 ms, p99 810 ms), deadman 1000 ms, 0.71 m until it can react"
+    for text in (view.line(far), drawn(view.panel(far))):
+        assert f"{words}, at most 0.70 m/s by that" in text
+    for report in (
+        FRESH,
+        msgspec.structs.replace(FRESH, safety=ENGAGED),
+        msgspec.structs.replace(STALE, safety=safety),
+    ):
+        assert not any("until it can react" in text for text in every_view(report))
 
 
 def test_a_stale_view_says_so_and_shows_no_value() -> None:

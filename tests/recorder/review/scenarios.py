@@ -50,6 +50,15 @@ def deadman() -> RecordedRig:
     return rig
 
 
+def longer_deadman() -> RecordedRig:
+    """The same over a link that stalls, for which a longer deadman was asked for."""
+    rig, operator = RecordedRig.ready()
+    operator.engage(deadman_s=0.8)
+    operator.drive(0.6, 0.0, 1.5)
+    rig.rest_after(1.5)
+    return rig
+
+
 def stale_commands() -> RecordedRig:
     """The stream goes on, but its commands grow old."""
     rig, operator = RecordedRig.driving()
@@ -239,11 +248,12 @@ SCENARIOS: dict[Scenario, tuple[Reason, tuple[str, ...]]] = {
         ("0x18C4D9EF Auto_MileageAndBodyFeedback, 01 39 30 00 01", "FrontBumper = 1", "20.0 ms earlier said 0"),
     ),
     rear_bumper: (Reason.REAR_BUMPER, ("01 39 30 00 10", "RearBumper = 1")),
+    longer_deadman: (Reason.DEADMAN, ("810 ms before", "the limit is 800 ms (as engage asked for)")),
     deadman: (
         Reason.DEADMAN,
         ("of operator-1", "310 ms before", "the limit is 300 ms", "No drive command at all"),
     ),
-    stale_commands: (Reason.DEADMAN, ("15 drive requests", "1290 ms, at most 1000 ms", "seq 102, 1290 ms old")),
+    stale_commands: (Reason.DEADMAN, ("15 drive requests", "1290 ms, at most 1000 ms", "seq 134, 1290 ms old")),
     repeated_sequence: (Reason.DEADMAN, ("15 drive requests", "sequence number does not rise; 6 after 69")),
     lease_expired: (Reason.LEASE_EXPIRED, ("drive of operator-1, 500 ms before the stop", "a lease lasts 500 ms")),
     lease_taken: (Reason.LEASE_TAKEN, ("take, of operator-2",)),
@@ -275,7 +285,7 @@ SCENARIOS: dict[Scenario, tuple[Reason, tuple[str, ...]]] = {
     bus_lost: (Reason.BUS_DOWN, ("last frame was received 10.0 ms before the stop", "can0 is not there")),
     guard_lost: (Reason.UNGUARDED, ("no guard watches, first at the stop",)),
     guard_acts: (Reason.GUARD, ()),
-    late_loop: (Reason.LOOP_LATE, ("150 ms late", "the limit is 100 ms", "200 ms apart there, and 5 ticks")),
+    late_loop: (Reason.LOOP_LATE, ("150 ms late", "the limit is 100 ms", "160 ms apart there, and 1 tick")),
     flooded: (Reason.FEEDBACK_LATE, ("630 frames a second",)),
     full_bus: (Reason.SEND_FAILED, ("5 ticks in a row", "2 of five frames went out")),
     not_confirmed: (
