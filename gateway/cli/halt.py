@@ -14,7 +14,7 @@ from gateway.chassis.layout import load
 from gateway.chassis.variant import VariantDetector
 from gateway.core import CONFIGURED_VARIANT
 from gateway.guard.sight import Sight
-from gateway.guard.stopper import OTHER, REMOTE, STANDS, UNSEEN, Stopper
+from gateway.guard.stopper import NOT_OBEYED, OTHER, REMOTE, STANDS, UNSEEN, Stopper
 from gateway.ports.can_bus import Bus, BusFull, BusLost
 from gateway.ports.open_bus import describe, open_bus
 from gateway.ports.stop_note import NoteWriter, StopNote
@@ -186,7 +186,7 @@ class Halt:
             now_ns = time.monotonic_ns()
             if now_ns > braked_ns and not stopper.is_paused:
                 # It goes on being told so: the chassis obeys its last command for ever.
-                stopper.give_up("it is told zero speed and the parking brake, and is not seen to obey")
+                stopper.give_up(NOT_OBEYED)
                 break
             frames = stopper.tick(now_ns)
             if not stopper.is_paused:

@@ -7,7 +7,7 @@ from typing import Final
 from gateway.chassis.frame import Frame
 from gateway.guard.beat import Beat, Cause, GuardStatus, Outcome
 from gateway.guard.sight import Sight
-from gateway.guard.stopper import REMOTE, STANDS, UNSEEN, Stopper
+from gateway.guard.stopper import NOT_OBEYED, REMOTE, STANDS, UNSEEN, Stopper
 from schemas.messages import Mode
 from schemas.settings import (
     COMMANDER_NS,
@@ -181,7 +181,8 @@ class Guardian:
             # This process was the one that stood still, and the loop no longer counts on it.
             self._stopper.give_up("given back to the gateway, after a pause of the guard itself")
         elif now_ns - self._began_ns > GUARD_GIVES_UP_NS:
-            self._stopper.give_up("given up: the bus takes no frames")
+            why = NOT_OBEYED if self._stopper.is_heard(now_ns) else "the bus takes no frames"
+            self._stopper.give_up(f"given up: {why}")
         elif self._stopper.is_paused and now_ns - self._heard_ns > GUARD_GIVES_UP_NS:
             self._stopper.give_up("given up: the hand transmitter had the robot, and it is not heard any more")
         if self._stopper.is_over:

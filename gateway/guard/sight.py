@@ -11,7 +11,14 @@ from gateway.chassis.supervision import silence_ns
 from gateway.chassis.variant import WHEEL_SPEED, StandstillEvidence
 from gateway.command.frames import COUNTER_MODULO
 from schemas.messages import GearPosition, Mode, Variant
-from schemas.settings import GUARD_SILENT_NS, REMOTE_FRAMES, STANDSTILL_MPS, STANDSTILL_TICKS, TICK_NS
+from schemas.settings import (
+    GUARD_SILENT_NS,
+    REMOTE_FRAMES,
+    STANDSTILL_MPS,
+    STANDSTILL_TICKS,
+    TICK_NS,
+    TURNING_RAW_MIN,
+)
 
 _GEAR: Final = "Auto_GearFeedBack"
 _STEERING: Final = "Auto_SteeringFeedBack"
@@ -119,8 +126,10 @@ class Sight:
         return None if wheels is None else sum(wheels) / 2
 
     def moves(self, variant: Variant, now_ns: int) -> bool:
-        """The robot is seen to move."""
-        return (self.fastest_mps(variant, now_ns) or 0.0) > STANDSTILL_MPS
+        """The robot is seen to move; by the raw drive feedback where its scale is not known."""
+        drive = self._fresh(_DRIVE, now_ns) if variant is Variant.UNKNOWN else None
+        turns = drive is not None and int.from_bytes(drive[1:3], "little") >= TURNING_RAW_MIN
+        return turns or (self.fastest_mps(variant, now_ns) or 0.0) > STANDSTILL_MPS
 
     def is_braked(self, now_ns: int) -> bool | None:
         """The parking brake reads applied; None if it is not told."""

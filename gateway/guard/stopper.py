@@ -30,6 +30,7 @@ STANDS: Final = "the robot stands"
 UNSEEN: Final = "the robot is not seen to stand"
 REMOTE: Final = "the hand transmitter has the robot"
 OTHER: Final = "the hand transmitter had the robot, and another computer commands it since"
+NOT_OBEYED: Final = "it is told zero speed and the parking brake, and is not seen to obey"
 """How a stop ends, or why it waits."""
 
 _OFF: Final = (
@@ -126,6 +127,9 @@ class Stopper:
     def _next_burst(self, now_ns: int, *, stands: bool) -> list[Frame]:
         if self._sequence is None:
             return []
+        if self._sight.mode(now_ns) is Mode.STOP and self._sight.moves(self._variant, now_ns):
+            # Nobody commands it, and it coasts: the parking brake is told all the same.
+            self._sequence.park(now_ns)
         self._before = copy(self._sequence)
         actuation = self._sequence.tick(now_ns, self._stop_feedback(now_ns, stands=stands))
         if actuation is None:
@@ -190,10 +194,7 @@ class Stopper:
         if seen_mps is not None:
             first = replace(first, speed_mps=_lower(first.speed_mps, seen_mps))
         self._sequence = StopSequence(_possible(first, self._variant), self._deceleration_mps2, now_ns)
-        if mode is Mode.STOP and self._sight.moves(self._variant, now_ns):
-            # Nobody commands it, and it coasts: the parking brake is told all the same.
-            self._sequence.park(now_ns)
-        elif mode is Mode.STOP:
+        if mode is Mode.STOP and not self._sight.moves(self._variant, now_ns):
             # It obeys nobody: enables would only switch it back to auto.
             self._sequence.phase = StopPhase.DISABLE
         self._went_on_ns = now_ns
@@ -223,6 +224,10 @@ class Stopper:
             # In mode stop the chassis need not heed the request.
             is_braked=None if is_open and not is_braked else is_braked,
         )
+
+    def is_heard(self, now_ns: int) -> bool:
+        """The bus takes what is sent."""
+        return now_ns - self._went_on_ns <= GUARD_SILENT_NS
 
     def give_up(self, outcome: str) -> None:
         """Send nothing more."""

@@ -10,7 +10,7 @@ from schemas.configuration import TomlSource, merge, to_toml
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.recorder_settings import RecorderSettings
 from schemas.setting_table import SETTINGS
-from schemas.settings import CanSettings, RobotSettings, Settings, ZenohSettings
+from schemas.settings import NEEDED_FEEDBACK, CanSettings, RobotSettings, Settings, ZenohSettings
 
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]))
 OPTIONS = st.dictionaries(
@@ -172,6 +172,16 @@ def test_a_stop_at_once_may_not_be_the_gentler_one() -> None:
     with pytest.raises(CommandError, match=r"emergency_deceleration_mps2 is 1\.4, .*deceleration_mps2 1\.5"):
         merge(None, {}, flags)
     assert merge(None, {}, flags | {"command.emergency_deceleration_mps2": 1.5}).command.deceleration_mps2 == 1.5
+
+
+@pytest.mark.parametrize("name", NEEDED_FEEDBACK)
+def test_feedback_that_is_needed_cannot_be_left_out(name: str) -> None:
+    """Row 'engage: every feedback that chassis.required_feedback names': more may be named, and not less."""
+    needed = [one for one in NEEDED_FEEDBACK if one != name]
+    with pytest.raises(CommandError, match=rf"required_feedback leaves out {name}: no robot") as caught:
+        merge(None, {}, {"chassis.required_feedback": needed})
+    assert caught.value.code is ExitCode.USAGE
+    merge(None, {}, {"chassis.required_feedback": [*NEEDED_FEEDBACK, "Auto_BrakingFeedBack"]})
 
 
 def test_a_wrong_value_is_an_error_even_where_a_later_source_overrides_it() -> None:

@@ -1,5 +1,7 @@
 """A guard beside a simulated gateway and a simulated chassis: one time, one bus, no clocks."""
 
+from collections.abc import Callable
+
 import msgspec
 
 from gateway.chassis.frame import Frame
@@ -34,6 +36,7 @@ class GuardRig:
         told: what the loop tells the chassis; None for silence.
         left: what the loop says that it had told when it fell silent, if the chassis may obey that again.
         sent: what the guard sent, with its time.
+        see: what the guard sees instead of a feedback frame.
         lines: what the guard said.
     """
 
@@ -47,6 +50,7 @@ class GuardRig:
         self.mute = False
         self.takes = BURST
         self.hears_loop = True
+        self.see: Callable[[Frame], Frame] = lambda frame: frame
         self.told: Actuation | None = None
         self.left: Actuation | None = None
         self.told_ns = 0
@@ -106,7 +110,7 @@ class GuardRig:
 
     def _chassis(self) -> None:
         for frame in self.chassis.advance(self.now_ns):
-            self.guardian.receive(frame, self.now_ns)
+            self.guardian.receive(self.see(frame), self.now_ns)
 
     def loop(self) -> None:
         """One tick of the gateway's loop."""

@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from gateway.chassis.decode import Decoded, Decoder
+from gateway.chassis.encode import Encoder
+from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
 from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.auxiliary import AuxiliaryFrame
@@ -22,6 +24,7 @@ from schemas.settings import (
     GUARD_LOOK_NS,
     GUARD_POLL_NS,
     HOLD_NS,
+    NOT_SLOWING_NS,
     OFF_BURSTS,
     TICK_NS,
     CommandSettings,
@@ -57,7 +60,7 @@ ENDS: dict[str, tuple[Callable[[GuardRig], None], Cause]] = {
 @pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
 @pytest.mark.parametrize("end", ENDS)
 def test_however_the_gateway_fails_the_robot_comes_to_rest(end: str, variant: Variant) -> None:
-    """Ramp, brake, neutral, parking brake, hold, disabled frames, silence; then the guard says what it did."""
+    """Ramp in gear, parking brake, neutral, hold, disabled frames, silence; then the guard says what it did."""
     rig = GuardRig(variant)
     rig.drive()
     assert rig.chassis.state.speed_mps > 0.9
@@ -79,7 +82,7 @@ def test_however_the_gateway_fails_the_robot_comes_to_rest(end: str, variant: Va
 
 
 def test_the_order_of_the_stop() -> None:
-    """Speed falls first, then the pedal, then neutral, then the parking brake, then the enables."""
+    """Row 'stop': the speed falls in gear, then the parking brake, neutral behind it, then the enables."""
     rig = GuardRig()
     rig.drive()
     rig.parent_lives = False
@@ -95,8 +98,6 @@ def test_the_order_of_the_stop() -> None:
                 speeds.append(speed)
                 if speed == 0:
                     seen.setdefault("zero speed", at_ns)
-            case {"BrakePedal": float() as pedal} if pedal > 0:
-                seen.setdefault("pedal", at_ns)
             case {"TargetGear": "neutral"}:
                 seen.setdefault("neutral", at_ns)
             case {"ParkingRequest": True}:
@@ -105,8 +106,9 @@ def test_the_order_of_the_stop() -> None:
             seen.setdefault("disabled", at_ns)
     assert speeds == sorted(speeds, reverse=True)
     assert list(seen) == sorted(seen, key=lambda name: seen[name])
-    assert set(seen) == {"zero speed", "pedal", "neutral", "parking", "disabled"}
-    assert seen["disabled"] - seen["parking"] == pytest.approx(HOLD_NS, abs=2 * TICK_NS)
+    assert set(seen) == {"zero speed", "parking", "neutral", "disabled"}
+    assert seen["neutral"] > seen["parking"] > seen["zero speed"]
+    assert seen["disabled"] - seen["neutral"] == pytest.approx(HOLD_NS, abs=2 * TICK_NS)
     assert rig.sent[-1][0] - seen["disabled"] == pytest.approx(DISABLE_NS, abs=2 * TICK_NS)
 
 
@@ -330,6 +332,52 @@ def test_a_robot_that_is_given_back_and_reads_stop_is_sent_no_enables() -> None:
     assert len(after) > 100
     assert not any(frame.data[0] & 1 for frame in after)
     assert rig.guardian.is_ended
+
+
+def test_a_robot_that_coasts_in_mode_stop_is_told_the_parking_brake() -> None:
+    """Row 'a robot in mode stop that is seen to move: enables, zero speed, parking brake', by the guard too."""
+    rig = GuardRig()
+    rig.drive()
+    rig.loop_lives = rig.parent_lives = False
+    body = load(Variant.COARSE).messages["Auto_MileageAndBodyFeedback"].can_id
+    encoder = Encoder(load(Variant.COARSE))
+    rig.see = lambda frame: (
+        encoder.encode("Auto_MileageAndBodyFeedback", {"Valid": True, "Mode": "stop"}, frame.data[6] >> 4)
+        if frame.can_id == body
+        else frame
+    )
+    rig.run(0.04)
+    drive, gear, _, _, parking = [frame for _, frame in rig.sent][-5:]
+    assert (drive.data[0], drive.data[1:3], gear.data[1], parking.data[1]) == (1, bytes(2), 4, 1)
+    rig.run(A_STOP_S)
+    assert rig.chassis.state.speed_mps == 0
+    assert "the robot stands" in rig.lines[-1]
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_a_guard_that_is_not_obeyed_says_so_and_leaves_the_parking_brake_told(*, moves: bool) -> None:
+    """Row 'stop: neutral only behind an applied parking brake': in gear to the end, and no word of a full bus."""
+    rig = GuardRig()
+    rig.drive()
+    rig.parent_lives = False
+    parking = load(Variant.COARSE).messages["Auto_ParkingFeedBack"].can_id
+    drive = load(Variant.COARSE).messages["Auto_DriveFeedBack"].can_id
+    encoder = Encoder(load(Variant.COARSE))
+    false_words = {parking: ("Auto_ParkingFeedBack", {"ParkingStatus": "released"})}
+    if moves:
+        false_words = {drive: ("Auto_DriveFeedBack", {"Speed": 0.5})}
+
+    def see(frame: Frame) -> Frame:
+        words = false_words.get(frame.can_id)
+        return frame if words is None else encoder.encode(*words, frame.data[6] >> 4)
+
+    rig.see = see
+    rig.run(GUARD_GIVES_UP_NS / S + 1)
+    assert rig.guardian.is_ended
+    told = {frame.can_id: frame.data for _, frame in rig.sent[-5:]}
+    assert told[load(Variant.COARSE).messages["Auto_ParkingCmd"].can_id][:2] == b"\1\1"
+    assert told[load(Variant.COARSE).messages["Auto_GearCmd"].can_id][1] == (3 if moves else 4)
+    assert "given up: it is told zero speed and the parking brake" in rig.lines[-1]
 
 
 def test_a_robot_that_is_given_back_to_another_computer_is_left_to_it() -> None:
@@ -753,15 +801,17 @@ def test_lamps_horn_and_odometer_are_ended_with_the_robot() -> None:
 
 
 def test_an_unknown_variant_is_told_zero_speed_only() -> None:
-    """The gate lets nothing else through, so there is no ramp: the guard brakes at once."""
+    """The gate lets nothing else through, so there is no ramp; not seen to slow, it gets its parking brake."""
     rig = GuardRig()
     rig.drive()
     rig.told_variant = Variant.UNKNOWN
     rig.run(0.01)
     rig.parent_lives = False
-    drive, _, _, braking, *_ = rig.poll()
+    drive, gear, _, _, parking, *_ = rig.poll()
     assert not any(drive.data[1:3])
-    assert braking.data[1] > 0
+    assert (gear.data[1], parking.data[1]) == (4, 0)
+    rig.run(NOT_SLOWING_NS / S)
+    assert rig.sent[-1][1].data[1] == 1
     rig.run(A_STOP_S)
     assert rig.chassis.state.speed_mps == 0
     assert "the robot stands" in rig.lines[-1]

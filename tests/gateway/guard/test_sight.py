@@ -116,6 +116,41 @@ def test_wheels_that_turn_against_each_other_do_not_stand(variant: Variant) -> N
         assert not sight.stands(variant, at_ms * MS)
 
 
+@pytest.mark.parametrize(
+    ("name", "values", "moves"),
+    [
+        (DRIVE, {"Speed": 0.0}, (False, False)),
+        (DRIVE, {"Speed": 0.04}, (False, False)),
+        (DRIVE, {"Speed": 0.08}, (True, True)),
+        (WHEELS, {"RearLeftSpeed": 0.2, "RearRightSpeed": -0.2}, (True, False)),
+        (WHEELS, {"RearLeftSpeed": 0.2, "RearRightSpeed": 0.2, "Valid": False}, (False, False)),
+    ],
+)
+def test_motion_is_seen_by_either_speed(
+    name: str, values: dict[str, float | bool], moves: tuple[bool, bool]
+) -> None:
+    """Row 'stop: a robot that is seen to move'; in an unknown scale by the raw drive feedback."""
+    sight = Sight()
+    sight.receive(Feedback(Variant.COARSE).frame(name, values), 0)
+    assert (sight.moves(Variant.COARSE, 0), sight.moves(Variant.UNKNOWN, 0)) == moves
+    assert not sight.moves(Variant.COARSE, 2000 * MS)
+
+
+def test_what_a_stop_looks_at() -> None:
+    """Row 'stop: moves against the ramp, does not slow, applied parking brake': not known before it is told."""
+    sight, feedback = Sight(), Feedback(Variant.COARSE)
+    assert sight.is_braked(0) is sight.fastest_mps(Variant.COARSE, 0) is None
+    assert sight.wheel_speed_mps(Variant.COARSE, 0) is None
+    sight.receive(feedback.frame(DRIVE, {"Speed": 0.4}), 0)
+    sight.receive(feedback.frame(WHEELS, {"RearLeftSpeed": -0.4, "RearRightSpeed": -0.8}), 0)
+    assert sight.fastest_mps(Variant.COARSE, 0) == pytest.approx(0.8)
+    assert sight.wheel_speed_mps(Variant.COARSE, 0) == pytest.approx(-0.6)
+    assert sight.wheel_speed_mps(Variant.UNKNOWN, 0) is sight.fastest_mps(Variant.UNKNOWN, 0) is None
+    for status, is_braked in (("applied", True), ("released", False)):
+        sight.receive(feedback.frame("Auto_ParkingFeedBack", {"ParkingStatus": status}), 0)
+        assert sight.is_braked(0) is is_braked
+
+
 def test_silence_is_not_standstill() -> None:
     """What is not heard is not known."""
     sight = Sight()

@@ -16,7 +16,7 @@ from gateway.command.request import RawRequest
 from gateway.ports.zenoh_client import close_session, open_session
 from schemas import codec, keys
 from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState
-from schemas.messages import GatewayHealth, GearPosition, Message, Mode, Variant
+from schemas.messages import GatewayHealth, GearPosition, Message, Mode, ParkingStatus, Variant
 from schemas.settings import TICK_NS, Settings, ZenohSettings
 from schemas.subjects import BY_NAME, BY_VERB
 from tests.gateway.remote.fake_gateway import HEALTH, ROOT, free_endpoint
@@ -154,12 +154,14 @@ class FakeRobot:
         if self.flow.arbiter.auxiliary.is_clearing:
             self._mileage_km = 0.0
         obeys = told is not None and told.enabled
+        parked = told is None or told.parking
         return Observed(
             bus_up=True,
             variant=Variant.COARSE,
             confirmed=True,
             mode=self.mode or (Mode.AUTO if obeys else Mode.STOP),
-            gear=gear,
+            gear=GearPosition.PARK if parked else gear,
+            brake=ParkingStatus.APPLIED if parked else ParkingStatus.RELEASED,
             speed_mps=abs(speed_mps),
             wheel_speed_mps=speed_mps,
             fastest_wheel_mps=abs(speed_mps),

@@ -10,6 +10,7 @@ from gateway.remote import drive, horn, lease, light, odometer, park, reset, sto
 from gateway.remote.robot import Robot
 from schemas.decisions import ArbiterState
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.messages import Mode
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import RESET_MIN_NS, Settings, ZenohSettings
 from tests.gateway.remote.fake_gateway import HEALTH, free_endpoint
@@ -153,6 +154,23 @@ def test_stop_that_nobody_answers_is_an_error(capsys: Capture) -> None:
         with pytest.raises(CommandError) as wrong:
             run(stop, free_endpoint(), *words)
         assert wrong.value.code is ExitCode.USAGE
+
+
+def test_a_stop_that_cannot_be_carried_out_is_no_success(capsys: Capture) -> None:
+    """Row 'a stop that cannot be carried out: reason, what it does now; exit 3': of one robot, or all."""
+    with FakeRobot("cruiser-1") as fake, FakeRobot("cruiser-2", connect=fake.listen) as other:
+        other.mode = Mode.REMOTE
+        assert run(stop, fake.listen, "cruiser-2") == ExitCode.PARTIAL == 3
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert said.err == (
+            "cruiser-2: NOT STOPPED: hand_transmitter: the hand transmitter has the robot; latched, but not "
+            "carried out: the robot stands. Use the button on the robot\n"
+        )
+        assert run(stop, fake.listen, "--all", "--json") == ExitCode.PARTIAL
+        report = json.loads(capsys.readouterr().out)
+        assert (report["stopped"], list(report["refused"])) == (["cruiser-1"], ["cruiser-2"])
+        assert Reason.REMOTE_STOP in other.flow.arbiter.latched
 
 
 def test_why_says_each_reason_with_its_cure(capsys: Capture) -> None:

@@ -236,6 +236,14 @@ def test_the_remote_stop_needs_no_lease() -> None:
         assert fake.puts.count("stop") > 1
 
 
+def test_a_remote_stop_that_cannot_be_carried_out_is_an_error() -> None:
+    """Row 'a stop that cannot be carried out: never ok alone': latched, and the text says what the robot does."""
+    with FakeRobot(mode=Mode.REMOTE) as fake, connected(fake) as robot:
+        with pytest.raises(Refused, match=r"is not stopped.*hand_transmitter.*the robot stands"):
+            robot.stop()
+        assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
+
+
 def test_state_has_an_age_and_an_end() -> None:
     """The newest safety/state is given while it is fresh; a robot that falls silent is out of reach."""
     with FakeRobot() as fake, engaged(fake) as (robot, lease):
