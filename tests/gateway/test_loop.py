@@ -19,6 +19,7 @@ from gateway.loop import BURST_MAX_FRAMES, SELDOM_TICKS, Surroundings, run
 from gateway.sim.model import VirtualChassis
 from gateway.telemetry.sample import Sample
 from schemas import codec
+from schemas.decisions import SafetyState
 from schemas.messages import GatewayHealth, Message, RobotState, Variant
 from schemas.settings import ChassisSettings, Settings
 from schemas.subjects import BY_NAME
@@ -492,6 +493,20 @@ def test_a_full_collection_while_driving_is_a_late_loop() -> None:
     finally:
         gc.callbacks.remove(note)
     assert len(heap) == 1_000_000
+
+
+def test_no_challenge_is_ever_published_twice() -> None:
+    """Row 'command age, by echo': each is random, in two runs of the same number too."""
+
+    def published() -> list[bytes]:
+        zenoh = FakeZenoh()
+        run(Surroundings(FakeBus([]), zenoh), core(), lambda: b"info", StopWhen(lambda: zenoh.answered >= 30))
+        return [state.challenge for state in zenoh.of("safety/state") if isinstance(state, SafetyState)]
+
+    challenges = published() + published()
+    assert len(challenges) >= 8
+    assert len(set(challenges)) == len(challenges)
+    assert len({byte for challenge in challenges for byte in challenge}) > 30, "every byte of them varies"
 
 
 def test_the_guard_hears_each_tick() -> None:

@@ -31,7 +31,7 @@ def _acknowledged() -> tuple[RecordedRig, Operator]:
     ("seconds", "headline"),
     [
         (0.1, "It was engaged and told -0.0"),
-        (0.2, "It was engaged and told -0.13 m/s, and hardly moved, at 0.04 m/s."),
+        (0.2, "It was engaged and told -0.15 m/s, and hardly moved, at 0.04 m/s."),
         (0.6, "It was engaged and moved, at 0."),
     ],
 )
