@@ -24,7 +24,6 @@ from schemas.requests import Challenge, LeaseNumber, Role, Tick
 
 AccelerationMps2 = Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("m/s2"))]
 AngleRateDegps = Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("deg/s"))]
-PedalPercent = Annotated[float, Meta(ge=0, le=100, extra_json_schema=unit_keyword("%"))]
 
 
 class Reply(msgspec.Struct, frozen=True):
@@ -184,7 +183,6 @@ class SafetyState(Message, frozen=True):
     output_speed_mps: SpeedMps
     output_angle_deg: AngleDeg
     output_gear: GearPosition
-    brake_pedal_percent: PedalPercent
     parking: bool
     challenge: Challenge
     link_age_s: DurationS | None

@@ -451,9 +451,6 @@ class CommandSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     lateral_acceleration_mps2: Annotated[
         float, Meta(ge=0.2, le=3.0, description="m/s2; v^2 tan(angle) / wheelbase; speed is reduced to keep it")
     ] = 1.5
-    brake_pedal_percent: Annotated[
-        float, Meta(ge=10, le=100, description="%; pressed in a stop, and while it stands engaged")
-    ] = 30.0
 
 
 class SimSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -17,7 +17,6 @@ class Actuation(msgspec.Struct, frozen=True):
         gear: neutral, drive or reverse. Park is reserved and never commanded (manual V2.0, table of gears).
         speed_mps: a magnitude; the gear gives the direction.
         angle_deg: left is positive.
-        pedal_percent: brake pedal.
         parking: the parking brake is asked for.
     """
 
@@ -25,7 +24,6 @@ class Actuation(msgspec.Struct, frozen=True):
     gear: GearPosition = GearPosition.NEUTRAL
     speed_mps: float = 0.0
     angle_deg: float = 0.0
-    pedal_percent: float = 0.0
     parking: bool = True
 
     @property

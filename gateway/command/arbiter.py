@@ -95,7 +95,7 @@ class Arbiter:
         self.is_closing = False
         self.latched_ns = 0
         self._sequence: StopSequence | None = None
-        self._is_brake_missed = False
+        self._is_brake_missed = self._owes_stop = False
         self._engage_until_ns = 0
         self.told_ns = 0
         self.handover = Handover()
@@ -177,6 +177,7 @@ class Arbiter:
             return
         last = self._last_told()
         if self.state is ArbiterState.STANDBY:
+            self._owes_stop = reason is Reason.REMOTE_STOP and not may_be_stopped(self.watch.observed)
             if not may_be_stopped(self.watch.observed):
                 return  # Standing by stays silent.
             self.limits = self.configured_limits
@@ -329,6 +330,8 @@ class Arbiter:
         if self.handover.is_obeyed_again(self.watch.observed, now_ns, is_taken=is_taken):
             # It was left while it was being told something, and may obey that again: nothing resumes by itself.
             self.begin_stop(Reason.FOUND_MOVING, now_ns, "or about to move, by what it was told before")
+        elif self._owes_stop and not is_taken and self.latched and may_be_stopped(self.watch.observed):
+            self.begin_stop(Reason.REMOTE_STOP, now_ns, "it could not be carried out before")
         elif self.watch.found_moving(now_ns):
             self.begin_stop(Reason.FOUND_MOVING, now_ns)
 

@@ -26,8 +26,6 @@ MOTION_FRAMES: Final = (
 """The five of a burst, in their order: where a bus takes but a part of it, the speed is heard first."""
 
 COUNTER_MODULO: Final = 16
-FULL_PERCENT: Final = 99.609375
-"""The brake pedal's eight bits end here, at 255 of 0.390625 % each."""
 _HAIR: Final = 1e-6
 """Of a bit, so that a value that is a whole number of bits is not taken for the one below."""
 
@@ -86,7 +84,7 @@ class FrameMaker:
                 "Enable": enable,
                 "TargetVelocity": floor(actuation.speed_mps / scale + _HAIR) * scale,
             },
-            "Auto_BrakingCmd": {"Enable": enable, "BrakePedal": min(actuation.pedal_percent, FULL_PERCENT)},
+            "Auto_BrakingCmd": {"Enable": enable, "BrakePedal": 0.0},
             "Auto_ParkingCmd": {"Enable": enable, "ParkingRequest": actuation.parking},
         }
 

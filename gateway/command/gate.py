@@ -210,7 +210,7 @@ def motion_fault(motion: Motion, variant: Variant) -> str:
         (motion.gear == NEUTRAL or motion.enables, "a gear without the enables"),
         (motion.gear != NEUTRAL or motion.parking, "neutral without the parking brake"),
         (not moves or not motion.parking, "a speed against the parking brake"),
-        (not moves or not motion.pedal_raw, "a speed against the brake pedal"),
+        (not motion.pedal_raw, "the brake pedal is never pressed"),
     )
     return _broken(rules)
 
@@ -224,9 +224,9 @@ def step_fault(motion: Motion, before: Motion | None, variant: Variant, *, stopp
         variant: the scale of the speeds.
         stopping: the burst belongs to a stop.
     """
-    moves = motion.speed_raw > 0
     if before is None:
-        return "a speed out of silence" if moves and not stopping else ""
+        return "" if stopping or motion.parking else "released out of silence"
+    moves = motion.speed_raw > 0
     rise_raw = 0 if stopping else SPEED_RISE_RAW[variant]
     shifts = motion.gear != before.gear
     releases = before.parking > motion.parking

@@ -20,7 +20,7 @@ SIZE_BYTES: Final = 4096
 _BEATS_AT: Final = 0
 _STATUS_AT: Final = 2048
 
-_BEAT: Final = struct.Struct("<2q4?B?Bddd?8s")
+_BEAT: Final = struct.Struct("<2q4?B?Bdd?8s")
 _STATUS: Final = struct.Struct("<q2?Q2B")
 _NUMBER: Final = struct.Struct("<Q")
 _CHECKSUM: Final = struct.Struct("<I")
@@ -103,7 +103,6 @@ class Heartbeat:
             _GEAR_CODES[last.gear],
             last.speed_mps,
             last.angle_deg,
-            last.pedal_percent,
             last.parking,
             beat.counters,
         )
@@ -114,8 +113,8 @@ class Heartbeat:
         if values is None:
             return None
         now_ns, told_ns, active, left, mute, closing, variant = values[:7]
-        enabled, gear, speed, angle, pedal, parking, counters = values[7:]
-        last = Actuation(enabled, _GEARS[gear], speed, angle, pedal, parking)
+        enabled, gear, speed, angle, parking, counters = values[7:]
+        last = Actuation(enabled, _GEARS[gear], speed, angle, parking)
         return Beat(now_ns, told_ns, active, left, mute, closing, _VARIANTS[variant], last, counters)
 
     def write_status(self, status: GuardStatus) -> None:

@@ -121,7 +121,7 @@ def read(burst: Sequence[Frame], bit_umps: int | None) -> Told:
 
 def may_be_told(told: Told) -> bool:
     """Whether the chassis may be told this at all."""
-    if abs(told.angle_udeg) > TOP_ANGLE_UDEG:
+    if abs(told.angle_udeg) > TOP_ANGLE_UDEG or told.has_pedal:
         return False
     is_at_rest = told.is_parked and told.speed_umps == 0
     if told.enables == "00000":
@@ -132,13 +132,13 @@ def may_be_told(told: Told) -> bool:
         return is_at_rest
     if told.gear not in {"R", "D"} or told.speed_umps > TOP_SPEED_UMPS:
         return False
-    return told.speed_umps == 0 or not (told.is_parked or told.has_pedal)
+    return told.speed_umps == 0 or not told.is_parked
 
 
 def may_follow(told: Told, before: Told | None, bit_umps: int | None, *, is_stop: bool) -> bool:
     """Whether the chassis may be told this after that; None out of silence, or where others may command."""
     if before is None:
-        return is_stop or told.speed_umps == 0
+        return is_stop or told.is_parked
     gain_umps = 0 if is_stop else GAIN_UMPS + (bit_umps or 0)
     if told.speed_umps > before.speed_umps + gain_umps:
         return False

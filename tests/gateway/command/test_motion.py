@@ -79,7 +79,7 @@ def going(speed_mps: float = 1.0, limits: Limits = LIMITS) -> Robot:
 
 def test_before_any_speed_is_asked_for_it_is_parked() -> None:
     """Row 'slopes: never stands in neutral unbraked': with all enables, for as long as nobody drives it."""
-    assert Robot().tick(0.0, count=500) == Actuation(True, NEUTRAL, 0.0, 0.0, 0.0, parking=True)  # noqa: FBT003
+    assert Robot().tick(0.0, count=500) == Actuation(True, NEUTRAL, 0.0, 0.0, parking=True)  # noqa: FBT003
 
 
 @pytest.mark.parametrize(("sign", "gear"), [(1, DRIVE), (-1, REVERSE)])

@@ -71,7 +71,7 @@ def test_what_the_state_says() -> None:
     assert (said.latched, said.blocked_by, said.guarded, said.tick) == ([], [], True, bench.arbiter.tick_number)
     assert (said.target_speed_mps, said.target_angle_deg) == (-0.4, -6.0)
     assert (said.output_speed_mps, said.output_angle_deg, said.output_gear) == (-0.4, -6.0, GearPosition.REVERSE)
-    assert (said.brake_pedal_percent, said.parking) == (0.0, False)
+    assert not said.parking
     assert (said.speed_limit_mps, said.acceleration_limit_mps2, said.deceleration_limit_mps2) == (2.222, 0.8, 1.2)
     assert (said.emergency_deceleration_mps2, said.steering_limit_deg) == (2.0, 24.0)
     assert (said.steering_rate_limit_degps, said.lateral_acceleration_limit_mps2) == (60.0, 1.5)

@@ -14,7 +14,7 @@ from schemas.messages import GearPosition
 
 MS = 1_000_000
 DRIVE, REVERSE, NEUTRAL = GearPosition.DRIVE, GearPosition.REVERSE, GearPosition.NEUTRAL
-DRIVING = Actuation(True, DRIVE, 1.0, 10.0, 0.0, parking=False)  # noqa: FBT003
+DRIVING = Actuation(True, DRIVE, 1.0, 10.0, parking=False)  # noqa: FBT003
 BLIND = StopFeedback()
 STANDS = StopFeedback(stands=True, speed_mps=0.0, wheel_speed_mps=0.0, is_braked=False)
 HELD = StopFeedback(stands=True, speed_mps=0.0, wheel_speed_mps=0.0, is_braked=True)
@@ -85,10 +85,10 @@ def test_the_whole_sequence() -> None:
     }
     outputs = {phase: actuation for phase, actuation in stop.told if phase is not StopPhase.RAMP}
     assert outputs == {
-        StopPhase.BRAKE: Actuation(True, DRIVE, 0.0, 10.0, 0.0, parking=False),  # noqa: FBT003
-        StopPhase.PARK: Actuation(True, DRIVE, 0.0, 10.0, 0.0, parking=True),  # noqa: FBT003
-        StopPhase.HOLD: Actuation(True, NEUTRAL, 0.0, 10.0, 0.0, parking=True),  # noqa: FBT003
-        StopPhase.DISABLE: Actuation(False, NEUTRAL, 0.0, 10.0, 0.0, parking=True),  # noqa: FBT003
+        StopPhase.BRAKE: Actuation(True, DRIVE, 0.0, 10.0, parking=False),  # noqa: FBT003
+        StopPhase.PARK: Actuation(True, DRIVE, 0.0, 10.0, parking=True),  # noqa: FBT003
+        StopPhase.HOLD: Actuation(True, NEUTRAL, 0.0, 10.0, parking=True),  # noqa: FBT003
+        StopPhase.DISABLE: Actuation(False, NEUTRAL, 0.0, 10.0, parking=True),  # noqa: FBT003
     }
     assert stop.sequence.tick(99_999 * MS, HELD) is None, "it has ended"
 
@@ -97,7 +97,7 @@ def test_the_whole_sequence() -> None:
 @pytest.mark.parametrize("gear", [DRIVE, REVERSE])
 def test_the_ramp_keeps_its_deceleration_and_its_gear(deceleration_mps2: float, gear: GearPosition) -> None:
     """Rows 'normal / emergency deceleration' and 'stop: ramp in gear': from the first tick on, exactly."""
-    stop = Run(Actuation(True, gear, 1.0, 10.0, 0.0, parking=False), deceleration_mps2)  # noqa: FBT003
+    stop = Run(Actuation(True, gear, 1.0, 10.0, parking=False), deceleration_mps2)  # noqa: FBT003
     stop.run(ms=10_000)
     ramp = [actuation for phase, actuation in stop.told if phase is StopPhase.RAMP]
     assert len(ramp) == pytest.approx(100 / deceleration_mps2, abs=1)
@@ -160,7 +160,7 @@ def test_the_parking_brake_is_told_at_once_when_it_moves_against_the_ramp(
     ramps: bool,
 ) -> None:
     """Row 'stop: or is seen to move against the ramp': by more than the standstill bound, at any told speed."""
-    stop = Run(Actuation(True, gear, 1.0 if ramps else 0.0, 0.0, 0.0, parking=False))  # noqa: FBT003
+    stop = Run(Actuation(True, gear, 1.0 if ramps else 0.0, 0.0, parking=False))  # noqa: FBT003
     assert not stop.run(moving(0.05, backward=backward)).parking
     told = stop.run(moving(0.051, backward=backward))
     assert (told.parking, told.speed_mps, told.gear) == (True, 0.0, gear)
@@ -170,7 +170,7 @@ def test_the_parking_brake_is_told_at_once_when_it_moves_against_the_ramp(
 @pytest.mark.parametrize("seen", [moving(1.0), moving(0.06), BLIND], ids=["fast", "slow", "blind"])
 def test_a_robot_that_is_not_seen_to_slow_gets_its_parking_brake(told_mps: float, seen: StopFeedback) -> None:
     """Row 'stop: or not to slow for 300 ms', also when nothing can be seen; in gear meanwhile."""
-    stop = Run(Actuation(True, DRIVE, told_mps, 0.0, 0.0, parking=False), 1.2)  # noqa: FBT003
+    stop = Run(Actuation(True, DRIVE, told_mps, 0.0, parking=False), 1.2)  # noqa: FBT003
     assert not stop.run(seen, 300).parking
     told = stop.run(seen)
     assert (told.parking, told.speed_mps, told.gear) == (True, 0.0, DRIVE)
@@ -271,10 +271,7 @@ def test_a_robot_that_is_seen_to_move_is_not_left() -> None:
     assert stop.sequence.phase is StopPhase.HOLD
     stop.run(moving(0.1, is_braked=True), 60_000)
     assert stop.sequence.phase is StopPhase.HOLD
-    stop.run(HELD, 990)
-    assert stop.sequence.phase is StopPhase.HOLD
-    stop.run(HELD)
-    assert stop.sequence.phase is StopPhase.DISABLE
+    assert [stop.run(HELD, 990).enabled, stop.run(HELD).enabled] == [True, False]
 
 
 def test_each_phase_is_told_also_after_a_pause() -> None:
@@ -308,7 +305,7 @@ def test_nothing_is_ever_taken_back_in_a_stop(
 ) -> None:
     """Whatever is seen, however the ticks come: the speed falls, the brake stays, neutral only behind it."""
     is_driven = gear is not NEUTRAL and not parking
-    last = before = Actuation(True, gear, speed_mps if is_driven else 0.0, 0.0, 0.0, parking=parking)  # noqa: FBT003
+    last = before = Actuation(True, gear, speed_mps if is_driven else 0.0, 0.0, parking=parking)  # noqa: FBT003
     sequence = StopSequence(last, 1.2, 0)
     now_ms = 0
     for tick in range(400):

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from gateway.chassis.decode import Decoded, Decoder
+from gateway.chassis.decode import Decoded, Decoder, Value
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
@@ -363,7 +363,9 @@ def test_a_guard_that_is_not_obeyed_says_so_and_leaves_the_parking_brake_told(*,
     parking = load(Variant.COARSE).messages["Auto_ParkingFeedBack"].can_id
     drive = load(Variant.COARSE).messages["Auto_DriveFeedBack"].can_id
     encoder = Encoder(load(Variant.COARSE))
-    false_words = {parking: ("Auto_ParkingFeedBack", {"ParkingStatus": "released"})}
+    false_words: dict[int, tuple[str, dict[str, Value]]] = {
+        parking: ("Auto_ParkingFeedBack", {"ParkingStatus": "released"})
+    }
     if moves:
         false_words = {drive: ("Auto_DriveFeedBack", {"Speed": 0.5})}
 
@@ -824,7 +826,6 @@ ACTUATIONS = st.builds(
     gear=st.sampled_from(GearPosition),
     speed_mps=st.one_of(st.floats(-3, 3), ANY_FLOAT),
     angle_deg=st.one_of(st.floats(-30, 30), ANY_FLOAT),
-    pedal_percent=ANY_FLOAT,
     parking=st.booleans(),
 )
 
@@ -839,7 +840,6 @@ ACTUATIONS = st.builds(
         CommandSettings,
         deceleration_mps2=st.floats(0.3, 2.0),
         emergency_deceleration_mps2=st.floats(0.5, 3.0),
-        brake_pedal_percent=st.floats(10, 100),
     ),
 )
 def test_whatever_the_heartbeat_says_the_stop_passes_the_gate(

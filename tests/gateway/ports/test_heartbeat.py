@@ -27,7 +27,6 @@ BEATS = st.builds(
         gear=st.sampled_from(GearPosition),
         speed_mps=FINITE,
         angle_deg=FINITE,
-        pedal_percent=FINITE,
         parking=st.booleans(),
     ),
     counters=st.binary(min_size=8, max_size=8),

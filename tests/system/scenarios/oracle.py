@@ -509,8 +509,9 @@ class Oracle:
         speed_mps = plant.speed_mps
         # Rolling: faster one way than the last commands that way, and a drive that follows them late, explain.
         for sign in (1.0, -1.0):
-            lag_mps2 = min(LAGGING_MPS2, self._explained[sign] / LAGGING_S)
-            self._explained[sign] = max(order.signed_mps * sign, self._explained[sign] - lag_mps2 * TICK_S, 0.0)
+            told_mps = max(order.signed_mps * sign, 0.0)
+            lag_mps2 = min(LAGGING_MPS2, (self._explained[sign] - told_mps) / LAGGING_S)
+            self._explained[sign] = max(told_mps, self._explained[sign] - lag_mps2 * TICK_S)
             rolls = speed_mps * sign > self._explained[sign] + MOVES_MPS and order.signed_mps * sign <= 0
             lasts_s = self._timer(f"roll{sign}").lasts(now_s, holds=rolls and not order.parking)
             if lasts_s > 0.1 + SEEING_S:

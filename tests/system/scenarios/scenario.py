@@ -376,6 +376,7 @@ class Play:
         match act.knob:
             case "reboot":
                 plant.reboot(act.value)
+                oracle.blind(now_s, act.value)
             case "freeze":
                 plant.frozen.add(act.value)
             case "thaw":
