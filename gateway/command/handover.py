@@ -78,4 +78,5 @@ class Handover:
         is_blind = observed.mode is Mode.UNDEFINED and now_ns - self._left_ns < LEFT_BLIND_NS
         if not observed.bus_up:
             self._left_ns = now_ns
-        return self.left is not None and may_obey(observed) and not is_blind
+        is_coasting = observed.mode is Mode.STOP and observed.moves
+        return self.left is not None and (may_obey(observed) or is_coasting) and may_be_stopped(observed) and not is_blind
