@@ -272,9 +272,8 @@ def test_a_robot_that_is_seen_to_move_is_not_left() -> None:
     stop.run(moving(0.1, is_braked=True), 60_000)
     assert stop.sequence.phase is StopPhase.HOLD
     stop.run(HELD, 990)
-    assert stop.sequence.phase is StopPhase.HOLD
-    stop.run(HELD)
-    assert stop.sequence.phase is StopPhase.DISABLE
+    assert stop.last.enabled
+    assert not stop.run(HELD).enabled
 
 
 def test_each_phase_is_told_also_after_a_pause() -> None:

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from gateway.chassis.decode import Decoded, Decoder
+from gateway.chassis.decode import Decoded, Decoder, Value
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
@@ -345,9 +345,12 @@ def test_a_robot_that_coasts_in_mode_stop_is_told_the_parking_brake() -> None:
         if frame.can_id == body
         else frame
     )
-    rig.run(0.04)
-    drive, gear, _, _, parking = [frame for _, frame in rig.sent][-5:]
-    assert (drive.data[0], drive.data[1:3], gear.data[1], parking.data[1]) == (1, bytes(2), 4, 1)
+    parks = load(Variant.COARSE).messages["Auto_ParkingCmd"].can_id
+    while not any(frame.can_id == parks and frame.data[1] for _, frame in rig.sent):
+        rig.run(0.01)
+    drive, gear, *_ = [frame for _, frame in rig.sent][-BURST:]
+    assert (drive.data[0], drive.data[1:3], gear.data[1]) == (1, bytes(2), 4)
+    assert rig.chassis.state.speed_mps > 0.8
     rig.run(A_STOP_S)
     assert rig.chassis.state.speed_mps == 0
     assert "the robot stands" in rig.lines[-1]
@@ -362,7 +365,9 @@ def test_a_guard_that_is_not_obeyed_says_so_and_leaves_the_parking_brake_told(*,
     parking = load(Variant.COARSE).messages["Auto_ParkingFeedBack"].can_id
     drive = load(Variant.COARSE).messages["Auto_DriveFeedBack"].can_id
     encoder = Encoder(load(Variant.COARSE))
-    false_words = {parking: ("Auto_ParkingFeedBack", {"ParkingStatus": "released"})}
+    false_words: dict[int, tuple[str, dict[str, Value]]] = {
+        parking: ("Auto_ParkingFeedBack", {"ParkingStatus": "released"})
+    }
     if moves:
         false_words = {drive: ("Auto_DriveFeedBack", {"Speed": 0.5})}
 
