@@ -82,7 +82,9 @@ def merge(toml: TomlSource | None, environ: Mapping[str, str], flags: Mapping[st
         )
     left_out = [name for name in NEEDED_FEEDBACK if name not in settings.chassis.required_feedback]
     if left_out:
-        raise _wrong(f"chassis.required_feedback leaves out {', '.join(left_out)}: no robot is commanded without")
+        key = "chassis.required_feedback"
+        named = f"{key} (or {SETTINGS[key].variable})"
+        raise _wrong(f"{named} leaves out {', '.join(left_out)}: no robot is commanded without")
     return settings
 
 

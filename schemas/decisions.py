@@ -24,6 +24,7 @@ from schemas.requests import Challenge, LeaseNumber, Role, Tick
 
 AccelerationMps2 = Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("m/s2"))]
 AngleRateDegps = Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("deg/s"))]
+PedalPercent = Annotated[float, Meta(ge=0, le=100, extra_json_schema=unit_keyword("%"))]
 
 
 class Reply(msgspec.Struct, frozen=True):
@@ -93,15 +94,18 @@ COMMANDING: Final = frozenset({ArbiterState.ENGAGING, ArbiterState.ENGAGED})
 
 
 class StopPhase(Enum):
-    """How far a stop has come. ``idle``: no stop is under way. ``neutral`` stands in logs of before alone."""
+    """How far a stop has come: ramp, brake, park, hold, disable. ``idle``: no stop is under way.
+
+    ``neutral`` stands in logs of before alone. A new one goes to the end: a log holds a phase by its place.
+    """
 
     IDLE = "idle"
     RAMP = "ramp"
     BRAKE = "brake"
     NEUTRAL = "neutral"
-    PARK = "park"
     HOLD = "hold"
     DISABLE = "disable"
+    PARK = "park"
 
 
 class Severity(Enum):
@@ -144,6 +148,7 @@ class SafetyState(Message, frozen=True):
         target_speed_mps: what the last acceptable drive command asks for.
         output_speed_mps: what the chassis is told; forward is positive.
         output_gear: undefined while nothing is sent.
+        brake_pedal_percent: 0, for the pedal is never pressed; other values stand in logs of before alone.
         parking: the parking brake is asked for.
         challenge: echo the newest one in each drive command; it tells the arbiter how old the command can be.
         link_age_s: the age of the holder's drive commands, the mean of those accepted in the last second.
@@ -183,6 +188,7 @@ class SafetyState(Message, frozen=True):
     output_speed_mps: SpeedMps
     output_angle_deg: AngleDeg
     output_gear: GearPosition
+    brake_pedal_percent: PedalPercent
     parking: bool
     challenge: Challenge
     link_age_s: DurationS | None

@@ -58,10 +58,6 @@ class Reason(Enum):
     FRONT_BUMPER = "front_bumper"
     REAR_BUMPER = "rear_bumper"
     IMPLAUSIBLE_SPEED = "implausible_speed"
-    ROLLING = "rolling"
-    OVERSPEED = "overspeed"
-    STEERING = "steering"
-    FEEDBACK_FROZEN = "feedback_frozen"
     FOUND_MOVING = "found_moving"
     OTHER_COMMANDER = "other_commander"
 
@@ -72,11 +68,15 @@ class Reason(Enum):
     GATE = "gate"
     GUARD = "guard"
     UNGUARDED = "unguarded"
-    NO_REALTIME = "no_realtime"
     SHUTDOWN = "shutdown"
 
-    # Last, because a log holds a reason by its place.
+    # New ones go to the end: a log holds a reason by its place.
     LINK_TOO_SLOW = "link_too_slow"
+    NO_REALTIME = "no_realtime"
+    ROLLING = "rolling"
+    OVERSPEED = "overspeed"
+    STEERING = "steering"
+    FEEDBACK_FROZEN = "feedback_frozen"
 
 
 class Text(msgspec.Struct, frozen=True):

@@ -96,6 +96,7 @@ class Reporter:
             output_speed_mps=output.signed_speed_mps,
             output_angle_deg=output.angle_deg,
             output_gear=told.gear if told is not None else GearPosition.UNDEFINED,
+            brake_pedal_percent=0.0,
             parking=output.parking,
             challenge=challenge,
             link_age_s=ages.mean_s,

@@ -1,7 +1,7 @@
 """The chassis as the arbiter sees it."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 import msgspec
 import pytest
@@ -32,7 +32,7 @@ PATIENCE_MS = {
 class Eye:
     """An observer with its streams and detector, and frames to show them."""
 
-    def __init__(self, variant: Variant = Variant.COARSE, required: Sequence[str] = REQUIRED) -> None:
+    def __init__(self, variant: Variant = Variant.COARSE, required: Iterable[str] = REQUIRED) -> None:
         faults: Counter[object] = Counter()
         self.streams = {
             layout.name: FeedbackStream(compile_message(layout), faults)  # type: ignore[arg-type]

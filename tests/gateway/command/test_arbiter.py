@@ -246,7 +246,7 @@ def test_a_robot_that_coasts_in_mode_stop_is_told_the_parking_brake(
     bench.drive_for(100, 0.5)
     if stopping:
         bench.ask("disengage")
-    bench.changes = {"mode": Mode.STOP, **AT_REST} | seen
+    bench.changes = {"mode": Mode.STOP, **AT_REST, **seen}
     told = bench.tick().actuation
     assert told is not None
     assert (told.enabled, told.speed_mps, told.gear, told.parking) == (True, 0.0, GearPosition.DRIVE, True)
@@ -374,7 +374,8 @@ def test_a_robot_that_is_given_back_is_not_told_a_speed_above_what_it_was_left_o
     if latched:
         bench.ask("stop", "anyone")
     moving = {"speed_mps": seen_mps, "wheel_speed_mps": seen_mps, "fastest_wheel_mps": seen_mps}
-    bench.changes = {"mode": Mode.AUTO, "gear": GearPosition.DRIVE, "brake": ParkingStatus.RELEASED, **moving}
+    released = {"gear": GearPosition.DRIVE, "brake": ParkingStatus.RELEASED}
+    bench.changes = {"mode": Mode.AUTO, **released, **moving}
     speeds = [told.speed_mps for told in (bench.tick().actuation for _ in range(40)) if told is not None]
     assert len(speeds) == 40
     step_mps = 0.02 if latched else 0.012

@@ -48,6 +48,7 @@ STANDBY = SafetyState(
     output_speed_mps=0.0,
     output_angle_deg=7.0,
     output_gear=GearPosition.NEUTRAL,
+    brake_pedal_percent=0.0,
     parking=False,
 )
 ENGAGING = msgspec.structs.replace(STANDBY, tick=101, state=ArbiterState.ENGAGING)

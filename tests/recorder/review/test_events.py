@@ -66,7 +66,7 @@ def state(tick: int, sequence: int, ahead_ns: int = 0, **changes: Any) -> Safety
         acceleration_limit_mps2=0.8, deceleration_limit_mps2=1.2, emergency_deceleration_mps2=2.0,
         steering_limit_deg=24.0, steering_rate_limit_degps=60.0, lateral_acceleration_limit_mps2=1.5,
         target_speed_mps=0.0, target_angle_deg=0.0, output_speed_mps=0.0, output_angle_deg=0.0,
-        output_gear=GearPosition.UNDEFINED, parking=False,
+        output_gear=GearPosition.UNDEFINED, brake_pedal_percent=0.0, parking=False,
         challenge=tick.to_bytes(8, signed=True),
         link_age_s=None, link_age_last_s=None, link_age_p50_s=None, link_age_p99_s=None, travel_delay_m=0.0,
         travel_speed_limit_mps=None, deadman_s=0.3, accepted_seq=None, stop_detail="",

@@ -7,6 +7,7 @@ of ``SEEING_S``: a 50 ms frame, one of them lost, and a tick.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import radians, tan
 from typing import Any, Final
 
@@ -93,6 +94,7 @@ class Oracle:
     Attributes:
         violations: the first of each kind.
         stops: stop phases that were seen.
+        is_damaged: a damaged frame may be a cause to stop just now.
         worst_release_m, worst_stop_m: roll-back while zero was asked, and after a stop had begun.
         was_driven_m: metres travelled, so that a suite in which nothing moves is noticed.
     """
@@ -131,6 +133,7 @@ class Oracle:
         self._plant: Plant | None = None
         self._excused_until_s = 0.0
         self._blind_until_s = 0.0
+        self.is_damaged: Callable[[], bool] = lambda: False
         self._was_excused = False
         self._disturbed_until_s = -9.0
         self._left_mps: float | None = None
@@ -264,7 +267,7 @@ class Oracle:
             "speed_against_brake": order.speed_mps > 0 and order.parking,
             "over_limit": order.speed_mps > self._limit_mps + self._bit_mps / 2,
             "angle": abs(order.angle_deg) > STEERING_DEG + ANGLE_BIT_DEG,
-            "steering_rate": turned_deg > turns_deg,
+            "steering_rate": order.enabled and last.enabled and turned_deg > turns_deg,
             "lateral_told": lateral_mps2 > LATERAL_MPS2 + 0.03 + 2 * order.speed_mps * self._bit_mps,
         }
         for kind, is_broken in broken.items():
@@ -383,7 +386,7 @@ class Oracle:
     def _find_cause(self, state: Fields, now_s: float) -> None:
         """The gateway has stopped the robot, and nobody of us asked it to."""
         reason = state["stop_reason"]
-        is_free = now_s < max(self._disturbed_until_s, self._excused_until_s)
+        is_free = now_s < max(self._disturbed_until_s, self._excused_until_s) or self.is_damaged()
         if not is_free and not (reason == "deadman" and now_s - self._asked_s > DEADMAN_S - 0.03):
             self._fail("false_stop", now_s, f"{reason}; latched {state['latched']}")
         if reason in LATCHING and reason not in state["latched"]:
@@ -524,13 +527,13 @@ class Oracle:
         low, high = sorted((self._shadow_deg, order.angle_deg))
         off = not low - STUCK_DEG < shown_deg < high + STUCK_DEG
         self._expect_latch("stuck", "steering_unnoticed", 0.3, now_s, f"{shown_deg:.1f} deg", holds=off)
-        fast = abs(speed_mps) > self._limit_mps + 0.3 + 2 * self._bit_mps
+        fast = self._is_permitted and abs(speed_mps) > self._limit_mps + 0.3 + 2 * self._bit_mps
         self._expect_latch("fast", "overspeed_unnoticed", 0.3, now_s, f"{speed_mps:.2f} m/s", holds=fast)
         lateral = max(order.speed_mps, abs(speed_mps)) ** 2
         lateral *= tan(radians(max(abs(order.angle_deg), abs(plant.angle_deg)))) / WHEELBASE_M
         # From full speed to what full lock allows takes 0.6 s; the drive lags.
         if (
-            self._timer("lateral").lasts(now_s, holds=lateral > LATERAL_MPS2 + 0.4)
+            self._timer("lateral").lasts(now_s, holds=self._is_permitted and lateral > LATERAL_MPS2 + 0.4)
             > 0.75 + 2 * self._lag_s + SEEING_S
         ):
             self._fail("lateral_measured", now_s, f"{lateral:.2f} m/s2")
@@ -572,7 +575,10 @@ class Oracle:
             self._clear_s = now_s
         if plant.wall is None and now_s - self._clear_s > 0.3 + SEEING_S:
             self._struck, self._acknowledged = None, False
-        if self._struck is None and pressed is not None:
+        if self.is_damaged():
+            # A damaged frame may have said that a bumper was hit: which one is latched is not known any more.
+            self._struck, self._acknowledged = None, False
+        elif self._struck is None and pressed is not None:
             self._struck = pressed
         commanding = order is not None and order.enabled and plant.mode == AUTO and self._gateway_lives
         held = self._timer("bumper").lasts(
@@ -594,7 +600,8 @@ class Oracle:
         if self._engage_asked_s is not None and now_s - self._engage_asked_s > 6.0 and self._is_undisturbed:
             self._fail("cannot_engage", now_s, "6 s after it was asked")
         engaged = self._is_permitted and self._was_engaged and order is not None
-        holds_zero = engaged and not self._asked_mps and abs(plant.speed_mps) < 0.02
+        is_told_zero = order is not None and not order.speed_mps
+        holds_zero = engaged and is_told_zero and not self._asked_mps and abs(plant.speed_mps) < 0.02
         stands_s = self._timer("hold").lasts(now_s, holds=holds_zero)
         if order is not None and stands_s > 1.0 + 0.4 and not order.parking and now_s - self._zero_since_s > 1.5:
             self._fail("no_auto_hold", now_s, f"standing for {stands_s:.1f} s without the parking brake")

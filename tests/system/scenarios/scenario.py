@@ -35,6 +35,9 @@ FOREVER_S: Final = 99.0
 SHOWS_S: Final = 3.0
 """A disturbance that has ended may still show in a stop for this long."""
 
+DAMAGE_SHOWS_S: Final = 0.1
+"""A damaged frame counts as a cause for this long."""
+
 LOSS, CORRUPTION = 0.01, 0.001
 
 
@@ -294,6 +297,7 @@ class Play:
         guard = Guard(settings.command) if plan.fails_s else None
         self.rig = Rig(self.plant, self.gateway, operator, bus, self.oracle, guard)
         self.rig.link_ns = round(plan.link_s * 1e9)
+        self.oracle.is_damaged = lambda: self.rig.now_s - bus.excused_ns / 1e9 < DAMAGE_SHOWS_S
         self._acts = list(plan.acts)
         self._checks = self._expectations()
 
@@ -364,7 +368,7 @@ class Play:
         for check in due:
             self._checks.remove(check)
             check[1](now_s)
-        if now_s - rig.bus.excused_ns / 1e9 < 0.1:
+        if self.oracle.is_damaged():
             self.oracle.disturb(now_s, SHOWS_S)
         while self._acts and now_s >= self._acts[0].at_s:
             self._turn(self._acts.pop(0), now_s)

@@ -131,6 +131,7 @@ def arbiter(number: int, **fields: Any) -> SafetyState:  # noqa: ANN401 - any fi
         output_speed_mps=1.0,
         output_angle_deg=0.0,
         output_gear=GearPosition.DRIVE,
+        brake_pedal_percent=0.0,
         parking=False,
     )
     return msgspec.structs.replace(known, **fields)
