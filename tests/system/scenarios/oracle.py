@@ -112,8 +112,7 @@ class Oracle:
         self._asked_mps = 0.0
         self._asked_s = -9.0
         self._zero_since_s = 0.0
-        self._is_permitted = False
-        self._was_engaged = False
+        self._is_permitted = self._was_engaged = False
         self._engage_asked_s: float | None = None
         self._cause_s: float | None = None
         self._cause = ""

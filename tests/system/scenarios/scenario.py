@@ -363,7 +363,7 @@ class Play:
         self.rig.hangs = False
 
     def _turn_knobs(self) -> None:
-        rig, now_s = self.rig, self.rig.now_s
+        now_s = self.rig.now_s
         due = [check for check in self._checks if now_s >= check[0]]
         for check in due:
             self._checks.remove(check)
