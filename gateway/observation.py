@@ -26,7 +26,7 @@ from schemas.messages import (
     WheelPulse,
     WheelSpeed,
 )
-from schemas.settings import PULSES_MOVING_FRAMES, TURNING_RAW_MIN
+from schemas.settings import PULSES_MOVING_FRAMES, PULSES_STEADY, TURNING_RAW_MIN
 
 BODY: Final = "Auto_MileageAndBodyFeedback"
 DRIVE: Final = "Auto_DriveFeedBack"
@@ -172,7 +172,8 @@ class Encoders:
         if len(counted) < PULSES_MOVING_FRAMES or len({_sign(count) for count in counted}) > 1:
             return 0
         half = PULSES_MOVING_FRAMES // 2
-        return _sign(counted[0]) if abs(sum(counted[half:])) >= abs(sum(counted[:half])) else 0
+        earlier, later = abs(sum(counted[:half])), abs(sum(counted[half:]))
+        return _sign(counted[0]) if later >= earlier * PULSES_STEADY else 0
 
 
 def _counted(pulses: WheelPulse, before: WheelPulse) -> int:

@@ -166,7 +166,10 @@ BUMPER_CLEAR_NS: Final = 300_000_000
 """A bumper is released once it has read clear for this long: contacts bounce."""
 
 PULSES_MOVING_FRAMES: Final = 8
-"""Wheel pulses that count the same way, and no slower, in so many frames in a row, 400 ms, tell that it moves."""
+"""Wheel pulses that count the same way in so many frames in a row, 400 ms..."""
+
+PULSES_STEADY: Final = 0.9
+"""...and in the second half of them no less than this share of the first, tell that the robot moves."""
 
 SEND_FAILURES: Final = 5
 """This many ticks in a row whose frames the bus did not take are a failure."""

@@ -177,8 +177,10 @@ class Arbiter:
             return
         last = self._last_told()
         if self.state is ArbiterState.STANDBY:
-            self._owes_stop = reason is Reason.REMOTE_STOP and not may_be_stopped(self.watch.observed)
-            if not may_be_stopped(self.watch.observed):
+            observed = self.watch.observed
+            is_barred = not observed.bus_up or observed.mode is Mode.REMOTE
+            self._owes_stop = is_barred and reason is Reason.REMOTE_STOP
+            if not may_be_stopped(observed):
                 return  # Standing by stays silent.
             self.limits = self.configured_limits
             self._begin_telling(last)

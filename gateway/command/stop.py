@@ -116,8 +116,7 @@ class StopSequence:
                 elif self._speed_mps == 0:
                     self._enter(StopPhase.BRAKE, now_ns)
             # One phase a tick at most: zero speed has to be told before all else, also after a pause.
-            # The robot should stand by now: what cannot be seen is not waited for.
-            case StopPhase.BRAKE if seen.stands or seen.speed_mps is None or self._runs_away(seen, now_ns):
+            case StopPhase.BRAKE if seen.stands or self._is_blind(seen) or self._runs_away(seen, now_ns):
                 self.park(now_ns)
             case StopPhase.PARK if (seen.is_braked and is_park_told) or (
                 seen.is_braked is None and now_ns - self._begun_ns >= BRAKE_UNSEEN_NS
@@ -136,6 +135,11 @@ class StopSequence:
 
     def _enter(self, phase: StopPhase, now_ns: int) -> None:
         self.phase, self._begun_ns = phase, now_ns
+
+    @staticmethod
+    def _is_blind(seen: StopFeedback) -> bool:
+        """Nothing tells of motion: at zero speed that is not waited for."""
+        return seen.speed_mps is None and not seen.moves
 
     def _runs_away(self, seen: StopFeedback, now_ns: int) -> bool:
         """The robot moves against the ramp, or is not seen to slow down."""

@@ -12,7 +12,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from gateway.chassis.frame import Frame
 from gateway.core import Core
 from gateway.journal import JournalGapError, Kind, read
-from gateway.rerun import give, rerun, rests, run_again
+from gateway.rerun import give, rerun, run_again
 from gateway.telemetry.sample import Sample
 from recorder.transcode import compile_encoder
 from schemas import codec
@@ -156,10 +156,6 @@ def test_a_journal_of_before_has_six_links_and_the_speed_limit_of_its_time() -> 
         "",
         True,
     )
-    rest = [Kind.REST, 9, [], "unknown", True, 1, True, False, 2, False]
-    for links_then in (rest, [*rest, True, ""]):
-        inputs = msgspec.msgpack.encode([links_then, [Kind.TICK, 10, 11, 0]])
-        assert rests(Journal(time_ns=0, sequence=0, run=1, first=0, count=2, inputs=inputs)) == [11]
 
 
 def test_another_run_number_gives_other_leases() -> None:

@@ -58,16 +58,17 @@ class Bench:
         self.events: list[Event] = []
         self.lease = 0
         self.sequence = 0
+        self._way_m = 0.0
         self.tick(count=6)
 
     @property
     def observed(self) -> Observed:
         """A chassis that obeys what it was told in the last tick."""
         told = self.arbiter.actuation
-        seen = STANDING
+        seen = msgspec.structs.replace(STANDING, total_mileage_km=1 + int(self._way_m) / 1000)
         if told is not None and told.enabled:
             seen = msgspec.structs.replace(
-                STANDING,
+                seen,
                 mode=Mode.AUTO,
                 gear=GearPosition.PARK if told.parking else told.gear,
                 brake=ParkingStatus.APPLIED if told.parking else ParkingStatus.RELEASED,
@@ -86,6 +87,7 @@ class Bench:
             self.arbiter.challenges.publish(challenge_of(self.arbiter.tick_number), self.now_ns)
             self.outcome = self.arbiter.tick(self.observed, requests or [], self.now_ns, late_ns)
             if self.outcome.actuation is not None:
+                self._way_m += self.outcome.actuation.speed_mps * 0.01
                 self.arbiter.told_ns = self.now_ns
             self.events += self.outcome.events
             requests = None

@@ -118,10 +118,10 @@ def test_two_flipped_bits_never_move_the_robot_more_than_its_command(name: str, 
         assert -0.01 <= rig.speed_mps <= 0.61
         if not rig.says.engaged:
             rig.until(lambda: rig.says.state is ArbiterState.STANDBY and rig.speed_mps == 0, 6)
-            operator.take_lease()
+            operator.take_lease("take")
             operator.reason("reset")
             operator.engage()
-            operator.drive(0.6, seconds=1)
+            operator.drive(0.6, seconds=1.3)
 
 
 @pytest.mark.parametrize("name", STANDING)

@@ -36,7 +36,7 @@ def test_five_frames_in_their_order(variant: Variant) -> None:
     assert read["Auto_GearCmd"]["TargetGear"] == "reverse"
     assert read["Auto_SteeringCmd"]["TargetAngle"] == pytest.approx(-24, abs=0.044)
     assert read["Auto_DriveCmd"]["TargetVelocity"] == pytest.approx(2.2 if variant is Variant.COARSE else 2.222)
-    assert read["Auto_BrakingCmd"]["BrakePedal"] == 99.609375
+    assert read["Auto_BrakingCmd"]["BrakePedal"] == 0
     assert read["Auto_ParkingCmd"]["ParkingRequest"] is False
 
 

@@ -61,7 +61,7 @@ class Bench:
 def test_out_of_silence_only_a_stop_begins_with_a_speed() -> None:
     """Row 'engage: five enables with zero speed'; and in a stop no speed rises, not by a bit."""
     bench = Bench()
-    assert bench.offer(bench.burst(DRIVING), stopping=False) == "a speed out of silence"
+    assert bench.offer(bench.burst(DRIVING), stopping=False) == "released out of silence"
     assert bench.offer(bench.burst(), stopping=False) == ""
     bench = Bench()
     assert bench.offer(bench.burst(DRIVING), stopping=True) == ""
@@ -70,7 +70,7 @@ def test_out_of_silence_only_a_stop_begins_with_a_speed() -> None:
     assert bench.offer(bench.burst(DRIVING), stopping=True) == ""
     assert bench.offer(bench.burst(faster), stopping=False) == ""
     bench.gate.pause()
-    assert bench.offer(bench.burst(faster), stopping=False) == "a speed out of silence"
+    assert bench.offer(bench.burst(faster), stopping=False) == "released out of silence"
 
 
 def test_the_table_is_that_of_the_dbc() -> None:

@@ -160,3 +160,39 @@ def test_a_slope_that_changes_is_borne() -> None:
     hill.run(5.0)
     assert hill.speed_mps == 0
     assert hill.says.latched == [Reason.REMOTE_STOP]
+
+
+def test_a_stop_that_was_barred_is_carried_out_when_the_remote_control_gives_the_robot_back() -> None:
+    """Row 'stop, the remote stop': with parking brake; latched meanwhile, and told as soon as it can be."""
+    rig = LoopRig()
+    rig.fault("transmitter remote")
+    rig.fault("sticks 0.5 0")
+    rig.run(1.5)
+    handle = rig.query("anyone", "stop", b"")
+    rig.run(0.5)
+    reply = rig.replies[handle]
+    assert (reply.ok, reply.reason) == (False, Reason.HAND_TRANSMITTER)
+    assert "the robot moves at 0.48 m/s" in reply.detail
+    assert rig.bursts == []
+    rig.fault("sticks 0 0")
+    rig.run(2)
+    assert rig.chassis.state.parking_status is ParkingStatus.RELEASED
+    rig.fault("transmitter command")
+    rig.run(3)
+    assert rig.chassis.state.parking_status is ParkingStatus.APPLIED
+    assert rig.says.state is ArbiterState.STANDBY
+
+
+def test_a_robot_that_coasts_after_a_takeover_gets_its_parking_brake() -> None:
+    """Row 'a robot in mode stop that is seen to move, while nobody else commands': we had left it."""
+    hill = Hill(-8.0)
+    hill.operator.drive(0.5, seconds=2.0)
+    hill.fault("transmitter remote")
+    hill.fault("sticks 0.5 0")
+    hill.run(1.0)
+    for name in ("Auto_GearCmd", "Auto_DriveCmd"):
+        hill.chassis._commands[name]["Enable"] = False  # what was told is forgotten
+    hill.fault("transmitter command")
+    hill.run(5.0)
+    assert hill.speed_mps == 0
+    assert hill.chassis.state.parking_status is ParkingStatus.APPLIED
