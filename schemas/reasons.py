@@ -169,7 +169,7 @@ TEXTS: Final[dict[Reason, Text]] = {
         "the mileage stands still although the robot drives: its frame, which has bumpers and mode, is frozen",
         _RESET,
     ),
-    Reason.FOUND_MOVING: Text("the chassis was found in auto and moving, and nobody commanded it", _AGAIN),
+    Reason.FOUND_MOVING: Text("the chassis was found moving, or not held, and nobody commanded it", _AGAIN),
     Reason.OTHER_COMMANDER: Text("another computer commands the chassis on the bus", "end the other one first"),
     Reason.REMOTE_STOP: Text("a remote stop was received", "reset, then engage again"),
     Reason.LOOP_LATE: Text("the gateway's loop was late", _AGAIN),

@@ -141,8 +141,11 @@ REFERENCE_DECELERATION_MPS2: Final = 0.8
 DRIVE_LAG_S: Final = 0.4
 """The chassis follows a falling command with no more lag than this (chosen: the manual says nothing)."""
 
+ROLLING_MPS: Final = 0.1
+"""A robot that is faster than this, the standstill bound and a noisy bit of the coarse scale..."""
+
 ROLLING_NS: Final = 100_000_000
-"""A robot that moves for this long while it is told to stand, or against what it is told, is rolling."""
+"""...for this long while it is told to stand, or against what it is told, is rolling. Pulses show slower ones."""
 
 OVERSPEED_MPS: Final = 0.3
 """A measured speed that is over the limit in force by this..."""

@@ -175,8 +175,8 @@ class Watch:
         return f"{frames} reads beyond what the chassis can do" + (f"; {other} may fit" if other else "")
 
     def found_moving(self, now_ns: int) -> bool:
-        """The chassis may be in auto and moves, and nobody commands it, for long enough to be no accident."""
-        adrift = self.observed.mode in {Mode.AUTO, Mode.UNDEFINED} and not self.is_commanded_by_other(now_ns)
+        """The chassis moves, nobody commands it, the remote control neither, and that is no accident."""
+        adrift = self.observed.mode is not Mode.REMOTE and not self.is_commanded_by_other(now_ns)
         if not adrift or not self.observed.moves:
             self._moving_since_ns = None
             return False

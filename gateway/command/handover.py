@@ -65,7 +65,7 @@ class Handover:
         self.is_cut_off = reason is Reason.BUS_DOWN and not observed.bus_up
 
     def is_obeyed_again(self, observed: Observed, now_ns: int, *, is_taken: bool) -> bool:
-        """Whether the chassis may obey what it was left on, or coasts. Asked each tick while it is told nothing.
+        """Whether the chassis may obey what it was left on, or is not held. Asked each tick while nothing is told.
 
         Args:
             observed: the chassis now.
@@ -78,6 +78,4 @@ class Handover:
         is_blind = observed.mode is Mode.UNDEFINED and now_ns - self._left_ns < LEFT_BLIND_NS
         if not observed.bus_up:
             self._left_ns = now_ns
-        if self.left is None or is_blind:
-            return False
-        return may_obey(observed) or (observed.moves and may_be_stopped(observed))
+        return self.left is not None and may_be_stopped(observed) and not is_blind

@@ -20,6 +20,7 @@ from schemas.settings import (
     OVERSPEED_MPS,
     OVERSPEED_NS,
     REFERENCE_DECELERATION_MPS2,
+    ROLLING_MPS,
     ROLLING_NS,
     STANDSTILL_MPS,
     STEERING_DEVIATION_DEG,
@@ -163,12 +164,12 @@ class Plausibility:
         for sign, way in ((1, "forward"), (-1, "backward")):
             if told_mps * sign > 0:
                 continue
-            if wheels_mps * sign > left_mps[sign] + STANDSTILL_MPS:
+            if wheels_mps * sign > left_mps[sign] + ROLLING_MPS:
                 return f"{way} at {abs(wheels_mps):.2f} m/s by the wheels"
             if observed.pulses == sign and left_mps[sign] < STANDSTILL_MPS:
                 return f"{way} by the wheel pulses"
         fastest_mps = observed.fastest_mps or 0.0
-        if not told_mps and fastest_mps > max(left_mps.values()) + STANDSTILL_MPS:
+        if not told_mps and fastest_mps > max(left_mps.values()) + ROLLING_MPS:
             return f"at {fastest_mps:.2f} m/s"
         return ""
 

@@ -26,13 +26,14 @@ def seen_actuation(observed: Observed, limits: Limits, left: Actuation | None = 
             it may set a standing robot going.
     """
     rolls = observed.gear in IN_GEAR
+    gear = GearPosition.NEUTRAL if left is None else left.gear
     parking = observed.gear in {GearPosition.PARK, GearPosition.UNDEFINED} if left is None else left.parking
     speed_mps = min(observed.seen_mps, limits.speed_mps)
     if left is not None:
         speed_mps = min(speed_mps, left.speed_mps) if left.gear is observed.gear else 0.0
     return Actuation(
         enabled=True,
-        gear=observed.gear if rolls else GearPosition.NEUTRAL,
+        gear=observed.gear if rolls else gear,
         speed_mps=speed_mps if rolls and not parking else 0.0,
         angle_deg=seen_angle_deg(observed, limits),
         parking=parking,

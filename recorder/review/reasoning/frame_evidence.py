@@ -30,10 +30,10 @@ from schemas.settings import (
     IMPLAUSIBLE_RATIO,
     OVERSPEED_MPS,
     OVERSPEED_NS,
+    ROLLING_MPS,
     ROLLING_NS,
     SAFETY_STATE_PERIOD_NS,
     SPEED_PLAUSIBLE_MPS,
-    STANDSTILL_MPS,
     STEERING_DEVIATION_DEG,
     STEERING_DEVIATION_NS,
     STEERING_PLAUSIBLE_DEG,
@@ -229,7 +229,7 @@ _IMPLAUSIBLE: Final = (
     f"apart for {span(IMPLAUSIBLE_NS)} is too much"
 )
 
-ROLLING: Final = f"over {STANDSTILL_MPS:g} m/s for {span(ROLLING_NS)} where none is told is rolling"
+ROLLING: Final = f"over {ROLLING_MPS:g} m/s for {span(ROLLING_NS)} where none is told is rolling"
 
 OVERSPEED: Final = f"{OVERSPEED_MPS:g} m/s over the limit in force for {span(OVERSPEED_NS)} is too fast"
 

@@ -260,6 +260,7 @@ def test_a_robot_that_coasts_in_mode_stop_is_told_the_parking_brake(
 STOPPED_BY_GUARD = {
     "guard_stops": 1,
     "mode": Mode.STOP,
+    "brake": ParkingStatus.APPLIED,
     "speed_mps": 0.0,
     "wheel_speed_mps": 0.0,
     "fastest_wheel_mps": 0.0,
@@ -612,7 +613,7 @@ def test_a_brake_that_does_not_read_applied_is_told_once() -> None:
 @pytest.mark.parametrize(
     ("changes", "reason", "ticks"),
     [
-        ({"wheel_speed_mps": -0.1, "fastest_wheel_mps": 0.1, "speed_mps": 0.1}, Reason.ROLLING, 11),
+        ({"wheel_speed_mps": -0.11, "fastest_wheel_mps": 0.11, "speed_mps": 0.11}, Reason.ROLLING, 11),
         ({"pulses": -1}, Reason.ROLLING, 11),
         ({"speed_mps": 0.8, "wheel_speed_mps": 0.8, "fastest_wheel_mps": 0.8}, Reason.OVERSPEED, 31),
         ({"angle_deg": 5.1}, Reason.STEERING, 31),

@@ -155,14 +155,14 @@ FORWARD, BACKWARD = told(0.5), told(-0.5)
 @pytest.mark.parametrize(
     ("observed", "actuation", "words"),
     [
-        (seen(0.051, 0.0), AT_REST, "forward at 0.05 m/s by the wheels"),
-        (seen(-0.051, 0.0), AT_REST, "backward at 0.05 m/s by the wheels"),
-        (seen(None, 0.051), AT_REST, "at 0.05 m/s"),
-        (seen(0.0, fastest_wheel_mps=0.06), AT_REST, "at 0.06 m/s"),
+        (seen(0.101, 0.0), AT_REST, "forward at 0.10 m/s by the wheels"),
+        (seen(-0.101, 0.0), AT_REST, "backward at 0.10 m/s by the wheels"),
+        (seen(None, 0.101), AT_REST, "at 0.10 m/s"),
+        (seen(0.0, fastest_wheel_mps=0.11), AT_REST, "at 0.11 m/s"),
         (seen(0.0, pulses=1), AT_REST, "forward by the wheel pulses"),
         (seen(None, None, pulses=-1), AT_REST, "backward by the wheel pulses"),
-        (seen(-0.051), FORWARD, "backward at 0.05 m/s by the wheels"),
-        (seen(0.051), BACKWARD, "forward at 0.05 m/s by the wheels"),
+        (seen(-0.101), FORWARD, "backward at 0.10 m/s by the wheels"),
+        (seen(0.101), BACKWARD, "forward at 0.10 m/s by the wheels"),
         (seen(0.0, pulses=-1), FORWARD, "backward by the wheel pulses"),
         (seen(0.0, pulses=1), BACKWARD, "forward by the wheel pulses"),
     ],
@@ -177,9 +177,9 @@ def test_a_robot_that_rolls_is_found_after_100_ms(observed: Observed, actuation:
 @pytest.mark.parametrize(
     ("observed", "actuation"),
     [
-        (seen(0.05), AT_REST),
-        (seen(-0.05), AT_REST),
-        (seen(-0.05), FORWARD),
+        (seen(0.1), AT_REST),
+        (seen(-0.1), AT_REST),
+        (seen(-0.1), FORWARD),
         (seen(0.7), FORWARD),
         (seen(-0.7), BACKWARD),
         (seen(0.5, pulses=1), FORWARD),
