@@ -114,6 +114,9 @@ BRAKE_UNSEEN_NS: Final = 3_000_000_000
 SHIFT_TICKS: Final = 10
 """Each gear is told for 100 ms behind the parking brake before the next step."""
 
+BRAKE_MAX_NS: Final = 1_000_000_000
+"""A robot that does not stand so long after zero speed was told gets its parking brake, however it slows."""
+
 AUTO_HOLD_NS: Final = 1_000_000_000
 """An engaged robot that stands at zero command for this long gets its parking brake."""
 
@@ -168,8 +171,8 @@ FROZEN_BODY_M: Final = 3.0
 BUMPER_CLEAR_NS: Final = 300_000_000
 """A bumper is released once it has read clear for this long: contacts bounce."""
 
-PULSES_MOVING_FRAMES: Final = 8
-"""Wheel pulses that count the same way in so many frames in a row, 400 ms..."""
+PULSES_MOVING_FRAMES: Final = 16
+"""Wheel pulses that count the same way in so many frames in a row, 800 ms..."""
 
 PULSES_STEADY: Final = 0.9
 """...and in the second half of them no less than this share of the first, tell that the robot moves."""

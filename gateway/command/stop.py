@@ -16,6 +16,7 @@ from gateway.command.actuation import AT_REST, Actuation
 from schemas.decisions import StopPhase
 from schemas.messages import GearPosition
 from schemas.settings import (
+    BRAKE_MAX_NS,
     BRAKE_UNSEEN_NS,
     DISABLE_NS,
     HOLD_NS,
@@ -116,7 +117,12 @@ class StopSequence:
                 elif self._speed_mps == 0:
                     self._enter(StopPhase.BRAKE, now_ns)
             # One phase a tick at most: zero speed has to be told before all else, also after a pause.
-            case StopPhase.BRAKE if seen.stands or self._is_blind(seen) or self._runs_away(seen, now_ns):
+            case StopPhase.BRAKE if (
+                seen.stands
+                or self._is_blind(seen)
+                or self._runs_away(seen, now_ns)
+                or now_ns - self._begun_ns >= BRAKE_MAX_NS
+            ):
                 self.park(now_ns)
             case StopPhase.PARK if (seen.is_braked and is_park_told) or (
                 seen.is_braked is None and now_ns - self._begun_ns >= BRAKE_UNSEEN_NS

@@ -17,11 +17,18 @@ from gateway.observation import BODY, DRIVE, Observer
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import Links
 from schemas.messages import ControllerState, GearPosition, Mode, ParkingStatus, Variant
-from schemas.settings import CHECKSUM_FAULTS, VARIANT_EVIDENCE_FRAMES, ChassisSettings, Settings
+from schemas.settings import (
+    CHECKSUM_FAULTS,
+    PULSES_MOVING_FRAMES,
+    VARIANT_EVIDENCE_FRAMES,
+    ChassisSettings,
+    Settings,
+)
 from tests.gateway.frames import CHALLENGE, MS, STANDING, Feedback
 
 UP = Links(bus_up=True, bus_losses=2, guarded=True)
 PULSES = "Auto_WheelPulseFeedback"
+FRAMES = PULSES_MOVING_FRAMES
 REQUIRED = ChassisSettings().required_feedback
 RESERVED = sorted(set(STANDING) - set(REQUIRED))
 PATIENCE_MS = {
@@ -220,6 +227,11 @@ def wrapped(pulses: int) -> int:
     return (pulses + 0x8000) % 0x1_0000 - 0x8000
 
 
+def slower(frame: int) -> int:
+    """The pulses of a robot that loses an eighth of its speed with each frame."""
+    return round(1_000 * (1 - 0.875**frame))
+
+
 def counted(*pulses: tuple[int, int], valid: bool = True) -> int:
     """The direction that is seen after these counts of the left and the right wheel, a frame each."""
     eye = Eye()
@@ -234,22 +246,20 @@ def counted(*pulses: tuple[int, int], valid: bool = True) -> int:
 @pytest.mark.parametrize(
     ("pulses", "direction"),
     [
-        ([(0, 0)] * 12, 0),
-        ([(number, number) for number in range(8)], 0),
-        ([(number, number) for number in range(9)], 1),
-        ([(-number, -number) for number in range(9)], -1),
-        ([(number, 0) for number in range(9)], 1),
-        ([(5 * number, -5 * number) for number in range(12)], 0),
-        ([(1, 1), (0, 0)] * 9, 0),
-        ([(number, number) for number in (0, 1, 2, 3, 3, 4, 5, 6, 7)], 0),
-        ([(8_000 * number, 8_000 * number) for number in range(5)], 0),
-        ([(wrapped(8_000 * number), wrapped(8_000 * number)) for number in range(9)], 1),
-        ([(wrapped(-8_000 * number), wrapped(-8_000 * number)) for number in range(9)], -1),
-        ([(number, number) for number in (0, 9, 17, 24, 30, 35, 39, 42, 44)], 0),
-        ([(number, number) for number in (0, 10, 20, 30, 40, 49, 58, 67, 76)], 1),
+        ([(0, 0)] * 20, 0),
+        ([(number, number) for number in range(FRAMES)], 0),
+        ([(number, number) for number in range(FRAMES + 1)], 1),
+        ([(-number, -number) for number in range(FRAMES + 1)], -1),
+        ([(number, 0) for number in range(FRAMES + 1)], 1),
+        ([(5 * number, -5 * number) for number in range(FRAMES + 1)], 0),
+        ([(1, 1), (0, 0)] * FRAMES, 0),
+        ([(number, number) for number in (0, 1, *range(1, FRAMES))], 0),
+        ([(wrapped(8_000 * number), wrapped(8_000 * number)) for number in range(FRAMES + 1)], 1),
+        ([(wrapped(-8_000 * number), wrapped(-8_000 * number)) for number in range(FRAMES + 1)], -1),
+        ([(slower(number), slower(number)) for number in range(FRAMES + 1)], 0),
     ],
 )
-def test_pulses_tell_a_direction_when_eight_frames_in_a_row_count_that_way_and_no_slower(
+def test_pulses_tell_a_direction_when_many_frames_in_a_row_count_that_way_and_no_slower(
     pulses: list[tuple[int, int]], direction: int
 ) -> None:
     """Row 'rolling: wheels or pulses': both wheels, across the wrap; noise and the end of a ramp are none."""
@@ -258,17 +268,17 @@ def test_pulses_tell_a_direction_when_eight_frames_in_a_row_count_that_way_and_n
 
 def test_pulses_that_are_not_valid_or_not_there_tell_no_direction() -> None:
     """And what was counted before does not go on afterwards."""
-    moving = [(number, number) for number in range(12)]
+    moving = [(number, number) for number in range(2 * FRAMES)]
     assert counted(*moving, valid=False) == 0
     eye = Eye()
     eye.show_all()
-    for number in range(9):
+    for number in range(FRAMES + 1):
         eye.show(PULSES, {"RearLeftPulses": number, "RearRightPulses": number}, 50 * number)
         eye.look(50 * number)
-    assert eye.look(400).pulses == 1
-    assert eye.look(1_500).pulses == 0
-    eye.show(PULSES, {"RearLeftPulses": 9, "RearRightPulses": 9}, 1_510)
-    assert eye.look(1_510).pulses == 0
+    assert eye.look(50 * FRAMES).pulses == 1
+    assert eye.look(50 * FRAMES + 1_100).pulses == 0
+    eye.show(PULSES, {"RearLeftPulses": 9, "RearRightPulses": 9}, 50 * FRAMES + 1_110)
+    assert eye.look(50 * FRAMES + 1_110).pulses == 0
 
 
 def test_wheels_that_are_not_valid_have_no_speed() -> None:

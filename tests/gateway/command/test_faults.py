@@ -787,7 +787,7 @@ def test_a_robot_found_moving_is_stopped_whatever_frame_is_missing(missing: str,
     found = LoopRig(now_ns=rig.now_ns)
     found.chassis = rig.chassis
     found.fault(f"silence {missing}")
-    found.run(1)
+    found.run(1.3)
     assert found.event_reasons(EventKind.STOP)[:1] == [Reason.FOUND_MOVING]
     found.run(8)
     assert found.speed_mps == 0

@@ -572,7 +572,7 @@ class Oracle:
         pressed = "front_bumper" if body[4] & 1 else "rear_bumper" if body[4] & 0x10 else None
         if pressed is not None:
             self._clear_s = now_s
-        if plant.wall is None and now_s - self._clear_s > 0.3 + SEEING_S:
+        if now_s - self._clear_s > 0.3 + SEEING_S:
             self._struck, self._acknowledged = None, False
         if self.is_damaged():
             # A damaged frame may have said that a bumper was hit: which one is latched is not known any more.
