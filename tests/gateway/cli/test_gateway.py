@@ -384,7 +384,7 @@ def test_an_end_while_driving_brings_the_robot_to_rest_first(monkeypatch: pytest
     assert speeds_raw[0] > 10
     falling = speeds_raw[speeds_raw.index(max(speeds_raw)) :]
     assert falling[-1] == 0
-    order = [speeds_raw.index(0), gears.index(3), parking.index(1), enables.index(0)]
+    order = [speeds_raw.index(0), parking.index(1), gears.index(3), enables.index(0)]
     assert order == sorted(order)
     assert len(set(order)) == 4
     events = [(said["kind"], said["reason"]) for key, said in listener.heard if key.endswith("safety/event")]
@@ -401,7 +401,8 @@ def test_a_stop_by_the_guard_is_latched_until_a_reset_whatever_is_restarted() ->
             listener = Listener(endpoint)
             try:
                 listener.wait_for(STATE, lambda said: said["blocked_by"] == ["no_lease", "not_engaged"])
-                assert listener.ask("engage", lease=listener.ask("acquire")["lease"])["ok"]
+                lease, challenge = listener.ask("acquire")["lease"], listener.latest[STATE]["challenge"]
+                assert listener.ask("engage", lease=lease, challenge=challenge)["ok"]
                 running.stop(signal.SIGKILL)
                 # Its guard says so, on the stderr that it has of it.
                 wait_until(lambda: any(line.startswith("guard: done: the robot stands") for line in running.said))

@@ -30,9 +30,9 @@ def _acknowledged() -> tuple[RecordedRig, Operator]:
 @pytest.mark.parametrize(
     ("seconds", "headline"),
     [
-        (0.1, "It was engaged and told -0.0"),
-        (0.2, "It was engaged and told -0.15 m/s, and hardly moved, at 0.04 m/s."),
-        (0.6, "It was engaged and moved, at 0."),
+        (0.2, "It was engaged and told -0.0"),
+        (0.28, "It was engaged and told -0.10 m/s, and hardly moved, at 0.04 m/s."),
+        (0.7, "It was engaged and moved, at 0."),
     ],
 )
 def test_a_bumper_is_not_in_the_way_of_a_robot_that_goes_away_from_it(
