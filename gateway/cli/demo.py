@@ -21,6 +21,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from gateway.cli.child import Child
 from gateway.cli.demo_drive import DemoDrive, TimelineEntry
+from gateway.sim.links import LINKS
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
 
@@ -44,6 +45,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--out", type=Path, default=Path("demo-log"), metavar="DIR", help="where the log goes (default demo-log)"
+    )
+    parser.add_argument(
+        "--link",
+        choices=[link.slug for link in LINKS],
+        default=LINKS[0].slug,
+        help="what the first operator's link is like (default %(default)s)",
     )
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
 
@@ -134,7 +141,8 @@ def _record(
             )
         )
         recorder.wait_ready()
-        drive = DemoDrive(settings, endpoint.removeprefix("tcp/"), chassis.type)
+        link = next(link for link in LINKS if link.slug == arguments.link)
+        drive = DemoDrive(settings, endpoint.removeprefix("tcp/"), chassis.type, link)
         timeline = _drive(arguments.seconds, drive, [chassis, gateway, recorder], stopped)
         # The recorder ends first: what it has not heard by then was not meant for the log.
         result: dict[str, Any] = json.loads(recorder.end())

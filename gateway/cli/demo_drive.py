@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from random import Random
 from typing import Final
 
 import msgspec
 
 from gateway.remote.refusal import LeaseLost, RobotError, Unreachable
 from gateway.remote.robot import Lease, Robot
+from gateway.sim.links import LinkProfile
 from gateway.sim.relay import Relay
 from schemas.decisions import ArbiterState, SafetyEvent, SafetyState
 from schemas.exit_codes import CommandError
@@ -53,7 +55,18 @@ class DemoDrive:
         type_line: disturbs the virtual chassis.
     """
 
-    def __init__(self, settings: Settings, endpoint: str, type_line: Callable[[str], None]) -> None:
+    def __init__(
+        self, settings: Settings, endpoint: str, type_line: Callable[[str], None], link: LinkProfile
+    ) -> None:
+        """Nothing was done yet.
+
+        Args:
+            settings: of the robot and of Zenoh.
+            endpoint: the gateway's, as HOST:PORT.
+            type_line: types a line into the virtual chassis.
+            link: what the first operator's link is like.
+        """
+        self._link = link
         self._settings = settings
         self._endpoint = endpoint
         self._type = type_line
@@ -69,7 +82,8 @@ class DemoDrive:
         with self._connect(OBSERVER, self._endpoint) as observer:
             host, _, port = self._endpoint.rpartition(":")
             observer.wait_for(_waits_for_its_operator, GUARD_TIMEOUT_S)
-            with Relay(host, int(port)) as relay:
+            random = Random()  # noqa: S311 - the weather of a link keeps no secret
+            with Relay(host, int(port), lambda: self._link.delay_s(random)) as relay:
                 with self._connect(FIRST, relay.endpoint) as robot:
                     self._first(robot, relay, max(2.0, seconds - FIXED_S), stopped)
                 with self._connect(SECOND, self._endpoint) as robot:
@@ -118,7 +132,7 @@ class DemoDrive:
             self._rest(robot)
 
     def _engage(self, lease: Lease) -> None:
-        lease.engage()
+        lease.engage(deadman_s=self._link.deadman_s)
         lease.unpark()
 
     def _drive(

@@ -1,10 +1,13 @@
-"""A TCP relay on the loopback that can be stalled: a link that stands and carries nothing, as bad radio does."""
+"""A TCP relay on the loopback that delays what it carries, and can be stalled: a link as bad radio makes it."""
 
 from __future__ import annotations
 
 import contextlib
 import socket
 import threading
+import time
+from collections.abc import Callable
+from queue import SimpleQueue
 from types import TracebackType
 from typing import Final, Self
 
@@ -18,7 +21,15 @@ class Relay:
         endpoint: where to connect instead, as HOST:PORT.
     """
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, delay_s: Callable[[], float] | None = None) -> None:
+        """Carry connections to a place.
+
+        Args:
+            host: of the place.
+            port: of the place.
+            delay_s: draws how long the next piece takes, either way; pieces keep their order. None is no delay.
+        """
+        self._delay_s = delay_s
         self._target = (host, port)
         self._server = socket.create_server(("127.0.0.1", 0))
         self.endpoint = f"127.0.0.1:{self._server.getsockname()[1]}"
@@ -62,8 +73,24 @@ class Relay:
                     threading.Thread(target=self._carry, args=(source, sink), name="relay", daemon=True).start()
 
     def _carry(self, source: socket.socket, sink: socket.socket) -> None:
+        under_way: SimpleQueue[tuple[float, bytes]] = SimpleQueue()
+        threading.Thread(target=self._deliver, args=(under_way, source, sink), name="relay", daemon=True).start()
+        due_s = 0.0
         with contextlib.suppress(OSError):
             while data := source.recv(BUFFER_BYTES):
+                due_s = max(due_s, time.monotonic() + (self._delay_s() if self._delay_s is not None else 0.0))
+                under_way.put((due_s, data))
+        under_way.put((due_s, b""))
+
+    def _deliver(
+        self, under_way: SimpleQueue[tuple[float, bytes]], source: socket.socket, sink: socket.socket
+    ) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                due_s, data = under_way.get()
+                if not data:
+                    break
+                time.sleep(max(0.0, due_s - time.monotonic()))
                 self._flows.wait()
                 sink.sendall(data)
         for one in (source, sink):

@@ -14,10 +14,10 @@ from typing import Final
 
 import msgspec
 
+from gateway.sim.links import FAR, LINKS, LinkProfile
 from schemas.settings import DEADMAN_MAX_S, CommandSettings
 from tests.bench.loads import Row, print_table
 from tests.gateway.remote.far_operator import Trip, trip
-from tests.links import FAR, LINKS, LinkProfile
 
 SECONDS: Final = 60.0
 TOP_MPS: Final = 2.2

@@ -10,11 +10,11 @@ import msgspec
 
 from gateway.remote.drive_stream import PERIOD_S, DriveStream, Ending, SetPoint
 from gateway.remote.reply import encode_request
+from gateway.sim.links import Link, LinkProfile
 from schemas.decisions import ArbiterState, EventKind, LeaseReply, Reply, SafetyState
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Engage, Renew, Request, Unpark
 from tests.gateway.command.loop_rig import LoopRig
-from tests.links import Link, LinkProfile
 
 NAME = "far"
 PERIOD_NS = round(PERIOD_S * 1e9)

@@ -2,11 +2,11 @@
 
 import pytest
 
+from gateway.sim.links import FAR, LINKS, Link, LinkProfile
 from schemas.decisions import ArbiterState
 from schemas.reasons import TEXTS, Reason
 from tests.gateway.command.loop_rig import LoopRig
 from tests.gateway.remote.far_operator import FarOperator, trip
-from tests.links import FAR, LINKS, Link, LinkProfile
 
 
 def test_over_200_ms_one_way_it_hardly_ever_stops() -> None:

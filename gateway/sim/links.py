@@ -1,9 +1,11 @@
-"""Links that are bad, as one table, and what becomes of messages on them, in simulated time.
+"""Links that are bad, as one table, and what becomes of messages on them, in simulated time. Pure.
 
 Zenoh runs over TCP. There a message that is lost is sent again, and all that follows waits for it: whoever is at
 the other end sees no loss, but a stall of about one round trip in that direction. What is sent again may be lost
 again.
 """
+
+from __future__ import annotations
 
 from collections import deque
 from random import Random
@@ -31,6 +33,18 @@ class LinkProfile(msgspec.Struct, frozen=True):
     stall_every_s: float = 0.0
     stall_s: float = 0.0
     deadman_s: float | None = None
+
+    @property
+    def slug(self) -> str:
+        """The name as a word of the command line."""
+        return self.name.lower().replace(" ", "-")
+
+    def delay_s(self, random: Random) -> float:
+        """Draw how long a message takes one way, in seconds."""
+        delay_s = self.one_way_s * (1 + self.jitter * random.uniform(-1, 1))
+        while random.random() < self.loss:
+            delay_s += 2 * self.one_way_s
+        return delay_s
 
 
 LINKS = (
@@ -87,10 +101,7 @@ class Link:
         return self._receive(self._down, now_ns)
 
     def _send(self, direction: _Direction, message: object, now_ns: int) -> None:
-        profile, random = self.profile, self._random
-        delay_s = profile.one_way_s * (1 + profile.jitter * random.uniform(-1, 1))
-        while random.random() < profile.loss:
-            delay_s += 2 * profile.one_way_s
+        delay_s = self.profile.delay_s(self._random)
         direction.last_ns = max(direction.last_ns, now_ns + round(delay_s * 1e9))
         direction.waiting.append((direction.last_ns, message))
 
