@@ -15,8 +15,9 @@ demo: $(STAMP)  ## chassis, gateway and recorder and two operators, for half a m
 test: $(STAMP)  ## the whole test suite
 	$(BIN)/python -m pytest --numprocesses $$(( $$(nproc) + 1 )) --dist worksteal
 
-nightly: $(STAMP)  ## what is exhausted and takes too long for every day: the gate's whole domain
+nightly: $(STAMP)  ## what takes too long for every day: the gate's whole domain, and 10,000 random scenarios; an hour
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/nightly
+	$(BIN)/python -m tests.system.scenarios --count 10000 --jobs 2 --seed 1
 
 test-socketcan: $(STAMP)  ## the gateway on a real SocketCAN interface; boots user-mode Linux where the kernel has none
 	tests/socketcan/run

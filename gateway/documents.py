@@ -107,7 +107,7 @@ BUS_RULES: Final = (
     ),
     (
         f"after {gate.FORGET_NS // 1_000_000} ms without a burst, or silence on purpose",
-        "zero speed; a stop may begin with a speed",
+        "the parking request; a stop may begin released, and with a speed",
         ".py::test_out_of_silence_only_a_stop_begins_with_a_speed",
     ),
     (

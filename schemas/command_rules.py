@@ -15,8 +15,23 @@ _UNNUMBERED: Final = 0
 """What journals hold that were made under the rules 1, before these had a number."""
 
 CHANGES: Final[dict[int, str]] = {
-    2: "drive and engage echo a challenge instead of a tick, so all of before are refused as malformed; "
-    "the speed is bounded by the age of the commands; commands up to 1 s old are accepted",
+    2: "a stop ramps down in gear, applies the parking brake and only behind it selects neutral; "
+    "the brake pedal is never pressed; "
+    "a robot that stands at zero command gets its parking brake after a second, a drive command with a speed "
+    "releases it, and the direction is reversed behind it; "
+    "park is accepted at any speed; "
+    "rolling, overspeed, steering that does not follow and a frozen mileage stop the robot and are latched; "
+    "a remote stop that cannot be carried out is refused, latched, and carried out later; "
+    "a robot that moves in mode stop is told to park; "
+    "a burst that the gate refuses is replaced by zero speed and the parking brake; "
+    "a bumper counts as clear after 300 ms; "
+    "braking, lamp and horn feedback need not come; "
+    "a stop by the guard stays latched across a restart; "
+    "drive, engage and reset echo a challenge instead of a tick, so those of before with a tick are refused as "
+    "malformed; "
+    "commands up to 1 s old are accepted, and the speed is bounded by their age and the deadman; "
+    "without real-time priority or a guard the speed limit is lower; "
+    "safety/state comes at 50 Hz while the robot is engaged",
 }
 """What each version of the rules changed."""
 

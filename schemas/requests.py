@@ -123,11 +123,11 @@ class Reset(Leased, frozen=True, forbid_unknown_fields=True):
 
 
 class Park(Leased, frozen=True, forbid_unknown_fields=True):
-    """Apply the parking brake of a standing, engaged robot."""
+    """Apply the parking brake of an engaged robot, at any speed, while the commanded speed is zero."""
 
 
 class Unpark(Leased, frozen=True, forbid_unknown_fields=True):
-    """Release the parking brake of a standing, engaged robot."""
+    """Allow drive commands to release the parking brake of an engaged robot, while the commanded speed is zero."""
 
 
 class Light(Leased, frozen=True, forbid_unknown_fields=True):

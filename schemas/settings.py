@@ -94,7 +94,7 @@ ENGAGE_TIMEOUT_NS: Final = 1_000_000_000
 """The chassis reads auto within this time of the first five enables, or engaging has failed."""
 
 HOLD_NS: Final = 1_000_000_000
-"""A stop holds the standing robot, brake and parking brake applied, for 1 s..."""
+"""A stop holds the robot for 1 s behind the parking brake, after it was last seen to move..."""
 
 DISABLE_NS: Final = 500_000_000
 """...then sends disabled frames for 0.5 s, then nothing."""

@@ -60,6 +60,7 @@ class Arbiter:
             engaged again.
         actuation: what the chassis was last told; None while it is told nothing.
         told_ns: when a whole burst was last taken by the bus.
+        owes_stop: a stop could not be carried out, or ended without an applied parking brake.
         handover: who else commands the chassis, and what it was left on.
     """
 
@@ -95,7 +96,7 @@ class Arbiter:
         self.is_closing = False
         self.latched_ns = 0
         self._sequence: StopSequence | None = None
-        self._is_brake_missed = self._owes_stop = False
+        self._is_brake_missed = self.owes_stop = False
         self._engage_until_ns = 0
         self.told_ns = 0
         self.handover = Handover()
@@ -155,6 +156,7 @@ class Arbiter:
     def begin_engaging(self, limits: Limits, now_ns: int) -> None:
         """All that engage wants is there: give the five enables with zero speed."""
         self._go(Trigger.ENGAGE)
+        self.owes_stop = False
         self.limits = limits
         angle_deg = seen_angle_deg(self.watch.observed, self.configured_limits)
         self.motion = Motion(angle_deg)
@@ -179,7 +181,7 @@ class Arbiter:
         if self.state is ArbiterState.STANDBY:
             observed = self.watch.observed
             is_barred = not observed.bus_up or observed.mode is Mode.REMOTE
-            self._owes_stop = is_barred and reason is Reason.REMOTE_STOP
+            self.owes_stop = is_barred and reason is Reason.REMOTE_STOP
             if not may_be_stopped(observed):
                 return  # Standing by stays silent.
             self.limits = self.configured_limits
@@ -187,7 +189,7 @@ class Arbiter:
         self._sequence = StopSequence(last, deceleration_mps2, now_ns)
         if stop.parks or self.watch.observed.mode is Mode.STOP:
             self._sequence.park(now_ns)
-        self._is_brake_missed = False
+        self._is_brake_missed = self.owes_stop = False
         self.auxiliary.end(now_ns)
         self.stop_reason, self.stop_detail = reason, detail
         self._go(Trigger.STOP)
@@ -332,10 +334,15 @@ class Arbiter:
         if self.handover.is_obeyed_again(self.watch.observed, now_ns, is_taken=is_taken):
             # It was left while it was being told something, and may obey that again: nothing resumes by itself.
             self.begin_stop(Reason.FOUND_MOVING, now_ns, "or about to move, by what it was told before")
-        elif self._owes_stop and not is_taken and self.latched and may_be_stopped(self.watch.observed):
-            self.begin_stop(Reason.REMOTE_STOP, now_ns, "it could not be carried out before")
+        elif self.owes_stop and not is_taken and self._is_loose():
+            self.begin_stop(Reason.FOUND_MOVING, now_ns, "a stop could not be carried out before")
         elif self.watch.found_moving(now_ns):
             self.begin_stop(Reason.FOUND_MOVING, now_ns)
+
+    def _is_loose(self) -> bool:
+        """The parking brake is seen to be released, and can be told otherwise."""
+        observed = self.watch.observed
+        return observed.brake is ParkingStatus.RELEASED and may_be_stopped(observed)
 
     # What the chassis is told.
 
@@ -398,6 +405,7 @@ class Arbiter:
 
     def _rest(self, now_ns: int) -> None:
         self._sequence = None
+        self.owes_stop = self.watch.observed.brake is not ParkingStatus.APPLIED
         self._go(Trigger.REST)
         stands = "and stands" if self.watch.stands else "but is not seen to stand"
         if self.watch.is_commanded_by_other(now_ns):

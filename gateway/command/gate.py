@@ -125,8 +125,8 @@ class Gate:
             frames: a burst.
             variant: the scale of the speed in it.
             now_ns: monotonic.
-            stopping: they belong to a stop. Only a stop may begin with a speed; in a stop no speed rises, and the
-                parking brake stays applied.
+            stopping: they belong to a stop. Only a stop may begin with the parking brake released; in a stop no
+                speed rises, and the parking brake stays applied.
         """
         if len(frames) > BURST_MAX_FRAMES or len({frame.can_id for frame in frames}) != len(frames):
             return GateFault(0, "too many frames, or one twice")

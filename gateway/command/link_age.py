@@ -23,8 +23,11 @@ MEAN_NS: Final = 1_000_000_000
 QUANTILES_NS: Final = 10_000_000_000
 """The median and the 99th percentile are of so long..."""
 
+RANK_NS: Final = 200_000_000
+"""...and are found anew this often, for sorting takes time in the loop..."""
+
 KEPT: Final = 500
-"""...or of so many commands, 50 a second, if there are more."""
+"""...of so many commands at most, 50 a second."""
 
 REFUSED_AS: Final = {
     Reason.TOO_OLD: "too old",
@@ -67,6 +70,8 @@ class LinkAge:
         self._ages: deque[tuple[int, int]] = deque(maxlen=KEPT)
         self._recent: deque[tuple[int, int]] = deque()
         self._recent_sum_ns = 0
+        self._rank_due_ns = 0
+        self._quantiles_s: tuple[float | None, float | None] = (None, None)
         self._refused: dict[Reason, tuple[int, int | None]] = {}
 
     def begin(self, deadman_s: float | None) -> None:
@@ -100,14 +105,21 @@ class LinkAge:
 
     def ages(self, now_ns: int) -> Ages:
         """Return how old the commands were that were accepted lately."""
+        if not self._ages or now_ns - self._ages[-1][0] > QUANTILES_NS:
+            return Ages()
         mean_ns = self._mean_ns(now_ns)
+        if now_ns >= self._rank_due_ns:
+            self._rank_due_ns = now_ns + RANK_NS
+            self._quantiles_s = self._rank(now_ns)
+        p50_s, p99_s = self._quantiles_s
+        return Ages(None if mean_ns is None else mean_ns / 1e9, self._ages[-1][1] / 1e9, p50_s, p99_s)
+
+    def _rank(self, now_ns: int) -> tuple[float | None, float | None]:
+        """The median and the 99th percentile."""
         ages_ns = sorted(age_ns for at_ns, age_ns in self._ages if now_ns - at_ns <= QUANTILES_NS)
         if not ages_ns:
-            return Ages()
-        p50_ns, p99_ns = (ages_ns[(len(ages_ns) - 1) * percent // 100] for percent in (50, 99))
-        return Ages(
-            None if mean_ns is None else mean_ns / 1e9, self._ages[-1][1] / 1e9, p50_ns / 1e9, p99_ns / 1e9
-        )
+            return None, None
+        return ages_ns[(len(ages_ns) - 1) // 2] / 1e9, ages_ns[(len(ages_ns) - 1) * 99 // 100] / 1e9
 
     def speed_limit_mps(self, now_ns: int) -> float | None:
         """Return the highest speed that the travel delay allows; None while no age is known."""

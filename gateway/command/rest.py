@@ -58,6 +58,7 @@ def is_at_rest(flow: CommandFlow, now_ns: int) -> bool:
         and not arbiter.latched
         and not arbiter.is_closing
         and arbiter.handover.left is None
+        and not arbiter.owes_stop
         and arbiter.auxiliary.is_off(now_ns)
         and arbiter.watch.stands
         and not arbiter.watch.pressed

@@ -1,4 +1,4 @@
-"""``cruiser park``: apply the parking brake of a standing robot."""
+"""``cruiser park``: apply the parking brake."""
 
 from __future__ import annotations
 

@@ -307,11 +307,11 @@ class Lease:
         return self._ask(Reset(lease=self.number, challenge=self._link.sighting().state.challenge)).detail
 
     def park(self) -> None:
-        """Apply the parking brake of the standing, engaged robot."""
+        """Apply the parking brake of the engaged robot, which may still be slowing down to zero."""
         self._ask(Park(lease=self.number))
 
     def unpark(self) -> None:
-        """Release it."""
+        """Allow drive commands to release it."""
         self._ask(Unpark(lease=self.number))
 
     def light(self, *, headlamp: bool = False, left: bool = False, right: bool = False) -> None:

@@ -1,4 +1,4 @@
-"""``cruiser unpark``: release the parking brake."""
+"""``cruiser unpark``: allow drive commands to release the parking brake."""
 
 from __future__ import annotations
 

@@ -514,7 +514,10 @@ class Oracle:
             told_mps = max(order.signed_mps * sign, 0.0)
             lag_mps2 = min(LAGGING_MPS2, (self._explained[sign] - told_mps) / LAGGING_S)
             self._explained[sign] = max(told_mps, self._explained[sign] - lag_mps2 * TICK_S)
-            rolls = speed_mps * sign > self._explained[sign] + MOVES_MPS and order.signed_mps * sign <= 0
+            rolls = (
+                speed_mps * sign > self._explained[sign] + MOVES_MPS + self._bit_mps
+                and order.signed_mps * sign <= 0
+            )
             lasts_s = self._timer(f"roll{sign}").lasts(now_s, holds=rolls and not order.parking)
             if lasts_s > 0.1 + SEEING_S:
                 kind = "rolling_against" if order.speed_mps else "rolling_unnoticed"

@@ -355,7 +355,9 @@ class Play:
             speed_mps = abs(self.plant.speed_mps)
             self._checks.append((now_s + GUARD_S, lambda at_s: oracle.expect_frames(at_s, "guard_late")))
             rest_s = now_s + speed_mps / 1.2 + 4.0
-            self._checks.append((rest_s, lambda at_s: oracle.expect_rest(at_s, "guard_no_rest")))
+            if self.plan.hangs_s == FOREVER_S:
+                # One that comes back may drive again by then.
+                self._checks.append((rest_s, lambda at_s: oracle.expect_rest(at_s, "guard_no_rest")))
             oracle.gateway_fails(now_s)
 
     def _revive_gateway(self, now_s: float) -> None:
