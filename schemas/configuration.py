@@ -28,11 +28,20 @@ _SHOWN_LENGTH: Final = 60
 """An error shows at most this many characters of a value."""
 
 
+REMOVED: Final = frozenset({"command.brake_pedal_percent"})
+"""Settings of earlier versions, which their logs hold."""
+
+
 class TomlSource(msgspec.Struct, frozen=True):
-    """The text of a TOML file, and the file's name for messages."""
+    """The text of a TOML file, and the file's name for messages.
+
+    Attributes:
+        is_recorded: it comes out of a log, which an earlier version may have written.
+    """
 
     file: str
     text: str
+    is_recorded: bool = False
 
 
 class Given(msgspec.Struct, frozen=True):
@@ -119,6 +128,8 @@ def _from_toml(toml: TomlSource) -> Iterator[Given]:
             raise _wrong(f"{where(section)}: {section} is a table of settings, as in [{section}]")
         for name, value in table.items():
             key = f"{section}.{name}"
+            if toml.is_recorded and key in REMOVED:
+                continue
             if key not in SETTINGS:
                 raise _wrong(f"{where(section, name)}: there is no setting {plain(key)!r}{_nearest_key(key)}")
             # Only a wrong value asks for its line: finding lines costs more than reading the file.

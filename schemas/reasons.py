@@ -159,16 +159,6 @@ TEXTS: Final[dict[Reason, Text]] = {
     Reason.FRONT_BUMPER: Text("the front bumper was hit", f"reset, then drive backward until it is clear{_BOTH}"),
     Reason.REAR_BUMPER: Text("the rear bumper was hit", f"reset, then drive forward until it is clear{_BOTH}"),
     Reason.IMPLAUSIBLE_SPEED: Text("the speeds do not fit each other or the command", _RESET),
-    Reason.ROLLING: Text(
-        "the robot moves although it is told to stand, or against what it is told: the parking brake is applied",
-        "look for a slope that is too steep, a weak motor, or somebody who pushes; then reset, then engage again",
-    ),
-    Reason.OVERSPEED: Text("the robot is faster than the limit in force", _RESET),
-    Reason.STEERING: Text("the steering does not follow what it is told", _RESET),
-    Reason.FEEDBACK_FROZEN: Text(
-        "the mileage stands still although the robot drives: its frame, which has bumpers and mode, is frozen",
-        _RESET,
-    ),
     Reason.FOUND_MOVING: Text("the chassis was found moving, or not held, and nobody commanded it", _AGAIN),
     Reason.OTHER_COMMANDER: Text("another computer commands the chassis on the bus", "end the other one first"),
     Reason.REMOTE_STOP: Text("a remote stop was received", "reset, then engage again"),
@@ -181,15 +171,25 @@ TEXTS: Final[dict[Reason, Text]] = {
         "wait a second; else use an interface that several processes can open, or accept it with "
         "gateway.accept_unguarded",
     ),
+    Reason.SHUTDOWN: Text("the gateway is ending", "wait until it is back"),
+    Reason.LINK_TOO_SLOW: Text(
+        "the link is too slow to drive over", "echo the newest challenge of safety/state, over a faster link"
+    ),
     Reason.NO_REALTIME: Text(
         "the gateway has no real-time priority: a busy processor can delay it until the guard stops the robot, so "
         "its speed limit is lower",
         "run it as deploy/cruiser-gateway.service does (LimitRTPRIO=20), or allow it in /etc/security/limits.conf "
         "(USER - rtprio 20), with gateway.realtime_priority above 0",
     ),
-    Reason.SHUTDOWN: Text("the gateway is ending", "wait until it is back"),
-    Reason.LINK_TOO_SLOW: Text(
-        "the link is too slow to drive over", "echo the newest challenge of safety/state, over a faster link"
+    Reason.ROLLING: Text(
+        "the robot moves although it is told to stand, or against what it is told: the parking brake is applied",
+        "look for a slope that is too steep, a weak motor, or somebody who pushes; then reset, then engage again",
+    ),
+    Reason.OVERSPEED: Text("the robot is faster than the limit in force", _RESET),
+    Reason.STEERING: Text("the steering does not follow what it is told", _RESET),
+    Reason.FEEDBACK_FROZEN: Text(
+        "the mileage stands still although the robot drives: its frame, which has bumpers and mode, is frozen",
+        _RESET,
     ),
 }
 """Every reason in words; a test holds that none is missing."""

@@ -87,7 +87,11 @@ def _stop(arbiter: Arbiter, operator: str, now_ns: int) -> Ruling:
         Reason.OTHER_COMMANDER: arbiter.watch.is_commanded_by_other(now_ns),
     }
     obstacle = next((reason for reason, holds in obstacles.items() if holds), Reason.NONE)
-    return Ruling(obstacle, f"latched, but not carried out: {does}" if obstacle is not Reason.NONE else does)
+    if obstacle is Reason.NONE:
+        return Ruling(detail=does)
+    is_told = arbiter.state is ArbiterState.STOPPING and observed.mode is not Mode.REMOTE
+    done = "told against another sender" if is_told else "not carried out"
+    return Ruling(obstacle, f"latched, but {done}: {does}")
 
 
 def _acquire(arbiter: Arbiter, request: requests.Acquire, operator: str, now_ns: int) -> Ruling:

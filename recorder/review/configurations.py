@@ -87,4 +87,4 @@ def settings_from(text: str) -> Settings:
     Raises:
         CommandError: they are none of this version.
     """
-    return merge(TomlSource(CONFIGURATION, text), {}, {})
+    return merge(TomlSource(CONFIGURATION, text, is_recorded=True), {}, {})

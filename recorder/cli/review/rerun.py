@@ -126,7 +126,10 @@ def _read(path: Path) -> str:
 
 def _settings_of(text: str | None, path: Path | None, changes: dict[str, object]) -> Callable[[str], Settings]:
     def settings_of(recorded: str) -> Settings:
-        source = TomlSource(CONFIGURATION, recorded) if text is None else TomlSource(str(path), text)
+        if text is None:
+            source = TomlSource(CONFIGURATION, recorded, is_recorded=True)
+        else:
+            source = TomlSource(str(path), text)
         return merge(source, {}, changes)
 
     return settings_of

@@ -352,7 +352,9 @@ class Stage:
         texts += [text for _, text in self._configurations][:1]
         for text in texts:
             try:
-                return Limits(merge(TomlSource("configuration.toml", text), {}, {}).command, is_known=True)
+                return Limits(
+                    merge(TomlSource("configuration.toml", text, is_recorded=True), {}, {}).command, is_known=True
+                )
             except CommandError as error:
                 self._faults.add(f"{self.robot}: its configuration cannot be read: {error}")
         return Limits()
