@@ -244,5 +244,5 @@ def test_a_configuration_out_of_an_old_log_may_hold_a_setting_that_was_removed()
     """One that somebody writes today may not."""
     text = "[command]\nbrake_pedal_percent = 30.0\nspeed_limit_mps = 0.5\n"
     assert merge(TomlSource("log", text, is_recorded=True), {}, {}).command.speed_limit_mps == 0.5
-    with pytest.raises(CommandError, match="there is no setting 'command.brake_pedal_percent'"):
+    with pytest.raises(CommandError, match="there is no setting"):
         merge(TomlSource("robot.toml", text), {}, {})
