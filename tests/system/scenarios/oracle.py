@@ -188,7 +188,8 @@ class Oracle:
 
     def state(self, state: Fields, now_s: float) -> None:
         latched = state["latched"]
-        if self._acknowledged and self._struck in latched and self._struck not in self._latched:
+        is_new = self._struck in latched and self._struck not in self._latched
+        if self._acknowledged and is_new and not self.is_damaged():
             self._fail("bumper_relatched", now_s, f"{self._struck} again, while acknowledged")
         self._latched = latched
         if state["engaged"]:
@@ -242,6 +243,10 @@ class Oracle:
     def disturb(self, now_s: float, lasts_s: float) -> None:
         """A disturbance was caused, and may show for this long: a stop meanwhile has a cause."""
         self._disturbed_until_s = max(self._disturbed_until_s, now_s + lasts_s)
+
+    def touch(self) -> None:
+        """Something else is in the way: a hit of it is a new one."""
+        self._struck, self._acknowledged = None, False
 
     def blind(self, now_s: float, lasts_s: float) -> None:
         """The bus loses so many frames that nothing is seen in time and nothing is heard, for this long."""
@@ -573,7 +578,7 @@ class Oracle:
             return
         order = self._order if now_s - self._order_s < 3 * TICK_S else None
         pressed = "front_bumper" if body[4] & 1 else "rear_bumper" if body[4] & 0x10 else None
-        if pressed is not None:
+        if pressed is not None and self._struck in {None, pressed}:
             self._clear_s = now_s
         if now_s - self._clear_s > 0.3 + SEEING_S:
             self._struck, self._acknowledged = None, False

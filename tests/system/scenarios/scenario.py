@@ -389,6 +389,7 @@ class Play:
                 plant.frozen.discard(act.value)
             case "touch":
                 plant.touch(act.value)
+                oracle.touch()
             case "ask":
                 rig.ask(act.value)
             case "loss":
