@@ -25,10 +25,11 @@ from gateway.chassis.frame import ERROR, Frame
 from gateway.chassis.layout import load
 from gateway.chassis.variant import WHEEL_SPEED, VariantDetector
 from gateway.command.flow import CommandFlow, PendingReply
+from gateway.command.frames import MOTION_FRAMES
 from gateway.command.request import RawRequest
 from gateway.command.rest import QUIET_NS, Rest, is_at_rest, memory_of, recall
 from gateway.journal import FRAME, LINKS, JournalWriter, Kind
-from gateway.observation import Observer
+from gateway.observation import BODY, Observer
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import HealthMeter, Links
 from gateway.telemetry.raw_frames import FrameBatch
@@ -92,6 +93,7 @@ class Core:
             for message in layout.feedback
         }
         self._commands = {message.can_id for message in layout.commands}
+        self._motion_commands = {layout.messages[name].can_id for name in MOTION_FRAMES}
         self._known = self._streams.keys() | self._commands
         # Both variants, here and once: to compile a decoder takes a millisecond, too long for the loop.
         self._scaled = [
@@ -102,6 +104,7 @@ class Core:
             for name in SCALED_BY_VARIANT
         ]
         self._wheel_speed = layout.messages[WHEEL_SPEED].can_id
+        self._body = layout.messages[BODY].can_id
         self._apply_variant()
         self._state_due_ns = self._batch_due_ns = now_ns
         self._health_due_ns = now_ns + HEALTH_PERIOD_NS
@@ -130,7 +133,10 @@ class Core:
             return None
         if frame.can_id == self._wheel_speed and check(frame) is None:
             self._observe_variant(frame)
-        return stream.receive(frame, now_ns)
+        sample = stream.receive(frame, now_ns)
+        if frame.can_id == self._body and sample is not None:
+            self._observer.note_body()
+        return sample
 
     def receive_request(self, request: RawRequest, now_ns: int) -> None:
         """A request came. It is judged at the next tick."""
@@ -285,6 +291,8 @@ class Core:
     def _receive_other(self, frame: Frame, now_ns: int) -> None:
         """A frame that is no feedback. A command frame of another computer is no fault: it may own the bus."""
         if frame.can_id in self._commands:
+            if frame.can_id not in self._motion_commands:
+                return  # Lamps and horn move nobody.
             # The guard's are ours: taken for another's, a chassis that it leaves would count as taken over.
             if check(frame) is None and not self._links.guard_sends:
                 self._commander_ns = now_ns

@@ -50,12 +50,20 @@ class Observer:
         self._streams = {stream.layout.name: stream for stream in streams}
         self._required = {name: self._streams[name] for name in required}
         self._encoders = Encoders()
+        self._hits = [False, False]
         self._detector = detector
         # A frame that says that it is not valid is waited for as long as one that stays away.
         self._patience_ns = {
             name: silence_ns(self._streams[name].layout.period_ns) for name in (WHEEL_SPEED, BODY)
         }
         self._valid_ns = dict.fromkeys(self._patience_ns, 0)
+
+    def note_body(self) -> None:
+        """A body frame came: a bumper that it says was hit counts at the next tick, whatever comes after it."""
+        body = self._latest(BODY, Body)
+        if body is not None:
+            self._hits[0] |= body.front_bumper
+            self._hits[1] |= body.rear_bumper
 
     def observe(
         self,
@@ -77,6 +85,7 @@ class Observer:
         wheels, body = self._latest(WHEEL_SPEED, WheelSpeed), self._latest(BODY, Body)
         drive, gear = self._latest(DRIVE, Drive), self._latest("Auto_GearFeedBack", Gear)
         steering = self._latest("Auto_SteeringFeedBack", Steering)
+        (front, rear), self._hits = self._hits, [False, False]
         parking = self._latest("Auto_ParkingFeedBack", Parking)
         return Observed(
             bus_up=links.bus_up,
@@ -96,8 +105,8 @@ class Observer:
             turns=self._turns(),
             pulses=self._encoders.direction(self._latest("Auto_WheelPulseFeedback", WheelPulse)),
             angle_deg=steering.angle_deg if steering is not None else None,
-            front_bumper=_bumper(body, body.front_bumper) if body is not None else None,
-            rear_bumper=_bumper(body, body.rear_bumper) if body is not None else None,
+            front_bumper=front or (_bumper(body, body.front_bumper) if body is not None else None),
+            rear_bumper=rear or (_bumper(body, body.rear_bumper) if body is not None else None),
             total_mileage_km=body.total_mileage_km if body is not None and body.valid else None,
             commander_ns=commander_ns,
             guarded=links.guarded,

@@ -148,7 +148,10 @@ ROLLING_MPS: Final = 0.1
 """A robot that is faster than this, the standstill bound and a noisy bit of the coarse scale..."""
 
 ROLLING_NS: Final = 100_000_000
-"""...for this long while it is told to stand, or against what it is told, is rolling. Pulses show slower ones."""
+"""...for this long while it is told to stand, or against what it is told, is rolling..."""
+
+CREEPING_NS: Final = 1_000_000_000
+"""...and so is one that is over the standstill bound alone for this long, or whose pulses count."""
 
 OVERSPEED_MPS: Final = 0.3
 """A measured speed that is over the limit in force by this..."""
@@ -191,6 +194,9 @@ BEHIND_NS: Final = 200_000_000
 
 FOUND_MOVING_NS: Final = 200_000_000
 """A chassis that is in auto and moves for this long, while nobody is heard to command it, is stopped."""
+
+REPEATED_NS: Final = 1_000_000_000
+"""A stop out of standing by that follows another one within this time applies the parking brake at once."""
 
 COMMANDER_NS: Final = 100_000_000
 """Another computer commands the chassis if a command frame of it was heard this lately."""

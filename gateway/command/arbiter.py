@@ -26,17 +26,22 @@ from gateway.command.notices import Notices
 from gateway.command.observed import Observed
 from gateway.command.outcome import Event, Outcome
 from gateway.command.request import Answer, Judged, RawRequest, Ruling
-from gateway.command.seen import seen_actuation, seen_angle_deg
+from gateway.command.seen import IN_GEAR, seen_actuation, seen_angle_deg
 from gateway.command.states import TRANSITIONS, Trigger
 from gateway.command.stop import StopFeedback, StopSequence
 from schemas.decisions import COMMANDING, ArbiterState, Bound, EventKind, Severity, StopPhase
-from schemas.messages import Mode, ParkingStatus, Variant
+from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
 from schemas.reasons import TEXTS, Reason
-from schemas.settings import ENGAGE_TIMEOUT_NS, TICK_NS, TOLD_LONG_AGO_NS, Settings
+from schemas.settings import ENGAGE_TIMEOUT_NS, REPEATED_NS, TICK_NS, TOLD_LONG_AGO_NS, Settings
 
 _NS_PER_S: Final = 1_000_000_000
 _TICK_BITS: Final = 40
 _TICK_S: Final = TICK_NS / _NS_PER_S
+LATE_STEP_S: Final = 10 * _TICK_S
+"""After a pause the speed goes on falling by no greater step than this makes."""
+
+_SPEED_BIT_MPS: Final = {Variant.COARSE: 0.04, Variant.FINE: 0.001}
+"""The smallest speed that the drive command can carry (manual V2.0, 5 (3))."""
 
 
 class Arbiter:
@@ -59,6 +64,7 @@ class Arbiter:
         variant: the one in which the chassis is told speeds; UNKNOWN as soon as there was any doubt, until it is
             engaged again.
         actuation: what the chassis was last told; None while it is told nothing.
+        tellings: how often it has begun to tell the chassis something.
         told_ns: when a whole burst was last taken by the bus.
         owes_stop: a stop could not be carried out, or ended without an applied parking brake.
         handover: who else commands the chassis, and what it was left on.
@@ -100,6 +106,8 @@ class Arbiter:
         self._engage_until_ns = 0
         self.told_ns = 0
         self.handover = Handover()
+        self.tellings = 0
+        self._stray_ns: int | None = None
         self._late_ns = 0
         self._before: tuple[Motion, StopSequence | None, Actuation | None] = (self.motion, None, None)
         self._waiting: dict[str, int] = {}
@@ -159,7 +167,8 @@ class Arbiter:
         self.owes_stop = False
         self.limits = limits
         angle_deg = seen_angle_deg(self.watch.observed, self.configured_limits)
-        self.motion = Motion(angle_deg)
+        gear = self.watch.observed.gear
+        self.motion = Motion(angle_deg, gear if gear in IN_GEAR else GearPosition.NEUTRAL)
         self.target = Target()
         self.parked = True
         self._begin_telling(Actuation(angle_deg=angle_deg))
@@ -187,7 +196,7 @@ class Arbiter:
             self.limits = self.configured_limits
             self._begin_telling(last)
         self._sequence = StopSequence(last, deceleration_mps2, now_ns)
-        if stop.parks or self.watch.observed.mode is Mode.STOP:
+        if stop.parks or self.watch.observed.mode is Mode.STOP or self._is_repeated(now_ns):
             self._sequence.park(now_ns)
         self._is_brake_missed = self.owes_stop = False
         self.auxiliary.end(now_ns)
@@ -339,6 +348,13 @@ class Arbiter:
         elif self.watch.found_moving(now_ns):
             self.begin_stop(Reason.FOUND_MOVING, now_ns)
 
+    def _is_repeated(self, now_ns: int) -> bool:
+        """Standing by, a stop was begun a moment ago already, as where the mode flickers."""
+        if self.state is not ArbiterState.STANDBY:
+            return False
+        before_ns, self._stray_ns = self._stray_ns, now_ns
+        return before_ns is not None and now_ns - before_ns < REPEATED_NS
+
     def _is_loose(self) -> bool:
         """The parking brake is seen to be released, and can be told otherwise."""
         observed = self.watch.observed
@@ -377,8 +393,12 @@ class Arbiter:
         )
         target = self.target if self.state is ArbiterState.ENGAGED else Target(0.0, self.motion.angle_deg)
         bounded = self.link.bounded(target, self.limits.speed_mps, now_ns)
-        actuation = self.motion.tick(bounded, self.limits, surroundings, _TICK_S)
-        if bounded is not target:
+        if abs(bounded.speed_mps) < _SPEED_BIT_MPS.get(self.variant, 0.0):
+            # On the wire that is zero: the robot is told to stand, and is held.
+            bounded = Target(0.0, bounded.angle_deg)
+        elapsed_s = min(max((now_ns - self.told_ns) / _NS_PER_S, _TICK_S), LATE_STEP_S)
+        actuation = self.motion.tick(bounded, self.limits, surroundings, _TICK_S, elapsed_s)
+        if abs(bounded.speed_mps) < abs(target.speed_mps) and bounded.speed_mps:
             self.motion.bounds.append(Bound.TRAVEL_DELAY)
         return actuation
 
@@ -425,6 +445,7 @@ class Arbiter:
         self.variant = observed.variant
         self.watch.plausibility.forget(observed.wheel_speed_mps or 0.0, last.angle_deg)
         self.handover.begin(observed)
+        self.tellings += 1
 
     def _last_told(self) -> Actuation:
         """Where a stop begins: what the chassis was last told, or must have been told."""

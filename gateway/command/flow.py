@@ -56,6 +56,7 @@ class CommandFlow:
         self.gate = Gate()
         self.reporter = Reporter(self.arbiter)
         self.busy_ns = 0
+        self._tellings = 0
         self._outcome: Outcome | None = None
         self._offered: list[Frame] = []
 
@@ -107,6 +108,10 @@ class CommandFlow:
             self.is_mute = self.arbiter.handover.is_cut_off
             self.gate.pause()
             return []
+        if self.arbiter.tellings != self._tellings:
+            # It yielded and begins anew in one tick: what was told before is not held against this.
+            self._tellings = self.arbiter.tellings
+            self.gate.pause()
         variant = self.arbiter.variant
         frames = self.maker.make(outcome.actuation, outcome.auxiliary, variant)
         is_stop = self.arbiter.state is ArbiterState.STOPPING

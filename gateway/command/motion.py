@@ -58,10 +58,10 @@ class Motion:
         bounds: the limits that changed what was asked in the last tick.
     """
 
-    def __init__(self, angle_deg: float = 0.0) -> None:
+    def __init__(self, angle_deg: float = 0.0, gear: GearPosition = GearPosition.NEUTRAL) -> None:
         self.speed_mps = 0.0
         self.angle_deg = angle_deg
-        self.gear = GearPosition.NEUTRAL
+        self.gear = gear
         self.parking = True
         self.bounds: list[Bound] = []
         self._stood_ticks = 0
@@ -73,15 +73,30 @@ class Motion:
         other.__dict__.update(self.__dict__)
         return other
 
-    def tick(self, target: Target, limits: Limits, surroundings: Surroundings, dt_s: float) -> Actuation:
-        """What the chassis is told in this tick, on the way to the target."""
+    def tick(
+        self,
+        target: Target,
+        limits: Limits,
+        surroundings: Surroundings,
+        dt_s: float,
+        elapsed_s: float | None = None,
+    ) -> Actuation:
+        """What the chassis is told in this tick, on the way to the target.
+
+        Args:
+            target: what is asked.
+            limits: those in force.
+            surroundings: what else bounds it.
+            dt_s: a tick.
+            elapsed_s: time since the last one, if it is late: the speed falls by that, and rises by a tick alone.
+        """
         self.bounds = []
         angle_deg = self._within(target.angle_deg, limits.steering_deg, Bound.STEERING)
         speed_mps = self._wanted_speed(target.speed_mps, angle_deg, limits, surroundings)
         self._stood_ticks = self._stood_ticks + 1 if surroundings.stands and not self.speed_mps else 0
         self._gear_ticks += 1
         speed_mps = self._drive_off(speed_mps, surroundings) if speed_mps else self._stand(surroundings)
-        self._step_speed(speed_mps, limits, dt_s)
+        self._step_speed(speed_mps, limits, dt_s, dt_s if elapsed_s is None else elapsed_s)
         # While the speed is still on its way down to what the angle allows, the steering waits for it.
         fastest_mps = max(abs(self.speed_mps), surroundings.speed_mps)
         angle_deg = self._within(angle_deg, limits.angle_at(fastest_mps), Bound.LATERAL_ACCELERATION)
@@ -140,16 +155,17 @@ class Motion:
         """One step on the way to another gear: standstill, parking brake, neutral, gear."""
         if not self.parking:
             self.parking = self.speed_mps == 0 and surroundings.stands
+            self._gear_ticks = 0
         elif surroundings.brake is ParkingStatus.APPLIED and self._gear_ticks >= SHIFT_TICKS:
             self.gear = wanted if self.gear is GearPosition.NEUTRAL else GearPosition.NEUTRAL
             self._gear_ticks = 0
 
-    def _step_speed(self, speed_mps: float, limits: Limits, dt_s: float) -> None:
+    def _step_speed(self, speed_mps: float, limits: Limits, dt_s: float, elapsed_s: float) -> None:
         before_mps = self.speed_mps
         if abs(speed_mps) > abs(before_mps):
             bound, most_mps = Bound.ACCELERATION, limits.acceleration_mps2 * dt_s
         else:
-            bound, most_mps = Bound.DECELERATION, limits.deceleration_mps2 * dt_s
+            bound, most_mps = Bound.DECELERATION, limits.deceleration_mps2 * elapsed_s
         change_mps = speed_mps - before_mps
         if abs(change_mps) > most_mps:
             self._bound(bound)

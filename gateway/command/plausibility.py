@@ -12,6 +12,7 @@ from gateway.command.actuation import Actuation
 from gateway.command.observed import Observed
 from schemas.reasons import Reason
 from schemas.settings import (
+    CREEPING_NS,
     DRIVE_LAG_S,
     FROZEN_BODY_M,
     IMPLAUSIBLE_MPS,
@@ -30,15 +31,6 @@ from schemas.settings import (
 
 SCALE_RATIO: Final = 40.0
 """Between the coarse scale, 0.04 m/s a bit, and the fine one, 0.001 m/s a bit."""
-
-_LASTS_NS: Final = {
-    Reason.IMPLAUSIBLE_SPEED: IMPLAUSIBLE_NS,
-    Reason.ROLLING: ROLLING_NS,
-    Reason.OVERSPEED: OVERSPEED_NS,
-    Reason.STEERING: STEERING_DEVIATION_NS,
-    Reason.FEEDBACK_FROZEN: 0,
-}
-"""How long each has to last before it counts."""
 
 _HAIR: Final = 1e-9
 """So that a speed that is just on a bound is not below it by rounding."""
@@ -102,16 +94,17 @@ class Plausibility:
     """
 
     def __init__(self) -> None:
+        # How far it was driven since the mileage has changed outlasts an engagement.
+        self._mileage_km: float | None = None
+        self._driven_m = 0.0
         self.forget()
 
     def forget(self, speed_mps: float = 0.0, angle_deg: float = 0.0) -> None:
         """Begin anew, with a robot that already has this signed speed and this angle."""
         self.details: dict[Reason, str] = {}
         self._envelope = Envelope(speed_mps, angle_deg)
-        self._since_ns: dict[Reason, int] = {}
+        self._since_ns: dict[str, int] = {}
         self._observed_ns: int | None = None
-        self._mileage_km: float | None = None
-        self._driven_m = 0.0
 
     def observe(self, observed: Observed, told: Actuation, limit_mps: float, now_ns: int) -> list[Reason]:
         """What has not been plausible for too long.
@@ -126,21 +119,29 @@ class Plausibility:
         self._observed_ns = now_ns
         self._envelope.follow(told, elapsed_s)
         self._count_way(observed, elapsed_s)
-        found = {
-            Reason.IMPLAUSIBLE_SPEED: self._misfit(observed),
-            Reason.ROLLING: self._rolling(observed, told),
-            Reason.OVERSPEED: self._overspeed(observed, limit_mps),
-            Reason.STEERING: self._deviation(observed),
-            Reason.FEEDBACK_FROZEN: f"for {self._driven_m:.1f} m" if self._driven_m > FROZEN_BODY_M else "",
-        }
-        return [reason for reason, detail in found.items() if self._lasts(reason, detail, now_ns)]
+        frozen = f"for {self._driven_m:.1f} m" if self._driven_m > FROZEN_BODY_M else ""
+        found = (
+            ("speeds", Reason.IMPLAUSIBLE_SPEED, IMPLAUSIBLE_NS, self._misfit(observed)),
+            ("rolls", Reason.ROLLING, ROLLING_NS, self._rolling(observed, told, ROLLING_MPS)),
+            ("creeps", Reason.ROLLING, CREEPING_NS, self._rolling(observed, told, STANDSTILL_MPS)),
+            ("overspeed", Reason.OVERSPEED, OVERSPEED_NS, self._overspeed(observed, limit_mps)),
+            ("steering", Reason.STEERING, STEERING_DEVIATION_NS, self._deviation(observed)),
+            ("frozen", Reason.FEEDBACK_FROZEN, 0, frozen),
+        )
+        lasting = [
+            reason
+            for check, reason, least_ns, detail in found
+            if self._lasts(check, reason, detail, now_ns) >= least_ns
+        ]
+        return list(dict.fromkeys(lasting))
 
-    def _lasts(self, reason: Reason, detail: str, now_ns: int) -> bool:
+    def _lasts(self, check: str, reason: Reason, detail: str, now_ns: int) -> int:
+        """For how long, in nanoseconds; -1 if it does not hold."""
         if not detail:
-            self._since_ns.pop(reason, None)
-            return False
+            self._since_ns.pop(check, None)
+            return -1
         self.details[reason] = detail
-        return now_ns - self._since_ns.setdefault(reason, now_ns) >= _LASTS_NS[reason]
+        return now_ns - self._since_ns.setdefault(check, now_ns)
 
     def _misfit(self, observed: Observed) -> str:
         wheel_mps, drive_mps = observed.wheel_speed_mps, observed.speed_mps
@@ -157,19 +158,19 @@ class Plausibility:
             return f"the wheels turn at {wheel_mps:.2f} m/s, the drive feedback says {drive_mps:.2f} m/s{fit}"
         return ""
 
-    def _rolling(self, observed: Observed, told: Actuation) -> str:
-        """Moves a way that is not commanded, beyond what is left of a ramp."""
+    def _rolling(self, observed: Observed, told: Actuation, bound_mps: float) -> str:
+        """Moves a way that is not commanded, faster than the bound beyond what is left of a ramp."""
         told_mps, wheels_mps = told.signed_speed_mps, observed.wheel_speed_mps or 0.0
         left_mps = {1: self._envelope.forward_mps, -1: self._envelope.backward_mps}
         for sign, way in ((1, "forward"), (-1, "backward")):
             if told_mps * sign > 0:
                 continue
-            if wheels_mps * sign > left_mps[sign] + ROLLING_MPS:
+            if wheels_mps * sign > left_mps[sign] + bound_mps:
                 return f"{way} at {abs(wheels_mps):.2f} m/s by the wheels"
             if observed.pulses == sign and left_mps[sign] < STANDSTILL_MPS:
                 return f"{way} by the wheel pulses"
         fastest_mps = observed.fastest_mps or 0.0
-        if not told_mps and fastest_mps > max(left_mps.values()) + ROLLING_MPS:
+        if not told_mps and fastest_mps > max(left_mps.values()) + bound_mps:
             return f"at {fastest_mps:.2f} m/s"
         return ""
 

@@ -127,11 +127,12 @@ class StopSequence:
             case StopPhase.PARK if (seen.is_braked and is_park_told) or (
                 seen.is_braked is None and now_ns - self._begun_ns >= BRAKE_UNSEEN_NS
             ):
-                if seen.is_braked:
-                    self._gear = GearPosition.NEUTRAL
                 self._enter(StopPhase.HOLD, now_ns)
             case StopPhase.HOLD if seen.moves:
                 self._begun_ns = now_ns
+            case StopPhase.DISABLE if seen.moves:
+                # Its brake does not hold it when the enables are gone.
+                self._enter(StopPhase.PARK, now_ns)
             case StopPhase.HOLD if now_ns - self._begun_ns >= HOLD_NS:
                 self._enter(StopPhase.DISABLE, now_ns)
             case StopPhase.DISABLE if now_ns - self._begun_ns >= DISABLE_NS:

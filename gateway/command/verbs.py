@@ -13,7 +13,7 @@ from gateway.command.request import RawRequest, Ruling
 from schemas import codec, requests
 from schemas.codec import PayloadFault
 from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity
-from schemas.messages import Mode
+from schemas.messages import ControllerState, Mode
 from schemas.reasons import Reason
 from schemas.settings import REQUEST_MAX_BYTES, RESET_MIN_NS
 from schemas.subjects import BY_VERB, STOP_VERB, Asking
@@ -79,19 +79,22 @@ def _stop(arbiter: Arbiter, operator: str, now_ns: int) -> Ruling:
     speed_mps = observed.fastest_mps
     moves = "the robot is not seen to stand" if speed_mps is None else f"the robot moves at {speed_mps:.2f} m/s"
     does = "the robot stands" if arbiter.watch.stands else moves
-    if observed.guard_sends:
+    if observed.guard_sends and observed.mode is not Mode.REMOTE:
         return Ruling(detail=f"the guard is stopping it; {does}")
     obstacles = {
         Reason.BUS_DOWN: not observed.bus_up,
+        Reason.BUS_OFF: observed.controller is ControllerState.BUS_OFF,
+        Reason.SEND_FAILED: arbiter.watch.send_failures > 0,
         Reason.HAND_TRANSMITTER: observed.mode is Mode.REMOTE,
         Reason.OTHER_COMMANDER: arbiter.watch.is_commanded_by_other(now_ns),
+        Reason.FEEDBACK_MISSING: speed_mps is None,
     }
     obstacle = next((reason for reason, holds in obstacles.items() if holds), Reason.NONE)
     if obstacle is Reason.NONE:
         return Ruling(detail=does)
-    is_told = arbiter.state is ArbiterState.STOPPING and observed.mode is not Mode.REMOTE
-    done = "told against another sender" if is_told else "not carried out"
-    return Ruling(obstacle, f"latched, but {done}: {does}")
+    is_told = arbiter.state is ArbiterState.STOPPING and observed.bus_up and observed.mode is not Mode.REMOTE
+    done = "told, but not known to be obeyed" if is_told else "not carried out"
+    return Ruling(obstacle, f"latched; {done}: {does}")
 
 
 def _acquire(arbiter: Arbiter, request: requests.Acquire, operator: str, now_ns: int) -> Ruling:

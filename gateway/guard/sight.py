@@ -9,7 +9,7 @@ from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
 from gateway.chassis.supervision import silence_ns
 from gateway.chassis.variant import WHEEL_SPEED, StandstillEvidence
-from gateway.command.frames import COUNTER_MODULO
+from gateway.command.frames import COUNTER_MODULO, MOTION_FRAMES
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.settings import (
     GUARD_SILENT_NS,
@@ -35,7 +35,7 @@ class Sight:
 
     Attributes:
         next_counters: what each command frame that was heard would count next, by its name.
-        commander_ns: when a command frame was last heard; None if never.
+        commander_ns: when a command frame that moves the robot was last heard; None if never.
     """
 
     def __init__(self) -> None:
@@ -59,7 +59,8 @@ class Sight:
         if command is not None:
             if check(frame) is None:
                 self.next_counters[command] = ((frame.data[6] >> 4) + 1) % COUNTER_MODULO
-                self.commander_ns = now_ns
+                if command in MOTION_FRAMES:
+                    self.commander_ns = now_ns
             return
         layout = self._feedback.get(frame.can_id)
         if layout is None or check(frame) is not None:

@@ -127,8 +127,9 @@ class Stopper:
     def _next_burst(self, now_ns: int, *, stands: bool) -> list[Frame]:
         if self._sequence is None:
             return []
-        if self._sight.mode(now_ns) is Mode.STOP and self._sight.moves(self._variant, now_ns):
-            # Nobody commands it, and it coasts: the parking brake is told all the same.
+        is_held = self._sight.is_braked(now_ns) is not False and not self._sight.moves(self._variant, now_ns)
+        if self._sight.mode(now_ns) is Mode.STOP and not is_held:
+            # Nobody commands it, and nothing holds it: the parking brake is told all the same.
             self._sequence.park(now_ns)
         self._before = copy(self._sequence)
         actuation = self._sequence.tick(now_ns, self._stop_feedback(now_ns, stands=stands))
@@ -194,8 +195,8 @@ class Stopper:
         if seen_mps is not None:
             first = replace(first, speed_mps=_lower(first.speed_mps, seen_mps))
         self._sequence = StopSequence(_possible(first, self._variant), self._deceleration_mps2, now_ns)
-        if mode is Mode.STOP and not self._sight.moves(self._variant, now_ns):
-            # It obeys nobody: enables would only switch it back to auto.
+        if mode is Mode.STOP and self._sight.is_braked(now_ns) and not self._sight.moves(self._variant, now_ns):
+            # It obeys nobody, and its brake holds it: enables would only switch it back to auto.
             self._sequence.phase = StopPhase.DISABLE
         self._went_on_ns = now_ns
         return True

@@ -51,6 +51,9 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         events = robot.events()[-EVENTS_SHOWN:]
     state, health = sighting.state, sighting.health
     slowed_by = [Reason.NO_REALTIME] if health is not None and not health.realtime else []
+    travel_mps = state.travel_speed_limit_mps
+    if travel_mps is not None and travel_mps < min(state.speed_limit_mps, abs(state.target_speed_mps)):
+        slowed_by.insert(0, Reason.LINK_TOO_SLOW)
     if arguments.json:
         blocked_by = [{"reason": reason, **msgspec.structs.asdict(text_of(reason))} for reason in state.blocked_by]
         record = {"robot": arguments.robot, "age_s": sighting.age_s, "state": state, "blocked_by": blocked_by}

@@ -11,6 +11,7 @@ from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
 from gateway.chassis.supervision import silence_ns
 from gateway.chassis.variant import WHEEL_SPEED, VariantDetector
+from gateway.command.frames import MOTION_FRAMES
 from gateway.command.observed import Observed
 from gateway.core import Core
 from gateway.observation import BODY, DRIVE, Observer
@@ -372,7 +373,7 @@ def test_motion_is_seen_while_the_variant_is_not_known(variant: Variant, speed_m
 
 
 def test_another_computer_is_noticed_by_its_command_frames() -> None:
-    """Each of the eight, by when it came; the chassis's own feedback is no command, nor is a stranger's frame."""
+    """Each of the five, by when it came; lamps move nobody, feedback is no command, nor is a stranger's frame."""
     for layout in load(Variant.COARSE).commands:
         made = Core(Settings(), "1.2.3", 0)
         assert made.command is not None
@@ -383,4 +384,17 @@ def test_another_computer_is_noticed_by_its_command_frames() -> None:
         assert made.command.arbiter.watch.observed.commander_ns is None
         made.receive_frame(Frame(layout.can_id, bytes(8)), 17 * MS)
         made.tick(20 * MS, 0, 0, CHALLENGE)
-        assert made.command.arbiter.watch.observed.commander_ns == 17 * MS
+        assert made.command.arbiter.watch.observed.commander_ns == (
+            17 * MS if layout.name in MOTION_FRAMES else None
+        )
+
+
+def test_a_bumper_contact_between_two_ticks_is_seen() -> None:
+    """Row 'bumper': also where the loop is late and the contact has opened again."""
+    eye = Eye()
+    eye.show_all()
+    eye.show(BODY, {"FrontBumper": True})
+    eye.observer.note_body()
+    eye.show(BODY, {"FrontBumper": False})
+    eye.observer.note_body()
+    assert (eye.look().front_bumper, eye.look().front_bumper) == (True, False)

@@ -557,15 +557,19 @@ def test_nothing_is_sent_where_it_cannot_or_must_not_be(changes: dict[str, objec
     [
         ({}, Reason.NONE, "the robot stands"),
         ({"mode": Mode.AUTO, "speed_mps": 0.7}, Reason.NONE, "the robot moves at 0.70 m/s"),
-        ({"speed_mps": None, "fastest_wheel_mps": None}, Reason.NONE, "the robot is not seen to stand"),
+        (
+            {"speed_mps": None, "fastest_wheel_mps": None},
+            Reason.FEEDBACK_MISSING,
+            "latched; not carried out: the robot is not seen to stand",
+        ),
         ({"guard_sends": True}, Reason.NONE, "the guard is stopping it; the robot stands"),
-        ({"bus_up": False}, Reason.BUS_DOWN, "latched, but not carried out: the robot stands"),
+        ({"bus_up": False}, Reason.BUS_DOWN, "latched; not carried out: the robot stands"),
         (
             {"mode": Mode.REMOTE, "fastest_wheel_mps": 0.8, "pulses": 1},
             Reason.HAND_TRANSMITTER,
-            "latched, but not carried out: the robot moves at 0.80 m/s",
+            "latched; not carried out: the robot moves at 0.80 m/s",
         ),
-        ({"commander_ns": 10**12}, Reason.OTHER_COMMANDER, "latched, but not carried out: the robot stands"),
+        ({"commander_ns": 10**12}, Reason.OTHER_COMMANDER, "latched; not carried out: the robot stands"),
     ],
 )
 def test_the_reply_to_a_stop_says_what_the_robot_does(

@@ -798,7 +798,7 @@ def test_a_robot_that_another_computer_drives_is_left_alone() -> None:
     rig, _ = driving(1.0)
     found = LoopRig(now_ns=rig.now_ns)
     found.chassis = rig.chassis
-    found.fault("foreign 18C4D8D0 every 50ms")
+    found.fault("foreign 18C4D3D0 every 50ms")
     found.run(2)
     assert found.bursts == []
     assert found.speed_mps > 0.9

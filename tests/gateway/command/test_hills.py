@@ -4,13 +4,15 @@ from itertools import product
 
 import pytest
 
+from gateway.chassis.encode import Encoder
+from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
 from gateway.sim.model import VirtualChassis
 from gateway.sim.parameters import Conditions
 from schemas.decisions import ArbiterState, EventKind
 from schemas.messages import Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
-from tests.gateway.command.loop_rig import LoopRig, Operator
+from tests.gateway.command.loop_rig import LoopRig, Operator, driving
 
 SLOPES = (-20.0, -8.0, 3.0, 8.0, 15.0, 20.0)
 PAYLOADS = (0.0, 100.0)
@@ -196,3 +198,69 @@ def test_a_robot_that_coasts_after_a_takeover_gets_its_parking_brake() -> None:
     hill.run(5.0)
     assert hill.speed_mps == 0
     assert hill.chassis.state.parking_status is ParkingStatus.APPLIED
+
+
+@pytest.mark.parametrize("lamps", [False, True])
+def test_a_robot_that_is_given_back_does_not_resume(*, lamps: bool) -> None:
+    """Row 'nothing ever resumes by itself', also where another node switches lamps: they command no motion."""
+    rig, operator = driving(2.0)
+    rig.fault("transmitter remote")
+    operator.drive(2.0, seconds=0.2)
+    rig.run(3)
+    if lamps:
+        rig.fault("foreign 18C4D7D0 every 50ms")
+    rig.run(0.5)
+    at_m = rig.chassis.state.x_m
+    rig.fault("transmitter command")
+    rig.run(5)
+    assert abs(rig.chassis.state.x_m - at_m) < 0.05
+    assert rig.chassis.state.parking_status is ParkingStatus.APPLIED
+
+
+@pytest.mark.parametrize("late_ms", [0, 30, 60])
+def test_a_late_loop_slows_the_robot_down_as_fast(late_ms: int) -> None:
+    """Row 'normal deceleration 1.2 m/s2': by the time that has passed, not by the number of ticks."""
+    rig, operator = driving(2.0)
+    rig.late_ns = late_ms * 1_000_000
+    at_m = rig.chassis.state.x_m
+    for _ in range(60):
+        operator.drive(0.0)
+    assert rig.speed_mps == 0
+    assert rig.chassis.state.x_m - at_m < 2.0**2 / (2 * 1.2) + 2.0 * 0.4
+
+
+def test_a_frozen_body_frame_is_not_hidden_by_engaging_anew() -> None:
+    """Row 'a body frame frozen with a running counter': the way since the mileage changed goes on counting."""
+    rig, operator = driving(0.5)
+    rig.fault("freeze Auto_MileageAndBodyFeedback")
+    way_m = rig.chassis.state.mileage_m
+    while Reason.FEEDBACK_FROZEN not in rig.says.latched and rig.chassis.state.mileage_m < way_m + 6:
+        operator.drive(0.5, seconds=2.0)
+        operator.reason("disengage")
+        rig.run(4)
+        operator.take_lease("take")
+        operator.ask("engage")
+        rig.run(0.3)
+        operator.drive(0.0)
+        operator.reason("unpark")
+    assert rig.chassis.state.mileage_m < way_m + 4.5
+
+
+def test_a_stop_that_begins_where_another_ended_is_not_refused() -> None:
+    """Row 'a stop': the steering is off by a degree (manual V2.0, 2.2) when the mode leaves auto."""
+    rig, operator = driving(0.5)
+    operator.drive(0.0, seconds=1.0)
+    steering = load(Variant.COARSE).messages["Auto_SteeringFeedBack"]
+    encoder = Encoder(load(Variant.COARSE))
+
+    def askew(frame: Frame) -> Frame:
+        if frame.can_id != steering.can_id:
+            return frame
+        return encoder.encode(steering.name, {"Active": True, "Angle": 1.5}, frame.data[6] >> 4)
+
+    rig.corrupt = askew
+    rig.run(0.1)
+    rig.chassis._commands.clear()
+    rig.run(3)
+    assert Reason.GATE not in rig.says.latched
+    assert rig.chassis.state.parking_status is ParkingStatus.APPLIED

@@ -177,9 +177,9 @@ def test_a_robot_that_rolls_is_found_after_100_ms(observed: Observed, actuation:
 @pytest.mark.parametrize(
     ("observed", "actuation"),
     [
-        (seen(0.1), AT_REST),
-        (seen(-0.1), AT_REST),
-        (seen(-0.1), FORWARD),
+        (seen(0.05), AT_REST),
+        (seen(-0.05), AT_REST),
+        (seen(-0.05), FORWARD),
         (seen(0.7), FORWARD),
         (seen(-0.7), BACKWARD),
         (seen(0.5, pulses=1), FORWARD),
@@ -313,3 +313,9 @@ def test_a_mileage_that_counts_or_is_cleared_is_not_frozen() -> None:
     watched = Watched()
     for metre in (*range(1500, 1503), *range(6)):
         assert watched.run(seen(1.0, total_mileage_km=metre / 1000), told(1.0), 1_000) == []
+
+
+@pytest.mark.parametrize("speed_mps", [0.06, -0.1])
+def test_a_robot_that_creeps_is_found_after_a_second(speed_mps: float) -> None:
+    """Row 'rolling: over the standstill bound': noise of a bit does not last so long."""
+    assert Watched().found_after_ms(Reason.ROLLING, seen(speed_mps)) == 1_000

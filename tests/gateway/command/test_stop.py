@@ -87,7 +87,7 @@ def test_the_whole_sequence() -> None:
     assert outputs == {
         StopPhase.BRAKE: Actuation(True, DRIVE, 0.0, 10.0, parking=False),  # noqa: FBT003
         StopPhase.PARK: Actuation(True, DRIVE, 0.0, 10.0, parking=True),  # noqa: FBT003
-        StopPhase.HOLD: Actuation(True, NEUTRAL, 0.0, 10.0, parking=True),  # noqa: FBT003
+        StopPhase.HOLD: Actuation(True, DRIVE, 0.0, 10.0, parking=True),  # noqa: FBT003
         StopPhase.DISABLE: Actuation(False, NEUTRAL, 0.0, 10.0, parking=True),  # noqa: FBT003
     }
     assert stop.sequence.tick(99_999 * MS, HELD) is None, "it has ended"
@@ -224,14 +224,21 @@ def test_a_stop_that_parks_does_so_at_any_speed_and_once_only() -> None:
 # Neutral.
 
 
-@pytest.mark.parametrize("seen", [HELD, moving(1.0, is_braked=True)], ids=["stands", "moves"])
-def test_the_parking_brake_is_told_before_neutral_is(seen: StopFeedback) -> None:
-    """Row 'neutral only behind an applied parking brake': one that reads applied was not told by us."""
+def test_the_gear_stays_in_until_the_enables_go() -> None:
+    """Row 'neutral only behind an applied parking brake': one that reads applied may close late, or not at all."""
     stop = Run()
-    stop.run(moving(0.9))
-    stop.sequence.park(stop.now_ms * MS)
-    assert (stop.run(seen).gear, stop.last.parking) == (DRIVE, True)
-    assert stop.run(seen).gear is NEUTRAL
+    stop.run(ms=20_000)
+    gears = {actuation.gear for phase, actuation in stop.told if phase is not StopPhase.DISABLE}
+    assert gears == {DRIVE}
+
+
+def test_a_robot_that_its_brake_does_not_hold_without_enables_is_held_by_them() -> None:
+    """Row 'stop': disabled frames may release the brake of some firmware; then it is told to hold again."""
+    stop = Run()
+    while stop.sequence.phase is not StopPhase.DISABLE:
+        stop.run(HELD)
+    told = stop.run(moving(0.1))
+    assert (stop.sequence.phase, told.enabled, told.parking) == (StopPhase.PARK, True, True)
 
 
 def test_a_parking_brake_that_never_reads_applied_keeps_the_robot_in_gear() -> None:
@@ -246,7 +253,7 @@ def test_a_parking_brake_that_never_reads_applied_keeps_the_robot_in_gear() -> N
     assert stop.sequence.lacks_brake(stop.now_ms * MS)
     told = stop.run(STANDS, 60_000)
     assert (stop.sequence.phase, told.gear, told.parking, told.enabled) == (StopPhase.PARK, DRIVE, True, True)
-    assert stop.run(HELD).gear is NEUTRAL
+    stop.run(HELD)
     assert not stop.sequence.lacks_brake(stop.now_ms * MS)
 
 
@@ -279,11 +286,11 @@ def test_a_robot_that_is_seen_to_move_is_not_left() -> None:
 
 
 def test_each_phase_is_told_also_after_a_pause() -> None:
-    """Zero speed before the parking brake, and that before neutral: one phase a tick, however late the loop is."""
+    """Zero speed before the parking brake, and that before neutral: one phase a tick, however late it is."""
     sequence = StopSequence(DRIVING, inf, 0)
-    told = [sequence.tick(at_ms * MS, HELD) for at_ms in range(0, 20_000, 5_000)]
+    told = [sequence.tick(at_ms * MS, HELD) for at_ms in range(0, 20_000, 5_000)][:4]
     outputs = [(one.speed_mps, one.parking, one.gear) for one in told if one is not None]
-    assert outputs[:3] == [(0.0, False, DRIVE), (0.0, True, DRIVE), (0.0, True, NEUTRAL)]
+    assert outputs == [(0.0, False, DRIVE), (0.0, True, DRIVE), (0.0, True, DRIVE), (0.0, True, NEUTRAL)]
 
 
 @given(
@@ -323,7 +330,7 @@ def test_nothing_is_ever_taken_back_in_a_stop(
         assert told.parking or not before.parking
         assert told.enabled or (told.gear is NEUTRAL and told.parking)
         if told.gear is not before.gear:
-            assert (told.gear, before.parking, before.speed_mps) == (NEUTRAL, True, 0.0)
-            assert one.is_braked or not told.enabled, "neutral, enabled, without a brake"
+            assert (before.parking, before.speed_mps) == (True, 0.0)
+            assert told.gear in {NEUTRAL, last.gear}
         before = told
     assert before.parking, "within 300 ms of any robot that does not slow down"

@@ -1,6 +1,6 @@
 """When the guard acts: after the gateway, never beside it, and until the robot rests."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import pytest
 from hypothesis import given, settings
@@ -57,6 +57,12 @@ ENDS: dict[str, tuple[Callable[[GuardRig], None], Cause]] = {
 }
 
 
+def no_speed(frames: Iterable[Frame]) -> bool:
+    """None of them asks for a speed."""
+    drive = load(Variant.COARSE).messages["Auto_DriveCmd"].can_id
+    return not any(any(frame.data[1:3]) for frame in frames if frame.can_id == drive)
+
+
 @pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
 @pytest.mark.parametrize("end", ENDS)
 def test_however_the_gateway_fails_the_robot_comes_to_rest(end: str, variant: Variant) -> None:
@@ -82,7 +88,7 @@ def test_however_the_gateway_fails_the_robot_comes_to_rest(end: str, variant: Va
 
 
 def test_the_order_of_the_stop() -> None:
-    """Row 'stop': the speed falls in gear, then the parking brake, neutral behind it, then the enables."""
+    """Row 'stop': the speed falls in gear, then the parking brake; neutral comes with the end of the enables."""
     rig = GuardRig()
     rig.drive()
     rig.parent_lives = False
@@ -107,8 +113,8 @@ def test_the_order_of_the_stop() -> None:
     assert speeds == sorted(speeds, reverse=True)
     assert list(seen) == sorted(seen, key=lambda name: seen[name])
     assert set(seen) == {"zero speed", "parking", "neutral", "disabled"}
-    assert seen["neutral"] > seen["parking"] > seen["zero speed"]
-    assert seen["disabled"] - seen["neutral"] == pytest.approx(HOLD_NS, abs=2 * TICK_NS)
+    assert seen["neutral"] == seen["disabled"] > seen["parking"] > seen["zero speed"]
+    assert seen["disabled"] - seen["parking"] >= HOLD_NS
     assert rig.sent[-1][0] - seen["disabled"] == pytest.approx(DISABLE_NS, abs=2 * TICK_NS)
 
 
@@ -318,8 +324,8 @@ def test_the_hand_transmitter_has_the_robot(take_over: Callable[[GuardRig], None
     assert rig.guardian.stops == 1
 
 
-def test_a_robot_that_is_given_back_and_reads_stop_is_sent_no_enables() -> None:
-    """They would switch it to auto."""
+def test_a_robot_that_is_given_back_unbraked_and_reads_stop_is_parked() -> None:
+    """Nothing else holds it: zero speed and the parking brake, and nothing old."""
     rig = GuardRig()
     rig.drive()
     taken_over_during(rig)
@@ -330,7 +336,8 @@ def test_a_robot_that_is_given_back_and_reads_stop_is_sent_no_enables() -> None:
     rig.run(A_STOP_S)
     after = [frame for _, frame in rig.sent[sent:] if frame.can_id in MOTION]
     assert len(after) > 100
-    assert not any(frame.data[0] & 1 for frame in after)
+    assert no_speed(after)
+    assert rig.chassis.state.parking_status is ParkingStatus.APPLIED
     assert rig.guardian.is_ended
 
 
@@ -381,7 +388,7 @@ def test_a_guard_that_is_not_obeyed_says_so_and_leaves_the_parking_brake_told(*,
     assert rig.guardian.is_ended
     told = {frame.can_id: frame.data for _, frame in rig.sent[-5:]}
     assert told[load(Variant.COARSE).messages["Auto_ParkingCmd"].can_id][:2] == b"\1\1"
-    assert told[load(Variant.COARSE).messages["Auto_GearCmd"].can_id][1] == (3 if moves else 4)
+    assert told[load(Variant.COARSE).messages["Auto_GearCmd"].can_id][1] == 4
     assert "given up: it is told zero speed and the parking brake" in rig.lines[-1]
 
 
@@ -522,7 +529,7 @@ def test_a_new_guard_knows_what_was_left() -> None:
 
 
 def test_a_robot_that_was_left_and_reads_stop_is_told_nothing_old_any_more() -> None:
-    """An enable was lost; the gateway dies; what it last told is overwritten by disabled frames, and no enable."""
+    """An enable was lost; the gateway dies; what it last told is overwritten, and the robot parked."""
     rig = left_under_the_transmitter()
     rig.chassis._commands.clear()
     rig.fault("transmitter command")
@@ -533,7 +540,7 @@ def test_a_robot_that_was_left_and_reads_stop_is_told_nothing_old_any_more() -> 
     assert rig.guardian.is_ended
     frames = [frame for _, frame in rig.sent if frame.can_id in MOTION]
     assert len(frames) > 100
-    assert not any(frame.data[0] & 1 for frame in frames)
+    assert no_speed(frames)
 
 
 def test_a_mute_loop_does_not_make_what_it_told_long_ago_new() -> None:
@@ -616,7 +623,7 @@ def moved(rig: GuardRig, seconds: float) -> float:
 
 @pytest.mark.parametrize("lost_after_s", [0.0, 0.2])
 def test_a_bus_that_comes_back_late_finds_a_robot_that_others_stopped(lost_after_s: float) -> None:
-    """It reads stop: no enables, no ramp from the old speed, before the guard has begun or in the middle."""
+    """It reads stop: no ramp from the old speed, before the guard has begun or in the middle."""
     rig = GuardRig()
     rig.drive()
     rig.parent_lives, rig.bus_up = False, lost_after_s > 0
@@ -629,7 +636,7 @@ def test_a_bus_that_comes_back_late_finds_a_robot_that_others_stopped(lost_after
     rig.bus_up = True
     sent = len(rig.sent)
     assert moved(rig, A_STOP_S) == 0
-    assert not any(frame.data[0] & 1 for _, frame in rig.sent[sent:] if frame.can_id in MOTION)
+    assert no_speed(frame for _, frame in rig.sent[sent:])
     assert rig.guardian.is_ended
 
 
