@@ -6,6 +6,7 @@ from gateway.command.actuation import Actuation
 from gateway.command.limits import Limits
 from gateway.command.observed import Observed
 from schemas.messages import GearPosition
+from schemas.settings import STEERING_DEVIATION_DEG
 
 IN_GEAR = frozenset({GearPosition.DRIVE, GearPosition.REVERSE})
 
@@ -26,6 +27,9 @@ def seen_actuation(observed: Observed, limits: Limits, left: Actuation | None = 
             it may set a standing robot going.
     """
     rolls = observed.gear in IN_GEAR
+    angle_deg = seen_angle_deg(observed, limits)
+    # The feedback is off by a degree: what we told goes on where the wheels still are there.
+    is_ours = left is not None and abs(left.angle_deg - angle_deg) <= STEERING_DEVIATION_DEG
     gear = GearPosition.NEUTRAL if left is None else left.gear
     parking = observed.gear in {GearPosition.PARK, GearPosition.UNDEFINED} if left is None else left.parking
     speed_mps = min(observed.seen_mps, limits.speed_mps)
@@ -35,6 +39,6 @@ def seen_actuation(observed: Observed, limits: Limits, left: Actuation | None = 
         enabled=True,
         gear=observed.gear if rolls else gear,
         speed_mps=speed_mps if rolls and not parking else 0.0,
-        angle_deg=seen_angle_deg(observed, limits),
+        angle_deg=left.angle_deg if is_ours and left is not None else angle_deg,
         parking=parking,
     )
