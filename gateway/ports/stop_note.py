@@ -66,6 +66,8 @@ class StopNote:
         if self.path is None:
             return ""
         try:
+            if not self.path.is_file() and self.path.exists():
+                return f"the note {self.path} is no file"
             with self.path.open("rb") as file:
                 content = file.read(NOTE_MAX_BYTES)
         except FileNotFoundError:
@@ -91,8 +93,13 @@ class StopNote:
         except FileNotFoundError:
             self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             unfinished = self.path.with_suffix(".unfinished")
-            _write(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), content)
-            unfinished.replace(self.path)
+            flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW
+            descriptor = os.open(unfinished, flags, 0o600)
+            try:
+                _write(descriptor, content)
+            finally:
+                # On a full disk the note is empty, and latches all the same.
+                unfinished.replace(self.path)
             _sync(self.path.parent)
         else:
             is_full = os.fstat(descriptor).st_size + len(content) > NOTE_MAX_BYTES

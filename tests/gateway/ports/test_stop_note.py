@@ -1,5 +1,6 @@
 """The note of a stop by the guard: there after any failure, and gone after a reset."""
 
+import errno
 import os
 import threading
 from pathlib import Path
@@ -48,11 +49,11 @@ def test_a_damaged_note_is_a_latch_that_says_so(note: StopNote, content: bytes) 
 def test_a_note_that_cannot_be_read_is_a_latch_that_says_so(note: StopNote) -> None:
     """Default deny."""
     path_of(note).mkdir(parents=True)
-    assert note.read() == f"the note {note.path} cannot be read: Is a directory"
+    assert note.read() == f"the note {note.path} is no file"
 
 
-def test_a_killed_writer_leaves_a_whole_note_or_none(note: StopNote, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first line is there when all of it is on the disk."""
+def test_a_disk_that_fails_leaves_a_note_all_the_same(note: StopNote, monkeypatch: pytest.MonkeyPatch) -> None:
+    """There was a stop: whatever of its words is on the disk, it latches."""
 
     def fail(_descriptor: int) -> None:
         raise OSError(5, "Input/output error")
@@ -61,8 +62,6 @@ def test_a_killed_writer_leaves_a_whole_note_or_none(note: StopNote, monkeypatch
         broken.setattr(os, "fsync", fail)
         with pytest.raises(OSError, match="Input/output"):
             note.add("guard: the gateway is gone")
-    assert note.read() == ""
-    note.add("guard: the gateway is gone")
     assert note.read().endswith("guard: the gateway is gone")
 
 
@@ -173,3 +172,24 @@ def test_only_a_reset_removes_the_note(note: StopNote) -> None:
     clearer.follow(is_latched=False)
     clearer.close()
     assert note.read() == ""
+
+
+def test_a_note_that_is_no_file_is_a_note(tmp_path: Path) -> None:
+    """A pipe would hold the start of the gateway up."""
+    path = tmp_path / "note"
+    os.mkfifo(path)
+    assert "is no file" in StopNote(path).read()
+
+
+def test_a_disk_without_room_leaves_a_note_that_latches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it says is lost; that there was a stop is not."""
+
+    def write(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "no space")
+
+    note = StopNote(tmp_path / "note")
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "write", write)
+        with pytest.raises(OSError, match="no space"):
+            note.add("guard: it stops")
+    assert "is damaged" in note.read()
