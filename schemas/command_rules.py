@@ -15,7 +15,7 @@ _UNNUMBERED: Final = 0
 """What journals hold that were made under the rules 1, before these had a number."""
 
 CHANGES: Final[dict[int, str]] = {
-    2: "a stop ramps down in gear, applies the parking brake and only behind it selects neutral; "
+    2: "a stop ramps down in gear, applies the parking brake and stays in gear while it holds; "
     "the brake pedal is never pressed; "
     "a robot that stands at zero command gets its parking brake after a second, a drive command with a speed "
     "releases it, and the direction is reversed behind it; "

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags of ``cruiser halt``."""
     parser.description = (
         "Listens, says what it finds, and brings a robot that nobody commands any more to rest: zero speed, "
-        "parking brake, neutral, then silence. It waits for a guard at work, and for a hand transmitter "
+        "parking brake, then silence. It waits for a guard at work, and for a hand transmitter "
         "that has the robot: the chassis would obey its last command again afterwards. A gateway that starts "
         "afterwards wants a reset first. Not an emergency stop: that is the button on the robot."
     )

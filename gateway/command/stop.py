@@ -1,9 +1,9 @@
 """The stop sequence: how a robot that is being told something comes to rest, and is then told nothing.
 
 The speed falls to zero in gear, for the motor is the only service brake that the manual promises. The parking
-brake follows as soon as the robot stands, or does not slow down as it should. Neutral, which frees the motor, is
-told only behind the applied parking brake. Then hold, disabled frames, silence. The arbiter uses this sequence; so
-does the guard when there is no arbiter any more.
+brake follows as soon as the robot stands, or does not slow down as it should. The gear stays in while it holds,
+for neutral frees the motor, and the brake's feedback may be wrong. Then disabled frames, silence. The arbiter uses
+this sequence; so does the guard when there is no arbiter any more.
 """
 
 from __future__ import annotations
@@ -74,7 +74,6 @@ class StopSequence:
         self._lowest_mps: float | None = None
         self._slowed_ns = now_ns
         self.phase = StopPhase.RAMP if last.speed_mps else StopPhase.BRAKE
-        self._told = StopPhase.IDLE
         self._begun_ns = now_ns
         if last.parking or last.gear not in _DIRECTION:
             # Parked it stays so, and in neutral nothing else brakes.
@@ -107,8 +106,6 @@ class StopSequence:
         """
         elapsed_ns = min(now_ns - self._ticked_ns, _STEP_MAX_NS)
         self._ticked_ns = now_ns
-        # Neutral only behind the request: a brake that reads applied may have been applied by the chassis.
-        is_park_told = self._told is StopPhase.PARK
         match self.phase:
             case StopPhase.RAMP:
                 self._speed_mps = max(0.0, self._speed_mps - self._deceleration_mps2 * elapsed_ns / 1e9)
@@ -124,7 +121,7 @@ class StopSequence:
                 or now_ns - self._begun_ns >= BRAKE_MAX_NS
             ):
                 self.park(now_ns)
-            case StopPhase.PARK if (seen.is_braked and is_park_told) or (
+            case StopPhase.PARK if seen.is_braked or (
                 seen.is_braked is None and now_ns - self._begun_ns >= BRAKE_UNSEEN_NS
             ):
                 self._enter(StopPhase.HOLD, now_ns)
@@ -137,7 +134,6 @@ class StopSequence:
                 self._enter(StopPhase.DISABLE, now_ns)
             case StopPhase.DISABLE if now_ns - self._begun_ns >= DISABLE_NS:
                 self._enter(StopPhase.IDLE, now_ns)
-        self._told = self.phase
         return self._actuation()
 
     def _enter(self, phase: StopPhase, now_ns: int) -> None:
