@@ -89,8 +89,8 @@ def test_frames_come_out_as_samples_and_ticks_go_on() -> None:
     health = zenoh.of("gateway/health")[0]
     assert isinstance(health, GatewayHealth)
     assert (health.frames, health.zenoh_peers, health.bus_up) == (200, 3, True)
-    assert zenoh.answered > 10
-    assert len(zenoh.of("state")) > 10
+    assert zenoh.answered > 1
+    assert len(zenoh.of("state")) > 1
 
 
 def test_a_lost_bus_ends_nothing(caplog: pytest.LogCaptureFixture) -> None:

@@ -164,7 +164,7 @@ def test_a_stop_that_cannot_be_carried_out_is_no_success(capsys: Capture) -> Non
         said = capsys.readouterr()
         assert said.out == ""
         assert said.err == (
-            "cruiser-2: NOT STOPPED: hand_transmitter: the hand transmitter has the robot; latched, but not "
+            "cruiser-2: NOT STOPPED: hand_transmitter: the hand transmitter has the robot; latched; not "
             "carried out: the robot stands. Use the button on the robot\n"
         )
         assert run(stop, fake.listen, "--all", "--json") == ExitCode.PARTIAL
