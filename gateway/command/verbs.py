@@ -78,7 +78,7 @@ def _stop(arbiter: Arbiter, operator: str, now_ns: int) -> Ruling:
     observed = arbiter.watch.observed
     speed_mps = observed.fastest_mps
     moves = "the robot is not seen to stand" if speed_mps is None else f"the robot moves at {speed_mps:.2f} m/s"
-    does = "the robot stands" if arbiter.watch.stands else moves
+    does = "the robot stands" if observed.is_slow else moves
     if observed.guard_sends and observed.mode is not Mode.REMOTE:
         return Ruling(detail=f"the guard is stopping it; {does}")
     obstacles = {
