@@ -18,8 +18,8 @@ from tests.socketcan.road import chassis, driving, gateway, operator, wait_engag
 from tests.socketcan.turns import come_last
 
 SPEED_MPS: Final = 0.5
-DARK: Final = bytes.fromhex("000000000000F0F0")
-"""All lamps off, with a right checksum: a command that changes nothing but who commands."""
+PEDAL: Final = bytes.fromhex("0101000000000000")
+"""Enabled, the pedal at a bit, with a right checksum: a command that changes nothing but who commands."""
 
 
 def is_blocked(robot: Robot, reason: Reason) -> bool:
@@ -62,19 +62,19 @@ def test_the_second_gateway_does_not_engage_beside_the_first(vcan: Vcan, witness
 
 
 def test_a_driving_gateway_stops_for_another_commander(vcan: Vcan, witness: Candump) -> None:
-    """One valid command frame that is not its own is enough: it stops the robot, and says why."""
+    """One valid command of motion that is not its own is enough: it stops the robot, and says why."""
     endpoint = free_endpoint()
     with chassis(vcan.name, "--variant", "fine"), gateway(vcan.name, endpoint), operator(endpoint) as robot:
         wait_engageable(robot)
         with driving(robot, SPEED_MPS) as drive:
-            send(vcan.name, commands.LIGHT, DARK)
+            send(vcan.name, commands.BRAKING, PEDAL)
             with pytest.raises(Stopped) as stop:
                 wait_until(lambda: False, drive.keep)
             assert stop.value.reason is Reason.OTHER_COMMANDER
             wait_standing_by(robot)
         state = robot.state().state
         assert (state.state, state.stop_reason) == (ArbiterState.STANDBY, Reason.OTHER_COMMANDER)
-    (foreign,) = [frame for frame in witness.frames if frame.can_id == commands.LIGHT]
+    (foreign,) = [frame for frame in witness.frames if (frame.can_id, frame.data) == (commands.BRAKING, PEDAL)]
     own = [frame for frame in commands.of(witness.frames) if frame is not foreign]
     commands.check_counters(own)
     told = commands.bursts(own)
