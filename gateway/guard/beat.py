@@ -7,7 +7,6 @@ from enum import Enum
 import msgspec
 
 from gateway.command.actuation import AT_REST, Actuation
-from gateway.guard import stopper
 from schemas.messages import Variant
 
 
@@ -50,10 +49,10 @@ class Outcome(Enum):
     """How the guard's stop ended, in words."""
 
     NONE = ""
-    STANDS = stopper.STANDS
-    UNSEEN = stopper.UNSEEN
-    REMOTE = stopper.REMOTE
-    OTHER = stopper.OTHER
+    STANDS = "the robot stands"
+    UNSEEN = "the robot is not seen to stand"
+    REMOTE = "the hand transmitter has the robot"
+    OTHER = "the hand transmitter had the robot, and another computer commands it since"
     GIVEN_UP = "it has given up"
 
 

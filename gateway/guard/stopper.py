@@ -15,6 +15,7 @@ from gateway.command.frames import COUNTER_MODULO, MOTION_FRAMES, FrameMaker
 from gateway.command.gate import Gate
 from gateway.command.limits import Limits
 from gateway.command.stop import StopFeedback, StopSequence
+from gateway.guard.beat import Outcome
 from gateway.guard.sight import Sight
 from schemas.decisions import StopPhase
 from schemas.messages import GearPosition, Mode, Variant
@@ -26,10 +27,10 @@ _SPEED_MAX_MPS: Final = 2.222
 _ANGLE_MAX_DEG: Final = 24.0
 """What the chassis can do (manual V2.0, 2.2): the gate admits no more, whatever the heartbeat says."""
 
-STANDS: Final = "the robot stands"
-UNSEEN: Final = "the robot is not seen to stand"
-REMOTE: Final = "the hand transmitter has the robot"
-OTHER: Final = "the hand transmitter had the robot, and another computer commands it since"
+STANDS: Final = Outcome.STANDS.value
+UNSEEN: Final = Outcome.UNSEEN.value
+REMOTE: Final = Outcome.REMOTE.value
+OTHER: Final = Outcome.OTHER.value
 NOT_OBEYED: Final = "it is told zero speed and the parking brake, and is not seen to obey"
 """How a stop ends, or why it waits."""
 
