@@ -61,8 +61,8 @@ def rerun(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
     Args:
         settings: those of the run, or others.
         journals: of one run, in their order and without a gap; they may come bit by bit. Where they do not begin
-            with the run's first input, it is run again from the first place of rest; but of a run that was made
-            under other rules, which remembered other things, there is none.
+            with the run's first input, it is run again from the first place of rest. A run made under other rules
+            is run from its first input alone, for those rules remembered other things at rest.
 
     Raises:
         BrokenJournalError: an input cannot be given to a core, or some are missing.
