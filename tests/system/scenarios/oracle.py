@@ -35,6 +35,9 @@ from tests.system.scenarios.plant import (
 
 TICK_S: Final = 0.01
 SEEING_S: Final = 0.15
+BELIEVED_MPS: Final = 3.0
+"""Speed feedback above this is not believed, so nothing can be concluded from it."""
+
 MOVES_MPS: Final = 0.1
 """Seen to move for certain: the standstill bound, 0.05 m/s, and a coarse bit."""
 
@@ -147,7 +150,7 @@ class Oracle:
         self._stop_record: tuple[float, float, float, float] | None = None
         self._shadow_deg = 0.0
         self._explained = {1.0: 0.0, -1.0: 0.0}
-        self._frozen_from: tuple[float, bool] | None = None
+        self._frozen_m: float | None = None
         self._struck: str | None = None
         self._clear_s = -9.0
         self._acknowledged = False
@@ -226,7 +229,7 @@ class Oracle:
         if plant.hand or plant.sticks or plant.is_away or plant.button:
             self._excused_until_s = max(self._excused_until_s, now_s + RETURNS_S)
         if not plant.can_hold or plant.slows_mps2 < FOLLOWS_MPS2:
-            self._disturbed_until_s = now_s + 3.0
+            self.disturb(now_s, 3.0)
         self._expect_deadman(now_s)
         if self._was_excused and now_s >= self._excused_until_s and not self._is_permitted:
             # Back in our hands, and maybe moving: from here on it is a stop like any other.
@@ -336,7 +339,8 @@ class Oracle:
         if not self._gateway_lives:
             return
         self._left_mps = order.speed_mps
-        if plant.mode == AUTO and order.enabled and not order.parking and self._is_reachable(now_s):
+        is_true = self._is_reachable(now_s) and not self.is_damaged()
+        if plant.mode == AUTO and order.enabled and not order.parking and is_true:
             self._fail("silence_unbraked", now_s, f"enabled and no parking request at {plant.speed_mps:.2f} m/s")
 
     # The causes of stops.
@@ -417,18 +421,18 @@ class Oracle:
         return plant.mode if body is not None and body[5] == plant.mode and BODY not in plant.frozen else None
 
     def _is_remote(self) -> bool:
-        return self._plant is not None and self._mode(self._plant) == REMOTE
+        return self._plant is not None and not self._plant.is_away and self._mode(self._plant) == REMOTE
 
     # The motion.
 
     def _judge_remote(self, plant: Plant, now_s: float) -> None:
         if self._remote.lasts(now_s, holds=self._is_remote()) > 0.1:
             self._cause_stop("taken over", now_s, at_once=False)
-        if self._mode(plant) == AUTO and self._left_mps is not None and now_s - self._order_s > 1.0:
-            # Given back while it obeys an old command: told to stop at once.
-            moving = self._timer("left").lasts(now_s, holds=abs(plant.speed_mps) > MOVES_MPS)
-            if moving > 0.2 + SEEING_S + 0.2 and self._gateway_lives:
-                self._fail("left_moving", now_s, f"{plant.speed_mps:.2f} m/s in auto, nobody tells it to stop")
+        # Given back while it obeys an old command: told to stop at once.
+        is_left = self._mode(plant) == AUTO and self._left_mps is not None and now_s - self._order_s > 1.0
+        moving_s = self._timer("left").lasts(now_s, holds=is_left and abs(plant.speed_mps) > MOVES_MPS)
+        if moving_s > 0.2 + SEEING_S + 0.2 and self._gateway_lives:
+            self._fail("left_moving", now_s, f"{plant.speed_mps:.2f} m/s in auto, nobody tells it to stop")
 
     def _judge_roll_back(self, plant: Plant, now_s: float) -> None:
         wants_zero = self._cause_s is not None or not self._is_permitted or not self._asked_mps
@@ -565,10 +569,10 @@ class Oracle:
     def _judge_frozen_body(self, plant: Plant, now_s: float) -> None:
         """A mileage that stays while the pulses count: its step is a metre, so 3 m must show it."""
         if BODY not in plant.frozen:
-            self._frozen_from = None
-        elif self._frozen_from is None:
-            self._frozen_from = (plant.travelled_m, True)
-        elif plant.travelled_m - self._frozen_from[0] > 3.0 and not self._latched and self._is_permitted:
+            self._frozen_m = None
+        elif self._frozen_m is None or abs(plant.speed_mps) > BELIEVED_MPS:
+            self._frozen_m = plant.travelled_m
+        elif plant.travelled_m - self._frozen_m > 3.0 and not self._latched and self._is_permitted:
             self._fail("frozen_body_unnoticed", now_s, "3 m driven with a mode and bumpers that are old")
 
     def _judge_bumpers(self, plant: Plant, now_s: float) -> None:

@@ -33,7 +33,7 @@ UNLEASED: Final = frozenset({"acquire", "take", "stop"})
 
 LEASE_LOST: Final = frozenset({"no_lease", "lease_expired", "lease_taken", "lease_released"})
 
-CHECKSUM_FAULTS: Final = 3
+CHECKSUM_FAULTS: Final = 5
 """So many damaged frames of one identifier within a second are a cause to stop by the rules."""
 
 Fields = dict[str, Any]
@@ -294,14 +294,15 @@ class Bus:
 
     Attributes:
         loss, corruption: share of the frames.
-        excused_ns: when damage was last a cause to stop by itself: by the rule on checksum faults, or because a
-            damaged frame passed for a whole one and may have said that a bumper was hit or that the mode changed.
+        failed_ns: when damage was last a cause to stop by the rule on checksum faults.
+        passed_ns: when a damaged frame last passed for a whole one and may have said that a bumper was hit or that
+            the mode changed.
     """
 
     def __init__(self, random: Random, loss: float, corruption: float) -> None:
         self.loss = loss
         self.corruption = corruption
-        self.excused_ns = -(10**12)
+        self.failed_ns = self.passed_ns = -(10**12)
         self._damaged_ns: dict[int, deque[int]] = {}
         self._random = random
 
@@ -328,9 +329,9 @@ class Bus:
             times = self._damaged_ns.setdefault(identifier, deque(maxlen=CHECKSUM_FAULTS))
             times.append(now_ns)
             if len(times) == CHECKSUM_FAULTS and now_ns - times[0] <= 1_000_000_000:
-                self.excused_ns = now_ns
+                self.failed_ns = now_ns
         elif identifier == BODY or (identifier & 0xFF == 0xD0 and flipped[0] != data[0]):
-            self.excused_ns = now_ns
+            self.passed_ns = now_ns
         return bytes(flipped)
 
 

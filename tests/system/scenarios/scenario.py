@@ -60,6 +60,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         found_mps: at the start the chassis drives by itself at this speed; 0 if it stands.
         fails_s, hangs_s: when the gateway's process fails, and for how long; without a guard never.
+        limit_s: it ends then.
     """
 
     seed: int
@@ -78,6 +79,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     found_mps: float = 0.0
     fails_s: float = 0.0
     hangs_s: float = 0.0
+    limit_s: float = LIMIT_S
 
     @property
     def is_undisturbed(self) -> bool:
@@ -297,7 +299,7 @@ class Play:
         guard = Guard(settings.command) if plan.fails_s else None
         self.rig = Rig(self.plant, self.gateway, operator, bus, self.oracle, guard)
         self.rig.link_ns = round(plan.link_s * 1e9)
-        self.oracle.is_damaged = lambda: self.rig.now_s - bus.excused_ns / 1e9 < DAMAGE_SHOWS_S
+        self.oracle.is_damaged = lambda: self.rig.now_s - max(bus.failed_ns, bus.passed_ns) / 1e9 < DAMAGE_SHOWS_S
         self._acts = list(plan.acts)
         self._checks = self._expectations()
 
@@ -305,7 +307,7 @@ class Play:
         """Play it to its end."""
         rig, plan = self.rig, self.plan
         steepest_deg = plan.slope_deg
-        end_s = LIMIT_S
+        end_s = plan.limit_s
         while rig.now_s < end_s:
             self._turn_knobs()
             rig.tick()
