@@ -45,6 +45,9 @@ ACCELERATION_MPS2, DECELERATION_MPS2, EMERGENCY_MPS2 = 0.8, 1.2, 2.0
 LATERAL_MPS2: Final = 1.5
 STEERING_DEG, STEERING_DEGPS, ANGLE_BIT_DEG = 24.0, 60.0, 0.044
 DEADMAN_S: Final = 0.3
+PULSES_S: Final = 0.8
+"""Pulses of unknown length say this much later than the wheels' speeds which way the robot goes."""
+
 PAUSE_S: Final = 0.1
 """After a silence of this length a burst begins anew, and is not compared with the one before."""
 
@@ -133,8 +136,7 @@ class Oracle:
         self._excess_rate = DECELERATION_MPS2
         # What happens.
         self._plant: Plant | None = None
-        self._excused_until_s = 0.0
-        self._blind_until_s = 0.0
+        self._excused_until_s = self._blind_until_s = 0.0
         self.is_damaged: Callable[[], bool] = lambda: False
         self._was_excused = False
         self._disturbed_until_s = -9.0
@@ -154,6 +156,7 @@ class Oracle:
         self._struck: str | None = None
         self._clear_s = -9.0
         self._acknowledged = False
+        self._is_unsure, self._pressed_s = False, -9.0
         self._timers: dict[str, Since] = {}
         self._gateway_lives = True
 
@@ -192,7 +195,7 @@ class Oracle:
     def state(self, state: Fields, now_s: float) -> None:
         latched = state["latched"]
         is_new = self._struck in latched and self._struck not in self._latched
-        if self._acknowledged and is_new and not self.is_damaged():
+        if self._acknowledged and is_new and not self._is_unsure:
             self._fail("bumper_relatched", now_s, f"{self._struck} again, while acknowledged")
         self._latched = latched
         if state["engaged"]:
@@ -264,6 +267,8 @@ class Oracle:
         lateral_mps2 = order.speed_mps**2 * tan(radians(abs(order.angle_deg))) / WHEELBASE_M
         last = order if before is None else before
         shifts = order.enabled and last.enabled and order.gear != last.gear
+        # Out of auto it obeys nobody: a stop begins anew, at the angle that is seen.
+        steers = order.enabled and last.enabled and self._plant is not None and self._plant.mode == AUTO
         turned_deg = abs(order.angle_deg - last.angle_deg)
         turns_deg = STEERING_DEGPS * max(gap_s, TICK_S) + 2 * ANGLE_BIT_DEG
         broken = {
@@ -274,7 +279,7 @@ class Oracle:
             "speed_against_brake": order.speed_mps > 0 and order.parking,
             "over_limit": order.speed_mps > self._limit_mps + self._bit_mps / 2,
             "angle": abs(order.angle_deg) > STEERING_DEG + ANGLE_BIT_DEG,
-            "steering_rate": order.enabled and last.enabled and turned_deg > turns_deg,
+            "steering_rate": steers and turned_deg > turns_deg,
             "lateral_told": lateral_mps2 > LATERAL_MPS2 + 0.03 + 2 * order.speed_mps * self._bit_mps,
         }
         for kind, is_broken in broken.items():
@@ -502,7 +507,8 @@ class Oracle:
         due_s = abs(speed_mps) / DECELERATION_MPS2 + 2.0 + plant.build.brake_delay_s + 3 * self._lag_s
         if now_s - began_s > due_s:
             self._stop_record = None
-            if plant.speed_mps or not plant.braked:
+            is_shown = self._mode(plant) is not None
+            if is_shown and (plant.speed_mps or not plant.braked):
                 how = "braked" if plant.braked else "not braked"
                 self._fail("stop_unfinished", now_s, f"{due_s:.1f} s after, {plant.speed_mps:.2f} m/s, {how}")
 
@@ -528,7 +534,7 @@ class Oracle:
                 and order.signed_mps * sign <= 0
             )
             lasts_s = self._timer(f"roll{sign}").lasts(now_s, holds=rolls and not order.parking)
-            if lasts_s > 0.1 + SEEING_S:
+            if lasts_s > 0.1 + SEEING_S + (PULSES_S if WHEELS in plant.frozen else 0.0):
                 kind = "rolling_against" if order.speed_mps else "rolling_unnoticed"
                 self._fail(kind, now_s, f"{speed_mps:.2f} m/s, told {order.signed_mps:.2f}, no parking request")
         # Steering: as it is shown, against a follower that is slower than any chassis.
@@ -577,32 +583,35 @@ class Oracle:
 
     def _judge_bumpers(self, plant: Plant, now_s: float) -> None:
         body = plant.shown.get(BODY, bytes(6))
-        if now_s < self._blind_until_s:
-            self._timer("bumper").lasts(now_s, holds=False)
-            return
         order = self._order if now_s - self._order_s < 3 * TICK_S else None
         pressed = "front_bumper" if body[4] & 1 else "rear_bumper" if body[4] & 0x10 else None
         if pressed is not None and self._struck in {None, pressed}:
             self._clear_s = now_s
         if now_s - self._clear_s > 0.3 + SEEING_S:
             self._struck, self._acknowledged = None, False
-        if self.is_damaged():
-            # A damaged frame may have said that a bumper was hit: which one is latched is not known any more.
-            self._struck, self._acknowledged = None, False
-        elif self._struck is None and pressed is not None:
-            self._struck = pressed
+        self._struck = self._struck or pressed
+        self._doubt_bumpers(now_s, is_pressed=pressed is not None)
         commanding = order is not None and order.enabled and plant.mode == AUTO and self._gateway_lives
-        held = self._timer("bumper").lasts(
-            now_s, holds=commanding and pressed is not None and not self._acknowledged
-        )
-        if held > 0.02 + 0.06:
-            if pressed not in self._latched:
-                self._fail("bumper_unnoticed", now_s, f"{pressed} for {held * 1e3:.0f} ms")
-            self._cause_stop(str(pressed), now_s, at_once=True)
+        for side in ("front_bumper", "rear_bumper"):
+            counts = commanding and pressed == side and not self._acknowledged and not self._is_unsure
+            held_s = self._timer(side).lasts(now_s, holds=counts)
+            if held_s > 0.02 + 0.06:
+                if side not in self._latched:
+                    self._fail("bumper_unnoticed", now_s, f"{side} for {held_s * 1e3:.0f} ms")
+                self._cause_stop(side, now_s, at_once=True)
         if commanding and order is not None and self._acknowledged and self._struck is not None:
             toward = 1.0 if self._struck == "front_bumper" else -1.0
             if order.signed_mps * toward > self._bit_mps and now_s - self._clear_s < 0.2 and self._is_permitted:
                 self._fail("into_bumper", now_s, f"told {order.signed_mps:.2f} m/s")
+
+    def _doubt_bumpers(self, now_s: float, *, is_pressed: bool) -> None:
+        """After bad or missing frames it is not known what the gateway takes for pressed, until it reads clear."""
+        if is_pressed:
+            self._pressed_s = now_s
+        if self.is_damaged() or now_s < self._blind_until_s:
+            self._is_unsure = True
+        elif now_s - self._pressed_s > 0.3 + SEEING_S:
+            self._is_unsure = False
 
     def _judge_service(self, plant: Plant, now_s: float) -> None:
         """What the operator may rely on: the robot engages, holds itself, moves, and says when it is adrift."""

@@ -1,4 +1,4 @@
-"""A long drive on a bus that loses and damages frames, and nothing else wrong: does the robot stop without a cause?
+"""A long drive on a bus that loses and damages frames, and nothing else wrong: does the robot stop for nothing?
 
 An hour of it is played each night (``tests/nightly``).
 """
@@ -15,8 +15,8 @@ SECONDS = 240.0
 def causeless_stops(seed: int, seconds: float) -> list[str]:
     """Drive for so long, with 1 % of the frames lost and 0.1 % damaged.
 
-    One in 36 damaged frames passes for a whole one, because two wrong bits may cancel out in the XOR checksum. If
-    it can have said that a bumper was hit or that the mode changed, the stop has a cause that no gateway could doubt.
+    One in 36 damaged frames passes for a whole one, because two wrong bits may cancel out in the XOR checksum. A
+    stop at one that can have said that a bumper was hit or that the mode changed has a cause: it reads true.
     """
     stops: list[str] = []
     was_engaged = False
