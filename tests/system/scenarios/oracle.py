@@ -234,7 +234,8 @@ class Oracle:
         if not plant.can_hold or plant.slows_mps2 < FOLLOWS_MPS2:
             self.disturb(now_s, 3.0)
         self._expect_deadman(now_s)
-        if self._was_excused and now_s >= self._excused_until_s and not self._is_permitted:
+        is_back = self._was_excused and now_s >= self._excused_until_s
+        if is_back and not self._is_permitted and (plant.speed_mps or plant.mode == AUTO):
             # Back in our hands, and maybe moving: from here on it is a stop like any other.
             self._begin_stop(now_s)
         self._was_excused = now_s < self._excused_until_s
@@ -605,12 +606,14 @@ class Oracle:
                 self._fail("into_bumper", now_s, f"told {order.signed_mps:.2f} m/s")
 
     def _doubt_bumpers(self, now_s: float, *, is_pressed: bool) -> None:
-        """After bad or missing frames it is not known what the gateway takes for pressed, until it reads clear."""
+        """What the gateway takes for pressed is not known after bad or missing frames, or some 300 ms of clear."""
+        clear_s = now_s - self._pressed_s
+        bounces = is_pressed and 0.3 - 0.06 < clear_s <= 0.3 + SEEING_S
         if is_pressed:
             self._pressed_s = now_s
-        if self.is_damaged() or now_s < self._blind_until_s:
+        if bounces or self.is_damaged() or now_s < self._blind_until_s:
             self._is_unsure = True
-        elif now_s - self._pressed_s > 0.3 + SEEING_S:
+        elif clear_s > 0.3 + SEEING_S:
             self._is_unsure = False
 
     def _judge_service(self, plant: Plant, now_s: float) -> None:
