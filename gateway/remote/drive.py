@@ -17,7 +17,7 @@ from gateway.remote.engaged import come_to_rest, engaged
 from gateway.remote.held_keys import HeldKeys, Wish
 from gateway.remote.keyboard import KeyDecoder
 from gateway.remote.operator_arguments import add_robot_arguments, add_take_arguments, connect, wanted_lease
-from gateway.remote.reasons_text import reason_line
+from gateway.remote.reasons_text import link_line, reason_line
 from gateway.remote.refusal import Refused, Stopped
 from gateway.remote.robot import Lease, Robot
 from gateway.remote.terminal import Terminal
@@ -73,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=seconds, metavar="S", help="drive for this time, without a terminal")
     parser.add_argument(
         "--deadman",
-        type=seconds,
+        type=_deadman,
         metavar="S",
         help=f"stop no sooner than after S without a command, at most {DEADMAN_MAX_S:g}: for a link that stalls; "
         "the robot drives the slower for it",
@@ -104,6 +104,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 def _by_script(robot: Robot, lease: Lease, arguments: argparse.Namespace, stopped: Callable[[], bool]) -> ExitCode:
     fastest_mps = 0.0
     blocked_by: list[Reason] = []
+    link = ""
     with engaged(lease, robot, arguments.deadman):
         lease.unpark()
         end_s = time.monotonic() + arguments.seconds
@@ -113,11 +114,14 @@ def _by_script(robot: Robot, lease: Lease, arguments: argparse.Namespace, stoppe
             state = robot.state().state
             fastest_mps = max(fastest_mps, abs(state.output_speed_mps))
             blocked_by = state.blocked_by
+            link = link_line(state) or link
     if arguments.speed and not fastest_mps:
         sys.stderr.write(f"{robot.name} did not move\n")
         sys.stderr.writelines(f"  {reason_line(reason)}\n" for reason in blocked_by)
         return ExitCode.FAILURE
     sys.stdout.write(f"{robot.name}: driven for {arguments.seconds:g} s, at most {fastest_mps:.2f} m/s\n")
+    if link:
+        sys.stdout.write(f"  {link}\n")
     return ExitCode.OK
 
 
@@ -220,6 +224,13 @@ class _Keys:
             tells_releases=self._keys.tells_releases,
             message=self._message,
         )
+
+
+def _deadman(text: str) -> float:
+    value = seconds(text)
+    if value > DEADMAN_MAX_S:
+        raise argparse.ArgumentTypeError(f"{text} s is longer than a deadman may be, {DEADMAN_MAX_S:g} s")
+    return value
 
 
 def _number(text: str) -> float:

@@ -102,6 +102,11 @@ class DriveStream:
         """The lease is not ours any more."""
         return self.ending is not None and self.ending.lease_lost
 
+    @property
+    def asks_for_zero(self) -> bool:
+        """The program asks for zero speed, or for nothing."""
+        return self._set_point is None or not self._set_point.speed_mps
+
     def expect_engaged(self) -> None:
         """Engage is about to be asked for. What was driven before counts no more."""
         self._is_wanted = self._is_asked = True

@@ -59,6 +59,9 @@ ANSWER_TIMEOUT_S: Final = 3.0
 ENGAGED_SEEN_S: Final = 1.0
 """Between the reply to engage and the safety/state that says the same."""
 
+ZERO_SEEN_S: Final = 1.0
+"""Between a drive command of zero speed and the safety/state that says the same."""
+
 
 class Robot:
     """A robot that answers. Make it with ``connect``, and close it, or use it as a context manager.
@@ -308,6 +311,9 @@ class Lease:
 
     def park(self) -> None:
         """Apply the parking brake of the engaged robot, which may still be slowing down to zero."""
+        if self._in_force().asks_for_zero:
+            # The stream and a question go separate ways: the zero of a moment ago has to be there first.
+            self._link.wait_for(lambda state: not state.target_speed_mps, ZERO_SEEN_S)
         self._ask(Park(lease=self.number))
 
     def unpark(self) -> None:

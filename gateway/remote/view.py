@@ -13,6 +13,7 @@ from rich.text import Text
 
 from gateway.remote.fleet import RobotReport
 from gateway.remote.reasons_text import link_line
+from schemas.decisions import COMMANDING
 from schemas.messages import GatewayHealth, RobotState
 from schemas.printable import plain
 
@@ -101,16 +102,25 @@ def line(report: RobotReport) -> str:
     if report.state is None:
         words.append(alarm(report))
     else:
-        words += [_word(fact) for fact in (*state_facts(report.state), *link_facts(report))]
+        words += [_word(fact) for fact in (*state_facts(report.state), *safety_facts(report))]
         words.append(f"age {report.state_age_s or 0:.2f} s")
     words.append(_faults_word(report))
     return "  ".join(words)
 
 
-def link_facts(report: RobotReport) -> list[Fact]:
-    """How old the commands are that drive the robot; nothing while it obeys none."""
-    text = "" if report.state is None or report.safety is None else link_line(report.safety)
-    return [Fact("link", text)] if text else []
+def safety_facts(report: RobotReport) -> list[Fact]:
+    """What the arbiter does: what is latched, the speed limit in force, and how old the commands are."""
+    safety = report.safety
+    if report.state is None or safety is None:
+        return []
+    latched = ", ".join(reason.value for reason in safety.latched)
+    link = link_line(safety)
+    return [
+        Fact("arbiter", safety.state.value),
+        *([Fact("latched", latched, BAD)] if latched else []),
+        *([Fact("limit", f"{safety.speed_limit_mps:.2f} m/s")] if safety.state in COMMANDING else []),
+        *([Fact("link", link)] if link else []),
+    ]
 
 
 def health_line(report: RobotReport) -> str:
@@ -136,8 +146,8 @@ def panel(report: RobotReport) -> RenderableType:
     else:
         top = Text(alarm(report), style=LOUD)
     # What is wrong comes first: a small window cuts the rest off.
-    links = [Text(fact.text, style=fact.style) for fact in link_facts(report)]
-    return Panel(Group(top, _health_text(report), *links, grid), title=Text(report.robot), expand=False)
+    safety = [Text(_word(fact), style=fact.style) for fact in safety_facts(report)]
+    return Panel(Group(top, _health_text(report), *safety, grid), title=Text(report.robot), expand=False)
 
 
 def table(reports: Sequence[RobotReport]) -> RenderableType:
@@ -165,6 +175,7 @@ def _wrong(report: RobotReport) -> Text:
     facts = [
         *(state_facts(report.state) if report.state else ()),
         *(health_facts(report.health) if report.health else ()),
+        *safety_facts(report),
     ]
     wrong = {f"{fact.label} {fact.text}": fact.style for fact in facts if fact.style == BAD}
     if report.state is not None and report.health is None:

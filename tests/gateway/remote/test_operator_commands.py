@@ -1,5 +1,6 @@
 import argparse
 import json
+import re
 import time
 from collections.abc import Callable
 
@@ -49,7 +50,17 @@ def test_drive_for_a_script_drives_and_leaves_the_robot_at_rest(capsys: Capture)
         assert verbs == ["acquire", "engage", "unpark", "disengage", "release"]
         asked = {(one.requested_speed_mps, one.requested_angle_deg) for one in fake.accepted("drive")}
         assert (-0.2, 3.0) in asked
-    assert capsys.readouterr().out == "cruiser-1: driven for 1 s, at most 0.20 m/s\n"
+    driven, link = capsys.readouterr().out.splitlines()
+    assert driven == "cruiser-1: driven for 1 s, at most 0.20 m/s"
+    assert re.fullmatch(r"  commands \d+ ms old .*, deadman 900 ms, .* at most [\d.]+ m/s by that", link)
+
+
+def test_a_deadman_longer_than_a_second_is_a_usage_error(capsys: Capture) -> None:
+    """Told before anything is asked of the robot."""
+    with pytest.raises(SystemExit) as caught:
+        run(drive, "tcp/127.0.0.1:1", "cruiser-1", "--speed", "0.2", "--seconds", "1", "--deadman", "1.5")
+    assert caught.value.code == ExitCode.USAGE
+    assert "longer than a deadman may be, 1 s" in capsys.readouterr().err
 
 
 def test_drive_for_a_script_ends_when_it_is_told_to(capsys: Capture) -> None:

@@ -195,6 +195,22 @@ def test_what_is_refused_says_why_and_what_would_cure_it() -> None:
             robot.ask(Light(lease=lease.number + 1, headlamp=True))
 
 
+def test_park_may_follow_at_once_when_zero_is_asked_for() -> None:
+    """The zero is in the stream, the question is not: it waits until the robot has heard the zero."""
+    with FakeRobot() as fake, engaged(fake) as (_, lease):
+        for _ in range(5):
+            wait_until(lambda: fake.speed_mps == 0.3, lambda: lease.drive(0.3))
+            lease.drive(0.0)
+            lease.park()
+            lease.unpark()
+            wait_until(lambda: fake.speed_mps == 0.0)
+        lease.drive(0.3)
+        wait_until(lambda: fake.speed_mps > 0.0, lambda: lease.drive(0.3))
+        with pytest.raises(Refused) as caught:
+            lease.park()
+        assert caught.value.reason is Reason.COMMAND_NOT_ZERO
+
+
 def test_every_verb_of_the_lease_does_its_part() -> None:
     """Park, unpark, light, horn and odometer are accepted while engaged; engaging twice is refused here."""
     with FakeRobot() as fake, engaged(fake) as (_, lease):

@@ -8,8 +8,9 @@ from rich.console import Console, RenderableType
 
 from gateway.remote import view
 from gateway.remote.fleet import RobotReport
-from schemas.decisions import SafetyState
+from schemas.decisions import ArbiterState, SafetyState
 from schemas.messages import GatewayHealth, Mode, RobotState, Variant
+from schemas.reasons import Reason
 from tests.gateway.remote.fake_gateway import HEALTH, STATE
 from tests.gateway.remote.test_drive_stream import ENGAGED
 from tests.schemas.random_messages import TEXTS, message_of
@@ -88,6 +89,20 @@ def test_the_view_shows_how_old_the_commands_are() -> None:
         msgspec.structs.replace(STALE, safety=safety),
     ):
         assert not any("until it can react" in text for text in every_view(report))
+
+
+def test_the_view_shows_what_is_latched_and_the_limit_in_force() -> None:
+    """Nobody has to ask ``why`` to see that a robot is latched, or how fast it may go."""
+    latched = msgspec.structs.replace(
+        ENGAGED, state=ArbiterState.STANDBY, latched=[Reason.REMOTE_STOP, Reason.ROLLING]
+    )
+    for text in every_view(msgspec.structs.replace(FRESH, safety=latched)):
+        assert "latched remote_stop, rolling" in text
+        assert "limit" not in text
+    driven = msgspec.structs.replace(FRESH, safety=msgspec.structs.replace(ENGAGED, speed_limit_mps=0.5))
+    for text in (view.line(driven), drawn(view.panel(driven))):
+        assert "limit 0.50 m/s" in text
+        assert "latched" not in text
 
 
 def test_a_stale_view_says_so_and_shows_no_value() -> None:
