@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/installed
 
-.PHONY: demo test nightly test-socketcan readers lint types architecture generate bench bench-recorder bench-review mutation clean
+.PHONY: demo test nightly test-socketcan readers lint types architecture generate bench bench-short bench-recorder bench-review mutation clean
 
 demo: $(STAMP)  ## chassis, gateway and recorder and two operators, for half a minute
 	$(BIN)/cruiser demo --seconds 30 --out demo-log
@@ -43,6 +43,9 @@ generate: $(STAMP)  ## what is generated from the tables: JSON Schemas, README a
 
 bench: $(STAMP)
 	$(BIN)/python -m tests.bench
+
+bench-short: $(STAMP)  ## a little of each bench, to see that it runs; its figures say nothing
+	$(BIN)/python -m tests.bench --short
 
 bench-review: $(STAMP)  ## of that the review alone, on a log of 1 GB
 	$(BIN)/python -m tests.bench.review_rate

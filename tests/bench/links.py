@@ -32,10 +32,10 @@ STEADY: Final = 0.95
 """Under this share of the time at speed a link is not one to drive over: drawn hollow."""
 
 
-def rows(seconds: float = SECONDS) -> list[Row]:
+def rows(seconds: float = SECONDS, goal_seconds: float = GOAL_SECONDS) -> list[Row]:
     """Each link at full speed, and the goal."""
     made = [_row(profile, TOP_MPS, trip(profile, TOP_MPS, seconds), "") for profile in LINKS]
-    return [*made, _row(FAR, GOAL_MPS, trip(FAR, GOAL_MPS, GOAL_SECONDS), GOAL)]
+    return [*made, _row(FAR, GOAL_MPS, trip(FAR, GOAL_MPS, goal_seconds), GOAL)]
 
 
 def _row(profile: LinkProfile, asked_mps: float, made: Trip, goal: str) -> Row:

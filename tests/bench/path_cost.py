@@ -59,7 +59,7 @@ class PathCost(msgspec.Struct, frozen=True):
     whole_ratio: float
 
 
-def measure() -> PathCost:
+def measure(rounds: int = ROUNDS) -> PathCost:
     """Measure both in turns."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     session = open_session(ZenohSettings(), [], [endpoint])
@@ -98,16 +98,16 @@ def measure() -> PathCost:
         # The frames themselves are the bench's, and no collection walks them. Ours runs without, as the loop does.
         gc.collect()
         gc.freeze()
-        rounds = [tuple(_cost_us(run, len(frames)) for run in (path, whole, peer)) for _ in range(ROUNDS)]
+        costs = [tuple(_cost_us(run, len(frames)) for run in (path, whole, peer)) for _ in range(rounds)]
     finally:
         subscriber.communicate()
         close_session(session)
     return PathCost(
-        path_us=median(row[0] for row in rounds),
-        whole_us=median(row[1] for row in rounds),
-        peer_us=median(row[2] for row in rounds),
-        ratio=median(row[2] / row[0] for row in rounds),
-        whole_ratio=median(row[2] / row[1] for row in rounds),
+        path_us=median(row[0] for row in costs),
+        whole_us=median(row[1] for row in costs),
+        peer_us=median(row[2] for row in costs),
+        ratio=median(row[2] / row[0] for row in costs),
+        whole_ratio=median(row[2] / row[1] for row in costs),
     )
 
 
