@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Final, TypeVar
 
-from gateway.chassis.supervision import silence_ns
+from gateway.chassis.supervision import COUNTER_MODULO, silence_ns
 from gateway.chassis.variant import WHEEL_SPEED, VariantDetector
 from gateway.command.observed import Observed
 from gateway.telemetry.feedback import FeedbackStream
@@ -158,7 +158,8 @@ class Encoders:
 
     def __init__(self) -> None:
         self._before: WheelPulse | None = None
-        self._counted: deque[int] = deque(maxlen=PULSES_MOVING_FRAMES)
+        # What was counted from one frame to the next, and over how many periods: frames may be lost.
+        self._counted: deque[tuple[int, int]] = deque(maxlen=PULSES_MOVING_FRAMES)
         self._direction = 0
 
     def direction(self, pulses: WheelPulse | None) -> int:
@@ -171,18 +172,24 @@ class Encoders:
             self._counted.clear()
         elif pulses is not self._before:
             if self._before is not None:
-                self._counted.append(_counted(pulses, self._before))
+                periods = (pulses.alive_counter - self._before.alive_counter) % COUNTER_MODULO
+                self._counted.append((_counted(pulses, self._before), max(1, periods)))
                 self._direction = self._judge()
             self._before = pulses
         return self._direction
 
     def _judge(self) -> int:
         counted = list(self._counted)
-        if len(counted) < PULSES_MOVING_FRAMES or len({_sign(count) for count in counted}) > 1:
+        if len(counted) < PULSES_MOVING_FRAMES or len({_sign(count) for count, _ in counted}) > 1:
             return 0
         half = PULSES_MOVING_FRAMES // 2
-        earlier, later = abs(sum(counted[:half])), abs(sum(counted[half:]))
-        return _sign(counted[0]) if later >= earlier * PULSES_STEADY else 0
+        earlier, later = _rate(counted[:half]), _rate(counted[half:])
+        return _sign(counted[0][0]) if later >= earlier * PULSES_STEADY else 0
+
+
+def _rate(counted: list[tuple[int, int]]) -> float:
+    """Pulses in a period, a magnitude."""
+    return abs(sum(count for count, _ in counted)) / sum(periods for _, periods in counted)
 
 
 def _counted(pulses: WheelPulse, before: WheelPulse) -> int:

@@ -37,9 +37,10 @@ SILENCE_MIN_NS: Final = 100_000_000
 """...but not before 100 ms. Both are below the 160 ms at which a 4-bit counter of a 10 ms frame aliases."""
 
 CHECKSUM_FAULTS: Final = 5
-"""This many checksum faults of one identifier within CHECKSUM_WINDOW_NS are a failure of that frame. Three would stop
-the robot seven times an hour where one frame in a thousand is damaged; five, once in some hundred hours. None of them
-is ever believed."""
+"""This many checksum faults of one identifier within CHECKSUM_WINDOW_NS are a failure of that frame.
+
+Three would stop the robot seven times an hour where one frame in a thousand is damaged; five, once in some hundred
+hours. None of these frames is ever believed."""
 
 CHECKSUM_WINDOW_NS: Final = 1_000_000_000
 

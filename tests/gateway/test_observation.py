@@ -267,6 +267,21 @@ def test_pulses_tell_a_direction_when_many_frames_in_a_row_count_that_way_and_no
     assert counted(*pulses) == direction
 
 
+def test_lost_frames_do_not_make_a_robot_that_slows_down_look_steady() -> None:
+    """What is counted across a lost frame took two periods: the alive counter tells."""
+    eye = Eye()
+    eye.show_all()
+    seen = []
+    for number in range(2 * FRAMES):
+        pulses = 125 * min(number, FRAMES) + slower(max(0, number - FRAMES))
+        frame = eye.feedback.frame(PULSES, {"RearLeftPulses": pulses, "RearRightPulses": pulses})
+        if number not in {FRAMES + 3, FRAMES + 5}:
+            eye.streams[PULSES].receive(frame, 50 * number * MS)
+        seen.append(eye.look(50 * number).pulses)
+    assert seen[FRAMES] == 1
+    assert seen[FRAMES + 6 :] == [0] * (FRAMES - 6)
+
+
 def test_pulses_that_are_not_valid_or_not_there_tell_no_direction() -> None:
     """And what was counted before does not go on afterwards."""
     moving = [(number, number) for number in range(2 * FRAMES)]

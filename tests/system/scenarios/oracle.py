@@ -251,9 +251,12 @@ class Oracle:
         """A disturbance was caused, and may show for this long: a stop meanwhile has a cause."""
         self._disturbed_until_s = max(self._disturbed_until_s, now_s + lasts_s)
 
-    def touch(self) -> None:
-        """Something else is in the way: a hit of it is a new one."""
-        self._struck, self._acknowledged = None, False
+    def touch(self, now_s: float) -> None:
+        """Something else is in the way: a hit of it is a new one, but where the bumper still reads hit."""
+        if now_s - self._pressed_s > 0.3 + SEEING_S:
+            self._struck, self._acknowledged = None, False
+        else:
+            self._is_unsure = True
 
     def blind(self, now_s: float, lasts_s: float) -> None:
         """The bus loses so many frames that nothing is seen in time and nothing is heard, for this long."""
@@ -508,8 +511,9 @@ class Oracle:
         due_s = abs(speed_mps) / DECELERATION_MPS2 + 2.0 + plant.build.brake_delay_s + 3 * self._lag_s
         if now_s - began_s > due_s:
             self._stop_record = None
-            is_shown = self._mode(plant) is not None
-            if is_shown and (plant.speed_mps or not plant.braked):
+            # One that was given back and stands in mode stop is told nothing, and one whose mode frame is frozen.
+            is_ours = self._mode(plant) is not None and (plant.mode == AUTO or self._order_s >= began_s)
+            if abs(plant.speed_mps) > 0.02 or (is_ours and not plant.braked):
                 how = "braked" if plant.braked else "not braked"
                 self._fail("stop_unfinished", now_s, f"{due_s:.1f} s after, {plant.speed_mps:.2f} m/s, {how}")
 

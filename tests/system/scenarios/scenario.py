@@ -391,7 +391,7 @@ class Play:
                 plant.frozen.discard(act.value)
             case "touch":
                 plant.touch(act.value)
-                oracle.touch()
+                oracle.touch(now_s)
             case "ask":
                 rig.ask(act.value)
             case "loss":
