@@ -190,7 +190,7 @@ class Oracle:
             if fields["ok"] and not fields["detail"]:
                 self._fail("stop_lies", now_s, "ok alone, while the remote control has the robot")
         elif verb == "reset" and fields["ok"]:
-            self._acknowledged = self._struck is not None
+            self._acknowledged = self._struck in self._latched
 
     def state(self, state: Fields, now_s: float) -> None:
         latched = state["latched"]
@@ -211,8 +211,10 @@ class Oracle:
         if not frames:
             self._judge_silence(now_s)
             return
+        # The guard goes on with the gateway's counters; a gateway that comes back begins with its own.
+        comes_back = self._is_guards and not by_guard
+        goes_on = now_s - self._order_s < PAUSE_S and not comes_back
         self._is_guards = by_guard
-        goes_on = now_s - self._order_s < PAUSE_S
         for identifier, data in frames:
             counter = data[6] >> 4
             expected = self._counters.get(identifier, counter) if goes_on else counter
@@ -270,9 +272,9 @@ class Oracle:
         gap_s = max(now_s - self._order_s, TICK_S / 2)
         lateral_mps2 = order.speed_mps**2 * tan(radians(abs(order.angle_deg))) / WHEELBASE_M
         last = order if before is None else before
-        shifts = order.enabled and last.enabled and order.gear != last.gear
-        # Out of auto it obeys nobody: a stop begins anew, at the angle that is seen.
-        steers = order.enabled and last.enabled and self._plant is not None and self._plant.mode == AUTO
+        # Out of auto it obeys nobody: a stop begins anew, with the gear and at the angle that are seen.
+        obeys = order.enabled and last.enabled and self._plant is not None and self._plant.mode == AUTO
+        shifts = obeys and order.gear != last.gear
         turned_deg = abs(order.angle_deg - last.angle_deg)
         turns_deg = STEERING_DEGPS * max(gap_s, TICK_S) + 2 * ANGLE_BIT_DEG
         broken = {
@@ -283,7 +285,7 @@ class Oracle:
             "speed_against_brake": order.speed_mps > 0 and order.parking,
             "over_limit": order.speed_mps > self._limit_mps + self._bit_mps / 2,
             "angle": abs(order.angle_deg) > STEERING_DEG + ANGLE_BIT_DEG,
-            "steering_rate": steers and turned_deg > turns_deg,
+            "steering_rate": obeys and turned_deg > turns_deg,
             "lateral_told": lateral_mps2 > LATERAL_MPS2 + 0.03 + 2 * order.speed_mps * self._bit_mps,
         }
         for kind, is_broken in broken.items():
