@@ -44,6 +44,12 @@ hours. None of these frames is ever believed."""
 
 CHECKSUM_WINDOW_NS: Final = 1_000_000_000
 
+SPEED_TOP_MPS: Final = 2.222
+"""The chassis drives no faster, either way: 8 km/h."""
+
+STEERING_TOP_DEG: Final = 24.0
+"""The chassis steers no further, to either side (manual V2.0, 2.2)."""
+
 STEERING_PLAUSIBLE_DEG: Final = 25.0
 """Steering feedback beyond this is implausible: 24 deg to either side, to within 1 (manual V2.0, 2.2)."""
 
@@ -446,14 +452,14 @@ class CommandSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             "over the age of the commands and the deadman",
         ),
     ] = 1.0
-    speed_limit_mps: Annotated[float, Meta(ge=0.05, le=2.222, description="m/s; highest speed, either way")] = (
-        2.222
-    )
+    speed_limit_mps: Annotated[
+        float, Meta(ge=0.05, le=SPEED_TOP_MPS, description="m/s; highest speed, either way")
+    ] = SPEED_TOP_MPS
     speed_limit_without_realtime_mps: Annotated[
         float,
         Meta(
             ge=0.05,
-            le=2.222,
+            le=SPEED_TOP_MPS,
             description="m/s; highest speed of a gateway that no guard watches or that has no real-time priority",
         ),
     ] = 1.0
@@ -464,7 +470,9 @@ class CommandSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     emergency_deceleration_mps2: Annotated[
         float, Meta(ge=0.5, le=3.0, description="m/s2; how it stops at once")
     ] = 2.0
-    steering_limit_deg: Annotated[float, Meta(ge=1, le=24, description="deg; furthest steering angle")] = 24.0
+    steering_limit_deg: Annotated[
+        float, Meta(ge=1, le=STEERING_TOP_DEG, description="deg; furthest steering angle")
+    ] = STEERING_TOP_DEG
     steering_rate_degps: Annotated[float, Meta(ge=5, le=60, description="deg/s; fastest change of it")] = 60.0
     lateral_acceleration_mps2: Annotated[
         float, Meta(ge=0.2, le=3.0, description="m/s2; v^2 tan(angle) / wheelbase; speed is reduced to keep it")

@@ -6,14 +6,14 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Final
 
 from rich.console import Console
 from rich.live import Live
 
 from gateway.remote.drive_view import Cockpit, panel
-from gateway.remote.engaged import come_to_rest, engaged
+from gateway.remote.engaged import REST_S, come_to_rest, engaged
 from gateway.remote.held_keys import HeldKeys, Wish
 from gateway.remote.keyboard import KeyDecoder
 from gateway.remote.operator_arguments import add_robot_arguments, add_take_arguments, connect, wanted_lease
@@ -22,18 +22,18 @@ from gateway.remote.refusal import Refused, Stopped
 from gateway.remote.robot import Lease, Robot
 from gateway.remote.terminal import Terminal
 from schemas.arguments import seconds
+from schemas.decisions import SafetyState
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.reasons import Reason
-from schemas.settings import DEADMAN_MAX_S, Settings
+from schemas.settings import DEADMAN_MAX_S, SPEED_TOP_MPS, STEERING_TOP_DEG, Settings
 
 EXAMPLE = """\
-  cruiser drive cruiser-1                                         keys: w s a d or arrows, held; x leaves
-  cruiser drive cruiser-1 --speed 0.3 --angle 10 --seconds 5      for scripts; negative speeds are backward"""
+  cruiser drive cruiser-1                                     hold w s a d, arrows, u o m . (curves); x leaves
+  cruiser drive cruiser-1 --speed 0.3 --angle 10 --seconds 5  for scripts; negative speeds are backward"""
 
 SPEED_MPS: Final = 0.4
 ANGLE_DEG: Final = 15.0
 SPEED_STEP_MPS: Final = 0.1
-SPEED_MAX_MPS: Final = 2.2
 
 KEY_S: Final = 0.02
 """How often keys are looked at, and the set point renewed."""
@@ -62,11 +62,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_robot_arguments(parser)
     parser.add_argument(
-        "--speed", type=_number, metavar="M/S", help=f"backward if negative ({SPEED_MPS:g} with keys)"
+        "--speed", type=_speed, metavar="M/S", help=f"backward if negative ({SPEED_MPS:g} with keys)"
     )
     parser.add_argument(
         "--angle",
-        type=_number,
+        type=_angle,
         metavar="DEG",
         help=f"left is positive ({ANGLE_DEG:g} with keys, 0 else)",
     )
@@ -97,7 +97,10 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     with connect(arguments, settings, stopped) as robot, wanted_lease(robot, arguments) as lease:
         if by_script:
             return int(_by_script(robot, lease, arguments, stopped))
-        _Keys(robot, lease, arguments).drive(stopped)
+        stands_by = _Keys(robot, lease, arguments).drive(stopped)
+    if not stands_by:
+        raise CommandError(f"{robot.name} was not seen to come to rest within {REST_S:g} s: see 'cruiser why'")
+    sys.stdout.write(f"{robot.name}: left; it stands by, and the lease is given back\n")
     return int(ExitCode.OK)
 
 
@@ -107,6 +110,7 @@ def _by_script(robot: Robot, lease: Lease, arguments: argparse.Namespace, stoppe
     link = ""
     with engaged(lease, robot, arguments.deadman):
         lease.unpark()
+        sys.stderr.writelines(f"{robot.name}: {text}\n" for text in _bounds(arguments, robot.state().state))
         end_s = time.monotonic() + arguments.seconds
         while not stopped() and time.monotonic() < end_s:
             lease.drive(arguments.speed, angle_deg=arguments.angle or 0.0)
@@ -125,13 +129,24 @@ def _by_script(robot: Robot, lease: Lease, arguments: argparse.Namespace, stoppe
     return ExitCode.OK
 
 
+def _bounds(arguments: argparse.Namespace, state: SafetyState) -> Iterator[str]:
+    """What the limits in force make of a script's speed and angle."""
+    wanted = (
+        (arguments.speed, state.speed_limit_mps, "m/s"),
+        (arguments.angle or 0.0, state.steering_limit_deg, "deg"),
+    )
+    for value, limit, unit in wanted:
+        if abs(value) > limit:
+            yield f"of {value:g} {unit} the limit in force leaves {math.copysign(limit, value):g} {unit}"
+
+
 class _Keys:
     """A drive by keys."""
 
     def __init__(self, robot: Robot, lease: Lease, arguments: argparse.Namespace) -> None:
         self._robot = robot
         self._lease = lease
-        self._speed_mps = abs(arguments.speed or SPEED_MPS)
+        self._speed_mps = abs(SPEED_MPS if arguments.speed is None else arguments.speed)
         self._angle_deg = abs(ANGLE_DEG if arguments.angle is None else arguments.angle)
         self._deadman_s = arguments.deadman
         self._decoder = KeyDecoder()
@@ -139,8 +154,8 @@ class _Keys:
         self._message = ""
         self._is_leaving = False
 
-    def drive(self, stopped: Callable[[], bool]) -> None:
-        """Until the person leaves.
+    def drive(self, stopped: Callable[[], bool]) -> bool:
+        """Until the person leaves. False if the robot was not seen to come to rest then.
 
         Raises:
             CommandError: the lease is lost, or the robot is not heard any more.
@@ -162,7 +177,7 @@ class _Keys:
                 if now_s >= draw_s:
                     draw_s = now_s + DRAW_S
                     live.update(panel(self._cockpit()), refresh=True)
-        come_to_rest(self._lease, self._robot)
+        return come_to_rest(self._lease, self._robot)
 
     def _hear(self, data: bytes | None) -> None:
         if data is None:
@@ -181,7 +196,7 @@ class _Keys:
             self._reset()
         elif key in {"+", "-"}:
             step_mps = SPEED_STEP_MPS if key == "+" else -SPEED_STEP_MPS
-            self._speed_mps = round(min(SPEED_MAX_MPS, max(SPEED_STEP_MPS, self._speed_mps + step_mps)), 3)
+            self._speed_mps = round(min(SPEED_TOP_MPS, max(SPEED_STEP_MPS, self._speed_mps + step_mps)), 3)
 
     def _engage(self) -> None:
         try:
@@ -233,11 +248,21 @@ def _deadman(text: str) -> float:
     return value
 
 
-def _number(text: str) -> float:
+def _speed(text: str) -> float:
+    return _number(text, SPEED_TOP_MPS, "m/s")
+
+
+def _angle(text: str) -> float:
+    return _number(text, STEERING_TOP_DEG, "deg")
+
+
+def _number(text: str, top: float, unit: str) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text!r} is not a number")
+    if abs(value) > top:
+        raise argparse.ArgumentTypeError(f"{text} {unit} is more than the chassis can do, {top:g} {unit}")
     return value

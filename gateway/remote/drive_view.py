@@ -70,8 +70,11 @@ def _speeds(cockpit: Cockpit) -> str:
 
 def _keys(cockpit: Cockpit) -> list[str]:
     how = "hold to move" if cockpit.tells_releases else "hold to move: it begins when the key repeats"
+    limit_mps = cockpit.sighting.state.speed_limit_mps
+    bound = f", of which the limit leaves {limit_mps:.2f}" if cockpit.speed_mps > limit_mps else ""
     return [
-        f"{how}: w s or arrows, a d steer, q e z c both; any other key: stand",
-        f"+ - speed ({cockpit.speed_mps:.2f} m/s)",
-        "g engage, r reset, x or Ctrl-C stop and leave",
+        f"{how}: w s or arrows, a d steer; any other key: stand",
+        "u o forward and m . backward in a curve, to the left and to the right",
+        f"+ - speed ({cockpit.speed_mps:.2f} m/s{bound})",
+        "g engage, r reset; x, q or Ctrl-C: stop and leave",
     ]

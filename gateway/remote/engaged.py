@@ -39,11 +39,11 @@ def engaged(lease: Lease, robot: Robot, deadman_s: float | None = None) -> Itera
         come_to_rest(lease, robot)
 
 
-def come_to_rest(lease: Lease, robot: Robot) -> None:
-    """Disengage, if the robot is engaged, and wait until its stop sequence has ended."""
+def come_to_rest(lease: Lease, robot: Robot) -> bool:
+    """Disengage, if the robot is engaged, and wait until its stop sequence has ended. False if it does not."""
     if lease.is_engaged:
         lease.disengage()
-    robot.wait_for(lambda state: state.state is ArbiterState.STANDBY, REST_S)
+    return robot.wait_for(lambda state: state.state is ArbiterState.STANDBY, REST_S)
 
 
 def add_action_arguments(parser: argparse.ArgumentParser, *, lasts: bool, default_s: float | None = None) -> None:

@@ -49,8 +49,13 @@ BINDINGS: Final[dict[str, Wish]] = {
     "left": Wish(0, 1),
     "d": Wish(0, -1),
     "right": Wish(0, -1),
+    "u": Wish(1, 1),
+    "o": Wish(1, -1),
+    "m": Wish(-1, 1),
+    ".": Wish(-1, -1),
 }
-"""Any other key means: stand."""
+"""Any other key means: stand. Those that drive a curve are where ROS's teleop_twist_keyboard has them: a terminal
+that tells no releases repeats one key alone, so speed and angle must come from one."""
 
 
 class HeldKeys:

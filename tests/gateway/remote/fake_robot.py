@@ -34,6 +34,7 @@ class FakeRobot:
         front_bumper: is pressed.
         health: what its gateway says of itself, in each tick.
         mode: what the chassis reads; None is what it is told.
+        settings: its gateway's.
         token: its liveliness token is there.
     """
 
@@ -46,6 +47,7 @@ class FakeRobot:
     front_bumper: bool = False
     health: GatewayHealth = HEALTH
     mode: Mode | None = None
+    settings: Settings = field(default_factory=Settings)
     decisions: list[Decision] = field(default_factory=list)
     said: list[SafetyState] = field(default_factory=list)
     puts: list[str] = field(default_factory=list)
@@ -70,7 +72,7 @@ class FakeRobot:
         self._waiting: dict[int, Any] = {}
         self._handle = 0
         self._mileage_km = 1.0
-        self.flow = CommandFlow(Settings(), run=time.monotonic_ns())
+        self.flow = CommandFlow(self.settings, run=time.monotonic_ns())
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
@@ -93,6 +95,12 @@ class FakeRobot:
     def speed_mps(self) -> float:
         """What the chassis is told; forward is positive."""
         return self._told()[0]
+
+    @property
+    def angle_deg(self) -> float:
+        """What the chassis is told; left is positive."""
+        told = self.flow.arbiter.actuation
+        return told.angle_deg if told is not None else 0.0
 
     def has_heard(self, puts: int) -> bool:
         """So many puts have come."""

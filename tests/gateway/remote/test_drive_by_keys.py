@@ -126,6 +126,18 @@ def test_a_key_that_repeats_drives_and_its_end_stops() -> None:
         assert driver.modes() == driver.settings
 
 
+def test_a_curve_is_driven_in_a_terminal_that_tells_no_releases() -> None:
+    """One key asks for speed and angle, and its end stops; q leaves, and what became of the robot is said."""
+    with FakeRobot() as fake, Driver(fake.listen) as driver:
+        wait_until(lambda: fake.state is ArbiterState.ENGAGED)
+        wait_until(lambda: fake.speed_mps > 0.1 and fake.angle_deg > 10, driver.types(b"u"))
+        wait_until(lambda: fake.speed_mps == 0.0)
+        driver.types(b"q")()
+        assert driver.process.wait(30) == 0
+        assert fake.state is ArbiterState.STANDBY
+        driver.wait_shows("cruiser-1: left; it stands by, and the lease is given back")
+
+
 @pytest.mark.parametrize("keys", [b" ", b"k", b"\x1b", b"\x1b[O", b"\x1b[119;1:3u"])
 def test_release_focus_and_any_other_key_stop(keys: bytes) -> None:
     """In a terminal that tells releases, a press drives until one of these comes."""

@@ -57,6 +57,33 @@ def test_a_key_that_repeats_moves_until_shortly_after_its_last_repetition() -> N
     assert keys.wish(last_ns + REPEAT_NS) == NOTHING
 
 
+@pytest.mark.parametrize(("key", "wish"), [*BINDINGS.items()])
+def test_without_releases_every_key_drives_by_itself_and_ends_as_soon(key: str, wish: Wish) -> None:
+    """Also one that asks for speed and angle: such a terminal repeats one key alone."""
+    keys = HeldKeys()
+    keys.hear([Stroke(key)], START_NS)
+    assert keys.wish(START_NS) == NOTHING
+    last_ns = START_NS + 500 * MS
+    keys.hear([Stroke(key)], last_ns)
+    assert keys.wish(last_ns + REPEAT_NS - 1) == wish
+    assert keys.wish(last_ns + REPEAT_NS) == NOTHING
+
+
+def test_every_curve_can_be_driven_with_one_key() -> None:
+    """Forward and backward, to the left and to the right, and straight on."""
+    one_key = set(BINDINGS.values())
+    assert one_key >= {Wish(forward, left) for forward in (1, -1) for left in (1, 0, -1)}
+
+
+def test_another_key_stops_until_it_repeats_itself() -> None:
+    """From straight on to a curve: what was held before says nothing of the new key, which may be a tap."""
+    keys = repeating_w()
+    keys.hear([Stroke("u")], START_NS + 10 * MS)
+    assert keys.wish(START_NS + 10 * MS) == NOTHING
+    keys.hear([Stroke("u")], START_NS + 300 * MS)
+    assert keys.wish(START_NS + 300 * MS) == Wish(1, 1)
+
+
 def test_two_strokes_that_are_far_apart_are_no_repetition() -> None:
     """What came long after is a new stroke."""
     keys = HeldKeys()

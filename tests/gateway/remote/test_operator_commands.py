@@ -13,7 +13,7 @@ from schemas.decisions import ArbiterState
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import Mode
 from schemas.reasons import TEXTS, Reason
-from schemas.settings import RESET_MIN_NS, Settings, ZenohSettings
+from schemas.settings import RESET_MIN_NS, CommandSettings, Settings, ZenohSettings
 from tests.gateway.remote.fake_gateway import HEALTH, free_endpoint
 from tests.gateway.remote.fake_robot import FakeRobot
 from tests.gateway.remote.waiting import StopWhen, wait_until
@@ -61,6 +61,36 @@ def test_a_deadman_longer_than_a_second_is_a_usage_error(capsys: Capture) -> Non
         run(drive, "tcp/127.0.0.1:1", "cruiser-1", "--speed", "0.2", "--seconds", "1", "--deadman", "1.5")
     assert caught.value.code == ExitCode.USAGE
     assert "longer than a deadman may be, 1 s" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("--speed", "9"), "9 m/s is more than the chassis can do, 2.222 m/s"),
+        (("--speed", "-2.3"), "-2.3 m/s is more than the chassis can do, 2.222 m/s"),
+        (("--speed", "1", "--angle", "30"), "30 deg is more than the chassis can do, 24 deg"),
+    ],
+)
+def test_what_the_chassis_cannot_do_is_a_usage_error(words: tuple[str, ...], why: str, capsys: Capture) -> None:
+    """Told before anything is asked of the robot."""
+    with pytest.raises(SystemExit) as caught:
+        run(drive, "tcp/127.0.0.1:1", "cruiser-1", "--seconds", "1", *words)
+    assert caught.value.code == ExitCode.USAGE
+    assert why in capsys.readouterr().err
+
+
+def test_drive_says_what_the_limits_leave_of_what_is_asked(capsys: Capture) -> None:
+    """A script that asks for more than the limits in force learns what it gets."""
+    limits = Settings(command=CommandSettings(speed_limit_mps=0.25, steering_limit_deg=10.0))
+    with FakeRobot(settings=limits) as fake:
+        words = ("cruiser-1", "--speed", "-2", "--angle", "15", "--seconds", "0.2")
+        assert run(drive, fake.listen, *words) == 0
+        assert capsys.readouterr().err == (
+            "cruiser-1: of -2 m/s the limit in force leaves -0.25 m/s\n"
+            "cruiser-1: of 15 deg the limit in force leaves 10 deg\n"
+        )
+        assert run(drive, fake.listen, "cruiser-1", "--speed", "0.2", "--angle", "-9", "--seconds", "0.2") == 0
+        assert capsys.readouterr().err == ""
 
 
 def test_drive_for_a_script_ends_when_it_is_told_to(capsys: Capture) -> None:
