@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from schemas.decisions import SafetyEvent, SafetyState
+from collections.abc import Iterable
+
+from schemas.decisions import COMMANDING, SafetyEvent, SafetyState, StopPhase
 from schemas.printable import plain
 from schemas.reasons import OF_A_ROBOT, Reason, Text
 
@@ -22,11 +24,27 @@ def reason_line(reason: Reason) -> str:
 def state_line(state: SafetyState) -> str:
     """What the arbiter does, and for whom."""
     words = [state.state.value]
-    if state.stop_phase.value != "idle":
-        detail = f" ({plain(state.stop_detail)})" if state.stop_detail else ""
-        words.append(f"{state.stop_phase.value}, because of {state.stop_reason.value}{detail}")
+    if state.stop_phase is not StopPhase.IDLE:
+        words.append(f"{state.stop_phase.value}, because of {_stop(state)}")
+    elif last_stop(state):
+        words.append(f"last stop {last_stop(state)}")
     words.append(holder_line(state))
     return "; ".join(words)
+
+
+def last_stop(state: SafetyState) -> str:
+    """Why a robot that is not commanded was stopped; empty if it is commanded again, or never was stopped."""
+    return "" if state.state in COMMANDING or state.stop_reason is Reason.NONE else _stop(state)
+
+
+def is_idle(blocked_by: Iterable[Reason]) -> bool:
+    """Nothing is wrong: the robot only waits for somebody who drives it."""
+    return {Reason.NO_LEASE, Reason.NOT_ENGAGED}.issuperset(blocked_by)
+
+
+def _stop(state: SafetyState) -> str:
+    detail = f" ({plain(state.stop_detail)})" if state.stop_detail else ""
+    return f"{state.stop_reason.value}{detail}"
 
 
 def link_line(state: SafetyState) -> str:

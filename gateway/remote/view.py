@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gateway.remote.fleet import RobotReport
-from gateway.remote.reasons_text import link_line
+from gateway.remote.reasons_text import is_idle, last_stop, link_line
 from schemas.decisions import COMMANDING
 from schemas.messages import GatewayHealth, RobotState
 from schemas.printable import plain
@@ -109,15 +109,20 @@ def line(report: RobotReport) -> str:
 
 
 def safety_facts(report: RobotReport) -> list[Fact]:
-    """What the arbiter does: what is latched, the speed limit in force, and how old the commands are."""
+    """What the arbiter does: for whom, what is latched, why it does not move, its limit, the commands' age."""
     safety = report.safety
     if report.state is None or safety is None:
         return []
     latched = ", ".join(reason.value for reason in safety.latched)
-    link = link_line(safety)
+    link, stop = link_line(safety), last_stop(safety)
+    blocked_by = [reason for reason in safety.blocked_by if reason not in safety.latched]
+    blocked = ", ".join(reason.value for reason in blocked_by)
     return [
         Fact("arbiter", safety.state.value),
+        Fact("driver", plain(safety.lease_holder) or "nobody"),
         *([Fact("latched", latched, BAD)] if latched else []),
+        *([Fact("blocked by", blocked, PLAIN if is_idle(blocked_by) else BAD)] if blocked else []),
+        *([Fact("last stop", stop)] if stop else []),
         *([Fact("limit", f"{safety.speed_limit_mps:.2f} m/s")] if safety.state in COMMANDING else []),
         *([Fact("link", link)] if link else []),
     ]

@@ -11,7 +11,7 @@ from typing import Final
 import msgspec
 
 from gateway.remote.operator_arguments import add_robot_arguments, connect
-from gateway.remote.reasons_text import event_line, link_line, reason_line, state_line, text_of
+from gateway.remote.reasons_text import event_line, is_idle, link_line, reason_line, state_line, text_of
 from schemas.exit_codes import ExitCode
 from schemas.reasons import Reason
 from schemas.settings import Settings
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Say what blocks the robot. Exit code 0 if nothing does, 1 if something does.
+    """Say what blocks the robot. Exit code 1 if something does, 0 if it only waits for somebody who drives it.
 
     Raises:
         CommandError: the robot is not heard.
@@ -67,9 +67,11 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         sys.stdout.writelines(f"  {reason_line(reason)}\n" for reason in state.blocked_by)
         if not state.blocked_by:
             sys.stdout.write("  nothing keeps it from moving: it does what its operator's drive commands say\n")
+        elif is_idle(state.blocked_by):
+            sys.stdout.write("  nothing is wrong: it waits for somebody who drives it\n")
         sys.stdout.writelines(f"  slowed by {reason_line(reason)}\n" for reason in slowed_by)
         if events:
             sys.stdout.write("lately:\n")
             now_ns = time.time_ns()
             sys.stdout.writelines(f"  {event_line(event, now_ns)}\n" for event in events)
-    return int(ExitCode.FAILURE if state.blocked_by else ExitCode.OK)
+    return int(ExitCode.OK if is_idle(state.blocked_by) else ExitCode.FAILURE)

@@ -215,14 +215,19 @@ def test_a_stop_that_cannot_be_carried_out_is_no_success(capsys: Capture) -> Non
 
 
 def test_why_says_each_reason_with_its_cure(capsys: Capture) -> None:
-    """And the newest events; exit code 1 while anything blocks, 0 once the robot would move."""
+    """And the newest events; exit code 1 while anything is wrong, 0 for one that idles and one that would move."""
     with FakeRobot() as fake:
+        idle = [Reason.NO_LEASE, Reason.NOT_ENGAGED]
+        wait_until(lambda: bool(fake.said) and fake.said[-1].blocked_by == idle)
+        assert run(why, fake.listen, "cruiser-1") == 0
+        assert "nothing is wrong: it waits for somebody who drives it" in capsys.readouterr().out
         assert run(stop, fake.listen, "cruiser-1") == 0
         capsys.readouterr()
         assert run(why, fake.listen, "cruiser-1") == 1
         text = capsys.readouterr().out
         assert "no_lease: nobody holds the lease -> acquire it" in text
         assert "remote_stop: a remote stop was received -> reset, then engage again" in text
+        assert "nothing is wrong" not in text
         assert "lately:" in text
         assert "latched until a reset" in text
         assert run(reset, fake.listen, "cruiser-1") == 0

@@ -105,6 +105,41 @@ def test_the_view_shows_what_is_latched_and_the_limit_in_force() -> None:
         assert "latched" not in text
 
 
+def of(safety: SafetyState) -> RobotReport:
+    """A report of a robot whose arbiter says this."""
+    return msgspec.structs.replace(FRESH, safety=safety)
+
+
+def test_the_view_shows_who_drives_and_why_it_does_not_move() -> None:
+    """A robot after a remote stop does not look like one that idles, nor does one that its deadman stopped."""
+    driven = of(msgspec.structs.replace(ENGAGED, lease_holder="ann"))
+    idle = msgspec.structs.replace(
+        ENGAGED, state=ArbiterState.STANDBY, lease_holder="", blocked_by=[Reason.NO_LEASE, Reason.NOT_ENGAGED]
+    )
+    stopped = msgspec.structs.replace(
+        idle,
+        latched=[Reason.REMOTE_STOP],
+        blocked_by=[Reason.NO_LEASE, Reason.REMOTE_STOP, Reason.BUS_DOWN, Reason.NOT_ENGAGED],
+        stop_reason=Reason.REMOTE_STOP,
+        stop_detail="by bob",
+    )
+    lapsed = msgspec.structs.replace(idle, stop_reason=Reason.DEADMAN)
+    for text in (view.line(driven), drawn(view.panel(driven))):
+        assert "driver ann" in text
+        assert "blocked" not in text
+    for text in (view.line(of(idle)), drawn(view.panel(of(idle)))):
+        assert "driver nobody" in text
+        assert "blocked by no_lease, not_engaged" in text
+        assert "last stop" not in text
+    for text in (view.line(of(stopped)), drawn(view.panel(of(stopped)))):
+        assert "blocked by no_lease, bus_down, not_engaged" in text
+        assert "last stop remote_stop (by bob)" in text
+    assert "last stop deadman" in view.line(of(lapsed))
+    # Among many, what is wrong alone.
+    assert "blocked" not in drawn(view.table([of(idle)]))
+    assert "bus_down" in drawn(view.table([of(stopped)]))
+
+
 def test_a_stale_view_says_so_and_shows_no_value() -> None:
     """When no state comes any more, every view says so loudly, and no old value stands as a present one."""
     for text in every_view(STALE):
