@@ -84,7 +84,7 @@ class Text(msgspec.Struct, frozen=True):
 
     Attributes:
         means: what it is.
-        cure: what would cure it.
+        cure: what would cure it. What it quotes is a command; ROBOT in it stands for the robot's name.
     """
 
     means: str
@@ -92,8 +92,13 @@ class Text(msgspec.Struct, frozen=True):
 
 
 _BOTH: Final = "; with both pressed, free the robot by hand or with the hand transmitter"
-_AGAIN: Final = "look at safety/state, then engage again"
-_RESET: Final = "clear the cause, then reset, then engage again"
+_ACQUIRE: Final = "acquire it with 'cruiser drive ROBOT', or with 'cruiser lease ROBOT --hold'"
+_ENGAGE: Final = "engage with 'cruiser drive ROBOT' (driving: key g)"
+
+RESET: Final = "reset with 'cruiser reset ROBOT' (driving: key r), then "
+"""With this the cure of a latch begins, or goes on; what stands before it comes first."""
+
+_RESET: Final = f"clear the cause, then {RESET}{_ENGAGE}"
 
 TEXTS: Final[dict[Reason, Text]] = {
     Reason.NONE: Text("nothing is wrong", ""),
@@ -102,17 +107,25 @@ TEXTS: Final[dict[Reason, Text]] = {
         "the request is larger than any request can be", "send the fields that the schema names"
     ),
     Reason.UNKNOWN_VERB: Text(
-        "there is no such verb, or it is not asked for in this way", "see the command table"
+        "there is no such verb, or it is not asked for in this way", "see the command table in docs/commands.md"
     ),
     Reason.BUSY: Text("the same is under way already", "wait for its reply"),
-    Reason.NO_LEASE: Text(
-        "this lease is not in force", "acquire the lease, and use the number that the reply gives"
+    Reason.NO_LEASE: Text("this lease is not in force", f"{_ACQUIRE}, and use the number that it shows"),
+    Reason.LEASE_HELD: Text(
+        "someone else holds the lease", "wait until it is given back, or take it with 'cruiser lease ROBOT --take'"
     ),
-    Reason.LEASE_HELD: Text("someone else holds the lease", "wait until it is released or expires, or take it"),
-    Reason.ROLE_TOO_LOW: Text("the holder's role is higher", "ask the holder, or take it in a higher role"),
-    Reason.LEASE_TAKEN: Text("someone else has taken the lease", "acquire or take it again"),
-    Reason.LEASE_RELEASED: Text("the lease was given back", "acquire the lease again"),
-    Reason.LEASE_EXPIRED: Text("the lease was not renewed in time", "acquire the lease again; renew it or drive"),
+    Reason.ROLE_TOO_LOW: Text(
+        "the holder's role is higher",
+        "ask the holder, or take it in a higher role: 'cruiser lease ROBOT --take --role supervisor'",
+    ),
+    Reason.LEASE_TAKEN: Text(
+        "someone else has taken the lease",
+        "ask who has it now, as 'cruiser lease ROBOT' says, or take it back with 'cruiser lease ROBOT --take'",
+    ),
+    Reason.LEASE_RELEASED: Text("the lease was given back", _ACQUIRE),
+    Reason.LEASE_EXPIRED: Text(
+        "the lease was not renewed in time", f"{_ACQUIRE}, which renew it; a client of its own has to"
+    ),
     Reason.SEQUENCE: Text("the sequence number does not rise", "let seq rise with each drive command of a lease"),
     Reason.CHALLENGE_UNKNOWN: Text(
         "the echoed challenge was not published lately, so the command's age is not known",
@@ -120,19 +133,25 @@ TEXTS: Final[dict[Reason, Text]] = {
     ),
     Reason.TOO_OLD: Text("the command is too old", "echo the newest challenge of safety/state; mend the link"),
     Reason.DEADMAN: Text(
-        "no acceptable drive command came in time", "keep the stream of drive commands, and engage"
+        "no acceptable drive command came in time",
+        f"keep the stream of drive commands without a pause, then {_ENGAGE}",
     ),
-    Reason.NOT_ENGAGED: Text("the robot is not engaged", "engage first"),
-    Reason.ENGAGING: Text("the robot is being engaged", "wait until safety/state says engaged"),
-    Reason.ALREADY_ENGAGED: Text("the robot is engaged already", "drive, or disengage first"),
+    Reason.NOT_ENGAGED: Text("the robot is not engaged", _ENGAGE),
+    Reason.ENGAGING: Text("the robot is being engaged", "wait until 'cruiser watch ROBOT' shows engaged"),
+    Reason.ALREADY_ENGAGED: Text(
+        "the robot is engaged already", "drive it, or leave 'cruiser drive' first (lease.disengage())"
+    ),
     Reason.STOPPING: Text("the stop sequence is under way", "wait until it has ended"),
-    Reason.MOVING: Text("the robot moves", "stop it first"),
-    Reason.PARKED: Text("the parking brake is applied", "unpark first"),
+    Reason.MOVING: Text("the robot moves", "wait until it stands; 'cruiser stop ROBOT' stops it"),
+    Reason.PARKED: Text(
+        "the parking brake is applied",
+        "allow drive commands to release it: 'cruiser unpark ROBOT --lease N', or lease.unpark()",
+    ),
     Reason.GEAR_SHIFTING: Text("the gear is being changed, or the parking brake released", "wait"),
-    Reason.COMMAND_NOT_ZERO: Text("the drive command is not zero", "command zero speed first"),
+    Reason.COMMAND_NOT_ZERO: Text("the drive command is not zero", "let go of the keys, or lease.drive(0.0)"),
     Reason.NOT_CONFIRMED: Text("the chassis did not confirm it in time", "look at the chassis and its feedback"),
-    Reason.DISENGAGED: Text("the holder of the lease disengaged", "engage again"),
-    Reason.BUS_DOWN: Text("the CAN bus is not there", "look at gateway/health for why"),
+    Reason.DISENGAGED: Text("the holder of the lease disengaged", _ENGAGE),
+    Reason.BUS_DOWN: Text("the CAN bus is not there", "see 'cruiser list' for why (gateway/health)"),
     Reason.BUS_OFF: Text(
         "the CAN controller has left the bus after too many errors",
         "look at cables, termination and bit rate; with restart-ms the interface comes back by itself",
@@ -140,9 +159,12 @@ TEXTS: Final[dict[Reason, Text]] = {
     Reason.BUS_ERRORS: Text(
         "the error state of the CAN controller has changed", "look at cables, termination and bit rate"
     ),
-    Reason.FEEDBACK_MISSING: Text("feedback of the chassis is missing", "look at gateway/health for which frames"),
+    Reason.FEEDBACK_MISSING: Text(
+        "feedback of the chassis is missing", "see 'cruiser watch ROBOT' for which frames are silent"
+    ),
     Reason.FEEDBACK_FAULTY: Text(
-        "feedback of the chassis fails its checksum or counter", "look at gateway/health for which frames"
+        "feedback of the chassis fails its checksum or counter",
+        "see 'cruiser list --json' for which frames (gateway/health); look at cables and termination",
     ),
     Reason.FEEDBACK_LATE: Text(
         "frames come faster than the gateway can read them, so what it sees is old",
@@ -153,17 +175,30 @@ TEXTS: Final[dict[Reason, Text]] = {
         "let the robot stand still with its feedback on the bus; where it does, chassis.variant is set wrong",
     ),
     Reason.HAND_TRANSMITTER: Text(
-        "the hand transmitter has the robot", "switch the transmitter's SA to command control, then engage again"
+        "the hand transmitter has the robot", f"switch the transmitter's SA to command control, then {_ENGAGE}"
     ),
-    Reason.MODE_NOT_AUTO: Text("the chassis does not read auto", _AGAIN),
-    Reason.FRONT_BUMPER: Text("the front bumper was hit", f"reset, then drive backward until it is clear{_BOTH}"),
-    Reason.REAR_BUMPER: Text("the rear bumper was hit", f"reset, then drive forward until it is clear{_BOTH}"),
+    Reason.MODE_NOT_AUTO: Text(
+        "the chassis does not read auto", f"look at the robot's button and at the hand transmitter, then {_ENGAGE}"
+    ),
+    Reason.FRONT_BUMPER: Text(
+        "the front bumper was hit", f"{RESET}drive backward ('cruiser drive ROBOT') until it is clear{_BOTH}"
+    ),
+    Reason.REAR_BUMPER: Text(
+        "the rear bumper was hit", f"{RESET}drive forward ('cruiser drive ROBOT') until it is clear{_BOTH}"
+    ),
     Reason.IMPLAUSIBLE_SPEED: Text("the speeds do not fit each other or the command", _RESET),
-    Reason.FOUND_MOVING: Text("the chassis was found moving, or not held, and nobody commanded it", _AGAIN),
-    Reason.OTHER_COMMANDER: Text("another computer commands the chassis on the bus", "end the other one first"),
-    Reason.REMOTE_STOP: Text("a remote stop was received", "reset, then engage again"),
-    Reason.LOOP_LATE: Text("the gateway's loop was late", _AGAIN),
-    Reason.SEND_FAILED: Text("the bus does not take our frames", _AGAIN),
+    Reason.FOUND_MOVING: Text(
+        "the chassis was found moving, or not held, and nobody commanded it",
+        f"look for what moved it, and at its parking brake, then {_ENGAGE}",
+    ),
+    Reason.OTHER_COMMANDER: Text(
+        "another computer commands the chassis on the bus", f"end the other one, then {_ENGAGE}"
+    ),
+    Reason.REMOTE_STOP: Text("a remote stop was received", f"{RESET}{_ENGAGE}"),
+    Reason.LOOP_LATE: Text("the gateway's loop was late", f"look at the processor's load, then {_ENGAGE}"),
+    Reason.SEND_FAILED: Text(
+        "the bus does not take our frames", f"look at cables, termination and the bus's load, then {_ENGAGE}"
+    ),
     Reason.GATE: Text("the last gate before the bus refused a frame: a fault of the gateway's own", _RESET),
     Reason.GUARD: Text("the guard has stopped the robot in place of the gateway", _RESET),
     Reason.UNGUARDED: Text(
@@ -183,7 +218,7 @@ TEXTS: Final[dict[Reason, Text]] = {
     ),
     Reason.ROLLING: Text(
         "the robot moves although it is told to stand, or against what it is told: the parking brake is applied",
-        "look for a slope that is too steep, a weak motor, or somebody who pushes; then reset, then engage again",
+        f"look for a slope that is too steep, a weak motor, or somebody who pushes; then {RESET}{_ENGAGE}",
     ),
     Reason.OVERSPEED: Text("the robot is faster than the limit in force", _RESET),
     Reason.STEERING: Text("the steering does not follow what it is told", _RESET),
@@ -196,6 +231,6 @@ TEXTS: Final[dict[Reason, Text]] = {
 
 OF_A_ROBOT: Final[dict[Reason, Text]] = {
     **TEXTS,
-    Reason.NO_LEASE: Text("nobody holds the lease", "acquire it"),
+    Reason.NO_LEASE: Text("nobody holds the lease", _ACQUIRE),
 }
 """The same where a reason is said of a robot, not of a request."""

@@ -9,14 +9,15 @@ from schemas.printable import plain
 from schemas.reasons import OF_A_ROBOT, Reason, Text
 
 
-def text_of(reason: Reason) -> Text:
-    """A reason for which a robot stands still."""
-    return OF_A_ROBOT[reason]
+def text_of(reason: Reason, robot: str) -> Text:
+    """A reason for which this robot stands still."""
+    text = OF_A_ROBOT[reason]
+    return Text(text.means, text.cure.replace("ROBOT", robot))
 
 
-def reason_line(reason: Reason) -> str:
+def reason_line(reason: Reason, robot: str) -> str:
     """A reason with what would cure it."""
-    text = text_of(reason)
+    text = text_of(reason, robot)
     cure = f" -> {text.cure}" if text.cure else ""
     return f"{reason.value}: {text.means}{cure}"
 

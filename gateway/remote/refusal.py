@@ -53,4 +53,4 @@ class Unreachable(CommandError):  # noqa: N818 - an outcome's name, as programs 
 
 def refused(robot: str, verb: str, reply: Reply) -> Refused:
     """A refusing reply as an exception."""
-    return Refused(f"{robot} refuses {verb}", reply.reason, reply.detail, reply.cure)
+    return Refused(f"{robot} refuses {verb}", reply.reason, reply.detail, reply.cure.replace("ROBOT", robot))

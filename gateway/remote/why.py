@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Final
 
 import msgspec
@@ -55,23 +55,30 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if travel_mps is not None and travel_mps < min(state.speed_limit_mps, abs(state.target_speed_mps)):
         slowed_by.insert(0, Reason.LINK_TOO_SLOW)
     if arguments.json:
-        blocked_by = [{"reason": reason, **msgspec.structs.asdict(text_of(reason))} for reason in state.blocked_by]
-        record = {"robot": arguments.robot, "age_s": sighting.age_s, "state": state, "blocked_by": blocked_by}
-        record["slowed_by"] = [
-            {"reason": reason, **msgspec.structs.asdict(text_of(reason))} for reason in slowed_by
-        ]
-        sys.stdout.write(f"{msgspec.json.encode({**record, 'events': events}).decode()}\n")
+        record = {
+            "robot": robot.name,
+            "age_s": sighting.age_s,
+            "state": state,
+            "blocked_by": _in_words(state.blocked_by, robot.name),
+            "slowed_by": _in_words(slowed_by, robot.name),
+            "events": events,
+        }
+        sys.stdout.write(f"{msgspec.json.encode(record).decode()}\n")
     else:
-        sys.stdout.write(f"{arguments.robot}: {state_line(state)}\n")
+        sys.stdout.write(f"{robot.name}: {state_line(state)}\n")
         sys.stdout.write(f"  link: {link_line(state) or 'no commands are obeyed, so their age is not known'}\n")
-        sys.stdout.writelines(f"  {reason_line(reason)}\n" for reason in state.blocked_by)
+        sys.stdout.writelines(f"  {reason_line(reason, robot.name)}\n" for reason in state.blocked_by)
         if not state.blocked_by:
             sys.stdout.write("  nothing keeps it from moving: it does what its operator's drive commands say\n")
         elif is_idle(state.blocked_by):
             sys.stdout.write("  nothing is wrong: it waits for somebody who drives it\n")
-        sys.stdout.writelines(f"  slowed by {reason_line(reason)}\n" for reason in slowed_by)
+        sys.stdout.writelines(f"  slowed by {reason_line(reason, robot.name)}\n" for reason in slowed_by)
         if events:
             sys.stdout.write("lately:\n")
             now_ns = time.time_ns()
             sys.stdout.writelines(f"  {event_line(event, now_ns)}\n" for event in events)
     return int(ExitCode.OK if is_idle(state.blocked_by) else ExitCode.FAILURE)
+
+
+def _in_words(reasons: Iterable[Reason], robot: str) -> list[dict[str, object]]:
+    return [{"reason": reason, **msgspec.structs.asdict(text_of(reason, robot))} for reason in reasons]

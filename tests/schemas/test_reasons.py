@@ -1,7 +1,14 @@
+import argparse
+import re
+from importlib import import_module
+
 import pytest
 
-from schemas.reasons import TEXTS, Reason
+from gateway.cli.main import COMMANDS
+from gateway.remote.robot import Lease
+from schemas.reasons import OF_A_ROBOT, TEXTS, Reason
 from schemas.subjects import BY_NAME
+from schemas.subjects import COMMANDS as COMMANDS_TABLE
 
 
 def test_every_reason_is_in_words() -> None:
@@ -30,6 +37,32 @@ def test_a_text_goes_on_with_figures(reason: Reason) -> None:
 def test_no_two_reasons_mean_the_same() -> None:
     """Who reads it knows which one it is."""
     assert len({text.means for text in TEXTS.values()}) == len(TEXTS)
+
+
+CURES = {text.cure for text in (*TEXTS.values(), *OF_A_ROBOT.values())}
+VERBS = {command.verb for command in COMMANDS_TABLE} - {"stop", "drive", "light", "horn"}
+"""What a person cannot do without a command or a program; those that are left out are words of their own."""
+
+
+@pytest.mark.parametrize("cure", sorted(CURES))
+def test_what_a_cure_quotes_is_a_command_line(cure: str) -> None:
+    """The command exists, and takes these arguments."""
+    assert "cruiser " not in re.sub(r"'cruiser [^']*'", "", cure)
+    for line in re.findall(r"'cruiser ([^']*)'", cure):
+        name, *words = line.replace("ROBOT", "cruiser-1").replace(" N", " 7").split()
+        parser = argparse.ArgumentParser(exit_on_error=False)
+        import_module(COMMANDS[name][0]).add_arguments(parser)
+        if words:
+            parser.parse_args(words)
+
+
+@pytest.mark.parametrize("cure", sorted(CURES))
+def test_a_cure_names_no_verb_without_saying_how(cure: str) -> None:
+    """Acquire it, alone, helps nobody: beside a verb stands a command, or a call of the library."""
+    calls = re.findall(r"lease\.(\w+)\(", cure)
+    assert all(hasattr(Lease, call) for call in calls)
+    if VERBS & set(re.findall(r"\w+", cure)):
+        assert calls or "'cruiser " in cure
 
 
 def test_where_a_cure_sends_someone_there_is_something() -> None:

@@ -9,7 +9,7 @@ from recorder.review.reasoning.chain import Link, Step
 from recorder.review.reasoning.request_evidence import last_command
 from recorder.review.reasoning.scene import Scene
 from schemas.decisions import ArbiterState, Bound, SafetyState
-from schemas.reasons import OF_A_ROBOT, Reason
+from schemas.reasons import OF_A_ROBOT, RESET, Reason
 
 PLAIN: Final = frozenset({Reason.STOPPING, Reason.NOT_ENGAGED, Reason.ENGAGING, Reason.NO_LEASE})
 """What blocks a robot that nobody has engaged: there is nothing to show but that nobody has."""
@@ -19,9 +19,6 @@ _PASSING: Final = frozenset({Reason.STOPPING, Reason.ENGAGING, Reason.GEAR_SHIFT
 
 _FORBIDS: Final = {Reason.FRONT_BUMPER: (1, "forward"), Reason.REAR_BUMPER: (-1, "backward")}
 """The sign of the speeds that a pressed bumper forbids to an engaged robot, and their direction in words."""
-
-_RESET: Final = "reset, then "
-"""With what the cure of a latch begins; what stands before it is done by then, too."""
 
 
 def is_told(state: SafetyState) -> bool:
@@ -68,6 +65,6 @@ def cures(reason: Reason, *, is_reset: bool) -> Iterator[Link]:
     """What would cure it: of what is latched no more, what is left to do after the reset."""
     cure = OF_A_ROBOT[reason].cure
     if is_reset:
-        cure = cure.rpartition(_RESET)[2]
+        cure = cure.rpartition(RESET)[2]
     if cure and reason not in _PASSING:
         yield Link(Step.CURE, f"to cure {reason.value}: {cure}", None, {"reason": reason.value})

@@ -225,8 +225,8 @@ def test_why_says_each_reason_with_its_cure(capsys: Capture) -> None:
         capsys.readouterr()
         assert run(why, fake.listen, "cruiser-1") == 1
         text = capsys.readouterr().out
-        assert "no_lease: nobody holds the lease -> acquire it" in text
-        assert "remote_stop: a remote stop was received -> reset, then engage again" in text
+        assert "no_lease: nobody holds the lease -> acquire it with 'cruiser drive cruiser-1'" in text
+        assert "remote_stop: a remote stop was received -> reset with 'cruiser reset cruiser-1'" in text
         assert "nothing is wrong" not in text
         assert "lately:" in text
         assert "latched until a reset" in text

@@ -187,7 +187,8 @@ def test_what_is_refused_says_why_and_what_would_cure_it() -> None:
     with FakeRobot() as fake, connected(fake) as robot, robot.lease() as lease:
         with pytest.raises(Refused) as caught:
             lease.park()
-        assert (caught.value.reason, caught.value.cure) == (Reason.NOT_ENGAGED, "engage first")
+        assert caught.value.reason is Reason.NOT_ENGAGED
+        assert "'cruiser drive cruiser-1'" in caught.value.cure
         assert caught.value.code is ExitCode.REFUSED
         assert "park" in str(caught.value)
         assert caught.value.detail in str(caught.value)

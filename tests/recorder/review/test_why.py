@@ -163,7 +163,7 @@ def test_another_latch_than_that_of_the_stop_has_evidence_of_its_own(path: Path)
     assert "s before that moment: a remote stop was received" in explanation.headline
     assert "it could not be engaged: a remote stop was received" in texts(explanation, Step.CAUSE)
     assert "the request was stop, of desk" in texts(explanation, Step.EVIDENCE)
-    assert "to cure remote_stop: reset, then engage again" in texts(explanation, Step.CURE)
+    assert "to cure remote_stop: reset with 'cruiser reset ROBOT'" in texts(explanation, Step.CURE)
 
 
 def _another(dead_ns: int) -> RecordedRig:
@@ -352,7 +352,9 @@ def test_a_parked_robot_stands_because_it_is_parked(path: Path) -> None:
     assert explanation.headline == "It was engaged and stood: the parking brake is applied."
     assert "no speed is told until unpark" in texts(explanation, Step.ARBITER)
     assert "asked for 0.50 m/s, 0.0 deg; the chassis was told 0.00 m/s" in texts(explanation, Step.COMMAND)
-    assert "to cure parked: unpark first" in texts(explanation, Step.CURE)
+    assert "to cure parked: allow drive commands to release it: 'cruiser unpark ROBOT" in texts(
+        explanation, Step.CURE
+    )
 
 
 def test_a_robot_that_rolls_is_not_said_to_stand(path: Path) -> None:
@@ -380,7 +382,7 @@ def test_a_robot_that_nobody_has_engaged_stands_for_that(path: Path) -> None:
     rig.run(1)
     explanation = ask(path, rig.log(), rig.at_ns)
     assert "nobody holds the lease" in explanation.headline
-    assert "to cure not_engaged: engage first" in texts(explanation, Step.CURE)
+    assert "to cure not_engaged: engage with 'cruiser drive ROBOT'" in texts(explanation, Step.CURE)
     assert explanation.reason is Reason.NONE
 
 
