@@ -9,6 +9,8 @@ import time
 from collections.abc import Callable
 from typing import Final
 
+import msgspec
+
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
 from gateway.chassis.variant import VariantDetector
@@ -58,6 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--force", action="store_true", help="send although the robot stands, or although another computer sends"
     )
+    parser.add_argument("--json", action="store_true", help="one JSON object at the end: ok, outcome, frames_sent")
     parser.add_argument(
         "--wait",
         type=seconds,
@@ -75,15 +78,24 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         raise CommandError(str(error), ExitCode.UNREACHABLE) from error
     try:
         halt = Halt(bus, settings, stopped, round(arguments.wait * 1e9))
-        return int(halt.run(force=arguments.force))
+        code = halt.run(force=arguments.force)
     except BusLost as error:
         raise CommandError(f"the bus is lost: {error}", ExitCode.UNREACHABLE) from error
     finally:
         bus.close()
+    if arguments.json:
+        record = {"ok": code is ExitCode.OK, "outcome": halt.outcome, "frames_sent": halt.frames}
+        sys.stdout.write(f"{msgspec.json.encode(record).decode()}\n")
+    return int(code)
 
 
 class Halt:
-    """One halt: listen, judge, send."""
+    """One halt: listen, judge, send.
+
+    Attributes:
+        outcome: how it ended, in words.
+        frames: how many were sent.
+    """
 
     def __init__(
         self, bus: Bus, settings: Settings, stopped: Callable[[], bool], wait_ns: int = HALT_YIELD_NS
@@ -93,6 +105,8 @@ class Halt:
         self._settings = settings
         self._stopped = stopped
         self._wait_ns = wait_ns
+        self.outcome = ""
+        self.frames = 0
         self._sight = Sight()
         self._detector = VariantDetector(CONFIGURED_VARIANT[settings.chassis.variant])
         self._wheels: bytes | None = None
@@ -107,14 +121,13 @@ class Halt:
         if self._is_commanded() and not force:
             _say("another sender commands the chassis, perhaps the guard: waiting until it has done")
             if not self._wait_while(self._is_commanded):
-                _say("it sends on, so nothing is sent from here; --force sends all the same")
-                return ExitCode.REFUSED
+                outcome = "it sends on, so nothing is sent from here; --force sends all the same"
+                return self._end(outcome, ExitCode.REFUSED)
             self._listen(HALT_LISTEN_NS)
         if self._is_remote():
             _say(f"{REMOTE}: waiting until it gives it back")
             if not self._wait_while(self._is_remote):
-                _say(f"{REMOTE}, so nothing is sent")
-                return ExitCode.REFUSED
+                return self._end(f"{REMOTE}, so nothing is sent", ExitCode.REFUSED)
         now_ns = time.monotonic_ns()
         mode, stands = self._sight.mode(now_ns), self._sight.stands(self._variant, now_ns)
         if not self._sight.hears(now_ns):
@@ -122,9 +135,15 @@ class Halt:
         else:
             _say(f"mode {mode.value}, {STANDS if stands else UNSEEN}")
         if mode is Mode.STOP and stands and not force:
-            _say("there is nothing to stop, so nothing is sent; --force sends all the same")
-            return ExitCode.OK
+            return self._end(
+                "there is nothing to stop, so nothing is sent; --force sends all the same", ExitCode.OK
+            )
         return self._send()
+
+    def _end(self, outcome: str, code: ExitCode, say: Callable[[str], None] | None = None) -> ExitCode:
+        (say or _say)(outcome)
+        self.outcome = outcome
+        return code
 
     @property
     def _variant(self) -> Variant:
@@ -198,11 +217,10 @@ class Halt:
                 count = self._send_all(stopper, now_ns, frames)
                 failures = failures + 1 if count < len(frames) else 0
             if failures >= SEND_FAILURES:
-                say("the bus takes no frames")
-                return ExitCode.UNREACHABLE
+                return self._end("the bus takes no frames", ExitCode.UNREACHABLE, say)
             self._receive_until(now_ns + GUARD_POLL_NS)
-        say(f"{stopper.outcome}; {stopper.frames} frames sent")
-        return _EXIT_CODES.get(stopper.outcome, ExitCode.FAILURE)
+        code = _EXIT_CODES.get(stopper.outcome, ExitCode.FAILURE)
+        return self._end(f"{stopper.outcome}; {stopper.frames} frames sent", code, say)
 
     def _send_all(self, stopper: Stopper, now_ns: int, frames: list[Frame]) -> int:
         count = 0
@@ -213,6 +231,7 @@ class Halt:
         except BusFull as error:
             log.debug("the bus does not take a frame: %s", error)
         stopper.sent(count, now_ns)
+        self.frames = stopper.frames
         return count
 
 

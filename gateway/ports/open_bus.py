@@ -42,8 +42,9 @@ def open_bus(settings: CanSettings, identifiers: Collection[int] = ()) -> Bus:
     try:
         bus = can.Bus(**arguments, ignore_config=True)
     except (can.CanInterfaceNotImplementedError, ImportError, TypeError, NotImplementedError) as error:
+        cure = "; pip install 'cruiser-gateway[serial]'" if "serial module" in str(error) else ""
         raise CommandError(
-            f"can.interface {settings.interface!r} cannot be used: {error}", ExitCode.USAGE
+            f"can.interface {settings.interface!r} cannot be used: {error}{cure}", ExitCode.USAGE
         ) from error
     except Exception as error:
         # Each vendor's driver raises errors of its own.

@@ -9,7 +9,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final
 
+import msgspec
+
 from gateway.remote.operator_arguments import add_robot_arguments, connect, lease_number
+from gateway.remote.reply import BY_REQUEST
 from gateway.remote.robot import Lease, Robot
 from schemas.arguments import ending_after, seconds
 from schemas.decisions import ArbiterState
@@ -57,6 +60,7 @@ def add_action_arguments(parser: argparse.ArgumentParser, *, lasts: bool, defaul
     parser.description = f"{parser.description or ''}\n\n{BUT_FOR_A_LEASE}"
     add_robot_arguments(parser)
     parser.add_argument("--lease", type=lease_number, metavar="N", help="use this lease of the same operator")
+    parser.add_argument("--json", action="store_true", help="one JSON object, once it is done")
     if lasts:
         until = "until Ctrl-C" if default_s is None else f"{default_s:g}"
         parser.add_argument(
@@ -83,13 +87,21 @@ def run_action(
     """
     with connect(arguments, settings, stopped) as robot:
         if arguments.lease is not None:
-            robot.ask(request(arguments.lease))
+            _ask(robot, arguments, request(arguments.lease))
             return int(ExitCode.OK)
         with robot.lease() as lease, engaged(lease, robot):
-            robot.ask(request(lease.number))
+            _ask(robot, arguments, request(lease.number))
             if lasts:
                 _keep(lease, ending_after(stopped, arguments.seconds, time.monotonic))
     return int(ExitCode.OK)
+
+
+def _ask(robot: Robot, arguments: argparse.Namespace, request: Request) -> None:
+    reply = robot.ask(request)
+    if arguments.json:
+        record = {"robot": robot.name, "verb": BY_REQUEST[type(request)].verb, **msgspec.structs.asdict(reply)}
+        sys.stdout.write(f"{msgspec.json.encode(record).decode()}\n")
+        sys.stdout.flush()
 
 
 def _keep(lease: Lease, stopped: Callable[[], bool]) -> None:

@@ -6,6 +6,8 @@ import argparse
 import sys
 from collections.abc import Callable
 
+import msgspec
+
 from gateway.remote.operator_arguments import add_robot_arguments, connect, lease_number
 from schemas.exit_codes import ExitCode
 from schemas.requests import Reset
@@ -25,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_robot_arguments(parser)
     parser.add_argument("--lease", type=lease_number, metavar="N", help="use this lease of the same operator")
+    parser.add_argument("--json", action="store_true", help="one JSON object")
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
@@ -39,5 +42,9 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         else:
             with robot.lease() as lease:
                 cleared = lease.reset()
+    if arguments.json:
+        record = {"robot": arguments.robot, "cleared": cleared.split(", ") if cleared else []}
+        sys.stdout.write(f"{msgspec.json.encode(record).decode()}\n")
+        return int(ExitCode.OK)
     sys.stdout.write(f"{arguments.robot}: {f'cleared {cleared}' if cleared else 'nothing was latched'}\n")
     return int(ExitCode.OK)

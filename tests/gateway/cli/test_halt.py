@@ -1,5 +1,6 @@
 """``cruiser halt``: looks first, and stops what has to be stopped."""
 
+import json
 import signal
 import subprocess
 import time
@@ -58,8 +59,12 @@ def test_a_robot_that_was_left_rolling_is_stopped(words: tuple[str, ...]) -> Non
     with chassis() as (_, address), listening(address) as listener:
         leave_rolling(address, listener)
         heard = len(listener.bursts)
-        done = halt(address, *words)
+        done = halt(address, "--json", *words)
         assert done.returncode == 0, done.stderr
+        says = json.loads(done.stdout)
+        assert says["ok"] is True
+        assert says["outcome"] == f"the robot stands; {says['frames_sent']} frames sent"
+        assert says["frames_sent"] > 100
         assert "mode auto, the robot is not seen to stand" in done.stderr
         assert "the robot stands; " in done.stderr
         note = StopNote.of(Settings()).read()
@@ -77,7 +82,7 @@ def test_a_robot_at_rest_is_sent_nothing_unless_forced() -> None:
         assert done.returncode == 0, done.stderr
         assert "mode stop, the robot stands" in done.stderr
         assert "nothing is sent" in done.stderr
-        assert listener.bursts == []
+        assert (listener.bursts, done.stdout) == ([], "")
         assert StopNote.of(Settings()).read() == ""
         done = halt(address, "--force")
         assert done.returncode == 0, done.stderr
@@ -92,8 +97,10 @@ def test_the_hand_transmitter_is_never_sent_against() -> None:
     with chassis(*faults) as (_, address), listening(address) as listener:
         wait_until(lambda: listener.mode() is Mode.REMOTE)
         for words in ((), ("--force",)):
-            done = halt(address, "--wait", "0.1", *words)
+            done = halt(address, "--wait", "0.1", "--json", *words)
             assert done.returncode == 5, done.stderr
+            outcome = "the hand transmitter has the robot, so nothing is sent"
+            assert json.loads(done.stdout) == {"ok": False, "outcome": outcome, "frames_sent": 0}
             assert "hand transmitter" in done.stderr
         assert listener.bursts == []
 

@@ -1,13 +1,16 @@
 """The CAN bus through python-can."""
 
 import fcntl
+import re
 import socket
 import struct
 import termios
 import threading
 import time
+import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 
 import can
 import pytest
@@ -124,6 +127,17 @@ def test_frames_go_from_bus_to_bus() -> None:
     finally:
         one.close()
         other.close()
+
+
+def test_a_serial_adapter_without_pyserial_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The extra that it names is one of ours, and brings what python-can asks for."""
+    monkeypatch.setattr("can.interfaces.slcan.serial", None)
+    with pytest.raises(CommandError, match=re.escape("pip install 'cruiser-gateway[serial]'")) as error:
+        open_bus(CanSettings(interface="slcan", channel="/dev/ttyACM0"))
+    assert error.value.code is ExitCode.USAGE
+    project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text("utf-8"))["project"]
+    (requirement,) = project["optional-dependencies"]["serial"]
+    assert requirement.startswith("python-can[serial]")
 
 
 def test_an_unknown_interface_is_a_wrong_setting() -> None:

@@ -136,14 +136,16 @@ def test_an_action_engages_does_it_and_rests(verb: str, capsys: Capture) -> None
 
 
 @pytest.mark.parametrize("verb", ACTIONS)
-def test_an_action_uses_the_lease_of_another_terminal(verb: str) -> None:
+def test_an_action_uses_the_lease_of_another_terminal(verb: str, capsys: Capture) -> None:
     """With --lease it asks once, and leaves robot and lease to who holds it; nobody else's number will do."""
     module, words = ACTIONS[verb]
     with FakeRobot() as fake:
         settings = Settings(zenoh=ZenohSettings(connect=[fake.listen]))
         with Robot.connect("cruiser-1", "first", settings, 20) as robot, robot.lease() as held:
             held.engage()
-            assert run(module, fake.listen, "cruiser-1", *words, "--lease", str(held.number)) == 0
+            assert run(module, fake.listen, "cruiser-1", *words, "--lease", str(held.number), "--json") == 0
+            done = json.loads(capsys.readouterr().out)
+            assert (done["robot"], done["verb"], done["ok"]) == ("cruiser-1", verb, True)
             assert len(fake.accepted(verb)) == 1
             held.check()
             assert held.is_engaged
@@ -164,10 +166,14 @@ def test_stop_and_reset(capsys: Capture) -> None:
         assert run(reset, fake.listen, "cruiser-1") == 0
         assert not fake.flow.arbiter.latched
         assert run(reset, fake.listen, "cruiser-1") == 0
+        fake.flow.arbiter.latch(Reason.GUARD, "", time.monotonic_ns() - RESET_MIN_NS)
+        assert run(reset, fake.listen, "cruiser-1", "--json") == 0
+        assert run(reset, fake.listen, "cruiser-1", "--json") == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "cruiser-1: stops, latched until a reset"
     assert json.loads(lines[1])["stopped"] == ["cruiser-1"]
-    assert lines[2:] == ["cruiser-1: cleared remote_stop", "cruiser-1: nothing was latched"]
+    assert lines[2:4] == ["cruiser-1: cleared remote_stop", "cruiser-1: nothing was latched"]
+    assert [json.loads(line)["cleared"] for line in lines[4:]] == [["guard"], []]
 
 
 def test_reset_leaves_a_lease_of_another_alone() -> None:
