@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 
+from gateway.remote.refusal import Unreachable
 from gateway.remote.robot import CONNECT_TIMEOUT_S, Lease, Robot
+from gateway.remote.roll import who_is_there
 from schemas.arguments import add_zenoh_arguments, operator_name, robot_name, seconds
 from schemas.requests import LEASE_MAX, Role
 from schemas.settings import Settings
@@ -59,12 +61,17 @@ def wanted_lease(robot: Robot, arguments: argparse.Namespace) -> Lease:
 
 
 def connect(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> Robot:
-    """Connect as the arguments say.
+    """Connect as the arguments say. Who names a robot that is not there learns which are.
 
     Raises:
         CommandError: see ``Robot.connect``.
     """
-    return Robot.connect(arguments.robot, arguments.operator or "", settings, arguments.timeout, stopped)
+    try:
+        return Robot.connect(arguments.robot, arguments.operator or "", settings, arguments.timeout, stopped)
+    except Unreachable as error:
+        if stopped():
+            raise
+        raise Unreachable(f"{error}{who_is_there(settings, arguments.robot)}") from error
 
 
 def lease_number(text: str) -> int:

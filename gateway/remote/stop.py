@@ -13,6 +13,7 @@ from gateway.ports.zenoh_operator import CommandPort
 from gateway.remote import remote_stop
 from gateway.remote.operator_arguments import add_operator_arguments
 from gateway.remote.remote_stop import StopReport
+from gateway.remote.roll import who_is_there
 from schemas import keys
 from schemas.arguments import robot_name
 from schemas.exit_codes import CommandError, ExitCode
@@ -59,11 +60,12 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     for name in report.silent:
         sent = "it was sent all the same" if report.linked else "it could NOT BE SENT: there is no link"
         sys.stderr.write(f"{name}: NO ANSWER; {sent}. Use the button on the robot\n")
-    return int(_code(report, f"{arguments.timeout:g} s at {place(settings.zenoh)}"))
+    return int(_code(report, robot, settings, f"{arguments.timeout:g} s at {place(settings.zenoh)}"))
 
 
-def _code(report: StopReport, where: str) -> ExitCode:
+def _code(report: StopReport, robot: str, settings: Settings, where: str) -> ExitCode:
     if not report.stopped and not report.refused:
         who = "nobody answered" if report.linked else "no Zenoh node answered"
-        raise CommandError(f"{who} within {where}", ExitCode.UNREACHABLE)
+        others = who_is_there(settings, robot) if robot != keys.ALL else ""
+        raise CommandError(f"{who} within {where}{others}", ExitCode.UNREACHABLE)
     return ExitCode.PARTIAL if report.silent or report.refused else ExitCode.OK

@@ -16,6 +16,7 @@ from rich.live import Live
 from gateway.ports.zenoh_client import RobotListener, place
 from gateway.remote import view
 from gateway.remote.fleet import Fleet, RobotReport
+from gateway.remote.roll import who_is_there
 from schemas.arguments import add_zenoh_arguments, seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.keys import ROBOT_PATTERN
@@ -65,9 +66,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         watching = _Watching(listener, fleet, robot)
         problem = watching.wait(min(end_s, time.monotonic() + arguments.timeout), stopped)
         if problem and not stopped():
-            raise CommandError(
-                f"{problem} within {arguments.timeout:g} s at {place(settings.zenoh)}", ExitCode.UNREACHABLE
-            )
+            text = f"{problem} within {arguments.timeout:g} s at {place(settings.zenoh)}"
+            raise CommandError(f"{text}{who_is_there(settings, robot)}", ExitCode.UNREACHABLE)
         console = Console()
         if arguments.json:
             watching.show(lambda reports: _write(map(_json_line, reports)), LINE_S, end_s, stopped)

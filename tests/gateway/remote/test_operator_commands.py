@@ -7,7 +7,7 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
-from gateway.remote import drive, horn, lease, light, odometer, park, reset, stop, unpark, why
+from gateway.remote import drive, horn, lease, light, odometer, park, reset, stop, unpark, watch, why
 from gateway.remote.robot import Robot
 from schemas.decisions import ArbiterState
 from schemas.exit_codes import CommandError, ExitCode
@@ -33,7 +33,9 @@ def run(module: object, endpoint: str, *words: str, until: Callable[[], bool] = 
     parser = argparse.ArgumentParser()
     module.add_arguments(parser)  # type: ignore[attr-defined]  # each is a command's module
     settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
-    arguments = parser.parse_args([*words, "--operator", "first", "--timeout", "10"])
+    if module is not watch:
+        words = (*words, "--operator", "first")
+    arguments = parser.parse_args(["--timeout", "10", *words])
     code = module.run(arguments, settings, StopWhen(until))  # type: ignore[attr-defined]
     assert isinstance(code, int)
     return code
@@ -201,6 +203,23 @@ def test_stop_that_nobody_answers_is_an_error(capsys: Capture) -> None:
         with pytest.raises(CommandError) as wrong:
             run(stop, free_endpoint(), *words)
         assert wrong.value.code is ExitCode.USAGE
+
+
+@pytest.mark.parametrize("module", [why, stop, watch])
+def test_who_names_a_robot_that_is_not_there_learns_which_are(module: object) -> None:
+    """A robot's name is easily mistyped; the true ones are told beside what went wrong."""
+    with FakeRobot("cruiser-1") as fake, FakeRobot("cruiser-2", connect=fake.listen):
+        with pytest.raises(CommandError, match=r"; connected: cruiser-1, cruiser-2$") as caught:
+            run(module, fake.listen, "cruiser-9", "--timeout", "1")
+        assert caught.value.code is ExitCode.UNREACHABLE
+
+
+def test_a_robot_that_is_connected_but_silent_is_not_said_to_be_absent() -> None:
+    """Its token is there: naming others would send the person the wrong way."""
+    with FakeRobot("cruiser-1", mute=True) as fake:
+        with pytest.raises(CommandError, match="was not heard") as caught:
+            run(why, fake.listen, "cruiser-1", "--timeout", "1")
+        assert "connected" not in str(caught.value)
 
 
 def test_a_stop_that_cannot_be_carried_out_is_no_success(capsys: Capture) -> None:
