@@ -210,6 +210,10 @@ REPEATED_NS: Final = 1_000_000_000
 COMMANDER_NS: Final = 100_000_000
 """Another computer commands the chassis if a command frame of it was heard this lately."""
 
+COMMANDER_QUIET_NS: Final = 1_000_000_000
+"""After a pause of this length another computer's commands are news again. Below WARM_UP_NS of a run that is run
+again: a part of it has to give the same events."""
+
 ODOMETER_TIMEOUT_NS: Final = 2_000_000_000
 """The mileage reads zero within this time of the first clearing frame, or it failed."""
 

@@ -19,6 +19,7 @@ from gateway.guard.sight import Sight
 from gateway.guard.stopper import Stopper
 from gateway.loop import Surroundings
 from gateway.loop import run as run_loop
+from gateway.ports.bus_claim import BusClaim
 from gateway.ports.can_bus import Bus, BusLost
 from gateway.ports.guard_process import GuardLink, start_guard
 from gateway.ports.log_queue import logging_aside
@@ -102,6 +103,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         mode = "listen-only" if inbox is None else "commands through the arbiter"
         sys.stderr.write(f"gateway: {settings.robot.name} {where}, bus {describe(settings.can)}, {mode}\n")
         sys.stderr.flush()
+        if inbox is not None and closing.enter_context(BusClaim(settings.can)).is_shared:
+            log.warning("%s", _shared(settings))
         note = NoteClearer(_recall_guard_stop(core, settings))
         closing.callback(note.close)
         if inbox is not None and guard.why_not:
@@ -154,6 +157,13 @@ def _without_realtime(settings: Settings) -> str:
     limit_mps = settings.command.speed_limit_without_realtime_mps
     limit = f"{limit_mps:g} m/s (command.speed_limit_without_realtime_mps)"
     return f"{text.means}: {limit}; {text.cure}"
+
+
+def _shared(settings: Settings) -> str:
+    return (
+        f"another gateway on this machine commands {describe(settings.can)} too: a chassis takes commands from "
+        "one alone, and the arbiters stop it where two meet; end one, or give it --listen-only"
+    )
 
 
 def _unguarded(settings: Settings, why: str) -> str:

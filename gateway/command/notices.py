@@ -1,4 +1,7 @@
-"""What a person should know although it stops nothing: a late loop, a CAN controller in trouble, a guard's end."""
+"""What a person should know although it stops nothing.
+
+A late loop, a CAN controller in trouble, another computer's commands, a guard's end.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from gateway.command.observed import Observed
 from schemas.decisions import EventKind, Severity
 from schemas.messages import ControllerState
 from schemas.reasons import TEXTS, Reason
-from schemas.settings import LATE_NS, LATE_TOLD_NS
+from schemas.settings import COMMANDER_QUIET_NS, LATE_NS, LATE_TOLD_NS
 
 
 class Notice(NamedTuple):
@@ -36,6 +39,7 @@ class Notices:
         self._controller = ControllerState.UNKNOWN
         self._guard_says = ""
         self._is_realtime = False
+        self._commander_ns: int | None = None
 
     def look(self, observed: Observed, now_ns: int, late_ns: int) -> Iterator[Notice]:
         """What is new at this tick, which began so late."""
@@ -49,6 +53,11 @@ class Notices:
                 Reason.BUS_OFF if self._controller is ControllerState.BUS_OFF else Reason.BUS_ERRORS,
                 f"the CAN controller: {before.value} before, {self._controller.value} now",
             )
+        heard_ns, last_ns = observed.commander_ns, self._commander_ns
+        if heard_ns is not None:
+            self._commander_ns = heard_ns
+            if last_ns is None or heard_ns - last_ns > COMMANDER_QUIET_NS:
+                yield Notice(Severity.WARNING, Reason.OTHER_COMMANDER, TEXTS[Reason.OTHER_COMMANDER].means)
         was_realtime, self._is_realtime = self._is_realtime, observed.realtime
         if was_realtime and not observed.realtime:
             yield Notice(Severity.WARNING, Reason.NO_REALTIME, TEXTS[Reason.NO_REALTIME].means)

@@ -189,6 +189,24 @@ def test_two_robots_on_one_bench() -> None:
             listener.close()
 
 
+def test_a_second_gateway_of_one_chassis_is_warned() -> None:
+    """At its start, of another on the same machine; and as an event, once that one's commands are on the bus."""
+    first, second, third = free_endpoint(), free_endpoint(), free_endpoint()
+    shared = "another gateway on this machine commands socketcand"
+    with chassis("--variant", "fine") as (_, address), gateway(address, first, "--robot", "r-1") as one:
+        with gateway(address, third, "--robot", "r-3", "--listen-only") as listening_only:
+            listening_only.stop()
+            assert not [line for line in listening_only.said if shared in line]
+        with gateway(address, second, "--robot", "r-2") as other:
+            other.wait_says(shared)
+            # It waits for a chassis that can be engaged.
+            drive = ["drive", "r-1", "--speed", "0.2", "--seconds", "2", "--connect", first]
+            wait_until(lambda: run(drive).returncode == 0)
+            other.wait_says("another computer commands the chassis on the bus")
+            other.stop()
+        assert not [line for line in one.said if "another" in line]
+
+
 def test_faults_are_counted_by_kind_and_never_published_as_data() -> None:
     """Checksum faults and strangers on the bus appear in health, the silent frame in the state."""
     endpoint = free_endpoint()

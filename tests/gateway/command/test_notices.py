@@ -5,7 +5,7 @@ from gateway.command.observed import Observed
 from schemas.decisions import EventKind, Severity
 from schemas.messages import ControllerState
 from schemas.reasons import Reason
-from schemas.settings import LATE_TOLD_NS
+from schemas.settings import COMMANDER_QUIET_NS, LATE_TOLD_NS
 
 MS = 1_000_000
 
@@ -36,6 +36,21 @@ def test_each_change_of_the_controller_is_told() -> None:
         (Severity.ERROR, Reason.BUS_OFF, f"{begin}passive before, bus_off now"),
         (Severity.INFO, Reason.BUS_ERRORS, f"{begin}bus_off before, active now"),
     ]
+
+
+def test_another_computers_commands_are_told_once_until_they_have_ceased_for_a_second() -> None:
+    """Also to a robot that stands by: two computers on one bus are found before they meet."""
+    notices = Notices()
+    told = [
+        (at_ns, notice)
+        for at_ns, heard_ns in [
+            (0, None), (10, 5), (20, 15), (30, None), (40, 35), (50, 35), (50, 35 + COMMANDER_QUIET_NS),
+            (60, 36 + 2 * COMMANDER_QUIET_NS),
+        ]
+        for notice in notices.look(Observed(commander_ns=heard_ns), at_ns, 0)
+    ]  # fmt: skip
+    text = "another computer commands the chassis on the bus"
+    assert told == [(at_ns, Notice(Severity.WARNING, Reason.OTHER_COMMANDER, text)) for at_ns in (10, 60)]
 
 
 def test_the_end_of_the_guards_stop_is_told_with_its_words() -> None:
