@@ -10,33 +10,36 @@ import msgspec
 
 from recorder.review.reasoning.chain import Link, Step, before, evidence, missing, span
 from recorder.review.reasoning.scene import Heard, Scene, is_other_run
-from schemas.decisions import ArbiterState, Decision, SafetyState
-from schemas.messages import Drive, RobotState
+from schemas.decisions import ArbiterState, SafetyState
+from schemas.messages import Drive
 from schemas.settings import STANDSTILL_MPS
 
 _FRESH_NS: Final = 500_000_000
 """Feedback that is older is no longer what the robot did."""
 
-_SIGNS: Final = (SafetyState, RobotState, Decision, Drive)
-"""What a gateway says so often that the last of it tells when it fell silent."""
-
 
 class Silence(msgspec.Struct, frozen=True):
     """A gateway that fell silent, and another one.
 
+    It is dated by the last state of its arbiter, as in ``events`` and ``report``. That state names its run; what
+    else comes between the two may be the other gateway's, which decodes frames before its arbiter says anything.
+
     Attributes:
         was: the last state of the one.
-        heard_ns: when anything of it was heard last.
         then: the first state of the other.
         speed_mps: the robot's, when the one was last heard; None if the log does not tell.
         found: the first drive feedback that the other told; None if the log holds none.
     """
 
     was: Heard[SafetyState]
-    heard_ns: int
     then: Heard[SafetyState]
     speed_mps: float | None
     found: Heard[Drive] | None
+
+    @property
+    def heard_ns(self) -> int:
+        """When the one was heard last."""
+        return self.was.time_ns
 
     @property
     def was_active(self) -> bool:
@@ -75,12 +78,10 @@ def _silences(now: Scene) -> list[Silence]:
 
 
 def _silence(now: Scene, was: Heard[SafetyState], then: Heard[SafetyState]) -> Silence:
-    signs = (one.time_ns for kind in _SIGNS for one in now.all(kind) if was.time_ns <= one.time_ns < then.time_ns)
-    heard_ns = max(signs, default=was.time_ns)
-    drive = now.last(Drive, heard_ns)
+    drive = now.last(Drive, was.time_ns)
     is_known = drive is not None and drive.time_ns > was.time_ns - _FRESH_NS
     speed_mps = drive.said.speed_mps if drive is not None and is_known else None
-    return Silence(was, heard_ns, then, speed_mps, next(now.after(Drive, then.time_ns), None))
+    return Silence(was, then, speed_mps, next(now.after(Drive, then.time_ns), None))
 
 
 def in_a_sentence(silence: Silence, at_ns: int) -> str:

@@ -213,6 +213,55 @@ def test_a_gateway_that_died_is_told_and_no_stop_of_before(tmp_path: Path) -> No
     assert after.silent_ns == between.silent_ns
 
 
+def _killed_again_and_again(tmp_path: Path) -> tuple[list[LogFile], list[int]]:
+    """Three gateways, of which two are killed 6 s apart while the robot drives.
+
+    Each says what the chassis does for 400 ms before its arbiter says anything, as a gateway does that starts.
+
+    Returns:
+        the logs, and when each of the two was last heard.
+    """
+    deaths: list[int] = []
+    for run in (1, 2, 3):
+        rig = RecordedRig(run=run)
+        began_ns = rig.at_ns
+        if deaths:
+            later_ns = deaths[-1] + 300 * MS - rig.at_ns
+            rig.wall_ns += later_ns
+            rig.recorder_ns += later_ns
+            began_ns = rig.at_ns
+        rig.run(1.5)
+        operator = Operator(rig, "operator-1")
+        operator.engage()
+        operator.drive(0.6, 0.0, 4.0)
+        deaths.append(rig.at_ns)
+        rig.keeping.kept = [
+            (at_ns, sample)
+            for at_ns, sample in rig.keeping.kept
+            if sample.subject != "safety/state" or at_ns > began_ns + 400 * MS
+        ]
+        (tmp_path / f"{run}.mcap").write_bytes(rig.log())
+    return find_logs([tmp_path], Faults()), deaths[:2]
+
+
+def test_a_death_is_dated_as_in_events_whatever_the_next_gateway_says_first(tmp_path: Path) -> None:
+    """What it says before its arbiter does is no sign of life of the dead one; the newest death is the answer."""
+    logs, deaths = _killed_again_and_again(tmp_path)
+    faults = Faults()
+    found = survey(logs, faults)
+    entries = list(read_events(logs, Question(kinds=frozenset({EntryKind.GATEWAY})), faults))
+    assert len(entries) == len(deaths)
+    for dead_ns in deaths:
+        for after_ns in (100 * MS, 600 * MS, SECOND):
+            explanation = explain(ROBOT, logs, found, dead_ns + after_ns, faults)
+            heard_ns = explanation.silent_ns or 0
+            assert dead_ns - 60 * MS <= heard_ns <= dead_ns, (after_ns, explanation.headline)
+
+            assert "at 0.60 m/s; another began" in explanation.headline
+    last = explain(ROBOT, logs, found, None, faults)
+    assert abs((last.silent_ns or 0) - deaths[-1]) <= 60 * MS
+
+
 def test_a_stop_that_was_followed_by_an_engagement_is_no_answer(path: Path) -> None:
     """Where the log has no state to tell what was then, the stop of before is not taken for it."""
     rig, _ = RecordedRig.driving()
