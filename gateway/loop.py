@@ -165,11 +165,12 @@ def run(around: Surroundings, core: Core, info: Callable[[], bytes], stopped: Ca
     end_ns: int | None = None
     while True:
         now_ns = monotonic_ns()
-        if end_ns is None and stopped():
-            end_ns = now_ns + REST_TIMEOUT_NS
-            core.shut_down(now_ns)
         if end_ns is not None and (core.is_at_rest or now_ns > end_ns):
             break
+        if end_ns is None and stopped():
+            # At rest or not, one more tick tells that the gateway ends.
+            end_ns = now_ns + REST_TIMEOUT_NS
+            core.shut_down(now_ns)
         while now_ns < due_ns:
             reader.read_burst((due_ns - now_ns) / 1e9)
             now_ns = monotonic_ns()

@@ -9,6 +9,7 @@ The end of the telemetry flow::
 - ``session``          what goes into that log
 - ``fast_path``, ``can_columns``  the fast path of nearly all samples into a chunk
 - ``incidents``        the last seconds of a log in memory, and what is kept of them when something happens
+- ``gateways``         which gateways have died, of those whose liveliness token is gone
 - ``sample``, ``effects``, ``notices``  what goes into it, what comes out, and what became of that
 - ``inbox``, ``gaps``, ``completeness``  samples that wait, what was lost, and the account of it
 - ``orders``, ``health``  what operators ask of a recorder, and what it says of itself

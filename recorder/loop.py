@@ -84,6 +84,10 @@ class Source(Protocol):
         """The samples that have come in, so many at most."""
         ...
 
+    def tokens_gone(self) -> Iterable[str]:
+        """The keys of the gateways' liveliness tokens that are gone since the last call."""
+        ...
+
     def ask(self, key: str, parameters: str = "") -> None:
         """Query a key; the replies come with the samples."""
         ...
@@ -198,6 +202,8 @@ class Recorder:
             return busy
         self._ticked_ns = now_ns
         self._take_notices(now_ns, wall_ns)
+        for key in self._source.tokens_gone():
+            self._recording.lose_token(key, now_ns)
         self._carry_out(self._recording.tick(now_ns, wall_ns, self._writer.sizes))
         if self._control is not None:
             self._obey(self._control, now_ns, wall_ns)

@@ -89,6 +89,7 @@ class Word(msgspec.Struct, frozen=True):
     text: str
     file: str = ""
     operator: str = ""
+    robot: str = ""
 
 
 STARTED: Final = Word(RecorderEventKind.STARTED, Severity.INFO, "recording was started")

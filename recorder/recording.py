@@ -9,12 +9,14 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Final
 
 import msgspec
 
 from recorder.completeness import KeyReport, total
-from recorder.effects import Doing, Say
+from recorder.effects import Alarm, Doing, Say
+from recorder.gateways import Gateways, Gone
 from recorder.incidents import IncidentPlan
 from recorder.notices import FULL, ROOM, STARTED, STOPPED, Ended, Lost, Notice, Opened, Room, Word, in_words
 from recorder.robot_log import INCIDENT_MARK, Outlet, RobotLog, trim_rings
@@ -23,14 +25,17 @@ from recorder.session import Plan
 from recorder.tally import SEQUENCE_SPAN, Tally
 from schemas import keys
 from schemas.codec import PAYLOAD_ERRORS
+from schemas.decisions import SafetyEvent, SafetyState, Severity
+from schemas.printable import short
 from schemas.recorder_settings import OWNED_KEY_LIMIT, ROBOT_LIMIT
 from schemas.recording import (
     GapReason,
     RecorderEvent,
+    RecorderEventKind,
     RecorderState,
     RecordGap,
 )
-from schemas.subjects import BY_TYPE
+from schemas.subjects import BY_TYPE, LIVELINESS_CHUNK
 
 TELL_GAPS_NS: Final = 1_000_000_000
 """Gaps are told once a second."""
@@ -79,6 +84,7 @@ class Recording:
         self._logs: dict[str, RobotLog] = {}
         self._by_key: dict[str, RobotLog] = {}
         self._outlet = Outlet()
+        self._gateways = Gateways()
         self._gaps_told_ns = 0
         self._turn = 0
         self._sequence = 0
@@ -186,6 +192,17 @@ class Recording:
         log.carry_on(effects, now_ns)
         return self._take_doings()
 
+    def lose_token(self, key: str, now_ns: int) -> None:
+        """The liveliness token of a gateway is gone. If it has died, ``tick`` makes an incident of that."""
+        robot = key.removesuffix(f"/{LIVELINESS_CHUNK}")
+        state_key, event_key = (f"{robot}/{BY_TYPE[kind].name}" for kind in (SafetyState, SafetyEvent))
+        log = self._by_key.get(state_key)
+        route = None if log is None else log.session.channels.get(state_key)
+        if log is not None and route is not None:
+            self._gateways.lose_token(
+                state_key, route.latest, partial(log.session.ended_ticks.get, event_key), now_ns
+            )
+
     def drop(self, key: str, reason: GapReason, now_ns: int, wall_ns: int) -> None:
         """A sample of this key was dropped unread."""
         if key not in self._own_topics:
@@ -203,6 +220,8 @@ class Recording:
             log.carry_on(log.session.tick(now_ns, sizes.get(log.name, 0)), now_ns)
             if log.incidents.is_over(now_ns):
                 log.end_incident(now_ns)
+        for gone in self._gateways.due(now_ns, wall_ns):
+            self._tell_gone(gone, now_ns, wall_ns)
         for word in self._outlet.take_words():
             self._tell(word, now_ns, wall_ns)
         trim_rings(self._logs.values(), now_ns, self._plan.ring_bytes)
@@ -368,13 +387,23 @@ class Recording:
         for name, gap in self._outlet.gaps.tell(wall_ns):
             self._say(gap, self._logs[name], now_ns)
 
+    def _tell_gone(self, gone: Gone, now_ns: int, wall_ns: int) -> None:
+        wall_ns -= now_ns - gone.lost_ns
+        log = self._find_log(gone.key)
+        route = log.session.channels.get(gone.key)
+        severity = Severity.ERROR if gone.was_commanding else Severity.WARNING
+        word = Word(RecorderEventKind.GATEWAY, severity, gone.text, robot="" if route is None else route.robot)
+        self._tell(word, now_ns, wall_ns, log)
+        if gone.was_commanding:
+            log.carry_on([Alarm(short(gone.text), wall_ns)], now_ns)
+
     def _tell(self, word: Word, now_ns: int, wall_ns: int, log: RobotLog | None = None) -> None:
         event = RecorderEvent(
             time_ns=wall_ns,
             sequence=self._sequence,
             severity=word.severity,
             kind=word.kind,
-            robot=log.name if log is not None else "",
+            robot=word.robot or (log.name if log is not None else ""),
             file=word.file,
             operator=word.operator,
             text=word.text,

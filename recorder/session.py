@@ -106,6 +106,8 @@ class Session:
         """Why the file is to be ended as soon as may be."""
         self._ended_by = ""
         self.account = Account()
+        self.ended_ticks: dict[str, int] = {}
+        """When gateways were told to end, by the key of their events."""
         self._unsaid = Unsaid()
         self._at_risk_since_ns: int | None = None
         # Half for what comes together, half for the ticks, the write and the sync.
@@ -307,6 +309,8 @@ class Session:
             self._count_bus(sample.key, message)
         elif isinstance(message, SafetyEvent):
             self._add_line(sample.key, message, log_ns, effects)
+            if message.kind is EventKind.GATEWAY:
+                self.ended_ticks[sample.key] = message.tick
             # What was asked for later is long past.
             is_alarm = message.kind in self._plan.alarms and message.severity is not Severity.INFO
             if is_alarm and not sample.is_reply:

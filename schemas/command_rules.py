@@ -31,6 +31,8 @@ CHANGES: Final[dict[int, str]] = {
     "malformed; "
     "commands up to 1 s old are accepted, and the speed is bounded by their age and the deadman; "
     "without real-time priority or a guard the speed limit is lower; "
+    "a stop that nobody asked for is told as a warning while the robot moves; "
+    "a gateway that is told to end says so; "
     "safety/state comes at 50 Hz while the robot is engaged",
     3: "commands of another computer are an event also while the robot stands by",
 }

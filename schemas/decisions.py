@@ -116,8 +116,17 @@ class Severity(Enum):
     ERROR = "error"
 
 
+RUN_TICKS: Final = 10**9
+"""A run's ticks begin at a random number of 40 bits: a step of this much, a hundred days, is another run."""
+
+
+def is_same_run(tick: int, other: int) -> bool:
+    """Two ticks of a robot's arbiter are of one run of its gateway."""
+    return abs(tick - other) < RUN_TICKS
+
+
 class EventKind(Enum):
-    """What happened."""
+    """What happened. ``gateway``: it ends, as it was told to; one that says no such thing has died."""
 
     LEASE = "lease"
     ENGAGED = "engaged"
@@ -128,6 +137,7 @@ class EventKind(Enum):
     TAKEOVER = "takeover"
     FAULT = "fault"
     GUARD = "guard"
+    GATEWAY = "gateway"
 
 
 class SafetyState(Message, frozen=True):

@@ -115,6 +115,10 @@ def liveliness(root: str, robot: str = "*") -> str:
     return f"{root}/{robot}/{LIVELINESS_CHUNK}"
 
 
+ANY_TOKEN: Final = f"**/{LIVELINESS_CHUNK}"
+"""The liveliness token of every gateway, whatever its root is."""
+
+
 def robot_of_liveliness(root: str, key: str) -> str | None:
     """The robot of a liveliness key under this root, or None if it is no such key."""
     match = re.fullmatch(rf"{re.escape(root)}/({ROBOT_PATTERN})/{LIVELINESS_CHUNK}", key)

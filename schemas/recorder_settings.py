@@ -31,7 +31,9 @@ INCIDENT_SHARE: Final = 0.5
 INCIDENT_FLOOR_SHARE: Final = 0.5
 """Incidents may leave so much of ``floor_bytes`` free: the reserve below the floor is for them."""
 
-EventKindName = Literal["lease", "engaged", "stop", "stopped", "latch", "reset", "takeover", "fault", "guard"]
+EventKindName = Literal[
+    "lease", "engaged", "stop", "stopped", "latch", "reset", "takeover", "fault", "guard", "gateway"
+]
 
 
 INCIDENT_EVENTS: Final[tuple[EventKindName, ...]] = ("stop", "stopped", "latch", "takeover", "fault", "guard")

@@ -37,7 +37,7 @@ class GapReason(Enum):
 
 
 class RecorderEventKind(Enum):
-    """What happened to a recording."""
+    """What happened to a recording. ``gateway``: that of a robot is gone, and has not said that it ends."""
 
     STARTED = "started"
     STOPPED = "stopped"
@@ -47,6 +47,7 @@ class RecorderEventKind(Enum):
     DELETED = "deleted"
     RECOVERED = "recovered"
     GAP = "gap"
+    GATEWAY = "gateway"
 
 
 class RecorderHealth(Message, frozen=True):
@@ -101,7 +102,7 @@ class RecorderEvent(Message, frozen=True):
     """What a person should know of a recording.
 
     Attributes:
-        robot: whose log it is about; empty if it is about all.
+        robot: which one, or whose log, it is about; empty if it is about all.
         file: the log that it is about, without its directory; empty if there is none.
         operator: who asked for it; empty if nobody did.
         text: what happened, in a sentence.

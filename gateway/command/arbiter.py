@@ -15,7 +15,7 @@ import msgspec
 from gateway.command import verbs
 from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.auxiliary import Auxiliary
-from gateway.command.causes import STOPS, Stop, Watch
+from gateway.command.causes import AS_ASKED, STOPS, Stop, Watch
 from gateway.command.freshness import ChallengeLog
 from gateway.command.handover import Handover, may_be_stopped
 from gateway.command.lease import LeaseDesk
@@ -203,7 +203,8 @@ class Arbiter:
         self.stop_reason, self.stop_detail = reason, detail
         self._go(Trigger.STOP)
         self._fail_waiting(reason, detail)
-        severity = Severity.WARNING if stop.at_once else Severity.INFO
+        is_calm = self.watch.stands or reason in AS_ASKED
+        severity = Severity.INFO if is_calm and not stop.at_once else Severity.WARNING
         self.tell(severity, EventKind.STOP, reason, f"stopping: {_in_words(reason, detail)}", operator)
 
     def latch(self, reason: Reason, detail: str, now_ns: int, operator: str = "") -> None:
@@ -229,6 +230,7 @@ class Arbiter:
     def shut_down(self, now_ns: int) -> None:
         """The gateway is to end: bring the robot to rest first, and engage it no more."""
         self.is_closing = True
+        self.tell(Severity.INFO, EventKind.GATEWAY, Reason.SHUTDOWN, "the gateway ends, as it was told to")
         if self.state in COMMANDING:
             self.begin_stop(Reason.SHUTDOWN, now_ns)
 

@@ -71,6 +71,9 @@ STOPS: Final[dict[Reason, Stop]] = {
 }
 """Every cause to stop, the gravest first."""
 
+AS_ASKED: Final = frozenset({Reason.DISENGAGED, Reason.LEASE_RELEASED, Reason.SHUTDOWN})
+"""Stops that the driver, or who runs the gateway, asked for: nothing is wrong, at whatever speed."""
+
 SPEED_FRAMES: Final = frozenset({"Auto_DriveFeedBack", "Auto_WheelSpdFeedback"})
 
 BUMPERS: Final = (Reason.FRONT_BUMPER, Reason.REAR_BUMPER)

@@ -15,15 +15,13 @@ import zenoh
 from recorder.ports.zenoh_session import open_session
 from recorder.review.replay_run import Halt
 from recorder.review.replay_samples import Sample, overlap, root_of_token
+from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import ZenohSettings
-from schemas.subjects import LIVELINESS_CHUNK, Subject
+from schemas.subjects import Subject
 from schemas.zenoh_link import ANY_LOCAL_PORT
 
 log = logging.getLogger(__name__)
-
-ANY_TOKEN: Final = f"**/{LIVELINESS_CHUNK}"
-"""The liveliness token of every gateway, whatever its root is."""
 
 TOKENS_WAITING: Final = 10_000
 
@@ -71,7 +69,7 @@ class ZenohOutlet:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._gateways: set[str] = set()
         self._tokens: Any = self._session.liveliness().declare_subscriber(
-            ANY_TOKEN, zenoh.handlers.RingChannel(TOKENS_WAITING), history=True
+            keys.ANY_TOKEN, zenoh.handlers.RingChannel(TOKENS_WAITING), history=True
         )
 
     @property
@@ -105,7 +103,7 @@ class ZenohOutlet:
 
     def find_gateway(self) -> Halt | None:
         """Ask for gateways. The refusal if there is one under the root."""
-        for reply in self._session.liveliness().get(ANY_TOKEN, timeout=TOKEN_TIMEOUT_S):
+        for reply in self._session.liveliness().get(keys.ANY_TOKEN, timeout=TOKEN_TIMEOUT_S):
             if reply.ok is not None:
                 self._gateways.add(str(reply.ok.key_expr))
         return self._refusal()

@@ -5,12 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import zenoh
 
 from recorder.ports.zenoh_session import open_session
+from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.recorder_settings import OWNED_KEY_LIMIT
@@ -29,6 +30,8 @@ DRAIN_BYTES: Final = 16_000_000
 
 PENDING_MAX: Final = 64
 """Queries on their way at once; beyond it the oldest is given up."""
+
+TOKENS_WAITING: Final = 10_000
 
 REPLIES_WAITING: Final = 4 * KEPT_PIECE
 """Replies to one query that may wait, of a piece and of others of the same name."""
@@ -99,6 +102,9 @@ class ZenohSource:
             self._session.declare_subscriber(expression, zenoh.handlers.RingChannel(queue_samples))
             for expression in self._expressions
         ]
+        self._tokens: Any = self._session.liveliness().declare_subscriber(
+            keys.ANY_TOKEN, zenoh.handlers.RingChannel(TOKENS_WAITING), history=True
+        )
         self.is_behind = False
         """Whether more had come in than the last ``drain`` gave."""
         self._overlap = any(
@@ -142,6 +148,12 @@ class ZenohSource:
         if self._pending:
             taken += self._replies()
         return taken
+
+    def tokens_gone(self) -> Iterator[str]:
+        """The keys of the gateways' liveliness tokens that are gone since the last call."""
+        while (token := self._tokens.try_recv()) is not None:
+            if token.kind == zenoh.SampleKind.DELETE:
+                yield str(token.key_expr)
 
     def ask(self, key: str, parameters: str = "") -> None:
         """Query a key. The replies come with the samples."""

@@ -13,8 +13,9 @@ from typing import Any, Final
 import msgspec
 
 from recorder.review.faults import Faults
-from recorder.review.log_file import LogFile
+from recorder.review.log_file import LogFile, logs_of
 from recorder.review.rows import END_OF_TIME_NS, Progress, Row, Selection, read_rows
+from recorder.review.timeline.ending import SILENT_NS, Ending, ending
 from recorder.review.timeline.entries import OF_EVENT, Entry, EntryKind, Source
 from recorder.review.timeline.health_changes import risen
 from recorder.review.timeline.repeats import IDS_KEPT, Repeats
@@ -23,10 +24,10 @@ from recorder.review.timeline.spells import Spells
 from recorder.review.timeline.state_changes import Change, changes, entry_of
 from recorder.review.topics import UNREADABLE, Topic
 from schemas import keys
-from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState, Severity, Verdict
+from schemas.decisions import Decision, EventKind, SafetyEvent, SafetyState, Severity, Verdict
 from schemas.messages import GatewayHealth
 from schemas.reasons import TEXTS, Reason
-from schemas.recording import RecorderEvent, RecordGap
+from schemas.recording import RecorderEvent, RecorderEventKind, RecordGap
 
 HELD_MAX: Final = 20_000
 """Entries that are held back. What comes later than so many newer ones is told out of order, and says so."""
@@ -36,9 +37,6 @@ LATER_NS: Final = 15 * 60 * 1_000_000_000
 
 BEFORE_NS: Final = 5 * 1_000_000_000
 """And the states before it are read for so long, so that a change at its beginning is seen as one."""
-
-SILENT_NS: Final = 1_000_000_000
-"""The arbiter's state comes 20 times a second; without it for so long, what happened meanwhile is not known."""
 
 _UNTOLD: Final = frozenset(
     {"drive", "renew", "acquire", "take", "release", "engage", "disengage", "stop", "reset"}
@@ -97,6 +95,8 @@ def read_events(
     for row in read_rows(logs, selection, faults, progress):
         timeline.take(row)
         yield from filter(question.takes, timeline.tell())
+    for _ in timeline.endings(logs, selection.to_ns):
+        pass
     yield from filter(question.takes, timeline.end())
 
 
@@ -151,6 +151,19 @@ class Timeline:
         while len(self._held) > HELD_MAX:
             yield from self._next()
 
+    def endings(self, logs: Sequence[LogFile], to_ns: int) -> Iterator[Ending]:
+        """No more rows come: how the logs of each robot end; ``end`` tells so, too.
+
+        Args:
+            logs: that were read.
+            to_ns: the first log time that was not.
+        """
+        for robot in self._robots.values():
+            found = ending(robot, [(log.start_ns, log.end_ns) for log in logs_of(robot.name, logs)], to_ns)
+            if found is not None:
+                self._hold(found.entry)
+                yield found
+
     def end(self) -> Iterator[Entry]:
         """No more rows come: the rest of the entries."""
         for entry in self._spells.take():
@@ -180,6 +193,8 @@ class Timeline:
     def _take_event(self, robot: RobotTrack, row: Row, event: SafetyEvent) -> None:
         kind = OF_EVENT[event.kind]
         robot.ticks.add(kind, event.tick)
+        if event.kind is EventKind.GATEWAY:
+            robot.ended_tick = event.tick
         if not self._has_states:
             robot.clock.hear(event.tick, row.publish_ns, row.log_ns)
         time_ns = robot.place(row, event.tick)
@@ -236,7 +251,7 @@ class Timeline:
         if said:
             self._hold(_plain(robot.name, EntryKind.CLOCK, Severity.WARNING, time_ns, said, Source.LOG))
         if was is not None and is_other_run:
-            self._take_other_run(robot, was, time_ns)
+            self._take_other_run(robot, time_ns)
         elif was is not None:
             if state.tick <= was.tick:
                 return
@@ -244,15 +259,14 @@ class Timeline:
             if _says(state) != _says(was):
                 for change in changes(was, state):
                     self._hold(entry_of(change, robot.name, time_ns, state.lease_holder), change)
-        robot.hear_state(state, row.sequence, time_ns)
+        robot.hear_state(state, row.sequence, time_ns, row.log_ns)
 
-    def _take_other_run(self, robot: RobotTrack, was: SafetyState, time_ns: int) -> None:
+    def _take_other_run(self, robot: RobotTrack, time_ns: int) -> None:
         """The first state of a gateway that began anew."""
-        active = was.state is not ArbiterState.STANDBY
-        severity = Severity.ERROR if active else Severity.WARNING
-        left = f"{was.state.value}, and told {was.output_speed_mps:.2f} m/s" if active else was.state.value
+        left, active = robot.left, robot.is_active
+        severity = Severity.INFO if robot.is_ended else Severity.ERROR if active else Severity.WARNING
         silent_ns = time_ns - robot.state_ns
-        if silent_ns > SILENT_NS:
+        if silent_ns > SILENT_NS and not robot.is_ended:
             text = f"nothing of the arbiter for {silent_ns / 1e9:.1f} s: the gateway fell silent, {left}"
             silence = _plain(robot.name, EntryKind.GAP, severity, robot.state_ns, text, Source.LOG)
             self._hold(msgspec.structs.replace(silence, last_ns=time_ns))
@@ -295,7 +309,8 @@ class Timeline:
                 self._spells.add((robot.name, one.what), entry, row.log_ns)
 
     def _take_recorder_event(self, _robot: RobotTrack, row: Row, event: RecorderEvent) -> None:
-        by = _plain(event.robot, EntryKind.RECORDER, event.severity, row.publish_ns, event.text, Source.RECORDER)
+        kind = EntryKind.GATEWAY if event.kind is RecorderEventKind.GATEWAY else EntryKind.RECORDER
+        by = _plain(event.robot, kind, event.severity, row.publish_ns, event.text, Source.RECORDER)
         self._hold(msgspec.structs.replace(by, operator=event.operator))
 
     def _take_gap(self, _robot: RobotTrack, _row: Row, gap: RecordGap) -> None:

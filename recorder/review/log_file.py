@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -30,3 +31,11 @@ class LogFile(msgspec.Struct, frozen=True):
     def is_incident(self) -> bool:
         """It repeats what happened around an incident, and most of it is in a log too."""
         return self.path.name.removesuffix(PART_SUFFIX).removesuffix(SUFFIX).endswith(INCIDENT_SUFFIX)
+
+
+def logs_of(robot: str, logs: Sequence[LogFile]) -> list[LogFile]:
+    """Those that hold a robot, which may be called by its root too; all that hold anything where none says so."""
+    filled = [log for log in logs if log.end_ns]
+    its = [log for log in filled if any(robot in {name, f"{root}/{name}"} for root, name in log.robots)]
+    # A file that is not whole may not tell whose it is.
+    return [log for log in filled if log in its or not log.robots] or filled

@@ -15,7 +15,7 @@ import msgspec
 
 from recorder.review.configurations import attached
 from recorder.review.faults import Faults
-from recorder.review.log_file import LogFile
+from recorder.review.log_file import LogFile, logs_of
 from recorder.review.reasoning import ending as endings
 from recorder.review.reasoning import silence as silences
 from recorder.review.reasoning import story as stories
@@ -28,12 +28,12 @@ from recorder.review.reasoning.scene import BEFORE_NS, Heard, Scene, Stage, is_o
 from recorder.review.reasoning.silence import Silence, last_silence, next_silence
 from recorder.review.reasoning.stopping import actions
 from recorder.review.reasoning.story import Story
-from recorder.review.rows import Progress
+from recorder.review.rows import END_OF_TIME_NS, Progress
 from recorder.review.survey import Survey
-from recorder.review.timeline.clock import NEAR_NS, RUN_TICKS
+from recorder.review.timeline.clock import NEAR_NS
 from recorder.review.timeline.entries import Entry
 from recorder.review.times import in_words
-from schemas.decisions import COMMANDING, ArbiterState, SafetyState
+from schemas.decisions import COMMANDING, ArbiterState, SafetyState, is_same_run
 from schemas.messages import TimeNs
 from schemas.reasons import Reason
 from schemas.settings import SAFETY_STATE_PERIOD_NS
@@ -59,8 +59,8 @@ class Explanation(msgspec.Struct, frozen=True):
         state: the arbiter's at that moment; None if the log does not tell.
         reason: that of the stop that is told of; ``none`` if none is.
         stop_ns: when that stop began; None if none is told of.
-        silent_ns: when the gateway fell silent, if another one began after it; None if it did not, or long before
-            or after the moment.
+        silent_ns: when the gateway fell silent, if another one began after it or a recorder saw it die; None if it
+            did not, or long before or after the moment.
         headline: the answer in one sentence.
         chain: the links that lead to it.
     """
@@ -109,7 +109,8 @@ def explain(
         ended = endings.ending(robot, logs, 0 if stop is None else stop.time_ns - NEAR_NS, faults, progress)
         last = ended.last
         at_ns = max(
-            (one.time_ns for one in (stop, ended.died) if one is not None), default=_period(robot, logs)[1]
+            (one.time_ns for one in (stop, ended.died, story.death(END_OF_TIME_NS)) if one is not None),
+            default=_period(robot, logs)[1],
         )
     now = _scene(stage, story, at_ns)
     state = _state(now)
@@ -119,16 +120,14 @@ def explain(
         now = _scene(stage, story, at_ns)
         state = _state(now)
         focus = _focus(story, state, now)
-    beyond = _beyond(robot, logs, at_ns) if state is None else None
-    return beyond or _Answer(stage, story, now, state, focus).explanation(last)
+    answer = _Answer(stage, story, now, state, focus)
+    beyond = _beyond(robot, logs, at_ns) if state is None and answer.death is None else None
+    return beyond or answer.explanation(last)
 
 
 def _period(robot: str, logs: Sequence[LogFile]) -> tuple[int, int]:
     """The first and the last log time of the files that hold a robot, of all where none says so; 0 if none is."""
-    filled = [log for log in logs if log.end_ns]
-    its = [log for log in filled if any(robot in {name, f"{root}/{name}"} for root, name in log.robots)]
-    # A file that is not whole may not tell whose it is.
-    of = [log for log in filled if log in its or not log.robots] or filled
+    of = logs_of(robot, logs)
     return min((log.start_ns for log in of), default=0), max((log.end_ns for log in of), default=0)
 
 
@@ -184,7 +183,7 @@ def _focus(story: Story, state: SafetyState | None, now: Scene) -> Entry | None:
     if is_commanding or stop is None:
         return None
     if state is not None:
-        return stop if stop.tick is None or abs(state.tick - stop.tick) < RUN_TICKS else None
+        return stop if stop.tick is None or is_same_run(state.tick, stop.tick) else None
     if now.at_ns - stop.time_ns > BEFORE_NS:
         return None  # What was since is not known.
     silence = last_silence(now)
@@ -213,23 +212,25 @@ class _Answer:
     def explanation(self, last: Heard[SafetyState] | None) -> Explanation:
         """The answer; with the last state of the logs, if no moment was asked about."""
         now, state, focus = self._now, self._state, self._focus
-        silence = self._silence()
+        silence, death = self._silence(), self.death
         links = [*motion(now), *arbiter(now, state), *self._command()]
         if silence is not None:
             links += silences.links(silence)
+        elif death is not None:
+            links.append(Link(Step.CAUSE, death.text, death.time_ns))
         if focus is not None:
             links += self._stop(focus)
         links += self._blocked({Reason.NONE if focus is None else focus.reason})
         links += _lacks(now)
-        links += self._untold(silence, last)
+        links += self._untold(is_told=silence is not None or death is not None, last=last)
         return Explanation(
             robot=now.robot,
             at_ns=now.at_ns,
             state=None if state is None else state.state,
             reason=Reason.NONE if focus is None else focus.reason,
             stop_ns=None if focus is None else focus.time_ns,
-            silent_ns=None if silence is None else silence.heard_ns,
-            headline=self._headline(silence),
+            silent_ns=silence.heard_ns if silence is not None else None if death is None else death.time_ns,
+            headline=self._headline(silence, death),
             chain=_once(links),
         )
 
@@ -239,26 +240,41 @@ class _Answer:
             return next_silence(self._now, SOON_NS)
         return None if self._state is not None and self._focus is not None else last_silence(self._now)
 
-    def _headline(self, silence: Silence | None) -> str:
+    @property
+    def death(self) -> Entry | None:
+        """That of the gateway of the moment, seen by a recorder; or soon after it, if it was at work."""
+        is_at_work = self._state is not None and self._state.state is not ArbiterState.STANDBY
+        if self._state is not None and not is_at_work:
+            return None
+        death = self._story.death(self._now.at_ns + (SOON_NS if is_at_work else 0))
+        last = self._now.last(SafetyState)
+        if death is None or self._now.at_ns - death.time_ns > BEFORE_NS:
+            return None
+        return death if last is None or last.time_ns <= death.time_ns + STALE_NS else None
+
+    def _headline(self, silence: Silence | None, death: Entry | None) -> str:
         now, state = self._now, self._state
         latched = [] if state is None else state.latched
         said = headline(now, state, self._focus, self._story.newest_latch(latched, now.at_ns))
-        if silence is None:
+        if silence is not None:
+            told = silences.in_a_sentence(silence, now.at_ns)
+        elif death is not None:
+            told = f"A recorder noticed {before(death.time_ns, now.at_ns)}: {death.text}."
+        else:
             return said
-        told = silences.in_a_sentence(silence, now.at_ns)
         return told if state is None else f"{said} {told}"
 
-    def _untold(self, silence: Silence | None, last: Heard[SafetyState] | None) -> Iterator[Link]:
-        """What was before the moment, or came after it, and is not told of."""
+    def _untold(self, *, is_told: bool, last: Heard[SafetyState] | None) -> Iterator[Link]:
+        """What was before the moment, or came after it, and is not told of; the end of a gateway is told."""
         at_ns, state, focus = self._now.at_ns, self._state, self._focus
-        if state is None and focus is None and silence is None:
+        if state is None and focus is None and not is_told:
             stop = self._story.stop_before(at_ns)
             if stop is not None:
                 yield missing(
                     f"the last stop in the log was {before(stop.time_ns, at_ns)}; what was since is not told"
                 )
         is_active = state is not None and state.state is not ArbiterState.STANDBY
-        if is_active and silence is None:
+        if is_active and not is_told:
             heard_ns = max(one.time_ns for one in self._now.all(SafetyState))
             if heard_ns < at_ns + SOON_NS:
                 text = f"the arbiter's states end {before(heard_ns, at_ns)}, and none follows for seconds"

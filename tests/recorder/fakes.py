@@ -36,11 +36,11 @@ from recorder.session import Plan, Session
 from schemas import codec, keys
 from schemas.can_word import EXTENDED
 from schemas.codec import PayloadFault
-from schemas.decisions import EventKind, SafetyEvent, Severity
+from schemas.decisions import ArbiterState, EventKind, SafetyEvent, SafetyState, Severity, StopPhase
 from schemas.messages import CanFrames, GatewayInfo, Gear, GearPosition, Message, Variant
 from schemas.reasons import Reason
 from schemas.recording import BackfillPiece, RecorderEvent, RecorderReply, RecordGap
-from schemas.requests import Request
+from schemas.requests import Request, Role
 from schemas.subjects import BY_TYPE
 
 ROOT = "fleet"
@@ -62,6 +62,20 @@ RECORDING_PLAN = RecordingPlan(
 )
 
 GEAR_FEEDBACK = 0x18C4D1EF
+
+SAFETY_STATE = SafetyState(
+    time_ns=WALL_NS, sequence=0, tick=0, state=ArbiterState.STANDBY,
+    engaged=False, stop_reason=Reason.NONE, stop_phase=StopPhase.IDLE, lease_holder="",
+    lease_role=Role.PROGRAM, lease_expires_s=0.0, latched=[], blocked_by=[], guarded=True, speed_limit_mps=1.0,
+    acceleration_limit_mps2=0.8, deceleration_limit_mps2=1.2, emergency_deceleration_mps2=2.0,
+    steering_limit_deg=24.0, steering_rate_limit_degps=60.0, lateral_acceleration_limit_mps2=1.5,
+    target_speed_mps=0.0, target_angle_deg=0.0, output_speed_mps=0.0, output_angle_deg=0.0,
+    output_gear=GearPosition.UNDEFINED, brake_pedal_percent=0.0, parking=False,
+    challenge=bytes(8),
+    link_age_s=None, link_age_last_s=None, link_age_p50_s=None, link_age_p99_s=None, travel_delay_m=0.0,
+    travel_speed_limit_mps=None, deadman_s=0.3, accepted_seq=None, stop_detail="",
+)  # fmt: skip
+"""An arbiter that stands by."""
 
 
 class FakeSample(msgspec.Struct, frozen=True):
@@ -319,6 +333,9 @@ class FakeSource:
     @property
     def is_connected(self) -> bool:
         return not self.is_exhausted
+
+    def tokens_gone(self) -> list[str]:
+        return []
 
     def drain(self, limit: int) -> list[Sample]:
         taken = list(islice(self._samples, limit))

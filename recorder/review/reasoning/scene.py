@@ -15,11 +15,19 @@ from recorder.review.log_file import LogFile
 from recorder.review.reasoning.chain import before
 from recorder.review.reasoning.signals import Frame
 from recorder.review.rows import END_OF_TIME_NS, Row, Selection, read_rows
-from recorder.review.timeline.clock import FAR_NS, NEAR_NS, RUN_TICKS
+from recorder.review.timeline.clock import FAR_NS, NEAR_NS
 from recorder.review.topics import UNREADABLE
 from schemas import keys
 from schemas.configuration import TomlSource, merge
-from schemas.decisions import COMMANDING, ArbiterState, Decision, EventKind, SafetyEvent, SafetyState
+from schemas.decisions import (
+    COMMANDING,
+    ArbiterState,
+    Decision,
+    EventKind,
+    SafetyEvent,
+    SafetyState,
+    is_same_run,
+)
 from schemas.exit_codes import CommandError
 from schemas.messages import (
     Body,
@@ -83,7 +91,7 @@ class Limits(msgspec.Struct, frozen=True):
 
 def is_other_run(one: SafetyState, other: SafetyState) -> bool:
     """The two are not of one run of a gateway."""
-    return abs(one.tick - other.tick) >= RUN_TICKS
+    return not is_same_run(one.tick, other.tick)
 
 
 class Scene:

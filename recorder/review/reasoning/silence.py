@@ -10,7 +10,7 @@ import msgspec
 
 from recorder.review.reasoning.chain import Link, Step, before, evidence, missing, span
 from recorder.review.reasoning.scene import Heard, Scene, is_other_run
-from schemas.decisions import ArbiterState, SafetyState
+from schemas.decisions import ArbiterState, EventKind, SafetyEvent, SafetyState, is_same_run
 from schemas.messages import Drive
 from schemas.settings import STANDSTILL_MPS
 
@@ -29,12 +29,14 @@ class Silence(msgspec.Struct, frozen=True):
         then: the first state of the other.
         speed_mps: the robot's, when the one was last heard; None if the log does not tell.
         found: the first drive feedback that the other told; None if the log holds none.
+        was_told: the one was told to end, and did so at rest.
     """
 
     was: Heard[SafetyState]
     then: Heard[SafetyState]
     speed_mps: float | None
     found: Heard[Drive] | None
+    was_told: bool
 
     @property
     def heard_ns(self) -> int:
@@ -50,6 +52,11 @@ class Silence(msgspec.Struct, frozen=True):
     def was_stopping(self) -> bool:
         """It fell silent in the midst of a stop."""
         return self.was.said.state is ArbiterState.STOPPING
+
+    @property
+    def fell(self) -> str:
+        """What became of the one."""
+        return "ended, as it was told to" if self.was_told else "fell silent"
 
     @property
     def left(self) -> str:
@@ -81,13 +88,15 @@ def _silence(now: Scene, was: Heard[SafetyState], then: Heard[SafetyState]) -> S
     drive = now.last(Drive, was.time_ns)
     is_known = drive is not None and drive.time_ns > was.time_ns - _FRESH_NS
     speed_mps = drive.said.speed_mps if drive is not None and is_known else None
-    return Silence(was, then, speed_mps, next(now.after(Drive, then.time_ns), None))
+    ends = (one.said for one in now.all(SafetyEvent) if one.said.kind is EventKind.GATEWAY)
+    is_told = any(is_same_run(one.tick, was.said.tick) for one in ends) and was.said.state is ArbiterState.STANDBY
+    return Silence(was, then, speed_mps, next(now.after(Drive, then.time_ns), None), is_told)
 
 
 def in_a_sentence(silence: Silence, at_ns: int) -> str:
     """For a headline."""
-    fell = before(silence.heard_ns, at_ns)
-    return f"The gateway fell silent {fell}, {silence.left}; another began {before(silence.then.time_ns, at_ns)}."
+    fell, began = before(silence.heard_ns, at_ns), before(silence.then.time_ns, at_ns)
+    return f"The gateway {silence.fell} {fell}, {silence.left}; another began {began}."
 
 
 def links(silence: Silence) -> Iterator[Link]:
@@ -103,7 +112,7 @@ def links(silence: Silence) -> Iterator[Link]:
         "silent_ms": silent_ns / 1e6,
     }
     told = f"; it told the chassis {said.output_speed_mps:.2f} m/s" if said.state is ArbiterState.ENGAGED else ""
-    yield Link(Step.CAUSE, f"the gateway fell silent, {silence.left}{told}", silence.heard_ns, data)
+    yield Link(Step.CAUSE, f"the gateway {silence.fell}, {silence.left}{told}", silence.heard_ns, data)
     if silence.was_active and said.guarded:
         text = (
             "a guard watched the gateway, and is there to stop the robot in its place: what it did then is not in"

@@ -11,10 +11,11 @@ from recorder.review.faults import Faults
 from recorder.review.log_file import LogFile
 from recorder.review.reasoning.scene import Scene
 from recorder.review.rows import END_OF_TIME_NS, Progress, Selection, read_rows
-from recorder.review.timeline.clock import NEAR_NS, RUN_TICKS
+from recorder.review.timeline.clock import NEAR_NS
 from recorder.review.timeline.entries import STOPS, Entry, EntryKind, Source
-from schemas.decisions import SafetyEvent
+from schemas.decisions import SafetyEvent, Severity, is_same_run
 from schemas.reasons import Reason
+from schemas.recording import RecorderEvent
 
 KEPT: Final = 50_000
 """Entries that are kept; the oldest go first."""
@@ -35,6 +36,11 @@ class Story:
         stops = (one for one in self._before(until_ns, {*STOPS, EntryKind.ENGAGED}))
         last = next((one for one in stops if one.kind is EntryKind.ENGAGED or _stops(one)), None)
         return None if last is None or last.kind is EntryKind.ENGAGED else last
+
+    def death(self, until_ns: int) -> Entry | None:
+        """The death of a gateway that a recorder saw, if it is the last thing that is known up to a time."""
+        last = next((one for one in reversed(self._entries) if one.time_ns <= until_ns), None)
+        return last if last is not None and _is_death(last) else None
 
     def newest_latch(self, reasons: Iterable[Reason], until_ns: int) -> Entry | None:
         """Of what is latched, that which was latched last."""
@@ -84,13 +90,20 @@ def _stops(entry: Entry) -> bool:
     return entry.kind in STOPS and entry.reason is not Reason.NONE
 
 
+def _is_death(entry: Entry) -> bool:
+    is_seen = entry.kind is EntryKind.GATEWAY and entry.source is Source.RECORDER
+    return is_seen and entry.severity is Severity.ERROR
+
+
 def _is_same_run(one: Entry, other: Entry) -> bool:
-    return one.tick is None or other.tick is None or abs(one.tick - other.tick) < RUN_TICKS
+    return one.tick is None or other.tick is None or is_same_run(one.tick, other.tick)
 
 
 def told(robot: str, logs: Sequence[LogFile], faults: Faults, progress: Progress) -> Story:
-    """The story by the robot's own events. Most of a log need not be read for it."""
-    selection = Selection(lambda topic: topic.robot == robot and topic.kind is SafetyEvent)
+    """The story by the robot's own events, and the recorders'. Most of a log need not be read for it."""
+    selection = Selection(
+        lambda topic: topic.kind is RecorderEvent or (topic.robot == robot and topic.kind is SafetyEvent)
+    )
     timeline = Timeline(faults, has_states=False)
 
     def entries() -> Iterator[Entry]:
@@ -99,10 +112,11 @@ def told(robot: str, logs: Sequence[LogFile], faults: Faults, progress: Progress
             yield from timeline.tell()
         yield from timeline.end()
 
-    return Story(entries())
+    return Story(one for one in entries() if one.robot == robot and one.kind is not EntryKind.RECORDER)
 
 
 def derived(robot: str, logs: Sequence[LogFile], faults: Faults, progress: Progress) -> Story:
     """The story where events are missing: what the states tell too. All of a log is read for it."""
-    wanted = frozenset({*STOPS, EntryKind.LATCH, EntryKind.RESET, EntryKind.STOPPED, EntryKind.ENGAGED})
+    kinds = EntryKind.LATCH, EntryKind.RESET, EntryKind.STOPPED, EntryKind.ENGAGED, EntryKind.GATEWAY
+    wanted = frozenset({*STOPS, *kinds})
     return Story(read_events(logs, Question(0, END_OF_TIME_NS, frozenset({robot}), wanted), faults, progress))

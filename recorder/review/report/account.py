@@ -25,9 +25,9 @@ from recorder.review.report.series import Series
 from recorder.review.report.spans import Spans
 from recorder.review.report.versions import Versions
 from recorder.review.timeline.clock import RobotClock
-from recorder.review.timeline.entries import Entry, EntryKind, Source
+from recorder.review.timeline.ending import SILENT_NS, Ending
 from recorder.review.timeline.repeats import Repeats
-from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState, Severity, Verdict
+from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState, Verdict
 from schemas.messages import GatewayHealth, Message, Mode, RobotState
 
 HAND_TRANSMITTER: Final = "the hand transmitter"
@@ -38,9 +38,6 @@ OTHERS: Final = "(others)"
 
 REMEMBERED: Final = 4096
 """Messages of a subject that are known again when they come a second time."""
-
-SILENT_NS: Final = 1_000_000_000
-"""The arbiter's state comes 20 times a second: a log that goes on without it for so long has lost the gateway."""
 
 CLOCK_TRUST_NS: Final = 24 * 3600 * 1_000_000_000
 """A time that is further from the receipt is of no use."""
@@ -88,9 +85,6 @@ class Account:
         """Who drives the robot over Zenoh at present."""
         self._state_ns = 0
         self._driven: dict[str, list[float]] = {}
-        self._arbiter: SafetyState | None = None
-        """The newest; when it was, and when it was received."""
-        self._arbiter_ns = self._arbiter_log_ns = 0
         self._ends_commanding = False
         self._verdicts: Counter[Verdict] = Counter()
         self._refusals: dict[tuple[str, str, str], list[int]] = {}
@@ -115,7 +109,6 @@ class Account:
             case RobotState():
                 self._take_state(message, time_ns)
             case SafetyState():
-                self._arbiter_log_ns = log_ns
                 self._take_arbiter(message, time_ns)
             case Decision():
                 self._take_decision(message, time_ns)
@@ -140,40 +133,20 @@ class Account:
         if len(self._unwritten) < REFUSALS_MAX or (topic, reason) in self._unwritten:
             self._unwritten[topic, reason] += count
 
-    def end(self, spans: Sequence[tuple[int, int]] = (), to_ns: int = 2**64) -> None:
-        """No more messages come. An end in the middle of a drive is told, and a gateway that fell silent before.
+    def end(self, found: Ending) -> None:
+        """The logs end in the middle of a drive, or after the gateway fell silent. The timeline says so, too."""
+        if found.is_silent:
+            self.happenings.add_outage(Outage(found.entry.time_ns, None, found.is_commanding))
+        else:
+            self._ends_commanding = True
+
+    def set_apart(self, spans: Sequence[tuple[int, int]]) -> None:
+        """Between two logs nobody knows whether a gateway was silent.
 
         Args:
             spans: first and last log time of each of this robot's logs.
-            to_ns: the first log time that was not asked about.
         """
         self.happenings.set_apart(_pauses(spans))
-        logs_end_ns = max((end_ns for _, end_ns in spans), default=0)
-        state = self._arbiter
-        if state is None:
-            return
-        is_commanding = state.state is not ArbiterState.STANDBY
-        left = f"{state.state.value}, and told {state.output_speed_mps:.2f} m/s" if is_commanding else "standby"
-        silent_ns = min(logs_end_ns, to_ns) - self._arbiter_log_ns
-        if silent_ns > SILENT_NS:
-            severity = Severity.ERROR if is_commanding else Severity.WARNING
-            silent = f"nothing of the arbiter for {silent_ns / 1e9:.1f} s, up to the end"
-            ending = self._ending(f"{silent}: the gateway fell silent, {left}", severity, silent_ns)
-            self.happenings.end(ending, Outage(self._arbiter_ns, None, is_commanding))
-        elif logs_end_ns < to_ns and is_commanding:
-            self._ends_commanding = True
-            self.happenings.end(self._ending(f"the log ends here: {left}", Severity.WARNING, 0))
-
-    def _ending(self, text: str, severity: Severity, silent_ns: int) -> Entry:
-        return Entry(
-            time_ns=self._arbiter_ns,
-            last_ns=self._arbiter_ns + silent_ns,
-            robot=self.name,
-            kind=EntryKind.GAP,
-            severity=severity,
-            source=Source.LOG,
-            text=text,
-        )
 
     def sum_up(
         self, completeness: dict[str, KeyReport], facts: dict[str, str], from_ns: int = 0, to_ns: int = 2**64
@@ -261,7 +234,6 @@ class Account:
         self._bands["lease"].add(time_ns, state.lease_holder)
         self._draw_on("speed_limit_mps", time_ns, state.speed_limit_mps)
         self._draw_on("steering_limit_deg", time_ns, state.steering_limit_deg)
-        self._arbiter, self._arbiter_ns = state, time_ns
         # In standby the chassis is told nothing.
         is_told = state.state is not ArbiterState.STANDBY
         for name in ("target_speed_mps", "output_speed_mps", "target_angle_deg", "output_angle_deg"):

@@ -61,14 +61,8 @@ class Happenings:
             self.stops[entry.reason.value] += 1
         elif entry.kind is EntryKind.GAP and entry.source is Source.LOG:
             self._take_silence(entry)
-        elif entry.kind is EntryKind.GATEWAY and entry.severity is not Severity.INFO:
+        elif _is_restart(entry):
             self._take_restart(entry)
-
-    def end(self, entry: Entry, outage: Outage | None = None) -> None:
-        """What is to be said of the end of the log; ``outage`` if the gateway fell silent before."""
-        self._keep(entry)
-        if outage is not None:
-            self._add_outage(outage)
 
     def set_apart(self, pauses: Sequence[tuple[int, int]]) -> None:
         """Between two logs nobody knows whether a gateway was silent."""
@@ -125,13 +119,20 @@ class Happenings:
                 self.silences.remove(before)
             else:
                 self.more_silences -= 1
-        self._add_outage(Outage(heard_ns, entry.time_ns, entry.severity is Severity.ERROR))
+        self.add_outage(Outage(heard_ns, entry.time_ns, entry.severity is Severity.ERROR))
 
-    def _add_outage(self, outage: Outage) -> None:
+    def add_outage(self, outage: Outage) -> None:
+        """The gateway fell silent."""
         if len(self.outages) < OUTAGES_MAX:
             self.outages.append(outage)
         else:
             self.more_outages += 1
+
+
+def _is_restart(entry: Entry) -> bool:
+    """Another gateway, and the one before was not told to end."""
+    is_grave = entry.severity is not Severity.INFO
+    return entry.kind is EntryKind.GATEWAY and is_grave and entry.source is not Source.RECORDER
 
 
 def _is_pause(outage: Outage, pauses: Sequence[tuple[int, int]]) -> bool:

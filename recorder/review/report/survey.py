@@ -121,13 +121,16 @@ class _Fleet:
 
     def end(self, logs: Sequence[LogFile], margins: Sequence[Margins]) -> list[RobotReport]:
         """No more rows come: all robots of which something is known."""
+        for ending in self._timeline.endings(logs, self._asked.to_ns):
+            if self._asked.takes(ending.entry):
+                for account in self._named(ending.entry.robot):
+                    account.end(ending)
         self._note(self._timeline.end())
         asked = self._asked
         found = []
         for key, account in self._accounts.items():
             root, _, robot = key.rpartition("/")
-            spans = [(log.start_ns, log.end_ns) for log in logs if (root, robot) in log.robots]
-            account.end(spans, asked.to_ns)
+            account.set_apart([(log.start_ns, log.end_ns) for log in logs if (root, robot) in log.robots])
             found.append(account.sum_up(*of_robot(key, margins), asked.from_ns, asked.to_ns))
         return [one for one in found if one is not None]
 

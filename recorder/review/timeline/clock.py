@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from schemas.decisions import is_same_run
 from schemas.settings import TICK_NS
 
 NEAR_NS: Final = 1_000_000_000
@@ -25,9 +26,6 @@ SETTLE_NS: Final = 3_000_000_000
 
 _TICKS_NEAR: Final = 500
 """Over so many ticks, 5 s, the tick tells time: later ones may have been late."""
-
-RUN_TICKS: Final = 10**9
-"""A run's ticks begin at a random number of 40 bits: a step of this much, a hundred days, is another run."""
 
 
 class RobotClock:
@@ -60,7 +58,7 @@ class RobotClock:
 
     def is_other_run(self, tick: int) -> bool:
         """The tick is not of the run that was heard last."""
-        return self._tick is not None and abs(tick - self._tick) >= RUN_TICKS
+        return self._tick is not None and not is_same_run(tick, self._tick)
 
     def hear(self, tick: int, publish_ns: int, log_ns: int) -> str:
         """A state of the arbiter, which is never asked for later, came.

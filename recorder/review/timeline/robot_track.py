@@ -7,11 +7,11 @@ from collections import deque
 from typing import Final
 
 from recorder.review.rows import Row
-from recorder.review.timeline.clock import RUN_TICKS, RobotClock
+from recorder.review.timeline.clock import RobotClock
 from recorder.review.timeline.entries import Entry, EntryKind, Source
 from recorder.review.timeline.repeats import Sequences
 from recorder.review.timeline.state_changes import EventTicks
-from schemas.decisions import SafetyState, Severity
+from schemas.decisions import ArbiterState, SafetyState, Severity, is_same_run
 from schemas.messages import GatewayHealth
 
 HOLDERS_KEPT: Final = 10_000
@@ -25,7 +25,9 @@ class RobotTrack:
         name: empty for what is no robot's.
         clock: its clock.
         ticks: of its events.
-        state, state_ns, state_sequence: the arbiter's newest state, when it was, and its sequence.
+        state: the arbiter's newest; when it was (``state_ns``) and was received (``state_log_ns``), and its
+            ``state_sequence``.
+        ended_tick: when a gateway said last that it ends, as it was told to; None if none did.
         health: the newest.
     """
 
@@ -34,8 +36,9 @@ class RobotTrack:
         self.clock = RobotClock()
         self.ticks = EventTicks()
         self.state: SafetyState | None = None
-        self.state_ns = 0
+        self.state_ns = self.state_log_ns = 0
         self.state_sequence = 0
+        self.ended_tick: int | None = None
         self.health: GatewayHealth | None = None
         self._holder_ticks: deque[int] = deque(maxlen=HOLDERS_KEPT)
         self._holders: deque[str] = deque(maxlen=HOLDERS_KEPT)
@@ -54,7 +57,29 @@ class RobotTrack:
             sequences = self._sequences[key] = Sequences()
         sequences.add(row.sequence, time_ns)
 
-    def hear_state(self, state: SafetyState, sequence: int, time_ns: int) -> None:
+    @property
+    def is_ended(self) -> bool:
+        """The gateway of the newest state was told to end, and did so at rest."""
+        return (
+            self.state is not None
+            and not self.is_active
+            and self.ended_tick is not None
+            and is_same_run(self.state.tick, self.ended_tick)
+        )
+
+    @property
+    def is_active(self) -> bool:
+        """The gateway of the newest state told the chassis something."""
+        return self.state is not None and self.state.state is not ArbiterState.STANDBY
+
+    @property
+    def left(self) -> str:
+        """What the gateway of the newest state did."""
+        if self.state is None or not self.is_active:
+            return "standby"
+        return f"{self.state.state.value}, and told {self.state.output_speed_mps:.2f} m/s"
+
+    def hear_state(self, state: SafetyState, sequence: int, time_ns: int, log_ns: int) -> None:
         """The arbiter's newest state."""
         if not self._holders or self._holders[-1] != state.lease_holder:
             if self._holder_ticks and state.tick < self._holder_ticks[-1]:
@@ -62,7 +87,8 @@ class RobotTrack:
                 self._holders.clear()
             self._holder_ticks.append(state.tick)
             self._holders.append(state.lease_holder)
-        self.state, self.state_ns, self.state_sequence = state, time_ns, sequence
+        self.state, self.state_sequence = state, sequence
+        self.state_ns, self.state_log_ns = time_ns, log_ns
 
     def holder_at(self, tick: int) -> str:
         """Who held the lease before this tick; empty if nobody did, or if the log does not tell."""
@@ -88,7 +114,7 @@ class RobotTrack:
 
     def _run_of(self, tick: int) -> int:
         for number, newest in enumerate(self._runs):
-            if abs(tick - newest) < RUN_TICKS:
+            if is_same_run(tick, newest):
                 self._runs[number] = max(tick, newest)
                 return number
         self._runs.append(tick)

@@ -29,7 +29,7 @@ def environment() -> dict[str, str]:
     return {
         name: value
         for name, value in os.environ.items()
-        if name in {"PATH", "HOME"} or name.startswith("CRUISER_")
+        if name in {"PATH", "HOME", "PYTHONPATH"} or name.startswith("CRUISER_")
     }
 
 

@@ -7,19 +7,21 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from recorder.incidents import INCIDENT_NAME
 from recorder.ports.disk_keeper import read_entries
 from recorder.review.check import check_log
 from recorder.review.info import read_info
-from schemas.decisions import EventKind, SafetyEvent, Severity
+from schemas import keys
+from schemas.decisions import ArbiterState, EventKind, SafetyEvent, SafetyState, Severity
 from schemas.exit_codes import ExitCode
 from schemas.messages import Gear
 from schemas.reasons import Reason
 from schemas.recording import RecorderEventKind
 from tests.recorder.cli.running import Process, Told, ask, counts, heard, link, recording, sequences, whole
-from tests.recorder.fakes import gear, key_of, logs_in, sample_of, wait_until
+from tests.recorder.fakes import SAFETY_STATE, gear, key_of, logs_in, sample_of, wait_until
 from tests.recorder.zenoh_peer import Peer, free_endpoint
 
 HOSTILE = "a wheel \x1b[2J\x07\nis off"
@@ -264,3 +266,36 @@ def test_what_a_robot_says_rules_no_terminal(peer: Peer, endpoint: str, tmp_path
     assert code == ExitCode.OK
     assert "what came before and after: fault: a wheel \\x1b[2J" in err
     assert all(line.isprintable() for line in err.splitlines())
+
+
+def test_the_death_of_a_gateway_at_work_keeps_what_came_before(endpoint: str, tmp_path: Path) -> None:
+    """Its liveliness token goes with it, whatever it could not say any more."""
+    with recording(*words(tmp_path, endpoint)) as process:
+        with Peer(endpoint) as gateway:
+            token = gateway.session.liveliness().declare_token(keys.liveliness("fleet", "cruiser-1"))
+            told = Told(gateway)
+            sent = 0
+
+            def is_heard() -> bool:
+                nonlocal sent
+                said = msgspec.structs.replace(
+                    SAFETY_STATE,
+                    time_ns=time.time_ns(),
+                    sequence=sent,
+                    state=ArbiterState.ENGAGED,
+                    output_speed_mps=0.6,
+                )
+                gateway.put(sample_of(said))
+                sent += 1
+                return any(health.ring_bytes for health in told.healths())
+
+            wait_until(is_heard)
+            del token
+        wait_until(lambda: any(tmp_path.glob("cruiser-1-*.incident.mcap")))
+        code, _, err = process.end()
+    assert code == ExitCode.OK
+    (incident,) = tmp_path.glob("cruiser-1-*.incident.mcap")
+    found = read_info(incident)
+    assert "the gateway died, or the link to it" in found.metadata[INCIDENT_NAME]["because"]
+    assert counts(found)[key_of(SafetyState)] > 0
+    assert "it was engaged, and told 0.60 m/s" in err

@@ -1,5 +1,6 @@
 """Logs of a whole gateway with a simulated chassis: what happens in the rig is recorded as a recorder would."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -16,6 +17,7 @@ from schemas import keys
 from schemas.configuration import to_toml
 from schemas.decisions import ArbiterState
 from schemas.messages import GatewayInfo, Variant
+from schemas.recording import RecorderEvent
 from schemas.settings import CommandSettings, Settings
 from schemas.subjects import BY_NAME
 from tests.gateway.command.loop_rig import WALL_NS, LoopRig, Operator
@@ -106,8 +108,15 @@ class RecordedRig(LoopRig):
         self.run(seconds)
         self.rest()
 
-    def log(self, *, with_info: bool = True, without: tuple[str, ...] = (), robot: str = ROBOT) -> bytes:
-        """The log of all that was said, but for some subjects."""
+    def log(
+        self,
+        *,
+        with_info: bool = True,
+        without: tuple[str, ...] = (),
+        robot: str = ROBOT,
+        recorder_says: Sequence[RecorderEvent] = (),
+    ) -> bytes:
+        """The log of all that was said, but for some subjects, and of what the recorder said at the end."""
         log = Log()
         root = self.settings.robot.root
         answer = msgspec.structs.replace(info(), configuration=to_toml(self.settings))
@@ -121,6 +130,8 @@ class RecordedRig(LoopRig):
             subject = BY_NAME[sample.subject]
             key = keys.build(root, robot, subject, "can0" if "{bus}" in subject.name else "")
             log.receive(FakeSample(key, subject.encoding, sample.payload), wall_ns=log_ns)
+        for said in recorder_says:
+            log.carry_out(log.session.add_own(keys.of_recorder(root, "bench", "event"), said, 0))
         return log.close()
 
 

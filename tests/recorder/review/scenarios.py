@@ -141,8 +141,8 @@ def slow_silent_frame() -> RecordedRig:
 
 
 def checksums() -> RecordedRig:
-    """Three frames with a wrong checksum."""
-    return _faulted("checksum Auto_DriveFeedBack for 3 frames")
+    """Five frames with a wrong checksum."""
+    return _faulted("checksum Auto_DriveFeedBack for 5 frames")
 
 
 def stuck_counter() -> RecordedRig:
@@ -271,7 +271,7 @@ SCENARIOS: dict[Scenario, tuple[Reason, tuple[str, ...]]] = {
     ),
     checksums: (
         Reason.FEEDBACK_FAULTY,
-        ("3 frames of Auto_DriveFeedBack had a wrong checksum", "3 are too many", "its last byte should be"),
+        ("5 frames of Auto_DriveFeedBack had a wrong checksum", "5 are too many", "its last byte should be"),
     ),
     stuck_counter: (
         Reason.FEEDBACK_FAULTY,

@@ -21,14 +21,12 @@ from schemas.decisions import (
     SafetyEvent,
     SafetyState,
     Severity,
-    StopPhase,
     Verdict,
 )
-from schemas.messages import GearPosition, Message
+from schemas.messages import Message
 from schemas.reasons import Reason
 from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, RecordGap
-from schemas.requests import Role
-from tests.recorder.fakes import MS, SECOND, WALL_NS, Log, gear, sample_of
+from tests.recorder.fakes import MS, SAFETY_STATE, SECOND, WALL_NS, Log, gear, sample_of
 from tests.recorder.review import scenarios
 from tests.recorder.review.rig_log import ROBOT, RecordedRig
 from tests.recorder.review.scenarios import SCENARIOS, Scenario, acted, recorded
@@ -59,18 +57,13 @@ def at(tick: int, ahead_ns: int = 0) -> int:
 
 def state(tick: int, sequence: int, ahead_ns: int = 0, **changes: Any) -> SafetyState:  # noqa: ANN401 - any field
     """A state of the arbiter; standing by if nothing else is said."""
-    said = SafetyState(
-        time_ns=at(tick, ahead_ns), sequence=sequence, tick=FIRST_TICK + tick, state=ArbiterState.STANDBY,
-        engaged=False, stop_reason=Reason.NONE, stop_phase=StopPhase.IDLE, lease_holder="",
-        lease_role=Role.PROGRAM, lease_expires_s=0.0, latched=[], blocked_by=[], guarded=True, speed_limit_mps=1.0,
-        acceleration_limit_mps2=0.8, deceleration_limit_mps2=1.2, emergency_deceleration_mps2=2.0,
-        steering_limit_deg=24.0, steering_rate_limit_degps=60.0, lateral_acceleration_limit_mps2=1.5,
-        target_speed_mps=0.0, target_angle_deg=0.0, output_speed_mps=0.0, output_angle_deg=0.0,
-        output_gear=GearPosition.UNDEFINED, brake_pedal_percent=0.0, parking=False,
+    said = msgspec.structs.replace(
+        SAFETY_STATE,
+        time_ns=at(tick, ahead_ns),
+        sequence=sequence,
+        tick=FIRST_TICK + tick,
         challenge=tick.to_bytes(8, signed=True),
-        link_age_s=None, link_age_last_s=None, link_age_p50_s=None, link_age_p99_s=None, travel_delay_m=0.0,
-        travel_speed_limit_mps=None, deadman_s=0.3, accepted_seq=None, stop_detail="",
-    )  # fmt: skip
+    )
     return msgspec.structs.replace(said, **changes)
 
 
@@ -382,3 +375,51 @@ def test_two_runs_of_a_gateway_in_one_log(path: Path) -> None:
     entries = list(read_events(find_logs([path, other], faults), Question(), faults))
     assert EntryKind.GATEWAY in {one.kind for one in entries}
     assert not [one for one in entries if one.kind is EntryKind.GAP and "safety/event" in one.text]
+
+
+def test_a_log_that_ends_in_the_middle_of_a_drive_says_so(path: Path) -> None:
+    """Whoever reads the events must not take the silence behind them for a robot at rest."""
+    rig, operator = RecordedRig.driving()
+    operator.drive(0.6, 0.0, 1.0)
+    last = told(path, rig.log())[-1]
+    assert (last.kind, last.severity, last.text) == (
+        EntryKind.GAP,
+        Severity.WARNING,
+        "the log ends here: engaged, and told 0.60 m/s",
+    )
+    rig.rest_after(1.0)
+    assert told(path, rig.log())[-1].kind is not EntryKind.GAP
+
+
+@pytest.mark.parametrize("is_told", [True, False])
+def test_a_gateway_that_was_told_to_end_did_not_fall_silent(tmp_path: Path, is_told: bool) -> None:  # noqa: FBT001
+    """It says so itself, and the next one begins as is to be expected."""
+    first, _ = RecordedRig.ready(run=1)
+    if is_told:
+        first.core.shut_down(first.now_ns)
+    first.tick()
+    second = RecordedRig(run=2)
+    later_ns = first.at_ns + 3 * SECOND - second.at_ns
+    second.wall_ns += later_ns
+    second.recorder_ns += later_ns
+    second.run(1)
+    (tmp_path / "one.mcap").write_bytes(first.log())
+    (tmp_path / "two.mcap").write_bytes(second.log())
+    faults = Faults()
+    entries = list(read_events(find_logs([tmp_path], faults), Question(), faults))
+    silences = [entry for entry in entries if "fell silent" in entry.text]
+    assert bool(silences) is not is_told
+    gateway = [(entry.severity, entry.reason) for entry in entries if entry.kind is EntryKind.GATEWAY]
+    begun = (Severity.INFO if is_told else Severity.WARNING, Reason.NONE)
+    assert gateway[-1] == begun
+    assert ((Severity.INFO, Reason.SHUTDOWN) in gateway) is is_told
+
+
+def test_a_gateway_that_a_recorder_saw_die_is_told_of_its_robot(path: Path) -> None:
+    """As what it is, and not among what recorders do to their files."""
+    log = Log()
+    log.receive(sample_of(gear(0)), sample_of(state(0, 0)))
+    gone = RecorderEvent(WALL_NS, 0, Severity.ERROR, RecorderEventKind.GATEWAY, ROBOT, "", "", "the gateway died")
+    log.carry_out(log.session.add_own("fleet/@recorder/bench/event", gone, 0))
+    (entry,) = (one for one in told(path, log.close()) if one.kind is EntryKind.GATEWAY)
+    assert (entry.robot, entry.severity, entry.source) == (ROBOT, Severity.ERROR, Source.RECORDER)

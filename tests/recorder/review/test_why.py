@@ -14,9 +14,10 @@ from recorder.review.reasoning.chain import Step
 from recorder.review.survey import survey
 from recorder.review.timeline.entries import STOPS, EntryKind
 from recorder.review.why import Explanation, explain
-from schemas.decisions import ArbiterState
+from schemas.decisions import ArbiterState, Severity
 from schemas.messages import Variant
 from schemas.reasons import TEXTS, Reason
+from schemas.recording import RecorderEvent, RecorderEventKind
 from tests.gateway.command.loop_rig import WALL_NS, Operator
 from tests.gateway.recorded_day import COMMAND, RUN, STARTED_NS, Day
 from tests.recorder.fakes import MS, SECOND, Log, gear, sample_of
@@ -563,3 +564,23 @@ def test_a_log_of_gears_alone_says_that_it_knows_nothing(path: Path) -> None:
     explanation = explain(ROBOT, logs, survey(logs, faults), None, faults)
     assert not explanation.is_answered
     assert {link.step for link in explanation.chain} == {Step.MISSING}
+
+
+def test_a_death_that_a_recorder_saw_is_told_where_no_other_gateway_follows(path: Path) -> None:
+    """The log ends with it: at the moment, soon before and long after it, and where no moment is asked about."""
+    rig, operator = RecordedRig.driving()
+    operator.drive(0.6, 0.0, 2.0)
+    dead_ns = rig.at_ns
+    words = "the gateway died, or the link to it: its token is gone, and it was engaged, and told 0.60 m/s"
+    said = RecorderEvent(dead_ns, 0, Severity.ERROR, RecorderEventKind.GATEWAY, ROBOT, "", "", words)
+    data = rig.log(recorder_says=[said])
+    for at_ns in (None, dead_ns - 200 * MS, dead_ns + SECOND, dead_ns + 30 * SECOND):
+        explanation = ask(path, data, at_ns)
+        if at_ns is not None and at_ns > dead_ns + 2 * SECOND:
+            assert "The log does not hold that moment" in explanation.headline
+            continue
+        assert explanation.silent_ns == dead_ns, explanation.headline
+        assert words in explanation.headline
+        assert words in texts(explanation, Step.CAUSE)
+        assert "is not told" not in texts(explanation, Step.MISSING)
+    assert ask(path, data, dead_ns - 1500 * MS).silent_ns is None

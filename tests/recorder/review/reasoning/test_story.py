@@ -1,9 +1,8 @@
 """What the arbiter has told of one robot."""
 
 from recorder.review.reasoning.story import Story
-from recorder.review.timeline.clock import RUN_TICKS
 from recorder.review.timeline.entries import Entry, EntryKind, Source
-from schemas.decisions import Severity
+from schemas.decisions import RUN_TICKS, Severity
 from schemas.reasons import Reason
 
 

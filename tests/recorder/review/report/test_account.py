@@ -1,11 +1,13 @@
 """All of one robot, from its messages one by one."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import pytest
 
 from recorder.review.events import Timeline
 from recorder.review.faults import Faults
+from recorder.review.log_file import LogFile
 from recorder.review.report.account import (
     DRIVERS_MAX,
     HAND_TRANSMITTER,
@@ -15,7 +17,7 @@ from recorder.review.report.account import (
 )
 from recorder.review.report.findings import RobotCharts, RobotReport, RobotSummary
 from recorder.review.report.happenings import MOMENTS_MAX
-from recorder.review.rows import Row
+from recorder.review.rows import END_OF_TIME_NS, Row
 from recorder.review.topics import Topic
 from schemas.decisions import ArbiterState, EventKind, Verdict
 from schemas.messages import Message, Mode
@@ -31,15 +33,28 @@ def row_of(message: Message, log_ns: int) -> Row:
     return Row(topic, message.sequence, log_ns, message.time_ns, b"")
 
 
-def account_of(*messages: Message, off_ns: int = 0, late: Sequence[tuple[int, Message]] = ()) -> Account:
-    """Of messages that were received when they were sent, by a clock that is so much ahead; then of late ones."""
+def account_of(
+    *messages: Message,
+    off_ns: int = 0,
+    late: Sequence[tuple[int, Message]] = (),
+    spans: Sequence[tuple[int, int]] = (),
+    to_ns: int = END_OF_TIME_NS,
+) -> Account:
+    """Of messages that were received when they were sent, by a clock that is so much ahead; then of late ones.
+
+    They stand in logs that go from and to these times, read up to ``to_ns``.
+    """
     account = Account("cruiser-1", "fleet/cruiser-1")
     timeline = Timeline(Faults())
     for log_ns, message in [*((message.time_ns + off_ns, message) for message in messages), *late]:
         account.take(message, message.time_ns, log_ns)
         timeline.take(row_of(message, log_ns), message)
+    logs = [LogFile(Path("log.mcap"), 1, *span, frozenset({("fleet", "cruiser-1")})) for span in spans]
+    for ending in timeline.endings(logs, to_ns):
+        account.end(ending)
     for entry in timeline.end():
         account.happenings.take(entry)
+    account.set_apart(spans)
     return account
 
 
@@ -194,8 +209,9 @@ def test_a_robot_that_said_nothing_is_no_report() -> None:
 @pytest.mark.parametrize("engaged", [ArbiterState.ENGAGED, ArbiterState.STOPPING, ArbiterState.STANDBY])
 def test_a_log_that_ends_in_the_middle_of_a_drive_says_so(engaged: ArbiterState) -> None:
     """What came after is not known; in standby there is nothing to say."""
-    account = account_of(*(arbiter(number, state=engaged) for number in range(5)))
-    account.end([(WALL_NS, WALL_NS + 5 * PERIOD_NS)])
+    account = account_of(
+        *(arbiter(number, state=engaged) for number in range(5)), spans=[(WALL_NS, WALL_NS + 5 * PERIOD_NS)]
+    )
     report = account.sum_up({}, {})
     assert report is not None
     assert report.summary.ends_commanding is (engaged is not ArbiterState.STANDBY)
@@ -205,20 +221,35 @@ def test_a_log_that_ends_in_the_middle_of_a_drive_says_so(engaged: ArbiterState)
 
 def test_a_period_that_ends_in_the_middle_of_a_drive_is_no_end_of_the_log() -> None:
     """The log goes on."""
-    account = account_of(*(arbiter(number) for number in range(5)))
-    account.end([(WALL_NS, WALL_NS + 60 * SECOND)], WALL_NS + 5 * PERIOD_NS)
+    account = account_of(
+        *(arbiter(number) for number in range(5)),
+        spans=[(WALL_NS, WALL_NS + 60 * SECOND)],
+        to_ns=WALL_NS + 5 * PERIOD_NS,
+    )
     report = account.sum_up({}, {})
     assert report is not None
     assert not report.summary.ends_commanding
     assert report.summary.outages == []
 
 
+def test_a_period_that_ends_in_a_pause_of_the_recorder_accuses_no_gateway() -> None:
+    """Nobody was there to hear it: the log ends, as far as is known, and another one begins behind the period."""
+    spans = [(WALL_NS, WALL_NS + 5 * PERIOD_NS), (WALL_NS + 60 * SECOND, WALL_NS + 90 * SECOND)]
+    account = account_of(*(arbiter(number) for number in range(5)), spans=spans, to_ns=WALL_NS + 30 * SECOND)
+    report = account.sum_up({}, {})
+    assert report is not None
+    assert report.summary.outages == []
+    (moment,) = report.charts.moments
+    assert moment.text == "the log ends here: engaged, and told 1.00 m/s"
+
+
 @pytest.mark.parametrize("is_commanding", [True, False])
 def test_a_gateway_of_which_nothing_comes_any_more_fell_silent(is_commanding: bool) -> None:  # noqa: FBT001 - a case
     """The log goes on without it; that matters more if it commanded the robot."""
     engaged = ArbiterState.ENGAGED if is_commanding else ArbiterState.STANDBY
-    account = account_of(*(arbiter(number, state=engaged) for number in range(5)))
-    account.end([(WALL_NS, WALL_NS + 60 * SECOND)])
+    account = account_of(
+        *(arbiter(number, state=engaged) for number in range(5)), spans=[(WALL_NS, WALL_NS + 60 * SECOND)]
+    )
     report = account.sum_up({}, {})
     assert report is not None
     (outage,) = report.summary.outages
@@ -237,8 +268,7 @@ def test_between_two_logs_nobody_knows_whether_a_gateway_was_silent() -> None:
         ([(WALL_NS, WALL_NS + 15 * SECOND), (WALL_NS + 13 * SECOND, WALL_NS + 15 * SECOND)], False),
         ([(WALL_NS, WALL_NS + 11 * SECOND), (WALL_NS + 11 * SECOND + 1, WALL_NS + 15 * SECOND)], False),
     ):
-        account = account_of(*restart())
-        account.end(spans)
+        account = account_of(*restart(), spans=spans)
         report = account.sum_up({}, {})
         assert report is not None
         (outage,) = report.summary.outages

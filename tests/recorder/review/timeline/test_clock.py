@@ -3,7 +3,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.review.timeline.clock import FAR_NS, NEAR_NS, RUN_TICKS, RobotClock
+from recorder.review.timeline.clock import FAR_NS, NEAR_NS, RobotClock
+from schemas.decisions import RUN_TICKS
 from schemas.settings import TICK_NS
 from tests.recorder.fakes import MS, SECOND, WALL_NS
 
