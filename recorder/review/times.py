@@ -32,6 +32,7 @@ def time_of(text: str, start_ns: int, end_ns: int) -> int:
     Raises:
         CommandError: it is of no known form.
     """
+    text = text.removesuffix(" UTC")  # As these commands print it.
     if match := _SECONDS.fullmatch(text):
         sign, whole, part = match.groups()
         offset_ns = int(whole) * _NS_PER_S + _fraction_ns(part)

@@ -238,7 +238,15 @@ class _Answer:
         """That of the gateway at the moment or soon after it; or before it, if nothing since tells more."""
         if self._state is not None and self._state.state is not ArbiterState.STANDBY:
             return next_silence(self._now, SOON_NS)
-        return None if self._state is not None and self._focus is not None else last_silence(self._now)
+        silence, last = last_silence(self._now), self._now.last(SafetyState)
+        if (
+            self._state is None
+            and silence is not None
+            and last is not None
+            and last.time_ns >= silence.then.time_ns
+        ):
+            return None  # The gateway that began then has been heard, and its own end is not told.
+        return None if self._state is not None and self._focus is not None else silence
 
     @property
     def death(self) -> Entry | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 import msgspec
@@ -26,6 +26,10 @@ DESCRIPTION: Final = (
     "1 if there is any."
 )
 JSON_HELP: Final = "print a JSON object a line, one for each file"
+
+
+TOPICS_SHOWN: Final = 3
+"""Of what is found on more topics, or of more frames, so many are named; ``--json`` names all."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,7 +72,7 @@ def _lines(found: LogCheck) -> Iterator[str]:
     if found.untold:
         yield f"    and {found.untold} more"
     yield "  the data:" if about_data else "  the data: nothing is missing that could be told"
-    yield from (f"    {_finding(one)}" for one in about_data)
+    yield from (f"    {line}" for line in _alike(about_data))
     unread = [one.encoding or "no encoding" for one in found.channels if one.messages and not one.is_read]
     if unread:
         encodings = ", ".join(sorted(set(unread)))
@@ -84,6 +88,23 @@ def _lines(found: LogCheck) -> Iterator[str]:
             for one in found.frames
         ],
     )
+
+
+def _alike(findings: Sequence[Finding]) -> Iterator[str]:
+    """What is wrong, each once: a stall is found on every topic."""
+    by_what: dict[str, list[Finding]] = {}
+    for one in findings:
+        # Of raw frames the name stands before it.
+        by_what.setdefault(one.what.rpartition(": ")[2], []).append(one)
+    for what, found in by_what.items():
+        if len(found) <= TOPICS_SHOWN:
+            yield from map(_finding, found)
+            continue
+        first_ns = min((one.time_ns for one in found if one.time_ns is not None), default=None)
+        where = "" if first_ns is None else f", first at {in_words(first_ns)}"
+        names = (one.what.rpartition(": ")[0] or one.topic for one in found[:TOPICS_SHOWN])
+        total = sum(one.count for one in found)
+        yield f"{what} ({total}{where}): {', '.join(names)} and {len(found) - TOPICS_SHOWN} more"
 
 
 def _finding(one: Finding) -> str:

@@ -407,7 +407,11 @@ def test_an_end_while_driving_brings_the_robot_to_rest_first(monkeypatch: pytest
     assert gears.index(3) == enables.index(0)
     events = [(said["kind"], said["reason"]) for key, said in listener.heard if key.endswith("safety/event")]
     # Nobody renews the lease meanwhile.
-    assert [event for event in events if event[0] != "lease"] == [("stop", "shutdown"), ("stopped", "shutdown")]
+    assert [event for event in events if event[0] != "lease"] == [
+        ("gateway", "shutdown"),
+        ("stop", "shutdown"),
+        ("stopped", "shutdown"),
+    ]
 
 
 def test_a_stop_by_the_guard_is_latched_until_a_reset_whatever_is_restarted() -> None:

@@ -736,6 +736,9 @@ def test_shutting_down() -> None:
     bench.drive_for(10, 0.5)
     bench.arbiter.shut_down(bench.now_ns)
     assert bench.arbiter.stop_reason is Reason.SHUTDOWN
+    bench.tick()
+    told = [(event.kind, event.severity) for event in bench.events if event.reason is Reason.SHUTDOWN]
+    assert told == [(EventKind.GATEWAY, Severity.INFO), (EventKind.STOP, Severity.INFO)]
     idle = Bench()
     idle.changes = {"mode": Mode.AUTO}
     idle.tick()

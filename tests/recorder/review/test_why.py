@@ -215,12 +215,12 @@ def test_a_gateway_that_died_is_told_and_no_stop_of_before(tmp_path: Path) -> No
 
 
 def _killed_again_and_again(tmp_path: Path) -> tuple[list[LogFile], list[int]]:
-    """Three gateways, of which two are killed 6 s apart while the robot drives.
+    """Three gateways that are killed 6 s apart while the robot drives; after the last one the log ends.
 
     Each says what the chassis does for 400 ms before its arbiter says anything, as a gateway does that starts.
 
     Returns:
-        the logs, and when each of the two was last heard.
+        the logs, and when each of them was last heard.
     """
     deaths: list[int] = []
     for run in (1, 2, 3):
@@ -242,12 +242,12 @@ def _killed_again_and_again(tmp_path: Path) -> tuple[list[LogFile], list[int]]:
             if sample.subject != "safety/state" or at_ns > began_ns + 400 * MS
         ]
         (tmp_path / f"{run}.mcap").write_bytes(rig.log())
-    return find_logs([tmp_path], Faults()), deaths[:2]
+    return find_logs([tmp_path], Faults()), deaths
 
 
 def test_a_death_is_dated_as_in_events_whatever_the_next_gateway_says_first(tmp_path: Path) -> None:
     """What it says before its arbiter does is no sign of life of the dead one; the newest death is the answer."""
-    logs, deaths = _killed_again_and_again(tmp_path)
+    logs, (*deaths, last_ns) = _killed_again_and_again(tmp_path)
     faults = Faults()
     found = survey(logs, faults)
     entries = list(read_events(logs, Question(kinds=frozenset({EntryKind.GATEWAY})), faults))
@@ -259,8 +259,11 @@ def test_a_death_is_dated_as_in_events_whatever_the_next_gateway_says_first(tmp_
             assert dead_ns - 60 * MS <= heard_ns <= dead_ns, (after_ns, explanation.headline)
 
             assert "at 0.60 m/s; another began" in explanation.headline
-    last = explain(ROBOT, logs, found, None, faults)
-    assert abs((last.silent_ns or 0) - deaths[-1]) <= 60 * MS
+    latest = explain(ROBOT, logs, found, None, faults)
+    assert abs((latest.silent_ns or 0) - deaths[-1]) <= 60 * MS
+    behind = explain(ROBOT, logs, found, last_ns + SECOND, faults)
+    assert behind.silent_ns is None, "the death of another gateway, 7 s before, is no answer"
+    assert behind.headline.startswith("The log does not hold that moment")
 
 
 def test_a_stop_that_was_followed_by_an_engagement_is_no_answer(path: Path) -> None:

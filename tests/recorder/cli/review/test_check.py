@@ -4,10 +4,11 @@ import json
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from schemas.exit_codes import CommandError, ExitCode
 from tests.recorder.cli.review.asking import run
-from tests.recorder.review.made_logs import foreign_log, gears, own_log, saved
+from tests.recorder.review.made_logs import GEAR_CHANNEL, foreign_log, gear_message, gears, own_log, saved
 
 
 def test_a_sound_log_is_no_finding(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -27,6 +28,20 @@ def test_findings_are_told_by_what_they_are_about(tmp_path: Path, capsys: pytest
     about_file, about_data = out.split("  the data:")
     assert "the file is cut off within a record (1, first at byte" in about_file
     assert "fleet/cruiser-1/chassis/gear: samples missed, by the sequence (2, first at 1970-" in about_data
+
+
+def test_what_is_missing_everywhere_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A stall of the link is found on every topic; three are named, and how many more there are."""
+    channels = [replace(GEAR_CHANNEL, channel_id=one, topic=f"fleet/r-{one}/chassis/gear") for one in range(1, 8)]
+    data = own_log(
+        [[gear_message(sequence, at_ns, one) for one in range(1, 8)] for sequence, at_ns in ((0, 10), (5, 100))],
+        channels,
+    )
+    assert run("check", str(saved(tmp_path / "a.mcap", data))) == ExitCode.FAILURE
+    (line,) = (one for one in capsys.readouterr().out.splitlines() if "samples missed" in one)
+    assert line.strip().startswith("samples missed, by the sequence (28, first at 1970-")
+    names = ", ".join(f"fleet/r-{one}/chassis/gear" for one in (1, 2, 3))
+    assert line.endswith(f": {names} and 4 more")
 
 
 def test_json_is_an_object_a_line(whole: Path, cut: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -54,7 +54,9 @@ def test_the_last_stop_is_explained(log: Path, capsys: pytest.CaptureFixture[str
     assert any("Frame 0x18C4D9EF Auto_MileageAndBodyFeedback" in line for line in lines)
 
 
-@pytest.mark.parametrize("form", ["1.9", "-2.4", "22:13:21.912", "2023-11-14T22:13:21.912Z"])
+@pytest.mark.parametrize(
+    "form", ["1.9", "-2.4", "22:13:21.912", "2023-11-14T22:13:21.912Z", "2023-11-14 22:13:21.912 UTC"]
+)
 def test_the_moment_has_every_form_of_a_time(form: str, log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Each is the same one: driving, and soon to be stopped."""
     assert run("why", log, f"--at={form}", "--json") == ExitCode.OK
