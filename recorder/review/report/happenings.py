@@ -59,7 +59,7 @@ class Happenings:
         self._keep(entry)
         if entry.kind is EntryKind.STOP:
             self.stops[entry.reason.value] += 1
-        elif entry.kind is EntryKind.GAP and entry.source is Source.LOG:
+        elif entry.kind is EntryKind.GAP and entry.source is Source.LOG and entry.last_ns > entry.time_ns:
             self._take_silence(entry)
         elif _is_restart(entry):
             self._take_restart(entry)
