@@ -151,6 +151,7 @@ class Core:
                 request.operator,
                 request.payload,
                 request.size,
+                request.fault,
             )
         )
         self._requests.append(request)

@@ -24,7 +24,8 @@ class Kind(IntEnum):
     FRAME = 0
     """[can_id, data, wall_ns, fd_flags, remote_length]"""
     REQUEST = 1
-    """handle, verb, operator, payload, size"""
+    """handle, verb, operator, payload, size, fault; in journals of before without the fault. The payload names the
+    lease by its identifier: see ``gateway.command.lease_numbers``."""
     LINKS = 2
     """Those that ``LINKS`` names, in its order; only when one of them has changed"""
     TICK = 3

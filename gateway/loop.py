@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import logging
 import os
+import secrets
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ import msgspec
 
 from gateway.chassis.frame import Frame
 from gateway.command.flow import CommandFlow, PendingReply
+from gateway.command.lease_numbers import LeaseNumbers
 from gateway.command.request import RawRequest
 from gateway.core import Core
 from gateway.guard.beat import GuardView
@@ -21,7 +23,7 @@ from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas.decisions import Severity
 from schemas.reasons import Reason
-from schemas.requests import CHALLENGE_BYTES
+from schemas.requests import CHALLENGE_BYTES, LEASE_MAX
 from schemas.settings import BEHIND_NS, LATE_NS, LATE_TOLD_NS, LOOP_LATE_STOP_NS, REST_TIMEOUT_NS, TICK_NS
 
 log = logging.getLogger(__name__)
@@ -160,6 +162,7 @@ def run(around: Surroundings, core: Core, info: Callable[[], bytes], stopped: Ca
     reader = Reader(around, core)
     due_ns = monotonic_ns() + TICK_NS
     links = Links()
+    numbers = LeaseNumbers(lambda: secrets.randbelow(LEASE_MAX) + 1)
     complained_ns = 0
     ticks = 0
     end_ns: int | None = None
@@ -186,7 +189,7 @@ def run(around: Surroundings, core: Core, info: Callable[[], bytes], stopped: Ca
         is_behind = now_ns - reader.read_all_ns > BEHIND_NS
         links = _observe(around, links, is_behind=is_behind, is_full=ticks % SELDOM_TICKS == 0)
         ticks += 1
-        _tick(around, core, links, now_ns, late_ns)
+        _tick(around, core, numbers, links, now_ns, late_ns)
         sink.answer(info)
         due_ns += TICK_NS * (1 + (now_ns - due_ns) // TICK_NS)
     if around.guard is not None and core.command is not None:
@@ -196,13 +199,15 @@ def run(around: Surroundings, core: Core, info: Callable[[], bytes], stopped: Ca
         sink.publish(sample)
 
 
-def _tick(around: Surroundings, core: Core, links: Links, now_ns: int, late_ns: int) -> None:
+def _tick(
+    around: Surroundings, core: Core, numbers: LeaseNumbers, links: Links, now_ns: int, late_ns: int
+) -> None:
     """Requests in; frames first, then everything else out."""
     monotonic_ns, inbox = time.monotonic_ns, around.inbox
     core.observe_links(links, now_ns)
     if inbox is not None:
         for request in inbox.drain(core.lease_holder):
-            core.receive_request(request, now_ns)
+            core.receive_request(numbers.redact(request), now_ns)
     due = core.tick(now_ns, time.time_ns(), late_ns, os.urandom(CHALLENGE_BYTES))
     # Asked once more, right before: this process may have been stopped since, for longer than the guard needs.
     seen = around.guard.look() if around.guard is not None else NO_GUARD
@@ -215,7 +220,7 @@ def _tick(around: Surroundings, core: Core, links: Links, now_ns: int, late_ns: 
         around.note.follow(is_latched=Reason.GUARD in core.command.arbiter.latched)
     if inbox is not None:
         for reply in due.replies:
-            inbox.reply(reply)
+            inbox.reply(numbers.disclose(reply))
     for sample in due.samples:
         around.sink.publish(sample)
     for sample in samples:

@@ -148,10 +148,8 @@ def _frame(core: Core, now_ns: int, frame: list[Any]) -> list[Sample]:
     return [] if sample is None else [sample]
 
 
-def _request(
-    core: Core, now_ns: int, handle: int, verb: str, operator: str, payload: bytes, size: int
-) -> list[Sample]:
-    core.receive_request(RawRequest(handle, verb, operator, payload, size), now_ns)
+def _request(core: Core, now_ns: int, *request: Any) -> list[Sample]:  # noqa: ANN401 - as the journal holds it
+    core.receive_request(RawRequest(*request), now_ns)
     return []
 
 

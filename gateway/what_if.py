@@ -157,7 +157,7 @@ class _Echo:
 
     def asked(self, one: Input) -> Input:
         """The request, with the numbers that the other arbiter gave out."""
-        kind, now_ns, handle, verb, operator, payload, size = one
+        kind, now_ns, handle, verb, operator, payload, size, *fault = one
         try:
             request = msgspec.msgpack.decode(payload)
         except PAYLOAD_ERRORS:
@@ -175,13 +175,13 @@ class _Echo:
             lease is not None
             and other is not None
             and lease.operator == other.operator == operator
-            and request.get("lease") == lease.number
+            and request.get("lease") == lease.id
         ):
-            changed["lease"] = other.number
+            changed["lease"] = other.id
         if changed == request:
             return one
         encoded = msgspec.msgpack.encode(changed)
-        return kind, now_ns, handle, verb, operator, encoded, size + len(encoded) - len(payload)
+        return (kind, now_ns, handle, verb, operator, encoded, size + len(encoded) - len(payload), *fault)
 
 
 def _lease(core: Core) -> Lease | None:

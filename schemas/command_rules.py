@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final
 
-COMMAND_RULES: Final = 3
+COMMAND_RULES: Final = 4
 """The rules of this version. To be raised, with a row below, by every change that decides something otherwise."""
 
 _UNNUMBERED: Final = 0
@@ -35,6 +35,7 @@ CHANGES: Final[dict[int, str]] = {
     "a gateway that is told to end says so; "
     "safety/state comes at 50 Hz while the robot is engaged",
     3: "commands of another computer are an event also while the robot stands by",
+    4: "a drive command whose seq is more than 1,000 above the last accepted one is refused",
 }
 """What each version of the rules changed."""
 

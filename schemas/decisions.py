@@ -218,7 +218,8 @@ class Decision(Message, frozen=True):
     Attributes:
         tick: the arbiter's tick in which it was judged.
         request: the verb.
-        lease: the lease that the request names; null if it names none.
+        lease: which lease the request names, by a public identifier: the number that requests carry is a secret.
+            0 if it names none that was given; null if it needs none.
         request_sequence: a drive command's ``seq``; null for every other request.
         age_ms: at most this old, by the echoed challenge; null if that is not known, or not asked.
         bound_by: the limits that changed what was asked.
@@ -266,7 +267,7 @@ class Journal(Message, frozen=True):
     """All that the core was given, in its order: enough to run it again with the same outcome.
 
     Attributes:
-        run: a random number of this run of the gateway; with it, the leases come out the same.
+        run: a random number of this run of the gateway; with it, the identifiers of leases come out the same.
         first: the place of the first input in the order, from 0; a gap between two messages is a loss.
         count: how many inputs there are.
         inputs: a MessagePack array of arrays: the kind, the monotonic time in nanoseconds, and the arguments.

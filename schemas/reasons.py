@@ -126,7 +126,10 @@ TEXTS: Final[dict[Reason, Text]] = {
     Reason.LEASE_EXPIRED: Text(
         "the lease was not renewed in time", f"{_ACQUIRE}, which renew it; a client of its own has to"
     ),
-    Reason.SEQUENCE: Text("the sequence number does not rise", "let seq rise with each drive command of a lease"),
+    Reason.SEQUENCE: Text(
+        "the sequence number does not rise, or by too much",
+        "let seq rise by 1 with each drive command of a lease, from 0 or 1 on",
+    ),
     Reason.CHALLENGE_UNKNOWN: Text(
         "the echoed challenge was not published lately, so the command's age is not known",
         "echo the newest challenge of safety/state",

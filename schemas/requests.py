@@ -159,7 +159,7 @@ class Drive(Leased, frozen=True, forbid_unknown_fields=True):
     """One command of the stream that moves the robot. Exactly one of angle, curvature and yaw rate is given.
 
     Attributes:
-        seq: rises by at least 1 with each command of a lease.
+        seq: rises by 1 to 1,000 with each accepted command of a lease, from 0 or 1 on.
         challenge: the newest one of ``safety/state`` that the sender has seen; it bounds the command's age.
         speed_mps: forward is positive.
         angle_deg: steering angle of the bicycle model.

@@ -232,6 +232,10 @@ STOPS_PER_TICK: Final = 16
 REQUEST_MAX_BYTES: Final = 1024
 """No request is larger."""
 
+SEQUENCE_STEP_MAX: Final = 1000
+"""A drive command's ``seq`` is at most so far above the last accepted one: more than the longest lease of 10 s
+holds at 50 Hz, so that no loss on the way reaches it, and nobody can use up the numbers."""
+
 SAFETY_STATE_PERIOD_NS: Final = 50_000_000
 """`safety/state` is published every 50 ms, and on change..."""
 

@@ -75,7 +75,7 @@ class Arbiter:
 
         Args:
             settings: limits and times.
-            run: a random number of this run: leases and ticks of another run fit none of this one.
+            run: a random number of this run: it tells its leases and ticks from those of another. It is public.
         """
         self.settings = settings.command
         self.accepts_unguarded = settings.gateway.accept_unguarded

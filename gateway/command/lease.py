@@ -1,4 +1,8 @@
-"""The lease: one operator at a time may command the robot, and must keep saying so."""
+"""The lease: one operator at a time may command the robot, and must keep saying so.
+
+Here a lease has an identifier, which is public. The number that its holder's requests carry is a secret, and not
+known here: see ``gateway.command.lease_numbers``.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,7 @@ import msgspec
 from schemas.reasons import Reason
 from schemas.requests import Role
 
-_NUMBER_BITS: Final = 48
+_ID_BITS: Final = 48
 _ENDED_KEPT: Final = 16
 """Leases whose end is remembered, so that who lost one is told how."""
 
@@ -20,11 +24,11 @@ class Lease(msgspec.Struct, frozen=True):
     """Who may command.
 
     Attributes:
-        number: what every request of the holder carries.
+        id: tells it from every other lease of any run. Public.
         expires_ns: monotonic time at which it ends unless it is renewed.
     """
 
-    number: int
+    id: int
     operator: str
     role: Role
     expires_ns: int
@@ -43,7 +47,7 @@ class LeaseDesk:
 
         Args:
             duration_ns: a lease that is not renewed for this long expires.
-            random: where the numbers come from, so that no number of another run fits this one.
+            random: where the identifiers come from. It keeps no secret, so that a run can be run again.
         """
         self.lease: Lease | None = None
         self.given = 0
@@ -59,7 +63,7 @@ class LeaseDesk:
     def recall(self, given: int, ended: list[tuple[int, Reason]]) -> None:
         """A new desk goes on as one that has given and ended these; nobody holds a lease."""
         for _ in range(given - self.given):
-            self._number()
+            self._next_id()
         self._ended.extend(ended)
 
     def acquire(self, operator: str, role: Role, now_ns: int) -> Lease | Reason:
@@ -74,12 +78,12 @@ class LeaseDesk:
             self.end(Reason.LEASE_TAKEN)
         return self._give(operator, role, now_ns)
 
-    def refusal(self, number: int, operator: str) -> Reason | None:
-        """Why this number of this operator is not the lease in force, or None if it is."""
+    def refusal(self, lease_id: int, operator: str) -> Reason | None:
+        """Why this lease of this operator is not the one in force, or None if it is."""
         lease = self.lease
-        if lease is not None and lease.number == number and lease.operator == operator:
+        if lease is not None and lease.id == lease_id and lease.operator == operator:
             return None
-        return dict(self._ended).get(number, Reason.NO_LEASE)
+        return dict(self._ended).get(lease_id, Reason.NO_LEASE)
 
     def renew(self, now_ns: int) -> None:
         """The holder has been heard."""
@@ -89,7 +93,7 @@ class LeaseDesk:
     def end(self, reason: Reason) -> None:
         """End the lease, if there is one."""
         if self.lease is not None:
-            self._ended.append((self.lease.number, reason))
+            self._ended.append((self.lease.id, reason))
             self.lease = None
 
     def expire(self, now_ns: int) -> Lease | None:
@@ -101,9 +105,9 @@ class LeaseDesk:
         return lease
 
     def _give(self, operator: str, role: Role, now_ns: int) -> Lease:
-        self.lease = Lease(self._number(), operator, role, now_ns + self._duration_ns)
+        self.lease = Lease(self._next_id(), operator, role, now_ns + self._duration_ns)
         return self.lease
 
-    def _number(self) -> int:
+    def _next_id(self) -> int:
         self.given += 1
-        return self._random.getrandbits(_NUMBER_BITS) + 1
+        return self._random.getrandbits(_ID_BITS) + 1

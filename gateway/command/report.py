@@ -157,7 +157,7 @@ class Reporter:
             arbiter.state,
             arbiter.stop_phase,
             arbiter.stop_reason,
-            lease.number if lease is not None else None,
+            lease.id if lease is not None else None,
             tuple(arbiter.latched),
             tuple(blocked_by),
             arbiter.actuation is None or arbiter.actuation.parking,

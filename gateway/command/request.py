@@ -17,6 +17,7 @@ class RawRequest(msgspec.Struct, frozen=True):
         operator: the chunk before it; empty if it is not of the form of an operator's name.
         payload: the bytes, or nothing if there are more of them than any request has.
         size: how many there were.
+        fault: why the payload cannot be read, where that was found before the core got it; it is left out then.
     """
 
     handle: int
@@ -24,6 +25,7 @@ class RawRequest(msgspec.Struct, frozen=True):
     operator: str
     payload: bytes
     size: int
+    fault: str = ""
 
     @property
     def is_query(self) -> bool:
@@ -38,7 +40,7 @@ class Ruling(msgspec.Struct, frozen=True):
         reason: NONE if it was accepted.
         detail: figures that the reason's own text does not have.
         is_pending: accepted; the reply comes later, when it is known what became of it.
-        lease: what the request names, or what was given.
+        lease: the identifier of what the request names, or of what was given.
         expires_ns: how long the lease lasts from now.
         sequence, asked: a drive command's.
         age_ns: how old it can be at most, where it echoes a challenge that is known.

@@ -15,7 +15,7 @@ from schemas.codec import PayloadFault
 from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity
 from schemas.messages import ControllerState, Mode
 from schemas.reasons import Reason
-from schemas.settings import REQUEST_MAX_BYTES, RESET_MIN_NS
+from schemas.settings import REQUEST_MAX_BYTES, RESET_MIN_NS, SEQUENCE_STEP_MAX
 from schemas.subjects import BY_VERB, STOP_VERB, Asking
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def rule(arbiter: Arbiter, raw: RawRequest, now_ns: int) -> Ruling:
         return Ruling(Reason.UNKNOWN_VERB, f"{raw.verb[:32]!a} as a {'query' if raw.is_query else 'put'}")
     if raw.size > REQUEST_MAX_BYTES:
         return Ruling(Reason.TOO_LARGE, f"{raw.size} bytes, at most {REQUEST_MAX_BYTES}")
-    request = codec.decode_request(command, raw.payload)
+    request = PayloadFault(raw.fault) if raw.fault else codec.decode_request(command, raw.payload)
     if isinstance(request, PayloadFault):
         return Ruling(Reason.MALFORMED, request.detail[:200])
     if not raw.operator:
@@ -127,7 +127,7 @@ def _begin_lease(arbiter: Arbiter, lease: Lease, how: str, now_ns: int) -> Rulin
     arbiter.link = LinkAge(arbiter.settings)
     text = f"{lease.operator} has {how} the lease as {lease.role.value}"
     arbiter.tell(Severity.INFO, EventKind.LEASE, Reason.NONE, text, lease.operator)
-    return Ruling(lease=lease.number, expires_ns=lease.expires_ns - now_ns)
+    return Ruling(lease=lease.id, expires_ns=lease.expires_ns - now_ns)
 
 
 def _renew(arbiter: Arbiter, request: requests.Renew, operator: str, now_ns: int) -> Ruling:
@@ -293,6 +293,9 @@ def _drive(arbiter: Arbiter, request: requests.Drive, operator: str, now_ns: int
 
     if request.seq <= arbiter.last_sequence:
         return ruled(Reason.SEQUENCE, f"{request.seq} after {arbiter.last_sequence}")
+    if request.seq > arbiter.last_sequence + SEQUENCE_STEP_MAX:
+        detail = f"{request.seq} after {arbiter.last_sequence}, at most {SEQUENCE_STEP_MAX} more"
+        return ruled(Reason.SEQUENCE, detail)
     if isinstance(age_ns, Reason):
         return ruled(age_ns)
     if age_ns > arbiter.settings.max_age_s * 1e9:

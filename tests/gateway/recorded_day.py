@@ -224,8 +224,9 @@ def restful_day(seed: int, rounds: int = 5) -> RestfulDay:
 
 
 def under_rules_1(journal: Journal) -> Journal:
-    """The journal as it was before the rules had a number: its ticks have no challenge."""
-    inputs = [one[:4] if one[0] == Kind.TICK else one for one in inputs_of(journal)]
+    """The journal as it was before the rules had a number: ticks without a challenge, requests without a fault."""
+    kept = {Kind.TICK: 4, Kind.REQUEST: 7}
+    inputs = [one[: kept.get(one[0])] for one in inputs_of(journal)]
     return msgspec.structs.replace(journal, rules=0, inputs=msgspec.msgpack.encode(inputs))
 
 

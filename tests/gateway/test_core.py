@@ -542,10 +542,10 @@ class Bench:
         assert self.core.command is not None
         lease = self.core.command.arbiter.desk.lease
         assert lease is not None
-        handle = self.ask("engage", lease=lease.number, challenge=CHALLENGE)
+        handle = self.ask("engage", lease=lease.id, challenge=CHALLENGE)
         self.tick(30)
         assert self.replies[handle], "it is engaged"
-        return lease.number
+        return lease.id
 
     def sent_frames(self) -> list[tuple[int, bytes, int]]:
         """What can/{bus}/tx has published."""

@@ -96,7 +96,7 @@ def test_every_input_of_the_core_is_written_down() -> None:
         (Kind.FRAME, 0, [EXTENDED | 0x18C4D1EF, bytes(8), WALL_NS, 0, 0]),
         (Kind.FRAME, 1, [0x123 | REMOTE, b"", 5, 0, 3]),
         (Kind.FRAME, 2, [0x7, bytes(64), 6, FD, 0]),
-        (Kind.REQUEST, 3, 9, "stop", "first", b"\xff\x00", 2),
+        (Kind.REQUEST, 3, 9, "stop", "first", b"\xff\x00", 2, ""),
         (Kind.LINKS, 4, True, 1, True, False, 0, False, False, ""),
         (Kind.LINKS, 6, True, 1, True, False, 1, False, True, "it has given up"),
         (Kind.GUARD_STOP, 7, "the robot stands"),

@@ -398,6 +398,31 @@ class Commanded:
         return ticks
 
 
+def test_the_number_of_a_lease_is_in_the_replies_to_its_holder_alone() -> None:
+    """Not in what is published, the journal with its requests included; and what is published is no number."""
+    commanded = Commanded()
+    numbers: list[int] = []
+    refused: list[object] = []
+
+    def script(one: Commanded) -> Iterator[bool]:
+        yield from one.engage()
+        numbers.append(one.core.command.arbiter.desk.lease.id)  # type: ignore[union-attr]
+        numbers.extend(reply["lease"] for reply in one.inbox.replies.values() if "lease" in reply)  # type: ignore[misc]
+        handles = [one.inbox.ask("renew", lease=number) for number in numbers]
+        while not set(handles) <= one.inbox.replies.keys():
+            yield False
+        refused.extend(one.inbox.replies[handle]["reason"] for handle in handles)
+
+    commanded.run(script)
+    public, secret = numbers
+    assert refused == ["no_lease", "none"]
+    assert public != secret
+    forms = secret.to_bytes(7, "big"), str(secret).encode()
+    assert not [one.subject for one in commanded.zenoh.samples if any(form in one.payload for form in forms)]
+    decisions = [one.payload for one in commanded.zenoh.samples if one.subject == "safety/decision"]
+    assert {msgspec.msgpack.decode(payload)["lease"] for payload in decisions} == {public, 0}
+
+
 def test_frames_go_out_before_anything_else_and_decisions_last() -> None:
     """In a tick: the frames, the beat, the replies, the samples, and then what was decided."""
     commanded = Commanded()

@@ -44,7 +44,7 @@ def test_it_expires_at_two_seconds_and_not_before() -> None:
     assert lost.operator == "first"
     assert made.lease is None
     assert made.expire(4 * S) is None
-    assert made.refusal(lost.number, "first") is Reason.LEASE_EXPIRED
+    assert made.refusal(lost.id, "first") is Reason.LEASE_EXPIRED
 
 
 def test_nobodys_lease_is_neither_renewed_nor_ended() -> None:
@@ -60,9 +60,9 @@ def test_number_and_operator_both_have_to_fit() -> None:
     """Who has overheard the number is still somebody else."""
     made = desk()
     lease = given_to(made, "first")
-    assert made.refusal(lease.number, "first") is None
-    assert made.refusal(lease.number, "second") is Reason.NO_LEASE
-    assert made.refusal(lease.number + 1, "first") is Reason.NO_LEASE
+    assert made.refusal(lease.id, "first") is None
+    assert made.refusal(lease.id, "second") is Reason.NO_LEASE
+    assert made.refusal(lease.id + 1, "first") is Reason.NO_LEASE
 
 
 def test_a_higher_or_equal_role_takes_it() -> None:
@@ -78,7 +78,7 @@ def test_a_higher_or_equal_role_takes_it() -> None:
             else:
                 assert isinstance(taken, Lease)
                 assert (taken.operator, taken.role, taken.expires_ns) == ("second", taker, 3 * S)
-                assert made.refusal(old.number, "first") is Reason.LEASE_TAKEN
+                assert made.refusal(old.id, "first") is Reason.LEASE_TAKEN
 
 
 def test_what_nobody_holds_anybody_takes() -> None:
@@ -91,7 +91,7 @@ def test_sixteen_ended_leases_are_remembered() -> None:
     made = desk()
     numbers = []
     for _ in range(17):
-        numbers.append(given_to(made, "first").number)
+        numbers.append(given_to(made, "first").id)
         made.end(Reason.LEASE_RELEASED)
     assert made.refusal(numbers[0], "first") is Reason.NO_LEASE
     assert [made.refusal(number, "first") for number in numbers[1:]] == [Reason.LEASE_RELEASED] * 16
@@ -100,6 +100,6 @@ def test_sixteen_ended_leases_are_remembered() -> None:
 @given(run=st.integers(0, 2**64), other=st.integers(0, 2**64))
 def test_numbers_of_one_run_do_not_fit_another(run: int, other: int) -> None:
     """And each is one that every language holds exactly."""
-    number = given_to(desk(run), "first").number
+    number = given_to(desk(run), "first").id
     assert 0 < number <= LEASE_MAX
-    assert (number == given_to(desk(other), "first").number) is (run == other)
+    assert (number == given_to(desk(other), "first").id) is (run == other)

@@ -64,7 +64,7 @@ def test_the_next_lease_has_the_number_that_it_would_have_had() -> None:
     operator.take_lease()
     given = flow.arbiter.desk.acquire("third", rig.says.lease_role, 0)
     assert not isinstance(given, Reason)
-    assert given.number == operator.lease
+    assert given.id == operator.lease
 
 
 def _hold_lease(rig: LoopRig) -> None:

@@ -598,6 +598,21 @@ def test_the_sequence_rises(step: int) -> None:
     assert bench.drive(1.0, seq=51).reason is Reason.NONE
 
 
+def test_a_sequence_cannot_be_used_up() -> None:
+    """Row 'sequence': it rises by 1 to 1,000. Nobody lifts it to where the holder's own numbers are refused."""
+    bench = engaged()
+    last = bench.sequence
+    for seq in (2**53 - 1, last + 1001):
+        ruling = bench.drive(1.0, seq=seq)
+        assert (ruling.reason, ruling.detail) == (Reason.SEQUENCE, f"{seq} after {last}, at most 1000 more")
+    assert bench.drive(1.0, seq=last + 1000).reason is Reason.NONE
+    assert bench.drive(1.0, seq=last + 1001).reason is Reason.NONE
+    bench.ask("release")
+    bench.ask("acquire")
+    assert bench.drive(seq=1000).reason is Reason.SEQUENCE, "a new lease begins at the bottom"
+    assert bench.drive(seq=999).reason is not Reason.SEQUENCE
+
+
 def test_zero_is_a_sequence_number_and_each_lease_begins_anew() -> None:
     """'Within a lease'."""
     bench = Bench()

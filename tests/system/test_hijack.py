@@ -1,0 +1,157 @@
+"""A neighbour on the same Zenoh network, who reads all that a robot publishes and records, and wants to drive it.
+
+He gives himself the holder's name. What he cannot have is the number of the holder's lease.
+"""
+
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import msgspec
+import zenoh
+from mcap.reader import make_reader
+
+from gateway.journal import Kind
+from gateway.ports.zenoh_client import close_session, open_session
+from gateway.remote.robot import Robot
+from schemas import keys
+from schemas.decisions import Decision, Journal, Verdict
+from schemas.reasons import Reason
+from schemas.settings import Settings, ZenohSettings
+from tests.gateway.cli.running import Running, chassis, gateway
+from tests.gateway.remote.fake_gateway import ROOT, free_endpoint
+from tests.gateway.remote.waiting import wait_until
+
+ROBOT, HOLDER = "cruiser-1", "holder"
+SPEED_MPS, HIS_SPEED_MPS = 0.2, 1.0
+JOURNAL = msgspec.msgpack.Decoder(Journal)
+DECISION = msgspec.msgpack.Decoder(Decision)
+
+
+class Neighbour:
+    """Reads everything, and commands under the holder's name."""
+
+    def __init__(self, endpoint: str) -> None:
+        self.session = open_session(ZenohSettings(), [endpoint], [])
+        self.read: list[tuple[str, bytes]] = []
+        self._samples = self.session.declare_subscriber("**", zenoh.handlers.FifoChannel(1_000_000))
+
+    def listen(self) -> None:
+        """Take what has come."""
+        while (sample := self._samples.try_recv()) is not None:
+            self.read.append((str(sample.key_expr), sample.payload.to_bytes()))
+
+    def of(self, subject: str) -> list[bytes]:
+        """The payloads of a subject."""
+        return [payload for key, payload in self.read if key == f"{ROOT}/{ROBOT}/{subject}"]
+
+    def decisions(self) -> list[Decision]:
+        """All that was decided."""
+        return [DECISION.decode(payload) for payload in self.of("safety/decision")]
+
+    def numbers(self) -> set[int]:
+        """What may be the number of the lease: of decisions, of recorded requests, and computed from the run."""
+        found = {one.lease for one in self.decisions() if one.lease is not None}
+        for payload in self.of("journal"):
+            journal = JOURNAL.decode(payload)
+            drawn = Random(journal.run)  # noqa: S311 - as the arbiter draws
+            drawn.getrandbits(40)
+            found |= {drawn.getrandbits(48) + 1 for _ in range(5)}
+            for kind, _, *arguments in msgspec.msgpack.decode(journal.inputs):
+                if kind == Kind.REQUEST and arguments[3]:
+                    found |= set(integers(msgspec.msgpack.decode(arguments[3])))
+        return found
+
+    def drive(self, lease: int, seq: int) -> None:
+        """A command under the holder's name, with the newest challenge."""
+        state = msgspec.msgpack.decode(self.of("safety/state")[-1])
+        payload = msgspec.msgpack.encode(
+            {
+                "lease": lease,
+                "seq": seq,
+                "challenge": state["challenge"],
+                "speed_mps": HIS_SPEED_MPS,
+                "angle_deg": 0.0,
+            }
+        )
+        self.session.put(keys.command(ROOT, ROBOT, HOLDER, "drive"), payload)
+
+
+def integers(value: Any) -> Iterator[int]:  # noqa: ANN401 - whatever MessagePack holds
+    """All whole numbers in it."""
+    match value:
+        case int():
+            yield value
+        case dict():
+            for one in value.values():
+                yield from integers(one)
+        case list():
+            for one in value:
+                yield from integers(one)
+
+
+def forms(number: int) -> list[bytes]:
+    """A number as MessagePack, as protobuf and as people write it."""
+    varint, rest = bytearray(), number
+    while rest:
+        varint.append(rest & 0x7F | (0x80 if rest > 0x7F else 0))
+        rest >>= 7
+    length = (number.bit_length() + 7) // 8
+    return [number.to_bytes(length, "big"), number.to_bytes(length, "little"), bytes(varint), str(number).encode()]
+
+
+def recorded(directory: Path) -> list[bytes]:
+    """The messages of the log."""
+    (log,) = (path for path in directory.glob("*.mcap") if ".incident." not in path.name)
+    with log.open("rb") as stream:
+        return [message.data for _, _, message in make_reader(stream).iter_messages()]
+
+
+def test_nobody_drives_under_the_holders_name_by_what_is_published_and_recorded(tmp_path: Path) -> None:
+    """No number that can be read or computed is taken, and the true one stands nowhere."""
+    endpoint = free_endpoint()
+    with (
+        Running("record", "-o", str(tmp_path), "--connect", endpoint) as recording,
+        chassis() as (_, address),
+        gateway(address, endpoint) as running,
+    ):
+        neighbour = Neighbour(endpoint)
+        settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
+        with Robot.connect(ROBOT, HOLDER, settings) as robot, robot.lease() as lease:
+            robot.wait_for(lambda state: state.blocked_by == [Reason.NOT_ENGAGED], 30)
+            lease.engage()
+            lease.unpark()
+            lease.drive(SPEED_MPS)
+            tried: set[int] = set()
+            refused: list[Decision] = []
+
+            def hijack() -> None:
+                neighbour.listen()
+                lease.drive(SPEED_MPS)
+                accepted = [one.request_sequence for one in neighbour.decisions() if one.request_sequence]
+                for number in neighbour.numbers() - tried if accepted else ():
+                    tried.add(number)
+                    neighbour.drive(number, max(accepted) + 5)
+                # Against the drops of a busy moment: those that were given are tried again and again.
+                for number in {one.lease for one in neighbour.decisions() if one.lease}:
+                    neighbour.drive(number, max(accepted, default=0) + 5)
+                refused[:] = [one for one in neighbour.decisions() if one.requested_speed_mps is None]
+                refused[:] = [one for one in refused if one.reason is Reason.NO_LEASE]
+
+            wait_until(lambda: len(refused) > 200 and len(tried) > 5, hijack)
+            number = lease.number
+            lease.disengage()
+        wait_until(lambda: any(one.request == "release" for one in neighbour.decisions()), neighbour.listen)
+        assert running.stop() == 0, running.said
+        neighbour.listen()
+        close_session(neighbour.session)
+        wait_until(lambda: any(tmp_path.glob("*.mcap*")))
+        assert recording.stop(signal.SIGINT) == 0, recording.said
+    accepted = [one for one in neighbour.decisions() if one.verdict is Verdict.ACCEPTED]
+    assert {one.requested_speed_mps for one in accepted if one.request == "drive"} <= {0.0, SPEED_MPS}
+    assert number not in neighbour.numbers()
+    said = [*(payload for _, payload in neighbour.read), *recorded(tmp_path), "\n".join(running.said).encode()]
+    assert len(neighbour.of("journal")) > 5
+    assert not [one for one in said if any(form in one for form in forms(number))]
