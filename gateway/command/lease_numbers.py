@@ -1,8 +1,8 @@
 """The numbers of leases: a secret between the holder and the robot. Pure.
 
 Every request of a holder carries the number that the reply to ``acquire`` or ``take`` gave. The core, the journal
-and everything that is published know a lease by its identifier alone, which gives nobody anything. The run loop puts
-identifiers for numbers into each request before the core gets it, and numbers for identifiers into each reply.
+and everything that is published know a lease by its identifier alone, which gives nobody anything. The run loop
+puts identifiers for numbers into each request before the core gets it, numbers for identifiers into each reply.
 """
 
 from __future__ import annotations

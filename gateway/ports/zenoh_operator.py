@@ -36,6 +36,9 @@ EVENTS_OF_BEFORE: Final = 50
 REPLIES_WAITING: Final = 256
 """Replies to one question: a stop of a whole fleet has one for each robot."""
 
+FURTHER_S: Final = 0.2
+"""Who else answers has so long after the first reply. The reply of a robot that is alone ends the question."""
+
 POLL_S: Final = 0.002
 """How often a reply is looked for."""
 
@@ -135,19 +138,24 @@ class CommandPort:
             raise CommandError(f"cannot ask: {reason(str(error))}", ExitCode.UNREACHABLE) from error
         return Question(replies)
 
-    def ask(self, verb: str, payload: bytes, timeout_s: float) -> Received | None:
-        """Ask, and wait for the first reply; None if none comes.
+    def ask(self, verb: str, payload: bytes, timeout_s: float) -> list[Received]:
+        """Ask, and wait for all replies; after the first, others have ``FURTHER_S`` to come.
 
         Raises:
             CommandError: the session is closed.
         """
         question = self.begin(verb, payload, timeout_s)
         deadline_s = time.monotonic() + timeout_s
+        replies: list[Received] = []
         while True:
-            for received in question.poll():
-                return received
-            if question.is_over or time.monotonic() >= deadline_s:
-                return None
+            # Asked first: what came before the end is then among what is polled.
+            is_over = question.is_over or time.monotonic() >= deadline_s
+            found = question.poll()
+            if found and not replies:
+                deadline_s = min(deadline_s, time.monotonic() + FURTHER_S)
+            replies += found
+            if is_over:
+                return replies
             time.sleep(POLL_S)
 
     def call_roll(self, timeout_s: float) -> Question:

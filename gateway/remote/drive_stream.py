@@ -5,6 +5,8 @@ What is heard of the robot goes in with ``see``; ``command`` says what to send n
 
 from __future__ import annotations
 
+from collections import deque
+from math import dist
 from typing import Final
 
 import msgspec
@@ -28,6 +30,23 @@ STALE_NS: Final = 1_000_000_000
 
 SILENT_NS: Final = 1_000_000_000
 """A robot whose safety/state was not heard for this long is out of reach."""
+
+
+CONFIRM_NS: Final = 150_000_000
+"""What ends the stream has been seen for so long..."""
+
+CONFIRM_STATES: Final = 3
+"""...and in so many states: anyone can put a false one between the robot's own."""
+
+EVIDENCE_NS: Final = 1_000_000_000
+"""States that are older prove nothing any more."""
+
+SENT_KEPT: Final = 128
+"""So many commands are remembered: those of the last two seconds and a half."""
+
+
+ROUNDING: Final = 1e-6
+"""m/s and deg: no target that was asked for differs by less."""
 
 
 class SetPoint(msgspec.Struct, frozen=True):
@@ -64,11 +83,35 @@ class Ending(msgspec.Struct, frozen=True):
     lease_lost: bool = False
 
 
+class _Evidence:
+    """States that say the same, until there are enough of them to be believed."""
+
+    def __init__(self) -> None:
+        self._times_ns: deque[int] = deque()
+
+    def add(self, now_ns: int) -> bool:
+        """One more. Whether they are enough."""
+        times_ns = self._times_ns
+        times_ns.append(now_ns)
+        while now_ns - times_ns[0] > EVIDENCE_NS:
+            times_ns.popleft()
+        return len(times_ns) >= CONFIRM_STATES and now_ns - times_ns[0] >= CONFIRM_NS
+
+    def clear(self) -> None:
+        """A state says otherwise."""
+        self._times_ns.clear()
+
+
 class DriveStream:
     """What one holder of a lease sends.
 
+    A single state ends nothing: it may be forged. What the robot itself says it goes on saying, and a forged state
+    stands between others that contradict it.
+
     Attributes:
         lease: its number.
+        is_shared: commands of somebody else were accepted under the lease. It has to be given back: so the robot
+            stops.
         ending: why nothing is sent any more; None while all is well, or nobody engaged.
         engaged: the robot was seen engaged since ``expect_engaged``, and still is.
     """
@@ -87,6 +130,9 @@ class DriveStream:
         self._set_point: SetPoint | None = None
         self._until_ns = 0
         self._note = ""
+        self.is_shared = False
+        self._sent: dict[int, tuple[float, float]] = {}
+        self._loss, self._foreign, self._stop = _Evidence(), _Evidence(), _Evidence()
 
     @property
     def is_wanted(self) -> bool:
@@ -112,6 +158,8 @@ class DriveStream:
         self._is_wanted = self._is_asked = True
         self.engaged = False
         self._set_point = None
+        self._sent.clear()
+        self._stop.clear()
         if not self.is_lost:
             self.ending = None
 
@@ -140,7 +188,11 @@ class DriveStream:
         self._state, self._seen_ns = state, now_ns
         if state.lease_holder == self._operator:
             self._was_holder = True
-        elif self._was_holder:
+            self._loss.clear()
+            if self._is_foreign(state) and self._foreign.add(now_ns) and not self.is_lost:
+                self.is_shared = True
+                self.lose(Reason.LEASE_TAKEN, "commands that this program did not send are obeyed under its lease")
+        elif self._was_holder and self._loss.add(now_ns):
             taken = f"by {state.lease_holder}" if state.lease_holder else ""
             self.lose(Reason.LEASE_TAKEN if taken else Reason.LEASE_EXPIRED, taken)
         if not self._is_wanted:
@@ -148,7 +200,8 @@ class DriveStream:
         if state.state is ArbiterState.ENGAGED:
             self.engaged = True
             self._is_asked = False
-        elif self.engaged:
+            self._stop.clear()
+        elif self.engaged and self._stop.add(now_ns):
             reason = state.stop_reason if state.stop_reason is not Reason.NONE else Reason.NOT_ENGAGED
             detail = "; ".join(filter(None, (TEXTS[reason].means, state.stop_detail)))
             self._end(Ending(reason, detail))
@@ -164,12 +217,26 @@ class DriveStream:
         if state is None or not self.is_wanted or now_ns - self._seen_ns > STALE_NS:
             return None
         self._sequence += 1
-        return self._in_force(state, now_ns).command(self.lease, self._sequence, state.challenge, state.tick)
+        drive = self._in_force(state, now_ns).command(self.lease, self._sequence, state.challenge, state.tick)
+        angle_deg = steering_angle_deg(drive)
+        if self.engaged and isinstance(angle_deg, float):
+            self._sent[drive.seq] = drive.speed_mps, angle_deg
+            self._sent.pop(drive.seq - SENT_KEPT, None)
+        return drive
 
     def take_note(self) -> str:
         """What the program should know, once; empty if there is nothing."""
         note, self._note = self._note, ""
         return note
+
+    def _is_foreign(self, state: SafetyState) -> bool:
+        """The last accepted command of our lease was not ours: we never sent it, or asked for something else."""
+        accepted = state.accepted_seq
+        if accepted is None or accepted > self._sequence:
+            return accepted is not None
+        sent = self._sent.get(accepted)
+        target = state.target_speed_mps, state.target_angle_deg
+        return sent is not None and state.engaged and dist(sent, target) > ROUNDING
 
     def _in_force(self, state: SafetyState, now_ns: int) -> SetPoint:
         wanted = self._set_point

@@ -14,14 +14,14 @@ import msgspec
 from gateway.ports.zenoh_operator import CommandPort, Question, SafetyListener
 from gateway.remote.drive_stream import PERIOD_S, SILENT_NS, DriveStream
 from gateway.remote.refusal import Unreachable, refused
-from gateway.remote.reply import BY_REQUEST, encode_request, read_reply
+from gateway.remote.reply import BY_REQUEST, CONTRADICTION, contradict, encode_request, read_reply
 from gateway.telemetry.heard import Received
 from schemas import codec, keys
 from schemas.codec import PayloadFault
 from schemas.decisions import Reply, SafetyEvent, SafetyState
 from schemas.exit_codes import CommandError
 from schemas.messages import GatewayHealth, RobotState
-from schemas.requests import Renew, Request
+from schemas.requests import Release, Renew, Request
 
 log = logging.getLogger(__name__)
 
@@ -73,6 +73,8 @@ class Link:
         self._events: deque[SafetyEvent] = deque(maxlen=EVENTS_KEPT)
         self._stream: DriveStream | None = None
         self._renewal: Question | None = None
+        self._renewed: list[Reply] = []
+        self._release: Question | None = None
         self._renew_every_ns = 0
         self._renew_ns = 0
         self._closing = threading.Event()
@@ -128,13 +130,16 @@ class Link:
 
         Raises:
             Refused: it is a refusal.
-            Unreachable: there is none, or it cannot be read.
+            Unreachable: there is none, it cannot be read, or there are several that contradict each other.
         """
         command = BY_REQUEST[type(request)]
         received = self.commands.ask(command.verb, encode_request(request), timeout_s)
-        if received is None:
+        if not received:
             raise Unreachable(f"{self.robot} did not answer {command.verb}")
-        reply = read_reply(command, received)
+        replies = [read_reply(command, one) for one in received]
+        reply = replies[0]
+        if contradict(replies):
+            raise Unreachable(f"{self.robot}: {command.verb}: {CONTRADICTION}")
         if isinstance(reply, PayloadFault):
             raise Unreachable(f"{self.robot}: {command.verb}: {reply.detail}")
         if not reply.ok:
@@ -146,6 +151,8 @@ class Link:
         with self.heard:
             self._stream = stream
             self._renewal = None
+            self._renewed = []
+            self._release = None
             self._renew_every_ns = round(expires_s / RENEWALS * _S)
             self._renew_ns = time.monotonic_ns() + self._renew_every_ns
 
@@ -207,20 +214,36 @@ class Link:
             self.commands.put("drive", encode_request(drive))
         if stream.is_wanted:
             self._renew_ns = now_ns + self._renew_every_ns
+        elif stream.is_shared:
+            self._revoke(stream, now_ns)
         else:
             self._renew(stream, now_ns)
         note = stream.take_note()
         if note:
             log.warning("%s: %s", self.robot, note)
 
+    def _revoke(self, stream: DriveStream, now_ns: int) -> None:
+        """Give back a lease under which somebody else commands, again and again: the robot stops."""
+        if self._release is not None and now_ns < self._renew_ns:
+            return
+        self._renew_ns = now_ns + self._renew_every_ns
+        request = encode_request(Release(lease=stream.lease))
+        try:
+            self._release = self.commands.begin("release", request, self._renew_every_ns / _S)
+        except CommandError as error:
+            log.debug("%s: release: %s", self.robot, error)
+
     def _renew(self, stream: DriveStream, now_ns: int) -> None:
-        """Renew the lease by a query, whose reply is looked at in a later round: the stream never waits."""
+        """Renew the lease by a query, whose replies are looked at in later rounds: the stream never waits."""
+        is_due = now_ns >= self._renew_ns
         if self._renewal is not None:
-            for received in self._renewal.poll():
-                reply = read_reply(BY_REQUEST[Renew], received)
-                if isinstance(reply, Reply) and not reply.ok:
-                    stream.lose(reply.reason)
-        if now_ns < self._renew_ns or stream.is_lost:
+            replies = (read_reply(BY_REQUEST[Renew], received) for received in self._renewal.poll())
+            self._renewed += [reply for reply in replies if isinstance(reply, Reply)]
+            if self._renewed and (is_due or self._renewal.is_over):
+                if not any(reply.ok for reply in self._renewed):
+                    stream.lose(self._renewed[0].reason)
+                self._renewal, self._renewed = None, []
+        if not is_due or stream.is_lost:
             return
         self._renew_ns = now_ns + self._renew_every_ns
         request = encode_request(Renew(lease=stream.lease))

@@ -8,7 +8,7 @@ import msgspec
 
 from gateway.telemetry.heard import Received
 from schemas.codec import PayloadFault
-from schemas.decisions import Reply
+from schemas.decisions import LeaseReply, Reply
 from schemas.subjects import COMMANDS, Command
 
 BY_REQUEST: Final = {command.request: command for command in COMMANDS}
@@ -17,6 +17,20 @@ _DECODERS: Final = {command.reply: msgspec.msgpack.Decoder(command.reply) for co
 
 encode_request: Final = msgspec.msgpack.Encoder().encode
 """A request's MessagePack bytes."""
+
+
+CONTRADICTION: Final = "the replies contradict each other: another gateway of this name, or an impostor, is there"
+
+
+def contradict(replies: list[Reply | PayloadFault]) -> bool:
+    """Replies to one question differ in more than their words."""
+    return len({_essence(reply) for reply in replies}) > 1
+
+
+def _essence(reply: Reply | PayloadFault) -> tuple[object, ...]:
+    if isinstance(reply, PayloadFault):
+        return ()
+    return reply.ok, reply.reason, reply.lease if isinstance(reply, LeaseReply) else 0
 
 
 def read_reply(command: Command, received: Received) -> Reply | PayloadFault:

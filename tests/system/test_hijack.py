@@ -1,31 +1,37 @@
-"""A neighbour on the same Zenoh network, who reads all that a robot publishes and records, and wants to drive it.
+"""A neighbour on the same Zenoh network, who wants to drive a robot, or to have its driver lose it.
 
-He gives himself the holder's name. What he cannot have is the number of the holder's lease.
+He reads all that the robot publishes and records, and gives himself the holder's name. What he cannot have is the
+number of the holder's lease; some tests give it to him, as if he had read the holder's own requests.
 """
 
 import signal
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from random import Random
 from typing import Any
 
 import msgspec
+import pytest
 import zenoh
 from mcap.reader import make_reader
 
 from gateway.journal import Kind
 from gateway.ports.zenoh_client import close_session, open_session
-from gateway.remote.robot import Robot
+from gateway.remote.refusal import LeaseLost
+from gateway.remote.robot import Lease, Robot
 from schemas import keys
 from schemas.decisions import Decision, Journal, Verdict
 from schemas.reasons import Reason
 from schemas.settings import Settings, ZenohSettings
+from schemas.subjects import BY_NAME
 from tests.gateway.cli.running import Running, chassis, gateway
 from tests.gateway.remote.fake_gateway import ROOT, free_endpoint
 from tests.gateway.remote.waiting import wait_until
 
 ROBOT, HOLDER = "cruiser-1", "holder"
 SPEED_MPS, HIS_SPEED_MPS = 0.2, 1.0
+FAR_M = 99.0
 JOURNAL = msgspec.msgpack.Decoder(Journal)
 DECISION = msgspec.msgpack.Decoder(Decision)
 
@@ -34,7 +40,8 @@ class Neighbour:
     """Reads everything, and commands under the holder's name."""
 
     def __init__(self, endpoint: str) -> None:
-        self.session = open_session(ZenohSettings(), [endpoint], [])
+        # He listens: so the others connect to him too, and what he forges reaches them.
+        self.session = open_session(ZenohSettings(), [endpoint], [free_endpoint()])
         self.read: list[tuple[str, bytes]] = []
         self._samples = self.session.declare_subscriber("**", zenoh.handlers.FifoChannel(1_000_000))
 
@@ -64,9 +71,19 @@ class Neighbour:
                     found |= set(integers(msgspec.msgpack.decode(arguments[3])))
         return found
 
+    def state(self) -> dict[str, Any]:
+        """The newest safety/state."""
+        return msgspec.msgpack.decode(self.of("safety/state")[-1])  # type: ignore[no-any-return]
+
+    def forge(self, **fields: object) -> None:
+        """The newest safety/state once more, with something else in it."""
+        subject = BY_NAME["safety/state"]
+        payload = msgspec.msgpack.encode(self.state() | fields)
+        self.session.put(keys.build(ROOT, ROBOT, subject), payload, encoding=subject.encoding)
+
     def drive(self, lease: int, seq: int) -> None:
         """A command under the holder's name, with the newest challenge."""
-        state = msgspec.msgpack.decode(self.of("safety/state")[-1])
+        state = self.state()
         payload = msgspec.msgpack.encode(
             {
                 "lease": lease,
@@ -155,3 +172,89 @@ def test_nobody_drives_under_the_holders_name_by_what_is_published_and_recorded(
     said = [*(payload for _, payload in neighbour.read), *recorded(tmp_path), "\n".join(running.said).encode()]
     assert len(neighbour.of("journal")) > 5
     assert not [one for one in said if any(form in one for form in forms(number))]
+
+
+@contextmanager
+def driving() -> Iterator[tuple[Neighbour, Robot, Lease]]:
+    """A robot that its holder drives, and a neighbour."""
+    endpoint = free_endpoint()
+    settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
+    with chassis() as (_, address), gateway(address, endpoint):
+        neighbour = Neighbour(endpoint)
+        with Robot.connect(ROBOT, HOLDER, settings) as robot, robot.lease() as lease:
+            robot.wait_for(lambda state: state.blocked_by == [Reason.NOT_ENGAGED], 30)
+            lease.engage(deadman_s=1.0)
+            lease.unpark()
+            lease.drive(SPEED_MPS)
+            wait_until(lambda: bool(neighbour.of("safety/state")), neighbour.listen)
+            yield neighbour, robot, lease
+        close_session(neighbour.session)
+
+
+def test_a_holder_whose_lease_somebody_else_uses_loses_it_and_the_robot_stops() -> None:
+    """Although the neighbour has the number, and goes on: the holder's program ends, and gives the lease back."""
+    with driving() as (neighbour, robot, lease):
+        number = lease.number
+
+        def both() -> None:
+            neighbour.listen()
+            lease.drive(SPEED_MPS)
+            neighbour.drive(number, (neighbour.state()["accepted_seq"] or 0) + 3)
+
+        with pytest.raises(LeaseLost, match="did not send"):
+            wait_until(lambda: False, both)
+
+        def he_alone() -> None:
+            neighbour.listen()
+            neighbour.drive(number, (neighbour.state()["accepted_seq"] or 0) + 3)
+
+        wait_until(lambda: not robot.state().state.lease_holder and not robot.state().state.engaged, he_alone)
+        assert robot.state().state.stop_reason is Reason.LEASE_RELEASED
+
+
+def test_a_jump_of_the_sequence_locks_nobody_out() -> None:
+    """Although the neighbour has the number: the greatest seq is refused, and the holder drives on."""
+    with driving() as (neighbour, robot, lease):
+
+        def both() -> None:
+            neighbour.listen()
+            lease.drive(SPEED_MPS)
+            neighbour.drive(lease.number, 2**53 - 1)
+
+        def refused() -> list[Decision]:
+            return [one for one in neighbour.decisions() if one.request_sequence == 2**53 - 1]
+
+        wait_until(lambda: len(refused()) > 20, both)
+        assert {one.reason for one in refused()} == {Reason.SEQUENCE}
+        accepted = robot.state().state.accepted_seq
+        assert accepted is not None
+        wait_until(lambda: (robot.state().state.accepted_seq or 0) > accepted + 10, both)
+        lease.check()
+
+
+@pytest.mark.parametrize(
+    "forged",
+    [
+        {"lease_holder": "", "tick": 2**40},
+        {"lease_holder": "neighbour"},
+        {"state": "stopping", "engaged": False, "stop_reason": "remote_stop"},
+        {"accepted_seq": 10**9},
+    ],
+)
+def test_a_forged_state_a_second_takes_the_robot_from_nobody(forged: dict[str, object]) -> None:
+    """The robot's own states say otherwise."""
+    with driving() as (neighbour, robot, lease):
+
+        def hold() -> None:
+            neighbour.listen()
+            lease.drive(SPEED_MPS)
+
+        wait_until(
+            lambda: robot.state().state.travel_delay_m == FAR_M, lambda: neighbour.forge(travel_delay_m=FAR_M)
+        )
+        for _ in range(3):
+            neighbour.forge(**forged)
+            begun = len(neighbour.of("safety/state"))
+            wait_until(lambda: len(neighbour.of("safety/state")) > begun + 40, hold)
+        lease.check()
+        assert lease.is_engaged

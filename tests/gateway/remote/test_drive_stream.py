@@ -68,6 +68,12 @@ def stream_that_saw(*states: SafetyState, expects: bool = True) -> DriveStream:
     return stream
 
 
+def goes_on_to_see(stream: DriveStream, state: SafetyState) -> None:
+    """The robot says so for 150 ms, at its slowest pace; the last time at the start."""
+    for before_ms in (150, 100, 50, 0):
+        stream.see(state, START_NS - before_ms * MS)
+
+
 def test_nothing_is_sent_before_engage_was_asked_for() -> None:
     """A lease alone sends no drive command, whatever the robot's state is."""
     for state in (STANDBY, ENGAGING, ENGAGED):
@@ -90,7 +96,7 @@ def test_a_stop_after_refused_commands_says_so() -> None:
     """Whoever drove over a link that is too slow does not only read that the robot is not engaged."""
     stream = stream_that_saw(ENGAGED)
     detail = "none for 310 ms; 12 commands refused as too old, 1470 ms"
-    stream.see(msgspec.structs.replace(STOPPED, stop_reason=Reason.DEADMAN, stop_detail=detail), START_NS)
+    goes_on_to_see(stream, msgspec.structs.replace(STOPPED, stop_reason=Reason.DEADMAN, stop_detail=detail))
     assert stream.ending == Ending(Reason.DEADMAN, f"{TEXTS[Reason.DEADMAN].means}; {detail}")
 
 
@@ -185,7 +191,7 @@ def test_a_robot_that_is_engaged_no_more_ends_the_stream(state: SafetyState) -> 
     """Nothing is sent from then on, also if it were engaged again by somebody; the reason is the robot's."""
     stream = stream_that_saw(ENGAGED)
     stream.aim(SetPoint(1.0, angle_deg=0.0), 0.5, START_NS)
-    stream.see(state, START_NS)
+    goes_on_to_see(stream, state)
     stream.see(ENGAGED, START_NS)
     assert stream.command(START_NS) is None
     assert stream.ending is not None
@@ -205,7 +211,7 @@ def test_engaging_again_begins_at_zero() -> None:
     """What was driven before a stop is not driven after it."""
     stream = stream_that_saw(ENGAGED)
     stream.aim(SetPoint(1.0, angle_deg=0.0), 2.0, START_NS)
-    stream.see(STOPPED, START_NS)
+    goes_on_to_see(stream, STOPPED)
     stream.expect_engaged()
     stream.see(ENGAGED, START_NS)
     command = stream.command(START_NS)
@@ -217,8 +223,8 @@ def test_engaging_again_begins_at_zero() -> None:
 def test_a_lease_that_is_lost_ends_the_stream_for_good(holder: str, reason: Reason) -> None:
     """No engaging brings it back, and its reason stays whatever comes after."""
     stream = stream_that_saw(ENGAGED)
-    stream.see(msgspec.structs.replace(ENGAGED, lease_holder=holder), START_NS)
-    stream.see(msgspec.structs.replace(STANDBY, lease_holder="third"), START_NS)
+    goes_on_to_see(stream, msgspec.structs.replace(ENGAGED, lease_holder=holder))
+    goes_on_to_see(stream, msgspec.structs.replace(STANDBY, lease_holder="third"))
     stream.lose(Reason.NO_LEASE)
     stream.expect_engaged()
     assert stream.ending is not None
@@ -228,7 +234,8 @@ def test_a_lease_that_is_lost_ends_the_stream_for_good(holder: str, reason: Reas
 
 def test_a_lease_that_was_never_seen_to_be_ours_is_not_lost() -> None:
     """The reply to acquire may overtake the states that name the holder of before."""
-    stream = stream_that_saw(msgspec.structs.replace(STANDBY, lease_holder="second"))
+    stream = stream_that_saw()
+    goes_on_to_see(stream, msgspec.structs.replace(STANDBY, lease_holder="second"))
     assert not stream.is_lost
 
 
@@ -239,3 +246,110 @@ def test_giving_up_is_no_failure() -> None:
     stream.see(STOPPED, START_NS)
     assert stream.ending is None
     assert stream.command(START_NS) is None
+
+
+FORGED = [
+    msgspec.structs.replace(ENGAGED, lease_holder=""),
+    msgspec.structs.replace(STANDBY, lease_holder="second", tick=10**6),
+    STOPPED,
+    msgspec.structs.replace(ENGAGED, accepted_seq=10**9),
+]
+
+
+def seen_between(stream: DriveStream, forged: SafetyState, each: int) -> None:
+    """Ten seconds of the robot's own states, each so often followed by a forged one."""
+    for number in range(500):
+        now_ns = START_NS + number * 20 * MS
+        stream.see(msgspec.structs.replace(ENGAGED, accepted_seq=None), now_ns)
+        assert stream.command(now_ns) is not None
+        if number % each == 0:
+            stream.see(forged, now_ns + 10 * MS)
+        assert stream.ending is None, number
+
+
+@pytest.mark.parametrize("forged", FORGED)
+def test_one_forged_state_ends_nothing(forged: SafetyState) -> None:
+    """Not one in a second, whatever it says: the robot's own go on saying otherwise."""
+    seen_between(stream_that_saw(ENGAGED), forged, 50)
+
+
+@pytest.mark.parametrize("forged", FORGED[:3])
+def test_forged_states_between_the_robots_own_end_nothing(forged: SafetyState) -> None:
+    """Even one after each of the robot's."""
+    seen_between(stream_that_saw(ENGAGED), forged, 1)
+
+
+@pytest.mark.parametrize("period_ms", [10, 20, 50])
+@pytest.mark.parametrize("true", FORGED)
+def test_what_the_robot_goes_on_saying_is_believed_within_a_quarter_of_a_second(
+    true: SafetyState, period_ms: int
+) -> None:
+    """Well under a second, and not before it was said three times in 150 ms."""
+    stream = stream_that_saw(ENGAGED)
+    ended_ms = 0
+    while True:
+        stream.see(true, START_NS + ended_ms * MS)
+        if stream.ending is not None:
+            break
+        ended_ms += period_ms
+    assert 150 <= ended_ms <= 250
+
+
+@pytest.mark.parametrize(
+    ("accepted_seq", "target"),
+    [(9, (0.5, 3.0)), (4, (1.0, 3.0)), (4, (0.5, -20.0))],
+    ids=["never sent", "faster", "turned"],
+)
+def test_commands_of_somebody_else_under_the_lease_end_it(accepted_seq: int, target: tuple[float, float]) -> None:
+    """The robot says whose command it obeys: one that we never sent, or one of ours that asked for something else.
+
+    Every second time it obeys ours; it ends all the same, and the lease is to be given back.
+    """
+    stream = stream_that_saw(ENGAGED)
+    stream.aim(SetPoint(0.5, angle_deg=3.0), 2.0, START_NS)
+    for _ in range(5):
+        assert stream.command(START_NS) is not None
+    ours = msgspec.structs.replace(ENGAGED, accepted_seq=5, target_speed_mps=0.5, target_angle_deg=3.0)
+    theirs = msgspec.structs.replace(
+        ENGAGED, accepted_seq=accepted_seq, target_speed_mps=target[0], target_angle_deg=target[1]
+    )
+    for number in range(10):
+        assert not stream.is_lost
+        stream.see(ours, START_NS + number * 40 * MS)
+        stream.see(theirs, START_NS + (number * 40 + 20) * MS)
+        if stream.is_lost:
+            break
+    assert stream.ending is not None
+    assert stream.ending.reason is Reason.LEASE_TAKEN
+    assert stream.is_shared
+    assert stream.command(START_NS) is None
+
+
+def test_the_robot_obeys_a_command_of_before_for_a_while() -> None:
+    """Over a slow link the last accepted one is old: its own target is compared, not that of the newest."""
+    stream = stream_that_saw(ENGAGED)
+    for number in range(200):
+        now_ns = START_NS + number * 20 * MS
+        stream.aim(SetPoint(number / 200, angle_deg=0.0), 2.0, now_ns)
+        stream.command(now_ns)
+        then = max(number - 60, 0)
+        stream.see(
+            msgspec.structs.replace(
+                ENGAGED, accepted_seq=then + 1, target_speed_mps=then / 200, target_angle_deg=0.0
+            ),
+            now_ns,
+        )
+    assert stream.ending is None
+
+
+def test_the_target_of_a_new_engagement_is_no_command_of_the_last_one() -> None:
+    """It begins at zero speed, and the number of the last accepted command stays."""
+    stream = stream_that_saw(ENGAGED)
+    stream.aim(SetPoint(0.5, angle_deg=3.0), 2.0, START_NS)
+    stream.command(START_NS)
+    accepted = msgspec.structs.replace(ENGAGED, accepted_seq=1, target_speed_mps=0.5, target_angle_deg=3.0)
+    goes_on_to_see(stream, accepted)
+    stream.give_up()
+    stream.expect_engaged()
+    goes_on_to_see(stream, msgspec.structs.replace(accepted, target_speed_mps=0.0, target_angle_deg=0.0))
+    assert stream.ending is None
