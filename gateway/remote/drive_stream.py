@@ -5,13 +5,13 @@ What is heard of the robot goes in with ``see``; ``command`` says what to send n
 
 from __future__ import annotations
 
-from collections import deque
 from math import dist
 from typing import Final
 
 import msgspec
 
 from gateway.command.limits import steering_angle_deg
+from gateway.remote.evidence import Evidence
 from schemas.decisions import COMMANDING, ArbiterState, SafetyState
 from schemas.reasons import TEXTS, Reason
 from schemas.requests import Drive
@@ -31,15 +31,6 @@ STALE_NS: Final = 1_000_000_000
 SILENT_NS: Final = 1_000_000_000
 """A robot whose safety/state was not heard for this long is out of reach."""
 
-
-CONFIRM_NS: Final = 150_000_000
-"""What ends the stream has been seen for so long..."""
-
-CONFIRM_STATES: Final = 3
-"""...and in so many states: anyone can put a false one between the robot's own."""
-
-EVIDENCE_NS: Final = 1_000_000_000
-"""States that are older prove nothing any more."""
 
 SENT_KEPT: Final = 128
 """So many commands are remembered: those of the last two seconds and a half."""
@@ -83,25 +74,6 @@ class Ending(msgspec.Struct, frozen=True):
     lease_lost: bool = False
 
 
-class _Evidence:
-    """States that say the same, until there are enough of them to be believed."""
-
-    def __init__(self) -> None:
-        self._times_ns: deque[int] = deque()
-
-    def add(self, now_ns: int) -> bool:
-        """One more. Whether they are enough."""
-        times_ns = self._times_ns
-        times_ns.append(now_ns)
-        while now_ns - times_ns[0] > EVIDENCE_NS:
-            times_ns.popleft()
-        return len(times_ns) >= CONFIRM_STATES and now_ns - times_ns[0] >= CONFIRM_NS
-
-    def clear(self) -> None:
-        """A state says otherwise."""
-        self._times_ns.clear()
-
-
 class DriveStream:
     """What one holder of a lease sends.
 
@@ -132,7 +104,7 @@ class DriveStream:
         self._note = ""
         self.is_shared = False
         self._sent: dict[int, tuple[float, float]] = {}
-        self._loss, self._foreign, self._stop = _Evidence(), _Evidence(), _Evidence()
+        self._loss, self._foreign, self._stop = Evidence(), Evidence(), Evidence()
 
     @property
     def is_wanted(self) -> bool:

@@ -70,6 +70,7 @@ class Link:
         self._chassis: RobotState | None = None
         self._chassis_ns = 0
         self._health: GatewayHealth | None = None
+        self._looked_at: tuple[SafetyState | None, RobotState | None] = None, None
         self._events: deque[SafetyEvent] = deque(maxlen=EVENTS_KEPT)
         self._stream: DriveStream | None = None
         self._renewal: Question | None = None
@@ -112,6 +113,14 @@ class Link:
                 raise Unreachable(f"{self.robot} is not heard any more{for_s}")
             chassis = self._chassis if self.hears_chassis else None
             return Sighting(self._state, (now_ns - self._state_ns) / _S, chassis, self._health)
+
+    def look(self) -> list[tuple[str, SafetyState | RobotState]]:
+        """What was heard since the last call: the newest state, and what the chassis does."""
+        with self.heard:
+            newest, before = (self._state, self._chassis), self._looked_at
+            self._looked_at = newest
+            pairs = zip(newest, before, strict=True)
+            return [(self.robot, now) for now, then in pairs if now is not None and now is not then]
 
     def take_events(self) -> list[SafetyEvent]:
         """The events that were heard since the last call."""

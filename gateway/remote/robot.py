@@ -142,14 +142,20 @@ class Robot:
         """Wait until the robot's newest state is so. False if it never was in time."""
         return self._link.wait_for(condition, timeout_s)
 
-    def stop(self, timeout_s: float = ANSWER_TIMEOUT_S) -> None:
+    def stop(self, timeout_s: float = CONNECT_TIMEOUT_S) -> None:
         """The remote stop: at once, latched, whoever holds the lease. It is no emergency stop.
+
+        Returns once the robot is seen to stand.
 
         Raises:
             Unreachable: nobody answered. It was sent all the same, again and again.
-            Refused: the stop is latched but cannot be carried out, and the text says what the robot does.
+            Refused: the stop is latched but cannot be carried out, or the robot is not seen to stop; the text says
+                what it does.
         """
-        report = remote_stop.stop(self._link.commands, self._root, self.name, timeout_s)
+        report = remote_stop.stop(self._link.commands, self._root, self.name, timeout_s, self._link.look)
+        if report.unconfirmed:
+            why = "; ".join(report.unconfirmed.values())
+            raise Refused(f"{self.name} is not seen to stop", Reason.NOT_CONFIRMED, why)
         if report.refused:
             raise Refused(f"{self.name} is not stopped", Reason.NONE, "; ".join(report.refused.values()))
         if not report.stopped:
@@ -347,14 +353,12 @@ class Lease:
 def stop_all(
     operator: str = "", settings: Settings | None = None, timeout_s: float = CONNECT_TIMEOUT_S
 ) -> StopReport:
-    """The remote stop of every robot under the root: who stops, and who is connected and did not answer.
+    """The remote stop of every robot under the root: who is seen to stop, and who is not.
 
     Raises:
         CommandError: a name or an endpoint is not of its form.
     """
-    settings = settings or Settings()
-    with CommandPort.open(settings, keys.ALL, operator or login_operator()) as port:
-        return remote_stop.stop(port, settings.robot.root, keys.ALL, timeout_s)
+    return remote_stop.stop_from_here(settings or Settings(), keys.ALL, operator or login_operator(), timeout_s)
 
 
 def _problem(link: Link) -> str:

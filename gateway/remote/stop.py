@@ -9,7 +9,6 @@ from collections.abc import Callable
 import msgspec
 
 from gateway.ports.zenoh_client import place
-from gateway.ports.zenoh_operator import CommandPort
 from gateway.remote import remote_stop
 from gateway.remote.operator_arguments import add_operator_arguments
 from gateway.remote.remote_stop import StopReport
@@ -31,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         f"{parser.description or ''}\n\n"
         "It wants no lease, and is latched until 'cruiser reset'. It is said again and again until it was\n"
-        "answered. It is no emergency stop: that is the button on the robot."
+        "answered, and the robot is seen to stand. It is no emergency stop: that is the button on the robot."
     )
     parser.add_argument("robot", nargs="?", type=robot_name, metavar="ROBOT", help="the robot")
     parser.add_argument("--all", action="store_true", help="every robot under the root")
@@ -40,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Stop. Exit code 0 if all that are there stop, 3 if one is silent or cannot be stopped, 4 if all are silent.
+    """Stop. Exit code 0 if all that are there are seen to stop, 3 if one is not, 4 if all are silent.
 
     Raises:
         CommandError: nobody answered, or the arguments are wrong.
@@ -48,8 +47,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if bool(arguments.robot) is arguments.all:
         raise CommandError("name a robot, or give --all", ExitCode.USAGE)
     robot = arguments.robot or keys.ALL
-    with CommandPort.open(settings, robot, arguments.operator or login_operator()) as port:
-        report = remote_stop.stop(port, settings.robot.root, robot, arguments.timeout, stopped)
+    operator = arguments.operator or login_operator()
+    report = remote_stop.stop_from_here(settings, robot, operator, arguments.timeout, stopped)
     if arguments.json:
         sys.stdout.write(f"{msgspec.json.encode(report).decode()}\n")
     else:
@@ -57,6 +56,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     sys.stdout.flush()
     for name, why in report.refused.items():
         sys.stderr.write(f"{name}: NOT STOPPED: {plain(why)}. Use the button on the robot\n")
+    for name, why in report.unconfirmed.items():
+        sys.stderr.write(f"{name}: NOT SEEN TO STOP: {plain(why)}. Use the button on the robot\n")
     for name in report.silent:
         sent = "it was sent all the same" if report.linked else "it could NOT BE SENT: there is no link"
         sys.stderr.write(f"{name}: NO ANSWER; {sent}. Use the button on the robot\n")
@@ -64,8 +65,9 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def _code(report: StopReport, robot: str, settings: Settings, where: str) -> ExitCode:
-    if not report.stopped and not report.refused:
+    unstopped = report.refused or report.unconfirmed
+    if not report.stopped and not unstopped:
         who = "nobody answered" if report.linked else "no Zenoh node answered"
         others = who_is_there(settings, robot) if robot != keys.ALL else ""
         raise CommandError(f"{who} within {where}{others}", ExitCode.UNREACHABLE)
-    return ExitCode.PARTIAL if report.silent or report.refused else ExitCode.OK
+    return ExitCode.PARTIAL if report.silent or unstopped else ExitCode.OK

@@ -42,7 +42,7 @@ def drive(endpoint: str) -> None:
         wait_until(
             lambda: abs(robot.state().state.output_speed_mps) > 0.2, lambda: lease.drive(0.4, angle_deg=5.0)
         )
-        robot.stop()
+        robot.stop(30)
 
 
 def close(recording: Running, directory: Path) -> bytes:

@@ -7,6 +7,7 @@ number of the holder's lease; some tests give it to him, as if he had read the h
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -74,6 +75,10 @@ class Neighbour:
     def state(self) -> dict[str, Any]:
         """The newest safety/state."""
         return msgspec.msgpack.decode(self.of("safety/state")[-1])  # type: ignore[no-any-return]
+
+    def has_heard(self, states: int) -> bool:
+        """So many samples of safety/state have come."""
+        return len(self.of("safety/state")) >= states
 
     def forge(self, **fields: object) -> None:
         """The newest safety/state once more, with something else in it."""
@@ -254,7 +259,7 @@ def test_a_forged_state_a_second_takes_the_robot_from_nobody(forged: dict[str, o
         )
         for _ in range(3):
             neighbour.forge(**forged)
-            begun = len(neighbour.of("safety/state"))
-            wait_until(lambda: len(neighbour.of("safety/state")) > begun + 40, hold)
+            until = len(neighbour.of("safety/state")) + 40
+            wait_until(partial(neighbour.has_heard, until), hold)
         lease.check()
         assert lease.is_engaged

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Self
 
+import msgspec
 import zenoh
 from zenoh import ext
 
@@ -16,10 +17,10 @@ from gateway.command.request import RawRequest
 from gateway.ports.zenoh_client import close_session, open_session
 from schemas import codec, keys
 from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState
-from schemas.messages import GatewayHealth, GearPosition, Message, Mode, ParkingStatus, Variant
+from schemas.messages import GatewayHealth, GearPosition, Message, Mode, ParkingStatus, RobotState, Variant
 from schemas.settings import TICK_NS, Settings, ZenohSettings
-from schemas.subjects import BY_NAME, BY_VERB
-from tests.gateway.remote.fake_gateway import HEALTH, ROOT, free_endpoint
+from schemas.subjects import BY_NAME, BY_TYPE, BY_VERB
+from tests.gateway.remote.fake_gateway import HEALTH, ROOT, STATE, free_endpoint
 
 _SIGN = {GearPosition.DRIVE: 1.0, GearPosition.REVERSE: -1.0}
 
@@ -35,6 +36,7 @@ class FakeRobot:
         health: what its gateway says of itself, in each tick.
         mode: what the chassis reads; None is what it is told.
         settings: its gateway's.
+        moves_mps: how fast its wheels turn, whatever it is told; None if they obey.
         token: its liveliness token is there.
     """
 
@@ -48,6 +50,7 @@ class FakeRobot:
     health: GatewayHealth = HEALTH
     mode: Mode | None = None
     settings: Settings = field(default_factory=Settings)
+    moves_mps: float | None = None
     decisions: list[Decision] = field(default_factory=list)
     said: list[SafetyState] = field(default_factory=list)
     puts: list[str] = field(default_factory=list)
@@ -130,6 +133,8 @@ class FakeRobot:
                 query.reply(key, reply.payload, encoding=command.reply_encoding)
             for message in [*messages, self.health]:
                 self._publish(message)
+            if self.flow.arbiter.tick_number % 5 == 0:
+                self._publish(self._chassis())
             due_ns += TICK_NS * (1 + late_ns // TICK_NS)
             self._closing.wait(max(0.0, (due_ns - time.monotonic_ns()) / 1e9))
 
@@ -182,6 +187,12 @@ class FakeRobot:
             realtime=True,
         )
 
+    def _chassis(self) -> RobotState:
+        speed_mps = self._told()[0] if self.moves_mps is None else self.moves_mps
+        return msgspec.structs.replace(
+            STATE, speed_mps=speed_mps, rear_left_speed_mps=speed_mps, rear_right_speed_mps=speed_mps
+        )
+
     def _publish(self, message: Message) -> None:
         if self.mute:
             return
@@ -193,8 +204,8 @@ class FakeRobot:
             )
         elif isinstance(message, SafetyEvent):
             self._event_publisher.put(codec.encode(message))
-        elif isinstance(message, GatewayHealth):
-            subject = BY_NAME["gateway/health"]
+        elif isinstance(message, GatewayHealth | RobotState):
+            subject = BY_TYPE[type(message)]
             self._session.put(
                 keys.build(ROOT, self.name, subject), codec.encode(message), encoding=subject.encoding
             )

@@ -1,6 +1,9 @@
+import pytest
+
 from gateway.ports.zenoh_operator import CommandPort
 from gateway.remote import remote_stop
-from gateway.remote.robot import stop_all
+from gateway.remote.refusal import Refused
+from gateway.remote.robot import Robot, stop_all
 from schemas import keys
 from schemas.reasons import Reason
 from schemas.settings import Settings, ZenohSettings
@@ -17,8 +20,7 @@ def settings_for(endpoint: str) -> Settings:
 def test_a_robot_that_hears_it_is_said_to_stop() -> None:
     """One robot stops, the other is not meant."""
     with FakeRobot("cruiser-1") as fake, FakeRobot("cruiser-2", connect=fake.listen) as other:
-        with CommandPort.open(settings_for(fake.listen), "cruiser-1", "first") as port:
-            report = remote_stop.stop(port, ROOT, "cruiser-1", 20)
+        report = remote_stop.stop_from_here(settings_for(fake.listen), "cruiser-1", "first", 20)
         assert (report.stopped, report.refused, report.silent, report.linked) == (["cruiser-1"], {}, [], True)
         assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
         assert not other.flow.arbiter.latched
@@ -27,8 +29,7 @@ def test_a_robot_that_hears_it_is_said_to_stop() -> None:
 def test_a_robot_that_answers_nothing_is_told_all_the_same() -> None:
     """The puts stop it although no query is answered; the report says that it is silent."""
     with FakeRobot(deaf=True) as fake:
-        with CommandPort.open(settings_for(fake.listen), fake.name, "first") as port:
-            report = remote_stop.stop(port, ROOT, fake.name, 3)
+        report = remote_stop.stop_from_here(settings_for(fake.listen), fake.name, "first", 3)
         assert (report.stopped, report.silent) == ([], [fake.name])
         assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
         assert fake.puts.count("stop") > 5
@@ -58,9 +59,35 @@ def test_it_reaches_a_robot_that_comes_later() -> None:
     """It is said again and again: a robot whose link returns within the time hears it."""
     endpoint = free_endpoint()
     with CommandPort.open(settings_for(endpoint), keys.ALL, "first") as port:
-        stopping = remote_stop._Stopping(port, ROOT, keys.ALL)
+        stopping = remote_stop._Stopping(port, ROOT, keys.ALL, list)
         stopping.step(0.0)
         with FakeRobot(listen=endpoint) as fake:
             seconds = iter(range(1, 10_000))
             wait_until(lambda: stopping.all_answered, lambda: stopping.step(float(next(seconds))))
-            assert stopping.report().stopped == [fake.name]
+            assert stopping.report().unconfirmed.keys() == {fake.name}
+
+
+def test_a_robot_that_goes_on_moving_is_not_said_to_stop() -> None:
+    """It answers that it stops, and is latched; what its wheels do counts."""
+    with FakeRobot(moves_mps=-0.5) as fake:
+        report = remote_stop.stop_from_here(settings_for(fake.listen), fake.name, "first", 2)
+        assert (report.stopped, report.refused, report.silent) == ([], {}, [])
+        assert report.unconfirmed == {fake.name: "it replied that it stops, but it is seen to move at 0.50 m/s"}
+
+
+def test_a_robot_that_says_nothing_is_not_said_to_stop() -> None:
+    """It answers, and what it does is not seen."""
+    with FakeRobot(mute=True) as fake:
+        report = remote_stop.stop_from_here(settings_for(fake.listen), fake.name, "first", 2)
+        assert report.stopped == []
+        assert report.unconfirmed == {fake.name: "it replied that it stops, but its safety/state does not say so"}
+
+
+def test_the_library_stops_a_robot_by_what_it_sees() -> None:
+    """With the sessions that it has; the call returns once the robot stands, and raises if it does not."""
+    with FakeRobot() as fake, Robot.connect(fake.name, "first", settings_for(fake.listen), 20) as robot:
+        robot.stop(20)
+        assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
+        fake.moves_mps = 0.3
+        with pytest.raises(Refused, match=r"not seen to stop.*0\.30 m/s"):
+            robot.stop(2)

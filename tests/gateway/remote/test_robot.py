@@ -247,7 +247,7 @@ def test_the_remote_stop_needs_no_lease() -> None:
     """From anyone, at once, and the robot is latched; it is sent as puts as well."""
     with FakeRobot() as fake, engaged(fake) as (_, lease), connected(fake, "second") as theirs:
         wait_until(lambda: fake.speed_mps > 0.2, lambda: lease.drive(1.0))
-        theirs.stop()
+        theirs.stop(30)
         assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
         wait_until(lambda: not lease.is_engaged)
         assert fake.puts.count("stop") > 1
@@ -257,7 +257,7 @@ def test_a_remote_stop_that_cannot_be_carried_out_is_an_error() -> None:
     """Row 'a stop that cannot be carried out: never ok alone': latched, and the text says what the robot does."""
     with FakeRobot(mode=Mode.REMOTE) as fake, connected(fake) as robot:
         with pytest.raises(Refused, match=r"is not stopped.*hand_transmitter.*the robot stands"):
-            robot.stop()
+            robot.stop(30)
         assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
 
 

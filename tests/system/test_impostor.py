@@ -1,0 +1,89 @@
+"""Somebody on the same Zenoh network who answers in a robot's place."""
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import msgspec
+import zenoh
+
+from gateway.ports.zenoh_client import close_session, open_session
+from schemas import keys
+from schemas.decisions import Reply
+from schemas.exit_codes import ExitCode
+from schemas.reasons import Reason
+from schemas.settings import ZenohSettings
+from schemas.subjects import BY_VERB
+from tests.gateway.cli.running import chassis, gateway, run
+from tests.gateway.remote.fake_gateway import ROOT, free_endpoint
+
+ROBOT = "cruiser-1"
+STOP = BY_VERB["stop"]
+
+
+@contextmanager
+def impostor(listen: str, connect: list[str], *, ok: bool) -> Iterator[None]:
+    """Answers every stop at once: that it stops, or that it cannot."""
+    session = open_session(ZenohSettings(), connect, [listen])
+    queries = session.declare_queryable(
+        keys.command(ROOT, ROBOT, keys.ALL, STOP.verb), zenoh.handlers.RingChannel(64), complete=True
+    )
+    ended = threading.Event()
+    reason = Reason.NONE if ok else Reason.BUS_DOWN
+    reply = msgspec.msgpack.encode(Reply(ok=ok, reason=reason, detail="the robot stands", cure=""))
+
+    def answer() -> None:
+        while not ended.wait(0.001):
+            while (query := queries.try_recv()) is not None:
+                with query:
+                    query.reply(query.key_expr, reply, encoding=STOP.reply_encoding)
+
+    thread = threading.Thread(target=answer)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+        close_session(session)
+
+
+def test_a_stop_that_only_an_impostor_answers_is_not_believed() -> None:
+    """The gateway is killed, the robot has heard nothing: that it stops is never said."""
+    endpoint = free_endpoint()
+    with chassis() as (_, address), gateway(address, endpoint) as running:
+        running.stop(signal.SIGKILL)
+        with impostor(endpoint, [], ok=True):
+            done = run(["stop", ROBOT, "--connect", endpoint, "--timeout", "2"])
+    assert done.returncode == ExitCode.PARTIAL
+    assert done.stdout == ""
+    assert done.stderr.startswith(f"{ROBOT}: NOT SEEN TO STOP: ")
+    assert "button" in done.stderr
+
+
+def test_replies_that_contradict_each_other_are_said_to() -> None:
+    """The robot stops; but somebody answers in its place, and who reads both shall know."""
+    endpoint = free_endpoint()
+    with (
+        chassis() as (_, address),
+        gateway(address, endpoint),
+        impostor(free_endpoint(), [endpoint], ok=False),
+    ):
+        done = run(["stop", ROBOT, "--connect", endpoint])
+    assert done.returncode == ExitCode.PARTIAL
+    assert done.stdout == ""
+    assert "contradict each other" in done.stderr
+
+
+def test_a_stop_that_the_robot_shows_is_believed() -> None:
+    """Without an impostor, and beside one that says the same."""
+    endpoint = free_endpoint()
+    with chassis() as (_, address), gateway(address, endpoint):
+        for _ in range(2):
+            done = run(["stop", ROBOT, "--connect", endpoint, "--timeout", "20"])
+            assert (done.returncode, done.stderr) == (0, "")
+            assert done.stdout == f"{ROBOT}: stops, latched until a reset\n"
+        with impostor(free_endpoint(), [endpoint], ok=True):
+            done = run(["stop", ROBOT, "--connect", endpoint, "--timeout", "20"])
+            assert (done.returncode, done.stderr) == (0, "")
