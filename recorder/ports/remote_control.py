@@ -38,6 +38,9 @@ QUERIES_WAITING: Final = 64
 
 REQUESTS_PER_PASS: Final = 8
 
+FOR_ALL: Final = frozenset({"status"})
+"""Verbs that a query may send to every recorder at once. One query must not stop them all."""
+
 REPLIES_WAITING: Final = 128
 """Replies that may wait for somebody's link; the zenoh package may wait 5 s for one that does not read."""
 
@@ -135,12 +138,14 @@ class RemoteControl:
         if verb is None or not operator:
             return None
         payload = query.payload
-        if payload is not None and len(payload) > REQUEST_MAX_BYTES:
-            request: Request | PayloadFault = PayloadFault(f"a request has at most {REQUEST_MAX_BYTES} bytes")
+        key = keys.recorder_command(self._root, self.name, operator, name)
+        request: Request | PayloadFault
+        if name not in FOR_ALL and str(query.key_expr) != key:
+            request = PayloadFault(f"{name} must name one recorder, without a wildcard")
+        elif payload is not None and len(payload) > REQUEST_MAX_BYTES:
+            request = PayloadFault(f"a request has at most {REQUEST_MAX_BYTES} bytes")
         else:
             request = codec.decode_request(verb, b"" if payload is None else payload.to_bytes())
-        # The query's own key may hold a wildcard for the recorder.
-        key = keys.recorder_command(self._root, self.name, operator, name)
 
         def send(answer: RecorderReply | BackfillPiece) -> None:
             try:

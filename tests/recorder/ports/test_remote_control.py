@@ -223,6 +223,19 @@ def test_a_reply_says_whose_it_is_although_all_were_asked(pair: Pair) -> None:
     assert [one.detail for one in decoded] == ["first", "second"]
 
 
+@pytest.mark.parametrize("recorder", ["*", "be*", "**"])
+@pytest.mark.parametrize("verb", [verb for verb in RECORDER_BY_VERB if verb != "status"])
+def test_one_query_does_not_stop_every_recorder(pair: Pair, verb: str, recorder: str) -> None:
+    """Only ``status`` may be asked of all. What changes a recorder, or keeps it busy, names it."""
+    request = {"key": "fleet/**", "from_ns": 1, "to_ns": 2} if verb == "backfill" else {}
+    pattern = recorder.replace("be*", "be$*")
+    pair.client.ask(pair.key(verb, recorder=pattern), msgspec.msgpack.encode(request))
+    asked = pair.next()
+    assert isinstance(asked.request, PayloadFault)
+    assert asked.request.detail == f"{verb} must name one recorder, without a wildcard"
+    asked.done()
+
+
 def test_who_has_gone_meanwhile_is_no_fault(pair: Pair) -> None:
     """Nor is a reply after the last."""
     pair.client.ask(pair.key("status"))
