@@ -62,7 +62,8 @@ class RecordingPlan(msgspec.Struct, frozen=True):
         ring_bytes: all rings together.
         sample_max_bytes: larger samples are counted, and no more.
         standby: incidents are written, and no logs until ``start``.
-        log_limit: robots beyond it share one log.
+        log_limit: robots beyond it share one log...
+        known: ...but for these.
     """
 
     root: str
@@ -74,6 +75,7 @@ class RecordingPlan(msgspec.Struct, frozen=True):
     sample_max_bytes: int
     standby: bool = False
     log_limit: int = ROBOT_LIMIT
+    known: frozenset[str] = frozenset()
 
 
 class Recording:
@@ -313,7 +315,8 @@ class Recording:
 
     def _find_log(self, key: str) -> RobotLog:
         name = self._name_of(key) if self._plan.per_robot else self._plan.session.name
-        if name not in self._logs and len(self._logs) > self._plan.log_limit:
+        is_new = name not in self._logs and name not in self._plan.known
+        if is_new and len(self._logs) > self._plan.log_limit:
             name = self._plan.session.name
         log = self._logs.get(name)
         if log is None:

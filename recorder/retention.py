@@ -1,13 +1,19 @@
 """Which logs go when the disk is full, and whether there is room to go on. Pure.
 
-The oldest logs go first. Incidents never do: they may fill INCIDENT_SHARE of the budget, and the reserve below the
-floor is theirs. When all that may go would not be enough, nothing goes, and recording stops until somebody makes
-room: what others fill a disk with must not cost the logs that there are.
+Each robot has a fair share: the oldest log of the robot that takes most goes first. Anybody on the network can
+make up robots, so where robots are known by name, all others have one share together, and the last hours of a
+known one go only when nothing else is left. Incidents never go: they may fill INCIDENT_SHARE of the budget, and
+the reserve below the floor is theirs. When all that may go would not be enough, nothing goes, and recording
+stops until somebody makes room: what others fill a disk with must not cost the logs that there are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter, defaultdict, deque
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
+from itertools import chain
 from typing import Final
 
 import msgspec
@@ -20,12 +26,19 @@ RESUME_SHARE: Final = 0.02
 ROLL_BYTES: Final = 100_000
 """Logs that are being written are ended, so that they may go, when they take so much together."""
 
+START_FORMAT: Final = "%Y%m%dT%H%M%SZ"
+"""How the start is written in a log's name."""
+
+OTHERS: Final = ""
+"""The share of all robots that are not known, where some are."""
+
 
 class LogEntry(msgspec.Struct, frozen=True):
     """A file of a recorder in the directory.
 
     Attributes:
         started: the UTC start in its name, which sorts by time.
+        robot: whose it is, by its name.
         number: of several files of one name and second; the first has none, which is 1.
         is_open: it is being written, or a recorder left it and it is not recovered yet.
         is_own: this recorder is writing it, and can end it.
@@ -36,6 +49,7 @@ class LogEntry(msgspec.Struct, frozen=True):
     bytes: int
     started: str
     number: int = 1
+    robot: str = ""
     is_incident: bool = False
     is_open: bool = False
     is_own: bool = False
@@ -43,17 +57,30 @@ class LogEntry(msgspec.Struct, frozen=True):
 
 
 class Limits(msgspec.Struct, frozen=True):
-    """How much logs may take; 0 is no limit."""
+    """How much logs may take; 0 is no limit.
+
+    Attributes:
+        budget_bytes: that they may take together.
+        floor_bytes: that stay free on the file system.
+        known: robots that are known by name; empty if none are.
+        keep_s: the last so many seconds of each of those go only when nothing else is left.
+    """
 
     budget_bytes: int = 0
     floor_bytes: int = 0
+    known: frozenset[str] = frozenset()
+    keep_s: float = 0.0
+
+    def share_of(self, robot: str) -> str:
+        """By whose share a log counts."""
+        return robot if not self.known or robot in self.known else OTHERS
 
 
 class Judgement(msgspec.Struct, frozen=True):
     """What to do.
 
     Attributes:
-        delete: names of files, the oldest first.
+        delete: names of files, in this order.
         has_room: logs may be written...
         has_incident_room: ...and incidents.
         roll: end what is being written, so that it may go later.
@@ -76,18 +103,29 @@ def judge(entries: Sequence[LogEntry], free_bytes: int, limits: Limits, *, is_fu
     """
     used = sum(entry.bytes for entry in entries)
     wanted = _wanted(used, free_bytes, limits, is_full=is_full)
-    may_go = sorted(
-        (entry for entry in entries if not (entry.is_incident or entry.is_open or entry.is_stuck)),
-        key=lambda entry: (entry.started, entry.number, entry.name),
-    )
+    # What is said of robots that nobody knows is no reason to keep it for ever.
+    entries = [
+        msgspec.structs.replace(entry, is_incident=False) if _is_of_stranger(entry, limits) else entry
+        for entry in entries
+    ]
     incident_bytes = sum(entry.bytes for entry in entries if entry.is_incident)
-    open_bytes = sum(entry.bytes for entry in entries if entry.is_own and not entry.is_incident)
-    closed_bytes = sum(entry.bytes for entry in may_go)
+    logs = [entry for entry in entries if not entry.is_incident]
+    may_go = [entry for entry in logs if not (entry.is_open or entry.is_stuck)]
+    kept = _last_hours(logs, limits)
+    loose = [entry for entry in may_go if entry.name not in kept]
+    takes = Counter[str]()
+    for entry in logs:
+        takes[limits.share_of(entry.robot)] += entry.bytes
+    order = _in_turn(loose, takes, limits)
     # What is written now may go once it is ended; while that is worth it, recording need not stop.
-    roll = closed_bytes < wanted <= closed_bytes + open_bytes and open_bytes >= ROLL_BYTES
+    own = [entry for entry in logs if entry.is_own]
+    roll = _is_worth(wanted, loose, [entry for entry in own if entry.name not in kept])
+    if not roll:
+        roll = _is_worth(wanted, may_go, own)
+        order = chain(order, _in_turn((entry for entry in may_go if entry.name in kept), takes, limits))
     delete: list[str] = []
-    if roll or wanted <= closed_bytes:
-        for entry in may_go:
+    if roll or wanted <= _bytes(may_go):
+        for entry in order:
             if wanted <= 0:
                 break
             delete.append(entry.name)
@@ -107,3 +145,65 @@ def _wanted(used: int, free_bytes: int, limits: Limits, *, is_full: bool) -> int
     over_budget = used * more - limits.budget_bytes if limits.budget_bytes else 0
     under_floor = limits.floor_bytes * more - free_bytes
     return int(max(0, over_budget, under_floor))
+
+
+def _bytes(entries: Iterable[LogEntry]) -> int:
+    return sum(entry.bytes for entry in entries)
+
+
+def _is_worth(wanted: int, closed: Iterable[LogEntry], being_written: Iterable[LogEntry]) -> bool:
+    """Whether there is room enough only when what is being written has gone, too, and it is no trifle."""
+    closed_bytes, open_bytes = _bytes(closed), _bytes(being_written)
+    return closed_bytes < wanted <= closed_bytes + open_bytes and open_bytes >= ROLL_BYTES
+
+
+def _is_of_stranger(entry: LogEntry, limits: Limits) -> bool:
+    return entry.is_incident and not entry.is_open and bool(limits.known) and entry.robot not in limits.known
+
+
+def _in_turn(entries: Iterable[LogEntry], takes: Counter[str], limits: Limits) -> Iterator[LogEntry]:
+    """What may go, in turn: the oldest of the share that takes most. ``takes`` is what is left of each."""
+    shares: dict[str, deque[LogEntry]] = defaultdict(deque)
+    for entry in sorted(entries, key=_age):
+        shares[limits.share_of(entry.robot)].append(entry)
+    while shares:
+        share = min(shares, key=lambda one: (-takes[one], *_age(shares[one][0])))
+        entry = shares[share].popleft()
+        takes[share] -= entry.bytes
+        if not shares[share]:
+            del shares[share]
+        yield entry
+
+
+def _age(entry: LogEntry) -> tuple[str, int, str]:
+    return entry.started, entry.number, entry.name
+
+
+def _last_hours(logs: Iterable[LogEntry], limits: Limits) -> set[str]:
+    """The names of the logs that hold the last hours of a known robot: back from where its newest begins.
+
+    A log reaches as far as the next one begins.
+    """
+    kept: set[str] = set()
+    robots: dict[str, list[LogEntry]] = defaultdict(list)
+    for entry in logs:
+        if entry.robot in limits.known:
+            robots[entry.robot].append(entry)
+    for own in robots.values():
+        own.sort(key=_age, reverse=True)
+        next_start = newest = own[0].started
+        since = _before(newest, limits.keep_s)
+        for entry in own:
+            if entry.started != newest and next_start <= since:
+                break
+            kept.add(entry.name)
+            next_start = entry.started
+    return kept
+
+
+def _before(started: str, seconds: float) -> str:
+    """So long before that start. The same, where that is no time."""
+    with suppress(ValueError, OverflowError):
+        start = datetime.strptime(started, START_FORMAT).replace(tzinfo=UTC)
+        return (start - timedelta(seconds=seconds)).strftime(START_FORMAT)
+    return started

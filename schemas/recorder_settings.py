@@ -7,6 +7,8 @@ from typing import Annotated, Final, Literal
 import msgspec
 from msgspec import Meta
 
+from schemas.keys import ROBOT_PATTERN
+
 CHANNEL_LIMIT: Final = 35_000
 """Channels of a log for keys that anybody may make up. Those beyond share one of RawSamples, each with its key."""
 
@@ -82,7 +84,11 @@ class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 16_000_000
     budget_bytes: Annotated[
         int,
-        Meta(ge=0, description="bytes that the directory's logs may take; beyond it the oldest go; 0 is no limit"),
+        Meta(
+            ge=0,
+            description="bytes that the directory's logs may take; beyond it the oldest go of the robot that takes "
+            "most; 0 is no limit",
+        ),
     ] = 0
     floor_bytes: Annotated[
         int,
@@ -91,6 +97,21 @@ class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             description="bytes that stay free on the file system, or a tenth of it; below it the oldest logs go",
         ),
     ] = 200_000_000
+    known_robots: Annotated[
+        list[Annotated[str, Meta(pattern=f"^{ROBOT_PATTERN}$")]],
+        Meta(
+            description="names of the robots that are known, besides those that `recorder.keys` names; all others "
+            "then share one robot's part of the budget"
+        ),
+    ] = []
+    keep_s: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=2_678_400,
+            description="s; so much of a known robot's newest logs goes only when nothing else is left to go",
+        ),
+    ] = 7200.0
     incident_events: Annotated[
         list[EventKindName],
         Meta(description="kinds of `safety/event`, of severity warning or error, that make an incident"),

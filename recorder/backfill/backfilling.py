@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from typing import Final
 
 from recorder.backfill.answers import Conversation
 from recorder.backfill.excerpt import Message
 from recorder.backfill.filling import Filling
 from recorder.backfill.questions import questions
 from schemas.recording import Backfill, BackfillPiece
+
+BACKFILLED_FROM: Final = "cruiser.backfilled_from"
+"""The entry of a channel's metadata that names the recorder which sent its messages."""
 
 
 class Backfilling:
@@ -19,7 +23,7 @@ class Backfilling:
         ask: sends a request to a recorder, and streams the pieces.
         filling: the holes.
         topics: what each robot is known to say, by the beginning of its keys.
-        write: takes what was missing.
+        write: takes what was missing, and the name of the recorder that sent it.
         learn: has ``filling`` hold what was written: the next recorder may send it again.
     """
 
@@ -28,7 +32,7 @@ class Backfilling:
         ask: Callable[[str, Backfill], Iterable[BackfillPiece]],
         filling: Filling,
         topics: Mapping[str, set[str]],
-        write: Callable[[Message], None],
+        write: Callable[[Message, str], None],
         learn: Callable[[], None],
     ) -> None:
         self._ask = ask
@@ -53,7 +57,7 @@ class Backfilling:
                 # Who has not answered the first question is not asked the others.
                 conversation = Conversation(partial(self._ask, recorder), question)
                 if is_heard and not stopped():
-                    self._hear(conversation, stopped)
+                    self._hear(conversation, recorder, stopped)
                     is_heard = conversation.is_heard
                 if not conversation.is_over:
                     self._filling.give_up(question)
@@ -64,9 +68,9 @@ class Backfilling:
                 answered.append(recorder)
         return answered
 
-    def _hear(self, conversation: Conversation, stopped: Callable[[], bool]) -> None:
+    def _hear(self, conversation: Conversation, recorder: str, stopped: Callable[[], bool]) -> None:
         for answer in conversation.answers(stopped):
             for message in answer.messages:
                 if self._filling.take(message):
-                    self._write(message)
+                    self._write(message, recorder)
             self._filling.settle(answer.next_ns)

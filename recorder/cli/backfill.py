@@ -152,10 +152,10 @@ def _ask(
         there = source.recorders(arguments.recorder or keys.ALL, arguments.timeout)
         directory = cache(logs.directory)
 
-        def write(message: Message) -> None:
+        def write(message: Message, recorder: str) -> None:
             prefix = _prefix(message.channel.topic, topics)
             name = prefix.rpartition("/")[2] or OTHERS_NAME
-            files.write(directory(f"{prefix}/"), safe_name(name), message)
+            files.write(directory(f"{prefix}/"), safe_name(name), message, recorder)
 
         def learn() -> None:
             OwnLogs(files.parts()).each(filling.hold)

@@ -147,7 +147,8 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
         source = stack.enter_context(closing(ZenohSource(settings.zenoh, expressions, RING_SAMPLES)))
         control = stack.enter_context(closing(RemoteControl(settings)))
         writer = LogWriter(directory, library, QUEUE_BYTES + recorder.incident_ring_bytes)
-        limits = Limits(recorder.budget_bytes, recorder.floor_bytes)
+        known = known_robots(settings, expressions)
+        limits = Limits(recorder.budget_bytes, recorder.floor_bytes, known, recorder.keep_s)
         keeper = stack.enter_context(closing(DiskKeeper(path, limits, lambda: writer.parts)))
         sys.stderr.write(f"record: waiting for samples of {', '.join(expressions)} into {recorder.directory}\n")
         sys.stderr.flush()
@@ -212,6 +213,7 @@ def recording_plan(settings: Settings, name: str, expressions: Sequence[str], re
         ring_bytes=min(recorder.incident_ring_bytes, recorder.budget_bytes // BUDGET_RINGS or sys.maxsize),
         sample_max_bytes=recorder.sample_max_bytes,
         standby=recorder.standby,
+        known=known_robots(settings, expressions),
     )
 
 
@@ -252,10 +254,20 @@ def hangups() -> Callable[[], bool]:
 
 def log_name(root: str, expressions: Sequence[str]) -> str:
     """How the log's name begins: with the robot, if the expressions can match but one."""
+    robots = _robots_in(root, expressions)
+    return (robots.pop() or FLEET_NAME) if len(robots) == 1 else FLEET_NAME
+
+
+def known_robots(settings: Settings, expressions: Sequence[str]) -> frozenset[str]:
+    """The robots that are known by name, from the settings or from what is to be recorded."""
+    named = _robots_in(settings.robot.root, expressions) - {""}
+    return frozenset(named.union(settings.recorder.known_robots))
+
+
+def _robots_in(root: str, expressions: Sequence[str]) -> set[str]:
+    """The robots that key expressions name; empty stands for all others."""
     pattern = re.compile(rf"{re.escape(root)}/({keys.ROBOT_PATTERN})(/.*)?")
-    matches = [pattern.fullmatch(expression) for expression in expressions]
-    robots = {match[1] if match else FLEET_NAME for match in matches}
-    return robots.pop() if len(robots) == 1 else FLEET_NAME
+    return {match[1] if (match := pattern.fullmatch(expression)) else "" for expression in expressions}
 
 
 def _report(recorded: Recorded, *, as_json: bool) -> int:

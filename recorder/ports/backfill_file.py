@@ -10,6 +10,7 @@ from io import FileIO
 from pathlib import Path
 from typing import Final
 
+from recorder.backfill.backfilling import BACKFILLED_FROM
 from recorder.backfill.excerpt import Message
 from recorder.chunk import ChunkBuilder
 from recorder.effects import LogChannel
@@ -49,7 +50,7 @@ class BackfillFile:
             lock(self._stream.fileno())
             self._mcap = McapFile(self._stream, library)
         self._chunk = ChunkBuilder()
-        self._ids: dict[tuple[str, str], int] = {}
+        self._ids: dict[tuple[str, str, str], int] = {}
         self._schemas: dict[str, bytes] = {}
 
     def fits(self, message: Message) -> bool:
@@ -57,16 +58,23 @@ class BackfillFile:
         channel = message.channel
         return self._schemas.get(channel.schema_name, channel.schema_data) == channel.schema_data
 
-    def write(self, message: Message) -> None:
-        """Write a message that fits."""
+    def write(self, message: Message, recorder: str) -> None:
+        """Write a message that fits, and which recorder sent it: each has channels of its own."""
         channel = message.channel
-        key = channel.topic, channel.schema_name
+        key = channel.topic, channel.schema_name, recorder
         number = self._ids.get(key)
         with _clear_errors(self.part):
             if number is None:
                 number = self._ids[key] = len(self._ids) + 1
                 self._schemas[channel.schema_name] = channel.schema_data
-                self._mcap.add_channel(LogChannel(number, channel.topic, channel.schema_name, channel.schema_data))
+                marked = LogChannel(
+                    number,
+                    channel.topic,
+                    channel.schema_name,
+                    channel.schema_data,
+                    metadata={BACKFILLED_FROM: recorder},
+                )
+                self._mcap.add_channel(marked)
             self._chunk.add(number, message.sequence, message.log_ns, message.publish_ns, message.data)
             if len(self._chunk) >= CHUNK_BYTES:
                 self.flush()
@@ -106,14 +114,14 @@ class BackfillFiles:
         self._library = library
         self._files: dict[str, list[BackfillFile]] = {}
 
-    def write(self, directory: Path, name: str, message: Message) -> None:
-        """Write a message into the log of that name."""
+    def write(self, directory: Path, name: str, message: Message, recorder: str) -> None:
+        """Write a message of this recorder into the log of that name."""
         files = self._files.setdefault(name, [])
         file = next((one for one in files if one.fits(message)), None)
         if file is None:
             file = BackfillFile(directory, name, message.publish_ns, self._library)
             files.append(file)
-        file.write(message)
+        file.write(message, recorder)
 
     def parts(self) -> list[Path]:
         """The logs as they are now; all that was written is in them."""

@@ -36,7 +36,7 @@ FLOOR_MAX_SHARE: Final = 0.1
 """No more than this of a file system is kept free, however small it is."""
 
 _NAME: Final = re.compile(
-    r"[A-Za-z0-9._-]+-(?P<start>\d{8}T\d{6}Z)(?P<kind>\.[a-z]+)?(-(?P<number>\d+))*(?P<suffix>\.mcap(\.part|\.damaged|\.rest)?)"
+    r"(?P<robot>[A-Za-z0-9._-]+)-(?P<start>\d{8}T\d{6}Z)(?P<kind>\.[a-z]+)?(-(?P<number>\d+))*(?P<suffix>\.mcap(\.part|\.damaged|\.rest)?)"
 )
 """The names that a recorder gives; whatever else is in the directory is not ours to delete or to count."""
 
@@ -75,6 +75,7 @@ def read_entries(directory: Path, own: Collection[str] = ()) -> list[LogEntry]:
                     bytes=size,
                     started=match["start"],
                     number=int(match["number"] or 1),
+                    robot=match["robot"],
                     is_incident=match["kind"] == INCIDENT_SUFFIX,
                     is_open=match["suffix"] == PART_SUFFIX,
                     is_own=one.name in own,

@@ -396,6 +396,16 @@ def test_robots_beyond_the_limit_share_a_log(monkeypatch: pytest.MonkeyPatch, be
     assert set(bench.logs()) == {"r-0", "r-1", "r-2", OTHERS}
 
 
+def test_a_known_robot_has_its_own_log_however_many_others_came_first(bench: Bench) -> None:
+    """Made-up names must not push it into the log that strangers share."""
+    plan = msgspec.structs.replace(PLAN, log_limit=2, known=frozenset({"cruiser-1"}))
+    bench.recording = Recording(plan)
+    for number in range(10):
+        bench.receive(sample_of(gear(0), f"r-{number}"))
+    bench.receive(sample_of(gear(0)))
+    assert set(bench.logs()) == {"r-0", "r-1", "r-2", "cruiser-1", OTHERS}
+
+
 def test_one_log_for_all_if_that_is_wanted() -> None:
     """Whose ever the samples are; and a robot of it can be marked."""
     bench = Bench(msgspec.structs.replace(PLAN, per_robot=False))

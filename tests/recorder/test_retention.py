@@ -202,6 +202,95 @@ def test_without_limits_nothing_goes() -> None:
     )
 
 
+def logs_of(robot: str, *sizes: int, hour: int = 0, is_written: bool = False) -> list[LogEntry]:
+    """Logs of a robot, one an hour, the last of which may be being written."""
+    starts = [f"20270115T{hour + number:02}0000Z" for number in range(len(sizes))]
+    entries = [
+        LogEntry(f"{robot}-{start}", size * SCALE, start, robot=robot)
+        for start, size in zip(starts, sizes, strict=True)
+    ]
+    if is_written:
+        entries[-1] = msgspec.structs.replace(entries[-1], is_open=True, is_own=True)
+    return entries
+
+
+def bytes_of(robot: str, entries: list[LogEntry]) -> int:
+    """What a robot's logs take, in SCALE."""
+    return used([entry for entry in entries if entry.robot == robot]) // SCALE
+
+
+def test_made_up_robots_cost_the_true_one_no_more_than_its_fair_share() -> None:
+    """Its oldest logs go until each robot takes as much; from then on theirs go, too, however new they are."""
+    entries = [*logs_of("cruiser-1", *[100] * 10)]
+    for number in range(9):
+        entries += logs_of(f"spoof-{number}", *[100] * 10, hour=10)
+    judgement = judge(entries, 0, Limits(budget_bytes=1000 * SCALE), is_full=False)
+    left = without(entries, judgement)
+    robots = {entry.robot for entry in entries}
+    assert {robot: bytes_of(robot, left) for robot in robots} == dict.fromkeys(robots, 100)
+    assert [entry.started for entry in left if entry.robot == "cruiser-1"] == ["20270115T090000Z"]
+
+
+def test_the_logs_of_the_robot_that_takes_most_go_although_others_are_older() -> None:
+    """Its oldest first. A robot that was quiet for long keeps what it has."""
+    entries = [*logs_of("quiet", 50, 50), *logs_of("loud", 300, 300, 300, hour=10)]
+    judgement = judge(entries, 0, Limits(budget_bytes=500 * SCALE), is_full=False)
+    assert judgement.delete == ("loud-20270115T100000Z", "loud-20270115T110000Z")
+
+
+def test_made_up_robots_have_one_share_together_where_robots_are_known() -> None:
+    """A thousand names are worth no more than one."""
+    entries = logs_of("cruiser-1", *[100] * 10)
+    for number in range(1000):
+        entries += logs_of(f"spoof-{number}", 10, hour=10)
+    limits = Limits(budget_bytes=2000 * SCALE, known=frozenset({"cruiser-1"}), keep_s=0)
+    left = without(entries, judge(entries, 0, limits, is_full=False))
+    assert bytes_of("cruiser-1", left) == 1000
+    assert used(left) <= 2000 * SCALE
+
+
+@pytest.mark.parametrize("keep_s", [0, 1, 3600, 7200, 7201])
+def test_the_last_hours_of_a_known_robot_stay(keep_s: int) -> None:
+    """Back from where its newest log begins; a log reaches up to the next. What else is there goes before."""
+    entries = [*logs_of("cruiser-1", 10, 10, 10, 10, 10), *logs_of("spoof", 1, 1, hour=10)]
+    limits = Limits(budget_bytes=SCALE, known=frozenset({"cruiser-1"}), keep_s=keep_s)
+    kept = {0: 1, 1: 2, 3600: 2, 7200: 3, 7201: 4}[keep_s]
+    limits = msgspec.structs.replace(limits, budget_bytes=kept * 10 * SCALE)
+    judgement = judge(entries, 0, limits, is_full=False)
+    left = without(entries, judgement)
+    assert [entry.started[9:11] for entry in left] == [f"{hour:02}" for hour in range(5 - kept, 5)]
+    assert judgement.has_room
+
+
+def test_what_strangers_write_is_ended_before_the_last_hours_of_a_known_robot_go() -> None:
+    """It may go as soon as it is a whole log."""
+    entries = [*logs_of("cruiser-1", 300, 100, is_written=True), *logs_of("spoof", 600, hour=10, is_written=True)]
+    limits = Limits(budget_bytes=900 * SCALE, known=frozenset({"cruiser-1"}), keep_s=7200)
+    assert judge(entries, 0, limits, is_full=False) == Judgement(
+        (), has_room=True, has_incident_room=True, roll=True
+    )
+
+
+def test_when_nothing_else_is_left_a_known_robot_records_on() -> None:
+    """Its own oldest log goes, even of its last hours: a robot that stops recording loses more."""
+    entries = logs_of("cruiser-1", 300, 300, 300, is_written=True)
+    limits = Limits(budget_bytes=800 * SCALE, known=frozenset({"cruiser-1"}), keep_s=7200)
+    assert judge(entries, 0, limits, is_full=False) == Judgement(
+        ("cruiser-1-20270115T000000Z",), has_room=True, has_incident_room=True, roll=False
+    )
+
+
+def test_incidents_of_strangers_go_like_logs_where_robots_are_known() -> None:
+    """Else made-up alarms would fill what a known robot's incidents may take, and nothing would ever free it."""
+    incidents = [msgspec.structs.replace(entry, is_incident=True) for entry in logs_of("spoof", 300, 300)]
+    limits = Limits(budget_bytes=1000 * SCALE)
+    assert judge(incidents, 0, limits, is_full=False).has_incident_room is False
+    known = msgspec.structs.replace(limits, known=frozenset({"cruiser-1"}))
+    assert judge(incidents, 0, known, is_full=False).has_incident_room
+    entries = [*incidents, *logs_of("cruiser-1", 500)]
+    assert judge(entries, 0, known, is_full=False).delete == (incidents[0].name,)
+
+
 @given(
     st.lists(st.tuples(st.integers(0, 50), st.booleans(), st.integers(0, 40)), min_size=30, max_size=120),
     st.sampled_from([0, 1000]),

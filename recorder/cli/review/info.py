@@ -97,6 +97,9 @@ def _of_one(info: LogInfo) -> Iterator[str]:
     yield from table(
         ("attachment", "type", "bytes"), [(one.name, one.media_type, str(one.bytes)) for one in info.attachments]
     )
+    sources = sorted({channel.backfilled_from for channel in info.channels if channel.backfilled_from})
+    if sources:
+        yield f"  backfilled from recorder {', '.join(sources)}"
     if info.incident:
         yield f"  incident {info.incident.get('file', '')}: {info.incident.get('because', '')}"
     yield from _completeness(info)

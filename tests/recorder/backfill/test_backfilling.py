@@ -47,6 +47,7 @@ class Depot:
             self._hold(data)
         self._topics = finder.topics
         self.written: list[Row] = []
+        self.senders: list[str] = []
         self.answered: list[str] = []
         self.details: list[str] = []
 
@@ -67,7 +68,8 @@ class Depot:
         chart = map_of(data)
         self.filling.hold(chart.channels, chart.messages(io.BytesIO(data)))
 
-    def _write(self, message: Message) -> None:
+    def _write(self, message: Message, recorder: str) -> None:
+        self.senders.append(recorder)
         self.written.append(
             Row(message.publish_ns, message.channel.topic, message.sequence, message.log_ns, message.data)
         )
@@ -184,6 +186,10 @@ def test_the_next_recorder_is_asked_for_what_the_first_one_lacks() -> None:
     assert sorted(depot.written) == rows[10:20]
     assert result.is_whole
     assert depot.answered == ["one", "two"]
+    assert sorted(zip(depot.written, depot.senders, strict=True)) == [
+        *((one, "one") for one in rows[10:15]),
+        *((one, "two") for one in rows[15:20]),
+    ]
     assert third.requests == []
 
 

@@ -105,6 +105,34 @@ def test_a_budget_is_kept_and_the_oldest_logs_go(
     assert [(one.path, one.bytes) for one in found if one.bytes >= budget] == []
 
 
+def test_made_up_robots_do_not_push_out_what_a_known_robot_said_last(
+    peer: Peer, endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each of their deleted logs is one more that an attacker filled the budget with."""
+    monkeypatch.setenv("CRUISER_RECORDER_BUDGET_BYTES", "1000000")
+    monkeypatch.setenv("CRUISER_RECORDER_KNOWN_ROBOTS", "cruiser-1")
+    told = Told(peer)
+    spoofed = 0
+
+    def has_flooded() -> bool:
+        nonlocal spoofed
+        spoofed += 1
+        key = f"fleet/spoof-{spoofed % 10}/large"
+        peer.put(FakeSample(key, "zenoh/bytes", os.urandom(20_000)))
+        time.sleep(0.005)
+        return len(told.events(RecorderEventKind.DELETED)) >= 20
+
+    with recording(*words(tmp_path, endpoint)) as process:
+        link(peer, tmp_path)
+        peer.put(sample_of(gear(7)))
+        wait_until(has_flooded, 60)
+        process.end()
+    deleted = [event.file for event in told.events(RecorderEventKind.DELETED)]
+    assert [name for name in deleted if name.startswith("cruiser-1")] == []
+    kept = [path for path in whole(tmp_path) if path.name.startswith("cruiser-1")]
+    assert 7 in [one for path in kept for one in sequences(path, key_of(Gear))]
+
+
 def number(name: str) -> int:
     """Which of the files of one second a log is."""
     return int(name.partition("Z")[2].partition(".")[0].lstrip("-") or 1)

@@ -6,11 +6,14 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
+from recorder.backfill.backfilling import BACKFILLED_FROM
 from recorder.backfill.excerpt import Message
+from recorder.cli.review.info import describe
 from recorder.ports.backfill_file import BACKFILL_NAME, BackfillFile, BackfillFiles
 from recorder.ports.leftovers import Outcome, recover
 from recorder.protobuf_schema import descriptor_set
 from recorder.recovery import survey
+from recorder.review.info import read_info
 from schemas.exit_codes import CommandError
 from schemas.messages import Gear
 from tests.recorder.backfill.logs import GEAR, RX, START_NS, Row, channel_of, gear_rows, row, rows_in
@@ -29,7 +32,7 @@ def written(directory: Path, rows: list[Row]) -> BackfillFiles:
     """A backfill under way."""
     files = BackfillFiles("test")
     for one in rows:
-        files.write(directory, "cruiser-1", message(one))
+        files.write(directory, "cruiser-1", message(one), "robot")
     return files
 
 
@@ -86,12 +89,30 @@ def test_each_robot_has_its_log_and_each_version_of_a_schema(tmp_path: Path) -> 
     files = BackfillFiles("test")
     other = descriptor_set(Gear) + b"\xfa\x01\x00"
     one, two = gear_rows(2)
-    files.write(tmp_path, "cruiser-1", message(one))
-    files.write(tmp_path, "cruiser-1", message(two, other))
-    files.write(tmp_path, "cruiser-2", message(two))
+    files.write(tmp_path, "cruiser-1", message(one), "robot")
+    files.write(tmp_path, "cruiser-1", message(two, other), "robot")
+    files.write(tmp_path, "cruiser-2", message(two), "robot")
     paths = files.finish(ABOUT)
     assert [path.name.partition("-2027")[0] for path in paths] == ["cruiser-1", "cruiser-1", "cruiser-2"]
     assert [rows_in(path.read_bytes()) for path in paths] == [[one], [two], [two]]
+
+
+def test_each_message_is_marked_with_the_recorder_that_sent_it(tmp_path: Path) -> None:
+    """By its channel, also where two recorders sent messages of one topic; ``review info`` names them."""
+    files = BackfillFiles("test")
+    one, two, three = gear_rows(3)
+    files.write(tmp_path, "cruiser-1", message(one), "robot")
+    files.write(tmp_path, "cruiser-1", message(two), "stranger")
+    files.write(tmp_path, "cruiser-1", message(three), "robot")
+    (path,) = files.finish(ABOUT)
+    marked = {
+        found.sequence: channel.metadata[BACKFILLED_FROM]
+        for _, channel, found in make_reader(BytesIO(path.read_bytes())).iter_messages()
+    }
+    assert marked == {one.sequence: "robot", two.sequence: "stranger", three.sequence: "robot"}
+    info = read_info(path)
+    assert [(one.topic, one.backfilled_from) for one in info.channels] == [(GEAR, "robot"), (GEAR, "stranger")]
+    assert "  backfilled from recorder robot, stranger" in describe(info).splitlines()
 
 
 def test_a_time_beyond_the_calendar_is_a_name_too(tmp_path: Path) -> None:

@@ -87,7 +87,8 @@ def test_the_names_that_a_recorder_gives_are_its_own(
     """Whole, being written, or recovered; what is an incident stays one whatever became of it."""
     (tmp_path / name).write_bytes(bytes(7))
     number = 2 if "-2.mcap" in name else 1
-    expected = LogEntry(name, 7, started, number, is_incident=is_incident, is_open=is_open)
+    robot = name.removesuffix(".mcap").rpartition("-")[0] if name.startswith("a-") else "cruiser-1"
+    expected = LogEntry(name, 7, started, number, robot, is_incident=is_incident, is_open=is_open)
     assert read_entries(tmp_path) == [expected]
     assert read_entries(tmp_path, {name}) == [msgspec.structs.replace(expected, is_own=True)]
 
