@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -124,13 +125,16 @@ def test_made_up_robots_do_not_push_out_what_a_known_robot_said_last(
 
     with recording(*words(tmp_path, endpoint)) as process:
         link(peer, tmp_path)
-        peer.put(sample_of(gear(7)))
+        wait_until(lambda: heard(peer, tmp_path, "last"))
+        process.signal(signal.SIGHUP)
+        wait_until(lambda: bool(whole(tmp_path)))
+        (last,) = whole(tmp_path)
         wait_until(has_flooded, 60)
         process.end()
     deleted = [event.file for event in told.events(RecorderEventKind.DELETED)]
-    assert [name for name in deleted if name.startswith("cruiser-1")] == []
-    kept = [path for path in whole(tmp_path) if path.name.startswith("cruiser-1")]
-    assert 7 in [one for path in kept for one in sequences(path, key_of(Gear))]
+    assert last.name.startswith("cruiser-1")
+    assert last.name not in deleted
+    assert counts(read_info(last))["fleet/cruiser-1/last"]
 
 
 def number(name: str) -> int:
