@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Final
 
-from recorder.sample import Sample
+from recorder.sample import Sample, copy
 
 SAMPLE_BYTES: Final = 500
 """What a sample takes in memory besides its payload and key, about."""
@@ -31,7 +31,7 @@ class Inbox:
     def put(self, sample: Sample) -> list[tuple[str, int]]:
         """Have a sample wait. Key and receipt of those that must go instead; of this one if it is too much."""
         size = len(sample.payload) + len(sample.attachment) + len(sample.key) + SAMPLE_BYTES
-        self._waiting.append((sample, size))
+        self._waiting.append((copy(sample), size))
         self.bytes += size
         if self.bytes <= self._limit_bytes:
             return []

@@ -14,7 +14,7 @@ from typing import Final, Protocol
 
 import msgspec
 
-from recorder.completeness import KeyReport
+from recorder.completeness import KeyReport, total
 from recorder.effects import AskInfo, AskKept, Doing, OnLog
 from recorder.health import HealthReport, Vitals
 from recorder.inbox import Inbox
@@ -112,7 +112,11 @@ class Recorded(msgspec.Struct, frozen=True):
         path: the newest log; None if there is none.
         files: how many there are, incidents included; ``bytes`` of them all.
         messages: in the logs.
-        lost: messages that were received, and that the disk did not take.
+        lost: samples and messages that were lost after their source: the sum of the next five.
+        lost_link: samples that never reached the recorder, by the gaps in their sequence.
+        lost_queue: samples that were dropped unread; ``lost_size`` those that were larger than may be recorded.
+        lost_full: messages that came while the disk might hold no more.
+        lost_disk: messages that the disk did not take.
         is_hung: the disk did not answer at the end: what it was given last may be lost, too.
         incidents: incidents that were begun.
         keys: per topic, what was received, written and lost.
@@ -123,6 +127,11 @@ class Recorded(msgspec.Struct, frozen=True):
     files: int
     messages: int
     lost: int
+    lost_link: int
+    lost_queue: int
+    lost_size: int
+    lost_full: int
+    lost_disk: int
     bytes: int
     channels: int
     incidents: int
@@ -331,11 +340,20 @@ class Recorder:
 
     def _recorded(self) -> Recorded:
         counts = self._recording.counts
+        all_keys = total(counts.values())
+        lost_link, lost_queue, lost_size = all_keys.lost_link, all_keys.lost_queue, all_keys.lost_size
+        # The writer knows, too, what was lost when nobody took its notices any more.
+        lost_full, lost_disk = all_keys.lost_full, self._writer.lost
         return Recorded(
             path=self._writer.path,
             files=self._writer.files,
             messages=sum(count.written for count in counts.values()),
-            lost=self._writer.lost,
+            lost=lost_link + lost_queue + lost_size + lost_full + lost_disk,
+            lost_link=lost_link,
+            lost_queue=lost_queue,
+            lost_size=lost_size,
+            lost_full=lost_full,
+            lost_disk=lost_disk,
             bytes=self._writer.bytes,
             channels=len(counts),
             incidents=self._recording.incidents,

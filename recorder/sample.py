@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
+import msgspec
+
 
 class Sample(Protocol):
     """One sample, or one reply to a query. Key, encoding and payload are at hand, the rest may cost something."""
@@ -52,3 +54,32 @@ class Sample(Protocol):
     def deleted(self) -> bool:
         """The sample says that the key was deleted, and carries nothing else."""
         ...
+
+
+class WaitingSample(msgspec.Struct, frozen=True, gc=False):
+    """A copy of a sample, to wait for long: one that Zenoh gave holds its whole receive buffer of 64 KiB."""
+
+    key: str
+    encoding: str
+    payload: bytes
+    attachment: bytes
+    zenoh_time_ns: int
+    source: tuple[str, int] | None
+    deleted: bool
+    received_ns: int
+    is_reply: bool
+
+
+def copy(sample: Sample) -> WaitingSample:
+    """All of a sample, by value."""
+    return WaitingSample(
+        sample.key,
+        sample.encoding,
+        sample.payload,
+        sample.attachment,
+        sample.zenoh_time_ns,
+        sample.source,
+        sample.deleted,
+        sample.received_ns,
+        sample.is_reply,
+    )

@@ -278,27 +278,26 @@ def _report(recorded: Recorded, *, as_json: bool) -> int:
     if recorded.is_hung:
         sys.stderr.write(
             "cruiser record: the disk does not answer: the logs are not ended, "
-            f"and {recorded.lost} messages or more are lost\n"
+            f"and {recorded.lost_disk} messages or more are lost\n"
         )
         return int(ExitCode.PARTIAL)
     counts = recorded.keys.values()
-    full = sum(count.lost_full for count in counts)
-    if recorded.path is None and recorded.lost + full:
-        raise CommandError(f"the disk took no log; {recorded.lost + full} messages are lost")
+    full = recorded.lost_full
+    if recorded.path is None and recorded.lost_disk + full:
+        raise CommandError(f"the disk took no log; {recorded.lost_disk + full} messages are lost")
     if not any(count.received for count in counts):
         raise CommandError("no sample came, so there is no log", ExitCode.UNREACHABLE)
-    missed = sum(count.lost_link for count in counts)
-    dropped = sum(count.lost_queue + count.lost_size for count in counts)
+    dropped = recorded.lost_queue + recorded.lost_size
     notes = [
         f", in {recorded.files} files" if recorded.files > 1 else "",
         f", {recorded.incidents} incidents" if recorded.incidents else "",
         f"; {dropped} samples dropped" if dropped else "",
         f"; no room for {full} messages" if full else "",
-        f"; the disk did not take {recorded.lost} messages" if recorded.lost else "",
+        f"; the disk did not take {recorded.lost_disk} messages" if recorded.lost_disk else "",
         f"; {recorded.unfinished} files are not whole" if recorded.unfinished else "",
     ]
     sys.stderr.write(
         f"record: {recorded.messages} messages on {recorded.channels} channels, {recorded.bytes} bytes, "
-        f"{missed} samples missed{''.join(notes)}\n"
+        f"{recorded.lost_link} samples missed{''.join(notes)}\n"
     )
-    return int(ExitCode.PARTIAL if recorded.lost or dropped or full or recorded.unfinished else ExitCode.OK)
+    return int(ExitCode.PARTIAL if recorded.lost_disk or dropped or full or recorded.unfinished else ExitCode.OK)

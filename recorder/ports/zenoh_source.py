@@ -22,7 +22,7 @@ from schemas.zenoh_link import reason
 REPLY_TIMEOUT_S: Final = 2.0
 """How long a query may wait for its reply."""
 
-RING_SAMPLES: Final = 100_000
+RING_SAMPLES: Final = 20_000
 """Samples that may wait in Zenoh's own ring for each key expression: what comes in while the loop is held up."""
 
 DRAIN_BYTES: Final = 16_000_000

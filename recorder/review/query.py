@@ -42,7 +42,11 @@ Source = LogSource | DatasetSource
 
 @contextmanager
 def answer(
-    source: Source, sql: str, stopped: Callable[[], bool] = lambda: False
+    source: Source,
+    sql: str,
+    stopped: Callable[[], bool] = lambda: False,
+    *,
+    may_use_files: bool = False,
 ) -> Generator[pa.RecordBatchReader | None, None, None]:
     """The rows that a statement gives, as they come; None if it gives none.
 
@@ -51,6 +55,7 @@ def answer(
         sql: the statement.
         stopped: turns true when nobody waits for the answer any more. DuckDB heeds no signal by itself, so it
             works in a thread of its own.
+        may_use_files: the statement may read and write files of the user's, and not only what the source gives.
 
     Raises:
         CommandError: DuckDB does not understand it, or cannot do it; also while the rows are read, see ``told``.
@@ -72,6 +77,8 @@ def answer(
             with told():
                 connection.execute("SET TimeZone = 'UTC'")
                 source.declare(connection, _names_in(connection, sql))
+                if not may_use_files:
+                    _shut_in(connection, [scratch, *source.directories])
                 connection.execute("SET lock_configuration = true")
                 relation = run(connection.sql, sql)
                 rows = None if relation is None else run(relation.to_arrow_reader, BATCH_ROWS)
@@ -91,6 +98,8 @@ def told() -> Generator[None, None, None]:
     """What DuckDB says is wrong becomes one line."""
     try:
         yield
+    except duckdb.PermissionException as error:
+        raise CommandError(f"{_one_line(str(error))} (--allow-files allows files)", ExitCode.USAGE) from None
     except duckdb.Error as error:
         code = ExitCode.USAGE if isinstance(error, _WRONG_SQL) else ExitCode.FAILURE
         raise CommandError(_one_line(str(error)), code) from None
@@ -110,6 +119,12 @@ def _configuration(scratch: str) -> dict[str, str | bool | int | float | list[st
         "python_enable_replacements": "false",
         "temp_directory": scratch,
     }
+
+
+def _shut_in(connection: duckdb.DuckDBPyConnection, directories: list[str]) -> None:
+    """Let the statement see no file but in these directories: it may come from anybody, as a log may."""
+    connection.execute("SET allowed_directories = $1", [directories])
+    connection.execute("SET enable_external_access = false")
 
 
 def _names_in(connection: duckdb.DuckDBPyConnection, sql: str) -> set[str]:

@@ -1,5 +1,7 @@
 """Samples that wait."""
 
+import weakref
+
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -57,3 +59,24 @@ def test_a_sample_larger_than_the_limit_is_told_and_does_not_stay() -> None:
     assert inbox.put(sample(1, 100)) == []
     assert inbox.put(sample(2, LIMIT_BYTES)) == [("k", 1), ("k", 2)]
     assert (len(inbox), inbox.bytes) == (0, 0)
+
+
+class Received:
+    """A sample that holds on to the buffer that it came in."""
+
+    key, encoding, payload, attachment = "k", "x", b"payload", b"attachment"
+    zenoh_time_ns, received_ns, source, deleted, is_reply = 1, 2, ("source", 3), True, True
+
+
+def test_what_waits_is_a_copy() -> None:
+    """It holds on to nothing; all of the sample is there when its turn comes."""
+    inbox, received = Inbox(1000), Received()
+    gone = weakref.ref(received)
+    inbox.put(received)
+    del received
+    assert gone() is None
+    (taken,) = inbox.take(1, 1000)
+    for name in ("key", "encoding", "payload", "attachment", "zenoh_time_ns", "received_ns", "source"):
+        assert getattr(taken, name) == getattr(Received, name)
+    assert taken.deleted
+    assert taken.is_reply

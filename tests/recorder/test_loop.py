@@ -27,6 +27,7 @@ from recorder.ports.log_writer import LogWriter
 from recorder.recording import Recording
 from recorder.review.check import check_log
 from recorder.review.info import read_info
+from recorder.routes import keep_raw
 from recorder.sample import Sample
 from recorder.session import CONTINUED_NAME, Plan
 from schemas.decisions import EventKind
@@ -83,7 +84,12 @@ def test_a_recording_ends_in_a_whole_file(tmp_path: Path) -> None:
         path=str(next(tmp_path.glob("*.mcap"))),
         files=1,
         messages=4,
-        lost=0,
+        lost=2,
+        lost_link=2,
+        lost_queue=0,
+        lost_size=0,
+        lost_full=0,
+        lost_disk=0,
         bytes=Path(recorded.path).stat().st_size,
         channels=1,
         incidents=0,
@@ -96,7 +102,7 @@ def test_a_recording_ends_in_a_whole_file(tmp_path: Path) -> None:
 
 def test_without_samples_there_is_no_file(tmp_path: Path) -> None:
     """Nothing is left of a recorder that waited in vain."""
-    assert record(FakeSource(), tmp_path) == Recorded(None, 0, 0, 0, 0, 0, 0, {})
+    assert record(FakeSource(), tmp_path) == Recorded(None, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, {})
     assert logs_in(tmp_path) == []
 
 
@@ -198,7 +204,7 @@ def test_a_disk_that_takes_nothing_ends_no_recording(tmp_path: Path, monkeypatch
     monkeypatch.setattr(log_directory, "FileIO", FailingFile)
     monkeypatch.setattr(FailingFile, "room", 4)
     recorded = record(FakeSource(sample_of(gear(number)) for number in range(100)), tmp_path)
-    assert (recorded.path, recorded.files, recorded.messages, recorded.lost) == (None, 0, 0, 100)
+    assert (recorded.path, recorded.files, recorded.messages, recorded.lost_disk) == (None, 0, 0, 100)
     assert logs_in(tmp_path) == []
 
 
@@ -266,6 +272,7 @@ def test_more_than_can_be_recorded_waits_and_the_rest_is_counted(
     found = recorded.keys[GEAR_KEY]
     assert (found.received, found.lost_link, found.lost_full, found.lost_disk) == (50_000, 0, 0, 0)
     assert found.lost_queue > 0
+    assert recorded.lost == recorded.lost_queue == sum(key.lost for key in recorded.keys.values())
     assert found.written == 50_000 - found.lost_queue
     messages = make_reader(BytesIO(Path(recorded.path or "").read_bytes()), validate_crcs=True).iter_messages(
         topics=[GEAR_KEY], log_time_order=False
@@ -376,25 +383,6 @@ def test_a_sample_that_is_too_large_holds_nothing_up(tmp_path: Path) -> None:
     assert recorded.keys[GEAR_KEY].written == 2
 
 
-class SlowSample(msgspec.Struct):
-    """A sample that takes so long to record."""
-
-    key: str
-    clock: "Clock"
-    encoding: str = "x"
-    payload: bytes = b""
-    attachment: bytes = b""
-    deleted: bool = False
-    source: tuple[str, int] | None = None
-    received_ns: int = WALL_NS
-    is_reply: bool = False
-
-    @property
-    def zenoh_time_ns(self) -> int:
-        self.clock.now_ns += self.clock.slow_ns
-        return 0
-
-
 class Clock:
     """What the loop takes for the time; it goes on where samples are slow, and a little by itself."""
 
@@ -425,7 +413,13 @@ def test_samples_that_take_long_do_not_hold_up_what_is_due(
     clock = Clock(slow_ns)
     monkeypatch.setattr(loop_module, "time", clock)
     monkeypatch.setattr(loop_module, "LAST_SAMPLES_NS", 10**12)
-    source = FakeSource(SlowSample(f"k/{number % 7}", clock) for number in range(700))
+
+    def keep_slowly(sample: Sample, reason: str, time_ns: int) -> bytes:
+        clock.now_ns += slow_ns
+        return keep_raw(sample, reason, time_ns)
+
+    monkeypatch.setattr("recorder.session.keep_raw", keep_slowly)
+    source = FakeSource(FakeSample(f"k/{number % 7}", "x", b"") for number in range(700))
     one = recorder(source, tmp_path)
     ticks: list[int] = []
     tick = one._recording.tick

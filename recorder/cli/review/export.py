@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -31,6 +32,9 @@ DESCRIPTION: Final = (
 PARQUET, CSV = "parquet", "csv"
 _FRAME_FORMATS: Final = ("candump", "asc", "blf")
 FORMATS: Final = (PARQUET, CSV, *_FRAME_FORMATS)
+_SCHEME: Final = re.compile("[a-z][a-z0-9+.-]+:/")
+"""Of a place on a network, as a path has it: ``s3:/bucket``. For a directory of that name there is ``./s3:``."""
+
 RUNNERS: Final = ("here", "daft")
 
 
@@ -60,6 +64,12 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     """Export."""
     if arguments.format != PARQUET and (arguments.add or arguments.ray or arguments.runner != RUNNERS[0]):
         raise CommandError("--add, --runner and --ray are of --format parquet", ExitCode.USAGE)
+    if _SCHEME.match(str(arguments.out)):
+        raise CommandError(
+            f"{plain(str(arguments.out))} is no directory: export to one, and copy it with the store's own tool "
+            "(aws s3 sync, gsutil rsync, rclone)",
+            ExitCode.USAGE,
+        )
     asked = find(arguments)
     with needing_extra("review"), progress_bar("exporting", asked.bytes) as progress:
         written = _EXPORTS[arguments.format](arguments, asked, heeding(progress, stopped))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
@@ -25,14 +26,18 @@ EXAMPLE: Final = """  cruiser review query 'SELECT log_time, kind, text FROM saf
 DESCRIPTION: Final = (
     "Answers SQL, as DuckDB speaks it, from logs or from a dataset that 'cruiser review export' has made. Each "
     "subject is a table: state, chassis_drive, safety_decision, can_rx, journal, ...; its columns are robot, "
-    "log_time, publish_time, sequence, and the fields of the message. The statement runs with your own rights: it "
-    "may read and write files. Exit code 2 if it is wrong, 3 if not all of a log could be read."
+    "log_time, publish_time, sequence, and the fields of the message. The statement sees nothing but these "
+    "tables; with --allow-files it may read and write files with your own rights. Exit code 2 if it is wrong, 3 "
+    "if not all of a log could be read."
 )
 
 SHOWN_MAX: Final = 1000
 """Rows of a table for people."""
 
 CELL_MAX: Final = 60
+
+_CONTROLS: Final = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
+"""What rules a terminal, or the direction of its text."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,6 +47,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tables", action="store_true", help="list the tables and their columns instead")
     parser.add_argument("--json", action="store_true", help=f"{JSON_HELP}, an object a line")
     parser.add_argument("--csv", action="store_true", help="print CSV")
+    parser.add_argument(
+        "--allow-files", action="store_true", help="let the statement read and write files (COPY, read_csv, ...)"
+    )
     add_period(parser)
 
 
@@ -86,7 +94,8 @@ def _ask(query: Any, source: Any, sql: str, arguments: argparse.Namespace, stopp
     if arguments.tables:
         _show_tables(source.tables, is_json=arguments.json)
         return
-    with query.answer(source, sql, stopped) as rows, query.told():
+    allowed: bool = arguments.allow_files
+    with query.answer(source, sql, stopped, may_use_files=allowed) as rows, query.told():
         if rows is None:
             return
         if arguments.csv:
@@ -114,10 +123,15 @@ def _print_csv(rows: Any, stopped: Callable[[], bool]) -> None:  # noqa: ANN401 
     for batch in rows:
         if stopped():
             return
-        sys.stdout.write(csv_text(batch, with_header=is_first))
+        _write_csv(csv_text(batch, with_header=is_first))
         is_first = False
     if is_first:
-        sys.stdout.write(csv_text(rows.schema.empty_table(), with_header=True))
+        _write_csv(csv_text(rows.schema.empty_table(), with_header=True))
+
+
+def _write_csv(text: str) -> None:
+    """Lines of CSV. What a terminal would obey is escaped; tabs and the ends of lines are CSV's own."""
+    sys.stdout.write(_CONTROLS.sub(lambda found: ascii(found[0])[1:-1], text))
 
 
 def _print_table(names: list[str], found: Iterator[dict[str, Any]]) -> None:

@@ -51,6 +51,11 @@ class DatasetSource:
         return own is not None and bool(names & set(own.schema.names[len(HEAD) :]))
 
     @property
+    def directories(self) -> list[str]:
+        """Where its files are, as DuckDB sees it before and after it looks for patterns."""
+        return [str(self._directory), _unglobbed(str(self._directory))]
+
+    @property
     def tables(self) -> list[TableInfo]:
         """What there is."""
         return [

@@ -120,6 +120,11 @@ class LogSource:
         self._tables = tables_of(logs, faults, selection)
 
     @property
+    def directories(self) -> list[str]:
+        """What DuckDB itself reads: nothing."""
+        return []
+
+    @property
     def tables(self) -> list[TableInfo]:
         """What there is; tables without a row are not told."""
         return [

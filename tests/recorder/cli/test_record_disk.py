@@ -276,7 +276,7 @@ def test_that_a_file_is_not_whole_is_no_success(
 ) -> None:
     """Though nothing of it is lost: somebody has to recover it."""
     keys = {"fleet/cruiser-1/key": KeyReport(received=1, written=1)}
-    recorded = Recorded("a.mcap", 1, 1, 0, 100, 1, 0, keys, unfinished=unfinished)
+    recorded = Recorded("a.mcap", 1, 1, 0, 0, 0, 0, 0, 0, 100, 1, 0, keys, unfinished=unfinished)
     assert record._report(recorded, as_json=False) == code
     assert ("1 files are not whole" in capsys.readouterr().err) == bool(unfinished)
 

@@ -19,6 +19,10 @@ def test_a_zenoh_file_gives_what_it_says(tmp_path: Path) -> None:
     assert json.loads(config.get_json("connect/endpoints")) == [endpoint]
     assert config.get_json("scouting/multicast/enabled") == "false"
     assert config.get_json("listen/endpoints") == "[]"
+    assert config.get_json("transport/link/tx/batch_size") == "16384"
+    path.write_text(json.dumps({"transport": {"link": {"tx": {"batch_size": 30_000}}}}))
+    config = _configuration(ZenohSettings(config=str(path)), [])
+    assert config.get_json("transport/link/tx/batch_size") == "30000"
     for broken in (tmp_path / "none.json5", tmp_path / "broken.json5"):
         (tmp_path / "broken.json5").write_text("{")
         with pytest.raises(CommandError, match="wrong Zenoh settings") as caught:

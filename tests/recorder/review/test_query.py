@@ -291,8 +291,33 @@ def test_a_statement_that_would_take_days_can_be_stopped(source: Source) -> None
         read()
 
 
-def test_a_statement_may_write_a_file(source: Source, tmp_path: Path) -> None:
-    """It has the user's own rights, and gives no rows."""
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "COPY (SELECT 1) TO '{}/out.csv'",
+        "SELECT * FROM '{}/secret.csv'",
+        "SELECT * FROM read_text('{}/secret.csv')",
+        "SELECT * FROM glob('{}/*')",
+        "ATTACH '{}/x.db'",
+        "EXPORT DATABASE '{}/all'",
+        "SET enable_external_access = true",
+        "SET allowed_directories = ['/']",
+    ],
+)
+def test_a_statement_sees_no_files(source: Source, tmp_path_factory: pytest.TempPathFactory, sql: str) -> None:
+    """It may be a stranger's, as the log is: no file of the user's is read, written or listed."""
+    directory = tmp_path_factory.mktemp("home")
+    (directory / "secret.csv").write_text("secret\n1\n")
+    with pytest.raises(CommandError):
+        ask(source, sql.format(directory))
+    # EXPORT leaves an empty directory.
+    assert [path.name for path in directory.rglob("*") if path.is_file()] == ["secret.csv"]
+
+
+def test_a_statement_may_write_a_file_where_that_is_allowed(source: Source, tmp_path: Path) -> None:
+    """It has the user's own rights then, and gives no rows."""
     path = tmp_path / "gears.csv"
-    ask(source, "COPY (SELECT sequence FROM chassis_gear WHERE robot = 'cruiser-2') TO '" + str(path) + "'")  # noqa: S608
+    sql = "COPY (SELECT sequence FROM chassis_gear WHERE robot = 'cruiser-2') TO '" + str(path) + "'"  # noqa: S608
+    with answer(source, sql, may_use_files=True) as rows:
+        assert rows is None or rows.read_all()
     assert path.read_text().split() == ["sequence", "0", "1", "2", "3", "4"]

@@ -49,6 +49,17 @@ def test_a_dataset_is_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert "1 logs were in it already" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("form", ["parquet", "csv", "blf"])
+def test_a_place_on_a_network_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str) -> None:
+    """A folder called ``s3:`` is not what was meant; where it is, there is ./s3:."""
+    monkeypatch.chdir(tmp_path)
+    log = write(tmp_path, "1", drive())
+    with pytest.raises(CommandError, match=r"s3:/bucket/logs is no directory: .*\(aws s3 sync") as caught:
+        run("--format", form, "-o", "s3://bucket/logs", log)
+    assert caught.value.code == ExitCode.USAGE
+    assert list(tmp_path.iterdir()) == [log]
+
+
 def test_what_was_left_out_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What another log holds already."""
     assert run("-o", tmp_path / "out", write(tmp_path, "1", drive()), write(tmp_path, "2", drive(count=10))) == 0

@@ -121,6 +121,24 @@ def test_what_a_log_holds_does_not_rule_the_terminal(asked: Path, capsys: pytest
     assert "xxx..." in out
 
 
+def test_csv_does_not_rule_the_terminal_either(asked: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In a cell or in a column's name; what no terminal obeys is as it was."""
+    sql = """SELECT chr(27) || '[2J' || chr(155) || chr(13) || chr(8238) AS "a\x1b", 'Gr\u00fc\u00dfe,\n' AS b"""
+    assert run("query", "--csv", sql, asked) == ExitCode.OK
+    expected = '"a\\x1b","b"\n"\\x1b[2J\\x9b\\r\\u202e","Gr\u00fc\u00dfe,\n"\n'
+    assert capsys.readouterr().out == expected
+
+
+def test_files_are_out_of_reach_unless_they_are_allowed(asked: Path, tmp_path: Path) -> None:
+    """By --allow-files."""
+    sql = f"COPY (SELECT 1 AS a) TO '{tmp_path}/a.csv'"
+    with pytest.raises(CommandError, match="--allow-files"):
+        run("query", sql, asked)
+    assert not (tmp_path / "a.csv").exists()
+    assert run("query", "--allow-files", sql, asked) == ExitCode.OK
+    assert (tmp_path / "a.csv").read_text().split() == ["a", "1"]
+
+
 def test_a_dataset_is_asked_alone(tmp_path: Path) -> None:
     """Beside logs it would be left out without a word."""
     log = write(tmp_path, "1", drive())
