@@ -34,6 +34,8 @@ SEARCH_BYTES: Final = 1 << 20
 LOOK_FOR_CHECKS: Final = 4096
 """A file is one of ours if there is a check within so many bytes of its beginning, where we have several."""
 
+NO_RECORD: Final = "a chunk holds what is no record"
+
 BROKEN: Final = (
     McapError,
     zstandard.ZstdError,
@@ -361,6 +363,8 @@ def index_content(content: bytes) -> tuple[dict[int, array[int]], list[Parsed]]:
         start, position = position, position + RECORD_HEADER.size + length
         if position > end or (opcode == MESSAGE_OPCODE and length < HEADER_IN_LENGTH):
             raise ValueError("a chunk holds half a record")
+        if not opcode:
+            raise ValueError(NO_RECORD)
         if opcode == MESSAGE_OPCODE:
             _, _, channel_id, _, log_ns, _ = MESSAGE_HEADER.unpack_from(content, start)
             entries = index.get(channel_id)

@@ -107,8 +107,8 @@ class LogDirectory:
 
 
 def safe_name(text: str) -> str:
-    """The text as part of a file's name on any system."""
-    return re.sub(r"[^A-Za-z0-9._-]+", "_", text).lstrip(".")[:STEM_MAX] or "log"
+    """The text as the beginning of a file's name on any system; no command takes such a name for an option."""
+    return re.sub(r"^-|[^A-Za-z0-9._-]+", "_", text.lstrip("."))[:STEM_MAX] or "log"
 
 
 def _namesakes(stem: str) -> Iterator[str]:

@@ -19,7 +19,7 @@ from recorder.review.checking.frames import FrameInfo
 from recorder.review.checking.proofs import faults_of_schema
 from recorder.review.checking.structure import Structure
 from recorder.review.checking.unpacking import Messages, unpack_at, unpack_indexed
-from recorder.review.logs import open_log
+from recorder.review.logs import is_being_written, open_log
 from recorder.review.pieces import End, Fault, LooseMessage, PackedChunk, Piece, SummaryStart, read_pieces
 from recorder.review.rows import Progress
 
@@ -32,6 +32,7 @@ class LogCheck(msgspec.Struct, frozen=True):
 
     Attributes:
         whole: nothing is wrong with the file itself.
+        is_being_written: a recorder has it open; that it has no end yet is no finding.
         messages: that were read.
         missed: samples missed on all channels.
         frames_lost: raw frames that never came, by their alive counters and, across outages, by their period.
@@ -42,6 +43,7 @@ class LogCheck(msgspec.Struct, frozen=True):
     path: str
     bytes: int
     whole: bool
+    is_being_written: bool
     messages: int
     missed: int
     frames_lost: int
@@ -67,7 +69,7 @@ def check_log(path: Path, progress: Progress = lambda _: None) -> LogCheck:
         CommandError: there is no such file, or it is no MCAP file.
     """
     with open_log(path) as (stream, size):
-        return check_stream(stream, size, str(path), progress)
+        return _Check(stream, size, str(path), is_being_written=is_being_written(stream)).run(progress)
 
 
 def check_stream(stream: BinaryIO, size: int, path: str, progress: Progress = lambda _: None) -> LogCheck:
@@ -76,7 +78,8 @@ def check_stream(stream: BinaryIO, size: int, path: str, progress: Progress = la
 
 
 class _Check:
-    def __init__(self, stream: BinaryIO, size: int, path: str) -> None:
+    def __init__(self, stream: BinaryIO, size: int, path: str, *, is_being_written: bool = False) -> None:
+        self._is_being_written = is_being_written
         self._stream = stream
         self._size = size
         self._path = path
@@ -113,6 +116,7 @@ class _Check:
             path=self._path,
             bytes=self._size,
             whole=self._has_ended and not findings.has(About.FILE),
+            is_being_written=self._is_being_written,
             messages=self._structure.messages.total(),
             missed=sum(channel.missed or 0 for channel in channels),
             frames_lost=sum(frame.lost + frame.unseen for frame in frames),
@@ -136,6 +140,8 @@ class _Check:
                 self._is_in_summary = True
             case End():
                 self._has_ended = True
+            case Fault() if piece.cuts and self._is_being_written:
+                pass
             case Fault():
                 self._findings.file(piece.detail, piece.offset)
             case _:

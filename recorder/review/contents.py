@@ -21,6 +21,7 @@ from recorder.mcap_scan import BROKEN, RECORD_MAX
 from recorder.mcap_summary import RECORD_HEADER
 from recorder.review.faults import Faults
 from recorder.review.pieces import End, Fault, LooseMessage, PackedChunk, Piece, read_pieces
+from recorder.review.rows import Progress
 from recorder.review.summary import LogSummary, read_summary
 from recorder.review.walk import LoggedMessage, messages
 
@@ -95,11 +96,26 @@ def read_contents(stream: BinaryIO) -> Contents | None:
     return contents
 
 
-def walk_contents(stream: BinaryIO, size: int) -> Contents:
-    """Record by record. Nothing in the file raises."""
+def walk_contents(
+    stream: BinaryIO, size: int, progress: Progress = lambda _: None, *, is_being_written: bool = False
+) -> Contents:
+    """Record by record. Nothing in the file raises.
+
+    Args:
+        stream: the file.
+        size: its length in bytes.
+        progress: is told of bytes that were read.
+        is_being_written: that it has no end yet is no fault.
+    """
     contents = Contents()
+    read_to = 0
     for piece in read_pieces(stream, size, is_verifying=False):
-        _take(contents, piece, stream)
+        if not (is_being_written and isinstance(piece, Fault) and piece.cuts):
+            _take(contents, piece, stream)
+        if isinstance(piece, PackedChunk):
+            progress(piece.end - read_to)
+            read_to = piece.end
+    progress(size - read_to)
     return contents
 
 

@@ -18,7 +18,8 @@ from recorder.backfill.backfilling import BACKFILLED_FROM
 from recorder.completeness import KeyReport
 from recorder.incidents import INCIDENT_NAME
 from recorder.review.contents import Contents, read_contents, walk_contents
-from recorder.review.logs import open_log
+from recorder.review.logs import is_being_written, open_log
+from recorder.review.rows import Progress
 from recorder.robots import METADATA_NAME
 from recorder.session import COMPLETENESS_NAME
 from schemas import keys
@@ -66,6 +67,7 @@ class LogInfo(msgspec.Struct, frozen=True):
 
     Attributes:
         whole: the file was closed properly. Its data may be damaged all the same: ``check`` looks at it.
+        is_being_written: a recorder has it open; that it is not whole yet is no fault.
         source: where all this is from: the summary at the file's end, or its records one by one.
         faults: what is wrong with the file, as far as that is looked at; ``fault_count``, the first ones told.
         robots: the robots' names, as its recorder tells, or else its topics.
@@ -80,6 +82,7 @@ class LogInfo(msgspec.Struct, frozen=True):
     path: str
     bytes: int
     whole: bool
+    is_being_written: bool
     source: Source
     faults: list[str]
     fault_count: int
@@ -116,14 +119,18 @@ class SetInfo(msgspec.Struct, frozen=True):
     robots: list[str]
 
 
-def read_info(path: Path) -> LogInfo:
+def read_info(path: Path, progress: Progress = lambda _: None) -> LogInfo:
     """What a log holds.
+
+    Args:
+        path: the file.
+        progress: is told of bytes that were read.
 
     Raises:
         CommandError: there is no such file, or it is no MCAP file.
     """
     with open_log(path) as (stream, size):
-        return _read(stream, size, str(path))
+        return _read(stream, size, str(path), progress)
 
 
 def total(infos: Sequence[LogInfo]) -> SetInfo:
@@ -142,10 +149,14 @@ def total(infos: Sequence[LogInfo]) -> SetInfo:
     )
 
 
-def _read(stream: BinaryIO, size: int, path: str) -> LogInfo:
+def _read(stream: BinaryIO, size: int, path: str, progress: Progress) -> LogInfo:
+    is_written = is_being_written(stream)
     source, contents = Source.SUMMARY, read_contents(stream)
     if contents is None:
-        source, contents = Source.RECORDS, walk_contents(stream, size)
+        source = Source.RECORDS
+        contents = walk_contents(stream, size, progress, is_being_written=is_written)
+    else:
+        progress(size)
     metadata = dict(contents.metadata)
     ours = metadata.get(METADATA_NAME, {})
     channels = sorted(_channels(contents), key=lambda one: one.topic)
@@ -154,6 +165,7 @@ def _read(stream: BinaryIO, size: int, path: str) -> LogInfo:
         path=path,
         bytes=size,
         whole=contents.has_ended and not contents.faults,
+        is_being_written=is_written,
         source=source,
         faults=contents.faults.told,
         fault_count=contents.faults.count,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
@@ -94,6 +95,18 @@ def open_log(path: Path) -> Generator[tuple[BinaryIO, int], None, None]:
             yield stream, size
     except OSError as error:
         raise CommandError(f"cannot read {shown}: {error.strerror or error}") from error
+
+
+def is_being_written(stream: BinaryIO) -> bool:
+    """Whether a recorder is writing the file: it holds a lock on it. False where the file system has no locks."""
+    try:
+        fcntl.flock(stream.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+        fcntl.flock(stream.fileno(), fcntl.LOCK_UN)
+    except BlockingIOError:
+        return True
+    except OSError:
+        pass
+    return False
 
 
 def _span(stream: BinaryIO, size: int) -> tuple[int, int, list[records.Channel]]:

@@ -53,5 +53,6 @@ def file_name(topic: str) -> str:
     """``fleet/cruiser-1/state`` is ``fleet.cruiser-1.state``; what a name may not hold is escaped as in a URL."""
     chunks = [quote(chunk, safe="@ ", errors="replace").replace(".", "%2E") for chunk in topic.split("/")]
     name = ".".join(chunks)
-    # ROS's topics begin with a slash, and a name that begins with a dot is a hidden file's.
-    return (f"%2F{name[1:]}" if name.startswith(".") else name)[:200] or "%"
+    # ROS's topics begin with a slash. A name with a dot in front is a hidden file's, one with a dash an option.
+    first = {".": "%2F", "-": "%2D"}.get(name[:1], name[:1])
+    return f"{first}{name[1:]}"[:200] or "%"

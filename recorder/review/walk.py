@@ -15,7 +15,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 
 from recorder.chunk import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE
-from recorder.mcap_scan import BROKEN
+from recorder.mcap_scan import BROKEN, NO_RECORD
 from recorder.mcap_summary import RECORD_HEADER
 from recorder.review.pieces import End, Fault, LooseMessage, PackedChunk, SummaryStart, read_pieces
 
@@ -81,6 +81,10 @@ def messages(offset: int, content: bytes) -> Iterator[LoggedMessage | records.Sc
             position = start + length
             if position > end or (opcode == MESSAGE_OPCODE and length < HEADER_IN_LENGTH):
                 yield Fault(offset, "a chunk holds half a record")
+                return
+            if not opcode:
+                # Else every nine zeros would count as a record: a bomb of them keeps a reader busy for minutes.
+                yield Fault(offset, NO_RECORD)
                 return
             if opcode == MESSAGE_OPCODE:
                 _, _, channel_id, sequence, log_ns, publish_ns = unpack(content, start - RECORD_HEADER.size)

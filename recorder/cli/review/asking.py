@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,6 +21,12 @@ from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 
 JSON_HELP: Final = "print JSON"
+
+BUDGET_S: Final = 30.0
+"""What takes longer than this..."""
+
+BUDGET_S_PER_BYTE: Final = 1e-6
+"""...and a second for each megabyte of log is given up."""
 
 
 class Asked(msgspec.Struct):
@@ -81,7 +88,12 @@ def find(arguments: argparse.Namespace, *, with_covered: bool = False) -> Asked:
 
 @contextmanager
 def progress_bar(
-    about: str, total_bytes: int, stopped: Callable[[], bool] = lambda: False, *, prints: bool = False
+    about: str,
+    total_bytes: int,
+    stopped: Callable[[], bool] = lambda: False,
+    *,
+    prints: bool = False,
+    is_bounded: bool = False,
 ) -> Generator[Progress, None, None]:
     """A bar on stderr, if that is a terminal. Gives what is to be told of the bytes that were read.
 
@@ -90,14 +102,24 @@ def progress_bar(
         total_bytes: how much there is to read.
         stopped: turns true at SIGINT; the reading then ends as KeyboardInterrupt does.
         prints: the answer is printed while it is read. On a terminal it would be printed over the bar.
+        is_bounded: give up when it takes far longer than so many bytes should: a log may be made to.
 
     Raises:
         KeyboardInterrupt: it was stopped.
+        CommandError: it took too long.
     """
+    budget_s = BUDGET_S + BUDGET_S_PER_BYTE * total_bytes
+    end_s = time.monotonic() + budget_s
 
     def stop() -> None:
         if stopped():
             raise KeyboardInterrupt
+        if is_bounded and time.monotonic() >= end_s:
+            raise CommandError(
+                f"given up after {budget_s:.0f} s, which is long for {total_bytes} bytes: the answer lacks what "
+                "was not read by then",
+                ExitCode.PARTIAL,
+            )
 
     def only_stop(_count: int) -> None:
         stop()

@@ -23,7 +23,7 @@ DESCRIPTION: Final = (
     "the order of log times, schemas, and every message against its schema; then what the data lacks: samples by "
     "the gaps in their sequences, raw frames by their checksums and alive counters, and what the recorder says "
     "that it could not write. Each finding tells whether it is about the file or about the data in it. Exit code "
-    "1 if there is any."
+    "1 if there is any, 3 if a file takes too long to read."
 )
 JSON_HELP: Final = "print a JSON object a line, one for each file"
 
@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     """Check each file."""
     asked = find(arguments, with_covered=True)
     is_sound = True
-    with progress_bar("checking", asked.bytes, stopped, prints=True) as progress:
+    with progress_bar("checking", asked.bytes, stopped, prints=True, is_bounded=True) as progress:
         for log in asked.logs:
             if stopped():
                 break
@@ -67,7 +67,8 @@ def _lines(found: LogCheck) -> Iterator[str]:
     about_file = [one for one in found.findings if one.about is About.FILE]
     about_data = [one for one in found.findings if one.about is About.DATA]
     yield f"{found.path}: {found.messages} messages, {found.bytes} bytes"
-    yield "  the file: nothing is wrong with it" if found.whole else "  the file:"
+    state = " nothing is wrong with it" if found.whole or not about_file else ""
+    yield f"  the file:{state}{' so far; it is being written' if state and found.is_being_written else ''}"
     yield from (f"    {_finding(one)}" for one in about_file)
     if found.untold:
         yield f"    and {found.untold} more"

@@ -21,7 +21,8 @@ EXAMPLE: Final = "  cruiser review info logs/cruiser-1-20260102T030405Z.mcap\n  
 DESCRIPTION: Final = (
     "What logs hold: channels, rates, times, robots, versions, attachments, and what the recorder says that it "
     "lost while it wrote them. Of a whole log only its end is read; a log without one is gone through. Whether "
-    "all of it is true is asked with 'check'. Exit code 3 if a file is not whole."
+    "all of it is true is asked with 'check'. Exit code 3 if a file is not whole, "
+    "unless a recorder is writing it, or if it takes too long to read."
 )
 JSON_HELP: Final = "print a JSON object a line, one for each file, and of several a last one for all together"
 
@@ -37,15 +38,14 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     """What can be read of a broken file is shown all the same."""
     asked = find(arguments)
     infos: list[LogInfo] = []
-    with progress_bar("looking", asked.bytes, prints=True) as progress:
+    with progress_bar("looking", asked.bytes, stopped, prints=True, is_bounded=True) as progress:
         for log in asked.logs:
             if stopped():
                 break
             try:
-                infos.append(read_info(log.path))
+                infos.append(read_info(log.path, progress))
             except CommandError as error:
                 asked.faults.add(str(error))
-            progress(log.bytes)
     answers: list[LogInfo | SetInfo] = [*infos]
     if len(infos) > 1:
         answers.append(total(infos))
@@ -53,7 +53,8 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
         text = msgspec.json.encode(answer).decode() if arguments.json else describe(answer)
         sys.stdout.write(f"{text}\n")
     code = end_with(asked.faults)
-    return code if all(info.whole for info in infos) else int(ExitCode.PARTIAL)
+    is_fine = all(info.whole or (info.is_being_written and not info.faults) for info in infos)
+    return code if is_fine else int(ExitCode.PARTIAL)
 
 
 def describe(info: LogInfo | SetInfo) -> str:
@@ -71,7 +72,7 @@ def _of_all(info: SetInfo) -> Iterator[str]:
 
 
 def _of_one(info: LogInfo) -> Iterator[str]:
-    state = "whole" if info.whole else "NOT WHOLE"
+    state = "whole" if info.whole else "being written" if info.is_being_written else "NOT WHOLE"
     yield f"{info.path}: {state}, {info.bytes} bytes, {info.messages} messages"
     if info.source is Source.RECORDS:
         yield "  it has no end that tells what it holds: read record by record"

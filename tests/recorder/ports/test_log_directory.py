@@ -27,6 +27,7 @@ from recorder.ports.log_file import LogFile
 from recorder.protobuf_schema import descriptor_set
 from recorder.review.check import check_log
 from recorder.review.info import read_info
+from recorder.review.topic_names import file_name
 from schemas.exit_codes import CommandError
 from schemas.messages import Gear
 from tests.recorder.fakes import WALL_NS, logs_in, wait_until
@@ -104,6 +105,15 @@ def test_a_name_is_safe_on_any_system(text: str) -> None:
     assert name
     assert not name.startswith(".")
     assert set(name) <= set("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789._-")
+
+
+@pytest.mark.parametrize(
+    ("robot", "name"), [("-rf", "_rf"), ("--json", "_-json"), (".-o", "_o"), ("cruiser-1", "cruiser-1")]
+)
+def test_no_name_is_taken_for_an_option(robot: str, name: str) -> None:
+    """``cruiser review info *.mcap`` gets names that anybody on the network may have made up."""
+    assert safe_name(robot) == name
+    assert not file_name(robot).startswith("-")
 
 
 def test_a_name_is_no_longer_than_a_disk_takes(tmp_path: Path) -> None:
