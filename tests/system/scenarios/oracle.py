@@ -154,9 +154,9 @@ class Oracle:
         self._explained = {1.0: 0.0, -1.0: 0.0}
         self._frozen_m: float | None = None
         self._struck: str | None = None
-        self._clear_s = -9.0
+        self._struck_s = self._clear_s = self._pressed_s = -9.0
         self._acknowledged = False
-        self._is_unsure, self._pressed_s = False, -9.0
+        self._is_unsure = False
         self._timers: dict[str, Since] = {}
         self._gateway_lives = True
 
@@ -190,7 +190,9 @@ class Oracle:
             if fields["ok"] and not fields["detail"]:
                 self._fail("stop_lies", now_s, "ok alone, while the remote control has the robot")
         elif verb == "reset" and fields["ok"]:
-            self._acknowledged = self._struck in self._latched
+            # A hit of the very moment of the reset may have been seen before it, or after.
+            self._acknowledged = self._struck is not None
+            self._is_unsure = self._is_unsure or now_s - self._struck_s < SEEING_S
 
     def state(self, state: Fields, now_s: float) -> None:
         latched = state["latched"]
@@ -596,7 +598,8 @@ class Oracle:
             self._clear_s = now_s
         if now_s - self._clear_s > 0.3 + SEEING_S:
             self._struck, self._acknowledged = None, False
-        self._struck = self._struck or pressed
+        if self._struck is None and pressed is not None:
+            self._struck, self._struck_s = pressed, now_s
         self._doubt_bumpers(now_s, is_pressed=pressed is not None)
         commanding = order is not None and order.enabled and plant.mode == AUTO and self._gateway_lives
         for side in ("front_bumper", "rear_bumper"):
@@ -619,7 +622,7 @@ class Oracle:
             self._pressed_s = now_s
         if bounces or self.is_damaged() or now_s < self._blind_until_s:
             self._is_unsure = True
-        elif clear_s > 0.3 + SEEING_S:
+        elif not is_pressed and clear_s > 0.3 + SEEING_S:
             self._is_unsure = False
 
     def _judge_service(self, plant: Plant, now_s: float) -> None:
