@@ -86,8 +86,8 @@ class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         int,
         Meta(
             ge=0,
-            description="bytes that the directory's logs may take; beyond it the oldest go of the robot that takes "
-            "most; 0 is no limit",
+            description="bytes that the directory's logs may take; beyond it the oldest go of the robot that "
+            "takes most; 0 is no limit",
         ),
     ] = 0
     floor_bytes: Annotated[
