@@ -71,4 +71,4 @@ $(STAMP): pyproject.toml constraints.txt
 	@touch $@
 
 clean:
-	rm -rf $(VENV) demo-log
+	rm -rf $(VENV) demo-log demo-log-*

@@ -4,31 +4,56 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
+import os
 import re
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from gateway.cli.child import Child
 from gateway.cli.demo_drive import DemoDrive, TimelineEntry
+from gateway.remote.refusal import RobotError, Unreachable
 from gateway.sim.links import LINKS
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.reasons import Reason
 from schemas.settings import Settings
 
 EXAMPLE = "  cruiser demo --seconds 40 --out demo-log"
 
 SHORTEST_S: Final = 20.0
 """Stops, a reset, a stalled link and a second operator take their time."""
+
+ATTEMPTS: Final = 10
+
+HELD_UP: Final = frozenset(
+    {
+        Reason.GUARD,
+        Reason.UNGUARDED,
+        Reason.LOOP_LATE,
+        Reason.FEEDBACK_LATE,
+        Reason.FEEDBACK_MISSING,
+        Reason.DEADMAN,
+        Reason.TOO_OLD,
+        Reason.CHALLENGE_UNKNOWN,
+        Reason.LINK_TOO_SLOW,
+        Reason.LEASE_EXPIRED,
+        Reason.NOT_CONFIRMED,
+        Reason.MOVING,
+        Reason.NOT_ENGAGED,
+        Reason.STOPPING,
+    }
+)
+"""Why a robot is stopped, or not engaged, whose processes do not get the processor in time."""
 
 VIEWERS: Final = """\
 open it with
@@ -44,7 +69,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seconds", type=_seconds, default=30.0, metavar="N", help="about how long (default 30, at least 20)"
     )
     parser.add_argument(
-        "--out", type=Path, default=Path("demo-log"), metavar="DIR", help="where the log goes (default demo-log)"
+        "--out",
+        type=Path,
+        default=Path("demo-log"),
+        metavar="DIR",
+        help="where the log goes, or DIR-2 and so on if that holds something (default demo-log)",
     )
     parser.add_argument(
         "--link",
@@ -56,9 +85,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Run the three, then say what was recorded."""
-    recorded, timeline = _record(arguments, settings, stopped)
-    path = Path(recorded["path"])
+    """Run the three, as often as a busy machine needs, then say what was recorded."""
+    if arguments.log_level == "warning":
+        # What the operators' library warns of is what is shown here, and the timeline has it.
+        logging.getLogger("gateway.remote").setLevel(logging.ERROR)
+    directory = _fresh(arguments.out)
+    sys.stderr.write(
+        f"demo: starts chassis, gateway and recorder; two operators drive for about {arguments.seconds:g} s; "
+        f"the log goes to {directory}\n"
+    )
+    for attempt in range(1, ATTEMPTS + 1):
+        timeline: list[TimelineEntry] = []
+
+        def tell(entry: TimelineEntry, timeline: list[TimelineEntry] = timeline) -> None:
+            timeline.append(entry)
+            if not arguments.json:
+                sys.stdout.write(f"{entry.at_s:6.1f} s  {entry.who:<15}  {entry.what}\n")
+                sys.stdout.flush()
+
+        path, problem = _record(arguments, settings, stopped, directory, tell)
+        if problem is None:
+            break
+        if not _is_held_up(problem) or stopped():
+            raise CommandError(f"{problem}. The log: {path}", problem.code)
+        kept = _fresh(directory.parent / f"{directory.name}-interrupted")
+        directory.rename(kept)
+        interrupted = f"{problem}. That happens on a busy machine: {_load()}. The log until then is in {kept}"
+        if attempt == ATTEMPTS:
+            raise CommandError(f"interrupted {ATTEMPTS} times, at last: {interrupted}", problem.code)
+        sys.stderr.write(f"demo: interrupted: {interrupted}. Once more, {attempt + 1} of {ATTEMPTS}\n")
     info, check = _review("info", path), _review("check", path)
     summary = {
         "path": str(path),
@@ -71,31 +126,50 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         "frames_lost": check["frames_lost"],
         "samples_missed": check["missed"],
         "whole": check["whole"],
-        "timeline": [msgspec.to_builtins(entry) for entry in timeline],
+        "timeline": [msgspec.to_builtins(entry) for entry in sorted(timeline, key=lambda entry: entry.at_s)],
     }
     if arguments.json:
         sys.stdout.write(json.dumps(summary) + "\n")
     else:
         sys.stdout.write(describe(summary, f"{settings.robot.root}/{settings.robot.name}"))
-    nothing_lost = summary["whole"] and not summary["frames_lost"] and not summary["samples_missed"]
-    return int(ExitCode.OK if nothing_lost and summary["frames"] else ExitCode.FAILURE)
+    # What is late on a busy machine counts as lost: the summary says so, and it is no failure of the demo.
+    return int(ExitCode.OK if summary["whole"] and summary["frames"] else ExitCode.FAILURE)
 
 
 def describe(summary: dict[str, Any], robot: str) -> str:
     """The summary, for people."""
-    timeline = "".join(
-        f"{entry['at_s']:6.1f} s  {entry['who']:<15}  {entry['what']}\n" for entry in summary["timeline"]
-    )
+    lost = summary["frames_lost"] or summary["samples_missed"]
     return (
-        f"{timeline}{summary['frames']} CAN frames in {summary['seconds']:.1f} s, {summary['frames_lost']} lost "
+        f"{summary['frames']} CAN frames in {summary['seconds']:.1f} s, {summary['frames_lost']} lost "
         "(by the alive counters in the log)\n"
         f"{summary['messages']} messages on {summary['channels']} channels, {summary['samples_missed']} missed, "
         f"{summary['bytes']} bytes\n"
-        f"log: {summary['path']}\n"
+        + (f"what is late counts as lost, and on a busy machine much is late: {_load()}\n" if lost else "")
+        + f"log: {summary['path']}\n"
         + "".join(f"incident: {path}\n" for path in summary["incidents"])
         + VIEWERS.format(path=summary["path"], robot=robot)
         + "\n"
     )
+
+
+def _fresh(directory: Path) -> Path:
+    """The first of DIR, DIR-2, DIR-3 and so on that holds nothing yet."""
+
+    def candidates() -> Iterator[Path]:
+        yield directory
+        yield from (directory.parent / f"{directory.name}-{number}" for number in count(2))
+
+    return next(path for path in candidates() if not path.exists() or not any(path.iterdir()))
+
+
+def _is_held_up(problem: CommandError) -> bool:
+    """Whether a busy machine explains the problem, so that another attempt may succeed."""
+    return problem.reason in HELD_UP if isinstance(problem, RobotError) else isinstance(problem, Unreachable)
+
+
+def _load() -> str:
+    """How busy the machine is, in words."""
+    return f"its load is {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors"
 
 
 def _incident_files(info: dict[str, Any]) -> list[str]:
@@ -111,9 +185,13 @@ def _seconds(text: str) -> float:
 
 
 def _record(
-    arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]
-) -> tuple[dict[str, Any], list[TimelineEntry]]:
-    """Run chassis, gateway, recorder and operators. Returns what the recorder says of its log, and what happened.
+    arguments: argparse.Namespace,
+    settings: Settings,
+    stopped: Callable[[], bool],
+    directory: Path,
+    tell: Callable[[TimelineEntry], None],
+) -> tuple[Path, CommandError | None]:
+    """Run chassis, gateway, recorder and operators. Returns the log, and what interrupted the drive.
 
     All three read the configuration that the demo was given; only where they find each other is the demo's own.
     """
@@ -135,7 +213,7 @@ def _record(
                 "record",
                 [
                     *configuration,
-                    *("-k", f"{robot.root}/{robot.name}/**", "-o", str(arguments.out)),
+                    *("-k", f"{robot.root}/{robot.name}/**", "-o", str(directory)),
                     *("--connect", endpoint, "--json"),
                 ],
             )
@@ -143,34 +221,41 @@ def _record(
         recorder.wait_ready()
         link = next(link for link in LINKS if link.slug == arguments.link)
         drive = DemoDrive(settings, endpoint.removeprefix("tcp/"), chassis.type, link)
-        timeline = _drive(arguments.seconds, drive, [chassis, gateway, recorder], stopped)
+        problem = _drive(arguments.seconds, drive, [chassis, gateway, recorder], stopped, tell)
         # The recorder ends first: what it has not heard by then was not meant for the log.
         result: dict[str, Any] = json.loads(recorder.end())
         gateway.end()
         chassis.end()
-    return result, timeline
+    return Path(result["path"] or directory), problem
 
 
 def _drive(
-    seconds: float, drive: DemoDrive, children: Sequence[Child], stopped: Callable[[], bool]
-) -> list[TimelineEntry]:
-    """Let the operators drive on a thread of their own, and show how far they are."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    begin_s = time.monotonic()
-    with (
-        ThreadPoolExecutor(1, "operators") as pool,
-        Progress(
-            *columns, console=Console(stderr=True), transient=True, redirect_stdout=False, redirect_stderr=False
-        ) as progress,
-    ):
-        driven = pool.submit(drive.run, seconds, stopped)
-        task = progress.add_task("chassis, gateway, recorder, operators", total=seconds)
-        while not driven.done():
-            progress.update(task, completed=min(time.monotonic() - begin_s, seconds))
+    seconds: float,
+    drive: DemoDrive,
+    children: Sequence[Child],
+    stopped: Callable[[], bool],
+    tell: Callable[[TimelineEntry], None],
+) -> CommandError | None:
+    """Let the operators drive on a thread of their own, and tell what happens. Returns what interrupted them."""
+    try:
+        observer = drive.observe()
+    except CommandError as error:
+        return error
+    with observer, ThreadPoolExecutor(1, "operators") as pool:
+        driven = pool.submit(drive.run, observer, seconds, stopped)
+        is_over = False
+        while not is_over:
+            # Once more after the end.
+            is_over = driven.done()
+            for entry in drive.take(observer):
+                tell(entry)
             for child in children:
                 child.check()
             time.sleep(0.1)
-    return driven.result()
+    problem = driven.exception()
+    if problem is not None and not isinstance(problem, CommandError):
+        raise problem
+    return problem
 
 
 def _review(question: str, path: Path) -> dict[str, Any]:

@@ -1,6 +1,11 @@
 """``cruiser demo``: the whole main job, as a user starts it."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -90,14 +95,91 @@ def test_the_demo_is_of_the_robot_that_the_configuration_says(demo: Demo) -> Non
 
 
 def test_the_summary_is_for_people(demo: Demo) -> None:
-    """It tells the timeline, frames, messages, losses, the log's path and what opens it."""
+    """It tells frames, messages, losses, the log's path and what opens it."""
     text = describe(demo.summary, "yard/r-7")
-    assert "front bumper was hit" in text
+    assert "busy" not in text
+    assert "busy" in describe(demo.summary | {"frames_lost": 80}, "yard/r-7")
     assert "0 lost" in text
     assert str(demo.log) in text
     assert demo.summary["incidents"][0] in text
     for viewer in ("Foxglove", "PlotJuggler", "rerun"):
         assert viewer in text
+
+
+class HeldUp(NamedTuple):
+    """A demo whose gateway got no processor for a while, so that the guard stopped its robot.
+
+    Attributes:
+        was_open: the log was not finished when the first line of the timeline was there.
+        out: where it was told to write; there was something there already.
+    """
+
+    code: int
+    told: str
+    errors: str
+    was_open: bool
+    out: Path
+
+
+@pytest.fixture(scope="module")
+def held_up(tmp_path_factory: pytest.TempPathFactory) -> HeldUp:
+    """As on a machine that is busy with something else."""
+    out = tmp_path_factory.mktemp("held-up") / "log"
+    out.mkdir()
+    (out / "of-an-earlier-run").touch()
+    words = [sys.executable, "-m", "gateway", "demo", "--seconds", "20", "--out", str(out)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        lines = []
+        for line in process.stdout:
+            lines.append(line)
+            if "drives a figure of eight" in line:
+                break
+        was_open = not list((out.parent / "log-2").glob("*.mcap"))
+        gateway = _child(process.pid, "gateway")
+        os.kill(gateway, signal.SIGSTOP)
+        # As long as it takes the guard; the demo itself is what is waited for.
+        time.sleep(0.5)
+        os.kill(gateway, signal.SIGCONT)
+        told, errors = process.communicate(timeout=100)
+    return HeldUp(process.returncode, "".join(lines) + told, errors, was_open, out)
+
+
+def _child(parent: int, command: str) -> int:
+    """The process of this command that the parent has started."""
+    for task in Path(f"/proc/{parent}/task").iterdir():
+        for number in (task / "children").read_text().split():
+            if Path(f"/proc/{number}/cmdline").read_bytes().split(b"\0")[3] == command.encode():
+                return int(number)
+    raise AssertionError(f"{parent} has no child {command}")
+
+
+def test_a_demo_that_the_machine_held_up_begins_once_more(held_up: HeldUp) -> None:
+    """It says what happened, why, and where the log until then is; the next attempt shows everything."""
+    assert held_up.code == 0, held_up.errors
+    assert "demo: interrupted: " in held_up.errors
+    assert "the guard has stopped the robot" in held_up.errors
+    assert "busy" in held_up.errors
+    (kept,) = (held_up.out.parent / "log-2-interrupted").glob("*Z.mcap")
+    assert str(kept.parent) in held_up.errors
+    assert "second-operator gave the lease back" in held_up.told
+
+
+def test_the_timeline_is_told_as_it_happens(held_up: HeldUp) -> None:
+    """Its first lines come while the log is being written."""
+    assert held_up.was_open
+
+
+def test_a_second_demo_leaves_the_log_of_the_first_alone(held_up: HeldUp) -> None:
+    """It takes the next directory that is free, and says which."""
+    assert [path.name for path in held_up.out.iterdir()] == ["of-an-earlier-run"]
+    assert len(list((held_up.out.parent / "log-2").glob("*Z.mcap"))) == 1
+    assert str(held_up.out.parent / "log-2") in held_up.told
+
+
+def test_a_success_warns_of_nothing(held_up: HeldUp) -> None:
+    """The operator whose link stalls is shown on purpose."""
+    assert "WARNING" not in held_up.errors
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan", "x", "19"])
