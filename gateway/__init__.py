@@ -7,7 +7,10 @@ Two flows, which touch once::
                                                        v observe
     COMMAND    zenoh > request > arbiter > decision > encode > gate > frame > CAN bus
 
-The telemetry flow is here; ``core`` has it on one page, ``loop`` is the one thread that runs it, ``ports`` holds
-the only importers of python-can and Zenoh. The command flow does not exist yet: the gateway sends nothing on the
-bus.
+``core`` has both on one page, without I/O and without a clock; ``loop`` is the one thread that runs them. What a
+frame means is in ``chassis``, what is published of it in ``telemetry``. The command flow is in ``command``:
+``flow`` has its steps, ``arbiter`` judges each request, and ``gate`` looks at each frame once more before it is
+sent. ``guard`` is a second process, which stops the robot when this one dies or hangs. ``ports`` holds the only
+importers of python-can and Zenoh. ``remote`` is the operator's side, ``sim`` a virtual chassis, ``cli`` the
+commands.
 """

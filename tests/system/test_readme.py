@@ -1,0 +1,357 @@
+"""Every command of README.md, read from it, in the order of the page, as somebody does who has just come.
+
+The home is empty, and the user is not root. Chassis, gateway, recorder and demo are real processes. Only the ports
+differ from the page, so that nothing else on the machine is disturbed.
+"""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import pytest
+
+from tests.bench.processes import free_port
+from tests.gateway.remote.waiting import wait_until
+
+ROOT: Final = Path(__file__).parents[2]
+NOBODY: Final = 65534
+READS_ALL: Final = ("--inh-caps", "+dac_read_search", "--ambient-caps", "+dac_read_search")
+TIMEOUT_S: Final = 400.0
+"""The demo takes so long on a busy machine, where it begins again and again."""
+
+ATTEMPTS: Final = 3
+
+
+class Run(msgspec.Struct, frozen=True):
+    """A command that ends by itself.
+
+    Attributes:
+        says: what its output has in it, as a regular expression.
+        codes: the exit codes that are right.
+        first: what is run before, again and again until it succeeds.
+        drives: on a busy machine the guard may stop the robot; it is then reset, and driven once more.
+        ended: what is running, and ended before, as by Ctrl-C.
+    """
+
+    says: str
+    codes: tuple[int, ...] = (0,)
+    first: tuple[str, ...] = ()
+    drives: bool = False
+    ended: tuple[str, ...] = ()
+
+
+class Start(msgspec.Struct, frozen=True):
+    """A command that goes on, in a terminal of its own, until Ctrl-C; it then ends with 0.
+
+    Attributes:
+        says: what shows that it works.
+        code: how it ends instead.
+        stays: it is ended at the end of the page, not at once.
+    """
+
+    says: str
+    code: int = 0
+    stays: bool = False
+
+
+INSTALLS: Final = "installs packages; .ci/run runs it"
+
+PICTURE: Final = (
+    "TELEMETRY  CAN bus > frame > check and decode > message > sample > zenoh > recorder > MCAP > review"
+)
+
+COMMANDS: Final[dict[str, Run | Start | str]] = {
+    PICTURE: "a picture",
+    "make demo": Run(r"second-operator gave the lease back(.|\n)*log: demo-log/"),
+    "make test": "runs this test",
+    # First five minutes.
+    "cruiser sim": Start(r" on 127\.0\.0\.1:", stays=True),
+    "cruiser gateway --interface socketcand --channel 127.0.0.1:29536": Start("gateway: ", stays=True),
+    "cruiser watch cruiser-1": Start("cruiser-1"),
+    "cruiser record -o logs": Start("record: waiting", stays=True),
+    "cruiser drive cruiser-1": Start("hold to move"),
+    "cruiser drive cruiser-1 --speed 0.5 --angle 10 --seconds 3": Run("driven for 3 s", drives=True),
+    "cruiser stop cruiser-1": Run("cruiser-1: stops, latched"),
+    "cruiser why cruiser-1": Run("a remote stop was received", codes=(0, 1)),
+    "cruiser reset cruiser-1": Run("cleared .*remote_stop"),
+    "cruiser fault bumper front on": Run("ok"),
+    "cruiser fault transmitter remote": Run("ok"),
+    "cruiser fault sticks 0.8 15": Run("ok"),
+    "cruiser fault checksum Auto_DriveFeedBack for 2s": Run("ok"),
+    "cruiser fault slope 8": Run("ok"),
+    "cruiser review info logs": Run("cruiser-1", ended=("cruiser record -o logs",)),
+    "cruiser review check logs": Run("Auto_DriveFeedBack: frames with a wrong checksum", codes=(1,)),
+    # On a robot.
+    "ip link set can0 up txqueuelen 10 type can bitrate 500000 restart-ms 100": "wants a robot's can0, and root",
+    "cruiser gateway --robot cruiser-7": "wants a robot's can0; tests/socketcan has a vcan",
+    # Keys, commands.
+    "import msgpack, zenoh": Start("'speed_mps'", code=-signal.SIGINT),
+    'import { decode } from "@msgpack/msgpack";': "JavaScript, whose packages are not ours",
+    "import time": Run("", first=("cruiser fault clear", "cruiser reset cruiser-1"), drives=True),
+    # The log.
+    "cruiser record status": Run("messages written", first=("cruiser record -o logs",)),
+    "cruiser record mark -m 'it swerved'": Run("an incident keeps"),
+    "cruiser record split": Run("new files"),
+    "cruiser record backfill depot-logs": Run("messages filled", codes=(0, 3), first=("cp -r logs depot-logs",)),
+    "cruiser review recover FILE...": Run("whole"),
+    # From a log to an answer.
+    "cruiser review events demo-log": Run("the front bumper was hit"),
+    "cruiser review why demo-log --at 23.3": Run("stop"),
+    "cruiser review rerun demo-log": Run("different: 0"),
+    "cruiser review rerun demo-log --set command.speed_limit_mps=0.4": Run("as it would have been"),
+    "cruiser review report demo-log -o report.html": Run("and was stopped"),
+    'cruiser review query "SELECT reason, count(*) FROM safety_decision GROUP BY reason" demo-log': Run(
+        r"none +\d"
+    ),
+    "cruiser review export -o dataset demo-log": Run(""),
+    "cruiser review replay demo-log --listen tcp/127.0.0.1:7450": Start("waits for somebody to connect"),
+    # For who works on it.
+    "make lint types architecture": INSTALLS,
+    "make generate": INSTALLS,
+    "make test-socketcan": INSTALLS,
+    "make nightly": "takes an hour",
+    "make readers": INSTALLS,
+    "make bench": "takes ten minutes; .ci/run runs bench-short",
+    "make mutation": "takes a quarter of an hour, and installs packages",
+}
+"""What becomes of each command of the page; a text is the reason why it is not run here.
+
+A block of a program is named by its first line.
+"""
+
+
+def commands() -> list[tuple[str, str]]:
+    """The indented blocks of README outside of fences: each command, or a program's first line, with its text."""
+    page = re.sub(r"^```.*?^```", "", (ROOT / "README.md").read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
+    found = []
+    for block in re.findall(r"(?:^    .*\n)+", page, flags=re.MULTILINE):
+        lines = [line[4:].rstrip() for line in block.splitlines()]
+        if re.match(r"cruiser |make |# ", lines[0]):
+            bare = [re.sub(r"(^|\s+)# .*", "", line).strip() for line in lines]
+            found += [(line, line) for line in bare if line]
+        else:
+            found.append((lines[0].strip(), "\n".join(lines)))
+    return found
+
+
+def test_every_command_is_run_or_has_a_reason() -> None:
+    """And nothing is listed that the page does not have."""
+    assert [name for name, _ in commands()] == list(COMMANDS)
+
+
+def test_every_place_in_the_tree_that_the_page_names_is_there() -> None:
+    """Files, and folders with their slash, in backticks; what has neither may be a key."""
+    page = (ROOT / "README.md").read_text("utf-8")
+    places = re.findall(r"`((?:deploy|docs|gateway|recorder|schemas|tests)/(?:[\w./-]*(?:/|\.\w+))?)`", page)
+    assert places
+    assert [place for place in places if not (ROOT / place).exists()] == []
+
+
+SETTINGS: Final = """\
+import os
+from gateway.cli.configuration_file import load_settings
+SETTINGS = load_settings(None, os.environ, {})
+"""
+"""What the page says for a robot elsewhere, before its program."""
+
+
+class Terminal:
+    """A command in a terminal of its own.
+
+    Attributes:
+        process: the command.
+        shows: all that it has written there.
+    """
+
+    def __init__(self, words: list[str], home: Path, environment: dict[str, str]) -> None:
+        self._master, slave = pty.openpty()
+        self.process = subprocess.Popen(
+            words, cwd=home, env=environment, stdin=slave, stdout=slave, stderr=slave, start_new_session=True
+        )
+        os.close(slave)
+        self.shows = ""
+        self._thread = threading.Thread(target=self._read)
+        self._thread.start()
+
+    def wait(self) -> int:
+        """Wait for its end. Returns its exit code."""
+        try:
+            return self.process.wait(TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            # All of the terminal's: what a make has started too.
+            os.killpg(self.process.pid, signal.SIGTERM)
+            self.process.wait()
+            raise
+        finally:
+            self._thread.join()
+
+    def _read(self) -> None:
+        # Reading fails with EIO once nobody has the terminal any more.
+        with suppress(OSError):
+            while data := os.read(self._master, 65536):
+                self.shows += data.decode(errors="replace").replace("\r\n", "\n")
+        os.close(self._master)
+
+
+class Newcomer:
+    """Somebody with an empty home and several terminals."""
+
+    def __init__(self, home: Path) -> None:
+        self.home = home
+        self._become = _become_nobody()
+        self._running: dict[str, tuple[Start, Terminal]] = {}
+        self._chassis = f"127.0.0.1:{free_port()}"
+        self._endpoint = f"tcp/127.0.0.1:{free_port()}"
+        # Where the page says a port, or where the default is one.
+        self._ports = {
+            "127.0.0.1:29536": self._chassis,
+            "tcp/127.0.0.1:7447": self._endpoint,
+            "tcp/127.0.0.1:7450": f"tcp/127.0.0.1:{free_port()}",
+            'Robot.connect("cruiser-1")': 'Robot.connect("cruiser-1", settings=SETTINGS)',
+        }
+
+    def run(self, name: str, text: str, what: Run) -> None:
+        """Run it to its end."""
+        for one in what.ended:
+            self.end(one)
+        for one in what.first:
+            self._succeed(one)
+        terminal = self._start(text)
+        code = terminal.wait()
+        for _ in range(ATTEMPTS if what.drives else 0):
+            if code in what.codes:
+                break
+            self._succeed("cruiser reset cruiser-1")
+            terminal = self._start(text)
+            code = terminal.wait()
+        assert code in what.codes, (name, code, terminal.shows)
+        assert re.search(what.says, terminal.shows), (name, terminal.shows)
+        assert "Traceback" not in terminal.shows, (name, terminal.shows)
+
+    def start(self, name: str, text: str, what: Start) -> None:
+        """Start it, and see that it works."""
+        terminal = self._start(text)
+        self._running[name] = (what, terminal)
+        wait_until(lambda: bool(re.search(what.says, terminal.shows)) or terminal.process.poll() is not None)
+        assert terminal.process.poll() is None, (name, terminal.shows)
+        if not what.stays:
+            self.end(name)
+
+    def end(self, name: str) -> None:
+        """Ctrl-C."""
+        what, terminal = self._running.pop(name)
+        terminal.process.send_signal(signal.SIGINT)
+        assert terminal.wait() == what.code, (name, terminal.shows)
+
+    def end_all(self) -> None:
+        """Ctrl-C in every terminal, the last first."""
+        for name in reversed(list(self._running)):
+            self.end(name)
+
+    def kill_all(self) -> None:
+        """Leave nothing behind where the test has failed."""
+        for _, terminal in self._running.values():
+            terminal.process.terminate()
+            terminal.wait()
+
+    def _succeed(self, name: str) -> None:
+        what = COMMANDS.get(name)
+        if isinstance(what, Start):
+            self.start(name, name, what)
+            return
+        wait_until(lambda: self._start(name).wait() == 0)
+
+    def _start(self, text: str) -> Terminal:
+        text = text.replace("FILE...", shlex.join(map(str, sorted(self.home.glob("logs/*Z.mcap")))))
+        for there, here in self._ports.items():
+            text = text.replace(there, here)
+        environment = {
+            "HOME": str(self.home),
+            "PATH": f"{self.home.parent / 'bin'}:/usr/bin:/bin",
+            "PYTHONPATH": str(ROOT),
+            "PYTHONDONTWRITEBYTECODE": "1",
+            "TERM": "xterm",
+            "COLUMNS": "200",
+            "CRUISER_SIM_LISTEN": self._chassis,
+        }
+        if text.startswith("cruiser gateway"):
+            environment["CRUISER_ZENOH_LISTEN"] = self._endpoint
+        elif "--listen" not in text:
+            environment["CRUISER_ZENOH_CONNECT"] = self._endpoint
+        words = shlex.split(text) if not text.startswith("import ") else [sys.executable, "-c", SETTINGS + text]
+        if words[0] == "make":
+            # The recipe as it is in a checkout, without the installation.
+            words += ["-f", str(ROOT / "Makefile"), "-o", ".venv/installed", f"BIN={self.home.parent / 'bin'}"]
+        return Terminal([*self._become, *words], self.home, environment)
+
+
+def _become_nobody() -> list[str]:
+    """What makes a command one of a user who is not root: nothing, for whom that is true already.
+
+    Where such a user cannot reach this interpreter, as in a home of root's, the command keeps the right to read.
+    """
+    if os.getuid() != 0:
+        return []
+    become = ["setpriv", "--reuid", str(NOBODY), "--regid", str(NOBODY), "--clear-groups"]
+    for words in (become, [*become, *READS_ALL]):
+        try:
+            # By way of env, because setpriv itself still reaches what root does.
+            subprocess.run([*words, "env", sys.executable, "-c", ""], check=True, capture_output=True)
+        except subprocess.CalledProcessError:
+            continue
+        return words
+    raise AssertionError(f"nobody but root can run {sys.executable}")
+
+
+@pytest.fixture
+def newcomer() -> Iterator[Newcomer]:
+    """In an empty home; the command is on the path, as after an installation."""
+    # Not below pytest's own directory, which is its user's alone.
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        place.chmod(0o755)
+        home, programs = place / "home", place / "bin"
+        home.mkdir()
+        programs.mkdir()
+        if os.getuid() == 0:
+            os.chown(home, NOBODY, NOBODY)
+        cruiser = programs / "cruiser"
+        cruiser.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m gateway "$@"\n', encoding="utf-8")
+        cruiser.chmod(0o755)
+        one = Newcomer(home)
+        try:
+            yield one
+        finally:
+            one.kill_all()
+
+
+@pytest.mark.timeout(800)
+def test_the_commands_of_the_page_do_what_it_says(newcomer: Newcomer) -> None:
+    """Each that can be run here, one after the other."""
+    for name, text in commands():
+        match COMMANDS[name]:
+            case Run() as what:
+                newcomer.run(name, text, what)
+            case Start() as what:
+                newcomer.start(name, text, what)
+    newcomer.end_all()
+    assert {path.name for path in newcomer.home.iterdir()} >= {
+        "dataset",
+        "demo-log",
+        "depot-logs",
+        "logs",
+        "report.html",
+    }
