@@ -41,7 +41,7 @@ generate: $(STAMP)  ## what is generated from the tables: JSON Schemas, README a
 	$(BIN)/python -m schemas.json_schema
 	$(BIN)/python -m gateway.documents
 
-bench: $(STAMP)
+bench: $(STAMP)  ## the figures of README, in ten minutes
 	$(BIN)/python -m tests.bench
 
 bench-short: $(STAMP)  ## a little of each bench, to see that it runs; its figures say nothing

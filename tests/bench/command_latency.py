@@ -25,7 +25,7 @@ from gateway.ports.open_bus import open_bus
 from gateway.ports.zenoh_client import close_session, open_session
 from schemas.messages import Variant
 from schemas.settings import CanSettings, ZenohSettings
-from tests.bench.processes import free_port, quantile, start
+from tests.bench.processes import Empty, empty_loop, free_port, quantile, start
 
 ROBOT: Final = "fleet/cruiser-1/"
 COMMAND: Final = f"{ROBOT}@cmd/bench/"
@@ -58,11 +58,13 @@ class CommandLatency(msgspec.Struct, frozen=True):
         drive_us: from the put of a drive command to the first frame with its angle.
         stop_us: from the put of a remote stop at 0.5 m/s to the first frame with a lower speed.
         tick_us: processor time of the command flow in an engaged tick with one drive command in it.
+        empty: of an empty loop while the commands were put.
     """
 
     drive_us: list[float]
     stop_us: list[float]
     tick_us: list[float]
+    empty: Empty
 
 
 class Witness:
@@ -212,7 +214,7 @@ def measure(drives: int = 500, stops: int = 20, ticks: int = 3000) -> CommandLat
     """Put so many of each."""
     random = Random(0)  # noqa: S311 - to hit every place between two ticks
     drive_us: list[float] = []
-    with on_the_road() as (driver, witness, *_):
+    with on_the_road() as (driver, witness, *_), empty_loop() as empty:
         driver.get_going()
         for number in range(drives):
             left = bool(number % 2)
@@ -224,7 +226,7 @@ def measure(drives: int = 500, stops: int = 20, ticks: int = 3000) -> CommandLat
         for _ in range(stops - 1):
             driver.get_going()
             stop_us.append(stop_under_way_us(driver, witness, random))
-    return CommandLatency(sorted(drive_us), sorted(stop_us), measure_ticks_us(ticks))
+    return CommandLatency(sorted(drive_us), sorted(stop_us), measure_ticks_us(ticks), empty)
 
 
 def stop_under_way_us(driver: Driver, witness: Witness, random: Random) -> float:
@@ -271,9 +273,10 @@ def measure_ticks_us(count: int) -> list[float]:
 def main() -> None:
     """Measure and print."""
     measured = measure()
-    for name, values_us in msgspec.structs.asdict(measured).items():
+    figures = {"drive": measured.drive_us, "stop": measured.stop_us, "tick": measured.tick_us}
+    for name, values_us in {**figures, "empty put": measured.empty.put_us}.items():
         shares = ", ".join(f"p{share:g} {quantile(values_us, share / 100):.0f}" for share in (50, 99))
-        print(f"{name} ({len(values_us)}): {shares}, max {values_us[-1]:.0f}")
+        print(f"{name}, us ({len(values_us)}): {shares}, max {values_us[-1]:.0f}")
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ import zenoh
 from gateway.ports.zenoh_client import close_session, open_session
 from schemas.settings import ZenohSettings
 from tests.bench.command_latency import SPEED_MPS, on_the_road, stop_under_way_us
-from tests.bench.processes import quantile
+from tests.bench.processes import Empty, empty_loop, quantile
 
 PUTS_PER_S: Final = 20_000
 SECONDS: Final = 3.0
@@ -37,12 +37,14 @@ class Flooded(msgspec.Struct, frozen=True):
         dropped: how many the gateway dropped unread, and so got.
         late_us: of every tick of the gateway, the quiet ones between two floods too, sorted.
         stop_us: from the put of a remote stop under the flood to the first frame with a lower speed, sorted.
+        empty: of an empty loop meanwhile.
     """
 
     puts_per_s: float
     dropped: int
     late_us: list[float]
     stop_us: list[float]
+    empty: Empty
 
 
 def measure(floods: int = 10) -> Flooded:
@@ -52,7 +54,8 @@ def measure(floods: int = 10) -> Flooded:
     rates: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
         probe = Path(folder) / "probe.json"
-        with on_the_road("-m", "tests.bench.gateway_probe", str(probe)) as (driver, witness, endpoint, _):
+        command = ("-m", "tests.bench.gateway_probe", str(probe))
+        with on_the_road(*command) as (driver, witness, endpoint, _), empty_loop() as empty:
             healths = driver.session.declare_subscriber(HEALTH, zenoh.handlers.RingChannel(1))
             for _ in range(floods):
                 driver.get_going()
@@ -69,7 +72,7 @@ def measure(floods: int = 10) -> Flooded:
             dropped = msgspec.msgpack.decode(healths.recv().payload.to_bytes())["inbox_drops"]
         measured = json.loads(probe.read_text(encoding="utf-8"))
     late_us = sorted(late_ns / 1000 for late_ns in measured["late_ns"])
-    return Flooded(min(rates), dropped, late_us, sorted(stop_us))
+    return Flooded(min(rates), dropped, late_us, sorted(stop_us), empty)
 
 
 def flood(endpoint: str) -> None:

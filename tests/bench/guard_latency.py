@@ -13,7 +13,7 @@ from typing import Final
 import msgspec
 
 from tests.bench.command_latency import DRIVE_ID, on_the_road, until
-from tests.bench.processes import quantile
+from tests.bench.processes import Empty, empty_loop, quantile
 
 SPEED_MPS: Final = 2.0
 SPEED_RAW: Final = 2000
@@ -26,10 +26,12 @@ class GuardLatency(msgspec.Struct, frozen=True):
     Attributes:
         signal: what the gateway was sent, at 2 m/s.
         after_ms: from the last good frame to the first stop frame, both as a third party hears them; sorted.
+        empty: of an empty loop meanwhile.
     """
 
     signal: signal.Signals
     after_ms: list[float]
+    empty: Empty
 
     @property
     def figures(self) -> str:
@@ -39,9 +41,12 @@ class GuardLatency(msgspec.Struct, frozen=True):
 
 def measure(kills: int = 50) -> list[GuardLatency]:
     """So many kills, half of them by each signal."""
-    return [
-        GuardLatency(number, sorted(_after_ms(number) for _ in range(kills // len(SIGNALS)))) for number in SIGNALS
-    ]
+    latencies = []
+    for number in SIGNALS:
+        with empty_loop() as empty:
+            after_ms = sorted(_after_ms(number) for _ in range(kills // len(SIGNALS)))
+        latencies.append(GuardLatency(number, after_ms, empty))
+    return latencies
 
 
 def _after_ms(number: signal.Signals) -> float:

@@ -11,7 +11,8 @@ import sys
 import tempfile
 import threading
 import time
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -23,10 +24,23 @@ from schemas import codec
 from schemas.messages import Message
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_NAME
+from tests.bench.empty_loop import KEY as EMPTY_KEY
 
 NOMINAL_FRAMES_PER_S = 630
 WARM_UP_S = 2.0
 WATCHED = BY_NAME["chassis/gear"]
+
+
+class Empty(msgspec.Struct):
+    """What an empty loop of the gateway's period and priority showed on the same machine at the same time.
+
+    Attributes:
+        lateness_us: of every tick of it, sorted.
+        put_us: from each of its puts to a subscriber's callback, sorted.
+    """
+
+    lateness_us: list[float] = []
+    put_us: list[float] = []
 
 
 class Load(msgspec.Struct, frozen=True):
@@ -37,6 +51,7 @@ class Load(msgspec.Struct, frozen=True):
         gateway_cpu_percent, gateway_cpu_us: of one core, and for a frame: the whole process.
         latency_us: from the chassis's send to the subscriber's callback, sorted.
         lateness_us: of every tick of the gateway, sorted.
+        empty: of an empty loop meanwhile.
     """
 
     frames_per_s: float
@@ -47,6 +62,7 @@ class Load(msgspec.Struct, frozen=True):
     gateway_cpu_us: float
     latency_us: list[float]
     lateness_us: list[float]
+    empty: Empty
 
 
 def quantile(values: list[float], share: float) -> float:
@@ -86,6 +102,9 @@ def run_load(frames_per_s: float, seconds: float, vcan: str = "") -> Load:
         bus += ["--listen", endpoint]
         probe = ["-m", "tests.bench.gateway_probe", str(folder / "probe.json"), *bus, "--variant", "coarse"]
         gateway, _ = start(stack, probe, "gateway: ")
+        beside = ExitStack()
+        stack.push(beside)
+        empty = beside.enter_context(empty_loop())
         time.sleep(WARM_UP_S)
         latency_us: list[float] = []
         session = open_session(ZenohSettings(), [endpoint], [])
@@ -100,6 +119,7 @@ def run_load(frames_per_s: float, seconds: float, vcan: str = "") -> Load:
         subscriber.undeclare()
         gateway.terminate()
         gateway.wait(20)
+        beside.close()
         measured = json.loads((folder / "probe.json").read_text(encoding="utf-8"))
         checked = _check(log)
     frames = sum(row["frames"] for row in checked["frames"])
@@ -114,7 +134,30 @@ def run_load(frames_per_s: float, seconds: float, vcan: str = "") -> Load:
         gateway_cpu_us=measured["cpu_s"] * 1e6 / handled,
         latency_us=sorted(latency_us),
         lateness_us=lateness_us,
+        empty=empty,
     )
+
+
+@contextmanager
+def empty_loop() -> Iterator[Empty]:
+    """Run an empty loop meanwhile; what it showed is there afterwards."""
+    empty = Empty()
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+
+    def receive(sample: zenoh.Sample) -> None:
+        empty.put_us.append((time.time_ns() - int.from_bytes(sample.payload.to_bytes(), "big")) / 1000)
+
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        file = Path(folder) / "late.json"
+        process, _ = start(stack, ["-m", "tests.bench.empty_loop", endpoint, str(file)], "empty: ")
+        session = open_session(ZenohSettings(), [endpoint], [])
+        stack.callback(close_session, session)
+        session.declare_subscriber(EMPTY_KEY, receive)
+        yield empty
+        process.terminate()
+        process.wait(20)
+        empty.lateness_us = sorted(late_ns / 1000 for late_ns in json.loads(file.read_text(encoding="utf-8")))
+    empty.put_us.sort()
 
 
 def _watch(latency_us: list[float]) -> Any:  # noqa: ANN401 - Zenoh's own callback type
