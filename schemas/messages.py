@@ -370,6 +370,8 @@ class GatewayInfo(Message, frozen=True):
         dbc_name: the file name of the DBC in force; empty while the variant is unknown.
         dbc: the text of the DBC in force; empty while the variant is unknown.
         schemas: JSON Schema text of every message, request and reply, by schema name.
+        listen: Zenoh endpoints that it listens on for all but commands; empty if it only dials out.
+        command_listen: Zenoh endpoints that it listens on for commands.
     """
 
     robot: str
@@ -383,6 +385,8 @@ class GatewayInfo(Message, frozen=True):
     dbc_name: str
     dbc: str
     schemas: dict[str, str]
+    listen: list[str] = []
+    command_listen: list[str] = []
 
 
 class CanFrame(msgspec.Struct, frozen=True):

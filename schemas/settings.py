@@ -385,7 +385,13 @@ class ChassisSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class ZenohSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The Zenoh session."""
 
-    mode: Annotated[Literal["peer", "client"], Meta(description="mode of the session")] = "peer"
+    mode: Annotated[
+        Literal["peer", "client"],
+        Meta(
+            description="mode of the session; unless it is said, commands and recorders that find a router become "
+            "its clients: it passes nothing between peers"
+        ),
+    ] = "peer"
     connect: Annotated[
         list[str],
         Meta(description=f"endpoints to connect to; if empty, {DEFAULT_ENDPOINT} for all but the gateway"),
@@ -393,15 +399,15 @@ class ZenohSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     listen: Annotated[
         list[str],
         Meta(
-            description=f"endpoints to listen on; if empty, the gateway listens on {DEFAULT_ENDPOINT}, or on a "
-            "free port of 127.0.0.1 where a Zenoh node already holds that one"
+            description="endpoints to listen on; if empty, a gateway that connects elsewhere listens on nothing, "
+            f"another on {DEFAULT_ENDPOINT}, or on a free port of 127.0.0.1 if a Zenoh node is there"
         ),
     ] = []
     command_listen: Annotated[
         list[str],
         Meta(
-            description="endpoints on which the gateway listens for commands; if empty, free ports of the "
-            "addresses above"
+            description="endpoints on which the gateway listens for commands; if empty, the addresses that it "
+            "listens on for all else, each one port on"
         ),
     ] = []
     config: Annotated[

@@ -7,8 +7,8 @@ of 1 s and a fast reconnection keep a stalled link from delivering old samples i
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple
 
 from schemas.printable import plain
 from schemas.settings import ZenohSettings
@@ -24,6 +24,15 @@ QUEUE_BATCHES: Final = 8
 
 ANY_LOCAL_PORT: Final = "tcp/127.0.0.1:0"
 
+WITH_NAMES: Final = ("tls", "quic")
+"""Protocols whose certificates carry the listener's name."""
+
+_ENDPOINT: Final = re.compile(
+    r"(?P<protocol>[a-z0-9_-]+)/(?P<host>[^?#]*):(?P<port>[0-9]+)(?P<metadata>[?][^#]*)?(?P<options>#.*)?"
+)
+_LOOPBACK: Final = re.compile(r"localhost|\[::1\]|127(\.[0-9]+){3}")
+_HIGHEST_PORT: Final = 65535
+
 Json = dict[str, "Json"] | list["Json"] | str | int | float | bool | None
 
 
@@ -32,6 +41,7 @@ LEASE: Final = "transport/link/tx/lease"
 CONNECT: Final = "connect/endpoints"
 LISTEN: Final = "listen/endpoints"
 MULTICAST: Final = "scouting/multicast/enabled"
+PROTOCOLS: Final = "transport/link/protocols"
 
 Says = Callable[[str], bool]
 """Whether a Zenoh configuration file says anything of its own at a path."""
@@ -43,17 +53,17 @@ def nothing_said(_path: str) -> bool:
 
 
 def session_settings(
-    zenoh: ZenohSettings, connect: list[str], listen: list[str], says: Says = nothing_said
+    zenoh: ZenohSettings, connect: Sequence[str], listen: Sequence[str], says: Says = nothing_said
 ) -> dict[str, Json]:
     """What to set over the user's Zenoh configuration file, or over Zenoh's start values.
 
-    What the file says holds, unless a setting of ours says it too: endpoints that are given here, and a mode or
-    a lease that a source of the settings gave.
+    What the file says holds, unless a setting of ours says it too: endpoints to connect to that are given here,
+    and a mode or a lease that a source of the settings gave. What is listened on is what is given here, always.
 
     Args:
         zenoh: the settings; its own ``connect`` and ``listen`` are not read here.
         connect: endpoints to connect to; retried for ever, in the background.
-        listen: endpoints to listen on; failing to is an error at once.
+        listen: endpoints to listen on; none if it is empty. Failing to is an error at once.
         says: what the file says.
 
     Returns:
@@ -63,10 +73,96 @@ def session_settings(
         MODE: "mode" in zenoh.given,
         LEASE: "lease_ms" in zenoh.given,
         CONNECT: bool(connect),
-        LISTEN: bool(listen),
+        LISTEN: True,
     }
     entries = _entries(zenoh, connect, listen)
     return {path: value for path, value in entries.items() if given.get(path) or not says(path)}
+
+
+ROUTER_TIMEOUT_S: Final = 0.5
+"""A router that is there is connected within this time."""
+
+
+class Said(NamedTuple):
+    """What the settings, or else a Zenoh configuration file, say of a session."""
+
+    mode: str
+    connect: list[str]
+    listen: list[str]
+    is_mode_given: bool = False
+
+
+def said(zenoh: ZenohSettings, of_file: Callable[[str], Json]) -> Said:
+    """What is said of a session: a client listens on nothing.
+
+    Args:
+        zenoh: the settings.
+        of_file: what the file says at a path; None if it says nothing of its own there. Zenoh's own start value,
+            which listens on every address, nobody has said.
+    """
+    files = of_file(MODE)
+    mode = zenoh.mode if "mode" in zenoh.given or files is None else str(files)
+    connect = list(zenoh.connect) or _endpoints(of_file(CONNECT), mode)
+    listen = list(zenoh.listen) or _endpoints(of_file(LISTEN), mode)
+    is_given = "mode" in zenoh.given or files is not None
+    return Said(mode, connect, [] if mode == "client" else listen, is_given)
+
+
+def allows(protocols: Json, endpoint: str) -> bool:
+    """Do the protocols of a Zenoh configuration file, which may say none, allow this endpoint?"""
+    return not isinstance(protocols, list) or endpoint.partition("/")[0] in protocols
+
+
+def split_endpoint(endpoint: str) -> tuple[str, str, int]:
+    """Protocol, host and port of an endpoint.
+
+    Raises:
+        ValueError: it has no port.
+    """
+    parts = _parts(endpoint)
+    return parts["protocol"], parts["host"], int(parts["port"])
+
+
+def with_port(endpoint: str, port: int) -> str:
+    """The endpoint with another port.
+
+    Raises:
+        ValueError: it has no port, or none can be so high.
+    """
+    parts = _parts(endpoint)
+    if port > _HIGHEST_PORT:
+        raise ValueError(f"{endpoint} has the last port that there is")
+    return f"{endpoint[: parts.start('port')]}{port}{endpoint[parts.end('port') :]}"
+
+
+def next_ports(listen: list[str]) -> list[str]:
+    """Where a second session listens beside a first one: the same addresses, one port on; port 0 stays.
+
+    Raises:
+        ValueError: an endpoint has no port, or none after it.
+    """
+    ports = [(one, split_endpoint(one)[2]) for one in listen]
+    return [with_port(one, port + 1 if port else 0) for one, port in ports]
+
+
+def own_endpoint(listen: str) -> str:
+    """An endpoint that is listened on, as another session of the same process connects to it.
+
+    Every address includes the loopback one. Certificates are held against the authority's all the same, but need
+    not carry the name of an address that is this process's own.
+    """
+    parts = _ENDPOINT.fullmatch(listen)
+    if parts is None:
+        return listen
+    host = {"0.0.0.0": "127.0.0.1", "[::]": "[::1]"}.get(parts["host"], parts["host"])  # noqa: S104
+    options = "#verify_name_on_connect=false" if parts["protocol"] in WITH_NAMES else ""
+    return f"{parts['protocol']}/{host}:{parts['port']}{parts['metadata'] or ''}{options}"
+
+
+def is_loopback(endpoint: str) -> bool:
+    """Does the endpoint never leave this machine?"""
+    host = endpoint.partition("/")[2].rpartition(":")[0]
+    return endpoint.startswith("unix") or bool(_LOOPBACK.fullmatch(host))
 
 
 def reason(message: str) -> str:
@@ -76,7 +172,21 @@ def reason(message: str) -> str:
     return plain(nested[1] if nested else text).strip()
 
 
-def _entries(zenoh: ZenohSettings, connect: list[str], listen: list[str]) -> dict[str, Json]:
+def _endpoints(value: Json, mode: str) -> list[str]:
+    """One, a list, or one of these for each mode."""
+    if isinstance(value, dict):
+        value = value.get(mode)
+    return [value] if isinstance(value, str) else list(map(str, value)) if isinstance(value, list) else []
+
+
+def _parts(endpoint: str) -> re.Match[str]:
+    parts = _ENDPOINT.fullmatch(endpoint)
+    if parts is None:
+        raise ValueError(f"{plain(endpoint)} has no port")
+    return parts
+
+
+def _entries(zenoh: ZenohSettings, connect: Sequence[str], listen: Sequence[str]) -> dict[str, Json]:
     return {
         MODE: zenoh.mode,
         CONNECT: list(connect),

@@ -28,7 +28,7 @@ from gateway.ports.realtime import has_realtime, request_realtime
 from gateway.ports.reconnecting_bus import ReconnectingBus
 from gateway.ports.stop_note import NoteClearer, StopNote
 from gateway.ports.zenoh_inbox import open_inbox
-from gateway.ports.zenoh_node import open_node
+from gateway.ports.zenoh_node import Place, open_node
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.codec import encode
 from schemas.configuration import to_toml
@@ -36,6 +36,7 @@ from schemas.dbc_files import DBC_FILES, dbc_text
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.json_schema import robot_schema_texts
 from schemas.messages import GatewayInfo, Variant
+from schemas.printable import plain
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import Settings
 
@@ -86,22 +87,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Run the gateway until it is stopped."""
     core = Core(settings, version("cruiser-gateway"), time.monotonic_ns(), secrets.randbits(RUN_BITS))
-    info = _info(settings, core)
     with ExitStack() as closing:
         # First, since it takes a second, and ended last.
         guard = start_guard(settings)
         closing.callback(guard.close)
-        node, where = open_node(settings)
+        node, place = open_node(settings)
         closing.callback(node.close)
-        inbox = None if core.command is None else open_inbox(settings)
+        inbox = None if core.command is None else open_inbox(settings, place)
         if inbox is not None:
             closing.callback(inbox.close)
             node.disregard(inbox.node)
+        info = _info(settings, core, place)
         # The bus comes last: frames that wait while the rest starts would come in one burst, too late.
         bus = ReconnectingBus(lambda: _open_bus(settings), _first_bus(settings))
         closing.callback(bus.close)
         mode = "listen-only" if inbox is None else "commands through the arbiter"
-        sys.stderr.write(f"gateway: {settings.robot.name} {where}, bus {describe(settings.can)}, {mode}\n")
+        sys.stderr.write(f"gateway: {settings.robot.name} {place}, bus {describe(settings.can)}, {mode}\n")
         sys.stderr.flush()
         if inbox is not None and closing.enter_context(BusClaim(settings.can)).is_shared:
             log.warning("%s", _shared(settings))
@@ -109,8 +110,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         closing.callback(note.close)
         if inbox is not None and guard.why_not:
             log.warning("%s", _unguarded(settings, guard.why_not))
-        if settings.zenoh.connect and not node.peers():
-            log.warning("no Zenoh node answers at %s yet; trying on", ", ".join(settings.zenoh.connect))
+        if place.connect and not node.peers():
+            log.warning("no Zenoh node answers at %s yet; trying on", plain(", ".join(place.connect)))
         request_realtime(settings.gateway.realtime_priority)
         if inbox is not None and not has_realtime():
             log.warning("%s", _without_realtime(settings))
@@ -189,7 +190,7 @@ def _first_bus(settings: Settings) -> Bus | None:
         raise CommandError(f"{error} (--wait-for-bus starts without it)", ExitCode.UNREACHABLE) from error
 
 
-def _info(settings: Settings, core: Core) -> Callable[[], bytes]:
+def _info(settings: Settings, core: Core, place: Place) -> Callable[[], bytes]:
     """The payload of gateway/info. All but the variant is the same for ever, so it is made once."""
     configuration = to_toml(settings)
     versions = {name: version(name) for name in VERSIONS_TOLD} | {"python": sys.version.split()[0]}
@@ -212,6 +213,8 @@ def _info(settings: Settings, core: Core) -> Callable[[], bytes]:
                 dbc_name=DBC_FILES.get(variant, ""),
                 dbc=dbc_text(variant) if variant in DBC_FILES else "",
                 schemas=schemas,
+                listen=place.listen,
+                command_listen=place.command_listen,
             )
         )
 

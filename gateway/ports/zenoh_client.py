@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import json
 import logging
+import socket
+import time
 from collections.abc import Iterator
 from types import TracebackType
 from typing import Final, Self
 
+import msgspec
 import zenoh
 
 from gateway.telemetry.heard import Heard, Received, TokenChange
@@ -19,7 +22,19 @@ from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import DEFAULT_ENDPOINT, RobotSettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME
-from schemas.zenoh_link import CONNECT, LEASE, LISTEN, MODE, reason, session_settings
+from schemas.zenoh_link import (
+    LEASE,
+    PROTOCOLS,
+    ROUTER_TIMEOUT_S,
+    Json,
+    Said,
+    allows,
+    reason,
+    said,
+    session_settings,
+    split_endpoint,
+    with_port,
+)
 
 log = logging.getLogger(__name__)
 
@@ -35,9 +50,10 @@ def open_session(
 ) -> zenoh.Session:
     """Open a session.
 
-    A peer's session opens although nobody answers, and goes on trying in the background. Endpoints of the Zenoh
-    configuration file hold where none are given here. ``block_max_us`` cuts off whoever takes nothing for this
-    time while somebody waits to send to it; Zenoh's own is 5 s.
+    A peer's session opens although nobody answers, and goes on trying in the background. Where none are given
+    here, it connects to the endpoints of the Zenoh configuration file. It listens on those given here and on no
+    others. ``block_max_us`` cuts off whoever takes nothing for this time while somebody waits to send to it;
+    Zenoh's own is 5 s.
 
     Raises:
         CommandError: an endpoint or the configuration file is wrong, the client finds nobody to connect to, or an
@@ -52,33 +68,86 @@ def open_session(
         raise CommandError(f"cannot open Zenoh: {reason(str(error))}", ExitCode.UNREACHABLE) from error
 
 
+def open_towards_robots(settings: ZenohSettings) -> zenoh.Session:
+    """Open the session of a command that only talks to robots. It listens on nothing.
+
+    A Zenoh router passes nothing from one peer to another (measured with 1.10.2): who finds a router becomes its
+    client, unless the settings say which mode it is to be.
+
+    Raises:
+        CommandError: see ``open_session``.
+    """
+    endpoints, said = client_endpoints(settings), said_of(settings)
+    session = open_session(settings, endpoints, [])
+    if said.mode != "peer" or said.is_mode_given or not _finds_router(session):
+        return session
+    close_session(session)
+    client = msgspec.structs.replace(settings, mode="client", given=settings.given | {"mode"})
+    return open_session(client, endpoints, [])
+
+
+def _finds_router(session: zenoh.Session) -> bool:
+    """Is the first node that is connected a router?"""
+    info, deadline_s = session.info, time.monotonic() + ROUTER_TIMEOUT_S
+    while not (peers := info.peers_zid()) and time.monotonic() < deadline_s:
+        if info.routers_zid():
+            return True
+        time.sleep(0.01)
+    return not peers and bool(info.routers_zid())
+
+
 def client_endpoints(settings: ZenohSettings) -> list[str]:
-    """Where a command that only talks to robots connects; empty if the Zenoh configuration file says it.
+    """Where a command that only talks to robots connects.
 
     Raises:
         CommandError: the configuration file is wrong.
     """
-    if settings.connect or _says(base_configuration(settings), CONNECT):
-        return list(settings.connect)
-    return [DEFAULT_ENDPOINT]
+    return said_of(settings).connect or [DEFAULT_ENDPOINT]
 
 
-def says_listen(settings: ZenohSettings) -> bool:
-    """Does the configuration file say where to listen?
+def said_of(settings: ZenohSettings) -> Said:
+    """What the settings, or else the Zenoh configuration file, say of a session.
 
     Raises:
         CommandError: the configuration file is wrong.
     """
-    return _says(base_configuration(settings), LISTEN)
+    config = base_configuration(settings)
+    return said(settings, lambda path: _of_file(config, path))
 
 
-def mode_in_force(settings: ZenohSettings) -> str:
-    """The mode of a session of these settings, which the configuration file may say.
+def is_allowed(settings: ZenohSettings, endpoint: str) -> bool:
+    """Do the protocols that the configuration file allows include that of this endpoint?
 
     Raises:
         CommandError: the configuration file is wrong.
     """
-    return str(json.loads(_configuration(settings, [], []).get_json(MODE)))
+    return allows(_of_file(base_configuration(settings), PROTOCOLS), endpoint)
+
+
+def with_free_ports(listen: list[str]) -> list[str]:
+    """The endpoints, with a port that is free in place of 0, so that it can be told and connected to.
+
+    Raises:
+        CommandError: an address is not one of this machine.
+    """
+    return [_with_free_port(one) if ":0" in one else one for one in listen]
+
+
+def _with_free_port(endpoint: str) -> str:
+    try:
+        protocol, host, port = split_endpoint(endpoint)
+    except ValueError:
+        return endpoint
+    if port:
+        return endpoint
+    kind = socket.SOCK_DGRAM if protocol in ("udp", "quic") else socket.SOCK_STREAM
+    try:
+        family, *_, address = socket.getaddrinfo(host.strip("[]"), 0, type=kind)[0]
+        with socket.socket(family, kind) as probe:
+            probe.bind(address)
+            return with_port(endpoint, probe.getsockname()[1])
+    except OSError as error:
+        raise CommandError(f"cannot listen on {plain(endpoint)}: {error}", ExitCode.UNREACHABLE) from error
 
 
 def lease_in_force_ms(settings: ZenohSettings) -> int:
@@ -100,7 +169,9 @@ def close_session(session: zenoh.Session) -> None:
 
 def _configuration(settings: ZenohSettings, connect: list[str], listen: list[str]) -> zenoh.Config:
     config = base_configuration(settings)
-    for path, value in session_settings(settings, connect, listen, lambda path: _says(config, path)).items():
+    for path, value in session_settings(
+        settings, connect, listen, lambda path: _of_file(config, path) is not None
+    ).items():
         try:
             config.insert_json5(path, json.dumps(value))
         except zenoh.ZError as error:
@@ -111,9 +182,10 @@ def _configuration(settings: ZenohSettings, connect: list[str], listen: list[str
     return config
 
 
-def _says(config: zenoh.Config, path: str) -> bool:
-    """Does the configuration file say anything of this? Zenoh's own start value cannot be told from silence."""
-    return bool(config.get_json(path) != zenoh.Config().get_json(path))
+def _of_file(config: zenoh.Config, path: str) -> Json:
+    """What the configuration file says; None if nothing. Zenoh's own start value cannot be told from silence."""
+    value: Json = json.loads(config.get_json(path))
+    return None if value == json.loads(zenoh.Config().get_json(path)) else value
 
 
 def base_configuration(settings: ZenohSettings) -> zenoh.Config:
@@ -134,8 +206,7 @@ def base_configuration(settings: ZenohSettings) -> zenoh.Config:
 
 def place(settings: ZenohSettings) -> str:
     """Where a command connects, in words."""
-    endpoints = client_endpoints(settings)
-    return ", ".join(map(plain, endpoints)) or f"the endpoints of {plain(settings.config)}"
+    return ", ".join(map(plain, client_endpoints(settings)))
 
 
 class RobotListener:
@@ -169,7 +240,7 @@ class RobotListener:
         Raises:
             CommandError: see ``open_session``.
         """
-        return cls(open_session(settings.zenoh, client_endpoints(settings.zenoh), []), settings.robot, name)
+        return cls(open_towards_robots(settings.zenoh), settings.robot, name)
 
     def connected(self) -> bool:
         """Is any Zenoh node connected directly? A peer's session is open although none is."""

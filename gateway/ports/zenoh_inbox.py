@@ -7,8 +7,8 @@ rings of their own, so that no flood keeps one out.
 
 from __future__ import annotations
 
-import json
 import logging
+import time
 from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
@@ -17,26 +17,19 @@ import zenoh
 
 from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest
-from gateway.ports.zenoh_client import (
-    base_configuration,
-    client_endpoints,
-    close_session,
-    mode_in_force,
-    open_session,
-)
-from gateway.ports.zenoh_node import BLOCK_MAX_US, Replier
+from gateway.ports.zenoh_client import close_session, open_session
+from gateway.ports.zenoh_node import BLOCK_MAX_US, Place, Replier
 from schemas import keys
+from schemas.exit_codes import CommandError
 from schemas.settings import (
-    DEFAULT_ENDPOINT,
     DRIVES_PER_TICK,
     REQUEST_MAX_BYTES,
     STOPS_PER_TICK,
     VERBS_PER_TICK,
     Settings,
-    ZenohSettings,
 )
 from schemas.subjects import BY_VERB, COMMAND_CHUNK, STOP_VERB
-from schemas.zenoh_link import ANY_LOCAL_PORT, LISTEN
+from schemas.zenoh_link import own_endpoint
 
 log = logging.getLogger(__name__)
 
@@ -44,6 +37,9 @@ STOPS_WAITING: Final = 64
 VERBS_WAITING: Final = 256
 DRIVES_WAITING: Final = 1024
 """Requests that may wait between two ticks; beyond it the oldest go, uncounted."""
+
+OWN_LINK_TIMEOUT_S: Final = 3.0
+"""The gateway's own two sessions are connected within this time, or something is wrong with the endpoint."""
 
 PLAIN_REPLY: Final = BY_VERB[STOP_VERB].reply_encoding
 
@@ -150,40 +146,35 @@ def _take(try_recv: Callable[[], Any], most: int) -> list[Any]:
     return taken
 
 
-def open_inbox(settings: Settings) -> CommandInbox:
+def open_inbox(settings: Settings, place: Place) -> CommandInbox:
     """Open the session for commands, beside that for telemetry.
+
+    It connects where that one does, and to that one where it listens: who connects there reaches this session too.
+    A client reaches it through that one; a peer is told of it, and connects to it.
 
     Raises:
         CommandError: an endpoint cannot be used.
     """
-    connect, listen = command_endpoints(settings.zenoh)
-    return CommandInbox(open_session(settings.zenoh, connect, listen, BLOCK_MAX_US), settings)
+    own = [own_endpoint(endpoint) for endpoint in place.listen]
+    try:
+        session = open_session(settings.zenoh, [*place.connect, *own], place.command_listen, BLOCK_MAX_US)
+    except CommandError as error:
+        listen = ", ".join(place.command_listen)
+        on = f"; commands are listened for on {listen} (zenoh.command_listen)" if listen else ""
+        raise CommandError(f"{error}{on}", error.code) from error
+    if own and not _finds(session, place.node):
+        log.warning(
+            "the session for commands is not connected to %s: whoever connects there cannot command this robot, "
+            "nor stop it; is there a certificate to connect with?",
+            ", ".join(own),
+        )
+    return CommandInbox(session, settings)
 
 
-def command_endpoints(settings: ZenohSettings) -> tuple[list[str], list[str]]:
-    """Where the session for commands connects and listens.
-
-    It connects to where the telemetry session listens, so that whoever reaches that one is told of this one, and
-    listens on a port of its own on the same addresses.
-    """
-    if mode_in_force(settings) == "client":
-        return client_endpoints(settings), []
-    first = list(settings.listen) or _file_endpoints(settings) or [DEFAULT_ENDPOINT]
-    connect = [*settings.connect, *(_loopback(endpoint) for endpoint in first)]
-    if settings.command_listen:
-        return connect, list(settings.command_listen)
-    free = [f"{address}:0" for address, colon, _ in (endpoint.rpartition(":") for endpoint in first) if colon]
-    return connect, list(dict.fromkeys(free)) or [ANY_LOCAL_PORT]
-
-
-def _file_endpoints(settings: ZenohSettings) -> list[str]:
-    """The endpoints that the user's Zenoh file says to listen on: a list, or one for each mode."""
-    said = json.loads(base_configuration(settings).get_json(LISTEN)) if settings.config else []
-    if isinstance(said, dict):
-        said = said.get("peer") or []
-    return [said] if isinstance(said, str) else list(said)
-
-
-def _loopback(endpoint: str) -> str:
-    """The endpoint as this machine reaches it: every address includes the loopback one."""
-    return endpoint.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")
+def _finds(session: zenoh.Session, node: str) -> bool:
+    deadline_s = time.monotonic() + OWN_LINK_TIMEOUT_S
+    while time.monotonic() < deadline_s:
+        if node in map(str, session.info.peers_zid()):
+            return True
+        time.sleep(0.01)
+    return False

@@ -12,25 +12,26 @@ from collections.abc import Callable
 from queue import Empty, Full, Queue
 from typing import Any, Final
 
+import msgspec
 import zenoh
 from zenoh import ext
 
 from gateway.ports.zenoh_client import (
-    client_endpoints,
     close_session,
+    is_allowed,
     lease_in_force_ms,
-    mode_in_force,
     open_session,
-    place,
-    says_listen,
+    said_of,
+    with_free_ports,
 )
 from gateway.telemetry.kept_samples import KeptSamples
 from gateway.telemetry.sample import Sample
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
 from schemas.settings import DEFAULT_ENDPOINT, Settings, ZenohSettings
 from schemas.subjects import BY_NAME, KEPT_FIRST, SUBJECTS, Pattern, Qos, Subject
-from schemas.zenoh_link import ANY_LOCAL_PORT
+from schemas.zenoh_link import ANY_LOCAL_PORT, next_ports
 
 log = logging.getLogger(__name__)
 
@@ -216,20 +217,46 @@ class ZenohNode:
         log.debug("Zenoh did not take a sample: %s", error)
 
 
-def open_node(settings: Settings) -> tuple[ZenohNode, str]:
-    """Open the gateway's node. Returns it and where it is, in words.
+class Place(msgspec.Struct, frozen=True):
+    """Where a gateway is on Zenoh.
+
+    Attributes:
+        node: the telemetry session's identifier.
+        connect: endpoints that its sessions connect to.
+        listen: endpoints that its session for telemetry listens on; empty if it only dials out.
+        command_listen: endpoints that its session for commands listens on.
+        is_client: its sessions are clients, which listen on nothing.
+    """
+
+    node: str
+    connect: list[str]
+    listen: list[str] = []
+    command_listen: list[str] = []
+    is_client: bool = False
+
+    def __str__(self) -> str:
+        parts = [f"listens on {', '.join(self.listen) or 'nothing'}"]
+        if self.command_listen:
+            parts.append(f"for commands on {', '.join(self.command_listen)}")
+        if self.connect:
+            parts.append(f"{'is a client of' if self.is_client else 'connects to'} {', '.join(self.connect)}")
+        return plain(", ".join(parts))
+
+
+def open_node(settings: Settings) -> tuple[ZenohNode, Place]:
+    """Open the gateway's node. Returns it and where it is.
 
     Raises:
         CommandError: an endpoint is taken by something that is not Zenoh, or cannot be used; or a gateway of the
             same name is there.
     """
-    session, where = _open_session(settings.zenoh)
+    session, place = _open_session(settings)
     try:
         _check_name_is_free(session, settings)
     except CommandError:
         close_session(session)
         raise
-    return ZenohNode(session, settings), where
+    return ZenohNode(session, settings), place
 
 
 def _check_name_is_free(session: zenoh.Session, settings: Settings) -> None:
@@ -248,26 +275,57 @@ def _check_name_is_free(session: zenoh.Session, settings: Settings) -> None:
         time.sleep(0.1)
 
 
-def _open_session(zenoh_settings: ZenohSettings) -> tuple[zenoh.Session, str]:
-    connect = list(zenoh_settings.connect)
-    if mode_in_force(zenoh_settings) == "client":
-        return open_session(
-            zenoh_settings, client_endpoints(zenoh_settings), [], BLOCK_MAX_US
-        ), f"client of {place(zenoh_settings)}"
-    if zenoh_settings.listen or says_listen(zenoh_settings):
-        session = open_session(zenoh_settings, connect, zenoh_settings.listen, BLOCK_MAX_US)
-        return session, f"at {', '.join(zenoh_settings.listen) or 'the endpoints of ' + zenoh_settings.config}"
+def _open_session(settings: Settings) -> tuple[zenoh.Session, Place]:
+    given = settings.zenoh
+    mode, connect, listen, _ = said_of(given)
+    if mode == "client":
+        connect = connect or [DEFAULT_ENDPOINT]
+        session = open_session(given, connect, [], BLOCK_MAX_US)
+        return session, Place(str(session.zid()), connect, is_client=True)
+    if not connect and not listen:
+        return _open_default(settings)
+    commands = _command_listen(settings, listen)
+    listen = with_free_ports(listen)
+    session = open_session(given, connect, listen, BLOCK_MAX_US)
+    return session, Place(str(session.zid()), connect, listen, with_free_ports(commands))
+
+
+def _open_default(settings: Settings) -> tuple[zenoh.Session, Place]:
+    given = settings.zenoh
+    if not is_allowed(given, DEFAULT_ENDPOINT):
+        raise CommandError(
+            f"{DEFAULT_ENDPOINT}, where a gateway listens unless told otherwise, is of a protocol that "
+            f"{plain(given.config)} does not allow; say --listen or --connect",
+            ExitCode.USAGE,
+        )
+    commands = _command_listen(settings, [DEFAULT_ENDPOINT])
     try:
-        return open_session(zenoh_settings, connect, [DEFAULT_ENDPOINT], BLOCK_MAX_US), f"at {DEFAULT_ENDPOINT}"
+        session = open_session(given, [], [DEFAULT_ENDPOINT], BLOCK_MAX_US)
+        return session, Place(str(session.zid()), [], [DEFAULT_ENDPOINT], commands)
     except CommandError as error:
         if error.code is ExitCode.USAGE:
             raise
-    return _join_neighbour(zenoh_settings, connect), f"through the Zenoh node at {DEFAULT_ENDPOINT}"
+    listen = with_free_ports([ANY_LOCAL_PORT])
+    session = _join_neighbour(given, listen)
+    commands = with_free_ports(_command_listen(settings, [ANY_LOCAL_PORT]))
+    return session, Place(str(session.zid()), [DEFAULT_ENDPOINT], listen, commands)
 
 
-def _join_neighbour(zenoh_settings: ZenohSettings, connect: list[str]) -> zenoh.Session:
+def _command_listen(settings: Settings, listen: list[str]) -> list[str]:
+    """Where the session for commands listens: where the settings say, or one port after that for telemetry."""
+    if settings.gateway.listen_only:
+        return []
+    try:
+        return list(settings.zenoh.command_listen) or next_ports(listen)
+    except ValueError as error:
+        raise CommandError(
+            f"where are commands to be listened for? {error}; zenoh.command_listen says it", ExitCode.USAGE
+        ) from error
+
+
+def _join_neighbour(zenoh_settings: ZenohSettings, listen: list[str]) -> zenoh.Session:
     """Another Zenoh node holds our port: several robots on one bench. Connect to it."""
-    session = open_session(zenoh_settings, [*connect, DEFAULT_ENDPOINT], [ANY_LOCAL_PORT], BLOCK_MAX_US)
+    session = open_session(zenoh_settings, [DEFAULT_ENDPOINT], listen, BLOCK_MAX_US)
     deadline_s = time.monotonic() + NEIGHBOUR_TIMEOUT_S
     while time.monotonic() < deadline_s:
         if session.info.peers_zid() or session.info.routers_zid():

@@ -15,7 +15,7 @@ from typing import Any, Final, Self
 import zenoh
 from zenoh import ext
 
-from gateway.ports.zenoh_client import client_endpoints, close_session, open_session
+from gateway.ports.zenoh_client import close_session, open_towards_robots
 from gateway.telemetry.heard import Received
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
@@ -94,7 +94,7 @@ class CommandPort:
         Raises:
             CommandError: see ``open_session``; or a part of the keys is not of its form.
         """
-        session = open_session(settings.zenoh, client_endpoints(settings.zenoh), [])
+        session = open_towards_robots(settings.zenoh)
         try:
             return cls(session, settings.robot.root, robot, operator)
         except ValueError as error:
@@ -211,7 +211,7 @@ class SafetyListener:
         Raises:
             CommandError: see ``open_session``; or a part of the keys is not of its form.
         """
-        session = open_session(settings.zenoh, client_endpoints(settings.zenoh), [])
+        session = open_towards_robots(settings.zenoh)
         try:
             return cls(session, settings.robot.root, robot)
         except ValueError as error:

@@ -150,7 +150,10 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
         known = known_robots(settings, expressions)
         limits = Limits(recorder.budget_bytes, recorder.floor_bytes, known, recorder.keep_s)
         keeper = stack.enter_context(closing(DiskKeeper(path, limits, lambda: writer.parts)))
-        sys.stderr.write(f"record: waiting for samples of {', '.join(expressions)} into {recorder.directory}\n")
+        sys.stderr.write(
+            f"record: waiting for samples of {', '.join(expressions)} into {recorder.directory}; "
+            f"listens on {', '.join([*source.listen, *control.listen]) or 'nothing'}\n"
+        )
         sys.stderr.flush()
         leftovers = LeftoverThread(path, library)
         plan = recording_plan(settings, control.name, expressions, release)

@@ -20,16 +20,15 @@ from typing import Any, Final
 import msgspec
 import zenoh
 
-from recorder.ports.zenoh_session import open_session
+from recorder.ports.zenoh_session import listen_beside, open_session
 from schemas import codec, keys
 from schemas.codec import PayloadFault
 from schemas.messages import Message
 from schemas.printable import plain
 from schemas.recording import BackfillPiece, RecorderReply
 from schemas.requests import Request
-from schemas.settings import Settings, ZenohSettings
+from schemas.settings import Settings
 from schemas.subjects import RECORDER_BY_VERB, RECORDER_SUBJECTS, RecorderCommand
-from schemas.zenoh_link import ANY_LOCAL_PORT
 
 log = logging.getLogger(__name__)
 
@@ -84,7 +83,9 @@ class RemoteControl:
 
     def __init__(self, settings: Settings) -> None:
         self._root = settings.robot.root
-        self._session = open_session(settings.zenoh, _listen(settings.zenoh))
+        self.listen = listen_beside(settings.zenoh)
+        """Where it listens."""
+        self._session = open_session(settings.zenoh, self.listen)
         self.name = self._free_name(settings.recorder.name or host_name())
         """Its name: the one that is set, or with a number behind it where another recorder has that."""
         self._token = self._session.liveliness().declare_token(keys.of_recorder(self._root, self.name))
@@ -193,14 +194,6 @@ class RemoteControl:
         for reply in replies:
             if reply.ok is not None:
                 yield str(reply.ok.key_expr).rpartition("/")[2]
-
-
-def _listen(settings: ZenohSettings) -> list[str]:
-    """Free ports of the addresses on which the recorder listens, so that who is told of it can connect."""
-    if settings.mode == "client":
-        return []
-    addresses = [address for address, colon, _ in (one.rpartition(":") for one in settings.listen) if colon]
-    return [f"{address}:0" for address in dict.fromkeys(addresses)] or [ANY_LOCAL_PORT]
 
 
 def host_name() -> str:

@@ -12,14 +12,13 @@ from typing import Any, Final
 
 import zenoh
 
-from recorder.ports.zenoh_session import open_session
+from recorder.ports.zenoh_session import local_port, open_session, said_of
 from recorder.review.replay_run import Halt
 from recorder.review.replay_samples import Sample, overlap, root_of_token
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import ZenohSettings
 from schemas.subjects import Subject
-from schemas.zenoh_link import ANY_LOCAL_PORT
 
 log = logging.getLogger(__name__)
 
@@ -65,7 +64,7 @@ class ZenohOutlet:
         self.was_alone = False
         self._root = root
         self._congestion = zenoh.CongestionControl.BLOCK if waits else zenoh.CongestionControl.DROP
-        self._session = open_session(settings, _listen(settings))
+        self._session = open_session(settings, said_of(settings).listen or local_port(settings))
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._gateways: set[str] = set()
         self._tokens: Any = self._session.liveliness().declare_subscriber(
@@ -168,11 +167,6 @@ class ZenohOutlet:
                     ExitCode.REFUSED,
                 )
         return None
-
-
-def _listen(settings: ZenohSettings) -> list[str]:
-    """Where others find this session: who only shares a node with it connects to it by itself."""
-    return [] if settings.mode == "client" else list(settings.listen) or [ANY_LOCAL_PORT]
 
 
 def _matches(publisher: zenoh.Publisher) -> bool:

@@ -3,14 +3,30 @@
 from __future__ import annotations
 
 import json
+import socket
+import time
 from collections.abc import Sequence
 from typing import Final
 
+import msgspec
 import zenoh
 
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import DEFAULT_ENDPOINT, ZenohSettings
-from schemas.zenoh_link import CONNECT, reason, session_settings
+from schemas.zenoh_link import (
+    ANY_LOCAL_PORT,
+    PROTOCOLS,
+    ROUTER_TIMEOUT_S,
+    Json,
+    Said,
+    allows,
+    is_loopback,
+    next_ports,
+    reason,
+    said,
+    session_settings,
+    with_port,
+)
 
 BATCH_SIZE: Final = "transport/link/tx/batch_size"
 
@@ -19,37 +35,110 @@ BATCH_BYTES: Final = 16_384
 Zenoh's own 64 KiB a recorder of 300 robots grew to 1.4 GB. Less would leave senders too little for a stall."""
 
 
-def open_session(settings: ZenohSettings, listen: Sequence[str] | None = None) -> zenoh.Session:
+def open_session(settings: ZenohSettings, listen: Sequence[str] = ()) -> zenoh.Session:
     """A session; it connects in the background.
+
+    A Zenoh router passes nothing from one peer to another (measured with 1.10.2): a session that listens on
+    nothing and finds a router becomes its client, unless the settings say which mode it is to be.
 
     Args:
         settings: of the session.
-        listen: where it listens; where the settings say if it is None.
+        listen: where it listens; on nothing if it is empty.
 
     Raises:
         CommandError: the settings are wrong, or it cannot be opened.
     """
-    config = _configuration(settings, list(settings.listen if listen is None else listen))
+    session = _open(_configuration(settings, listen), listen)
+    mode, _, _, is_given = said_of(settings)
+    if listen or mode != "peer" or is_given or not _finds_router(session):
+        return session
+    session.close()
+    client = msgspec.structs.replace(settings, mode="client", given=settings.given | {"mode"})
+    return _open(_configuration(client), ())
+
+
+def _open(config: zenoh.Config, listen: Sequence[str]) -> zenoh.Session:
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        raise CommandError(f"cannot join Zenoh: {reason(str(error))}", ExitCode.UNREACHABLE) from error
+        on = f", listening on {', '.join(listen)}" if listen else ""
+        raise CommandError(f"cannot join Zenoh{on}: {reason(str(error))}", ExitCode.UNREACHABLE) from error
 
 
-def _configuration(settings: ZenohSettings, listen: list[str]) -> zenoh.Config:
-    """The configuration file, if one is set, with our settings over it."""
-    start = zenoh.Config()
+def _finds_router(session: zenoh.Session) -> bool:
+    """Is the first node that is connected a router?"""
+    info, deadline_s = session.info, time.monotonic() + ROUTER_TIMEOUT_S
+    while not (peers := info.peers_zid()) and time.monotonic() < deadline_s:
+        if info.routers_zid():
+            return True
+        time.sleep(0.01)
+    return not peers and bool(info.routers_zid())
+
+
+def said_of(settings: ZenohSettings) -> Said:
+    """What is said of a session; it connects to this machine's gateway where nothing is.
+
+    Raises:
+        CommandError: the settings are wrong.
+    """
+    file = _File(settings)
+    found = said(settings, file.says)
+    return found._replace(connect=found.connect or [DEFAULT_ENDPOINT])
+
+
+def local_port(settings: ZenohSettings) -> list[str]:
+    """A free port of this machine's loopback address, for others on it, where nothing is said of listening.
+
+    None for a client, for who connects to another machine, and where the protocols do not allow it.
+
+    Raises:
+        CommandError: the settings are wrong.
+    """
+    mode, connect, *_ = said_of(settings)
+    allowed = allows(_File(settings).says(PROTOCOLS), ANY_LOCAL_PORT)
+    if mode == "client" or not allowed or not all(map(is_loopback, connect)):
+        return []
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        return [with_port(ANY_LOCAL_PORT, probe.getsockname()[1])]
+
+
+def listen_beside(settings: ZenohSettings) -> list[str]:
+    """Where a session listens beside the one that listens as the settings say: one port on, or see ``local_port``.
+
+    Raises:
+        CommandError: the settings are wrong.
+    """
     try:
-        config = zenoh.Config.from_file(settings.config) if settings.config else zenoh.Config()
+        return next_ports(said_of(settings).listen) or local_port(settings)
+    except ValueError as error:
+        raise CommandError(f"wrong Zenoh settings: to listen on: {error}", ExitCode.USAGE) from error
 
-        def says(path: str) -> bool:
-            return bool(config.get_json(path) != start.get_json(path))
 
-        connect = settings.connect or ([] if says(CONNECT) else [DEFAULT_ENDPOINT])
-        for path, value in session_settings(settings, connect, listen, says).items():
-            config.insert_json5(path, json.dumps(value))
-        if not says(BATCH_SIZE):
-            config.insert_json5(BATCH_SIZE, json.dumps(BATCH_BYTES))
+class _File:
+    """The configuration file, if one is set, or else Zenoh's start values."""
+
+    def __init__(self, settings: ZenohSettings) -> None:
+        try:
+            self.config = zenoh.Config.from_file(settings.config) if settings.config else zenoh.Config()
+        except zenoh.ZError as error:
+            raise CommandError(f"wrong Zenoh settings: {reason(str(error))}", ExitCode.USAGE) from error
+
+    def says(self, path: str) -> Json:
+        """What it says of its own at a path; None if nothing."""
+        value: Json = json.loads(self.config.get_json(path))
+        return None if value == json.loads(zenoh.Config().get_json(path)) else value
+
+
+def _configuration(settings: ZenohSettings, listen: Sequence[str] = ()) -> zenoh.Config:
+    """The configuration file, if one is set, with our settings over it."""
+    file = _File(settings)
+    connect = said_of(settings).connect
+    ours = session_settings(settings, connect, listen, lambda path: file.says(path) is not None)
+    if file.says(BATCH_SIZE) is None:
+        ours[BATCH_SIZE] = BATCH_BYTES
+    try:
+        for path, value in ours.items():
+            file.config.insert_json5(path, json.dumps(value))
     except zenoh.ZError as error:
         raise CommandError(f"wrong Zenoh settings: {reason(str(error))}", ExitCode.USAGE) from error
-    return config
+    return file.config

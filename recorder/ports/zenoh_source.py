@@ -10,7 +10,7 @@ from typing import Any, Final
 import msgspec
 import zenoh
 
-from recorder.ports.zenoh_session import open_session
+from recorder.ports.zenoh_session import open_session, said_of
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
@@ -97,7 +97,9 @@ class ZenohSource:
     def __init__(self, settings: ZenohSettings, key_expressions: Sequence[str], queue_samples: int) -> None:
         self._expressions = _distinct(key_expressions)
         self._pending: list[tuple[str, _Replies]] = []
-        self._session = open_session(settings)
+        self.listen = said_of(settings).listen
+        """Where it listens."""
+        self._session = open_session(settings, self.listen)
         self._subscribers: list[_Samples] = [
             self._session.declare_subscriber(expression, zenoh.handlers.RingChannel(queue_samples))
             for expression in self._expressions

@@ -3,7 +3,21 @@
 import pytest
 
 from schemas.settings import ZenohSettings
-from schemas.zenoh_link import CONNECT, LEASE, LISTEN, MODE, MULTICAST, reason, session_settings
+from schemas.zenoh_link import (
+    CONNECT,
+    LEASE,
+    LISTEN,
+    MODE,
+    MULTICAST,
+    Json,
+    allows,
+    is_loopback,
+    next_ports,
+    own_endpoint,
+    reason,
+    said,
+    session_settings,
+)
 
 ENDPOINT = "tcp/127.0.0.1:7447"
 
@@ -14,13 +28,97 @@ def test_multicast_is_off_unless_the_users_own_file_says_otherwise() -> None:
     assert MULTICAST not in session_settings(ZenohSettings(), [], [], lambda path: path == MULTICAST)
 
 
-@pytest.mark.parametrize("path", [CONNECT, LISTEN])
-def test_a_files_endpoints_hold_where_none_are_given(path: str) -> None:
+def test_a_files_endpoints_to_connect_to_hold_where_none_are_given() -> None:
     """Endpoints that are given win over the file; where none are, the file's own stay."""
-    given = session_settings(ZenohSettings(), [ENDPOINT], [ENDPOINT], lambda _: True)
-    assert given[path] == [ENDPOINT]
-    assert path not in session_settings(ZenohSettings(), [], [], lambda _: True)
-    assert session_settings(ZenohSettings(), [], [])[path] == []
+    given = session_settings(ZenohSettings(), [ENDPOINT], [], lambda _: True)
+    assert given[CONNECT] == [ENDPOINT]
+    assert CONNECT not in session_settings(ZenohSettings(), [], [], lambda _: True)
+    assert session_settings(ZenohSettings(), [], [])[CONNECT] == []
+
+
+@pytest.mark.parametrize("listen", [[], [ENDPOINT]])
+@pytest.mark.parametrize("of_file", [True, False])
+def test_what_is_listened_on_is_what_is_given(listen: list[str], *, of_file: bool) -> None:
+    """Neither a file nor Zenoh's own start value, which is every address, adds an endpoint to listen on."""
+    assert session_settings(ZenohSettings(), [], listen, lambda _: of_file)[LISTEN] == listen
+
+
+OTHER = "tls/[::1]:7500"
+
+
+@pytest.mark.parametrize(
+    ("of_file", "settings", "mode", "connect", "listen"),
+    [
+        ({}, ZenohSettings(), "peer", [], []),
+        ({CONNECT: [ENDPOINT], LISTEN: [OTHER]}, ZenohSettings(), "peer", [ENDPOINT], [OTHER]),
+        ({LISTEN: {"peer": OTHER, "router": [ENDPOINT]}}, ZenohSettings(), "peer", [], [OTHER]),
+        ({LISTEN: {"router": [ENDPOINT]}}, ZenohSettings(), "peer", [], []),
+        ({MODE: "router", LISTEN: {"router": [ENDPOINT]}}, ZenohSettings(), "router", [], [ENDPOINT]),
+        ({LISTEN: [OTHER]}, ZenohSettings(connect=[ENDPOINT]), "peer", [ENDPOINT], [OTHER]),
+        ({LISTEN: [OTHER], CONNECT: [OTHER]}, ZenohSettings(listen=[ENDPOINT]), "peer", [OTHER], [ENDPOINT]),
+        ({MODE: "client", LISTEN: [OTHER]}, ZenohSettings(), "client", [], []),
+        ({MODE: "client"}, ZenohSettings(listen=[OTHER]), "client", [], []),
+        ({MODE: "client", LISTEN: [OTHER]}, ZenohSettings(given=frozenset({"mode"})), "peer", [], [OTHER]),
+    ],
+)
+def test_what_is_said_of_a_session(
+    of_file: dict[str, Json], settings: ZenohSettings, mode: str, connect: list[str], listen: list[str]
+) -> None:
+    """A setting wins over the file, the file is read in each of Zenoh's forms, and a client listens on nothing."""
+    assert said(settings, of_file.get)[:3] == (mode, connect, listen)
+    assert said(settings, of_file.get).is_mode_given == (MODE in of_file or "mode" in settings.given)
+
+
+@pytest.mark.parametrize(
+    ("listen", "beside", "own"),
+    [
+        ("tcp/0.0.0.0:7447", "tcp/0.0.0.0:7448", "tcp/127.0.0.1:7447"),
+        ("tcp/[::]:1", "tcp/[::]:2", "tcp/[::1]:1"),
+        ("tcp/10.0.0.7:0", "tcp/10.0.0.7:0", "tcp/10.0.0.7:0"),
+        (
+            "tcp/robot.example:7447?rel=1#iface=eth0",
+            "tcp/robot.example:7448?rel=1#iface=eth0",
+            "tcp/robot.example:7447?rel=1",
+        ),
+        ("tls/0.0.0.0:7447", "tls/0.0.0.0:7448", "tls/127.0.0.1:7447#verify_name_on_connect=false"),
+        ("quic/[::1]:9#a=b", "quic/[::1]:10#a=b", "quic/[::1]:9#verify_name_on_connect=false"),
+    ],
+)
+def test_a_second_session_stands_beside_the_first(listen: str, beside: str, own: str) -> None:
+    """It listens on the same address and the next port, and reaches the first one from this machine."""
+    assert (next_ports([listen]), own_endpoint(listen)) == ([beside], own)
+
+
+@pytest.mark.parametrize("listen", ["tcp/127.0.0.1:65535", "unixsock-stream//run/robot.sock", "nonsense"])
+def test_where_no_port_comes_next_there_is_none(listen: str) -> None:
+    """Nothing is made up: the caller has to say where."""
+    with pytest.raises(ValueError, match="port"):
+        next_ports([listen])
+
+
+def test_protocols_that_a_file_does_not_name_are_not_allowed() -> None:
+    """A file that says nothing of protocols allows all."""
+    assert allows(None, ENDPOINT)
+    assert allows(["tls", "tcp"], ENDPOINT)
+    assert not allows(["tls"], ENDPOINT)
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "stays"),
+    [
+        (ENDPOINT, True),
+        ("tls/localhost:1", True),
+        ("tcp/[::1]:1", True),
+        ("unixsock-stream//run/robot.sock", True),
+        ("tcp/10.0.0.1:1", False),
+        ("tcp/[::]:1", False),
+        ("tcp/127.example:1", False),
+        ("nonsense", False),
+    ],
+)
+def test_an_endpoint_of_this_machine(endpoint: str, *, stays: bool) -> None:
+    """What may lead elsewhere counts as elsewhere."""
+    assert is_loopback(endpoint) is stays
 
 
 @pytest.mark.parametrize(("name", "path"), [("mode", MODE), ("lease_ms", LEASE)])
@@ -29,7 +127,7 @@ def test_a_files_word_holds_against_a_start_value_not_against_a_given_one(name: 
     assert path in session_settings(ZenohSettings(), [], [])
     assert path not in session_settings(ZenohSettings(), [], [], lambda _: True)
     given = ZenohSettings(given=frozenset({name}))
-    assert list(session_settings(given, [], [], lambda _: True)) == [path]
+    assert set(session_settings(given, [], [], lambda _: True)) == {path, LISTEN}
 
 
 def test_a_reason_is_one_clean_line() -> None:

@@ -10,9 +10,9 @@ from gateway.ports.zenoh_client import (
     client_endpoints,
     close_session,
     lease_in_force_ms,
-    mode_in_force,
     open_session,
     place,
+    said_of,
 )
 from gateway.telemetry.heard import Heard, Received, TokenChange
 from schemas import codec
@@ -44,7 +44,7 @@ def test_multicast_is_off_and_nothing_listens_unless_asked() -> None:
 
 
 def test_a_zenoh_file_that_says_nothing_of_it_changes_neither(tmp_path: Path) -> None:
-    """With a Zenoh file multicast stays off and nothing listens, unless the file itself asks for it."""
+    """Multicast stays off unless a Zenoh file asks for it; a command listens on nothing, whatever it says."""
     file = tmp_path / "zenoh.json5"
     file.write_text("{ transport: { link: { tx: { keep_alive: 5 } } } }")
     config = _configuration(ZenohSettings(config=str(file)), [], [])
@@ -56,7 +56,7 @@ def test_a_zenoh_file_that_says_nothing_of_it_changes_neither(tmp_path: Path) ->
     )
     config = _configuration(ZenohSettings(config=str(file)), [], [])
     assert json.loads(config.get_json("scouting/multicast/enabled")) is True
-    assert json.loads(config.get_json("listen/endpoints")) == ["tcp/127.0.0.1:7500"]
+    assert json.loads(config.get_json("listen/endpoints")) == []
     assert json.loads(config.get_json("connect/endpoints")) == ["tcp/127.0.0.1:7501"]
     config = _configuration(ZenohSettings(config=str(file)), ["tcp/127.0.0.1:7502"], [])
     assert json.loads(config.get_json("connect/endpoints")) == ["tcp/127.0.0.1:7502"]
@@ -75,7 +75,7 @@ def test_what_a_zenoh_file_says_holds_unless_a_setting_is_given(tmp_path: Path) 
         settings = merge(None, {"CRUISER_ZENOH_CONFIG": str(file)}, flags).zenoh
         config = _configuration(settings, [], [])
         read = [json.loads(config.get_json(path)) for path in others]
-        return [mode_in_force(settings), lease_in_force_ms(settings), *read]
+        return [said_of(settings).mode, lease_in_force_ms(settings), *read]
 
     assert in_force_with({}) == ["client", 3000, False, 4]
     assert in_force_with({"zenoh.mode": "peer", "zenoh.lease_ms": 1000}) == ["peer", 1000, False, 4]
@@ -98,8 +98,8 @@ def test_a_command_connects_to_this_machine_unless_told_otherwise(tmp_path: Path
     assert client_endpoints(ZenohSettings(connect=["tcp/127.0.0.1:1"])) == ["tcp/127.0.0.1:1"]
     file = tmp_path / "zenoh.json5"
     file.write_text("{ connect: { endpoints: ['tcp/127.0.0.1:7501'] } }")
-    assert client_endpoints(ZenohSettings(config=str(file))) == []
-    assert str(file) in place(ZenohSettings(config=str(file)))
+    assert client_endpoints(ZenohSettings(config=str(file))) == ["tcp/127.0.0.1:7501"]
+    assert place(ZenohSettings(config=str(file))) == "tcp/127.0.0.1:7501"
     file.write_text("{}")
     assert client_endpoints(ZenohSettings(config=str(file))) == [DEFAULT_ENDPOINT]
 

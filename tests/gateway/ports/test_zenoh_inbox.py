@@ -11,16 +11,17 @@ import zenoh
 
 from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest
+from gateway.ports import zenoh_inbox
 from gateway.ports.zenoh_client import close_session, open_session
 from gateway.ports.zenoh_inbox import (
     DRIVES_WAITING,
     STOPS_WAITING,
     VERBS_WAITING,
     CommandInbox,
-    command_endpoints,
     open_inbox,
 )
-from gateway.ports.zenoh_node import open_node
+from gateway.ports.zenoh_node import Place, open_node
+from schemas.exit_codes import CommandError
 from schemas.settings import (
     DRIVES_PER_TICK,
     REQUEST_MAX_BYTES,
@@ -330,8 +331,8 @@ def test_a_deleted_key_is_an_empty_request(bench: Bench) -> None:
 def test_it_is_found_through_the_telemetry_session() -> None:
     """Whoever connects to the gateway's one known endpoint reaches the commands' session too, client or peer."""
     settings = Settings(zenoh=ZenohSettings(listen=[free_endpoint()]), robot=RobotSettings(name="cruiser-1"))
-    node, _ = open_node(settings)
-    with closing(node), closing(open_inbox(settings)) as inbox:
+    node, place = open_node(settings)
+    with closing(node), closing(open_inbox(settings, place)) as inbox:
         modes: tuple[Literal["client", "peer"], ...] = ("client", "peer")
         for mode in modes:
             reach_from(open_session(ZenohSettings(mode=mode), settings.zenoh.listen, []), inbox)
@@ -346,8 +347,8 @@ def reach_from(session: zenoh.Session, inbox: CommandInbox) -> None:
 def test_the_gateways_own_session_is_nobody_who_is_connected() -> None:
     """A gateway that is alone says so, although its session for commands is a node beside that for telemetry."""
     settings = Settings(zenoh=ZenohSettings(listen=[free_endpoint()]))
-    node, _ = open_node(settings)
-    with closing(node), closing(open_inbox(settings)) as inbox:
+    node, place = open_node(settings)
+    with closing(node), closing(open_inbox(settings, place)) as inbox:
         wait_until(lambda: node.peers() == 1)
         node.disregard(inbox.node)
         assert node.peers() == 0
@@ -357,27 +358,21 @@ def test_the_gateways_own_session_is_nobody_who_is_connected() -> None:
         wait_until(lambda: node.peers() == 0)
 
 
-@pytest.mark.parametrize(
-    ("settings", "connect", "listen"),
-    [
-        (ZenohSettings(), ["tcp/127.0.0.1:7447"], ["tcp/127.0.0.1:0"]),
-        (ZenohSettings(listen=["tcp/0.0.0.0:7447"]), ["tcp/127.0.0.1:7447"], ["tcp/0.0.0.0:0"]),
-        (ZenohSettings(listen=["tcp/[::]:1"]), ["tcp/[::1]:1"], ["tcp/[::]:0"]),
-        (
-            ZenohSettings(connect=["tcp/10.0.0.1:7447"], listen=["tcp/127.0.0.1:1"]),
-            ["tcp/10.0.0.1:7447", "tcp/127.0.0.1:1"],
-            ["tcp/127.0.0.1:0"],
-        ),
-        (
-            ZenohSettings(listen=["tcp/127.0.0.1:1"], command_listen=["tcp/127.0.0.1:2"]),
-            ["tcp/127.0.0.1:1"],
-            ["tcp/127.0.0.1:2"],
-        ),
-        (ZenohSettings(mode="client", connect=["tcp/10.0.0.1:7447"]), ["tcp/10.0.0.1:7447"], []),
-    ],
-)
-def test_the_command_session_stands_beside_the_other(
-    settings: ZenohSettings, connect: list[str], listen: list[str]
+def test_a_port_for_commands_that_is_taken_is_told() -> None:
+    """The gateway does not listen elsewhere instead: it says which port, and which setting."""
+    settings = Settings(zenoh=ZenohSettings(listen=[free_endpoint()]))
+    node, place = open_node(settings)
+    taken = open_session(ZenohSettings(), [], place.command_listen)
+    with closing(node), pytest.raises(CommandError, match=rf"{place.command_listen[0]} \(zenoh.command_listen\)"):
+        open_inbox(settings, place)
+    close_session(taken)
+
+
+def test_a_gateway_whose_sessions_do_not_meet_says_so(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """It connects to where that one listens, and listens on the same addresses, on ports of its own."""
-    assert command_endpoints(settings) == (connect, listen)
+    """Who connects to the telemetry session would find no commands, and no stop."""
+    monkeypatch.setattr(zenoh_inbox, "OWN_LINK_TIMEOUT_S", 0.1)
+    place = Place("another", [], [free_endpoint()], [free_endpoint()])
+    with closing(open_inbox(Settings(), place)):
+        assert "cannot command this robot, nor stop it" in caplog.text

@@ -49,10 +49,11 @@ def settings(name: str) -> Settings:
 def test_the_second_gateway_joins_the_first(default_endpoint: str, watcher: zenoh.Session) -> None:
     """The port is taken by a Zenoh node: the second is reached through it, and both are heard there."""
     subscriber = watcher.declare_subscriber("fleet/*/state", zenoh.handlers.RingChannel(100))
-    first, where = open_node(settings("r-1"))
-    assert where == f"at {default_endpoint}"
-    second, where = open_node(settings("r-2"))
-    assert where == f"through the Zenoh node at {default_endpoint}"
+    first, place = open_node(settings("r-1"))
+    assert (place.connect, place.listen) == ([], [default_endpoint])
+    second, place = open_node(settings("r-2"))
+    assert place.connect == [default_endpoint]
+    assert all(one.startswith("tcp/127.0.0.1:") for one in (*place.listen, *place.command_listen))
     heard: set[str] = set()
 
     def publish_and_hear() -> None:
@@ -74,8 +75,8 @@ def test_a_second_gateway_of_the_same_name_is_refused(default_endpoint: str) -> 
         open_node(settings("r-1"))
     assert error.value.code is ExitCode.REFUSED
     first.close()
-    again, where = open_node(settings("r-1"))
-    assert where == f"at {default_endpoint}"
+    again, place = open_node(settings("r-1"))
+    assert place.listen == [default_endpoint]
     again.close()
 
 
@@ -106,8 +107,8 @@ def test_a_zenoh_file_makes_a_gateway_a_client(default_endpoint: str, tmp_path: 
     file = tmp_path / "zenoh.json5"
     file.write_text(f"{{ mode: 'client', connect: {{ endpoints: ['{default_endpoint}'] }} }}")
     router, _ = open_node(settings("r-1"))
-    client, where = open_node(Settings(robot=RobotSettings(name="r-2"), zenoh=ZenohSettings(config=str(file))))
-    assert where == f"client of the endpoints of {file}"
+    client, place = open_node(Settings(robot=RobotSettings(name="r-2"), zenoh=ZenohSettings(config=str(file))))
+    assert str(place) == f"listens on nothing, is a client of {default_endpoint}"
     assert client.peers() == 1
     client.close()
     router.close()

@@ -1,6 +1,7 @@
 """A gateway's voice on Zenoh without a gateway: state, health and token, as the subject table says."""
 
 import socket
+from contextlib import suppress
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Self
@@ -93,10 +94,14 @@ HEALTH = GatewayHealth(
 
 
 def free_endpoint() -> str:
-    """A TCP endpoint of this machine that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    """A TCP endpoint of this machine that nobody listens on, nor on the port after it: a gateway takes both."""
+    while True:
+        with socket.socket() as probe, socket.socket() as after:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+            with suppress(OSError, OverflowError):
+                after.bind(("127.0.0.1", port + 1))
+                return f"tcp/127.0.0.1:{port}"
 
 
 @dataclass
