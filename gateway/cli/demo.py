@@ -27,6 +27,7 @@ from gateway.sim.links import LINKS
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.reasons import Reason
 from schemas.settings import Settings
+from schemas.zenoh_link import ANY_LOCAL_PORT
 
 EXAMPLE = "  cruiser demo --seconds 40 --out demo-log"
 
@@ -206,7 +207,9 @@ def _record(
         bus = ["--interface", "socketcand", "--channel", ready[1]]
         # A stop by the guard in another run must not latch the demo's robot, nor the other way round.
         words = [*configuration, *bus, "--listen", endpoint]
-        gateway = stack.enter_context(Child("gateway", words, CRUISER_GATEWAY_STATE_DIR=""))
+        # The port after that of a free endpoint may be taken.
+        own = {"CRUISER_GATEWAY_STATE_DIR": "", "CRUISER_ZENOH_COMMAND_LISTEN": ANY_LOCAL_PORT}
+        gateway = stack.enter_context(Child("gateway", words, **own))
         gateway.wait_ready()
         recorder = stack.enter_context(
             Child(
