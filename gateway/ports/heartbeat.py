@@ -6,6 +6,7 @@ the other slot whole, and what is half written, or seen out of order by another 
 
 from __future__ import annotations
 
+import fcntl
 import mmap
 import os
 import struct
@@ -78,9 +79,14 @@ class Heartbeat:
 
     @classmethod
     def create(cls) -> Self:
-        """New memory, which no file names."""
-        descriptor = os.memfd_create("cruiser-heartbeat")
+        """New memory, which no file names and nobody can resize.
+
+        Any process of the same user can open it through /proc. If it could be truncated, the next access would
+        kill gateway and guard alike (SIGBUS), and nobody would be left to stop the robot.
+        """
+        descriptor = os.memfd_create("cruiser-heartbeat", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
         os.ftruncate(descriptor, SIZE_BYTES)
+        fcntl.fcntl(descriptor, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL)
         return cls(descriptor)
 
     def close(self) -> None:
