@@ -9,6 +9,7 @@ import json
 import logging
 import socket
 import time
+from collections import deque
 from collections.abc import Iterator
 from types import TracebackType
 from typing import Final, Self
@@ -41,6 +42,11 @@ log = logging.getLogger(__name__)
 SAMPLES_WAITING: Final = 4096
 """Samples of one subscription that may wait to be drained; beyond it the oldest go."""
 
+REPLIES_WAITING: Final = 16_384
+"""Replies to one question that may wait to be polled; beyond it the oldest go. A fleet's stop has one a robot."""
+
+_TIMEOUT: Final = b"Timeout"
+"""What Zenoh itself replies to a query whose time is over."""
 
 _WAIT_BEFORE_CLOSE: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"
 
@@ -209,6 +215,51 @@ def place(settings: ZenohSettings) -> str:
     return ", ".join(map(plain, client_endpoints(settings)))
 
 
+class Question:
+    """A query that is under way. Its replies wait here, and not in one of Zenoh's own channels.
+
+    A FIFO channel that is full holds up Zenoh's thread, and then the next query of this session waits for ever. A
+    ring channel loses what is in it when the query ends.
+
+    Attributes:
+        handler: to be given to the query.
+        is_over: no further reply will come.
+        timed_out: it ended before everybody who was asked had answered.
+    """
+
+    def __init__(self) -> None:
+        self.is_over = False
+        self.timed_out = False
+        self._arrived: deque[zenoh.Reply] = deque(maxlen=REPLIES_WAITING)
+        self._ended: list[None] = []
+        # On a thread of Zenoh's for Python alone, which waits for nothing here.
+        self.handler: zenoh.handlers.Callback[zenoh.Reply] = zenoh.handlers.Callback(
+            self._arrived.append, lambda: self._ended.append(None)
+        )
+
+    def poll(self) -> list[Received]:
+        """The replies that have come since the last time, a bounded number."""
+        found: list[Received] = []
+        # Looked at first: what came before the end is in this poll.
+        is_over = bool(self._ended)
+        for _ in range(len(self._arrived)):
+            reply = self._arrived.popleft()
+            sample = reply.ok
+            if sample is not None:
+                found.append(Received(str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes()))
+            elif reply.err is not None and reply.err.payload.to_bytes() == _TIMEOUT:
+                self.timed_out = True
+        self.is_over = is_over
+        return found
+
+
+def call_roll(session: zenoh.Session, key: str, timeout_s: float) -> Question:
+    """Ask for the liveliness tokens under a key."""
+    question = Question()
+    session.liveliness().get(key, question.handler, timeout=timeout_s)
+    return question
+
+
 class RobotListener:
     """Receives ``state``, ``safety/state``, ``gateway/health`` and liveliness tokens of one robot, or of all."""
 
@@ -229,8 +280,9 @@ class RobotListener:
             )
             for subject in ("state", "safety/state", "gateway/health")
         )
+        self._roll = keys.liveliness(robot.root, chunk)
         self._tokens = session.liveliness().declare_subscriber(
-            keys.liveliness(robot.root, chunk), zenoh.handlers.RingChannel(SAMPLES_WAITING), history=True
+            self._roll, zenoh.handlers.RingChannel(SAMPLES_WAITING), history=True
         )
 
     @classmethod
@@ -246,6 +298,14 @@ class RobotListener:
         """Is any Zenoh node connected directly? A peer's session is open although none is."""
         info = self._session.info
         return bool(info.peers_zid() or info.routers_zid())
+
+    def links(self) -> frozenset[str]:
+        """The connections to other nodes. One that is lost and made anew is another."""
+        return frozenset(f"{link.src} {link.dst}" for link in self._session.info.links())
+
+    def call_roll(self, timeout_s: float) -> Question:
+        """Ask for the liveliness tokens; the robots that have one are heard by ``drain`` as well."""
+        return call_roll(self._session, self._roll, timeout_s)
 
     def drain(self) -> Iterator[Heard]:
         """What has arrived since the last time."""

@@ -1,7 +1,7 @@
 """The operator's side of Zenoh: commands on a session of their own, and what a robot's arbiter says on another.
 
 A subscriber that is slow starves whatever else is on its session, so commands share theirs with no subscriber. No
-Python of ours runs on Zenoh's threads: replies and samples wait in channels until they are asked for.
+Python of ours runs on Zenoh's threads: replies and samples wait until they are asked for.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, Final, Self
 import zenoh
 from zenoh import ext
 
-from gateway.ports.zenoh_client import close_session, open_towards_robots
+from gateway.ports.zenoh_client import Question, call_roll, close_session, open_towards_robots
 from gateway.telemetry.heard import Received
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
@@ -33,38 +33,11 @@ EVENTS_WAITING: Final = 4096
 EVENTS_OF_BEFORE: Final = 50
 """This many events of before it listened are heard too."""
 
-REPLIES_WAITING: Final = 256
-"""Replies to one question: a stop of a whole fleet has one for each robot."""
-
 FURTHER_S: Final = 0.2
 """Who else answers has so long after the first reply. The reply of a robot that is alone ends the question."""
 
 POLL_S: Final = 0.002
 """How often a reply is looked for."""
-
-
-class Question:
-    """A query that is under way.
-
-    Attributes:
-        is_over: no further reply will come.
-    """
-
-    def __init__(self, replies: Any) -> None:  # noqa: ANN401 - Zenoh's handlers have no common type
-        self.is_over = False
-        self._replies = replies
-
-    def poll(self) -> list[Received]:
-        """The replies that have come since the last time."""
-        found: list[Received] = []
-        try:
-            while (reply := self._replies.try_recv()) is not None:
-                sample = reply.ok
-                if sample is not None:
-                    found.append(Received(str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes()))
-        except zenoh.ZError:  # The channel is empty, and closed: the query has ended.
-            self.is_over = True
-        return found
 
 
 class CommandPort:
@@ -84,6 +57,8 @@ class CommandPort:
             "congestion_control": zenoh.CongestionControl.DROP,
             "express": COMMAND_QOS.express,
         }
+        # A reply is as express as its question, and then has a batch of its own: most of a fleet's were dropped.
+        self._asking_qos = self._qos | {"express": COMMAND_QOS.express and robot != keys.ALL}
         # Its stub says that the matching status is a bool; it is an object, and always true.
         self._querier: Any = session.declare_querier(self._keys["acquire"])
 
@@ -123,20 +98,21 @@ class CommandPort:
         Raises:
             CommandError: the session is closed.
         """
+        question = Question()
         try:
-            replies = self._session.get(
+            self._session.get(
                 self._keys[verb],
-                handler=zenoh.handlers.FifoChannel(REPLIES_WAITING),
+                handler=question.handler,
                 payload=payload,
                 encoding=BY_VERB[verb].encoding,
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 timeout=timeout_s,
-                **self._qos,
+                **self._asking_qos,
             )
         except zenoh.ZError as error:
             raise CommandError(f"cannot ask: {reason(str(error))}", ExitCode.UNREACHABLE) from error
-        return Question(replies)
+        return question
 
     def ask(self, verb: str, payload: bytes, timeout_s: float) -> list[Received]:
         """Ask, and wait for all replies; after the first, others have ``FURTHER_S`` to come.
@@ -160,8 +136,7 @@ class CommandPort:
 
     def call_roll(self, timeout_s: float) -> Question:
         """Ask for the liveliness tokens of the robots that are connected."""
-        handler: Any = zenoh.handlers.FifoChannel(REPLIES_WAITING)
-        return Question(self._session.liveliness().get(self._roll, handler, timeout=timeout_s))
+        return call_roll(self._session, self._roll, timeout_s)
 
     def close(self) -> None:
         """Leave Zenoh."""

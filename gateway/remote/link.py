@@ -11,7 +11,8 @@ from typing import Final
 
 import msgspec
 
-from gateway.ports.zenoh_operator import CommandPort, Question, SafetyListener
+from gateway.ports.zenoh_client import Question
+from gateway.ports.zenoh_operator import CommandPort, SafetyListener
 from gateway.remote.drive_stream import PERIOD_S, SILENT_NS, DriveStream
 from gateway.remote.refusal import Unreachable, refused
 from gateway.remote.reply import BY_REQUEST, CONTRADICTION, contradict, encode_request, read_reply

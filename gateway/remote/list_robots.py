@@ -10,9 +10,10 @@ from typing import Final
 
 import msgspec
 
-from gateway.ports.zenoh_client import RobotListener, place
+from gateway.ports.zenoh_client import Question, RobotListener, place
 from gateway.remote import view
 from gateway.remote.fleet import Fleet, RobotReport
+from gateway.telemetry.heard import TokenChange
 from schemas.arguments import add_zenoh_arguments, seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
@@ -42,46 +43,84 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """List the robots. Exit code 0 if there are any, 1 if there are none.
+    """List the robots. Exit code 0 if there are any, 1 if there are none, 3 if not all may be in the list.
 
     Raises:
-        CommandError: no Zenoh node answers.
+        CommandError: no Zenoh node answers, or it does not say in time who is connected.
     """
-    deadline_s = time.monotonic() + arguments.timeout
+    where = place(settings.zenoh)
     with RobotListener.open(settings) as listener:
-        reports = _collect(listener, Fleet(settings.robot.root), deadline_s, stopped)
-    if reports is None:
-        raise CommandError(
-            f"no Zenoh node answered within {arguments.timeout:g} s at {place(settings.zenoh)}",
-            ExitCode.UNREACHABLE,
-        )
+        search = _Search(listener, Fleet(settings.robot.root), time.monotonic() + arguments.timeout)
+        reports = search.run(stopped)
+    if not search.linked:
+        text = f"no Zenoh node answered within {arguments.timeout:g} s at {where}"
+        raise CommandError(text, ExitCode.UNREACHABLE)
+    if not reports and not search.is_complete:
+        text = f"the Zenoh node at {where} did not say within {arguments.timeout:g} s which robots are connected"
+        raise CommandError(text, ExitCode.UNREACHABLE)
     for report in reports:
         text = msgspec.json.encode(report).decode() if arguments.json else view.health_line(report)
         sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
     if not reports:
-        sys.stderr.write(f"no robot is connected at {place(settings.zenoh)}\n")
-    return int(ExitCode.OK if reports else ExitCode.FAILURE)
+        sys.stderr.write(f"no robot is connected at {where}\n")
+        return int(ExitCode.FAILURE)
+    if not search.is_complete:
+        sys.stderr.write(f"there may be more: not everybody answered within {arguments.timeout:g} s at {where}\n")
+        return int(ExitCode.PARTIAL)
+    return int(ExitCode.OK)
 
 
-def _collect(
-    listener: RobotListener, fleet: Fleet, deadline_s: float, stopped: Callable[[], bool]
-) -> list[RobotReport] | None:
-    """Every robot's report, once all have sent their health and no other appears; None if nobody answers."""
-    connected = False
-    settled_s = 0.0
-    known: set[str] = set()
-    while not stopped() and time.monotonic() < deadline_s:
+class _Search:
+    """Looks for robots until all have sent their health and no other appears.
+
+    Attributes:
+        linked: a Zenoh node is connected.
+        is_complete: everybody who is connected has been asked which robots are there, and has answered.
+    """
+
+    def __init__(self, listener: RobotListener, fleet: Fleet, deadline_s: float) -> None:
+        self.linked = False
+        self.is_complete = False
+        self._listener = listener
+        self._fleet = fleet
+        self._deadline_s = deadline_s
+        self._settled_s = 0.0
+        self._links: frozenset[str] = frozenset()
+        self._roll: Question | None = None
+        self._known: set[str] = set()
+
+    def run(self, stopped: Callable[[], bool]) -> list[RobotReport]:
+        """Every robot's report."""
+        while not stopped() and time.monotonic() < self._deadline_s and not self._step(time.monotonic_ns()):
+            time.sleep(POLL_S)
         now_ns = time.monotonic_ns()
-        for heard in listener.drain():
-            fleet.hear(heard, now_ns)
-        robots = set(fleet.robots(now_ns))
-        if robots != known or not connected:
-            known = robots
-            connected = listener.connected()
-            settled_s = time.monotonic() + SETTLE_S
-        silent = [robot for robot in known if fleet.report(robot, now_ns).health is None]
-        if connected and not silent and time.monotonic() >= settled_s:
-            break
-        time.sleep(POLL_S)
-    now_ns = time.monotonic_ns()
-    return [fleet.report(robot, now_ns) for robot in fleet.robots(now_ns)] if connected else None
+        return [self._fleet.report(robot, now_ns) for robot in self._fleet.robots(now_ns)]
+
+    def _step(self, now_ns: int) -> bool:
+        """Take in what has arrived. Is there nothing more to wait for?"""
+        for heard in self._listener.drain():
+            self._fleet.hear(heard, now_ns)
+        robots = set(self._fleet.robots(now_ns))
+        links = self._listener.links()
+        if robots != self._known or links != self._links:
+            self._known = robots
+            self._settled_s = time.monotonic() + SETTLE_S
+        if links != self._links:
+            # A link that is lost ends the question too, and one that is new was not asked.
+            self._links, self._roll, self.is_complete = links, None, False
+        silent = any(self._fleet.report(robot, now_ns).health is None for robot in robots)
+        if self.is_complete and not silent and time.monotonic() >= self._settled_s:
+            return True
+        if links:
+            self.linked = True
+            self._call_roll(now_ns)
+        return False
+
+    def _call_roll(self, now_ns: int) -> None:
+        """Ask who is there. On a busy network the answer takes longer than robots follow each other."""
+        if self._roll is None:
+            self._roll = self._listener.call_roll(max(self._deadline_s - time.monotonic(), POLL_S))
+        for received in self._roll.poll():
+            self._fleet.hear(TokenChange(received.key, present=True), now_ns)
+        self.is_complete = self._roll.is_over and not self._roll.timed_out

@@ -15,8 +15,8 @@ from typing import Final
 
 import msgspec
 
-from gateway.ports.zenoh_client import RobotListener
-from gateway.ports.zenoh_operator import CommandPort, Question
+from gateway.ports.zenoh_client import Question, RobotListener
+from gateway.ports.zenoh_operator import CommandPort
 from gateway.remote.evidence import Evidence
 from gateway.remote.reply import CONTRADICTION, contradict, read_reply
 from gateway.telemetry.heard import Heard, Received

@@ -1,4 +1,4 @@
-"""A TCP proxy on the loopback that stops reading on command: a peer that is connected and takes no more."""
+"""A TCP proxy on the loopback: a way back that stops on command, or is slow."""
 
 import select
 import socket
@@ -9,11 +9,19 @@ from typing import Final, Self
 BUFFER_BYTES: Final = 65_536
 """Small, so that what is not read fills the way soon."""
 
+SLOW_BYTES: Final = 64
+"""Of a slow way so many are read at a time."""
+
 
 class TcpProxy:
-    """Forwards one connection to ``endpoint``, both ways until ``stall``; then nothing comes back from there."""
+    """Forwards one connection to ``endpoint``, both ways until ``stall``; then nothing comes back from there.
 
-    def __init__(self, endpoint: str) -> None:
+    Attributes:
+        slowness_s: a wait after each 64 bytes that come back from there; 0 for a fast way.
+    """
+
+    def __init__(self, endpoint: str, slowness_s: float = 0) -> None:
+        self.slowness_s = slowness_s
         host, port = endpoint.removeprefix("tcp/").split(":")
         self._server = socket.create_server(("127.0.0.1", 0))
         self.endpoint = f"tcp/127.0.0.1:{self._server.getsockname()[1]}"
@@ -54,7 +62,9 @@ class TcpProxy:
             while not self._ended.is_set():
                 open_ways = [near] if self._stalled.is_set() else list(ways)
                 for source in select.select(open_ways, [], [], 0.01)[0]:
-                    data = source.recv(BUFFER_BYTES)
+                    data = source.recv(SLOW_BYTES if self.slowness_s else BUFFER_BYTES)
                     if not data:
                         return
                     ways[source].sendall(data)
+                    if source is far:
+                        self._ended.wait(self.slowness_s)

@@ -1,12 +1,17 @@
 import json
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
+import zenoh
 
 from gateway.ports.zenoh_client import (
+    REPLIES_WAITING,
+    Question,
     RobotListener,
     _configuration,
+    call_roll,
     client_endpoints,
     close_session,
     lease_in_force_ms,
@@ -222,3 +227,54 @@ def test_one_robot_is_heard_without_the_others() -> None:
 
         wait_until(lambda: len(heard) >= 3, speak)
         assert {one.key for one in heard} <= {"fleet/cruiser-2/state", "fleet/cruiser-2/gateway"}
+
+
+def test_a_flood_of_replies_holds_nothing_up() -> None:
+    """An impostor who answers without end: the next question is put all the same, and memory stays bounded."""
+    listen = free_endpoint()
+    answerer = open_session(ZenohSettings(), [], [listen])
+    asker = open_session(ZenohSettings(), [listen], [])
+    count = 2 * REPLIES_WAITING
+
+    def flood(query: zenoh.Query) -> None:
+        with query:
+            for number in range(count):
+                query.reply("flood", b"%d" % number)
+
+    with answerer.declare_queryable("flood", zenoh.handlers.Callback(flood, indirect=False), complete=True):
+        first, second = Question(), Question()
+        querier: Any = asker.declare_querier(
+            "flood",
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )
+        wait_until(lambda: bool(querier.matching_status.matching))
+        for question in (first, second):
+            querier.get(handler=question.handler)
+        wait_until(lambda: bool(first._ended and second._ended))
+        for question in (first, second):
+            assert [one.payload for one in question.poll()] == [b"%d" % n for n in range(count // 2, count)]
+            assert question.is_over
+            assert not question.timed_out
+    close_session(asker)
+    close_session(answerer)
+
+
+def test_a_question_that_ran_out_of_time_says_so() -> None:
+    """It is over, and not everybody has answered; where nobody had to be asked, everybody has."""
+    listen = free_endpoint()
+    answerer = open_session(ZenohSettings(), [], [listen])
+    asker = open_session(ZenohSettings(), [listen], [])
+    with answerer.declare_queryable("mute", zenoh.handlers.RingChannel(1), complete=True) as mute:
+        question = Question()
+        querier: Any = asker.declare_querier("mute", timeout=0.1)
+        wait_until(lambda: bool(querier.matching_status.matching))
+        querier.get(handler=question.handler)
+        wait_until(lambda: question.poll() == [] and question.is_over)
+        assert question.timed_out
+        assert mute.try_recv() is not None
+    roll = call_roll(asker, "nobody/*", 20)
+    wait_until(lambda: roll.poll() == [] and roll.is_over)
+    assert not roll.timed_out
+    close_session(asker)
+    close_session(answerer)

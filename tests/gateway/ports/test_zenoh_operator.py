@@ -2,12 +2,14 @@ from functools import partial
 
 import pytest
 
+from gateway.ports.zenoh_client import Question
 from gateway.ports.zenoh_operator import CommandPort, SafetyListener
 from gateway.telemetry.heard import Received
-from schemas import codec
+from schemas import codec, keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME
+from tests.gateway.remote.fake_fleet import FakeFleet
 from tests.gateway.remote.fake_gateway import STATE, FakeGateway, free_endpoint
 from tests.gateway.remote.fake_robot import FakeRobot
 from tests.gateway.remote.waiting import wait_until
@@ -59,6 +61,20 @@ def test_a_reply_has_the_key_of_its_robot() -> None:
         received: list[Received] = []
         wait_until(lambda: bool(received), lambda: received.extend(port.ask("stop", b"any bytes", 20)))
         assert {one.key for one in received} == {"fleet/cruiser-1/@cmd/first/stop"}
+
+
+def test_of_a_large_fleet_every_reply_arrives() -> None:
+    """Replies come in one burst and share Zenoh's batches: none is dropped for want of room."""
+    with FakeFleet(1000) as fleet, CommandPort.open(settings_for(fleet.listen), keys.ALL, "first") as port:
+        wait_until(lambda: count_replies(port.call_roll(20)) == len(fleet.names))
+        assert count_replies(port.begin("stop", b"", 20)) == len(fleet.names)
+
+
+def count_replies(question: Question) -> int:
+    """Wait for the end, and count."""
+    found: list[Received] = []
+    wait_until(lambda: question.is_over, lambda: found.extend(question.poll()))
+    return len(found)
 
 
 def test_a_closed_port_neither_hangs_nor_raises_anything_of_zenoh() -> None:

@@ -4,9 +4,12 @@ from collections.abc import Callable
 
 import pytest
 
+from gateway.ports.zenoh_client import Question, RobotListener
 from gateway.remote.list_robots import add_arguments, run
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import RobotSettings, Settings, ZenohSettings
+from tests.gateway.ports.tcp_proxy import TcpProxy
+from tests.gateway.remote.fake_fleet import FakeFleet
 from tests.gateway.remote.fake_gateway import HEALTH, FakeGateway, free_endpoint
 from tests.gateway.remote.waiting import StopWhen, nothing
 
@@ -82,3 +85,25 @@ def test_nobody_there_is_unreachable() -> None:
     with pytest.raises(CommandError, match=f"no Zenoh node answered within 0.5 s at {endpoint}") as caught:
         list_robots(endpoint, "--timeout", "0.5")
     assert caught.value.code is ExitCode.UNREACHABLE
+
+
+def test_a_node_that_does_not_say_who_is_there_is_not_taken_for_an_empty_one(capsys: Capture) -> None:
+    """Over a slow way back the tokens of many robots do not come in time: silence is no answer."""
+    with (
+        FakeFleet(400) as fleet,
+        TcpProxy(fleet.listen, slowness_s=0.05) as proxy,
+        pytest.raises(CommandError, match="did not say within 3 s which robots are connected") as caught,
+    ):
+        list_robots(proxy.endpoint, "--timeout", "3")
+    assert caught.value.code is ExitCode.UNREACHABLE
+    assert capsys.readouterr().out == ""
+
+
+def test_a_list_that_may_not_be_whole_says_so(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot is there, and who else is was not answered in time: exit code 3, and a line that says so."""
+    monkeypatch.setattr(RobotListener, "call_roll", lambda _listener, _timeout_s: Question())
+    with FakeGateway("cruiser-1") as gateway:
+        assert list_robots(gateway.listen, "--timeout", "2") == ExitCode.PARTIAL
+    captured = capsys.readouterr()
+    assert captured.out == "cruiser-1  connected, but no health\n"
+    assert captured.err == f"there may be more: not everybody answered within 2 s at {gateway.listen}\n"

@@ -1,0 +1,55 @@
+"""Many robots on one session, as little of each as a stop and a list need."""
+
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self
+
+import msgspec
+import zenoh
+
+from gateway.ports.zenoh_client import close_session, open_session
+from schemas import keys
+from schemas.decisions import Reply
+from schemas.reasons import Reason
+from schemas.settings import ZenohSettings
+from schemas.subjects import BY_VERB
+from tests.gateway.remote.fake_gateway import ROOT, free_endpoint
+
+STOP = BY_VERB["stop"]
+STOPS = msgspec.msgpack.encode(Reply(ok=True, reason=Reason.NONE, detail="", cure=""))
+
+
+class FakeFleet:
+    """Robots that have a liveliness token and answer a stop.
+
+    Attributes:
+        names: the robots', in alphabetical order.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.listen = free_endpoint()
+        self.names = [f"robot-{number:04}" for number in range(count)]
+
+    def __enter__(self) -> Self:
+        self._session = open_session(ZenohSettings(), [], [self.listen])
+        self._declared: list[Any] = []
+        for name in self.names:
+            self._declared.append(self._session.liveliness().declare_token(keys.liveliness(ROOT, name)))
+            key = keys.command(ROOT, name, keys.ALL, "stop")
+            handler = zenoh.handlers.Callback(_stopping(name), indirect=False)
+            self._declared.append(self._session.declare_queryable(key, handler, complete=True))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        close_session(self._session)
+
+
+def _stopping(name: str) -> Callable[[zenoh.Query], None]:
+    def answer(query: zenoh.Query) -> None:
+        operator, verb = keys.parse_command(str(query.key_expr))
+        with query:
+            query.reply(keys.command(ROOT, name, operator, verb), STOPS, encoding=STOP.reply_encoding)
+
+    return answer
