@@ -252,6 +252,17 @@ class Core:
         return lease.operator if lease is not None else ""
 
     @property
+    def lease_id(self) -> int:
+        """The identifier of the lease in force; 0, which is no lease's, if there is none."""
+        lease = self.command.arbiter.desk.lease if self.command is not None else None
+        return lease.id if lease is not None else 0
+
+    @property
+    def last_sequence(self) -> int:
+        """Of the last drive that was accepted under the lease in force."""
+        return self.command.arbiter.last_sequence if self.command is not None else -1
+
+    @property
     def is_at_rest(self) -> bool:
         """Nothing is sent on the bus."""
         return self.command is None or self.command.arbiter.state is ArbiterState.STANDBY

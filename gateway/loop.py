@@ -94,8 +94,14 @@ class Inbox(Protocol):
 
     drops: int
 
-    def drain(self, holder: str) -> list[RawRequest]:
-        """The requests that wait, stops first, a bounded number; the holder's of the lease before others'."""
+    def drain(self, holder: str, lease: int, after: int) -> list[RawRequest]:
+        """The requests that wait, stops first, a bounded number; the holder's of the lease before others'.
+
+        Args:
+            holder: who holds the lease; empty if nobody does.
+            lease: its number.
+            after: the sequence of the last drive that was accepted.
+        """
         ...
 
     def reply(self, reply: PendingReply) -> None:
@@ -206,7 +212,8 @@ def _tick(
     monotonic_ns, inbox = time.monotonic_ns, around.inbox
     core.observe_links(links, now_ns)
     if inbox is not None:
-        for request in inbox.drain(core.lease_holder):
+        lease = numbers.number_of(core.lease_id)
+        for request in inbox.drain(core.lease_holder, lease, core.last_sequence):
             core.receive_request(numbers.redact(request), now_ns)
     due = core.tick(now_ns, time.time_ns(), late_ns, os.urandom(CHALLENGE_BYTES))
     # Asked once more, right before: this process may have been stopped since, for longer than the guard needs.

@@ -63,14 +63,18 @@ class LeaseNumbers:
         said = _LEASE_REPLY.decode(reply.payload)
         if not said.ok:
             return reply
-        number = next((number for number, known in self._ids.items() if known == said.lease), None)
-        if number is None:
+        number = self.number_of(said.lease)
+        if not number:
             number = self._draw()
             self._ids[number] = said.lease
             if len(self._ids) > _KEPT:
                 del self._ids[next(iter(self._ids))]
         payload = _ENCODER.encode(msgspec.structs.replace(said, lease=number))
         return msgspec.structs.replace(reply, payload=payload)
+
+    def number_of(self, lease_id: int) -> int:
+        """The number of a lease that was given; 0, which is no lease's, for any other."""
+        return next((number for number, known in self._ids.items() if known == lease_id), 0)
 
 
 _ENCODER: Final = msgspec.msgpack.Encoder()

@@ -1,8 +1,9 @@
 """Requests from Zenoh: a session of their own, three kinds of rings, and the replies.
 
 No Python of ours runs on Zenoh's threads: requests wait in ring channels that the loop drains. Where too many
-come, those of the lease's holder go first and the oldest of the others are dropped and counted. Remote stops have
-rings of their own, so that no flood keeps one out.
+come, those of the lease's holder go first and the oldest of the others are dropped and counted. The holder's are
+those that carry the number of its lease: its name alone can be anybody's. Remote stops have rings of their own, so
+that no flood keeps one out.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
 
+import msgspec
 import zenoh
 
 from gateway.command.flow import PendingReply
@@ -46,6 +48,16 @@ PLAIN_REPLY: Final = BY_VERB[STOP_VERB].reply_encoding
 DRIVE: Final = "drive"
 
 
+class _Said(msgspec.Struct, frozen=True):
+    """What tells the holder's requests from those that a flood puts under its name."""
+
+    lease: int
+    seq: int | None = None
+
+
+_SAID: Final = msgspec.msgpack.Decoder(_Said)
+
+
 class CommandInbox:
     """Where requests wait for the loop. Nothing here raises or blocks once it is open.
 
@@ -73,14 +85,26 @@ class CommandInbox:
         """The session's identifier."""
         return str(self._session.zid())
 
-    def drain(self, holder: str) -> list[RawRequest]:
-        """The requests that wait, stops first, a bounded number; the holder's of the lease before others'."""
+    def drain(self, holder: str, lease: int = 0, after: int = -1) -> list[RawRequest]:
+        """The requests that wait, stops first, a bounded number; the holder's of the lease before others'.
+
+        Args:
+            holder: who holds the lease; empty if nobody does.
+            lease: its number. What comes under the holder's name without it is another's.
+            after: the sequence of the last drive that was accepted; what is not above it is a repetition.
+        """
         requests = [self._put(sample) for sample in _take(self._stop_puts.try_recv, STOPS_PER_TICK)]
         requests += [self._query(query) for query in _take(self._stop_queries.try_recv, STOPS_PER_TICK)]
-        verbs = self._newest(self._verbs.try_recv, VERBS_WAITING, VERBS_PER_TICK, holder)
+        # With the chunk before it: a holder may be called like a robot, or like the root.
+        holders = f"/{COMMAND_CHUNK}/{holder}/" if holder else ""
+
+        def is_holders(arrived: Any) -> bool:  # noqa: ANN401 - a sample or a query
+            return bool(holders) and holders in str(arrived.key_expr) and _fits(arrived.payload, lease, after)
+
+        verbs = self._newest(_take(self._verbs.try_recv, VERBS_WAITING), VERBS_PER_TICK, is_holders)
         # A wildcard query for a stop reaches this ring too; the stops' own has it already.
         requests += [self._query(query) for query in verbs if not str(query.key_expr).endswith(f"/{STOP_VERB}")]
-        drives = self._newest(self._drives.try_recv, DRIVES_WAITING, DRIVES_PER_TICK, holder)
+        drives = self._newest(_take(self._drives.try_recv, DRIVES_WAITING), DRIVES_PER_TICK, is_holders)
         requests += [self._put(sample) for sample in drives]
         return requests
 
@@ -105,17 +129,15 @@ class CommandInbox:
     def _key(self, operator: str, verb: str) -> str:
         return keys.command(self._root, self._robot, operator, verb)
 
-    def _newest(self, try_recv: Callable[[], Any], waiting: int, most: int, holder: str) -> list[Any]:
-        """The newest of what waits, at most so many of the holder and so many of all others."""
-        own: deque[Any] = deque(maxlen=most)
-        others: deque[Any] = deque(maxlen=most)
-        taken = 0
-        # With the chunk before it: a holder may be called like a robot, or like the root.
-        holders = f"/{COMMAND_CHUNK}/{holder}/"
-        for arrived in _take(try_recv, waiting):
-            taken += 1
-            (own if holder and holders in str(arrived.key_expr) else others).append(arrived)
-        self.drops += taken - len(own) - len(others)
+    def _newest(self, arrived: list[Any], most: int, is_holders: Callable[[Any], bool]) -> list[Any]:
+        """The newest of what has come, at most so many of the holder and so many of all others."""
+        own: deque[Any] = deque()
+        others: deque[Any] = deque()
+        for one in reversed(arrived):
+            kind = own if is_holders(one) else others
+            if len(kind) < most:
+                kind.appendleft(one)
+        self.drops += len(arrived) - len(own) - len(others)
         return [*own, *others]
 
     def _put(self, sample: zenoh.Sample) -> RawRequest:
@@ -134,6 +156,17 @@ def _raw(handle: int, verb: str, operator: str, payload: zenoh.ZBytes | None) ->
     # What is larger than any request is not even copied.
     data = b"" if payload is None or size > REQUEST_MAX_BYTES or verb == STOP_VERB else payload.to_bytes()
     return RawRequest(handle, verb, operator, data, size)
+
+
+def _fits(payload: zenoh.ZBytes | None, lease: int, after: int) -> bool:
+    """Does it carry this number of a lease, and a sequence that is new, where it has one?"""
+    if payload is None or not lease or len(payload) > REQUEST_MAX_BYTES:
+        return False
+    try:
+        said = _SAID.decode(payload.to_bytes())
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        return False
+    return said.lease == lease and (said.seq is None or said.seq > after)
 
 
 def _take(try_recv: Callable[[], Any], most: int) -> list[Any]:

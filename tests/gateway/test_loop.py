@@ -279,7 +279,7 @@ class FakeInbox:
         self.drops = 0
         self.waiting: list[RawRequest] = []
         self.replies: dict[int, dict[str, object]] = {}
-        self.holders: list[str] = []
+        self.holders: list[tuple[str, int, int]] = []
 
     def ask(self, verb: str, **fields: object) -> int:
         """A query of first's comes in."""
@@ -288,9 +288,9 @@ class FakeInbox:
         self.waiting.append(RawRequest(handle, verb, "first", payload, len(payload)))
         return handle
 
-    def drain(self, holder: str) -> list[RawRequest]:
+    def drain(self, holder: str, lease: int, after: int) -> list[RawRequest]:
         self.order.append("tick")
-        self.holders.append(holder)
+        self.holders.append((holder, lease, after))
         waiting, self.waiting = self.waiting, []
         return waiting
 
@@ -613,9 +613,9 @@ def test_a_guard_that_acted_during_the_tick_is_noticed_before_anything_is_sent()
         yield from one.engage()
         drain = one.inbox.drain
 
-        def drain_late(holder: str) -> list[RawRequest]:
+        def drain_late(holder: str, lease: int, after: int) -> list[RawRequest]:
             one.guard.stops = 1
-            return drain(holder)
+            return drain(holder, lease, after)
 
         sent = len(one.bus.sent)
         one.inbox.drain = drain_late  # type: ignore[method-assign]
@@ -639,8 +639,9 @@ def test_the_inbox_is_told_who_holds_the_lease_and_its_drops_are_in_health() -> 
 
     commanded.run(script)
     holders = commanded.inbox.holders
-    assert holders[0] == ""
-    assert "first" in holders
+    assert holders[0] == ("", 0, -1)
+    lease = commanded.inbox.replies[1]["lease"]
+    assert ("first", lease, -1) in holders
     health = commanded.zenoh.of("gateway/health")[0]
     assert isinstance(health, GatewayHealth)
     assert health.inbox_drops == 17

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from typing import Any, Literal
 
+import msgspec
 import pytest
 import zenoh
 
@@ -56,13 +57,13 @@ class Bench:
         close_session(self.asker)
         self.inbox.close()
 
-    def drain(self, holder: str = "") -> None:
+    def drain(self, holder: str = "", lease: int = 0, after: int = -1) -> None:
         """A tick."""
-        self.got += self.inbox.drain(holder)
+        self.got += self.inbox.drain(holder, lease, after)
 
-    def wait_for(self, count: int, holder: str = "") -> list[RawRequest]:
+    def wait_for(self, count: int) -> list[RawRequest]:
         """Tick until so many requests have come; returns them all."""
-        wait_until(lambda: len(self.got) >= count, lambda: self.drain(holder))
+        wait_until(lambda: len(self.got) >= count, self.drain)
         return self.got
 
     def settle(self) -> None:
@@ -166,32 +167,92 @@ def test_verbs_keep_their_order(bench: Bench) -> None:
     assert len({one.handle for one in bench.got}) == len(asked)
 
 
+LEASE = 4711
+
+
+def leased(lease: int = LEASE, **fields: object) -> bytes:
+    """A request of the holder's, or of somebody who does not know the number of its lease."""
+    return msgspec.msgpack.encode({"lease": lease, "speed_mps": 0.2, **fields})
+
+
+def flood_with(bench: Bench, operator: str, payload: bytes, between: list[bytes]) -> None:
+    """500 puts of an operator, and in their midst, at equal distances, those of first."""
+    block = zenoh.CongestionControl.BLOCK
+    for number in range(500):
+        bench.asker.put(f"{ROBOT}{operator}/drive", payload, congestion_control=block)
+        if number % 100 == 0:
+            bench.asker.put(f"{ROBOT}first/drive", between[number // 100], congestion_control=block)
+    bench.settle()
+
+
 def test_the_holders_drives_survive_anothers_flood(bench: Bench) -> None:
     """The newest of each; what was dropped unread is counted, to the last one."""
+    mine = [leased(seq=number) for number in range(5)]
     for number in range(500):
         bench.asker.put(f"{ROBOT}stranger/drive", b"m%d" % number)
         if number % 100 == 0:
-            bench.asker.put(f"{ROBOT}first/drive", b"a%d" % number)
+            bench.asker.put(f"{ROBOT}first/drive", mine[number // 100])
     bench.settle()
     dropped = bench.inbox.drops
-    bench.drain("first")
-    assert [one.payload for one in bench.got if one.operator == "first"] == [
-        b"a%d" % n for n in range(0, 500, 100)
-    ]
+    bench.drain("first", LEASE)
+    assert [one.payload for one in bench.got if one.operator == "first"] == mine
     others = [one.payload for one in bench.got if one.operator == "stranger"]
     assert others == [b"m%d" % number for number in range(500 - DRIVES_PER_TICK, 500)]
     assert bench.inbox.drops - dropped == 500 - DRIVES_PER_TICK
-    assert bench.inbox.drain("first") == []
+    assert bench.inbox.drain("first", LEASE) == []
+
+
+FORGED = {
+    "another number": leased(lease=LEASE + 1, seq=10**6),
+    "the number of no lease": leased(lease=0, seq=10**6),
+    "the last one again": leased(seq=7),
+    "one of before": leased(seq=6, x=[[[[]]]]),
+    "no sequence": leased(seq="8"),
+    "no text": leased(x="\udcff".encode("utf-8", "surrogatepass"), seq=-(2**63)),
+    "cut short": leased(seq=8)[:-1],
+    "too large": leased(seq=8, x=b"x" * REQUEST_MAX_BYTES),
+    "deep": b"\x91" * REQUEST_MAX_BYTES,
+    "a negative number": b"\x81\xa5lease\xff",
+    "nothing": b"",
+}
+
+
+@pytest.mark.parametrize("forged", FORGED.values(), ids=FORGED)
+def test_the_holders_drives_survive_a_flood_under_its_name(bench: Bench, forged: bytes) -> None:
+    """Who does not know the number, or repeats what was accepted, displaces nothing of the holder's."""
+    mine = [leased(seq=number) for number in range(8, 13)]
+    flood_with(bench, "first", forged, mine)
+    bench.drain("first", LEASE, 7)
+    assert [one.payload for one in bench.got[:5]] == mine
+    assert len(bench.got) == 5 + DRIVES_PER_TICK
+
+
+def test_the_holders_verbs_survive_a_flood_under_its_name(bench: Bench) -> None:
+    """What a robot is asked once, among many that ask without the number of the lease."""
+    asked = [bench.ask(f"{ROBOT}first/engage", leased())]
+    asked += [bench.ask(f"{ROBOT}first/engage", leased(lease=1)) for _ in range(VERBS_WAITING // 2)]
+    bench.settle()
+    bench.drain("first", LEASE, 7)
+    assert (bench.got[0].verb, bench.got[0].payload) == ("engage", leased())
+    assert len(bench.got) == 1 + VERBS_PER_TICK
+    assert len(asked) > VERBS_PER_TICK
+
+
+def test_without_a_lease_nothing_is_the_holders(bench: Bench) -> None:
+    """A flood of numbers that could be the one of no lease leaves room for whoever acquires."""
+    flood_with(bench, "first", leased(lease=0), [leased(seq=number) for number in range(5)])
+    bench.drain()
+    assert len(bench.got) == DRIVES_PER_TICK
 
 
 @pytest.mark.parametrize(("holder", "other"), [("ana", "banana"), ("fleet", "x"), ("cruiser-1", "x")])
 def test_an_operator_whose_name_holds_the_holders_is_another(bench: Bench, holder: str, other: str) -> None:
     """Banana is not ana; and a holder that is called like the root or like the robot is not everyone."""
     for number in range(2 * DRIVES_PER_TICK):
-        bench.asker.put(f"{ROBOT}{other}/drive", b"%d" % number)
-    bench.asker.put(f"{ROBOT}{holder}/drive", b"mine")
+        bench.asker.put(f"{ROBOT}{other}/drive", leased(seq=number))
+    bench.asker.put(f"{ROBOT}{holder}/drive", leased(seq=1))
     bench.settle()
-    bench.drain(holder)
+    bench.drain(holder, LEASE)
     assert bench.got[0].operator == holder
     assert len(bench.got) == 1 + DRIVES_PER_TICK
 
