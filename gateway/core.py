@@ -37,7 +37,7 @@ from gateway.telemetry.sample import Sample
 from gateway.telemetry.state import LatestMessages, robot_state
 from schemas.codec import encode
 from schemas.dbc_files import DBC_FILES
-from schemas.decisions import ArbiterState, SafetyEvent
+from schemas.decisions import ArbiterState, EventKind, SafetyEvent, Severity
 from schemas.messages import SEQUENCE_MAX, ControllerState, Message, Variant
 from schemas.reasons import Reason
 from schemas.settings import BATCH_MAX_FRAMES, BATCH_PERIOD_NS, HEALTH_PERIOD_NS, STATE_PERIOD_NS, Settings
@@ -238,6 +238,12 @@ class Core:
         if self.command is not None and self._journal is not None:
             self._journal.add((Kind.GUARD_STOP, now_ns, words))
             self.command.arbiter.latch(Reason.GUARD, words, now_ns)
+
+    def warn(self, words: str, now_ns: int) -> None:
+        """What was found at the start becomes an event, in these words."""
+        if self.command is not None and self._journal is not None:
+            self._journal.add((Kind.WARNING, now_ns, words))
+            self.command.arbiter.tell(Severity.WARNING, EventKind.FAULT, Reason.NONE, words)
 
     def shut_down(self, now_ns: int) -> None:
         """The gateway is to end: bring the robot to rest. ``is_at_rest`` says when that is done."""

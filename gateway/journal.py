@@ -38,6 +38,8 @@ class Kind(IntEnum):
     The gateway is at rest, and from here on a run can be run again: see ``gateway.command.rest``."""
     GUARD_STOP = 7
     """words: the guard stopped the robot before this start, and nobody has reset that"""
+    WARNING = 8
+    """words: what was found at the start and a person should know"""
 
 
 Input = tuple[Any, ...]

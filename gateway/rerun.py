@@ -180,6 +180,11 @@ def _guard_stop(core: Core, now_ns: int, words: str) -> list[Sample]:
     return []
 
 
+def _warning(core: Core, now_ns: int, words: str) -> list[Sample]:
+    core.warn(words, now_ns)
+    return []
+
+
 def _shut_down(core: Core, now_ns: int) -> list[Sample]:
     core.shut_down(now_ns)
     return []
@@ -194,4 +199,5 @@ _GIVE: Final[dict[int, Callable[..., Due | list[Sample]]]] = {
     Kind.SHUT_DOWN: _shut_down,
     Kind.REST: lambda *_: [],
     Kind.GUARD_STOP: _guard_stop,
+    Kind.WARNING: _warning,
 }

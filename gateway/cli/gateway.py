@@ -106,6 +106,10 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         sys.stderr.flush()
         if inbox is not None and closing.enter_context(BusClaim(settings.can)).is_shared:
             log.warning("%s", _shared(settings))
+        if node.warning and core.command is None:
+            log.warning("%s", node.warning)
+        elif node.warning:
+            core.warn(node.warning, time.monotonic_ns())
         note = NoteClearer(_recall_guard_stop(core, settings))
         closing.callback(note.close)
         if inbox is not None and guard.why_not:

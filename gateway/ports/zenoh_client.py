@@ -48,6 +48,13 @@ REPLIES_WAITING: Final = 16_384
 _TIMEOUT: Final = b"Timeout"
 """What Zenoh itself replies to a query whose time is over."""
 
+ROBOT_RECEIVES_BYTES: Final = 1 << 20
+"""The largest message that a robot receives; Zenoh drops a larger one while it arrives. Its own bound is 1 GiB.
+
+What a robot receives are requests of up to 1 KiB, questions, and what nodes tell each other of the network.
+"""
+
+_MAX_MESSAGE: Final = "transport/link/rx/max_message_size"
 _WAIT_BEFORE_CLOSE: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"
 
 
@@ -68,6 +75,8 @@ def open_session(
     config = _configuration(settings, connect, listen)
     if block_max_us is not None:
         config.insert_json5(_WAIT_BEFORE_CLOSE, str(block_max_us))
+        if _of_file(config, _MAX_MESSAGE) is None:
+            config.insert_json5(_MAX_MESSAGE, str(ROBOT_RECEIVES_BYTES))
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:

@@ -65,6 +65,12 @@ REPLY_TIMEOUT_S: Final = 1.0
 TOKEN_TIMEOUT_S: Final = 1.0
 """How long the question may take whether a gateway of our name is there."""
 
+INFO_TIMEOUT_S: Final = 1.0
+"""A gateway that lives answers within a few ticks of 10 ms."""
+
+INFO_QUESTIONS: Final = 3
+"""So often it is asked before it counts as none: others may ask it so much that a question is dropped."""
+
 NEIGHBOUR_TIMEOUT_S: Final = 3.0
 """A Zenoh node that holds our port is connected within this time, or it is none."""
 
@@ -139,11 +145,13 @@ class ZenohNode:
     Attributes:
         failures: samples that Zenoh did not take.
         replier: sends the replies to queries.
+        warning: what a person should know of its start; empty if nothing.
     """
 
     def __init__(self, session: zenoh.Session, settings: Settings) -> None:
         robot = settings.robot
         self.failures = 0
+        self.warning = ""
         self._session = session
         self._own: set[str] = set()
         self._puts: dict[str, Callable[[bytes], Any]] = {}
@@ -248,31 +256,45 @@ def open_node(settings: Settings) -> tuple[ZenohNode, Place]:
 
     Raises:
         CommandError: an endpoint is taken by something that is not Zenoh, or cannot be used; or a gateway of the
-            same name is there.
+            same name is there, and answers.
     """
     session, place = _open_session(settings)
     try:
-        _check_name_is_free(session, settings)
+        warning = _check_name_is_free(session, settings)
     except CommandError:
         close_session(session)
         raise
-    return ZenohNode(session, settings), place
+    node = ZenohNode(session, settings)
+    node.warning = warning
+    return node, place
 
 
-def _check_name_is_free(session: zenoh.Session, settings: Settings) -> None:
+def _check_name_is_free(session: zenoh.Session, settings: Settings) -> str:
     """Two gateways of one name would publish two robots as one that is in two places.
 
-    The token of a gateway that has just died goes within the lease, so it is looked for more than once.
+    The token of a gateway that has just died goes within the lease, so it is looked for more than once. A token
+    alone keeps no robot from starting, for anybody can declare one: a gateway has to answer too. Returns a warning
+    if there is a token that nobody stands behind.
     """
-    key = keys.liveliness(settings.robot.root, settings.robot.name)
+    robot = settings.robot
+    key = keys.liveliness(robot.root, robot.name)
     deadline_s = time.monotonic() + 2 * lease_in_force_ms(settings.zenoh) / 1000
     while any(reply.ok is not None for reply in session.liveliness().get(key, timeout=TOKEN_TIMEOUT_S)):
-        if time.monotonic() > deadline_s:
-            raise CommandError(
-                f"a gateway of the name {settings.robot.name} is connected already; choose another with --robot",
-                ExitCode.REFUSED,
-            )
-        time.sleep(0.1)
+        if time.monotonic() <= deadline_s:
+            time.sleep(0.1)
+            continue
+        info = keys.build(robot.root, robot.name, BY_NAME["gateway/info"])
+        for _ in range(INFO_QUESTIONS):
+            if any(reply.ok is not None for reply in session.get(info, timeout=INFO_TIMEOUT_S)):
+                raise CommandError(
+                    f"a gateway of the name {robot.name} is connected already; choose another with --robot",
+                    ExitCode.REFUSED,
+                )
+        return (
+            f"somebody else has declared the liveliness token of {robot.name}, and no gateway answers there: a "
+            "gateway that hangs, or somebody who wants to keep this robot off the network"
+        )
+    return ""
 
 
 def _open_session(settings: Settings) -> tuple[zenoh.Session, Place]:

@@ -91,6 +91,7 @@ def test_every_input_of_the_core_is_written_down() -> None:
         Links(bus_up=True, bus_losses=1, guarded=True, guard_stops=1, guard_says=says, realtime=True), 6
     )
     core.latch_guard_stop("the robot stands", 7)
+    core.warn("somebody is there", 7)
     core.shut_down(8)
     assert inputs_of(core, 0) == [
         (Kind.FRAME, 0, [EXTENDED | 0x18C4D1EF, bytes(8), WALL_NS, 0, 0]),
@@ -100,6 +101,7 @@ def test_every_input_of_the_core_is_written_down() -> None:
         (Kind.LINKS, 4, True, 1, True, False, 0, False, False, ""),
         (Kind.LINKS, 6, True, 1, True, False, 1, False, True, "it has given up"),
         (Kind.GUARD_STOP, 7, "the robot stands"),
+        (Kind.WARNING, 7, "somebody is there"),
         (Kind.SHUT_DOWN, 8),
     ]
     core.sent(0, 8, WALL_NS + 8)

@@ -142,6 +142,19 @@ def test_a_run_that_began_latched_by_the_guard_is_run_again_so() -> None:
     assert event.text.endswith("; yesterday guard: the gateway is gone")
 
 
+def test_what_a_run_began_with_a_warning_of_is_run_again_so() -> None:
+    """An event that nothing in the bus or the requests explains is in the journal as well."""
+    day = Day(3, Variant.COARSE)
+    day.rig.core.warn("somebody has our name", day.rig.now_ns)
+    day.rig.run(2)
+    log = ReadBack(recorded(day))
+    again = [s.payload for _, samples in log.run_again() for s in samples if s.subject == "safety/event"]
+    assert again == [s.payload for s in day.core.samples if s.subject == "safety/event"]
+    (event,) = (codec.decode(BY_NAME["safety/event"], payload) for payload in again)
+    assert isinstance(event, SafetyEvent)
+    assert (event.kind, event.text) == (EventKind.FAULT, "somebody has our name")
+
+
 def test_a_journal_of_before_has_six_links_and_the_speed_limit_of_its_time() -> None:
     """It does not say whether there was real-time priority, which lowered no limit then."""
     core = Core(Settings(), "", 0)

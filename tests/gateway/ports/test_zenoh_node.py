@@ -69,15 +69,29 @@ def test_the_second_gateway_joins_the_first(default_endpoint: str, watcher: zeno
 
 
 def test_a_second_gateway_of_the_same_name_is_refused(default_endpoint: str) -> None:
-    """One name is one robot; the second gateway says so and leaves, the first goes on."""
+    """One name is one robot; the second gateway says so and leaves, the first, which lives, goes on."""
     first, _ = open_node(settings("r-1"))
+    with ThreadPoolExecutor(1) as thread:
+        second = thread.submit(open_node, settings("r-1"))
+        wait_until(second.done, lambda: first.answer(lambda: b"info"))
     with pytest.raises(CommandError, match="r-1 is connected already") as error:
-        open_node(settings("r-1"))
+        second.result()
     assert error.value.code is ExitCode.REFUSED
     first.close()
     again, place = open_node(settings("r-1"))
     assert place.listen == [default_endpoint]
+    assert again.warning == ""
     again.close()
+
+
+def test_a_token_that_no_gateway_stands_behind_keeps_nobody_from_starting(default_endpoint: str) -> None:
+    """Anybody can declare it. The robot starts, and warns: it may be a gateway that hangs, too."""
+    stranger = open_session(ZenohSettings(), [], [default_endpoint])
+    with stranger.liveliness().declare_token("fleet/r-1/gateway"):
+        node, _ = open_node(settings("r-1"))
+        assert node.warning.startswith("somebody else has declared the liveliness token of r-1")
+        node.close()
+    close_session(stranger)
 
 
 def test_a_port_that_something_else_holds_is_told(default_endpoint: str) -> None:

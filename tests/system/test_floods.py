@@ -1,0 +1,49 @@
+"""Somebody who may connect sends far more than any robot needs."""
+
+import re
+from pathlib import Path
+
+import msgpack
+import pytest
+import zenoh
+
+from gateway.ports.zenoh_client import close_session, open_session
+from schemas.settings import ZenohSettings
+from tests.gateway.cli.running import chassis, gateway
+from tests.gateway.remote.fake_gateway import free_endpoint
+from tests.gateway.remote.waiting import wait_until
+
+HUGE_BYTES = 60_000_000
+GROWS_BYTES = 30_000_000
+"""Half of one such message: whoever holds one of them grows by more."""
+
+
+def peak_bytes(pid: int) -> int:
+    """The most memory that a process ever had, Linux's VmHWM."""
+    found = re.search(r"VmHWM:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text())
+    assert found is not None
+    return int(found[1]) * 1024
+
+
+@pytest.mark.parametrize("verb", ["drive", "engage", "stop"])
+def test_no_message_makes_the_gateway_hold_megabytes(verb: str) -> None:
+    """Puts and queries of 60 MB are dropped while they arrive, and a stop after them is answered."""
+    endpoint = free_endpoint()
+    with chassis() as (_, address), gateway(address, endpoint) as running:
+        session = open_session(ZenohSettings(mode="client"), [endpoint], [])
+        stops = "fleet/cruiser-1/@cmd/stranger/stop"
+
+        def is_answered() -> bool:
+            replies = [reply.ok for reply in session.get(stops, timeout=5) if reply.ok is not None]
+            return bool(replies) and msgpack.unpackb(replies[0].payload.to_bytes())["ok"]
+
+        wait_until(is_answered)
+        before = peak_bytes(running.process.pid)
+        huge, key = bytes(HUGE_BYTES), f"fleet/cruiser-1/@cmd/stranger/{verb}"
+        for _ in range(2):
+            session.put(key, huge, congestion_control=zenoh.CongestionControl.BLOCK)
+            assert [reply for reply in session.get(key, payload=huge, timeout=5) if reply.ok is not None] == []
+        wait_until(is_answered)
+        assert peak_bytes(running.process.pid) - before < GROWS_BYTES
+        close_session(session)
+        assert running.stop() == 0
