@@ -10,7 +10,7 @@ import logging
 import socket
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Final, Self
 
@@ -262,11 +262,24 @@ class Question:
         return found
 
 
+def links_of(session: zenoh.Session) -> frozenset[str]:
+    """The connections to other nodes. One that is lost and made anew is another."""
+    return frozenset(f"{link.src} {link.dst}" for link in session.info.links())
+
+
 def call_roll(session: zenoh.Session, key: str, timeout_s: float) -> Question:
     """Ask for the liveliness tokens under a key."""
     question = Question()
     session.liveliness().get(key, question.handler, timeout=timeout_s)
     return question
+
+
+def _take(try_recv: Callable[[], zenoh.Sample | None]) -> Iterator[zenoh.Sample]:
+    """What waits, at most as much as there is room for."""
+    for _ in range(SAMPLES_WAITING):
+        if (sample := try_recv()) is None:
+            return
+        yield sample
 
 
 class RobotListener:
@@ -309,19 +322,19 @@ class RobotListener:
         return bool(info.peers_zid() or info.routers_zid())
 
     def links(self) -> frozenset[str]:
-        """The connections to other nodes. One that is lost and made anew is another."""
-        return frozenset(f"{link.src} {link.dst}" for link in self._session.info.links())
+        """The connections to other nodes."""
+        return links_of(self._session)
 
     def call_roll(self, timeout_s: float) -> Question:
         """Ask for the liveliness tokens; the robots that have one are heard by ``drain`` as well."""
         return call_roll(self._session, self._roll, timeout_s)
 
     def drain(self) -> Iterator[Heard]:
-        """What has arrived since the last time."""
-        while (token := self._tokens.try_recv()) is not None:
+        """What has arrived since the last time, a bounded number: more may come while it is read."""
+        for token in _take(self._tokens.try_recv):
             yield TokenChange(str(token.key_expr), present=token.kind == zenoh.SampleKind.PUT)
         for subscriber in self._samples:
-            while (sample := subscriber.try_recv()) is not None:
+            for sample in _take(subscriber.try_recv):
                 if sample.kind == zenoh.SampleKind.PUT:
                     yield Received(str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes())
 

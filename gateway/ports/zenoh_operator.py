@@ -15,7 +15,7 @@ from typing import Any, Final, Self
 import zenoh
 from zenoh import ext
 
-from gateway.ports.zenoh_client import Question, call_roll, close_session, open_towards_robots
+from gateway.ports.zenoh_client import Question, call_roll, close_session, links_of, open_towards_robots
 from gateway.telemetry.heard import Received
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
@@ -80,6 +80,10 @@ class CommandPort:
         """Is any Zenoh node connected directly?"""
         info = self._session.info
         return bool(info.peers_zid() or info.routers_zid())
+
+    def links(self) -> frozenset[str]:
+        """The connections to other nodes."""
+        return links_of(self._session)
 
     def reaches(self) -> bool:
         """Is somebody there who answers commands to this robot? Of a port to all robots Zenoh does not say."""

@@ -42,8 +42,11 @@ ASK_S: Final = 0.25
 ROLL_S: Final = 0.5
 """How often it is asked who is connected, where all robots are to stop."""
 
+ROLL_TIMEOUT_S: Final = 5.0
+"""So long an answer to that is waited for, before it is asked anew."""
+
 SETTLE_S: Final = 1.0
-"""A fleet is looked for at least this long: nodes find each other by gossip in less."""
+"""When no other robot was heard of for this long, none is expected: nodes find each other by gossip in less."""
 
 POLL_S: Final = 0.005
 
@@ -57,6 +60,7 @@ class StopReport(msgspec.Struct, frozen=True):
         unconfirmed: why the others that answered are not known to have stopped.
         silent: robots that are connected and did not answer.
         linked: this end was connected to a Zenoh node.
+        counted: it is known which robots are connected. Where it is not, there may be more than those named here.
     """
 
     stopped: list[str]
@@ -64,6 +68,7 @@ class StopReport(msgspec.Struct, frozen=True):
     unconfirmed: dict[str, str]
     silent: list[str]
     linked: bool
+    counted: bool = True
 
 
 Seen = tuple[str, SafetyState | RobotState]
@@ -125,12 +130,11 @@ def stop(
     """
     stopping = _Stopping(port, root, robot, look)
     started_s = time.monotonic()
-    at_least_s = SETTLE_S if robot == keys.ALL else AT_LEAST_S
     while not stopped():
         now_s = time.monotonic()
         stopping.step(now_s)
         elapsed_s = now_s - started_s
-        if elapsed_s >= timeout_s or (elapsed_s >= at_least_s and stopping.all_settled):
+        if elapsed_s >= timeout_s or (elapsed_s >= AT_LEAST_S and stopping.all_settled):
             break
         time.sleep(POLL_S)
     return stopping.report()
@@ -184,14 +188,18 @@ class _Stopping:
         self._expected = set() if robot == keys.ALL else {robot}
         self._questions: list[tuple[int, Question]] = []
         self._asked = 0
-        self._rolls: list[Question] = []
+        self._links: frozenset[str] = frozenset()
+        self._roll: Question | None = None
+        self._has_answer = False
+        self._changed_s = float("-inf")
+        self._is_counted = robot != keys.ALL
         self._put_s = self._ask_s = self._roll_s = float("-inf")
         self._linked = False
 
     @property
     def all_answered(self) -> bool:
-        """Whoever is known to be there has answered, and somebody has."""
-        return bool(self._answers) and self._expected <= self._answers.keys()
+        """It is known who is there, all of them have answered, and somebody has."""
+        return bool(self._answers) and self._is_counted and self._expected <= self._answers.keys()
 
     @property
     def all_settled(self) -> bool:
@@ -211,20 +219,35 @@ class _Stopping:
             self._ask_s = now_s
             self._asked += 1
             self._questions = [*(one for one in self._questions if not one[1].is_over), (self._asked, self._ask())]
-        if self._robot == keys.ALL and now_s - self._roll_s >= ROLL_S:
-            self._roll_s = now_s
-            self._rolls = [*(one for one in self._rolls if not one.is_over), self._port.call_roll(1.0)]
+        if self._robot == keys.ALL:
+            self._count(now_s)
         for number, question in self._questions:
             for received in question.poll():
                 self._hear(received, number)
-        for roll in self._rolls:
-            for received in roll.poll():
-                robot = keys.robot_of_liveliness(self._root, received.key)
-                if robot is not None:
-                    self._expected.add(robot)
         now_ns = time.monotonic_ns()
         for name, message in self._look():
             self._sights[name].see(message, now_ns)
+
+    def _count(self, now_s: float) -> None:
+        """Ask again and again who is connected, until that was answered and no other robot appears."""
+        links = self._port.links()
+        if links != self._links:
+            # A link that is lost ends the question too, and one that is new was not asked.
+            self._links, self._roll, self._has_answer, self._changed_s = links, None, False, now_s
+        if self._roll is not None and self._roll.is_over:
+            self._has_answer = not self._roll.timed_out
+            self._roll = None
+        if self._roll is None and links and now_s - self._roll_s >= ROLL_S:
+            self._roll_s = now_s
+            self._roll = self._port.call_roll(ROLL_TIMEOUT_S)
+        known = len(self._expected)
+        if self._roll is not None:
+            names = (keys.robot_of_liveliness(self._root, received.key) for received in self._roll.poll())
+            self._expected.update(name for name in names if name is not None)
+        if len(self._expected) > known:
+            # A peer answers from what it was told so far: while it is told of others, that is not all.
+            self._changed_s = now_s
+        self._is_counted = self._has_answer and now_s - self._changed_s >= SETTLE_S
 
     def report(self) -> StopReport:
         """Who answered, and who did not."""
@@ -242,7 +265,7 @@ class _Stopping:
             else:
                 stopped.append(name)
         silent = sorted(self._expected - self._answers.keys())
-        return StopReport(stopped, refused, unconfirmed, silent, self._linked)
+        return StopReport(stopped, refused, unconfirmed, silent, self._linked, self._is_counted)
 
     def _ask(self) -> Question:
         return self._port.begin(STOP.verb, b"", 1.0)

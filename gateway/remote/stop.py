@@ -41,6 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Stop. Exit code 0 if all that are there are seen to stop, 3 if one is not, 4 if all are silent.
 
+    It is 3 too where nobody knows whether those are all.
+
     Raises:
         CommandError: nobody answered, or the arguments are wrong.
     """
@@ -61,6 +63,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     for name in report.silent:
         sent = "it was sent all the same" if report.linked else "it could NOT BE SENT: there is no link"
         sys.stderr.write(f"{name}: NO ANSWER; {sent}. Use the button on the robot\n")
+    if report.linked and not report.counted:
+        sys.stderr.write("there may be more robots: who is connected was not said in time\n")
     return int(_code(report, robot, settings, f"{arguments.timeout:g} s at {place(settings.zenoh)}"))
 
 
@@ -70,4 +74,4 @@ def _code(report: StopReport, robot: str, settings: Settings, where: str) -> Exi
         who = "nobody answered" if report.linked else "no Zenoh node answered"
         others = who_is_there(settings, robot) if robot != keys.ALL else ""
         raise CommandError(f"{who} within {where}{others}", ExitCode.UNREACHABLE)
-    return ExitCode.PARTIAL if report.silent or unstopped else ExitCode.OK
+    return ExitCode.PARTIAL if report.silent or unstopped or not report.counted else ExitCode.OK

@@ -3,6 +3,7 @@
 import select
 import socket
 import threading
+from contextlib import suppress
 from types import TracebackType
 from typing import Final, Self
 
@@ -57,7 +58,7 @@ class TcpProxy:
         far = socket.socket()
         far.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
         far.connect(self._target)
-        with near, far:
+        with near, far, suppress(ConnectionError):
             ways = {near: far, far: near}
             while not self._ended.is_set():
                 open_ways = [near] if self._stalled.is_set() else list(ways)

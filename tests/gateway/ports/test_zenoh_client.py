@@ -8,6 +8,7 @@ import zenoh
 
 from gateway.ports.zenoh_client import (
     REPLIES_WAITING,
+    SAMPLES_WAITING,
     Question,
     RobotListener,
     _configuration,
@@ -23,7 +24,7 @@ from gateway.telemetry.heard import Heard, Received, TokenChange
 from schemas import codec
 from schemas.configuration import merge
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.settings import DEFAULT_ENDPOINT, Settings, ZenohSettings
+from schemas.settings import DEFAULT_ENDPOINT, RobotSettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME
 from tests.gateway.remote.fake_gateway import HEALTH, STATE, FakeGateway, free_endpoint
 from tests.gateway.remote.waiting import wait_until
@@ -278,3 +279,25 @@ def test_a_question_that_ran_out_of_time_says_so() -> None:
     assert not roll.timed_out
     close_session(asker)
     close_session(answerer)
+
+
+def test_who_publishes_faster_than_is_read_keeps_no_reader_for_ever() -> None:
+    """A drain ends, whatever comes meanwhile."""
+
+    class Endless:
+        """There is always one more."""
+
+        def __init__(self, sample: zenoh.Sample) -> None:
+            self._sample = sample
+
+        def try_recv(self) -> zenoh.Sample:
+            return self._sample
+
+    listen = free_endpoint()
+    session = open_session(ZenohSettings(), [], [listen])
+    with session.declare_subscriber("x", zenoh.handlers.FifoChannel(1)) as subscriber:
+        session.put("x", b"")
+        endless: Any = Endless(subscriber.recv())
+    with RobotListener(session, RobotSettings()) as listener:
+        listener._samples = (endless,)
+        assert len(list(listener.drain())) == SAMPLES_WAITING

@@ -17,10 +17,12 @@ from tests.gateway.remote.fake_gateway import ROOT, free_endpoint
 
 STOP = BY_VERB["stop"]
 STOPS = msgspec.msgpack.encode(Reply(ok=True, reason=Reason.NONE, detail="", cure=""))
+LEASE_MS = 10_000
+"""A machine that is busy with a thousand robots must not lose the link to them."""
 
 
 class FakeFleet:
-    """Robots that have a liveliness token and answer a stop.
+    """Robots that have a liveliness token and answer a stop. They publish nothing.
 
     Attributes:
         names: the robots', in alphabetical order.
@@ -31,7 +33,7 @@ class FakeFleet:
         self.names = [f"robot-{number:04}" for number in range(count)]
 
     def __enter__(self) -> Self:
-        self._session = open_session(ZenohSettings(), [], [self.listen])
+        self._session = open_session(ZenohSettings(lease_ms=LEASE_MS), [], [self.listen])
         self._declared: list[Any] = []
         for name in self.names:
             self._declared.append(self._session.liveliness().declare_token(keys.liveliness(ROOT, name)))

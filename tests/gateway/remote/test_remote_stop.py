@@ -1,12 +1,18 @@
+import argparse
+
 import pytest
 
+from gateway.ports.zenoh_client import Question
 from gateway.ports.zenoh_operator import CommandPort
-from gateway.remote import remote_stop
+from gateway.remote import remote_stop, stop
 from gateway.remote.refusal import Refused
 from gateway.remote.robot import Robot, stop_all
 from schemas import keys
+from schemas.exit_codes import ExitCode
 from schemas.reasons import Reason
 from schemas.settings import Settings, ZenohSettings
+from tests.gateway.ports.tcp_proxy import TcpProxy
+from tests.gateway.remote.fake_fleet import FakeFleet
 from tests.gateway.remote.fake_gateway import ROOT, free_endpoint
 from tests.gateway.remote.fake_robot import FakeRobot
 from tests.gateway.remote.waiting import wait_until
@@ -47,6 +53,28 @@ def test_a_fleet_is_stopped_and_who_is_silent_is_named() -> None:
         assert report.silent == ["cruiser-3"]
         for robot in (first, second, third):
             assert Reason.REMOTE_STOP in robot.flow.arbiter.latched
+
+
+def test_a_fleet_that_is_not_counted_in_time_is_not_said_to_be_all() -> None:
+    """Over a slow way back the tokens of many robots do not come in time: there may be more than those named."""
+    with FakeFleet(400) as fleet, TcpProxy(fleet.listen, slowness_s=0.05) as proxy:
+        report = stop_all("first", settings_for(proxy.endpoint), 3)
+    assert (report.linked, report.counted) == (True, False)
+
+
+def test_who_may_be_missing_makes_a_stop_partial(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A robot stops, and whether it is the only one was not answered: exit code 3, and a line that says so."""
+    monkeypatch.setattr(CommandPort, "call_roll", lambda _port, _timeout_s: Question())
+    with FakeRobot() as fake:
+        parser = argparse.ArgumentParser()
+        stop.add_arguments(parser)
+        arguments = parser.parse_args(["--all", "--timeout", "3"])
+        assert stop.run(arguments, settings_for(fake.listen), lambda: False) == ExitCode.PARTIAL
+    captured = capsys.readouterr()
+    assert captured.out == f"{fake.name}: stops, latched until a reset\n"
+    assert captured.err == "there may be more robots: who is connected was not said in time\n"
 
 
 def test_nobody_is_nobody() -> None:
