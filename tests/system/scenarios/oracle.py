@@ -45,6 +45,9 @@ ACCELERATION_MPS2, DECELERATION_MPS2, EMERGENCY_MPS2 = 0.8, 1.2, 2.0
 LATERAL_MPS2: Final = 1.5
 STEERING_DEG, STEERING_DEGPS, ANGLE_BIT_DEG = 24.0, 60.0, 0.044
 DEADMAN_S: Final = 0.3
+GUARD_BRAKE_S: Final = 1.0
+"""The guard knows a stop alone: while the robot slows down it waits so long at zero speed for it to stand."""
+
 PULSES_S: Final = 0.8
 """Pulses of unknown length say this much later than the wheels' speeds which way the robot goes."""
 
@@ -543,7 +546,8 @@ class Oracle:
                 and order.signed_mps * sign <= 0
             )
             lasts_s = self._timer(f"roll{sign}").lasts(now_s, holds=rolls and not order.parking)
-            if lasts_s > 0.1 + SEEING_S + (PULSES_S if WHEELS in plant.frozen else 0.0):
+            allowed_s = 0.1 + SEEING_S + (PULSES_S if WHEELS in plant.frozen else 0.0)
+            if lasts_s > allowed_s + (GUARD_BRAKE_S if self._is_guards else 0.0):
                 kind = "rolling_against" if order.speed_mps else "rolling_unnoticed"
                 self._fail(kind, now_s, f"{speed_mps:.2f} m/s, told {order.signed_mps:.2f}, no parking request")
         # Steering: as it is shown, against a follower that is slower than any chassis.
