@@ -21,11 +21,10 @@ from typing import Any, Final
 import msgspec
 
 from gateway.cli.child import Child
-from gateway.cli.demo_drive import DemoDrive, TimelineEntry
+from gateway.cli.demo_drive import HELD_UP, DemoDrive, TimelineEntry
 from gateway.remote.refusal import RobotError, Unreachable
 from gateway.sim.links import LINKS
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.reasons import Reason
 from schemas.settings import Settings
 from schemas.zenoh_link import ANY_LOCAL_PORT
 
@@ -35,26 +34,6 @@ SHORTEST_S: Final = 20.0
 """Stops, a reset, a stalled link and a second operator take their time."""
 
 ATTEMPTS: Final = 10
-
-HELD_UP: Final = frozenset(
-    {
-        Reason.GUARD,
-        Reason.UNGUARDED,
-        Reason.LOOP_LATE,
-        Reason.FEEDBACK_LATE,
-        Reason.FEEDBACK_MISSING,
-        Reason.DEADMAN,
-        Reason.TOO_OLD,
-        Reason.CHALLENGE_UNKNOWN,
-        Reason.LINK_TOO_SLOW,
-        Reason.LEASE_EXPIRED,
-        Reason.NOT_CONFIRMED,
-        Reason.MOVING,
-        Reason.NOT_ENGAGED,
-        Reason.STOPPING,
-    }
-)
-"""Why a robot is stopped, or not engaged, whose processes do not get the processor in time."""
 
 VIEWERS: Final = """\
 open it with

@@ -10,7 +10,7 @@ from typing import Final
 
 import msgspec
 
-from gateway.remote.refusal import RobotError, Unreachable
+from gateway.remote.refusal import Refused, RobotError, Stopped, Unreachable
 from gateway.remote.robot import Lease, Robot
 from gateway.sim.links import LINKS, LinkProfile
 from gateway.sim.relay import Relay
@@ -30,6 +30,30 @@ STOPPED_TIMEOUT_S: Final = 10.0
 STALL_S: Final = 3.0
 GUARD_TIMEOUT_S: Final = 10.0
 LEASE_TIMEOUT_S: Final = 5.0
+
+HELD_UP: Final = frozenset(
+    {
+        Reason.GUARD,
+        Reason.UNGUARDED,
+        Reason.LOOP_LATE,
+        Reason.FEEDBACK_LATE,
+        Reason.FEEDBACK_MISSING,
+        Reason.DEADMAN,
+        Reason.TOO_OLD,
+        Reason.CHALLENGE_UNKNOWN,
+        Reason.LINK_TOO_SLOW,
+        Reason.LEASE_EXPIRED,
+        Reason.NOT_CONFIRMED,
+        Reason.MOVING,
+        Reason.NOT_ENGAGED,
+        Reason.STOPPING,
+    }
+)
+"""Why a robot is stopped, or not engaged, whose processes do not get the processor in time."""
+
+RETRY_S: Final = 0.5
+RECOVERY_S: Final = 60.0
+"""For so long a robot that a busy machine stopped is engaged again and again."""
 
 FIXED_S: Final = 17.0
 """What stops, the reset and the stalled link take, however long the demo is."""
@@ -111,21 +135,20 @@ class DemoDrive:
         is_stalled = False
         try:
             with robot.lease() as lease:
-                self._engage(lease)
+                self._engage(robot, lease)
                 self._tell(FIRST, "drives a figure of eight")
                 for angle_deg in (EIGHT_ANGLE_DEG, -EIGHT_ANGLE_DEG):
-                    self._drive(lease, EIGHT_SPEED_MPS, angle_deg, seconds / 2, stopped)
+                    self._drive(robot, lease, (EIGHT_SPEED_MPS, angle_deg), seconds / 2, stopped)
                 self._tell("chassis", "the front bumper is hit, and stays pressed")
                 self._type("bumper front on")
                 self._drive_until_stopped(lease, EIGHT_SPEED_MPS)
                 self._rest(robot)
                 time.sleep(1.0)
-                lease.reset()
-                self._engage(lease)
+                self._engage(robot, lease)
                 self._tell(FIRST, "drives away from the hit side")
-                self._drive(lease, -0.5, 0.0, 1.5, stopped)
+                self._drive(robot, lease, (-0.5, 0.0), 1.5, stopped)
                 self._type("bumper front off")
-                self._drive(lease, -0.5, 0.0, 0.5, stopped)
+                self._drive(robot, lease, (-0.5, 0.0), 0.5, stopped)
                 self._tell("link", f"of {FIRST} stalls while the robot moves")
                 is_stalled = True
                 relay.stall()
@@ -143,28 +166,60 @@ class DemoDrive:
         """Another operator takes over, drives a little and gives the robot back."""
         robot.wait_for(lambda state: not state.lease_holder, LEASE_TIMEOUT_S)
         with robot.lease() as lease:
-            self._engage(lease)
+            self._engage(robot, lease)
             self._tell(SECOND, "drives on")
-            self._drive(lease, 0.5, 0.0, 1.5, stopped)
+            self._drive(robot, lease, (0.5, 0.0), 1.5, stopped)
             lease.disengage()
             self._rest(robot)
 
-    def _engage(self, lease: Lease) -> None:
-        lease.engage(deadman_s=self._link.deadman_s)
-        lease.unpark()
+    def _engage(self, robot: Robot, lease: Lease) -> None:
+        """Engage; where a busy machine stops the robot meanwhile, say so, reset what is latched, and try again."""
+        end_s = time.monotonic() + RECOVERY_S
+        while True:
+            self._rest(robot)
+            try:
+                if robot.state().state.latched:
+                    lease.reset()
+                lease.engage(deadman_s=self._link.deadman_s)
+                lease.unpark()
+            except (Refused, Stopped) as error:
+                if error.reason not in HELD_UP or time.monotonic() > end_s:
+                    raise
+                self._tell(robot.operator, f"is told: {error}; tries again")
+                time.sleep(RETRY_S)
+            else:
+                return
 
     def _drive(
-        self, lease: Lease, speed_mps: float, angle_deg: float, seconds: float, stopped: Callable[[], bool]
+        self,
+        robot: Robot,
+        lease: Lease,
+        set_point: tuple[float, float],
+        seconds: float,
+        stopped: Callable[[], bool],
     ) -> None:
+        """Drive at this speed in m/s and angle in degrees; begin again where a busy machine stops the robot."""
+        speed_mps, angle_deg = set_point
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s and not stopped():
-            lease.drive(speed_mps, angle_deg=angle_deg)
+            try:
+                lease.drive(speed_mps, angle_deg=angle_deg)
+            except Stopped as error:
+                if error.reason not in HELD_UP:
+                    raise
+                left_s = end_s - time.monotonic()
+                self._tell(robot.operator, f"is told: {error}; engages again")
+                self._engage(robot, lease)
+                end_s = time.monotonic() + left_s
             time.sleep(RENEWED_S)
 
     def _drive_until_stopped(self, lease: Lease, speed_mps: float) -> None:
         """Go on asking until the robot obeys no more, because of its front bumper. Other reasons are raised."""
+        end_s = time.monotonic() + STOPPED_TIMEOUT_S
         try:
-            self._drive(lease, speed_mps, 0.0, STOPPED_TIMEOUT_S, lambda: False)
+            while time.monotonic() < end_s:
+                lease.drive(speed_mps, angle_deg=0.0)
+                time.sleep(RENEWED_S)
         except RobotError as error:
             if error.reason is not Reason.FRONT_BUMPER:
                 raise

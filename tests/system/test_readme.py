@@ -92,15 +92,17 @@ COMMANDS: Final[dict[str, Run | Start | str]] = {
     "cruiser fault sticks 0.8 15": Run("ok"),
     "cruiser fault checksum Auto_DriveFeedBack for 2s": Run("ok"),
     "cruiser fault slope 8": Run("ok"),
+    "cruiser fault clear": Run("ok"),
     "cruiser review info logs": Run("cruiser-1", ended=("cruiser record -o logs",)),
     "cruiser review check logs": Run("Auto_DriveFeedBack: frames with a wrong checksum", codes=(1,)),
+    "cruiser reset cruiser-1 --json": Run("", first=("cruiser reset cruiser-1",)),
     # On a robot.
     "ip link set can0 up txqueuelen 10 type can bitrate 500000 restart-ms 100": "wants a robot's can0, and root",
     "cruiser gateway --robot cruiser-7": "wants a robot's can0; tests/socketcan has a vcan",
     # Keys, commands.
     "import msgpack, zenoh": Start("'speed_mps'", code=-signal.SIGINT),
     'import { decode } from "@msgpack/msgpack";': "JavaScript, whose packages are not ours",
-    "import time": Run("", first=("cruiser fault clear", "cruiser reset cruiser-1"), drives=True),
+    "import time": Run("", drives=True),
     # The log.
     "cruiser record status": Run("messages written", first=("cruiser record -o logs",)),
     "cruiser record mark -m 'it swerved'": Run("an incident keeps"),

@@ -106,8 +106,12 @@ def test_the_summary_is_for_people(demo: Demo) -> None:
         assert viewer in text
 
 
+SHORT_S, LONG_S = 0.5, 3.0
+"""The guard stops a robot after a tenth of a second; after a second without a word its operator gives up."""
+
+
 class HeldUp(NamedTuple):
-    """A demo whose gateway got no processor for a while, so that the guard stopped its robot.
+    """A demo whose gateway got no processor twice: once until the guard stopped its robot, and once for longer.
 
     Attributes:
         was_open: the log was not finished when the first line of the timeline was there.
@@ -130,19 +134,30 @@ def held_up(tmp_path_factory: pytest.TempPathFactory) -> HeldUp:
     words = [sys.executable, "-m", "gateway", "demo", "--seconds", "20", "--out", str(out)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        lines = []
-        for line in process.stdout:
-            lines.append(line)
-            if "drives a figure of eight" in line:
-                break
+        lines: list[str] = []
+
+        def wait_told(what: str) -> None:
+            for line in process.stdout or ():
+                lines.append(line)
+                if what in line:
+                    return
+
+        wait_told("drives a figure of eight")
         was_open = not list((out.parent / "log-2").glob("*.mcap"))
         gateway = _child(process.pid, "gateway")
-        os.kill(gateway, signal.SIGSTOP)
-        # As long as it takes the guard; the demo itself is what is waited for.
-        time.sleep(0.5)
-        os.kill(gateway, signal.SIGCONT)
+        _hold_up(gateway, SHORT_S)
+        wait_told("engages again")
+        wait_told("engaged: ")
+        _hold_up(gateway, LONG_S)
         told, errors = process.communicate(timeout=100)
     return HeldUp(process.returncode, "".join(lines) + told, errors, was_open, out)
+
+
+def _hold_up(process: int, seconds: float) -> None:
+    """Give it no processor for so long; the demo is what is waited for."""
+    os.kill(process, signal.SIGSTOP)
+    time.sleep(seconds)
+    os.kill(process, signal.SIGCONT)
 
 
 def _child(parent: int, command: str) -> int:
@@ -158,11 +173,20 @@ def test_a_demo_that_the_machine_held_up_begins_once_more(held_up: HeldUp) -> No
     """It says what happened, why, and where the log until then is; the next attempt shows everything."""
     assert held_up.code == 0, held_up.errors
     assert "demo: interrupted: " in held_up.errors
-    assert "the guard has stopped the robot" in held_up.errors
+    assert "cruiser-1 is not heard any more" in held_up.errors
     assert "busy" in held_up.errors
     (kept,) = (held_up.out.parent / "log-2-interrupted").glob("*Z.mcap")
     assert str(kept.parent) in held_up.errors
     assert "second-operator gave the lease back" in held_up.told
+
+
+def test_a_robot_that_the_guard_has_stopped_is_driven_on(held_up: HeldUp) -> None:
+    """Its operator says why it was stopped, resets it, and engages it again."""
+    before = held_up.told.partition("not heard any more")[0]
+    guard = before.find("the guard has stopped the robot")
+    assert 0 <= guard < before.find("engages again") < before.find("reset: guard") < before.rfind("engaged: "), (
+        before
+    )
 
 
 def test_the_timeline_is_told_as_it_happens(held_up: HeldUp) -> None:
