@@ -86,13 +86,13 @@ def test_three_faults_within_a_second_are_a_failure() -> None:
     assert window.has_failed(1500 * MS)
 
 
-@pytest.mark.parametrize("kind", ["checksum", "implausible"])
-def test_corrupt_frames_and_impossible_ones_are_failures_of_their_own(kind: str) -> None:
-    """The third within a second, and each is named by its own name."""
+@pytest.mark.parametrize(("kind", "faults"), [("checksum", 5), ("implausible", 3)])
+def test_corrupt_frames_and_impossible_ones_are_failures_of_their_own(kind: str, faults: int) -> None:
+    """So many within a second, and each is named by its own name."""
     supervisor = FrameSupervisor(10 * MS)
     supervisor.receive(0, 0)
     window = {"checksum": supervisor.checksums, "implausible": supervisor.implausible}[kind]
-    for _ in range(2):
+    for _ in range(faults - 1):
         window.fault(0)
     assert supervisor.failures(0) == []
     window.fault(0)

@@ -34,7 +34,7 @@ def test_a_table_for_people(log: Path, capsys: pytest.CaptureFixture[str]) -> No
     lines = capsys.readouterr().out.splitlines()
     assert lines[1].split() == ["2023-11-14"]
     (stop,) = (line for line in lines if "  stop  " in line)
-    assert stop.split()[:6] == ["3.318", "22:13:23.330", "cruiser-1", "info", "stop", "deadman"]
+    assert stop.split()[:6] == ["3.318", "22:13:23.330", "cruiser-1", "warning", "stop", "deadman"]
     said = "stopping: no acceptable drive command came in time; none for 310 ms"
     assert stop.endswith(f"(operator-1)      {said}; 15 commands refused as too old, 1290 ms")
     (refused,) = (line for line in lines if "too_old" in line)
