@@ -20,6 +20,7 @@ from gateway.ports.zenoh_client import (
     close_session,
     is_allowed,
     lease_in_force_ms,
+    links_of,
     open_session,
     said_of,
     with_free_ports,
@@ -260,6 +261,7 @@ def open_node(settings: Settings) -> tuple[ZenohNode, Place]:
     """
     session, place = _open_session(settings)
     try:
+        _wait_for_link(session, place)
         warning = _check_name_is_free(session, settings)
     except CommandError:
         close_session(session)
@@ -267,6 +269,13 @@ def open_node(settings: Settings) -> tuple[ZenohNode, Place]:
     node = ZenohNode(session, settings)
     node.warning = warning
     return node, place
+
+
+def _wait_for_link(session: zenoh.Session, place: Place) -> None:
+    """Who is not connected yet cannot be asked whether our name is free."""
+    deadline_s = time.monotonic() + NEIGHBOUR_TIMEOUT_S
+    while place.connect and not links_of(session) and time.monotonic() < deadline_s:
+        time.sleep(0.02)
 
 
 def _check_name_is_free(session: zenoh.Session, settings: Settings) -> str:

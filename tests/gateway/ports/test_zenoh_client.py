@@ -6,8 +6,8 @@ import msgspec
 import pytest
 import zenoh
 
+from gateway.ports import zenoh_client
 from gateway.ports.zenoh_client import (
-    REPLIES_WAITING,
     SAMPLES_WAITING,
     Question,
     RobotListener,
@@ -230,12 +230,17 @@ def test_one_robot_is_heard_without_the_others() -> None:
         assert {one.key for one in heard} <= {"fleet/cruiser-2/state", "fleet/cruiser-2/gateway"}
 
 
-def test_a_flood_of_replies_holds_nothing_up() -> None:
+ROOM = 1000
+"""More than the 256 replies of a channel of Zenoh's."""
+
+
+def test_a_flood_of_replies_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """An impostor who answers without end: the next question is put all the same, and memory stays bounded."""
     listen = free_endpoint()
     answerer = open_session(ZenohSettings(), [], [listen])
     asker = open_session(ZenohSettings(), [listen], [])
-    count = 2 * REPLIES_WAITING
+    count = 2 * ROOM
+    monkeypatch.setattr(zenoh_client, "REPLIES_WAITING", ROOM)
 
     def flood(query: zenoh.Query) -> None:
         with query:
