@@ -169,7 +169,10 @@ class _Sight:
             return "its safety/state says so too briefly" if self._says else "its safety/state does not say so"
         if self._speed_mps is None:
             return "its speed is not seen"
-        return "" if self._stand.is_enough else f"it is seen to move at {self._speed_mps:.2f} m/s"
+        if self._stand.is_enough:
+            return ""
+        stands = self._speed_mps < STANDSTILL_MPS
+        return "it is seen to stand too briefly" if stands else f"it is seen to move at {self._speed_mps:.2f} m/s"
 
 
 class _Stopping:

@@ -15,7 +15,7 @@ from schemas.exit_codes import ExitCode
 from schemas.reasons import Reason
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_VERB
-from tests.gateway.cli.running import chassis, gateway, run
+from tests.gateway.cli.running import chassis, gateway, run, wait_for_chassis
 from tests.gateway.remote.fake_gateway import ROOT, free_endpoint
 
 ROBOT = "cruiser-1"
@@ -80,6 +80,7 @@ def test_a_stop_that_the_robot_shows_is_believed() -> None:
     """Without an impostor, and beside one that says the same."""
     endpoint = free_endpoint()
     with chassis() as (_, address), gateway(address, endpoint):
+        wait_for_chassis(endpoint)
         for _ in range(2):
             done = run(["stop", ROBOT, "--connect", endpoint, "--timeout", "20"])
             assert (done.returncode, done.stderr) == (0, "")

@@ -1,5 +1,6 @@
 """Our own commands as real processes."""
 
+import json
 import re
 import signal
 import subprocess
@@ -85,3 +86,14 @@ def run(words: Sequence[str]) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "gateway", *words], capture_output=True, text=True, check=False, timeout=100
     )
+
+
+def wait_for_chassis(connect: str, *words: str) -> None:
+    """Wait until the gateway there sees its chassis: before that a stop is said not to be carried out."""
+
+    def sees() -> bool:
+        lines = run(["watch", "cruiser-1", "--seconds", "0.5", "--json", "--connect", connect, *words]).stdout
+        states = [json.loads(line)["safety"] for line in lines.splitlines()]
+        return any(state is not None and "feedback_missing" not in state["blocked_by"] for state in states)
+
+    wait_until(sees)

@@ -15,7 +15,7 @@ from schemas.messages import GatewayInfo
 from schemas.settings import ZenohSettings
 from tests.gateway.cli.certificates import Authority
 from tests.gateway.cli.listening import listening
-from tests.gateway.cli.running import Running, chassis, gateway, run
+from tests.gateway.cli.running import Running, chassis, gateway, run, wait_for_chassis
 from tests.gateway.remote.fake_gateway import free_endpoint
 from tests.gateway.remote.waiting import wait_until
 
@@ -48,6 +48,7 @@ def info_of(connect: str) -> GatewayInfo:
 
 def stop_at(connect: str, *words: str) -> None:
     """Stop the robot with ``cruiser stop``."""
+    wait_for_chassis(connect, *words)
     done = run(["stop", "cruiser-1", "--connect", connect, *words])
     assert done.returncode == ExitCode.OK, done.stderr
 

@@ -254,7 +254,7 @@ SCENARIOS: dict[Scenario, tuple[Reason, tuple[str, ...]]] = {
         ("of operator-1", "310 ms before", "the limit is 300 ms", "No drive command at all"),
     ),
     stale_commands: (Reason.DEADMAN, ("15 drive requests", "1290 ms, at most 1000 ms", "seq 134, 1290 ms old")),
-    repeated_sequence: (Reason.DEADMAN, ("15 drive requests", "sequence number does not rise, or by too much; 6 after 69")),
+    repeated_sequence: (Reason.DEADMAN, ("15 drive requests", "does not rise, or by too much; 6 after 69")),
     lease_expired: (Reason.LEASE_EXPIRED, ("drive of operator-1, 500 ms before the stop", "a lease lasts 500 ms")),
     lease_taken: (Reason.LEASE_TAKEN, ("take, of operator-2",)),
     lease_released: (Reason.LEASE_RELEASED, ("release, of operator-1",)),
