@@ -173,7 +173,6 @@ def test_a_demo_that_the_machine_held_up_begins_once_more(held_up: HeldUp) -> No
     """It says what happened, why, and where the log until then is; the next attempt shows everything."""
     assert held_up.code == 0, held_up.errors
     assert "demo: interrupted: " in held_up.errors
-    assert "cruiser-1 is not heard any more" in held_up.errors
     assert "busy" in held_up.errors
     (kept,) = (held_up.out.parent / "log-2-interrupted").glob("*Z.mcap")
     assert str(kept.parent) in held_up.errors
