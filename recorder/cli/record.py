@@ -33,7 +33,7 @@ from recorder.ports.leftovers import LeftoverThread
 from recorder.ports.log_directory import LogDirectory
 from recorder.ports.log_writer import QUEUE_BYTES, LogWriter
 from recorder.ports.remote_control import RemoteControl
-from recorder.ports.zenoh_source import RING_SAMPLES, ZenohSource
+from recorder.ports.zenoh_source import RING_SAMPLE_BYTES, ZenohSource
 from recorder.recording import Recording, RecordingPlan
 from recorder.retention import Limits
 from recorder.session import Plan
@@ -144,7 +144,8 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
     collect_seldom()
     directory = LogDirectory(path)
     with ExitStack() as stack:
-        source = stack.enter_context(closing(ZenohSource(settings.zenoh, expressions, RING_SAMPLES)))
+        ring_samples = recorder.queue_bytes // RING_SAMPLE_BYTES
+        source = stack.enter_context(closing(ZenohSource(settings.zenoh, expressions, ring_samples)))
         control = stack.enter_context(closing(RemoteControl(settings)))
         writer = LogWriter(directory, library, QUEUE_BYTES + recorder.incident_ring_bytes)
         known = known_robots(settings, expressions)

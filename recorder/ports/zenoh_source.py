@@ -22,8 +22,9 @@ from schemas.zenoh_link import reason
 REPLY_TIMEOUT_S: Final = 2.0
 """How long a query may wait for its reply."""
 
-RING_SAMPLES: Final = 20_000
-"""Samples that may wait in Zenoh's own ring for each key expression: what comes in while the loop is held up."""
+RING_SAMPLE_BYTES: Final = 3_200
+"""Of ``recorder.queue_bytes`` for a sample in Zenoh's own ring, of each key expression: 20,000 of them in 64 MB.
+There they wait while the loop is held up."""
 
 DRAIN_BYTES: Final = 16_000_000
 """Payloads that one ``drain`` takes, about."""
