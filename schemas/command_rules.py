@@ -35,7 +35,9 @@ CHANGES: Final[dict[int, str]] = {
     "a gateway that is told to end says so; "
     "safety/state comes at 50 Hz while the robot is engaged",
     3: "commands of another computer are an event also while the robot stands by",
-    4: "a drive command whose seq is more than 1,000 above the last accepted one is refused",
+    4: "a drive command whose seq is more than 1,000 above the last accepted one is refused; "
+    "five wrong checksums in a second stop the robot, three before; "
+    "wheel pulses are counted per period, so that a lost frame makes no slowing robot look steady",
 }
 """What each version of the rules changed."""
 
