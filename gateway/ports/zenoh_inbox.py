@@ -131,6 +131,9 @@ class CommandInbox:
 
     def _newest(self, arrived: list[Any], most: int, is_holders: Callable[[Any], bool]) -> list[Any]:
         """The newest of what has come, at most so many of the holder and so many of all others."""
+        if len(arrived) <= most:
+            # There is room for all: nothing has to be read to choose.
+            return arrived
         own: deque[Any] = deque()
         others: deque[Any] = deque()
         for one in reversed(arrived):
