@@ -128,16 +128,26 @@ def test_a_log_that_misses_a_batch_is_refused() -> None:
         list(log.run_again())
 
 
+def the_event_again(day: Day) -> SafetyEvent:
+    """The one event of this day, which is the same when the day is run again."""
+    again = [s.payload for _, samples in ReadBack(recorded(day)).run_again() for s in samples if is_event(s)]
+    assert again == [s.payload for s in day.core.samples if is_event(s)]
+    (event,) = (codec.decode(BY_NAME["safety/event"], payload) for payload in again)
+    assert isinstance(event, SafetyEvent)
+    return event
+
+
+def is_event(sample: Sample) -> bool:
+    """It is of the events that people read."""
+    return sample.subject == "safety/event"
+
+
 def test_a_run_that_began_latched_by_the_guard_is_run_again_so() -> None:
     """Row 'the guard has stopped the robot: latched, also across a restart': what the note said is an input."""
     day = Day(3, Variant.COARSE)
     day.rig.core.latch_guard_stop("yesterday guard: the gateway is gone", day.rig.now_ns)
     day.rig.run(2)
-    log = ReadBack(recorded(day))
-    again = [s.payload for _, samples in log.run_again() for s in samples if s.subject == "safety/event"]
-    assert again == [s.payload for s in day.core.samples if s.subject == "safety/event"]
-    (event,) = (codec.decode(BY_NAME["safety/event"], payload) for payload in again)
-    assert isinstance(event, SafetyEvent)
+    event = the_event_again(day)
     assert (event.kind, event.reason) == (EventKind.LATCH, Reason.GUARD)
     assert event.text.endswith("; yesterday guard: the gateway is gone")
 
@@ -147,11 +157,7 @@ def test_what_a_run_began_with_a_warning_of_is_run_again_so() -> None:
     day = Day(3, Variant.COARSE)
     day.rig.core.warn("somebody has our name", day.rig.now_ns)
     day.rig.run(2)
-    log = ReadBack(recorded(day))
-    again = [s.payload for _, samples in log.run_again() for s in samples if s.subject == "safety/event"]
-    assert again == [s.payload for s in day.core.samples if s.subject == "safety/event"]
-    (event,) = (codec.decode(BY_NAME["safety/event"], payload) for payload in again)
-    assert isinstance(event, SafetyEvent)
+    event = the_event_again(day)
     assert (event.kind, event.text) == (EventKind.FAULT, "somebody has our name")
 
 
