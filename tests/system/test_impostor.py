@@ -70,6 +70,7 @@ def test_replies_that_contradict_each_other_are_said_to() -> None:
         gateway(address, endpoint),
         impostor(free_endpoint(), [endpoint], ok=False),
     ):
+        wait_for_chassis(endpoint)
         done = run(["stop", ROBOT, "--connect", endpoint])
     assert done.returncode == ExitCode.PARTIAL
     assert done.stdout == ""
