@@ -35,7 +35,7 @@ class LogCheck(msgspec.Struct, frozen=True):
         is_being_written: a recorder has it open; that it has no end yet is no finding.
         messages: that were read.
         missed: samples missed on all channels.
-        frames_lost: raw frames that never came, by their alive counters and, across outages, by their period.
+        frames_lost: raw frames that never came, by their alive counters; see ``alive.AliveCount``.
         frames: the alive counters of each identifier.
         findings: what is wrong, about the file first; ``untold`` more are about the file, too.
     """

@@ -30,8 +30,8 @@ _FRAME_FAULTS: Final = {
     "lost": "frames lost, by the alive counter",
     "repeated": "frames with the alive counter of the one before",
     "corrupt": "frames with a wrong checksum",
-    "outages": "gaps in time that are too long for the alive counter, or steps back",
-    "unseen": "frames lost in these, by the period",
+    "outages": "gaps in time in which the alive counter may have gone round, or steps back",
+    "unseen": "frames lost in these by whole rounds of the alive counter, by the period",
 }
 
 
