@@ -291,8 +291,8 @@ class Timeline:
 
     def _take_health(self, robot: RobotTrack, row: Row, health: GatewayHealth) -> None:
         time_ns = robot.place(row)
-        was = robot.health
-        robot.health = health
+        was, was_ns = robot.health, min(robot.health_ns, time_ns)
+        robot.health, robot.health_ns = health, time_ns
         if was is not None and health.uptime_s < was.uptime_s:
             was = None
             if robot.state is None:
@@ -301,12 +301,15 @@ class Timeline:
         for one in risen(was, health):
             if one.what == "controller" and robot.state is not None:
                 continue  # An event says so.
-            entry = _plain(robot.name, one.kind, one.severity, time_ns, one.text, Source.HEALTH)
-            entry = msgspec.structs.replace(entry, count=one.count)
-            if one.severity is Severity.INFO and one.count == 1:
+            is_dated = was is None or one.is_end
+            text = one.text if is_dated else f"{one.text} (after this time, as the next gateway/health says)"
+            began_ns = time_ns if is_dated else was_ns
+            entry = _plain(robot.name, one.kind, one.severity, began_ns, text, Source.HEALTH)
+            entry = msgspec.structs.replace(entry, last_ns=time_ns, count=one.count)
+            if one.severity is Severity.INFO and one.count == 1 and not one.about:
                 self._hold(entry)
             else:
-                self._spells.add((robot.name, one.what), entry, row.log_ns)
+                self._spells.add((robot.name, one.what), entry, row.log_ns, one.about)
 
     def _take_recorder_event(self, _robot: RobotTrack, row: Row, event: RecorderEvent) -> None:
         kind = EntryKind.GATEWAY if event.kind is RecorderEventKind.GATEWAY else EntryKind.RECORDER

@@ -58,7 +58,8 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         time_ns: when, in nanoseconds since 1970, by the robot's clock; by the recorder's where the two differ
-            by over a second.
+            by over a second. Of what ``gateway/health`` tells, which looks once a second, it is the time of the
+            health before: what went wrong did so between that and ``last_ns``.
         last_ns: when the last of ``count`` alike ones was, or how long it lasted; else as ``time_ns``.
         robot: whose; empty where it is about all.
         count: so many alike ones are told together.

@@ -12,11 +12,11 @@ from schemas.decisions import Severity
 from schemas.messages import ControllerState, GatewayHealth
 
 FAILURES_IN_WORDS: Final = {
-    "checksum": "its checksums fail",
-    "implausible": "its values are beyond what the chassis can have",
-    "alive_counter": "its alive counter fails",
-    "period": "its period is wrong",
-    "silence": "it is silent",
+    "checksum": "checksums fail",
+    "implausible": "values beyond what the chassis can have",
+    "alive_counter": "alive counter fails",
+    "period": "wrong period",
+    "silence": "silent",
 }
 
 _COUNTS: Final[tuple[tuple[str, str], ...]] = (
@@ -34,16 +34,22 @@ _FRAME_COUNTS: Final[tuple[tuple[str, str, str], ...]] = (
 )
 """Counters of each frame whose rise is told, and the kind of fault that need not be told besides."""
 
+_LOST_IN_SILENCE: Final = "frames that should have come in the silence that is over"
+"""They are counted when it ends."""
+
 _HARMLESS: Final = frozenset({"unknown_identifier", "remote_frame", "error_frame", "fd_frame"})
 """Frames of others on the bus, mostly."""
 
 
 class Risen(msgspec.Struct, frozen=True):
-    """Something that went wrong.
+    """Something that went wrong, or is over.
 
     Attributes:
         what: alike ones have the same.
         count: so many since the health before.
+        about: the feedback frames that it is about; empty if it is about none.
+        is_end: the end of something, which is known to be over at this health. Else it began, at an unknown time,
+            behind the health before.
     """
 
     what: str
@@ -51,6 +57,8 @@ class Risen(msgspec.Struct, frozen=True):
     severity: Severity
     text: str
     count: int = 1
+    about: tuple[str, ...] = ()
+    is_end: bool = False
 
 
 def risen(before: GatewayHealth | None, now: GatewayHealth) -> Iterator[Risen]:
@@ -67,29 +75,50 @@ def risen(before: GatewayHealth | None, now: GatewayHealth) -> Iterator[Risen]:
 
 
 def _frames(before: GatewayHealth | None, now: GatewayHealth) -> Iterator[Risen]:
+    """Of all frames together, since a cable that is pulled out silences all of them."""
     were = {} if before is None else {frame.name: frame.failures for frame in before.feedback}
+    begun: dict[str, list[str]] = {}
+    over: dict[str, list[str]] = {}
     for frame in now.feedback:
+        was = were.get(frame.name, [])
         for failure in frame.failures:
-            if failure not in were.get(frame.name, ()):
-                words = FAILURES_IN_WORDS.get(failure, failure)
-                yield Risen(f"{frame.name} {failure}", EntryKind.FAULT, Severity.WARNING, f"{frame.name}: {words}")
-        for failure in were.get(frame.name, ()):
+            if failure not in was:
+                begun.setdefault(failure, []).append(frame.name)
+        for failure in was:
             if failure not in frame.failures:
-                text = f"{frame.name}: no longer at fault ({failure})"
-                yield Risen(f"{frame.name} {failure} over", EntryKind.FAULT, Severity.INFO, text)
+                over.setdefault(failure, []).append(frame.name)
+    for failure, names in begun.items():
+        words = FAILURES_IN_WORDS.get(failure, failure)
+        yield Risen(failure, EntryKind.FAULT, Severity.WARNING, words, len(names), tuple(names))
+    for failure, names in over.items():
+        text = f"no longer at fault ({failure})"
+        what = f"{failure} over"
+        yield Risen(what, EntryKind.FAULT, Severity.INFO, text, len(names), tuple(names), is_end=True)
 
 
 def _counts(before: GatewayHealth, now: GatewayHealth) -> Iterator[Risen]:
-    said = set()
     were = {frame.name: frame for frame in before.feedback}
+    said = {
+        failure
+        for frame in now.feedback
+        for failure in frame.failures
+        if frame.name in were and failure not in were[frame.name].failures
+    }
     for field, kind, words in _FRAME_COUNTS:
-        for frame in now.feedback:
-            was = were.get(frame.name)
-            rise = 0 if was is None else getattr(frame, field) - getattr(was, field)
-            if rise > 0:
-                said.add(kind)
-                what = f"{frame.name} {field}"
-                yield Risen(what, EntryKind.FAULT, Severity.WARNING, f"{frame.name}: {words}", rise)
+        rises = {
+            frame.name: getattr(frame, field) - getattr(were[frame.name], field)
+            for frame in now.feedback
+            if frame.name in were and getattr(frame, field) > getattr(were[frame.name], field)
+        }
+        if rises:
+            said.add(kind)
+        late = {name for name in rises if field == "lost" and "silence" in were[name].failures}
+        for text, names in ((words, rises.keys() - late), (_LOST_IN_SILENCE, late)):
+            if names:
+                about = tuple(name for name in rises if name in names)
+                count = sum(rises[name] for name in about)
+                is_end = names is late
+                yield Risen(text, EntryKind.FAULT, Severity.WARNING, text, count, about, is_end=is_end)
     for kind, count in now.faults.items():
         rise = count - before.faults.get(kind, 0)
         if rise > 0 and kind not in said:
@@ -106,10 +135,10 @@ def _bus(before: GatewayHealth | None, now: GatewayHealth) -> Iterator[Risen]:
         detail = f": {now.bus_detail}" if now.bus_detail else ""
         yield Risen("bus down", EntryKind.FAULT, Severity.ERROR, f"the CAN bus {now.bus} is not there{detail}")
     if before is not None and now.bus_up and not before.bus_up:
-        yield Risen("bus up", EntryKind.FAULT, Severity.INFO, f"the CAN bus {now.bus} is back")
+        yield Risen("bus up", EntryKind.FAULT, Severity.INFO, f"the CAN bus {now.bus} is back", is_end=True)
     if before is not None and now.variant is not before.variant:
         text = f"the firmware variant: {before.variant.value} before, {now.variant.value} now"
-        yield Risen("variant", EntryKind.GATEWAY, Severity.INFO, text)
+        yield Risen("variant", EntryKind.GATEWAY, Severity.INFO, text, is_end=True)
     was = ControllerState.UNKNOWN if before is None else before.controller
     if now.controller is not was and now.controller is not ControllerState.UNKNOWN:
         text = f"the CAN controller: {was.value} before, {now.controller.value} now"

@@ -28,7 +28,7 @@ class RobotTrack:
         state: the arbiter's newest; when it was (``state_ns``) and was received (``state_log_ns``), and its
             ``state_sequence``.
         ended_tick: when a gateway said last that it ends, as it was told to; None if none did.
-        health: the newest.
+        health: the newest; ``health_ns``, when it was.
     """
 
     def __init__(self, name: str) -> None:
@@ -40,6 +40,7 @@ class RobotTrack:
         self.state_sequence = 0
         self.ended_tick: int | None = None
         self.health: GatewayHealth | None = None
+        self.health_ns = 0
         self._holder_ticks: deque[int] = deque(maxlen=HOLDERS_KEPT)
         self._holders: deque[str] = deque(maxlen=HOLDERS_KEPT)
         self._runs: list[int] = []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterable
 from typing import Final
 
 import msgspec
@@ -25,6 +25,7 @@ class _Spell(msgspec.Struct):
     last_ns: int
     count: int
     touched_ns: int
+    about: dict[str, None]
 
 
 class Spells:
@@ -34,8 +35,11 @@ class Spells:
         self._open: dict[Hashable, _Spell] = {}
         self._over: list[Entry] = []
 
-    def add(self, key: Hashable, entry: Entry, log_ns: int) -> None:
-        """One more, or ``entry.count`` more; alike are those with the same key. The spell's text is the last's."""
+    def add(self, key: Hashable, entry: Entry, log_ns: int, about: Iterable[str] = ()) -> None:
+        """One more, or ``entry.count`` more; alike are those with the same key.
+
+        The spell's text is the last's. What they are ``about`` is named before it, of all of them together.
+        """
         spell = self._open.get(key)
         if spell is not None:
             if spell.first_ns - SPELL_NS <= entry.time_ns <= spell.last_ns + SPELL_NS:
@@ -44,12 +48,13 @@ class Spells:
                 spell.first_ns = min(spell.first_ns, entry.time_ns)
                 spell.count += entry.count
                 spell.touched_ns = log_ns
+                spell.about.update(dict.fromkeys(about))
                 return
             del self._open[key]
             self._over.append(_told(spell))
         elif len(self._open) >= SPELLS_MAX:
             self._over.append(_told(self._open.pop(next(iter(self._open)))))
-        self._open[key] = _Spell(entry, entry.time_ns, entry.last_ns, entry.count, log_ns)
+        self._open[key] = _Spell(entry, entry.time_ns, entry.last_ns, entry.count, log_ns, dict.fromkeys(about))
 
     def take(self, log_ns: int | None = None) -> list[Entry]:
         """The spells that are over at this log time; all of them without one."""
@@ -63,4 +68,9 @@ class Spells:
 
 
 def _told(spell: _Spell) -> Entry:
-    return msgspec.structs.replace(spell.entry, time_ns=spell.first_ns, last_ns=spell.last_ns, count=spell.count)
+    text, names = spell.entry.text, ", ".join(spell.about)
+    if names:
+        text = f"{names}: {text}" if len(spell.about) == 1 else f"{len(spell.about)} frames ({names}): {text}"
+    return msgspec.structs.replace(
+        spell.entry, time_ns=spell.first_ns, last_ns=spell.last_ns, count=spell.count, text=text
+    )

@@ -12,6 +12,7 @@ from recorder.review import events
 from recorder.review.events import Question, read_events
 from recorder.review.faults import Faults
 from recorder.review.logs import find_logs
+from recorder.review.reasoning.signals import BY_IDENTIFIER
 from recorder.review.rows import Selection, read_rows
 from recorder.review.timeline.entries import Entry, EntryKind, Source
 from schemas.decisions import (
@@ -33,6 +34,8 @@ from tests.recorder.review.scenarios import SCENARIOS, Scenario, acted, recorded
 
 TICK_NS = 10 * MS
 FIRST_TICK = 10**11
+AFTER = " (after this time, as the next gateway/health says)"
+"""Behind what has gone wrong between two healths."""
 
 
 @pytest.fixture
@@ -311,14 +314,44 @@ def test_a_gateway_that_only_listens_has_faults_and_no_more(path: Path) -> None:
     safety = ("safety/event", "safety/state", "safety/decision", "journal")
     entries = told(path, recorded(scenarios.one_silent_frame, *safety))
     assert {one.source for one in entries} == {Source.HEALTH}
-    assert "faults of frames: silence" in {one.text for one in entries}
+    assert f"faults of frames: silence{AFTER}" in {one.text for one in entries}
+
+
+def test_one_outage_begins_once_and_ends_once(path: Path) -> None:
+    """All feedback stays away and comes again: not a line for each frame and each of its faults."""
+    rig, _ = RecordedRig.driving()
+    rig.corrupt = lambda _frame: None
+    rig.run(3.0)
+    rig.corrupt = lambda frame: frame
+    rig.rest_after(1.0)
+    entries = [one for one in told(path, rig.log()) if one.source is Source.HEALTH]
+    assert [(one.count, one.text.partition(": ")[2]) for one in entries] == [
+        (10, f"silent{AFTER}"),
+        (10, "no longer at fault (silence)"),
+        (1890, "frames that should have come in the silence that is over"),
+    ]
+    for one in entries:
+        assert one.text.startswith("10 frames (")
+        assert all(frame.name in one.text for frame in BY_IDENTIFIER.values() if frame.is_feedback)
+
+
+def test_a_fault_stands_before_what_it_causes(path: Path) -> None:
+    """The health that tells of it comes later: it began behind the health before."""
+    entries = told(path, recorded(scenarios.one_silent_frame))
+    (stop,) = (one for one in entries if one.kind is EntryKind.STOP)
+    faults = [one for one in entries if one.source is Source.HEALTH]
+    assert faults
+    for one in faults:
+        assert one.time_ns <= stop.time_ns <= one.last_ns
+        assert one.last_ns - one.time_ns == SECOND
+        assert entries.index(one) < entries.index(stop)
 
 
 def test_the_frame_whose_checksums_were_wrong_is_named(path: Path) -> None:
     """By the health's own counts."""
     entries = told(path, recorded(scenarios.checksums))
     (fault,) = (one for one in entries if "wrong checksum" in one.text)
-    assert (fault.text, fault.count) == ("Auto_DriveFeedBack: frames with a wrong checksum", 5)
+    assert (fault.text, fault.count) == (f"Auto_DriveFeedBack: frames with a wrong checksum{AFTER}", 5)
 
 
 def test_a_damaged_log_never_raises(path: Path) -> None:

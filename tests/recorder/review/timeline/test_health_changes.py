@@ -39,8 +39,8 @@ def test_nothing_new_tells_nothing() -> None:
     ("changes", "text", "count"),
     [
         ({"faults": {"silence": 2}}, "faults of frames: silence", 2),
-        ({"feedback": frame(checksum_faults=3)}, "Auto_GearFeedBack: frames with a wrong checksum", 3),
-        ({"feedback": frame(failures=["silence"])}, "Auto_GearFeedBack: it is silent", 1),
+        ({"feedback": frame(checksum_faults=3)}, "frames with a wrong checksum", 3),
+        ({"feedback": frame(failures=["silence"])}, "silent", 1),
         ({"bus_losses": 1}, "the CAN bus was lost", 1),
         ({"bus_drops": 9}, "the kernel dropped frames that were not read in time", 9),
         ({"publish_failures": 4}, "Zenoh did not take samples", 4),
@@ -72,9 +72,35 @@ def test_a_frame_that_says_a_thing_is_not_said_twice() -> None:
     """The sum over all frames is left out where a frame tells."""
     new = health(faults={"checksum": 3, "length": 1}, feedback=frame(checksum_faults=3))
     assert [one.text for one in risen(WELL, new)] == [
-        "Auto_GearFeedBack: frames with a wrong checksum",
+        "frames with a wrong checksum",
         "faults of frames: length",
     ]
+
+
+NAMES = ("Auto_GearFeedBack", "Auto_DriveFeedBack")
+
+
+def frames(**changes: object) -> list[FrameHealth]:
+    """Two frames, both with this changed."""
+    return [msgspec.structs.replace(FRAME, name=name, **changes) for name in NAMES]
+
+
+def test_what_befalls_several_frames_is_one() -> None:
+    """It names them all; neither the sum over all frames nor their silence is said besides."""
+    well, ill = health(feedback=frames()), health(feedback=frames(failures=["silence"]), faults={"silence": 2})
+    back = health(feedback=frames(lost=50), faults={"silence": 2})
+    begun, ended = list(risen(well, ill)), list(risen(ill, back))
+    assert [(one.text, one.count, one.about, one.is_end) for one in begun] == [("silent", 2, NAMES, False)]
+    assert [(one.text, one.count, one.about, one.is_end) for one in ended] == [
+        ("no longer at fault (silence)", 2, NAMES, True),
+        ("frames that should have come in the silence that is over", 100, NAMES, True),
+    ]
+
+
+def test_what_is_lost_without_a_silence_was_lost_since_the_health_before() -> None:
+    """What is lost in a silence is counted when it ends, and may have been long before."""
+    (lost,) = risen(health(feedback=frames()), health(feedback=frames(lost=3)))
+    assert (lost.text, lost.count, lost.is_end) == ("frames that should have come, and did not", 6, False)
 
 
 def test_every_failure_has_words() -> None:

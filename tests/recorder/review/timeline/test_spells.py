@@ -45,6 +45,15 @@ def test_a_spell_has_the_text_of_its_last() -> None:
     assert (told.time_ns, told.last_ns, told.count, told.text) == (10, 30, 3, "30")
 
 
+def test_a_spell_names_all_that_it_is_about() -> None:
+    """Each once, in the order in which they came; one alone is not counted."""
+    spells = Spells()
+    for time_ns, about in ((0, ["a"]), (1, ["b", "a"]), (2, ["c"])):
+        spells.add("many", entry(time_ns), time_ns, about)
+    spells.add("one", entry(7), 7, ["a"])
+    assert [one.text for one in spells.take()] == ["3 frames (a, b, c): 2", "a: 7"]
+
+
 def test_a_spell_is_told_when_nothing_comes_any_more() -> None:
     """Not sooner: what is late may belong to it."""
     spells = Spells()
