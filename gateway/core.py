@@ -28,7 +28,7 @@ from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.frames import MOTION_FRAMES
 from gateway.command.request import RawRequest
 from gateway.command.rest import QUIET_NS, Rest, is_at_rest, memory_of, recall
-from gateway.journal import FRAME, LINKS, JournalWriter, Kind
+from gateway.journal import FRAME, LINKS, JournalWriter
 from gateway.observation import BODY, Observer
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import HealthMeter, Links
@@ -38,6 +38,7 @@ from gateway.telemetry.state import LatestMessages, robot_state
 from schemas.codec import encode
 from schemas.dbc_files import DBC_FILES
 from schemas.decisions import ArbiterState, EventKind, SafetyEvent, Severity
+from schemas.journal import Kind
 from schemas.messages import SEQUENCE_MAX, ControllerState, Message, Variant
 from schemas.reasons import Reason
 from schemas.settings import BATCH_MAX_FRAMES, BATCH_PERIOD_NS, HEALTH_PERIOD_NS, STATE_PERIOD_NS, Settings

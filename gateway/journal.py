@@ -8,39 +8,14 @@ gateway is at rest, it says what it would have to be remembered by, so that what
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from enum import IntEnum
 from typing import Any, Final
 
 import msgspec
 
 from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Journal
+from schemas.journal import Kind
 from schemas.messages import SEQUENCE_MAX
-
-
-class Kind(IntEnum):
-    """Which method of the core an input was given to."""
-
-    FRAME = 0
-    """[can_id, data, wall_ns, fd_flags, remote_length]"""
-    REQUEST = 1
-    """handle, verb, operator, payload, size, fault; in journals of before without the fault. The payload names the
-    lease by its identifier: see ``gateway.command.lease_numbers``."""
-    LINKS = 2
-    """Those that ``LINKS`` names, in its order; only when one of them has changed"""
-    TICK = 3
-    """wall_ns, late_ns, challenge; under rules 1 without the challenge"""
-    SENT = 4
-    """count, wall_ns"""
-    SHUT_DOWN = 5
-    REST = 6
-    """[what the arbiter is remembered by], controller, and the links as in LINKS: nothing is given to the core.
-    The gateway is at rest, and from here on a run can be run again: see ``gateway.command.rest``."""
-    GUARD_STOP = 7
-    """words: the guard stopped the robot before this start, and nobody has reset that"""
-    WARNING = 8
-    """words: what was found at the start and a person should know"""
-
 
 Input = tuple[Any, ...]
 

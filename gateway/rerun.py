@@ -13,11 +13,12 @@ from gateway.chassis.frame import Frame
 from gateway.command.request import RawRequest
 from gateway.command.rest import Rest
 from gateway.core import Core, Due
-from gateway.journal import LINKS, BrokenJournalError, Input, Kind, follow, inputs_of
+from gateway.journal import LINKS, BrokenJournalError, Input, follow, inputs_of
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Journal
+from schemas.journal import Kind
 from schemas.messages import ControllerState
 from schemas.requests import CHALLENGE_BYTES
 from schemas.settings import Settings

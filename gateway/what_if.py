@@ -17,12 +17,13 @@ import msgspec
 from gateway.chassis.frame import Frame
 from gateway.command.lease import Lease
 from gateway.core import Core, Due
-from gateway.journal import Input, Kind
+from gateway.journal import Input
 from gateway.rerun import give, run_of
 from gateway.sim.stand_in import StandIn
 from gateway.telemetry.sample import Sample
 from schemas.codec import PAYLOAD_ERRORS
 from schemas.decisions import Journal
+from schemas.journal import Kind
 from schemas.messages import Variant
 from schemas.settings import Settings
 

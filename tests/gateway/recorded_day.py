@@ -10,12 +10,13 @@ import pytest
 from gateway import core
 from gateway.chassis.frame import Frame
 from gateway.core import Core, Due
-from gateway.journal import Kind, inputs_of
+from gateway.journal import inputs_of
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas import codec, keys
 from schemas.configuration import to_toml
 from schemas.decisions import Decision, Journal, SafetyEvent, SafetyState
+from schemas.journal import Kind
 from schemas.messages import GatewayInfo, Message, Variant
 from schemas.settings import CommandSettings, Settings
 from schemas.subjects import BY_NAME

@@ -6,10 +6,11 @@ import pytest
 from gateway.chassis.frame import EXTENDED, FD, REMOTE, Frame
 from gateway.command.request import RawRequest
 from gateway.core import Core
-from gateway.journal import Input, JournalGapError, JournalWriter, Kind, reach, read
+from gateway.journal import Input, JournalGapError, JournalWriter, reach, read
 from gateway.telemetry.health import Links
 from schemas import codec
 from schemas.decisions import Journal
+from schemas.journal import Kind
 from schemas.settings import Settings
 from schemas.subjects import BY_NAME
 from tests.gateway.frames import CHALLENGE, MS, WALL_NS

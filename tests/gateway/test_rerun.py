@@ -11,7 +11,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from gateway.chassis.frame import Frame
 from gateway.core import Core
-from gateway.journal import JournalGapError, Kind, read
+from gateway.journal import JournalGapError, read
 from gateway.rerun import give, rerun, run_again
 from gateway.telemetry.sample import Sample
 from recorder.transcode import compile_encoder
@@ -19,6 +19,7 @@ from schemas import codec
 from schemas.can_word import EXTENDED
 from schemas.configuration import TomlSource, merge
 from schemas.decisions import Decision, EventKind, Journal, SafetyEvent, SafetyState
+from schemas.journal import Kind
 from schemas.messages import Message, Variant
 from schemas.reasons import Reason
 from schemas.settings import Settings

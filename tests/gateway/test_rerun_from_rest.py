@@ -6,11 +6,12 @@ import pytest
 
 from gateway.chassis.frame import Frame
 from gateway.command.rest import QUIET_NS
-from gateway.journal import Kind, inputs_of
+from gateway.journal import inputs_of
 from gateway.rerun import WARM_UP_NS, rerun, run_again, run_of
 from gateway.telemetry.sample import Sample
 from schemas import codec
 from schemas.decisions import Journal
+from schemas.journal import Kind
 from schemas.subjects import BY_NAME
 from tests.gateway.recorded_day import Day, RestfulDay, restful_day
 

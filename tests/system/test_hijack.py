@@ -17,12 +17,12 @@ import pytest
 import zenoh
 from mcap.reader import make_reader
 
-from gateway.journal import Kind
 from gateway.ports.zenoh_client import close_session, open_session
 from gateway.remote.refusal import LeaseLost, RobotError
 from gateway.remote.robot import Lease, Robot
 from schemas import keys
 from schemas.decisions import Decision, Journal, Verdict
+from schemas.journal import Kind
 from schemas.reasons import Reason
 from schemas.settings import Settings, ZenohSettings
 from schemas.subjects import BY_NAME

@@ -48,6 +48,9 @@ _ABSURD: Final = {
     "RearRightSpeed": SPEED_PLAUSIBLE_MPS,
 }
 _COUNTER_MODULO: Final = 16
+WAITED_NS: Final = 1_000_000
+"""To read a frame takes less; one that waited for longer is told to have waited."""
+
 _TOLD_NS: Final = SAFETY_STATE_PERIOD_NS + TICK_NS
 """What the arbiter says is so may be over since, for so long: it says so again after its period."""
 
@@ -77,10 +80,10 @@ def _turned(scene: Scene, signal: str, value: int, word: str) -> list[Link]:
             break
     if first is None:
         return []
+    text = f"frame {first} said {signal} = {word}, {scene.ago(first.time_ns)}{_waited(first)}"
     if other is None:
-        text = f"frame {first} said {signal} = {word}, {scene.ago(first.time_ns)}, and so did all since"
+        text += ", and so did all since"
     else:
-        text = f"frame {first} said {signal} = {word}, {scene.ago(first.time_ns)}"
         was = _MODES.get(int(signals(other)[signal]), "?") if signal == "Mode" else f"{signals(other)[signal]:g}"
         text += f"; the one {span(first.time_ns - other.time_ns)} earlier said {was}"
     link = evidence(
@@ -127,12 +130,20 @@ def _last_frame(scene: Scene, name: str) -> Link:
     whole = [frame for frame in frames if frame.is_whole]
     limit_ns = silence_ns(name)
     identifier = f"0x{IDENTIFIERS[name]:08X}"
+    late = _waiting(scene, name)
     if not whole:
         more = f"; {count(len(frames), 'frame')} of it had a wrong checksum" if frames else ""
-        return evidence(f"{name} ({identifier}) was not heard in the seconds before{more}", name=name)
+        return evidence(f"{name} ({identifier}) was not heard in the seconds before{more}{late}", name=name)
     last = _last_new(whole)
     age_ns = scene.at_ns - last.time_ns
-    data = {"name": name, "identifier": identifier, "age_ms": age_ns / 1e6, "limit_ms": limit_ns / 1e6}
+    data = {
+        "name": name,
+        "identifier": identifier,
+        "age_ms": age_ns / 1e6,
+        "bus_age_ms": (age_ns + last.waited_ns) / 1e6,
+        "limit_ms": limit_ns / 1e6,
+        "waiting": len(scene.waiting.get(IDENTIFIERS[name], ())),
+    }
     if age_ns <= limit_ns and "Valid" in signals(last) and not signals(last)["Valid"]:
         valid = next((frame for frame in reversed(whole) if signals(frame)["Valid"]), None)
         since = f"the last valid one came {scene.ago(valid.time_ns)}" if valid else "none kept here was"
@@ -142,12 +153,28 @@ def _last_frame(scene: Scene, name: str) -> Link:
     repeated = f"; {count(again, 'frame')} after it only repeated its alive counter" if again else ""
     wrong = sum(1 for frame in frames if frame.time_ns > last.time_ns and not frame.is_whole)
     repeated += f"; {count(wrong, 'frame')} after it had a wrong checksum" if wrong else ""
+    if age_ns <= limit_ns and not scene.is_journaled:
+        repeated += "; so the bus says, and no journal is in the log that tells when the arbiter was given it"
     period_ms = BY_IDENTIFIER[last.identifier].period_ns / 1e6
     text = (
-        f"the last {name} came {scene.ago(last.time_ns)}, the limit is {span(limit_ns)} "
-        f"(its period is {period_ms:.0f} ms): {last}{repeated}"
+        f"the last {name} came {scene.ago(last.time_ns)}{_waited(last)}, the limit is {span(limit_ns)} "
+        f"(its period is {period_ms:.0f} ms): {last}{repeated}{late}"
     )
     return evidence(text, last.time_ns, bytes=last.data.hex(), **data)
+
+
+def _waited(frame: Frame) -> str:
+    """How much sooner the bus had it than the arbiter, to be put behind its time."""
+    return f" (the bus had it {span(frame.waited_ns)} earlier)" if frame.waited_ns >= WAITED_NS else ""
+
+
+def _waiting(scene: Scene, name: str) -> str:
+    """The frames that were on their way from the bus to the arbiter at the moment."""
+    waiting = scene.waiting.get(IDENTIFIERS[name], ())
+    if not waiting:
+        return ""
+    came = f"the bus had {len(waiting)} more by then, the last {scene.ago(waiting[-1].time_ns)}"
+    return f"; {came}, which the arbiter had not been given"
 
 
 def _last_new(whole: Sequence[Frame]) -> Frame:

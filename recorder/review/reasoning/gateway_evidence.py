@@ -69,7 +69,9 @@ def load(scene: Scene) -> list[Link]:
     if scene.has_frames:
         text = f"{count(scene.received, 'frame')} are in the log of the second before; "
         text += f"frames that are not all read for {span(BEHIND_NS)} are too many"
-        found.append(evidence(text, scene.at_ns, frames_per_s=scene.received))
+        waiting = sum(map(len, scene.waiting.values()))
+        text += f"; the arbiter had not been given {waiting} that the bus had" if waiting else ""
+        found.append(evidence(text, scene.at_ns, frames_per_s=scene.received, waiting=waiting))
     health = scene.last(GatewayHealth) or next(iter(scene.after(GatewayHealth)), None)
     if health is not None:
         said = health.said

@@ -13,6 +13,7 @@ import msgspec
 from recorder.review.faults import Faults
 from recorder.review.log_file import LogFile
 from recorder.review.reasoning.chain import before
+from recorder.review.reasoning.given import Given, given_until
 from recorder.review.reasoning.signals import Frame
 from recorder.review.rows import END_OF_TIME_NS, Row, Selection, read_rows
 from recorder.review.timeline.clock import FAR_NS, NEAR_NS
@@ -24,6 +25,7 @@ from schemas.decisions import (
     ArbiterState,
     Decision,
     EventKind,
+    Journal,
     SafetyEvent,
     SafetyState,
     is_same_run,
@@ -101,7 +103,10 @@ class Scene:
         at_ns: the moment.
         what: it is, in words.
         limits: the settings in force.
-        frames: received ones by identifier, those before the moment and those behind it, each in their order.
+        frames: received ones by identifier, those before the moment and those behind it, each in their order. As
+            far as the journal is in the log, those before are what the arbiter had been given.
+        waiting: by identifier, those that the bus had before the moment, and the arbiter was given behind it.
+        is_journaled: the journal of the moment is in the log, and tells when the arbiter was given a frame.
         sent: likewise those that the gateway sent.
         received: how many frames were received in the last second before the moment.
         gaps: what the recorder says that it lacks of this time.
@@ -114,6 +119,8 @@ class Scene:
         self.limits = limits
         self.frames: dict[int, tuple[deque[Frame], deque[Frame]]] = {}
         self.sent: dict[int, tuple[deque[Frame], deque[Frame]]] = {}
+        self.waiting: dict[int, list[Frame]] = {}
+        self.is_journaled = False
         self.received = 0
         self.gaps: list[RecordGap] = []
         self._shift_ns = shift_ns
@@ -162,6 +169,24 @@ class Scene:
         from_ns, to_ns = self._run_ns = self._run()
         for kind in _OF_A_GATEWAY & self._said.keys():
             self._during[kind] = [one for one in self._said[kind] if from_ns <= one.time_ns < to_ns]
+        given = given_until(self.at_ns, [one.said for one in self.during(Journal)], self._shift_ns)
+        if given is not None:
+            self._give(given)
+
+    def _give(self, given: Given) -> None:
+        """Put the arbiter's view of the frames before the moment into the place of the bus's."""
+        self.is_journaled = True
+        if not self.frames:
+            # Raw frames were not recorded; the journal holds them all the same.
+            since_ns = self.at_ns - 1_000_000_000
+            self.received = sum(one.time_ns > since_ns for frames in given.frames.values() for one in frames)
+        for identifier in self.frames.keys() | given.frames.keys():
+            before, behind = self.frames.get(identifier, _NONE)
+            had = given.frames.get(identifier, [])
+            first_ns, last_ns = (had[0].bus_ns, had[-1].bus_ns) if had else (given.from_ns, given.from_ns)
+            older = [one for one in before if one.time_ns < (first_ns or 0)]
+            self.waiting[identifier] = [one for one in before if one.time_ns > (last_ns or 0)]
+            self.frames[identifier] = deque(older + had, maxlen=FRAMES_KEPT), behind
 
     def _run(self) -> tuple[int, int]:
         """When the gateway of the moment began, and when the next one did."""
@@ -227,7 +252,7 @@ class Scene:
         return next((one.time_ns for one in engaged), self._run_ns[1])
 
     def frames_before(self, identifier: int) -> Sequence[Frame]:
-        """Frames that were received up to the moment, in their order."""
+        """Frames that the arbiter was given up to the moment, in their order; see ``frames``."""
         return self.frames.get(identifier, _NONE)[0]
 
     @property
@@ -271,7 +296,7 @@ class Scene:
 _ASKED_LATER: Final[frozenset[type[Message]]] = frozenset({Decision, SafetyEvent})
 
 _OF_A_GATEWAY: Final[frozenset[type[Message]]] = frozenset(
-    {Decision, SafetyEvent, SafetyState, GatewayHealth, RobotState}
+    {Decision, SafetyEvent, SafetyState, GatewayHealth, RobotState, Journal}
 )
 """What a gateway says of itself and of what it made of the chassis; the others are what the chassis says."""
 
@@ -284,7 +309,7 @@ _NONE: Final[tuple[deque[Frame], deque[Frame]]] = deque(), deque()
 
 _WANTED: Final = frozenset(
     {
-        SafetyEvent, SafetyState, Decision, GatewayHealth, RobotState, CanFrame,
+        SafetyEvent, SafetyState, Decision, GatewayHealth, RobotState, CanFrame, Journal,
         Drive, WheelSpeed, Steering, Gear, Body, Parking,
     }
 )  # fmt: skip

@@ -18,11 +18,23 @@ FRAME_BYTES: Final = 8
 
 
 class Frame(msgspec.Struct, frozen=True):
-    """A raw frame with an extended identifier, as it was received or sent at ``time_ns`` since 1970."""
+    """A raw frame with an extended identifier. Times are nanoseconds since 1970.
+
+    Attributes:
+        time_ns: when it was sent, or received: when the arbiter was given it, or where the log does not hold the
+            journal when the bus had it.
+        bus_ns: when the bus had it; None where that is ``time_ns``.
+    """
 
     time_ns: int
     identifier: int
     data: bytes
+    bus_ns: int | None = None
+
+    @property
+    def waited_ns(self) -> int:
+        """How long it waited between the bus and the arbiter; 0 where that is not known."""
+        return 0 if self.bus_ns is None else max(0, self.time_ns - self.bus_ns)
 
     @property
     def is_whole(self) -> bool:

@@ -10,7 +10,6 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from gateway import core
-from gateway.journal import Kind
 from gateway.rerun import rerun
 from gateway.telemetry.sample import Sample
 from recorder.review.configurations import CONFIGURATION, settings_from
@@ -22,6 +21,7 @@ from schemas.codec import encode
 from schemas.configuration import to_toml
 from schemas.decisions import Decision, Journal, Verdict
 from schemas.exit_codes import CommandError
+from schemas.journal import Kind
 from schemas.messages import Variant
 from schemas.settings import CommandSettings, Settings
 from schemas.subjects import BY_NAME

@@ -4,8 +4,10 @@ import re
 from functools import cache
 from pathlib import Path
 
+import msgspec
 import pytest
 
+from gateway.chassis.frame import Frame
 from recorder.review.events import Question, read_events
 from recorder.review.faults import Faults
 from recorder.review.log_file import LogFile
@@ -18,7 +20,7 @@ from schemas.decisions import ArbiterState, Severity
 from schemas.messages import Variant
 from schemas.reasons import TEXTS, Reason
 from schemas.recording import RecorderEvent, RecorderEventKind
-from tests.gateway.command.loop_rig import WALL_NS, Operator
+from tests.gateway.command.loop_rig import GUARDED, WALL_NS, Operator
 from tests.gateway.recorded_day import COMMAND, RUN, STARTED_NS, Day
 from tests.recorder.fakes import MS, SECOND, Log, gear, sample_of
 from tests.recorder.review import scenarios
@@ -512,9 +514,9 @@ def test_limits_are_those_of_the_log_or_said_to_be_the_start_values(path: Path) 
 @pytest.mark.parametrize(
     ("scenario", "missing", "says"),
     [
-        (scenarios.one_silent_frame, ("can/{bus}/rx",), "no raw frames are in the log"),
-        (scenarios.checksums, ("can/{bus}/rx",), "no raw frames are in the log"),
-        (scenarios.other_commander, ("can/{bus}/rx",), "who else sent commands cannot be shown"),
+        (scenarios.one_silent_frame, ("can/{bus}/rx", "journal"), "no raw frames are in the log"),
+        (scenarios.checksums, ("can/{bus}/rx", "journal"), "no raw frames are in the log"),
+        (scenarios.other_commander, ("can/{bus}/rx", "journal"), "who else sent commands cannot be shown"),
         (scenarios.deadman, ("safety/decision",), "which commands came is not known"),
         (scenarios.lease_expired, ("safety/decision",), "no request that keeps the lease is in the log"),
         (scenarios.remote_stop, ("safety/decision",), "the request itself (stop) is not in the log"),
@@ -532,8 +534,95 @@ def test_what_the_log_does_not_show_is_said(
 
 def test_decoded_frames_stand_in_for_raw_ones(path: Path) -> None:
     """The bumper is seen in chassis/body, and the answer says that there is nothing rawer."""
-    explanation = ask(path, recorded(scenarios.front_bumper, "can/{bus}/rx"))
+    explanation = ask(path, recorded(scenarios.front_bumper, "can/{bus}/rx", "journal"))
     assert "chassis/body said front_bumper = True" in texts(explanation, Step.EVIDENCE)
+
+
+def test_the_journal_stands_in_for_raw_frames(path: Path) -> None:
+    """A gateway that publishes no raw frames has them in its journal all the same."""
+    whole, without = (ask(path, recorded(scenarios.front_bumper, *gone)) for gone in ((), ("can/{bus}/rx",)))
+    assert "frame 0x18C4D9EF" in texts(without, Step.EVIDENCE)
+    assert texts(without, Step.EVIDENCE) == texts(whole, Step.EVIDENCE)
+
+
+@cache
+def starved(early_ticks: int = 0) -> RecordedRig:
+    """A driven robot whose gateway does not get to read its bus for 120 ms.
+
+    Args:
+        early_ticks: before that its frames were read so many ticks late.
+    """
+    rig, _ = RecordedRig.driving()
+    unread: list[tuple[int, Frame]] = []
+
+    def hold(frame: Frame) -> None:
+        unread.append((rig.now_ns, frame))
+
+    def read(until_ns: int) -> None:
+        while unread and unread[0][0] <= until_ns:
+            rig.core.receive_frame(unread.pop(0)[1], rig.now_ns)
+
+    rig.corrupt = hold
+    for _ in range(4 if early_ticks else 0):
+        rig.tick()
+        read(rig.now_ns - early_ticks * 10 * MS)
+    rig.tick(12)
+    rig.corrupt = lambda frame: frame
+    read(rig.now_ns)
+    rig.rest()
+    return rig
+
+
+def test_a_silence_is_shown_by_when_the_arbiter_was_given_the_frames(path: Path) -> None:
+    """The bus had them all the time, and a starved gateway did not read them: no frame contradicts the stop."""
+    explanation = ask(path, starved().log())
+    assert explanation.reason is Reason.FEEDBACK_MISSING
+    silences = [link for link in explanation.chain if "waiting" in link.data]
+    assert len(silences) == 4
+    for link in silences:
+        assert link.data["limit_ms"] == 100
+        assert link.data["age_ms"] == 110
+        assert link.data["waiting"] == 11
+        assert "came 110 ms before the stop, the limit is 100 ms" in link.text
+        assert link.text.endswith(
+            "the bus had 11 more by then, the last at the stop, which the arbiter had not been given"
+        )
+
+
+def test_frames_that_were_not_read_are_counted(path: Path) -> None:
+    """A gateway that does not keep up: so many were waiting, by the bus's and the journal's times."""
+    rig, _ = RecordedRig.driving()
+    unread: list[Frame] = []
+    rig.corrupt = unread.append
+    rig.links = msgspec.structs.replace(GUARDED, is_behind=True)
+    rig.tick()
+    waiting = len(unread)
+    rig.corrupt = lambda frame: frame
+    rig.links = GUARDED
+    for frame in unread:
+        rig.core.receive_frame(frame, rig.now_ns)
+    rig.rest()
+    explanation = ask(path, rig.log())
+    assert explanation.reason is Reason.FEEDBACK_LATE
+    assert waiting > 0
+    assert data_of(explanation, Step.EVIDENCE, "waiting") == waiting
+    assert f"the arbiter had not been given {waiting} that the bus had" in texts(explanation, Step.EVIDENCE)
+
+
+def test_a_frame_that_waited_says_for_how_long(path: Path) -> None:
+    """The bus had it 20 ms before the arbiter was given it."""
+    explanation = ask(path, starved(early_ticks=2).log())
+    silence = next(link for link in explanation.chain if "waiting" in link.data)
+    assert "came 110 ms before the stop (the bus had it 20.0 ms earlier), the limit is 100 ms" in silence.text
+    assert (silence.data["age_ms"], silence.data["bus_age_ms"], silence.data["waiting"]) == (110, 130, 13)
+
+
+def test_without_the_journal_it_is_said_that_the_time_is_that_of_the_bus(path: Path) -> None:
+    """It may contradict the stop, and the answer says why."""
+    explanation = ask(path, starved().log(without=("journal",)))
+    shown = texts(explanation, Step.EVIDENCE)
+    assert "the last Auto_GearFeedBack came at the stop, the limit is 100 ms" in shown
+    assert "no journal is in the log that tells when the arbiter was given it" in shown
 
 
 def test_a_log_without_the_arbiter_is_not_answered(path: Path) -> None:
