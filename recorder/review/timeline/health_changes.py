@@ -34,8 +34,8 @@ _FRAME_COUNTS: Final[tuple[tuple[str, str, str], ...]] = (
 )
 """Counters of each frame whose rise is told, and the kind of fault that need not be told besides."""
 
-_LOST_IN_SILENCE: Final = "frames that should have come in the silence that is over"
-"""They are counted when it ends."""
+_LOST_IN_SILENCE: Final = "frames that should have come in the silence that is over, by their period"
+"""They are counted when it ends; so the gateway counts, and one that was only late is among them."""
 
 _HARMLESS: Final = frozenset({"unknown_identifier", "remote_frame", "error_frame", "fd_frame"})
 """Frames of others on the bus, mostly."""

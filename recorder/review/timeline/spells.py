@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable
+from itertools import islice
 from typing import Final
 
 import msgspec
@@ -17,6 +18,9 @@ LATE_NS: Final = 60_000_000_000
 
 SPELLS_MAX: Final = 10_000
 """Spells that are under way; of more, the oldest is told."""
+
+NAMES_MAX: Final = 30
+"""Names that a spell remembers; a chassis has ten feedback frames."""
 
 
 class _Spell(msgspec.Struct):
@@ -48,13 +52,13 @@ class Spells:
                 spell.first_ns = min(spell.first_ns, entry.time_ns)
                 spell.count += entry.count
                 spell.touched_ns = log_ns
-                spell.about.update(dict.fromkeys(about))
+                spell.about = _first_names((*spell.about, *about))
                 return
             del self._open[key]
             self._over.append(_told(spell))
         elif len(self._open) >= SPELLS_MAX:
             self._over.append(_told(self._open.pop(next(iter(self._open)))))
-        self._open[key] = _Spell(entry, entry.time_ns, entry.last_ns, entry.count, log_ns, dict.fromkeys(about))
+        self._open[key] = _Spell(entry, entry.time_ns, entry.last_ns, entry.count, log_ns, _first_names(about))
 
     def take(self, log_ns: int | None = None) -> list[Entry]:
         """The spells that are over at this log time; all of them without one."""
@@ -67,10 +71,15 @@ class Spells:
         return over + [_told(self._open.pop(key)) for key in ended]
 
 
+def _first_names(names: Iterable[str]) -> dict[str, None]:
+    return dict.fromkeys(islice(dict.fromkeys(names), NAMES_MAX))
+
+
 def _told(spell: _Spell) -> Entry:
     text, names = spell.entry.text, ", ".join(spell.about)
     if names:
-        text = f"{names}: {text}" if len(spell.about) == 1 else f"{len(spell.about)} frames ({names}): {text}"
+        count = f"{'at least ' if len(spell.about) == NAMES_MAX else ''}{len(spell.about)} frames"
+        text = f"{names}: {text}" if len(spell.about) == 1 else f"{count} ({names}): {text}"
     return msgspec.structs.replace(
         spell.entry, time_ns=spell.first_ns, last_ns=spell.last_ns, count=spell.count, text=text
     )

@@ -328,7 +328,7 @@ def test_one_outage_begins_once_and_ends_once(path: Path) -> None:
     assert [(one.count, one.text.partition(": ")[2]) for one in entries] == [
         (10, f"silent{AFTER}"),
         (10, "no longer at fault (silence)"),
-        (1890, "frames that should have come in the silence that is over"),
+        (1890, "frames that should have come in the silence that is over, by their period"),
     ]
     for one in entries:
         assert one.text.startswith("10 frames (")

@@ -93,7 +93,7 @@ def test_what_befalls_several_frames_is_one() -> None:
     assert [(one.text, one.count, one.about, one.is_end) for one in begun] == [("silent", 2, NAMES, False)]
     assert [(one.text, one.count, one.about, one.is_end) for one in ended] == [
         ("no longer at fault (silence)", 2, NAMES, True),
-        ("frames that should have come in the silence that is over", 100, NAMES, True),
+        ("frames that should have come in the silence that is over, by their period", 100, NAMES, True),
     ]
 
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.review.timeline.entries import Entry, EntryKind, Source
-from recorder.review.timeline.spells import LATE_NS, SPELL_NS, SPELLS_MAX, Spells
+from recorder.review.timeline.spells import LATE_NS, NAMES_MAX, SPELL_NS, SPELLS_MAX, Spells
 from schemas.decisions import Severity
 
 
@@ -52,6 +52,17 @@ def test_a_spell_names_all_that_it_is_about() -> None:
         spells.add("many", entry(time_ns), time_ns, about)
     spells.add("one", entry(7), 7, ["a"])
     assert [one.text for one in spells.take()] == ["3 frames (a, b, c): 2", "a: 7"]
+
+
+def test_names_without_end_take_no_memory_without_end() -> None:
+    """A log of others may name anything."""
+    spells = Spells()
+    for number in range(10 * NAMES_MAX):
+        spells.add("key", entry(0), 0, [f"<{number}>"])
+    (told,) = spells.take()
+    assert told.text.startswith(f"at least {NAMES_MAX} frames (<0>, <1>,")
+    assert told.text.count("<") == NAMES_MAX
+    assert told.count == 10 * NAMES_MAX
 
 
 def test_a_spell_is_told_when_nothing_comes_any_more() -> None:
