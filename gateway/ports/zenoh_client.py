@@ -17,7 +17,7 @@ from typing import Final, Self
 import msgspec
 import zenoh
 
-from gateway.telemetry.heard import Heard, Received, TokenChange
+from gateway.telemetry.heard import Heard, Missed, Received, TokenChange
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
@@ -39,8 +39,11 @@ from schemas.zenoh_link import (
 
 log = logging.getLogger(__name__)
 
-SAMPLES_WAITING: Final = 4096
-"""Samples of one subscription that may wait to be drained; beyond it the oldest go."""
+SAMPLES_WAITING: Final = 16_384
+"""Samples of one subscription that may wait to be drained; beyond it the oldest go.
+
+Those of 400 robots in two seconds: a process on a busy machine is held up, and shall not lose any.
+"""
 
 REPLIES_WAITING: Final = 16_384
 """Replies to one question that may wait to be polled; beyond it the oldest go. A fleet's stop has one a robot."""
@@ -274,12 +277,19 @@ def call_roll(session: zenoh.Session, key: str, timeout_s: float) -> Question:
     return question
 
 
-def _take(try_recv: Callable[[], zenoh.Sample | None]) -> Iterator[zenoh.Sample]:
-    """What waits, at most as much as there is room for."""
-    for _ in range(SAMPLES_WAITING):
+def receive(try_recv: Callable[[], zenoh.Sample | None], waiting: int) -> Iterator[Received | Missed]:
+    """The samples that wait in a ring. They end, however fast more come.
+
+    Args:
+        try_recv: the ring's.
+        waiting: how many it has room for. Where so many are found, others may have been lost.
+    """
+    for _ in range(waiting):
         if (sample := try_recv()) is None:
             return
-        yield sample
+        if sample.kind == zenoh.SampleKind.PUT:
+            yield Received(str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes())
+    yield Missed()
 
 
 class RobotListener:
@@ -331,12 +341,12 @@ class RobotListener:
 
     def drain(self) -> Iterator[Heard]:
         """What has arrived since the last time, a bounded number: more may come while it is read."""
-        for token in _take(self._tokens.try_recv):
+        for _ in range(SAMPLES_WAITING):
+            if (token := self._tokens.try_recv()) is None:
+                break
             yield TokenChange(str(token.key_expr), present=token.kind == zenoh.SampleKind.PUT)
         for subscriber in self._samples:
-            for sample in _take(subscriber.try_recv):
-                if sample.kind == zenoh.SampleKind.PUT:
-                    yield Received(str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes())
+            yield from receive(subscriber.try_recv, SAMPLES_WAITING)
 
     def close(self) -> None:
         """Leave Zenoh."""

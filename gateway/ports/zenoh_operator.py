@@ -15,8 +15,15 @@ from typing import Any, Final, Self
 import zenoh
 from zenoh import ext
 
-from gateway.ports.zenoh_client import Question, call_roll, close_session, links_of, open_towards_robots
-from gateway.telemetry.heard import Received
+from gateway.ports.zenoh_client import (
+    Question,
+    call_roll,
+    close_session,
+    links_of,
+    open_towards_robots,
+    receive,
+)
+from gateway.telemetry.heard import Missed, Received
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
@@ -169,18 +176,17 @@ class SafetyListener:
             keys.build(root, robot, BY_NAME[name])
             for name in ("safety/state", "safety/event", "state", "gateway/health")
         )
-        self._subscribers: tuple[Any, ...] = (
-            # Without history: an old tick is worse than none.
-            session.declare_subscriber(state, zenoh.handlers.RingChannel(STATES_WAITING)),
-            session.declare_subscriber(chassis, zenoh.handlers.RingChannel(STATES_WAITING)),
-            session.declare_subscriber(health, zenoh.handlers.RingChannel(STATES_WAITING)),
-            ext.declare_advanced_subscriber(
-                session,
-                event,
-                zenoh.handlers.RingChannel(EVENTS_WAITING),
-                history=ext.HistoryConfig(detect_late_publishers=True, max_samples=EVENTS_OF_BEFORE),
-                recovery=ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
-            ),
+        # Without history: an old tick is worse than none.
+        self._subscribers: tuple[Any, ...] = tuple(
+            session.declare_subscriber(key, zenoh.handlers.RingChannel(STATES_WAITING))
+            for key in (state, chassis, health)
+        )
+        self._events: Any = ext.declare_advanced_subscriber(
+            session,
+            event,
+            zenoh.handlers.RingChannel(EVENTS_WAITING),
+            history=ext.HistoryConfig(detect_late_publishers=True, max_samples=EVENTS_OF_BEFORE),
+            recovery=ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
         )
 
     @classmethod
@@ -197,13 +203,12 @@ class SafetyListener:
             close_session(session)
             raise CommandError(str(error), ExitCode.USAGE) from error
 
-    def drain(self) -> Iterator[Received]:
+    def drain(self) -> Iterator[Received | Missed]:
         """What has arrived since the last time; nothing once it is closed."""
         try:
             for subscriber in self._subscribers:
-                while (sample := subscriber.try_recv()) is not None:
-                    if sample.kind == zenoh.SampleKind.PUT:
-                        yield Received(str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes())
+                yield from receive(subscriber.try_recv, STATES_WAITING)
+            yield from receive(self._events.try_recv, EVENTS_WAITING)
         except zenoh.ZError as error:
             log.debug("Zenoh is closed: %s", error)
 

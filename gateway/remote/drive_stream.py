@@ -32,6 +32,9 @@ SILENT_NS: Final = 1_000_000_000
 """A robot whose safety/state was not heard for this long is out of reach."""
 
 
+FOREIGN_NS: Final = 500_000_000
+"""Commands of somebody else are seen again within this time: between them, our own are obeyed."""
+
 SENT_KEPT: Final = 128
 """So many commands are remembered: those of the last two seconds and a half."""
 
@@ -104,7 +107,7 @@ class DriveStream:
         self._note = ""
         self.is_shared = False
         self._sent: dict[int, tuple[float, float]] = {}
-        self._loss, self._foreign, self._stop = Evidence(), Evidence(), Evidence()
+        self._loss, self._foreign, self._stop = Evidence(), Evidence(FOREIGN_NS), Evidence()
 
     @property
     def is_wanted(self) -> bool:

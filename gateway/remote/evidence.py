@@ -1,8 +1,13 @@
-"""When what a robot says is believed: anyone on its network can forge a sample. Pure."""
+"""When what a robot says is believed: anyone on its network can forge a sample. Pure.
+
+A robot that is not so says otherwise many times a second. Whoever reads must see all of that: a sample that is
+lost may be the one that contradicts. Samples may be read late and many at once. Each has the time when it is read:
+what was delivered until then is read in the same batch, before anything is believed.
+"""
 
 from __future__ import annotations
 
-from collections import deque
+from math import inf
 from typing import Final
 
 CONFIRM_NS: Final = 150_000_000
@@ -11,30 +16,31 @@ CONFIRM_NS: Final = 150_000_000
 CONFIRM_SAMPLES: Final = 3
 """...and in so many samples: anyone can put a false one between the robot's own."""
 
-EVIDENCE_NS: Final = 1_000_000_000
-"""Samples that are older prove nothing any more."""
-
 
 class Evidence:
     """Samples that say the same, until there are enough of them to be believed."""
 
-    def __init__(self) -> None:
-        self._times_ns: deque[int] = deque()
+    def __init__(self, pause_max_ns: float = inf) -> None:
+        """Begin with none.
+
+        Args:
+            pause_max_ns: samples before a longer pause prove nothing any more.
+        """
+        self._pause_max_ns = pause_max_ns
+        self._count = self._first_ns = self._last_ns = 0
 
     def add(self, now_ns: int) -> bool:
-        """One more. Whether they are enough."""
-        times_ns = self._times_ns
-        times_ns.append(now_ns)
-        while now_ns - times_ns[0] > EVIDENCE_NS:
-            times_ns.popleft()
+        """One more, read now. Whether they are enough."""
+        if not self._count or now_ns - self._last_ns > self._pause_max_ns:
+            self._count, self._first_ns = 0, now_ns
+        self._count, self._last_ns = self._count + 1, now_ns
         return self.is_enough
 
     @property
     def is_enough(self) -> bool:
         """There are enough of them."""
-        times_ns = self._times_ns
-        return len(times_ns) >= CONFIRM_SAMPLES and times_ns[-1] - times_ns[0] >= CONFIRM_NS
+        return self._count >= CONFIRM_SAMPLES and self._last_ns - self._first_ns >= CONFIRM_NS
 
     def clear(self) -> None:
-        """A sample says otherwise."""
-        self._times_ns.clear()
+        """A sample says otherwise, or some may be missing."""
+        self._count = 0

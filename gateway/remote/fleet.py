@@ -9,7 +9,7 @@ from typing import Final
 
 import msgspec
 
-from gateway.telemetry.heard import Heard, Received
+from gateway.telemetry.heard import Heard, Missed, Received
 from schemas import codec, keys
 from schemas.codec import PayloadFault
 from schemas.decisions import SafetyState
@@ -77,6 +77,8 @@ class Fleet:
         if isinstance(heard, Received):
             self._receive(heard, now_ns)
             return
+        if isinstance(heard, Missed):
+            return  # A newer sample comes soon.
         robot = keys.robot_of_liveliness(self._root, heard.key)
         if robot is not None:
             known = self._robot(robot, now_ns)

@@ -15,8 +15,9 @@ from gateway.ports.zenoh_client import Question
 from gateway.ports.zenoh_operator import CommandPort, SafetyListener
 from gateway.remote.drive_stream import PERIOD_S, SILENT_NS, DriveStream
 from gateway.remote.refusal import Unreachable, refused
+from gateway.remote.remote_stop import Seen
 from gateway.remote.reply import BY_REQUEST, CONTRADICTION, contradict, encode_request, read_reply
-from gateway.telemetry.heard import Received
+from gateway.telemetry.heard import Missed, Received
 from schemas import codec, keys
 from schemas.codec import PayloadFault
 from schemas.decisions import Reply, SafetyEvent, SafetyState
@@ -30,6 +31,9 @@ RENEWALS: Final = 4
 """A lease is renewed this many times before it would expire."""
 
 EVENTS_KEPT: Final = 2000
+
+SEEN_KEPT: Final = 1024
+"""So many samples wait for ``look``."""
 
 _S: Final = 1_000_000_000
 
@@ -71,7 +75,7 @@ class Link:
         self._chassis: RobotState | None = None
         self._chassis_ns = 0
         self._health: GatewayHealth | None = None
-        self._looked_at: tuple[SafetyState | None, RobotState | None] = None, None
+        self._seen: list[Seen | Missed] = []
         self._events: deque[SafetyEvent] = deque(maxlen=EVENTS_KEPT)
         self._stream: DriveStream | None = None
         self._renewal: Question | None = None
@@ -115,13 +119,11 @@ class Link:
             chassis = self._chassis if self.hears_chassis else None
             return Sighting(self._state, (now_ns - self._state_ns) / _S, chassis, self._health)
 
-    def look(self) -> list[tuple[str, SafetyState | RobotState]]:
-        """What was heard since the last call: the newest state, and what the chassis does."""
+    def look(self) -> list[Seen | Missed]:
+        """Every state that was heard since the last call: a forged one hides none of the robot's own."""
         with self.heard:
-            newest, before = (self._state, self._chassis), self._looked_at
-            self._looked_at = newest
-            pairs = zip(newest, before, strict=True)
-            return [(self.robot, now) for now, then in pairs if now is not None and now is not then]
+            seen, self._seen = self._seen, []
+            return seen
 
     def take_events(self) -> list[SafetyEvent]:
         """The events that were heard since the last call."""
@@ -192,7 +194,10 @@ class Link:
     def _listen(self) -> None:
         received = list(self._listener.drain())
         for one in received:
-            self._hear(one, time.monotonic_ns())
+            if isinstance(one, Missed):
+                self._seen = [one]
+            else:
+                self._hear(one, time.monotonic_ns())
         if received:
             self.heard.notify_all()
 
@@ -207,16 +212,23 @@ class Link:
         match message:
             case SafetyState():
                 self._state, self._state_ns = message, now_ns
+                self._keep((now_ns, self.robot, message))
                 if self._stream is not None:
                     self._stream.see(message, now_ns)
             case SafetyEvent():
                 self._events.append(message)
             case RobotState():
                 self._chassis, self._chassis_ns = message, now_ns
+                self._keep((now_ns, self.robot, message))
             case GatewayHealth():
                 self._health = message
             case PayloadFault():
                 self.unreadable = f"{parts.subject.name}: {message.detail}"
+
+    def _keep(self, seen: Seen) -> None:
+        if len(self._seen) >= SEEN_KEPT:
+            self._seen = [Missed()]
+        self._seen.append(seen)
 
     def _say(self, stream: DriveStream, now_ns: int) -> None:
         drive = stream.command(now_ns)

@@ -19,7 +19,7 @@ from gateway.ports.zenoh_client import Question, RobotListener
 from gateway.ports.zenoh_operator import CommandPort
 from gateway.remote.evidence import Evidence
 from gateway.remote.reply import CONTRADICTION, contradict, read_reply
-from gateway.telemetry.heard import Heard, Received
+from gateway.telemetry.heard import Heard, Missed, Received
 from schemas import codec, keys
 from schemas.codec import PayloadFault
 from schemas.decisions import Reply, SafetyState
@@ -71,8 +71,11 @@ class StopReport(msgspec.Struct, frozen=True):
     counted: bool = True
 
 
-Seen = tuple[str, SafetyState | RobotState]
-"""A robot's name, and what it published."""
+Seen = tuple[int, str, SafetyState | RobotState]
+"""When a sample was read, monotonic, in ns; the robot's name; what it published."""
+
+Look = Callable[[], Iterable[Seen | Missed]]
+"""All that robots have published since the last call, and where some of it may be missing."""
 
 
 def stop_from_here(
@@ -88,7 +91,7 @@ def stop_from_here(
         port = stack.enter_context(CommandPort.open(settings, robot, operator))
         listeners: list[RobotListener] = []
 
-        def look() -> Iterator[Seen]:
+        def look() -> Iterator[Seen | Missed]:
             if not listeners:  # Only now: the stop has been sent.
                 name = "" if robot == keys.ALL else robot
                 listeners.append(stack.enter_context(RobotListener.open(settings, name)))
@@ -97,14 +100,17 @@ def stop_from_here(
         return stop(port, root, robot, timeout_s, look, stopped)
 
 
-def _read(heard: Iterable[Heard]) -> Iterator[Seen]:
+def _read(heard: Iterable[Heard]) -> Iterator[Seen | Missed]:
     for one in heard:
+        now_ns = time.monotonic_ns()
+        if isinstance(one, Missed):
+            yield one
         parts = keys.parse(one.key) if isinstance(one, Received) else None
         if parts is None or not isinstance(one, Received) or one.encoding != parts.subject.encoding:
             continue
         message = codec.decode(parts.subject, one.payload)
         if isinstance(message, SafetyState | RobotState):
-            yield parts.robot, message
+            yield now_ns, parts.robot, message
 
 
 def stop(
@@ -112,7 +118,7 @@ def stop(
     root: str,
     robot: str,
     timeout_s: float,
-    look: Callable[[], Iterable[Seen]],
+    look: Look,
     stopped: Callable[[], bool] = lambda: False,
 ) -> StopReport:
     """Stop a robot, or all with ``keys.ALL``; returns once all stand or cannot be stopped, or after the timeout.
@@ -122,7 +128,7 @@ def stop(
         root: of the keys.
         robot: its name.
         timeout_s: how long to wait.
-        look: what the robots have published lately.
+        look: at what the robots publish.
         stopped: gives up when it turns true.
 
     Raises:
@@ -178,7 +184,7 @@ class _Sight:
 class _Stopping:
     """A remote stop that is under way."""
 
-    def __init__(self, port: CommandPort, root: str, robot: str, look: Callable[[], Iterable[Seen]]) -> None:
+    def __init__(self, port: CommandPort, root: str, robot: str, look: Look) -> None:
         self._port = port
         self._look = look
         self._sights: defaultdict[str, _Sight] = defaultdict(_Sight)
@@ -227,9 +233,12 @@ class _Stopping:
         for number, question in self._questions:
             for received in question.poll():
                 self._hear(received, number)
-        now_ns = time.monotonic_ns()
-        for name, message in self._look():
-            self._sights[name].see(message, now_ns)
+        for seen in self._look():
+            if isinstance(seen, Missed):
+                self._sights.clear()
+            else:
+                now_ns, name, message = seen
+                self._sights[name].see(message, now_ns)
 
     def _count(self, now_s: float) -> None:
         """Ask again and again who is connected, until that was answered and no other robot appears."""

@@ -152,6 +152,7 @@ class Robot:
             Refused: the stop is latched but cannot be carried out, or the robot is not seen to stop; the text says
                 what it does.
         """
+        self._link.look()  # What was seen before the stop proves nothing.
         report = remote_stop.stop(self._link.commands, self._root, self.name, timeout_s, self._link.look)
         if report.unconfirmed:
             why = "; ".join(report.unconfirmed.values())

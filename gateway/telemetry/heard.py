@@ -13,6 +13,10 @@ class Received(msgspec.Struct, frozen=True):
     payload: bytes
 
 
+class Missed(msgspec.Struct, frozen=True):
+    """More samples came than can wait: some may be missing from those before this."""
+
+
 class TokenChange(msgspec.Struct, frozen=True):
     """A gateway's liveliness token has appeared or gone."""
 
@@ -20,4 +24,4 @@ class TokenChange(msgspec.Struct, frozen=True):
     present: bool
 
 
-Heard = Received | TokenChange
+Heard = Received | Missed | TokenChange

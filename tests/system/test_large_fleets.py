@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 from schemas.exit_codes import ExitCode
+from tests.gateway.remote.busy import burning
 from tests.gateway.remote.fake_fleet import LEASE_MS, FakeFleet
 
 ENDS_S = 60
@@ -31,6 +32,15 @@ def test_a_stop_of_a_large_fleet_ends_and_hears_every_robot() -> None:
         report = json.loads(ended.stdout)
     assert (sorted(report["unconfirmed"]), report["silent"], report["refused"]) == (fleet.names, [], {})
     assert (report["counted"], ended.returncode) == (True, ExitCode.PARTIAL)
+
+
+def test_a_stop_of_a_large_fleet_is_seen_while_the_machine_is_busy() -> None:
+    """All robots publish that they stand, as often as robots do, and both processors have other work."""
+    with FakeFleet(400, publishes=True) as fleet, burning():
+        ended = cruiser("stop", "--all", "--json", "--timeout", "30", "--connect", fleet.listen)
+        report = json.loads(ended.stdout)
+    assert (report["stopped"], report["unconfirmed"], report["silent"]) == (fleet.names, {}, [])
+    assert (report["counted"], ended.returncode) == (True, 0)
 
 
 def test_a_large_fleet_is_listed_whole() -> None:

@@ -4,7 +4,7 @@ import pytest
 
 from gateway.ports.zenoh_client import Question
 from gateway.ports.zenoh_operator import CommandPort, SafetyListener
-from gateway.telemetry.heard import Received
+from gateway.telemetry.heard import Missed, Received
 from schemas import codec, keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import RobotSettings, Settings, ZenohSettings
@@ -110,7 +110,7 @@ def test_the_robots_state_is_heard_beside_the_arbiters() -> None:
     """The chassis's state comes with its key and encoding."""
     with FakeGateway("cruiser-1") as gateway:
         listener = SafetyListener.open(settings_for(gateway.listen), "cruiser-1")
-        heard: list[Received] = []
+        heard: list[Received | Missed] = []
 
         def speak() -> None:
             gateway.say(STATE)

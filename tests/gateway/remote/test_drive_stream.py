@@ -5,52 +5,12 @@ from hypothesis import strategies as st
 
 from gateway.remote.drive_stream import HOLD_MAX_S, STALE_NS, DriveStream, Ending, SetPoint
 from schemas.decisions import ArbiterState, SafetyState, StopPhase
-from schemas.messages import GearPosition
 from schemas.reasons import TEXTS, Reason
-from schemas.requests import Role
+from tests.gateway.remote.fake_gateway import STANDBY
 
 START_NS = 10**12
 MS = 1_000_000
 
-STANDBY = SafetyState(
-    time_ns=1,
-    sequence=0,
-    tick=100,
-    challenge=bytes(8),
-    link_age_s=None,
-    link_age_last_s=None,
-    link_age_p50_s=None,
-    link_age_p99_s=None,
-    travel_delay_m=0.0,
-    travel_speed_limit_mps=None,
-    deadman_s=0.3,
-    accepted_seq=None,
-    stop_detail="",
-    state=ArbiterState.STANDBY,
-    engaged=False,
-    stop_reason=Reason.NONE,
-    stop_phase=StopPhase.IDLE,
-    lease_holder="first",
-    lease_role=Role.OPERATOR,
-    lease_expires_s=2.0,
-    latched=[],
-    blocked_by=[],
-    guarded=True,
-    speed_limit_mps=2.0,
-    acceleration_limit_mps2=0.8,
-    deceleration_limit_mps2=1.2,
-    emergency_deceleration_mps2=2.0,
-    steering_limit_deg=24.0,
-    steering_rate_limit_degps=60.0,
-    lateral_acceleration_limit_mps2=1.5,
-    target_speed_mps=0.0,
-    target_angle_deg=0.0,
-    output_speed_mps=0.0,
-    output_angle_deg=7.0,
-    output_gear=GearPosition.NEUTRAL,
-    brake_pedal_percent=0.0,
-    parking=False,
-)
 ENGAGING = msgspec.structs.replace(STANDBY, tick=101, state=ArbiterState.ENGAGING)
 ENGAGED = msgspec.structs.replace(STANDBY, tick=102, state=ArbiterState.ENGAGED, engaged=True)
 STOPPED = msgspec.structs.replace(

@@ -21,11 +21,9 @@ from schemas.settings import CanSettings, Settings, ZenohSettings
 from tests.gateway.cli.running import chassis, gateway
 from tests.gateway.guard.watched import COMMANDS, Listener
 from tests.gateway.remote import operator as operator_program
+from tests.gateway.remote.busy import burning
 from tests.gateway.remote.fake_gateway import free_endpoint
 from tests.gateway.remote.waiting import wait_until
-
-BURNERS = 6
-"""Three for each processor of a small machine."""
 
 
 class Scene:
@@ -112,21 +110,6 @@ def test_a_liveliness_token_is_no_sign_that_anybody_drives() -> None:
             scene.wait_at_rest()
         finally:
             close_session(session)
-
-
-BURN = "import time; end_s = time.monotonic() + 60\nwhile time.monotonic() < end_s: sum(range(100_000))"
-
-
-@contextmanager
-def burning() -> Iterator[None]:
-    """Programs that use up all processors, for a minute at most."""
-    burners = [subprocess.Popen([sys.executable, "-c", BURN]) for _ in range(BURNERS)]
-    try:
-        yield
-    finally:
-        for burner in burners:
-            burner.kill()
-            burner.wait()
 
 
 def test_a_machine_that_is_too_busy_drives_or_stops_and_never_jumps() -> None:
