@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 from schemas.printable import plain
 from schemas.settings import ZenohSettings
@@ -18,6 +18,10 @@ RECONNECT_MAX_MS: Final = 500
 
 OPEN_TIMEOUT_MS: Final = 2000
 """Who accepts a connection and then says nothing for this long does not speak Zenoh."""
+
+ROUTER_LOOKS: Final = 50
+LOOK_EVERY_S: Final = 0.01
+"""A router that is there is connected by the last look."""
 
 QUEUE_BATCHES: Final = 8
 """Batches of 64 KiB that may wait on a link for each priority. A put never waits for room, it drops."""
@@ -79,10 +83,6 @@ def session_settings(
     return {path: value for path, value in entries.items() if given.get(path) or not says(path)}
 
 
-ROUTER_TIMEOUT_S: Final = 0.5
-"""A router that is there is connected within this time."""
-
-
 class Said(NamedTuple):
     """What the settings, or else a Zenoh configuration file, say of a session."""
 
@@ -106,6 +106,29 @@ def said(zenoh: ZenohSettings, of_file: Callable[[str], Json]) -> Said:
     listen = list(zenoh.listen) or _endpoints(of_file(LISTEN), mode)
     is_given = "mode" in zenoh.given or files is not None
     return Said(mode, connect, [] if mode == "client" else listen, is_given)
+
+
+class Connected(Protocol):
+    """The nodes that a session is connected to, as Zenoh names them."""
+
+    def peers_zid(self) -> Sequence[object]: ...  # noqa: D102
+    def routers_zid(self) -> Sequence[object]: ...  # noqa: D102
+
+
+def finds_router(connected: Connected, pause: Callable[[float], None]) -> bool:
+    """Is the first node that is connected a router? False where there is none in half a second.
+
+    Args:
+        connected: which nodes are.
+        pause: waits for so many seconds.
+    """
+    for _ in range(ROUTER_LOOKS):
+        if connected.peers_zid():
+            return False
+        if connected.routers_zid():
+            return True
+        pause(LOOK_EVERY_S)
+    return False
 
 
 def allows(protocols: Json, endpoint: str) -> bool:

@@ -196,7 +196,7 @@ class Arbiter:
             self.limits = self.configured_limits
             self._begin_telling(last)
         self._sequence = StopSequence(last, deceleration_mps2, now_ns)
-        if stop.parks or self.watch.observed.mode is Mode.STOP or self._is_repeated(now_ns):
+        if stop.parks or self.watch.observed.mode is Mode.STOP or self._note_stray(now_ns):
             self._sequence.park(now_ns)
         self._is_brake_missed = self.owes_stop = False
         self.auxiliary.end(now_ns)
@@ -350,8 +350,11 @@ class Arbiter:
         elif self.watch.found_moving(now_ns):
             self.begin_stop(Reason.FOUND_MOVING, now_ns)
 
-    def _is_repeated(self, now_ns: int) -> bool:
-        """Standing by, a stop was begun a moment ago already, as where the mode flickers."""
+    def _note_stray(self, now_ns: int) -> bool:
+        """Remember a stop that begins while standing by.
+
+        Returns whether one began a moment ago already, as where the mode flickers.
+        """
         if self.state is not ArbiterState.STANDBY:
             return False
         before_ns, self._stray_ns = self._stray_ns, now_ns

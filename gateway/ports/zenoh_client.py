@@ -26,10 +26,10 @@ from schemas.subjects import BY_NAME
 from schemas.zenoh_link import (
     LEASE,
     PROTOCOLS,
-    ROUTER_TIMEOUT_S,
     Json,
     Said,
     allows,
+    finds_router,
     reason,
     said,
     session_settings,
@@ -97,21 +97,11 @@ def open_towards_robots(settings: ZenohSettings) -> zenoh.Session:
     """
     endpoints, said = client_endpoints(settings), said_of(settings)
     session = open_session(settings, endpoints, [])
-    if said.mode != "peer" or said.is_mode_given or not _finds_router(session):
+    if said.mode != "peer" or said.is_mode_given or not finds_router(session.info, time.sleep):
         return session
     close_session(session)
     client = msgspec.structs.replace(settings, mode="client", given=settings.given | {"mode"})
     return open_session(client, endpoints, [])
-
-
-def _finds_router(session: zenoh.Session) -> bool:
-    """Is the first node that is connected a router?"""
-    info, deadline_s = session.info, time.monotonic() + ROUTER_TIMEOUT_S
-    while not (peers := info.peers_zid()) and time.monotonic() < deadline_s:
-        if info.routers_zid():
-            return True
-        time.sleep(0.01)
-    return not peers and bool(info.routers_zid())
 
 
 def client_endpoints(settings: ZenohSettings) -> list[str]:

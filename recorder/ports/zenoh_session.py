@@ -16,10 +16,10 @@ from schemas.settings import DEFAULT_ENDPOINT, ZenohSettings
 from schemas.zenoh_link import (
     ANY_LOCAL_PORT,
     PROTOCOLS,
-    ROUTER_TIMEOUT_S,
     Json,
     Said,
     allows,
+    finds_router,
     is_loopback,
     next_ports,
     reason,
@@ -50,7 +50,7 @@ def open_session(settings: ZenohSettings, listen: Sequence[str] = ()) -> zenoh.S
     """
     session = _open(_configuration(settings, listen), listen)
     mode, _, _, is_given = said_of(settings)
-    if listen or mode != "peer" or is_given or not _finds_router(session):
+    if listen or mode != "peer" or is_given or not finds_router(session.info, time.sleep):
         return session
     session.close()
     client = msgspec.structs.replace(settings, mode="client", given=settings.given | {"mode"})
@@ -63,16 +63,6 @@ def _open(config: zenoh.Config, listen: Sequence[str]) -> zenoh.Session:
     except zenoh.ZError as error:
         on = f", listening on {', '.join(listen)}" if listen else ""
         raise CommandError(f"cannot join Zenoh{on}: {reason(str(error))}", ExitCode.UNREACHABLE) from error
-
-
-def _finds_router(session: zenoh.Session) -> bool:
-    """Is the first node that is connected a router?"""
-    info, deadline_s = session.info, time.monotonic() + ROUTER_TIMEOUT_S
-    while not (peers := info.peers_zid()) and time.monotonic() < deadline_s:
-        if info.routers_zid():
-            return True
-        time.sleep(0.01)
-    return not peers and bool(info.routers_zid())
 
 
 def said_of(settings: ZenohSettings) -> Said:

@@ -9,8 +9,10 @@ from schemas.zenoh_link import (
     LISTEN,
     MODE,
     MULTICAST,
+    ROUTER_LOOKS,
     Json,
     allows,
+    finds_router,
     is_loopback,
     next_ports,
     own_endpoint,
@@ -101,6 +103,46 @@ def test_protocols_that_a_file_does_not_name_are_not_allowed() -> None:
     assert allows(None, ENDPOINT)
     assert allows(["tls", "tcp"], ENDPOINT)
     assert not allows(["tls"], ENDPOINT)
+
+
+class Nodes:
+    """A session that gets connected after so many looks."""
+
+    def __init__(self, after: int, peers: int, routers: int) -> None:
+        self.looks = 0
+        self._after, self._peers, self._routers = after, peers, routers
+
+    def peers_zid(self) -> list[int]:
+        return [1] * self._peers if self.looks >= self._after else []
+
+    def routers_zid(self) -> list[int]:
+        return [1] * self._routers if self.looks >= self._after else []
+
+    def pause(self, seconds: float) -> None:
+        """Time passes."""
+        assert seconds > 0
+        self.looks += 1
+
+
+@pytest.mark.parametrize(
+    ("peers", "routers", "after", "is_router"),
+    [
+        (0, 1, 0, True),
+        (0, 1, ROUTER_LOOKS - 1, True),
+        (0, 1, ROUTER_LOOKS, False),
+        (1, 0, 3, False),
+        (1, 1, 3, False),
+        (0, 0, 0, False),
+    ],
+    ids=["at once", "in time", "too late", "a peer", "both", "nobody"],
+)
+def test_who_finds_a_router_and_no_peer_has_found_a_router(
+    peers: int, routers: int, after: int, *, is_router: bool
+) -> None:
+    """Looked for during half a second; a node that is there ends the wait."""
+    nodes = Nodes(after, peers, routers)
+    assert finds_router(nodes, nodes.pause) is is_router
+    assert nodes.looks == (min(after, ROUTER_LOOKS) if peers or routers else ROUTER_LOOKS)
 
 
 @pytest.mark.parametrize(

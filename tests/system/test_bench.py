@@ -37,6 +37,7 @@ def test_a_figure_is_judged_by_its_difference_to_an_empty_loop() -> None:
     """At the share that has the goal."""
     ours, empty = [float(us) for us in range(1000, 2000)], [float(us) for us in range(1000)]
     assert beside(ours, empty, (0.5, 0.99), 0.99) == ("1.50 1.99 ms", "0.50 0.99 ms", "1.00 ms at p99")
+    assert beside(ours, empty, (0.5,), 0.5)[2] == "1.00 ms at p50"
     assert beside([3000.0], [1000.0], (1,), 1)[2] == "2.00 ms at the longest"
 
 

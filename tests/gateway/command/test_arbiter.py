@@ -504,6 +504,51 @@ def test_a_robot_found_moving_is_stopped_from_what_is_seen(
     assert [*bench.arbiter.latched] == [Reason.ROLLING] * rolls, "its own speed is no fault"
 
 
+@pytest.mark.parametrize(("ticks", "parks"), [(10, True), (99, False)])
+def test_a_mode_that_flickers_parks_a_robot_that_moves(ticks: int, *, parks: bool) -> None:
+    """A stop out of standing by that follows another one within a second: no ramp begins over and over again."""
+    bench = Bench()
+    moving = {"gear": GearPosition.DRIVE, "brake": ParkingStatus.RELEASED, "turns": True, "angle_deg": 0.0}
+    moving |= {"speed_mps": 1.0, "wheel_speed_mps": 1.0, "fastest_wheel_mps": 1.0}
+    bench.changes = moving | {"mode": Mode.AUTO}
+    told = bench.tick(count=21).actuation
+    assert told is not None
+    assert not told.parking
+    bench.changes = moving | {"mode": Mode.REMOTE}
+    bench.tick(count=ticks)
+    bench.changes = moving | {"mode": Mode.AUTO}
+    told = bench.tick().actuation
+    assert told is not None
+    assert told.parking is parks
+
+
+@pytest.mark.parametrize(
+    ("cause", "standing", "moving"),
+    [
+        ("deadman", Severity.INFO, Severity.WARNING),
+        ("take", Severity.INFO, Severity.WARNING),
+        ("disengage", Severity.INFO, Severity.INFO),
+        ("release", Severity.INFO, Severity.INFO),
+        ("stop", Severity.WARNING, Severity.WARNING),
+    ],
+)
+@pytest.mark.parametrize("speed_mps", [0.0, 1.0])
+def test_a_stop_at_speed_is_an_incident_unless_it_was_asked_for(
+    cause: str, speed_mps: float, standing: Severity, moving: Severity
+) -> None:
+    """A warning makes an incident of the recorder's. The planned end of a drive is none; a stop at once always is."""
+    bench = engaged()
+    bench.drive_for(200, speed_mps)
+    if cause == "deadman":
+        bench.tick(count=31)
+    elif cause == "take":
+        bench.ask("take", "second", role="supervisor", override=True)
+    else:
+        bench.ask(cause)
+    [event] = bench.told(EventKind.STOP)
+    assert event.severity is (moving if speed_mps else standing)
+
+
 @pytest.mark.parametrize(
     "seen",
     [

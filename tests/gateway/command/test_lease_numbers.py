@@ -91,6 +91,13 @@ def test_what_cannot_be_read_is_refused_in_the_same_words() -> None:
     assert "$.lease" in got.fault
 
 
+@pytest.mark.parametrize("payload", [b"", b"help", b"\x81\xa5lease", msgspec.msgpack.encode({"lease": NUMBER})])
+def test_a_stop_is_one_whatever_is_in_it(payload: bytes) -> None:
+    """Row '`stop` {} or any bytes': nothing in it can make it a request that cannot be read."""
+    got = held().redact(raw("stop", payload))
+    assert (got.verb, got.payload, got.fault) == ("stop", b"", "")
+
+
 def test_what_is_too_large_stays_so() -> None:
     """Its size is told; its bytes are not even read."""
     got = held().redact(raw("renew", msgspec.msgpack.encode({"lease": NUMBER}), 5000))
