@@ -141,8 +141,8 @@ def log(name: str, size: int, *, is_open: bool = False) -> LogEntry:
 
 def test_what_an_earlier_recorder_left_is_no_reason_to_end_files() -> None:
     """It is not this one's to end: nothing would come of it but many small files."""
-    left = LogEntry("1", 5000, "1", is_open=True)
-    judgement = judge([left, log("2", 100)], 500, Limits(budget_bytes=1000), is_full=False)
+    left = LogEntry("1", 5000 * SCALE, "1", is_open=True)
+    judgement = judge([left, log("2", 100 * SCALE)], 0, Limits(budget_bytes=1000 * SCALE), is_full=False)
     assert judgement == Judgement((), has_room=False, has_incident_room=True, roll=False)
 
 
@@ -238,6 +238,13 @@ def test_the_logs_of_the_robot_that_takes_most_go_although_others_are_older() ->
     assert judgement.delete == ("loud-20270115T100000Z", "loud-20270115T110000Z")
 
 
+def test_what_a_robot_writes_now_counts_in_its_share() -> None:
+    """Its older log goes, before the still older one of a robot that takes less."""
+    entries = [*logs_of("quiet", 300), *logs_of("loud", 100, 500, hour=10, is_written=True)]
+    judgement = judge(entries, 0, Limits(budget_bytes=850 * SCALE), is_full=False)
+    assert judgement.delete == ("loud-20270115T100000Z",)
+
+
 def test_made_up_robots_have_one_share_together_where_robots_are_known() -> None:
     """A thousand names are worth no more than one."""
     entries = logs_of("cruiser-1", *[100] * 10)
@@ -277,6 +284,27 @@ def test_when_nothing_else_is_left_a_known_robot_records_on() -> None:
     limits = Limits(budget_bytes=800 * SCALE, known=frozenset({"cruiser-1"}), keep_s=7200)
     assert judge(entries, 0, limits, is_full=False) == Judgement(
         ("cruiser-1-20270115T000000Z",), has_room=True, has_incident_room=True, roll=False
+    )
+
+
+def test_when_even_that_is_not_enough_what_a_known_robot_writes_is_ended() -> None:
+    """So that it may go in its turn: recording goes on."""
+    entries = logs_of("cruiser-1", 300, 600, is_written=True)
+    limits = Limits(budget_bytes=200 * SCALE, known=frozenset({"cruiser-1"}), keep_s=7200)
+    assert judge(entries, 0, limits, is_full=False) == Judgement(
+        ("cruiser-1-20270115T000000Z",), has_room=True, has_incident_room=True, roll=True
+    )
+
+
+def test_an_incident_of_a_stranger_that_is_being_written_is_no_log_yet() -> None:
+    """It counts as an incident until it is whole: no log is ended for it."""
+    [incident] = [
+        msgspec.structs.replace(entry, is_incident=True) for entry in logs_of("spoof", 600, is_written=True)
+    ]
+    limits = Limits(budget_bytes=1000 * SCALE, known=frozenset({"cruiser-1"}))
+    entries = [incident, *logs_of("cruiser-1", 500)]
+    assert judge(entries, 0, limits, is_full=False) == Judgement(
+        ("cruiser-1-20270115T000000Z",), has_room=True, has_incident_room=False, roll=False
     )
 
 

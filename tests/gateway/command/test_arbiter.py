@@ -536,7 +536,7 @@ def test_a_mode_that_flickers_parks_a_robot_that_moves(ticks: int, *, parks: boo
 def test_a_stop_at_speed_is_an_incident_unless_it_was_asked_for(
     cause: str, speed_mps: float, standing: Severity, moving: Severity
 ) -> None:
-    """A warning makes an incident of the recorder's. The planned end of a drive is none; a stop at once always is."""
+    """A warning makes an incident. The planned end of a drive makes none; a stop at once always does."""
     bench = engaged()
     bench.drive_for(200, speed_mps)
     if cause == "deadman":
