@@ -170,6 +170,22 @@ def test_what_is_being_written_is_ended_when_the_rest_is_not_enough(
     assert judge(entries, free_bytes * SCALE, limits, is_full=False) == judgement
 
 
+def test_what_is_ended_and_just_enough_ends_nothing_else() -> None:
+    """Nor is a byte too little where all of it together is just enough."""
+    entries = [log("1", 300 * SCALE), log("2", 600 * SCALE, is_open=True)]
+    judgement = judge(entries, 0, Limits(budget_bytes=600 * SCALE), is_full=False)
+    assert (judgement.delete, judgement.roll) == (("1",), False)
+    judgement = judge(entries, 0, Limits(floor_bytes=900 * SCALE), is_full=False)
+    assert (judgement.delete, judgement.roll, judgement.has_room) == (("1",), True, True)
+
+
+@pytest.mark.parametrize(("more_bytes", "has_room"), [(-1, True), (0, False)])
+def test_incidents_may_fill_their_share_and_no_more(more_bytes: int, *, has_room: bool) -> None:
+    """Of the budget; the byte that fills it is the last."""
+    incident = msgspec.structs.replace(log("1", int(INCIDENT_SHARE * 1000 * SCALE) + more_bytes), is_incident=True)
+    assert judge([incident], 0, Limits(budget_bytes=1000 * SCALE), is_full=False).has_incident_room is has_room
+
+
 @pytest.mark.parametrize(
     ("limits", "free_bytes", "is_full", "has_room"),
     [
@@ -264,9 +280,18 @@ def test_the_last_hours_of_a_known_robot_stay(keep_s: int) -> None:
     kept = {0: 1, 1: 2, 3600: 2, 7200: 3, 7201: 4}[keep_s]
     limits = msgspec.structs.replace(limits, budget_bytes=kept * 10 * SCALE)
     judgement = judge(entries, 0, limits, is_full=False)
-    left = without(entries, judgement)
-    assert [entry.started[9:11] for entry in left] == [f"{hour:02}" for hour in range(5 - kept, 5)]
+    hours = [name.partition("T")[2][:2] for name in judgement.delete]
+    assert hours == [*(f"{hour:02}" for hour in range(5 - kept)), "10", "11"]
     assert judgement.has_room
+
+
+@pytest.mark.parametrize("starts", [("a", "b"), ("00010101T000000Z", "00010101T003000Z")])
+def test_of_a_known_robot_whose_starts_are_no_times_the_newest_log_stays(starts: tuple[str, str]) -> None:
+    """Anybody can name a file: one that cannot be reckoned with, or an hour before the first year."""
+    own = [LogEntry(f"cruiser-1-{start}", 100 * SCALE, start, robot="cruiser-1") for start in starts]
+    limits = Limits(budget_bytes=150 * SCALE, known=frozenset({"cruiser-1"}), keep_s=3600)
+    judgement = judge([*own, *logs_of("spoof", 50)], 0, limits, is_full=False)
+    assert judgement.delete == (own[0].name,)
 
 
 def test_what_strangers_write_is_ended_before_the_last_hours_of_a_known_robot_go() -> None:
