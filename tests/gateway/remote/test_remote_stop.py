@@ -193,3 +193,10 @@ def test_where_samples_were_lost_the_evidence_begins_anew() -> None:
     assert report_of(batch(0), [*batch(400), Missed()]).stopped == []
     assert report_of(batch(0), [Missed()], batch(400)).stopped == []
     assert report_of(batch(0), [Missed()], batch(400), batch(800)).stopped == ["cruiser-1"]
+
+
+def test_a_robot_that_stands_and_is_not_latched_is_not_said_to_stop() -> None:
+    """It may drive on at once: each state has to say that the remote stop is latched."""
+    unlatched: list[tuple[int, SafetyState | RobotState] | Missed] = [(800, STANDBY)]
+    report = report_of(batch(0), batch(400), unlatched)
+    assert report.unconfirmed == {"cruiser-1": "it replied that it stops, but its safety/state does not say so"}
