@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/installed
 
-.PHONY: demo test nightly test-socketcan readers lint types architecture generate bench bench-short bench-recorder bench-review mutation clean
+.PHONY: demo test test-unit nightly test-socketcan readers lint types architecture generate bench bench-short bench-recorder bench-review mutation clean
 
 demo: $(STAMP)  ## chassis, gateway and recorder and two operators, for half a minute
 	$(BIN)/cruiser demo --seconds 30 --out demo-log
@@ -14,6 +14,9 @@ demo: $(STAMP)  ## chassis, gateway and recorder and two operators, for half a m
 # Many tests wait for processes, so one more runs than there are processors.
 test: $(STAMP)  ## the whole test suite
 	$(BIN)/python -m pytest --numprocesses $$(( $$(nproc) + 1 )) --dist worksteal
+
+test-unit: $(STAMP)  ## what needs no process and no socket: two minutes
+	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/unit
 
 nightly: $(STAMP)  ## what takes too long for every day: the gate's whole domain, and 10,000 random scenarios; an hour
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/nightly

@@ -10,7 +10,7 @@ Two flows, which touch once::
 ``core`` has both on one page, without I/O and without a clock; ``loop`` is the one thread that runs them. What a
 frame means is in ``chassis``, what is published of it in ``telemetry``. The command flow is in ``command``:
 ``flow`` has its steps, ``arbiter`` judges each request, and ``gate`` looks at each frame once more before it is
-sent. ``guard`` is a second process, which stops the robot when this one dies or hangs. ``ports`` holds the only
-importers of python-can and Zenoh. ``remote`` is the operator's side, ``sim`` a virtual chassis, ``cli`` the
-commands.
+sent. ``guard`` is a second process, which stops the robot when this one dies or hangs. ``can``, ``zenoh`` and
+``host`` touch the world: the bus, the network, the computer of the robot. ``client`` is the operator's library,
+``sim`` a virtual chassis, ``rerun`` runs a recorded journal again, and ``cli`` has the commands.
 """

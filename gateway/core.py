@@ -29,9 +29,9 @@ from gateway.command.frames import MOTION_FRAMES
 from gateway.command.request import RawRequest
 from gateway.command.rest import QUIET_NS, Rest, is_at_rest, memory_of, recall
 from gateway.journal import FRAME, LINKS, JournalWriter
-from gateway.observation import BODY, Observer
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import HealthMeter, Links
+from gateway.telemetry.observation import BODY, Observer
 from gateway.telemetry.raw_frames import FrameBatch
 from gateway.telemetry.sample import Sample
 from gateway.telemetry.state import LatestMessages, robot_state

@@ -1,8 +1,8 @@
 """The journal: everything the core was given, in its order and with its times. Pure.
 
-With the configuration and the run number it is enough to run the core again: see ``gateway.rerun``. An input is an
-array: its kind, the monotonic time, and what the core's method of that kind was given. Once a minute, while the
-gateway is at rest, it says what it would have to be remembered by, so that what follows is enough.
+With the configuration and the run number it is enough to run the core again: see ``gateway.rerun.rerun``. An input
+is an array: its kind, the monotonic time, and what the core's method of that kind was given. Once a minute, while
+the gateway is at rest, it says what it would have to be remembered by, so that what follows is enough.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""The loop of a recorder: samples from Zenoh into the recording, and what it asks for out to the ports.
+"""The loop of a recorder: samples from Zenoh into the recording, and what it asks for out to disk and Zenoh.
 
-It never waits for the disk: files are written by ``ports.log_writer`` on a thread of its own. Nor does it let
+It never waits for the disk: files are written by ``disk.log_writer`` on a thread of its own. Nor does it let
 samples pile up unseen: when more come than it can record, they wait in the inbox, which is bounded.
 """
 
@@ -14,16 +14,16 @@ from typing import Final, Protocol
 
 import msgspec
 
-from recorder.completeness import KeyReport, total
-from recorder.effects import AskInfo, AskKept, Doing, OnLog
-from recorder.health import HealthReport, Vitals
-from recorder.inbox import Inbox
-from recorder.notices import DiskBack, Notice
-from recorder.orders import Asked, Orders
-from recorder.ports.disk_keeper import DiskKeeper
-from recorder.ports.log_writer import LogWriter
-from recorder.recording import Recording
-from recorder.sample import Sample
+from recorder.disk.keeper import DiskKeeper
+from recorder.disk.log_writer import LogWriter
+from recorder.encoding.sample import Sample
+from recorder.record.completeness import KeyReport, total
+from recorder.record.effects import AskInfo, AskKept, Doing, OnLog
+from recorder.record.health import HealthReport, Vitals
+from recorder.record.inbox import Inbox
+from recorder.record.notices import DiskBack, Notice
+from recorder.record.orders import Asked, Orders
+from recorder.record.recording import Recording
 from schemas.messages import Message
 from schemas.printable import plain
 from schemas.recording import GapReason, RecorderEvent, RecorderHealth

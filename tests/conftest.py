@@ -1,8 +1,13 @@
 """What holds for every test."""
 
+import os
+import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from tests.support.recorder_fakes import small_log
 
 
 @pytest.fixture(autouse=True)
@@ -10,3 +15,33 @@ def _state_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A stop by the guard in one test is latched in no other, nor for whoever runs them."""
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 16 MiB."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=16m", "tmpfs", str(disk)]
+    if os.geteuid() or subprocess.run(mount, check=False, capture_output=True).returncode:
+        pytest.skip("a file system can be mounted by root alone")
+    try:
+        yield disk
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)  # noqa: S607 - wherever the system has it
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> Path:
+    """A whole log."""
+    path = tmp_path / "whole.mcap"
+    path.write_bytes(small_log())
+    return path
+
+
+@pytest.fixture
+def cut(tmp_path: Path) -> Path:
+    """The log of a recorder that was killed."""
+    path = tmp_path / "cut.mcap.part"
+    path.write_bytes(small_log()[:-200])
+    return path

@@ -22,7 +22,7 @@ import msgspec
 
 from gateway.cli.child import Child
 from gateway.cli.demo_drive import HELD_UP, DemoDrive, TimelineEntry
-from gateway.remote.refusal import RobotError, Unreachable
+from gateway.client.refusal import RobotError, Unreachable
 from gateway.sim.links import LINKS
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings

@@ -10,10 +10,10 @@ from typing import Final
 
 import msgspec
 
-from gateway.remote.refusal import Refused, RobotError, Stopped, Unreachable
-from gateway.remote.robot import Lease, Robot
+from gateway.can.relay import Relay
+from gateway.client.refusal import Refused, RobotError, Stopped, Unreachable
+from gateway.client.robot import Lease, Robot
 from gateway.sim.links import LINKS, LinkProfile
-from gateway.sim.relay import Relay
 from schemas.decisions import ArbiterState, SafetyEvent, SafetyState
 from schemas.exit_codes import CommandError
 from schemas.reasons import Reason

@@ -12,23 +12,23 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from importlib.metadata import version
 
+from gateway.can.bus_claim import BusClaim
+from gateway.can.can_bus import Bus, BusLost
+from gateway.can.open_bus import describe, open_bus
+from gateway.can.reconnecting_bus import ReconnectingBus
 from gateway.chassis.layout import load
 from gateway.core import Core
-from gateway.guard.run import stop_alone
 from gateway.guard.sight import Sight
 from gateway.guard.stopper import Stopper
+from gateway.host.guard_process import GuardLink, start_guard
+from gateway.host.guard_run import stop_alone
+from gateway.host.log_queue import logging_aside
+from gateway.host.realtime import has_realtime, request_realtime
+from gateway.host.stop_note import NoteClearer, StopNote
 from gateway.loop import Surroundings
 from gateway.loop import run as run_loop
-from gateway.ports.bus_claim import BusClaim
-from gateway.ports.can_bus import Bus, BusLost
-from gateway.ports.guard_process import GuardLink, start_guard
-from gateway.ports.log_queue import logging_aside
-from gateway.ports.open_bus import describe, open_bus
-from gateway.ports.realtime import has_realtime, request_realtime
-from gateway.ports.reconnecting_bus import ReconnectingBus
-from gateway.ports.stop_note import NoteClearer, StopNote
-from gateway.ports.zenoh_inbox import open_inbox
-from gateway.ports.zenoh_node import Place, open_node
+from gateway.zenoh.inbox import open_inbox
+from gateway.zenoh.node import Place, open_node
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.codec import encode
 from schemas.configuration import to_toml

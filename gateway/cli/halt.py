@@ -11,15 +11,15 @@ from typing import Final
 
 import msgspec
 
+from gateway.can.can_bus import Bus, BusFull, BusLost
+from gateway.can.open_bus import describe, open_bus
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
 from gateway.chassis.variant import VariantDetector
 from gateway.core import CONFIGURED_VARIANT
 from gateway.guard.sight import Sight
 from gateway.guard.stopper import NOT_OBEYED, OTHER, REMOTE, STANDS, UNSEEN, Stopper
-from gateway.ports.can_bus import Bus, BusFull, BusLost
-from gateway.ports.open_bus import describe, open_bus
-from gateway.ports.stop_note import NoteWriter, StopNote
+from gateway.host.stop_note import NoteWriter, StopNote
 from schemas.arguments import seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import Mode, Variant

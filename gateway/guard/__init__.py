@@ -7,5 +7,6 @@ have one burst under way that it can no longer hold back: once, at most, one bur
     bus   > feedback, and the loop's own frames    > ``Sight``
     guard > late, mute or gone while active?       > ``Stopper``      the stop sequence, on a bus handle of its own
 
-``run`` is its one thread, ``python -m gateway.guard`` the process, ``gateway.ports.guard_process`` what starts it.
+All of it is pure: ``gateway.host.guard_run`` is its one thread, ``gateway.host.guard_main`` the process, and
+``gateway.host.guard_process`` starts it.
 """

@@ -12,5 +12,5 @@
 - ``backfilling``  asks one recorder after the other
 - ``ranges``     ranges of time
 
-All of it is free of clocks, sockets and files: those are in ``recorder.ports``.
+All of it is free of clocks, sockets and files: those are in ``recorder.disk`` and ``recorder.zenoh``.
 """

@@ -11,11 +11,11 @@ from mcap import records
 
 from recorder.backfill.excerpt import PIECE_NAME, Message
 from recorder.backfill.questions import Question
-from recorder.effects import LogChannel
-from recorder.mcap_file import MESSAGE_ENCODING, SCHEMA_ENCODING
-from recorder.mcap_summary import MAGIC
-from recorder.review.pieces import Fault
-from recorder.review.walk import LoggedMessage, Walked, walk
+from recorder.mcap.channel import LogChannel
+from recorder.mcap.messages import LoggedMessage, Walked, walk
+from recorder.mcap.records import Fault
+from recorder.mcap.summary import MAGIC
+from recorder.mcap.writer import MESSAGE_ENCODING, SCHEMA_ENCODING
 from schemas.recording import Backfill, BackfillPiece
 
 FIRST_BYTES: Final = 1_000_000

@@ -16,10 +16,10 @@ from typing import BinaryIO, Final
 
 import msgspec
 
-from recorder.backfill.log_map import EARLY_NS, LATE_NS, LogMap
-from recorder.chunk import MESSAGE_HEADER, ChunkBuilder
-from recorder.effects import LogChannel
-from recorder.mcap_file import McapFile
+from recorder.mcap.channel import LogChannel
+from recorder.mcap.chunk import MESSAGE_HEADER, ChunkBuilder
+from recorder.mcap.log_map import EARLY_NS, LATE_NS, LogMap
+from recorder.mcap.writer import McapFile
 from schemas.recording import Backfill, BackfillPiece
 
 PIECE_BYTES: Final = 262_144

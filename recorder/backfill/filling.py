@@ -11,9 +11,9 @@ import msgspec
 
 from recorder.backfill.excerpt import Message
 from recorder.backfill.holes import ANY_TOPIC, Hole, HoleKind, HoleTally
-from recorder.backfill.log_map import Logged
 from recorder.backfill.questions import Question
-from recorder.effects import LogChannel
+from recorder.mcap.channel import LogChannel
+from recorder.mcap.log_map import Logged
 
 Identity = tuple[str, int, int, int]
 """Topic, sequence, publish time, and CRC-32 of the data: no two messages of a log are the same in all of them."""

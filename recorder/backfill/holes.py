@@ -9,11 +9,11 @@ from typing import Any, Final
 import msgspec
 from google.protobuf.message import DecodeError
 
-from recorder.backfill.log_map import Logged
 from recorder.backfill.ranges import Range, merged, overlaps
 from recorder.backfill.runs import Cover, Line
-from recorder.effects import LogChannel
-from recorder.protobuf_schema import message_class, schema_name
+from recorder.encoding.protobuf_schema import message_class, schema_name
+from recorder.mcap.channel import LogChannel
+from recorder.mcap.log_map import Logged
 from schemas import keys
 from schemas.messages import GatewayInfo, RawSample
 from schemas.recording import RecordGap

@@ -12,7 +12,7 @@ from itertools import pairwise
 from operator import attrgetter
 from typing import Final
 
-from recorder.tally import RESTART_STEP, SEQUENCE_SPAN
+from recorder.encoding.key_counters import RESTART_STEP, SEQUENCE_SPAN
 
 OPEN_RUNS: Final = 4
 """Runs that may go on by turns: what comes by itself, and what was asked for."""

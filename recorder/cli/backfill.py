@@ -18,11 +18,11 @@ from recorder.backfill.backfilling import Backfilling
 from recorder.backfill.excerpt import Message
 from recorder.backfill.filling import Filled, Filling
 from recorder.backfill.holes import HoleFinder, HoleKind
-from recorder.ports.backfill_file import BackfillFiles
-from recorder.ports.backfill_source import BackfillSource, key_matches
-from recorder.ports.log_directory import safe_name
-from recorder.ports.own_logs import OwnLogs
-from recorder.ports.remote_control import host_name
+from recorder.disk.backfill_file import BackfillFiles
+from recorder.disk.log_directory import safe_name
+from recorder.disk.own_logs import OwnLogs
+from recorder.zenoh.backfill_source import BackfillSource, key_matches
+from recorder.zenoh.remote_control import host_name
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, operator_name, recorder_name, robot_name, seconds
 from schemas.exit_codes import CommandError, ExitCode

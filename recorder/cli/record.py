@@ -21,22 +21,22 @@ from typing import Final
 import msgspec
 
 from recorder.cli import backfill, remote
-from recorder.health import HealthReport
-from recorder.inbox import Inbox
-from recorder.incidents import IncidentPlan
+from recorder.disk.keeper import DiskKeeper
+from recorder.disk.leftovers import LeftoverThread
+from recorder.disk.log_directory import LogDirectory
+from recorder.disk.log_writer import QUEUE_BYTES, LogWriter
 from recorder.loop import Recorded, Recorder
-from recorder.orders import Asked
-from recorder.ports.backfill_server import BackfillServer
-from recorder.ports.backfill_source import key_matches
-from recorder.ports.disk_keeper import DiskKeeper
-from recorder.ports.leftovers import LeftoverThread
-from recorder.ports.log_directory import LogDirectory
-from recorder.ports.log_writer import QUEUE_BYTES, LogWriter
-from recorder.ports.remote_control import RemoteControl
-from recorder.ports.zenoh_source import RING_SAMPLE_BYTES, ZenohSource
-from recorder.recording import Recording, RecordingPlan
-from recorder.retention import Limits
-from recorder.session import Plan
+from recorder.record.health import HealthReport
+from recorder.record.inbox import Inbox
+from recorder.record.incidents import IncidentPlan
+from recorder.record.orders import Asked
+from recorder.record.recording import Recording, RecordingPlan
+from recorder.record.retention import Limits
+from recorder.record.session import Plan
+from recorder.zenoh.backfill_server import BackfillServer
+from recorder.zenoh.backfill_source import key_matches
+from recorder.zenoh.remote_control import RemoteControl
+from recorder.zenoh.source import RING_SAMPLE_BYTES, ZenohSource
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.decisions import EventKind

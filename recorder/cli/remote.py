@@ -12,7 +12,7 @@ from typing import Final
 
 import msgspec
 
-from recorder.ports.recorder_client import RecorderClient
+from recorder.zenoh.recorder_client import RecorderClient
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, operator_name, recorder_name, robot_name, seconds
 from schemas.exit_codes import CommandError, ExitCode

@@ -7,7 +7,7 @@ from typing import Final
 
 import msgspec
 
-from recorder.foxglove_log import LOG_CHUNK
+from recorder.encoding.foxglove_log import LOG_CHUNK
 from schemas import keys
 from schemas.decisions import SafetyEvent, SafetyState
 from schemas.messages import CanFrames, GatewayHealth, Message, RobotState

@@ -15,8 +15,8 @@ import rerun.blueprint as blueprints
 from msgspec import inspect
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
+from recorder.encoding.protobuf_schema import fields, schema_name
 from recorder.layouts.charts import ANGLE, LATENESS, SPEED, STATES, SWITCHES, Chart, Line, Robot
-from recorder.protobuf_schema import fields, schema_name
 
 NAME: Final = "layout.rerun.rbl"
 

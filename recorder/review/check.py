@@ -11,17 +11,17 @@ from typing import BinaryIO, Final
 import msgspec
 from mcap import records
 
-from recorder.mcap_scan import BROKEN, index_content
-from recorder.mcap_summary import MAGIC
+from recorder.mcap.records import End, Fault, LooseMessage, PackedChunk, Piece, SummaryStart, read_pieces
+from recorder.mcap.scan import BROKEN, index_content
+from recorder.mcap.summary import MAGIC
+from recorder.reading.logs import is_being_written, open_log
+from recorder.reading.rows import Progress
 from recorder.review.checking.channel import Channel, ChannelCheck
 from recorder.review.checking.findings import About, Finding, Findings
 from recorder.review.checking.frames import FrameInfo
 from recorder.review.checking.proofs import faults_of_schema
 from recorder.review.checking.structure import Structure
 from recorder.review.checking.unpacking import Messages, unpack_at, unpack_indexed
-from recorder.review.logs import is_being_written, open_log
-from recorder.review.pieces import End, Fault, LooseMessage, PackedChunk, Piece, SummaryStart, read_pieces
-from recorder.review.rows import Progress
 
 WAITING_BYTES_MAX: Final = 16_000_000
 """When all messages that wait to be judged are so large together, they are judged."""
@@ -189,7 +189,7 @@ class _Check:
         """Records one by one: those that stand outside of chunks, or in one with more in it than messages.
 
         Raises:
-            what ``recorder.mcap_scan.BROKEN`` lists: these are no records.
+            what ``recorder.mcap.scan.BROKEN`` lists: these are no records.
         """
         index, declared = index_content(content)
         for record in declared:

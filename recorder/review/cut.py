@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from recorder.review.faults import Faults
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import Progress
 from recorder.review.info import CUT_NAME
 from recorder.review.joining.joining import Joined, Wanted, join
-from recorder.review.log_file import LogFile
-from recorder.review.rows import Progress
 
 
 def cut(

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from recorder.layouts.charts import Robot
-from recorder.review.faults import Faults
-from recorder.review.log_file import LogFile
-from recorder.review.survey import survey
-from recorder.review.topics import Topic
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.survey import survey
+from recorder.reading.topics import Topic
 from schemas import keys
 from schemas.subjects import RECORDER_CHUNK
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from recorder.review.faults import Faults
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import Progress
 from recorder.review.joining.joining import Joined, Wanted, join
-from recorder.review.log_file import LogFile
-from recorder.review.rows import Progress
 
 MERGED_NAME: Final = "cruiser.merged"
 """The metadata record with the names of the files that a merged one is made of."""

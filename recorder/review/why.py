@@ -13,9 +13,12 @@ from typing import Final
 
 import msgspec
 
-from recorder.review.configurations import attached
-from recorder.review.faults import Faults
-from recorder.review.log_file import LogFile, logs_of
+from recorder.reading.configurations import attached
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile, logs_of
+from recorder.reading.rows import END_OF_TIME_NS, Progress
+from recorder.reading.survey import Survey
+from recorder.reading.times import in_words
 from recorder.review.reasoning import ending as endings
 from recorder.review.reasoning import silence as silences
 from recorder.review.reasoning import story as stories
@@ -28,11 +31,8 @@ from recorder.review.reasoning.scene import BEFORE_NS, Heard, Scene, Stage, is_o
 from recorder.review.reasoning.silence import Silence, last_silence, next_silence
 from recorder.review.reasoning.stopping import actions
 from recorder.review.reasoning.story import Story
-from recorder.review.rows import END_OF_TIME_NS, Progress
-from recorder.review.survey import Survey
 from recorder.review.timeline.clock import NEAR_NS
 from recorder.review.timeline.entries import Entry
-from recorder.review.times import in_words
 from schemas.decisions import COMMANDING, ArbiterState, SafetyState, is_same_run
 from schemas.messages import TimeNs
 from schemas.reasons import Reason

@@ -19,10 +19,10 @@ from typing import Any, Final, NamedTuple
 import msgspec
 import zenoh
 
+from gateway.can.can_bus import BusLost
+from gateway.can.open_bus import open_bus
 from gateway.chassis.layout import load
-from gateway.ports.can_bus import BusLost
-from gateway.ports.open_bus import open_bus
-from gateway.ports.zenoh_client import close_session, open_session
+from gateway.zenoh.client import close_session, open_session
 from schemas.messages import Variant
 from schemas.settings import CanSettings, ZenohSettings
 from tests.bench.processes import Empty, empty_loop, free_port, quantile, start
@@ -238,7 +238,7 @@ def stop_under_way_us(driver: Driver, witness: Witness, random: Random) -> float
 
 def measure_ticks_us(count: int) -> list[float]:
     """Processor time of the command flow's ``tick`` and ``sent``, in this process and in simulated time."""
-    from tests.gateway.command.loop_rig import ready  # noqa: PLC0415 - the rig of the tests
+    from tests.support.loop_rig import ready  # noqa: PLC0415 - the rig of the tests
 
     rig, operator = ready()
     operator.engage()

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import zenoh
 
-from gateway.ports.realtime import request_realtime
-from gateway.ports.zenoh_client import close_session, open_session
+from gateway.host.realtime import request_realtime
+from gateway.zenoh.client import close_session, open_session
 from schemas.settings import Settings
 
 KEY = "bench/empty"

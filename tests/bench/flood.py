@@ -17,7 +17,7 @@ from typing import Final
 import msgspec
 import zenoh
 
-from gateway.ports.zenoh_client import close_session, open_session
+from gateway.zenoh.client import close_session, open_session
 from schemas.settings import ZenohSettings
 from tests.bench.command_latency import SPEED_MPS, on_the_road, stop_under_way_us
 from tests.bench.processes import Empty, empty_loop, quantile

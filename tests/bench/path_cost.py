@@ -24,14 +24,14 @@ from cantools.database.can import Database
 from gateway.chassis.frame import Frame
 from gateway.core import Core
 from gateway.loop import Reader, Surroundings
-from gateway.ports.zenoh_client import close_session, open_session
-from gateway.ports.zenoh_node import ZenohNode
 from gateway.telemetry.health import Links
+from gateway.zenoh.client import close_session, open_session
+from gateway.zenoh.node import ZenohNode
 from schemas.dbc_files import dbc_text
 from schemas.messages import Variant
 from schemas.settings import TICK_NS, ChassisSettings, Settings, ZenohSettings
 from tests.bench.processes import free_port
-from tests.gateway.frames import WALL_NS, Feedback
+from tests.support.frames import WALL_NS, Feedback
 
 ROUNDS = 15
 PASSES = 4
@@ -40,7 +40,7 @@ SECONDS_OF_FRAMES = 8
 
 SUBSCRIBER = """
 import sys, zenoh
-from gateway.ports.zenoh_client import open_session
+from gateway.zenoh.client import open_session
 from schemas.settings import ZenohSettings
 session = open_session(ZenohSettings(), [sys.argv[1]], [])
 subscriber = session.declare_subscriber("**", zenoh.handlers.RingChannel(1000))

@@ -19,7 +19,7 @@ from typing import IO, Any
 import msgspec
 import zenoh
 
-from gateway.ports.zenoh_client import close_session, open_session
+from gateway.zenoh.client import close_session, open_session
 from schemas import codec
 from schemas.messages import Message
 from schemas.settings import ZenohSettings

@@ -19,12 +19,12 @@ from typing import Self
 import msgspec
 from mcap.reader import make_reader
 
-from recorder.ports.leftovers import Outcome, recover
+from recorder.disk.leftovers import Outcome, recover
 from recorder.review.check import check_log
 from schemas.messages import Gear
 from tests.bench.processes import quantile, start
-from tests.recorder.fakes import gear, key_of, sample_of, wait_until
-from tests.recorder.zenoh_peer import Peer, free_endpoint
+from tests.support.recorder_fakes import gear, key_of, sample_of, wait_until
+from tests.support.zenoh_peer import Peer, free_endpoint
 
 PERIOD_S = 0.002
 ALIVE_S = (0.6, 1.8)

@@ -26,15 +26,15 @@ from gateway.chassis.decode import Value
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
 from gateway.core import Core
-from gateway.ports.zenoh_client import close_session, open_session
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
+from gateway.zenoh.client import close_session, open_session
 from schemas import codec, keys
 from schemas.messages import CanFrames, Variant
 from schemas.settings import TICK_NS, ChassisSettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME, Pattern
 from tests.bench.path_cost import SECONDS_OF_FRAMES
-from tests.gateway.frames import STANDING, WALL_NS, Feedback
+from tests.support.frames import STANDING, WALL_NS, Feedback
 
 ROOT: Final = "fleet"
 BUS: Final = "can0"

@@ -32,9 +32,9 @@ from mcap.writer import Writer
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from msgspec import inspect
 
-from gateway.ports.zenoh_client import close_session, open_session
-from recorder.protobuf_schema import descriptor_set, fields, message_class, schema_name
-from recorder.transcode import compile_encoder, compile_row_encoder
+from gateway.zenoh.client import close_session, open_session
+from recorder.encoding.protobuf_schema import descriptor_set, fields, message_class, schema_name
+from recorder.encoding.transcode import compile_encoder, compile_row_encoder
 from schemas import codec, keys
 from schemas.can_word import EXTENDED, FD, IDENTIFIER_MASK
 from schemas.messages import CanFrame, CanFrames, Message

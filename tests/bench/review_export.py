@@ -27,22 +27,22 @@ import pyarrow.parquet as pq
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from recorder.effects import CloseLog, DeclareChannel, Effect, WriteAttachment, WriteChunk, WriteMetadata
-from recorder.mcap_file import McapFile
+from recorder.mcap.writer import McapFile
+from recorder.reading.faults import Faults
+from recorder.reading.logs import find_logs
+from recorder.record.effects import CloseLog, DeclareChannel, Effect, WriteAttachment, WriteChunk, WriteMetadata
+from recorder.record.session import Plan, Session
 from recorder.review.columns.tables import TIME_TYPE
 from recorder.review.export.dataset import export_dataset
 from recorder.review.export.manifest import read_manifest
 from recorder.review.export.one_log import Wanted
 from recorder.review.export.parts import COMPRESSION, COMPRESSION_LEVEL
-from recorder.review.faults import Faults
-from recorder.review.logs import find_logs
-from recorder.session import Plan, Session
 from schemas import keys
 from schemas.settings import TICK_NS
 from schemas.subjects import BY_NAME
 from tests.bench.recorder_load import _SEQUENCE_KEY, _STAMP, _TIME_KEY, BUS, ROOT, SLOTS, make_script
-from tests.gateway.frames import WALL_NS
-from tests.recorder.fakes import FakeSample
+from tests.support.frames import WALL_NS
+from tests.support.recorder_fakes import FakeSample
 
 MESSAGES: Final = 500_000
 ROUNDS: Final = 5

@@ -21,17 +21,17 @@ from typing import Final
 
 import msgspec
 
-from recorder.chunk import ChunkBuilder
-from recorder.effects import LogChannel
-from recorder.mcap_file import McapFile
-from recorder.review.faults import Faults
-from recorder.review.logs import look_at
-from recorder.review.rows import Row as LogRow
-from recorder.review.rows import Selection, read_rows
+from recorder.mcap.channel import LogChannel
+from recorder.mcap.chunk import ChunkBuilder
+from recorder.mcap.writer import McapFile
+from recorder.reading.faults import Faults
+from recorder.reading.logs import look_at
+from recorder.reading.rows import Row as LogRow
+from recorder.reading.rows import Selection, read_rows
 from schemas.messages import Variant
 from tests.bench.loads import Row, print_table
-from tests.gateway.command.loop_rig import Operator
-from tests.gateway.recorded_day import Day, recorded
+from tests.support.loop_rig import Operator
+from tests.support.recorded_day import Day, recorded
 
 MEGABYTES: Final = 1000
 MINUTES: Final = 10

@@ -4,8 +4,8 @@ import pytest
 
 from gateway.command.gate import Motion, motion_fault, step_fault
 from schemas.messages import Variant
-from tests.gateway.command.bus_rules import DRIVE, STEERING
-from tests.gateway.command.gate_domain import (
+from tests.support.bus_rules import DRIVE, STEERING
+from tests.support.gate_domain import (
     ALL,
     ANGLES,
     BIT_UMPS,

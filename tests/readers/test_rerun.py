@@ -16,19 +16,27 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from recorder.health import HealthReport
-from recorder.inbox import Inbox
+from recorder.disk.log_directory import LogDirectory
+from recorder.disk.log_writer import LogWriter
+from recorder.encoding.sample import Sample
 from recorder.loop import Recorder
-from recorder.ports.log_directory import LogDirectory
-from recorder.ports.log_writer import LogWriter
-from recorder.recording import Recording
-from recorder.sample import Sample
+from recorder.record.health import HealthReport
+from recorder.record.inbox import Inbox
+from recorder.record.recording import Recording
 from schemas import codec, keys
 from schemas.decisions import EventKind
 from schemas.messages import CanFrames
 from schemas.subjects import BY_NAME
 from tests.bench.recorder_load import make_script
-from tests.recorder.fakes import RECORDING_PLAN, WALL_NS, FakeSample, FakeSource, info, safety_event, sample_of
+from tests.support.recorder_fakes import (
+    RECORDING_PLAN,
+    WALL_NS,
+    FakeSample,
+    FakeSource,
+    info,
+    safety_event,
+    sample_of,
+)
 
 TICKS = 200
 

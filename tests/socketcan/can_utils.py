@@ -8,8 +8,8 @@ from types import TracebackType
 from typing import Final, NamedTuple, Self
 
 from gateway.chassis.frame import Frame
-from tests.gateway.remote.waiting import wait_until
 from tests.socketcan.turns import PEER, come_first
+from tests.support.waiting import wait_until
 
 _LINE: Final = re.compile(r"\((\d+)\.(\d{6})\) (\S+) ([0-9A-F]{3}|[0-9A-F]{8})#([0-9A-F]*)")
 _MARK: Final = 0x7FF

@@ -7,11 +7,11 @@ from typing import Final
 import zenoh
 
 from gateway.chassis.frame import Frame
-from gateway.ports.zenoh_client import close_session, open_session
+from gateway.zenoh.client import close_session, open_session
 from schemas import codec, keys
 from schemas.messages import CanFrames, GatewayHealth, RobotState
 from schemas.settings import ZenohSettings
-from tests.gateway.remote.waiting import wait_until
+from tests.support.waiting import wait_until
 
 _ROBOT: Final = "fleet/cruiser-1/"
 

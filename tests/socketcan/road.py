@@ -6,15 +6,15 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Final
 
-from gateway.remote.drive_stream import HOLD_MAX_S
-from gateway.remote.refusal import Refused, Stopped
-from gateway.remote.robot import Lease, Robot
+from gateway.client.drive_stream import HOLD_MAX_S
+from gateway.client.refusal import Refused, Stopped
+from gateway.client.robot import Lease, Robot
 from schemas.decisions import ArbiterState
 from schemas.reasons import Reason
 from schemas.settings import Settings, ZenohSettings
-from tests.gateway.cli.running import Running
-from tests.gateway.remote.waiting import wait_until
 from tests.socketcan.turns import CHASSIS, PEER, come_as_usual, come_first
+from tests.support.gateway_process import Running
+from tests.support.waiting import wait_until
 
 CONNECT_S: Final = 30.0
 """Processes start slowly in user-mode Linux."""

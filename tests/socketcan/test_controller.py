@@ -5,17 +5,17 @@ from typing import Final
 import pytest
 
 from gateway.chassis.frame import ERROR
-from gateway.remote.refusal import Refused, Stopped
+from gateway.client.refusal import Refused, Stopped
 from schemas.decisions import EventKind, SafetyEvent, Severity
 from schemas.messages import ControllerState
 from schemas.reasons import Reason
-from tests.gateway.remote.fake_gateway import free_endpoint
-from tests.gateway.remote.waiting import wait_until
 from tests.socketcan import commands
 from tests.socketcan.can_utils import Candump, send
 from tests.socketcan.hearing import hearing
 from tests.socketcan.interface import Vcan
 from tests.socketcan.road import chassis, driving, gateway, operator, wait_standing_by
+from tests.support.fake_gateway import free_endpoint
+from tests.support.waiting import wait_until
 
 SPEED_MPS: Final = 0.5
 SPEED_RAW: Final = 500

@@ -6,12 +6,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
-from tests.gateway.cli.running import Running
-from tests.gateway.remote.fake_gateway import free_endpoint
 from tests.socketcan.can_utils import send
 from tests.socketcan.hearing import Hearing, hearing
 from tests.socketcan.interface import Vcan
 from tests.socketcan.road import gateway
+from tests.support.fake_gateway import free_endpoint
+from tests.support.gateway_process import Running
 
 FLOOD: Final = 20_000
 """More than its buffer holds."""

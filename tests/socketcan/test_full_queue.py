@@ -7,14 +7,14 @@ from typing import Final
 import can
 import pytest
 
+from gateway.can.can_bus import BusFull
+from gateway.can.socketcan import SocketCanBus
 from gateway.chassis.controller import controller_state
 from gateway.chassis.frame import EXTENDED, Frame
-from gateway.ports.can_bus import BusFull
-from gateway.ports.socketcan import SocketCanBus
 from schemas.messages import ControllerState
-from tests.gateway.remote.waiting import wait_until
 from tests.socketcan.commands import BURST
 from tests.socketcan.serial_adapter import SerialAdapter
+from tests.support.waiting import wait_until
 
 CAN_ID: Final = EXTENDED | BURST[0]
 

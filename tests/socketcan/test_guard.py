@@ -12,13 +12,13 @@ from typing import Final
 
 import pytest
 
-from tests.gateway.remote.fake_gateway import free_endpoint
-from tests.gateway.remote.waiting import wait_until
 from tests.socketcan import commands
 from tests.socketcan.can_utils import Candump, Dumped
 from tests.socketcan.interface import Vcan
 from tests.socketcan.road import chassis, driving, gateway, operator
 from tests.socketcan.turns import come_last
+from tests.support.fake_gateway import free_endpoint
+from tests.support.waiting import wait_until
 
 SPEED_MPS: Final = 1.0
 SPEED_RAW: Final = 1000

@@ -7,21 +7,21 @@ from typing import Final
 
 import pytest
 
-from gateway.remote.refusal import Stopped
-from gateway.remote.robot import Robot
+from gateway.client.refusal import Stopped
+from gateway.client.robot import Robot
 from schemas.decisions import ArbiterState
 from schemas.exit_codes import ExitCode
 from schemas.messages import Mode
 from schemas.reasons import Reason
-from tests.gateway.cli.running import run
-from tests.gateway.remote.fake_gateway import free_endpoint
-from tests.gateway.remote.waiting import wait_until
 from tests.socketcan import commands
 from tests.socketcan.cable import Cable
 from tests.socketcan.can_utils import Candump, Dumped
 from tests.socketcan.hearing import Hearing, hearing
 from tests.socketcan.interface import Vcan
 from tests.socketcan.road import chassis, driving, gateway, operator, wait_engageable
+from tests.support.fake_gateway import free_endpoint
+from tests.support.gateway_process import run
+from tests.support.waiting import wait_until
 
 SPEED_MPS: Final = 0.5
 SPEED_RAW: Final = 500

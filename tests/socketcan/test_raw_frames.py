@@ -10,13 +10,13 @@ import pytest
 
 from gateway.chassis.layout import load
 from schemas.messages import Variant
-from tests.gateway.cli.running import Running
-from tests.gateway.remote.fake_gateway import free_endpoint
-from tests.gateway.remote.waiting import wait_until
 from tests.socketcan.can_utils import Candump, send
 from tests.socketcan.hearing import hearing
 from tests.socketcan.interface import Vcan
 from tests.socketcan.road import chassis, gateway
+from tests.support.fake_gateway import free_endpoint
+from tests.support.gateway_process import Running
+from tests.support.waiting import wait_until
 
 FOREIGN: Final = 500
 HEARD: Final = 500

@@ -11,16 +11,16 @@ import zenoh
 
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
-from gateway.ports.zenoh_client import close_session, open_session
 from gateway.sim.model import VirtualChassis
+from gateway.zenoh.client import close_session, open_session
 from schemas.messages import CanFrames, Variant
 from schemas.settings import ZenohSettings
 from schemas.subjects import SUBJECTS
-from tests.gateway.remote.fake_gateway import free_endpoint
-from tests.gateway.remote.waiting import wait_until
 from tests.socketcan.can_utils import Candump, play, write_log
 from tests.socketcan.interface import Vcan
 from tests.socketcan.road import gateway
+from tests.support.fake_gateway import free_endpoint
+from tests.support.waiting import wait_until
 
 ROBOT: Final = "fleet/cruiser-1/"
 LOG_S: Final = 5

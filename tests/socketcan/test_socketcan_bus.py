@@ -12,12 +12,12 @@ import can
 import msgspec
 import pytest
 
+from gateway.can.can_bus import BusLost
+from gateway.can.socketcan import SocketCanBus
 from gateway.chassis.frame import BITRATE_SWITCH, ERROR, ERROR_STATE_INDICATOR, EXTENDED, FD, REMOTE, Frame
-from gateway.ports.can_bus import BusLost
-from gateway.ports.socketcan import SocketCanBus
-from tests.gateway.remote.waiting import wait_until
 from tests.socketcan.can_utils import Candump
 from tests.socketcan.interface import Vcan
+from tests.support.waiting import wait_until
 
 LONGEST: Final = bytes(range(64))
 

@@ -5,17 +5,17 @@ from typing import Final
 
 import pytest
 
-from gateway.remote.refusal import Refused, Stopped, Unreachable
-from gateway.remote.robot import Robot
+from gateway.client.refusal import Refused, Stopped, Unreachable
+from gateway.client.robot import Robot
 from schemas.decisions import ArbiterState
 from schemas.reasons import Reason
-from tests.gateway.remote.fake_gateway import free_endpoint
-from tests.gateway.remote.waiting import wait_until
 from tests.socketcan import commands
 from tests.socketcan.can_utils import Candump, send
 from tests.socketcan.interface import Vcan
 from tests.socketcan.road import chassis, driving, gateway, operator, wait_engageable, wait_standing_by
 from tests.socketcan.turns import come_last
+from tests.support.fake_gateway import free_endpoint
+from tests.support.waiting import wait_until
 
 SPEED_MPS: Final = 0.5
 PEDAL: Final = bytes.fromhex("0101000000000000")

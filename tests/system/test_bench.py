@@ -6,7 +6,7 @@ from pathlib import Path
 from tests.bench.__main__ import ROOT, commit, heading
 from tests.bench.loads import beside
 from tests.bench.processes import empty_loop
-from tests.gateway.remote.waiting import wait_until
+from tests.support.waiting import wait_until
 
 
 def test_the_first_line_names_command_and_commit() -> None:

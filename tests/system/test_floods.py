@@ -7,11 +7,11 @@ import msgpack
 import pytest
 import zenoh
 
-from gateway.ports.zenoh_client import close_session, open_session
+from gateway.zenoh.client import close_session, open_session
 from schemas.settings import ZenohSettings
-from tests.gateway.cli.running import chassis, gateway
-from tests.gateway.remote.fake_gateway import free_endpoint
-from tests.gateway.remote.waiting import wait_until
+from tests.support.fake_gateway import free_endpoint
+from tests.support.gateway_process import chassis, gateway
+from tests.support.waiting import wait_until
 
 HUGE_BYTES = 60_000_000
 GROWS_BYTES = 30_000_000

@@ -17,18 +17,18 @@ import pytest
 import zenoh
 from mcap.reader import make_reader
 
-from gateway.ports.zenoh_client import close_session, open_session
-from gateway.remote.refusal import LeaseLost, RobotError
-from gateway.remote.robot import Lease, Robot
+from gateway.client.refusal import LeaseLost, RobotError
+from gateway.client.robot import Lease, Robot
+from gateway.zenoh.client import close_session, open_session
 from schemas import keys
 from schemas.decisions import Decision, Journal, Verdict
 from schemas.journal import Kind
 from schemas.reasons import Reason
 from schemas.settings import Settings, ZenohSettings
 from schemas.subjects import BY_NAME
-from tests.gateway.cli.running import Running, chassis, gateway
-from tests.gateway.remote.fake_gateway import ROOT, free_endpoint
-from tests.gateway.remote.waiting import wait_until
+from tests.support.fake_gateway import ROOT, free_endpoint
+from tests.support.gateway_process import Running, chassis, gateway
+from tests.support.waiting import wait_until
 
 ROBOT, HOLDER = "cruiser-1", "holder"
 SPEED_MPS, HIS_SPEED_MPS = 0.2, 1.0

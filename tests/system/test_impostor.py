@@ -8,15 +8,15 @@ from contextlib import contextmanager
 import msgspec
 import zenoh
 
-from gateway.ports.zenoh_client import close_session, open_session
+from gateway.zenoh.client import close_session, open_session
 from schemas import keys
 from schemas.decisions import Reply
 from schemas.exit_codes import ExitCode
 from schemas.reasons import Reason
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_VERB
-from tests.gateway.cli.running import chassis, gateway, run, wait_for_chassis
-from tests.gateway.remote.fake_gateway import ROOT, free_endpoint
+from tests.support.fake_gateway import ROOT, free_endpoint
+from tests.support.gateway_process import chassis, gateway, run, wait_for_chassis
 
 ROBOT = "cruiser-1"
 STOP = BY_VERB["stop"]

@@ -24,7 +24,7 @@ import msgspec
 import pytest
 
 from tests.bench.processes import free_port
-from tests.gateway.remote.waiting import wait_until
+from tests.support.waiting import wait_until
 
 ROOT: Final = Path(__file__).parents[2]
 NOBODY: Final = 65534

@@ -8,12 +8,12 @@ import msgpack
 import pytest
 import zenoh
 
-from gateway.ports.zenoh_client import close_session, open_session
+from gateway.zenoh.client import close_session, open_session
 from schemas.exit_codes import ExitCode
 from schemas.settings import ZenohSettings
-from tests.gateway.cli.running import chassis, gateway, run
-from tests.gateway.remote.fake_gateway import free_endpoint
-from tests.gateway.remote.waiting import wait_until
+from tests.support.fake_gateway import free_endpoint
+from tests.support.gateway_process import chassis, gateway, run
+from tests.support.waiting import wait_until
 
 
 @contextmanager

@@ -12,11 +12,11 @@ from typing import Final
 
 import msgspec
 
-from recorder.review.faults import Faults
-from recorder.review.log_file import LogFile
-from recorder.review.logs import find_logs
-from recorder.review.rows import END_OF_TIME_NS, Progress
-from recorder.review.times import FORMS, in_words, time_of
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.logs import find_logs
+from recorder.reading.rows import END_OF_TIME_NS, Progress
+from recorder.reading.times import FORMS, in_words, time_of
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 

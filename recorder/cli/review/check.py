@@ -10,9 +10,9 @@ from typing import Final
 import msgspec
 
 from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
+from recorder.reading.times import in_words
 from recorder.review.check import LogCheck, check_log
 from recorder.review.checking.findings import About, Finding
-from recorder.review.times import in_words
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings

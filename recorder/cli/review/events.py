@@ -10,11 +10,11 @@ from typing import Any, Final
 import msgspec
 
 from recorder.cli.review.asking import Asked, add_logs, add_period, end_with, find, progress_bar
-from recorder.review.events import Question, read_events
-from recorder.review.faults import Faults
-from recorder.review.survey import survey
+from recorder.reading.faults import Faults
+from recorder.reading.survey import survey
+from recorder.reading.times import in_words
 from recorder.review.timeline.entries import Entry, EntryKind
-from recorder.review.times import in_words
+from recorder.review.timeline.timeline import Question, read_events
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.reasons import TEXTS, Reason

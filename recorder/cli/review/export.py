@@ -14,7 +14,7 @@ import msgspec
 from recorder.cli.review.asking import Asked, add_logs, add_period, end_with, find, progress_bar
 from recorder.cli.review.extras import needing_extra
 from recorder.cli.review.stopping import heeding
-from recorder.review.rows import END_OF_TIME_NS, Progress, Selection
+from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings
@@ -129,9 +129,9 @@ def _wanted(arguments: argparse.Namespace, asked: Asked) -> Any:  # noqa: ANN401
 
 
 def _frames(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:
-    from recorder.ports.frame_files import FrameFile, FrameFormat  # noqa: PLC0415 - python-can takes a while
+    from recorder.reading.topic_names import file_name, wants_of  # noqa: PLC0415
+    from recorder.review.export.frame_files import FrameFile, FrameFormat  # noqa: PLC0415 - python-can takes a while
     from recorder.review.export.raw_frames import FrameSink, read_frames, write_frames  # noqa: PLC0415
-    from recorder.review.topic_names import file_name, wants_of  # noqa: PLC0415
 
     form = FrameFormat[arguments.format.upper()]
     out: Path = arguments.out

@@ -10,9 +10,9 @@ from typing import Final
 import msgspec
 
 from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
-from recorder.completeness import KeyReport
+from recorder.reading.times import in_words
+from recorder.record.completeness import KeyReport
 from recorder.review.info import LogInfo, SetInfo, Source, read_info, total
-from recorder.review.times import in_words
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings

@@ -11,9 +11,9 @@ from typing import Final
 import msgspec
 
 from recorder.cli.review.asking import add_logs, end_with, find, progress_bar
+from recorder.reading.times import in_words
 from recorder.review.joining.joining import Joined
 from recorder.review.merge import merge
-from recorder.review.times import in_words
 from schemas.printable import plain
 from schemas.settings import Settings
 

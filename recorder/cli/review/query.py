@@ -15,7 +15,7 @@ import msgspec
 from recorder.cli.review.asking import JSON_HELP, add_period, end_with, find, progress_bar, table
 from recorder.cli.review.extras import needing_extra
 from recorder.cli.review.stopping import heeding
-from recorder.review.rows import Selection
+from recorder.reading.rows import Selection
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings

@@ -11,8 +11,8 @@ from typing import Final
 
 import msgspec
 
-from recorder.ports.leftovers import Outcome, Recovery, recover
-from recorder.ports.log_directory import PART_SUFFIX
+from recorder.disk.leftovers import Outcome, Recovery, recover
+from recorder.disk.log_directory import PART_SUFFIX
 from schemas.exit_codes import ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings

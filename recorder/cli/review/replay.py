@@ -15,16 +15,16 @@ from typing import Final, TypeVar
 import msgspec
 
 from recorder.cli.review.asking import Asked, add_logs, add_period, end_with, find
-from recorder.ports.backfill_source import key_matches
-from recorder.ports.replay_can import CanOutlet, Place, is_virtual
-from recorder.ports.replay_desk import Clock, Desk
-from recorder.ports.replay_zenoh import ZenohOutlet, key_checked
-from recorder.review.faults import Faults
-from recorder.review.replay import AS_FAST_AS_POSSIBLE, FOR_EVER, Pace, Player, Timed
-from recorder.review.replay_frames import DANGER, Frames, Rules, buses_of, holds_frames, refusal
-from recorder.review.replay_rows import By, frames, in_order, once, runs, topics_of
-from recorder.review.replay_run import Halt, Outlet, play
-from recorder.review.replay_samples import (
+from recorder.reading.faults import Faults
+from recorder.reading.rows import Row, Selection, read_rows
+from recorder.reading.topics import Topic
+from recorder.replay.can import CanOutlet, Place, is_virtual
+from recorder.replay.desk import Clock, Desk
+from recorder.replay.frames import DANGER, Frames, Rules, buses_of, holds_frames, refusal
+from recorder.replay.replay import AS_FAST_AS_POSSIBLE, FOR_EVER, Pace, Player, Timed
+from recorder.replay.rows import By, frames, in_order, once, runs, topics_of
+from recorder.replay.run import Halt, Outlet, play
+from recorder.replay.samples import (
     DEFAULT_ROOT,
     KeyMap,
     Sample,
@@ -34,8 +34,8 @@ from recorder.review.replay_samples import (
     overlap,
     roots_of,
 )
-from recorder.review.rows import Row, Selection, read_rows
-from recorder.review.topics import Topic
+from recorder.replay.zenoh import ZenohOutlet, key_checked
+from recorder.zenoh.backfill_source import key_matches
 from schemas import keys
 from schemas.arguments import add_link_arguments, seconds
 from schemas.exit_codes import CommandError, ExitCode

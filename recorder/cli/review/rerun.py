@@ -13,11 +13,11 @@ from typing import Final
 import msgspec
 
 from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
-from recorder.review.configurations import CONFIGURATION
-from recorder.review.rerun import RerunResult
-from recorder.review.side_by_side import rerun_side_by_side
-from recorder.review.times import in_words
-from recorder.review.what_if import Journey, StopMade, StopMoved, Verdict, WhatIfResult, what_if_logs
+from recorder.reading.configurations import CONFIGURATION
+from recorder.reading.times import in_words
+from recorder.review.rerun.counterfactual import Journey, StopMade, StopMoved, Verdict, WhatIfResult, what_if_logs
+from recorder.review.rerun.parallel import rerun_side_by_side
+from recorder.review.rerun.player import RerunResult
 from schemas.command_rules import COMMAND_RULES, rules_notice
 from schemas.configuration import TomlSource, merge
 from schemas.exit_codes import CommandError, ExitCode

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from recorder.review.rows import Progress
+from recorder.reading.rows import Progress
 
 
 def heeding(progress: Progress, stopped: Callable[[], bool]) -> Progress:

@@ -11,9 +11,9 @@ from typing import Any, Final
 import msgspec
 
 from recorder.cli.review.asking import Asked, add_logs, end_with, find, progress_bar
-from recorder.review.faults import Faults
-from recorder.review.survey import survey
-from recorder.review.times import FORMS, in_words, time_of
+from recorder.reading.faults import Faults
+from recorder.reading.survey import survey
+from recorder.reading.times import FORMS, in_words, time_of
 from recorder.review.why import Explanation, explain
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain

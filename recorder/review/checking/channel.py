@@ -10,13 +10,13 @@ from typing import Final
 import msgspec
 from mcap import records
 
-from recorder.protobuf_schema import schema_name
+from recorder.encoding.protobuf_schema import schema_name
+from recorder.reading.topics import UNREADABLE, typed_decoder
 from recorder.review.checking.findings import Findings
 from recorder.review.checking.frames import FrameCount
 from recorder.review.checking.proofs import Proof, proof_of
 from recorder.review.checking.sequences import sequence_count
 from recorder.review.checking.unpacking import ChannelMessages
-from recorder.review.topics import UNREADABLE, typed_decoder
 from schemas.messages import CanFrame
 from schemas.recording import RecordGap
 

@@ -17,9 +17,9 @@ from typing import Any, Final
 
 import msgspec
 
-from recorder.review.alive import COUNTER_AT, FRAME_BYTES, AliveCount, feedback_frames
-from recorder.review.topics import UNREADABLE, typed_decoder
-from recorder.transcode import compile_row_encoder
+from recorder.encoding.transcode import compile_row_encoder
+from recorder.reading.topics import UNREADABLE, typed_decoder
+from recorder.review.checking.alive import COUNTER_AT, FRAME_BYTES, AliveCount, feedback_frames
 from schemas.messages import CanFrame
 
 _DECODE: Final = typed_decoder(CanFrame)

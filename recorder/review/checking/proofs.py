@@ -15,10 +15,10 @@ import msgspec
 from mcap import records
 from msgspec import inspect
 
-from recorder.foxglove_log import SCHEMA_DATA, SCHEMA_NAME
-from recorder.protobuf_schema import LOGGED, descriptor_set, fields, message_class, schema_name
-from recorder.review.topics import UNREADABLE, foreign_decoder
-from recorder.transcode import packed_fields
+from recorder.encoding.foxglove_log import SCHEMA_DATA, SCHEMA_NAME
+from recorder.encoding.protobuf_schema import LOGGED, descriptor_set, fields, message_class, schema_name
+from recorder.encoding.transcode import packed_fields
+from recorder.reading.topics import UNREADABLE, foreign_decoder
 
 Proof = Callable[[list[bytes]], Sequence[int]]
 """Messages of a channel to the places of those that are not what their schema says."""
@@ -86,7 +86,7 @@ def _own_proof(kind: type[msgspec.Struct]) -> Proof:
 
 
 class _Layout(msgspec.Struct, frozen=True):
-    """The record of a class whose fields all have a fixed width, as ``recorder.transcode`` writes it.
+    """The record of a class whose fields all have a fixed width, as ``recorder.encoding.transcode`` writes it.
 
     Attributes:
         length: of every record.

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Final, Protocol
 
 from recorder.backfill.runs import Line
-from recorder.protobuf_schema import schema_name
-from recorder.tally import SEQUENCE_SPAN, Tally
+from recorder.encoding.key_counters import SEQUENCE_SPAN, Tally
+from recorder.encoding.protobuf_schema import schema_name
 from schemas.messages import CanFrame, GatewayInfo, RawSample
 from schemas.recording import RecorderEvent, RecordGap
 from schemas.subjects import SCHEMA_PREFIX, SUBJECTS

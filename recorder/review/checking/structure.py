@@ -16,12 +16,12 @@ from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 
-from recorder.mcap_scan import BROKEN, RECORD_MAX
-from recorder.mcap_summary import RECORD_HEADER
+from recorder.mcap.index import IndexedChunk, LogSummary, read_records, read_summary
+from recorder.mcap.records import PackedChunk
+from recorder.mcap.scan import BROKEN, RECORD_MAX
+from recorder.mcap.summary import RECORD_HEADER
 from recorder.review.checking.findings import Findings
 from recorder.review.checking.unpacking import Messages
-from recorder.review.pieces import PackedChunk
-from recorder.review.summary import IndexedChunk, LogSummary, read_records, read_summary
 from schemas.subjects import RECORDER_CHUNK
 
 _INDEXED: Final = {

@@ -17,8 +17,8 @@ from typing import Any, Final
 
 import msgspec
 
-from recorder.chunk import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE
-from recorder.mcap_summary import RECORD_HEADER
+from recorder.mcap.chunk import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE
+from recorder.mcap.summary import RECORD_HEADER
 
 _FIELDS: Final = 7
 """Opcode, length, channel, sequence, log time, publish time, data."""

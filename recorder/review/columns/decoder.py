@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from recorder.chunk import MESSAGE_HEADER
+from recorder.mcap.chunk import MESSAGE_HEADER
 from recorder.review.columns import arrays, parsed
 from recorder.review.columns.layout import Layout, find_layout
 from recorder.review.columns.places import (

@@ -16,8 +16,8 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from recorder.chunk import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE
-from recorder.mcap_summary import RECORD_HEADER
+from recorder.mcap.chunk import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE
+from recorder.mcap.summary import RECORD_HEADER
 
 Numbers = NDArray[np.int64]
 Bytes = NDArray[np.uint8]

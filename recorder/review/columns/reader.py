@@ -16,9 +16,16 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from recorder.chunk import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE
-from recorder.mcap_scan import BROKEN
-from recorder.mcap_summary import RECORD_HEADER
+from recorder.mcap.chunk import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE
+from recorder.mcap.index import read_summary
+from recorder.mcap.records import Fault, LooseMessage, PackedChunk, read_pieces
+from recorder.mcap.scan import BROKEN
+from recorder.mcap.summary import RECORD_HEADER
+from recorder.reading.declared import Declared
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
+from recorder.reading.topics import Topic
 from recorder.review.columns.decoder import Decoder
 from recorder.review.columns.places import (
     LOG_AT,
@@ -34,13 +41,6 @@ from recorder.review.columns.places import (
 )
 from recorder.review.columns.tables import Columns, columns_of
 from recorder.review.columns.unpacking import Unpacker
-from recorder.review.declared import Declared
-from recorder.review.faults import Faults
-from recorder.review.log_file import LogFile
-from recorder.review.pieces import Fault, LooseMessage, PackedChunk, read_pieces
-from recorder.review.rows import END_OF_TIME_NS, Progress, Selection
-from recorder.review.summary import read_summary
-from recorder.review.topics import Topic
 
 BATCH_BYTES: Final = 4_000_000
 """So much is unpacked at once: enough that the work on a batch is more than that around it."""

@@ -20,7 +20,7 @@ from google.protobuf.descriptor import FieldDescriptor
 from msgspec import inspect
 from numpy.typing import NDArray
 
-from recorder.protobuf_schema import fields, message_class, optional_part
+from recorder.encoding.protobuf_schema import fields, message_class, optional_part
 from schemas.messages import UNIT_KEYWORD
 
 VARINT, FIXED64, LENGTH, FIXED32 = 0, 1, 2, 5

@@ -15,9 +15,9 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
+from recorder.reading.topic_names import place_of, table_of
+from recorder.reading.topics import UNREADABLE, Topic
 from recorder.review.columns.shape import Field, Shape, message_of, own_shape, shape_of
-from recorder.review.topic_names import place_of, table_of
-from recorder.review.topics import UNREADABLE, Topic
 
 TIME_TYPE: Final = pa.timestamp("ns", "UTC")
 LOG_TIME, PUBLISH_TIME, SEQUENCE, ROBOT, TOPIC = "log_time", "publish_time", "sequence", "robot", "topic"

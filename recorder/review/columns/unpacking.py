@@ -8,9 +8,9 @@ from typing import BinaryIO, Final
 
 import zstandard
 
-from recorder.mcap_scan import RECORD_MAX
-from recorder.mcap_summary import RECORD_HEADER
-from recorder.review.pieces import PackedChunk
+from recorder.mcap.records import PackedChunk
+from recorder.mcap.scan import RECORD_MAX
+from recorder.mcap.summary import RECORD_HEADER
 
 _ZSTD_HEAD: Final = struct.Struct("<QQQII4sQ")
 """A chunk up to its records: two times, size and checksum unpacked, the compression, the length of the records."""
@@ -31,7 +31,7 @@ class Unpacker:
         """A chunk's records; its checksum is verified.
 
         Raises:
-            what ``recorder.mcap_scan.BROKEN`` lists: it is damaged, or packed in a way that nobody here knows.
+            what ``recorder.mcap.scan.BROKEN`` lists: it is damaged, or packed in a way that nobody here knows.
         """
         self._stream.seek(chunk.offset + RECORD_HEADER.size)
         body = self._stream.read(chunk.length - RECORD_HEADER.size)

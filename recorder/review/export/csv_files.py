@@ -11,17 +11,17 @@ import msgspec
 import pyarrow as pa
 from pyarrow import csv
 
+from recorder.disk.new_file import give_name
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import Progress
+from recorder.reading.topic_names import file_name
 from recorder.review.columns.reader import read_batches
 from recorder.review.columns.tables import Columns
 from recorder.review.export.cells import cells
 from recorder.review.export.known_rows import KnownRows, overlapping
 from recorder.review.export.manifest import described
 from recorder.review.export.one_log import Wanted
-from recorder.review.faults import Faults
-from recorder.review.joining.output import give_name
-from recorder.review.log_file import LogFile
-from recorder.review.rows import Progress
-from recorder.review.topic_names import file_name
 from schemas.exit_codes import CommandError
 from schemas.printable import plain
 

@@ -18,6 +18,10 @@ from typing import Final
 
 import msgspec
 
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import Progress
+from recorder.reading.topics import key_of
 from recorder.review.export.known_rows import overlapping
 from recorder.review.export.manifest import (
     FORMAT,
@@ -31,10 +35,6 @@ from recorder.review.export.manifest import (
     write_manifest,
 )
 from recorder.review.export.one_log import Outcome, Task, Wanted, export_log
-from recorder.review.faults import Faults
-from recorder.review.log_file import LogFile
-from recorder.review.rows import Progress
-from recorder.review.topics import key_of
 from schemas import keys
 from schemas.exit_codes import CommandError
 from schemas.printable import plain

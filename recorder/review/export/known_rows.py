@@ -13,15 +13,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.foxglove_log import SCHEMA_NAME as LOG_SCHEMA_NAME
+from recorder.encoding.foxglove_log import SCHEMA_NAME as LOG_SCHEMA_NAME
+from recorder.mcap.index import read_summary
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import Selection
+from recorder.reading.topics import Topic
 from recorder.review.columns.reader import Heads, read_batches
 from recorder.review.columns.shape import INT64_MAX
 from recorder.review.columns.tables import LOG_TIME, PUBLISH_TIME, SEQUENCE
-from recorder.review.faults import Faults
-from recorder.review.log_file import LogFile
-from recorder.review.rows import Selection
-from recorder.review.summary import read_summary
-from recorder.review.topics import Topic
 from schemas.messages import RawSample
 from schemas.subjects import RECORDER_CHUNK
 

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import msgspec
 
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
+from recorder.reading.topic_names import wants_of
 from recorder.review.columns.reader import read_batches
 from recorder.review.export.known_rows import KnownRows
 from recorder.review.export.manifest import Column, Input, Part
 from recorder.review.export.parts import Parts
-from recorder.review.faults import Faults
-from recorder.review.log_file import LogFile
-from recorder.review.rows import END_OF_TIME_NS, Progress, Selection
-from recorder.review.topic_names import wants_of
 
 
 class Wanted(msgspec.Struct, frozen=True):

@@ -8,10 +8,10 @@ from typing import Final, Protocol
 
 import msgspec
 
-from recorder.review.faults import Faults
-from recorder.review.log_file import LogFile
-from recorder.review.rows import Progress, Row, Selection, read_rows
-from recorder.review.topics import UNREADABLE, Topic, typed_decoder
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import Progress, Row, Selection, read_rows
+from recorder.reading.topics import UNREADABLE, Topic, typed_decoder
 from schemas.messages import CanFrame
 
 HORIZON_NS: Final = 3_000_000_000

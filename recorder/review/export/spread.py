@@ -12,9 +12,9 @@ from typing import Any, Final
 
 import msgspec
 
+from recorder.reading.rows import Progress
 from recorder.review.export.dataset import Runner
 from recorder.review.export.one_log import Outcome, Task, export_log
-from recorder.review.rows import Progress
 from schemas.exit_codes import CommandError
 
 QUIET: Final = {

@@ -11,20 +11,20 @@ from typing import Final
 import msgspec
 from mcap import records
 
-from recorder.chunk import ChunkBuilder
-from recorder.completeness import KeyReport, total
-from recorder.effects import LogChannel
-from recorder.mcap_file import McapFile
-from recorder.protobuf_schema import schema_name
-from recorder.review.faults import Faults
+from recorder.disk.new_file import new_file
+from recorder.encoding.protobuf_schema import schema_name
+from recorder.mcap.channel import LogChannel
+from recorder.mcap.chunk import ChunkBuilder
+from recorder.mcap.writer import McapFile
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import END_OF_TIME_NS, Progress
+from recorder.record.completeness import KeyReport, total
+from recorder.record.robots import METADATA_NAME
+from recorder.record.session import COMPLETENESS_NAME
 from recorder.review.joining.duplicates import LATE_MAX, RECENT_MAX, Recent
 from recorder.review.joining.ordered import in_order
-from recorder.review.joining.output import new_file
 from recorder.review.joining.source import Row, Source
-from recorder.review.log_file import LogFile
-from recorder.review.rows import END_OF_TIME_NS, Progress
-from recorder.robots import METADATA_NAME
-from recorder.session import COMPLETENESS_NAME
 from schemas.exit_codes import CommandError
 from schemas.messages import CanFrame
 from schemas.subjects import SUBJECTS

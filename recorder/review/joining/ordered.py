@@ -10,9 +10,9 @@ from collections.abc import Iterator, Sequence
 from heapq import heappop, heappush, merge
 from typing import Final
 
-from recorder.review.faults import Faults
+from recorder.reading.faults import Faults
+from recorder.reading.rows import END_OF_TIME_NS, Progress
 from recorder.review.joining.source import Row, Source
-from recorder.review.rows import END_OF_TIME_NS, Progress
 
 HELD_BYTES_MAX: Final = 96_000_000
 """So many bytes of messages are held at most. Where more overlap, the order is given up, and that is told."""

@@ -13,15 +13,15 @@ from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 
-from recorder.effects import LogChannel
-from recorder.mcap_scan import BROKEN, RECORD_MAX
-from recorder.mcap_summary import MAGIC, RECORD_HEADER
-from recorder.review.contents import tells_all
-from recorder.review.faults import Faults
-from recorder.review.log_file import LogFile
-from recorder.review.pieces import Fault, LooseMessage, PackedChunk, read_pieces
-from recorder.review.summary import read_summary
-from recorder.review.walk import LoggedMessage, messages
+from recorder.mcap.channel import LogChannel
+from recorder.mcap.index import read_summary
+from recorder.mcap.messages import LoggedMessage, messages
+from recorder.mcap.records import Fault, LooseMessage, PackedChunk, read_pieces
+from recorder.mcap.scan import BROKEN, RECORD_MAX
+from recorder.mcap.summary import MAGIC, RECORD_HEADER
+from recorder.reading.contents import tells_all
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
 
 STRETCH_BYTES: Final = 1 << 20
 """Messages outside of chunks are read so much at a time."""

@@ -11,20 +11,20 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 from mcap import records
 
-from recorder.mcap_scan import BROKEN
+from recorder.mcap.index import read_summary
+from recorder.mcap.messages import messages
+from recorder.mcap.records import Fault, PackedChunk, read_pieces
+from recorder.mcap.scan import BROKEN
+from recorder.reading.declared import Declared
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import Progress, Selection
+from recorder.reading.topics import Topic
 from recorder.review.columns.reader import read_batches
 from recorder.review.columns.tables import LOG_TIME, ROBOT, TOPIC, Columns, columns_of
-from recorder.review.declared import Declared
 from recorder.review.export.known_rows import KnownRows, overlapping
 from recorder.review.export.manifest import described
-from recorder.review.faults import Faults
-from recorder.review.log_file import LogFile
-from recorder.review.pieces import Fault, PackedChunk, read_pieces
 from recorder.review.querying.tables import WHOSE, TableInfo, column_info, free_name, own_columns
-from recorder.review.rows import Progress, Selection
-from recorder.review.summary import read_summary
-from recorder.review.topics import Topic
-from recorder.review.walk import messages
 
 
 class Table(msgspec.Struct, eq=False):

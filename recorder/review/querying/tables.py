@@ -10,10 +10,10 @@ import msgspec
 import pyarrow as pa
 from mcap import records
 
-from recorder.protobuf_schema import descriptor_set, schema_name
+from recorder.encoding.protobuf_schema import descriptor_set, schema_name
+from recorder.encoding.routes import Route
+from recorder.reading.topics import topic_of
 from recorder.review.columns.tables import ROBOT, TOPIC, UNIT_KEY, Columns, columns_of
-from recorder.review.topics import topic_of
-from recorder.routes import Route
 from schemas import keys
 from schemas.messages import RawSample
 from schemas.subjects import RECORDER_SUBJECTS, SUBJECTS

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import msgspec
 
-from recorder.review.faults import Faults
-from recorder.review.log_file import LogFile
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import Progress, Row, Selection, read_rows
+from recorder.reading.topics import UNREADABLE
 from recorder.review.reasoning.scene import Heard, is_other_run
-from recorder.review.rows import Progress, Row, Selection, read_rows
 from recorder.review.timeline.clock import NEAR_NS
-from recorder.review.topics import UNREADABLE
 from schemas.decisions import ArbiterState, SafetyState
 
 

@@ -10,8 +10,8 @@ from typing import Any, Final
 
 import msgspec
 
+from recorder.reading.topics import UNREADABLE
 from recorder.review.reasoning.signals import Frame
-from recorder.review.topics import UNREADABLE
 from schemas.can_word import ERROR, EXTENDED, IDENTIFIER_MASK, REMOTE
 from schemas.decisions import Journal
 from schemas.journal import Kind

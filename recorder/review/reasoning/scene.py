@@ -10,14 +10,14 @@ from typing import Any, Final, Generic, TypeVar
 
 import msgspec
 
-from recorder.review.faults import Faults
-from recorder.review.log_file import LogFile
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import END_OF_TIME_NS, Row, Selection, read_rows
+from recorder.reading.topics import UNREADABLE
 from recorder.review.reasoning.chain import before
 from recorder.review.reasoning.given import Given, given_until
 from recorder.review.reasoning.signals import Frame
-from recorder.review.rows import END_OF_TIME_NS, Row, Selection, read_rows
 from recorder.review.timeline.clock import FAR_NS, NEAR_NS
-from recorder.review.topics import UNREADABLE
 from schemas import keys
 from schemas.configuration import TomlSource, merge
 from schemas.decisions import (
@@ -134,7 +134,7 @@ class Scene:
         """A row of one of the classes that are wanted.
 
         Raises:
-            what ``recorder.review.topics.UNREADABLE`` lists.
+            what ``recorder.reading.topics.UNREADABLE`` lists.
         """
         kind, decode = row.topic.kind, row.topic.decode
         if kind is None or decode is None:

@@ -6,13 +6,13 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
-from recorder.review.events import Question, Timeline, read_events
-from recorder.review.faults import Faults
-from recorder.review.log_file import LogFile
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection, read_rows
 from recorder.review.reasoning.scene import Scene
-from recorder.review.rows import END_OF_TIME_NS, Progress, Selection, read_rows
 from recorder.review.timeline.clock import NEAR_NS
 from recorder.review.timeline.entries import STOPS, Entry, EntryKind, Source
+from recorder.review.timeline.timeline import Question, Timeline, read_events
 from schemas.decisions import SafetyEvent, Severity, is_same_run
 from schemas.reasons import Reason
 from schemas.recording import RecorderEvent

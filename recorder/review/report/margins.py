@@ -10,12 +10,12 @@ from typing import Final
 import msgspec
 from mcap import records
 
-from recorder.completeness import KeyReport, total
-from recorder.review.log_file import LogFile
-from recorder.review.pieces import Fault, read_pieces
+from recorder.mcap.records import Fault, read_pieces
+from recorder.reading.log_file import LogFile
+from recorder.record.completeness import KeyReport, total
+from recorder.record.robots import METADATA_NAME
+from recorder.record.session import COMPLETENESS_NAME
 from recorder.review.report.versions import Versions
-from recorder.robots import METADATA_NAME
-from recorder.session import COMPLETENESS_NAME
 
 TOPICS_MAX: Final = 5000
 ROBOTS_MAX: Final = 100

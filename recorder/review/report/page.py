@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import msgspec
 
+from recorder.reading.times import in_words
 from recorder.review.report.figures import clock, on_map, over_time, placed
 from recorder.review.report.findings import Report, RobotReport, RobotSummary
 from recorder.review.report.words import (
@@ -32,7 +33,6 @@ from recorder.review.report.words import (
     times,
     who,
 )
-from recorder.review.times import in_words
 from schemas.printable import plain
 
 MOMENTS_SHOWN: Final = 300

@@ -7,16 +7,16 @@ from typing import Any, Final
 
 import msgspec
 
-from recorder.review.events import BEFORE_NS, Question, Timeline
-from recorder.review.faults import Faults
-from recorder.review.log_file import LogFile
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import END_OF_TIME_NS, Progress, Row, Selection, read_rows
+from recorder.reading.topics import UNREADABLE, Topic
 from recorder.review.report.account import TAKEN, Account
 from recorder.review.report.findings import Report, ReportedFile, RobotReport
 from recorder.review.report.margins import Margins, of_robot, read_margins, versions_of
 from recorder.review.report.versions import Versions
-from recorder.review.rows import END_OF_TIME_NS, Progress, Row, Selection, read_rows
 from recorder.review.timeline.entries import Entry
-from recorder.review.topics import UNREADABLE, Topic
+from recorder.review.timeline.timeline import BEFORE_NS, Question, Timeline
 from schemas.decisions import SafetyState
 from schemas.messages import GatewayInfo
 from schemas.recording import RecorderEvent, RecordGap

@@ -9,10 +9,10 @@ from collections.abc import Iterable
 from itertools import pairwise
 from typing import Final
 
-from recorder.completeness import KeyReport, total
+from recorder.reading.times import in_words
+from recorder.record.completeness import KeyReport, total
 from recorder.review.report.findings import InForce, Moment, Outage, Report, ReportedFile, RobotSummary
 from recorder.review.timeline.entries import EntryKind
-from recorder.review.times import in_words
 from schemas.reasons import TEXTS
 
 STANDING_M: Final = 0.05

@@ -6,7 +6,7 @@ from bisect import bisect_right
 from collections import deque
 from typing import Final
 
-from recorder.review.rows import Row
+from recorder.reading.rows import Row
 from recorder.review.timeline.clock import RobotClock
 from recorder.review.timeline.entries import Entry, EntryKind, Source
 from recorder.review.timeline.repeats import Sequences

@@ -18,7 +18,7 @@ from gateway.command.request import RawRequest
 from gateway.core import Core
 from gateway.guard.beat import Beat, GuardView
 from gateway.guard.guardian import Guardian
-from gateway.rerun import rerun
+from gateway.rerun.rerun import rerun
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas.decisions import Journal

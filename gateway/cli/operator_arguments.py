@@ -1,0 +1,85 @@
+"""What the command lines of an operator's commands share."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+
+from gateway.client.refusal import Unreachable
+from gateway.client.robot import CONNECT_TIMEOUT_S, Lease, Robot
+from gateway.client.roll import who_is_there
+from schemas.arguments import add_zenoh_arguments, operator_name, robot_name, seconds
+from schemas.requests import LEASE_MAX, Role
+from schemas.settings import Settings
+
+
+def add_operator_arguments(parser: argparse.ArgumentParser) -> None:
+    """Who commands, and where the robots are."""
+    parser.add_argument("--operator", type=operator_name, metavar="NAME", help="who commands (the login name)")
+    parser.add_argument(
+        "--timeout",
+        type=seconds,
+        default=CONNECT_TIMEOUT_S,
+        metavar="S",
+        help=f"how long to wait for the robot ({CONNECT_TIMEOUT_S:g})",
+    )
+    add_zenoh_arguments(parser)
+
+
+def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
+    """Which robot, besides."""
+    parser.add_argument("robot", type=robot_name, metavar="ROBOT", help="the robot")
+    add_operator_arguments(parser)
+
+
+def add_role_argument(parser: argparse.ArgumentParser) -> None:
+    """In which role the lease is wanted."""
+    parser.add_argument(
+        "--role",
+        type=Role,
+        choices=list(Role),
+        default=Role.OPERATOR,
+        metavar="ROLE",
+        help=f"{', '.join(role.value for role in Role)} (operator); a higher or equal one may take the lease",
+    )
+
+
+def add_take_arguments(parser: argparse.ArgumentParser) -> None:
+    """Whether the lease may be taken from its holder."""
+    add_role_argument(parser)
+    parser.add_argument("--take", action="store_true", help="take the lease from whoever holds it")
+    parser.add_argument(
+        "--override", action="store_true", help="take it although the robot moves; it is stopped first"
+    )
+
+
+def wanted_lease(robot: Robot, arguments: argparse.Namespace) -> Lease:
+    """The lease as ``add_take_arguments`` says."""
+    if arguments.take or arguments.override:
+        return robot.take(arguments.role, override=arguments.override)
+    return robot.lease(arguments.role)
+
+
+def connect(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> Robot:
+    """Connect as the arguments say. Who names a robot that is not there learns which are.
+
+    Raises:
+        CommandError: see ``Robot.connect``.
+    """
+    try:
+        return Robot.connect(arguments.robot, arguments.operator or "", settings, arguments.timeout, stopped)
+    except Unreachable as error:
+        if stopped():
+            raise
+        raise Unreachable(f"{error}{who_is_there(settings, arguments.robot)}") from error
+
+
+def lease_number(text: str) -> int:
+    """A lease's number on the command line.
+
+    Raises:
+        argparse.ArgumentTypeError: it is none.
+    """
+    if not text.isascii() or not text.isdigit() or int(text) > LEASE_MAX:
+        raise argparse.ArgumentTypeError(f"{text!a} is not the number of a lease")
+    return int(text)

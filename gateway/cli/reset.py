@@ -1,0 +1,50 @@
+"""``cruiser reset``: clear what is latched."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+
+import msgspec
+
+from gateway.cli.operator_arguments import add_robot_arguments, connect, lease_number
+from schemas.exit_codes import ExitCode
+from schemas.requests import Reset
+from schemas.settings import Settings
+
+EXAMPLE = """\
+  cruiser reset cruiser-1
+  cruiser reset cruiser-1 --lease 123456789        while another command of the same operator holds the lease"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    parser.description = (
+        f"{parser.description or ''}\n\n"
+        "The robot must stand, and the cause must be gone. Nothing resumes by itself: it must be engaged again.\n"
+        "Without --lease the lease is acquired, if nobody holds it, and given back."
+    )
+    add_robot_arguments(parser)
+    parser.add_argument("--lease", type=lease_number, metavar="N", help="use this lease of the same operator")
+    parser.add_argument("--json", action="store_true", help="one JSON object")
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Reset the robot.
+
+    Raises:
+        CommandError: it is refused, or nobody answers.
+    """
+    with connect(arguments, settings, stopped) as robot:
+        if arguments.lease is not None:
+            cleared = robot.ask(Reset(lease=arguments.lease, challenge=robot.state().state.challenge)).detail
+        else:
+            with robot.lease() as lease:
+                cleared = lease.reset()
+    if arguments.json:
+        record = {"robot": arguments.robot, "cleared": cleared.split(", ") if cleared else []}
+        sys.stdout.write(f"{msgspec.json.encode(record).decode()}\n")
+        return int(ExitCode.OK)
+    sys.stdout.write(f"{arguments.robot}: {f'cleared {cleared}' if cleared else 'nothing was latched'}\n")
+    return int(ExitCode.OK)

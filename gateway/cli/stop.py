@@ -1,0 +1,77 @@
+"""``cruiser stop``: the remote stop of a robot, or of all."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+
+import msgspec
+
+from gateway.cli.operator_arguments import add_operator_arguments
+from gateway.client import remote_stop
+from gateway.client.remote_stop import StopReport
+from gateway.client.roll import who_is_there
+from gateway.zenoh.client import place
+from schemas import keys
+from schemas.arguments import robot_name
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.operator_name import login_operator
+from schemas.printable import plain
+from schemas.settings import Settings
+
+EXAMPLE = """\
+  cruiser stop cruiser-1
+  cruiser stop --all"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    parser.description = (
+        f"{parser.description or ''}\n\n"
+        "It wants no lease, and is latched until 'cruiser reset'. It is said again and again until it was\n"
+        "answered, and the robot is seen to stand. It is no emergency stop: that is the button on the robot."
+    )
+    parser.add_argument("robot", nargs="?", type=robot_name, metavar="ROBOT", help="the robot")
+    parser.add_argument("--all", action="store_true", help="every robot under the root")
+    parser.add_argument("--json", action="store_true", help="one JSON object")
+    add_operator_arguments(parser)
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Stop. Exit code 0 if all that are there are seen to stop, 3 if one is not, 4 if all are silent.
+
+    It is 3 too where nobody knows whether those are all.
+
+    Raises:
+        CommandError: nobody answered, or the arguments are wrong.
+    """
+    if bool(arguments.robot) is arguments.all:
+        raise CommandError("name a robot, or give --all", ExitCode.USAGE)
+    robot = arguments.robot or keys.ALL
+    operator = arguments.operator or login_operator()
+    report = remote_stop.stop_from_here(settings, robot, operator, arguments.timeout, stopped)
+    if arguments.json:
+        sys.stdout.write(f"{msgspec.json.encode(report).decode()}\n")
+    else:
+        sys.stdout.writelines(f"{name}: stops, latched until a reset\n" for name in report.stopped)
+    sys.stdout.flush()
+    for name, why in report.refused.items():
+        sys.stderr.write(f"{name}: NOT STOPPED: {plain(why)}. Use the button on the robot\n")
+    for name, why in report.unconfirmed.items():
+        sys.stderr.write(f"{name}: NOT SEEN TO STOP: {plain(why)}. Use the button on the robot\n")
+    for name in report.silent:
+        sent = "it was sent all the same" if report.linked else "it could NOT BE SENT: there is no link"
+        sys.stderr.write(f"{name}: NO ANSWER; {sent}. Use the button on the robot\n")
+    if report.linked and not report.counted:
+        sys.stderr.write("there may be more robots: who is connected was not said in time\n")
+    return int(_code(report, robot, settings, f"{arguments.timeout:g} s at {place(settings.zenoh)}"))
+
+
+def _code(report: StopReport, robot: str, settings: Settings, where: str) -> ExitCode:
+    unstopped = report.refused or report.unconfirmed
+    if not report.stopped and not unstopped:
+        who = "nobody answered" if report.linked else "no Zenoh node answered"
+        others = who_is_there(settings, robot) if robot != keys.ALL else ""
+        raise CommandError(f"{who} within {where}{others}", ExitCode.UNREACHABLE)
+    return ExitCode.PARTIAL if report.silent or unstopped or not report.counted else ExitCode.OK

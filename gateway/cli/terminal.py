@@ -1,0 +1,62 @@
+"""A terminal whose keys are read one by one, as they come."""
+
+from __future__ import annotations
+
+import os
+import select
+import termios
+from contextlib import suppress
+from types import TracebackType
+from typing import Any, Final, Self
+
+from gateway.cli.keyboard import ASK, BEGIN, END
+
+_READ_BYTES: Final = 1024
+_LOCAL_FLAGS: Final = 3
+_INPUT_FLAGS: Final = 0
+_CHARACTERS: Final = 6
+
+
+class Terminal:
+    """A terminal without echo, lines and signals while the block runs; as it was afterwards."""
+
+    def __init__(self, read_from: int, write_to: int) -> None:
+        self._in = read_from
+        self._out = write_to
+        self._saved: list[Any] = []
+
+    def __enter__(self) -> Self:
+        self._saved = termios.tcgetattr(self._in)
+        changed = termios.tcgetattr(self._in)
+        # Ctrl-C is a key like the others: it stops the robot first. Ctrl-S shall not hold up what is drawn.
+        changed[_LOCAL_FLAGS] &= ~(termios.ICANON | termios.ECHO | termios.ISIG | termios.IEXTEN)
+        changed[_INPUT_FLAGS] &= ~(termios.IXON | termios.ICRNL)
+        changed[_CHARACTERS][termios.VMIN], changed[_CHARACTERS][termios.VTIME] = 0, 0
+        termios.tcsetattr(self._in, termios.TCSADRAIN, changed)
+        self._write(BEGIN)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._write(END)
+        with suppress(termios.error):  # The terminal may have gone.
+            # What was typed for the robot is no command for the shell.
+            termios.tcsetattr(self._in, termios.TCSAFLUSH, self._saved)
+
+    def read(self, timeout_s: float) -> bytes | None:
+        """What was typed; nothing if nothing was in time; None once the terminal has gone."""
+        try:
+            if not select.select([self._in], [], [], timeout_s)[0]:
+                return b""
+            return os.read(self._in, _READ_BYTES) or None
+        except OSError:
+            return None
+
+    def ask(self) -> None:
+        """Ask whether it is still there."""
+        self._write(ASK)
+
+    def _write(self, data: bytes) -> None:
+        with suppress(OSError):  # Reading will say that it has gone.
+            os.write(self._out, data)

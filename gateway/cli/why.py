@@ -1,0 +1,84 @@
+"""``cruiser why``: why does the robot not move?"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Iterable
+from typing import Final
+
+import msgspec
+
+from gateway.cli.operator_arguments import add_robot_arguments, connect
+from gateway.client.reasons_text import event_line, is_idle, link_line, reason_line, state_line, text_of
+from schemas.exit_codes import ExitCode
+from schemas.reasons import Reason
+from schemas.settings import Settings
+
+EXAMPLE = """\
+  cruiser why cruiser-1
+  cruiser why cruiser-1 --json | jq -r '.blocked_by[].cure'"""
+
+EVENTS_SHOWN: Final = 5
+
+POLL_S: Final = 0.02
+
+EVENTS_S: Final = 0.3
+"""Past events come a moment after the state."""
+
+HEALTH_S: Final = 1.2
+"""The longest wait for the gateway's health, which is published once a second."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    add_robot_arguments(parser)
+    parser.add_argument("--json", action="store_true", help="one JSON object")
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Say what blocks the robot. Exit code 1 if something does, 0 if it only waits for somebody who drives it.
+
+    Raises:
+        CommandError: the robot is not heard.
+    """
+    with connect(arguments, settings, stopped) as robot:
+        time.sleep(EVENTS_S)
+        deadline_s = time.monotonic() + HEALTH_S - EVENTS_S
+        while (sighting := robot.state()).health is None and time.monotonic() < deadline_s:
+            time.sleep(POLL_S)
+        events = robot.events()[-EVENTS_SHOWN:]
+    state, health = sighting.state, sighting.health
+    slowed_by = [Reason.NO_REALTIME] if health is not None and not health.realtime else []
+    travel_mps = state.travel_speed_limit_mps
+    if travel_mps is not None and travel_mps < min(state.speed_limit_mps, abs(state.target_speed_mps)):
+        slowed_by.insert(0, Reason.LINK_TOO_SLOW)
+    if arguments.json:
+        record = {
+            "robot": robot.name,
+            "age_s": sighting.age_s,
+            "state": state,
+            "blocked_by": _in_words(state.blocked_by, robot.name),
+            "slowed_by": _in_words(slowed_by, robot.name),
+            "events": events,
+        }
+        sys.stdout.write(f"{msgspec.json.encode(record).decode()}\n")
+    else:
+        sys.stdout.write(f"{robot.name}: {state_line(state)}\n")
+        sys.stdout.write(f"  link: {link_line(state) or 'no commands are obeyed, so their age is not known'}\n")
+        sys.stdout.writelines(f"  {reason_line(reason, robot.name)}\n" for reason in state.blocked_by)
+        if not state.blocked_by:
+            sys.stdout.write("  nothing keeps it from moving: it does what its operator's drive commands say\n")
+        elif is_idle(state.blocked_by):
+            sys.stdout.write("  nothing is wrong: it waits for somebody who drives it\n")
+        sys.stdout.writelines(f"  slowed by {reason_line(reason, robot.name)}\n" for reason in slowed_by)
+        if events:
+            sys.stdout.write("lately:\n")
+            now_ns = time.time_ns()
+            sys.stdout.writelines(f"  {event_line(event, now_ns)}\n" for event in events)
+    return int(ExitCode.OK if is_idle(state.blocked_by) else ExitCode.FAILURE)
+
+
+def _in_words(reasons: Iterable[Reason], robot: str) -> list[dict[str, object]]:
+    return [{"reason": reason, **msgspec.structs.asdict(text_of(reason, robot))} for reason in reasons]

@@ -1,0 +1,1 @@
+"""The operator's library: connect to a robot, take its lease, drive it, stop it."""

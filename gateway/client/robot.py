@@ -1,0 +1,374 @@
+"""A robot, as a program commands it.
+
+    with Robot.connect("cruiser-1") as robot, robot.lease() as lease:
+        lease.engage(speed_limit_mps=0.5)
+        lease.unpark()
+        for _ in range(50):
+            lease.drive(0.3, angle_deg=5.0)      # holds for 0.5 s unless it is renewed
+            time.sleep(0.1)
+        lease.disengage()
+
+A thread of the library hears the robot and keeps the stream of drive commands going. Whatever the robot does not
+do is an exception that carries the reason: ``Refused``, ``Stopped``, ``LeaseLost``, ``Unreachable``.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Final, Self
+
+from gateway.client import remote_stop
+from gateway.client.drive_stream import HOLD_S, DriveStream, SetPoint
+from gateway.client.link import Link, Sighting
+from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
+from gateway.client.remote_stop import StopReport
+from gateway.zenoh.client import place
+from gateway.zenoh.operator import CommandPort, SafetyListener
+from schemas import keys
+from schemas.decisions import LeaseReply, Reply, SafetyEvent, SafetyState
+from schemas.exit_codes import CommandError
+from schemas.operator_name import login_operator
+from schemas.reasons import Reason
+from schemas.requests import (
+    Acquire,
+    ClearOdometer,
+    Disengage,
+    Engage,
+    Horn,
+    Light,
+    Park,
+    Release,
+    Request,
+    Reset,
+    Role,
+    Take,
+    Unpark,
+)
+from schemas.settings import Settings
+
+log = logging.getLogger(__name__)
+
+CONNECT_TIMEOUT_S: Final = 5.0
+
+ANSWER_TIMEOUT_S: Final = 3.0
+"""The slowest verb, clear_odometer, has its answer after 2 s."""
+
+ENGAGED_SEEN_S: Final = 1.0
+"""Between the reply to engage and the safety/state that says the same."""
+
+ZERO_SEEN_S: Final = 1.0
+"""Between a drive command of zero speed and the safety/state that says the same."""
+
+
+class Robot:
+    """A robot that answers. Make it with ``connect``, and close it, or use it as a context manager.
+
+    Attributes:
+        name: of the robot.
+        operator: the name under which it is commanded.
+    """
+
+    def __init__(self, link: Link, operator: str, root: str) -> None:
+        self.name = link.robot
+        self.operator = operator
+        self._link = link
+        self._root = root
+
+    @classmethod
+    def connect(
+        cls,
+        name: str,
+        operator: str = "",
+        settings: Settings | None = None,
+        timeout_s: float = CONNECT_TIMEOUT_S,
+        stopped: Callable[[], bool] = lambda: False,
+    ) -> Self:
+        """Connect to a robot, and wait until it is heard and can be asked.
+
+        Args:
+            name: of the robot.
+            operator: who commands; the login name if not given.
+            settings: where it is (``zenoh``, ``robot.root``).
+            timeout_s: how long to wait.
+            stopped: gives up when it turns true.
+
+        Raises:
+            Unreachable: it is not heard, or does not take commands.
+            CommandError: a name or an endpoint is not of its form.
+        """
+        settings = settings or Settings()
+        operator = operator or login_operator()
+        commands = CommandPort.open(settings, name, operator)
+        try:
+            listener = SafetyListener.open(settings, name)
+        except CommandError:
+            commands.close()
+            raise
+        link = Link(commands, listener, name)
+        deadline_s = time.monotonic() + timeout_s
+        while not (link.is_heard and commands.reaches()):
+            if stopped() or time.monotonic() >= deadline_s:
+                problem = _problem(link)
+                link.close()
+                raise Unreachable(f"{problem} within {timeout_s:g} s at {place(settings.zenoh)}")
+            time.sleep(0.01)
+        return cls(link, operator, settings.robot.root)
+
+    def state(self) -> Sighting:
+        """The newest safety/state, and how old it is.
+
+        Raises:
+            Unreachable: it was not heard for a second.
+        """
+        return self._link.sighting()
+
+    @property
+    def link_age_s(self) -> float | None:
+        """How old drive commands are when the robot obeys them, the mean of a second; None while it obeys none.
+
+        Raises:
+            Unreachable: it was not heard for a second.
+        """
+        return self._link.sighting().state.link_age_s
+
+    def events(self) -> list[SafetyEvent]:
+        """The events that were heard since the last call; at first some of before too."""
+        return self._link.take_events()
+
+    def wait_for(self, condition: Callable[[SafetyState], bool], timeout_s: float) -> bool:
+        """Wait until the robot's newest state is so. False if it never was in time."""
+        return self._link.wait_for(condition, timeout_s)
+
+    def stop(self, timeout_s: float = CONNECT_TIMEOUT_S) -> None:
+        """The remote stop: at once, latched, whoever holds the lease. It is no emergency stop.
+
+        Returns once the robot is seen to stand.
+
+        Raises:
+            Unreachable: nobody answered. It was sent all the same, again and again.
+            Refused: the stop is latched but cannot be carried out, or the robot is not seen to stop; the text says
+                what it does.
+        """
+        self._link.look()  # What was seen before the stop proves nothing.
+        report = remote_stop.stop(self._link.commands, self._root, self.name, timeout_s, self._link.look)
+        if report.unconfirmed:
+            why = "; ".join(report.unconfirmed.values())
+            raise Refused(f"{self.name} is not seen to stop", Reason.NOT_CONFIRMED, why)
+        if report.refused:
+            raise Refused(f"{self.name} is not stopped", Reason.NONE, "; ".join(report.refused.values()))
+        if not report.stopped:
+            raise Unreachable(f"{self.name} did not answer the stop within {timeout_s:g} s")
+
+    def lease(self, role: Role = Role.OPERATOR) -> Lease:
+        """The lease, if nobody holds it: acquired where a ``with`` begins, given back where it ends."""
+        return Lease(self._link, self.operator, Acquire(role=role))
+
+    def take(self, role: Role = Role.OPERATOR, *, override: bool = False) -> Lease:
+        """The lease, from whoever holds it in no higher role. Override takes it although the robot moves."""
+        return Lease(self._link, self.operator, Take(role=role, override=override))
+
+    def ask(self, request: Request, timeout_s: float = ANSWER_TIMEOUT_S) -> Reply:
+        """Ask for something, and wait until the robot has done it or says why not.
+
+        Raises:
+            Refused: it says why not.
+            Unreachable: it does not answer. It may have heard all the same.
+        """
+        return self._link.ask(request, timeout_s)
+
+    def close(self) -> None:
+        """Leave. A stream that is going on ends, and with it the robot's motion."""
+        self._link.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class Lease:
+    """The right to command a robot. In force between the beginning and the end of a ``with``.
+
+    While the robot is engaged the library sends a drive command every 20 ms: the set point of ``drive`` while it
+    holds, else zero speed. Else it renews the lease.
+    """
+
+    def __init__(self, link: Link, operator: str, request: Acquire | Take) -> None:
+        self._link = link
+        self._operator = operator
+        self._request = request
+        self._stream: DriveStream | None = None
+
+    def __enter__(self) -> Self:
+        if self._link.has_stream:
+            raise ValueError("this Robot has a lease already")
+        reply = self._ask(self._request)
+        if not isinstance(reply, LeaseReply):
+            raise AssertionError("the command table gives these verbs a LeaseReply")  # noqa: TRY004 - our fault
+        self._stream = DriveStream(reply.lease, self._operator)
+        self._link.begin_stream(self._stream, reply.expires_s)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._link.end_stream()
+        stream, self._stream = self._stream, None
+        if stream is None or stream.is_lost:
+            return
+        try:
+            self._ask(Release(lease=stream.lease))
+        except CommandError as failure:
+            # The robot ends it by itself when it expires, and an error of the body must not be hidden.
+            log.warning("the lease was not given back, it expires: %s", failure)
+
+    @property
+    def number(self) -> int:
+        """The lease's number."""
+        return self._in_force().lease
+
+    @property
+    def is_engaged(self) -> bool:
+        """The robot obeys drive commands of ours."""
+        return self._stream is not None and self._stream.engaged
+
+    def check(self) -> None:
+        """Nothing has happened that ends the drive.
+
+        Raises:
+            Stopped: the robot was engaged and is so no more.
+            LeaseLost: somebody has taken the lease, or it expired.
+            Unreachable: the robot is not heard any more.
+        """
+        ending = self._in_force().ending
+        if ending is not None:
+            raise Stopped(f"{self._link.robot} obeys no more", ending.reason, ending.detail)
+        self._link.sighting()
+
+    def engage(self, speed_limit_mps: float | None = None, deadman_s: float | None = None) -> None:
+        """Take command of the standing chassis. Returns once it reads auto.
+
+        Args:
+            speed_limit_mps: a lower limit than the configured one.
+            deadman_s: a longer deadman than the configured one, up to 1 s, for a link that stalls. The robot
+                drives the slower for it: see ``travel_speed_limit_mps`` in its state.
+
+        Raises:
+            Refused, LeaseLost, Stopped, Unreachable: it does not.
+        """
+        stream = self._in_force()
+        if stream.engaged:
+            raise Refused(f"{self._link.robot} cannot be engaged", Reason.ALREADY_ENGAGED)
+        with self._link.heard:
+            stream.expect_engaged()
+        try:
+            challenge = self._link.sighting().state.challenge
+            self._ask(Engage(stream.lease, challenge, speed_limit_mps, deadman_s))
+        except CommandError:
+            with self._link.heard:
+                stream.give_up()
+            raise
+        self._link.wait_for(lambda _: stream.engaged or stream.ending is not None, ENGAGED_SEEN_S)
+        self.check()
+        if not stream.engaged:
+            raise Unreachable(f"{self._link.robot} says that it is engaged, but its safety/state does not")
+
+    def drive(
+        self,
+        speed_mps: float,
+        *,
+        angle_deg: float | None = None,
+        curvature_1pm: float | None = None,
+        yaw_rate_radps: float | None = None,
+        hold_s: float = HOLD_S,
+    ) -> None:
+        """Set what the stream asks for; straight on if nothing says how it turns. It holds for ``hold_s``.
+
+        Raises:
+            ValueError: more than one of angle, curvature and yaw rate is given, or a value cannot be.
+            Refused: the robot was never engaged.
+            Stopped, LeaseLost, Unreachable: it does not obey any more.
+        """
+        if angle_deg is None and curvature_1pm is None and yaw_rate_radps is None:
+            angle_deg = 0.0
+        set_point = SetPoint(speed_mps, angle_deg, curvature_1pm, yaw_rate_radps)
+        with self._link.heard:
+            self.check()
+            stream = self._in_force()
+            if not stream.engaged:
+                raise Refused(f"{self._link.robot} cannot be driven", Reason.NOT_ENGAGED)
+            stream.aim(set_point, hold_s, time.monotonic_ns())
+
+    def disengage(self) -> None:
+        """Stop in a controlled way and give up command of the chassis. Returns at once; nothing is latched."""
+        stream = self._in_force()
+        with self._link.heard:
+            stream.give_up()
+        self._ask(Disengage(lease=stream.lease))
+
+    def reset(self) -> str:
+        """Clear what is latched. Returns what that was, in words."""
+        return self._ask(Reset(lease=self.number, challenge=self._link.sighting().state.challenge)).detail
+
+    def park(self) -> None:
+        """Apply the parking brake of the engaged robot, which may still be slowing down to zero."""
+        if self._in_force().asks_for_zero:
+            # The stream and a question go separate ways: the zero of a moment ago has to be there first.
+            self._link.wait_for(lambda state: not state.target_speed_mps, ZERO_SEEN_S)
+        self._ask(Park(lease=self.number))
+
+    def unpark(self) -> None:
+        """Allow drive commands to release it."""
+        self._ask(Unpark(lease=self.number))
+
+    def light(self, *, headlamp: bool = False, left: bool = False, right: bool = False) -> None:
+        """Set headlamp and indicators, while the robot is engaged."""
+        self._ask(Light(lease=self.number, headlamp=headlamp, left=left, right=right))
+
+    def horn(self, *, on: bool) -> None:
+        """Sound the horn, or end it."""
+        self._ask(Horn(lease=self.number, on=on))
+
+    def clear_odometer(self) -> None:
+        """Set the total mileage to zero. Returns once it reads so."""
+        self._ask(ClearOdometer(lease=self.number))
+
+    def _ask(self, request: Request) -> Reply:
+        return self._link.ask(request, ANSWER_TIMEOUT_S)
+
+    def _in_force(self) -> DriveStream:
+        if self._stream is None:
+            raise ValueError("a lease is in force only within its with statement")
+        ending = self._stream.ending
+        if ending is not None and ending.lease_lost:
+            raise LeaseLost(f"the lease of {self._link.robot} is lost", ending.reason, ending.detail)
+        return self._stream
+
+
+def stop_all(
+    operator: str = "", settings: Settings | None = None, timeout_s: float = CONNECT_TIMEOUT_S
+) -> StopReport:
+    """The remote stop of every robot under the root: who is seen to stop, and who is not.
+
+    Raises:
+        CommandError: a name or an endpoint is not of its form.
+    """
+    return remote_stop.stop_from_here(settings or Settings(), keys.ALL, operator or login_operator(), timeout_s)
+
+
+def _problem(link: Link) -> str:
+    if not link.commands.connected():
+        return "no Zenoh node answered"
+    if link.unreadable:
+        return f"{link.robot} cannot be read ({link.unreadable}), and nothing else of it was heard"
+    if not link.is_heard and link.hears_chassis:
+        return f"the gateway of robot {link.robot!r} only listens (gateway.listen_only), and takes no commands"
+    if not link.is_heard:
+        return f"robot {link.robot!r} was not heard"
+    return f"robot {link.robot!r} is heard, but takes no commands"

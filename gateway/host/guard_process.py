@@ -1,0 +1,279 @@
+"""The gateway's side of the guard: starts it, beats for it, and sees whether it watches."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from typing import Final, Protocol
+
+import msgspec
+
+from gateway.command.actuation import AT_REST, Actuation
+from gateway.command.flow import CommandFlow
+from gateway.guard.beat import Beat, Cause, GuardStatus, GuardView
+from gateway.host.heartbeat import Heartbeat
+from schemas.messages import Variant
+from schemas.settings import GUARD_HANGS_TICKS, GUARD_RESTART_NS, GUARD_SILENT_NS, Settings
+
+log = logging.getLogger(__name__)
+
+SHARED_INTERFACES: Final = frozenset({"socketcan", "socketcand"})
+"""Interfaces of python-can whose bus several processes can open at once. On any other there is no guard."""
+
+END_TIMEOUT_S: Final = 1.0
+"""A guard at rest ends well within this time."""
+
+
+class GuardLink(Protocol):
+    """The guard, as the loop sees it. Nothing here blocks, but for ``close``.
+
+    Attributes:
+        why_not: why no guard can watch, for people; empty if one was started.
+    """
+
+    why_not: str
+
+    def look(self) -> GuardView:
+        """How it is now."""
+        ...
+
+    @property
+    def cause(self) -> Cause:
+        """Of the last one, or of the one under way."""
+        ...
+
+    def beat(self, now_ns: int, command: CommandFlow) -> None:
+        """The loop lives, and has sent what it had to."""
+        ...
+
+    def close(self) -> None:
+        """The gateway ends. A guard that has nothing to do ends with it; one that stops the robot goes on."""
+        ...
+
+
+class NoGuard:
+    """No guard can watch here."""
+
+    cause: Final = Cause.NONE
+
+    def __init__(self, why_not: str) -> None:
+        self.why_not = why_not
+
+    def look(self) -> GuardView:
+        """Nobody watches."""
+        return GuardView()
+
+    def beat(self, now_ns: int, command: CommandFlow) -> None:
+        """Nobody listens."""
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+class _Child(msgspec.Struct, frozen=True):
+    """A guard's process, and what is shared with it."""
+
+    process: subprocess.Popen[bytes]
+    memory: Heartbeat
+
+
+class GuardProcess:
+    """A guard that was started; one that is gone or hangs is replaced while the robot is told nothing."""
+
+    why_not = ""
+
+    def __init__(self, start: Callable[[], _Child]) -> None:
+        self._start = start
+        child = start()
+        self._process, self._memory = child.process, child.memory
+        self._started_ns = time.monotonic_ns()
+        self._starting: threading.Thread | None = None
+        self._started: _Child | None = None
+        self._stops_before = 0
+        self._silent_ticks = 0
+        self._was_told = False
+        self._newest = Beat(0)
+
+    @property
+    def pid(self) -> int:
+        """The guard's process."""
+        return self._process.pid
+
+    def look(self) -> GuardView:
+        """How it is now. Reading its status costs microseconds: once for all that is asked at a time."""
+        status = self._memory.read_status()
+        if status is None:
+            return GuardView(stops=self._stops_before)
+        lives = _is_alive(status)
+        return GuardView(
+            is_watching=lives and status.is_ready,
+            is_sending=lives and status.is_sending,
+            stops=self._stops_before + status.stops,
+            says=status.says,
+        )
+
+    @property
+    def cause(self) -> Cause:
+        """Of the last one, or of the one under way."""
+        status = self._memory.read_status()
+        return Cause.NONE if status is None else status.cause
+
+    def beat(self, now_ns: int, command: CommandFlow) -> None:
+        """The loop lives, and has sent what it had to."""
+        arbiter = command.arbiter
+        self.tell(
+            now_ns,
+            arbiter.variant,
+            arbiter.actuation,
+            command.maker.counters,
+            told_ns=arbiter.told_ns,
+            left=arbiter.handover.left,
+            is_mute=command.is_mute,
+        )
+
+    def tell(
+        self,
+        now_ns: int,
+        variant: Variant,
+        actuation: Actuation | None,
+        counters: Mapping[str, int],
+        *,
+        told_ns: int,
+        left: Actuation | None = None,
+        is_mute: bool = False,
+    ) -> None:
+        """The loop lives, and has sent what it had to.
+
+        Args:
+            now_ns: monotonic, after sending.
+            variant: the one in force.
+            actuation: what the chassis was told in this tick; None for silence.
+            counters: the next alive counter of each command frame, in the layout's order.
+            told_ns: when a whole burst was last taken by the bus.
+            left: what it had been told when it was left to somebody else, while it may obey that again.
+            is_mute: what has to be sent cannot be: the guard acts at once.
+        """
+        is_told = actuation is not None or is_mute
+        is_active = is_told or (self._was_told and left is None)
+        if actuation is not None:
+            last = actuation
+        elif left is not None:
+            last = left
+        else:
+            last = self._newest.last if is_active else AT_REST
+        self._newest = Beat(
+            now_ns=now_ns,
+            told_ns=told_ns,
+            is_active=is_active,
+            is_left=left is not None and left.enabled,
+            is_mute=is_mute,
+            variant=variant,
+            last=last,
+            counters=bytes(counters.values()),
+        )
+        self._was_told = is_told
+        self._memory.write_beat(self._newest)
+        if not self._newest.is_active:
+            self._replace_if_gone(now_ns)
+
+    def close(self) -> None:
+        """The gateway ends. A guard that has nothing to do ends with it; one that stops the robot goes on."""
+        if self._starting is not None:
+            self._starting.join()
+            self._take_started()
+        self._memory.write_beat(msgspec.structs.replace(self._newest, is_closing=True))
+        try:
+            self._process.wait(0 if self._newest.is_active else END_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            log.warning("the guard (process %d) is still at work; it ends by itself", self._process.pid)
+        self._memory.close()
+
+    def _replace_if_gone(self, now_ns: int) -> None:
+        """Starting a process takes milliseconds: so it is on a thread, and never while the robot is driven."""
+        if self._starting is not None:
+            if not self._starting.is_alive():
+                self._take_started()
+            return
+        status = self._memory.read_status()
+        if status is not None and _is_alive(status):
+            self._silent_ticks = 0
+            return
+        # One that starts slowly has given no sign yet, and does not hang.
+        self._silent_ticks += status is not None
+        is_gone = self._silent_ticks >= GUARD_HANGS_TICKS or self._process.poll() is not None
+        if is_gone and now_ns - self._started_ns > GUARD_RESTART_NS:
+            self._started_ns = now_ns
+            self._starting = threading.Thread(target=self._start_again, name="guard-starter", daemon=True)
+            self._starting.start()
+
+    def _start_again(self) -> None:
+        log.warning("the guard (process %d) is gone or hangs; starting another", self._process.pid)
+        # One that hangs must not wake up beside the next.
+        self._process.kill()
+        self._process.wait()
+        try:
+            self._started = self._start()
+        except OSError as error:
+            log.warning("the guard cannot be started: %s", error)
+
+    def _take_started(self) -> None:
+        self._starting = None
+        started, self._started = self._started, None
+        if started is None:
+            return
+        self._stops_before = self.look().stops
+        self._memory.close()
+        self._process, self._memory = started.process, started.memory
+        self._memory.write_beat(self._newest)
+
+
+def _is_alive(status: GuardStatus) -> bool:
+    return time.monotonic_ns() - status.now_ns <= GUARD_SILENT_NS
+
+
+def start_guard(settings: Settings) -> GuardProcess | NoGuard:
+    """Start the guard; it watches some time later. Where none can be, the link says why, and never watches."""
+    if settings.gateway.listen_only:
+        return NoGuard("the gateway only listens")
+    if settings.can.interface not in SHARED_INTERFACES:
+        return NoGuard(f"interface {settings.can.interface!r} is not known to let two processes open one bus")
+    try:
+        return GuardProcess(lambda: _start_child(settings))
+    except OSError as error:
+        return NoGuard(f"its process cannot be started: {error}")
+
+
+def _start_child(settings: Settings) -> _Child:
+    """A new process of the guard. Raises OSError: there is none, or it has ended at once."""
+    memory = Heartbeat.create()
+    # Not a fork of this process, which has threads; and no descriptor of its bus or of Zenoh goes along.
+    # The modules come from where ours do, whatever lies in the working directory.
+    try:
+        process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
+            [sys.executable, "-P", "-m", "gateway.host.guard_main", str(memory.descriptor)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            pass_fds=[memory.descriptor],
+            start_new_session=True,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        )
+    except OSError:
+        memory.close()
+        raise
+    order = msgspec.json.encode({"parent": os.getpid(), "settings": settings})
+    try:
+        with process.stdin or nullcontext() as stdin:
+            if stdin is not None:
+                stdin.write(order)
+    except OSError as error:
+        process.kill()
+        process.wait()
+        memory.close()
+        raise OSError(f"it ended at once, with exit code {process.returncode}") from error
+    return _Child(process, memory)

@@ -1,1 +1,0 @@
-"""The only importers of python-can and Zenoh in this package."""

@@ -1,0 +1,1 @@
+"""A recorded journal once more through the core: with the same settings, or with others. Pure."""

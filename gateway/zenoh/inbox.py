@@ -1,0 +1,216 @@
+"""Requests from Zenoh: a session of their own, three kinds of rings, and the replies.
+
+No Python of ours runs on Zenoh's threads: requests wait in ring channels that the loop drains. Where too many
+come, those of the lease's holder go first and the oldest of the others are dropped and counted. The holder's are
+those that carry the number of its lease: its name alone can be anybody's. Remote stops have rings of their own, so
+that no flood keeps one out.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Final
+
+import msgspec
+import zenoh
+
+from gateway.command.flow import PendingReply
+from gateway.command.request import RawRequest
+from gateway.zenoh.client import close_session, open_session
+from gateway.zenoh.node import BLOCK_MAX_US, Place, Replier
+from schemas import keys
+from schemas.exit_codes import CommandError
+from schemas.settings import (
+    DRIVES_PER_TICK,
+    REQUEST_MAX_BYTES,
+    STOPS_PER_TICK,
+    VERBS_PER_TICK,
+    Settings,
+)
+from schemas.subjects import BY_VERB, COMMAND_CHUNK, STOP_VERB
+from schemas.zenoh_link import own_endpoint
+
+log = logging.getLogger(__name__)
+
+STOPS_WAITING: Final = 64
+VERBS_WAITING: Final = 256
+DRIVES_WAITING: Final = 1024
+"""Requests that may wait between two ticks; beyond it the oldest go, uncounted."""
+
+OWN_LINK_TIMEOUT_S: Final = 3.0
+"""The gateway's own two sessions are connected within this time, or something is wrong with the endpoint."""
+
+PLAIN_REPLY: Final = BY_VERB[STOP_VERB].reply_encoding
+
+DRIVE: Final = "drive"
+
+
+class _Said(msgspec.Struct, frozen=True):
+    """What tells the holder's requests from those that a flood puts under its name."""
+
+    lease: int
+    seq: int | None = None
+
+
+_SAID: Final = msgspec.msgpack.Decoder(_Said)
+
+
+class CommandInbox:
+    """Where requests wait for the loop. Nothing here raises or blocks once it is open.
+
+    Attributes:
+        drops: requests that were dropped unread since the start, because too many came.
+    """
+
+    def __init__(self, session: zenoh.Session, settings: Settings) -> None:
+        """Subscribe on a session, which the inbox then owns."""
+        self.drops = 0
+        self._session = session
+        self._root, self._robot = settings.robot.root, settings.robot.name
+        self._queries: dict[int, zenoh.Query] = {}
+        self._last_handle = 0
+        self._replier = Replier("command-replies")
+        ring = zenoh.handlers.RingChannel
+        stop, drive, verbs = (self._key(keys.ALL, verb) for verb in (STOP_VERB, DRIVE, keys.ALL))
+        self._stop_puts = session.declare_subscriber(stop, ring(STOPS_WAITING))
+        self._stop_queries = session.declare_queryable(stop, ring(STOPS_WAITING), complete=True)
+        self._verbs = session.declare_queryable(verbs, ring(VERBS_WAITING), complete=True)
+        self._drives = session.declare_subscriber(drive, ring(DRIVES_WAITING))
+
+    @property
+    def node(self) -> str:
+        """The session's identifier."""
+        return str(self._session.zid())
+
+    def drain(self, holder: str, lease: int = 0, after: int = -1) -> list[RawRequest]:
+        """The requests that wait, stops first, a bounded number; the holder's of the lease before others'.
+
+        Args:
+            holder: who holds the lease; empty if nobody does.
+            lease: its number. What comes under the holder's name without it is another's.
+            after: the sequence of the last drive that was accepted; what is not above it is a repetition.
+        """
+        requests = [self._put(sample) for sample in _take(self._stop_puts.try_recv, STOPS_PER_TICK)]
+        requests += [self._query(query) for query in _take(self._stop_queries.try_recv, STOPS_PER_TICK)]
+        # With the chunk before it: a holder may be called like a robot, or like the root.
+        holders = f"/{COMMAND_CHUNK}/{holder}/" if holder else ""
+
+        def is_holders(arrived: Any) -> bool:  # noqa: ANN401 - a sample or a query
+            return bool(holders) and holders in str(arrived.key_expr) and _fits(arrived.payload, lease, after)
+
+        verbs = self._newest(_take(self._verbs.try_recv, VERBS_WAITING), VERBS_PER_TICK, is_holders)
+        # A wildcard query for a stop reaches this ring too; the stops' own has it already.
+        requests += [self._query(query) for query in verbs if not str(query.key_expr).endswith(f"/{STOP_VERB}")]
+        drives = self._newest(_take(self._drives.try_recv, DRIVES_WAITING), DRIVES_PER_TICK, is_holders)
+        requests += [self._put(sample) for sample in drives]
+        return requests
+
+    def reply(self, reply: PendingReply) -> None:
+        """Answer who waits for it."""
+        query = self._queries.pop(reply.handle, None)
+        if query is None:
+            return
+        asked = str(query.key_expr)
+        operator, verb = keys.parse_command(asked)
+        command = BY_VERB.get(reply.verb)
+        # The query's own key may hold a wildcard for the robot.
+        key = self._key(operator, verb) if operator and verb == reply.verb and "*" not in verb else asked
+        self._replier.send(query, key, [reply.payload], command.reply_encoding if command else PLAIN_REPLY)
+
+    def close(self) -> None:
+        """Leave Zenoh. Never raises."""
+        self._queries.clear()
+        self._replier.close()
+        close_session(self._session)
+
+    def _key(self, operator: str, verb: str) -> str:
+        return keys.command(self._root, self._robot, operator, verb)
+
+    def _newest(self, arrived: list[Any], most: int, is_holders: Callable[[Any], bool]) -> list[Any]:
+        """The newest of what has come, at most so many of the holder and so many of all others."""
+        if len(arrived) <= most:
+            # There is room for all: nothing has to be read to choose.
+            return arrived
+        own: deque[Any] = deque()
+        others: deque[Any] = deque()
+        for one in reversed(arrived):
+            kind = own if is_holders(one) else others
+            if len(kind) < most:
+                kind.appendleft(one)
+        self.drops += len(arrived) - len(own) - len(others)
+        return [*own, *others]
+
+    def _put(self, sample: zenoh.Sample) -> RawRequest:
+        operator, verb = keys.parse_command(str(sample.key_expr))
+        return _raw(0, verb, operator, sample.payload)
+
+    def _query(self, query: zenoh.Query) -> RawRequest:
+        self._last_handle += 1
+        self._queries[self._last_handle] = query
+        operator, verb = keys.parse_command(str(query.key_expr))
+        return _raw(self._last_handle, verb, operator, query.payload)
+
+
+def _raw(handle: int, verb: str, operator: str, payload: zenoh.ZBytes | None) -> RawRequest:
+    size = 0 if payload is None else len(payload)
+    # What is larger than any request is not even copied.
+    data = b"" if payload is None or size > REQUEST_MAX_BYTES or verb == STOP_VERB else payload.to_bytes()
+    return RawRequest(handle, verb, operator, data, size)
+
+
+def _fits(payload: zenoh.ZBytes | None, lease: int, after: int) -> bool:
+    """Does it carry this number of a lease, and a sequence that is new, where it has one?"""
+    if payload is None or not lease or len(payload) > REQUEST_MAX_BYTES:
+        return False
+    try:
+        said = _SAID.decode(payload.to_bytes())
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        return False
+    return said.lease == lease and (said.seq is None or said.seq > after)
+
+
+def _take(try_recv: Callable[[], Any], most: int) -> list[Any]:
+    taken = []
+    for _ in range(most):
+        arrived = try_recv()
+        if arrived is None:
+            break
+        taken.append(arrived)
+    return taken
+
+
+def open_inbox(settings: Settings, place: Place) -> CommandInbox:
+    """Open the session for commands, beside that for telemetry.
+
+    It connects where that one does, and to that one where it listens: who connects there reaches this session too.
+    A client reaches it through that one; a peer is told of it, and connects to it.
+
+    Raises:
+        CommandError: an endpoint cannot be used.
+    """
+    own = [own_endpoint(endpoint) for endpoint in place.listen]
+    try:
+        session = open_session(settings.zenoh, [*place.connect, *own], place.command_listen, BLOCK_MAX_US)
+    except CommandError as error:
+        listen = ", ".join(place.command_listen)
+        on = f"; commands are listened for on {listen} (zenoh.command_listen)" if listen else ""
+        raise CommandError(f"{error}{on}", error.code) from error
+    if own and not _finds(session, place.node):
+        log.warning(
+            "the session for commands is not connected to %s: whoever connects there cannot command this robot, "
+            "nor stop it; is there a certificate to connect with?",
+            ", ".join(own),
+        )
+    return CommandInbox(session, settings)
+
+
+def _finds(session: zenoh.Session, node: str) -> bool:
+    deadline_s = time.monotonic() + OWN_LINK_TIMEOUT_S
+    while time.monotonic() < deadline_s:
+        if node in map(str, session.info.peers_zid()):
+            return True
+        time.sleep(0.01)
+    return False

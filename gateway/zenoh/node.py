@@ -1,0 +1,398 @@
+"""The gateway on Zenoh: publishers, the info queryable, the liveliness token.
+
+No Python of ours runs on Zenoh's threads: queries wait in a ring channel that the loop drains.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from queue import Empty, Full, Queue
+from typing import Any, Final
+
+import msgspec
+import zenoh
+from zenoh import ext
+
+from gateway.telemetry.kept_samples import KeptSamples
+from gateway.telemetry.sample import Sample
+from gateway.zenoh.client import (
+    close_session,
+    is_allowed,
+    lease_in_force_ms,
+    links_of,
+    open_session,
+    said_of,
+    with_free_ports,
+)
+from schemas import keys
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
+from schemas.settings import DEFAULT_ENDPOINT, Settings, ZenohSettings
+from schemas.subjects import BY_NAME, KEPT_FIRST, SUBJECTS, Pattern, Qos, Subject
+from schemas.zenoh_link import ANY_LOCAL_PORT, next_ports
+
+log = logging.getLogger(__name__)
+
+QUERIES_WAITING: Final = 16
+"""Queries on gateway/info that may wait; beyond it the oldest go."""
+
+QUERIES_PER_TICK: Final = 2
+
+LONGEST_SEQUENCE: Final = 10
+"""No sequence has more digits."""
+
+MISS_HEARTBEAT_S: Final = 1.0
+"""How often a subject with a history says how far it is, so that who lost the last sample notices."""
+
+REPLIES_WAITING: Final = 256
+"""Replies that may wait to be sent; beyond it the newest are dropped and counted."""
+
+BLOCK_MAX_US: Final = 20_000
+"""Who takes nothing is cut off after this time.
+
+A reply has its query's congestion control, which may be to wait for room on the link, and Zenoh would wait for
+5 s. It holds the link meanwhile: whatever else is to go out on it waits too, the loop's own samples included.
+"""
+
+LOOK_S: Final = 0.05
+"""How soon the end is noticed when no reply waits."""
+
+REPLY_TIMEOUT_S: Final = 1.0
+"""How long the end waits for replies that are under way."""
+
+TOKEN_TIMEOUT_S: Final = 1.0
+"""How long the question may take whether a gateway of our name is there."""
+
+INFO_TIMEOUT_S: Final = 1.0
+"""A gateway that lives answers within a few ticks of 10 ms."""
+
+INFO_QUESTIONS: Final = 3
+"""So often it is asked before it counts as none: others may ask it so much that a question is dropped."""
+
+NEIGHBOUR_TIMEOUT_S: Final = 3.0
+"""A Zenoh node that holds our port is connected within this time, or it is none."""
+
+
+class Replier:
+    """Sends replies on a thread of its own: each has its query's congestion control, and may wait for its link.
+
+    Attributes:
+        drops: replies that were not sent, because too many waited.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.drops = 0
+        self._replies: Queue[tuple[zenoh.Query, str, list[bytes], str]] = Queue(REPLIES_WAITING)
+        self._ends = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def send(self, query: zenoh.Query, key: str, payloads: list[bytes], encoding: str) -> None:
+        """Reply to a query, soon, each payload for itself. Never waits."""
+        try:
+            self._replies.put_nowait((query, key, payloads, encoding))
+        except Full:
+            self.drops += 1
+            log.debug("too many replies wait: one is dropped")
+
+    @property
+    def waiting(self) -> int:
+        """Replies that wait to be sent."""
+        return self._replies.qsize()
+
+    def close(self) -> None:
+        """Send what waits, for a while, and end."""
+        self._ends.set()
+        self._thread.join(REPLY_TIMEOUT_S)
+
+    def _run(self) -> None:
+        while True:
+            try:
+                query, key, payloads, encoding = self._replies.get(timeout=LOOK_S)
+            except Empty:
+                if self._ends.is_set():
+                    return
+                continue
+            try:
+                with query:
+                    for payload in payloads:
+                        query.reply(key, payload, encoding=encoding)
+            except zenoh.ZError as error:
+                log.debug("Zenoh did not take a reply: %s", error)
+
+
+class _Kept:
+    """The samples of a subject that are kept, and the queries for them."""
+
+    def __init__(self, session: zenoh.Session, key: str, subject: Subject) -> None:
+        self.key = key
+        self.encoding = subject.encoding
+        self.samples = KeptSamples(subject.qos.kept_bytes)
+        self.queries = session.declare_queryable(key, zenoh.handlers.RingChannel(QUERIES_WAITING), complete=True)
+
+
+def _first(query: zenoh.Query) -> int:
+    """The sequence from which on samples are asked for; -1 if the query does not say."""
+    text = query.parameters.get(KEPT_FIRST) or ""
+    return int(text) if text.isascii() and text.isdigit() and len(text) <= LONGEST_SEQUENCE else -1
+
+
+class ZenohNode:
+    """A gateway's place on Zenoh. Nothing here raises or blocks once it is open.
+
+    Attributes:
+        failures: samples that Zenoh did not take.
+        replier: sends the replies to queries.
+        warning: what a person should know of its start; empty if nothing.
+    """
+
+    def __init__(self, session: zenoh.Session, settings: Settings) -> None:
+        robot = settings.robot
+        self.failures = 0
+        self.warning = ""
+        self._session = session
+        self._own: set[str] = set()
+        self._puts: dict[str, Callable[[bytes], Any]] = {}
+        self._declared: list[Any] = []
+        self._kept: dict[str, _Kept] = {}
+        for subject in SUBJECTS:
+            if subject.pattern is Pattern.PUBLISHED:
+                bus = settings.can.bus if "{bus}" in subject.name else ""
+                key = keys.build(robot.root, robot.name, subject, bus)
+                publisher = _declare_publisher(session, key, subject)
+                self._declared.append(publisher)
+                self._puts[subject.name] = publisher.put
+                if subject.qos.kept_bytes:
+                    self._kept[subject.name] = kept = _Kept(session, key, subject)
+                    self._declared.append(kept.queries)
+        info = BY_NAME["gateway/info"]
+        self._info_encoding = info.encoding
+        self._info_key = keys.build(robot.root, robot.name, info)
+        self._queries = session.declare_queryable(
+            self._info_key, zenoh.handlers.RingChannel(QUERIES_WAITING), complete=True
+        )
+        self._declared.append(self._queries)
+        self.replier = Replier("node-replies")
+        token = session.liveliness().declare_token(keys.liveliness(robot.root, robot.name))
+        self._declared.append(token)
+
+    def publish(self, sample: Sample) -> None:
+        """Hand a sample to Zenoh. It goes out, or is dropped and counted by the link; this never waits."""
+        kept = self._kept.get(sample.subject)
+        if kept is not None:
+            kept.samples.add(sample.payload)
+        try:
+            self._puts[sample.subject](sample.payload)
+        except zenoh.ZError as error:
+            self._fail(error)
+
+    def peers(self) -> int:
+        """Nodes connected directly, but for our own."""
+        info = self._session.info
+        return sum(str(node) not in self._own for node in (*info.peers_zid(), *info.routers_zid()))
+
+    def disregard(self, node: str) -> None:
+        """This node is one of our own: who is connected is everybody else."""
+        self._own.add(node)
+
+    def answer(self, reply: Callable[[], bytes]) -> None:
+        """Answer the queries that wait on ``gateway/info``, and on what is kept: a bounded number of each."""
+        for _ in range(QUERIES_PER_TICK):
+            query = self._queries.try_recv()
+            if query is None:
+                break
+            self.replier.send(query, self._info_key, [reply()], self._info_encoding)
+        for kept in self._kept.values():
+            query = kept.queries.try_recv()
+            if query is not None:
+                payloads = kept.samples.piece(_first(query)) if _first(query) >= 0 else []
+                self.replier.send(query, kept.key, payloads, kept.encoding)
+
+    def close(self) -> None:
+        """Leave Zenoh. Never raises."""
+        self.replier.close()
+        try:
+            for declared in self._declared:
+                declared.undeclare()
+        except zenoh.ZError as error:
+            log.debug("leaving Zenoh: %s", error)
+        close_session(self._session)
+
+    def _fail(self, error: zenoh.ZError) -> None:
+        self.failures += 1
+        log.debug("Zenoh did not take a sample: %s", error)
+
+
+class Place(msgspec.Struct, frozen=True):
+    """Where a gateway is on Zenoh.
+
+    Attributes:
+        node: the telemetry session's identifier.
+        connect: endpoints that its sessions connect to.
+        listen: endpoints that its session for telemetry listens on; empty if it only dials out.
+        command_listen: endpoints that its session for commands listens on.
+        is_client: its sessions are clients, which listen on nothing.
+    """
+
+    node: str
+    connect: list[str]
+    listen: list[str] = []
+    command_listen: list[str] = []
+    is_client: bool = False
+
+    def __str__(self) -> str:
+        parts = [f"listens on {', '.join(self.listen) or 'nothing'}"]
+        if self.command_listen:
+            parts.append(f"for commands on {', '.join(self.command_listen)}")
+        if self.connect:
+            parts.append(f"{'is a client of' if self.is_client else 'connects to'} {', '.join(self.connect)}")
+        return plain(", ".join(parts))
+
+
+def open_node(settings: Settings) -> tuple[ZenohNode, Place]:
+    """Open the gateway's node. Returns it and where it is.
+
+    Raises:
+        CommandError: an endpoint is taken by something that is not Zenoh, or cannot be used; or a gateway of the
+            same name is there, and answers.
+    """
+    session, place = _open_session(settings)
+    try:
+        _wait_for_link(session, place)
+        warning = _check_name_is_free(session, settings)
+    except CommandError:
+        close_session(session)
+        raise
+    node = ZenohNode(session, settings)
+    node.warning = warning
+    return node, place
+
+
+def _wait_for_link(session: zenoh.Session, place: Place) -> None:
+    """Who is not connected yet cannot be asked whether our name is free."""
+    deadline_s = time.monotonic() + NEIGHBOUR_TIMEOUT_S
+    while place.connect and not links_of(session) and time.monotonic() < deadline_s:
+        time.sleep(0.02)
+
+
+def _check_name_is_free(session: zenoh.Session, settings: Settings) -> str:
+    """Two gateways of one name would publish two robots as one that is in two places.
+
+    The token of a gateway that has just died goes within the lease, so it is looked for more than once. A token
+    alone keeps no robot from starting, for anybody can declare one: a gateway has to answer too. Returns a warning
+    if there is a token that nobody stands behind.
+    """
+    robot = settings.robot
+    key = keys.liveliness(robot.root, robot.name)
+    deadline_s = time.monotonic() + 2 * lease_in_force_ms(settings.zenoh) / 1000
+    while any(reply.ok is not None for reply in session.liveliness().get(key, timeout=TOKEN_TIMEOUT_S)):
+        if time.monotonic() <= deadline_s:
+            time.sleep(0.1)
+            continue
+        info = keys.build(robot.root, robot.name, BY_NAME["gateway/info"])
+        for _ in range(INFO_QUESTIONS):
+            if any(reply.ok is not None for reply in session.get(info, timeout=INFO_TIMEOUT_S)):
+                raise CommandError(
+                    f"a gateway of the name {robot.name} is connected already; choose another with --robot",
+                    ExitCode.REFUSED,
+                )
+        return (
+            f"somebody else has declared the liveliness token of {robot.name}, and no gateway answers there: a "
+            "gateway that hangs, or somebody who wants to keep this robot off the network"
+        )
+    return ""
+
+
+def _open_session(settings: Settings) -> tuple[zenoh.Session, Place]:
+    given = settings.zenoh
+    mode, connect, listen, _ = said_of(given)
+    if mode == "client":
+        connect = connect or [DEFAULT_ENDPOINT]
+        session = open_session(given, connect, [], BLOCK_MAX_US)
+        return session, Place(str(session.zid()), connect, is_client=True)
+    if not connect and not listen:
+        return _open_default(settings)
+    commands = _command_listen(settings, listen)
+    listen = with_free_ports(listen)
+    session = open_session(given, connect, listen, BLOCK_MAX_US)
+    return session, Place(str(session.zid()), connect, listen, with_free_ports(commands))
+
+
+def _open_default(settings: Settings) -> tuple[zenoh.Session, Place]:
+    given = settings.zenoh
+    if not is_allowed(given, DEFAULT_ENDPOINT):
+        raise CommandError(
+            f"{DEFAULT_ENDPOINT}, where a gateway listens unless told otherwise, is of a protocol that "
+            f"{plain(given.config)} does not allow; say --listen or --connect",
+            ExitCode.USAGE,
+        )
+    commands = _command_listen(settings, [DEFAULT_ENDPOINT])
+    try:
+        session = open_session(given, [], [DEFAULT_ENDPOINT], BLOCK_MAX_US)
+        return session, Place(str(session.zid()), [], [DEFAULT_ENDPOINT], commands)
+    except CommandError as error:
+        if error.code is ExitCode.USAGE:
+            raise
+    listen = with_free_ports([ANY_LOCAL_PORT])
+    session = _join_neighbour(given, listen)
+    commands = with_free_ports(_command_listen(settings, [ANY_LOCAL_PORT]))
+    return session, Place(str(session.zid()), [DEFAULT_ENDPOINT], listen, commands)
+
+
+def _command_listen(settings: Settings, listen: list[str]) -> list[str]:
+    """Where the session for commands listens: where the settings say, or one port after that for telemetry."""
+    if settings.gateway.listen_only:
+        return []
+    try:
+        return list(settings.zenoh.command_listen) or next_ports(listen)
+    except ValueError as error:
+        raise CommandError(
+            f"where are commands to be listened for? {error}; zenoh.command_listen says it", ExitCode.USAGE
+        ) from error
+
+
+def _join_neighbour(zenoh_settings: ZenohSettings, listen: list[str]) -> zenoh.Session:
+    """Another Zenoh node holds our port: several robots on one bench. Connect to it."""
+    session = open_session(zenoh_settings, [DEFAULT_ENDPOINT], listen, BLOCK_MAX_US)
+    deadline_s = time.monotonic() + NEIGHBOUR_TIMEOUT_S
+    while time.monotonic() < deadline_s:
+        if session.info.peers_zid() or session.info.routers_zid():
+            return session
+        time.sleep(0.02)
+    close_session(session)
+    raise CommandError(
+        f"{DEFAULT_ENDPOINT} is taken, and not by a Zenoh node; choose another with --listen", ExitCode.UNREACHABLE
+    )
+
+
+def _declare_publisher(
+    session: zenoh.Session, key: str, subject: Subject
+) -> zenoh.Publisher | ext.AdvancedPublisher:
+    qos: Qos = subject.qos
+    priority: zenoh.Priority = getattr(zenoh.Priority, qos.priority.value)
+    if not qos.history:
+        return session.declare_publisher(
+            key,
+            encoding=subject.encoding,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=priority,
+            express=qos.express,
+        )
+    return ext.declare_advanced_publisher(
+        session,
+        key,
+        encoding=subject.encoding,
+        congestion_control=zenoh.CongestionControl.DROP,
+        priority=priority,
+        express=qos.express,
+        cache=ext.CacheConfig(qos.history),
+        sample_miss_detection=(
+            ext.MissDetectionConfig(heartbeat=MISS_HEARTBEAT_S, sporadic_heartbeat=None)
+            if qos.history > 1
+            else None
+        ),
+        publisher_detection=True,
+    )

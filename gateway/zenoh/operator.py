@@ -1,0 +1,217 @@
+"""The operator's side of Zenoh: commands on a session of their own, and what a robot's arbiter says on another.
+
+A subscriber that is slow starves whatever else is on its session, so commands share theirs with no subscriber. No
+Python of ours runs on Zenoh's threads: replies and samples wait until they are asked for.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator
+from types import TracebackType
+from typing import Any, Final, Self
+
+import zenoh
+from zenoh import ext
+
+from gateway.telemetry.heard import Missed, Received
+from gateway.zenoh.client import (
+    Question,
+    call_roll,
+    close_session,
+    links_of,
+    open_towards_robots,
+    receive,
+)
+from schemas import keys
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import Settings
+from schemas.subjects import BY_NAME, BY_VERB, COMMAND_QOS
+from schemas.zenoh_link import reason
+
+log = logging.getLogger(__name__)
+
+STATES_WAITING: Final = 64
+"""Safety states, 20 Hz and on change, that may wait; beyond it the oldest go."""
+
+EVENTS_WAITING: Final = 4096
+
+EVENTS_OF_BEFORE: Final = 50
+"""This many events of before it listened are heard too."""
+
+FURTHER_S: Final = 0.2
+"""Who else answers has so long after the first reply. The reply of a robot that is alone ends the question."""
+
+POLL_S: Final = 0.002
+"""How often a reply is looked for."""
+
+
+class CommandPort:
+    """Sends an operator's commands to one robot, or to all. Owns its session."""
+
+    def __init__(self, session: zenoh.Session, root: str, robot: str, operator: str) -> None:
+        """Use a session that nothing else uses.
+
+        Raises:
+            ValueError: a part of the keys is not of its form.
+        """
+        self._session = session
+        self._keys = {verb: keys.command(root, robot, operator, verb) for verb in BY_VERB}
+        self._roll = keys.liveliness(root, robot)
+        self._qos: dict[str, Any] = {
+            "priority": getattr(zenoh.Priority, COMMAND_QOS.priority.value),
+            "congestion_control": zenoh.CongestionControl.DROP,
+            "express": COMMAND_QOS.express,
+        }
+        # A reply is as express as its question, and then has a batch of its own: most of a fleet's were dropped.
+        self._asking_qos = self._qos | {"express": COMMAND_QOS.express and robot != keys.ALL}
+        # Its stub says that the matching status is a bool; it is an object, and always true.
+        self._querier: Any = session.declare_querier(self._keys["acquire"])
+
+    @classmethod
+    def open(cls, settings: Settings, robot: str, operator: str) -> Self:
+        """Open a session to where the settings say.
+
+        Raises:
+            CommandError: see ``open_session``; or a part of the keys is not of its form.
+        """
+        session = open_towards_robots(settings.zenoh)
+        try:
+            return cls(session, settings.robot.root, robot, operator)
+        except ValueError as error:
+            close_session(session)
+            raise CommandError(str(error), ExitCode.USAGE) from error
+
+    def connected(self) -> bool:
+        """Is any Zenoh node connected directly?"""
+        info = self._session.info
+        return bool(info.peers_zid() or info.routers_zid())
+
+    def links(self) -> frozenset[str]:
+        """The connections to other nodes."""
+        return links_of(self._session)
+
+    def reaches(self) -> bool:
+        """Is somebody there who answers commands to this robot? Of a port to all robots Zenoh does not say."""
+        return bool(self._querier.matching_status.matching)
+
+    def put(self, verb: str, payload: bytes) -> None:
+        """Send without waiting for anything. It goes out or is dropped: this neither blocks nor raises."""
+        try:
+            self._session.put(self._keys[verb], payload, encoding=BY_VERB[verb].encoding, **self._qos)
+        except zenoh.ZError as error:
+            log.debug("Zenoh did not take %s: %s", verb, error)
+
+    def begin(self, verb: str, payload: bytes, timeout_s: float) -> Question:
+        """Ask, and come back for the replies later.
+
+        Raises:
+            CommandError: the session is closed.
+        """
+        question = Question()
+        try:
+            self._session.get(
+                self._keys[verb],
+                handler=question.handler,
+                payload=payload,
+                encoding=BY_VERB[verb].encoding,
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                timeout=timeout_s,
+                **self._asking_qos,
+            )
+        except zenoh.ZError as error:
+            raise CommandError(f"cannot ask: {reason(str(error))}", ExitCode.UNREACHABLE) from error
+        return question
+
+    def ask(self, verb: str, payload: bytes, timeout_s: float) -> list[Received]:
+        """Ask, and wait for all replies; after the first, others have ``FURTHER_S`` to come.
+
+        Raises:
+            CommandError: the session is closed.
+        """
+        question = self.begin(verb, payload, timeout_s)
+        deadline_s = time.monotonic() + timeout_s
+        replies: list[Received] = []
+        while True:
+            # Asked first: what came before the end is then among what is polled.
+            is_over = question.is_over or time.monotonic() >= deadline_s
+            found = question.poll()
+            if found and not replies:
+                deadline_s = min(deadline_s, time.monotonic() + FURTHER_S)
+            replies += found
+            if is_over:
+                return replies
+            time.sleep(POLL_S)
+
+    def call_roll(self, timeout_s: float) -> Question:
+        """Ask for the liveliness tokens of the robots that are connected."""
+        return call_roll(self._session, self._roll, timeout_s)
+
+    def close(self) -> None:
+        """Leave Zenoh."""
+        close_session(self._session)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class SafetyListener:
+    """Hears what a robot's arbiter says, the robot's state and its gateway's health. Owns its session."""
+
+    def __init__(self, session: zenoh.Session, root: str, robot: str) -> None:
+        """Subscribe on a session.
+
+        Raises:
+            ValueError: a part of the keys is not of its form.
+        """
+        self._session = session
+        state, event, chassis, health = (
+            keys.build(root, robot, BY_NAME[name])
+            for name in ("safety/state", "safety/event", "state", "gateway/health")
+        )
+        # Without history: an old tick is worse than none.
+        self._subscribers: tuple[Any, ...] = tuple(
+            session.declare_subscriber(key, zenoh.handlers.RingChannel(STATES_WAITING))
+            for key in (state, chassis, health)
+        )
+        self._events: Any = ext.declare_advanced_subscriber(
+            session,
+            event,
+            zenoh.handlers.RingChannel(EVENTS_WAITING),
+            history=ext.HistoryConfig(detect_late_publishers=True, max_samples=EVENTS_OF_BEFORE),
+            recovery=ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
+        )
+
+    @classmethod
+    def open(cls, settings: Settings, robot: str) -> Self:
+        """Open a session to where the settings say, and listen.
+
+        Raises:
+            CommandError: see ``open_session``; or a part of the keys is not of its form.
+        """
+        session = open_towards_robots(settings.zenoh)
+        try:
+            return cls(session, settings.robot.root, robot)
+        except ValueError as error:
+            close_session(session)
+            raise CommandError(str(error), ExitCode.USAGE) from error
+
+    def drain(self) -> Iterator[Received | Missed]:
+        """What has arrived since the last time; nothing once it is closed."""
+        try:
+            for subscriber in self._subscribers:
+                yield from receive(subscriber.try_recv, STATES_WAITING)
+            yield from receive(self._events.try_recv, EVENTS_WAITING)
+        except zenoh.ZError as error:
+            log.debug("Zenoh is closed: %s", error)
+
+    def close(self) -> None:
+        """Leave Zenoh."""
+        close_session(self._session)

@@ -1,0 +1,257 @@
+"""Logs that their recorder could not finish: made whole in place, at the next start or by hand.
+
+Nothing of value is deleted. Cut off without a trace is only what a killed writer leaves behind the last whole
+record: the beginning of one last write, or zeros. Anything else behind the good data is kept beside as
+``NAME.mcap.rest``. A file with damage before its end is not changed: what is good in it is copied into
+``NAME.mcap``, and it becomes ``NAME.mcap.damaged``. So does a part of which nothing can be read.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import threading
+from collections import deque
+from collections.abc import Iterable, Iterator
+from enum import Enum
+from pathlib import Path
+from typing import BinaryIO, Final
+
+import msgspec
+
+from recorder.disk.log_directory import PART_SUFFIX, SUFFIX, free_path, lock
+from recorder.disk.log_file import sync_directory
+from recorder.mcap.recovery import Survey, copy_good, survey
+from recorder.record.notices import Notice, Recovered
+from schemas.printable import plain
+
+log = logging.getLogger(__name__)
+
+REST_SUFFIX: Final = ".mcap.rest"
+DAMAGED_SUFFIX: Final = ".mcap.damaged"
+COPY_SUFFIX: Final = ".mcap.copy"
+"""A copy that is not finished; the next try begins it anew."""
+
+_SUFFIXES: Final = (PART_SUFFIX, DAMAGED_SUFFIX, REST_SUFFIX, SUFFIX)
+
+
+class Outcome(Enum):
+    """What became of a file."""
+
+    WHOLE = "whole"
+    """It was whole already."""
+    RECOVERED = "recovered"
+    """It is whole now, with all that was written."""
+    DAMAGED = "damaged"
+    """It was damaged; what is good is whole now."""
+    NOTHING = "nothing"
+    """Nothing in it can be read."""
+    BUSY = "busy"
+    """A recorder is writing it."""
+    FAILED = "failed"
+    """The disk or the system does not let it be recovered; it is as it was."""
+
+
+class Recovery(msgspec.Struct, frozen=True):
+    """What became of a file.
+
+    Attributes:
+        result: the log as it is called now.
+        messages, chunks: that it holds.
+        cut_bytes: that stood behind its good data.
+        kept: where what is not in the result is kept; None if there is nothing worth it.
+        faults: damage; ``fault_count`` of them, the first ones told.
+    """
+
+    path: str
+    outcome: Outcome
+    result: str
+    messages: int = 0
+    chunks: int = 0
+    cut_bytes: int = 0
+    kept: str | None = None
+    faults: list[str] = []
+    fault_count: int = 0
+    detail: str = ""
+
+
+def recover(path: Path, library: str, *, set_aside: bool = False) -> Recovery:
+    """Make a log whole.
+
+    Args:
+        path: the log.
+        library: who writes, for the header of a copy.
+        set_aside: rename a file of which nothing can be read, so that nobody tries it again.
+    """
+    try:
+        with path.open("r+b") as stream:
+            if not lock(stream.fileno()):
+                return Recovery(str(path), Outcome.BUSY, str(path), detail="a recorder is writing it")
+            # Its writer may have renamed it before the lock was ours.
+            if not os.path.samestat(path.stat(), os.fstat(stream.fileno())):
+                return Recovery(str(path), Outcome.BUSY, str(path), detail="a recorder has just written it")
+            return _recover(path, stream, library, set_aside=set_aside)
+    except OSError as error:
+        return Recovery(str(path), Outcome.FAILED, str(path), detail=error.strerror or str(error))
+
+
+def _recover(path: Path, stream: BinaryIO, library: str, *, set_aside: bool) -> Recovery:
+    size = os.fstat(stream.fileno()).st_size
+    found = survey(stream, size)
+    if not found.end or (found.fault_count and not found.messages):
+        kept = _rename(path, DAMAGED_SUFFIX) if set_aside else path
+        return Recovery(str(path), Outcome.NOTHING, str(kept), cut_bytes=size, detail="nothing in it can be read")
+    if found.fault_count:
+        return _copy(path, stream, size, library, found)
+    kept_rest = None
+    if not found.is_whole:
+        if not found.is_torn:
+            kept_rest = _keep_rest(path, stream, found.end)
+        _finish(stream, found)
+    os.fsync(stream.fileno())
+    result = _rename(path, SUFFIX) if path.name.endswith(PART_SUFFIX) else path
+    outcome = Outcome.WHOLE if found.is_whole else Outcome.DAMAGED if kept_rest else Outcome.RECOVERED
+    return Recovery(
+        str(path),
+        outcome,
+        str(result),
+        messages=found.messages,
+        chunks=found.chunks,
+        cut_bytes=0 if found.is_whole else size - found.end,
+        kept=str(kept_rest) if kept_rest else None,
+    )
+
+
+def _finish(stream: BinaryIO, found: Survey) -> None:
+    """Cut back to the good data and end the file; without room for its end it stays a part."""
+    try:
+        stream.seek(found.end)
+        stream.truncate()
+        stream.write(found.ending)
+        stream.flush()
+    except OSError:
+        os.ftruncate(stream.fileno(), found.end)
+        raise
+
+
+def _keep_rest(path: Path, stream: BinaryIO, end: int) -> Path:
+    rest = free_path(path.parent, _stem(path), REST_SUFFIX, but_for=path)
+    stream.seek(end)
+    with rest.open("xb") as kept:
+        shutil.copyfileobj(stream, kept)
+        kept.flush()
+        os.fsync(kept.fileno())
+    sync_directory(path.parent)
+    return rest
+
+
+def _copy(path: Path, stream: BinaryIO, size: int, library: str, found: Survey) -> Recovery:
+    copy = path.with_name(_stem(path) + COPY_SUFFIX)
+    try:
+        with copy.open("wb") as sink:
+            copy_good(stream, size, sink, library)
+            sink.flush()
+            os.fsync(sink.fileno())
+    except OSError:
+        copy.unlink(missing_ok=True)
+        raise
+    if path.name.endswith(PART_SUFFIX):
+        result = _rename(copy, SUFFIX, beside=path)
+        kept = _rename(path, DAMAGED_SUFFIX)
+    else:
+        kept = _rename(path, DAMAGED_SUFFIX)
+        result = _rename(copy, SUFFIX)
+    return Recovery(
+        str(path),
+        Outcome.DAMAGED,
+        str(result),
+        messages=found.messages,
+        chunks=found.chunks,
+        kept=str(kept),
+        faults=found.faults,
+        fault_count=found.fault_count,
+    )
+
+
+def _rename(path: Path, suffix: str, beside: Path | None = None) -> Path:
+    """Give a file another suffix, and a number where the name is taken."""
+    target = free_path(path.parent, _stem(path), suffix, but_for=beside or path)
+    path.rename(target)
+    sync_directory(path.parent)
+    return target
+
+
+def _stem(path: Path) -> str:
+    for suffix in (*_SUFFIXES, COPY_SUFFIX):
+        if path.name.endswith(suffix):
+            return path.name.removesuffix(suffix)
+    return path.name
+
+
+def recover_leftovers(parts: Iterable[Path], library: str) -> Iterator[Recovery]:
+    """Recover each part that nobody writes any more, and say so in the log."""
+    for path in parts:
+        recovery = recover(path, library, set_aside=True)
+        if recovery.outcome is not Outcome.BUSY:
+            _tell(recovery)
+            yield recovery
+
+
+def _tell(recovery: Recovery) -> None:
+    path, result = plain(recovery.path), plain(recovery.result)
+    if recovery.outcome in {Outcome.WHOLE, Outcome.RECOVERED}:
+        log.info("recovered %d messages of %s into %s", recovery.messages, path, result)
+    elif recovery.outcome is Outcome.DAMAGED:
+        log.warning(
+            "recovered %d messages of %s, which is damaged, into %s; the rest is kept in %s",
+            recovery.messages,
+            path,
+            result,
+            plain(recovery.kept or ""),
+        )
+    else:
+        log.warning("cannot recover %s: %s; it is kept as %s", path, recovery.detail or "no message", result)
+
+
+class LeftoverThread:
+    """Recovers what a directory holds while the next recording is already going on: it must not wait for that.
+
+    A recovery that is broken off at any instant is begun anew by the next start.
+    """
+
+    def __init__(self, directory: Path, library: str) -> None:
+        self.recoveries: list[Recovery] = []
+        self._notices: deque[Notice] = deque()
+        self._directory = directory
+        self._library = library
+        # What is there now: a part that is begun later is none of them.
+        self._thread = self._begin(sorted(directory.glob(f"*{PART_SUFFIX}")))
+
+    def look_again(self) -> None:
+        """Recover what this recorder itself had to leave, as the disk took no more; once at a time.
+
+        What is being written is locked. The directory is read on the thread: who calls must not wait for it.
+        """
+        if not self._thread.is_alive():
+            self._thread = self._begin(self._directory.glob(f"*{PART_SUFFIX}"))
+
+    def _begin(self, parts: Iterable[Path]) -> threading.Thread:
+        thread = threading.Thread(target=self._run, args=[parts], name="leftovers", daemon=True)
+        thread.start()
+        return thread
+
+    def _run(self, parts: Iterable[Path]) -> None:
+        for recovery in recover_leftovers(parts, self._library):
+            self.recoveries.append(recovery)
+            if recovery.outcome not in {Outcome.FAILED, Outcome.NOTHING}:
+                self._notices.append(Recovered(plain(Path(recovery.result).name), recovery.messages))
+
+    def notices(self) -> Iterator[Notice]:
+        """What was recovered since the last call."""
+        while self._notices:
+            yield self._notices.popleft()
+
+    def wait(self, timeout_s: float) -> None:
+        """Give it this long to end by itself."""
+        self._thread.join(timeout_s)

@@ -1,0 +1,1 @@
+"""A Zenoh sample to the protobuf bytes of a log. Pure."""

@@ -1,0 +1,116 @@
+"""The way of nearly every sample into a chunk: one function for each key, compiled for its subject. Pure.
+
+It decodes the payload, sees that the sequence goes on, and appends header and fields of the record in one packing.
+Whatever is not quite so (a gap, a broken payload, a message that the session itself wants to see, a chunk that is
+full) it leaves alone and says so; the session then takes the slow path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, cast
+
+import msgspec
+
+from recorder.encoding.key_counters import Tally
+from recorder.encoding.transcode import Packed, packed_fields
+from recorder.mcap.chunk import HEADER_IN_LENGTH, MESSAGE_OPCODE, ChunkBuilder
+from schemas.messages import Message
+
+Adder = Callable[[bytes, int], bool]
+"""Payload and log time of a sample; whether it is in the chunk now. A payload that cannot be decoded raises."""
+
+
+FastPath = tuple[str, Adder]
+"""The encoding that a sample must have to take it, and its function."""
+
+
+class Latest:
+    """The newest message of a key."""
+
+    __slots__ = ("log_ns", "message")
+
+    def __init__(self) -> None:
+        self.log_ns = 0
+        self.message: Message | None = None
+
+
+Make = Callable[[Tally, ChunkBuilder, int, Latest], Adder]
+
+
+def compile_adder(
+    kind: type[Message], tally: Tally, chunk: ChunkBuilder, channel_id: int, latest: Latest
+) -> Adder:
+    """The function of one key.
+
+    Args:
+        kind: the class of its messages.
+        tally: counts them.
+        chunk: where the records go.
+        channel_id: of the records.
+        latest: holds the newest message.
+    """
+    return _make(kind)(tally, chunk, channel_id, latest)
+
+
+@cache
+def _make(kind: type[Message]) -> Make:
+    """Writes the function and compiles it.
+
+    It reads, for a class with a number and a text besides time and sequence::
+
+        def add(payload, log_ns):
+            message = decode(payload)
+            sequence = message.sequence
+            records = chunk.records
+            offset = len(records)
+            if sequence != tally.next or offset >= limit_bytes:
+                return False
+            time_ns = message.time_ns
+            tail = part_4(message.text)
+            head = pack(5, 45 + len(tail), channel_id, sequence, log_ns, time_ns, 9, time_ns, 21, sequence, ...)
+            records += head
+            records += tail
+            index = chunk.index[channel_id]
+            index.append(log_ns)
+            index.append(offset)
+            tally.next = sequence + 1
+            ...
+            return True
+    """
+    packed: Packed = packed_fields(kind, {"time_ns": "time_ns", "sequence": "sequence"}, "message.")
+    tail = " + ".join(packed.parts)
+    pack = packed.struct("BQHIQQ")
+    length = HEADER_IN_LENGTH + packed.struct("").size
+    arguments = ", ".join(["channel_id", "sequence", "log_ns", "time_ns", *packed.arguments])
+    source = f"""
+def make(tally, chunk, channel_id, latest):
+    limit_bytes = chunk.limit_bytes
+    def add(payload, log_ns):
+        message = decode(payload)
+        sequence = message.sequence
+        records = chunk.records
+        offset = len(records)
+        if sequence != tally.next or offset >= limit_bytes:
+            return False
+        time_ns = message.time_ns
+        {f"tail = {tail}" if tail else ""}
+        head = pack({MESSAGE_OPCODE}, {length}{" + len(tail)" if tail else ""}, {arguments})
+        records += head
+        {"records += tail" if tail else ""}
+        index = chunk.index[channel_id]
+        index.append(log_ns)
+        index.append(offset)
+        tally.next = sequence + 1
+        tally.samples += 1
+        tally.messages += 1
+        latest.message = message
+        latest.log_ns = log_ns
+        return True
+    return add
+"""
+    names: dict[str, Any] = {**packed.names, "pack": pack.pack, "decode": msgspec.msgpack.Decoder(kind).decode}
+    # As in dataclasses and namedtuple: the source holds our own field names and nothing from outside.
+    exec(source, names)  # noqa: S102
+    return cast("Make", names["make"])

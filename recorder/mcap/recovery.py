@@ -1,0 +1,214 @@
+"""Makes a damaged or unfinished MCAP file whole, as far as its checksums prove what it holds. No I/O but streams.
+
+A file whose writer was killed is good up to its last write: cut it back to ``Survey.end`` and append
+``Survey.ending``. Where something before that is damaged, ``copy_good`` writes what is good into another file.
+"""
+
+from __future__ import annotations
+
+import zlib
+from array import array
+from typing import BinaryIO, Final, Protocol
+
+import msgspec
+import zstandard
+from mcap import records
+
+from recorder.mcap.chunk import MESSAGE_HEADER, MESSAGE_OPCODE
+from recorder.mcap.scan import ChunkPiece, DataEnd, Parsed, RecordPiece, Scanner, index_content, message_indexes
+from recorder.mcap.summary import MAGIC, RECORD_HEADER, Summary, checked, encode
+from recorder.mcap.writer import COMPRESSION, COMPRESSION_LEVEL
+
+FAULTS_SHOWN: Final = 20
+"""Faults that are told one by one; the rest are only counted."""
+
+
+class Sink(Protocol):
+    """Where the bytes of a copy go."""
+
+    def write(self, data: bytes, /) -> object:
+        """Write all of the data."""
+        ...
+
+
+class Survey(msgspec.Struct, frozen=True):
+    """What a file comes to.
+
+    Attributes:
+        is_whole: it is closed properly, and nothing in it is wrong.
+        end: the good data ends here, if there are no faults; ``ending`` makes a whole file of it.
+        faults: damage with good data behind it; ``fault_count`` of them, the first ones told.
+        is_torn: behind the good data there is but the beginning of one last write, or nothing.
+        messages, chunks: that are good.
+    """
+
+    is_whole: bool
+    end: int
+    ending: bytes
+    faults: list[str]
+    fault_count: int
+    is_torn: bool
+    messages: int
+    chunks: int
+
+
+def survey(stream: BinaryIO, size: int) -> Survey:
+    """Read a file and judge it; nothing in it raises."""
+    scanner = Scanner(stream, size)
+    rebuild = _Rebuild(None)
+    data_end: DataEnd | None = None
+    end = 0
+    pending: list[str] = []
+    for found in scanner.scan():
+        match found:
+            case RecordPiece() | ChunkPiece():
+                # What was wrong is damage only if something good comes behind it; else it is the torn end.
+                rebuild.faults += pending
+                pending = []
+                if isinstance(found, ChunkPiece) and not found.as_written:
+                    pending.append(f"byte {found.offset}: the indexes of a chunk are wrong")
+                    end = found.chunk_end
+                else:
+                    end = found.end
+                rebuild.take(found)
+            case DataEnd():
+                data_end = found
+            case _:
+                pending.append(f"byte {found.offset}: {found.detail}")
+    if data_end is not None:
+        rebuild.faults += pending
+        if data_end.crc not in {0, rebuild.crc} and not (rebuild.faults or scanner.has_checks):
+            rebuild.faults.append(f"byte {data_end.offset}: the data's checksum is wrong, and nothing tells where")
+    is_closed = data_end is not None and scanner.is_closed(data_end.offset) and data_end.crc in {0, rebuild.crc}
+    return Survey(
+        is_whole=is_closed and not rebuild.faults,
+        end=end,
+        ending=rebuild.trailing + rebuild.ending(),
+        faults=rebuild.faults[:FAULTS_SHOWN],
+        fault_count=len(rebuild.faults),
+        is_torn=data_end is not None or scanner.is_torn(max(end, len(MAGIC))),
+        messages=rebuild.summary.messages,
+        chunks=rebuild.summary.chunks,
+    )
+
+
+def copy_good(stream: BinaryIO, size: int, sink: Sink, library: str) -> None:
+    """Write a whole file with all that is good in a damaged one."""
+    rebuild = _Rebuild(sink)
+    rebuild.put(MAGIC + checked(encode(records.Header(profile="", library=library))))
+    for found in Scanner(stream, size).scan():
+        if isinstance(found, ChunkPiece | RecordPiece):
+            rebuild.take(found)
+    sink.write(rebuild.ending())
+
+
+class _Rebuild:
+    """Follows the good pieces of a file, into a copy if there is one."""
+
+    def __init__(self, sink: Sink | None) -> None:
+        self.summary = Summary()
+        self.faults: list[str] = []
+        self.trailing = b""
+        """Message indexes that the last chunk lacks in its file."""
+        self.crc = 0 if sink is not None else zlib.crc32(MAGIC)
+        self._size = 0 if sink is not None else len(MAGIC)
+        self._sink = sink
+        self._schemas: set[int] = {0}  # MCAP's word for none
+        self._channels: set[int] = set()
+
+    def put(self, data: bytes) -> None:
+        """These bytes are part of the result."""
+        self.crc = zlib.crc32(data, self.crc)
+        self._size += len(data)
+        if self._sink is not None:
+            self._sink.write(data)
+
+    def ending(self) -> bytes:
+        """The end of the result."""
+        return self.summary.ending(self._size, self.crc)
+
+    def take(self, piece: ChunkPiece | RecordPiece) -> None:
+        """A piece is part of the result, as far as it makes sense."""
+        self.trailing = b""
+        if isinstance(piece, ChunkPiece):
+            self._take_chunk(piece)
+        elif isinstance(piece.parsed, records.Header):
+            if self._sink is None:
+                self.put(piece.raw)
+        elif piece.parsed is not None:
+            self._take_record(piece, piece.parsed)
+        elif piece.raw[0] == MESSAGE_OPCODE:
+            self._take_message(piece)
+        else:
+            self.put(piece.raw)
+
+    def _take_record(self, piece: RecordPiece, parsed: Parsed) -> None:
+        offset = self._size
+        if isinstance(parsed, records.Channel) and parsed.schema_id not in self._schemas:
+            self.faults.append(f"byte {piece.offset}: the schema of {parsed.topic} is lost")
+            return
+        self.put(piece.raw)
+        if isinstance(parsed, records.Attachment):
+            self.summary.add_attachment(parsed, offset, piece.length)
+        elif isinstance(parsed, records.Metadata):
+            self.summary.add_metadata(parsed, offset, piece.length)
+        else:
+            self._declare(parsed)
+
+    def _declare(self, parsed: Parsed) -> None:
+        if isinstance(parsed, records.Schema) and parsed.id not in self._schemas:
+            self._schemas.add(parsed.id)
+            self.summary.add_schema(parsed)
+        elif isinstance(parsed, records.Channel) and parsed.id not in self._channels:
+            self._channels.add(parsed.id)
+            self.summary.add_channel(parsed)
+
+    def _take_message(self, piece: RecordPiece) -> None:
+        _, _, channel_id, _, log_ns, _ = MESSAGE_HEADER.unpack_from(piece.raw)
+        if channel_id not in self._channels:
+            self.faults.append(f"byte {piece.offset}: the channel of a message is lost")
+            return
+        self.put(piece.raw)
+        self.summary.add_messages({channel_id: 1}, log_ns, log_ns)
+
+    def _take_chunk(self, piece: ChunkPiece) -> None:
+        for parsed in piece.declared:
+            self._declare(parsed)
+        content, index = piece.content, piece.index
+        lost = sum(len(entries) // 2 for channel_id, entries in index.items() if channel_id not in self._channels)
+        chunk = piece.record
+        if lost:
+            self.faults.append(f"byte {piece.offset}: the channels of {lost} messages are lost")
+            content = self._known(content)
+            index, _ = index_content(content)
+            chunk = _chunk_of(content, index)
+        elif not piece.has_true_head:
+            self.faults.append(f"byte {piece.offset}: the times of a chunk were wrong")
+        data, offset = encode(chunk), self._size
+        indexes = message_indexes(index)
+        self.put(data + indexes)
+        self.summary.add_chunk(chunk, offset, len(data), index)
+        self.trailing = b"" if piece.as_written else indexes
+
+    def _known(self, content: bytes) -> bytes:
+        """The records of a chunk, without messages of channels that nobody knows."""
+        kept = bytearray()
+        position = 0
+        while position < len(content):
+            opcode, length = RECORD_HEADER.unpack_from(content, position)
+            start, position = position, position + RECORD_HEADER.size + length
+            if opcode != MESSAGE_OPCODE or MESSAGE_HEADER.unpack_from(content, start)[2] in self._channels:
+                kept += content[start:position]
+        return bytes(kept)
+
+
+def _chunk_of(content: bytes, index: dict[int, array[int]]) -> records.Chunk:
+    times = [time for entries in index.values() for time in entries[::2]]
+    return records.Chunk(
+        compression=COMPRESSION,
+        data=zstandard.compress(content, level=COMPRESSION_LEVEL),
+        message_start_time=min(times, default=0),
+        message_end_time=max(times, default=0),
+        uncompressed_crc=zlib.crc32(content),
+        uncompressed_size=len(content),
+    )

@@ -1,0 +1,1 @@
+"""A log as topics and messages: what every question of the review reads through."""

@@ -1,0 +1,41 @@
+"""A log that a question is about."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from recorder.disk.log_directory import INCIDENT_SUFFIX, PART_SUFFIX, SUFFIX
+
+
+class LogFile(msgspec.Struct, frozen=True):
+    """A log.
+
+    Attributes:
+        bytes: its length when it was found.
+        start_ns, end_ns: the first and the last log time; both 0 if it holds no message.
+        robots: root and name of each robot, as far as is told outside of chunks.
+        namesakes: names that robots under several roots have, in this log or one that was found with it.
+    """
+
+    path: Path
+    bytes: int
+    start_ns: int
+    end_ns: int
+    robots: frozenset[tuple[str, str]] = frozenset()
+    namesakes: frozenset[str] = frozenset()
+
+    @property
+    def is_incident(self) -> bool:
+        """It repeats what happened around an incident, and most of it is in a log too."""
+        return self.path.name.removesuffix(PART_SUFFIX).removesuffix(SUFFIX).endswith(INCIDENT_SUFFIX)
+
+
+def logs_of(robot: str, logs: Sequence[LogFile]) -> list[LogFile]:
+    """Those that hold a robot, which may be called by its root too; all that hold anything where none says so."""
+    filled = [log for log in logs if log.end_ns]
+    its = [log for log in filled if any(robot in {name, f"{root}/{name}"} for root, name in log.robots)]
+    # A file that is not whole may not tell whose it is.
+    return [log for log in filled if log in its or not log.robots] or filled

@@ -1,0 +1,137 @@
+"""Which files a question is about: files and directories, in the order of time."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections import Counter
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+import msgspec
+from mcap import records
+
+from recorder.disk.log_directory import PART_SUFFIX, SUFFIX
+from recorder.mcap.index import read_summary
+from recorder.mcap.messages import LoggedMessage, messages
+from recorder.mcap.records import LooseMessage, PackedChunk, read_pieces
+from recorder.mcap.summary import MAGIC
+from recorder.reading.covered import without_covered
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from schemas import keys
+from schemas.exit_codes import CommandError
+from schemas.printable import plain
+
+
+def find_logs(paths: Sequence[Path], faults: Faults, *, with_covered: bool = False) -> list[LogFile]:
+    """The logs at these paths, by their beginning.
+
+    Args:
+        paths: files, and directories whose logs are taken, whole or still being written. Of a directory an
+            incident is left out if its other logs hold every message of it, and can be read.
+        faults: takes what is wrong with single files of several.
+        with_covered: leave no incident out.
+
+    Raises:
+        CommandError: there is nothing to read.
+    """
+    found: dict[Path, LogFile] = {}
+    failure: CommandError | None = None
+    for path in dict.fromkeys(paths):
+        for name in [path] if not path.is_dir() else sorted(_logs_of(path)):
+            if name in found:
+                continue
+            try:
+                found[name] = look_at(name)
+            except CommandError as error:
+                failure = failure or error
+                faults.add(str(error))
+        if path.is_dir() and not with_covered:
+            named = {log.path: log for log in found.values() if log.path in paths}
+            found = named | {log.path: log for log in without_covered(list(found.values()))}
+    if not found:
+        raise failure or CommandError(f"there is no log in {', '.join(plain(str(path)) for path in paths)}")
+    return sorted(_with_namesakes(list(found.values())), key=lambda log: (log.start_ns, log.path))
+
+
+def _with_namesakes(logs: list[LogFile]) -> list[LogFile]:
+    """The logs, with the names that robots under several roots have in them."""
+    roots = Counter(name for _, name in {robot for log in logs for robot in log.robots})
+    namesakes = frozenset(name for name, count in roots.items() if count > 1)
+    return [msgspec.structs.replace(log, namesakes=namesakes) for log in logs] if namesakes else logs
+
+
+def look_at(path: Path) -> LogFile:
+    """One log.
+
+    Raises:
+        CommandError: it cannot be opened, is empty, or is no MCAP file.
+    """
+    with open_log(path) as (stream, size):
+        start_ns, end_ns, channels = _span(stream, size)
+    parts = [keys.parse(channel.topic) for channel in channels]
+    robots = frozenset((one.root, one.robot) for one in parts if one is not None and one.robot)
+    return LogFile(path, size, start_ns, end_ns, robots)
+
+
+@contextmanager
+def open_log(path: Path) -> Generator[tuple[BinaryIO, int], None, None]:
+    """The file, and its length in bytes.
+
+    Raises:
+        CommandError: it cannot be read, is empty, or is no MCAP file.
+    """
+    shown = plain(str(path))
+    try:
+        with path.open("rb") as stream:
+            size = os.fstat(stream.fileno()).st_size
+            if size == 0:
+                raise CommandError(f"{shown} is empty")
+            if stream.read(len(MAGIC)) != MAGIC:
+                raise CommandError(f"{shown} is no MCAP file")
+            yield stream, size
+    except OSError as error:
+        raise CommandError(f"cannot read {shown}: {error.strerror or error}") from error
+
+
+def is_being_written(stream: BinaryIO) -> bool:
+    """Whether a recorder is writing the file: it holds a lock on it. False where the file system has no locks."""
+    try:
+        fcntl.flock(stream.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+        fcntl.flock(stream.fileno(), fcntl.LOCK_UN)
+    except BlockingIOError:
+        return True
+    except OSError:
+        pass
+    return False
+
+
+def _span(stream: BinaryIO, size: int) -> tuple[int, int, list[records.Channel]]:
+    """First and last log time, and channels: by the summary if there is one, else by what is outside of chunks."""
+    summary = read_summary(stream)
+    if summary is not None and summary.statistics is not None:
+        counts = summary.statistics
+        times = (counts.message_start_time, counts.message_end_time) if counts.message_count else (0, 0)
+        return *times, list(summary.channels.values())
+    start_ns, end_ns = -1, 0
+    channels = []
+    for piece in read_pieces(stream, size, is_verifying=False):
+        if isinstance(piece, PackedChunk):
+            found_ns = [piece.start_ns, piece.end_ns]
+        elif isinstance(piece, LooseMessage):
+            found = messages(piece.offset, piece.raw)
+            found_ns = [one.log_ns for one in found if isinstance(one, LoggedMessage)]
+        else:
+            channels += [piece] if isinstance(piece, records.Channel) else []
+            continue
+        start_ns = min([*found_ns, *([start_ns] if start_ns >= 0 else [])], default=start_ns)
+        end_ns = max([*found_ns, end_ns])
+    return max(start_ns, 0), end_ns, channels
+
+
+def _logs_of(directory: Path) -> Iterator[Path]:
+    for suffix in (SUFFIX, PART_SUFFIX):
+        yield from directory.glob(f"*{suffix}")

@@ -1,0 +1,85 @@
+"""What a log holds besides messages: topics, metadata, attachments. No chunk is read for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import BinaryIO
+
+import msgspec
+from mcap import records
+from mcap.reader import SeekingReader
+
+from recorder.mcap.index import read_summary
+from recorder.mcap.scan import BROKEN
+from recorder.reading.declared import Declared
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import LogReader, Selection
+from recorder.reading.topics import Topic
+
+
+class Survey(msgspec.Struct):
+    """What some logs hold.
+
+    Attributes:
+        topics: by name.
+        metadata: by name, the last of each.
+        attachments: all of them, by their log time.
+    """
+
+    topics: dict[str, Topic]
+    metadata: dict[str, dict[str, str]]
+    attachments: list[records.Attachment]
+
+    @property
+    def robots(self) -> list[str]:
+        """The robots whose topics are there."""
+        return sorted({topic.robot for topic in self.topics.values() if topic.robot})
+
+
+def survey(logs: Sequence[LogFile], faults: Faults) -> Survey:
+    """What logs hold.
+
+    Args:
+        logs: in the order of their beginnings.
+        faults: takes what cannot be read of them.
+    """
+    found = Survey({}, {}, [])
+    for log in logs:
+        try:
+            with log.path.open("rb") as stream:
+                if not _by_summary(stream, log, found):
+                    _by_records(stream, log, found, faults)
+        except OSError as error:
+            faults.add(f"{log.path}: {error.strerror or error}")
+    found.attachments.sort(key=lambda one: one.log_time)
+    return found
+
+
+def _by_summary(stream: BinaryIO, log: LogFile, found: Survey) -> bool:
+    """Whether the file's end told all."""
+    summary = read_summary(stream)
+    if summary is None:
+        return False
+    with suppress(*BROKEN):
+        reader = SeekingReader(stream, validate_crcs=True)
+        attachments = list(reader.iter_attachments())
+        metadata = {one.name: one.metadata for one in reader.iter_metadata()}
+        for _, topic in Declared(log.namesakes).take_summary(summary):
+            found.topics.setdefault(topic.name, topic)
+        found.attachments += attachments
+        found.metadata.update(metadata)
+        return True
+    return False
+
+
+def _by_records(stream: BinaryIO, log: LogFile, found: Survey, faults: Faults) -> None:
+    selection = Selection(wants=lambda _: False)
+    reader = LogReader(stream, log, selection, faults)
+    for _ in reader.rows():
+        pass
+    for topic in reader.topics.values():
+        found.topics.setdefault(topic.name, topic)
+    found.attachments += reader.attachments
+    found.metadata.update(reader.metadata)

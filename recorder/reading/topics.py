@@ -1,0 +1,157 @@
+"""The topics of a log: what each holds, and how its messages are read.
+
+A message of ours becomes the typed class that it was (``schemas``); anybody else's protobuf a protobuf message,
+JSON what ``json`` makes of it; of any other encoding only the bytes are known.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import cache
+from typing import Any, Final
+
+import msgspec
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message import DecodeError
+from google.protobuf.message_factory import GetMessageClass
+from mcap import records
+from msgspec import inspect
+
+from recorder.encoding.foxglove_log import LOG_CHUNK
+from recorder.encoding.protobuf_schema import LOGGED, fields, message_class, optional_part, schema_name
+from recorder.encoding.routes import RAW_CHUNK
+from schemas import keys
+
+UNREADABLE: Final = (DecodeError, ValueError, TypeError, KeyError, IndexError, RecursionError)
+"""What decoding raises on bytes that are no such message."""
+
+Decode = Callable[[bytes], Any]
+
+_SIDE_CHUNKS: Final = (LOG_CHUNK, RAW_CHUNK)
+"""The last chunks of topics that a recorder makes beside the one of a key."""
+
+_BY_SCHEMA: Final = {schema_name(kind): kind for kind in LOGGED}
+
+
+class Topic(msgspec.Struct, frozen=True, eq=False):
+    """A channel of a log.
+
+    Attributes:
+        name: the channel's topic; in a log of ours the Zenoh key.
+        schema: the schema's name; empty if the channel has none.
+        encoding: of the messages, by MCAP's registry: ``protobuf``, ``json``, ``cdr``, ...
+        schema_encoding: of the schema.
+        schema_data: the schema.
+        kind: the class of the messages if they are ours, else None.
+        robot: the robot's name if the topic is a key of ours, else empty; with its root before it where the logs
+            are of several robots of this name.
+        owner: the same, but also for what a recorder writes beside the topic of a key.
+        subject: the name in the table of subjects, for such a key; else empty.
+        decode: a message's bytes to the message; raises what UNREADABLE lists. None if nobody here can read them.
+    """
+
+    name: str
+    schema: str
+    encoding: str
+    schema_encoding: str
+    schema_data: bytes
+    kind: type[msgspec.Struct] | None
+    robot: str
+    owner: str
+    subject: str
+    decode: Decode | None
+
+
+def topic_of(
+    channel: records.Channel, schema: records.Schema | None, namesakes: frozenset[str] = frozenset()
+) -> Topic:
+    """The topic of a channel record; with the names that robots under several roots have."""
+    name = "" if schema is None else schema.name
+    is_protobuf = channel.message_encoding == "protobuf"
+    kind = _BY_SCHEMA.get(name) if is_protobuf else None
+    parts = keys.parse(channel.topic)
+    of_key = parts or keys.parse(key_of(channel.topic)[0])
+    decode: Decode | None = None
+    if kind is not None:
+        decode = typed_decoder(kind)
+    elif is_protobuf and schema is not None:
+        decode = foreign_decoder(name, schema.data)
+    elif channel.message_encoding == "json":
+        decode = json.loads
+    return Topic(
+        name=channel.topic,
+        schema=name,
+        encoding=channel.message_encoding,
+        schema_encoding="" if schema is None else schema.encoding,
+        schema_data=b"" if schema is None else schema.data,
+        kind=kind,
+        robot="" if parts is None else robot_of(parts, namesakes),
+        owner="" if of_key is None else robot_of(of_key, namesakes),
+        subject="" if parts is None else parts.subject.name,
+        decode=decode,
+    )
+
+
+def key_of(topic: str) -> tuple[str, str]:
+    """The key whose samples a topic is about, and what a recorder added to it: nothing, ``/@log`` or ``/@raw``."""
+    key, _, last = topic.rpartition("/")
+    return (key, f"/{last}") if last in _SIDE_CHUNKS else (topic, "")
+
+
+def robot_of(parts: keys.KeyParts, namesakes: frozenset[str]) -> str:
+    """What the robot of a key is called: by its name, or by root and name where others have the same name."""
+    return f"{parts.root}/{parts.robot}" if parts.robot in namesakes else parts.robot
+
+
+@cache
+def typed_decoder(kind: type[msgspec.Struct]) -> Decode:
+    """What turns a record's protobuf bytes into the class that it was written from.
+
+    Fields that the record lacks, because an older version wrote it, have protobuf's defaults.
+    """
+    read: Any = message_class(kind).FromString
+    build = _builder(kind)
+    return lambda data: build(read(data))
+
+
+def _builder(kind: type[msgspec.Struct]) -> Callable[[Any], Any]:
+    """Turns a protobuf message into the class, by an expression that is compiled once."""
+    names: dict[str, Any] = {"Kind": kind}
+    parts = [_expression(name, field, names) for name, _, field in fields(kind)]
+    source = f"lambda m: Kind({', '.join(parts)})"
+    return eval(source, names)  # type: ignore[no-any-return]  # noqa: S307 - the source is made here, of our own classes
+
+
+def _expression(name: str, field: inspect.Type, names: dict[str, Any]) -> str:
+    inner = optional_part(field)
+    if inner is not None:
+        return f"{_converted(f'm.{name}', name, inner, names)} if m.HasField({name!r}) else None"
+    if isinstance(field, inspect.ListType):
+        one = _converted("one", name, field.item_type, names)
+        return f"list(m.{name})" if one == "one" else f"[{one} for one in m.{name}]"
+    if isinstance(field, inspect.DictType):
+        return f"dict(m.{name})"
+    return _converted(f"m.{name}", name, field, names)
+
+
+def _converted(value: str, name: str, field: inspect.Type, names: dict[str, Any]) -> str:
+    if isinstance(field, inspect.EnumType):
+        names[f"of_{name}"] = list(field.cls)
+        return f"of_{name}[{value}]"
+    if isinstance(field, inspect.StructType):
+        names[f"of_{name}"] = _builder(field.cls)
+        return f"of_{name}({value})"
+    return value
+
+
+def foreign_decoder(name: str, descriptors: bytes) -> Decode | None:
+    """By the descriptor set that the log holds; None if that is of no use."""
+    pool = DescriptorPool()
+    try:
+        for file in FileDescriptorSet.FromString(descriptors).file:
+            pool.Add(file)
+        return GetMessageClass(pool.FindMessageTypeByName(name)).FromString
+    except UNREADABLE:
+        return None

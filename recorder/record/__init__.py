@@ -1,0 +1,1 @@
+"""What a recorder writes, without I/O: the recording, its logs, channels, incidents and counters. Pure."""

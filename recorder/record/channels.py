@@ -1,0 +1,156 @@
+"""The channels of a log, and what is known of each. Pure.
+
+A sample is looked up by its key, and an event's second form by the key of the event: two maps, for both may want
+the same topic. What somebody publishes as ``KEY/log`` is no line of ours.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from enum import Enum, auto
+from typing import Final
+
+import msgspec
+
+from recorder.encoding.foxglove_log import LOG_CHUNK, SCHEMA_DATA, SCHEMA_NAME
+from recorder.encoding.key_counters import Tally
+from recorder.encoding.protobuf_schema import descriptor_set, schema_name
+from recorder.encoding.routes import RAW_CHUNK, Route
+from recorder.mcap.channel import LogChannel
+from recorder.record.completeness import KeyReport, report
+from recorder.record.effects import DeclareChannel, Effect
+from schemas.keys import KEY_MAX_LENGTH
+from schemas.recorder_settings import CHANNEL_LIMIT, TABLE_CHANNEL_LIMIT
+from schemas.recording import GapReason
+from schemas.subjects import Subject
+
+OVERFLOW_TOPIC: Final = "@more"
+"""The topic of the channel that all keys share for which there is no other."""
+
+RESERVED_LINE_CHUNK: Final = "@log"
+"""Events as viewers list them go to ``{key}/@log`` where ``{key}/log`` is somebody's key; no key goes there."""
+
+
+class Room(Enum):
+    """Among which channels a new one counts: what anybody makes up must not take the place of the others."""
+
+    OTHER = auto()
+    TABLE = auto()
+    OWN = auto()
+
+
+LIMITS: Final = {Room.OTHER: CHANNEL_LIMIT, Room.TABLE: TABLE_CHANNEL_LIMIT}
+"""Channels of each sort. There is always room for what the recorder itself says."""
+
+
+class Channels:
+    """By key: the one memory of keys, and a bounded one."""
+
+    def __init__(self) -> None:
+        self._by_key: dict[str, Route] = {}
+        self._lines: dict[str, Route] = {}
+        """By the key of the events."""
+        self._by_topic: dict[str, Route] = {}
+        # By channel id, from 1.
+        self._by_id: list[Route] = []
+        self._topics: list[str] = []
+        self._taken: Counter[Room] = Counter()
+
+    @property
+    def tallies(self) -> Iterable[Tally]:
+        """Of every topic."""
+        return (route.tally for route in self._by_id)
+
+    @property
+    def counts(self) -> dict[str, KeyReport]:
+        """Per topic, what was received, written and lost."""
+        return {
+            topic: report(route.tally, counts_sequence=route.counts_sequence)
+            for topic, route in sorted(self._by_topic.items())
+        }
+
+    @property
+    def latest(self) -> dict[str, str]:
+        """The newest state of each topic, as JSON, with its log time."""
+        return {
+            topic: msgspec.json.encode({"log_time_ns": latest.log_ns, "message": latest.message}).decode()
+            for topic, route in sorted(self._by_topic.items())
+            if (latest := route.latest).message is not None
+        }
+
+    def get(self, key: str) -> Route | None:
+        """The route of a key's samples, if it has a channel."""
+        return self._by_key.get(key)
+
+    def declare(
+        self, key: str, subject: Subject | None, robot: str, effects: list[Effect], room: Room = Room.OTHER
+    ) -> Route:
+        """The channel of a key's samples, declared when it is new; the one that many share if there is no room."""
+        route = self._by_key.get(key)
+        if route is None:
+            if len(key) > KEY_MAX_LENGTH or not self._take_room(room):
+                return self._add(OVERFLOW_TOPIC, None, "", effects)
+            topic = f"{key}/{RAW_CHUNK}" if self._is_line(key) else key
+            route = self._by_key[key] = self._add(topic, subject, robot, effects)
+        return route
+
+    def declare_raw(self, key: str, effects: list[Effect]) -> Route:
+        """The channel of the broken samples of a known key."""
+        return self.declare(f"{key}/{RAW_CHUNK}", None, "", effects)
+
+    def declare_line(self, key: str, effects: list[Effect], room: Room = Room.TABLE) -> Route | None:
+        """The channel of a key's events as viewers list them, declared when new; None if there are too many."""
+        route = self._lines.get(key)
+        if route is None and self._take_room(room):
+            topic = f"{key}/{LOG_CHUNK}"
+            if topic in self._by_topic:
+                topic = f"{key}/{RESERVED_LINE_CHUNK}"
+            route = self._lines[key] = self._remember(topic, None, "")
+            effects.append(DeclareChannel(LogChannel(route.channel_id, topic, SCHEMA_NAME, SCHEMA_DATA)))
+        return route
+
+    def lose_written(self, counts: Mapping[int, int], reason: GapReason | None) -> dict[str, int]:
+        """So many messages of these channels are in no log. Without a reason it is no loss.
+
+        Returns:
+            The same by topic.
+        """
+        topics = {}
+        for channel_id, count in counts.items():
+            tally = self._by_id[channel_id - 1].tally
+            tally.unwritten += count
+            if reason is not None:
+                tally.lose(reason, count)
+            topics[self._topics[channel_id - 1]] = count
+        return topics
+
+    def _is_line(self, topic: str) -> bool:
+        """Whether a topic is one of a line, or is kept free for one."""
+        key, _, chunk = topic.rpartition("/")
+        return chunk == RESERVED_LINE_CHUNK or (chunk == LOG_CHUNK and key in self._lines)
+
+    def _take_room(self, room: Room) -> bool:
+        """Have one more channel of this sort, or else among those that anybody may make up."""
+        for one in (room, Room.OTHER):
+            limit = LIMITS.get(one)
+            if limit is None or self._taken[one] < limit:
+                self._taken[one] += 1
+                return True
+        return False
+
+    def _add(self, topic: str, subject: Subject | None, robot: str, effects: list[Effect]) -> Route:
+        route = self._by_topic.get(topic)
+        if route is None:
+            route = self._remember(topic, subject, robot)
+            kind = route.kind
+            effects.append(
+                DeclareChannel(LogChannel(route.channel_id, topic, schema_name(kind), descriptor_set(kind)))
+            )
+        return route
+
+    def _remember(self, topic: str, subject: Subject | None, robot: str) -> Route:
+        self._by_id.append(Route(len(self._by_id) + 1, subject, robot))
+        self._topics.append(topic)
+        route = self._by_topic[topic] = self._by_id[-1]
+        return route

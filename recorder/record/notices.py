@@ -1,0 +1,140 @@
+"""What became of files: what the disk reports to a recording. Pure."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+
+from schemas.decisions import Severity
+from schemas.recording import RecorderEventKind
+
+
+class Opened(msgspec.Struct, frozen=True):
+    """A file of a log was begun; ``file`` is its name without the directory, as it will be when it is whole."""
+
+    log: str
+    file: str
+
+
+class Ended(msgspec.Struct, frozen=True):
+    """A file of a log is whole, or as whole as it could be made."""
+
+    log: str
+    file: str
+    bytes: int
+
+
+class Lost(msgspec.Struct, frozen=True):
+    """The disk did not take a chunk: so many messages of each channel, received between these times since 1970."""
+
+    log: str
+    counts: dict[int, int]
+    first_ns: int
+    last_ns: int
+
+
+class DiskFault(msgspec.Struct, frozen=True):
+    """The disk takes nothing; the recorder tries on."""
+
+    detail: str
+
+
+class DiskBack(msgspec.Struct, frozen=True):
+    """The disk takes the logs again."""
+
+
+class Deleted(msgspec.Struct, frozen=True):
+    """A log was deleted for want of room."""
+
+    file: str
+    bytes: int
+
+
+class Moved(msgspec.Struct, frozen=True):
+    """The directory of the logs is not the one any more in which they were begun."""
+
+    path: str
+
+
+class Recovered(msgspec.Struct, frozen=True):
+    """A log that was left unfinished is whole now, as ``file``."""
+
+    file: str
+    messages: int
+
+
+class Room(msgspec.Struct, frozen=True):
+    """What the disk may hold has changed.
+
+    Attributes:
+        has_room: for logs...
+        has_incident_room: ...and for incidents.
+        roll: the logs are to be ended, so that they may go.
+    """
+
+    has_room: bool
+    has_incident_room: bool
+    roll: bool = False
+
+
+Notice = Opened | Ended | Lost | DiskFault | DiskBack | Deleted | Moved | Recovered | Room
+
+
+class Word(msgspec.Struct, frozen=True):
+    """What a person is told; see ``schemas.recording.RecorderEvent``."""
+
+    kind: RecorderEventKind
+    severity: Severity
+    text: str
+    file: str = ""
+    operator: str = ""
+    robot: str = ""
+
+
+STARTED: Final = Word(RecorderEventKind.STARTED, Severity.INFO, "recording was started")
+STOPPED: Final = Word(RecorderEventKind.STOPPED, Severity.WARNING, "recording was stopped")
+FULL: Final = Word(
+    RecorderEventKind.FULL,
+    Severity.ERROR,
+    "recording has stopped: the disk may hold no more, and nothing that may be deleted would be enough",
+)
+ROOM: Final = Word(RecorderEventKind.FULL, Severity.INFO, "there is room on the disk again")
+
+
+def incident_word(file: str, because: str) -> Word:
+    """What a person is told of an incident that is being written."""
+    text = f"{file} keeps what came before and after: {because}"
+    return Word(RecorderEventKind.INCIDENT, Severity.WARNING, text, file)
+
+
+def no_incident_word(robot: str, because: str) -> Word:
+    """What a person is told of an incident for which there is no room."""
+    text = f"the disk may hold no more incidents, so none is kept of {robot}: {because}"
+    return Word(RecorderEventKind.INCIDENT, Severity.ERROR, text)
+
+
+def cut_incident_word(robot: str, file: str) -> Word:
+    """What a person is told of an incident that was ended for want of room."""
+    text = f"the disk may hold no more incidents, so the one that was being written of {robot} has ended early"
+    return Word(RecorderEventKind.INCIDENT, Severity.ERROR, text, file)
+
+
+def in_words(notice: Notice) -> Word | None:
+    """What a person is told of a notice, if it is worth telling."""
+    match notice:
+        case DiskFault():
+            return Word(RecorderEventKind.DISK, Severity.ERROR, f"the disk takes no logs: {notice.detail}")
+        case DiskBack():
+            return Word(RecorderEventKind.DISK, Severity.INFO, "the disk takes the logs again")
+        case Deleted():
+            text = f"{notice.file} was deleted for want of room: {notice.bytes} bytes"
+            return Word(RecorderEventKind.DELETED, Severity.INFO, text, notice.file)
+        case Moved():
+            text = f"somebody has moved or removed {notice.path}: what was being written ends where it is now"
+            return Word(RecorderEventKind.DISK, Severity.WARNING, text)
+        case Recovered():
+            text = f"{notice.file} was left unfinished, and is whole now: {notice.messages} messages"
+            return Word(RecorderEventKind.RECOVERED, Severity.INFO, text, notice.file)
+        case _:
+            return None

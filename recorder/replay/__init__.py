@@ -1,0 +1,1 @@
+"""A log played again, over Zenoh or onto a CAN bus."""

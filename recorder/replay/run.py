@@ -1,0 +1,159 @@
+"""Plays a log: waits until the next message is due, and hands it to the outlet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum
+from typing import Final, Protocol, TypeVar
+
+import msgspec
+
+from recorder.replay.replay import Player, Timed
+from schemas.exit_codes import ExitCode
+
+ATTEND_NS: Final = 20_000_000
+"""How often the outlet, the keyboard and the progress line are looked after."""
+
+MIN_SLEEP_NS: Final = 1_000
+"""Looking after things may have taken until the next look."""
+
+SEEK_NS: Final = 10_000_000_000
+"""How far an arrow key goes, in the log's time."""
+
+T_contra = TypeVar("T_contra", bound=Timed, contravariant=True)
+T = TypeVar("T", bound=Timed)
+
+
+class Halt(msgspec.Struct, frozen=True):
+    """Why a replay cannot go on."""
+
+    detail: str
+    code: ExitCode
+
+
+class Outlet(Protocol[T_contra]):
+    """Where a log is replayed to.
+
+    Attributes:
+        sent: what was handed over...
+        failed: ...and what was not taken. It is never sent later.
+    """
+
+    sent: int
+    failed: int
+
+    def send(self, item: T_contra, shift_ns: int) -> None:
+        """Send one. Its time stamps become so much later. Never raises."""
+        ...
+
+    def attend(self) -> Halt | None:
+        """Look after what else there is. Returns why it cannot go on."""
+        ...
+
+    def close(self) -> None:
+        """Give everything back; nothing is sent any more. Never raises."""
+        ...
+
+
+class Clock(Protocol):
+    """The clocks, and waiting."""
+
+    def monotonic_ns(self) -> int:
+        """For due times."""
+        ...
+
+    def wall_ns(self) -> int:
+        """Since 1970."""
+        ...
+
+    def sleep(self, duration_ns: int) -> None:
+        """Wait."""
+        ...
+
+
+class Order(Enum):
+    """What a person at the keyboard wants."""
+
+    PAUSE = "pause"
+    BACK = "back"
+    ON = "on"
+    QUIT = "quit"
+
+
+class Desk(Protocol):
+    """Whoever watches, and may interfere."""
+
+    def orders(self) -> list[Order]:
+        """What was asked for since the last call."""
+        ...
+
+    def show(self, time_ns: int | None, *, is_paused: bool) -> None:
+        """Where the replay is, in the log's time."""
+        ...
+
+
+def play(
+    player: Player[T],
+    outlet: Outlet[T],
+    clock: Clock,
+    desk: Desk,
+    stopped: Callable[[], bool],
+    *,
+    is_now: bool = False,
+) -> Halt | None:
+    """Play to the end, or until stopped.
+
+    Args:
+        player: what is played.
+        outlet: where to.
+        clock: the time.
+        desk: shows where it is, and may interfere.
+        stopped: end it.
+        is_now: every time stamp is moved by what lies between the log's time and the present.
+
+    Returns:
+        Why it could not go on; None if it reached the end or was stopped.
+    """
+    epoch_ns = clock.wall_ns() - clock.monotonic_ns()
+    attend_ns = clock.monotonic_ns()
+    player.start(attend_ns)
+    # What it took to find the beginning is no lateness.
+    player.hold(clock.monotonic_ns() - attend_ns)
+    while not stopped() and not player.is_ended:
+        now_ns = clock.monotonic_ns()
+        if now_ns >= attend_ns:
+            attend_ns = now_ns + ATTEND_NS
+            halt = outlet.attend()
+            if halt is not None:
+                return halt
+            if not _obey(player, desk.orders(), clock):
+                return None
+            desk.show(player.time_ns, is_paused=player.is_paused)
+            now_ns = clock.monotonic_ns()
+        due = player.take(now_ns)
+        if due is not None:
+            present_ns = epoch_ns + (due.due_ns if player.is_paced else now_ns)
+            outlet.send(due.item, present_ns - due.item.time_ns if is_now else 0)
+            continue
+        next_ns = player.next_ns
+        clock.sleep(max(MIN_SLEEP_NS, min(attend_ns if next_ns is None else next_ns, attend_ns) - now_ns))
+    return outlet.attend()
+
+
+def _obey(player: Player[T], orders: list[Order], clock: Clock) -> bool:
+    """Do what was asked for. False if that is to end."""
+    for order in orders:
+        now_ns = clock.monotonic_ns()
+        match order:
+            case Order.QUIT:
+                return False
+            case Order.PAUSE:
+                if player.is_paused:
+                    player.resume(now_ns)
+                else:
+                    player.pause(now_ns)
+            case Order.BACK | Order.ON:
+                step_ns = SEEK_NS if order is Order.ON else -SEEK_NS
+                player.seek(max(0, (player.time_ns or 0) + step_ns), now_ns)
+                player.hold(clock.monotonic_ns() - now_ns)
+    return True

@@ -1,0 +1,152 @@
+"""Files of raw frames for the tools of CAN, by python-can's writers: candump log, ASC, BLF.
+
+Not every format says everything: a candump log knows no class of an error frame and no length of a remote frame,
+ASC neither the class nor the direction of an error frame. Times are to the microsecond.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from contextlib import suppress
+from datetime import datetime
+from enum import Enum
+from pathlib import Path
+from typing import Any, Final
+
+import can
+
+from recorder.disk.new_file import give_name
+from recorder.review.export.raw_frames import LoggedFrame
+from schemas.exit_codes import CommandError
+from schemas.messages import CanFrame
+from schemas.printable import plain
+
+CHANNEL_MAX: Final = 255
+"""ASC and BLF number the buses from 1."""
+
+STARTED: Final = "cruiser review export"
+"""The first event of an ASC file."""
+
+
+class FrameFormat(Enum):
+    """A format; the value is the files' suffix."""
+
+    CANDUMP = "log"
+    ASC = "asc"
+    BLF = "blf"
+
+
+_WRITERS: Final[dict[FrameFormat, Callable[[Path], Any]]] = {
+    FrameFormat.CANDUMP: can.CanutilsLogWriter,
+    FrameFormat.ASC: can.ASCWriter,
+    FrameFormat.BLF: can.BLFWriter,
+}
+
+
+class FrameFile:
+    """One file of the frames of one robot.
+
+    Args:
+        path: of the file, which must not be there yet; until it is whole it is called ``.part`` behind that.
+        form: its format.
+
+    Raises:
+        CommandError: it is there, or cannot be written.
+
+    Attributes:
+        channels: the number of each bus, from 0; the file's own begin at 1. ``can0`` is 0 if nobody else is.
+    """
+
+    def __init__(self, path: Path, form: FrameFormat) -> None:
+        self._path = path
+        self._form = form
+        self.channels: dict[str, int] = {}
+        self._is_begun = False
+        self._part = path.with_name(f"{path.name}.part")
+        if path.exists() or self._part.exists():
+            there = path if path.exists() else self._part
+            raise CommandError(f"{plain(str(there))} is there already; nothing is overwritten")
+        try:
+            self._part.touch(exist_ok=False)
+            self._writer = _WRITERS[form](self._part)
+        except OSError as error:
+            raise CommandError(f"cannot write {plain(str(path))}: {error.strerror or error}") from error
+
+    def write(self, logged: LoggedFrame) -> None:
+        """The next frame.
+
+        Raises:
+            OSError: the disk does not take it.
+        """
+        frame = logged.frame
+        if not self._is_begun:
+            self._begin(frame.time_ns)
+        channel = self._channel(frame.bus)
+        self._writer(_message(frame, channel, is_sent=logged.is_sent))
+
+    def close(self) -> None:
+        """End the file.
+
+        Raises:
+            OSError: the disk does not take it.
+        """
+        self._writer.stop()
+        give_name(self._part, self._path)
+
+    def discard(self) -> None:
+        """Leave nothing of what is not whole."""
+        # A writer that was stopped already says that its file is closed.
+        with suppress(OSError, ValueError):
+            self._writer.stop()
+        with suppress(OSError):
+            self._part.unlink(missing_ok=True)
+
+    def _begin(self, time_ns: int) -> None:
+        self._is_begun = True
+        if self._form is FrameFormat.ASC:
+            self._date(time_ns)
+            # All times count from the file's beginning, which python-can tells to the millisecond, and 5 of them
+            # as .5: let it be a whole second.
+            self._writer.log_event(STARTED, time_ns // 1_000_000_000)
+
+    def _date(self, time_ns: int) -> None:
+        """The day of the frames, in local time as the format has it; python-can's writer has put today's."""
+        file = self._writer.file
+        file.flush()
+        lines = self._part.read_text(encoding="utf-8").splitlines(keepends=True)
+        began = datetime.fromtimestamp(time_ns // 1_000_000_000)  # noqa: DTZ006 - as the format has it
+        lines[0] = f"date {began:%a %b %d %H:%M:%S}.0 {began:%Y}\n"
+        file.seek(0)
+        file.truncate()
+        file.writelines(lines)
+
+    def _channel(self, bus: str) -> str | int:
+        if self._form is FrameFormat.CANDUMP:
+            return re.sub(r"\s", "_", bus) or "can"
+        number = self.channels.get(bus)
+        if number is None:
+            wanted = re.search(r"(\d{1,3})$", bus)
+            taken = set(self.channels.values())
+            number = int(wanted[1]) if wanted and int(wanted[1]) < CHANNEL_MAX else 0
+            while number in taken and len(taken) <= CHANNEL_MAX:
+                number = (number + 1) % (CHANNEL_MAX + 1)
+            self.channels[bus] = number
+        return number
+
+
+def _message(frame: CanFrame, channel: str | int, *, is_sent: bool) -> can.Message:
+    return can.Message(
+        timestamp=frame.time_ns / 1e9,
+        arbitration_id=frame.identifier,
+        is_extended_id=frame.is_extended,
+        is_remote_frame=frame.is_remote,
+        is_error_frame=frame.is_error,
+        is_fd=frame.is_fd,
+        bitrate_switch=frame.bitrate_switch,
+        error_state_indicator=frame.error_state_indicator,
+        dlc=frame.dlc,
+        data=None if frame.is_remote else frame.data,
+        channel=channel,
+        is_rx=not is_sent,
+    )

@@ -1,0 +1,1 @@
+"""The recorded journal through today's arbiter: the same decisions? And with other settings?"""

@@ -1,0 +1,326 @@
+"""A recorded run with other settings: what would have been decided otherwise, and how would the robot have got on?
+
+Where the other run tells the chassis something else, a model of the chassis answers in place of the recorded one.
+What people would have done otherwise nobody knows: they ask what was recorded.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Final, Protocol
+
+import msgspec
+
+from recorder.reading.configurations import configurations_of, settings_from
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import Progress
+from recorder.reading.survey import survey
+from recorder.reading.topics import UNREADABLE
+from recorder.review.rerun.player import NO_CONFIGURATION, Player, SampleAgain, installed
+from schemas import codec
+from schemas.command_rules import COMMAND_RULES
+from schemas.decisions import Decision, EventKind, Journal, SafetyEvent
+from schemas.messages import RobotState
+from schemas.settings import STANDSTILL_MPS, Settings
+from schemas.subjects import BY_NAME
+
+STOP_TOLERANCE_NS: Final = 2_000_000_000
+"""Stops of one reason that lie no further apart are the same stop."""
+
+MOVED_NS: Final = 10_000_000
+"""A stop that is this much sooner or later, a tick of the arbiter, is told."""
+
+STATE_GAP_S: Final = 1.0
+"""Over a longer gap between two states nothing is known of the way."""
+
+
+class SaidOnce(Protocol):
+    """What one of the two runs says."""
+
+    @property
+    def sample(self) -> SampleAgain: ...  # noqa: D102 - the class says it
+    @property
+    def is_other(self) -> bool: ...  # noqa: D102
+
+
+WhatIf = Callable[[Settings, Settings, Iterable[Journal]], Iterator[SaidOnce]]
+"""The run's settings, the other ones, and its journals, to what both runs say."""
+
+
+class StopMade(msgspec.Struct, frozen=True):
+    """A stop of the robot; the time is in nanoseconds since 1970."""
+
+    time_ns: int
+    reason: str
+    operator: str
+    text: str
+
+
+class StopMoved(msgspec.Struct, frozen=True):
+    """A stop that both runs make, and the other one at another time, in nanoseconds since 1970."""
+
+    stop: StopMade
+    other_ns: int
+
+
+class StopsCompared(msgspec.Struct, frozen=True):
+    """The stops of two runs: only in the recorded one, only in the other, and in both but not at the same time."""
+
+    avoided: list[StopMade]
+    added: list[StopMade]
+    moved: list[StopMoved]
+
+
+class Verdict(msgspec.Struct, frozen=True):
+    """What became of a request: the verdict, its reason, and the limits that changed what was asked."""
+
+    verdict: str
+    reason: str
+    bound_by: tuple[str, ...]
+
+
+class DecisionChange(msgspec.Struct):
+    """Requests of one kind that would have been judged otherwise.
+
+    Attributes:
+        count: how many there are; the first came at ``first_ns``, the last at ``last_ns``.
+    """
+
+    operator: str
+    request: str
+    recorded: Verdict
+    other: Verdict
+    count: int
+    first_ns: int
+    last_ns: int
+
+
+class Journey(msgspec.Struct):
+    """How a robot got on.
+
+    Attributes:
+        distance_m: driven in either direction, by its speed feedback.
+        moving_s: how long it moved.
+        top_speed_mps: the highest speed, a magnitude.
+        stops: why it was stopped, in order.
+    """
+
+    distance_m: float = 0.0
+    moving_s: float = 0.0
+    top_speed_mps: float = 0.0
+    stops: list[StopMade] = []
+
+
+class WhatIfResult(msgspec.Struct, frozen=True):
+    """A run, and what it would have been.
+
+    Attributes:
+        settings: each setting that differs: as it was, and as it is tried.
+        first, inputs, detail, rules: as in ``rerun.RerunResult``.
+        decisions: how many both runs made; ``changes`` are those that differ.
+        stops_avoided: stops that were recorded and would not have been; ``stops_added`` the other way round;
+            ``stops_moved`` those of both that would have been sooner or later.
+    """
+
+    robot: str
+    run: int
+    first: int
+    inputs: int
+    detail: str
+    start_ns: int
+    end_ns: int
+    settings: dict[str, tuple[object, object]]
+    decisions: int
+    changes: list[DecisionChange]
+    recorded: Journey
+    other: Journey
+    stops_avoided: list[StopMade]
+    stops_added: list[StopMade]
+    stops_moved: list[StopMoved]
+    rules: int = COMMAND_RULES
+
+
+def what_if_logs(
+    logs: Sequence[LogFile],
+    settings_of: Callable[[str], Settings],
+    faults: Faults,
+    *,
+    what_if: WhatIf | None = None,
+    progress: Progress = lambda _: None,
+) -> Iterator[WhatIfResult]:
+    """Every run of every robot, as it was and as it would have been.
+
+    Args:
+        logs: in the order of their beginnings.
+        settings_of: turns the TOML text of a run's configuration into the settings to try.
+        faults: takes what cannot be read.
+        what_if: runs both; by default what is installed.
+        progress: is told of bytes that were read, for each robot anew.
+    """
+    run_both = what_if or installed("what_if")
+    found = survey(logs, faults)
+    for robot in found.robots:
+        player = Player(robot, logs, configurations_of(robot, logs, found, faults), faults, progress)
+        while player.next_part():
+            yield _what_if(player, run_both, settings_of)
+
+
+def _what_if(player: Player, run_both: WhatIf, settings_of: Callable[[str], Settings]) -> WhatIfResult:
+    text = player.configuration()
+    pair = _Pair()
+    changed: dict[str, tuple[object, object]] = {}
+    if text is None:
+        run = player.skip(NO_CONFIGURATION)
+    else:
+        settings, other = settings_from(text), settings_of(text)
+        changed = _changed(settings, other)
+        try:
+            for said in run_both(settings, other, player.journals()):
+                pair.take(said)
+        except UNREADABLE as error:
+            player.break_off(error)
+        run = player.result(pair.start_ns)
+    recorded, tried = pair.sides[False].journey, pair.sides[True].journey
+    stops = compared(recorded.stops, tried.stops)
+    return WhatIfResult(
+        robot=run.robot,
+        run=run.run,
+        first=run.first,
+        inputs=run.inputs,
+        detail=run.detail,
+        start_ns=pair.start_ns,
+        end_ns=pair.end_ns,
+        settings=changed,
+        decisions=pair.decisions,
+        changes=list(pair.changes.values()),
+        recorded=recorded,
+        other=tried,
+        stops_avoided=stops.avoided,
+        stops_added=stops.added,
+        stops_moved=stops.moved,
+        rules=run.rules,
+    )
+
+
+def _changed(settings: Settings, other: Settings) -> dict[str, tuple[object, object]]:
+    """What the arbiter goes by; which bus or network it was on makes no difference here."""
+    return {
+        f"{section}.{name}": (getattr(getattr(settings, section), name), getattr(getattr(other, section), name))
+        for section in ("command", "chassis", "gateway")
+        for name in getattr(settings, section).__struct_fields__
+        if getattr(getattr(settings, section), name) != getattr(getattr(other, section), name)
+    }
+
+
+def compared(recorded: Sequence[StopMade], other: Sequence[StopMade]) -> StopsCompared:
+    """Which stops of either run are those of the other: of the same reason, and near in time."""
+    by_reason: dict[str, deque[StopMade]] = {}
+    for stop in sorted(other, key=_time):
+        by_reason.setdefault(stop.reason, deque()).append(stop)
+    found = StopsCompared([], [], [])
+    for stop in sorted(recorded, key=_time):
+        left = by_reason.get(stop.reason, deque())
+        # Both in the order of time: what is too early for this stop is so for all that follow.
+        while left and left[0].time_ns < stop.time_ns - STOP_TOLERANCE_NS:
+            found.added.append(left.popleft())
+        if not left or left[0].time_ns > stop.time_ns + STOP_TOLERANCE_NS:
+            found.avoided.append(stop)
+        elif abs((other_ns := left.popleft().time_ns) - stop.time_ns) >= MOVED_NS:
+            found.moved.append(StopMoved(stop, other_ns))
+    found.added.extend(stop for left in by_reason.values() for stop in left)
+    found.added.sort(key=_time)
+    return found
+
+
+def _time(stop: StopMade) -> int:
+    return stop.time_ns
+
+
+class _Side:
+    """What one of the runs says."""
+
+    def __init__(self) -> None:
+        self.journey = Journey()
+        self.waiting: dict[int, Decision] = {}
+        self._last: RobotState | None = None
+
+    def take_state(self, state: RobotState) -> None:
+        last, self._last = self._last, state
+        speed_mps = state.speed_mps
+        if speed_mps is None:
+            return
+        self.journey.top_speed_mps = max(self.journey.top_speed_mps, abs(speed_mps))
+        if last is None or last.speed_mps is None:
+            return
+        passed_s = (state.time_ns - last.time_ns) / 1e9
+        if not 0 < passed_s <= STATE_GAP_S:
+            return
+        mean_mps = (abs(last.speed_mps) + abs(speed_mps)) / 2
+        self.journey.distance_m += mean_mps * passed_s
+        if mean_mps > STANDSTILL_MPS:
+            self.journey.moving_s += passed_s
+
+    def take_event(self, event: SafetyEvent) -> None:
+        if event.kind is EventKind.STOP:
+            stop = StopMade(event.time_ns, event.reason.value, event.operator, event.text)
+            self.journey.stops.append(stop)
+
+
+class _Pair:
+    """Both runs."""
+
+    def __init__(self) -> None:
+        self.sides = {False: _Side(), True: _Side()}
+        self.decisions = 0
+        self.changes: dict[tuple[object, ...], DecisionChange] = {}
+        self.start_ns = self.end_ns = 0
+
+    def take(self, said: SaidOnce) -> None:
+        sample = said.sample
+        if sample.subject not in _TAKEN:
+            return
+        message = codec.decode(BY_NAME[sample.subject], sample.payload)
+        side = self.sides[said.is_other]
+        match message:
+            case RobotState():
+                self.start_ns = self.start_ns or message.time_ns
+                self.end_ns = message.time_ns
+                side.take_state(message)
+            case SafetyEvent():
+                side.take_event(message)
+            case Decision():
+                self._take_decision(message, is_other=said.is_other)
+            case _:
+                pass
+
+    def _take_decision(self, decision: Decision, *, is_other: bool) -> None:
+        """Both runs judge the same requests in the same order, so the sequence tells which belong together."""
+        counterpart = self.sides[not is_other].waiting.pop(decision.sequence, None)
+        if counterpart is None:
+            self.sides[is_other].waiting[decision.sequence] = decision
+            return
+        self.decisions += 1
+        recorded, other = (counterpart, decision) if is_other else (decision, counterpart)
+        was, would_be = _verdict(recorded), _verdict(other)
+        if was == would_be:
+            return
+        key = (recorded.operator, recorded.request, was, would_be)
+        change = self.changes.get(key)
+        if change is None:
+            self.changes[key] = DecisionChange(
+                recorded.operator, recorded.request, was, would_be, 1, recorded.time_ns, recorded.time_ns
+            )
+        else:
+            change.count += 1
+            change.last_ns = recorded.time_ns
+
+
+_TAKEN: Final = frozenset({"state", "safety/decision", "safety/event"})
+
+
+def _verdict(decision: Decision) -> Verdict:
+    return Verdict(
+        decision.verdict.value, decision.reason.value, tuple(bound.value for bound in decision.bound_by)
+    )

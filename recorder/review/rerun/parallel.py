@@ -1,0 +1,231 @@
+"""Logs run again by several processes: robot beside robot, and of each one stretch beside another.
+
+The answer is the same as one process gives. Where the stretches of a robot do not fit together, it is run again in
+one piece.
+"""
+
+from __future__ import annotations
+
+import signal
+from collections import Counter
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import get_context
+from multiprocessing.synchronize import Event
+from typing import Final
+
+import msgspec
+
+from recorder.reading.configurations import Configurations, configurations_of
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import Progress, Selection, read_rows
+from recorder.reading.survey import Survey, survey
+from recorder.review.rerun.comparison import DIFFERENCES_TOLD
+from recorder.review.rerun.player import BROKEN_OFF, Player, RerunResult, installed, rerun_logs, rerun_parts
+from recorder.review.rerun.segments import WHOLE, Plan, Rests, Stretch, plan
+from recorder.review.rerun.tapes import JOURNAL
+from schemas.exit_codes import CommandError
+
+STRETCH_NS: Final = 120_000_000_000
+"""A stretch is at least so long: the seconds before and behind it are run twice."""
+
+STRETCHES_PER_JOB: Final = 8
+"""So that no process waits long for the last one."""
+
+LOOK_S: Final = 0.1
+"""So often it looks whether it is to stop."""
+
+
+class Task(msgspec.Struct, frozen=True):
+    """What one process does at a time."""
+
+    robot: str
+    logs: list[LogFile]
+    configurations: Configurations
+    stretch: Stretch
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """What came of it."""
+
+    results: list[RerunResult]
+    faults: Faults
+
+
+def rerun_side_by_side(
+    logs: Sequence[LogFile],
+    faults: Faults,
+    jobs: int,
+    *,
+    stretch_ns: int = STRETCH_NS,
+    progress: Progress = lambda _: None,
+) -> Iterator[RerunResult]:
+    """Every run of every robot, run again by what is installed, with the settings it had.
+
+    The processes are begun anew: a script that calls this has to be importable without doing so again.
+
+    Args:
+        logs: in the order of their beginnings.
+        faults: takes what cannot be read.
+        jobs: so many processes run at once.
+        stretch_ns: the least length of a stretch.
+        progress: is told of bytes, as they are done.
+
+    Raises:
+        CommandError: no gateway is installed, or a process was killed.
+    """
+    found = survey(logs, faults)
+    span_ns = max(log.end_ns for log in logs) - min((log.start_ns for log in logs if log.end_ns), default=0)
+    if jobs < 2 or (len(found.robots) < 2 and span_ns < 2 * stretch_ns):
+        yield from rerun_logs(logs, faults, progress=progress)
+        return
+    with processes(jobs) as pool:
+        length_ns = max(stretch_ns, span_ns // (jobs * STRETCHES_PER_JOB))
+        yield from rerun_in(pool, logs, faults, length_ns, progress)
+
+
+def rerun_in(
+    pool: Executor, logs: Sequence[LogFile], faults: Faults, length_ns: int, progress: Progress = lambda _: None
+) -> Iterator[RerunResult]:
+    """The same in processes that are there; a stretch is at least so long."""
+    found = survey(logs, faults)
+    size = sum(log.bytes for log in logs)
+    # All are begun before the first is waited for.
+    tasks = [_task(robot, logs, found, faults) for robot in found.robots]
+    for begun in [_begin(pool, task, length_ns, faults, lambda _: progress(0)) for task in tasks]:
+        yield from _gather(pool, begun, faults, lambda part: progress(int(size * part)))
+
+
+class _Begun(msgspec.Struct, frozen=True):
+    """A robot whose stretches are being run again."""
+
+    task: Task
+    plan: Plan
+    futures: list[Future[Outcome]]
+
+
+def _task(robot: str, logs: Sequence[LogFile], found: Survey, faults: Faults) -> Task:
+    return Task(robot, list(logs), configurations_of(robot, logs, found, faults), WHOLE)
+
+
+def _begin(pool: Executor, whole: Task, length_ns: int, faults: Faults, progress: Progress) -> _Begun:
+    rests: Rests = installed("rests")
+    selection = Selection(lambda topic: topic.robot == whole.robot and topic.subject == JOURNAL)
+    planned = plan(read_rows(whole.logs, selection, faults, progress), rests, length_ns, faults)
+    tasks = [msgspec.structs.replace(whole, stretch=stretch) for stretch in planned.stretches]
+    return _Begun(whole, planned, [pool.submit(run_task, task) for task in tasks])
+
+
+def _gather(pool: Executor, begun: _Begun, faults: Faults, progress: Callable[[float], None]) -> list[RerunResult]:
+    outcomes = []
+    for future in begun.futures:
+        outcomes.append(outcome_of(future, progress))
+        progress(1 / len(begun.futures))
+    results = join(begun.plan, [outcome.results for outcome in outcomes])
+    if results is None:
+        outcomes = [outcome_of(pool.submit(run_task, begun.task), progress)]
+        results = outcomes[0].results
+    for outcome in outcomes:
+        faults.add_all(outcome.faults)
+    return results
+
+
+def outcome_of(future: Future[Outcome], progress: Callable[[float], None]) -> Outcome:
+    """What came of a task, when it is over; meanwhile it tells the progress that there is none.
+
+    Raises:
+        CommandError: its process was killed.
+    """
+    while not wait([future], LOOK_S).done:
+        progress(0)
+    try:
+        return future.result()
+    except BrokenProcessPool as error:
+        raise CommandError(
+            "a process that ran the log again was killed; with --jobs 1 there is one alone"
+        ) from error
+
+
+def join(planned: Plan, found: Sequence[Sequence[RerunResult]]) -> list[RerunResult] | None:
+    """What the stretches gave, as one; None if they do not fit together.
+
+    Args:
+        planned: the stretches, and the parts of runs that must come of them.
+        found: the results of each stretch.
+    """
+    whole: list[RerunResult] = []
+    cut: set[int] = set()
+    for stretch, results in zip(planned.stretches, found, strict=True):
+        if stretch.from_ns:
+            if not (whole and results and _reaches(whole[-1], results[0], stretch.from_ns)):
+                return None
+            whole[-1] = _joined(whole[-1], results[0])
+            cut.add(len(whole) - 1)
+        whole += results[1:] if stretch.from_ns else results
+    if not cut:
+        return whole
+    if [(one.run, one.first) for one in whole] != [(part.run, part.first) for part in planned.parts]:
+        return None
+    return [
+        msgspec.structs.replace(one, inputs=part.inputs, detail=part.detail) if place in cut else one
+        for place, (one, part) in enumerate(zip(whole, planned.parts, strict=True))
+    ]
+
+
+def _reaches(before: RerunResult, behind: RerunResult, cut_ns: int) -> bool:
+    """Whether both are of the same run, and one goes on to the cut from which on the other is compared."""
+    return (
+        before.run == behind.run
+        and BROKEN_OFF not in before.detail + behind.detail
+        and before.end_ns >= cut_ns >= behind.start_ns > 0
+    )
+
+
+def _joined(before: RerunResult, behind: RerunResult) -> RerunResult:
+    return msgspec.structs.replace(
+        before,
+        end_ns=behind.end_ns,
+        same=dict(Counter(before.same) + Counter(behind.same)),
+        unrecorded=dict(Counter(before.unrecorded) + Counter(behind.unrecorded)),
+        difference_count=before.difference_count + behind.difference_count,
+        differences=(before.differences + behind.differences)[:DIFFERENCES_TOLD],
+        given_up=before.given_up + behind.given_up,
+    )
+
+
+def run_task(task: Task) -> Outcome:
+    """A stretch of a robot's time, run again in this process."""
+    faults = Faults()
+    player = Player(task.robot, task.logs, task.configurations, faults, _look, task.stretch)
+    return Outcome(list(rerun_parts(player)), faults)
+
+
+@contextmanager
+def processes(jobs: int) -> Generator[ProcessPoolExecutor, None, None]:
+    """Processes that end when they are told to, and not by a signal that is meant for this one."""
+    context = get_context("spawn")
+    stop = context.Event()
+    pool = ProcessPoolExecutor(jobs, context, _enter, (stop,))
+    try:
+        yield pool
+    finally:
+        stop.set()
+        pool.shutdown(cancel_futures=True)
+
+
+_stop: Event | None = None
+"""Of a process that runs tasks: it is to end."""
+
+
+def _enter(stop: Event) -> None:
+    global _stop  # noqa: PLW0603 - a process of the pool has no other place
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _stop = stop
+
+
+def _look(_count: int) -> None:
+    if _stop is not None and _stop.is_set():
+        raise KeyboardInterrupt

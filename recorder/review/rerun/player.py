@@ -1,0 +1,288 @@
+"""The recorded frames and requests through today's arbiter: are the decisions the same?
+
+The arbiter is not of this package. Whoever can run a journal again says so with an entry point in the group
+``cruiser.rerun``; the gateway of the same installation does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from importlib.metadata import entry_points
+from typing import Any, Final, Protocol
+
+import msgspec
+
+from recorder.encoding.routes import Route
+from recorder.reading.configurations import Configurations, configurations_of, settings_from
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import Progress, Row, Selection, read_rows
+from recorder.reading.survey import survey
+from recorder.reading.topics import UNREADABLE, typed_decoder
+from recorder.review.rerun.comparison import Comparison, Difference, Key, Said
+from recorder.review.rerun.segments import WHOLE, Stretch
+from recorder.review.rerun.tapes import JOURNAL, PartEnd, Tape
+from schemas import codec
+from schemas.command_rules import COMMAND_RULES
+from schemas.decisions import Journal
+from schemas.exit_codes import CommandError
+from schemas.settings import Settings
+from schemas.subjects import BY_NAME
+
+GROUP: Final = "cruiser.rerun"
+"""The group of entry points."""
+
+SENT: Final = "can/{bus}/tx"
+COMPARED: Final = ("safety/decision", "safety/event", "safety/state", SENT)
+"""The subjects that must come out the same."""
+
+NO_CONFIGURATION: Final = "the log does not hold the robot's configuration"
+NO_REST: Final = "the gateway was never at rest in it, so there is no place to begin"
+OTHER_RULES: Final = "made under other rules, it can be run again from its first input alone"
+"""Why nothing was run again."""
+
+
+BROKEN_OFF: Final = "the inputs that follow cannot be run again"
+
+DETAIL_MAX: Final = 300
+"""Characters of an error that are told."""
+
+
+class SampleAgain(Protocol):
+    """What comes out again: the subject's name and the MessagePack payload."""
+
+    @property
+    def subject(self) -> str: ...  # noqa: D102 - the class says it
+    @property
+    def payload(self) -> bytes: ...  # noqa: D102
+
+
+Rerun = Callable[[Settings, Iterable[Journal]], Iterator[SampleAgain]]
+"""Settings, and the journals of one run from its first input on, to all that comes out."""
+
+
+class RerunResult(msgspec.Struct, frozen=True):
+    """A run, run again.
+
+    Attributes:
+        run: its number.
+        first: the place of the first input that was there, from 0: behind a gap a run goes on in another result.
+        inputs: so many there were without a gap.
+        detail: what of the run is missing, or why nothing was run again; empty if all was.
+        start_ns, end_ns: of what came out again, nanoseconds since 1970; 0 if nothing did.
+        same: how many messages are equal byte for byte, by subject.
+        unrecorded: messages that come out again and are not in the log.
+        difference_count: messages that differ; ``differences`` are the first ones.
+        given_up: messages that waited too long for their counterpart to be compared.
+        rules: the command rules under which the run was made, as in ``schemas.command_rules``.
+    """
+
+    robot: str
+    run: int
+    first: int
+    inputs: int
+    detail: str
+    start_ns: int
+    end_ns: int
+    same: dict[str, int]
+    unrecorded: dict[str, int]
+    difference_count: int
+    differences: list[Difference]
+    given_up: int
+    rules: int = COMMAND_RULES
+
+
+def installed(name: str) -> Any:  # noqa: ANN401 - whatever is installed
+    """What is installed under this name in the group of entry points.
+
+    Raises:
+        CommandError: nothing is.
+    """
+    for entry in entry_points(group=GROUP, name=name):
+        return entry.load()
+    raise CommandError("no gateway is installed here that could run a log again")
+
+
+def rerun_logs(
+    logs: Sequence[LogFile],
+    faults: Faults,
+    *,
+    rerun: Rerun | None = None,
+    settings_of: Callable[[str], Settings] | None = None,
+    progress: Progress = lambda _: None,
+) -> Iterator[RerunResult]:
+    """Every run of every robot, run again.
+
+    Args:
+        logs: in the order of their beginnings.
+        faults: takes what cannot be read.
+        rerun: runs a journal again; by default what is installed.
+        settings_of: turns the TOML text of a run's configuration into settings; by default as they are.
+        progress: is told of bytes that were read, for each robot anew.
+    """
+    found = survey(logs, faults)
+    for robot in found.robots:
+        configurations = configurations_of(robot, logs, found, faults)
+        player = Player(robot, logs, configurations, faults, progress)
+        yield from rerun_parts(player, rerun, settings_of)
+
+
+def rerun_parts(
+    player: Player, rerun: Rerun | None = None, settings_of: Callable[[str], Settings] | None = None
+) -> Iterator[RerunResult]:
+    """Every run that a player plays, run again; arguments as of ``rerun_logs``."""
+    again = rerun or installed("rerun")
+    while player.next_part():
+        yield _rerun(player, again, settings_of or settings_from)
+
+
+def _rerun(player: Player, again: Rerun, settings_of: Callable[[str], Settings]) -> RerunResult:
+    text = player.configuration()
+    if text is None:
+        return player.skip(NO_CONFIGURATION)
+    start_ns = 0
+    try:
+        for sample in again(settings_of(text), player.journals()):
+            if sample.subject in _ROUTES:
+                for key, said in records_of(sample):
+                    start_ns = start_ns or said.time_ns
+                    player.comparison.say_again(key, said)
+    except UNREADABLE as error:
+        player.break_off(error)
+    return player.result(start_ns)
+
+
+class Player:
+    """The runs of one robot, one after the other.
+
+    Args:
+        robot: its name.
+        logs: in the order of their beginnings.
+        configurations: those of its runs.
+        faults: takes what cannot be read.
+        progress: is told of bytes that were read.
+        stretch: the part of its time that is played.
+
+    Attributes:
+        comparison: of the run that has come.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        logs: Sequence[LogFile],
+        configurations: Configurations,
+        faults: Faults,
+        progress: Progress,
+        stretch: Stretch = WHOLE,
+    ) -> None:
+        self.comparison = Comparison(_decode, stretch.holds)
+        self._robot = robot
+        self._configurations = configurations
+        self._stretch = stretch
+        wanted = {JOURNAL, *COMPARED}
+        selection = Selection(
+            lambda topic: topic.robot == robot and topic.subject in wanted, stretch.log_from_ns, stretch.log_to_ns
+        )
+        rows = filter(stretch.needs, read_rows(logs, selection, faults, progress))
+        self._tape = Tape(rows, self._record, faults)
+        self._end = PartEnd(0, 0, 0, "")
+        self._rules = COMMAND_RULES
+        self._faults = faults
+
+    def next_part(self) -> bool:
+        """Goes on to the next run, or to the next part of one."""
+        return self._tape.next_part()
+
+    def journals(self) -> Iterator[Journal]:
+        """Those of the part, in their order."""
+        for journal in self._tape.journals(self._take_end):
+            self._rules = journal.rules
+            yield journal
+
+    def configuration(self) -> str | None:
+        """The TOML text that was in force in the run that has come; None if the log does not hold it."""
+        return self._configurations.at(self._tape.next_time_ns)
+
+    def break_off(self, error: Exception) -> None:
+        """The journal cannot be used from here on: this part ends."""
+        self._end = self._tape.break_off(f"{BROKEN_OFF}: {error!r}"[:DETAIL_MAX])
+        self._faults.add(f"{self._robot}: run {self._end.run}: {self._end.detail}")
+
+    def skip(self, detail: str) -> RerunResult:
+        """The run is not run again."""
+        for _ in self.journals():
+            pass
+        self._end = msgspec.structs.replace(self._end, inputs=0, detail=detail)
+        return self.result(0)
+
+    def result(self, start_ns: int) -> RerunResult:
+        """How the run came out; what was recorded behind its end is kept for the next one."""
+        comparison, self.comparison = self.comparison, Comparison(_decode, self._stretch.holds)
+        end = self._end
+        if not start_ns and not end.detail.endswith(NO_CONFIGURATION):
+            why = NO_REST if self._rules == COMMAND_RULES else OTHER_RULES
+            end = msgspec.structs.replace(end, detail="; ".join(filter(None, (end.detail, why))))
+        for key, said in comparison.end().items():
+            self.comparison.record(key, said)
+        return RerunResult(
+            robot=self._robot,
+            run=end.run,
+            first=end.first,
+            inputs=end.inputs,
+            detail=end.detail,
+            start_ns=start_ns,
+            end_ns=comparison.ends_ns,
+            same=dict(comparison.same),
+            unrecorded=dict(comparison.unrecorded),
+            difference_count=comparison.difference_count,
+            differences=comparison.differences,
+            given_up=comparison.given_up,
+            rules=self._rules,
+        )
+
+    def _take_end(self, end: PartEnd) -> None:
+        self._end = end
+
+    def _record(self, row: Row) -> None:
+        try:
+            key = key_of(row.topic.subject, row.sequence, row.publish_ns, row.data)
+        except UNREADABLE as error:
+            self._faults.add(f"{row.topic.name}: a record that cannot be read: {error}")
+            return
+        self.comparison.record(key, Said(row.publish_ns, row.data))
+
+
+def key_of(subject: str, sequence: int, time_ns: int, data: bytes) -> Key:
+    """What tells a record from every other of its subject, on either side.
+
+    It is the sequence; but batches of sent frames may be cut elsewhere when they come again, so of these it is
+    time and identifier: each goes out once in a tick at most.
+    """
+    if subject != SENT:
+        return subject, sequence
+    if data[:1] == _TIME_TAG and data[9:10] == _IDENTIFIER_TAG:
+        return subject, (time_ns, data[10:14])
+    identifier = _decode(subject, data).identifier
+    return subject, (time_ns, identifier.to_bytes(4, "little"))
+
+
+_TIME_TAG: Final = b"\x09"
+"""A record of a frame begins with the field 1, of 8 bytes..."""
+
+_IDENTIFIER_TAG: Final = b"\x1d"
+"""...and the field 3, of 4: what has a fixed width comes first, see ``recorder.encoding.transcode``."""
+
+
+def records_of(sample: SampleAgain) -> Iterator[tuple[Key, Said]]:
+    """The records that a recorder would write of a sample."""
+    message: Any = codec.decode(BY_NAME[sample.subject], sample.payload)
+    for time_ns, data in _ROUTES[sample.subject].transcode(message):
+        yield key_of(sample.subject, message.sequence, time_ns, data), Said(time_ns, data)
+
+
+_ROUTES: Final = {name: Route(0, BY_NAME[name], "") for name in COMPARED}
+
+
+def _decode(subject: str, data: bytes) -> Any:  # noqa: ANN401 - of any class of a record
+    return typed_decoder(_ROUTES[subject].kind)(data)

@@ -1,0 +1,142 @@
+"""Where a robot's runs can be cut, so that several processes run them again side by side. Pure.
+
+A run can be run again from any place where the gateway was at rest. A stretch goes from one such place to another.
+Which messages belong in it is said by their times alone: a robot whose clock was ever set back is not cut.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Final
+
+import msgspec
+
+from recorder.reading.faults import Faults
+from recorder.reading.rows import END_OF_TIME_NS, Row
+from recorder.reading.topics import UNREADABLE
+from recorder.review.rerun.tapes import JOURNAL, PartEnd, Tape
+from schemas.decisions import Journal
+
+SETTLED_NS: Final = 500_000_000
+"""So long after a place of rest it is cut: what is said in batches is then all of this side or of that."""
+
+BEFORE_NS: Final = 4_500_000_000
+"""The inputs that are needed before a cut: a gateway looks back three seconds from where it was at rest."""
+
+BEHIND_NS: Final = 1_500_000_000
+"""The inputs that are needed behind the end of a stretch, so that all that belongs in it has come out."""
+
+EARLY_NS: Final = 5_000_000_000
+"""A record is received no sooner than the soonest journal was, less this..."""
+
+LATE_NS: Final = 30_000_000_000
+"""...and no later than the latest one, and this."""
+
+Rests = Callable[[Journal], list[int]]
+"""When the gateway was at rest, of what a journal message holds, in nanoseconds since 1970."""
+
+
+class Stretch(msgspec.Struct, frozen=True):
+    """A part of a robot's time. Times are nanoseconds since 1970; by default it is all of it.
+
+    Attributes:
+        from_ns, to_ns: messages that were published from then on, and before then, are compared.
+        inputs_from_ns, inputs_to_ns: journals that were published then are needed for it.
+        log_from_ns, log_to_ns: what is needed was received then.
+    """
+
+    from_ns: int = 0
+    to_ns: int = END_OF_TIME_NS
+    inputs_from_ns: int = 0
+    inputs_to_ns: int = END_OF_TIME_NS
+    log_from_ns: int = 0
+    log_to_ns: int = END_OF_TIME_NS
+
+    def holds(self, time_ns: int) -> bool:
+        """Whether what was published then is compared in it."""
+        return self.from_ns <= time_ns < self.to_ns
+
+    def needs(self, row: Row) -> bool:
+        """Whether a row is a journal that is needed, or something else that is compared."""
+        if row.topic.subject == JOURNAL:
+            return self.inputs_from_ns <= row.publish_ns <= self.inputs_to_ns
+        return self.holds(row.publish_ns)
+
+
+WHOLE: Final = Stretch()
+
+
+class Plan(msgspec.Struct, frozen=True):
+    """How a robot's runs are run again.
+
+    Attributes:
+        parts: the runs, and the parts of runs between gaps.
+        stretches: one behind the other; only one if there is nowhere to cut.
+    """
+
+    parts: list[PartEnd]
+    stretches: list[Stretch]
+
+
+class _Lateness:
+    """How much later journals were received than published: the least and the most."""
+
+    def __init__(self) -> None:
+        self.least_ns = END_OF_TIME_NS
+        self.most_ns = -END_OF_TIME_NS
+
+    def watch(self, rows: Iterator[Row]) -> Iterator[Row]:
+        for row in rows:
+            late_ns = row.log_ns - row.publish_ns
+            self.least_ns = min(self.least_ns, late_ns)
+            self.most_ns = max(self.most_ns, late_ns)
+            yield row
+
+
+def plan(rows: Iterator[Row], rests: Rests, length_ns: int, faults: Faults) -> Plan:
+    """Looks through a robot's journals for places to cut.
+
+    Args:
+        rows: of its journals, by log time.
+        rests: finds the places of rest.
+        length_ns: a stretch is at least so long.
+        faults: takes what cannot be read.
+    """
+    lateness = _Lateness()
+    tape = Tape(lateness.watch(rows), lambda _: None, faults)
+    parts: list[PartEnd] = []
+    cuts: list[int] = []
+    begins_ns, newest_ns, is_steady = None, 0, True
+    while tape.next_part():
+        places: list[int] = []
+        part_ns = None
+        for journal in tape.journals(parts.append):
+            is_steady = is_steady and journal.time_ns >= newest_ns
+            newest_ns = journal.time_ns
+            part_ns = newest_ns if part_ns is None else part_ns
+            begins_ns = newest_ns if begins_ns is None else begins_ns
+            try:
+                places += rests(journal)
+            except UNREADABLE:
+                is_steady = False
+        for place_ns in places:
+            cut_ns = place_ns + SETTLED_NS
+            is_inside = (part_ns or 0) + BEFORE_NS < place_ns and cut_ns + BEHIND_NS < newest_ns
+            if is_inside and cut_ns - (cuts[-1] if cuts else begins_ns or 0) >= length_ns:
+                cuts.append(cut_ns)
+    return Plan(parts, _stretches(cuts, lateness) if is_steady else [WHOLE])
+
+
+def _stretches(cuts: list[int], lateness: _Lateness) -> list[Stretch]:
+    stretches = [WHOLE]
+    for cut_ns in cuts:
+        first_ns, last_ns = cut_ns - BEFORE_NS, cut_ns + BEHIND_NS
+        stretches[-1] = msgspec.structs.replace(
+            stretches[-1],
+            to_ns=cut_ns,
+            inputs_to_ns=last_ns,
+            log_to_ns=last_ns + lateness.most_ns + LATE_NS,
+        )
+        log_from_ns = max(0, first_ns + lateness.least_ns - EARLY_NS)
+        stretches.append(Stretch(from_ns=cut_ns, inputs_from_ns=first_ns, log_from_ns=log_from_ns))
+    return stretches

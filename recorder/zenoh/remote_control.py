@@ -1,0 +1,201 @@
+"""The recorder's own keys on Zenoh: its verbs, its health, events and gaps, and a liveliness token.
+
+A session of its own: the one that takes in the robots' samples may have a long queue. Queries wait in a ring that
+the loop drains; no Python of ours runs on Zenoh's threads.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from threading import Semaphore
+from typing import Any, Final
+
+import msgspec
+import zenoh
+
+from recorder.zenoh.session import listen_beside, open_session
+from schemas import codec, keys
+from schemas.codec import PayloadFault
+from schemas.messages import Message
+from schemas.printable import plain
+from schemas.recording import BackfillPiece, RecorderReply
+from schemas.requests import Request
+from schemas.settings import Settings
+from schemas.subjects import RECORDER_BY_VERB, RECORDER_SUBJECTS, RecorderCommand
+
+log = logging.getLogger(__name__)
+
+QUERIES_WAITING: Final = 64
+"""Requests that may wait between two passes of the loop; beyond it the oldest go."""
+
+REQUESTS_PER_PASS: Final = 8
+
+FOR_ALL: Final = frozenset({"status"})
+"""Verbs that a query may send to every recorder at once. One query must not stop them all."""
+
+REPLIES_WAITING: Final = 128
+"""Replies that may wait for somebody's link; the zenoh package may wait 5 s for one that does not read."""
+
+REQUEST_MAX_BYTES: Final = 4096
+
+NAMESAKES_S: Final = 1.0
+"""How long the start listens for other recorders: the links to them take their time..."""
+
+NAMESAKES_PAUSE_S: Final = 0.05
+"""...and it asks so often."""
+
+NAMESAKES_MAX: Final = 100
+
+
+class Asked(msgspec.Struct, frozen=True):
+    """A request, and how to answer it.
+
+    Attributes:
+        verb: its row of the table of verbs.
+        request: what is asked, or what is wrong with the payload.
+        reply: sends a reply; several may follow each other.
+        done: says that no more will come; the caller must say so.
+    """
+
+    verb: RecorderCommand
+    operator: str
+    request: Request | PayloadFault
+    reply: Callable[[RecorderReply | BackfillPiece], None]
+    done: Callable[[], None]
+
+
+class RemoteControl:
+    """The recorder on Zenoh, from its beginning to ``close``. Nothing here raises once it is open.
+
+    Args:
+        settings: of the session, the root, and the recorder's name.
+
+    Raises:
+        CommandError: the session cannot be opened.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._root = settings.robot.root
+        self.listen = listen_beside(settings.zenoh)
+        """Where it listens."""
+        self._session = open_session(settings.zenoh, self.listen)
+        self.name = self._free_name(settings.recorder.name or host_name())
+        """Its name: the one that is set, or with a number behind it where another recorder has that."""
+        self._token = self._session.liveliness().declare_token(keys.of_recorder(self._root, self.name))
+        self._queries = self._session.declare_queryable(
+            keys.recorder_command(self._root, self.name, keys.ALL, keys.ALL),
+            zenoh.handlers.RingChannel(QUERIES_WAITING),
+            complete=True,
+        )
+        self._loop_thread = 0
+        self._replier = ThreadPoolExecutor(1, "replies")
+        self._replies_waiting = Semaphore(REPLIES_WAITING)
+        self._publishers = {
+            subject.type: self._session.declare_publisher(
+                keys.of_recorder(self._root, self.name, subject.name),
+                encoding=subject.encoding,
+                priority=getattr(zenoh.Priority, subject.qos.priority.value),
+                congestion_control=zenoh.CongestionControl.DROP,
+                express=subject.qos.express,
+            )
+            for subject in RECORDER_SUBJECTS
+        }
+
+    def publish(self, message: Message) -> None:
+        """Say something under the recorder's own keys."""
+        try:
+            self._publishers[type(message)].put(codec.encode(message))
+        except zenoh.ZError as error:
+            log.debug("Zenoh does not take it: %s", error)
+
+    def drain(self) -> Iterator[Asked]:
+        """The requests that have come in."""
+        self._loop_thread = threading.get_ident()
+        for _ in range(REQUESTS_PER_PASS):
+            query = self._queries.try_recv()
+            if query is None:
+                return
+            asked = self._asked(query)
+            if asked is None:
+                query.drop()
+            else:
+                yield asked
+
+    def close(self) -> None:
+        """Leave Zenoh."""
+        self._replier.shutdown(cancel_futures=True)
+        self._session.close()
+
+    def _asked(self, query: zenoh.Query) -> Asked | None:
+        operator, name = keys.parse_command(str(query.key_expr))
+        verb = RECORDER_BY_VERB.get(name)
+        if verb is None or not operator:
+            return None
+        payload = query.payload
+        key = keys.recorder_command(self._root, self.name, operator, name)
+        request: Request | PayloadFault
+        if name not in FOR_ALL and str(query.key_expr) != key:
+            request = PayloadFault(f"{name} must name one recorder, without a wildcard")
+        elif payload is not None and len(payload) > REQUEST_MAX_BYTES:
+            request = PayloadFault(f"a request has at most {REQUEST_MAX_BYTES} bytes")
+        else:
+            request = codec.decode_request(verb, b"" if payload is None else payload.to_bytes())
+
+        def send(answer: RecorderReply | BackfillPiece) -> None:
+            try:
+                # Whether it waits for room on the link is what the query says.
+                query.reply(key, msgspec.msgpack.encode(answer), encoding=verb.reply_encoding)
+            except zenoh.ZError as error:
+                log.debug("nobody waits for the reply any more: %s", error)
+
+        def reply(answer: RecorderReply | BackfillPiece) -> None:
+            self._off_the_loop(partial(send, answer))
+
+        return Asked(verb, operator, request, reply, partial(self._off_the_loop, query.drop))
+
+    def _off_the_loop(self, work: Callable[[], None]) -> None:
+        """Do what may wait for somebody's link: where the loop asks for it, on a thread that may."""
+        if threading.get_ident() != self._loop_thread:
+            work()
+        elif self._replies_waiting.acquire(blocking=False):
+            self._replier.submit(self._reply, work)
+        else:
+            log.warning("nobody takes the replies; the newest ones are dropped")
+
+    def _reply(self, work: Callable[[], None]) -> None:
+        try:
+            work()
+        finally:
+            self._replies_waiting.release()
+
+    def _free_name(self, wanted: str) -> str:
+        taken: set[str] = set()
+        end_s = time.monotonic() + NAMESAKES_S
+        while time.monotonic() < end_s:
+            taken.update(self._others())
+            time.sleep(NAMESAKES_PAUSE_S)
+        numbered = [wanted, *(f"{wanted}-{number}" for number in range(2, NAMESAKES_MAX))]
+        name = next((one for one in numbered if one not in taken), wanted)
+        if name != wanted:
+            log.warning("a recorder %s is there already; this one is %s", plain(wanted), plain(name))
+        return name
+
+    def _others(self) -> Iterator[str]:
+        replies: Any = self._session.liveliness().get(
+            keys.of_recorder(self._root, keys.ALL), zenoh.handlers.FifoChannel(NAMESAKES_MAX), timeout=NAMESAKES_S
+        )
+        for reply in replies:
+            if reply.ok is not None:
+                yield str(reply.ok.key_expr).rpartition("/")[2]
+
+
+def host_name() -> str:
+    """The host's name as a chunk of a key."""
+    return re.sub(r"[^a-z0-9-]+", "-", socket.gethostname().partition(".")[0].lower()).strip("-") or "recorder"

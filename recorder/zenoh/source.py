@@ -1,0 +1,225 @@
+"""Samples from Zenoh. Zenoh's own threads fill its ring channels; no Python of ours runs on them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime, timedelta
+from typing import Any, Final
+
+import msgspec
+import zenoh
+
+from recorder.zenoh.session import open_session, said_of
+from schemas import keys
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
+from schemas.recorder_settings import OWNED_KEY_LIMIT
+from schemas.settings import ZenohSettings
+from schemas.subjects import KEPT_PIECE
+from schemas.zenoh_link import reason
+
+REPLY_TIMEOUT_S: Final = 2.0
+"""How long a query may wait for its reply."""
+
+RING_SAMPLE_BYTES: Final = 3_200
+"""Of ``recorder.queue_bytes`` for a sample in Zenoh's own ring, of each key expression: 20,000 of them in 64 MB.
+There they wait while the loop is held up."""
+
+DRAIN_BYTES: Final = 16_000_000
+"""Payloads that one ``drain`` takes, about."""
+
+PENDING_MAX: Final = 64
+"""Queries on their way at once; beyond it the oldest is given up."""
+
+TOKENS_WAITING: Final = 10_000
+
+REPLIES_WAITING: Final = 4 * KEPT_PIECE
+"""Replies to one query that may wait, of a piece and of others of the same name."""
+
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+_MICROSECOND: Final = timedelta(microseconds=1)
+
+_Samples = zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]]
+_Replies = zenoh.handlers.Handler[zenoh.Reply]
+
+
+class ZenohSample(msgspec.Struct, frozen=True, gc=False):
+    """A sample as ``recorder.encoding.sample.Sample`` has it. What few ever ask for is fetched when they do."""
+
+    key: str
+    encoding: str
+    payload: bytes
+    received: zenoh.Sample
+    received_ns: int
+    is_reply: bool = False
+
+    @property
+    def attachment(self) -> bytes:
+        """The attachment; empty if there is none."""
+        attachment = self.received.attachment
+        return b"" if attachment is None else attachment.to_bytes()
+
+    @property
+    def zenoh_time_ns(self) -> int:
+        """The sample's own Zenoh timestamp since 1970; 0 if it has none."""
+        timestamp = self.received.timestamp
+        return 0 if timestamp is None else _nanoseconds(timestamp.get_time())
+
+    @property
+    def source(self) -> tuple[str, int] | None:
+        """Who published it, and its place in what that one published on the key; None if it does not tell."""
+        info = self.received.source_info
+        return None if info is None else (str(info.source_id), info.source_sn)
+
+    @property
+    def deleted(self) -> bool:
+        """The sample says that the key was deleted."""
+        return self.received.kind == zenoh.SampleKind.DELETE
+
+
+def _take(received: zenoh.Sample, *, is_reply: bool = False) -> ZenohSample:
+    key, encoding = str(received.key_expr), str(received.encoding)
+    return ZenohSample(key, encoding, received.payload.to_bytes(), received, time.time_ns(), is_reply)
+
+
+class ZenohSource:
+    """A Zenoh session that subscribes to key expressions.
+
+    Args:
+        settings: of the session.
+        key_expressions: what to subscribe to. A key that several of them match is received once.
+        queue_samples: samples that may wait for each of them; beyond it the oldest go.
+
+    Raises:
+        CommandError: a key expression or an endpoint is wrong, or the session cannot be opened.
+    """
+
+    def __init__(self, settings: ZenohSettings, key_expressions: Sequence[str], queue_samples: int) -> None:
+        self._expressions = _distinct(key_expressions)
+        self._pending: list[tuple[str, _Replies]] = []
+        self.listen = said_of(settings).listen
+        """Where it listens."""
+        self._session = open_session(settings, self.listen)
+        self._subscribers: list[_Samples] = [
+            self._session.declare_subscriber(expression, zenoh.handlers.RingChannel(queue_samples))
+            for expression in self._expressions
+        ]
+        self._tokens: Any = self._session.liveliness().declare_subscriber(
+            keys.ANY_TOKEN, zenoh.handlers.RingChannel(TOKENS_WAITING), history=True
+        )
+        self.is_behind = False
+        """Whether more had come in than the last ``drain`` gave."""
+        self._overlap = any(
+            one.intersects(other)
+            for index, one in enumerate(self._expressions)
+            for other in self._expressions[:index]
+        )
+        self._owners: dict[str, int] = {}
+
+    @property
+    def is_asking(self) -> bool:
+        """Whether a query is still without its reply."""
+        return bool(self._pending)
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether any Zenoh node is connected."""
+        info = self._session.info
+        return bool(info.peers_zid() or info.routers_zid())
+
+    def drain(self, limit: int) -> list[ZenohSample]:
+        """The samples and replies that have come in, at most about ``limit``."""
+        taken: list[ZenohSample] = []
+        taken_bytes = 0
+        self.is_behind = False
+        for index, subscriber in enumerate(self._subscribers):
+            receive = subscriber.try_recv
+            for _ in range(limit):
+                received = receive()
+                if received is None:
+                    break
+                if not self._overlap or self._owner(received.key_expr) == index:
+                    sample = _take(received)
+                    taken.append(sample)
+                    taken_bytes += len(sample.payload)
+                    if taken_bytes > DRAIN_BYTES:
+                        self.is_behind = True
+                        break
+            else:
+                self.is_behind = True
+        if self._pending:
+            taken += self._replies()
+        return taken
+
+    def tokens_gone(self) -> Iterator[str]:
+        """The keys of the gateways' liveliness tokens that are gone since the last call."""
+        while (token := self._tokens.try_recv()) is not None:
+            if token.kind == zenoh.SampleKind.DELETE:
+                yield str(token.key_expr)
+
+    def ask(self, key: str, parameters: str = "") -> None:
+        """Query a key. The replies come with the samples."""
+        # Not a ring: that one forgets the reply when the query ends before it is taken.
+        replies: zenoh.handlers.FifoChannel[zenoh.Reply] = zenoh.handlers.FifoChannel(REPLIES_WAITING)
+        handler = self._session.get(
+            f"{key}?{parameters}" if parameters else key,
+            replies,
+            timeout=REPLY_TIMEOUT_S,
+            target=zenoh.QueryTarget.BEST_MATCHING,
+            # Several replies have one key, and all of them count.
+            consolidation=zenoh.ConsolidationMode.NONE,
+            # Replies have it too: one that waits for room would hold up the gateway's samples behind it.
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.DATA_LOW,
+        )
+        self._pending = [*self._pending, (key, handler)][-PENDING_MAX:]
+
+    def close(self) -> None:
+        """End the session."""
+        self._session.close()
+
+    def _replies(self) -> Iterator[ZenohSample]:
+        waiting = []
+        for key, handler in self._pending:
+            try:
+                for _ in range(REPLIES_WAITING):
+                    reply = handler.try_recv()
+                    if reply is None:
+                        break
+                    if reply.ok is not None and str(reply.ok.key_expr) == key:
+                        yield _take(reply.ok, is_reply=True)
+            except zenoh.ZError:
+                continue  # Zenoh's way to say that nothing more will come.
+            waiting.append((key, handler))
+        self._pending = waiting
+
+    def _owner(self, key: zenoh.KeyExpr) -> int:
+        """The first expression that matches the key: its subscriber's sample counts, the others' are copies."""
+        text = str(key)
+        owner = self._owners.get(text)
+        if owner is None:
+            owner = next(index for index, one in enumerate(self._expressions) if one.intersects(key))
+            if len(self._owners) >= OWNED_KEY_LIMIT:
+                self._owners.clear()
+            self._owners[text] = owner
+        return owner
+
+
+def _distinct(texts: Sequence[str]) -> list[zenoh.KeyExpr]:
+    """The key expressions, without those that another one includes."""
+    expressions: list[zenoh.KeyExpr] = []
+    for text in texts:
+        try:
+            one = zenoh.KeyExpr.autocanonize(text)
+        except zenoh.ZError as error:
+            raise CommandError(
+                f"{plain(text)!r} is no key expression: {reason(str(error))}", ExitCode.USAGE
+            ) from error
+        if not any(other.includes(one) for other in expressions):
+            expressions = [other for other in expressions if not one.includes(other)] + [one]
+    return expressions
+
+
+def _nanoseconds(time: datetime) -> int:
+    return (time - _EPOCH) // _MICROSECOND * 1000

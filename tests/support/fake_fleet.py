@@ -1,0 +1,83 @@
+"""Many robots on one session, as little of each as a stop and a list need."""
+
+import threading
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self
+
+import msgspec
+import zenoh
+
+from gateway.zenoh.client import close_session, open_session
+from schemas import codec, keys
+from schemas.decisions import Reply
+from schemas.reasons import Reason
+from schemas.settings import ZenohSettings
+from schemas.subjects import BY_TYPE, BY_VERB
+from tests.support.fake_gateway import ROOT, STANDBY, STATE, free_endpoint
+
+STOP = BY_VERB["stop"]
+STOPS = msgspec.msgpack.encode(Reply(ok=True, reason=Reason.NONE, detail="", cure=""))
+LEASE_MS = 10_000
+"""A machine that is busy with a thousand robots must not lose the link to them."""
+
+PUBLISHED = (
+    msgspec.structs.replace(STANDBY, latched=[Reason.REMOTE_STOP]),
+    msgspec.structs.replace(STATE, speed_mps=0.0, rear_left_speed_mps=0.0, rear_right_speed_mps=0.0),
+)
+"""A robot that has heard the stop and stands."""
+PERIOD_S = 0.05
+
+
+class FakeFleet:
+    """Robots that have a liveliness token and answer a stop.
+
+    Attributes:
+        names: the robots', in alphabetical order.
+        publishes: each publishes 20 times a second that it is latched and stands; else nothing.
+    """
+
+    def __init__(self, count: int, *, publishes: bool = False) -> None:
+        self.publishes = publishes
+        self.listen = free_endpoint()
+        self.names = [f"robot-{number:04}" for number in range(count)]
+
+    def __enter__(self) -> Self:
+        self._session = open_session(ZenohSettings(lease_ms=LEASE_MS), [], [self.listen])
+        self._declared: list[Any] = []
+        for name in self.names:
+            self._declared.append(self._session.liveliness().declare_token(keys.liveliness(ROOT, name)))
+            key = keys.command(ROOT, name, keys.ALL, "stop")
+            handler = zenoh.handlers.Callback(_stopping(name), indirect=False)
+            self._declared.append(self._session.declare_queryable(key, handler, complete=True))
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._publish)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._closing.set()
+        self._thread.join()
+        close_session(self._session)
+
+    def _publish(self) -> None:
+        samples = [
+            (keys.build(ROOT, name, subject), codec.encode(message), subject.encoding)
+            for message in PUBLISHED
+            for subject in [BY_TYPE[type(message)]]
+            for name in self.names
+        ]
+        while self.publishes and not self._closing.wait(PERIOD_S):
+            for key, payload, encoding in samples:
+                self._session.put(key, payload, encoding=encoding)
+
+
+def _stopping(name: str) -> Callable[[zenoh.Query], None]:
+    def answer(query: zenoh.Query) -> None:
+        operator, verb = keys.parse_command(str(query.key_expr))
+        with query:
+            query.reply(keys.command(ROOT, name, operator, verb), STOPS, encoding=STOP.reply_encoding)
+
+    return answer

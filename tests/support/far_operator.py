@@ -1,0 +1,169 @@
+"""An operator behind a bad link, with the library's own drive stream, in simulated time.
+
+It does what ``Lease`` does on its thread, and a program that wants to drive whenever it may.
+"""
+
+from collections import deque
+from statistics import median
+
+import msgspec
+
+from gateway.client.drive_stream import PERIOD_S, DriveStream, Ending, SetPoint
+from gateway.client.reply import encode_request
+from gateway.sim.links import Link, LinkProfile
+from schemas.decisions import ArbiterState, EventKind, LeaseReply, Reply, SafetyState
+from schemas.reasons import Reason
+from schemas.requests import Acquire, Engage, Renew, Request, Unpark
+from tests.support.loop_rig import LoopRig
+
+NAME = "far"
+PERIOD_NS = round(PERIOD_S * 1e9)
+RENEW_NS = 500_000_000
+ANSWER_NS = 3_000_000_000
+VERBS: dict[type[Request], str] = {Acquire: "acquire", Engage: "engage", Renew: "renew", Unpark: "unpark"}
+
+
+class Trip(msgspec.Struct, frozen=True):
+    """How a drive over a link went.
+
+    Attributes:
+        moving: the share of the time in which the robot went as fast as the travel delay allowed.
+        stops_per_min: how often it was stopped.
+        reached_mps: the median of its speed.
+        after_cut_m: how far it went after the link was cut.
+        stops: why it was stopped, in order.
+    """
+
+    moving: float
+    stops_per_min: float
+    reached_mps: float
+    after_cut_m: float
+    stops: list[Reason]
+
+
+class FarOperator:
+    """Wants to drive at a speed, and does what it takes, again and again.
+
+    Attributes:
+        endings: why the robot ceased to obey, in order.
+    """
+
+    def __init__(self, rig: LoopRig, link: Link, speed_mps: float, deadman_s: float | None = None) -> None:
+        self.endings: list[Ending] = []
+        self._rig = rig
+        self._link = link
+        self._set_point = SetPoint(speed_mps, angle_deg=0.0)
+        self._deadman_s = deadman_s
+        self._stream: DriveStream | None = None
+        self._state: SafetyState | None = None
+        self._asked: tuple[type[Request], int] | None = None
+        self._handles: dict[int, type[Request]] = {}
+        self._is_unparked = False
+        self._renew_ns = self._due_ns = 0
+        self._published = 0
+
+    def run(self, seconds: float) -> None:
+        """Time passes at the robot and here."""
+        for _ in range(round(seconds * 100)):
+            self._rig.tick()
+            self._exchange(self._rig.now_ns)
+            if self._rig.now_ns >= self._due_ns:
+                self._due_ns = self._rig.now_ns + PERIOD_NS
+                self._act(self._rig.now_ns)
+
+    def _exchange(self, now_ns: int) -> None:
+        """At the robot: what has come, and what is to be sent."""
+        rig = self._rig
+        for verb, kind, payload in self._link.receive_up(now_ns):
+            if kind is None:
+                rig.put(NAME, verb, payload)
+            else:
+                self._handles[rig.query(NAME, verb, payload)] = kind
+        for handle in list(self._handles):
+            if handle in rig.replies:
+                self._link.send_down((self._handles.pop(handle), rig.replies.pop(handle)), now_ns)
+        if len(rig.published) > self._published:
+            self._published = len(rig.published)
+            self._link.send_down(rig.says, now_ns)
+
+    def _act(self, now_ns: int) -> None:
+        """At the operator's: what has come, and what is to be sent."""
+        for message in self._link.receive_down(now_ns):
+            if isinstance(message, SafetyState):
+                self._state = message
+                if self._stream is not None:
+                    self._stream.see(message, now_ns)
+            else:
+                self._answered(message[0], message[1], now_ns)
+        self._go_on(now_ns)
+        drive = self._stream.command(now_ns) if self._stream is not None else None
+        if drive is not None:
+            self._link.send_up(("drive", None, encode_request(drive)), now_ns)
+
+    def _go_on(self, now_ns: int) -> None:
+        stream, state = self._stream, self._state
+        if state is None:
+            return
+        if stream is not None and stream.ending is not None:
+            self.endings.append(stream.ending)
+            self._stream = stream = None if stream.is_lost else stream
+            if stream is not None:
+                stream.ending = None
+        if stream is not None and not stream.is_wanted and now_ns >= self._renew_ns:
+            self._renew_ns = now_ns + RENEW_NS
+            self._send(Renew(stream.lease), now_ns)
+        if self._asked is not None and now_ns - self._asked[1] < ANSWER_NS:
+            return
+        if stream is None:
+            self._ask(Acquire(), now_ns)
+        elif not stream.is_wanted and state.state is ArbiterState.STANDBY:
+            stream.expect_engaged()
+            self._is_unparked = False
+            self._ask(Engage(stream.lease, state.challenge, deadman_s=self._deadman_s), now_ns)
+        elif stream.engaged and not self._is_unparked:
+            self._ask(Unpark(stream.lease), now_ns)
+        elif stream.engaged:
+            stream.aim(self._set_point, 0.5, now_ns)
+
+    def _ask(self, request: Request, now_ns: int) -> None:
+        self._asked = type(request), now_ns
+        self._send(request, now_ns)
+
+    def _send(self, request: Request, now_ns: int) -> None:
+        kind = type(request)
+        self._link.send_up((VERBS[kind], kind, encode_request(request)), now_ns)
+
+    def _answered(self, kind: type[Request], reply: Reply, now_ns: int) -> None:
+        if self._asked is None or self._asked[0] is not kind:
+            return
+        self._asked = None
+        if isinstance(reply, LeaseReply) and kind is Acquire and reply.ok:
+            self._stream = DriveStream(reply.lease, NAME)
+        elif kind is Unpark:
+            self._is_unparked = reply.ok
+        elif kind is Engage and not reply.ok and self._stream is not None:
+            self._stream.give_up()
+            self._renew_ns = now_ns
+
+
+def trip(profile: LinkProfile, speed_mps: float, seconds: float, seed: int = 1) -> Trip:
+    """Drive over a link for a time, and then cut it."""
+    rig, link = LoopRig(), Link(profile, seed)
+    operator = FarOperator(rig, link, speed_mps, profile.deadman_s)
+    operator.run(10)
+    begun, speeds_mps, good = len(rig.events), deque[float](), 0
+    for _ in range(round(seconds * 100)):
+        operator.run(0.01)
+        speeds_mps.append(abs(rig.speed_mps))
+        allowed_mps = min(speed_mps, rig.says.travel_speed_limit_mps or speed_mps)
+        good += abs(rig.speed_mps) >= 0.9 * allowed_mps
+    stops = [event.reason for event in rig.events[begun:] if event.kind is EventKind.STOP]
+    link.is_cut, at_m = True, rig.chassis.state.mileage_m
+    operator.run(5)
+    return Trip(
+        good / len(speeds_mps),
+        len(stops) * 60 / seconds,
+        median(speeds_mps),
+        rig.chassis.state.mileage_m - at_m,
+        stops,
+    )

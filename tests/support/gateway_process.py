@@ -1,0 +1,99 @@
+"""Our own commands as real processes."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Self
+
+from tests.support.waiting import wait_until
+
+
+class Running:
+    """A ``cruiser`` command in a process of its own. ``said`` collects its stderr line by line."""
+
+    def __init__(self, *words: str) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "gateway", *words],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self.said: list[str] = []
+        self._thread = threading.Thread(target=self._listen)
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        self._thread.join()
+        for stream in (self.process.stdout, self.process.stderr):
+            if stream is not None:
+                stream.close()
+
+    def wait_says(self, pattern: str) -> re.Match[str]:
+        """Wait for a line on stderr that has this in it."""
+        found: list[re.Match[str]] = []
+
+        def search() -> bool:
+            found.extend(match for line in list(self.said) if (match := re.search(pattern, line)))
+            return bool(found) or self.process.poll() is not None
+
+        wait_until(search)
+        assert found, self.said
+        return found[0]
+
+    def stop(self, number: signal.Signals = signal.SIGTERM) -> int:
+        """Send a signal and wait for the end. Returns the exit code."""
+        self.process.send_signal(number)
+        return self.process.wait(30)
+
+    def _listen(self) -> None:
+        for line in self.process.stderr or ():
+            self.said.append(line.rstrip("\n"))
+
+
+@contextmanager
+def chassis(*words: str, listen: str = "127.0.0.1:0") -> Iterator[tuple[Running, str]]:
+    """A virtual chassis, and where it listens."""
+    with Running("sim", "--listen", listen, *words) as sim:
+        yield sim, sim.wait_says(r" on (127\.0\.0\.1:\d+)")[1]
+
+
+@contextmanager
+def gateway(address: str, endpoint: str, *words: str) -> Iterator[Running]:
+    """A gateway on the bus of a virtual chassis, ready."""
+    bus = ["--interface", "socketcand", "--channel", address, "--listen", endpoint]
+    with Running("gateway", *bus, *words) as running:
+        running.wait_says("gateway: ")
+        yield running
+
+
+def run(words: Sequence[str]) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end."""
+    return subprocess.run(
+        [sys.executable, "-m", "gateway", *words], capture_output=True, text=True, check=False, timeout=100
+    )
+
+
+def wait_for_chassis(connect: str, *words: str) -> None:
+    """Wait until the gateway there sees its chassis: before that a stop is said not to be carried out."""
+
+    def sees() -> bool:
+        lines = run(["watch", "cruiser-1", "--seconds", "0.5", "--json", "--connect", connect, *words]).stdout
+        states = [json.loads(line)["safety"] for line in lines.splitlines()]
+        return any(state is not None and "feedback_missing" not in state["blocked_by"] for state in states)
+
+    wait_until(sees)

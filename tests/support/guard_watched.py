@@ -1,0 +1,186 @@
+"""A chassis on a served bus, a stand-in for the gateway, its guard, and somebody who writes down who sent what."""
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+import msgspec
+
+from gateway.can.can_bus import Bus
+from gateway.can.open_bus import open_bus
+from gateway.chassis.frame import Frame
+from gateway.chassis.layout import load
+from gateway.command.frames import MOTION_FRAMES
+from gateway.guard.sight import Sight
+from schemas.messages import Mode, Variant
+from schemas.settings import CanSettings
+from tests.support.gateway_process import chassis
+from tests.support.waiting import wait_until
+
+COMMANDS = {message.can_id: message.name for message in load(Variant.COARSE).commands}
+
+
+class Burst(msgspec.Struct):
+    """Command frames that were sent together, and when the first was heard."""
+
+    at_ns: int
+    frames: list[Frame]
+
+    @property
+    def is_by_guard(self) -> bool:
+        """The stand-in lights the lamp in each burst, the guard never does, though it puts it out."""
+        return not any(COMMANDS[frame.can_id] == "Auto_LightCmd" and frame.data[0] & 1 for frame in self.frames)
+
+    @property
+    def names(self) -> list[str]:
+        """What they are."""
+        return [COMMANDS[frame.can_id] for frame in self.frames]
+
+
+class Listener:
+    """Hears the bus on a thread of its own."""
+
+    def __init__(self, bus: Bus) -> None:
+        self.sight = Sight()
+        self.bursts: list[Burst] = []
+        self._bus = bus
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._listen)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Hear no more."""
+        self._ended.set()
+        self._thread.join()
+        self._bus.close()
+
+    def mode(self) -> Mode:
+        """The mode that the chassis reads now."""
+        return self.sight.mode(time.monotonic_ns())
+
+    def stands(self) -> bool:
+        """The robot stands."""
+        return self.sight.stands(Variant.COARSE, time.monotonic_ns())
+
+    def speed_mps(self) -> float:
+        """What the chassis says."""
+        return self.sight.speed_mps(Variant.COARSE, time.monotonic_ns())
+
+    def by_guard(self) -> list[Burst]:
+        """The guard's bursts, but for one that may still be coming in."""
+        return [burst for burst in self.bursts[:-1] if burst.is_by_guard]
+
+    def _listen(self) -> None:
+        while not self._ended.is_set():
+            frame = self._bus.receive(0.05)
+            if frame is None:
+                continue
+            now_ns = time.monotonic_ns()
+            self.sight.receive(frame, now_ns)
+            if COMMANDS.get(frame.can_id) == MOTION_FRAMES[0] or (frame.can_id in COMMANDS and not self.bursts):
+                self.bursts.append(Burst(now_ns, [frame]))
+            elif frame.can_id in COMMANDS:
+                self.bursts[-1].frames.append(frame)
+
+
+class Watched:
+    """The stand-in as a process."""
+
+    def __init__(self, address: str, listener: Listener, speed_mps: float) -> None:
+        self.address = address
+        self.listener = listener
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "tests.support.guard_stand_in", address, str(speed_mps)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self.said: list[str] = []
+        self.complaints: list[str] = []
+        self._threads = [
+            threading.Thread(target=self._read, args=[self.process.stdout, self.said]),
+            threading.Thread(target=self._read, args=[self.process.stderr, self.complaints]),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def guard(self) -> int:
+        """The guard's process."""
+        wait_until(lambda: bool(self._values("guard")))
+        return int(self._values("guard")[0])
+
+    def wait_says(self, line: str) -> None:
+        """Wait until the stand-in has said this."""
+        wait_until(lambda: line in self.said)
+
+    def drive(self, speed_mps: float = 0.5) -> None:
+        """Wait until the robot is driven at this speed at least."""
+        wait_until(lambda: self.listener.speed_mps() >= speed_mps)
+
+    def send_signal(self, number: signal.Signals) -> None:
+        """To the stand-in."""
+        self.process.send_signal(number)
+
+    def guard_lives(self) -> bool:
+        """The guard's process is there, and is no zombie."""
+        try:
+            status = Path(f"/proc/{self.guard}/stat").read_text(encoding="ascii")
+        except FileNotFoundError:
+            return False
+        return status.rpartition(")")[2].split()[0] != "Z"
+
+    def wait_guard_gone(self) -> None:
+        """Wait until the guard has left."""
+        wait_until(lambda: not self.guard_lives())
+
+    @property
+    def late_ms(self) -> int:
+        """How late the stand-in's latest tick was, once it has ended."""
+        return int(self._values("late_ms")[0])
+
+    def close(self) -> None:
+        """End the stand-in, however it is, and let the guard finish."""
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        for thread in self._threads:
+            thread.join()
+        for stream in (self.process.stdout, self.process.stderr):
+            if stream is not None:
+                stream.close()
+
+    def _values(self, name: str) -> list[str]:
+        return [line.partition(" ")[2] for line in list(self.said) if line.startswith(f"{name} ")]
+
+    @staticmethod
+    def _read(stream: IO[str] | None, lines: list[str]) -> None:
+        lines.extend(line.rstrip("\n") for line in stream or ())
+
+
+@contextmanager
+def listening(address: str) -> Iterator[Listener]:
+    """Somebody on the bus who only listens."""
+    listener = Listener(open_bus(CanSettings(interface="socketcand", channel=address)))
+    try:
+        yield listener
+    finally:
+        listener.close()
+
+
+@contextmanager
+def watched(speed_mps: float = 1.0) -> Iterator[Watched]:
+    """A robot that is driven by a stand-in that a guard watches."""
+    with chassis() as (_, address), listening(address) as listener:
+        running = Watched(address, listener, speed_mps)
+        try:
+            yield running
+        finally:
+            running.close()

@@ -1,0 +1,101 @@
+"""Logs of chosen messages, and what the protobuf package makes of them."""
+
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pyarrow as pa
+
+from recorder.encoding.protobuf_schema import descriptor_set, schema_name
+from recorder.encoding.transcode import compile_encoder
+from recorder.mcap.channel import LogChannel
+from recorder.mcap.chunk import ChunkBuilder
+from recorder.mcap.summary import MAGIC
+from recorder.mcap.writer import McapFile
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import Selection
+from recorder.reading.topics import typed_decoder
+from recorder.review.columns.reader import Batch, ColumnReader, Sift
+from recorder.review.export.cells import values
+from tests.support.recorder_fakes import WALL_NS, Disk
+
+
+def channel_of(kind: type[msgspec.Struct], channel_id: int = 1, topic: str = "t") -> LogChannel:
+    """A channel of messages of a class of ours."""
+    return LogChannel(channel_id, topic, schema_name(kind), descriptor_set(kind))
+
+
+def log_of(channels: Sequence[LogChannel], chunks: Sequence[Sequence[tuple[int, bytes]]]) -> bytes:
+    """A file of these chunks, whose messages are a channel and their data each; one a nanosecond."""
+    disk = Disk()
+    file = McapFile(disk, "test")
+    for channel in channels:
+        file.add_channel(channel)
+    number = 0
+    for messages in chunks:
+        builder = ChunkBuilder()
+        for channel_id, data in messages:
+            builder.add(channel_id, number, WALL_NS + number, WALL_NS - number, data)
+            number += 1
+        chunk = builder.seal()
+        assert chunk is not None
+        file.write_chunk(chunk)
+    file.finish()
+    return disk.getvalue()
+
+
+def batches_of(
+    data: bytes, faults: Faults | None = None, selection: Selection | None = None, sift: Sift | None = None
+) -> list[Batch]:
+    """The batches of a file's bytes."""
+    stream = BytesIO(data)
+    stream.seek(len(MAGIC))
+    taken = Faults() if faults is None else faults
+    reader = ColumnReader(stream, LogFile(Path("log"), len(data), 0, 0), selection or Selection(), taken)
+    found = list(reader.batches(lambda _: None, sift))
+    if faults is None:
+        assert not taken, taken.told
+    return found
+
+
+def rows_of(batches: Sequence[Batch]) -> list[dict[str, Any]]:
+    """All rows as JSON has them."""
+    rows: list[dict[str, Any]] = []
+    for batch in batches:
+        batch.rows.validate(full=True)
+        columns = [values(column) for column in batch.rows.columns]
+        rows += [dict(zip(batch.rows.schema.names, row, strict=True)) for row in zip(*columns, strict=True)]
+    return rows
+
+
+def encoded(message: msgspec.Struct) -> bytes:
+    """A message as a recorder writes it."""
+    return compile_encoder(type(message))(message)
+
+
+def typed_row(kind: type[msgspec.Struct], data: bytes) -> dict[str, Any]:
+    """The same message by the protobuf package and the typed class, as JSON; the sequence is the record's."""
+    row: dict[str, Any] = msgspec.to_builtins(typed_decoder(kind)(data))
+    row.pop("sequence", None)
+    if kind.__name__ == "RecorderEvent":
+        row["message_robot"] = row.pop("robot")
+    if kind.__name__ == "GatewayInfo":
+        row["message_robot"] = row.pop("robot")
+    return row
+
+
+def fields_of(row: dict[str, Any]) -> dict[str, Any]:
+    """A row without what every table begins with."""
+    return {name: value for name, value in row.items() if name not in {"log_time", "publish_time", "sequence"}}
+
+
+def write(path: Path, data: bytes) -> Path:
+    """A file with these bytes."""
+    path.write_bytes(data)
+    return path
+
+
+NS = pa.timestamp("ns", "UTC")

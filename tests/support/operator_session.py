@@ -1,0 +1,50 @@
+"""An operator's program as a process of its own: drives at 0.6 m/s, and hangs when it is told to.
+
+Usage: python -m tests.support.operator_session ENDPOINT OPERATOR
+"""
+
+import ctypes
+import signal
+import sys
+import time
+
+import zenoh
+
+from gateway.client.robot import Robot
+from gateway.zenoh.client import open_session
+from schemas.reasons import Reason
+from schemas.settings import Settings, ZenohSettings
+
+HANG = signal.SIGUSR1
+HANG_S = 600
+SPEED_MPS = 0.6
+
+
+def token_key(operator: str) -> str:
+    """Where its liveliness token is."""
+    return f"operators/{operator}"
+
+
+def main(endpoint: str, operator: str) -> None:
+    """Drive for ever. It prints ``driving`` when the robot does."""
+    settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
+    # The whole program stands, and its stream with it; Zenoh's own threads live, and so do link and token.
+    signal.signal(HANG, lambda _number, _frame: ctypes.PyDLL(None).sleep(HANG_S))
+    session = open_session(ZenohSettings(mode="client"), [endpoint], [])
+    token = session.liveliness().declare_token(token_key(operator))
+    with Robot.connect("cruiser-1", operator, settings, 30) as robot, robot.lease() as lease:
+        robot.wait_for(lambda state: state.blocked_by == [Reason.NOT_ENGAGED], 30)
+        lease.engage()
+        lease.unpark()
+        is_told = False
+        while isinstance(token, zenoh.LivelinessToken):
+            lease.drive(SPEED_MPS)
+            if not is_told and robot.state().state.output_speed_mps >= SPEED_MPS:
+                is_told = True
+                sys.stdout.write("driving\n")
+                sys.stdout.flush()
+            time.sleep(0.02)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

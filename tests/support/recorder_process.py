@@ -1,0 +1,168 @@
+"""``cruiser record`` as a process of its own, against a small Zenoh peer, and what it is heard to say."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from io import BytesIO
+from pathlib import Path
+
+import zenoh
+from mcap.reader import make_reader
+
+from recorder.review.info import LogInfo, read_info
+from schemas import codec, keys
+from schemas.exit_codes import CommandError
+from schemas.messages import Message
+from schemas.recording import RecorderEvent, RecorderEventKind, RecorderHealth, RecordGap
+from tests.support.recorder_fakes import FakeSample, logs_in, wait_until
+from tests.support.zenoh_peer import Peer
+
+CRUISER = str(Path(sys.executable).with_name("cruiser"))
+
+
+def environment() -> dict[str, str]:
+    """What a process of a test inherits."""
+    return {
+        name: value
+        for name, value in os.environ.items()
+        if name in {"PATH", "HOME", "PYTHONPATH"} or name.startswith("CRUISER_")
+    }
+
+
+class Process:
+    """A running recorder."""
+
+    def __init__(self, command: Sequence[str], words: Sequence[str]) -> None:
+        self._process = subprocess.Popen(
+            [*command, "record", *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment(),
+        )
+        self.ready = self._read_ready()
+
+    def _read_ready(self) -> str:
+        assert self._process.stderr is not None
+        return self._process.stderr.readline()
+
+    def end(self, number: int | None = signal.SIGTERM) -> tuple[int, str, str]:
+        """Send a signal, wait; exit code, stdout and the rest of stderr."""
+        if number is not None:
+            self._process.send_signal(number)
+        out, err = self._process.communicate(timeout=30)
+        return self._process.returncode, out, err
+
+    def signal(self, number: int) -> None:
+        """Send a signal."""
+        self._process.send_signal(number)
+
+    def kill(self) -> None:
+        """Without a chance to do anything."""
+        self.end(signal.SIGKILL)
+
+    @property
+    def is_running(self) -> bool:
+        return self._process.poll() is None
+
+
+@contextmanager
+def recording(*words: str, command: Sequence[str] = (CRUISER,)) -> Iterator[Process]:
+    """A recorder that does not outlive the test."""
+    process = Process(command, words)
+    try:
+        yield process
+    finally:
+        if process.is_running:
+            process.kill()
+
+
+def ask(*words: str) -> tuple[int, str, str]:
+    """Run ``cruiser record`` with an action; exit code, stdout and stderr."""
+    done = subprocess.run(
+        [CRUISER, "record", *words], check=False, capture_output=True, text=True, timeout=60, env=environment()
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+def link(peer: Peer, directory: Path) -> None:
+    """Publish until the recorder has heard of it and opened its log."""
+
+    def condition() -> bool:
+        peer.put(FakeSample("fleet/cruiser-1/link", "zenoh/bytes", b""))
+        return directory.exists() and bool(logs_in(directory))
+
+    wait_until(condition)
+
+
+def counts(found: LogInfo) -> dict[str, int]:
+    """Messages by topic."""
+    return {channel.topic: channel.messages for channel in found.channels}
+
+
+def heard(peer: Peer, directory: Path, name: str) -> bool:
+    """Publish; is it in the log?"""
+    peer.put(FakeSample(f"fleet/cruiser-1/{name}", "zenoh/bytes", b""))
+    time.sleep(0.05)
+    return any(counts(one).get(f"fleet/cruiser-1/{name}") for one in readable(directory))
+
+
+def readable(directory: Path) -> Iterator[LogInfo]:
+    """The logs of a directory, some of which may this moment be begun or renamed."""
+    with suppress(FileNotFoundError):
+        for path in directory.iterdir():
+            with suppress(CommandError):
+                yield read_info(path)
+
+
+def whole(directory: Path) -> list[Path]:
+    """The logs that are ended."""
+    return sorted(directory.glob("*.mcap"))
+
+
+def sequences(path: Path, topic: str) -> list[int]:
+    """The messages of a topic in a whole file, as the mcap package reads them with all checksums."""
+    reader = make_reader(BytesIO(path.read_bytes()), validate_crcs=True)
+    return [message.sequence for _, _, message in reader.iter_messages(topics=[topic])]
+
+
+class Told:
+    """What recorders say of themselves to a peer."""
+
+    def __init__(self, peer: Peer) -> None:
+        self._subscriber = peer.session.declare_subscriber(
+            "fleet/@recorder/*/*", zenoh.handlers.RingChannel(10_000)
+        )
+        self._messages: list[tuple[str, Message]] = []
+
+    def _take(self) -> list[tuple[str, Message]]:
+        while (sample := self._subscriber.try_recv()) is not None:
+            parts = keys.parse(str(sample.key_expr))
+            assert parts is not None, sample.key_expr
+            message = codec.decode(parts.subject, sample.payload.to_bytes())
+            assert isinstance(message, Message)
+            assert str(sample.encoding) == parts.subject.encoding
+            self._messages.append((parts.recorder, message))
+        return self._messages
+
+    def healths(self, recorder: str = "bench") -> list[RecorderHealth]:
+        """How a recorder was, each second."""
+        return [one for name, one in self._take() if name == recorder and isinstance(one, RecorderHealth)]
+
+    def events(self, kind: RecorderEventKind) -> list[RecorderEvent]:
+        """What happened."""
+        return [one for _, one in self._take() if isinstance(one, RecorderEvent) and one.kind is kind]
+
+    def gaps(self) -> list[RecordGap]:
+        """What is not in the logs."""
+        return [one for _, one in self._take() if isinstance(one, RecordGap)]
+
+    def wait_for_health(self, recorder: str = "bench") -> RecorderHealth:
+        """One that comes from now on."""
+        count = len(self.healths(recorder))
+        wait_until(lambda: len(self.healths(recorder)) > count)
+        return self.healths(recorder)[-1]

@@ -1,0 +1,81 @@
+"""A gateway's place on Zenoh, as small as it can be: on a free port of the loopback, never multicast."""
+
+import json
+import socket
+import threading
+from types import TracebackType
+from typing import Self
+
+import zenoh
+
+from recorder.encoding.sample import Sample
+from schemas.settings import ZenohSettings
+from schemas.zenoh_link import session_settings
+
+
+def free_endpoint() -> str:
+    """An endpoint that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+class Peer:
+    """Publishes samples, and answers queries on one key."""
+
+    def __init__(self, endpoint: str) -> None:
+        config = zenoh.Config()
+        for path, value in session_settings(ZenohSettings(), [], [endpoint]).items():
+            config.insert_json5(path, json.dumps(value))
+        self._session = zenoh.open(config)
+        self._stop = threading.Event()
+        self._threads: list[threading.Thread] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def session(self) -> zenoh.Session:
+        """The peer's session, for what it cannot do itself."""
+        return self._session
+
+    def put(self, sample: Sample) -> None:
+        """Publish a sample."""
+        self._session.put(
+            sample.key,
+            sample.payload,
+            encoding=sample.encoding,
+            attachment=sample.attachment or None,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+        )
+
+    def delete(self, key: str) -> None:
+        """Say that a key is deleted."""
+        self._session.delete(key)
+
+    def answer(self, reply: Sample) -> None:
+        """Answer every query on the reply's key with it."""
+        queries = self._session.declare_queryable(reply.key, zenoh.handlers.RingChannel(16), complete=True)
+
+        def serve() -> None:
+            while not self._stop.wait(0.01):
+                query = queries.try_recv()
+                if query is not None:
+                    with query:
+                        query.reply(reply.key, reply.payload, encoding=reply.encoding)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        self._threads.append(thread)
+
+    def close(self) -> None:
+        """Leave Zenoh."""
+        self._stop.set()
+        for thread in self._threads:
+            thread.join()
+        self._session.close()

@@ -1,0 +1,307 @@
+"""The served bus, with python-can's own socketcand interface as the client."""
+
+import contextlib
+import os
+import resource
+import socket
+from collections.abc import Iterator
+
+import can
+import pytest
+
+from gateway.can.socketcand_server import (
+    ACCEPT_PAUSE_NS,
+    JOIN_NS,
+    MAX_CLIENTS,
+    MAX_QUEUED_BYTES,
+    SocketcandServer,
+    _Outbox,
+)
+from gateway.chassis.encode import Encoder
+from gateway.chassis.frame import EXTENDED, Frame
+from gateway.chassis.layout import load
+from schemas.messages import Mode, Variant
+from tests.support.sim_served import DEADLINE_S, Served, receive, served, wait_until
+
+FRAME = Frame(0x18C4D1EF | EXTENDED, bytes(8), 1_000_000_000)
+LINE = b"< frame 18C4D1EF 1.000000 0000000000000000 >"
+
+
+@pytest.fixture
+def running() -> Iterator[Served]:
+    """A served chassis."""
+    with served() as chassis:
+        yield chassis
+
+
+@pytest.fixture
+def server() -> Iterator[SocketcandServer]:
+    """A server whose time stands where the test puts it."""
+    bare = SocketcandServer("127.0.0.1", 0)
+    yield bare
+    bare.close()
+
+
+def no_faults(_text: str) -> str:
+    """Takes every fault."""
+    return ""
+
+
+def turn(server: SocketcandServer, now_ns: int = 0, wall_ns: int = 0) -> list[Frame]:
+    """One turn of the server's loop."""
+    server.wait(1.0)
+    return server.read(now_ns, wall_ns, no_faults)
+
+
+def turn_quickly(server: SocketcandServer) -> None:
+    """One turn that waits for nobody."""
+    server.wait(0)
+    server.read(JOIN_NS, 0, no_faults)
+
+
+def join(server: SocketcandServer, now_ns: int = 0) -> socket.socket:
+    """A client in raw mode, turn by turn."""
+    client = socket.create_connection(server.address, DEADLINE_S)
+    turn(server, now_ns)
+    assert client.recv(64) == b"< hi >"
+    for request in (b"< open can0 >", b"< rawmode >"):
+        client.sendall(request)
+        turn(server, now_ns)
+        assert client.recv(64) == b"< ok >"
+    return client
+
+
+def test_python_can_receives_the_feedback(running: Served) -> None:
+    """Three hundred frames in a row have all ten identifiers, running counters and times."""
+    with running.bus() as bus:
+        counters: dict[int, int] = {}
+        for _ in range(300):
+            message = receive(bus, lambda _message: True)
+            counter = message.data[6] >> 4
+            before = counters.setdefault(message.arbitration_id, counter - 1)
+            assert (counter - before) % 16 == 1, "a frame was lost"
+            counters[message.arbitration_id] = counter
+            assert message.is_extended_id
+            assert message.timestamp > 1e9
+    layout = load(Variant.COARSE)
+    assert set(counters) == {message.can_id & ~EXTENDED for message in layout.feedback}
+
+
+def test_python_can_drives_it(running: Served) -> None:
+    """Commands sent through python-can reach the chassis."""
+    encoder = Encoder(load(Variant.COARSE))
+    with running.bus() as bus:
+        for name in ("Gear", "Steering", "Drive", "Braking", "Parking"):
+            frame = encoder.encode(f"Auto_{name}Cmd", {"Enable": True}, 0)
+            bus.send(can.Message(arbitration_id=frame.identifier, data=frame.data))
+        receive(bus, lambda message: message.arbitration_id == 0x18C4D9EF and message.data[5] == 0)
+    assert running.chassis.state.mode is Mode.AUTO
+
+
+def test_each_client_sees_the_others_and_not_itself(running: Served) -> None:
+    """As on a wire: standard and extended identifiers, any length."""
+    with running.bus() as first, running.bus() as second, running.bus() as third:
+        for bus in (first, second, third):
+            assert receive(bus, lambda message: message.arbitration_id == 0x18C4D1EF)  # It is on the bus now.
+        first.send(can.Message(arbitration_id=0x123, is_extended_id=False, data=b"\x01\x02\x03"))
+        second.send(can.Message(arbitration_id=0x1ABCDEF0, data=b""))
+        # Which of two clients is heard first is open.
+        at_third: dict[int, can.Message] = {}
+        while len(at_third) < 2:
+            message = receive(third, lambda message: message.arbitration_id in {0x123, 0x1ABCDEF0})
+            at_third[message.arbitration_id] = message
+        assert (bytes(at_third[0x123].data), at_third[0x123].is_extended_id) == (b"\x01\x02\x03", False)
+        assert (bytes(at_third[0x1ABCDEF0].data), at_third[0x1ABCDEF0].is_extended_id) == (b"", True)
+        assert receive(second, lambda message: message.arbitration_id == 0x123)
+        others = {0x123, 0x1ABCDEF0}
+        assert receive(first, lambda message: message.arbitration_id in others).arbitration_id == 0x1ABCDEF0
+
+
+def test_a_fault_can_be_caused_over_the_connection(running: Served) -> None:
+    """The answer is ok, or the reason with the right word."""
+    with running.raw() as client:
+        client.sendall(b"< fault bumper front on >")
+        assert client.recv(300) == b"< ok >"
+        client.sendall(b"< fault bumpr front on >")
+        assert client.recv(300) == b"< error there is no fault 'bumpr'; did you mean 'bumper'? >"
+    with running.bus() as bus:
+        assert receive(bus, lambda message: message.arbitration_id == 0x18C4D9EF).data[4] & 1
+
+
+def test_a_client_is_on_the_bus_after_its_handshake(server: SocketcandServer) -> None:
+    """No frame may stick to the ok that python-can's handshake compares, and none comes later in a burst."""
+    client = join(server, now_ns=1000)
+    server.send([FRAME], 1001)
+    server.send([FRAME], 1000 + JOIN_NS - 1)
+    client.settimeout(0)
+    with pytest.raises(BlockingIOError):
+        client.recv(1)
+    server.send([FRAME], 1000 + JOIN_NS)
+    client.settimeout(DEADLINE_S)
+    assert client.recv(300) == LINE
+    client.close()
+
+
+def test_frames_of_clients_are_stamped_on_arrival(server: SocketcandServer) -> None:
+    """The time is the server's, as a CAN controller's would be."""
+    client = join(server)
+    client.sendall(b"< send 123 1 ff >")
+    assert turn(server, JOIN_NS, 77) == [Frame(0x123, b"\xff", 77)]
+    client.close()
+
+
+class Reader:
+    """The lines that a client has read so far."""
+
+    def __init__(self, client: socket.socket) -> None:
+        client.settimeout(0)
+        self._client = client
+        self._rest = b""
+        self.lines: list[bytes] = []
+
+    def read(self) -> None:
+        """Reads what is there."""
+        with contextlib.suppress(BlockingIOError):
+            *lines, self._rest = (self._rest + self._client.recv(1 << 20)).split(b">")
+            self.lines += lines
+
+
+def test_a_slow_client_costs_the_others_nothing(server: SocketcandServer) -> None:
+    """Its frames are dropped, whole ones, oldest first, and counted; what is kept for it is bounded."""
+    slow, quick = join(server), join(server)
+    outboxes = [client.outbox for client in server._clients.values()]
+    current = Reader(quick)
+    sent = 0
+    while not any(outbox.dropped for outbox in outboxes):
+        server.send([Frame(0x123, sent.to_bytes(4, "big"), sent) for _ in range(1000)], JOIN_NS)
+        sent += 1000
+        while len(current.lines) < sent:
+            turn_quickly(server)
+            current.read()
+        assert all(outbox._queued_bytes <= MAX_QUEUED_BYTES for outbox in outboxes)
+    late = Reader(slow)
+    dropped = sum(outbox.dropped for outbox in outboxes)
+    while len(late.lines) < sent - dropped:
+        late.read()
+        turn_quickly(server)
+    assert all(line.startswith(b"< frame 123 ") and len(line.split()) == 5 for line in late.lines)
+    numbers = [int(line.split()[4], 16) for line in late.lines]
+    assert numbers == sorted(numbers)
+    assert (numbers[0], numbers[-1]) == (0, sent - 1000)
+    slow.close()
+    quick.close()
+    while server.clients:
+        turn(server)
+    assert server.dropped == dropped > 0
+
+
+def test_a_client_that_reads_no_answers_is_cut_off(server: SocketcandServer) -> None:
+    """Answers cannot be dropped, so their reader is."""
+    client = join(server)
+    client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    client.settimeout(0)
+    for _ in range(100_000):
+        try:
+            client.send(b"< x >" * 2000)
+        except BlockingIOError:
+            pass
+        except (ConnectionResetError, BrokenPipeError):
+            break
+        server.wait(0)
+        server.read(JOIN_NS, 0, no_faults)
+        if not server.clients:
+            break
+    assert server.clients == 0
+    client.close()
+
+
+def test_answers_are_never_dropped() -> None:
+    """Dropping for room takes frames only, and keeps the order of the rest."""
+    outbox = _Outbox()
+    outbox.put_reply(b"first")
+    for _ in range(100):
+        outbox.put_frames(b"f" * (MAX_QUEUED_BYTES // 50), 1)
+    outbox.put_reply(b"last")
+    near, far = socket.socketpair()
+    with near, far:
+        near.settimeout(0)
+        received = b""
+        while outbox:
+            outbox.send(near)
+            received += far.recv(1 << 20)
+    assert received.startswith(b"first")
+    assert received.endswith(b"last")
+    assert received.count(b"f" * (MAX_QUEUED_BYTES // 50)) == 100 - outbox.dropped
+    assert outbox.dropped > 50
+
+
+def test_a_client_that_vanishes_is_forgotten(running: Served) -> None:
+    """With a reset, with half a message, or politely; the others go on."""
+    with running.bus() as bus:
+        with running.raw() as client:
+            client.sendall(b"< open can0 >< rawmo")
+            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\0\0\0\0\0\0\0")
+        with running.raw():
+            pass
+        wait_until(lambda: running.server.clients == 1)
+        assert receive(bus, lambda _message: True)
+
+
+def test_the_number_of_clients_is_bounded(server: SocketcandServer) -> None:
+    """One more is told so and closed."""
+    clients = []
+    for _ in range(MAX_CLIENTS):
+        clients.append(socket.create_connection(server.address, DEADLINE_S))
+        turn(server)
+    with socket.create_connection(server.address, DEADLINE_S) as surplus:
+        turn(server)
+        assert surplus.recv(300).startswith(b"< error ")
+    assert server.clients == MAX_CLIENTS
+    for client in clients:
+        client.close()
+
+
+@contextlib.contextmanager
+def no_descriptor_left() -> Iterator[None]:
+    """This process can open nothing more."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    lowest_free = os.dup(0)
+    os.close(lowest_free)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (lowest_free, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_without_descriptors_it_pauses_and_goes_on(server: SocketcandServer) -> None:
+    """A client that cannot be let in does not wake the server without end, and is let in after the pause."""
+    first = join(server)
+    with socket.create_connection(server.address, DEADLINE_S) as waiting:
+        with no_descriptor_left():
+            turn(server, JOIN_NS)
+            assert server.clients == 1
+            server.wait(0)
+            assert server._ready == []
+        server.send([FRAME], JOIN_NS)
+        assert first.recv(300) == LINE  # The others go on.
+        server.read(JOIN_NS + ACCEPT_PAUSE_NS - 1, 0, no_faults)
+        server.wait(0)
+        assert server._ready == []
+        server.read(JOIN_NS + ACCEPT_PAUSE_NS, 0, no_faults)
+        turn(server, JOIN_NS + ACCEPT_PAUSE_NS)
+        assert waiting.recv(64) == b"< hi >"
+    first.close()
+
+
+def test_a_port_has_one_server(server: SocketcandServer) -> None:
+    """A second one fails; after the first has closed, its port can be had at once."""
+    host, port = server.address
+    with pytest.raises(OSError, match="in use"):
+        SocketcandServer(host, port)
+    client = join(server)
+    server.close()
+    again = SocketcandServer(host, port)
+    assert again.address == (host, port)
+    again.close()
+    client.close()

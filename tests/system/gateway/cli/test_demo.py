@@ -1,0 +1,219 @@
+"""``cruiser demo``: the whole main job, as a user starts it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from gateway.cli.demo import describe
+from tests.support.gateway_process import run
+
+
+class Demo(NamedTuple):
+    """One demo, of a robot with names and a variant of its own."""
+
+    summary: dict[str, Any]
+    directory: Path
+
+    @property
+    def log(self) -> Path:
+        return Path(self.summary["path"])
+
+    def states(self) -> list[Any]:
+        with self.log.open("rb") as stream:
+            reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+            return [message for _, _, _, message in reader.iter_decoded_messages(topics=["yard/r-7/state"])]
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Demo:
+    """One demo for all of these tests: it takes its time."""
+    directory = tmp_path_factory.mktemp("demo")
+    file, out = directory / "robot.toml", directory / "log"
+    file.write_text(
+        '[robot]\nroot = "yard"\nname = "r-7"\n[can]\nbus = "can7"\n[chassis]\nvariant = "fine"\n'
+        '[sim]\nvariant = "fine"\n[recorder]\nchunk_bytes = 2048\n'
+    )
+    done = run(["demo", "--config", str(file), "--seconds", "20", "--out", str(out), "--json"])
+    assert done.returncode == 0, done.stderr
+    return Demo(json.loads(done.stdout), out)
+
+
+def test_the_demo_records_everything(demo: Demo) -> None:
+    """A whole log; no frame lost, no sample missed; the robot drove and was hit in it."""
+    summary = demo.summary
+    assert (summary["frames_lost"], summary["samples_missed"], summary["whole"]) == (0, 0, True)
+    (incident,) = summary["incidents"]
+    assert {str(path) for path in demo.directory.iterdir()} == {str(demo.log), incident}
+    states = demo.states()
+    assert max(state.speed_mps for state in states if state.HasField("speed_mps")) > 0.5
+    assert any(state.front_bumper for state in states)
+
+
+def test_the_demo_tells_what_the_arbiter_did(demo: Demo) -> None:
+    """Engaged, stopped by the bumper, reset, stopped by the stalled link, driven on by a second operator."""
+    told = "\n".join(entry["what"] for entry in demo.summary["timeline"])
+    steps = (
+        "first-operator has acquired the lease",
+        "engaged",
+        "stopping: the front bumper was hit",
+        "reset: front_bumper",
+        "engaged",
+        "stopping: no acceptable drive command came in time",
+        "second-operator has acquired the lease",
+        "engaged",
+        "stopping: the holder of the lease disengaged",
+        "stopped",
+    )
+    place = 0
+    for step in steps:
+        place = told.find(step, place)
+        assert place >= 0, (step, told)
+        place += len(step)
+
+
+def test_the_demo_is_of_the_robot_that_the_configuration_says(demo: Demo) -> None:
+    """Chassis, gateway and recorder read the demo's --config: names, variants, all of it."""
+    with demo.log.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    topics = {channel.topic for channel in summary.channels.values()}
+    states = demo.states()
+    # The wheel speeds of a chassis that plays the other variant would be evidence against it.
+    variants = states[0].DESCRIPTOR.fields_by_name["variant"].enum_type.values_by_number
+    assert {variants[state.variant].name for state in states} == {"VARIANT_FINE"}
+    assert {"yard/r-7/can/can7/rx", "yard/r-7/can/can7/tx"} <= topics
+    assert len(summary.chunk_indexes) > 10
+
+
+def test_the_summary_is_for_people(demo: Demo) -> None:
+    """It tells frames, messages, losses, the log's path and what opens it."""
+    text = describe(demo.summary, "yard/r-7")
+    assert "busy" not in text
+    assert "busy" in describe(demo.summary | {"frames_lost": 80}, "yard/r-7")
+    assert "0 lost" in text
+    assert str(demo.log) in text
+    assert demo.summary["incidents"][0] in text
+    for viewer in ("Foxglove", "PlotJuggler", "rerun"):
+        assert viewer in text
+
+
+SHORT_S, LONG_S = 0.5, 3.0
+"""The guard stops a robot after a tenth of a second; after a second without a word its operator gives up."""
+
+
+class HeldUp(NamedTuple):
+    """A demo whose gateway got no processor twice: once until the guard stopped its robot, and once for longer.
+
+    Attributes:
+        was_open: the log was not finished when the first line of the timeline was there.
+        out: where it was told to write; there was something there already.
+    """
+
+    code: int
+    told: str
+    errors: str
+    was_open: bool
+    out: Path
+
+
+@pytest.fixture(scope="module")
+def held_up(tmp_path_factory: pytest.TempPathFactory) -> HeldUp:
+    """As on a machine that is busy with something else."""
+    out = tmp_path_factory.mktemp("held-up") / "log"
+    out.mkdir()
+    (out / "of-an-earlier-run").touch()
+    words = [sys.executable, "-m", "gateway", "demo", "--seconds", "20", "--out", str(out)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        lines: list[str] = []
+
+        def wait_told(what: str) -> None:
+            for line in process.stdout or ():
+                lines.append(line)
+                if what in line:
+                    return
+
+        wait_told("drives a figure of eight")
+        was_open = not list((out.parent / "log-2").glob("*.mcap"))
+        gateway = _child(process.pid, "gateway")
+        _hold_up(gateway, SHORT_S)
+        wait_told("engages again")
+        wait_told("engaged: ")
+        _hold_up(gateway, LONG_S)
+        told, errors = process.communicate(timeout=100)
+    return HeldUp(process.returncode, "".join(lines) + told, errors, was_open, out)
+
+
+def _hold_up(process: int, seconds: float) -> None:
+    """Give it no processor for so long; the demo is what is waited for."""
+    os.kill(process, signal.SIGSTOP)
+    time.sleep(seconds)
+    os.kill(process, signal.SIGCONT)
+
+
+def _child(parent: int, command: str) -> int:
+    """The process of this command that the parent has started."""
+    for task in Path(f"/proc/{parent}/task").iterdir():
+        for number in (task / "children").read_text().split():
+            if Path(f"/proc/{number}/cmdline").read_bytes().split(b"\0")[3] == command.encode():
+                return int(number)
+    raise AssertionError(f"{parent} has no child {command}")
+
+
+def test_a_demo_that_the_machine_held_up_begins_once_more(held_up: HeldUp) -> None:
+    """It says what happened, why, and where the log until then is; the next attempt shows everything."""
+    assert held_up.code == 0, held_up.errors
+    assert "demo: interrupted: " in held_up.errors
+    assert "busy" in held_up.errors
+    (kept,) = (held_up.out.parent / "log-2-interrupted").glob("*Z.mcap")
+    assert str(kept.parent) in held_up.errors
+    assert "second-operator gave the lease back" in held_up.told
+
+
+def test_a_robot_that_the_guard_has_stopped_is_driven_on(held_up: HeldUp) -> None:
+    """Its operator says why it was stopped, resets it, and engages it again."""
+    before = held_up.told.partition("not heard any more")[0]
+    guard = before.find("the guard has stopped the robot")
+    assert 0 <= guard < before.find("engages again") < before.find("reset: guard") < before.rfind("engaged: "), (
+        before
+    )
+
+
+def test_the_timeline_is_told_as_it_happens(held_up: HeldUp) -> None:
+    """Its first lines come while the log is being written."""
+    assert held_up.was_open
+
+
+def test_a_second_demo_leaves_the_log_of_the_first_alone(held_up: HeldUp) -> None:
+    """It takes the next directory that is free, and says which."""
+    assert [path.name for path in held_up.out.iterdir()] == ["of-an-earlier-run"]
+    assert len(list((held_up.out.parent / "log-2").glob("*Z.mcap"))) == 1
+    assert str(held_up.out.parent / "log-2") in held_up.told
+
+
+def test_a_success_warns_of_nothing(held_up: HeldUp) -> None:
+    """The operator whose link stalls is shown on purpose."""
+    assert "WARNING" not in held_up.errors
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "nan", "x", "19"])
+def test_a_wrong_time_is_a_matter_of_usage(seconds: str) -> None:
+    """Nothing starts."""
+    assert run(["demo", "--seconds", seconds]).returncode == 2
+
+
+def test_a_directory_that_cannot_be_written_is_one_clear_line() -> None:
+    """What the recorder says is passed on, with its exit code."""
+    done = run(["demo", "--out", "/proc/nowhere"])
+    assert done.returncode == 1
+    assert len([line for line in done.stderr.splitlines() if line.startswith("cruiser")]) == 1
+    assert "/proc/nowhere" in done.stderr

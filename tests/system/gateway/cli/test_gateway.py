@@ -1,0 +1,541 @@
+"""``cruiser gateway`` as a process, with a virtual chassis as a process."""
+
+import itertools
+import signal
+import socket
+from argparse import Namespace
+from collections.abc import Callable
+from functools import partial
+from random import Random
+from typing import Any
+
+import msgpack
+import pytest
+import zenoh
+
+from gateway.chassis.layout import load
+from gateway.cli.gateway import run as run_gateway
+from gateway.client.refusal import RobotError
+from gateway.client.robot import Robot
+from gateway.command.actuation import Actuation
+from gateway.core import Core
+from gateway.guard.beat import GuardView
+from gateway.host.guard_process import NoGuard
+from gateway.host.stop_note import StopNote
+from gateway.loop import Surroundings
+from gateway.zenoh.client import close_session, open_session
+from schemas.dbc_files import dbc_text
+from schemas.decisions import EventKind, SafetyEvent
+from schemas.messages import GearPosition, Mode, Variant
+from schemas.reasons import Reason
+from schemas.settings import CanSettings, Settings, ZenohSettings
+from schemas.subjects import BY_VERB, COMMANDS, SUBJECTS, Pattern
+from tests.support.fake_gateway import free_endpoint
+from tests.support.gateway_process import chassis, gateway, run
+from tests.support.guard_watched import listening
+from tests.support.waiting import wait_until
+
+
+class Listener:
+    """Hears everything under ``fleet``, with Zenoh and MessagePack alone."""
+
+    def __init__(self, endpoint: str) -> None:
+        self.session = open_session(ZenohSettings(), [endpoint], [])
+        self._subscriber = self.session.declare_subscriber("fleet/**", zenoh.handlers.RingChannel(100_000))
+        self.latest: dict[str, dict[str, Any]] = {}
+        self.heard: list[tuple[str, dict[str, Any]]] = []
+        self.encodings: dict[str, str] = {}
+
+    def hear(self) -> None:
+        """Take what has come."""
+        while (sample := self._subscriber.try_recv()) is not None:
+            key = str(sample.key_expr)
+            self.latest[key] = msgpack.unpackb(sample.payload.to_bytes())
+            self.heard.append((key, self.latest[key]))
+            self.encodings[key] = str(sample.encoding)
+
+    def wait_for(self, key: str, condition: Callable[[dict[str, Any]], bool] = bool) -> dict[str, Any]:
+        """Hear until the newest message of this key fulfils the condition."""
+        wait_until(lambda: key in self.latest and condition(self.latest[key]), self.hear)
+        return self.latest[key]
+
+    def info(self, robot: str) -> dict[str, Any]:
+        """What a query on a robot's gateway/info replies."""
+        for reply in self.session.get(f"fleet/{robot}/gateway/info", timeout=10):
+            assert reply.ok is not None
+            payload: dict[str, Any] = msgpack.unpackb(reply.ok.payload.to_bytes())
+            return payload
+        raise AssertionError("nobody replied")
+
+    def ask(self, verb: str, **fields: object) -> dict[str, Any]:
+        """The reply to a verb of first's."""
+        key = f"fleet/cruiser-1/@cmd/first/{verb}"
+        for reply in self.session.get(key, payload=msgpack.packb(fields), timeout=10):
+            assert reply.ok is not None
+            answer: dict[str, Any] = msgpack.unpackb(reply.ok.payload.to_bytes())
+            return answer
+        raise AssertionError("nobody replied")
+
+    def accepts(self, verb: str, **fields: object) -> bool:
+        """The verb is accepted."""
+        return bool(self.ask(verb, **fields)["ok"])
+
+    def stop(self, robot: str) -> None:
+        """The remote stop; hears what has come since the last one."""
+        self.session.put(f"fleet/{robot}/@cmd/first/stop", b"")
+        self.hear()
+
+    def count(self, condition: Callable[[str, dict[str, Any]], bool]) -> int:
+        """How many of the messages heard so far are such."""
+        return sum(condition(key, message) for key, message in self.heard)
+
+    def close(self) -> None:
+        close_session(self.session)
+
+
+@pytest.mark.parametrize("variant", ["coarse", "fine"])
+def test_every_subject_is_published_as_the_table_says(variant: str) -> None:
+    """All keys come with their encodings; info is answered; the token is there; SIGTERM ends it with 0."""
+    endpoint = free_endpoint()
+    with chassis("--variant", variant) as (_, address), gateway(address, endpoint, "--robot", "r-1") as running:
+        listener = Listener(endpoint)
+        try:
+            event = "fleet/r-1/safety/event"
+            listener.wait_for("fleet/r-1/state", lambda state: state["mode"] == "stop")
+            # A put goes nowhere before the two sessions have found each other.
+            wait_until(lambda: event in listener.latest, lambda: listener.stop("r-1"))
+            for subject in SUBJECTS:
+                # A robot that stands by is sent nothing.
+                if subject.pattern is Pattern.PUBLISHED and subject.name != "can/{bus}/tx":
+                    key = f"fleet/r-1/{subject.name.format(bus='can0')}"
+                    listener.wait_for(key)
+                    assert listener.encodings[key] == subject.encoding
+            state = listener.wait_for("fleet/r-1/state", lambda state: state["variant"] == variant)
+            assert (state["mode"], state["gear_position"], state["bus_up"]) == ("stop", "park", True)
+            health = listener.wait_for("fleet/r-1/gateway/health")
+            assert sum(row["lost"] for row in health["feedback"]) == 0
+            info = listener.info("r-1")
+            assert (info["robot"], info["variant"], info["listen_only"]) == ("r-1", variant, False)
+            assert info["dbc"] == dbc_text(Variant(variant))
+            said = {subject.schema_name for subject in SUBJECTS}
+            asked = {name for command in COMMANDS for name in (command.schema_name, command.reply_schema_name)}
+            assert info["schemas"].keys() == said | asked
+            tokens = [
+                str(reply.ok.key_expr)
+                for reply in listener.session.liveliness().get("fleet/*/gateway")
+                if reply.ok
+            ]
+            assert tokens == ["fleet/r-1/gateway"]
+        finally:
+            listener.close()
+        assert running.stop() == 0
+
+
+def test_a_lost_chassis_comes_back() -> None:
+    """The server goes: the state says so, nothing ends. It returns at the same place: frames come again."""
+    endpoint = free_endpoint()
+    with chassis() as (sim, address), gateway(address, endpoint) as running:
+        listener = Listener(endpoint)
+        try:
+            listener.wait_for("fleet/cruiser-1/state", lambda state: state["bus_up"] and not state["silent"])
+            sim.stop(signal.SIGKILL)
+            state = listener.wait_for("fleet/cruiser-1/state", lambda state: not state["bus_up"])
+            running.wait_says("the bus is lost")
+            state = listener.wait_for("fleet/cruiser-1/state", lambda state: len(state["silent"]) == 10)
+            assert (state["mode"], state["speed_mps"]) == ("undefined", None)
+            listener.wait_for(
+                "fleet/cruiser-1/gateway/health", lambda health: "no socketcand" in health["bus_detail"]
+            )
+            with chassis(listen=address):
+                listener.wait_for("fleet/cruiser-1/state", lambda state: state["bus_up"] and not state["silent"])
+                health = listener.wait_for("fleet/cruiser-1/gateway/health", lambda health: health["bus_up"])
+                assert health["bus_losses"] == 1
+                assert running.stop(signal.SIGINT) == 0
+        finally:
+            listener.close()
+
+
+def test_a_lost_zenoh_node_comes_back() -> None:
+    """A gateway that is connected to another node outlives it, and is heard again when the node returns."""
+    router_endpoint, endpoint = free_endpoint(), free_endpoint()
+    router = open_session(ZenohSettings(), [], [router_endpoint])
+    with chassis() as (_, address), gateway(address, endpoint, "--connect", router_endpoint) as running:
+        wait_until(lambda: bool(router.info.peers_zid()))
+        close_session(router)
+        listener = Listener(endpoint)
+        try:
+            listener.wait_for("fleet/cruiser-1/gateway/health", lambda health: health["zenoh_peers"] == 1)
+            router = open_session(ZenohSettings(), [], [router_endpoint])
+            wait_until(lambda: bool(router.info.peers_zid()))
+            subscriber = router.declare_subscriber("fleet/*/state", zenoh.handlers.RingChannel(1))
+            wait_until(lambda: subscriber.try_recv() is not None)
+        finally:
+            listener.close()
+            close_session(router)
+        assert running.stop() == 0
+
+
+def test_two_robots_on_one_bench() -> None:
+    """The second gateway connects to the first one's node; whoever connects there hears both."""
+    endpoint = free_endpoint()
+    with (
+        chassis() as (_, one),
+        chassis() as (_, other),
+        gateway(one, endpoint, "--robot", "r-1"),
+        gateway(other, "tcp/127.0.0.1:0", "--connect", endpoint, "--robot", "r-2"),
+    ):
+        listener = Listener(endpoint)
+        try:
+            listener.wait_for("fleet/r-1/state")
+            listener.wait_for("fleet/r-2/state")
+        finally:
+            listener.close()
+
+
+def test_a_second_gateway_of_one_chassis_is_warned() -> None:
+    """At its start, of another on the same machine; and as an event, once that one's commands are on the bus."""
+    first, second, third = free_endpoint(), free_endpoint(), free_endpoint()
+    shared = "another gateway on this machine commands socketcand"
+    with chassis("--variant", "fine") as (_, address), gateway(address, first, "--robot", "r-1") as one:
+        with gateway(address, third, "--robot", "r-3", "--listen-only") as listening_only:
+            listening_only.stop()
+            assert not [line for line in listening_only.said if shared in line]
+        with gateway(address, second, "--robot", "r-2") as other:
+            other.wait_says(shared)
+            # It waits for a chassis that can be engaged.
+            drive = ["drive", "r-1", "--speed", "0.2", "--seconds", "2", "--connect", first]
+            wait_until(lambda: run(drive).returncode == 0)
+            other.wait_says("another computer commands the chassis on the bus")
+            other.stop()
+        assert not [line for line in one.said if "another" in line]
+
+
+def test_faults_are_counted_by_kind_and_never_published_as_data() -> None:
+    """Checksum faults and strangers on the bus appear in health, the silent frame in the state."""
+    endpoint = free_endpoint()
+    faults = [
+        "checksum Auto_GearFeedBack",
+        "foreign 123",
+        "silence Auto_SpeakerFeedback",
+        "skip Auto_DriveFeedBack",
+    ]
+    words = [word for fault in faults for word in ("--fault", f"1ms {fault}")]
+    with chassis(*words) as (_, address), gateway(address, endpoint):
+        listener = Listener(endpoint)
+        try:
+            health = listener.wait_for(
+                "fleet/cruiser-1/gateway/health",
+                lambda health: {"checksum", "unknown_identifier", "alive_lost"} <= health["faults"].keys(),
+            )
+            assert health["unknown_identifiers"].keys() == {"123"}
+            state = listener.wait_for("fleet/cruiser-1/state", lambda state: len(state["silent"]) == 2)
+            assert set(state["silent"]) == {"Auto_GearFeedBack", "Auto_SpeakerFeedback"}
+            assert state["gear_position"] == "undefined"
+            assert "fleet/cruiser-1/chassis/gear" not in listener.latest
+        finally:
+            listener.close()
+
+
+def test_a_missing_bus_is_one_clear_line() -> None:
+    """No server, no device: exit code 4 and one line that says what to do."""
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        done = run(["gateway", "--interface", "socketcand", "--channel", address, "--listen", free_endpoint()])
+    assert done.returncode == 4
+    says = f"no socketcand server at {address}: [Errno 111] Connection refused (--wait-for-bus starts without it)"
+    assert done.stderr.splitlines() == [f"cruiser gateway: {says}"]
+    done = run(["gateway", "--channel", "nosuchcan", "--listen", free_endpoint()])
+    assert done.returncode == 4
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_gateway_may_wait_for_its_bus() -> None:
+    """With --wait-for-bus it starts, says that the bus is down, and goes on when the chassis appears."""
+    endpoint = free_endpoint()
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+    with gateway(address, endpoint, "--wait-for-bus"):
+        listener = Listener(endpoint)
+        try:
+            listener.wait_for("fleet/cruiser-1/state", lambda state: not state["bus_up"])
+            with chassis(listen=address):
+                listener.wait_for("fleet/cruiser-1/state", lambda state: state["bus_up"] and not state["silent"])
+        finally:
+            listener.close()
+
+
+def test_an_endpoint_that_is_taken_is_one_clear_line() -> None:
+    """A chosen endpoint that something else holds: exit code 4, one line, no traceback."""
+    with chassis() as (_, address), socket.create_server(("127.0.0.1", 0)) as taken:
+        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        done = run(["gateway", "--interface", "socketcand", "--channel", address, "--listen", endpoint])
+    assert done.returncode == 4
+    assert len(done.stderr.splitlines()) == 1
+    assert "Address already in use" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--interface", "nosuch"], "nosuch"),
+        (["--interface", "socketcand", "--channel", "x"], "HOST:PORT"),
+        (["--variant", "rough"], "variant"),
+        (["--robot", "Cruiser 1"], "robot.name"),
+    ],
+)
+def test_a_wrong_flag_is_one_clear_line(words: list[str], says: str) -> None:
+    """Exit code 2, and the line names what is wrong."""
+    done = run(["gateway", "--listen", free_endpoint(), *words])
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert says in done.stderr
+
+
+DECISION = "fleet/cruiser-1/safety/decision"
+STATE = "fleet/cruiser-1/safety/state"
+SENT = "fleet/cruiser-1/can/can0/tx"
+
+
+def bad_payloads(lease: int) -> list[bytes]:
+    """What a broken or hostile client may send: noise, wrong types, numbers that are none, depth, size."""
+    random = Random(1)  # noqa: S311 - the same bytes each time
+    drive = {"lease": lease, "seq": 1, "challenge": bytes(8), "speed_mps": 1.0, "angle_deg": 0.0}
+    odd: list[object] = [
+        None,
+        True,
+        -1,
+        2**64 - 1,
+        1e308,
+        float("nan"),
+        float("inf"),
+        -float("inf"),
+        "x",
+        b"x",
+        [],
+        {},
+    ]
+    payloads = [random.randbytes(random.randrange(1, 200)) for _ in range(50)]
+    payloads += [msgpack.packb(value) for value in odd]
+    payloads += [msgpack.packb(drive | {name: value}) for name in drive for value in odd]
+    payloads += [msgpack.packb(drive | {"unknown": 1}), msgpack.packb({1: 2}), msgpack.packb([drive] * 20)]
+    payloads += [b"\x91" * 900, b"\x81\xa1a" * 300, b"\xdd\xff\xff\xff\xff", b"\xc6\xff\xff\xff\xff", b"\xc1"]
+    return [*payloads, b"\x91" * 10_000_000]
+
+
+def test_no_bytes_on_any_command_key_change_anything(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each query has a typed refusal, each put is judged or counted; the robot stands by and no frame is sent."""
+    monkeypatch.setenv("CRUISER_GATEWAY_ACCEPT_UNGUARDED", "true")
+    endpoint = free_endpoint()
+    with chassis() as (_, address), gateway(address, endpoint, "--variant", "coarse") as running:
+        listener = Listener(endpoint)
+        try:
+            listener.wait_for(STATE, lambda said: said["blocked_by"] == ["no_lease", "not_engaged"])
+            lease = listener.ask("acquire", role="operator")["lease"]
+            payloads = bad_payloads(lease)
+            # A stop takes any bytes, and the lease must be asked for with none: they have tests of their own.
+            for verb in sorted(BY_VERB.keys() - {"stop"}):
+                key = f"fleet/cruiser-1/@cmd/stranger/{verb}"
+                asked = [listener.session.get(key, payload=payload, timeout=20) for payload in payloads[::7]]
+                for receiver in asked:
+                    for reply in receiver:
+                        assert reply.ok is not None
+                        answer = msgpack.unpackb(reply.ok.payload.to_bytes())
+                        assert not answer["ok"], (verb, answer)
+                        assert answer["reason"] in {reason.value for reason in Reason}
+                        assert answer["cure"], answer
+                for payload in payloads:
+                    listener.session.put(key, payload)
+            done = listener.ask("renew", lease=lease)
+            assert done["reason"] in {"none", "lease_expired"}, done
+            state = listener.wait_for(STATE)
+            assert (state["state"], state["latched"]) == ("standby", [])
+            listener.wait_for(DECISION)
+            assert SENT not in listener.latest
+            assert not listener.count(
+                lambda key, said: (
+                    key == DECISION and said["operator"] == "stranger" and said["verdict"] == "accepted"
+                )
+            )
+        finally:
+            listener.close()
+        assert running.stop() == 0
+        assert not [line for line in running.said if "Traceback" in line or "ERROR" in line]
+
+
+def test_an_end_while_driving_brings_the_robot_to_rest_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """SIGTERM: the speed ramps down, then neutral, the parking brake, no enables; then it ends with 0."""
+    monkeypatch.setenv("CRUISER_GATEWAY_ACCEPT_UNGUARDED", "true")
+    endpoint = free_endpoint()
+    with chassis() as (_, address), gateway(address, endpoint) as running:
+        listener = Listener(endpoint)
+        try:
+            listener.wait_for(STATE, lambda said: said["blocked_by"] == ["no_lease", "not_engaged"])
+            lease = listener.ask("acquire")["lease"]
+            assert listener.ask("engage", lease=lease, challenge=listener.latest[STATE]["challenge"])["ok"]
+            numbers = itertools.count()
+
+            def drive(speed_mps: float) -> None:
+                challenge = listener.latest[STATE]["challenge"]
+                command = {"lease": lease, "seq": next(numbers), "challenge": challenge}
+                payload = msgpack.packb(command | {"speed_mps": speed_mps, "angle_deg": 5.0})
+                listener.session.put("fleet/cruiser-1/@cmd/first/drive", payload)
+                listener.hear()
+
+            drive(0.0)
+            assert listener.ask("unpark", lease=lease)["ok"]
+            moves = "fleet/cruiser-1/state"
+            wait_until(lambda: (listener.latest[moves]["speed_mps"] or 0) > 0.6, lambda: drive(0.8))
+            listener.heard.clear()
+            assert running.stop() == 0
+            listener.hear()
+        finally:
+            listener.close()
+    layout = load(Variant.COARSE).messages
+    data: dict[int, list[bytes]] = {}
+    for key, batch in listener.heard:
+        if key == SENT:
+            for can_id, frame in zip(batch["can_id"], batch["data"], strict=True):
+                data.setdefault(can_id, []).append(frame)
+    speeds_raw = [frame[1] for frame in data[layout["Auto_DriveCmd"].can_id]]
+    gears = [frame[1] for frame in data[layout["Auto_GearCmd"].can_id]]
+    parking = [frame[1] for frame in data[layout["Auto_ParkingCmd"].can_id]]
+    enables = [frame[0] & 1 for frame in data[layout["Auto_ParkingCmd"].can_id]]
+    assert speeds_raw[0] > 10
+    falling = speeds_raw[speeds_raw.index(max(speeds_raw)) :]
+    assert falling[-1] == 0
+    order = [speeds_raw.index(0), parking.index(1), enables.index(0)]
+    assert order == sorted(set(order))
+    assert gears.index(3) == enables.index(0)
+    events = [(said["kind"], said["reason"]) for key, said in listener.heard if key.endswith("safety/event")]
+    # Nobody renews the lease meanwhile.
+    assert [event for event in events if event[0] != "lease"] == [
+        ("gateway", "shutdown"),
+        ("stop", "shutdown"),
+        ("stopped", "shutdown"),
+    ]
+
+
+def test_a_stop_by_the_guard_is_latched_until_a_reset_whatever_is_restarted() -> None:
+    """Row 'the guard has stopped the robot: latched, also across a restart, with its words as an event'."""
+    endpoint = free_endpoint()
+    settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
+    with chassis() as (_, address):
+        with (
+            gateway(address, endpoint) as running,
+            Robot.connect("cruiser-1", "first", settings, 30) as robot,
+            robot.lease() as lease,
+        ):
+            wait_until(lambda: lease.is_engaged or is_done(lease.engage))
+            running.stop(signal.SIGKILL)
+        # The gateway's stderr has ended, and so has its guard, which has it too.
+        words = [line for line in running.said if line.startswith("guard: ")]
+        assert "guard: the gateway is gone" in words[0]
+        for is_reset in (False, True):
+            with gateway(address, endpoint) as running, Robot.connect("cruiser-1", "first", settings, 30) as robot:
+                assert robot.wait_for(lambda state: state.latched == [Reason.GUARD], 30)
+                text = guard_latch(robot).text
+                assert [one for one in words if one not in text] == []
+                if is_reset:
+                    with robot.lease() as lease:
+                        # One that comes within half a second of the latch was not meant for it.
+                        wait_until(partial(is_done, lease.reset))
+                assert running.stop() == 0
+        with gateway(address, endpoint) as running, Robot.connect("cruiser-1", "first", settings, 30) as robot:
+            assert robot.wait_for(lambda state: state.blocked_by == [Reason.NO_LEASE, Reason.NOT_ENGAGED], 30)
+            assert robot.state().state.latched == []
+            assert running.stop() == 0
+
+
+def is_done(act: Callable[[], object]) -> bool:
+    """It is accepted. On a busy machine a robot may be refused for a moment."""
+    try:
+        act()
+    except RobotError:
+        return False
+    return True
+
+
+def guard_latch(robot: Robot) -> SafetyEvent:
+    """The event that says that a stop by the guard is latched."""
+    events: list[SafetyEvent] = []
+
+    def latches() -> list[SafetyEvent]:
+        return [one for one in events if (one.kind, one.reason) == (EventKind.LATCH, Reason.GUARD)]
+
+    wait_until(lambda: bool(latches()), lambda: events.extend(robot.events()))
+    return latches()[0]
+
+
+def test_a_gateway_says_at_its_start_what_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Row 'a gateway without real-time priority says so at start', with limit and cure; so without a note."""
+    monkeypatch.setenv("CRUISER_GATEWAY_REALTIME_PRIORITY", "0")
+    monkeypatch.setenv("CRUISER_GATEWAY_STATE_DIR", "")
+    endpoint = free_endpoint()
+    with chassis() as (_, address), gateway(address, endpoint) as running:
+        running.wait_says("will not stay latched across a restart: gateway.state_dir is empty")
+        running.wait_says(r"no real-time priority.*: 1 m/s \(command.speed_limit_without_realtime_mps\); .*rtprio")
+        listener = Listener(endpoint)
+        try:
+            assert not listener.wait_for("fleet/cruiser-1/gateway/health")["realtime"]
+        finally:
+            listener.close()
+        assert running.stop() == 0
+
+
+@pytest.mark.parametrize("guarded", ["no guard", "a guard"])
+def test_a_loop_that_fails_unguarded_stops_the_robot_before_it_ends(
+    guarded: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On the bus that is still open; the error is reported all the same. Where a guard watches, that does it."""
+    driving = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=0.6, parking=False)
+    link = FakeGuard(is_watching=guarded == "a guard")
+
+    def start_fake_guard(_settings: Settings) -> FakeGuard:
+        return link
+
+    def fail(around: Surroundings, core: Core, _info: object, _stopped: object) -> None:
+        assert core.command is not None
+        arbiter = core.command.arbiter
+        arbiter.variant, arbiter.actuation = Variant.COARSE, driving
+
+        def drive() -> None:
+            assert core.command is not None
+            frames = core.command.maker.make(driving, [], Variant.COARSE)
+            core.command.maker.sent(frames[: around.bus.send(frames)])
+
+        wait_until(lambda: listener.speed_mps() > 0.5, drive)
+        raise RuntimeError("a fault of our own")
+
+    monkeypatch.setattr("gateway.cli.gateway.start_guard", start_fake_guard)
+    monkeypatch.setattr("gateway.cli.gateway.run_loop", fail)
+    with chassis() as (_, address), listening(address) as listener:
+        settings = Settings(
+            can=CanSettings(interface="socketcand", channel=address),
+            zenoh=ZenohSettings(listen=[free_endpoint()]),
+        )
+        with pytest.raises(RuntimeError, match="of our own"):
+            run_gateway(Namespace(seconds=None), settings, lambda: False)
+        assert link.is_closed
+        if link.is_watching:
+            assert listener.speed_mps() > 0.4
+        else:
+            wait_until(lambda: listener.stands() and listener.mode() is Mode.STOP)
+            assert " gateway: the loop has failed" in StopNote.of(settings).read(), "latched at the next start"
+
+
+class FakeGuard(NoGuard):
+    """A guard that watches or does not, as it is told."""
+
+    def __init__(self, *, is_watching: bool) -> None:
+        super().__init__("" if is_watching else "this test says so")
+        self.is_watching = is_watching
+        self.is_closed = False
+
+    def look(self) -> GuardView:
+        return GuardView(is_watching=self.is_watching)
+
+    def close(self) -> None:
+        """Remember it."""
+        self.is_closed = True

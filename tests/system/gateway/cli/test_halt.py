@@ -1,0 +1,176 @@
+"""``cruiser halt``: looks first, and stops what has to be stopped."""
+
+import json
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from gateway.can.can_bus import Bus
+from gateway.can.open_bus import open_bus
+from gateway.command.actuation import Actuation
+from gateway.command.frames import FrameMaker
+from gateway.host.stop_note import StopNote
+from schemas.messages import GearPosition, Mode, Variant
+from schemas.settings import CanSettings, Settings
+from tests.support.gateway_process import Running, chassis, run
+from tests.support.guard_watched import COMMANDS, Listener, listening, watched
+from tests.support.waiting import wait_until
+
+DRIVING = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=0.8, parking=False)
+
+
+@contextmanager
+def bus(address: str) -> Iterator[Bus]:
+    """Another computer on the bus."""
+    opened = open_bus(CanSettings(interface="socketcand", channel=address))
+    try:
+        yield opened
+    finally:
+        opened.close()
+
+
+def command(opened: Bus, maker: FrameMaker, actuation: Actuation = DRIVING) -> None:
+    """One burst."""
+    frames = maker.make(actuation, [], Variant.COARSE)
+    for frame in frames:
+        opened.send(frame)
+    maker.sent(frames)
+
+
+def halt(address: str, *words: str) -> subprocess.CompletedProcess[str]:
+    """Halt the robot."""
+    return run(["halt", "--interface", "socketcand", "--channel", address, *words])
+
+
+def leave_rolling(address: str, listener: Listener) -> None:
+    """Somebody drove the robot and went away: it obeys the last command for ever."""
+    with bus(address) as opened:
+        maker = FrameMaker()
+        wait_until(lambda: listener.speed_mps() > 0.6, lambda: command(opened, maker))
+
+
+@pytest.mark.parametrize("words", [(), ("--variant", "coarse")])
+def test_a_robot_that_was_left_rolling_is_stopped(words: tuple[str, ...]) -> None:
+    """Whether its scale is known or not; it says what it found and what it did."""
+    with chassis() as (_, address), listening(address) as listener:
+        leave_rolling(address, listener)
+        heard = len(listener.bursts)
+        done = halt(address, "--json", *words)
+        assert done.returncode == 0, done.stderr
+        says = json.loads(done.stdout)
+        assert says["ok"] is True
+        assert says["outcome"] == f"the robot stands; {says['frames_sent']} frames sent"
+        assert says["frames_sent"] > 100
+        assert "mode auto, the robot is not seen to stand" in done.stderr
+        assert "the robot stands; " in done.stderr
+        note = StopNote.of(Settings()).read()
+        assert " halt: sending the stop sequence; " in note, "a gateway that starts afterwards is latched"
+        assert " halt: the robot stands; " in note
+        wait_until(lambda: listener.stands() and listener.mode() is Mode.STOP)
+        assert len(listener.bursts) > heard + 100
+        assert {len(burst.frames) for burst in listener.bursts} == {5, 8}
+
+
+def test_a_robot_at_rest_is_sent_nothing_unless_forced() -> None:
+    """Not auto, and standing: there is nothing to stop."""
+    with chassis() as (_, address), listening(address) as listener:
+        done = halt(address)
+        assert done.returncode == 0, done.stderr
+        assert "mode stop, the robot stands" in done.stderr
+        assert "nothing is sent" in done.stderr
+        assert (listener.bursts, done.stdout) == ([], "")
+        assert StopNote.of(Settings()).read() == ""
+        done = halt(address, "--force")
+        assert done.returncode == 0, done.stderr
+        assert len(listener.bursts) > 30
+        # It reads stop, and is not switched back to auto.
+        assert not any(frame.data[0] & 1 for burst in listener.bursts for frame in burst.frames)
+
+
+def test_the_hand_transmitter_is_never_sent_against() -> None:
+    """Mode remote: nothing, and exit code 5, forced or not."""
+    faults = ["--fault", "1ms transmitter remote", "--fault", "1ms sticks 0.5 0"]
+    with chassis(*faults) as (_, address), listening(address) as listener:
+        wait_until(lambda: listener.mode() is Mode.REMOTE)
+        for words in ((), ("--force",)):
+            done = halt(address, "--wait", "0.1", "--json", *words)
+            assert done.returncode == 5, done.stderr
+            outcome = "the hand transmitter has the robot, so nothing is sent"
+            assert json.loads(done.stdout) == {"ok": False, "outcome": outcome, "frames_sent": 0}
+            assert "hand transmitter" in done.stderr
+        assert listener.bursts == []
+
+
+def test_a_robot_that_the_hand_transmitter_gives_back_is_stopped() -> None:
+    """It would obey the last command that it was told before; whoever left it so is gone."""
+    with chassis() as (_, address), listening(address) as listener:
+        leave_rolling(address, listener)
+        assert run(["fault", "--sim", address, "transmitter", "remote"]).returncode == 0
+        wait_until(lambda: listener.mode() is Mode.REMOTE)
+        with Running("halt", "--interface", "socketcand", "--channel", address, "--wait", "60") as halting:
+            halting.wait_says("hand transmitter has the robot: waiting")
+            heard = len(listener.bursts)
+            assert run(["fault", "--sim", address, "transmitter", "command"]).returncode == 0
+            assert halting.process.wait(30) == 0, halting.said
+            assert len(listener.bursts) > heard + 100
+        wait_until(lambda: listener.stands() and listener.mode() is Mode.STOP)
+
+
+def test_a_parked_robot_that_is_not_heard_stays_parked() -> None:
+    """A stop that begins from nothing asks for the parking brake from its first frame to its last."""
+    with chassis("--fault", "1ms silence all") as (_, address), listening(address) as listener:
+        done = halt(address)
+        assert done.returncode == 1, done.stderr
+        frames = [frame for burst in listener.bursts for frame in burst.frames]
+        parking = [frame.data[1] & 1 for frame in frames if COMMANDS[frame.can_id] == "Auto_ParkingCmd"]
+        assert len(parking) > 100
+        assert all(parking)
+
+
+def test_the_hand_transmitter_may_take_over_during_the_stop() -> None:
+    """Then it ceases, waits its time for the robot to be given back, and says so."""
+    with chassis() as (sim, address), listening(address) as listener:
+        leave_rolling(address, listener)
+        bus_words = ["--interface", "socketcand", "--channel", address, "--wait", "1"]
+        with Running("halt", *bus_words) as halting:
+            halting.wait_says("sending the stop sequence")
+            assert run(["fault", "--sim", address, "transmitter", "remote"]).returncode == 0, sim.said
+            assert halting.process.wait(30) == 5
+            halting.wait_says("hand transmitter")
+
+
+def test_it_waits_for_a_guard_at_work() -> None:
+    """As systemd starts it right after the gateway died: it sends nothing, for the guard has done all."""
+    with watched() as running:
+        running.drive()
+        running.send_signal(signal.SIGKILL)
+        done = halt(running.address)
+        assert done.returncode == 0, done.stderr
+        assert "another sender commands the chassis" in done.stderr
+        assert "there is nothing to stop" in done.stderr
+        running.wait_guard_gone()
+
+
+def test_blindly_is_better_than_not_at_all() -> None:
+    """A chassis that obeys and says nothing is stopped; nobody can tell that it stands, so exit code 1."""
+    with chassis() as (_, address), listening(address) as listener:
+        leave_rolling(address, listener)
+        assert run(["fault", "--sim", address, "silence", "all"]).returncode == 0
+        wait_until(lambda: not listener.sight.hears(time.monotonic_ns()))
+        done = halt(address)
+        assert done.returncode == 1, done.stderr
+        assert "blindly" in done.stderr
+        assert "not seen to stand" in done.stderr
+        assert run(["fault", "--sim", address, "clear"]).returncode == 0
+        wait_until(listener.stands)
+
+
+def test_no_bus_is_one_clear_line() -> None:
+    """Exit code 4."""
+    done = halt("127.0.0.1:1")
+    assert done.returncode == 4
+    assert len(done.stderr.splitlines()) == 1

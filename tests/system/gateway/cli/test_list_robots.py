@@ -1,0 +1,109 @@
+import argparse
+import json
+from collections.abc import Callable
+
+import pytest
+
+from gateway.cli.list_robots import add_arguments, run
+from gateway.zenoh.client import Question, RobotListener
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import RobotSettings, Settings, ZenohSettings
+from tests.support.fake_fleet import FakeFleet
+from tests.support.fake_gateway import HEALTH, FakeGateway, free_endpoint
+from tests.support.tcp_proxy import TcpProxy
+from tests.support.waiting import StopWhen, nothing
+
+Capture = pytest.CaptureFixture[str]
+
+
+def list_robots(endpoint: str, *words: str, root: str = "fleet", meanwhile: Callable[[], None] = nothing) -> int:
+    """Run the command in this process. ``meanwhile`` is done again and again until it ends."""
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    settings = Settings(robot=RobotSettings(root=root), zenoh=ZenohSettings(connect=[endpoint]))
+    return run(parser.parse_args(list(words)), settings, StopWhen(lambda: False, meanwhile))
+
+
+def test_robots_are_listed_with_their_health(capsys: Capture) -> None:
+    """Both robots of a bench are found through the first one's node, each with what its health says."""
+    with FakeGateway("cruiser-1") as first, FakeGateway("cruiser-2", connect=first.listen) as second:
+
+        def speak() -> None:
+            first.say(HEALTH)
+            second.say(HEALTH)
+
+        assert list_robots(first.listen, "--timeout", "20", meanwhile=speak) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == ["cruiser-1", "cruiser-2"]
+    assert all("connected" in line and "630/s" in line for line in lines)
+
+
+def test_a_robot_that_sends_no_health_is_said_to_send_none(capsys: Capture) -> None:
+    """A liveliness token is no proof of health, and the list says so."""
+    with FakeGateway("cruiser-1") as gateway:
+        assert list_robots(gateway.listen, "--timeout", "2") == 0
+    assert capsys.readouterr().out == "cruiser-1  connected, but no health\n"
+
+
+@pytest.mark.parametrize("caches_health", [False, True])
+def test_a_gateway_that_hangs_is_not_shown_as_well(capsys: Capture, caches_health: bool) -> None:  # noqa: FBT001
+    """What it said before it hung is no health now, although Zenoh's threads still answer for it."""
+    with FakeGateway("cruiser-1", caches_health=caches_health) as gateway:
+        gateway.say(HEALTH)
+        assert list_robots(gateway.listen, "--timeout", "2") == 0
+    assert capsys.readouterr().out == "cruiser-1  connected, but no health\n"
+
+
+def test_a_robot_without_a_token_is_listed_by_its_health(capsys: Capture) -> None:
+    """Health without a token is odd, and the list says so too."""
+    with FakeGateway("cruiser-1", token=False) as gateway:
+        assert list_robots(gateway.listen, "--timeout", "20", meanwhile=lambda: gateway.say(HEALTH)) == 0
+    assert "health, but no liveliness token" in capsys.readouterr().out
+
+
+def test_the_list_as_json_has_an_object_a_line(capsys: Capture) -> None:
+    """--json writes the report of each robot."""
+    with FakeGateway("cruiser-1") as gateway:
+        assert list_robots(gateway.listen, "--json", "--timeout", "20", meanwhile=lambda: gateway.say(HEALTH)) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert (record["robot"], record["connected"]) == ("cruiser-1", True)
+    assert record["health"]["frames_per_s"] == 630.0
+
+
+def test_a_node_without_robots_is_a_failure(capsys: Capture) -> None:
+    """Somebody answers, but no robot is there under this root: exit code 1, and nothing on standard output."""
+    with FakeGateway("cruiser-1") as gateway:
+        assert list_robots(gateway.listen, "--timeout", "20", root="elsewhere") == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err == f"no robot is connected at {gateway.listen}\n"
+
+
+def test_nobody_there_is_unreachable() -> None:
+    """No Zenoh node answers: exit code 4, and the line says where it was looked for."""
+    endpoint = free_endpoint()
+    with pytest.raises(CommandError, match=f"no Zenoh node answered within 0.5 s at {endpoint}") as caught:
+        list_robots(endpoint, "--timeout", "0.5")
+    assert caught.value.code is ExitCode.UNREACHABLE
+
+
+def test_a_node_that_does_not_say_who_is_there_is_not_taken_for_an_empty_one(capsys: Capture) -> None:
+    """Over a slow way back the tokens of many robots do not come in time: silence is no answer."""
+    with (
+        FakeFleet(400) as fleet,
+        TcpProxy(fleet.listen, slowness_s=0.05) as proxy,
+        pytest.raises(CommandError, match="did not say within 3 s which robots are connected") as caught,
+    ):
+        list_robots(proxy.endpoint, "--timeout", "3")
+    assert caught.value.code is ExitCode.UNREACHABLE
+    assert capsys.readouterr().out == ""
+
+
+def test_a_list_that_may_not_be_whole_says_so(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot is there, and who else is was not answered in time: exit code 3, and a line that says so."""
+    monkeypatch.setattr(RobotListener, "call_roll", lambda _listener, _timeout_s: Question())
+    with FakeGateway("cruiser-1") as gateway:
+        assert list_robots(gateway.listen, "--timeout", "2") == ExitCode.PARTIAL
+    captured = capsys.readouterr()
+    assert captured.out == "cruiser-1  connected, but no health\n"
+    assert captured.err == f"there may be more: not everybody answered within 2 s at {gateway.listen}\n"

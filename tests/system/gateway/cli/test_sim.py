@@ -1,0 +1,257 @@
+"""``cruiser sim`` and ``cruiser fault``, from the outside."""
+
+import contextlib
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import can
+import pytest
+
+from gateway.chassis.encode import Encoder
+from gateway.chassis.frame import IDENTIFIER_MASK
+from gateway.chassis.layout import load
+from gateway.cli.main import main
+from schemas.exit_codes import ExitCode
+from schemas.messages import Variant
+from tests.support.sim_rig import ENABLES
+from tests.support.sim_served import DEADLINE_S, Served, receive, served
+
+CRUISER = Path(sys.executable).with_name("cruiser")
+BODY = 0x18C4D9EF
+ENCODER = Encoder(load(Variant.COARSE))
+
+
+@contextlib.contextmanager
+def sim(*flags: str, listen: str = "127.0.0.1:0") -> Iterator[tuple["subprocess.Popen[str]", str]]:
+    """``cruiser sim`` as a process that is ready, and the place that it names."""
+    with subprocess.Popen(
+        [CRUISER, "sim", *(["--listen", listen] if listen else []), *flags],
+        stdin=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdin is not None
+        assert process.stderr is not None
+        try:
+            ready = process.stderr.readline()
+            assert ready.startswith("sim: "), ready + process.stderr.read()
+            yield process, ready.removeprefix("sim: ").strip()
+        finally:
+            if process.poll() is None:
+                process.kill()
+
+
+def bus_at(place: str) -> can.BusABC:
+    """A client of python-can's own."""
+    host, _, port = place.rpartition(" ")[2].rpartition(":")
+    return can.Bus(interface="socketcand", host=host, port=int(port), channel="can0")
+
+
+@pytest.fixture
+def running() -> Iterator[Served]:
+    """A served chassis."""
+    with served() as chassis:
+        yield chassis
+
+
+def test_it_says_where_it_is_and_ends_on_sigterm() -> None:
+    """With port 0 it names the port that it got; a signal is a clean end."""
+    with sim("--variant", "fine") as (process, place):
+        assert place.startswith("fine chassis on 127.0.0.1:")
+        with bus_at(place) as bus:
+            wheels = receive(bus, lambda message: message.arbitration_id == 0x18C4D7EF)
+            assert wheels.data[1:5] == bytes.fromhex("00800080")
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(DEADLINE_S) == ExitCode.OK
+
+
+def test_faults_come_by_flag_and_by_line() -> None:
+    """Scheduled ones, typed ones with their answer; the end of the input ends nothing."""
+    with sim("--fault", "0.3s bumper rear on", "--fault", "foreign 123") as (process, place), bus_at(place) as bus:
+        assert process.stdin is not None
+        assert process.stderr is not None
+        assert receive(bus, lambda message: message.arbitration_id == 0x123)
+        assert receive(bus, lambda message: message.arbitration_id == BODY and message.data[4] == 0x10)
+        process.stdin.write("bumper front on\n")
+        process.stdin.flush()
+        assert process.stderr.readline() == "sim: ok: bumper front on\n"
+        process.stdin.write("bumper")
+        process.stdin.close()
+        assert "the line ends" in process.stderr.readline()
+        assert receive(bus, lambda message: message.arbitration_id == BODY and message.data[4] == 0x11)
+        assert process.poll() is None
+
+
+def test_conditions_come_by_flag() -> None:
+    """On a hill it rolls when its parking brake is released, and in a mode stop that coasts it rolls on."""
+    flags = ("--slope", "-20", "--payload", "50", "--pedal-gain", "0.5", "--parking-delay", "0")
+    with sim(*flags, "--stop-mode", "coasts") as (_, place), bus_at(place) as bus:
+        for enable, least_mps in ((True, 0.1), (False, 4.0)):
+            for name in ENABLES:
+                frame = ENCODER.encode(name, {"Enable": enable}, 0)
+                bus.send(can.Message(arbitration_id=frame.can_id & IDENTIFIER_MASK, data=frame.data))
+            assert receive(bus, wheels_faster_than(least_mps))
+
+
+def wheels_faster_than(least_mps: float) -> Callable[[can.Message], bool]:
+    """Accept a wheel speed frame whose rear left wheel is faster."""
+
+    def is_faster(message: can.Message) -> bool:
+        speed_mps = (int.from_bytes(message.data[1:3], "little") & 0x1FF) * 0.04 - 8
+        return message.arbitration_id == 0x18C4D7EF and speed_mps > least_mps
+
+    return is_faster
+
+
+def test_it_attaches_to_a_bus_of_python_can(running: Served) -> None:
+    """The second chassis is a client of the first one's server, and ends when that bus is lost."""
+    channel = f"{running.host}:{running.port}"
+    with sim("--interface", "socketcand", "--channel", channel, "--fault", "foreign 321", listen="") as (
+        process,
+        place,
+    ):
+        assert place == f"coarse chassis on socketcand {channel}"
+        with running.bus() as bus:
+            assert receive(bus, lambda message: message.arbitration_id == 0x321)
+        running.end()
+        assert process.wait(DEADLINE_S) == ExitCode.UNREACHABLE
+        assert process.stderr is not None
+        assert "no bus" in process.stderr.read()
+
+
+def test_seconds_end_it(capsys: pytest.CaptureFixture[str]) -> None:
+    """A run of limited time is a success."""
+    assert in_process("sim", "--listen", "127.0.0.1:0", "--seconds", "0.05") == ExitCode.OK
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("flags", "code", "words"),
+    [
+        (["--listen", "nonsense"], ExitCode.USAGE, "HOST:PORT"),
+        (["--listen", "256.256.256.256:1"], ExitCode.UNREACHABLE, "cannot listen"),
+        (["--listen", "a..b:1"], ExitCode.UNREACHABLE, "cannot listen"),
+        (["--fault", "3s bumpr front on"], ExitCode.USAGE, "did you mean 'bumper'"),
+        (["--listen", "127.0.0.1:0", "--interface", "virtual"], ExitCode.USAGE, "exclude"),
+        (["--channel", "x"], ExitCode.USAGE, "--interface"),
+        (["--interface", "socketcand", "--channel", "127.0.0.1:9"], ExitCode.UNREACHABLE, "no bus"),
+    ],
+)
+def test_an_error_is_one_line_and_a_code(
+    flags: list[str], code: ExitCode, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """No traceback; the words say what to change."""
+    assert in_process("sim", *flags) == code
+    errors = capsys.readouterr().err
+    assert errors.startswith("cruiser sim: ")
+    assert words in errors
+    assert errors.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [
+        ["--rate-multiplier", "1000"],
+        ["--seconds", "0"],
+        ["--seconds", "x"],
+        ["--variant", "medium"],
+        ["--slope", "-31"],
+        ["--payload", "x"],
+        ["--pedal-gain", "nan"],
+        ["--stop-mode", "x"],
+    ],
+)
+def test_a_flag_out_of_bounds_is_a_usage_error(flags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """Argparse says which."""
+    with pytest.raises(SystemExit) as error:
+        in_process("sim", *flags)
+    assert error.value.code == ExitCode.USAGE
+    assert flags[0] in capsys.readouterr().err
+
+
+def test_an_occupied_port_is_unreachable(running: Served, capsys: pytest.CaptureFixture[str]) -> None:
+    """The line names the address and the reason."""
+    address = f"{running.host}:{running.port}"
+    assert in_process("sim", "--listen", address) == ExitCode.UNREACHABLE
+    assert capsys.readouterr().err == f"cruiser sim: cannot listen on {address}: Address already in use\n"
+
+
+@pytest.mark.parametrize("command", ["sim", "fault"])
+def test_the_help_shows_an_example_and_the_grammar(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whoever asks sees every fault."""
+    with pytest.raises(SystemExit) as error:
+        in_process(command, "--help")
+    assert error.value.code == 0
+    shown = capsys.readouterr().out
+    assert "example:" in shown
+    assert "bumper front|rear|both on|off" in shown
+
+
+def test_fault_disturbs_a_running_chassis(running: Served, capsys: pytest.CaptureFixture[str]) -> None:
+    """The answer is on stdout, the effect on the bus."""
+    place = f"{running.host}:{running.port}"
+    assert in_process("fault", "--sim", place, "transmitter", "remote") == ExitCode.OK
+    assert in_process("fault", "--sim", place, "sticks", "-0.5", "-10") == ExitCode.OK
+    assert capsys.readouterr().out == "ok: transmitter remote\nok: sticks -0.5 -10\n"
+    with running.bus() as bus:
+        receive(bus, lambda message: message.arbitration_id == 0x18C4D1EF and message.data[1] == 2)
+
+
+def test_a_wrong_fault_is_a_usage_error_without_a_chassis(capsys: pytest.CaptureFixture[str]) -> None:
+    """The words are judged before anybody is called."""
+    assert in_process("fault", "--sim", "127.0.0.1:9", "bumpr") == ExitCode.USAGE
+    assert capsys.readouterr().err == "cruiser fault: there is no fault 'bumpr'; did you mean 'bumper'?\n"
+
+
+def test_no_chassis_is_unreachable(capsys: pytest.CaptureFixture[str]) -> None:
+    """Nobody listens there."""
+    assert in_process("fault", "--sim", "a..b:9", "clear") == ExitCode.UNREACHABLE
+    assert capsys.readouterr().err.startswith("cruiser fault: no virtual chassis at a..b:9: ")
+    assert in_process("fault", "--sim", "127.0.0.1:9", "clear") == ExitCode.UNREACHABLE
+    assert capsys.readouterr().err.startswith("cruiser fault: no virtual chassis at 127.0.0.1:9: ")
+
+
+@pytest.mark.parametrize(
+    ("speech", "code"),
+    [
+        (b"", ExitCode.UNREACHABLE),
+        (b"HTTP/1.1 400 Bad Request\r\n\r\n<html>", ExitCode.UNREACHABLE),
+        (b"<" * 5000, ExitCode.UNREACHABLE),
+        (b"< hi >", ExitCode.UNREACHABLE),
+    ],
+)
+def test_another_server_is_not_taken_for_a_chassis(
+    speech: bytes, code: ExitCode, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whatever answers there, the command ends with one line."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def speak() -> None:
+            connection, _ = listener.accept()
+            with connection, contextlib.suppress(OSError):
+                connection.sendall(speech)
+                connection.shutdown(socket.SHUT_WR)
+                while connection.recv(1000):
+                    pass
+
+        speaker = threading.Thread(target=speak)
+        speaker.start()
+        port = listener.getsockname()[1]
+        assert in_process("fault", "--sim", f"127.0.0.1:{port}", "clear") == code
+        speaker.join(DEADLINE_S)
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def in_process(*words: str) -> int:
+    """The exit code of a command that is run in this process, whose signal handlers are put back."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        return main(words)
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)

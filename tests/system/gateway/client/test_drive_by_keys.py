@@ -1,0 +1,206 @@
+"""``cruiser drive`` on a terminal: a real process on a pseudo-terminal, against a robot of this process."""
+
+import itertools
+import os
+import pty
+import select
+import subprocess
+import sys
+import termios
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from types import TracebackType
+from typing import Self
+
+import pytest
+
+from gateway.cli.keyboard import ASK
+from schemas.decisions import ArbiterState
+from schemas.messages import Mode
+from schemas.reasons import Reason
+from tests.support.fake_robot import FakeRobot
+from tests.support.waiting import wait_until
+
+FIRST_REPEAT_S = LET_GO_S = 0.4
+REPEAT_S = 0.05
+REPEATS = 20
+
+KITTY_ANSWER = b"\x1b[?11u"
+
+
+class Driver:
+    """A person at a terminal.
+
+    Attributes:
+        answers: the terminal speaks the kitty protocol, and answers.
+        seen: everything that was drawn.
+    """
+
+    def __init__(self, endpoint: str, *, answers: bool = False) -> None:
+        self.answers = answers
+        self.seen = b""
+        self._master, slave = pty.openpty()
+        self._slave = os.dup(slave)
+        self.settings = termios.tcgetattr(slave)
+        words = ["drive", "cruiser-1", "--operator", "first", "--speed", "0.5", "--connect", endpoint]
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "gateway", *words],
+            stdin=slave,
+            stdout=slave,
+            stderr=slave,
+            env={**os.environ, "TERM": "xterm-256color", "COLUMNS": "120", "LINES": "40"},
+        )
+        os.close(slave)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._look)
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        self._ended.set()
+        self._thread.join()
+        os.close(self._slave)
+        if self._master >= 0:
+            os.close(self._master)
+
+    def types(self, keys: bytes) -> Callable[[], None]:
+        """To do again and again: a key that is pressed, repeats as a keyboard does, and is let go; in turns."""
+        pauses_s = itertools.cycle([FIRST_REPEAT_S, *[REPEAT_S] * REPEATS, LET_GO_S])
+        due_s = 0.0
+
+        def press() -> None:
+            nonlocal due_s
+            now_s = time.monotonic()
+            if now_s >= due_s:
+                due_s = now_s + next(pauses_s)
+                os.write(self._master, keys)
+
+        return press
+
+    def wait_shows(self, text: str) -> None:
+        """Wait until this was drawn."""
+        wait_until(lambda: text.encode() in self.seen)
+
+    def hang_up(self) -> None:
+        """The terminal's window is closed."""
+        self._ended.set()
+        self._thread.join()
+        os.close(self._master)
+        self._master = -1
+
+    def modes(self) -> list[object]:
+        """How the terminal is set."""
+        return termios.tcgetattr(self._slave)
+
+    def _look(self) -> None:
+        while not self._ended.is_set():
+            if not select.select([self._master], [], [], 0.02)[0]:
+                continue
+            with suppress(OSError):
+                data = os.read(self._master, 65536)
+                self.seen += data
+                if self.answers:
+                    os.write(self._master, KITTY_ANSWER * data.count(ASK))
+
+
+def test_a_key_that_repeats_drives_and_its_end_stops() -> None:
+    """In a terminal that tells no releases; x leaves a robot that stands by, and the terminal as it was."""
+    with FakeRobot() as fake, Driver(fake.listen) as driver:
+        wait_until(lambda: fake.state is ArbiterState.ENGAGED)
+        wait_until(lambda: fake.speed_mps > 0.3, driver.types(b"w"))
+        wait_until(lambda: fake.speed_mps == 0.0)
+        wait_until(lambda: fake.speed_mps < -0.1, driver.types(b"\x1b[B"))
+        driver.types(b"x")()
+        assert driver.process.wait(30) == 0
+        assert fake.state is ArbiterState.STANDBY
+        assert len(fake.accepted("release")) == 1
+        assert driver.modes() == driver.settings
+
+
+def test_a_curve_is_driven_in_a_terminal_that_tells_no_releases() -> None:
+    """One key asks for speed and angle, and its end stops; q leaves, and what became of the robot is said."""
+    with FakeRobot() as fake, Driver(fake.listen) as driver:
+        wait_until(lambda: fake.state is ArbiterState.ENGAGED)
+        wait_until(lambda: fake.speed_mps > 0.1 and fake.angle_deg > 10, driver.types(b"u"))
+        wait_until(lambda: fake.speed_mps == 0.0)
+        driver.types(b"q")()
+        assert driver.process.wait(30) == 0
+        assert fake.state is ArbiterState.STANDBY
+        driver.wait_shows("cruiser-1: left; it stands by, and the lease is given back")
+
+
+@pytest.mark.parametrize("keys", [b" ", b"k", b"\x1b", b"\x1b[O", b"\x1b[119;1:3u"])
+def test_release_focus_and_any_other_key_stop(keys: bytes) -> None:
+    """In a terminal that tells releases, a press drives until one of these comes."""
+    with FakeRobot() as fake, Driver(fake.listen, answers=True) as driver:
+        driver.wait_shows("hold to move: w s")
+        wait_until(lambda: fake.state is ArbiterState.ENGAGED)
+        driver.types(b"\x1b[119;1:1u")()
+        wait_until(lambda: fake.speed_mps == 0.5)
+        driver.types(keys)()
+        wait_until(lambda: fake.speed_mps == 0.0)
+        assert fake.state is ArbiterState.ENGAGED
+
+
+def test_a_terminal_that_falls_silent_stops_the_robot() -> None:
+    """A held key counts only while its terminal answers: the link to it may be dead."""
+    with FakeRobot() as fake, Driver(fake.listen, answers=True) as driver:
+        driver.wait_shows("hold to move: w s")
+        wait_until(lambda: fake.state is ArbiterState.ENGAGED)
+        driver.types(b"\x1b[119;1:1u")()
+        wait_until(lambda: fake.speed_mps == 0.5)
+        driver.answers = False
+        wait_until(lambda: fake.speed_mps == 0.0)
+
+
+def test_ctrl_c_stops_and_leaves() -> None:
+    """It is a key like x, in either kind of terminal."""
+    with FakeRobot() as fake, Driver(fake.listen) as driver:
+        wait_until(lambda: fake.state is ArbiterState.ENGAGED)
+        wait_until(lambda: fake.speed_mps > 0.1, driver.types(b"w"))
+        driver.types(b"\x03")()
+        assert driver.process.wait(30) == 0
+        assert fake.state is ArbiterState.STANDBY
+
+
+def test_a_window_that_is_closed_stops_the_robot() -> None:
+    """Whatever the process does then, the robot stands."""
+    with FakeRobot() as fake, Driver(fake.listen) as driver:
+        wait_until(lambda: fake.state is ArbiterState.ENGAGED)
+        wait_until(lambda: fake.speed_mps > 0.1, driver.types(b"w"))
+        driver.hang_up()
+        wait_until(lambda: fake.state is ArbiterState.STANDBY)
+
+
+def test_why_it_stands_is_shown_and_r_and_g_bring_it_back() -> None:
+    """A stop is shown with its reason; nothing resumes by itself, nor by the key that is still held."""
+    with FakeRobot() as fake, Driver(fake.listen) as driver:
+        wait_until(lambda: fake.state is ArbiterState.ENGAGED)
+        wait_until(lambda: fake.speed_mps > 0.1, driver.types(b"w"))
+        fake.front_bumper = True
+        wait_until(lambda: fake.state is ArbiterState.STANDBY, driver.types(b"w"))
+        driver.wait_shows("the front bumper was hit")
+        fake.front_bumper = False
+        driver.types(b"r")()
+        wait_until(lambda: Reason.FRONT_BUMPER not in fake.flow.arbiter.latched)
+        assert len(fake.accepted("engage")) == 1
+        driver.types(b"g")()
+        wait_until(lambda: fake.state is ArbiterState.ENGAGED)
+        assert fake.speed_mps == 0.0
+
+
+def test_a_robot_that_cannot_be_engaged_is_shown_with_the_reason() -> None:
+    """The program stays, so that the person can see what it waits for."""
+    with FakeRobot(mode=Mode.REMOTE) as fake, Driver(fake.listen) as driver:
+        driver.wait_shows("the hand transmitter has the robot")
+        assert driver.process.poll() is None
+        assert not fake.accepted("engage")

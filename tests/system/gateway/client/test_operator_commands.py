@@ -1,0 +1,322 @@
+import argparse
+import json
+import re
+import time
+from collections.abc import Callable
+
+import msgspec
+import pytest
+
+from gateway.cli import drive, horn, lease, light, odometer, park, reset, stop, unpark, watch, why
+from gateway.client.robot import Robot
+from schemas.decisions import ArbiterState
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.messages import Mode
+from schemas.reasons import TEXTS, Reason
+from schemas.settings import RESET_MIN_NS, CommandSettings, Settings, ZenohSettings
+from tests.support.fake_gateway import HEALTH, free_endpoint
+from tests.support.fake_robot import FakeRobot
+from tests.support.waiting import StopWhen, wait_until
+
+Capture = pytest.CaptureFixture[str]
+ACTIONS = {
+    "park": (park, []),
+    "unpark": (unpark, []),
+    "light": (light, ["--headlamp"]),
+    "horn": (horn, ["on"]),
+    "clear_odometer": (odometer, ["--clear"]),
+}
+
+
+def run(module: object, endpoint: str, *words: str, until: Callable[[], bool] = lambda: False) -> int:
+    """Run a command in this process, as first."""
+    parser = argparse.ArgumentParser()
+    module.add_arguments(parser)  # type: ignore[attr-defined]  # each is a command's module
+    settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
+    if module is not watch:
+        words = (*words, "--operator", "first")
+    arguments = parser.parse_args(["--timeout", "10", *words])
+    code = module.run(arguments, settings, StopWhen(until))  # type: ignore[attr-defined]
+    assert isinstance(code, int)
+    return code
+
+
+def test_drive_for_a_script_drives_and_leaves_the_robot_at_rest(capsys: Capture) -> None:
+    """Acquire, engage, unpark, drive, disengage, release: in this order, and the robot stands by at the end."""
+    with FakeRobot() as fake:
+        words = ("cruiser-1", "--speed", "-0.2", "--angle", "3", "--seconds", "1", "--deadman", "0.9")
+        assert run(drive, fake.listen, *words) == 0
+        assert {one.deadman_s for one in fake.said if one.engaged} == {0.9}
+        assert fake.state is ArbiterState.STANDBY
+        verbs = list(dict.fromkeys(one.request for one in fake.decisions if one.request not in {"drive", "renew"}))
+        assert verbs == ["acquire", "engage", "unpark", "disengage", "release"]
+        asked = {(one.requested_speed_mps, one.requested_angle_deg) for one in fake.accepted("drive")}
+        assert (-0.2, 3.0) in asked
+    driven, link = capsys.readouterr().out.splitlines()
+    assert driven == "cruiser-1: driven for 1 s, at most 0.20 m/s"
+    assert re.fullmatch(r"  commands \d+ ms old .*, deadman 900 ms, .* at most [\d.]+ m/s by that", link)
+
+
+def test_a_deadman_longer_than_a_second_is_a_usage_error(capsys: Capture) -> None:
+    """Told before anything is asked of the robot."""
+    with pytest.raises(SystemExit) as caught:
+        run(drive, "tcp/127.0.0.1:1", "cruiser-1", "--speed", "0.2", "--seconds", "1", "--deadman", "1.5")
+    assert caught.value.code == ExitCode.USAGE
+    assert "longer than a deadman may be, 1 s" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("--speed", "9"), "9 m/s is more than the chassis can do, 2.222 m/s"),
+        (("--speed", "-2.3"), "-2.3 m/s is more than the chassis can do, 2.222 m/s"),
+        (("--speed", "1", "--angle", "30"), "30 deg is more than the chassis can do, 24 deg"),
+    ],
+)
+def test_what_the_chassis_cannot_do_is_a_usage_error(words: tuple[str, ...], why: str, capsys: Capture) -> None:
+    """Told before anything is asked of the robot."""
+    with pytest.raises(SystemExit) as caught:
+        run(drive, "tcp/127.0.0.1:1", "cruiser-1", "--seconds", "1", *words)
+    assert caught.value.code == ExitCode.USAGE
+    assert why in capsys.readouterr().err
+
+
+def test_drive_says_what_the_limits_leave_of_what_is_asked(capsys: Capture) -> None:
+    """A script that asks for more than the limits in force learns what it gets."""
+    limits = Settings(command=CommandSettings(speed_limit_mps=0.25, steering_limit_deg=10.0))
+    with FakeRobot(settings=limits) as fake:
+        words = ("cruiser-1", "--speed", "-2", "--angle", "15", "--seconds", "0.2")
+        assert run(drive, fake.listen, *words) == 0
+        assert capsys.readouterr().err == (
+            "cruiser-1: of -2 m/s the limit in force leaves -0.25 m/s\n"
+            "cruiser-1: of 15 deg the limit in force leaves 10 deg\n"
+        )
+        assert run(drive, fake.listen, "cruiser-1", "--speed", "0.2", "--angle", "-9", "--seconds", "0.2") == 0
+        assert capsys.readouterr().err == ""
+
+
+def test_drive_for_a_script_ends_when_it_is_told_to(capsys: Capture) -> None:
+    """Ctrl-C comes to rest first."""
+    with FakeRobot() as fake:
+        words = ("cruiser-1", "--speed", "1", "--seconds", "100")
+        assert run(drive, fake.listen, *words, until=lambda: fake.speed_mps > 0.1) == 0
+        assert fake.state is ArbiterState.STANDBY
+    assert "driven" in capsys.readouterr().out
+
+
+def test_drive_says_why_the_robot_stopped() -> None:
+    """A bumper ends it, with the reason and a failure."""
+    with FakeRobot() as fake:
+
+        def hit() -> bool:
+            fake.front_bumper = fake.speed_mps > 0.1 or fake.front_bumper
+            return False
+
+        with pytest.raises(CommandError, match="front_bumper") as caught:
+            run(drive, fake.listen, "cruiser-1", "--speed", "1", "--seconds", "100", until=hit)
+        assert caught.value.code is ExitCode.FAILURE
+
+
+@pytest.mark.parametrize("words", [["--seconds", "1"], ["--speed", "1"], []])
+def test_drive_without_a_terminal_wants_speed_and_seconds(words: list[str]) -> None:
+    """It is a usage error before anything is connected."""
+    with pytest.raises(CommandError) as caught:
+        run(drive, free_endpoint(), "cruiser-1", *words)
+    assert caught.value.code is ExitCode.USAGE
+
+
+@pytest.mark.parametrize("verb", ACTIONS)
+def test_an_action_engages_does_it_and_rests(verb: str, capsys: Capture) -> None:
+    """Without a lease it makes do by itself and leaves the robot standing by, with the lease given back."""
+    module, words = ACTIONS[verb]
+    with FakeRobot() as fake:
+        assert run(module, fake.listen, "cruiser-1", *words, until=lambda: bool(fake.accepted(verb))) == 0
+        assert len(fake.accepted(verb)) == 1
+        assert fake.state is ArbiterState.STANDBY
+        assert fake.flow.arbiter.desk.lease is None
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("verb", ACTIONS)
+def test_an_action_uses_the_lease_of_another_terminal(verb: str, capsys: Capture) -> None:
+    """With --lease it asks once, and leaves robot and lease to who holds it; nobody else's number will do."""
+    module, words = ACTIONS[verb]
+    with FakeRobot() as fake:
+        settings = Settings(zenoh=ZenohSettings(connect=[fake.listen]))
+        with Robot.connect("cruiser-1", "first", settings, 20) as robot, robot.lease() as held:
+            held.engage()
+            assert run(module, fake.listen, "cruiser-1", *words, "--lease", str(held.number), "--json") == 0
+            done = json.loads(capsys.readouterr().out)
+            assert (done["robot"], done["verb"], done["ok"]) == ("cruiser-1", verb, True)
+            assert len(fake.accepted(verb)) == 1
+            held.check()
+            assert held.is_engaged
+            with pytest.raises(CommandError) as caught:
+                run(module, fake.listen, "cruiser-1", *words, "--lease", "1")
+            assert caught.value.code is ExitCode.REFUSED
+
+
+def test_stop_and_reset(capsys: Capture) -> None:
+    """Stop needs no lease; reset acquires one for itself; a second reset finds nothing."""
+    with FakeRobot() as fake:
+        assert run(stop, fake.listen, "cruiser-1") == 0
+        assert run(stop, fake.listen, "--all", "--json") == 0
+        assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
+        with pytest.raises(CommandError, match="remote_stop"):
+            run(park, fake.listen, "cruiser-1")
+        wait_until(lambda: time.monotonic_ns() - fake.flow.arbiter.latched_ns > RESET_MIN_NS)
+        assert run(reset, fake.listen, "cruiser-1") == 0
+        assert not fake.flow.arbiter.latched
+        assert run(reset, fake.listen, "cruiser-1") == 0
+        fake.flow.arbiter.latch(Reason.GUARD, "", time.monotonic_ns() - RESET_MIN_NS)
+        assert run(reset, fake.listen, "cruiser-1", "--json") == 0
+        assert run(reset, fake.listen, "cruiser-1", "--json") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "cruiser-1: stops, latched until a reset"
+    assert json.loads(lines[1])["stopped"] == ["cruiser-1"]
+    assert lines[2:4] == ["cruiser-1: cleared remote_stop", "cruiser-1: nothing was latched"]
+    assert [json.loads(line)["cleared"] for line in lines[4:]] == [["guard"], []]
+
+
+def test_reset_leaves_a_lease_of_another_alone() -> None:
+    """Who holds it is named; with the number of one's own it works."""
+    with FakeRobot() as fake:
+        settings = Settings(zenoh=ZenohSettings(connect=[fake.listen]))
+        with Robot.connect("cruiser-1", "first", settings, 20) as robot, robot.lease() as held:
+            with pytest.raises(CommandError, match="lease_held") as caught:
+                run(reset, fake.listen, "cruiser-1")
+            assert caught.value.code is ExitCode.REFUSED
+            assert run(reset, fake.listen, "cruiser-1", "--lease", str(held.number)) == 0
+            held.check()
+
+
+def test_stop_that_nobody_answers_is_an_error(capsys: Capture) -> None:
+    """Exit code 4, and a hint to the button; 3 if only some answered."""
+    with FakeRobot("cruiser-1") as fake, FakeRobot("cruiser-2", connect=fake.listen, deaf=True) as deaf:
+        with pytest.raises(CommandError, match="nobody answered") as caught:
+            run(stop, fake.listen, "cruiser-2", "--timeout", "2")
+        assert caught.value.code is ExitCode.UNREACHABLE
+        assert Reason.REMOTE_STOP in deaf.flow.arbiter.latched
+        assert "cruiser-2: NO ANSWER" in capsys.readouterr().err
+        assert run(stop, fake.listen, "--all", "--timeout", "3") == ExitCode.PARTIAL
+    for words in ([], ["cruiser-1", "--all"]):
+        with pytest.raises(CommandError) as wrong:
+            run(stop, free_endpoint(), *words)
+        assert wrong.value.code is ExitCode.USAGE
+
+
+@pytest.mark.parametrize("module", [why, stop, watch])
+def test_who_names_a_robot_that_is_not_there_learns_which_are(module: object) -> None:
+    """A robot's name is easily mistyped; the true ones are told beside what went wrong."""
+    with FakeRobot("cruiser-1") as fake, FakeRobot("cruiser-2", connect=fake.listen):
+        with pytest.raises(CommandError, match=r"; connected: cruiser-1, cruiser-2$") as caught:
+            run(module, fake.listen, "cruiser-9", "--timeout", "1")
+        assert caught.value.code is ExitCode.UNREACHABLE
+
+
+def test_a_robot_that_is_connected_but_silent_is_not_said_to_be_absent() -> None:
+    """Its token is there: naming others would send the person the wrong way."""
+    with FakeRobot("cruiser-1", mute=True) as fake:
+        with pytest.raises(CommandError, match="was not heard") as caught:
+            run(why, fake.listen, "cruiser-1", "--timeout", "1")
+        assert "connected" not in str(caught.value)
+
+
+def test_a_stop_that_cannot_be_carried_out_is_no_success(capsys: Capture) -> None:
+    """Row 'a stop that cannot be carried out: reason, what it does now; exit 3': of one robot, or all."""
+    with FakeRobot("cruiser-1") as fake, FakeRobot("cruiser-2", connect=fake.listen) as other:
+        other.mode = Mode.REMOTE
+        assert run(stop, fake.listen, "cruiser-2") == 3
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert said.err == (
+            "cruiser-2: NOT STOPPED: hand_transmitter: the hand transmitter has the robot; latched; not "
+            "carried out: the robot stands. Use the button on the robot\n"
+        )
+        assert run(stop, fake.listen, "--all", "--json") == ExitCode.PARTIAL
+        report = json.loads(capsys.readouterr().out)
+        assert (report["stopped"], list(report["refused"])) == (["cruiser-1"], ["cruiser-2"])
+        assert Reason.REMOTE_STOP in other.flow.arbiter.latched
+
+
+def test_why_says_each_reason_with_its_cure(capsys: Capture) -> None:
+    """And the newest events; exit code 1 while anything is wrong, 0 for one that idles and one that would move."""
+    with FakeRobot() as fake:
+        idle = [Reason.NO_LEASE, Reason.NOT_ENGAGED]
+        wait_until(lambda: bool(fake.said) and fake.said[-1].blocked_by == idle)
+        assert run(why, fake.listen, "cruiser-1") == 0
+        assert "nothing is wrong: it waits for somebody who drives it" in capsys.readouterr().out
+        assert run(stop, fake.listen, "cruiser-1") == 0
+        capsys.readouterr()
+        assert run(why, fake.listen, "cruiser-1") == 1
+        text = capsys.readouterr().out
+        assert "no_lease: nobody holds the lease -> acquire it with 'cruiser drive cruiser-1'" in text
+        assert "remote_stop: a remote stop was received -> reset with 'cruiser reset cruiser-1'" in text
+        assert "nothing is wrong" not in text
+        assert "lately:" in text
+        assert "latched until a reset" in text
+        assert run(reset, fake.listen, "cruiser-1") == 0
+        capsys.readouterr()
+        settings = Settings(zenoh=ZenohSettings(connect=[fake.listen]))
+        with Robot.connect("cruiser-1", "first", settings, 20) as robot, robot.lease() as held:
+            held.engage()
+            assert run(why, fake.listen, "cruiser-1", "--json") == 1
+            assert [one["reason"] for one in json.loads(capsys.readouterr().out)["blocked_by"]] == ["parked"]
+            held.unpark()
+            assert robot.wait_for(lambda state: state.blocked_by == [], 20)
+            assert run(why, fake.listen, "cruiser-1") == 0
+            assert "nothing keeps it from moving" in capsys.readouterr().out
+
+
+def test_why_says_that_the_gateway_has_no_real_time_priority(capsys: Capture) -> None:
+    """Row 'a gateway without real-time priority says so in why': with its cure, also as JSON."""
+    slow = msgspec.structs.replace(HEALTH, realtime=False)
+    with FakeRobot(health=slow) as fake:
+        run(why, fake.listen, "cruiser-1")
+        text = TEXTS[Reason.NO_REALTIME]
+        assert f"  slowed by no_realtime: {text.means} -> {text.cure}\n" in capsys.readouterr().out
+        run(why, fake.listen, "cruiser-1", "--json")
+        assert [one["reason"] for one in json.loads(capsys.readouterr().out)["slowed_by"]] == ["no_realtime"]
+        fake.health = HEALTH
+        run(why, fake.listen, "cruiser-1")
+        assert "slowed" not in capsys.readouterr().out
+
+
+def test_lease_shows_the_holder_and_can_be_held(capsys: Capture) -> None:
+    """Held until told to stop, taken only from who may lose it; its number is the output."""
+    with FakeRobot() as fake:
+        assert run(lease, fake.listen, "cruiser-1") == 0
+        assert capsys.readouterr().out == "cruiser-1: nobody holds the lease\n"
+        engaged = lambda: fake.state is ArbiterState.ENGAGED  # noqa: E731 - it reads as a condition
+        assert run(lease, fake.listen, "cruiser-1", "--hold", "--engage", until=engaged) == 0
+        assert int(capsys.readouterr().out) > 0
+        assert fake.flow.arbiter.desk.lease is None
+        settings = Settings(zenoh=ZenohSettings(connect=[fake.listen]))
+        with Robot.connect("cruiser-1", "second", settings, 20) as robot, robot.lease() as held:
+            assert run(lease, fake.listen, "cruiser-1", "--json") == 0
+            assert json.loads(capsys.readouterr().out)["lease_holder"] == "second"
+            with pytest.raises(CommandError, match="role_too_low"):
+                run(lease, fake.listen, "cruiser-1", "--take", "--role", "program")
+            assert run(lease, fake.listen, "cruiser-1", "--take", "--seconds", "0.2") == 0
+            with pytest.raises(CommandError, match="is lost"):
+                held.engage()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["Cruiser"],
+        ["*"],
+        ["cruiser-1", "--operator", "a/b"],
+        ["cruiser-1", "--lease", "-1"],
+        ["a", "--lease", "x"],
+    ],
+)
+def test_what_cannot_be_a_name_or_a_lease_is_a_usage_error(words: list[str], capsys: Capture) -> None:
+    """The parser says so."""
+    parser = argparse.ArgumentParser()
+    park.add_arguments(parser)
+    with pytest.raises(SystemExit) as caught:
+        parser.parse_args(words)
+    assert caught.value.code == ExitCode.USAGE
+    assert "error: argument" in capsys.readouterr().err

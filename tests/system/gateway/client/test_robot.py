@@ -1,0 +1,363 @@
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from gateway.client.drive_stream import HOLD_S
+from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
+from gateway.client.robot import Lease, Robot
+from schemas.decisions import ArbiterState
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.messages import Mode
+from schemas.reasons import TEXTS, Reason
+from schemas.requests import Light, Role
+from schemas.settings import Settings, ZenohSettings
+from tests.support.fake_gateway import STATE, FakeGateway, free_endpoint
+from tests.support.fake_robot import FakeRobot
+from tests.support.waiting import nothing, wait_until
+
+
+def connected(fake: FakeRobot, operator: str = "first") -> Robot:
+    """A robot as this operator sees it."""
+    return Robot.connect(fake.name, operator, settings_for(fake.listen), timeout_s=20)
+
+
+def settings_for(endpoint: str) -> Settings:
+    """Settings that connect there."""
+    return Settings(zenoh=ZenohSettings(connect=[endpoint]))
+
+
+@contextmanager
+def engaged(fake: FakeRobot) -> Iterator[tuple[Robot, Lease]]:
+    """First has the lease of an engaged robot whose brake is released."""
+    with connected(fake) as robot, robot.lease() as lease:
+        lease.engage()
+        lease.unpark()
+        yield robot, lease
+
+
+def test_the_age_of_the_commands_is_known() -> None:
+    """``robot.link_age_s`` and the deadman that was asked for."""
+    with FakeRobot() as fake, connected(fake) as robot, robot.lease() as lease:
+        assert robot.link_age_s is None
+        lease.engage(deadman_s=0.9)
+        assert robot.wait_for(lambda state: state.link_age_s is not None, 5)
+        age_s = robot.link_age_s
+        assert age_s is not None
+        assert 0 < age_s < 1
+        assert robot.state().state.deadman_s == 0.9
+
+
+def test_a_drive_that_is_renewed_moves_the_robot_and_ends_in_standby() -> None:
+    """Acquire, engage, drive, disengage: no command of the stream is refused from engaging on."""
+    with FakeRobot() as fake, engaged(fake) as (robot, lease):
+        wait_until(lambda: fake.speed_mps == 0.5, lambda: lease.drive(0.5, angle_deg=5.0))
+        assert {one.requested_speed_mps for one in fake.refused("drive")} <= {0.0}, "before engage was received"
+        first = fake.accepted("drive")[0].tick
+        assert all(one.tick < first for one in fake.refused("drive"))
+        assert fake.accepted("drive")[-1].requested_angle_deg == 5.0
+        lease.disengage()
+        assert robot.wait_for(lambda state: state.state is ArbiterState.STANDBY, 20)
+        with pytest.raises(Refused) as caught:
+            lease.drive(0.5)
+        assert caught.value.reason is Reason.NOT_ENGAGED
+
+
+@pytest.mark.parametrize(
+    ("turn", "angle_deg"),
+    [({}, 0.0), ({"angle_deg": -3.0}, -3.0), ({"curvature_1pm": 0.1}, 3.776), ({"yaw_rate_radps": 0.05}, 3.776)],
+)
+def test_each_way_to_turn_reaches_the_robot(turn: dict[str, float], angle_deg: float) -> None:
+    """Straight on, an angle, a curvature and a yaw rate are asked for as the bicycle model says."""
+    with FakeRobot() as fake, engaged(fake) as (_, lease):
+        wait_until(lambda: fake.accepted("drive")[-1].requested_speed_mps == 0.5, lambda: lease.drive(0.5, **turn))
+        assert fake.accepted("drive")[-1].requested_angle_deg == pytest.approx(angle_deg, abs=0.001)
+
+
+def test_a_program_that_hangs_stands_and_stays_engaged(caplog: pytest.LogCaptureFixture) -> None:
+    """A set point that is not renewed becomes zero speed, with a note; the stream itself goes on."""
+    with FakeRobot() as fake, engaged(fake) as (_, lease):
+        wait_until(lambda: fake.speed_mps > 0.2, lambda: lease.drive(1.0))
+        wait_until(lambda: fake.speed_mps == 0.0)
+        assert fake.state is ArbiterState.ENGAGED
+        assert f"{fake.name}: the set point was not renewed" in caplog.text
+        wait_until(lambda: fake.speed_mps > 0.2, lambda: lease.drive(1.0))
+
+
+def test_an_engaged_robot_that_is_not_driven_stays_engaged() -> None:
+    """Zero speed is sent for longer than the deadman and the lease would last without it."""
+    with FakeRobot() as fake, engaged(fake) as (_, lease):
+        begun = len(fake.accepted("drive"))
+        wait_until(lambda: len(fake.accepted("drive")) > begun + 120)
+        assert fake.state is ArbiterState.ENGAGED
+        assert lease.is_engaged
+        assert fake.accepted("renew") == []
+
+
+def test_a_lease_without_a_drive_is_renewed() -> None:
+    """It outlives its time by several renewals."""
+    with FakeRobot() as fake, connected(fake) as robot, robot.lease() as lease:
+        wait_until(lambda: len(fake.accepted("renew")) >= 6)
+        lease.check()
+        assert fake.accepted("drive") == []
+
+
+def test_the_end_of_the_block_gives_the_lease_back_and_stops_the_robot() -> None:
+    """Also when the body fails, and its error is not hidden."""
+    with FakeRobot() as fake, connected(fake) as robot:
+        with pytest.raises(ZeroDivisionError), robot.lease() as lease:  # noqa: PT012 - what happens is the point
+            lease.engage()
+            lease.unpark()
+            wait_until(lambda: fake.speed_mps > 0.1, lambda: lease.drive(1.0))
+            raise ZeroDivisionError
+        assert len(fake.accepted("release")) == 1
+        assert robot.wait_for(lambda state: state.state is ArbiterState.STANDBY and not state.lease_holder, 20)
+        with robot.lease():
+            pass
+
+
+def test_a_stop_ends_the_stream_and_is_told_with_its_reason() -> None:
+    """The next call says why; drive commands cease; a reset and engage bring it back, at zero speed."""
+    with FakeRobot() as fake, engaged(fake) as (robot, lease):
+        wait_until(lambda: fake.speed_mps > 0.2, lambda: lease.drive(1.0))
+        fake.front_bumper = True
+        wait_until(lambda: not lease.is_engaged)
+        with pytest.raises(Stopped) as caught:
+            lease.drive(1.0)
+        assert caught.value.reason is Reason.FRONT_BUMPER
+        assert caught.value.cure == TEXTS[Reason.FRONT_BUMPER].cure
+        assert caught.value.code is ExitCode.FAILURE
+        assert robot.wait_for(lambda state: state.state is ArbiterState.STANDBY, 20)
+        fake.front_bumper = False
+        assert lease.reset() == "front_bumper"
+        lease.engage()
+        lease.check()
+        assert fake.speed_mps == 0.0
+
+
+def test_the_hand_transmitter_ends_the_stream() -> None:
+    """A takeover is told like a stop."""
+    with FakeRobot() as fake, engaged(fake) as (_, lease):
+        fake.mode = Mode.REMOTE
+        wait_until(lambda: not lease.is_engaged)
+        with pytest.raises(Stopped) as caught:
+            lease.drive(1.0)
+        assert caught.value.reason is Reason.HAND_TRANSMITTER
+
+
+def test_a_lease_that_is_taken_is_told_to_who_loses_it() -> None:
+    """Who lost it can do nothing more with it; the robot was stopped."""
+    with FakeRobot() as fake, engaged(fake) as (_, lease), connected(fake, "second") as theirs:
+        with pytest.raises(Refused) as refusal, theirs.lease():
+            pass
+        assert refusal.value.reason is Reason.LEASE_HELD
+        assert "first" in refusal.value.detail
+        with theirs.take(Role.SUPERVISOR):
+            wait_until(lambda: not lease.is_engaged)
+            for call in (lambda: lease.drive(1.0), lease.check, lease.engage, lease.reset, lambda: lease.number):
+                with pytest.raises(LeaseLost) as caught:
+                    call()
+                assert caught.value.reason is Reason.LEASE_TAKEN
+        assert len(fake.accepted("release")) == 1
+
+
+def test_a_lease_that_was_lost_unseen_is_told_by_its_renewal() -> None:
+    """The same operator took it elsewhere: safety/state names no other holder, but renew is refused."""
+    with (
+        FakeRobot() as fake,
+        connected(fake) as robot,
+        robot.lease() as lease,
+        connected(fake) as other,
+        other.take(),
+    ):
+
+        def lost() -> bool:
+            try:
+                lease.check()
+            except LeaseLost as error:
+                return error.reason is Reason.LEASE_TAKEN
+            return False
+
+        wait_until(lost)
+
+
+def test_what_is_refused_says_why_and_what_would_cure_it() -> None:
+    """Reason, detail and cure of the reply are in the exception; as an error of a command it exits with 5."""
+    with FakeRobot() as fake, connected(fake) as robot, robot.lease() as lease:
+        with pytest.raises(Refused) as caught:
+            lease.park()
+        assert caught.value.reason is Reason.NOT_ENGAGED
+        assert "'cruiser drive cruiser-1'" in caught.value.cure
+        assert caught.value.code is ExitCode.REFUSED
+        assert "park" in str(caught.value)
+        assert caught.value.detail in str(caught.value)
+        with pytest.raises(Refused, match="no_lease"):
+            robot.ask(Light(lease=lease.number + 1, headlamp=True))
+
+
+def test_park_may_follow_at_once_when_zero_is_asked_for() -> None:
+    """The zero is in the stream, the question is not: it waits until the robot has heard the zero."""
+    with FakeRobot() as fake, engaged(fake) as (_, lease):
+        for _ in range(5):
+            wait_until(lambda: fake.speed_mps == 0.3, lambda: lease.drive(0.3))
+            lease.drive(0.0)
+            lease.park()
+            lease.unpark()
+            wait_until(lambda: fake.speed_mps == 0.0)
+        lease.drive(0.3)
+        wait_until(lambda: fake.speed_mps > 0.0, lambda: lease.drive(0.3))
+        with pytest.raises(Refused) as caught:
+            lease.park()
+        assert caught.value.reason is Reason.COMMAND_NOT_ZERO
+
+
+def test_every_verb_of_the_lease_does_its_part() -> None:
+    """Park, unpark, light, horn and odometer are accepted while engaged; engaging twice is refused here."""
+    with FakeRobot() as fake, engaged(fake) as (_, lease):
+        lease.light(headlamp=True, left=True)
+        lease.horn(on=True)
+        lease.horn(on=False)
+        lease.park()
+        lease.unpark()
+        lease.clear_odometer()
+        with pytest.raises(Refused) as caught:
+            lease.engage()
+        assert caught.value.reason is Reason.ALREADY_ENGAGED
+        assert lease.is_engaged
+        for verb, times in {
+            "light": 1,
+            "horn": 2,
+            "park": 1,
+            "unpark": 2,
+            "clear_odometer": 1,
+            "engage": 1,
+        }.items():
+            assert len(fake.accepted(verb)) == times
+
+
+def test_a_lower_speed_limit_holds_until_disengaged() -> None:
+    """engage(speed_limit_mps) is the limit in force."""
+    with FakeRobot() as fake, connected(fake) as robot, robot.lease() as lease:
+        lease.engage(speed_limit_mps=0.3)
+        assert robot.state().state.speed_limit_mps == 0.3
+
+
+def test_the_remote_stop_needs_no_lease() -> None:
+    """From anyone, at once, and the robot is latched; it is sent as puts as well."""
+    with FakeRobot() as fake, engaged(fake) as (_, lease), connected(fake, "second") as theirs:
+        wait_until(lambda: fake.speed_mps > 0.2, lambda: lease.drive(1.0))
+        theirs.stop(30)
+        assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
+        wait_until(lambda: not lease.is_engaged)
+        assert fake.puts.count("stop") > 1
+
+
+def test_a_remote_stop_that_cannot_be_carried_out_is_an_error() -> None:
+    """Row 'a stop that cannot be carried out: never ok alone': latched, and the text says what the robot does."""
+    with FakeRobot(mode=Mode.REMOTE) as fake, connected(fake) as robot:
+        with pytest.raises(Refused, match=r"is not stopped.*hand_transmitter.*the robot stands"):
+            robot.stop(30)
+        assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
+
+
+def test_state_has_an_age_and_an_end() -> None:
+    """The newest safety/state is given while it is fresh; a robot that falls silent is out of reach."""
+    with FakeRobot() as fake, engaged(fake) as (robot, lease):
+        assert 0 <= robot.state().age_s <= 1
+        assert robot.state().state.lease_holder == "first"
+        fake.mute = True
+
+        def is_gone() -> bool:
+            try:
+                robot.state()
+            except Unreachable:
+                return True
+            return False
+
+        wait_until(is_gone)
+        with pytest.raises(Unreachable, match="not heard any more"):
+            lease.drive(1.0)
+        # What goes on is not sent blindly: with no newer tick to echo the stream has ceased, and the deadman ran.
+        wait_until(lambda: fake.state is ArbiterState.STANDBY)
+
+
+def test_events_are_heard_those_of_before_too() -> None:
+    """Each event once, in order."""
+    with FakeRobot() as fake:
+        with connected(fake) as robot, robot.lease():
+            pass
+        with connected(fake, "second") as robot:
+            texts: list[str] = []
+            wait_until(lambda: len(texts) >= 2, lambda: texts.extend(event.text for event in robot.events()))
+            assert texts == ["first has acquired the lease as operator", "first gave the lease back"]
+            assert robot.events() == []
+
+
+def test_who_does_not_answer_is_unreachable() -> None:
+    """A robot that is heard but answers nothing: the question ends with what was not answered."""
+    with FakeRobot() as fake, connected(fake) as robot:
+        fake.deaf = True
+        with pytest.raises(Unreachable, match="did not answer acquire"), robot.lease():
+            pass
+
+
+def test_a_robot_that_is_not_there_is_unreachable() -> None:
+    """No node, a node without the robot, and a gateway without an arbiter are told apart."""
+    endpoint = free_endpoint()
+    with pytest.raises(Unreachable, match="no Zenoh node answered"):
+        Robot.connect("cruiser-1", "first", settings_for(endpoint), timeout_s=0.2)
+    with FakeGateway("cruiser-1") as gateway, pytest.raises(Unreachable, match="robot 'cruiser-1' was not heard"):
+        Robot.connect("cruiser-1", "first", settings_for(gateway.listen), timeout_s=2)
+    with FakeGateway("cruiser-1") as gateway:
+
+        def tell_its_state() -> bool:
+            gateway.say(STATE)
+            return False
+
+        settings = settings_for(gateway.listen)
+        with pytest.raises(Unreachable, match="only listens"):
+            Robot.connect("cruiser-1", "first", settings, timeout_s=3, stopped=tell_its_state)
+
+
+def test_a_name_that_cannot_be_is_one_clear_error() -> None:
+    """A robot or an operator with a wildcard is never asked for."""
+    for name, operator in (("*", "first/.."), ("Cruiser", "first"), ("cruiser-1", "a b")):
+        with pytest.raises(CommandError) as caught:
+            Robot.connect(name, operator, settings_for(free_endpoint()))
+        assert caught.value.code is ExitCode.USAGE
+
+
+def test_a_lease_outside_its_block_is_an_error_of_the_program() -> None:
+    """Neither before nor after, and no two at a time."""
+    with FakeRobot() as fake, connected(fake) as robot:
+        lease = robot.lease()
+        with pytest.raises(ValueError, match="within its with statement"):
+            lease.drive(1.0)
+        with lease, pytest.raises(ValueError, match="has a lease already"), robot.lease():
+            pass
+        with pytest.raises(ValueError, match="within its with statement"):
+            lease.engage()
+
+
+def test_a_link_that_stalls_ends_in_a_stop_not_in_a_resumption() -> None:
+    """Set points of before are not driven when the robot is heard again."""
+    with FakeRobot() as fake, engaged(fake) as (_, lease):
+        wait_until(lambda: fake.speed_mps > 0.2, lambda: lease.drive(1.0, hold_s=2.0))
+        fake.mute = True
+        wait_until(lambda: fake.state is not ArbiterState.ENGAGED)
+        fake.mute = False
+        wait_until(lambda: not lease.is_engaged, nothing)
+        with pytest.raises(Stopped) as caught:
+            lease.drive(1.0)
+        assert caught.value.reason is Reason.DEADMAN
+
+
+def test_the_stream_has_the_rate_of_the_contract() -> None:
+    """20 to 50 a second, by the ticks of the robot: none of them late enough for the deadman."""
+    with FakeRobot() as fake, engaged(fake) as (_, lease):
+        begun = len(fake.decisions)
+        end_s = time.monotonic() + 2 * HOLD_S
+        wait_until(lambda: time.monotonic() > end_s, lambda: lease.drive(0.1))
+        ticks = [one.tick for one in fake.decisions[begun:] if one.request == "drive"]
+        assert 20 <= 100 * (len(ticks) - 1) / (ticks[-1] - ticks[0]) <= 52

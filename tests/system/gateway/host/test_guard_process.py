@@ -1,0 +1,247 @@
+"""The guard as a process of its own, over a served bus, with a gateway that is killed, stopped and hung."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.command.actuation import AT_REST, Actuation
+from gateway.command.flow import CommandFlow
+from gateway.command.frames import FrameMaker
+from gateway.guard.beat import Cause
+from gateway.host.guard_process import GuardProcess, NoGuard, start_guard
+from gateway.host.stop_note import StopNote
+from schemas.messages import Mode, Variant
+from schemas.settings import GUARD_HANGS_TICKS, GUARD_RESTART_NS, CanSettings, GatewaySettings, Settings
+from tests.support.gateway_process import chassis
+from tests.support.guard_watched import Watched, watched
+from tests.support.waiting import wait_until
+
+FIVE = ["Auto_DriveCmd", "Auto_GearCmd", "Auto_SteeringCmd", "Auto_BrakingCmd", "Auto_ParkingCmd"]
+OFF = ["Auto_LightCmd", "Auto_SpeakerCmd", "Auto_OdometerCmd"]
+
+
+def wait_stopped(running: Watched) -> None:
+    """The robot stands, is told nothing any more, and has left auto."""
+    wait_until(lambda: running.listener.stands() and running.listener.mode() is Mode.STOP)
+
+
+def test_a_killed_gateway_is_stopped_for() -> None:
+    """A kill -9: whole bursts in their order, counters that go on, the robot rests, the guard says so and goes."""
+    with watched() as running:
+        running.drive()
+        running.send_signal(signal.SIGKILL)
+        wait_stopped(running)
+        running.wait_guard_gone()
+        bursts = running.listener.bursts
+        by_guard = running.listener.by_guard()
+        assert len(by_guard) > 100
+        # Nobody sent after the guard, and nobody between.
+        assert bursts[-len(by_guard) :][0].is_by_guard
+        # The kill may have come between two frames of a burst.
+        assert all(burst.names in (FIVE, FIVE + OFF) for burst in by_guard[1:])
+        for place in range(len(FIVE)):
+            counters = [burst.frames[place].data[6] >> 4 for burst in bursts if len(burst.frames) > place]
+            assert all((after - before) % 16 == 1 for before, after in pairwise(counters))
+        said = "".join(running.complaints)
+        assert f"guard: {Cause.GONE.value}" in said
+        assert "guard: done: the robot stands" in said
+        note = StopNote.of(Settings()).read()
+        assert f" guard: {Cause.GONE.value}" in note, "and the next gateway is latched by what it says"
+        assert " guard: done: the robot stands" in note
+
+
+def test_a_stopped_gateway_that_comes_back_keeps_silent_and_learns_of_the_stop() -> None:
+    """SIGSTOP, and SIGCONT in the middle: the guard carries its stop through, and watches again."""
+    with watched() as running:
+        running.drive()
+        running.send_signal(signal.SIGSTOP)
+        wait_until(lambda: len(running.listener.by_guard()) > 20)
+        by_gateway = [burst for burst in running.listener.bursts if not burst.is_by_guard]
+        running.send_signal(signal.SIGCONT)
+        running.wait_says("sending True")
+        wait_stopped(running)
+        running.wait_says("stops 1")
+        running.wait_says("sending False")
+        running.wait_says(f"cause {Cause.LATE.name}")
+        running.wait_says(f"says {Cause.LATE.value}")
+        running.wait_says(f"says {Cause.LATE.value}; the robot stands")
+        # What was under way when it was stopped may have gone out; after that there is nothing of the gateway's.
+        after = [burst for burst in running.listener.bursts if not burst.is_by_guard][len(by_gateway) :]
+        assert len(after) <= 1
+        assert running.guard_lives()
+        running.send_signal(signal.SIGTERM)
+        running.process.wait(30)
+        running.wait_guard_gone()
+
+
+def test_a_gateway_whose_gate_refuses_everything_is_stopped_for() -> None:
+    """It beats in time, and says that it cannot send."""
+    with watched() as running:
+        running.drive()
+        running.send_signal(signal.SIGUSR1)
+        wait_stopped(running)
+        running.wait_says(f"cause {Cause.MUTE.name}")
+
+
+def test_nothing_is_sent_while_the_loop_lives_and_signals_do_not_end_the_guard() -> None:
+    """Not while it drives, and not when it ends in good order; the guard leaves with it, without a word."""
+    with watched() as running:
+        running.drive()
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            os.kill(running.guard, number)
+        count = len(running.listener.bursts)
+        wait_until(lambda: len(running.listener.bursts) > count + 50)
+        assert running.guard_lives()
+        assert os.getsid(running.guard) != os.getsid(0)
+        running.send_signal(signal.SIGUSR2)
+        count = -1
+
+        def is_silent() -> bool:
+            nonlocal count
+            before, count = count, len(running.listener.bursts)
+            time.sleep(0.1)
+            return before == count
+
+        wait_until(is_silent)
+        running.send_signal(signal.SIGTERM)
+        running.process.wait(30)
+        running.wait_guard_gone()
+        wait_until(lambda: bool(running._values("late_ms")))
+        # On a machine that held up the stand-in itself the guard is right to act.
+        if running.late_ms < 80:
+            assert running.listener.by_guard() == []
+            assert running.complaints == []
+
+
+def test_a_guard_that_is_gone_or_hangs_does_not_watch() -> None:
+    """The gateway sees it, and no stop of its is waited for."""
+    for number in (signal.SIGKILL, signal.SIGSTOP):
+        with watched() as running:
+            running.drive()
+            os.kill(running.guard, number)
+            running.wait_says("watching False")
+            os.kill(running.guard, signal.SIGKILL)
+
+
+def test_the_guard_has_a_bus_of_its_own_and_nothing_of_the_gateway() -> None:
+    """No socket is shared, and Zenoh is not even loaded."""
+    with watched() as running:
+        running.drive()
+
+        def sockets(process: int) -> set[str]:
+            links = [str(link.readlink()) for link in Path(f"/proc/{process}/fd").iterdir()]
+            return {link for link in links if link.startswith("socket:")}
+
+        assert len(sockets(running.guard)) == 1
+        assert sockets(running.guard) & sockets(running.process.pid) == set()
+        maps = Path(f"/proc/{running.guard}/maps").read_text(encoding="utf-8")
+        assert "zenoh" not in maps
+        assert "cruiser-heartbeat" in maps
+
+
+def test_a_guard_whose_gateway_never_beat_leaves_with_it() -> None:
+    """Closed at once, before it even watches."""
+    with chassis() as (_, address):
+        link = start_guard(Settings(can=CanSettings(interface="socketcand", channel=address)))
+        assert isinstance(link, GuardProcess)
+        assert link.why_not == ""
+        assert not link.look().is_watching
+        wait_until(lambda: link.look().is_watching)
+        assert not link.look().is_sending
+        link.close()
+        assert link._process.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        (Settings(can=CanSettings(interface="virtual")), "virtual"),
+        (Settings(can=CanSettings(interface="pcan")), "pcan"),
+        (Settings(gateway=GatewaySettings(listen_only=True)), "only listens"),
+    ],
+)
+def test_where_no_guard_can_be_the_link_says_why(settings: Settings, says: str) -> None:
+    """An interface that is not known to be shared has no guard, nor has a gateway that sends nothing."""
+    link = start_guard(settings)
+    assert says in link.why_not
+    link.beat(1, CommandFlow(settings, 1))
+    link.close()
+    assert (link.look().is_watching, link.look().is_sending, link.look().stops, link.cause) == (
+        False,
+        False,
+        0,
+        Cause.NONE,
+    )
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_guard_that_is_gone_or_hangs_is_replaced_while_the_robot_is_told_nothing(number: signal.Signals) -> None:
+    """Not while it is driven; then another one watches, and the stop that the first began is not forgotten."""
+    with chassis() as (_, address):
+        link = start_guard(Settings(can=CanSettings(interface="socketcand", channel=address)))
+        assert isinstance(link, GuardProcess)
+        maker = FrameMaker()
+
+        def tell(later_ns: int, actuation: Actuation | None = None) -> None:
+            now_ns = time.monotonic_ns() + later_ns
+            link.tell(now_ns, Variant.COARSE, actuation, maker.counters, told_ns=now_ns)
+
+        try:
+            wait_until(lambda: link.look().is_watching, lambda: tell(0))
+            first = link.pid
+            # Told something, and no beat after: it begins a stop.
+            tell(0, AT_REST)
+            wait_until(lambda: link.look().stops == 1)
+            os.kill(first, number)
+            wait_until(lambda: not link.look().is_watching)
+            for _ in range(GUARD_HANGS_TICKS):
+                tell(GUARD_RESTART_NS // 2)
+            assert link._starting is None
+            tell(2 * GUARD_RESTART_NS, AT_REST)
+            tell(2 * GUARD_RESTART_NS)
+            assert link._starting is None
+            assert link.look().stops == 1
+            wait_until(lambda: link.pid != first, lambda: tell(2 * GUARD_RESTART_NS))
+            assert not Path(f"/proc/{first}").exists()
+            # That it begins within a beat from the future is this test's doing.
+            wait_until(lambda: link.look().is_watching, lambda: tell(0))
+            assert link.look().stops == 1
+        finally:
+            link.close()
+        assert link._process.returncode == 0
+
+
+def test_a_guard_that_ends_at_once_is_no_guard(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before it was told anything: the gateway goes on, unguarded."""
+
+    class Ended(subprocess.Popen[bytes]):
+        def __init__(self, *words: Any, **options: Any) -> None:  # noqa: ANN401 - what Popen takes
+            super().__init__(*words, **options)
+            self.wait()
+
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    monkeypatch.setattr(subprocess, "Popen", Ended)
+    link = start_guard(Settings())
+    assert isinstance(link, NoGuard)
+    assert "ended at once, with exit code 1" in link.why_not
+
+
+def test_a_guard_that_cannot_be_started_is_no_guard(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The gateway goes on, unguarded."""
+    monkeypatch.setattr(sys, "executable", "/nonexistent")
+    link = start_guard(Settings())
+    assert "cannot be started" in link.why_not
+
+
+def test_the_guard_loads_neither_zenoh_nor_the_loop() -> None:
+    """It has to start fast and stay small."""
+    code = "import sys, gateway.host.guard_main; print([m for m in sys.modules if 'zenoh' in m or 'loop' in m])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,321 @@
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import zenoh
+
+from gateway.telemetry.heard import Heard, Missed, Received, TokenChange
+from gateway.zenoh import client as zenoh_client
+from gateway.zenoh.client import (
+    SAMPLES_WAITING,
+    Question,
+    RobotListener,
+    _configuration,
+    call_roll,
+    client_endpoints,
+    close_session,
+    lease_in_force_ms,
+    open_session,
+    place,
+    said_of,
+)
+from schemas import codec
+from schemas.configuration import merge
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import DEFAULT_ENDPOINT, RobotSettings, Settings, ZenohSettings
+from schemas.subjects import BY_NAME
+from tests.support.fake_gateway import HEALTH, STATE, FakeGateway, free_endpoint
+from tests.support.waiting import wait_until
+
+HEALTH_SAMPLE = Received(
+    "fleet/cruiser-1/gateway/health", BY_NAME["gateway/health"].encoding, codec.encode(HEALTH)
+)
+
+NEXT_HEALTH = msgspec.structs.replace(HEALTH, sequence=1)
+TOKEN = TokenChange("fleet/cruiser-1/gateway", present=True)
+
+
+def settings_for(*endpoints: str) -> Settings:
+    """Settings that connect to these endpoints."""
+    return Settings(zenoh=ZenohSettings(connect=list(endpoints)))
+
+
+def test_multicast_is_off_and_nothing_listens_unless_asked() -> None:
+    """A session neither scouts by multicast nor listens on any interface by itself."""
+    config = _configuration(ZenohSettings(), ["tcp/127.0.0.1:7447"], [])
+    assert json.loads(config.get_json("scouting/multicast/enabled")) is False
+    assert json.loads(config.get_json("listen/endpoints")) == []
+
+
+def test_a_zenoh_file_that_says_nothing_of_it_changes_neither(tmp_path: Path) -> None:
+    """Multicast stays off unless a Zenoh file asks for it; a command listens on nothing, whatever it says."""
+    file = tmp_path / "zenoh.json5"
+    file.write_text("{ transport: { link: { tx: { keep_alive: 5 } } } }")
+    config = _configuration(ZenohSettings(config=str(file)), [], [])
+    assert json.loads(config.get_json("scouting/multicast/enabled")) is False
+    assert json.loads(config.get_json("listen/endpoints")) == []
+    file.write_text(
+        "{ scouting: { multicast: { enabled: true } }, listen: { endpoints: ['tcp/127.0.0.1:7500'] },"
+        " connect: { endpoints: ['tcp/127.0.0.1:7501'] } }"
+    )
+    config = _configuration(ZenohSettings(config=str(file)), [], [])
+    assert json.loads(config.get_json("scouting/multicast/enabled")) is True
+    assert json.loads(config.get_json("listen/endpoints")) == []
+    assert json.loads(config.get_json("connect/endpoints")) == ["tcp/127.0.0.1:7501"]
+    config = _configuration(ZenohSettings(config=str(file)), ["tcp/127.0.0.1:7502"], [])
+    assert json.loads(config.get_json("connect/endpoints")) == ["tcp/127.0.0.1:7502"]
+
+
+def test_what_a_zenoh_file_says_holds_unless_a_setting_is_given(tmp_path: Path) -> None:
+    """Mode, lease and what is no setting of ours are the file's; a given setting wins, as its start value too."""
+    file = tmp_path / "zenoh.json5"
+    file.write_text(
+        "{ mode: 'client', timestamping: { enabled: false },"
+        " transport: { link: { tx: { lease: 3000, queue: { size: { data: 4 } } } } } }"
+    )
+    others = ("timestamping/enabled", "transport/link/tx/queue/size/data")
+
+    def in_force_with(flags: dict[str, object]) -> list[object]:
+        settings = merge(None, {"CRUISER_ZENOH_CONFIG": str(file)}, flags).zenoh
+        config = _configuration(settings, [], [])
+        read = [json.loads(config.get_json(path)) for path in others]
+        return [said_of(settings).mode, lease_in_force_ms(settings), *read]
+
+    assert in_force_with({}) == ["client", 3000, False, 4]
+    assert in_force_with({"zenoh.mode": "peer", "zenoh.lease_ms": 1000}) == ["peer", 1000, False, 4]
+    file.write_text("{}")
+    assert in_force_with({}) == ["peer", 1000, True, 8]
+
+
+def test_a_client_by_its_zenoh_file_finds_somebody_or_fails(tmp_path: Path) -> None:
+    """Who waits and who does not is a matter of the mode, whoever says it."""
+    file = tmp_path / "zenoh.json5"
+    file.write_text("{ mode: 'client' }")
+    with pytest.raises(CommandError, match="cannot open Zenoh") as caught:
+        close_session(open_session(ZenohSettings(config=str(file)), [free_endpoint()], []))
+    assert caught.value.code is ExitCode.UNREACHABLE
+
+
+def test_a_command_connects_to_this_machine_unless_told_otherwise(tmp_path: Path) -> None:
+    """The settings say where to connect, else the Zenoh file, else it is the gateway's own start endpoint."""
+    assert client_endpoints(ZenohSettings()) == [DEFAULT_ENDPOINT]
+    assert client_endpoints(ZenohSettings(connect=["tcp/127.0.0.1:1"])) == ["tcp/127.0.0.1:1"]
+    file = tmp_path / "zenoh.json5"
+    file.write_text("{ connect: { endpoints: ['tcp/127.0.0.1:7501'] } }")
+    assert client_endpoints(ZenohSettings(config=str(file))) == ["tcp/127.0.0.1:7501"]
+    assert place(ZenohSettings(config=str(file))) == "tcp/127.0.0.1:7501"
+    file.write_text("{}")
+    assert client_endpoints(ZenohSettings(config=str(file))) == [DEFAULT_ENDPOINT]
+
+
+@pytest.mark.parametrize(
+    ("settings", "code"),
+    [
+        (ZenohSettings(connect=["nonsense"]), ExitCode.USAGE),
+        (ZenohSettings(connect=["\x1b[31m\n"]), ExitCode.USAGE),
+        (ZenohSettings(connect=["pigeon/127.0.0.1:1"]), ExitCode.UNREACHABLE),
+        (ZenohSettings(config="/nowhere/zenoh.json5"), ExitCode.USAGE),
+        (ZenohSettings(config="/dev/null"), ExitCode.USAGE),
+        (ZenohSettings(mode="client", connect=[free_endpoint()]), ExitCode.UNREACHABLE),
+    ],
+)
+def test_what_zenoh_does_not_take_is_one_clear_line(settings: ZenohSettings, code: ExitCode) -> None:
+    """Wrong endpoints, a wrong file, a client that finds nobody: one printable line, without Zenoh's places."""
+    with pytest.raises(CommandError) as caught:
+        close_session(open_session(settings, client_endpoints(settings), []))
+    assert caught.value.code is code
+    assert str(caught.value).isprintable()
+    assert ".rs" not in str(caught.value)
+
+
+def test_a_port_that_is_taken_is_one_clear_line() -> None:
+    """Listening where somebody else listens fails at once."""
+    with FakeGateway("cruiser-1") as gateway, pytest.raises(CommandError, match="cannot open Zenoh") as caught:
+        close_session(open_session(ZenohSettings(), [], [gateway.listen]))
+    assert caught.value.code is ExitCode.UNREACHABLE
+
+
+def test_a_listener_is_connected_only_while_somebody_is_there() -> None:
+    """A peer's session opens although nobody answers; it connects when somebody comes, and sees them go."""
+    endpoint = free_endpoint()
+    with RobotListener.open(settings_for(endpoint)) as listener:
+        assert not listener.connected()
+        with FakeGateway("cruiser-1", listen=endpoint):
+            wait_until(listener.connected)
+        wait_until(lambda: not listener.connected())
+
+
+def test_state_health_and_token_are_heard() -> None:
+    """What a gateway says arrives with key, encoding and payload as they were sent, and nothing else does."""
+    with FakeGateway("cruiser-1") as gateway, RobotListener.open(settings_for(gateway.listen)) as listener:
+        heard: list[Heard] = []
+        state = Received("fleet/cruiser-1/state", BY_NAME["state"].encoding, codec.encode(STATE))
+
+        def speak() -> None:
+            gateway.say(STATE)
+            gateway.say(HEALTH)
+            gateway.say_raw("chassis/gear", b"", "")
+            heard.extend(listener.drain())
+
+        wanted = [state, HEALTH_SAMPLE, TOKEN]
+        wait_until(lambda: all(one in heard for one in wanted), speak)
+        assert all(one in wanted for one in heard)
+
+
+def test_a_health_of_before_is_not_heard() -> None:
+    """Only a gateway that says its health now is heard: its last one may be of before it hung."""
+    newer = Received(HEALTH_SAMPLE.key, HEALTH_SAMPLE.encoding, codec.encode(NEXT_HEALTH))
+    with FakeGateway("cruiser-1", caches_health=True) as gateway:
+        gateway.say(HEALTH)
+        with RobotListener.open(settings_for(gateway.listen)) as listener:
+            heard: list[Heard] = []
+            wait_until(lambda: TOKEN in heard, lambda: heard.extend(listener.drain()))
+
+            def speak() -> None:
+                gateway.say(NEXT_HEALTH)
+                heard.extend(listener.drain())
+
+            wait_until(lambda: newer in heard, speak)
+            assert HEALTH_SAMPLE not in heard
+
+
+def test_a_token_that_goes_is_heard() -> None:
+    """When a gateway leaves, its token goes, and that is heard."""
+    endpoint = free_endpoint()
+    with RobotListener.open(settings_for(endpoint), "cruiser-1") as listener:
+        heard: list[Heard] = []
+
+        def listen() -> None:
+            heard.extend(listener.drain())
+
+        with FakeGateway("cruiser-1", listen=endpoint):
+            wait_until(lambda: TokenChange("fleet/cruiser-1/gateway", present=True) in heard, listen)
+        wait_until(lambda: TokenChange("fleet/cruiser-1/gateway", present=False) in heard, listen)
+
+
+def test_a_robot_behind_another_is_found() -> None:
+    """Several robots on one bench: who connects to the first one's node also hears the second, by gossip."""
+    with (
+        FakeGateway("cruiser-1") as first,
+        FakeGateway("cruiser-2", connect=first.listen) as second,
+        RobotListener.open(settings_for(first.listen)) as listener,
+    ):
+        keys: set[str] = set()
+
+        def speak() -> None:
+            second.say(STATE)
+            keys.update(heard.key for heard in listener.drain() if not isinstance(heard, Missed))
+
+        wait_until(lambda: {"fleet/cruiser-2/gateway", "fleet/cruiser-2/state"} <= keys, speak)
+
+
+def test_one_robot_is_heard_without_the_others() -> None:
+    """A listener for one robot hears nothing of another."""
+    with (
+        FakeGateway("cruiser-1") as first,
+        FakeGateway("cruiser-2", connect=first.listen) as second,
+        RobotListener.open(settings_for(first.listen), "cruiser-2") as listener,
+    ):
+        heard: list[Heard] = []
+
+        def speak() -> None:
+            first.say(STATE)
+            first.say(HEALTH)
+            second.say(STATE)
+            heard.extend(listener.drain())
+
+        wait_until(lambda: len(heard) >= 3, speak)
+        found = {one.key for one in heard if not isinstance(one, Missed)}
+        assert found <= {"fleet/cruiser-2/state", "fleet/cruiser-2/gateway"}
+
+
+ROOM = 1000
+"""More than the 256 replies of a channel of Zenoh's."""
+
+
+def test_a_flood_of_replies_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An impostor who answers without end: the next question is put all the same, and memory stays bounded."""
+    listen = free_endpoint()
+    answerer = open_session(ZenohSettings(), [], [listen])
+    asker = open_session(ZenohSettings(), [listen], [])
+    count = 2 * ROOM
+    monkeypatch.setattr(zenoh_client, "REPLIES_WAITING", ROOM)
+
+    def flood(query: zenoh.Query) -> None:
+        with query:
+            for number in range(count):
+                query.reply("flood", b"%d" % number)
+
+    with answerer.declare_queryable("flood", zenoh.handlers.Callback(flood, indirect=False), complete=True):
+        first, second = Question(), Question()
+        querier: Any = asker.declare_querier(
+            "flood",
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )
+        wait_until(lambda: bool(querier.matching_status.matching))
+        for question in (first, second):
+            querier.get(handler=question.handler)
+        wait_until(lambda: bool(first._ended and second._ended))
+        for question in (first, second):
+            assert [one.payload for one in question.poll()] == [b"%d" % n for n in range(count // 2, count)]
+            assert question.is_over
+            assert not question.timed_out
+    close_session(asker)
+    close_session(answerer)
+
+
+def test_a_question_that_ran_out_of_time_says_so() -> None:
+    """It is over, and not everybody has answered; where nobody had to be asked, everybody has."""
+    listen = free_endpoint()
+    answerer = open_session(ZenohSettings(), [], [listen])
+    asker = open_session(ZenohSettings(), [listen], [])
+    with answerer.declare_queryable("mute", zenoh.handlers.RingChannel(1), complete=True) as mute:
+        question = Question()
+        querier: Any = asker.declare_querier("mute", timeout=0.1)
+        wait_until(lambda: bool(querier.matching_status.matching))
+        querier.get(handler=question.handler)
+        wait_until(lambda: question.poll() == [] and question.is_over)
+        assert question.timed_out
+        assert mute.try_recv() is not None
+    roll = call_roll(asker, "nobody/*", 20)
+    wait_until(lambda: roll.poll() == [] and roll.is_over)
+    assert not roll.timed_out
+    close_session(asker)
+    close_session(answerer)
+
+
+def test_who_publishes_faster_than_is_read_keeps_no_reader_for_ever() -> None:
+    """A drain ends, whatever comes meanwhile, and says that something may be missing."""
+
+    class Endless:
+        """There is always one more."""
+
+        def __init__(self, sample: zenoh.Sample) -> None:
+            self._sample = sample
+
+        def try_recv(self) -> zenoh.Sample:
+            return self._sample
+
+    listen = free_endpoint()
+    session = open_session(ZenohSettings(), [], [listen])
+    with session.declare_subscriber("x", zenoh.handlers.FifoChannel(1)) as subscriber:
+        session.put("x", b"")
+        endless: Any = Endless(subscriber.recv())
+    with RobotListener(session, RobotSettings()) as listener:
+        listener._samples = (endless,)
+        *samples, last = listener.drain()
+        assert (len(samples), last) == (SAMPLES_WAITING, Missed())
+
+
+def test_a_ring_that_ran_over_says_that_samples_are_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The samples that were lost may be those that contradict the rest."""
+    monkeypatch.setattr(zenoh_client, "SAMPLES_WAITING", 8)
+    listen = free_endpoint()
+    with RobotListener(open_session(ZenohSettings(), [], [listen]), RobotSettings()) as listener:
+        for count, expected in ((7, []), (9, [Missed()])):
+            for _ in range(count):
+                listener._session.put("fleet/cruiser-1/state", b"")
+            assert [one for one in listener.drain() if isinstance(one, Missed)] == expected

@@ -1,0 +1,439 @@
+"""Requests from Zenoh, with real sessions on the loopback."""
+
+import itertools
+import tracemalloc
+from collections.abc import Iterator
+from contextlib import closing
+from typing import Any, Literal
+
+import msgspec
+import pytest
+import zenoh
+
+from gateway.command.flow import PendingReply
+from gateway.command.request import RawRequest
+from gateway.zenoh import inbox as zenoh_inbox
+from gateway.zenoh.client import close_session, open_session
+from gateway.zenoh.inbox import (
+    DRIVES_WAITING,
+    STOPS_WAITING,
+    VERBS_WAITING,
+    CommandInbox,
+    open_inbox,
+)
+from gateway.zenoh.node import Place, open_node
+from schemas.exit_codes import CommandError
+from schemas.settings import (
+    DRIVES_PER_TICK,
+    REQUEST_MAX_BYTES,
+    STOPS_PER_TICK,
+    VERBS_PER_TICK,
+    RobotSettings,
+    Settings,
+    ZenohSettings,
+)
+from schemas.subjects import BY_VERB
+from tests.support.fake_gateway import free_endpoint
+from tests.support.waiting import wait_until
+
+ROBOT = "fleet/cruiser-1/@cmd/"
+ENOUGH = 10_000_000
+"""A payload of this many bytes would show in the memory."""
+
+
+class Bench:
+    """An inbox, and somebody else's session connected to it."""
+
+    def __init__(self, mode: str = "client") -> None:
+        self.endpoint = free_endpoint()
+        session = open_session(ZenohSettings(), [], [self.endpoint])
+        self.inbox = CommandInbox(session, Settings())
+        asking = ZenohSettings(mode=mode, connect=[self.endpoint])  # type: ignore[arg-type]
+        self.asker = open_session(asking, [self.endpoint], [])
+        self.got: list[RawRequest] = []
+        self._probes = itertools.count()
+
+    def close(self) -> None:
+        close_session(self.asker)
+        self.inbox.close()
+
+    def drain(self, holder: str = "", lease: int = 0, after: int = -1) -> None:
+        """A tick."""
+        self.got += self.inbox.drain(holder, lease, after)
+
+    def wait_for(self, count: int) -> list[RawRequest]:
+        """Tick until so many requests have come; returns them all."""
+        wait_until(lambda: len(self.got) >= count, self.drain)
+        return self.got
+
+    def settle(self) -> None:
+        """Wait until everything that was put before now has arrived, without a tick: queries keep their order."""
+        key = f"probe/{next(self._probes)}"
+        with self.inbox._session.declare_queryable(key, zenoh.handlers.RingChannel(1)) as probe:
+            wait_until(lambda: probe.try_recv() is not None, lambda: self.ask_nowhere(key))
+
+    def ask_nowhere(self, key: str) -> None:
+        """A query whose replies nobody reads."""
+        self.asker.get(key, zenoh.handlers.RingChannel(1), timeout=5)
+
+    def ask(self, key: str, payload: bytes = b"") -> Any:  # noqa: ANN401 - Zenoh's own handler
+        """A query; the receiver of its replies."""
+        return self.asker.get(key, payload=payload, timeout=5)
+
+    def answer(self, requests: list[RawRequest], payload: bytes = b"yes") -> None:
+        """Reply to each."""
+        for request in requests:
+            self.inbox.reply(PendingReply(request.handle, request.verb, payload))
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    """An inbox with a client that is known to reach it."""
+    made = Bench()
+    reach(made)
+    yield made
+    made.close()
+
+
+def reach(made: Bench) -> None:
+    """Wait until what is put arrives."""
+    wait_until(lambda: bool(made.inbox.drain("")), lambda: made.asker.put(f"{ROBOT}probe/drive", b""))
+    made.settle()
+    while made.inbox.drain(""):
+        pass
+
+
+def replies(receiver: Any) -> list[tuple[str, bytes, str]]:  # noqa: ANN401 - Zenoh's own handler
+    """Key, payload and encoding of every reply."""
+    return [
+        (str(reply.ok.key_expr), reply.ok.payload.to_bytes(), str(reply.ok.encoding))
+        for reply in receiver
+        if reply.ok is not None
+    ]
+
+
+@pytest.mark.parametrize("mode", ["client", "peer"])
+def test_whoever_connects_reaches_it(mode: str) -> None:
+    """As a client of it, or as a peer: puts, queries and their replies."""
+    with closing(Bench(mode)) as made:
+        reach(made)
+        made.asker.put(f"{ROBOT}first/drive", b"abc")
+        asked = made.ask(f"{ROBOT}first/acquire", b"xyz")
+        got = sorted(made.wait_for(2), key=lambda request: request.verb)
+        assert [(one.verb, one.operator, one.payload, one.size) for one in got] == [
+            ("acquire", "first", b"xyz", 3),
+            ("drive", "first", b"abc", 3),
+        ]
+        assert [request.is_query for request in got] == [True, False]
+        made.answer(got[:1])
+        assert replies(asked) == [(f"{ROBOT}first/acquire", b"yes", BY_VERB["acquire"].reply_encoding)]
+
+
+@pytest.mark.parametrize("key", [f"{ROBOT}op/stop", "fleet/*/@cmd/op/stop", "*/*/@cmd/op/stop"])
+def test_a_stop_comes_as_a_put_and_as_a_query(bench: Bench, key: str) -> None:
+    """Of this robot or of a whole fleet; a reply has the robot's own key, so that it says which one stops."""
+    bench.asker.put(key, b"\xff" * 100)
+    assert [(one.verb, one.operator, one.handle) for one in bench.wait_for(1)] == [("stop", "op", 0)]
+    bench.got.clear()
+    asked = bench.ask(key)
+    (request,) = bench.wait_for(1)
+    assert (request.verb, request.operator, request.is_query) == ("stop", "op", True)
+    bench.answer([request])
+    assert replies(asked) == [(f"{ROBOT}op/stop", b"yes", BY_VERB["stop"].reply_encoding)]
+
+
+def test_a_stops_payload_is_never_read(bench: Bench) -> None:
+    """Whatever it holds, not a byte of it is copied."""
+    bench.asker.put(f"{ROBOT}op/stop", b"anything")
+    (request,) = bench.wait_for(1)
+    assert (request.payload, request.size) == (b"", 8)
+
+
+def test_stops_come_first_and_verbs_before_drives(bench: Bench) -> None:
+    """In one tick, whatever the order in which they came."""
+    bench.asker.put(f"{ROBOT}first/drive", b"1")
+    asked = [bench.ask(f"{ROBOT}first/acquire"), bench.ask(f"{ROBOT}first/stop")]
+    bench.asker.put(f"{ROBOT}first/stop", b"")
+    bench.settle()
+    assert [one.verb for one in bench.wait_for(4)] == ["stop", "stop", "acquire", "drive"]
+    assert len(asked) == 2
+
+
+def test_verbs_keep_their_order(bench: Bench) -> None:
+    """Acquire, engage, unpark: in the order in which they were asked."""
+    verbs = ["acquire", "engage", "unpark", "park", "disengage", "release"]
+    asked = [bench.ask(f"{ROBOT}first/{verb}") for verb in verbs]
+    assert [one.verb for one in bench.wait_for(len(verbs))] == verbs
+    assert len({one.handle for one in bench.got}) == len(asked)
+
+
+LEASE = 4711
+
+
+def leased(lease: int = LEASE, **fields: object) -> bytes:
+    """A request of the holder's, or of somebody who does not know the number of its lease."""
+    return msgspec.msgpack.encode({"lease": lease, "speed_mps": 0.2, **fields})
+
+
+def flood_with(bench: Bench, operator: str, payload: bytes, between: list[bytes]) -> None:
+    """500 puts of an operator, and in their midst, at equal distances, those of first."""
+    block = zenoh.CongestionControl.BLOCK
+    for number in range(500):
+        bench.asker.put(f"{ROBOT}{operator}/drive", payload, congestion_control=block)
+        if number % 100 == 0:
+            bench.asker.put(f"{ROBOT}first/drive", between[number // 100], congestion_control=block)
+    bench.settle()
+
+
+def test_the_holders_drives_survive_anothers_flood(bench: Bench) -> None:
+    """The newest of each; what was dropped unread is counted, to the last one."""
+    mine = [leased(seq=number) for number in range(5)]
+    for number in range(500):
+        bench.asker.put(f"{ROBOT}stranger/drive", b"m%d" % number)
+        if number % 100 == 0:
+            bench.asker.put(f"{ROBOT}first/drive", mine[number // 100])
+    bench.settle()
+    dropped = bench.inbox.drops
+    bench.drain("first", LEASE)
+    assert [one.payload for one in bench.got if one.operator == "first"] == mine
+    others = [one.payload for one in bench.got if one.operator == "stranger"]
+    assert others == [b"m%d" % number for number in range(500 - DRIVES_PER_TICK, 500)]
+    assert bench.inbox.drops - dropped == 500 - DRIVES_PER_TICK
+    assert bench.inbox.drain("first", LEASE) == []
+
+
+FORGED = {
+    "another number": leased(lease=LEASE + 1, seq=10**6),
+    "the number of no lease": leased(lease=0, seq=10**6),
+    "the last one again": leased(seq=7),
+    "one of before": leased(seq=6, x=[[[[]]]]),
+    "no sequence": leased(seq="8"),
+    "no text": leased(x="\udcff".encode("utf-8", "surrogatepass"), seq=-(2**63)),
+    "cut short": leased(seq=8)[:-1],
+    "too large": leased(seq=8, x=b"x" * REQUEST_MAX_BYTES),
+    "deep": b"\x91" * REQUEST_MAX_BYTES,
+    "a negative number": b"\x81\xa5lease\xff",
+    "nothing": b"",
+}
+
+
+@pytest.mark.parametrize("forged", FORGED.values(), ids=FORGED)
+def test_the_holders_drives_survive_a_flood_under_its_name(bench: Bench, forged: bytes) -> None:
+    """Who does not know the number, or repeats what was accepted, displaces nothing of the holder's."""
+    mine = [leased(seq=number) for number in range(8, 13)]
+    flood_with(bench, "first", forged, mine)
+    bench.drain("first", LEASE, 7)
+    assert [one.payload for one in bench.got[:5]] == mine
+    assert len(bench.got) == 5 + DRIVES_PER_TICK
+
+
+def test_the_holders_verbs_survive_a_flood_under_its_name(bench: Bench) -> None:
+    """What a robot is asked once, among many that ask without the number of the lease."""
+    asked = [bench.ask(f"{ROBOT}first/engage", leased())]
+    asked += [bench.ask(f"{ROBOT}first/engage", leased(lease=1)) for _ in range(VERBS_WAITING // 2)]
+    bench.settle()
+    bench.drain("first", LEASE, 7)
+    assert (bench.got[0].verb, bench.got[0].payload) == ("engage", leased())
+    assert len(bench.got) == 1 + VERBS_PER_TICK
+    assert len(asked) > VERBS_PER_TICK
+
+
+def test_without_a_lease_nothing_is_the_holders(bench: Bench) -> None:
+    """A flood of numbers that could be the one of no lease leaves room for whoever acquires."""
+    flood_with(bench, "first", leased(lease=0), [leased(seq=number) for number in range(5)])
+    bench.drain()
+    assert len(bench.got) == DRIVES_PER_TICK
+
+
+@pytest.mark.parametrize(("holder", "other"), [("ana", "banana"), ("fleet", "x"), ("cruiser-1", "x")])
+def test_an_operator_whose_name_holds_the_holders_is_another(bench: Bench, holder: str, other: str) -> None:
+    """Banana is not ana; and a holder that is called like the root or like the robot is not everyone."""
+    for number in range(2 * DRIVES_PER_TICK):
+        bench.asker.put(f"{ROBOT}{other}/drive", leased(seq=number))
+    bench.asker.put(f"{ROBOT}{holder}/drive", leased(seq=1))
+    bench.settle()
+    bench.drain(holder, LEASE)
+    assert bench.got[0].operator == holder
+    assert len(bench.got) == 1 + DRIVES_PER_TICK
+
+
+def test_no_flood_keeps_a_stop_out(bench: Bench) -> None:
+    """The rings of drives and verbs overflow; the stop that came in between is there at the next tick."""
+    asked = []
+    for number in range(DRIVES_WAITING + 500):
+        bench.asker.put(f"{ROBOT}stranger/drive", b"x" * 100)
+        if number % 5 == 0:
+            asked.append(bench.ask(f"{ROBOT}stranger/engage"))
+        if number == 100:
+            bench.asker.put(f"{ROBOT}op/stop", b"")
+    bench.settle()
+    bench.drain()
+    assert bench.got[0].verb == "stop"
+    assert len(bench.got) <= 1 + VERBS_PER_TICK + DRIVES_PER_TICK
+    assert len(asked) > VERBS_WAITING
+
+
+def test_a_flood_of_stops_is_taken_in_portions(bench: Bench) -> None:
+    """One is enough; the loop is not held by a thousand."""
+    for _ in range(STOPS_WAITING * 2):
+        bench.asker.put(f"{ROBOT}op/stop", b"")
+    bench.settle()
+    portions = [len(bench.inbox.drain("")) for _ in range(STOPS_WAITING // STOPS_PER_TICK + 1)]
+    assert portions == [STOPS_PER_TICK] * (STOPS_WAITING // STOPS_PER_TICK) + [0]
+
+
+@pytest.mark.parametrize("verb", ["drive", "stop"])
+def test_a_huge_payload_is_not_copied(bench: Bench, verb: str) -> None:
+    """Its size is told, and its bytes stay with Zenoh."""
+    huge = bytes(ENOUGH)
+    tracemalloc.start()
+    try:
+        bench.asker.put(f"{ROBOT}first/{verb}", huge, congestion_control=zenoh.CongestionControl.BLOCK)
+        bench.wait_for(1)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert [(one.payload, one.size) for one in bench.got] == [(b"", ENOUGH)]
+    assert peak < ENOUGH / 10
+
+
+@pytest.mark.parametrize(("size", "is_read"), [(REQUEST_MAX_BYTES, True), (REQUEST_MAX_BYTES + 1, False)])
+def test_a_request_of_the_greatest_size_is_read(bench: Bench, size: int, is_read: bool) -> None:  # noqa: FBT001 - a case of the table
+    """One byte more, and it is not."""
+    bench.asker.put(f"{ROBOT}first/drive", b"x" * size)
+    (request,) = bench.wait_for(1)
+    assert (len(request.payload), request.size) == (size if is_read else 0, size)
+
+
+@pytest.mark.parametrize("operator", ["Ünal", "a b", "x" * 65, "a,b", "日本", "-", "..", "%00", "a=b;c", "a@b"])
+def test_an_operator_of_another_form_has_no_name(bench: Bench, operator: str) -> None:
+    """Such a request is judged like any other, by a nameless one; its query is answered."""
+    asked = bench.ask(f"{ROBOT}{operator}/acquire")
+    (request,) = bench.wait_for(1)
+    assert request.verb == "acquire"
+    assert request.operator == (operator if operator in {"-", ".."} else "")
+    bench.answer([request])
+    assert [key for key, _, _ in replies(asked)] == [f"{ROBOT}{operator}/acquire"]
+
+
+def test_a_query_whose_asker_has_gone_costs_nothing(bench: Bench) -> None:
+    """The reply goes nowhere, and the next one is answered."""
+    gone = open_session(ZenohSettings(mode="client"), [bench.endpoint], [])
+    gone.get(f"{ROBOT}first/acquire", zenoh.handlers.RingChannel(1), timeout=5)
+    (request,) = bench.wait_for(1)
+    close_session(gone)
+    bench.answer([request])
+    bench.got.clear()
+    asked = bench.ask(f"{ROBOT}berta/acquire")
+    bench.answer(bench.wait_for(1))
+    assert [payload for _, payload, _ in replies(asked)] == [b"yes"]
+
+
+def test_a_reply_to_nobody_is_nothing(bench: Bench) -> None:
+    """A handle that was never given, and one that was answered."""
+    asked = bench.ask(f"{ROBOT}first/acquire")
+    requests = bench.wait_for(1)
+    bench.answer(requests)
+    bench.answer(requests, b"again")
+    bench.inbox.reply(PendingReply(4711, "acquire", b""))
+    assert [payload for _, payload, _ in replies(asked)] == [b"yes"]
+
+
+@pytest.mark.parametrize(
+    "key",
+    [f"{ROBOT}first/*", f"{ROBOT}*/acquire", f"{ROBOT}*/*", f"{ROBOT}**", f"{ROBOT}first/**", "fleet/*/@cmd/**"],
+)
+def test_a_wildcard_for_verb_or_operator_is_no_verb(bench: Bench, key: str) -> None:
+    """It reaches the arbiter as nothing that it knows, or nameless, and its query ends; nothing here raises."""
+    asked = bench.ask(key)
+    bench.settle()
+    for _ in range(3):
+        bench.drain()
+    for request in bench.got:
+        assert request.is_query
+        assert request.verb not in BY_VERB or not request.operator
+    bench.answer(bench.got)
+    bench.inbox._queries.clear()
+    assert len(replies(asked)) <= len(bench.got)
+
+
+@pytest.mark.parametrize("key", ["fleet/**", "**", "*/**", "fleet/cruiser-1/**", "fleet/cruiser-1/*/first/stop"])
+def test_no_wildcard_reaches_a_command_by_accident(bench: Bench, key: str) -> None:
+    """@cmd is a verbatim chunk: whoever wants to command has to say so."""
+    bench.asker.put(key, b"")
+    asked = bench.ask(key)
+    bench.settle()
+    bench.drain()
+    assert bench.got == []
+    assert replies(asked) == []
+
+
+def test_a_drive_as_a_query_and_a_verb_as_a_put() -> None:
+    """The query reaches the arbiter, which refuses it; the put of a verb reaches nobody."""
+    with closing(Bench()) as made:
+        reach(made)
+        asked = made.ask(f"{ROBOT}first/drive")
+        made.asker.put(f"{ROBOT}first/acquire", b"")
+        made.settle()
+        made.drain()
+        assert [(one.verb, one.is_query) for one in made.got] == [("drive", True)]
+        made.answer(made.got)
+        assert len(replies(asked)) == 1
+
+
+def test_a_deleted_key_is_an_empty_request(bench: Bench) -> None:
+    """A Zenoh delete of a drive is nothing that could move a robot; of a stop it is one."""
+    bench.asker.delete(f"{ROBOT}first/drive")
+    bench.asker.delete(f"{ROBOT}op/stop")
+    bench.settle()
+    assert [(one.verb, one.size) for one in bench.wait_for(2)] == [("stop", 0), ("drive", 0)]
+
+
+def test_it_is_found_through_the_telemetry_session() -> None:
+    """Whoever connects to the gateway's one known endpoint reaches the commands' session too, client or peer."""
+    settings = Settings(zenoh=ZenohSettings(listen=[free_endpoint()]), robot=RobotSettings(name="cruiser-1"))
+    node, place = open_node(settings)
+    with closing(node), closing(open_inbox(settings, place)) as inbox:
+        modes: tuple[Literal["client", "peer"], ...] = ("client", "peer")
+        for mode in modes:
+            reach_from(open_session(ZenohSettings(mode=mode), settings.zenoh.listen, []), inbox)
+
+
+def reach_from(session: zenoh.Session, inbox: CommandInbox) -> None:
+    """Put until it arrives, and close the session."""
+    wait_until(lambda: bool(inbox.drain("")), lambda: session.put(f"{ROBOT}first/drive", b""))
+    close_session(session)
+
+
+def test_the_gateways_own_session_is_nobody_who_is_connected() -> None:
+    """A gateway that is alone says so, although its session for commands is a node beside that for telemetry."""
+    settings = Settings(zenoh=ZenohSettings(listen=[free_endpoint()]))
+    node, place = open_node(settings)
+    with closing(node), closing(open_inbox(settings, place)) as inbox:
+        wait_until(lambda: node.peers() == 1)
+        node.disregard(inbox.node)
+        assert node.peers() == 0
+        other = open_session(ZenohSettings(), settings.zenoh.listen, [])
+        wait_until(lambda: node.peers() == 1)
+        close_session(other)
+        wait_until(lambda: node.peers() == 0)
+
+
+def test_a_port_for_commands_that_is_taken_is_told() -> None:
+    """The gateway does not listen elsewhere instead: it says which port, and which setting."""
+    settings = Settings(zenoh=ZenohSettings(listen=[free_endpoint()]))
+    node, place = open_node(settings)
+    taken = open_session(ZenohSettings(), [], place.command_listen)
+    with closing(node), pytest.raises(CommandError, match=rf"{place.command_listen[0]} \(zenoh.command_listen\)"):
+        open_inbox(settings, place)
+    close_session(taken)
+
+
+def test_a_gateway_whose_sessions_do_not_meet_says_so(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Who connects to the telemetry session would find no commands, and no stop."""
+    monkeypatch.setattr(zenoh_inbox, "OWN_LINK_TIMEOUT_S", 0.1)
+    place = Place("another", [], [free_endpoint()], [free_endpoint()])
+    with closing(open_inbox(Settings(), place)):
+        assert "cannot command this robot, nor stop it" in caplog.text

@@ -1,0 +1,266 @@
+"""The gateway's place on Zenoh."""
+
+import socket
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Final
+
+import pytest
+import zenoh
+
+from gateway.telemetry.sample import Sample
+from gateway.zenoh import node as zenoh_node
+from gateway.zenoh.client import close_session, open_session
+from gateway.zenoh.node import ZenohNode, open_node
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import RobotSettings, Settings, ZenohSettings
+from schemas.subjects import KEPT_PIECE
+from tests.support.fake_gateway import free_endpoint
+from tests.support.tcp_proxy import TcpProxy
+from tests.support.waiting import wait_until
+
+BIG_REPLIES: Final = 16
+BIG_REPLY: Final = bytes(8_000_000)
+"""So many of these are far more than sockets hold."""
+
+
+@pytest.fixture
+def default_endpoint(monkeypatch: pytest.MonkeyPatch) -> str:
+    """A default endpoint that belongs to this test alone."""
+    endpoint = free_endpoint()
+    monkeypatch.setattr(zenoh_node, "DEFAULT_ENDPOINT", endpoint)
+    return endpoint
+
+
+@pytest.fixture
+def watcher(default_endpoint: str) -> Iterator[zenoh.Session]:
+    """Another process's session, connected to the default endpoint."""
+    session = open_session(ZenohSettings(), [default_endpoint], [])
+    yield session
+    close_session(session)
+
+
+def settings(name: str) -> Settings:
+    """The settings of a robot."""
+    return Settings(robot=RobotSettings(name=name))
+
+
+def test_the_second_gateway_joins_the_first(default_endpoint: str, watcher: zenoh.Session) -> None:
+    """The port is taken by a Zenoh node: the second is reached through it, and both are heard there."""
+    subscriber = watcher.declare_subscriber("fleet/*/state", zenoh.handlers.RingChannel(100))
+    first, place = open_node(settings("r-1"))
+    assert (place.connect, place.listen) == ([], [default_endpoint])
+    second, place = open_node(settings("r-2"))
+    assert place.connect == [default_endpoint]
+    assert all(one.startswith("tcp/127.0.0.1:") for one in (*place.listen, *place.command_listen))
+    heard: set[str] = set()
+
+    def publish_and_hear() -> None:
+        for node in (first, second):
+            node.publish(Sample("state", b"\x80"))
+        while (sample := subscriber.try_recv()) is not None:
+            heard.add(str(sample.key_expr))
+
+    wait_until(lambda: heard == {"fleet/r-1/state", "fleet/r-2/state"}, publish_and_hear)
+    assert (first.failures, second.failures) == (0, 0)
+    second.close()
+    first.close()
+
+
+def test_a_second_gateway_of_the_same_name_is_refused(default_endpoint: str) -> None:
+    """One name is one robot; the second gateway says so and leaves, the first, which lives, goes on."""
+    first, _ = open_node(settings("r-1"))
+    with ThreadPoolExecutor(1) as thread:
+        second = thread.submit(open_node, settings("r-1"))
+        wait_until(second.done, lambda: first.answer(lambda: b"info"))
+    with pytest.raises(CommandError, match="r-1 is connected already") as error:
+        second.result()
+    assert error.value.code is ExitCode.REFUSED
+    first.close()
+    again, place = open_node(settings("r-1"))
+    assert place.listen == [default_endpoint]
+    assert again.warning == ""
+    again.close()
+
+
+def test_a_token_that_no_gateway_stands_behind_keeps_nobody_from_starting(default_endpoint: str) -> None:
+    """Anybody can declare it. The robot starts, and warns: it may be a gateway that hangs, too."""
+    stranger = open_session(ZenohSettings(), [], [default_endpoint])
+    with stranger.liveliness().declare_token("fleet/r-1/gateway"):
+        node, _ = open_node(settings("r-1"))
+        assert node.warning.startswith("somebody else has declared the liveliness token of r-1")
+        node.close()
+    close_session(stranger)
+
+
+def test_a_port_that_something_else_holds_is_told(default_endpoint: str) -> None:
+    """What listens there does not speak Zenoh: the gateway says so instead of waiting for ever."""
+    host, port = default_endpoint.removeprefix("tcp/").split(":")
+    with (
+        socket.create_server((host, int(port))),
+        pytest.raises(CommandError, match="not by a Zenoh node") as error,
+    ):
+        open_node(settings("r-1"))
+    assert error.value.code is ExitCode.UNREACHABLE
+
+
+def test_a_health_of_before_is_not_kept(watcher: zenoh.Session) -> None:
+    """Zenoh's threads hand out no old health: a gateway that hangs would look well for ever."""
+    node, _ = open_node(settings("r-1"))
+    wait_until(lambda: bool(watcher.info.peers_zid()))
+    node.publish(Sample("gateway/health", b"before"))
+    # Zenoh's caches answer beneath this chunk, with samples of the key itself.
+    history = watcher.get("fleet/r-1/gateway/health/@adv/**?_anyke", timeout=20)
+    assert [reply for reply in history if reply.ok is not None] == []
+    node.close()
+
+
+def test_a_zenoh_file_makes_a_gateway_a_client(default_endpoint: str, tmp_path: Path) -> None:
+    """It connects where the file says, and takes no port."""
+    file = tmp_path / "zenoh.json5"
+    file.write_text(f"{{ mode: 'client', connect: {{ endpoints: ['{default_endpoint}'] }} }}")
+    router, _ = open_node(settings("r-1"))
+    client, place = open_node(Settings(robot=RobotSettings(name="r-2"), zenoh=ZenohSettings(config=str(file))))
+    assert str(place) == f"listens on nothing, is a client of {default_endpoint}"
+    assert client.peers() == 1
+    client.close()
+    router.close()
+
+
+def test_queries_are_answered_a_bounded_number_at_a_time(watcher: zenoh.Session) -> None:
+    """A crowd of queries cannot hold the loop: two are answered each time, the rest waits."""
+    node, _ = open_node(settings("r-1"))
+    wait_until(lambda: bool(watcher.info.peers_zid()))
+    replies = [watcher.get("fleet/r-1/gateway/info", timeout=20) for _ in range(5)]
+    answered: list[int] = []
+
+    def reply() -> bytes:
+        answered[-1] += 1
+        return b"\x80"
+
+    def answer() -> None:
+        answered.append(0)
+        node.answer(reply)
+
+    wait_until(lambda: sum(answered) == 5, answer)
+    assert max(answered) <= zenoh_node.QUERIES_PER_TICK
+    for handler in replies:
+        assert [reply.ok is not None for reply in handler] == [True]
+    node.close()
+
+
+def test_replies_that_nobody_takes_do_not_hold_the_loop(default_endpoint: str) -> None:
+    """A client that asks and does not read: its queries are taken while its link stands, full and stuck."""
+    # The client waits for a sign of life as long as the node's lease says, so the link stands.
+    patient = Settings(robot=RobotSettings(name="r-1"), zenoh=ZenohSettings(lease_ms=60_000))
+    session = open_session(patient.zenoh, [], [default_endpoint])
+    node = ZenohNode(session, patient)
+    with TcpProxy(default_endpoint) as proxy:
+        client = open_session(patient.zenoh, [proxy.endpoint], [])
+        wait_until(lambda: bool(client.info.peers_zid()) and node.peers() == 1)
+        proxy.stall()
+        handlers = [client.get("fleet/r-1/gateway/info", timeout=60) for _ in range(BIG_REPLIES)]
+        taken: list[bytes] = []
+
+        def reply() -> bytes:
+            taken.append(BIG_REPLY)
+            return BIG_REPLY
+
+        wait_until(lambda: len(taken) == BIG_REPLIES, lambda: node.answer(reply))
+        # Each reply waits for seconds for room on the link; none has gone by while its query was taken.
+        assert node.replier.waiting > 0
+        assert [handler.try_recv() for handler in handlers] == [None] * BIG_REPLIES
+        assert node.peers() == 1
+        proxy.close()
+        wait_until(lambda: not node.replier.waiting)
+        close_session(client)
+    node.close()
+
+
+def test_who_takes_nothing_holds_nobody_else_up(default_endpoint: str) -> None:
+    """It is cut off long before Zenoh's own 5 s are over, and the next one has its reply."""
+    patient = Settings(robot=RobotSettings(name="r-1"), zenoh=ZenohSettings(lease_ms=60_000))
+    node, _ = open_node(patient)
+    other = open_session(ZenohSettings(), [default_endpoint], [])
+    with TcpProxy(default_endpoint) as proxy:
+        stuck = open_session(patient.zenoh, [proxy.endpoint], [])
+        wait_until(lambda: bool(stuck.info.peers_zid() and other.info.peers_zid()) and node.peers() == 2)
+        proxy.stall()
+        handlers = [stuck.get("fleet/r-1/gateway/info", timeout=60) for _ in range(2)]
+        taken: list[bytes] = []
+
+        def big() -> bytes:
+            taken.append(BIG_REPLY)
+            return BIG_REPLY
+
+        wait_until(lambda: len(taken) == len(handlers), lambda: node.answer(big))
+        asked = other.get("fleet/r-1/gateway/info", timeout=2)
+        taken.clear()
+
+        def small() -> bytes:
+            taken.append(b"")
+            return b"small"
+
+        wait_until(lambda: bool(taken), lambda: node.answer(small))
+        assert [reply.ok.payload.to_bytes() for reply in asked if reply.ok is not None] == [b"small"]
+        proxy.close()
+        close_session(stuck)
+    close_session(other)
+    node.close()
+
+
+def test_of_too_many_replies_the_newest_are_dropped_and_counted(watcher: zenoh.Session) -> None:
+    """What waits is bounded, however slow the links are."""
+    node, _ = open_node(settings("r-1"))
+    wait_until(lambda: bool(watcher.info.peers_zid()))
+    asked = watcher.get("fleet/r-1/gateway/info", timeout=20)
+    queries: list[zenoh.Query] = []
+
+    def take() -> None:
+        query = node._queries.try_recv()
+        queries.extend([] if query is None else [query])
+
+    wait_until(lambda: bool(queries), take)
+    node.replier.close()
+    for _ in range(zenoh_node.REPLIES_WAITING + 3):
+        node.replier.send(queries[0], "fleet/r-1/gateway/info", [b""], "")
+    assert (node.replier.waiting, node.replier.drops) == (zenoh_node.REPLIES_WAITING, 3)
+    node.close()
+    del asked
+
+
+def test_what_is_kept_is_given_piece_by_piece(watcher: zenoh.Session) -> None:
+    """From the sequence that is asked for on; nothing without one, or with one that is none."""
+    node, _ = open_node(settings("r-1"))
+    wait_until(lambda: bool(watcher.info.peers_zid()))
+    for number in range(3 * KEPT_PIECE):
+        node.publish(Sample("journal", b"%d" % number))
+
+    def ask(parameters: str) -> list[bytes]:
+        asked = watcher.get(
+            f"fleet/r-1/journal{parameters}",
+            timeout=20,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            congestion_control=zenoh.CongestionControl.DROP,
+        )
+        with ThreadPoolExecutor(1) as pool:
+            listening = pool.submit(lambda: list(asked))
+            wait_until(listening.done, lambda: node.answer(lambda: b""))
+        return [reply.ok.payload.to_bytes() for reply in listening.result() if reply.ok is not None]
+
+    assert ask("?first=5") == [b"%d" % number for number in range(5, 5 + KEPT_PIECE)]
+    assert ask(f"?first={3 * KEPT_PIECE - 1}") == [b"%d" % (3 * KEPT_PIECE - 1)]
+    for parameters in ("", "?first=-1", "?first=x", "?first=" + "9" * 5000, "?first=4294967296", "?first=\u0665"):
+        assert ask(parameters) == []
+    node.close()
+
+
+def test_a_closed_session_is_a_count_not_an_exception(default_endpoint: str) -> None:
+    """Whatever becomes of Zenoh, publishing never raises into the loop."""
+    session = open_session(ZenohSettings(), [], [default_endpoint])
+    node = ZenohNode(session, settings("r-1"))
+    close_session(session)
+    node.publish(Sample("state", b"\x80"))
+    assert node.failures == 1
+    node.close()

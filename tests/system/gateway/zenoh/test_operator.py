@@ -1,0 +1,121 @@
+from functools import partial
+
+import pytest
+
+from gateway.telemetry.heard import Missed, Received
+from gateway.zenoh.client import Question
+from gateway.zenoh.operator import CommandPort, SafetyListener
+from schemas import codec, keys
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import RobotSettings, Settings, ZenohSettings
+from schemas.subjects import BY_NAME
+from tests.support.fake_fleet import FakeFleet
+from tests.support.fake_gateway import STATE, FakeGateway, free_endpoint
+from tests.support.fake_robot import FakeRobot
+from tests.support.waiting import wait_until
+
+VOLLEYS, VOLLEY = 40, 5
+
+
+def settings_for(endpoint: str) -> Settings:
+    """Settings that connect there."""
+    return Settings(zenoh=ZenohSettings(connect=[endpoint]))
+
+
+def test_a_port_reaches_a_robot_only_while_it_takes_commands() -> None:
+    """A gateway without commands is connected, but not reached; a robot is until it goes."""
+    with (
+        FakeGateway("cruiser-1") as gateway,
+        CommandPort.open(settings_for(gateway.listen), "cruiser-1", "first") as port,
+    ):
+        wait_until(port.connected)
+        assert not port.reaches()
+    endpoint = free_endpoint()
+    with CommandPort.open(settings_for(endpoint), "cruiser-1", "first") as port:
+        with FakeRobot(listen=endpoint):
+            wait_until(port.reaches)
+        wait_until(lambda: not port.reaches())
+
+
+def test_commands_that_follow_each_other_closely_all_arrive() -> None:
+    """A command finds room although the one before it is still being sent; Zenoh's own start values drop most."""
+    with FakeRobot() as fake, CommandPort.open(settings_for(fake.listen), fake.name, "first") as port:
+        wait_until(port.reaches)
+        for volley in range(1, VOLLEYS + 1):
+            for _ in range(VOLLEY):
+                port.put("drive", b"")
+            wait_until(partial(fake.has_heard, VOLLEY * volley))
+
+
+def test_a_question_that_nobody_hears_ends_at_once() -> None:
+    """Its end is told, and there is no reply."""
+    with CommandPort.open(settings_for(free_endpoint()), "cruiser-1", "first") as port:
+        question = port.begin("acquire", b"", 20)
+        wait_until(lambda: question.poll() == [] and question.is_over)
+        assert port.ask("acquire", b"", 20) == []
+
+
+def test_a_reply_has_the_key_of_its_robot() -> None:
+    """Who answered a question to all is told by the key."""
+    with FakeRobot() as fake, CommandPort.open(settings_for(fake.listen), "*", "first") as port:
+        received: list[Received] = []
+        wait_until(lambda: bool(received), lambda: received.extend(port.ask("stop", b"any bytes", 20)))
+        assert {one.key for one in received} == {"fleet/cruiser-1/@cmd/first/stop"}
+
+
+def test_of_a_large_fleet_every_reply_arrives() -> None:
+    """Replies come in one burst and share Zenoh's batches: none is dropped for want of room."""
+    with FakeFleet(1000) as fleet, CommandPort.open(settings_for(fleet.listen), keys.ALL, "first") as port:
+        wait_until(lambda: count_replies(port.call_roll(20)) == len(fleet.names))
+        assert count_replies(port.begin("stop", b"", 20)) == len(fleet.names)
+
+
+def count_replies(question: Question) -> int:
+    """Wait for the end, and count."""
+    found: list[Received] = []
+    wait_until(lambda: question.is_over, lambda: found.extend(question.poll()))
+    return len(found)
+
+
+def test_a_closed_port_neither_hangs_nor_raises_anything_of_zenoh() -> None:
+    """A put is lost, a question is one clear error, nothing more is heard."""
+    with FakeRobot() as fake:
+        port = CommandPort.open(settings_for(fake.listen), fake.name, "first")
+        listener = SafetyListener.open(settings_for(fake.listen), fake.name)
+        port.close()
+        listener.close()
+        port.put("stop", b"")
+        with pytest.raises(CommandError) as caught:
+            port.ask("stop", b"", 1)
+        assert caught.value.code is ExitCode.UNREACHABLE
+        assert list(listener.drain()) == []
+
+
+def test_names_that_cannot_be_are_an_error_before_anything_is_sent() -> None:
+    """A root, a robot or an operator that is not of its form is a usage error."""
+    settings = settings_for(free_endpoint())
+    odd = Settings(robot=RobotSettings(root="a//b"), zenoh=settings.zenoh)
+    for call in (
+        lambda: CommandPort.open(settings, "Robot", "first"),
+        lambda: CommandPort.open(settings, "cruiser-1", "first/second"),
+        lambda: CommandPort.open(odd, "cruiser-1", "first"),
+        lambda: SafetyListener.open(settings, "*"),
+    ):
+        with pytest.raises(CommandError) as caught:
+            call()
+        assert caught.value.code is ExitCode.USAGE
+
+
+def test_the_robots_state_is_heard_beside_the_arbiters() -> None:
+    """The chassis's state comes with its key and encoding."""
+    with FakeGateway("cruiser-1") as gateway:
+        listener = SafetyListener.open(settings_for(gateway.listen), "cruiser-1")
+        heard: list[Received | Missed] = []
+
+        def speak() -> None:
+            gateway.say(STATE)
+            heard.extend(listener.drain())
+
+        wait_until(lambda: bool(heard), speak)
+        listener.close()
+    assert heard[0] == Received("fleet/cruiser-1/state", BY_NAME["state"].encoding, codec.encode(STATE))

@@ -1,0 +1,567 @@
+"""``cruiser review replay``: logs to Zenoh and to CAN buses, and whoever listens there."""
+
+import argparse
+import json
+import random
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import can
+import msgspec
+import pytest
+import zenoh
+
+from gateway.can.socketcand_server import SocketcandServer
+from gateway.sim.faults import FaultTextError, parse
+from recorder.cli.review import command as review
+from recorder.cli.review import replay
+from recorder.cli.review.asking import find
+from recorder.replay.can import Place
+from recorder.replay.frames import Frame
+from recorder.replay.rows import By, runs
+from schemas import codec, keys
+from schemas.can_word import EXTENDED
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.messages import CanFrames, Gear, Message
+from schemas.settings import RobotSettings, Settings, ZenohSettings
+from schemas.subjects import BY_TYPE
+from tests.support.gateway_process import Running
+from tests.support.recorder_fakes import MS, WALL_NS, batch, feedback, info, sample_of, wait_until
+from tests.support.recorder_process import CRUISER, counts, environment, readable, recording, whole
+from tests.support.replaying import can_frame, drive, rows_of, write_log
+from tests.support.zenoh_peer import Peer, free_endpoint
+
+
+def run(*words: str, endpoint: str = "", stopped: Callable[[], bool] = lambda: False) -> int:
+    """The command's exit code."""
+    parser = argparse.ArgumentParser()
+    review.add_arguments(parser)
+    settings = Settings(zenoh=ZenohSettings(connect=[endpoint or free_endpoint()]))
+    return review.run(parser.parse_args(["replay", *words]), settings, stopped)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> str:
+    """A log of a robot."""
+    return str(write_log(tmp_path / "drive.mcap", drive()))
+
+
+@pytest.fixture
+def peer() -> Iterator[tuple[Peer, str]]:
+    """Somebody on Zenoh, and where."""
+    endpoint = free_endpoint()
+    with Peer(endpoint) as one:
+        yield one, endpoint
+
+
+class Heard:
+    """What a peer hears."""
+
+    def __init__(self, peer: Peer, expression: str = "**") -> None:
+        self._subscriber = peer.session.declare_subscriber(expression, zenoh.handlers.FifoChannel(100_000))
+        self._samples: list[zenoh.Sample] = []
+
+    def samples(self) -> list[zenoh.Sample]:
+        """All so far."""
+        while (sample := self._subscriber.try_recv()) is not None:
+            self._samples.append(sample)
+        return self._samples
+
+    def wait(self, count: int) -> list[zenoh.Sample]:
+        """All, once there are so many."""
+        wait_until(lambda: len(self.samples()) >= count)
+        return self._samples
+
+
+def test_a_log_is_published_under_another_root(
+    peer: tuple[Peer, str], log: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each message in its order, with the payload that it had; what became of it is told as JSON."""
+    one, endpoint = peer
+    heard = Heard(one)
+    assert run(log, "--speed", "max", "--json", endpoint=endpoint) == ExitCode.OK
+    samples = drive()
+    found: dict[str, list[bytes]] = {}
+    # Between keys of different priority there is no order.
+    for sample in heard.wait(len(samples)):
+        found.setdefault(str(sample.key_expr), []).append(sample.payload.to_bytes())
+    assert found.keys() == {"replay" + one.key.removeprefix("fleet") for one in samples}
+    for key, payloads in found.items():
+        if key != "replay/cruiser-1/can/can0/rx":
+            assert payloads == [
+                one.payload for one in samples if one.key.partition("/")[2] == key.partition("/")[2]
+            ]
+    told = json.loads(capsys.readouterr().out)
+    assert (told["sent"], told["failed"], told["ended"], told["to"]) == (len(samples), 0, "end", "replay/**")
+
+
+def test_what_is_recorded_of_a_replay_is_what_was_replayed(tmp_path: Path, log: str) -> None:
+    """Record, replay, record: message by message the same, but for the root and the times of receipt."""
+    endpoint = free_endpoint()
+    again = tmp_path / "again"
+    words = ["-k", "replay/**", "--root", "replay", "-o", str(again), "--connect", endpoint]
+    with Peer(endpoint), recording(*words) as recorder:
+        # A link of their own: who has one node in common finds the other by it.
+        assert run(log, "--speed", "4", "--timeout", "20", endpoint=endpoint) == ExitCode.OK
+        wanted = len(rows_of(Path(log)))
+
+        def are_there() -> bool:
+            found = [counts(one) for one in readable(again)] if again.exists() else []
+            return (
+                sum(count for one in found for topic, count in one.items() if "@recorder" not in topic) >= wanted
+            )
+
+        wait_until(are_there)
+        code, _, err = recorder.end()
+    assert code == ExitCode.OK, err
+
+    def messages(*of: Path) -> dict[str, list[tuple[int, int, object]]]:
+        found: dict[str, list[tuple[int, int, object]]] = {}
+        for row in rows_of(*of):
+            if row.topic.decode is not None and "/@recorder/" not in row.topic.name:
+                message = row.topic.decode(row.data)
+                rest = row.topic.name.partition("/")[2]
+                if rest == "elsewhere":
+                    # Its key and its time are those of this journey.
+                    message, publish_ns = (message.payload, message.encoding, message.attachment), 0
+                else:
+                    publish_ns = row.publish_ns
+                found.setdefault(rest, []).append((row.sequence if publish_ns else 0, publish_ns, message))
+        return found
+
+    assert messages(*whole(again)) == messages(Path(log))
+
+
+def test_the_messages_of_a_moment_can_be_played_again_and_again(
+    peer: tuple[Peer, str], log: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From a time, to a time, of some keys, several times."""
+    one, endpoint = peer
+    heard = Heard(one)
+    words = ["--from", "0.1", "--to", "0.2", "--keys", "fleet/*/chassis/**", "--loop", "3", "--speed", "max"]
+    assert run(log, *words, endpoint=endpoint) == ExitCode.OK
+    numbers = [
+        message.sequence
+        for sample in heard.wait(15)
+        if isinstance(message := codec.decode(BY_TYPE[Gear], sample.payload.to_bytes()), Gear)
+    ]
+    assert len(numbers) == 15
+    assert numbers == numbers[:5] * 3
+    assert "3 times" in capsys.readouterr().out
+
+
+def test_time_stamps_can_be_those_of_the_present(peer: tuple[Peer, str], log: str) -> None:
+    """Each message's, and those of the frames in it."""
+    one, endpoint = peer
+    heard = Heard(one)
+    begun_ns = time.time_ns()
+    assert run(log, "--now", "--speed", "2", endpoint=endpoint) == ExitCode.OK
+    found = heard.wait(len(drive()))
+    ended_ns = time.time_ns()
+    for sample in found:
+        parts = keys.parse(str(sample.key_expr))
+        if parts is None:
+            continue
+        message = codec.decode(parts.subject, sample.payload.to_bytes())
+        assert isinstance(message, Message)
+        # The log's messages were up to half a second old when they were recorded.
+        assert begun_ns - 500 * MS <= message.time_ns <= ended_ns
+        if isinstance(message, CanFrames):
+            assert message.frame_time_ns[1] - message.frame_time_ns[0] == 2 * MS
+
+
+def test_by_the_sources_time_late_messages_are_in_their_place(tmp_path: Path, peer: tuple[Peer, str]) -> None:
+    """What a recorder was told late stands behind others in the log."""
+    one, endpoint = peer
+    samples = drive(20)
+    late = [*samples[:1], *samples[11:], *samples[1:11]]
+    path = write_log(tmp_path / "late.mcap", late)
+    words = [str(path), "--speed", "max", "--keys", "fleet/*/chassis/gear"]
+    for by, is_sorted in (("log", False), ("publish", True)):
+        heard = Heard(one, "replay/*/chassis/gear")
+        assert run(*words, "--time", by, endpoint=endpoint) == ExitCode.OK
+        times = [msgspec.msgpack.decode(sample.payload.to_bytes())["time_ns"] for sample in heard.wait(20)]
+        assert (times == sorted(times)) is is_sorted
+
+
+@pytest.mark.parametrize("root", ["fleet", "fleet/cruiser-1", "elsewhere/fleet"])
+def test_the_logs_own_root_is_refused(tmp_path: Path, root: str) -> None:
+    """And that of the settings, whether or not a robot is there at present."""
+    path = write_log(tmp_path / "drive.mcap", drive(3, "elsewhere"))
+    with pytest.raises(CommandError) as caught:
+        run(str(path), "--root", root)
+    assert caught.value.code is ExitCode.REFUSED
+
+
+def test_the_logs_own_root_can_be_forced_unless_a_gateway_is_there(
+    peer: tuple[Peer, str], log: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Then the replay does not even begin."""
+    one, endpoint = peer
+    heard = Heard(one, "fleet/**")
+    words = [log, "--root", "fleet", "--force", "--speed", "max"]
+    token = one.session.liveliness().declare_token(keys.liveliness("fleet", "cruiser-5"))
+    with pytest.raises(CommandError, match="cruiser-5") as caught:
+        run(*words, endpoint=endpoint)
+    assert caught.value.code is ExitCode.REFUSED
+    assert heard.samples() == []
+    assert capsys.readouterr().out == ""
+    token.undeclare()
+    wait_until(lambda: not list(one.session.liveliness().get("**/gateway", timeout=1)))
+    assert run(*words, endpoint=endpoint) == ExitCode.OK
+    assert str(heard.wait(len(drive()))[1].key_expr) == "fleet/cruiser-1/chassis/gear"
+
+
+def test_a_gateway_that_turns_up_ends_the_replay(
+    peer: tuple[Peer, str], log: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Within moments, with exit code 5; what had been sent by then is told."""
+    one, endpoint = peer
+    heard = Heard(one, "replay/**")
+    tokens: list[zenoh.LivelinessToken] = []
+
+    def appear() -> bool:
+        if heard.samples() and not tokens:
+            tokens.append(one.session.liveliness().declare_token(keys.liveliness("replay", "cruiser-1")))
+        return False
+
+    with pytest.raises(CommandError) as caught:
+        run(log, "--loop", "forever", endpoint=endpoint, stopped=appear)
+    assert caught.value.code is ExitCode.REFUSED
+    assert "sent in" in capsys.readouterr().out
+
+
+def test_nobody_there_is_unreachable(log: str) -> None:
+    """Exit code 4, and how others could connect."""
+    with pytest.raises(CommandError, match="--listen") as caught:
+        run(log, "--timeout", "0.1")
+    assert caught.value.code is ExitCode.UNREACHABLE
+
+
+def test_a_viewer_connects_to_the_replay_itself_and_ctrl_c_ends_it(log: str) -> None:
+    """No other node is needed; the replay waits for the first one, and ends cleanly."""
+    endpoint = free_endpoint()
+    words = ["review", "replay", log, "--listen", endpoint, "--connect", endpoint, "--loop", "forever", "--json"]
+    process = subprocess.Popen(
+        [CRUISER, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment()
+    )
+    try:
+        config = zenoh.Config()
+        for path, value in (("scouting/multicast/enabled", "false"), ("mode", '"client"')):
+            config.insert_json5(path, value)
+        config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+        assert process.stderr is not None
+        assert "waits for somebody" in process.stderr.readline()
+        with zenoh.open(config) as session:
+            subscriber = session.declare_subscriber("replay/**", zenoh.handlers.RingChannel(10))
+            wait_until(lambda: subscriber.try_recv() is not None)
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=30)
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+    assert process.returncode == ExitCode.OK, err
+    told = json.loads(out)
+    assert told["ended"] == "stopped"
+    assert told["sent"] > 0
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--tx"],
+        ["--channel", "vcan0"],
+        ["--force-real-bus"],
+        ["--interface", "virtual"],
+        ["--interface", "virtual", "--channel", "x", "--now"],
+        ["--interface", "virtual", "--channel", "x", "--root", "fleet"],
+        ["--interface", "virtual", "--channel", "x", "--force-command-frames"],
+        ["--interface", "pcan", "--channel", "x", "--force-real-bus", "--force-command-frames", "--loop", "2"],
+        ["--interface", "pcan", "--channel", "x", "--force-real-bus", "--force-command-frames", "--speed", "2"],
+        ["--root", "fleet/**"],
+        ["--root", ""],
+        ["--keys", "a//b"],
+    ],
+)
+def test_flags_that_do_not_fit_are_a_mistake(log: str, words: list[str]) -> None:
+    """Exit code 2, before anything is opened."""
+    with pytest.raises(CommandError) as caught:
+        run(log, *words)
+    assert caught.value.code is ExitCode.USAGE
+
+
+@pytest.mark.parametrize(
+    "words",
+    [*(["--speed", text] for text in ("-1", "0", "nan", "x")), ["--loop", "0"], ["--loop", "x"]],
+)
+def test_numbers_that_are_none_are_a_mistake(log: str, words: list[str]) -> None:
+    """Said by argparse."""
+    with pytest.raises(SystemExit):
+        run(log, *words)
+
+
+@pytest.mark.parametrize("channel", ["can0", "vcan-none", "eth0"])
+def test_a_bus_that_is_not_virtual_is_refused(log: str, channel: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before it is opened; the text says what would happen."""
+
+    def opened(_place: Place) -> None:
+        raise AssertionError("it was opened")
+
+    monkeypatch.setattr(replay, "CanOutlet", opened)
+    with pytest.raises(CommandError, match="obeys the last command for ever") as caught:
+        run(log, "--interface", "socketcan", "--channel", channel)
+    assert caught.value.code is ExitCode.REFUSED
+    with pytest.raises(CommandError) as caught:
+        run(log, "--interface", "udp_multicast", "--channel", "239.0.0.1", "--force-real-bus")
+    assert caught.value.code is ExitCode.REFUSED
+
+
+class Collector:
+    """A bus that collects what is sent to it."""
+
+    def __init__(self, place: Place) -> None:
+        self.place = place
+        self.sent = self.failed = 0
+        self.identifiers: list[int] = []
+        COLLECTED.append(self)
+
+    def send(self, item: Frame, _shift_ns: int) -> None:
+        self.identifiers.append(item.frame.identifier)
+        self.sent += 1
+
+    def attend(self) -> None:
+        """All is well."""
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+
+COLLECTED: list[Collector] = []
+COMMAND = 0x18C4D3D0
+FEEDBACK = 0x18C4D1EF
+
+
+def drive_with_commands(path: Path) -> str:
+    """A log with a command of another computer among what was received, and one of the gateway's own."""
+    heard = msgspec.structs.replace(
+        batch(0, [(WALL_NS, feedback(0)), (WALL_NS + MS, feedback(1))]),
+        can_id=[EXTENDED | FEEDBACK, EXTENDED | COMMAND],
+    )
+    own = msgspec.structs.replace(batch(0, [(WALL_NS + 2 * MS, feedback(0))]), can_id=[EXTENDED | COMMAND])
+    sent = sample_of(own)
+    sent = msgspec.structs.replace(sent, key="fleet/cruiser-1/can/can0/tx")  # type: ignore[type-var]
+    return str(write_log(path, [sample_of(info()), sample_of(heard), sent]))
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        (["--interface", "virtual"], [FEEDBACK, COMMAND]),
+        (["--interface", "virtual", "--tx"], [FEEDBACK, COMMAND, COMMAND]),
+        (["--interface", "pcan", "--force-real-bus"], [FEEDBACK]),
+        (["--interface", "pcan", "--force-real-bus", "--tx"], [FEEDBACK]),
+        (["--interface", "pcan", "--force-real-bus", "--force-command-frames"], [FEEDBACK, COMMAND]),
+        (
+            ["--interface", "pcan", "--force-real-bus", "--force-command-frames", "--tx"],
+            [FEEDBACK, COMMAND, COMMAND],
+        ),
+    ],
+)
+def test_commands_reach_a_real_bus_by_two_flags_alone(
+    tmp_path: Path,
+    words: list[str],
+    wanted: list[int],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """And those that the gateway sent only if they are asked for; at the end it is told what the chassis does."""
+    monkeypatch.setattr(replay, "CanOutlet", Collector)
+    assert run(drive_with_commands(tmp_path / "log.mcap"), *words, "--channel", "x") == ExitCode.OK
+    assert COLLECTED[-1].identifiers == wanted
+    err = capsys.readouterr().err
+    assert ("NOT VIRTUAL" in err) is ("pcan" in words)
+    assert ("cruiser halt" in err) is ("--force-command-frames" in words)
+
+
+def test_frames_reach_a_virtual_bus_in_their_order(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every one, with the spacing of the bus, which is not that of the batches."""
+    with can.Bus(interface="virtual", channel="cli") as other:
+        assert run(log, "--interface", "virtual", "--channel", "cli", "--speed", "4") == ExitCode.OK
+        found = list(iter(lambda: other.recv(0), None))
+    assert [bytes(message.data) for message in found] == [feedback(number) for number in range(40)]
+    assert {message.arbitration_id for message in found} == {can_frame().identifier}
+    assert "virtual cli: 40 sent" in capsys.readouterr().out
+
+
+def test_two_buses_do_not_become_one(tmp_path: Path) -> None:
+    """One has to be chosen; the others' frames stay out."""
+    path = str(write_log(tmp_path / "two.mcap", [*drive(5), *drive(5, robot="cruiser-2")]))
+    words = [path, "--interface", "virtual", "--channel", "two", "--speed", "max"]
+    with pytest.raises(CommandError, match="several buses") as caught:
+        run(*words)
+    assert caught.value.code is ExitCode.USAGE
+    with can.Bus(interface="virtual", channel="two") as other:
+        assert run(*words, "--keys", "fleet/cruiser-2/**") == ExitCode.OK
+        assert len(list(iter(lambda: other.recv(0), None))) == 10
+
+
+@contextmanager
+def silent_bus() -> Iterator[str]:
+    """The simulator's server without a chassis: a bus on which only its clients speak. Gives its address."""
+
+    def inject(text: str) -> str:
+        line = parse(text)
+        return line.reason if isinstance(line, FaultTextError) else ""
+
+    server = SocketcandServer("127.0.0.1", 0)
+    stop = threading.Event()
+
+    def serve() -> None:
+        while not stop.is_set():
+            server.wait(0.01)
+            server.read(time.monotonic_ns(), time.time_ns(), inject)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield "{}:{}".format(*server.address)
+    finally:
+        stop.set()
+        thread.join()
+        server.close()
+
+
+def test_a_gateway_on_the_replayed_bus_says_what_the_first_one_said(log: str) -> None:
+    """Its decoded messages are those of the recorded frames, one by one."""
+    endpoint = free_endpoint()
+    with silent_bus() as address:
+        host, _, port = address.partition(":")
+        bus = ["--interface", "socketcand", "--channel", address, "--listen", endpoint, "--variant", "coarse"]
+        with Running("gateway", *bus, "--listen-only", "--robot", "replayed") as gateway:
+            gateway.wait_says("gateway: ")
+            config = zenoh.Config()
+            config.insert_json5("scouting/multicast/enabled", "false")
+            config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+            with zenoh.open(config) as session:
+                subscriber = session.declare_subscriber(
+                    "fleet/replayed/can/can0/rx", zenoh.handlers.FifoChannel(1000)
+                )
+                gears = session.declare_subscriber("fleet/replayed/chassis/gear", zenoh.handlers.FifoChannel(1000))
+                with can.Bus(interface="socketcand", host=host, port=int(port), channel="can0") as other:
+
+                    def is_heard() -> bool:
+                        other.send(can.Message(arbitration_id=0x555, is_extended_id=False))
+                        return subscriber.try_recv() is not None
+
+                    wait_until(is_heard)
+                assert run(log, "--interface", "socketcand", "--channel", address) == ExitCode.OK
+                raw: list[bytes] = []
+                counters: list[int] = []
+
+                def are_there() -> bool:
+                    while (sample := subscriber.try_recv()) is not None:
+                        frames = msgspec.msgpack.decode(sample.payload.to_bytes(), type=CanFrames)
+                        raw.extend(data for data in frames.data if data)
+                    while (sample := gears.try_recv()) is not None:
+                        counters.append(msgspec.msgpack.decode(sample.payload.to_bytes(), type=Gear).alive_counter)
+                    return len(raw) >= 40 and len(counters) >= 40
+
+                wait_until(are_there)
+            gateway.stop()
+    assert raw == [feedback(number) for number in range(40)]
+    assert counters == [number % 16 for number in range(40)]
+
+
+def test_a_log_that_holds_nothing_to_replay_is_told(tmp_path: Path, peer: tuple[Peer, str], log: str) -> None:
+    """Exit code 1: no such keys, or another maker's log."""
+    _, endpoint = peer
+    for words in (["--timeout", "0.1"], ["--listen", "tcp/127.0.0.1:0"]):
+        with pytest.raises(CommandError, match="nothing that could be replayed") as caught:
+            run(log, "--keys", "fleet/nobody/**", *words, endpoint=endpoint)
+        assert caught.value.code is ExitCode.FAILURE
+    with pytest.raises(CommandError, match="No such file"):
+        run(str(tmp_path / "none.mcap"), endpoint=endpoint)
+
+
+def test_of_a_damaged_log_what_can_be_read_is_replayed(
+    tmp_path: Path, log: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Cut off, or with wrong bytes anywhere: never a traceback, and exit code 3 where something is missing."""
+    whole_log = Path(log).read_bytes()
+    dice = random.Random(7)  # noqa: S311 - bytes to break, no secret
+    path = tmp_path / "damaged.mcap"
+    codes = set()
+    for number in range(60):
+        damaged = bytearray(whole_log)
+        if number % 3 == 0:
+            del damaged[dice.randrange(20, len(damaged)) :]
+        for _ in range(number % 3 * 4):
+            damaged[dice.randrange(len(damaged))] = dice.randrange(256)
+        path.write_bytes(damaged)
+        try:
+            codes.add(run(str(path), "--interface", "virtual", "--channel", "damaged", "--speed", "max"))
+        except CommandError as error:
+            codes.add(int(error.code))
+    assert ExitCode.PARTIAL in codes
+    assert codes <= {ExitCode.OK, ExitCode.FAILURE, ExitCode.PARTIAL}
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_the_settings_root_does_not_lead_a_replay_astray(tmp_path: Path) -> None:
+    """A configuration made for robots says where those are, and so where no replay goes."""
+    path = write_log(tmp_path / "drive.mcap", drive(3, "elsewhere"))
+    parser = argparse.ArgumentParser()
+    review.add_arguments(parser)
+    words = parser.parse_args(["replay", str(path), "--root", "site", "--timeout", "0.1"])
+    settings = Settings(robot=RobotSettings(root="site"), zenoh=ZenohSettings(connect=[free_endpoint()]))
+    with pytest.raises(CommandError) as caught:
+        review.run(words, settings, lambda: False)
+    assert caught.value.code is ExitCode.REFUSED
+
+
+def test_what_was_recorded_of_a_replay_is_no_robots(tmp_path: Path, peer: tuple[Peer, str]) -> None:
+    """It can be replayed again, to where it was."""
+    one, endpoint = peer
+    heard = Heard(one)
+    path = write_log(tmp_path / "replayed.mcap", drive(3, "replay"))
+    assert run(str(path), "--speed", "max", endpoint=endpoint) == ExitCode.OK
+    assert str(heard.wait(len(drive(3)))[1].key_expr).startswith("replay/cruiser-1/")
+
+
+def test_what_was_sent_to_nobody_is_told(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """The link was cut in the middle: exit code 3."""
+    endpoint = free_endpoint()
+    with Peer(endpoint) as one:
+        heard = Heard(one, "replay/**")
+        ends_s: list[float] = []
+
+        def stopped() -> bool:
+            if not ends_s and heard.samples():
+                one.close()
+                ends_s.append(time.monotonic() + 2)
+            return bool(ends_s) and time.monotonic() > ends_s[0]
+
+        assert run(log, "--loop", "forever", endpoint=endpoint, stopped=stopped) == ExitCode.PARTIAL
+    assert "no Zenoh node was connected" in capsys.readouterr().out
+
+
+def test_a_seek_stays_within_the_time_that_was_asked_for(log: str) -> None:
+    """On it goes where it is told, and back no further than --from."""
+    parser = argparse.ArgumentParser()
+    review.add_arguments(parser)
+    arguments = parser.parse_args(["replay", log, "--from", "0.1", "--to", "0.3"])
+    player = replay._player(arguments, find(arguments), lambda _: True, lambda rows: runs(rows, By.LOG))
+    player.start(0)
+    found = []
+    for offset_ms in (200, 0, 1000):
+        player.seek(WALL_NS + offset_ms * MS, 0)
+        due = player.take(0)
+        found.append(None if due is None else (due.item.time_ns - WALL_NS) // MS)
+    assert found == [200, 100, None]
+    assert player.is_ended

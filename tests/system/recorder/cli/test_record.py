@@ -1,0 +1,408 @@
+"""``cruiser record`` as a process of its own, against a small Zenoh peer."""
+
+import argparse
+import json
+import os
+import signal
+import time
+from collections.abc import Iterator
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from gateway.cli import main
+from recorder.cli import record, remote
+from recorder.disk.leftovers import Outcome, recover
+from recorder.review.check import check_log
+from recorder.review.info import read_info
+from schemas.exit_codes import ExitCode
+from schemas.messages import CanFrames, Gear
+from schemas.recorder_settings import RecorderSettings
+from schemas.settings import Settings
+from tests.bench import recorder_kills
+from tests.support.recorder_fakes import (
+    MS,
+    FakeSample,
+    batch,
+    feedback,
+    gear,
+    info,
+    key_of,
+    logs_in,
+    sample_of,
+    small_log,
+    wait_until,
+)
+from tests.support.recorder_process import CRUISER, counts, heard, link, readable, recording, whole
+from tests.support.zenoh_peer import Peer, free_endpoint
+
+FLUSH_S = 0.5
+
+
+def publish(peer: Peer, count: int) -> None:
+    """Gear messages and batches of two frames each."""
+    start_ns = time.time_ns()
+    for number in range(count):
+        now_ns = start_ns + number * 20 * MS
+        peer.put(sample_of(gear(number, now_ns)))
+        frames = [(now_ns + one * 10 * MS, feedback(2 * number + one)) for one in range(2)]
+        peer.put(sample_of(batch(number, frames)))
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_in_a_whole_file(tmp_path: Path, number: int) -> None:
+    """With all that was sent, the robot's answer, and the result on stdout."""
+    endpoint = free_endpoint()
+    words = ["-k", "fleet/**", "-o", str(tmp_path / "logs"), "--connect", endpoint, "--json"]
+    with Peer(endpoint) as peer, recording(*words) as process:
+        assert process.ready.startswith(f"record: waiting for samples of fleet/** into {tmp_path / 'logs'}; ")
+        peer.answer(sample_of(info()))
+        link(peer, tmp_path / "logs")
+        publish(peer, 200)
+        wait_until(lambda: all_written(tmp_path / "logs", 200))
+        code, out, err = process.end(number)
+    assert code == ExitCode.OK
+    result = json.loads(out)
+    found = read_info(Path(result["path"]))
+    assert logs_in(tmp_path / "logs") == [Path(result["path"]).name]
+    assert Path(result["path"]).name.startswith("cruiser-1-")
+    checked = check_log(Path(result["path"]))
+    assert checked.is_sound
+    assert (checked.missed, checked.frames_lost) == (0, 0)
+    assert counts(found)[key_of(Gear)] == 200
+    assert counts(found)[key_of(CanFrames)] == 400
+    assert found.variants == {"cruiser-1": "coarse"}
+    assert result["keys"][key_of(Gear)]["written"] == 200
+    assert (result["messages"], result["bytes"]) == (found.messages, found.bytes)
+    assert result["channels"] == len(found.channels)
+    assert "0 samples missed" in err
+    assert "Traceback" not in err
+
+
+def all_written(directory: Path, sent: int) -> bool:
+    """Are all gear messages and frames in the log, which is still being written?"""
+    (part,) = directory.iterdir()
+    found = counts(read_info(part))
+    return (found.get(key_of(Gear)), found.get(key_of(CanFrames))) == (sent, 2 * sent)
+
+
+def test_a_killed_recorder_leaves_all_but_the_last_moment(tmp_path: Path) -> None:
+    """What was received longer ago than the setting is in the part, which any reader reads up to its end."""
+    endpoint = free_endpoint()
+    with Peer(endpoint) as peer, recording("-o", str(tmp_path), "--connect", endpoint) as process:
+        link(peer, tmp_path)
+        sent = old = 0
+        start = time.monotonic()
+        while time.monotonic() - start < 4 * FLUSH_S:
+            peer.put(sample_of(gear(sent)))
+            if time.monotonic() - start < 3 * FLUSH_S:
+                old = sent
+            sent += 1
+            time.sleep(0.002)
+        process.kill()
+    (part,) = tmp_path.iterdir()
+    assert part.name.endswith(".mcap.part")
+    found = read_info(part)
+    assert not found.whole
+    assert all("footer" in fault or "cut off" in fault for fault in found.faults)
+    assert counts(found)[key_of(Gear)] > old
+    assert check_log(part).missed == 0
+
+
+def test_a_recorder_that_is_there_first_waits_and_goes_on_after_a_cut(tmp_path: Path) -> None:
+    """The gateway comes, goes and comes again; one file holds it all."""
+    endpoint = free_endpoint()
+    key = "fleet/cruiser-1/**"
+    with recording("-k", key, "-o", str(tmp_path), "--connect", endpoint) as process:
+        assert logs_in(tmp_path) == []
+        for name in ("peer/0", "peer/1"):
+            with Peer(endpoint) as peer:
+                wait_until(partial(heard, peer, tmp_path, name))
+        code, out, _ = process.end()
+    assert code == ExitCode.OK
+    path = Path(out.strip())
+    assert path.name.startswith("cruiser-1-")
+    assert {"fleet/cruiser-1/peer/0", "fleet/cruiser-1/peer/1"} <= set(counts(read_info(path)))
+
+
+def test_a_recording_may_end_by_itself(tmp_path: Path) -> None:
+    """After --seconds; the path alone is on stdout."""
+    endpoint = free_endpoint()
+    with (
+        Peer(endpoint) as peer,
+        recording("-o", str(tmp_path), "--connect", endpoint, "--seconds", "2") as process,
+    ):
+        link(peer, tmp_path)
+        code, out, _ = process.end(None)
+    assert code == ExitCode.OK
+    assert Path(out.strip()).suffix == ".mcap"
+
+
+def test_without_a_sample_there_is_no_log(tmp_path: Path) -> None:
+    """Nobody answered: exit code 4, a warning at once, one clear line at the end, and JSON that says so."""
+    words = ["-o", str(tmp_path), "--connect", free_endpoint(), "--seconds", "0.2", "--json"]
+    with recording(*words) as process:
+        code, out, err = process.end(None)
+    assert code == ExitCode.UNREACHABLE
+    assert json.loads(out)["path"] is None
+    warning, line = err.splitlines()
+    assert warning.endswith("no Zenoh node is connected; trying on")
+    assert line == "cruiser record: no sample came, so there is no log"
+    assert logs_in(tmp_path) == []
+
+
+def test_a_directory_that_cannot_be_is_one_clear_line(tmp_path: Path) -> None:
+    """Exit code 1, before anything is recorded, no traceback."""
+    (tmp_path / "file").write_text("")
+    with recording("-o", str(tmp_path / "file"), "--connect", free_endpoint()) as process:
+        code, out, err = process.end(None)
+    assert code == ExitCode.FAILURE
+    assert (out, err) == ("", "")
+    assert process.ready == f"cruiser record: cannot write {tmp_path / 'file'}: File exists\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["-k", "fleet//x"], "is no key expression"),
+        (["--connect", "nonsense"], "wrong Zenoh settings"),
+    ],
+)
+def test_wrong_words_are_a_usage_error(tmp_path: Path, words: list[str], complaint: str) -> None:
+    """Exit code 2, one clear line."""
+    with recording("-o", str(tmp_path), *words) as process:
+        code, _, err = process.end(None)
+    assert code == ExitCode.USAGE
+    assert complaint in process.ready
+    assert err == ""
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "inf", "nan", "soon"])
+def test_a_time_must_be_a_time(seconds: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit code 2."""
+    parser = argparse.ArgumentParser()
+    record.add_arguments(parser)
+    with pytest.raises(SystemExit) as caught:
+        parser.parse_args([f"--seconds={seconds}"])
+    assert caught.value.code == ExitCode.USAGE
+    assert "--seconds" in capsys.readouterr().err
+
+
+def test_flags_set_settings() -> None:
+    """By their dotted names; a flag that is not given sets nothing."""
+    parser = argparse.ArgumentParser()
+    record.add_arguments(parser)
+    given = vars(parser.parse_args(["-k", "a", "b", "-k", "c", "-o", "d", "--connect", "e", "--connect", "f"]))
+    assert given["recorder.keys"] == ["a", "b", "c"]
+    assert given["recorder.directory"] == "d"
+    assert given["zenoh.connect"] == ["e", "f"]
+    assert not {key for key, value in vars(parser.parse_args([])).items() if "." in key and value is not None}
+
+
+@pytest.mark.parametrize(("budget", "ring"), [(0, 9000), (40_000, 9000), (20_000, 5000)])
+def test_an_incident_does_not_begin_with_more_than_a_part_of_the_budget(budget: int, ring: int) -> None:
+    """Else a single one might leave no room for the logs, for ever."""
+    settings = Settings(recorder=RecorderSettings(budget_bytes=budget, incident_ring_bytes=9000))
+    assert record.recording_plan(settings, "depot", ["fleet/**"], "1").ring_bytes == ring
+
+
+@pytest.mark.parametrize(
+    ("expressions", "name"),
+    [
+        (["fleet/cruiser-1/**"], "cruiser-1"),
+        (["fleet/cruiser-1/state", "fleet/cruiser-1/chassis/*"], "cruiser-1"),
+        (["fleet/cruiser-1"], "cruiser-1"),
+        (["fleet/cruiser-1/**", "fleet/cruiser-2/**"], "fleet"),
+        (["fleet/**"], "fleet"),
+        (["fleet/*/state"], "fleet"),
+        (["fleet/cr$*/state"], "fleet"),
+        (["other/cruiser-1/**"], "fleet"),
+    ],
+)
+def test_a_logs_name_begins_with_its_robot(expressions: list[str], name: str) -> None:
+    """If the key expressions can match but one robot; else it is the fleet's."""
+    assert record.log_name("fleet", expressions) == name
+
+
+def test_a_file_that_may_grow_no_more_ends_no_recording(tmp_path: Path) -> None:
+    """The log goes on in further files, each readable alone. The shell bounds what a file may hold."""
+    endpoint = free_endpoint()
+    shell = ["sh", "-c", 'ulimit -f 2048; exec "$0" "$@"', CRUISER]
+    with Peer(endpoint) as peer, recording("-o", str(tmp_path), "--connect", endpoint, command=shell) as process:
+        wait_until(partial(heard, peer, tmp_path, "small"))
+
+        def has_gone_on() -> bool:
+            peer.put(FakeSample("fleet/cruiser-1/large", "zenoh/bytes", os.urandom(2000)))
+            time.sleep(0.002)
+            return len(logs_in(tmp_path)) > 2
+
+        wait_until(has_gone_on)
+        wait_until(partial(heard, peer, tmp_path, "last"))
+        code, out, err = process.end()
+    assert code == ExitCode.OK
+    assert "File too large; the log goes on in another file" in err
+    assert "Traceback" not in err
+    assert Path(out.strip()).exists()
+    for path in tmp_path.iterdir():
+        assert check_log(path).whole == (path.suffix == ".mcap")
+        assert recover(path, "test").outcome in {Outcome.WHOLE, Outcome.RECOVERED}
+
+
+def test_a_full_disk_ends_no_recording(small_disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it does not take is counted; when there is room again, the log goes on, and says what was lost."""
+    monkeypatch.setenv("CRUISER_RECORDER_FLOOR_BYTES", "0")
+    endpoint = free_endpoint()
+    ballast = small_disk / "ballast"
+    ballast.write_bytes(bytes(15_500_000))
+    with Peer(endpoint) as peer, recording("-o", str(small_disk), "--connect", endpoint) as process:
+        wait_until(partial(heard, peer, small_disk, "small"))
+
+        def is_full() -> bool:
+            peer.put(FakeSample("fleet/cruiser-1/large", "zenoh/bytes", os.urandom(5000)))
+            time.sleep(0.002)
+            return bool(whole(small_disk))
+
+        wait_until(is_full)
+        assert process.is_running
+        ballast.unlink()
+        wait_until(partial(heard, peer, small_disk, "last"))
+        code, _, err = process.end()
+    assert code in {ExitCode.OK, ExitCode.PARTIAL}
+    assert "No space left on device" in err
+    assert "Traceback" not in err
+    for path in small_disk.glob("*.mcap*"):
+        assert recover(path, "test").outcome in {Outcome.WHOLE, Outcome.RECOVERED}
+
+
+def test_a_hangup_begins_a_new_file(tmp_path: Path) -> None:
+    """SIGHUP, as services take it: nothing is lost or doubled, and each file can be read alone."""
+    endpoint = free_endpoint()
+    with Peer(endpoint) as peer, recording("-o", str(tmp_path), "--connect", endpoint, "--json") as process:
+        link(peer, tmp_path)
+        sent = 0
+
+        def is_rolled(files: int) -> bool:
+            nonlocal sent
+            peer.put(sample_of(gear(sent)))
+            sent += 1
+            time.sleep(0.001)
+            return len(logs_in(tmp_path)) >= files
+
+        for files in (2, 3):
+            wait_until(partial(has_gear, tmp_path))
+            process.signal(signal.SIGHUP)
+            wait_until(partial(is_rolled, files))
+        code, out, _ = process.end()
+    assert code == ExitCode.OK
+    assert json.loads(out)["files"] == 3
+    found = [read_info(path) for path in tmp_path.iterdir()]
+    assert all(check_log(path).is_sound for path in tmp_path.iterdir())
+    assert sum(counts(one).get(key_of(Gear), 0) for one in found) == sent
+
+
+def has_gear(directory: Path) -> bool:
+    """Has the newest log any message?"""
+    return any(one.path.endswith(".part") and one.messages for one in readable(directory))
+
+
+class ReachedError(Exception):
+    """The recorder has come so far."""
+
+
+@pytest.fixture
+def hangup() -> Iterator[None]:
+    """SIGHUP ends the process, until somebody takes it."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("hangup")
+def test_a_hangup_ends_no_recorder_that_is_only_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is taken before anything is opened, and before the rest of the program is even there."""
+
+    def connect(*_: object) -> None:
+        assert callable(signal.getsignal(signal.SIGHUP))
+        raise ReachedError
+
+    def import_late(name: str) -> ModuleType:
+        assert callable(signal.getsignal(signal.SIGHUP))
+        os.kill(os.getpid(), signal.SIGHUP)
+        return import_module(name)
+
+    monkeypatch.setattr(record, "ZenohSource", connect)
+    monkeypatch.setattr(main, "import_module", import_late)
+    with pytest.raises(ReachedError):
+        main.main(["record"])
+
+
+@pytest.mark.usefixtures("hangup")
+@pytest.mark.parametrize("before", [signal.SIG_DFL, signal.SIG_IGN])
+def test_a_hangup_ends_who_only_asks_a_recorder(monkeypatch: pytest.MonkeyPatch, before: signal.Handlers) -> None:
+    """As it ends any other command, unless nohup began it."""
+    signal.signal(signal.SIGHUP, before)
+    found: list[object] = []
+
+    def ask(*_: object) -> int:
+        found.append(signal.getsignal(signal.SIGHUP))
+        return 0
+
+    monkeypatch.setattr(remote, "run", ask)
+    assert main.main(["record", "status"]) == 0
+    assert found == [before]
+
+
+def test_files_are_ended_by_time_and_by_size(tmp_path: Path) -> None:
+    """As the settings say."""
+    endpoint = free_endpoint()
+    settings = tmp_path / "settings.toml"
+    settings.write_text("[recorder]\nrotate_bytes = 20000\nrotate_s = 2.5\n")
+    logs = tmp_path / "logs"
+    words = ["-o", str(logs), "--connect", endpoint, "--config", str(settings)]
+    because: set[str] = set()
+    with Peer(endpoint) as peer, recording(*words) as process:
+        link(peer, logs)
+
+        def has_rolled_by(reason: str, size: int) -> bool:
+            peer.put(FakeSample("fleet/cruiser-1/some", "zenoh/bytes", os.urandom(size)))
+            time.sleep(0.005)
+            because.update(
+                one.metadata.get("cruiser.continued", {}).get("because", "") for one in map(read_info, whole(logs))
+            )
+            return reason in because
+
+        wait_until(partial(has_rolled_by, "size", 2000))
+        wait_until(partial(has_rolled_by, "time", 0))
+        code, _, _ = process.end()
+    assert code == ExitCode.OK
+    assert all(check_log(path).whole for path in logs.iterdir())
+
+
+def test_a_start_recovers_what_a_killed_recorder_left(tmp_path: Path) -> None:
+    """It says how many messages, and records meanwhile."""
+    left = tmp_path / "cruiser-1-20260102T030405Z.mcap.part"
+    left.write_bytes(small_log()[:-200])
+    endpoint = free_endpoint()
+    with Peer(endpoint) as peer, recording("-o", str(tmp_path), "--connect", endpoint) as process:
+        wait_until(left.with_suffix("").exists)
+        wait_until(partial(heard, peer, tmp_path, "new"))
+        code, _, err = process.end()
+    assert code == ExitCode.OK
+    assert f"recovered 12 messages of {left} into {left.with_suffix('')}" in err
+    assert read_info(left.with_suffix("")).messages == 12
+    assert all(check_log(path).whole for path in tmp_path.iterdir())
+
+
+def test_recorders_killed_at_random_instants_lose_but_the_last_moment(tmp_path: Path) -> None:
+    """Each next start makes whole what the one before left: no holes, nothing twice, and no log without its end.
+
+    How much the last moment is, the bench measures (tests.bench.recorder_kills).
+    """
+    kills = recorder_kills.measure(4, tmp_path)
+    assert (kills.holes, kills.doubled, kills.not_whole) == (0, 0, [])
+    assert len(kills.lost_ms) == 4
+    assert kills.left <= 2
+    assert kills.sent > sum(kills.lost)

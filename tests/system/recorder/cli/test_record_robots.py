@@ -1,0 +1,271 @@
+"""``cruiser record``: whose log a sample goes to, however many robots there are, and whatever they send."""
+
+import json
+import os
+import re
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from recorder.review.check import check_log
+from recorder.review.info import LogInfo, read_info
+from schemas.exit_codes import ExitCode
+from schemas.messages import CanFrames, Gear
+from schemas.recording import GapReason
+from tests.support.recorder_fakes import FakeSample, gear, key_of, logs_in, sample_of, wait_until
+from tests.support.recorder_process import CRUISER, Told, counts, recording, sequences, whole
+from tests.support.zenoh_peer import Peer, free_endpoint
+
+
+@pytest.fixture
+def endpoint() -> str:
+    """Where a test's peer listens."""
+    return free_endpoint()
+
+
+@pytest.fixture
+def peer(endpoint: str) -> Iterator[Peer]:
+    """The robots."""
+    with Peer(endpoint) as one:
+        yield one
+
+
+def put_until_told(peer: Peer, told: Told, keys: list[str], keys_heard: int) -> None:
+    """Publish a byte under each of these keys until the recorder has heard of so many."""
+
+    def condition() -> bool:
+        for key in keys:
+            peer.put(FakeSample(key, "zenoh/bytes", b"x"))
+        return told.wait_for_health().keys >= keys_heard
+
+    wait_until(condition)
+
+
+def by_name(directory: Path) -> dict[str, LogInfo]:
+    """The logs of a directory, by their names without the time."""
+    found = {re.sub(r"-\d{8}T\d{6}Z\.mcap$", "", path.name): read_info(path) for path in whole(directory)}
+    assert len(found) == len(logs_in(directory))
+    assert all(check_log(path).whole for path in whole(directory))
+    return found
+
+
+def of_robots(found: LogInfo) -> set[str]:
+    """The topics with messages that are not the recorder's own."""
+    return {topic for topic, count in counts(found).items() if count and "@recorder" not in topic}
+
+
+KEYS = [
+    key_of(Gear, "cruiser-1"),
+    key_of(Gear, "cruiser-2"),
+    "fleet/cruiser-2/anything/else",
+    "fleet/Shed/door",
+    "fleet/cruiser-3",
+    "other/deep/cruiser-1/state",
+    "elsewhere",
+]
+EXPRESSIONS = ["-k", "fleet/**", "other/**", "elsewhere"]
+
+
+def test_each_robot_has_a_log_of_its_own(peer: Peer, endpoint: str, tmp_path: Path) -> None:
+    """What is no robot's is in the fleet's; robots of another root are not mixed up with ours."""
+    words = ["-o", str(tmp_path), "--connect", endpoint, "--name", "bench"]
+    with recording(*EXPRESSIONS, *words) as process:
+        put_until_told(peer, Told(peer), KEYS, len(KEYS))
+        code, _, err = process.end()
+    assert code == ExitCode.OK
+    assert "Traceback" not in err
+    topics = {name: of_robots(found) for name, found in by_name(tmp_path).items()}
+    assert topics == {
+        "cruiser-1": {key_of(Gear, "cruiser-1") + "/@raw"},
+        "cruiser-2": {key_of(Gear, "cruiser-2") + "/@raw", "fleet/cruiser-2/anything/else"},
+        "other_deep_cruiser-1": {"other/deep/cruiser-1/state/@raw"},
+        "fleet": {"fleet/Shed/door", "fleet/cruiser-3", "elsewhere"},
+    }
+
+
+def test_one_log_may_hold_all_robots(
+    peer: Peer, endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """If the settings say so."""
+    monkeypatch.setenv("CRUISER_RECORDER_PER_ROBOT", "false")
+    words = ["-o", str(tmp_path), "--connect", endpoint, "--name", "bench"]
+    with recording(*EXPRESSIONS, *words) as process:
+        put_until_told(peer, Told(peer), KEYS, len(KEYS))
+        code, _, _ = process.end()
+    assert code == ExitCode.OK
+    ((name, found),) = by_name(tmp_path).items()
+    assert name == "fleet"
+    assert len(of_robots(found)) == len(KEYS)
+
+
+def test_hundreds_of_robots_and_thousands_of_keys(peer: Peer, endpoint: str, tmp_path: Path) -> None:
+    """Each robot's log is whole, and lacks nothing."""
+    robots = [f"robot-{number}" for number in range(300)]
+    keys = [f"fleet/{robot}/some/key-{number}" for robot in robots for number in range(10)]
+    with recording("-o", str(tmp_path), "--connect", endpoint, "--name", "bench", "--json") as process:
+        told = Told(peer)
+        put_until_told(peer, told, keys, len(keys))
+        for number in range(3):
+            for robot in robots:
+                peer.put(sample_of(gear(number), robot))
+        wait_until(lambda: told.wait_for_health().robots == len(robots))
+        received = told.wait_for_health().received
+        wait_until(lambda: told.wait_for_health().received == received)
+        code, out, err = process.end()
+    assert code == ExitCode.OK, err
+    assert json.loads(out)["files"] == len(robots)
+    found = by_name(tmp_path)
+    assert set(found) == set(robots)
+    for robot, one in found.items():
+        assert len(of_robots(one)) == 11
+        assert counts(one)[key_of(Gear, robot)] == 3
+    assert all(check_log(path).missed == 0 for path in whole(tmp_path))
+
+
+def test_more_robots_than_files_may_be_open_cost_no_log(peer: Peer, endpoint: str, tmp_path: Path) -> None:
+    """Those beyond it share one: a log that cannot be opened would hold up all others."""
+    shell = ["sh", "-c", 'ulimit -n 200; exec "$0" "$@"', CRUISER]
+    robots = [f"robot-{number}" for number in range(250)]
+    words = ["-o", str(tmp_path), "--connect", endpoint, "--name", "bench"]
+    with recording(*words, command=shell) as process:
+        told = Told(peer)
+        put_until_told(peer, told, [f"fleet/{robot}/key" for robot in robots], len(robots))
+        code, _, err = process.end()
+    assert code == ExitCode.OK, err
+    assert "Too many open files" not in err
+    found = by_name(tmp_path)
+    assert 10 < len(found) < 200
+    assert "fleet" in found
+    assert len({topic for one in found.values() for topic in of_robots(one)}) == len(robots)
+
+
+def test_a_robots_name_may_be_of_any_length(peer: Peer, endpoint: str, tmp_path: Path) -> None:
+    """Anybody on the network can make one up: it costs nobody's log."""
+    keys = [f"fleet/{'a' * 3000}/key", "fleet/cruiser-1/key"]
+    with recording("-o", str(tmp_path), "--connect", endpoint, "--name", "bench") as process:
+        put_until_told(peer, Told(peer), keys, len(keys))
+        code, _, err = process.end()
+    assert code == ExitCode.OK
+    assert "Traceback" not in err
+    assert "ERROR" not in err
+    # So long a key has no channel of its own; its samples are kept with it.
+    assert {topic for one in by_name(tmp_path).values() for topic in of_robots(one)} == {"@more", keys[1]}
+
+
+def wrong(**fields: object) -> bytes:
+    """A gear message with some fields that none has."""
+    whole_one: dict[str, object] = msgspec.msgpack.decode(sample_of(gear(1)).payload)
+    return msgspec.msgpack.encode({**whole_one, **fields})
+
+
+GEAR = sample_of(gear(0))
+FRAMES = key_of(CanFrames)
+STRANGE = [
+    FakeSample(GEAR.key, GEAR.encoding, b""),
+    FakeSample(GEAR.key, GEAR.encoding, b"\xc1"),
+    FakeSample(GEAR.key, GEAR.encoding, GEAR.payload[:-3]),
+    FakeSample(GEAR.key, GEAR.encoding, GEAR.payload + b"\x00"),
+    FakeSample(GEAR.key, GEAR.encoding, b"\xdf\xff\xff\xff\xff"),
+    FakeSample(GEAR.key, GEAR.encoding, b"\x81" * 100_000),
+    FakeSample(GEAR.key, GEAR.encoding, wrong(time_ns=0)),
+    FakeSample(GEAR.key, GEAR.encoding, wrong(time_ns=2**63 - 1)),
+    FakeSample(GEAR.key, GEAR.encoding, wrong(time_ns=2**64 - 1)),
+    FakeSample(GEAR.key, GEAR.encoding, wrong(time_ns=-1)),
+    FakeSample(GEAR.key, GEAR.encoding, wrong(time_ns="yesterday")),
+    FakeSample(GEAR.key, GEAR.encoding, wrong(sequence=2**32 - 1)),
+    FakeSample(GEAR.key, GEAR.encoding, wrong(sequence=2**40)),
+    FakeSample(GEAR.key, "application/msgpack;cruiser.Gear/999", GEAR.payload),
+    FakeSample(GEAR.key, "application/x-nobody-knows;\x1b[2J", GEAR.payload),
+    FakeSample(GEAR.key, "65000;strange", GEAR.payload),
+    FakeSample(FRAMES, GEAR.encoding, GEAR.payload),
+    FakeSample("fleet/cruiser-1/\x1b[2J\n", "text/plain", b"\xff"),
+    FakeSample("fleet/cruiser-1/" + "k" * 10_000, "text/plain", b""),
+    FakeSample("fleet/cruiser-1/attached", "zenoh/bytes", b"", attachment=os.urandom(100_000)),
+]
+
+
+def test_nothing_that_is_sent_ends_a_recording_or_spoils_a_file(peer: Peer, endpoint: str, tmp_path: Path) -> None:
+    """Broken payloads, absurd times, unknown encodings: kept as they are, beside what is sound."""
+    with recording("-o", str(tmp_path), "--connect", endpoint, "--name", "bench") as process:
+        told = Told(peer)
+        put_until_told(peer, told, ["fleet/cruiser-1/link"], 1)
+        before = told.wait_for_health().received
+        for sample in STRANGE:
+            peer.put(sample)
+        peer.put(sample_of(gear(7)))
+        wait_until(lambda: told.wait_for_health().received >= before + len(STRANGE) + 1)
+        code, _, err = process.end()
+    assert code == ExitCode.OK
+    assert "Traceback" not in err
+    assert "\x1b" not in err
+    (path,) = whole(tmp_path)
+    found = read_info(path)
+    assert check_log(path).whole
+    assert counts(found)[GEAR.key + "/@raw"] >= 12
+    assert 7 in sequences(path, GEAR.key)
+    assert sequences(path, "fleet/cruiser-1/\x1b[2J\n")
+
+
+def test_a_sample_that_is_too_large_is_told_and_no_more(peer: Peer, endpoint: str, tmp_path: Path) -> None:
+    """50 MB by default: a gap of the key, exit code 3, and the rest is recorded."""
+    large = "fleet/cruiser-1/large"
+    before_ns = time.time_ns()
+    with recording("-o", str(tmp_path), "--connect", endpoint, "--name", "bench", "--json") as process:
+        told = Told(peer)
+        put_until_told(peer, told, ["fleet/cruiser-1/link"], 1)
+        peer.put(FakeSample(large, "zenoh/bytes", bytes(50_000_000)))
+        peer.put(sample_of(gear(7)))
+        wait_until(lambda: bool(told.gaps()))
+        wait_until(lambda: told.wait_for_health().robots == 1)
+        assert told.wait_for_health().dropped == {"size": 1}
+        code, out, err = process.end()
+    (gap,) = told.gaps()
+    assert (gap.key, gap.reason, gap.count) == (large, GapReason.SIZE, 1)
+    assert before_ns < gap.first_ns <= gap.last_ns < time.time_ns()
+    assert code == ExitCode.PARTIAL
+    assert "1 samples dropped" in err
+    assert json.loads(out)["keys"][large]["lost_size"] == 1
+    (path,) = whole(tmp_path)
+    assert sequences(path, GEAR.key) == [7]
+    assert sequences(path, "fleet/@recorder/bench/gap") == [gap.sequence]
+
+
+def test_a_sample_of_50_mb_is_recorded_if_the_settings_say_so(
+    peer: Peer, endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a chunk of its own."""
+    monkeypatch.setenv("CRUISER_RECORDER_SAMPLE_MAX_BYTES", "60000000")
+    large = "fleet/cruiser-1/large"
+    with recording("-o", str(tmp_path), "--connect", endpoint, "--name", "bench") as process:
+        told = Told(peer)
+        put_until_told(peer, told, ["fleet/cruiser-1/link"], 1)
+        peer.put(FakeSample(large, "zenoh/bytes", bytes(50_000_000)))
+        wait_until(lambda: told.wait_for_health().keys >= 2)
+        code, _, err = process.end()
+    assert code == ExitCode.OK, err
+    (path,) = whole(tmp_path)
+    assert len(sequences(path, large)) == 1
+    assert not told.gaps()
+
+
+def test_health_is_told_each_second(peer: Peer, endpoint: str, tmp_path: Path) -> None:
+    """Whether anything is heard or not; none is left out."""
+    with recording("-o", str(tmp_path), "--connect", endpoint, "--name", "bench") as process:
+        told = Told(peer)
+        wait_until(lambda: len(told.healths()) >= 3)
+        put_until_told(peer, told, ["fleet/cruiser-1/link"], 1)
+        healths = told.healths()
+        process.end()
+    assert [one.sequence for one in healths] == list(
+        range(healths[0].sequence, healths[0].sequence + len(healths))
+    )
+    ups = [one.uptime_s for one in healths]
+    assert all(later - earlier >= 0.99 for earlier, later in pairwise(ups))
+    assert {one.recorder for one in healths} == {"bench"}
+    assert (healths[0].received, healths[0].files) == (0, 0)
+    assert healths[-1].received > 0
+    assert healths[-1].disk_free_bytes > 0

@@ -1,0 +1,282 @@
+"""``cruiser record status``, ``start``, ``stop``, ``split`` and ``mark``, against real recorders."""
+
+import argparse
+import json
+import re
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from recorder.cli import record
+from recorder.cli.remote import describe
+from recorder.record.incidents import INCIDENT_NAME
+from recorder.review.check import check_log
+from recorder.review.info import read_info
+from schemas.exit_codes import ExitCode
+from schemas.recording import RecorderEventKind, RecorderReply, RecorderState
+from tests.support.answering import a_reply, answering
+from tests.support.health_of import health
+from tests.support.recorder_fakes import gear, logs_in, sample_of, wait_until
+from tests.support.recorder_process import Told, ask, heard, link, recording, whole
+from tests.support.zenoh_peer import Peer, free_endpoint
+
+HOSTILE = "\x1b[2J\x9b31m\x07\nhost: recording\r\u202e"
+
+
+class Depot:
+    """A peer, a recorder that is called depot, and where it writes."""
+
+    def __init__(self, peer: Peer, endpoint: str, directory: Path) -> None:
+        self.peer = peer
+        self.directory = directory
+        self.told = Told(peer)
+        self._connect = ["--connect", endpoint, "--operator", "operator-1"]
+
+    def ask(self, *words: str) -> tuple[int, str, str]:
+        """One of the commands; what becomes of it."""
+        return ask(*words, *self._connect)
+
+    def reply(self, *words: str) -> dict[str, object]:
+        """The one reply to a command that is obeyed."""
+        code, out, err = self.ask(*words, "--json")
+        assert (code, err) == (ExitCode.OK, "")
+        (line,) = out.splitlines()
+        reply: dict[str, object] = json.loads(line)
+        return reply
+
+
+@pytest.fixture
+def endpoint() -> str:
+    """Where a test's peer listens."""
+    return free_endpoint()
+
+
+@pytest.fixture
+def peer(endpoint: str) -> Iterator[Peer]:
+    """What all others connect to."""
+    with Peer(endpoint) as one:
+        yield one
+
+
+@pytest.fixture
+def depot(peer: Peer, endpoint: str, tmp_path: Path) -> Iterator[Depot]:
+    """A recorder that has heard something."""
+    logs = tmp_path / "logs"
+    with recording("-o", str(logs), "--connect", endpoint, "--name", "depot") as process:
+        link(peer, logs)
+        one = Depot(peer, endpoint, logs)
+        peer.put(sample_of(gear(0)))
+        wait_until(lambda: [health.robots for health in one.told.healths("depot")][-1:] == [1])
+        yield one
+        code, _, err = process.end()
+        assert code == ExitCode.OK
+        assert "Traceback" not in err
+
+
+def test_status_says_how_a_recorder_is(depot: Depot) -> None:
+    """In lines for people; as a line of JSON for programs."""
+    code, out, err = depot.ask("status")
+    assert (code, err) == (ExitCode.OK, "")
+    lines = out.splitlines()
+    assert lines[0] == "depot: recording"
+    assert lines[1].startswith("  cruiser-1-")
+    assert "  1 robots, 2 keys" in out
+    assert "dropped: none" in out
+    reply = depot.reply("status")
+    assert (reply["recorder"], reply["ok"], reply["detail"]) == ("depot", True, "recording")
+    assert reply["files"] == [name.removesuffix(".part") for name in logs_in(depot.directory)]
+    (one,) = [reply["health"]]
+    assert isinstance(one, dict)
+    assert (one["recorder"], one["state"], one["robots"]) == ("depot", "recording", 1)
+
+
+def test_a_recorder_can_be_stopped_and_started(depot: Depot) -> None:
+    """The reply comes when the logs are whole, and names them; everybody is told, and of whom."""
+    (name,) = [name.removesuffix(".part") for name in logs_in(depot.directory)]
+    reply = depot.reply("stop")
+    assert reply["files"] == [name]
+    assert logs_in(depot.directory) == [name]
+    assert check_log(depot.directory / name).whole
+    assert not heard(depot.peer, depot.directory, "unheard")
+    code, out, _ = depot.ask("status")
+    assert code == ExitCode.OK
+    assert out.startswith("depot: stopped: nothing is written but incidents\n")
+    assert depot.reply("stop")["files"] == []
+    assert depot.reply("start")["detail"] == "recording"
+    wait_until(partial(heard, depot.peer, depot.directory, "again"))
+    for kind in (RecorderEventKind.STOPPED, RecorderEventKind.STARTED):
+        wait_until(lambda kind=kind: bool(depot.told.events(kind)))  # type: ignore[misc]  # bound at once
+        (event,) = depot.told.events(kind)
+        assert event.operator == "operator-1"
+    found = [read_info(path) for path in sorted(depot.directory.iterdir())]
+    assert not any(
+        channel.topic.endswith("/unheard") and channel.messages for one in found for channel in one.channels
+    )
+
+
+def test_the_logs_can_be_split(depot: Depot) -> None:
+    """What was written until now is whole; what comes later is in other files."""
+    (name,) = [name.removesuffix(".part") for name in logs_in(depot.directory)]
+    code, out, err = depot.ask("split", "depot")
+    assert (code, err) == (ExitCode.OK, "")
+    assert out == f"depot: the next samples begin new files\n  {name}\n"
+    assert check_log(depot.directory / name).whole
+    wait_until(partial(heard, depot.peer, depot.directory, "later"))
+    assert len(logs_in(depot.directory)) == 2
+    depot.ask("split")
+    assert depot.reply("split")["detail"] == "no file is being written"
+
+
+def test_a_mark_keeps_an_incident(depot: Depot) -> None:
+    """With who marked it and why; of one robot, or of all."""
+    reply = depot.reply("mark", "--robot", "cruiser-1", "-m", "a bump\nand a \x1b[1mrattle")
+    (name,) = reply["files"] if isinstance(reply["files"], list) else []
+    assert re.fullmatch(r"cruiser-1-\d{8}T\d{6}Z\.incident\.mcap", name)
+    assert f"{name}.part" in logs_in(depot.directory)
+    assert depot.reply("mark")["files"] == [name], "one that is under way goes on"
+    wait_until(lambda: bool(depot.told.events(RecorderEventKind.INCIDENT)))
+    (event,) = depot.told.events(RecorderEventKind.INCIDENT)
+    assert (event.file, event.robot) == (name, "cruiser-1")
+
+    def is_kept() -> bool:
+        found = read_info(depot.directory / f"{name}.part")
+        return (
+            found.metadata.get(INCIDENT_NAME, {}).get("because")
+            == "mark by operator-1: a bump\nand a \x1b[1mrattle"
+        )
+
+    wait_until(is_kept)
+
+
+def test_what_cannot_be_done_is_refused(depot: Depot) -> None:
+    """Exit code 5, and why."""
+    code, out, err = depot.ask("mark", "--robot", "nobody")
+    assert (code, out, err) == (ExitCode.REFUSED, "depot: refused: nothing of nobody has been heard\n", "")
+    code, out, _ = depot.ask("mark", "-m", "x" * 1001, "--json")
+    assert code == ExitCode.REFUSED
+    assert json.loads(out)["ok"] is False
+    assert not [name for name in logs_in(depot.directory) if "incident" in name]
+
+
+def test_recorders_of_one_name_are_asked_one_by_one(
+    depot: Depot, endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second has a number; status is of all, and nothing else is done to all."""
+    monkeypatch.setenv("CRUISER_RECORDER_NAME", "depot")
+    with recording("-o", str(tmp_path / "second"), "--connect", endpoint) as process:
+        depot.told.wait_for_health("depot-2")
+        link(depot.peer, tmp_path / "second")
+
+        def are_both_found() -> bool:
+            _, out, _ = depot.ask("status", "--json")
+            return [json.loads(line)["recorder"] for line in out.splitlines()] == ["depot", "depot-2"]
+
+        wait_until(are_both_found)
+        several = "cruiser record: there are several recorders: depot, depot-2; name one\n"
+        # Harmless, should it hear of but one.
+        wait_until(lambda: depot.ask("start") == (ExitCode.USAGE, "", several))
+        code, out, _ = depot.ask("stop", "depot-2")
+        assert code == ExitCode.OK
+        assert out.startswith("depot-2: stopped")
+        assert len(whole(tmp_path / "second")) == 1
+        assert depot.told.wait_for_health("depot").state is RecorderState.RECORDING
+        code, _, err = process.end()
+    assert code == ExitCode.OK
+    assert "a recorder depot is there already; this one is depot-2" in process.ready + err
+
+
+def test_without_a_recorder_it_says_so(peer: Peer, endpoint: str) -> None:
+    """Exit code 4, one clear line; whom it looked for."""
+    assert peer
+    words = ["--connect", endpoint, "--timeout", "0.5"]
+    for action in ("status", "start", "stop", "split", "mark"):
+        assert ask(action, *words) == (ExitCode.UNREACHABLE, "", "cruiser record: no recorder answers\n")
+    expected = "cruiser record: recorder depot does not answer\n"
+    assert ask("status", "depot", *words) == (ExitCode.UNREACHABLE, "", expected)
+
+
+def test_a_recorder_that_says_no_more_is_told(peer: Peer, endpoint: str) -> None:
+    """It was there a moment ago."""
+    with answering(peer, "depot", a_reply(), silent="stop"):
+        answer = ask("stop", "--connect", endpoint, "--timeout", "1")
+    assert answer == (ExitCode.UNREACHABLE, "", "cruiser record: recorder depot does not answer\n")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["dance"],
+        ["status", "Depot"],
+        ["status", "depot/x"],
+        ["status", "\x1b[2J"],
+        ["status", "depot", "other"],
+        ["mark", "--robot", "*"],
+        ["stop", "--operator", "a b"],
+        ["stop", "--timeout", "0"],
+        ["stop", "--timeout", "nan"],
+        ["split", "--text", "x"],
+    ],
+)
+def test_wrong_words_are_a_usage_error(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit code 2, before anybody is asked."""
+    parser = argparse.ArgumentParser()
+    record.add_arguments(parser)
+    with pytest.raises(SystemExit) as caught:
+        parser.parse_args(words)
+    assert caught.value.code == ExitCode.USAGE
+    assert "\x1b" not in capsys.readouterr().err
+
+
+def test_words_before_an_action_hold(endpoint: str) -> None:
+    """As if they stood behind it."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--log-level", default="warning")
+    record.add_arguments(parser)
+    before = ["--log-level", "debug", "--connect", endpoint, "--json", "--root", "r"]
+    arguments = vars(parser.parse_args([*before, "status", "depot"]))
+    assert (arguments["action"], arguments["recorder"]) == ("status", "depot")
+    assert (arguments["log_level"], arguments["json"]) == ("debug", True)
+    assert (arguments["zenoh.connect"], arguments["robot.root"]) == ([endpoint], "r")
+
+
+@pytest.mark.parametrize("words", [["--json"], []])
+def test_what_a_recorder_says_rules_no_terminal(peer: Peer, endpoint: str, words: list[str]) -> None:
+    """Anybody on the network may answer like one."""
+    payload = a_reply(HOSTILE, files=[HOSTILE])
+    with answering(peer, "depot", payload):
+        code, out, err = ask("status", "--connect", endpoint, *words)
+    assert (code, err) == (ExitCode.OK, "")
+    assert out.isascii()
+    assert all(line.isprintable() for line in out.splitlines())
+    if words:
+        assert json.loads(out)["detail"] == HOSTILE
+    else:
+        assert out.splitlines()[0].startswith(r"depot: \x1b[2J")
+        assert "\nhost: recording" not in out
+
+
+@pytest.mark.parametrize("action", ["status", "stop"])
+def test_who_has_a_hostile_name_is_no_recorder(peer: Peer, endpoint: str, action: str) -> None:
+    """It is not even named."""
+    with answering(peer, "\x1b[2J", a_reply()) as asked, answering(peer, "also\x07", a_reply()):
+        code, out, err = ask(action, "--connect", endpoint, "--timeout", "2")
+        assert asked, "it was heard"
+    assert (code, out, err) == (ExitCode.UNREACHABLE, "", "cruiser record: no recorder answers\n")
+
+
+def test_two_that_share_a_name_are_both_shown(peer: Peer, endpoint: str) -> None:
+    """They may have begun before they could know of each other."""
+    with answering(peer, "depot", a_reply("here"), a_reply("and here")):
+        code, out, err = ask("stop", "--connect", endpoint, "--timeout", "2")
+    assert (code, out, err) == (ExitCode.OK, "depot: here\ndepot: and here\n", "")
+
+
+def test_a_reply_reads_like_a_sentence() -> None:
+    """A refusal is one; the figures of a status have their units."""
+    reply = RecorderReply(ok=False, detail="why", files=["a.mcap"], health=health(RecorderState.FULL))
+    assert describe("depot", "split", reply) == "depot: refused: why\n  a.mcap"
+    text = describe("depot", "status", reply)
+    assert "0.0 MB of logs, 0.0 MB of them incidents, 0.0 MB free" in text
+    assert "for 1 s, up 2 s, version 1" in text

@@ -1,0 +1,223 @@
+"""A log's samples on a real Zenoh, on the loopback."""
+
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+
+import pytest
+import zenoh
+
+from recorder.replay.samples import Sample
+from recorder.replay.zenoh import ZenohOutlet, key_checked
+from schemas import codec, keys
+from schemas.decisions import SafetyEvent, SafetyState
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.messages import CanFrames, Gear
+from schemas.settings import ZenohSettings
+from schemas.subjects import BY_TYPE
+from tests.support.recorder_fakes import SECOND, WALL_NS, gear, wait_until
+from tests.support.replaying import STEP_NS
+from tests.support.zenoh_peer import Peer, free_endpoint
+
+GEAR = BY_TYPE[Gear]
+
+
+def never() -> bool:
+    """Nobody stops it."""
+    return False
+
+
+def gear_sample(number: int) -> Sample:
+    """A gear message to be replayed."""
+    time_ns = WALL_NS + number * STEP_NS
+    return Sample(time_ns, "replay/cruiser-1/chassis/gear", GEAR.encoding, GEAR, gear(number, time_ns))
+
+
+@contextmanager
+def outlet_at(endpoint: str, root: str = "replay", *, waits: bool = True) -> Iterator[ZenohOutlet]:
+    """An outlet that is connected to the peer there."""
+    with closing(ZenohOutlet(ZenohSettings(connect=[endpoint]), root, waits=waits)) as outlet:
+        assert outlet.wait_for_link(20, never)
+        yield outlet
+
+
+@pytest.fixture
+def peer() -> Iterator[tuple[Peer, str]]:
+    """Somebody on Zenoh, and where."""
+    endpoint = free_endpoint()
+    with Peer(endpoint) as one:
+        yield one, endpoint
+
+
+Received = zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]]
+
+
+def subscribe(peer: Peer, expression: str = "replay/**") -> Received:
+    """What the peer receives."""
+    return peer.session.declare_subscriber(expression, zenoh.handlers.FifoChannel(10_000))
+
+
+def received(subscriber: Received, count: int) -> list[zenoh.Sample]:
+    """So many samples."""
+    found: list[zenoh.Sample] = []
+
+    def are_there() -> bool:
+        while (sample := subscriber.try_recv()) is not None:
+            found.append(sample)
+        return len(found) >= count
+
+    wait_until(are_there)
+    return found
+
+
+def test_a_subscriber_gets_what_was_sent_in_its_order(peer: tuple[Peer, str]) -> None:
+    """Payload and encoding of each; the end of the replay cuts nothing off."""
+    one, endpoint = peer
+    subscriber = subscribe(one)
+    samples = [gear_sample(number) for number in range(2000)]
+    with outlet_at(endpoint) as outlet:
+        assert outlet.wait_for_subscriber(20, never)
+        for sample in samples:
+            outlet.send(sample, 0)
+        assert (outlet.sent, outlet.failed) == (2000, 0)
+    found = received(subscriber, 2000)
+    assert [sample.payload.to_bytes() for sample in found] == [sample.payload() for sample in samples]
+    assert {str(sample.encoding) for sample in found} == {GEAR.encoding}
+
+
+def test_the_quality_of_service_is_that_of_the_subject(peer: tuple[Peer, str]) -> None:
+    """As the table has it; whether a sample may be lost is decided by the replay's speed."""
+    one, endpoint = peer
+    subscriber = subscribe(one)
+    for waits, congestion in ((True, zenoh.CongestionControl.BLOCK), (False, zenoh.CongestionControl.DROP)):
+        with outlet_at(endpoint, waits=waits) as outlet:
+            assert outlet.wait_for_subscriber(20, never)
+            for kind in (Gear, SafetyEvent, CanFrames, SafetyState):
+                subject = BY_TYPE[kind]
+                outlet.send(Sample(0, f"replay/{kind.__name__}", subject.encoding, subject, gear(1)), 0)
+        found = received(subscriber, 4)
+        assert {str(sample.key_expr): sample.priority for sample in found} == {
+            "replay/Gear": zenoh.Priority.DATA,
+            "replay/SafetyEvent": zenoh.Priority.DATA_HIGH,
+            "replay/CanFrames": zenoh.Priority.DATA_LOW,
+            "replay/SafetyState": zenoh.Priority.INTERACTIVE_HIGH,
+        }
+        assert [str(sample.key_expr) for sample in found if sample.express] == ["replay/SafetyState"]
+        assert all(sample.congestion_control == congestion for sample in found)
+
+
+def test_a_sample_that_was_kept_is_sent_as_it_was(peer: tuple[Peer, str]) -> None:
+    """With its attachment; one that was a deletion is one again."""
+    one, endpoint = peer
+    subscriber = subscribe(one)
+    with outlet_at(endpoint) as outlet:
+        assert outlet.wait_for_subscriber(20, never)
+        outlet.send(Sample(0, "replay/x", "text/plain", raw=b"\0hello", attachment=b"with this"), 10 * SECOND)
+        outlet.send(Sample(0, "replay/x", "zenoh/bytes", is_delete=True), 0)
+        kept, gone = received(subscriber, 2)
+    assert kept.payload.to_bytes() == b"\0hello"
+    assert str(kept.encoding) == "text/plain"
+    assert kept.attachment is not None
+    assert kept.attachment.to_bytes() == b"with this"
+    assert gone.kind == zenoh.SampleKind.DELETE
+
+
+def test_time_stamps_can_be_moved(peer: tuple[Peer, str]) -> None:
+    """By what the caller says."""
+    one, endpoint = peer
+    subscriber = subscribe(one)
+    with outlet_at(endpoint) as outlet:
+        assert outlet.wait_for_subscriber(20, never)
+        outlet.send(gear_sample(0), SECOND)
+        (found,) = received(subscriber, 1)
+    assert codec.decode(GEAR, found.payload.to_bytes()) == gear(0, WALL_NS + SECOND)
+
+
+def test_a_key_that_zenoh_does_not_take_is_counted(peer: tuple[Peer, str]) -> None:
+    """And ends nothing."""
+    _, endpoint = peer
+    with outlet_at(endpoint) as outlet:
+        outlet.send(Sample(0, "replay//x", "text/plain", raw=b""), 0)
+        outlet.send(gear_sample(0), 0)
+        assert (outlet.sent, outlet.failed) == (1, 1)
+
+
+def test_no_token_is_declared_and_no_query_answered(peer: tuple[Peer, str]) -> None:
+    """What is replayed is no robot, and says so to whoever asks."""
+    one, endpoint = peer
+    subscriber = subscribe(one)
+    with outlet_at(endpoint) as outlet:
+        assert outlet.wait_for_subscriber(20, never)
+        outlet.send(gear_sample(0), 0)
+        received(subscriber, 1)
+        assert list(one.session.liveliness().get("**", timeout=0.5)) == []
+        assert list(one.session.get("replay/**", timeout=0.5)) == []
+
+
+@pytest.mark.parametrize("root", ["fleet", "fleet/cruiser-1", "site/fleet", "site"])
+def test_no_root_is_taken_where_a_gateway_is(peer: tuple[Peer, str], root: str) -> None:
+    """Nor one above it or below it: whoever records the one records the other."""
+    one, endpoint = peer
+    tokens = [one.session.liveliness().declare_token(keys.liveliness(name, "cruiser-1")) for name in LIVE]
+    with outlet_at(endpoint, root) as outlet:
+        halt = outlet.find_gateway()
+        assert halt is not None
+        assert halt.code is ExitCode.REFUSED
+        assert "cruiser-1" in halt.detail
+    assert len(tokens) == 2
+
+
+LIVE = ("fleet", "site/fleet")
+
+
+def test_another_root_is_nobodys_business(peer: tuple[Peer, str]) -> None:
+    """A gateway may well be there: that is the usual case."""
+    one, endpoint = peer
+    token = one.session.liveliness().declare_token(keys.liveliness("fleet", "cruiser-1"))
+    with outlet_at(endpoint) as outlet:
+        assert outlet.find_gateway() is None
+        assert outlet.attend() is None
+    token.undeclare()
+
+
+def test_a_gateway_that_turns_up_ends_it(peer: tuple[Peer, str]) -> None:
+    """As soon as Zenoh tells of it; when it has gone the root is free again."""
+    one, endpoint = peer
+    with outlet_at(endpoint) as outlet:
+        assert outlet.find_gateway() is None
+        token = one.session.liveliness().declare_token(keys.liveliness("replay", "cruiser-9"))
+        wait_until(lambda: outlet.attend() is not None)
+        halt = outlet.attend()
+        assert halt is not None
+        assert "cruiser-9" in halt.detail
+        token.undeclare()
+        wait_until(lambda: outlet.attend() is None)
+
+
+def test_a_link_that_is_cut_is_noticed() -> None:
+    """What was sent meanwhile reached nobody."""
+    endpoint = free_endpoint()
+    with Peer(endpoint) as one, outlet_at(endpoint) as outlet:
+        outlet.attend()
+        assert not outlet.was_alone
+        one.close()
+
+        def is_alone() -> bool:
+            outlet.attend()
+            return outlet.was_alone
+
+        wait_until(is_alone)
+
+
+def test_nobody_is_waited_for_in_vain() -> None:
+    """The time is up, or somebody has stopped it."""
+    with closing(ZenohOutlet(ZenohSettings(connect=[free_endpoint()]), "replay", waits=False)) as outlet:
+        assert not outlet.wait_for_link(0.05, never)
+        assert not outlet.wait_for_link(None, lambda: True)
+
+
+def test_a_key_expression_is_checked_before_anything_is_sent() -> None:
+    """And brought into Zenoh's form."""
+    assert key_checked("fleet/**/**") == "fleet/**"
+    with pytest.raises(CommandError, match="no key expression") as caught:
+        key_checked("fleet//x")
+    assert caught.value.code is ExitCode.USAGE

@@ -1,0 +1,110 @@
+"""Asking recorders, on a real Zenoh on the loopback."""
+
+from collections.abc import Iterator
+from contextlib import closing
+
+import pytest
+
+from recorder.zenoh.recorder_client import RecorderClient
+from schemas import keys
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.recording import Mark, RecorderReply, Status
+from schemas.settings import ZenohSettings
+from tests.support.answering import a_reply, answering
+from tests.support.recorder_fakes import wait_until
+from tests.support.zenoh_peer import Peer, free_endpoint
+
+ANSWER_S = 0.5
+
+
+class Both:
+    """A peer that recorders answer on, and a client of it."""
+
+    def __init__(self, peer: Peer, client: RecorderClient) -> None:
+        self.peer = peer
+        self.client = client
+
+    def ask(self, recorder: str = keys.ALL) -> list[tuple[str, RecorderReply]]:
+        """Who says how they are."""
+        return list(self.client.ask(recorder, "status", Status(), ANSWER_S))
+
+    def names(self) -> list[str]:
+        """The recorders that answer."""
+        return sorted(name for name, _ in self.ask())
+
+
+@pytest.fixture
+def both() -> Iterator[Both]:
+    """A peer, and a client that is about to find it."""
+    endpoint = free_endpoint()
+    with (
+        Peer(endpoint) as peer,
+        closing(RecorderClient(ZenohSettings(connect=[endpoint]), "fleet", "operator-1")) as client,
+    ):
+        yield Both(peer, client)
+
+
+def test_all_recorders_can_be_asked_at_once(both: Both) -> None:
+    """Each reply comes with who it is from."""
+    with (
+        answering(both.peer, "depot", a_reply("depot here")),
+        answering(both.peer, "cruiser-1", a_reply("refused", ok=False)),
+    ):
+        wait_until(lambda: both.names() == ["cruiser-1", "depot"])
+        found = dict(both.ask())
+    assert (found["depot"].ok, found["depot"].detail) == (True, "depot here")
+    assert not found["cruiser-1"].ok
+
+
+def test_one_recorder_alone_is_asked_by_its_name(both: Both) -> None:
+    """With who asks in the key, and what is asked."""
+    with answering(both.peer, "depot", a_reply()) as depot, answering(both.peer, "other", a_reply()) as other:
+        wait_until(lambda: both.names() == ["depot", "other"])
+        other.clear()
+        replies = list(both.client.ask("depot", "mark", Mark("bump", "cruiser-1"), ANSWER_S))
+    assert [name for name, _ in replies] == ["depot"]
+    assert depot[-1] == "fleet/@recorder/depot/@cmd/operator-1/mark"
+    assert other == []
+
+
+def test_two_recorders_of_one_name_are_two_replies(both: Both) -> None:
+    """They may not know of each other."""
+    with answering(both.peer, "depot", a_reply("here"), a_reply("and here")):
+        wait_until(lambda: both.names() == ["depot", "depot"])
+        assert {reply.detail for _, reply in both.ask()} == {"here", "and here"}
+
+
+@pytest.mark.parametrize("name", ["\x1b[2J", "Depot", "a b", "\N{RIGHT-TO-LEFT OVERRIDE}x"])
+def test_who_has_no_recorders_name_is_none(both: Both, name: str) -> None:
+    """Anybody can answer on the network; such a name rules no terminal, and is asked nothing more."""
+    with answering(both.peer, name, a_reply()) as asked, answering(both.peer, "depot", a_reply()):
+        wait_until(lambda: "depot" in both.names() and bool(asked))
+        assert both.names() == ["depot"]
+
+
+@pytest.mark.parametrize("payload", [b"", b"\xc1", b"\x80", a_reply()[:-1], b"\x00" * 100_000])
+def test_who_says_what_no_recorder_says_is_none(both: Both, payload: bytes) -> None:
+    """The others are heard all the same."""
+    with answering(both.peer, "liar", payload, payload) as asked, answering(both.peer, "depot", a_reply()):
+        wait_until(lambda: "depot" in both.names() and bool(asked))
+        assert both.names() == ["depot"]
+
+
+def test_when_nobody_answers_there_are_no_replies(both: Both) -> None:
+    """It ends by itself."""
+    assert both.ask() == []
+    assert both.ask("depot") == []
+
+
+def test_a_time_longer_than_zenoh_knows_is_a_long_time(both: Both) -> None:
+    """It is no fault of ours."""
+    with answering(both.peer, "depot", a_reply()):
+        wait_until(lambda: both.names() == ["depot"])
+        assert [name for name, _ in both.client.ask("depot", "status", Status(), 1e300)] == ["depot"]
+
+
+def test_a_wrong_endpoint_is_a_usage_error() -> None:
+    """In one line."""
+    with pytest.raises(CommandError, match="wrong Zenoh settings") as caught:
+        RecorderClient(ZenohSettings(connect=["nonsense"]), "fleet", "operator-1")
+    assert caught.value.code == ExitCode.USAGE

@@ -1,0 +1,377 @@
+"""The recorder's own keys, on a real Zenoh on the loopback."""
+
+import re
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, closing
+from functools import partial
+from typing import Any
+
+import msgspec
+import pytest
+import zenoh
+
+from recorder.zenoh import remote_control
+from recorder.zenoh.remote_control import Asked, RemoteControl, host_name
+from recorder.zenoh.session import open_session
+from schemas import codec, keys
+from schemas.codec import PayloadFault
+from schemas.decisions import Severity
+from schemas.recorder_settings import RecorderSettings
+from schemas.recording import (
+    Backfill,
+    Mark,
+    RecorderEvent,
+    RecorderEventKind,
+    RecorderReply,
+    Split,
+    Status,
+)
+from schemas.requests import Request
+from schemas.settings import Settings, ZenohSettings
+from schemas.subjects import BY_TYPE, RECORDER_BY_VERB
+from tests.support.health_of import health
+from tests.support.recorder_fakes import WALL_NS, wait_until
+from tests.support.zenoh_peer import Peer, free_endpoint
+
+EVENT = RecorderEvent(
+    time_ns=WALL_NS,
+    sequence=0,
+    severity=Severity.INFO,
+    kind=RecorderEventKind.STARTED,
+    robot="",
+    file="",
+    operator="",
+    text="recording was started",
+)
+
+
+A_REPLY = RecorderReply(ok=True, detail="", files=[], health=health())
+
+
+def settings(endpoint: str, name: str = "bench") -> Settings:
+    """Of a recorder that connects to the peer."""
+    return Settings(zenoh=ZenohSettings(connect=[endpoint]), recorder=RecorderSettings(name=name))
+
+
+class Client:
+    """Somebody who asks, with a session of their own."""
+
+    def __init__(self, endpoint: str) -> None:
+        self._session = open_session(ZenohSettings(connect=[endpoint]))
+        self._waiting: list[Any] = []
+
+    def ask(self, key: str, payload: bytes | None = b"") -> Any:  # noqa: ANN401 - Zenoh's own handler
+        """Send a query; its replies come by the handler that is returned."""
+        return self._session.get(
+            key,
+            zenoh.handlers.FifoChannel(16),
+            payload=payload,
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=60.0,
+        )
+
+    def listen(self, key: str) -> Any:  # noqa: ANN401
+        """Subscribe; the samples come by the subscriber that is returned."""
+        return self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(64))
+
+    def tokens(self) -> set[str]:
+        """The recorders that are there, by their liveliness."""
+        replies: Any = self._session.liveliness().get(
+            "fleet/@recorder/*", zenoh.handlers.FifoChannel(16), timeout=1.0
+        )
+        return {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
+
+    def close(self) -> None:
+        """Leave Zenoh."""
+        self._session.close()
+
+
+class Pair:
+    """A recorder's control and a client that have found each other."""
+
+    def __init__(self, control: RemoteControl, client: Client) -> None:
+        self.control = control
+        self.client = client
+        self.asked: list[Asked] = []
+        wait_until(lambda: bool(self.take("status")))
+
+    def key(self, verb: str, operator: str = "operator-1", recorder: str = "bench") -> str:
+        return f"fleet/@recorder/{recorder}/@cmd/{operator}/{verb}"
+
+    def take(self, verb: str, payload: bytes | None = b"", operator: str = "operator-1") -> list[Asked]:
+        """Send a request; what comes in of it, or of those before it."""
+        self.client.ask(self.key(verb, operator), payload)
+        return list(self.control.drain())
+
+    def next(self) -> Asked:
+        """The next request that comes in."""
+
+        def has_come() -> bool:
+            self.asked += self.control.drain()
+            return bool(self.asked)
+
+        wait_until(has_come)
+        return self.asked.pop(0)
+
+    def settle(self) -> None:
+        """Forget the requests by which the two have found each other."""
+        self.client.ask(self.key("split", "last"))
+        while self.next().operator != "last":
+            pass
+        self.asked.clear()
+
+
+@pytest.fixture(autouse=True)
+def _alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Most recorders here have no namesake."""
+    monkeypatch.setattr(remote_control, "NAMESAKES_S", 0.01)
+
+
+@pytest.fixture
+def endpoint() -> Iterator[str]:
+    """Where a peer of all listens."""
+    place = free_endpoint()
+    with Peer(place):
+        yield place
+
+
+@pytest.fixture
+def pair(endpoint: str) -> Iterator[Pair]:
+    """A recorder and a client."""
+    with closing(RemoteControl(settings(endpoint))) as control, closing(Client(endpoint)) as client:
+        one = Pair(control, client)
+        one.settle()
+        yield one
+
+
+@pytest.mark.parametrize(
+    ("verb", "payload", "request_"),
+    [
+        ("status", b"", Status()),
+        ("status", None, Status()),
+        ("split", msgspec.msgpack.encode({}), Split()),
+        ("mark", msgspec.msgpack.encode({"text": "bump", "robot": "cruiser-1"}), Mark("bump", "cruiser-1")),
+        (
+            "backfill",
+            msgspec.msgpack.encode({"key": "fleet/**", "from_ns": 1, "to_ns": 2}),
+            Backfill("fleet/**", 1, 2),
+        ),
+    ],
+)
+def test_a_request_comes_in_with_who_asks(pair: Pair, verb: str, payload: bytes | None, request_: Request) -> None:
+    """Typed, as the table of verbs has it."""
+    pair.client.ask(pair.key(verb), payload)
+    asked = pair.next()
+    assert (asked.verb, asked.operator, asked.request) == (RECORDER_BY_VERB[verb], "operator-1", request_)
+    asked.done()
+
+
+@pytest.mark.parametrize(
+    ("verb", "payload"),
+    [
+        ("status", b"\xc1"),
+        ("mark", b"\x00\xff"),
+        ("mark", msgspec.msgpack.encode({"text": 5})),
+        ("mark", msgspec.msgpack.encode({"txt": ""})),
+        ("mark", msgspec.msgpack.encode({"text": "x" * 1001})),
+        ("mark", b"\x00" * 5000),
+        ("backfill", b""),
+        ("backfill", msgspec.msgpack.encode({"key": "k", "from_ns": -1, "to_ns": 2})),
+    ],
+)
+def test_what_is_no_request_is_a_fault_that_can_be_answered(pair: Pair, verb: str, payload: bytes) -> None:
+    """Nothing from the network raises, and nothing large is even read."""
+    pair.client.ask(pair.key(verb), payload)
+    asked = pair.next()
+    assert isinstance(asked.request, PayloadFault)
+    assert asked.request.detail
+    asked.done()
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "fleet/@recorder/bench/@cmd/operator-1/dance",
+        "fleet/@recorder/bench/@cmd/*/status",
+        "fleet/@recorder/bench/@cmd/operator-1/*",
+        "fleet/@recorder/bench/@cmd/" + "a" * 65 + "/status",
+        "fleet/@recorder/bench/@cmd/\x1b[2J/status",
+    ],
+)
+def test_what_has_no_verb_or_no_operator_is_not_answered(pair: Pair, key: str) -> None:
+    """Its query ends at once, without a reply."""
+    replies = pair.client.ask(key)
+    pair.client.ask(pair.key("split", "after"))
+    assert pair.next().operator == "after"
+    assert [reply for reply in replies if reply.ok is not None] == []
+
+
+def test_a_reply_says_whose_it_is_although_all_were_asked(pair: Pair) -> None:
+    """With the recorder's name in place of the wildcard; several replies may follow each other."""
+    replies = pair.client.ask(pair.key("status", recorder="*"))
+    asked = pair.next()
+    for detail in ("first", "second"):
+        asked.reply(RecorderReply(ok=True, detail=detail, files=[], health=health()))
+    asked.done()
+    received = [reply.ok for reply in replies if reply.ok is not None]
+    assert {str(one.key_expr) for one in received} == {"fleet/@recorder/bench/@cmd/operator-1/status"}
+    assert {str(one.encoding) for one in received} == {RECORDER_BY_VERB["status"].reply_encoding}
+    decoded = [msgspec.msgpack.decode(one.payload.to_bytes(), type=RecorderReply) for one in received]
+    assert [one.detail for one in decoded] == ["first", "second"]
+
+
+@pytest.mark.parametrize("recorder", ["*", "be*", "**"])
+@pytest.mark.parametrize("verb", [verb for verb in RECORDER_BY_VERB if verb != "status"])
+def test_one_query_does_not_stop_every_recorder(pair: Pair, verb: str, recorder: str) -> None:
+    """Only ``status`` may be asked of all. What changes a recorder, or keeps it busy, names it."""
+    request = {"key": "fleet/**", "from_ns": 1, "to_ns": 2} if verb == "backfill" else {}
+    pattern = recorder.replace("be*", "be$*")
+    pair.client.ask(pair.key(verb, recorder=pattern), msgspec.msgpack.encode(request))
+    asked = pair.next()
+    assert isinstance(asked.request, PayloadFault)
+    assert asked.request.detail == f"{verb} must name one recorder, without a wildcard"
+    asked.done()
+
+
+def test_who_has_gone_meanwhile_is_no_fault(pair: Pair) -> None:
+    """Nor is a reply after the last."""
+    pair.client.ask(pair.key("status"))
+    asked = pair.next()
+    pair.client.close()
+    for _ in range(3):
+        asked.reply(RecorderReply(ok=True, detail="", files=[], health=health()))
+    asked.done()
+    asked.reply(RecorderReply(ok=True, detail="", files=[], health=health()))
+    asked.done()
+
+
+class HungQuery:
+    """A query of somebody who does not read: a reply waits until the test lets it go."""
+
+    payload = None
+
+    def __init__(self, key: str) -> None:
+        self.key_expr = key
+        self.said: list[str] = []
+        self.goes_on = threading.Event()
+
+    def reply(self, _key: str, _payload: bytes, encoding: str) -> None:
+        assert self.goes_on.wait(60), encoding
+        self.said.append("reply")
+
+    def drop(self) -> None:
+        self.said.append("done")
+
+
+def test_who_does_not_read_holds_up_no_loop(pair: Pair) -> None:
+    """The reply waits on a thread of its own, and what is said after it comes after it."""
+    query: Any = HungQuery(pair.key("status"))
+    asked = pair.control._asked(query)
+    assert asked is not None
+    asked.reply(A_REPLY)
+    asked.done()
+    assert query.said == []
+    query.goes_on.set()
+    wait_until(lambda: query.said == ["reply", "done"])
+
+
+def test_who_answers_on_a_thread_of_its_own_waits_for_the_link(pair: Pair) -> None:
+    """As a backfill does: it would only make more that waits."""
+    query: Any = HungQuery(pair.key("backfill"))
+    asked = pair.control._asked(query)
+    assert asked is not None
+    query.goes_on.set()
+    for work in (partial(asked.reply, A_REPLY), asked.done):
+        thread = threading.Thread(target=work)
+        thread.start()
+        thread.join()
+    assert query.said == ["reply", "done"]
+
+
+def is_over(replies: Any) -> bool:  # noqa: ANN401 - Zenoh's own handler
+    """Has a query ended, so that no more replies will come?"""
+    try:
+        replies.try_recv()
+    except zenoh.ZError:
+        return True
+    return False
+
+
+def test_of_too_many_requests_the_oldest_go(pair: Pair) -> None:
+    """What waits is bounded, and so is what one pass of the loop takes."""
+    count = 2 * remote_control.QUERIES_WAITING
+    replies = [pair.client.ask(pair.key("status", f"op-{number}")) for number in range(count)]
+    pair.client.ask(pair.key("split", "last"))
+    wait_until(lambda: is_over(replies[0]))
+    taken: list[str] = []
+
+    def has_last() -> bool:
+        batch = [asked.operator for asked in pair.control.drain()]
+        assert len(batch) <= remote_control.REQUESTS_PER_PASS
+        taken.extend(batch)
+        return "last" in taken
+
+    wait_until(has_last)
+    assert "op-0" not in taken
+    assert taken == [*sorted(taken[:-1], key=lambda name: int(name[3:])), "last"]
+
+
+def test_what_the_recorder_says_of_itself_is_on_its_keys(pair: Pair) -> None:
+    """Each under its subject, in its encoding."""
+    subscriber = pair.client.listen("fleet/@recorder/bench/*")
+    received: dict[str, zenoh.Sample] = {}
+
+    def has_all() -> bool:
+        for message in (EVENT, health()):
+            pair.control.publish(message)
+        while (sample := subscriber.try_recv()) is not None:
+            received[str(sample.key_expr)] = sample
+        return len(received) == 2
+
+    wait_until(has_all)
+    event = received["fleet/@recorder/bench/event"]
+    assert codec.decode(BY_TYPE[RecorderEvent], event.payload.to_bytes()) == EVENT
+    assert str(event.encoding) == BY_TYPE[RecorderEvent].encoding
+    assert "fleet/@recorder/bench/health" in received
+
+
+def test_recorders_of_one_name_are_told_apart(
+    endpoint: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The later one has a number, and says so; when the first has gone, its name is free again."""
+    # Links take longer on a busy machine.
+    monkeypatch.setattr(remote_control, "NAMESAKES_S", 3.0)
+    with ExitStack() as stack:
+        client = stack.enter_context(closing(Client(endpoint)))
+        first = RemoteControl(settings(endpoint))
+        wait_until(lambda: client.tokens() == {"fleet/@recorder/bench"})
+        second = stack.enter_context(closing(RemoteControl(settings(endpoint))))
+        assert (first.name, second.name) == ("bench", "bench-2")
+        wait_until(lambda: len(client.tokens()) == 2)
+        third = stack.enter_context(closing(RemoteControl(settings(endpoint))))
+        assert third.name == "bench-3"
+        first.close()
+        wait_until(lambda: client.tokens() == {"fleet/@recorder/bench-2", "fleet/@recorder/bench-3"})
+        again = stack.enter_context(closing(RemoteControl(settings(endpoint))))
+        assert again.name == "bench"
+    assert "a recorder bench is there already; this one is bench-2" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("host", "name"),
+    [
+        ("cruiser-7", "cruiser-7"),
+        ("Depot_PC.example.org", "depot-pc"),
+        ("--", "recorder"),
+        ("", "recorder"),
+        ("r\N{LATIN SMALL LETTER O WITH DIAERESIS}ver/2", "r-ver-2"),
+    ],
+)
+def test_a_recorder_is_called_like_its_host(monkeypatch: pytest.MonkeyPatch, host: str, name: str) -> None:
+    """As far as that can be a chunk of a key."""
+    monkeypatch.setattr(socket, "gethostname", lambda: host)
+    assert host_name() == name
+    assert re.fullmatch(keys.ROBOT_PATTERN, host_name())

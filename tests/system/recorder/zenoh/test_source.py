@@ -1,0 +1,220 @@
+"""Samples from a real Zenoh, on the loopback."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+
+import pytest
+import zenoh
+
+from recorder.encoding.sample import Sample
+from recorder.zenoh import source as zenoh_source
+from recorder.zenoh.source import ZenohSource
+from schemas import keys
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import ZenohSettings
+from schemas.subjects import BY_VERB
+from tests.support.recorder_fakes import FakeSample, gear, info, sample_of, wait_until
+from tests.support.zenoh_peer import Peer, free_endpoint
+
+SAMPLE = sample_of(gear(1))
+
+
+@pytest.fixture
+def endpoint() -> str:
+    """Where a test's peer listens."""
+    return free_endpoint()
+
+
+def source(endpoint: str, *expressions: str, queue: int = 1000) -> ZenohSource:
+    """A source that connects to the peer."""
+    return ZenohSource(ZenohSettings(connect=[endpoint]), expressions or ["fleet/**"], queue)
+
+
+class Inbox:
+    """What has come in from a source."""
+
+    def __init__(self, origin: ZenohSource) -> None:
+        self._origin = origin
+        self.samples: list[Sample] = []
+
+    def holds(self, key: str) -> bool:
+        """Take what there is; is a sample of this key among all so far?"""
+        self.samples += self._origin.drain(1000)
+        return any(sample.key == key for sample in self.samples)
+
+
+def put_until(peer: Peer, sample: Sample, inbox: Inbox) -> None:
+    """Publish until it comes in: the link takes its time."""
+
+    def condition() -> bool:
+        peer.put(sample)
+        return inbox.holds(sample.key)
+
+    wait_until(condition)
+
+
+@pytest.fixture
+def linked(endpoint: str) -> Iterator[tuple[Peer, ZenohSource]]:
+    """A peer and a source that hear each other."""
+    with Peer(endpoint) as peer, closing(source(endpoint)) as origin:
+        put_until(peer, FakeSample("fleet/link", "zenoh/bytes", b""), Inbox(origin))
+        yield peer, origin
+
+
+def test_a_sample_arrives_as_it_was_sent(linked: tuple[Peer, ZenohSource]) -> None:
+    """Key, encoding with its schema, payload, attachment, and Zenoh's own time."""
+    peer, origin = linked
+    inbox = Inbox(origin)
+    before_ns = time.time_ns()
+    sent = FakeSample("fleet/x/y", "application/msgpack;some.Schema/3", b"\x00\xff", b"attached")
+    peer.put(sent)
+    wait_until(lambda: inbox.holds("fleet/x/y"))
+    (received,) = [sample for sample in inbox.samples if sample.key == "fleet/x/y"]
+    assert (received.key, received.encoding) == (sent.key, sent.encoding)
+    assert (received.payload, received.attachment, received.deleted) == (sent.payload, sent.attachment, False)
+    assert abs(received.zenoh_time_ns - before_ns) < 10 * 10**9
+
+
+def test_requests_are_not_recorded(linked: tuple[Peer, ZenohSource]) -> None:
+    """Everything under the root is, but no wildcard reaches a command; what was decided on it is a sample too."""
+    peer, origin = linked
+    inbox = Inbox(origin)
+    requests = {keys.command("fleet", "cruiser-1", "first", verb) for verb in BY_VERB}
+    for key in requests:
+        peer.put(FakeSample(key, "zenoh/bytes", b""))
+    peer.put(FakeSample("fleet/cruiser-1/safety/decision", "zenoh/bytes", b""))
+    wait_until(lambda: inbox.holds("fleet/cruiser-1/safety/decision"))
+    assert not requests & {sample.key for sample in inbox.samples}
+
+
+def test_a_deletion_is_told(linked: tuple[Peer, ZenohSource]) -> None:
+    """It is a sample too."""
+    peer, origin = linked
+    inbox = Inbox(origin)
+    peer.delete("fleet/x/gone")
+    wait_until(lambda: inbox.holds("fleet/x/gone"))
+    assert inbox.samples[-1].deleted
+
+
+def test_a_query_is_answered_among_the_samples(linked: tuple[Peer, ZenohSource]) -> None:
+    """And is over when the answer is there."""
+    peer, origin = linked
+    reply = sample_of(info())
+    peer.answer(reply)
+    inbox = Inbox(origin)
+
+    def condition() -> bool:
+        if not origin.is_asking:
+            origin.ask(reply.key)
+        return inbox.holds(reply.key)
+
+    wait_until(condition)
+    assert inbox.samples[-1].payload == reply.payload
+    assert inbox.samples[-1].encoding == reply.encoding
+    assert [sample.is_reply for sample in inbox.samples if sample.key == reply.key] == [True]
+    wait_until(lambda: inbox.holds(reply.key) and not origin.is_asking)
+
+
+def test_a_query_without_an_answer_ends_by_itself(linked: tuple[Peer, ZenohSource]) -> None:
+    """Nobody waits for ever, and there are never too many on their way."""
+    _, origin = linked
+    for number in range(2 * zenoh_source.PENDING_MAX):
+        origin.ask(f"fleet/r{number}/gateway/info")
+    assert len(origin._pending) == zenoh_source.PENDING_MAX
+    inbox = Inbox(origin)
+    wait_until(lambda: inbox.holds("") or not origin.is_asking)
+    assert not [sample for sample in inbox.samples if sample.key.endswith("info")]
+
+
+def test_a_source_that_is_there_first_hears_what_comes_later(endpoint: str) -> None:
+    """And again after the other side has gone and come back: Zenoh connects by itself."""
+    with closing(source(endpoint)) as origin:
+        for number in range(3):
+            inbox = Inbox(origin)
+            with Peer(endpoint) as peer:
+                put_until(peer, FakeSample(f"fleet/peer/{number}", "zenoh/bytes", b""), inbox)
+
+
+def test_a_key_that_several_expressions_match_is_received_once(endpoint: str) -> None:
+    """Whether one includes the other or they only cross."""
+    expressions = ("fleet/a/*", "fleet/*/x", "fleet/a/x", "other/**", "other/deep/**")
+    with Peer(endpoint) as peer, closing(source(endpoint, *expressions)) as origin:
+        keys = ["fleet/a/x", "fleet/a/y", "fleet/b/x", "other/deep/z"]
+        for key in keys:
+            put_until(peer, FakeSample(key, "zenoh/bytes", b""), Inbox(origin))
+        inbox = Inbox(origin)
+        for key in [*keys, "other/last"]:
+            peer.put(FakeSample(key, "zenoh/bytes", b"counted"))
+        wait_until(lambda: inbox.holds("other/last") and inbox.holds("fleet/b/x") and inbox.holds("fleet/a/y"))
+        counted = sorted(sample.key for sample in inbox.samples if sample.payload == b"counted")
+        assert counted == sorted([*keys, "other/last"])
+
+
+def test_ever_new_keys_are_not_remembered_without_end(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which expression a key belongs to is found again as often as it takes."""
+    monkeypatch.setattr(zenoh_source, "OWNED_KEY_LIMIT", 10)
+    with closing(source(endpoint, "fleet/a/*", "fleet/*/x")) as origin:
+        for number in range(100):
+            assert origin._owner(zenoh.KeyExpr(f"fleet/a/{number}")) == 0
+            assert origin._owner(zenoh.KeyExpr(f"fleet/{number}/x")) == 1
+            assert 0 < len(origin._owners) <= 10
+
+
+def test_of_too_many_samples_the_oldest_go(endpoint: str) -> None:
+    """The queue is bounded."""
+    with Peer(endpoint) as peer, closing(source(endpoint, queue=10)) as origin:
+        put_until(peer, FakeSample("fleet/link", "zenoh/bytes", b""), Inbox(origin))
+        for number in range(1000):
+            peer.put(FakeSample("fleet/many", "zenoh/bytes", str(number).encode()))
+        received: list[bytes] = []
+
+        def condition() -> bool:
+            received.extend(sample.payload for sample in origin.drain(5))
+            return b"999" in received
+
+        # All are on this side before the first is taken, so that the queue has to let go.
+        wait_until(_settled(peer, endpoint))
+        wait_until(condition)
+        assert len(received) <= 10 + 1
+
+
+def _settled(peer: Peer, endpoint: str) -> Callable[[], bool]:
+    """A condition: another listener of the same peer has heard what came after."""
+    other = source(endpoint, "fleet/after")
+    inbox = Inbox(other)
+
+    def condition() -> bool:
+        peer.put(FakeSample("fleet/after", "zenoh/bytes", b""))
+        if not inbox.holds("fleet/after"):
+            return False
+        other.close()
+        return True
+
+    return condition
+
+
+@pytest.mark.parametrize("expression", ["fleet//x", "", "/fleet", "fleet/$x*"])
+def test_a_wrong_key_expression_is_a_usage_error(expression: str) -> None:
+    """It is named, in one line, without Zenoh's insides."""
+    with pytest.raises(CommandError, match="is no key expression") as caught:
+        source("tcp/127.0.0.1:1", expression)
+    assert caught.value.code == ExitCode.USAGE
+    assert ".rs" not in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_wrong_endpoint_is_a_usage_error() -> None:
+    """In one line."""
+    with pytest.raises(CommandError, match="wrong Zenoh settings") as caught:
+        source("nonsense")
+    assert caught.value.code == ExitCode.USAGE
+    assert "\n" not in str(caught.value)
+
+
+def test_a_client_without_a_router_is_told_so(endpoint: str) -> None:
+    """A client cannot wait: it is nothing by itself."""
+    settings = ZenohSettings(mode="client", connect=[endpoint])
+    with pytest.raises(CommandError, match="cannot join Zenoh") as caught:
+        ZenohSource(settings, ["fleet/**"], 100)
+    assert caught.value.code == ExitCode.UNREACHABLE

@@ -1,0 +1,74 @@
+"""The systemd units run commands that exist, with settings that do; the gateway's leaves the guard alone."""
+
+import argparse
+import configparser
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from gateway.cli.main import COMMANDS
+from schemas.settings import HALT_LISTEN_NS, HALT_YIELD_NS, REST_TIMEOUT_NS, Settings
+
+DEPLOY = Path(__file__).parents[3] / "deploy"
+
+
+def section(name: str) -> dict[str, str]:
+    """A unit's service section; names as systemd spells them."""
+    unit = configparser.ConfigParser(delimiters=["="], interpolation=None)
+    unit.optionxform = str  # type: ignore[assignment,method-assign]
+    unit.read(DEPLOY / name, encoding="utf-8")
+    return dict(unit["Service"])
+
+
+@pytest.fixture
+def service() -> dict[str, str]:
+    """The gateway's."""
+    return section("cruiser-gateway.service")
+
+
+@pytest.mark.parametrize(("line", "command"), [("ExecStart", "gateway"), ("ExecStopPost", "halt")])
+def test_its_commands_exist(service: dict[str, str], line: str, command: str) -> None:
+    """With the same configuration file; a failed halt does not hide how the gateway ended."""
+    program, *words = service[line].split()
+    assert program == {"ExecStart": "", "ExecStopPost": "-"}[line] + "/opt/cruiser/bin/cruiser"
+    assert words[:3] == [command, "--config", "/etc/cruiser/cruiser.toml"]
+    parser = argparse.ArgumentParser()
+    import_module(COMMANDS[command][0]).add_arguments(parser)
+    # The interface may come later than the service.
+    assert vars(parser.parse_args(words[3:])).get("gateway.wait_for_bus", True)
+
+
+def test_the_guard_outlives_the_gateway(service: dict[str, str]) -> None:
+    """Only the main process is ever killed, and a halt has time for a guard at work and for a hand transmitter.
+
+    'mixed' sends SIGKILL to all that is left once the main process is gone: to the guard, amid its stop.
+    """
+    assert service["KillMode"] == "process"
+    assert service["OOMPolicy"] == "continue"
+    assert int(service["TimeoutStopSec"]) * 1e9 > 2 * HALT_YIELD_NS + 2 * HALT_LISTEN_NS + REST_TIMEOUT_NS
+
+
+def test_a_stop_by_the_guard_has_a_place_on_the_disk(service: dict[str, str]) -> None:
+    """Row 'latched, also across a restart': the gateway, the guard and the halt are told the same directory.
+
+    It lies apart from the recorder's, whose owner would be changed with it.
+    """
+    assert service["StateDirectory"] == "cruiser/gateway"
+    assert int(service["LimitRTPRIO"]) >= Settings().gateway.realtime_priority + 1
+
+
+def test_the_recorder_records_into_the_directory_that_it_may_write_to() -> None:
+    """With the gateway's configuration file; it is always begun again, and a reload begins new files."""
+    recorder = section("cruiser-recorder.service")
+    program, *words = recorder["ExecStart"].split()
+    assert (program, words[:3]) == (
+        "/opt/cruiser/bin/cruiser",
+        ["record", "--config", "/etc/cruiser/cruiser.toml"],
+    )
+    parser = argparse.ArgumentParser()
+    import_module(COMMANDS["record"][0]).add_arguments(parser)
+    directory = vars(parser.parse_args(words[3:]))["recorder.directory"]
+    assert directory == f"/var/lib/{recorder['StateDirectory']}"
+    assert recorder["Restart"] == "always"
+    assert recorder["ExecReload"].split()[1:] == ["-HUP", "$MAINPID"]

@@ -1,0 +1,286 @@
+"""SocketCAN's frames, drops and failures, without a kernel that has CAN; ``tests/socketcan`` has one."""
+
+import errno
+import os
+import socket
+import struct
+from collections.abc import Callable, Iterator
+
+import can
+import pytest
+from hypothesis import given
+
+from gateway.can.can_bus import BusFull, BusLost
+from gateway.can.open_bus import open_bus
+from gateway.can.socketcan import RECEIVE_BUFFER_BYTES, SEND_BUFFER_BYTES, SocketCanBus, check_up
+from gateway.chassis.frame import BITRATE_SWITCH, ERROR, ERROR_STATE_INDICATOR, EXTENDED, FD, REMOTE, Frame
+from schemas.settings import CanSettings
+from tests.support.can_strategies import frames
+from tests.system.gateway.can.test_can_bus import consistent
+
+SO_RCVBUFFORCE = 33
+SO_TIMESTAMPNS = 35
+SO_RXQ_OVFL = 40
+
+CLASSIC = struct.Struct("=IB3x8s")
+FLEXIBLE = struct.Struct("=IBB2x64s")
+
+
+class FakeSocket:
+    """A CAN socket with failure knobs. What is sent is in ``sent``.
+
+    Attributes:
+        waiting: what is read: a frame, its time in seconds and nanoseconds, the drops before it; or an error.
+        fails: raised by each call that sends.
+        may_force: the buffer may be larger than the system's limit.
+    """
+
+    def __init__(self) -> None:
+        self._end, self._other = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.waiting: list[tuple[bytes, tuple[int, int] | None, int] | OSError] = []
+        self.sent: list[bytes] = []
+        self.options: dict[int, int] = {}
+        self.fails: OSError | None = None
+        self.may_force = True
+
+    def fileno(self) -> int:
+        return self._end.fileno()
+
+    def wake(self) -> None:
+        """Who waits for it sees that there is something."""
+        self._other.send(b"!")
+
+    def setsockopt(self, level: int, option: int, value: int) -> None:
+        assert level == socket.SOL_SOCKET
+        if option == SO_RCVBUFFORCE and not self.may_force:
+            raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+        self.options[option] = value
+
+    def recvmsg(self, size: int, _: int, flags: int) -> tuple[bytes, list[tuple[int, int, bytes]], int, None]:
+        assert flags == socket.MSG_DONTWAIT
+        if not self.waiting:
+            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+        first = self.waiting.pop(0)
+        if isinstance(first, OSError):
+            raise first
+        content, time, drops = first
+        ancillary = [(socket.SOL_SOCKET, SO_TIMESTAMPNS, struct.pack("@ll", *time))] if time else []
+        if drops:
+            ancillary.append((socket.SOL_SOCKET, SO_RXQ_OVFL, struct.pack("@I", drops)))
+        return content[:size], ancillary, 0, None
+
+    def recv(self, size: int, flags: int) -> bytes:
+        return self.recvmsg(size, 0, flags)[0]
+
+    def send(self, content: bytes, flags: int) -> int:
+        assert flags == socket.MSG_DONTWAIT
+        if self.fails is not None:
+            raise self.fails
+        self.sent.append(content)
+        return len(content)
+
+    def close(self) -> None:
+        self._end.close()
+        self._other.close()
+
+
+class FakePythonCan:
+    """As much of python-can's bus as is used."""
+
+    def __init__(self) -> None:
+        self.socket = FakeSocket()
+        self.filters: list[dict[str, object]] = []
+        self.on_filters: Callable[[], None] = lambda: None
+        self.closed = 0
+
+    def set_filters(self, filters: list[dict[str, object]]) -> None:
+        self.filters = filters
+        self.on_filters()
+
+    def shutdown(self) -> None:
+        self.closed += 1
+        self.socket.close()
+
+
+@pytest.fixture
+def below() -> Iterator[FakePythonCan]:
+    """Below the bus."""
+    fake = FakePythonCan()
+    yield fake
+    fake.socket.close()
+
+
+def opened(below: FakePythonCan, *identifiers: int) -> SocketCanBus:
+    """A bus on it."""
+    return SocketCanBus(below, identifiers)  # type: ignore[arg-type] # it has what is used
+
+
+def error(number: int) -> OSError:
+    """As the system raises it."""
+    return OSError(number, os.strerror(number))
+
+
+@pytest.mark.parametrize(
+    ("content", "frame"),
+    [
+        (CLASSIC.pack(0x123, 0, bytes(8)), Frame(0x123, b"", 1)),
+        (CLASSIC.pack(0x98C4D1EF, 8, bytes(range(8))), Frame(EXTENDED | 0x18C4D1EF, bytes(range(8)), 1)),
+        (CLASSIC.pack(0x123, 2, b"\x01\x02rubbis"), Frame(0x123, b"\x01\x02", 1)),
+        (CLASSIC.pack(0xD8C4D1EF, 8, bytes(8)), Frame(EXTENDED | REMOTE | 0x18C4D1EF, b"", 1, 0, 8)),
+        (CLASSIC.pack(0x20000040, 8, bytes(8)), Frame(ERROR | 0x40, bytes(8), 1)),
+        (FLEXIBLE.pack(0x123, 0, 0, bytes(64)), Frame(0x123, b"", 1, FD)),
+        (FLEXIBLE.pack(0x123, 3, 4 | 1, b"abcrubbish"), Frame(0x123, b"abc", 1, FD | BITRATE_SWITCH)),
+        (
+            FLEXIBLE.pack(0x98C4D1EF, 64, 2, bytes(range(64))),
+            Frame(EXTENDED | 0x18C4D1EF, bytes(range(64)), 1, FD | ERROR_STATE_INDICATOR),
+        ),
+    ],
+    ids=["empty", "extended", "short", "remote", "error", "fd-unmarked", "fd-short", "fd-long"],
+)
+def test_a_frame_is_read_as_linux_lays_it_out(below: FakePythonCan, content: bytes, frame: Frame) -> None:
+    """Sixteen bytes, or seventy-two for CAN FD, whose flag need not be set; and sent as the same."""
+    bus = opened(below)
+    below.socket.waiting.append((content, (0, 1), 0))
+    assert bus.receive(0) == frame
+    assert bus.receive(0) is None
+    bus.send(frame)
+    (sent,) = below.socket.sent
+    assert (len(sent), sent[:5]) == (len(content), content[:5])
+
+
+@given(frame=frames.map(consistent))
+def test_a_frame_that_was_sent_is_read_as_the_same(frame: Frame) -> None:
+    """Whatever it is."""
+    below = FakePythonCan()
+    bus = opened(below)
+    bus.send(frame)
+    below.socket.waiting.append((below.socket.sent[0], divmod(frame.wall_ns, 10**9), 0))
+    received = bus.receive(0)
+    bus.close()
+    assert received is not None
+    if frame.wall_ns == 0:
+        assert received.wall_ns > 0, "without a time of the kernel's it has ours"
+    else:
+        assert received == frame
+
+
+def test_drops_are_the_kernels_count(below: FakePythonCan) -> None:
+    """It comes with the frame after them, and stays."""
+    bus = opened(below)
+    frame = CLASSIC.pack(0x123, 0, bytes(8))
+    below.socket.waiting += [(frame, (1, 0), drops) for drops in (0, 3, 3, 5)]
+    drops = []
+    while bus.receive(0) is not None:
+        drops.append(bus.drops)
+    assert drops == [0, 3, 3, 5]
+
+
+def test_who_waits_is_woken_by_a_frame(below: FakePythonCan) -> None:
+    """Or by the end of the time."""
+    bus = opened(below)
+    assert bus.receive(0.001) is None
+    below.socket.wake()
+    below.socket.waiting += [BlockingIOError(), (CLASSIC.pack(0x123, 0, bytes(8)), (0, 1), 0)]
+    assert bus.receive(100) == Frame(0x123, b"", 1)
+    assert bus.receive(100) is None, "what had woken it was no frame"
+
+
+@pytest.mark.parametrize(
+    ("number", "text"), [(errno.ENETDOWN, "the interface is down"), (errno.ENODEV, "No such device")]
+)
+def test_a_lost_interface_is_told_by_reading_and_sending(below: FakePythonCan, number: int, text: str) -> None:
+    """In words that say what it is."""
+    bus = opened(below)
+    below.socket.waiting.append(error(number))
+    with pytest.raises(BusLost, match=text):
+        bus.receive(0)
+    below.socket.fails = error(number)
+    with pytest.raises(BusLost, match=text):
+        bus.send(Frame(0x123, b""))
+
+
+@pytest.mark.parametrize("number", [errno.ENOBUFS, errno.EAGAIN])
+def test_a_full_queue_is_no_loss(below: FakePythonCan, number: int) -> None:
+    """Whether it is the interface's or the socket's own; the next frame may have room."""
+    bus = opened(below)
+    below.socket.fails = error(number)
+    with pytest.raises(BusFull):
+        bus.send(Frame(0x123, b"\x01"))
+    below.socket.fails = None
+    bus.send(Frame(0x123, b"\x02"))
+    assert below.socket.sent == [CLASSIC.pack(0x123, 1, b"\x02")]
+
+
+def test_the_kernel_is_asked_for_the_identifiers_alone(below: FakePythonCan) -> None:
+    """Each of its own kind, all its bits, and no requests for it. What came before the filters is not read."""
+    below.socket.waiting.append((CLASSIC.pack(0x7FF, 0, bytes(8)), (0, 1), 0))
+    bus = opened(below, EXTENDED | 0x18C4D1EF, 0x123)
+    mask = 0x1FFFFFFF | REMOTE
+    assert below.filters == [
+        {"can_id": 0x18C4D1EF, "can_mask": mask, "extended": True},
+        {"can_id": 0x123, "can_mask": mask, "extended": False},
+    ]
+    assert bus.receive(0) is None
+
+
+def test_without_identifiers_everything_is_read(below: FakePythonCan) -> None:
+    """Also what waits already."""
+    below.socket.waiting.append((CLASSIC.pack(0x7FF, 0, bytes(8)), (0, 1), 0))
+    bus = opened(below)
+    assert below.filters == []
+    assert bus.receive(0) == Frame(0x7FF, b"", 1)
+
+
+def test_a_bus_that_never_stops_filling_is_opened_all_the_same(below: FakePythonCan) -> None:
+    """An end there is to what is thrown away."""
+    below.socket.waiting += [(CLASSIC.pack(0x123, 0, bytes(8)), (0, 1), 0)] * 10_000
+    assert opened(below, 0x123).receive(0) is not None
+
+
+def test_an_interface_that_goes_down_while_it_is_opened_is_lost(below: FakePythonCan) -> None:
+    """And given back: nobody else would."""
+    below.on_filters = lambda: below.socket.waiting.append(error(errno.ENETDOWN))
+    with pytest.raises(BusLost, match="the interface is down"):
+        opened(below, 0x123)
+    assert below.closed == 1
+
+
+@pytest.mark.parametrize("may_force", [True, False])
+def test_the_buffers_are_asked_for(below: FakePythonCan, *, may_force: bool) -> None:
+    """A large one to receive, beyond the system's limit if that is allowed; a small one to send."""
+    below.socket.may_force = may_force
+    opened(below)
+    assert below.socket.options == {
+        SO_RXQ_OVFL: 1,
+        socket.SO_SNDBUF: SEND_BUFFER_BYTES,
+        SO_RCVBUFFORCE if may_force else socket.SO_RCVBUF: RECEIVE_BUFFER_BYTES,
+    }
+
+
+def test_closing_never_raises(below: FakePythonCan, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the driver thinks of it."""
+
+    def fail() -> None:
+        raise can.CanOperationError("it cannot be closed")
+
+    bus = opened(below)
+    monkeypatch.setattr(below, "shutdown", fail)
+    bus.close()
+
+
+def test_an_interface_that_is_up_is_no_problem() -> None:
+    """The loopback is one on every machine."""
+    check_up("lo")
+
+
+@pytest.mark.parametrize("channel", ["nosuchcan", "no-such-interface-of-this-name", ""])
+def test_an_interface_that_is_missing_is_named(channel: str) -> None:
+    """Also one whose name is longer than any can be."""
+    with pytest.raises(BusLost, match=f"socketcan {channel}: No such device"):
+        check_up(channel)
+
+
+def test_an_interface_that_is_no_can_is_a_lost_bus() -> None:
+    """Whether the kernel has CAN or not."""
+    with pytest.raises(BusLost, match="socketcan lo: "):
+        open_bus(CanSettings(interface="socketcan", channel="lo"))

@@ -1,0 +1,226 @@
+"""The chassis in real time, on a clock and a bus of the test's own."""
+
+from collections.abc import Callable, Iterable
+
+import pytest
+
+from gateway.can.can_bus import BusLost
+from gateway.chassis.frame import ERROR, Frame
+from gateway.chassis.layout import load
+from gateway.cli.sim_run import CanBusLink, Clock, Inject, Summary, live
+from gateway.sim.model import VirtualChassis
+from schemas.messages import Variant
+from tests.support.sim_rig import MS, Rig, S
+
+WALL_NS = 1_700_000_000 * S
+
+
+class FakeClock(Clock):
+    """Stands until somebody waits; ``late_ns`` is by how much each wait lasts too long."""
+
+    def __init__(self) -> None:
+        self.now_ns = 0
+        self.late_ns = 0
+        self.waits_ns: list[int] = []
+
+    def monotonic_ns(self) -> int:
+        return self.now_ns
+
+    def wall_ns(self) -> int:
+        return WALL_NS + self.now_ns
+
+    def wait(self, timeout_s: float) -> None:
+        self.waits_ns.append(round(timeout_s * S))
+        self.now_ns += round(timeout_s * S) + self.late_ns
+
+
+class FakeLink:
+    """A bus that keeps what was sent, and brings what the test has put on it."""
+
+    def __init__(self, clock: FakeClock) -> None:
+        self._clock = clock
+        self.incoming: list[Frame] = []
+        self.faults: list[str] = []
+        self.answers: list[str] = []
+        self.sent: list[tuple[int, Frame]] = []
+
+    def wait(self, timeout_s: float) -> None:
+        self._clock.wait(timeout_s)
+
+    def read(self, now_ns: int, wall_ns: int, inject: Inject) -> list[Frame]:
+        assert wall_ns == WALL_NS + self._clock.now_ns
+        assert now_ns <= self._clock.now_ns
+        self.answers += [inject(text) for text in self.faults]
+        frames, self.incoming, self.faults = self.incoming, [], []
+        return frames
+
+    def send(self, frames: Iterable[Frame], now_ns: int) -> None:
+        self.sent += [(now_ns, frame) for frame in frames]
+
+
+class FakeLines:
+    """Lines that have been typed."""
+
+    def __init__(self, *lines: str) -> None:
+        self.lines = list(lines)
+        self.reads = 0
+
+    def read(self) -> list[str]:
+        self.reads += 1
+        lines, self.lines = self.lines, []
+        return lines
+
+
+class Bench:
+    """A run with everything of the test's own."""
+
+    def __init__(self) -> None:
+        self.clock = FakeClock()
+        self.link = FakeLink(self.clock)
+        self.chassis = VirtualChassis(load(Variant.COARSE), 0)
+        self.lines = FakeLines()
+        self.answers: list[str] = []
+
+    def run(self, seconds: float | None = None, stopped: Callable[[], bool] = lambda: False) -> Summary:
+        """Live."""
+        return live(
+            self.chassis,
+            self.link,
+            stopped,
+            clock=self.clock,
+            lines=self.lines,
+            answer=self.answers.append,
+            seconds=seconds,
+        )
+
+
+def test_it_wakes_exactly_when_a_frame_is_due() -> None:
+    """A hundred wakes a second, each at the due time, and every frame stamped with the time of its sending."""
+    bench = Bench()
+    summary = bench.run(seconds=1)
+    assert bench.clock.waits_ns == [10 * MS] * 100
+    assert summary.sent == len(bench.link.sent) == 630
+    assert all(frame.wall_ns == WALL_NS + now_ns for now_ns, frame in bench.link.sent)
+
+
+def test_waking_late_loses_nothing_and_does_not_add_up() -> None:
+    """Three milliseconds late each time is three at the end, too."""
+    bench = Bench()
+    bench.clock.late_ns = 3 * MS
+    assert bench.run(seconds=10).sent == 6300
+    assert bench.clock.now_ns < 10 * S + 14 * MS
+
+
+def test_a_stopped_process_does_not_flood_the_bus() -> None:
+    """The time during which it was stopped is left out; the counters show no loss."""
+    bench = Bench()
+    wakes = 0
+
+    def stall() -> bool:
+        nonlocal wakes
+        wakes += 1
+        bench.clock.late_ns = 60 * S if wakes == 20 else 0
+        return False
+
+    summary = bench.run(seconds=1, stopped=stall)
+    assert summary.sent == 630
+    assert summary.stalled_ns == 60 * S
+    times = [now_ns for now_ns, _ in bench.link.sent]
+    assert max(map(times.count, times)) == 10
+
+
+def test_commands_reach_the_chassis() -> None:
+    """What others put on the bus is heard and counted."""
+    bench = Bench()
+    rig = Rig()
+    bench.link.incoming = [rig.encoder.encode("Auto_SpeakerCmd", {"Horn": True}, 0)]
+    assert bench.run(seconds=0.1).received == 1
+    assert bench.link.sent[-1][1].data[0] == 1, "the horn's feedback"
+
+
+def test_faults_come_from_the_link_and_from_typed_lines() -> None:
+    """Each is answered: nothing or the reason to the link, a line to the person."""
+    bench = Bench()
+    bench.link.faults = ["bumper front on", "bumpr"]
+    bench.lines = FakeLines("silence all", "silenc all")
+    bench.run(seconds=1)
+    assert bench.link.answers[0] == ""
+    assert "bumper" in bench.link.answers[1]
+    assert bench.answers == ["ok: silence all", "there is no fault 'silenc'; did you mean 'silence'?"]
+    assert len(bench.link.sent) == 5
+    assert bench.lines.reads <= 10
+
+
+def test_it_stops_when_told() -> None:
+    """The flag is looked at on every wake, and at least 20 times a second."""
+    bench = Bench()
+    bench.chassis = VirtualChassis(load(Variant.COARSE), 0, rate_multiplier=0.1)
+    bench.run(stopped=lambda: bench.clock.now_ns > S)
+    assert bench.clock.now_ns <= S + 50 * MS
+
+
+class FakeBus:
+    """A bus of python-can, as the port shows it."""
+
+    def __init__(self, *frames: Frame) -> None:
+        self.frames = list(frames)
+        self.drops = 0
+        self.timeouts_s: list[float] = []
+        self.sent: list[Frame] = []
+        self.lost = False
+
+    def receive(self, timeout_s: float) -> Frame | None:
+        if self.lost:
+            raise BusLost("unplugged")
+        self.timeouts_s.append(timeout_s)
+        return self.frames.pop(0) if self.frames else None
+
+    def send(self, frame: Frame) -> None:
+        self.sent.append(frame)
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_can_bus_is_a_link() -> None:
+    """One wait, then what is there already; what was read is read once."""
+    frames = [Frame(number, b"", 5) for number in range(3)]
+    bus = FakeBus(*frames)
+    link = CanBusLink(bus)
+    link.wait(0.01)
+    assert bus.timeouts_s == [0.01, 0.0, 0.0, 0.0]
+    assert link.read(0, 0, lambda _text: "") == frames
+    assert link.read(0, 0, lambda _text: "") == []
+
+
+def test_a_flooded_can_bus_leaves_the_chassis_its_turn() -> None:
+    """However much comes in, reading ends, and nothing is lost."""
+    bus = FakeBus(*[Frame(0x123, b"")] * 1000)
+    link = CanBusLink(bus)
+    link.wait(0.01)
+    first = len(link.read(0, 0, lambda _text: ""))
+    assert 0 < first < 1000
+    assert first + len(bus.frames) == 1000
+
+
+def test_error_frames_are_not_for_a_real_bus() -> None:
+    """A node cannot send one at will; the rest goes out in order."""
+    bus = FakeBus()
+    CanBusLink(bus).send([Frame(1, b""), Frame(4 | ERROR, bytes(8)), Frame(2, b"")], 0)
+    assert [frame.can_id for frame in bus.sent] == [1, 2]
+
+
+def test_a_lost_bus_ends_the_run() -> None:
+    """The command says so; this is no gateway that has to wait for the bus."""
+    bench = Bench()
+    bus = FakeBus()
+    bus.lost = True
+    with pytest.raises(BusLost):
+        live(bench.chassis, CanBusLink(bus), lambda: False, clock=bench.clock, lines=bench.lines, answer=print)
+
+
+def test_the_clock_is_the_machines() -> None:
+    """Both clocks run forward."""
+    clock = Clock()
+    assert clock.monotonic_ns() <= clock.monotonic_ns()
+    assert clock.wall_ns() > WALL_NS

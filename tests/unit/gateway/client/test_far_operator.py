@@ -1,0 +1,53 @@
+"""Row 'travel delay': a robot behind a bad link, driven by the library's own stream, in simulated time."""
+
+import pytest
+
+from gateway.sim.links import FAR, LINKS, Link, LinkProfile
+from schemas.decisions import ArbiterState
+from schemas.reasons import TEXTS, Reason
+from tests.support.far_operator import FarOperator, trip
+from tests.support.loop_rig import LoopRig
+
+
+def test_over_200_ms_one_way_it_hardly_ever_stops() -> None:
+    """The goal: 30 % jitter, 1 % loss, 0.5 m/s asked: 95 % of the time at speed, one stop in ten minutes."""
+    made = trip(FAR, speed_mps=0.5, seconds=600)
+    assert made.moving >= 0.95
+    assert len(made.stops) <= 1
+    assert made.reached_mps == pytest.approx(0.5, abs=0.04)
+
+
+@pytest.mark.parametrize("profile", LINKS, ids=lambda profile: profile.name)
+def test_every_link_of_the_table_can_be_driven_over(profile: LinkProfile) -> None:
+    """With the deadman that it needs; and a cut costs no more than the travel delay and the way to rest."""
+    made = trip(profile, speed_mps=2.2, seconds=20)
+    assert made.moving >= 0.9
+    assert made.stops == []
+    braking_m = made.reached_mps**2 / (2 * 1.2)
+    assert made.after_cut_m <= 1.0 + braking_m + 0.1
+
+
+def test_a_link_that_is_too_slow_is_not_engaged_over() -> None:
+    """It is refused before anything moves, and again and again."""
+    rig = LoopRig()
+    operator = FarOperator(rig, Link(LinkProfile("moon", 0.6), 1), 0.5)
+    operator.run(20)
+    engages = [one for one in rig.decided if one.request == "engage"]
+    assert len(engages) > 2
+    assert {one.reason for one in engages} == {Reason.LINK_TOO_SLOW}
+    assert all(one.detail.startswith(TEXTS[Reason.LINK_TOO_SLOW].means) for one in engages)
+    assert rig.speed_mps == 0
+
+
+def test_a_link_that_becomes_too_slow_stops_the_robot_and_the_library_says_why() -> None:
+    """An age that jumps: the commands come, and are refused; that is told from a stream that has ended."""
+    rig, link = LoopRig(), Link(LinkProfile("LAN", 0.001), 1)
+    operator = FarOperator(rig, link, 0.5)
+    operator.run(5)
+    assert rig.says.engaged
+    link.profile = LinkProfile("moon", 0.6)
+    operator.run(3)
+    assert rig.says.state is not ArbiterState.ENGAGED
+    ending = operator.endings[0]
+    assert ending.reason is Reason.DEADMAN
+    assert ending.detail.startswith(TEXTS[Reason.DEADMAN].means)

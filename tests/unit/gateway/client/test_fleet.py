@@ -1,0 +1,112 @@
+import msgspec
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.client.fleet import FORGOTTEN_NS, HEALTH_STALE_NS, STATE_STALE_NS, Fleet
+from gateway.telemetry.heard import Received, TokenChange
+from schemas import codec, keys
+from schemas.messages import Message
+from schemas.subjects import BY_NAME, BY_TYPE, SUBJECTS
+from tests.support.fake_gateway import HEALTH, ROOT, STATE
+
+START_NS = 10**12
+
+
+def sample(message: Message, robot: str = "cruiser-1", encoding: str = "") -> Received:
+    """A message as it arrives."""
+    subject = BY_TYPE[type(message)]
+    return Received(keys.build(ROOT, robot, subject), encoding or subject.encoding, codec.encode(message))
+
+
+def token(robot: str = "cruiser-1", *, present: bool = True) -> TokenChange:
+    """A liveliness token that appears or goes."""
+    return TokenChange(keys.liveliness(ROOT, robot), present)
+
+
+def fleet_that_heard(*heard: Received | TokenChange) -> Fleet:
+    """A fleet that heard all this at the start."""
+    fleet = Fleet(ROOT)
+    for one in heard:
+        fleet.hear(one, START_NS)
+    return fleet
+
+
+def test_what_was_heard_is_reported() -> None:
+    """State, health and token of a robot are in its report, with the time since they arrived."""
+    report = fleet_that_heard(token(), sample(STATE), sample(HEALTH)).report("cruiser-1", START_NS + 10**8)
+    assert (report.connected, report.state, report.health) == (True, STATE, HEALTH)
+    assert (report.state_age_s, report.health_age_s) == (0.1, 0.1)
+
+
+@given(age_ns=st.integers(0, 10**11))
+def test_an_old_value_is_never_reported(age_ns: int) -> None:
+    """State and health are in the report only while they are fresh; their age stays."""
+    report = fleet_that_heard(token(), sample(STATE), sample(HEALTH)).report("cruiser-1", START_NS + age_ns)
+    assert (report.state is not None) == (age_ns < STATE_STALE_NS)
+    assert (report.health is not None) == (age_ns < HEALTH_STALE_NS)
+    assert report.state_age_s == age_ns / 1e9
+
+
+def test_a_robot_that_was_never_heard_of_has_nothing_to_report() -> None:
+    """An unknown robot is not connected, and has neither values nor ages, whatever the clock says."""
+    for now_ns in (0, START_NS):
+        report = Fleet(ROOT).report("cruiser-9", now_ns)
+        assert (report.connected, report.state, report.state_age_s, report.health) == (False, None, None, None)
+
+
+def test_a_token_that_goes_takes_the_connection_with_it() -> None:
+    """A robot whose token is gone is not connected, but is still listed for a while."""
+    fleet = fleet_that_heard(token(), token(present=False))
+    assert not fleet.report("cruiser-1", START_NS).connected
+    assert fleet.robots(START_NS + FORGOTTEN_NS - 1) == ["cruiser-1"]
+    assert fleet.robots(START_NS + FORGOTTEN_NS) == []
+
+
+def test_a_robot_with_its_token_is_never_forgotten() -> None:
+    """Silence alone does not take a robot off the list while its gateway is connected."""
+    assert fleet_that_heard(token()).robots(START_NS + 100 * FORGOTTEN_NS) == ["cruiser-1"]
+
+
+def test_without_a_link_no_robot_is_connected() -> None:
+    """When this end has lost Zenoh, the tokens that it remembers say nothing."""
+    fleet = fleet_that_heard(token())
+    fleet.link(connected=False)
+    assert not fleet.report("cruiser-1", START_NS).connected
+    fleet.link(connected=True)
+    assert fleet.report("cruiser-1", START_NS).connected
+
+
+def test_robots_are_kept_apart() -> None:
+    """Each robot has its own values, and robots under another root are not ours."""
+    other = msgspec.structs.replace(STATE, speed_mps=2.0)
+    fleet = fleet_that_heard(sample(STATE), sample(other, "cruiser-2"), token("cruiser-3"))
+    elsewhere = Received(f"else/{ROOT}/cruiser-4/state", BY_NAME["state"].encoding, codec.encode(STATE))
+    fleet.hear(elsewhere, START_NS)
+    fleet.hear(TokenChange("else/cruiser-5/gateway", present=True), START_NS)
+    assert fleet.robots(START_NS) == ["cruiser-1", "cruiser-2", "cruiser-3"]
+    assert fleet.report("cruiser-2", START_NS).state == other
+
+
+def test_what_cannot_be_read_is_said_until_something_can() -> None:
+    """A payload that is wrong, or of another schema or version, changes no value and is reported."""
+    encoding = BY_NAME["state"].encoding
+    fleet = fleet_that_heard(Received(f"{ROOT}/cruiser-1/state", encoding, b"\xc1"))
+    assert "state" in fleet.report("cruiser-1", START_NS).unreadable
+    fleet.hear(sample(STATE, encoding=f"{encoding}99"), START_NS)
+    report = fleet.report("cruiser-1", START_NS)
+    assert report.state is None
+    assert f"{encoding}99" in report.unreadable
+    fleet.hear(sample(STATE), START_NS)
+    assert fleet.report("cruiser-1", START_NS).unreadable == ""
+
+
+@given(
+    key=st.text() | st.sampled_from([f"{ROOT}/a/{subject.name}" for subject in SUBJECTS]),
+    encoding=st.text() | st.sampled_from([subject.encoding for subject in SUBJECTS]),
+    payload=st.binary(),
+)
+def test_no_sample_makes_hearing_raise(key: str, encoding: str, payload: bytes) -> None:
+    """Any key, encoding and payload are taken in, and every robot can still be reported."""
+    fleet = fleet_that_heard(Received(key, encoding, payload), TokenChange(key, present=True))
+    for robot in fleet.robots(START_NS):
+        assert fleet.report(robot, START_NS).robot == robot

@@ -1,0 +1,1162 @@
+"""Every fault that the chassis, the bus, the link or an operator may have, each against the whole command flow."""
+
+from collections.abc import Iterator
+from itertools import combinations
+
+import msgspec
+import pytest
+
+from gateway.chassis.decode import check
+from gateway.chassis.faults import FaultKind
+from gateway.chassis.frame import ERROR, FD, Frame
+from gateway.chassis.layout import load
+from gateway.command.actuation import Actuation
+from gateway.command.frames import MOTION_FRAMES, FrameMaker
+from gateway.guard.beat import Cause
+from gateway.sim.model import VirtualChassis
+from gateway.telemetry.health import Links
+from schemas.decisions import ArbiterState, Bound, EventKind, StopPhase
+from schemas.messages import Mode, Variant
+from schemas.reasons import TEXTS, Reason
+from schemas.settings import ChassisSettings
+from tests.support.can_strategies import VARIANTS, with_checksum
+from tests.support.frames import STANDING, Feedback
+from tests.support.loop_rig import GUARDED, MS, LoopRig, Operator, driving, ready
+
+YEAR_NS = 365 * 24 * 3600 * 10**9
+REQUIRED = ChassisSettings().required_feedback
+FAST = ("Auto_GearFeedBack", "Auto_SteeringFeedBack", "Auto_DriveFeedBack")
+CAN_IDS = {message.name: message.can_id for message in load(Variant.COARSE).feedback}
+NAMES = {can_id: name for name, can_id in CAN_IDS.items()}
+
+
+def flipped(data: bytes, *bits: int) -> bytes:
+    """The data with these bits turned over."""
+    word = int.from_bytes(data, "little")
+    for bit in bits:
+        word ^= 1 << bit
+    return word.to_bytes(8, "little")
+
+
+def silent_pairs() -> Iterator[tuple[int, int]]:
+    """The pairs of bits that the XOR does not see: those of one column."""
+    for first, second in combinations(range(64), 2):
+        if first % 8 == second % 8:
+            yield first, second
+
+
+def assert_stops(rig: LoopRig, reason: Reason, within_s: float = 0.4) -> None:
+    """The robot is stopped for this reason, by the whole sequence, and stands by at the end."""
+    rig.until(lambda: rig.says.state is not ArbiterState.ENGAGED, within_s)
+    assert rig.says.stop_reason is reason, rig.says
+    begun_ns = rig.now_ns
+    rig.until(lambda: rig.says.state is ArbiterState.STANDBY, 8)
+    assert rig.speed_mps == 0
+    assert_stop_order(rig, begun_ns)
+
+
+def assert_stop_order(rig: LoopRig, begun_ns: int) -> None:
+    """Zero speed in gear, parking brake, neutral, disabled: in this order, and nothing is ever taken back."""
+    reached = 0
+    for at_ns, burst in rig.bursts:
+        if at_ns < begun_ns:
+            continue
+        marks = (
+            not burst["Auto_DriveCmd"]["TargetVelocity"],
+            bool(burst["Auto_ParkingCmd"]["ParkingRequest"]),
+            burst["Auto_GearCmd"]["TargetGear"] == "neutral",
+            not burst["Auto_ParkingCmd"]["Enable"],
+        )
+        done = marks.index(False) if False in marks else len(marks)
+        assert done >= reached, (at_ns, burst)
+        reached = done
+    assert reached == len(marks)
+
+
+# The bytes.
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_every_single_flipped_bit_is_refused(variant: Variant) -> None:
+    """All 640 of ten frames: the checksum sees each."""
+    for name, frame in zip(STANDING, Feedback(variant).all(), strict=True):
+        for bit in range(64):
+            wrong = Frame(frame.can_id, flipped(frame.data, bit))
+            assert check(wrong) is FaultKind.CHECKSUM, (name, bit)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_the_checksum_refuses_eight_of_nine_pairs_of_bits(variant: Variant) -> None:
+    """1,792 of 2,016 pairs in each frame, 88.9 %; those of one column pass."""
+    for frame in Feedback(variant).all():
+        pairs = combinations(range(64), 2)
+        passed = [pair for pair in pairs if check(Frame(frame.can_id, flipped(frame.data, *pair))) is None]
+        assert passed == list(silent_pairs())
+        assert len(passed) == 224
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("name", STANDING)
+def test_two_flipped_bits_never_move_the_robot_more_than_its_command(name: str, variant: Variant) -> None:
+    """Each of the 224 pairs that pass, once while it drives: no faster than commanded, and no other way.
+
+    A frame that reads as a takeover ends the output at once; then the robot is stopped as soon as the next one
+    reads auto, because it still obeys what it was told.
+    """
+    rig, operator = driving(0.6, variant=variant)
+    for pair in silent_pairs():
+        left = [pair]
+
+        def corrupt(frame: Frame, left: list[tuple[int, int]] = left) -> Frame:
+            if frame.can_id == CAN_IDS[name] and left:
+                return Frame(frame.can_id, flipped(frame.data, *left.pop()), frame.wall_ns)
+            return frame
+
+        rig.corrupt = corrupt
+        operator.drive(0.6, seconds=0.06)
+        assert not left
+        assert -0.01 <= rig.speed_mps <= 0.61
+        if not rig.says.engaged:
+            rig.until(lambda: rig.says.state is ArbiterState.STANDBY and rig.speed_mps == 0, 6)
+            operator.take_lease("take")
+            operator.reason("reset")
+            operator.engage()
+            operator.drive(0.6, seconds=1.3)
+
+
+@pytest.mark.parametrize("name", STANDING)
+def test_two_flipped_bits_never_clear_a_latch(name: str) -> None:
+    """Nor do they make a latched robot be told anything."""
+    rig, operator = ready()
+    operator.take_lease()
+    rig.put("anyone", "stop", b"")
+    rig.tick()
+    for pair in silent_pairs():
+        rig.corrupt = lambda frame, pair=pair: (  # type: ignore[misc]
+            Frame(frame.can_id, flipped(frame.data, *pair)) if frame.can_id == CAN_IDS[name] else frame
+        )
+        operator.drive(1.0)
+        assert rig.says.latched == [Reason.REMOTE_STOP, *rig.says.latched[1:]]
+    assert all(not burst["Auto_DriveCmd"]["TargetVelocity"] for _, burst in rig.bursts)
+
+
+@pytest.mark.parametrize("name", REQUIRED)
+@pytest.mark.parametrize("wrong", ["zeros", "reversed"])
+def test_frames_of_zeros_or_with_swapped_bytes_stop_the_robot(name: str, wrong: str) -> None:
+    """Both pass the checksum: the counter and the plausibility of the values find them."""
+    rig, operator = driving(0.8)
+
+    def corrupt(frame: Frame) -> Frame:
+        if frame.can_id != CAN_IDS[name]:
+            return frame
+        return Frame(frame.can_id, bytes(8) if wrong == "zeros" else with_checksum(frame.data[6::-1] + b"\0"))
+
+    rig.corrupt = corrupt
+    operator.drive(0.8, seconds=0.6)
+    assert not rig.says.engaged
+    assert rig.says.stop_reason in {
+        Reason.IMPLAUSIBLE_SPEED,
+        Reason.FEEDBACK_FAULTY,
+        Reason.FEEDBACK_MISSING,
+        Reason.MODE_NOT_AUTO,
+        Reason.HAND_TRANSMITTER,
+        Reason.FOUND_MOVING,
+    }
+    rig.run(8)
+    assert rig.speed_mps == 0
+
+
+@pytest.mark.parametrize("length", [*range(8), 9, 12, 16, 64])
+def test_frames_of_a_wrong_length_are_silence(length: int) -> None:
+    """Whatever they hold: 0 to 7 bytes, and CAN FD."""
+    rig, operator = driving()
+    can_id = CAN_IDS["Auto_DriveFeedBack"]
+    rig.corrupt = lambda frame: (
+        Frame(can_id, (frame.data * 8)[:length], fd_flags=FD if length > 8 else 0)
+        if frame.can_id == can_id
+        else frame
+    )
+    operator.drive(1.0, seconds=0.04)
+    assert_stops(rig, Reason.FEEDBACK_MISSING)
+
+
+# Supervision.
+
+
+@pytest.mark.parametrize("name", STANDING)
+def test_what_is_engaged_without_each_message(name: str) -> None:
+    """Row 'engage: every feedback that chassis.required_feedback names': not what the manual calls reserved."""
+    rig = LoopRig()
+    rig.fault(f"silence {name}")
+    rig.run(1)
+    operator = Operator(rig)
+    operator.take_lease()
+    handle = operator.ask("engage")
+    rig.run(0.5)
+    assert rig.replies[handle].ok is (name not in REQUIRED), rig.replies[handle]
+    if name in REQUIRED:
+        assert rig.replies[handle].reason is Reason.FEEDBACK_MISSING
+        assert name in rig.replies[handle].detail
+
+
+@pytest.mark.parametrize("name", REQUIRED)
+def test_silence_of_each_message_stops_the_robot(name: str) -> None:
+    """Row 'feedback silence, per frame, over 10 periods (at least 100 ms): stop'."""
+    rig, operator = driving()
+    period_ms = load(Variant.COARSE).messages[name].period_ns // MS
+    rig.fault(f"silence {name}")
+    operator.drive(1.0, seconds=max(100, 10 * period_ms) / 1000 - 0.02)
+    assert rig.says.engaged
+    operator.drive(1.0, seconds=0.1)
+    assert rig.says.stop_reason is Reason.FEEDBACK_MISSING
+    rig.run(8)
+    assert rig.speed_mps == 0
+    assert rig.says.state is ArbiterState.STANDBY
+
+
+@pytest.mark.parametrize("name", sorted(set(STANDING) - set(REQUIRED)))
+@pytest.mark.parametrize("fault", ["silence", "checksum", "stuck"])
+def test_what_is_not_required_does_not_stop_the_robot(name: str, fault: str) -> None:
+    """Row 'engage: all but those the manual calls reserved, lamps and horn'."""
+    rig, operator = driving()
+    rig.fault(f"{fault} {name}")
+    operator.drive(1.0, seconds=2)
+    assert rig.says.engaged
+
+
+@pytest.mark.parametrize("name", REQUIRED)
+def test_checksum_faults_stop_the_robot(name: str) -> None:
+    """Row 'checksum faults: so many in 1 s on one identifier: stop', here five; four are borne."""
+    rig, operator = driving()
+    rig.fault(f"checksum {name} for 4 frames")
+    operator.drive(1.0, seconds=0.5)
+    assert rig.says.engaged
+    rig.run(0)
+    rig.fault(f"checksum {name} for 1 frames")
+    operator.drive(1.0, seconds=0.1)
+    assert rig.says.stop_reason is Reason.FEEDBACK_FAULTY
+
+
+@pytest.mark.parametrize("name", FAST)
+@pytest.mark.parametrize("step", [0, *range(2, 16)])
+def test_a_counter_that_stands_or_jumps_stops_the_robot(name: str, step: int) -> None:
+    """Row 'alive counter: +1 per fault, -1 per good frame, at 5: stop'; frozen, and every step from 2 to 15."""
+    rig, operator = driving()
+    rig.fault(f"skip {name} by {step}" if step else f"stuck {name}")
+    operator.drive(1.0, seconds=0.04)
+    assert rig.says.engaged
+    operator.drive(1.0, seconds=0.06)
+    assert not rig.says.engaged
+    assert rig.says.stop_reason in {Reason.FEEDBACK_FAULTY, Reason.FEEDBACK_MISSING}
+
+
+def test_a_counter_that_wraps_is_no_fault() -> None:
+    """15, then 0, for as long as one likes."""
+    rig, operator = driving()
+    operator.drive(1.0, seconds=4)
+    assert rig.says.engaged
+
+
+@pytest.mark.parametrize("name", FAST)
+def test_exactly_sixteen_lost_frames_are_found(name: str) -> None:
+    """Row 'alive counter arithmetic': the counter fits again after 16, so silence is declared before."""
+    rig, operator = driving()
+    rig.fault(f"drop {name} next 16")
+    operator.drive(1.0, seconds=0.16)
+    assert rig.says.stop_reason is Reason.FEEDBACK_MISSING
+
+
+# The bus.
+
+
+@pytest.mark.parametrize("takes", range(5))
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_full_buffer_stops_the_robot_and_nothing_stale_leaves(takes: int, variant: Variant) -> None:
+    """Five ticks in a row whose frames are not taken; what was not taken is made anew, never sent later."""
+    rig, operator = driving(1.0, variant=variant)
+    rig.takes = takes
+    operator.drive(2.0, 20.0, 0.04)
+    assert rig.says.engaged
+    rig.tick(2)
+    assert rig.says.stop_reason is Reason.SEND_FAILED
+    rig.run(0.3)
+    rig.takes = None
+    rig.tick()
+    assert rig.told_mps < 1.0
+    rig.run(6)
+    assert rig.speed_mps == 0
+    assert rig.says.state is ArbiterState.STANDBY
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("ticks", range(1, 5))
+def test_a_short_jam_costs_only_its_time(ticks: int, variant: Variant) -> None:
+    """The way goes on from what the chassis was told last: no jump, and the gate sees no fault."""
+    rig, operator = ready(variant)
+    operator.engage()
+    operator.drive(2.0, 20.0, 0.5)
+    before_mps = rig.told_mps
+    rig.takes = 0
+    rig.tick(ticks)
+    rig.takes = None
+    rig.put(operator.name, "drive", operator.drive_payload(2.0, -20.0))
+    rig.tick()
+    assert before_mps - 0.05 <= rig.told_mps <= before_mps + 0.05
+    operator.drive(2.0, 5.0, 1)
+    assert rig.says.engaged
+
+
+def test_a_stop_that_nobody_heard_does_not_go_on_to_neutral() -> None:
+    """A jammed bus: the ramp is still to come when it is free again."""
+    rig, _ = driving(1.5)
+    rig.put("anyone", "stop", b"")
+    rig.takes = 0
+    rig.run(5)
+    rig.takes = None
+    free_ns = rig.now_ns
+    rig.until(lambda: rig.says.state is ArbiterState.STANDBY, 8)
+    assert_stop_order(rig, free_ns)
+    assert rig.speed_mps == 0
+
+
+@pytest.mark.parametrize("takes", range(1, 5))
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_bus_that_takes_a_part_of_each_burst_does_not_keep_the_robot_going(takes: int, variant: Variant) -> None:
+    """For ever, as a full queue does that drains a little each tick. The speed goes first, and ramps down."""
+    rig, operator = driving(1.0, variant=variant)
+    begun = len(rig.heard)
+    rig.takes = takes
+    rig.put("anyone", "stop", b"")
+    operator.drive(1.0, seconds=0.05)
+    assert rig.says.stop_reason is Reason.REMOTE_STOP
+    rig.run(3)
+    assert rig.speed_mps == 0
+    falling = rig.heard[begun:]
+    assert falling == sorted(falling, reverse=True)
+    assert rig.core.command is not None
+    assert rig.core.command.is_mute, "and the guard may try"
+
+
+def test_a_stop_that_was_held_up_does_not_go_on_from_the_old_speed() -> None:
+    """The bus takes nothing for 10 s; meanwhile others bring the robot to rest and switch it on anew."""
+    rig, _ = driving(1.5)
+    rig.put("anyone", "stop", b"")
+    rig.tick(5)
+    rig.takes = 0
+    rig.run(10)
+    rig.chassis = VirtualChassis(load(Variant.COARSE), rig.now_ns)
+    rig.takes = None
+    heard = len(rig.heard)
+    rig.run(6)
+    assert rig.heard[heard:]
+    assert not any(rig.heard[heard:])
+    assert rig.says.state is ArbiterState.STANDBY
+
+
+def stopped_and_parked() -> LoopRig:
+    """In the hold of a stop: it stands, and the parking brake is applied."""
+    rig, _ = driving(1.0)
+    rig.put("anyone", "stop", b"")
+    rig.until(lambda: rig.says.stop_phase is StopPhase.HOLD)
+    rig.tick(20)
+    assert rig.says.stop_phase is StopPhase.HOLD
+    return rig
+
+
+@pytest.mark.parametrize("by", ["hand transmitter", "bus", "bus, and then silence"])
+def test_a_parked_robot_stays_parked_when_its_stop_is_begun_again(by: str) -> None:
+    """Nobody who gave way in the hold of a stop releases the brake afterwards, not for one frame."""
+    rig = stopped_and_parked()
+    begun = len(rig.bursts)
+    if by == "hand transmitter":
+        rig.fault("transmitter remote")
+        rig.run(0.5)
+        rig.fault("transmitter command")
+    else:
+        rig.links = Links(bus_up=False, guarded=True, bus_losses=1, realtime=True)
+        rig.chassis_hears = False
+        rig.corrupt = lambda _frame: None
+        rig.run(1)
+        rig.links = Links(bus_up=True, guarded=True, bus_losses=1, realtime=True)
+        rig.chassis_hears = True
+        if by == "bus":
+            rig.corrupt = lambda frame: frame
+    rig.run(6)
+    after = [told["Auto_ParkingCmd"]["ParkingRequest"] for _, told in rig.bursts[begun:]]
+    assert len(after) > 10
+    assert all(after)
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.1, 1.0])
+def test_a_bus_that_was_lost_and_returns_finds_the_robot_stopped(seconds: float) -> None:
+    """While it is away nothing reaches the chassis, which goes on; the stop comes with the first sign of auto."""
+    rig, _ = driving(1.0)
+    rig.links = Links(bus_up=not seconds, guarded=True, bus_losses=1, realtime=True)
+    rig.chassis_hears = False
+    rig.corrupt = lambda frame: frame if not seconds else None
+    rig.tick()
+    assert rig.event_reasons(EventKind.TAKEOVER) == [Reason.BUS_DOWN]
+    rig.run(seconds)
+    rig.links = Links(bus_up=True, guarded=True, bus_losses=1, realtime=True)
+    rig.chassis_hears = True
+    rig.corrupt = lambda frame: frame
+    rig.tick(3)
+    assert rig.says.state is ArbiterState.STOPPING
+    assert rig.says.stop_reason is Reason.FOUND_MOVING
+    assert rig.told_mps == 0, "its scale has to be found anew"
+    rig.run(6)
+    assert rig.speed_mps == 0
+
+
+# The chassis.
+
+
+@pytest.mark.parametrize("name", MOTION_FRAMES)
+def test_each_cleared_enable_at_speed_is_answered_with_the_parking_brake(name: str) -> None:
+    """Rows 'mode leaves auto: no automatic return' and 'a robot in mode stop that is seen to move is told'."""
+    rig, operator = driving()
+    rig.chassis_hears = False
+    rig.chassis.receive(Frame(load(Variant.COARSE).messages[name].can_id, bytes(8)), rig.now_ns)
+    operator.drive(1.0, seconds=0.06)
+    assert rig.says.stop_reason is Reason.MODE_NOT_AUTO
+    assert (rig.told_mps, rig.told["Auto_ParkingCmd"]["ParkingRequest"]) == (0.0, True)
+    rig.chassis_hears = True
+    operator.drive(1.0, seconds=4)
+    assert rig.says.state is ArbiterState.STANDBY
+    assert rig.ruled() is Reason.NOT_ENGAGED
+    assert rig.speed_mps == 0
+
+
+@pytest.mark.parametrize("name", MOTION_FRAMES)
+def test_each_cleared_enable_at_rest_ends_the_output_at_once(name: str) -> None:
+    """Row 'mode leaves auto: output ceases at once, no automatic return'."""
+    rig, operator = ready()
+    operator.engage()
+    rig.chassis_hears = False
+    rig.chassis.receive(Frame(load(Variant.COARSE).messages[name].can_id, bytes(8)), rig.now_ns)
+    operator.drive(1.0, seconds=0.06)
+    assert rig.event_reasons(EventKind.TAKEOVER) == [Reason.MODE_NOT_AUTO]
+    sent = len(rig.out)
+    rig.chassis_hears = True
+    operator.drive(1.0, seconds=2)
+    assert len(rig.out) == sent
+    assert rig.ruled() is Reason.NOT_ENGAGED
+
+
+def test_a_chassis_that_reads_auto_again_is_not_left_to_its_old_command() -> None:
+    """The mode leaves auto for one frame only, and the chassis goes on by what it was told: it is stopped."""
+    rig, operator = driving(1.5)
+    left = [1]
+
+    def corrupt(frame: Frame) -> Frame:
+        if NAMES.get(frame.can_id) != "Auto_MileageAndBodyFeedback" or not left:
+            return frame
+        left.pop()
+        return Frame(frame.can_id, with_checksum(flipped(frame.data, 41)))
+
+    rig.corrupt = corrupt
+    operator.drive(1.5, seconds=0.06)
+    assert rig.says.state is ArbiterState.STOPPING
+    assert rig.says.stop_reason is Reason.MODE_NOT_AUTO
+    rig.run(6)
+    assert rig.speed_mps == 0
+
+
+def test_a_takeover_that_is_followed_by_silence_is_not_believed() -> None:
+    """One frame reads remote, then none comes: the chassis may obey its old command for ever, so it is stopped."""
+    rig, operator = driving(1.0)
+    left = [1]
+
+    def corrupt(frame: Frame) -> Frame | None:
+        if NAMES.get(frame.can_id) != "Auto_MileageAndBodyFeedback":
+            return frame
+        return Frame(frame.can_id, with_checksum(flipped(frame.data, 40))) if left and left.pop() else None
+
+    rig.corrupt = corrupt
+    operator.drive(1.0, seconds=0.06)
+    assert rig.says.state is ArbiterState.STANDBY
+    rig.run(6)
+    assert rig.event_reasons(EventKind.STOP) == [Reason.FOUND_MOVING]
+    assert rig.speed_mps == 0
+
+
+def test_the_hand_transmitter_takes_over() -> None:
+    """Row 'hand transmitter takes over (mode remote): output ceases at once, no automatic return'."""
+    rig, operator = driving(1.0)
+    rig.fault("transmitter remote")
+    rig.fault("sticks 0.3 0")
+    operator.drive(1.0, seconds=0.06)
+    assert rig.says.state is ArbiterState.STANDBY
+    assert rig.event_reasons(EventKind.TAKEOVER) == [Reason.HAND_TRANSMITTER]
+    sent = len(rig.out)
+    operator.drive(1.0, seconds=2)
+    assert len(rig.out) == sent
+    assert operator.reason("engage") is Reason.HAND_TRANSMITTER
+
+
+@pytest.mark.parametrize(
+    ("disturb", "reason"), [("remote", Reason.HAND_TRANSMITTER), ("bus", Reason.BUS_DOWN), ("none", Reason.NONE)]
+)
+def test_a_stop_that_cannot_be_carried_out_says_so(disturb: str, reason: Reason) -> None:
+    """Row 'a stop that cannot be carried out: the reply says so with reason and what the robot does now'."""
+    rig, operator = driving(1.0)
+    if disturb == "remote":
+        rig.fault("transmitter remote")
+        rig.fault("sticks 0.8 0")
+        rig.run(1)
+    elif disturb == "bus":
+        rig.links = Links(bus_up=False, guarded=True, bus_losses=1)
+    handle = operator.ask("stop")
+    rig.tick()
+    reply = rig.replies[handle]
+    assert (reply.ok, reply.reason) == (reason is Reason.NONE, reason)
+    assert ("not seen to stand" if disturb == "bus" else "the robot moves at") in reply.detail
+    assert ("not carried out" in reply.detail) is not reply.ok
+    assert rig.says.latched == [Reason.REMOTE_STOP]
+
+
+def test_a_robot_that_the_hand_transmitter_gives_back_does_not_move() -> None:
+    """The chassis still has our last command and would obey it: it is stopped before it has any speed."""
+    rig, operator = driving(2.0)
+    rig.fault("transmitter remote")
+    operator.drive(2.0, seconds=0.1)
+    rig.run(4)
+    assert rig.speed_mps == 0
+    rig.fault("transmitter command")
+    fastest_mps = 0.0
+    for _ in range(300):
+        operator.drive(2.0)
+        fastest_mps = max(fastest_mps, abs(rig.speed_mps))
+    assert fastest_mps < 0.08
+    assert rig.speed_mps == 0
+    assert rig.chassis.state.mode is Mode.STOP
+
+
+@pytest.mark.parametrize("speed_mps", [1.0, -1.0])
+@pytest.mark.parametrize("side", ["front", "rear", "both"])
+def test_a_bumper_stops_the_robot_and_latches(side: str, speed_mps: float) -> None:
+    """Row 'bumper: immediate stop, latched', whichever way it goes."""
+    rig, operator = driving(speed_mps)
+    rig.fault(f"bumper {side} on for 50ms")
+    operator.drive(speed_mps, seconds=0.04)
+    assert rig.says.state is ArbiterState.STOPPING
+    operator.drive(speed_mps, seconds=4)
+    assert rig.speed_mps == 0
+    assert {reason.value for reason in rig.says.latched} == {
+        f"{each}_bumper" for each in (("front", "rear") if side == "both" else (side,))
+    }
+    assert operator.reason("engage") in rig.says.latched
+    rig.tick(40)
+    assert operator.reason("reset") is Reason.NONE
+    assert rig.says.latched == []
+
+
+@pytest.mark.parametrize("chatter_ms", [20, 40, 80])
+def test_a_bumper_that_bounces_while_the_robot_backs_off_latches_nothing_new(chatter_ms: int) -> None:
+    """Row 'bumper: contact bounce of an acknowledged bumper latches nothing new', and a later hit does."""
+    rig, operator = ready()
+    rig.fault("bumper front on")
+    rig.run(1)
+    operator.take_lease()
+    assert operator.reason("reset") is Reason.NONE
+    operator.engage()
+    body, bumper_bit = CAN_IDS["Auto_MileageAndBodyFeedback"], 32
+
+    def bounce(frame: Frame) -> Frame:
+        if frame.can_id != body or rig.now_ns // MS // chatter_ms % 2:
+            return frame
+        return Frame(frame.can_id, with_checksum(flipped(frame.data, bumper_bit)))
+
+    rig.corrupt = bounce
+    operator.drive(-0.3, seconds=2)
+    assert (rig.says.latched, rig.says.engaged) == ([], True)
+    assert rig.speed_mps < -0.2
+    rig.corrupt = lambda frame: frame
+    rig.fault("bumper front off")
+    operator.drive(-0.3, seconds=0.4)
+    assert rig.says.latched == []
+    rig.fault("bumper front on for 50ms")
+    operator.drive(-0.3, seconds=0.1)
+    assert rig.says.latched == [Reason.FRONT_BUMPER]
+
+
+def test_a_body_frame_that_is_frozen_hides_a_bumper_for_four_metres_at_most() -> None:
+    """Its counter runs and its checksum fits: the wheels contradict its mileage."""
+    rig, operator = driving(1.0)
+    body, frozen = CAN_IDS["Auto_MileageAndBodyFeedback"], list[bytes]()
+
+    def freeze(frame: Frame) -> Frame:
+        if frame.can_id != body:
+            return frame
+        frozen.append(frame.data[:6])
+        return Frame(frame.can_id, with_checksum(frozen[0] + frame.data[6:]))
+
+    rig.corrupt = freeze
+    operator.drive(1.0, seconds=0.1)
+    rig.fault("bumper front on")
+    begun_m = rig.chassis.state.mileage_m
+    operator.drive(1.0, seconds=6)
+    assert rig.says.latched == [Reason.FEEDBACK_FROZEN]
+    assert rig.chassis.state.mileage_m - begun_m < 4
+
+
+def test_a_robot_that_stands_is_held_by_its_parking_brake_and_goes_on_by_a_drive_command() -> None:
+    """Row 'standing': in gear at zero speed, parking brake after 1 s; unpark once allows the next."""
+    rig, operator = driving(0.5)
+    operator.drive(0.0, seconds=1.2)
+    assert rig.speed_mps == pytest.approx(0.0, abs=0.01)
+    assert rig.told["Auto_GearCmd"]["TargetGear"] == "drive"
+    assert not rig.told["Auto_ParkingCmd"]["ParkingRequest"]
+    operator.drive(0.0, seconds=1)
+    assert rig.told["Auto_GearCmd"]["TargetGear"] == "drive"
+    assert rig.told["Auto_ParkingCmd"]["ParkingRequest"]
+    operator.drive(-0.5, seconds=2)
+    assert rig.speed_mps == pytest.approx(-0.5, abs=0.05)
+
+
+def test_a_bumper_that_is_pressed_at_the_start_latches() -> None:
+    """Nobody has to have driven."""
+    rig = LoopRig()
+    rig.fault("bumper rear on")
+    rig.run(0.6)
+    assert rig.says.latched == [Reason.REAR_BUMPER]
+
+
+@pytest.mark.parametrize(("side", "toward_mps"), [("front", 0.5), ("rear", -0.5)])
+def test_after_a_reset_only_motion_away_from_the_hit_side(side: str, toward_mps: float) -> None:
+    """Row 'bumper: after a deliberate reset only motion away from the hit side until clear'; then a hit is new."""
+    rig, operator = ready()
+    rig.fault(f"bumper {side} on")
+    rig.run(1)
+    operator.take_lease()
+    assert operator.reason("reset") is Reason.NONE
+    operator.engage()
+    operator.drive(toward_mps, seconds=1)
+    assert rig.speed_mps == 0
+    assert rig.decided[-1].bound_by == [Bound.BUMPER]
+    operator.drive(-toward_mps, seconds=2)
+    assert rig.speed_mps == pytest.approx(-toward_mps, abs=0.05)
+    assert rig.says.engaged
+    rig.fault(f"bumper {side} off")
+    operator.drive(toward_mps, seconds=3)
+    assert rig.speed_mps == pytest.approx(toward_mps, abs=0.05)
+    rig.fault(f"bumper {side} on")
+    operator.drive(toward_mps, seconds=0.06)
+    assert rig.says.state is ArbiterState.STOPPING
+
+
+@pytest.mark.parametrize("hit_ms", [0, 10, 20])
+def test_a_reset_does_not_clear_a_hit_that_its_sender_has_not_seen(hit_ms: int) -> None:
+    """Of the other bumper, or of the same one once more, in the tick of the reset or right before."""
+    for other in (True, False):
+        rig, operator = ready()
+        rig.fault("bumper front on for 100ms")
+        rig.run(1)
+        operator.take_lease()
+        rig.fault(f"bumper {'rear' if other else 'front'} on for 100ms")
+        rig.tick(4 + hit_ms // 10)
+        assert operator.reason("reset") in {Reason.REAR_BUMPER, Reason.FRONT_BUMPER, Reason.NONE}
+        rig.tick(5)
+        assert (Reason.REAR_BUMPER if other else Reason.FRONT_BUMPER) in rig.says.latched
+
+
+def test_a_reset_names_what_its_sender_saw() -> None:
+    """With a challenge it never clears what came later, however long ago, and is refused when it is old itself."""
+    rig, operator = ready()
+    rig.put("anyone", "stop", b"")
+    rig.run(1)
+    operator.take_lease()
+    seen = rig.says.challenge
+    rig.run(0.5)
+    rig.put("anyone", "stop", b"")
+    rig.run(0.55)
+    assert operator.reason("reset", challenge=seen) is Reason.TOO_OLD
+    assert operator.reason("reset", challenge=bytes(8)) is Reason.CHALLENGE_UNKNOWN
+    rig.run(0.6)
+    seen = rig.says.challenge
+    rig.run(0.1)
+    assert operator.reason("reset", challenge=seen) is Reason.NONE
+    rig.put("anyone", "stop", b"")
+    rig.run(0.6)
+    assert rig.says.latched == [Reason.REMOTE_STOP]
+
+
+def test_the_other_bumper_still_stops_a_robot_that_backs_away() -> None:
+    """What a reset has acknowledged is the one side only."""
+    rig, operator = ready()
+    rig.fault("bumper front on")
+    rig.run(1)
+    operator.take_lease()
+    operator.reason("reset")
+    operator.engage()
+    operator.drive(-0.5, seconds=2)
+    rig.fault("bumper rear on")
+    operator.drive(-0.5, seconds=0.06)
+    assert rig.says.latched == [Reason.REAR_BUMPER]
+    assert rig.says.state is ArbiterState.STOPPING
+
+
+def test_both_bumpers_pressed_allow_no_motion() -> None:
+    """There is no way that is away."""
+    rig, operator = ready()
+    rig.fault("bumper both on")
+    rig.run(1)
+    operator.take_lease()
+    operator.reason("reset")
+    operator.engage()
+    for speed_mps in (0.5, -0.5):
+        operator.drive(speed_mps, seconds=1)
+        assert rig.speed_mps == 0
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_chassis_of_the_other_scale_is_found_and_told(variant: Variant) -> None:
+    """Row 'plausibility: over by 0.3 m/s and 1.5 x for 300 ms: stop, latched, and say which scale fits'."""
+    rig, operator = ready(variant)
+    operator.engage()
+    rig.fault("scale wrong")
+    operator.drive(1.0, seconds=2)
+    assert Reason.IMPLAUSIBLE_SPEED in rig.says.latched
+    [text] = [
+        event.text
+        for event in rig.events
+        if (event.kind, event.reason) == (EventKind.LATCH, Reason.IMPLAUSIBLE_SPEED)
+    ]
+    other = "coarse" if variant is Variant.FINE else "fine"
+    assert f"the {other} scale of the drive frames would fit" in text
+    rig.run(6)
+    assert rig.speed_mps == 0
+
+
+def test_a_chassis_whose_variant_is_changed_is_stopped_at_zero_speed() -> None:
+    """Once the scale is in doubt only zero is the same in both; the stop goes out all the same."""
+    rig, operator = ready()
+    operator.engage()
+    operator.drive(0.0, seconds=0.2)
+    rig.fault("variant fine")
+    operator.drive(0.0, seconds=0.6)
+    assert not rig.says.engaged
+    # Read in the wrong scale its wheels turn at 33 m/s.
+    assert rig.says.stop_reason in {Reason.VARIANT_UNKNOWN, Reason.IMPLAUSIBLE_SPEED}
+    assert rig.told_mps == 0
+    assert rig.told
+
+
+def test_a_variant_in_doubt_at_speed_does_not_silence_the_stop() -> None:
+    """The gate lets no speed pass in an unknown scale: the stop begins at zero, and is heard."""
+    rig, operator = driving(1.5)
+    detector = rig.core._detector
+    detector.contradicted = True
+    rig.core._apply_variant()
+    operator.drive(1.5)
+    assert rig.says.stop_reason is Reason.VARIANT_UNKNOWN
+    assert rig.told
+    assert rig.told_mps == 0
+    rig.run(6)
+    assert rig.speed_mps == 0
+    assert rig.says.state is ArbiterState.STANDBY
+
+
+def test_another_computer_on_the_bus_stops_the_robot() -> None:
+    """Two that command one chassis: nobody knows what it obeys. ``cruiser halt`` is such a one."""
+    rig, operator = driving()
+    rig.fault("foreign 18C4D3D0 every 10ms for 50ms")
+    operator.drive(1.0, seconds=0.04)
+    assert rig.says.state is ArbiterState.STOPPING
+    assert rig.says.stop_reason is Reason.OTHER_COMMANDER
+
+
+def test_a_robot_found_moving_is_stopped() -> None:
+    """Row 'found at start: a chassis in auto, moving, and nobody sending: the stop sequence, an event'."""
+    rig, _ = driving(1.0)
+    chassis = rig.chassis
+    found = LoopRig(now_ns=rig.now_ns)
+    found.chassis = chassis
+    found.run(1)
+    assert found.event_reasons(EventKind.STOP) == [Reason.FOUND_MOVING]
+    found.run(6)
+    assert found.speed_mps == 0
+    assert found.says.state is ArbiterState.STANDBY
+
+
+@pytest.mark.parametrize("missing", ["Auto_DriveFeedBack", "Auto_WheelSpdFeedback", "Auto_MileageAndBodyFeedback"])
+@pytest.mark.parametrize("speed_mps", [1.0, -1.0])
+def test_a_robot_found_moving_is_stopped_whatever_frame_is_missing(missing: str, speed_mps: float) -> None:
+    """Row 'found at start: moving by drive, wheels or pulses': also with no mode at hand."""
+    rig, _ = driving(speed_mps)
+    found = LoopRig(now_ns=rig.now_ns)
+    found.chassis = rig.chassis
+    found.fault(f"silence {missing}")
+    found.run(1.3)
+    assert found.event_reasons(EventKind.STOP)[:1] == [Reason.FOUND_MOVING]
+    found.run(8)
+    assert found.speed_mps == 0
+
+
+def test_a_robot_that_another_computer_drives_is_left_alone() -> None:
+    """Row 'standing by: silent on the bus (another computer may own it)'."""
+    rig, _ = driving(1.0)
+    found = LoopRig(now_ns=rig.now_ns)
+    found.chassis = rig.chassis
+    found.fault("foreign 18C4D3D0 every 50ms")
+    found.run(2)
+    assert found.bursts == []
+    assert found.speed_mps > 0.9
+
+
+# The operator and the link.
+
+
+def test_an_operator_who_falls_silent_is_missed() -> None:
+    """Row 'deadman: no acceptable drive command for 300 ms: controlled stop', by 1.2 m/s2 and no harder."""
+    rig, _ = driving(2.0)
+    rig.run(0.28)
+    assert rig.says.engaged
+    rig.tick(4)
+    assert rig.says.stop_reason is Reason.DEADMAN
+    before_mps, begun_ns = rig.told_mps, rig.now_ns
+    rig.run(0.5)
+    assert before_mps - rig.told_mps == pytest.approx(0.6, abs=0.06)
+    rig.until(lambda: rig.says.state is ArbiterState.STANDBY, 8)
+    assert_stop_order(rig, begun_ns)
+    assert rig.says.latched == []
+
+
+def test_an_operator_who_only_renews_is_no_driver() -> None:
+    """Liveliness and a lease that is kept are not the deadman."""
+    rig, operator = driving()
+    for _ in range(40):
+        operator.ask("renew")
+        rig.tick()
+    assert rig.says.stop_reason is Reason.DEADMAN
+    assert rig.says.lease_holder == "first"
+
+
+@pytest.mark.parametrize("stall_s", [0.5, 2.0, 3.0, 8.0])
+@pytest.mark.parametrize("down_too", [True, False])
+def test_a_stall_that_delivers_everything_at_once_moves_the_robot_by_nothing(
+    stall_s: float,
+    down_too: bool,  # noqa: FBT001 - a parameter
+) -> None:
+    """Row 'command age, by echo: over 1 s: refused'. The stream of the whole stall comes in one tick.
+
+    ``down_too``: the operator sees no new challenge meanwhile; otherwise only the way up is stalled.
+    """
+    rig, operator = driving(1.0)
+    stalled: list[bytes] = []
+    seen = rig.says.challenge
+    for _ in range(round(stall_s * 50)):
+        stalled.append(operator.drive_payload(1.0, challenge=seen if down_too else rig.says.challenge))
+        rig.tick(2)
+    rig.until(lambda: rig.says.state is ArbiterState.STANDBY or stall_s < 5, 0.1)
+    x_m, told = rig.chassis.state.mileage_m, len(rig.bursts)
+    state = rig.says.state
+    assert state in {ArbiterState.STOPPING, ArbiterState.STANDBY}
+    for payload in stalled:
+        rig.put(operator.name, "drive", payload)
+    rig.tick()
+    decided = [decision for decision in rig.decided[-len(stalled) :] if decision.request == "drive"]
+    assert all(decision.reason is not Reason.NONE for decision in decided)
+    rig.run(6)
+    speeds = [float(burst["Auto_DriveCmd"]["TargetVelocity"]) for _, burst in rig.bursts[told:]]
+    assert speeds == sorted(speeds, reverse=True), "the stop goes on, and nothing speeds up"
+    if state is ArbiterState.STANDBY:
+        assert rig.chassis.state.mileage_m == x_m
+
+
+@pytest.mark.parametrize("stall_s", [0.5, 2.0, 8.0])
+def test_a_stalled_stream_is_refused_although_the_robot_is_engaged_again(stall_s: float) -> None:
+    """Row 'command age, by echo': here only the age speaks against it."""
+    rig, operator = driving(1.0)
+    stalled = []
+    for _ in range(round(stall_s * 50)):
+        stalled.append(operator.drive_payload(1.0))
+        operator.ask("renew")
+        rig.tick(2)
+    while rig.says.state is not ArbiterState.STANDBY:
+        operator.ask("renew")
+        rig.tick()
+    handle = operator.ask("engage")
+    rig.until(lambda: handle in rig.replies)
+    rig.run(0.25)
+    for payload in stalled[:8]:
+        rig.put(operator.name, "drive", payload)
+    rig.tick()
+    assert {decision.reason for decision in rig.decided[-8:]} <= {Reason.TOO_OLD, Reason.CHALLENGE_UNKNOWN}
+    rig.run(0.2)
+    assert rig.says.stop_reason is Reason.DEADMAN
+    assert rig.speed_mps == 0
+
+
+def test_yesterdays_commands_are_refused() -> None:
+    """A capture of another run: neither its lease nor its challenges are of this one."""
+    yesterday, first = driving()
+    lease, challenge = first.lease, yesterday.says.challenge
+    rig = LoopRig(run=8)
+    rig.run(0.6)
+    today = Operator(rig)
+    today.engage()
+    today.lease, own = lease, today.lease
+    rig.put("first", "drive", today.drive_payload(1.0))
+    rig.tick()
+    assert rig.ruled() is Reason.NO_LEASE
+    today.lease = own
+    rig.put("first", "drive", today.drive_payload(1.0, challenge=challenge))
+    rig.tick()
+    assert rig.ruled() is Reason.CHALLENGE_UNKNOWN
+    assert rig.speed_mps == 0
+
+
+def test_a_command_that_was_made_today_for_a_tick_of_tomorrow_is_refused() -> None:
+    """Row 'command age, by echo': a tick to come can be guessed, and its challenge cannot."""
+    rig, operator = driving(0.5)
+    kept_back = operator.drive_payload(2.0, challenge=bytes(8), tick=rig.says.tick + 400, seq=900)
+    operator.drive(0.5, 0.0, 3.98)
+    rig.put(operator.name, "drive", kept_back)
+    rig.tick()
+    assert rig.ruled() is Reason.CHALLENGE_UNKNOWN
+    assert rig.says.target_speed_mps == 0.5
+
+
+def test_this_mornings_commands_are_refused() -> None:
+    """A capture of this very lease: its sequence does not rise."""
+    rig, operator = driving()
+    payload = operator.drive_payload(1.0)
+    for expected in (Reason.NONE, Reason.SEQUENCE):
+        rig.put(operator.name, "drive", payload)
+        rig.tick()
+        assert rig.ruled() is expected
+
+
+@pytest.mark.parametrize("step_ns", [-YEAR_NS, YEAR_NS, 3600 * 10**9, -3600 * 10**9])
+def test_clocks_do_not_matter(step_ns: int) -> None:
+    """A sender whose clock is a year off is served, and a wall clock that steps by an hour changes nothing."""
+    rig, operator = driving()
+    rig.wall_ns += step_ns
+    operator.drive(1.0, seconds=1)
+    assert rig.says.engaged
+    assert rig.ruled() is Reason.NONE
+    assert rig.speed_mps == pytest.approx(1.0, abs=0.02)
+
+
+def test_two_operators_and_one_robot() -> None:
+    """Row 'lease: exclusive', and row 'take': the second is refused, then takes it; the first is told."""
+    rig, first = driving()
+    second = Operator(rig, "second")
+    assert second.take_lease() is Reason.LEASE_HELD
+    second.lease = first.lease
+    rig.put("second", "drive", second.drive_payload(2.0))
+    rig.tick()
+    assert rig.ruled() is Reason.NO_LEASE
+    assert second.take_lease("take") is Reason.MOVING
+    assert second.take_lease("take", role="program", override=True) is Reason.ROLE_TOO_LOW
+    assert second.take_lease("take", override=True) is Reason.NONE
+    assert rig.says.state is ArbiterState.STOPPING
+    assert rig.says.stop_reason is Reason.LEASE_TAKEN
+    first.drive(1.0)
+    assert rig.ruled() is Reason.LEASE_TAKEN
+    told = [event for event in rig.events if event.reason is Reason.LEASE_TAKEN and event.operator == "first"]
+    assert [event.kind for event in told] == [EventKind.LEASE]
+    rig.run(1.9)
+    second.reason("renew")
+    rig.run(1.9)
+    second.reason("renew")
+    rig.until(lambda: rig.says.state is ArbiterState.STANDBY)
+    second.engage()
+    second.drive(0.5, seconds=2)
+    assert rig.speed_mps == pytest.approx(0.5, abs=0.05)
+
+
+@pytest.mark.parametrize("operator", ["first", "anyone", ""])
+@pytest.mark.parametrize("payload", [b"", b"\xc1" * 1000, b"\x81\xa5lease\xff"])
+def test_the_remote_stop_is_served_from_anyone_with_any_payload(operator: str, payload: bytes) -> None:
+    """Row 'stop: from any operator, lease or not: immediate stop with parking brake, latched'."""
+    rig, first = driving(1.5)
+    rig.put(operator, "stop", payload)
+    first.drive(1.5)
+    assert rig.says.state is ArbiterState.STOPPING
+    begun_ns, before_mps = rig.now_ns, rig.told_mps
+    rig.run(0.5)
+    assert before_mps - rig.told_mps == pytest.approx(1.0, abs=0.06)
+    rig.until(lambda: rig.says.state is ArbiterState.STANDBY, 8)
+    assert_stop_order(rig, begun_ns)
+    assert rig.says.latched == [Reason.REMOTE_STOP]
+    first.take_lease()
+    assert first.reason("engage") is Reason.REMOTE_STOP
+
+
+def test_a_controller_that_leaves_the_bus_stops_the_robot() -> None:
+    """Nobody engages while it is off; when it is back the robot stands, and is engaged anew."""
+    rig, first = driving()
+    rig.core.receive_frame(Frame(ERROR | 0x40, bytes(8)), rig.now_ns)
+    rig.until(lambda: rig.says.state is ArbiterState.STANDBY, 8)
+    assert rig.says.stop_reason is Reason.BUS_OFF
+    assert Reason.BUS_OFF in rig.event_reasons(EventKind.FAULT)
+    first.take_lease()
+    assert first.reason("engage") is Reason.BUS_OFF
+    rig.core.receive_frame(Frame(ERROR | 0x100, bytes(8)), rig.now_ns)
+    first.engage()
+    assert rig.says.engaged
+
+
+# The loop.
+
+
+@pytest.mark.parametrize(("late_ms", "stops"), [(40, False), (100, False), (101, True), (400, True)])
+def test_a_late_loop(late_ms: int, stops: bool) -> None:  # noqa: FBT001 - a parameter
+    """Row 'loop late by over 50 ms: event; over 100 ms: stop'."""
+    rig, operator = driving()
+    rig.late_ns = late_ms * MS
+    rig.put(operator.name, "drive", operator.drive_payload(1.0))
+    rig.tick()
+    rig.late_ns = 0
+    assert (Reason.LOOP_LATE in rig.event_reasons(EventKind.FAULT)) is (late_ms > 50)
+    operator.drive(1.0, seconds=0.1)
+    assert rig.says.engaged is not stops
+    if stops:
+        assert rig.says.stop_reason in {Reason.LOOP_LATE, Reason.FEEDBACK_MISSING}
+
+
+def test_a_loop_that_is_always_late_says_so_once_a_second() -> None:
+    """Its events must not push all others out of the history."""
+    rig, _ = driving()
+    rig.late_ns = 60 * MS
+    begun_ns = rig.now_ns
+    while rig.now_ns - begun_ns < 2.5e9:
+        rig.tick()
+    assert rig.event_reasons(EventKind.FAULT).count(Reason.LOOP_LATE) == 3
+
+
+def test_a_late_stop_tells_zero_speed_before_neutral() -> None:
+    """At the very start of motion, told some speed and still standing, a pause must not skip the order."""
+    rig, operator = ready()
+    operator.engage()
+    rig.chassis_hears = True
+    operator.drive(1.0, seconds=0.3)
+    while rig.told_mps == 0:
+        operator.drive(1.0)
+    rig.late_ns = 150 * MS
+    rig.tick()
+    rig.late_ns = 0
+    assert rig.told["Auto_GearCmd"]["TargetGear"] == "drive"
+    assert rig.says.stop_reason is Reason.LOOP_LATE
+
+
+def test_the_guard_stops_in_our_place() -> None:
+    """While it sends, we are silent; and it latches."""
+    rig, operator = driving()
+    rig.links = msgspec.structs.replace(GUARDED, guard_sends=True)
+    operator.drive(1.0)
+    assert rig.says.state is ArbiterState.STANDBY
+    assert rig.says.latched == [Reason.GUARD]
+    assert not rig.told
+    assert operator.reason("reset") is Reason.GUARD
+    assert operator.reason("engage") is Reason.GUARD
+
+
+def test_the_guards_words_are_in_the_events_and_in_the_latch() -> None:
+    """Row 'the guard has stopped the robot: latched, with its words as an event': cause and outcome."""
+    rig, operator = driving()
+    cause = Cause.LATE.value
+    rig.links = msgspec.structs.replace(GUARDED, guard_sends=True, guard_stops=1, guard_says=cause)
+    operator.drive(1.0)
+    yielded, latched = (
+        next(e for e in rig.events if e.kind is kind) for kind in (EventKind.GUARD, EventKind.LATCH)
+    )
+    assert yielded.text == f"nothing is sent any more: {TEXTS[Reason.GUARD].means}; {cause}"
+    assert latched.text.endswith(cause)
+    rig.links = msgspec.structs.replace(GUARDED, guard_stops=1, guard_says=f"{cause}; the robot stands")
+    rig.tick()
+    ended = [event.text for event in rig.events if event.kind is EventKind.GUARD][1:]
+    assert ended == [f"the guard's stop has ended: {cause}; the robot stands"]
+
+
+def test_a_stop_of_the_guards_before_the_start_is_latched_until_a_reset() -> None:
+    """Row 'the guard has stopped the robot: latched, also across a restart of the gateway'."""
+    rig = LoopRig()
+    rig.core.latch_guard_stop("yesterday guard: the gateway is gone", rig.now_ns)
+    rig.run(0.6)
+    operator = Operator(rig)
+    (event,) = [event for event in rig.events if event.kind is EventKind.LATCH]
+    assert event.text.endswith("; yesterday guard: the gateway is gone")
+    assert operator.take_lease() is Reason.NONE
+    assert operator.reason("engage") is Reason.GUARD
+    assert operator.reason("reset") is Reason.NONE
+    operator.engage()
+
+
+def test_a_stop_of_the_guards_that_began_and_ended_unseen_is_latched_while_standing_by_too() -> None:
+    """Row 'the guard has stopped the robot: latched': the loop stood still meanwhile."""
+    rig, operator = ready()
+    rig.links = msgspec.structs.replace(GUARDED, guard_stops=1)
+    rig.tick()
+    assert rig.says.latched == [Reason.GUARD]
+    assert operator.take_lease() is Reason.NONE
+    rig.run(0.6)
+    assert operator.reason("reset") is Reason.NONE
+    assert rig.says.latched == []
+
+
+@pytest.mark.parametrize("lacks", ["realtime", "guarded"])
+def test_without_realtime_or_a_guard_the_robot_is_engaged_to_a_lower_speed_limit(lacks: str) -> None:
+    """Row 'a gateway without real-time priority: its speed limit is a setting of its own (1.0 m/s)'."""
+    rig, operator = ready(accept_unguarded=True)
+    rig.links = msgspec.structs.replace(GUARDED, **{lacks: False})
+    operator.engage()
+    assert rig.says.speed_limit_mps == 1.0
+    operator.drive(2.0, seconds=3.0)
+    assert rig.told_mps == pytest.approx(1.0, abs=0.04)
+    operator.drive(0.0, seconds=2.0)
+    assert operator.reason("disengage") is Reason.NONE
+    rig.until(lambda: rig.says.state is ArbiterState.STANDBY, 8)
+    operator.engage(speed_limit_mps=0.4)
+    assert rig.says.speed_limit_mps == 0.4, "the lower of the two"
+
+
+def test_the_speed_limit_falls_at_once_with_real_time_priority_and_rises_with_the_next_engage() -> None:
+    """Row 'a gateway without real-time priority', and 'limits scale down, never up, at run time'."""
+    rig, operator = driving(2.0)
+    rig.links = msgspec.structs.replace(GUARDED, realtime=False)
+    operator.drive(2.0, seconds=0.2)
+    assert rig.says.speed_limit_mps == 1.0
+    assert Reason.NO_REALTIME in rig.event_reasons(EventKind.FAULT)
+    operator.drive(2.0, seconds=2.0)
+    assert rig.told_mps == pytest.approx(1.0, abs=0.04)
+    assert rig.says.engaged
+    rig.links = GUARDED
+    operator.drive(2.0, seconds=1.0)
+    assert rig.says.speed_limit_mps == 1.0
+
+
+def test_the_guards_frames_are_not_taken_for_another_computers() -> None:
+    """Read before it is known that the guard acted: what was left is stopped at once, not when it moves."""
+    rig, _ = driving(1.0)
+    maker = FrameMaker()
+    for frame in maker.make(Actuation(enabled=True), [], Variant.COARSE):
+        rig.core.receive_frame(frame, rig.now_ns)
+    rig.links = Links(bus_up=True, guarded=True, guard_stops=1, realtime=True)
+    rig.tick(3)
+    assert rig.event_reasons(EventKind.STOP) == [Reason.FOUND_MOVING]
+    assert Reason.OTHER_COMMANDER not in rig.says.blocked_by
+
+
+def test_without_a_guard_nothing_is_engaged_and_what_is_engaged_stops() -> None:
+    """Unless the settings accept it."""
+    rig, operator = driving()
+    rig.links = msgspec.structs.replace(GUARDED, guarded=False)
+    operator.drive(1.0)
+    assert rig.says.stop_reason is Reason.UNGUARDED
+    rig.run(6)
+    operator.take_lease()
+    assert operator.reason("engage") is Reason.UNGUARDED
+
+
+def test_a_gateway_that_ends_stops_the_robot_first() -> None:
+    """And engages it no more."""
+    rig, operator = driving()
+    rig.core.shut_down(rig.now_ns)
+    operator.drive(1.0)
+    assert_stops(rig, Reason.SHUTDOWN)
+    assert rig.core.is_at_rest
+    operator.take_lease()
+    assert operator.reason("engage") is Reason.SHUTDOWN

@@ -1,0 +1,266 @@
+"""Row 'slopes': every rule holds on 20 deg up and down, empty and loaded, whatever the brake pedal does."""
+
+from itertools import product
+
+import pytest
+
+from gateway.chassis.encode import Encoder
+from gateway.chassis.frame import Frame
+from gateway.chassis.layout import load
+from gateway.sim.model import VirtualChassis
+from gateway.sim.parameters import Conditions
+from schemas.decisions import ArbiterState, EventKind
+from schemas.messages import Mode, ParkingStatus, Variant
+from schemas.reasons import Reason
+from tests.support.loop_rig import LoopRig, Operator, driving
+
+SLOPES = (-20.0, -8.0, 3.0, 8.0, 15.0, 20.0)
+PAYLOADS = (0.0, 100.0)
+PEDALS = (0.0, 0.3, 1.0)
+HILLS = list(product(SLOPES, PAYLOADS, PEDALS))
+
+RELEASE_MAX_M = 0.10
+STOP_MAX_M = 0.30
+"""Row 'slopes': roll-back at release, and from the moment of any stop."""
+
+
+class Hill(LoopRig):
+    """A robot on a slope, and how far it has rolled back.
+
+    Attributes:
+        operator: has the robot engaged.
+        rolled_back_m: how far it is behind the furthest place that it reached, since ``watch``.
+    """
+
+    def __init__(self, slope_deg: float, payload_kg: float = 0.0, pedal_gain: float = 0.0) -> None:
+        super().__init__()
+        conditions = Conditions(slope_deg=slope_deg, payload_kg=payload_kg, pedal_gain=pedal_gain)
+        self.chassis = VirtualChassis(load(Variant.COARSE), 0, conditions=conditions)
+        self._sign = 0.0
+        self._furthest_m = self.rolled_back_m = 0.0
+        self.run(0.6)
+        self.operator = Operator(self)
+        self.operator.engage()
+
+    def watch(self, sign: float) -> None:
+        """From here on going against this direction is rolling back."""
+        self._sign = sign
+        self._furthest_m = sign * self.chassis.state.x_m
+        self.rolled_back_m = 0.0
+
+    def tick(self, count: int = 1) -> None:
+        for _ in range(count):
+            super().tick()
+            if self._sign:
+                way_m = self._sign * self.chassis.state.x_m
+                self._furthest_m = max(self._furthest_m, way_m)
+                self.rolled_back_m = max(self.rolled_back_m, self._furthest_m - way_m)
+
+
+@pytest.mark.parametrize(("slope_deg", "payload_kg", "pedal_gain"), HILLS)
+@pytest.mark.parametrize("speed_mps", [0.5, -0.5])
+def test_a_robot_that_is_let_go_on_a_slope_does_not_roll_back(
+    slope_deg: float, payload_kg: float, pedal_gain: float, speed_mps: float
+) -> None:
+    """The motor holds it in gear, the parking brake after a second; where the motor cannot, the brake at once."""
+    hill = Hill(slope_deg, payload_kg, pedal_gain)
+    hill.operator.drive(speed_mps, seconds=2.0)
+    hill.watch(1.0 if speed_mps > 0 else -1.0)
+    hill.operator.drive(0.0, seconds=4.0)
+    assert hill.rolled_back_m < RELEASE_MAX_M
+    assert hill.speed_mps == 0
+    assert hill.chassis.state.parking_status is ParkingStatus.APPLIED
+
+
+@pytest.mark.parametrize(("slope_deg", "payload_kg"), list(product(SLOPES, PAYLOADS)))
+@pytest.mark.parametrize(
+    "cause", ["stop", "silence", "disengage", "bumper front on", "silence Auto_DriveFeedBack"]
+)
+def test_a_stop_on_a_slope_ends_parked(slope_deg: float, payload_kg: float, cause: str) -> None:
+    """Whatever the cause: it does not roll back, and stands under its parking brake in the end."""
+    hill = Hill(slope_deg, payload_kg)
+    hill.operator.drive(0.5, seconds=2.0)
+    hill.watch(1.0)
+    match cause:
+        case "stop":
+            hill.put("anyone", "stop", b"")
+        case "silence":
+            pass
+        case "disengage":
+            hill.operator.ask("disengage")
+        case _:
+            hill.fault(cause)
+    hill.run(7.0)
+    assert hill.rolled_back_m < STOP_MAX_M
+    assert hill.speed_mps == 0
+    assert hill.chassis.state.parking_status is ParkingStatus.APPLIED
+    assert hill.says.state is ArbiterState.STANDBY
+
+
+@pytest.mark.parametrize("slope_deg", [8.0, 20.0])
+def test_a_hill_start_does_not_roll_back(slope_deg: float) -> None:
+    """Row 'standing': the brake is released in gear, and the ramp waits for the feedback that says so."""
+    hill = Hill(slope_deg)
+    hill.watch(1.0)
+    hill.operator.drive(0.5, seconds=2.0)
+    hill.operator.drive(0.0, seconds=2.0)
+    assert hill.chassis.state.parking_status is ParkingStatus.APPLIED
+    hill.operator.drive(0.5, seconds=2.0)
+    assert hill.speed_mps > 0.4
+    assert hill.rolled_back_m < 0.01
+
+
+@pytest.mark.parametrize("slope_deg", [-20.0, 20.0])
+def test_a_reversal_on_a_slope_does_not_roll(slope_deg: float) -> None:
+    """Row 'reversal of direction': the gear is changed behind the parking brake."""
+    hill = Hill(slope_deg)
+    hill.operator.drive(0.5, seconds=2.0)
+    hill.watch(1.0)
+    for _ in range(40):
+        hill.operator.drive(-0.5)
+        if hill.chassis.state.parking_status is ParkingStatus.APPLIED:
+            break
+    assert hill.rolled_back_m < 0.01
+    hill.operator.drive(-0.5, seconds=2.5)
+    assert hill.speed_mps < -0.4
+
+
+@pytest.mark.parametrize("slope_deg", [8.0, 15.0, 20.0])
+def test_a_motor_that_dies_is_noticed_by_the_wheels(slope_deg: float) -> None:
+    """Row 'rolling': against the commanded direction for 100 ms, then the parking brake, latched, an event."""
+    hill = Hill(slope_deg)
+    hill.operator.drive(0.5, seconds=2.0)
+    hill.watch(1.0)
+    hill.fault("motor 0")
+    hill.operator.drive(0.5, seconds=3.0)
+    assert hill.rolled_back_m < STOP_MAX_M
+    assert hill.speed_mps == 0
+    assert Reason.ROLLING in hill.says.latched
+    assert Reason.ROLLING in hill.event_reasons(EventKind.STOP)
+
+
+@pytest.mark.parametrize("slope_deg", [-20.0, -8.0, 0.0])
+def test_a_chassis_that_coasts_in_mode_stop_gets_its_parking_brake(slope_deg: float) -> None:
+    """Row 'a stop that cannot be carried out': a robot in mode stop that moves is told to park all the same."""
+    hill = Hill(slope_deg)
+    hill.operator.drive(1.0, seconds=2.5)
+    hill.fault("reboot for 200ms")
+    hill.run(6.0)
+    assert hill.speed_mps == 0
+    assert hill.chassis.state.parking_status is ParkingStatus.APPLIED
+    assert hill.chassis.state.mode is Mode.STOP
+
+
+def test_a_slope_that_changes_is_borne() -> None:
+    """Up, over the top and down again, and a stop at the steepest place."""
+    hill = Hill(15.0, 0.0)
+    for slope_deg in (20.0, 5.0, 0.0, -10.0, -20.0):
+        hill.fault(f"slope {slope_deg:g}")
+        hill.operator.drive(0.5, seconds=1.5)
+        assert abs(hill.speed_mps - 0.5) < 0.1
+    hill.put("anyone", "stop", b"")
+    hill.run(5.0)
+    assert hill.speed_mps == 0
+    assert hill.says.latched == [Reason.REMOTE_STOP]
+
+
+def test_a_stop_that_was_barred_is_carried_out_when_the_remote_control_gives_the_robot_back() -> None:
+    """Row 'stop, the remote stop': with parking brake; latched meanwhile, and told as soon as it can be."""
+    rig = LoopRig()
+    rig.run(0.6)
+    rig.fault("transmitter remote")
+    rig.fault("sticks 0.5 0")
+    rig.run(1.5)
+    handle = rig.query("anyone", "stop", b"")
+    rig.run(0.5)
+    reply = rig.replies[handle]
+    assert (reply.ok, reply.reason) == (False, Reason.HAND_TRANSMITTER)
+    assert "the robot moves at 0.48 m/s" in reply.detail
+    assert rig.bursts == []
+    rig.fault("sticks 0 0")
+    rig.run(2)
+    before = rig.chassis.state.parking_status
+    rig.fault("transmitter command")
+    rig.run(3)
+    assert (before, rig.chassis.state.parking_status) == (ParkingStatus.RELEASED, ParkingStatus.APPLIED)
+    assert rig.says.state is ArbiterState.STANDBY
+
+
+def test_a_robot_that_coasts_after_a_takeover_gets_its_parking_brake() -> None:
+    """Row 'a robot in mode stop that is seen to move, while nobody else commands': we had left it."""
+    hill = Hill(-8.0)
+    hill.operator.drive(0.5, seconds=2.0)
+    hill.fault("transmitter remote")
+    hill.fault("sticks 0.5 0")
+    hill.run(1.0)
+    hill.chassis._commands.clear()  # it has forgotten what it was told
+    hill.fault("transmitter command")
+    hill.run(5.0)
+    assert hill.speed_mps == 0
+    assert hill.chassis.state.parking_status is ParkingStatus.APPLIED
+
+
+@pytest.mark.parametrize("lamps", [False, True])
+def test_a_robot_that_is_given_back_does_not_resume(*, lamps: bool) -> None:
+    """Row 'nothing ever resumes by itself', also where another node switches lamps: they command no motion."""
+    rig, operator = driving(2.0)
+    rig.fault("transmitter remote")
+    operator.drive(2.0, seconds=0.2)
+    rig.run(3)
+    if lamps:
+        rig.fault("foreign 18C4D7D0 every 50ms")
+    rig.run(0.5)
+    at_m = rig.chassis.state.x_m
+    rig.fault("transmitter command")
+    rig.run(5)
+    assert abs(rig.chassis.state.x_m - at_m) < 0.05
+    assert rig.chassis.state.parking_status is ParkingStatus.APPLIED
+
+
+@pytest.mark.parametrize("late_ms", [0, 30, 60])
+def test_a_late_loop_slows_the_robot_down_as_fast(late_ms: int) -> None:
+    """Row 'normal deceleration 1.2 m/s2': by the time that has passed, not by the number of ticks."""
+    rig, operator = driving(2.0)
+    rig.late_ns = late_ms * 1_000_000
+    at_m = rig.chassis.state.x_m
+    for _ in range(150):
+        operator.drive(0.0)
+    assert rig.speed_mps == 0
+    assert rig.chassis.state.x_m - at_m < 2.0**2 / (2 * 1.2) + 2.0 * 0.4
+
+
+def test_a_frozen_body_frame_is_not_hidden_by_engaging_anew() -> None:
+    """Row 'a body frame frozen with a running counter': the way since the mileage changed goes on counting."""
+    rig, operator = driving(0.5)
+    rig.fault("freeze Auto_MileageAndBodyFeedback")
+    way_m = rig.chassis.state.mileage_m
+    while Reason.FEEDBACK_FROZEN not in rig.says.latched and rig.chassis.state.mileage_m < way_m + 6:
+        operator.drive(0.5, seconds=2.0)
+        operator.reason("disengage")
+        rig.run(4)
+        operator.take_lease("take")
+        operator.ask("engage")
+        rig.run(0.3)
+        operator.drive(0.0)
+        operator.reason("unpark")
+    assert rig.chassis.state.mileage_m < way_m + 4.5
+
+
+def test_a_stop_that_begins_where_another_ended_is_not_refused() -> None:
+    """Row 'a stop': the steering is off by a degree (manual V2.0, 2.2) when the mode leaves auto."""
+    rig, operator = driving(0.5)
+    operator.drive(0.0, seconds=1.0)
+    steering = load(Variant.COARSE).messages["Auto_SteeringFeedBack"]
+    encoder = Encoder(load(Variant.COARSE))
+
+    def askew(frame: Frame) -> Frame:
+        if frame.can_id != steering.can_id:
+            return frame
+        return encoder.encode(steering.name, {"Active": True, "Angle": 1.5}, frame.data[6] >> 4)
+
+    rig.corrupt = askew
+    rig.run(0.1)
+    rig.chassis._commands.clear()
+    rig.run(3)
+    assert Reason.GATE not in rig.says.latched
+    assert rig.chassis.state.parking_status is ParkingStatus.APPLIED

@@ -1,0 +1,126 @@
+"""What a gateway at rest is remembered by."""
+
+from collections.abc import Callable
+
+import msgspec
+import pytest
+
+from gateway.command.flow import CommandFlow
+from gateway.command.rest import QUIET_NS, Rest, is_at_rest, memory_of, recall
+from schemas.messages import Variant
+from schemas.reasons import Reason
+from tests.support.loop_rig import GUARDED, LoopRig, Operator, ready
+
+
+def flow_of(rig: LoopRig) -> CommandFlow:
+    """The rig's."""
+    flow = rig.core.command
+    assert flow is not None
+    return flow
+
+
+def rested() -> LoopRig:
+    """A robot that was driven by two operators, one after the other, and that nobody wants any more."""
+    rig, operator = ready()
+    operator.engage()
+    operator.drive(0.5, 3.0, 1.0)
+    operator.ask("disengage")
+    rig.run(4)
+    second = Operator(rig, "second")
+    second.take_lease("take", override=True)
+    assert second.reason("release") is Reason.NONE
+    rig.run(QUIET_NS / 1e9 + 0.1)
+    return rig
+
+
+def test_what_is_remembered_is_recalled() -> None:
+    """By way of the journal's bytes, and by a flow of the same run that knows nothing."""
+    rig = rested()
+    memory = memory_of(flow_of(rig))
+    assert memory.leases == 2
+    assert memory.ended
+    assert memory.target_angle_deg == 3.0
+    assert not memory.parked
+    assert len(memory.sent) == 5
+    assert len(memory.challenges) > 50
+    read = msgspec.convert(msgspec.msgpack.decode(msgspec.msgpack.encode(memory)), Rest)
+    assert read == memory
+    flow = CommandFlow(rig.settings, 7)
+    recall(flow, read, rig.now_ns)
+    assert memory_of(flow) == memory
+    assert flow.maker.counters == flow_of(rig).maker.counters
+    challenge, published_ns = memory.challenges[-1]
+    assert flow.arbiter.challenges.age_ns(challenge, published_ns + 5) == 5
+    number, reason = memory.ended[-1]
+    assert flow.arbiter.desk.refusal(number, "second") is Reason(reason)
+
+
+def test_the_next_lease_has_the_number_that_it_would_have_had() -> None:
+    """It goes on where the run's numbers are."""
+    rig = rested()
+    flow = CommandFlow(rig.settings, 7)
+    recall(flow, memory_of(flow_of(rig)), rig.now_ns)
+    operator = Operator(rig, "third")
+    operator.take_lease()
+    given = flow.arbiter.desk.acquire("third", rig.says.lease_role, 0)
+    assert not isinstance(given, Reason)
+    assert given.id == operator.lease
+
+
+def _hold_lease(rig: LoopRig) -> None:
+    Operator(rig, "third").take_lease()
+
+
+def _ask_in_vain(rig: LoopRig) -> None:
+    rig.put("stranger", "drive", b"")
+    rig.tick()
+
+
+def _stop(rig: LoopRig) -> None:
+    rig.put("stranger", "stop", b"")
+    rig.run(7)
+
+
+def _press(rig: LoopRig) -> None:
+    rig.fault("bumper front on")
+    rig.run(7)
+
+
+def _lose_feedback(rig: LoopRig) -> None:
+    rig.fault("silence Auto_GearFeedBack")
+    rig.run(1)
+
+
+def _lose_bus(rig: LoopRig) -> None:
+    rig.links = msgspec.structs.replace(GUARDED, bus_up=False, bus_losses=1)
+    rig.run(1)
+
+
+def _move(rig: LoopRig) -> None:
+    rig.fault("transmitter remote")
+    rig.fault("sticks 0.5 0")
+    rig.run(3)
+
+
+def _close(rig: LoopRig) -> None:
+    rig.core.shut_down(rig.now_ns)
+    rig.tick()
+
+
+@pytest.mark.parametrize(
+    "disturb", [_hold_lease, _ask_in_vain, _stop, _press, _lose_feedback, _lose_bus, _move, _close]
+)
+def test_whatever_goes_on_is_no_rest(disturb: Callable[[LoopRig], None]) -> None:
+    """Each of them would have to be remembered too."""
+    rig = rested()
+    assert is_at_rest(flow_of(rig), rig.now_ns)
+    disturb(rig)
+    assert not is_at_rest(flow_of(rig), rig.now_ns)
+
+
+def test_before_the_variant_is_known_there_is_no_rest() -> None:
+    """Who begins there could not know it either."""
+    rig = LoopRig(Variant.COARSE)
+    rig.fault("silence Auto_WheelSpdFeedback")
+    rig.run(QUIET_NS / 1e9 + 1)
+    assert not is_at_rest(flow_of(rig), rig.now_ns)

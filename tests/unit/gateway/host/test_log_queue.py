@@ -1,0 +1,39 @@
+"""Logging that never holds who logs."""
+
+import logging
+import threading
+
+from gateway.host.log_queue import LINES_WAITING, logging_aside
+
+log = logging.getLogger("test")
+
+
+class StuckHandler(logging.Handler):
+    """A stderr whose pipe is full, until it is let go."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.free = threading.Event()
+        self.lines: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.free.wait(10)
+        self.lines.append(record.getMessage())
+
+
+def test_who_logs_is_not_held_by_a_full_pipe() -> None:
+    """What waits is bounded; the rest is lost; all that waited comes out in its order."""
+    stuck, root = StuckHandler(), logging.getLogger()
+    before = root.handlers[:]
+    root.handlers = [stuck]
+    try:
+        with logging_aside():
+            for number in range(2 * LINES_WAITING):
+                log.warning("line %d", number)
+            assert stuck.lines == []
+            stuck.free.set()
+        assert root.handlers == [stuck]
+    finally:
+        root.handlers = before
+    assert stuck.lines == [f"line {number}" for number in range(len(stuck.lines))]
+    assert LINES_WAITING <= len(stuck.lines) < 2 * LINES_WAITING

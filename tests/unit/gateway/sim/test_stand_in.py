@@ -1,0 +1,167 @@
+"""The chassis as it would have answered."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.chassis.decode import Decoded, Value, check
+from gateway.chassis.encode import Encoder, checksum
+from gateway.chassis.frame import Frame
+from gateway.chassis.layout import load
+from gateway.sim.stand_in import StandIn
+from schemas.messages import Variant
+from tests.support.can_strategies import frames as any_frames
+from tests.support.sim_rig import ENABLES, MS, Rig
+
+
+class Beside:
+    """A chassis that is driven, and one that stands in for it and is told something else."""
+
+    def __init__(self, variant: Variant = Variant.COARSE) -> None:
+        self.rig = Rig(variant)
+        self.stand_in = StandIn(variant)
+        self._encoder = Encoder(load(variant))
+        self.recorded: dict[str, dict[str, object]] = {}
+        self.shown: dict[str, dict[str, object]] = {}
+        self.pairs: list[tuple[Frame, Frame]] = []
+
+    def tell(self, speed_mps: float, angle_deg: float = 0.0) -> None:
+        """What the other run tells the chassis."""
+        values: dict[str, dict[str, Value]] = {
+            "Auto_GearCmd": {"TargetGear": "drive"},
+            "Auto_SteeringCmd": {"TargetAngle": angle_deg},
+            "Auto_DriveCmd": {"TargetVelocity": speed_mps},
+            "Auto_BrakingCmd": {"BrakePedal": 0.0},
+            "Auto_ParkingCmd": {"ParkingRequest": False},
+        }
+        for name in ENABLES:
+            self.stand_in.hear(self._encoder.encode(name, {"Enable": True, **values[name]}, 0), self.rig.now_ns)
+
+    def run(self, seconds: float) -> None:
+        """The recorded chassis lives on, and each frame of it is shown otherwise."""
+        for _ in range(round(seconds * 100)):
+            for frame in self.rig.run(0.01):
+                shown = self.stand_in.show(frame, self.rig.now_ns)
+                self.pairs.append((frame, shown))
+                self._read(frame, self.recorded)
+                self._read(shown, self.shown)
+
+    def _read(self, frame: Frame, into: dict[str, dict[str, object]]) -> None:
+        decoded = self.rig.decoder.decode(frame)
+        if isinstance(decoded, Decoded):
+            into[decoded.layout.name] = dict(decoded.signals)
+
+    def speeds_mps(self) -> tuple[float, float]:
+        """Of the recorded chassis, and of the one that stands in."""
+        recorded, shown = (side["Auto_DriveFeedBack"]["Speed"] for side in (self.recorded, self.shown))
+        assert isinstance(recorded, float)
+        assert isinstance(shown, float)
+        return recorded, shown
+
+
+@pytest.fixture
+def beside() -> Beside:
+    """A recorded chassis that drives with 1 m/s and 10 degrees."""
+    beside = Beside()
+    beside.rig.command("drive", 1.0, 10.0)
+    beside.tell(1.0, 10.0)
+    beside.run(3)
+    return beside
+
+
+def test_until_it_begins_every_frame_is_the_recorded_one(beside: Beside) -> None:
+    """Not a copy: the same."""
+    assert not beside.stand_in.is_acting
+    assert all(shown is frame for frame, shown in beside.pairs)
+
+
+def test_it_goes_on_from_where_the_chassis_was(beside: Beside) -> None:
+    """Told the same as the recorded one, it does the same: no step in any signal."""
+    beside.stand_in.begin(beside.rig.now_ns)
+    beside.run(0.5)
+    assert beside.speeds_mps()[1] == pytest.approx(beside.speeds_mps()[0], abs=0.05)
+    assert beside.shown["Auto_SteeringFeedBack"]["Angle"] == pytest.approx(10, abs=0.1)
+    assert beside.shown["Auto_GearFeedBack"] == beside.recorded["Auto_GearFeedBack"]
+    assert beside.shown["Auto_ParkingFeedBack"] == beside.recorded["Auto_ParkingFeedBack"]
+
+
+def test_it_does_what_the_other_run_tells_it(beside: Beside) -> None:
+    """While the recorded chassis goes on as it did."""
+    beside.stand_in.begin(beside.rig.now_ns)
+    beside.tell(0.4, -5.0)
+    beside.run(2)
+    assert beside.speeds_mps() == pytest.approx((1.0, 0.4), abs=0.05)
+    assert beside.shown["Auto_SteeringFeedBack"]["Angle"] == pytest.approx(-5, abs=0.1)
+    assert not beside.stand_in.stands
+
+
+def test_frames_keep_their_counters_and_times(beside: Beside) -> None:
+    """So that what is watched about them is what was recorded."""
+    beside.stand_in.begin(beside.rig.now_ns)
+    beside.tell(0.4)
+    beside.run(1)
+    for frame, shown in beside.pairs:
+        assert check(shown) is None
+        assert (shown.can_id, shown.wall_ns) == (frame.can_id, frame.wall_ns)
+        assert shown.data[6] >> 4 == frame.data[6] >> 4
+
+
+def test_a_broken_frame_stays_broken(beside: Beside) -> None:
+    """A checksum that was wrong is wrong in the other run too."""
+    beside.stand_in.begin(beside.rig.now_ns)
+    beside.rig.fault("checksum Auto_DriveFeedBack for 3 frames")
+    beside.pairs.clear()
+    beside.run(0.5)
+    broken = [(frame, shown) for frame, shown in beside.pairs if check(frame) is not None]
+    assert len(broken) == 3
+    assert all(frame is shown for frame, shown in broken)
+
+
+def test_bumpers_are_those_that_were_hit(beside: Beside) -> None:
+    """Nobody knows what the robot would have met elsewhere."""
+    beside.stand_in.begin(beside.rig.now_ns)
+    beside.rig.fault("bumper front on")
+    beside.run(0.2)
+    body = beside.shown["Auto_MileageAndBodyFeedback"]
+    assert (body["FrontBumper"], body["RearBumper"]) == (True, False)
+
+
+def test_who_holds_the_transmitter_drives_as_recorded(beside: Beside) -> None:
+    """And from where they took the chassis it goes on."""
+    beside.stand_in.begin(beside.rig.now_ns)
+    beside.tell(0.2)
+    beside.rig.fault("transmitter remote for 2s")
+    beside.rig.fault("sticks 0.6 -8")
+    beside.run(1.9)
+    assert beside.speeds_mps() == pytest.approx((0.6, 0.6), abs=0.05)
+    beside.rig.fault("sticks 0.6 -8")
+    beside.run(0.15)
+    beside.run(3)
+    assert beside.speeds_mps()[1] == pytest.approx(0.2, abs=0.05)
+
+
+def test_at_its_end_the_recorded_frames_are_true_again(beside: Beside) -> None:
+    """Each is shown as it is."""
+    beside.stand_in.begin(beside.rig.now_ns)
+    beside.run(0.1)
+    beside.stand_in.end()
+    beside.pairs.clear()
+    beside.run(0.1)
+    assert all(shown is frame for frame, shown in beside.pairs)
+
+
+VALID = st.builds(
+    lambda can_id, data: Frame(can_id, data + bytes([checksum(data)])),
+    st.sampled_from([message.can_id for message in load(Variant.COARSE).feedback]),
+    st.binary(min_size=7, max_size=7),
+)
+
+
+@given(st.lists(any_frames | VALID, max_size=40), st.integers(0, 40))
+def test_whatever_was_on_the_bus_is_shown(frames: list[Frame], begins: int) -> None:
+    """Nothing that a log may hold raises, however impossible it is."""
+    stand_in = StandIn(Variant.COARSE)
+    for number, frame in enumerate(frames):
+        if number == begins:
+            stand_in.begin(number * 10 * MS)
+        assert stand_in.show(frame, number * 10 * MS).can_id == frame.can_id

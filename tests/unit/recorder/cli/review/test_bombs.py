@@ -1,0 +1,88 @@
+"""Logs that were made to keep a reader busy, and logs that are only not finished yet."""
+
+import fcntl
+import json
+from pathlib import Path
+
+import pytest
+import zstandard
+from mcap import records
+
+from recorder.cli.review import asking
+from recorder.mcap.messages import messages
+from recorder.mcap.records import Fault
+from recorder.mcap.scan import NO_RECORD, index_content
+from recorder.mcap.summary import MAGIC, encode
+from schemas.exit_codes import CommandError, ExitCode
+from tests.support.made_logs import gears, own_log, saved
+from tests.support.review_command import run
+
+QUESTIONS = ("info", "check", "events")
+
+
+def bomb(chunks: int, size: int) -> bytes:
+    """A log of chunks of zeros, which take next to nothing on the disk."""
+    chunk = records.Chunk(
+        compression="zstd",
+        data=zstandard.compress(bytes(size)),
+        message_start_time=1,
+        message_end_time=2,
+        uncompressed_crc=0,
+        uncompressed_size=size,
+    )
+    return MAGIC + encode(records.Header(profile="", library="x")) + chunks * encode(chunk)
+
+
+def test_zeros_are_no_records() -> None:
+    """Nine of them would look like one, and a chunk holds millions."""
+    assert list(messages(7, bytes(1_000_000))) == [Fault(7, NO_RECORD)]
+    with pytest.raises(ValueError, match=NO_RECORD):
+        index_content(bytes(1_000_000))
+
+
+@pytest.mark.parametrize("question", QUESTIONS)
+def test_a_bomb_of_zeros_is_answered(tmp_path: Path, capsys: pytest.CaptureFixture[str], question: str) -> None:
+    """As the damage that it is."""
+    path = saved(tmp_path / "bomb.mcap", bomb(3, 1 << 26))
+    assert path.stat().st_size < 20_000
+    assert run(question, str(path)) != ExitCode.OK
+    said = capsys.readouterr()
+    assert NO_RECORD in said.out + said.err
+
+
+@pytest.mark.parametrize("question", QUESTIONS)
+def test_what_takes_too_long_is_given_up(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, question: str
+) -> None:
+    """With a line that says so, and exit code 3. What was found before stays."""
+    monkeypatch.setattr(asking, "BUDGET_S", -1.0)
+    data = own_log([gears(0, 3, 10), gears(3, 3, 100)])
+    path = saved(tmp_path / "slow.mcap", data[:-20])
+    try:
+        code = run(question, str(path))
+    except CommandError as error:
+        code, said = error.code, str(error)
+    else:
+        said = capsys.readouterr().err
+    assert code == ExitCode.PARTIAL
+    assert "given up after" in said
+
+
+@pytest.mark.parametrize("question", ["info", "check"])
+def test_a_log_that_is_being_written_is_no_fault(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], question: str
+) -> None:
+    """The recorder's lock tells. When that is gone, it is one that was left."""
+    data = own_log([gears(0, 3, 10), gears(3, 3, 100)])
+    path = saved(tmp_path / "a.mcap.part", data[: data.index(encode(records.DataEnd(0))[:9])])
+    with path.open("rb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        assert run(question, str(path)) == ExitCode.OK
+        said = capsys.readouterr().out
+        assert "being written" in said
+        assert "NOT WHOLE" not in said
+        assert run(question, "--json", str(path)) == ExitCode.OK
+        found = json.loads(capsys.readouterr().out)
+        assert (found["whole"], found["is_being_written"], found["messages"]) == (False, True, 6)
+    assert run(question, str(path)) != ExitCode.OK
+    assert "being written" not in capsys.readouterr().out

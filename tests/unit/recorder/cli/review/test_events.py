@@ -1,0 +1,119 @@
+"""``cruiser review events``."""
+
+import argparse
+import json
+from pathlib import Path
+
+import pytest
+
+from recorder.cli.review import command as review
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import Settings
+from tests.support import log_scenarios as scenarios
+from tests.support.log_scenarios import acted, recorded
+
+
+def run(*words: object) -> int:
+    """The command's exit code."""
+    parser = argparse.ArgumentParser()
+    review.add_arguments(parser)
+    return review.run(parser.parse_args([str(word) for word in words]), Settings(), lambda: False)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """A log in which the deadman stops the robot, and then all is refused."""
+    path = tmp_path / "log.mcap"
+    path.write_bytes(recorded(scenarios.stale_commands))
+    return path
+
+
+def test_a_table_for_people(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Time relative and absolute, severity, kind, cause, operator, and a sentence."""
+    assert run("events", log) == ExitCode.OK
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1].split() == ["2023-11-14"]
+    (stop,) = (line for line in lines if "  stop  " in line)
+    assert stop.split()[:6] == ["3.318", "22:13:23.330", "cruiser-1", "warning", "stop", "deadman"]
+    said = "stopping: no acceptable drive command came in time; none for 310 ms"
+    assert stop.endswith(f"(operator-1)      {said}; 15 commands refused as too old, 1290 ms")
+    (refused,) = (line for line in lines if "too_old" in line)
+    assert "[30 times within 0.6 s]" in refused
+
+
+def test_json_is_an_object_a_line(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With the documented fields."""
+    assert run("events", log, "--json") == ExitCode.OK
+    records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert {frozenset(record) for record in records} == {
+        frozenset(
+            [
+                "time",
+                "since_s",
+                "time_ns",
+                "last_ns",
+                "robot",
+                "kind",
+                "severity",
+                "source",
+                "text",
+                "count",
+                "reason",
+                "operator",
+                "holder",
+                "request",
+                "tick",
+                "is_late",
+                "cause",
+                "derived",
+            ]
+        )
+    }
+    (stop,) = (record for record in records if record["kind"] == "stop")
+    event = next(one for one in acted(scenarios.stale_commands).events if one.reason.value == "deadman")
+    assert stop["time_ns"] == event.time_ns
+    assert stop["since_s"] == pytest.approx(3.318)
+    assert stop["cause"] == "no acceptable drive command came in time"
+
+
+def test_time_and_kind_bound_what_is_told(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each in its forms."""
+    assert (
+        run("events", log, "--json", "--kind", "stop", "--kind", "refusal", "--from", "3.1", "--to", "3.35") == 0
+    )
+    kinds = [json.loads(line)["kind"] for line in capsys.readouterr().out.splitlines()]
+    assert kinds == ["refusal", "stop"]
+
+
+def test_a_robot_that_is_not_in_the_logs_is_refused(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An empty table would say that nothing happened; the names are told."""
+    with pytest.raises(CommandError, match="nothing of cruiser-9, but of cruiser-1") as refused:
+        run("events", log, "--robot", "cruiser-1", "--robot", "cruiser-9")
+    assert refused.value.code is ExitCode.USAGE
+    assert run("events", log, "--robot", "cruiser-1") == ExitCode.OK
+    assert "deadman" in capsys.readouterr().out
+
+
+def test_what_is_derived_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In the table too."""
+    path = tmp_path / "log.mcap"
+    path.write_bytes(recorded(scenarios.deadman, "safety/event"))
+    assert run("events", path, "--kind", "stop") == ExitCode.OK
+    assert "[derived]" in capsys.readouterr().out
+
+
+def test_a_log_that_is_cut_off_is_told_as_far_as_it_goes(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit code 3, and why on stderr."""
+    log.write_bytes(log.read_bytes()[:-200])
+    assert run("events", log) == ExitCode.PARTIAL
+    shown = capsys.readouterr()
+    assert "deadman" in shown.out
+    assert "cut off" in shown.err
+
+
+def test_what_is_no_log_is_a_clear_line(tmp_path: Path) -> None:
+    """And no traceback."""
+    path = tmp_path / "log.mcap"
+    path.write_bytes(b"hello")
+    with pytest.raises(CommandError, match="no MCAP file"):
+        run("events", path)

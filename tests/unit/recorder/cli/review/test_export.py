@@ -1,0 +1,117 @@
+"""``cruiser review export``."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from recorder.cli.review import command as review
+from recorder.review.export.manifest import read_manifest
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import Settings
+from tests.support.drives import FRAMES, drive, write
+from tests.support.recorder_fakes import small_log
+
+
+def run(*words: str | Path, is_stopped: bool = False) -> int:
+    """The command's exit code."""
+    parser = argparse.ArgumentParser()
+    review.add_arguments(parser)
+    return review.run(parser.parse_args(["export", *map(str, words)]), Settings(), lambda: is_stopped)
+
+
+def test_an_export_that_is_stopped_leaves_nothing(tmp_path: Path) -> None:
+    """Ctrl-C, once."""
+    with pytest.raises(KeyboardInterrupt):
+        run("-o", tmp_path / "out", write(tmp_path, "1", drive()), is_stopped=True)
+    assert not list((tmp_path / "out").iterdir())
+
+
+@pytest.mark.parametrize("form", ["parquet", "csv"])
+def test_what_is_not_installed_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str) -> None:
+    """One line says what to install."""
+    for name in [name for name in sys.modules if name.startswith("recorder.review.export")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(CommandError, match=r"this needs pyarrow: pip install 'cruiser-gateway\[review\]'"):
+        run("--format", form, "-o", tmp_path / "out", write(tmp_path, "1", drive()))
+
+
+def test_a_dataset_is_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One line says how much it is; exit code 0."""
+    log = write(tmp_path, "1", drive())
+    assert run("-o", tmp_path / "out", log) == ExitCode.OK
+    out = capsys.readouterr().out
+    assert out.startswith(f"{tmp_path / 'out'}: 29 rows in 6 files, 0.")
+    assert run("--add", "-o", tmp_path / "out", log) == ExitCode.OK
+    assert "1 logs were in it already" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("form", ["parquet", "csv", "blf"])
+def test_a_place_on_a_network_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str) -> None:
+    """A folder called ``s3:`` is not what was meant; where it is, there is ./s3:."""
+    monkeypatch.chdir(tmp_path)
+    log = write(tmp_path, "1", drive())
+    with pytest.raises(CommandError, match=r"s3:/bucket/logs is no directory: .*\(aws s3 sync") as caught:
+        run("--format", form, "-o", "s3://bucket/logs", log)
+    assert caught.value.code == ExitCode.USAGE
+    assert list(tmp_path.iterdir()) == [log]
+
+
+def test_what_was_left_out_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What another log holds already."""
+    assert run("-o", tmp_path / "out", write(tmp_path, "1", drive()), write(tmp_path, "2", drive(count=10))) == 0
+    assert "messages left out that were there already" in capsys.readouterr().out
+
+
+def test_json_says_all_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """For programs: inputs, files."""
+    assert run("--json", "-o", tmp_path / "out", write(tmp_path, "1", drive())) == ExitCode.OK
+    done = json.loads(capsys.readouterr().out)
+    assert done["inputs"][0]["rows"] == sum(part["rows"] for part in done["files"]) == 29
+
+
+def test_a_damaged_log_is_partial(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit code 3, and what is wrong on stderr."""
+    assert run("-o", tmp_path / "out", write(tmp_path, "1", drive()[:-200])) == ExitCode.PARTIAL
+    assert "byte" in capsys.readouterr().err
+    assert read_manifest(tmp_path / "out") is not None
+
+
+@pytest.mark.parametrize(("form", "suffix"), [("candump", "log"), ("asc", "asc"), ("blf", "blf")])
+def test_raw_frames_are_one_file_a_robot(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], form: str, suffix: str
+) -> None:
+    """In each format; a file that is there is refused."""
+    logs = [write(tmp_path, "1", drive()), write(tmp_path, "2", drive("cruiser-2"))]
+    assert run("--format", form, "-o", tmp_path / "out", *logs) == ExitCode.OK
+    out = capsys.readouterr().out
+    assert f"cruiser-2.{suffix}: {FRAMES} frames\n" in out
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {f"cruiser-1.{suffix}", f"cruiser-2.{suffix}"}
+    with pytest.raises(CommandError, match="is there already"):
+        run("--format", form, "-o", tmp_path / "out", *logs)
+
+
+def test_csv_is_one_file_a_topic(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Chosen topics alone."""
+    log = write(tmp_path, "1", drive())
+    assert run("--format", "csv", "--topic", "chassis/*", "-o", tmp_path / "out", log) == ExitCode.OK
+    assert capsys.readouterr().out == f"{tmp_path / 'out' / 'fleet.cruiser-1.chassis.gear.csv'}: 20 rows\n"
+
+
+@pytest.mark.parametrize("words", [["--add"], ["--runner", "daft"], ["--ray", "auto"]])
+def test_what_only_a_dataset_has_is_refused_elsewhere(tmp_path: Path, words: list[str]) -> None:
+    """Exit code 2."""
+    with pytest.raises(CommandError, match="--format parquet") as caught:
+        run("--format", "csv", *words, "-o", tmp_path / "out", write(tmp_path, "1", small_log()))
+    assert caught.value.code == ExitCode.USAGE
+
+
+def test_a_time_is_chosen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From the log's beginning."""
+    log = write(tmp_path, "1", drive())
+    words = ["--topic", "chassis_gear", "--from", "0.05", "--to", "0.1"]
+    assert run(*words, "-o", tmp_path / "out", log) == ExitCode.OK
+    assert ": 5 rows in 1 files" in capsys.readouterr().out

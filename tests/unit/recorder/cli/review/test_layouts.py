@@ -1,0 +1,94 @@
+"""``cruiser review layouts``."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from recorder.cli.review import command as review
+from recorder.layouts.attached import layouts
+from recorder.layouts.charts import Robot
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import Settings
+from tests.support.recorder_fakes import FakeSample, Log, batch, gear, info, sample_of, small_log
+
+
+def run(*words: object) -> int:
+    """The command's exit code."""
+    parser = argparse.ArgumentParser()
+    review.add_arguments(parser)
+    return review.run(parser.parse_args(["layouts", *map(str, words)]), Settings(), lambda: False)
+
+
+@pytest.fixture(autouse=True)
+def _without_rerun(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether rerun is installed here must not matter; ``make readers`` makes blueprints."""
+    monkeypatch.setitem(sys.modules, "rerun", None)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """A small log."""
+    path = tmp_path / "a.mcap"
+    path.write_bytes(small_log())
+    return path
+
+
+def test_layouts_of_each_robot_are_written(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The same that a recorder attaches, with the bus that the log's topics name; what is missing is told."""
+    out = tmp_path / "new" / "layouts"
+    assert run(log, "-o", out) == ExitCode.OK
+    expected = {f"cruiser-1.{one.name}": one.data for one in layouts(Robot("fleet/cruiser-1", "can0"))}
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == expected
+    said = capsys.readouterr()
+    assert said.out.count("fleet/cruiser-1: ") == 2
+    assert "pip install 'cruiser-gateway[rerun]'" in said.err
+
+
+def test_json_is_an_object_a_line(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """For programs: one for each file."""
+    assert run(log, "-o", tmp_path, "--json") == ExitCode.OK
+    told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert all(Path(one["path"]).exists() and one["robot"] == "fleet/cruiser-1" for one in told)
+
+
+def test_robots_of_one_name_under_two_roots_have_files_of_their_own(tmp_path: Path) -> None:
+    """Called by their roots; no root leads out of the directory."""
+    log = Log()
+    for root in ("fleet", ".."):
+        log.receive(
+            sample_of(gear(0), root=root), sample_of(info(), root=root), sample_of(batch(0, []), root=root)
+        )
+    (tmp_path / "a.mcap").write_bytes(log.close())
+    assert run(tmp_path / "a.mcap", "-o", tmp_path / "out") == ExitCode.OK
+    names = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert names == [
+        "..-cruiser-1.layout.foxglove.json",
+        "..-cruiser-1.layout.plotjuggler.xml",
+        "fleet-cruiser-1.layout.foxglove.json",
+        "fleet-cruiser-1.layout.plotjuggler.xml",
+    ]
+
+
+def test_a_log_that_was_cut_off_has_layouts_all_the_same(log: Path, tmp_path: Path) -> None:
+    """By the topics that can be read; exit code 3."""
+    log.write_bytes(log.read_bytes()[:-300])
+    assert run(log, "-o", tmp_path / "out") == ExitCode.PARTIAL
+    assert (tmp_path / "out" / "cruiser-1.layout.foxglove.json").exists()
+
+
+def test_a_log_of_no_robot_has_none(tmp_path: Path) -> None:
+    """A clear line."""
+    log = Log()
+    log.receive(FakeSample("somebody/else", "text/plain", b"x"))
+    (tmp_path / "a.mcap").write_bytes(log.close())
+    with pytest.raises(CommandError, match="no topic of a robot"):
+        run(tmp_path / "a.mcap", "-o", tmp_path / "out")
+
+
+def test_where_nothing_can_be_written_it_says_so(log: Path) -> None:
+    """A file in the directory's place."""
+    with pytest.raises(CommandError, match="cannot write"):
+        run(log, "-o", log)

@@ -1,0 +1,164 @@
+"""``cruiser review report``."""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from recorder.cli.review import command as review
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import Settings
+from tests.support.recorder_fakes import Log, gear, sample_of, small_log
+from tests.support.report_drive import drive, restart, write_log
+
+Asking = Callable[..., int]
+
+
+@pytest.fixture
+def ask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Asking:
+    """Asks for a report, in a directory of its own."""
+    monkeypatch.chdir(tmp_path)
+    return run
+
+
+def run(*words: object) -> int:
+    """The command's exit code; a fault is told as the command would."""
+    parser = argparse.ArgumentParser()
+    review.add_arguments(parser)
+    try:
+        return review.run(parser.parse_args(["report", *map(str, words)]), Settings(), lambda: False)
+    except CommandError as error:
+        sys.stderr.write(f"cruiser: {error}\n")
+        return int(error.code)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """A drive."""
+    return write_log(tmp_path / "a.mcap", drive(60))
+
+
+def test_a_page_and_a_picture_by_the_files_endings(
+    ask: Asking, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Both whole, nothing else beside; the summary on stdout."""
+    assert ask(log, "-o", "r.html", "-o", "r.png") == ExitCode.OK
+    assert (tmp_path / "r.html").read_text().startswith("<!doctype html>")
+    assert (tmp_path / "r.png").read_bytes().startswith(b"\x89PNG")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "r.html", "r.png"]
+    said = capsys.readouterr()
+    assert "cruiser-1: It went 2.9 m, and was stopped once." in said.out
+    assert "written: r.html" in said.out
+    assert not said.err
+
+
+def test_a_gateway_that_died_is_told_on_the_terminal_and_as_json(
+    ask: Asking, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the first line of the robot, and with its times."""
+    path = write_log(tmp_path / "a.mcap", restart(60, 40))
+    assert ask(path) == ExitCode.OK
+    said = capsys.readouterr().out
+    assert "Its gateway fell silent while it commanded the robot, and began anew." in said.splitlines()[0]
+    assert "  Gateway          it fell silent at " in said
+    assert ask(path, "--json") == ExitCode.OK
+    (robot,) = json.loads(capsys.readouterr().out)["robots"]
+    (outage,) = robot["outages"]
+    assert (outage["began_ns"] - outage["heard_ns"]) / 1e9 == pytest.approx(2.05)
+    assert [one["kind"] for one in robot["moments"]][:2] == ["gap", "gateway"]
+    assert robot["in_force"][0]["variant"] == "coarse"
+
+
+def test_json_alone_writes_no_file(
+    ask: Asking, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The summary with its events; nothing that is only drawn."""
+    assert ask(log, "--json") == ExitCode.OK
+    (robot,) = json.loads(capsys.readouterr().out)["robots"]
+    assert robot["distance_m"] == pytest.approx(2.95)
+    assert robot["moments"][0]["reason"] == "front_bumper"
+    assert "lines" not in robot
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_without_a_name_it_is_report_html(ask: Asking, log: Path, tmp_path: Path) -> None:
+    """In the directory at hand; one that is there is replaced."""
+    (tmp_path / "report.html").write_text("old")
+    assert ask(log.parent) == ExitCode.OK
+    assert "Drive report" in (tmp_path / "report.html").read_text()
+
+
+def test_a_period(ask: Asking, log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Times count from the log's beginning."""
+    assert ask(log, "--json", "--from", "1", "--to", "2") == ExitCode.OK
+    (robot,) = json.loads(capsys.readouterr().out)["robots"]
+    assert robot["known_s"] == pytest.approx(0.95)
+
+
+def test_a_damaged_log_gives_a_report_of_what_can_be_read(
+    ask: Asking, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And exit code 3; what is wrong is told on stderr and in the report."""
+    log.write_bytes(log.read_bytes()[:-200])
+    assert ask(log, "-o", "r.html") == ExitCode.PARTIAL
+    assert "What could not be read" in (tmp_path / "r.html").read_text()
+    assert "a.mcap" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("content", [b"", b"no log", small_log()[:40]])
+def test_what_is_no_log_is_a_clear_line(
+    ask: Asking, tmp_path: Path, content: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing is written."""
+    path = tmp_path / "b.mcap"
+    path.write_bytes(content)
+    assert ask(path) == ExitCode.FAILURE
+    assert capsys.readouterr().err.startswith("cruiser")
+    assert [path.name for path in tmp_path.iterdir()] == ["b.mcap"]
+
+
+def test_a_log_of_no_robots_state_has_nothing_to_report(
+    ask: Asking, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As somebody else's is."""
+    log = Log()
+    log.receive(sample_of(gear(0)))
+    (tmp_path / "b.mcap").write_bytes(log.close())
+    assert ask(tmp_path / "b.mcap") == ExitCode.FAILURE
+    assert "nothing to report" in capsys.readouterr().err
+
+
+def test_a_file_of_another_kind_is_a_matter_of_usage(
+    ask: Asking, log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before anything is read."""
+    assert ask(log, "-o", "r.pdf") == ExitCode.USAGE
+    assert ".html" in capsys.readouterr().err
+
+
+def test_where_nothing_can_be_written_it_says_so(
+    ask: Asking, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And leaves nothing half done behind."""
+    assert ask(log, "-o", tmp_path / "nowhere" / "r.html") == ExitCode.FAILURE
+    assert "cannot write" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("module", "name"), [("plotly.offline", "r.html"), ("matplotlib", "r.png")])
+def test_a_missing_library_is_named_with_what_installs_it(
+    ask: Asking,
+    log: Path,
+    module: str,
+    name: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Before anything is read."""
+    for loaded in [one for one in sys.modules if one.startswith((module, "recorder.review.report.picture"))]:
+        monkeypatch.delitem(sys.modules, loaded)
+    monkeypatch.setitem(sys.modules, module, None)
+    assert ask(log, "-o", name) == ExitCode.FAILURE
+    assert "pip install 'cruiser-gateway[review]'" in capsys.readouterr().err

@@ -1,0 +1,520 @@
+"""The directory of logs."""
+
+import errno
+import os
+import resource
+import shutil
+import stat
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO, FileIO
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from recorder.disk import log_directory, log_file
+from recorder.disk.keeper import read_entries
+from recorder.disk.leftovers import Outcome, recover
+from recorder.disk.log_directory import LogDirectory, lock, safe_name
+from recorder.disk.log_file import LogFile
+from recorder.encoding.protobuf_schema import descriptor_set
+from recorder.mcap.channel import LogChannel
+from recorder.mcap.chunk import Chunk, ChunkBuilder
+from recorder.reading.topic_names import file_name
+from recorder.record.effects import CloseLog, DeclareChannel, SyncLog, WriteChunk
+from recorder.review.check import check_log
+from recorder.review.info import read_info
+from schemas.exit_codes import CommandError
+from schemas.messages import Gear
+from tests.support.recorder_fakes import WALL_NS, logs_in, wait_until
+
+CHANNEL = LogChannel(1, "t", "cruiser.Gear", descriptor_set(Gear))
+STEM = "cruiser-1-20270115T080000Z"
+
+
+def chunk(number: int, data: bytes = b"") -> WriteChunk:
+    """A chunk of one message."""
+    builder = ChunkBuilder()
+    builder.add(1, number, number, number, data)
+    sealed = builder.seal()
+    assert isinstance(sealed, Chunk)
+    return WriteChunk(sealed)
+
+
+def opened(path: Path) -> LogFile:
+    """A log with a channel."""
+    log = LogDirectory(path).open("cruiser-1", WALL_NS, "test")
+    log.write(DeclareChannel(CHANNEL))
+    return log
+
+
+def sequences(path: Path) -> list[int]:
+    """The messages of a file that may be partial."""
+    reader = make_reader(BytesIO(path.read_bytes()), validate_crcs=True)
+    return [message.sequence for _, _, message in reader.iter_messages()]
+
+
+def test_a_log_is_a_part_until_it_is_whole(tmp_path: Path) -> None:
+    """Its name holds the robot and the start in UTC; the directory is made."""
+    directory = tmp_path / "deep" / "logs"
+    log = opened(directory)
+    log.write(chunk(1))
+    log.write(SyncLog())
+    assert logs_in(directory) == [f"{STEM}.mcap.part"]
+    log.write(CloseLog())
+    assert logs_in(directory) == [f"{STEM}.mcap"]
+    assert log.path == directory / f"{STEM}.mcap"
+    assert log.size == log.path.stat().st_size
+    assert sequences(log.path) == [1]
+
+
+def test_a_sync_reaches_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The data at each sync; data, file and name at the end."""
+    synced: list[str] = []
+    monkeypatch.setattr(os, "fdatasync", lambda _: synced.append("data"))
+    monkeypatch.setattr(
+        os, "fsync", lambda fd: synced.append("name" if stat.S_ISDIR(os.fstat(fd).st_mode) else "file")
+    )
+    log = opened(tmp_path)
+    assert synced == ["name"]
+    log.write(chunk(1))
+    log.write(SyncLog())
+    wait_until(lambda: "data" in synced)
+    log.write(CloseLog())
+    assert synced == ["name", "data", "file", "name"]
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    """Logs of one name and second, whole or not, live side by side."""
+    first, second = opened(tmp_path), opened(tmp_path)
+    first.write(CloseLog())
+    third = opened(tmp_path)
+    second.write(CloseLog())
+    assert logs_in(tmp_path) == [f"{STEM}-2.mcap", f"{STEM}-3.mcap.part", f"{STEM}.mcap"]
+    third.write(CloseLog())
+
+
+@given(st.text(max_size=50))
+def test_a_name_is_safe_on_any_system(text: str) -> None:
+    """No path, no hidden file, nothing that a shell would see."""
+    name = safe_name(text)
+    assert name
+    assert not name.startswith(".")
+    assert set(name) <= set("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789._-")
+
+
+@pytest.mark.parametrize(
+    ("robot", "name"), [("-rf", "_rf"), ("--json", "_-json"), (".-o", "_o"), ("cruiser-1", "cruiser-1")]
+)
+def test_no_name_is_taken_for_an_option(robot: str, name: str) -> None:
+    """``cruiser review info *.mcap`` gets names that anybody on the network may have made up."""
+    assert safe_name(robot) == name
+    assert not file_name(robot).startswith("-")
+
+
+def test_a_name_is_no_longer_than_a_disk_takes(tmp_path: Path) -> None:
+    """A robot may be called anything; two of the same beginning are side by side."""
+    directory = LogDirectory(tmp_path)
+    logs = [directory.open("a" * 5000 + end, WALL_NS, "test", is_incident=True) for end in "xy"]
+    for log in logs:
+        log.write(CloseLog())
+    assert len({log.path for log in logs}) == 2
+    assert all(log.path.name.startswith("aaa") and ".incident" in log.path.name for log in logs)
+
+
+def test_a_directory_that_cannot_be_made_is_one_clear_error(tmp_path: Path) -> None:
+    """A file is in its place."""
+    (tmp_path / "logs").write_text("")
+    with pytest.raises(CommandError, match=r"cannot write .*logs: (File exists|Not a directory)"):
+        LogDirectory(tmp_path / "logs")
+    with pytest.raises(CommandError, match="Not a directory"):
+        LogDirectory(tmp_path / "logs" / "deeper")
+
+
+def test_a_directory_that_is_not_writable_is_one_clear_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is found before the first sample. Root may write anywhere, so the answer is the system's by knob."""
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(CommandError, match="no permission to write there"):
+        LogDirectory(tmp_path)
+
+
+def test_a_vanished_directory_is_one_clear_error(tmp_path: Path) -> None:
+    """At opening and at closing; what it was in is not made again: its disk may be unmounted."""
+    directory = LogDirectory(tmp_path / "disk" / "logs")
+    log = directory.open("x", WALL_NS, "test")
+    shutil.rmtree(tmp_path / "disk")
+    with pytest.raises(CommandError, match="No such file"):
+        directory.open("x", WALL_NS, "test")
+    with pytest.raises(CommandError, match="removed the log"):
+        log.write(CloseLog())
+    log.salvage()
+
+
+def fill(log: LogFile) -> int:
+    """Write until the disk takes no more; the number of chunks that it took."""
+    number = 0
+    try:
+        while True:
+            log.write(chunk(number + 1, os.urandom(50 if log.size > 7500 else 500)))
+            number += 1
+    except CommandError:
+        return number
+
+
+@contextmanager
+def files_end_at(limit_bytes: int) -> Iterator[None]:
+    """No file may grow beyond this: the system itself says so, with EFBIG.
+
+    Only within a test: the test runner's own output may be a file too.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_log_that_can_grow_no_more_is_closed_as_well_as_possible(tmp_path: Path) -> None:
+    """The chunk that fits no more goes; if there is room for the end, the file is whole."""
+    with files_end_at(8192):
+        log = opened(tmp_path)
+        log.write(chunk(1))
+        with pytest.raises(CommandError, match=os.strerror(errno.EFBIG)):
+            log.write(chunk(2, os.urandom(20_000)))
+        log.salvage()
+    assert log.path == tmp_path / f"{STEM}.mcap"
+    assert sequences(log.path) == [1]
+
+
+def test_without_room_for_the_end_the_part_stays_readable(tmp_path: Path) -> None:
+    """It ends with its last whole chunk."""
+    with files_end_at(8192):
+        log = opened(tmp_path)
+        written = fill(log)
+        log.salvage()
+        log.salvage()
+    assert log.path == tmp_path / f"{STEM}.mcap.part"
+    info = read_info(log.path)
+    assert not info.whole
+    assert check_log(log.path).messages == written
+    assert info.messages == written
+    assert [fault.partition(": ")[2] for fault in info.faults] == ["the file ends without a footer"]
+
+
+def test_a_disk_without_room_for_a_header_leaves_no_file(tmp_path: Path) -> None:
+    """There is nothing to keep."""
+    with files_end_at(4), pytest.raises(CommandError, match="too large"):
+        LogDirectory(tmp_path).open("x", WALL_NS, "test")
+    assert logs_in(tmp_path) == []
+
+
+def test_a_log_that_was_removed_is_not_written_in_silence(tmp_path: Path) -> None:
+    """The disk takes the bytes of a file without a name; nobody will ever read them, so that is an error."""
+    log = opened(tmp_path)
+    log.write(chunk(1))
+    log.write(SyncLog())
+    (tmp_path / f"{STEM}.mcap.part").unlink()
+
+    def is_told() -> bool:
+        try:
+            log.write(chunk(2))
+            log.write(SyncLog())
+        except CommandError as error:
+            return "removed the log" in str(error)
+        return False
+
+    wait_until(is_told)
+    log.salvage()
+    assert logs_in(tmp_path) == []
+    assert not log.is_kept
+
+
+def test_a_failed_sync_is_told_by_the_next_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The writer does not wait for the disk. The file is cut back to what was kept, and can be made whole."""
+
+    def fail(_descriptor: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    log = opened(tmp_path)
+    log.write(chunk(1))
+    log.write(SyncLog())
+
+    def is_kept() -> bool:
+        log.write(SyncLog())
+        return log.has_synced
+
+    wait_until(is_kept)
+    kept_size = log.kept_size
+    log.write(chunk(2))
+    monkeypatch.setattr(os, "fdatasync", fail)
+
+    def is_told() -> bool:
+        try:
+            log.write(SyncLog())
+        except CommandError as error:
+            return "Input/output error" in str(error)
+        return False
+
+    wait_until(is_told)
+    assert log.is_doubtful
+    log.salvage()
+    part = tmp_path / f"{STEM}.mcap.part"
+    assert part.stat().st_size == kept_size < log.size
+    assert recover(part, "test").outcome is Outcome.RECOVERED
+    assert sequences(tmp_path / f"{STEM}.mcap") == [1]
+
+
+def test_a_slow_sync_holds_up_no_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is written meanwhile is in the file, safe from a kill; of however many syncs one goes on."""
+    goes_on = threading.Event()
+    started: list[int] = []
+
+    def hang(descriptor: int) -> None:
+        started.append(descriptor)
+        assert goes_on.wait(30)
+
+    monkeypatch.setattr(os, "fdatasync", hang)
+    log = opened(tmp_path)
+    for number in range(1, 6):
+        log.write(chunk(number))
+        log.write(SyncLog())
+    wait_until(lambda: bool(started))
+    assert read_info(log.path).messages == 5
+    goes_on.set()
+    log.write(CloseLog())
+    assert len(started) <= 2
+    assert sequences(log.path) == [1, 2, 3, 4, 5]
+
+
+def test_what_is_written_during_a_sync_is_kept_by_the_next_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Though nothing more is written: a silence does not leave the last of it to a power cut."""
+    asked: list[int] = []
+    goes_on = threading.Event()
+
+    def hang(descriptor: int) -> None:
+        asked.append(os.fstat(descriptor).st_size)
+        assert goes_on.wait(30)
+
+    monkeypatch.setattr(os, "fdatasync", hang)
+    log = opened(tmp_path)
+    for number in range(1, 5):
+        log.write(chunk(number))
+        log.write(SyncLog())
+        wait_until(lambda: bool(asked))
+    goes_on.set()
+    wait_until(lambda: log.kept_size == log.size)
+    assert asked[-1] == log.size
+    log.salvage()
+
+
+def test_no_file_takes_the_disk_for_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that is written all the time has its next sync behind those of the others."""
+    monkeypatch.setattr(log_directory, "SYNC_THREADS", 1)
+    order: list[int] = []
+    goes_on = threading.Semaphore(0)
+
+    def keep(descriptor: int) -> None:
+        order.append(os.fstat(descriptor).st_ino)
+        assert goes_on.acquire(timeout=30)
+
+    monkeypatch.setattr(os, "fdatasync", keep)
+    directory = LogDirectory(tmp_path)
+    busy, other = (directory.open(name, WALL_NS, "test") for name in "xy")
+    numbers = [log.path.stat().st_ino for log in (busy, other)]
+    busy.write(SyncLog())
+    wait_until(lambda: len(order) == 1)
+    busy.write(SyncLog())
+    other.write(SyncLog())
+    goes_on.release(10)
+    wait_until(lambda: len(order) == 3)
+    assert order == [numbers[0], numbers[1], numbers[0]]
+    busy.salvage()
+    other.salvage()
+
+
+def test_a_file_begins_with_all_channels_in_one_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """There may be thousands, and other logs wait meanwhile."""
+    writes: list[int] = []
+
+    class Counted(FileIO):
+        def write(self, data: memoryview, /) -> int:  # type: ignore[override]  # the fewer types the clearer
+            writes.append(len(data))
+            return super().write(data)
+
+    monkeypatch.setattr(log_directory, "FileIO", Counted)
+    log = LogDirectory(tmp_path).open("cruiser-1", WALL_NS, "test")
+    writes.clear()
+    log.begin([DeclareChannel(msgspec.structs.replace(CHANNEL, channel_id=one)) for one in range(1, 501)])
+    assert len(writes) == 1
+    log.write(chunk(1))
+    log.write(CloseLog())
+    assert sequences(log.path) == [1]
+    summary = make_reader(BytesIO(log.path.read_bytes())).get_summary()
+    assert summary is not None
+    assert (len(summary.channels), len(summary.schemas)) == (500, 1)
+
+
+def test_a_log_whose_directory_was_moved_becomes_whole_where_it_is(tmp_path: Path) -> None:
+    """Though another one of its name may be in its old place: that one is left alone."""
+    here, elsewhere = tmp_path / "logs", tmp_path / "elsewhere"
+    log = opened(here)
+    log.write(chunk(1))
+    here.rename(elsewhere)
+    other = opened(here)
+    assert other.path == here / f"{STEM}.mcap.part"
+    log.write(chunk(2))
+    log.write(CloseLog())
+    assert log.path == elsewhere / f"{STEM}.mcap"
+    assert log.is_kept
+    assert sequences(log.path) == [1, 2]
+    assert logs_in(here) == [f"{STEM}.mcap.part"]
+    other.salvage()
+
+
+def test_a_log_that_was_called_something_else_is_left_as_it_is(tmp_path: Path) -> None:
+    """Who has renamed it wants it called so; it is one clear error, and nothing else is taken for it."""
+    log = opened(tmp_path)
+    log.write(chunk(1))
+    (tmp_path / f"{STEM}.mcap.part").rename(tmp_path / "mine")
+    with pytest.raises(CommandError, match="moved the log"):
+        log.write(CloseLog())
+    log.salvage()
+    assert log.is_left
+    assert logs_in(tmp_path) == ["mine"]
+    assert sequences(tmp_path / "mine") == [1]
+
+
+def test_for_want_of_a_name_no_log_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many there are of one name and second."""
+    monkeypatch.setattr(log_directory, "NAMESAKES_MAX", 3)
+    logs = [opened(tmp_path) for _ in range(6)]
+    for log in logs:
+        log.write(CloseLog())
+    assert len({log.path for log in logs}) == 6
+    assert len(read_entries(tmp_path)) == 6
+
+
+def test_a_part_is_locked_until_it_is_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And renamed: whoever finds it unlocked may recover it."""
+    got: list[bool] = []
+    rename = Path.rename
+
+    def rename_as_others_see_it(path: Path, target: Path) -> Path:
+        with path.open("rb") as other:
+            got.append(lock(other.fileno()))
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", rename_as_others_see_it)
+    log = opened(tmp_path)
+    log.write(chunk(1))
+    with log.path.open("rb") as other:
+        assert not lock(other.fileno())
+    log.write(CloseLog())
+    assert got == [False]
+    with log.path.open("rb") as other:
+        assert lock(other.fileno())
+
+
+def test_a_new_part_that_another_process_has_locked_is_left_to_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between its creation and its lock another start may have taken it for a leftover."""
+    answers = iter([False, True])
+    monkeypatch.setattr(log_directory, "lock", lambda _: next(answers))
+    log = opened(tmp_path)
+    assert log.path.name == f"{STEM}-2.mcap.part"
+    log.salvage()
+
+
+def test_where_there_are_no_locks_a_log_is_written_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Some network file systems have none."""
+
+    def none(_descriptor: int) -> bool:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(log_directory, "lock", none)
+    log = opened(tmp_path)
+    log.write(chunk(1))
+    log.write(CloseLog())
+    assert sequences(log.path) == [1]
+
+
+def test_a_file_without_a_message_is_not_left_by_a_fault(tmp_path: Path) -> None:
+    """It only repeats what another file says."""
+    log = opened(tmp_path)
+    log.salvage()
+    assert logs_in(tmp_path) == []
+    assert not log.is_kept
+
+
+@pytest.mark.parametrize("step", ["sync_directory", "McapFile"])
+def test_a_file_that_cannot_even_be_taken_back_is_one_clear_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    """The disk takes no header, and is read-only from then on: what is told is the first of it."""
+
+    def fail(*_arguments: object) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    def refuse(_path: Path) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    directory = LogDirectory(tmp_path)
+    with monkeypatch.context() as knobs:
+        knobs.setattr(log_directory if step == "sync_directory" else log_file, step, fail)
+        knobs.setattr(Path, "unlink", refuse)
+        with pytest.raises(CommandError, match=os.strerror(errno.EIO)):
+            directory.open("x", WALL_NS, "test")
+    with (tmp_path / "x-20270115T080000Z.mcap.part").open("rb") as left:
+        assert lock(left.fileno()), "nobody holds it any more"
+
+
+def test_a_directory_whose_names_the_disk_does_not_take_is_left_empty(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However often it is tried: no heap of empty parts."""
+
+    def fail(_path: Path) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(log_directory, "sync_directory", fail)
+    directory = LogDirectory(tmp_path)
+    for _ in range(3):
+        with pytest.raises(CommandError, match=os.strerror(errno.EIO)):
+            directory.open("x", WALL_NS, "test")
+    assert logs_in(tmp_path) == []
+
+
+def test_of_a_disk_that_is_gone_no_file_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may not even say whether there is one: that is no fault of ours."""
+
+    def fail(_path: Path) -> bool:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    log = opened(tmp_path)
+    log.salvage()
+    monkeypatch.setattr(Path, "exists", fail)
+    assert not log.is_kept
+
+
+def test_an_incident_is_called_one(tmp_path: Path) -> None:
+    """While it is written and when it is whole; the second of one second too."""
+    directory = LogDirectory(tmp_path)
+    logs = [directory.open("cruiser-1", WALL_NS, "test", is_incident=True) for _ in range(2)]
+    assert logs_in(tmp_path) == [f"{STEM}.incident-2.mcap.part", f"{STEM}.incident.mcap.part"]
+    for log in logs:
+        log.write(CloseLog())
+    assert [log.name for log in logs] == [f"{STEM}.incident.mcap", f"{STEM}.incident-2.mcap"]
+    assert logs_in(tmp_path) == sorted(log.name for log in logs)

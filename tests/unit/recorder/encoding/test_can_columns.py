@@ -1,0 +1,129 @@
+"""Batches of raw frames by columns: the same records as one by one."""
+
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from recorder.encoding.can_columns import can_adder, is_common
+from recorder.encoding.key_counters import SEQUENCE_SPAN, Tally
+from recorder.encoding.routes import unfold
+from recorder.mcap.chunk import Chunk, ChunkBuilder
+from schemas import codec
+from schemas.can_word import ERROR, EXTENDED, IDENTIFIER_MASK, REMOTE
+from schemas.messages import BUS_MAX_LENGTH, CanFrames
+from schemas.subjects import BY_TYPE
+from tests.support.random_messages import TEXTS, message_of
+from tests.support.recorder_fakes import WALL_NS, batch, feedback
+
+CHANNEL = 300
+TIMES = st.integers(0, 2**63 - 1)
+
+
+@st.composite
+def common_batches(draw: st.DrawFn) -> CanFrames:
+    """Classic data frames of eight bytes with identifiers of one length, whatever they hold."""
+    frames = draw(st.lists(st.tuples(TIMES, st.integers(0, IDENTIFIER_MASK), st.binary(min_size=8, max_size=8))))
+    flag = draw(st.sampled_from([0, EXTENDED]))
+    marks = st.sampled_from([TEXTS, st.sampled_from(['\u0011"3DUfw', "can0"])])
+    return CanFrames(
+        time_ns=draw(TIMES),
+        sequence=draw(st.integers(0, SEQUENCE_SPAN - 1)),
+        bus=draw(draw(marks)),
+        dropped=draw(st.integers(0, 10)),
+        frame_time_ns=[time_ns for time_ns, _, _ in frames],
+        can_id=[identifier | flag for _, identifier, _ in frames],
+        fd_flags=[0] * len(frames),
+        length=[8] * len(frames),
+        data=[data for _, _, data in frames],
+    )
+
+
+def slow_path(message: CanFrames) -> Chunk | None:
+    """As ``Session`` writes them."""
+    chunk = ChunkBuilder()
+    for publish_ns, data in unfold(message):
+        chunk.add(CHANNEL, message.sequence, WALL_NS, publish_ns, data)
+    return chunk.seal()
+
+
+def fast_path(message: CanFrames) -> tuple[bool, Chunk | None, Tally]:
+    """By columns; whether it went that way."""
+    tally, chunk = Tally(), ChunkBuilder()
+    tally.next = message.sequence
+    added = can_adder(tally, chunk, CHANNEL)(codec.encode(message), WALL_NS)
+    return added, chunk.seal(), tally
+
+
+@given(common_batches())
+def test_a_common_batch_becomes_the_same_records(message: CanFrames) -> None:
+    """Byte for byte, index and counts included."""
+    added, chunk, tally = fast_path(message)
+    assert added
+    assert chunk == slow_path(message)
+    assert (tally.samples, tally.messages, tally.dropped) == (1, len(message.data), message.dropped)
+    assert tally.next == (message.sequence + 1) % SEQUENCE_SPAN
+
+
+def test_a_full_chunk_is_left_to_the_slow_path() -> None:
+    """Which has it handed over."""
+    message = batch(0, [(WALL_NS, feedback(0))])
+    whole = slow_path(message)
+    assert whole is not None
+    tally, chunk = Tally(), ChunkBuilder(len(whole.records))
+    tally.next = 0
+    add = can_adder(tally, chunk, CHANNEL)
+    assert add(codec.encode(message), WALL_NS)
+    assert not add(codec.encode(msgspec.structs.replace(message, sequence=1)), WALL_NS)
+    assert (tally.samples, tally.next) == (1, 1)
+
+
+@pytest.mark.parametrize(("limit_frames", "added"), [(9, False), (10, True)])
+def test_a_batch_that_is_more_than_a_chunk_is_left_to_the_slow_path(limit_frames: int, added: bool) -> None:  # noqa: FBT001 - pytest gives it
+    """Which makes several of it: no chunk becomes twice as large as it is to be."""
+    message = batch(0, [(WALL_NS, feedback(number)) for number in range(10)])
+    whole = slow_path(message)
+    assert whole is not None
+    tally, chunk = Tally(), ChunkBuilder(len(whole.records) * limit_frames // 10)
+    tally.next = 0
+    assert can_adder(tally, chunk, CHANNEL)(codec.encode(message), WALL_NS) == added
+    assert (tally.messages, len(chunk) > 0) == (10 * added, added)
+
+
+@given(message_of(CanFrames))
+def test_any_other_batch_is_left_to_the_slow_path(message: Any) -> None:  # noqa: ANN401 - drawn by its class
+    """Either the records are those of the slow path, or there are none."""
+    added, chunk, _ = fast_path(message)
+    assert added == is_common(message)
+    assert chunk == (slow_path(message) if added else None)
+
+
+def test_one_frame_of_another_form_sends_the_batch_down_the_slow_path() -> None:
+    """Remote, error, short, FD, or an identifier of another length."""
+    common = batch(0, [(WALL_NS + number, feedback(number)) for number in range(3)])
+    word = common.can_id[0]
+    assert is_common(common)
+    for change in (
+        {"can_id": [word, word | REMOTE, word]},
+        {"can_id": [word | ERROR] * 3},
+        {"can_id": [word, word & ~EXTENDED, word]},
+        {"length": [8, 7, 8]},
+        {"fd_flags": [0, 4, 0]},
+        {"data": [*common.data[:2], b"seven.."]},
+        {"data": common.data[:2]},
+        {"frame_time_ns": common.frame_time_ns[:2]},
+    ):
+        other = msgspec.structs.replace(common, **change)
+        assert fast_path(other)[:2] == (False, None), change
+
+
+def test_a_bus_has_no_long_name() -> None:
+    """A log repeats it with every frame: a small sample would become a large one."""
+    subject = BY_TYPE[CanFrames]
+    message = batch(0, [(WALL_NS, feedback(0))])
+    named = [msgspec.structs.replace(message, bus="b" * length) for length in (BUS_MAX_LENGTH, BUS_MAX_LENGTH + 1)]
+    whole, too_long = (codec.decode(subject, codec.encode(one)) for one in named)
+    assert isinstance(whole, CanFrames)
+    assert isinstance(too_long, codec.PayloadFault)

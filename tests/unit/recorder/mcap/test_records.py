@@ -1,0 +1,140 @@
+"""A file piece by piece."""
+
+from io import BytesIO
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap import records
+from mcap.writer import CompressionType
+
+from recorder.mcap.chunk import MESSAGE_HEADER
+from recorder.mcap.records import End, Fault, LooseMessage, PackedChunk, Piece, SummaryStart, read_pieces
+from recorder.mcap.scan import BROKEN, index_content
+from recorder.mcap.summary import MAGIC
+from tests.support.made_logs import foreign_log, gears, own_log
+
+LOG = own_log([gears(3 * number, 3, 100 * number) for number in range(1, 5)], metadata=[("m", {"a": "b"})])
+
+
+class CountingStream(BytesIO):
+    """Remembers how much of it was read."""
+
+    def __init__(self, data: bytes) -> None:
+        super().__init__(data)
+        self.count = 0
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        data = super().read(size)
+        self.count += len(data)
+        return data
+
+
+def pieces(data: bytes, **given: Any) -> list[Piece]:  # noqa: ANN401 - the reader's own arguments
+    """All pieces of a file with this content."""
+    return list(read_pieces(BytesIO(data), len(data), **given))
+
+
+def chunks(data: bytes) -> list[PackedChunk]:
+    """Its chunks."""
+    return [piece for piece in pieces(data) if isinstance(piece, PackedChunk)]
+
+
+def test_a_whole_file_comes_in_its_order() -> None:
+    """Header, declarations, chunks; then what its end repeats."""
+    assert [type(piece) for piece in pieces(LOG)] == [
+        records.Header,
+        records.Schema,
+        records.Channel,
+        records.Metadata,
+        *4 * [PackedChunk],
+        SummaryStart,
+        records.Schema,
+        records.Channel,
+        records.Statistics,
+        End,
+    ]
+    assert pieces(LOG, is_verifying=False)[-1] == End()
+
+
+def test_a_chunk_tells_what_is_in_it_before_it_is_unpacked() -> None:
+    """Times, index, and where the index stands."""
+    for number, chunk in enumerate(chunks(LOG), start=1):
+        assert (chunk.start_ns, chunk.end_ns) == (100 * number, 100 * number + 20)
+        content = chunk.unpack(BytesIO(LOG))
+        assert chunk.index == index_content(content)[0]
+        assert chunk.places == {1: chunk.offset + chunk.length}
+        assert LOG[chunk.places[1]] == 7
+        assert [MESSAGE_HEADER.unpack_from(content, start)[3] for start in chunk.index[1][1::2]] == [
+            3 * number + place for place in range(3)
+        ]
+
+
+def test_what_is_not_unpacked_is_not_read() -> None:
+    """Of a large chunk only the head is."""
+    data = own_log([[(1, number, number, bytes(range(256)) * 400) for number in range(20)]])
+    big = foreign_log([1], data=b'"' + b"x" * 1_000_000 + b'"', compression=CompressionType.NONE)
+    assert len(data) > 0
+    stream = CountingStream(big)
+    assert any(isinstance(piece, PackedChunk) for piece in read_pieces(stream, len(big), is_verifying=False))
+    assert stream.count < 100_000
+
+
+@pytest.mark.parametrize("use_chunking", [True, False])
+def test_messages_outside_of_chunks_come_one_by_one(use_chunking: bool) -> None:  # noqa: FBT001 - a parameter
+    """Whole records, with their places."""
+    data = foreign_log(use_chunking=use_chunking)
+    loose = [piece for piece in pieces(data) if isinstance(piece, LooseMessage)]
+    assert len(loose) == (0 if use_chunking else 10)
+    assert all(data[one.offset : one.offset + len(one.raw)] == one.raw for one in loose)
+
+
+def test_damage_in_the_middle_is_passed_over() -> None:
+    """The next piece that proves itself is found again, and all behind it."""
+    second = chunks(LOG)[1]
+    damaged = bytearray(LOG)
+    damaged[second.offset : second.offset + 40] = bytes(40)
+    found = pieces(bytes(damaged))
+    assert [piece.start_ns for piece in found if isinstance(piece, PackedChunk)] == [100, 300, 400]
+    faults = [piece for piece in found if isinstance(piece, Fault)]
+    assert faults[0].offset == second.offset
+    assert not any(fault.cuts for fault in faults)
+    assert found[-1] == End()
+
+
+def test_a_length_that_leads_nowhere_is_passed_over() -> None:
+    """A record that would be longer than the file."""
+    second = chunks(LOG)[1]
+    damaged = bytearray(LOG)
+    damaged[second.offset + 7] = 0x7F
+    found = pieces(bytes(damaged), is_verifying=False)
+    assert [piece.start_ns for piece in found if isinstance(piece, PackedChunk)] == [100, 300, 400]
+
+
+@pytest.mark.parametrize("name", [b"zstx", b"gzip"])
+def test_a_compression_that_nobody_knows_is_told_when_it_is_unpacked(name: bytes) -> None:
+    """The chunk itself can be passed over."""
+    data = LOG.replace(b"zstd", name)
+    for chunk in chunks(data):
+        with pytest.raises(BROKEN):
+            chunk.unpack(BytesIO(data))
+
+
+@given(st.binary(max_size=300), st.integers(0, 10_000), st.booleans())
+def test_nothing_that_a_file_may_hold_raises(noise: bytes, place: int, is_verifying: bool) -> None:  # noqa: FBT001 - a parameter
+    """Noise in place of a file's bytes, or of the file."""
+    place = len(MAGIC) + place % (len(LOG) - len(MAGIC))
+    for data in (LOG[:place] + noise + LOG[place + len(noise) :], MAGIC + noise):
+        last = pieces(data, is_verifying=is_verifying)[-1]
+        assert isinstance(last, End | Fault)
+
+
+@given(st.integers(len(MAGIC), len(LOG) - 1))
+def test_a_cut_leaves_what_was_before_it(size: int) -> None:
+    """Every chunk that is there in full, with the fault as the last piece."""
+    found = pieces(LOG[:size])
+    whole = [chunk.offset for chunk in chunks(LOG) if chunk.offset + chunk.length <= size]
+    assert [piece.offset for piece in found if isinstance(piece, PackedChunk)] == whole
+    assert isinstance(found[-1], Fault)
+    assert found[-1].cuts

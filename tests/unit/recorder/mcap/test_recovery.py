@@ -1,0 +1,248 @@
+"""Damaged and unfinished files, made whole; the mcap package, which others wrote, reads the result."""
+
+import random
+from io import BytesIO
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import NonSeekingReader, make_reader
+from mcap.writer import CompressionType, Writer
+
+from recorder.encoding.protobuf_schema import descriptor_set
+from recorder.mcap import scan as mcap_scan
+from recorder.mcap.channel import LogChannel
+from recorder.mcap.chunk import ChunkBuilder
+from recorder.mcap.recovery import Survey, copy_good, survey
+from recorder.mcap.summary import MAGIC
+from recorder.mcap.writer import McapFile
+from recorder.review.check import check_stream
+from schemas.messages import Gear
+from tests.support.recorder_fakes import small_log
+
+Row = tuple[str, str, bytes, int, int, int, bytes]
+LOG = small_log()
+
+
+def rows(data: bytes, reader: Any = make_reader) -> list[Row]:  # noqa: ANN401 - the package's readers share no type
+    """Every message, with all that is said of it."""
+    return [
+        (channel.topic, schema.name, schema.data, one.sequence, one.log_time, one.publish_time, one.data)
+        for schema, channel, one in reader(BytesIO(data), validate_crcs=True).iter_messages(log_time_order=False)
+    ]
+
+
+def others(data: bytes) -> list[object]:
+    """Metadata and attachments, found by their indexes."""
+    reader = make_reader(BytesIO(data), validate_crcs=True)
+    metadata: list[object] = [(one.name, sorted(one.metadata.items())) for one in reader.iter_metadata()]
+    return metadata + [(one.name, one.media_type, one.data) for one in reader.iter_attachments()]
+
+
+def repaired(data: bytes) -> tuple[Survey, bytes]:
+    """What recovery makes of a file."""
+    found = survey(BytesIO(data), len(data))
+    if found.fault_count or not found.end:
+        copy = BytesIO()
+        copy_good(BytesIO(data), len(data), copy, "test")
+        return found, copy.getvalue()
+    return found, data if found.is_whole else data[: found.end] + found.ending
+
+
+def chunks_of(count: int, each: int = 3) -> tuple[bytes, list[int]]:
+    """A log of chunks of some messages; its bytes, and where each chunk and its indexes end."""
+    stream = BytesIO()
+    file = McapFile(stream, "test")
+    for number in (1, 2):
+        file.add_channel(LogChannel(number, f"t/{number}", "cruiser.Gear", descriptor_set(Gear)))
+    ends = []
+    for number in range(count):
+        builder = ChunkBuilder()
+        for one in range(each):
+            builder.add(1 + one % 2, number * each + one, 1000 + number, 2000 + one, bytes([number, one]) * 20)
+        chunk = builder.seal()
+        assert chunk is not None
+        file.write_chunk(chunk)
+        ends.append(file.size)
+    file.finish()
+    return stream.getvalue(), ends
+
+
+ROWS = rows(LOG)
+OTHERS = others(LOG)
+CHUNKS, ENDS = chunks_of(4)
+
+
+def test_a_whole_log_is_left_alone() -> None:
+    """Nothing is to be done."""
+    found = survey(BytesIO(LOG), len(LOG))
+    assert (found.is_whole, found.fault_count, found.messages) == (True, 0, len(ROWS))
+
+
+def test_a_log_cut_off_at_any_byte_is_whole_up_to_there() -> None:
+    """Never an exception; all whole chunks, by index and in one pass; what is cut off was but a torn write."""
+    every_chunk = rows(CHUNKS)
+    for size in range(len(CHUNKS)):
+        found, result = repaired(CHUNKS[:size])
+        expected = every_chunk[: 3 * sum(end <= size for end in ENDS)]
+        read = rows(result)
+        assert read[: len(expected)] == expected
+        assert read == every_chunk[: len(read)]
+        assert sorted(rows(result, NonSeekingReader)) == sorted(read)
+        assert (found.fault_count, found.is_torn, found.messages) == (0, True, len(read))
+
+
+@given(st.integers(0, len(LOG)))
+def test_a_recovered_log_says_what_it_holds(size: int) -> None:
+    """Statistics, metadata and attachments; and it is whole to our own reader and to another recovery."""
+    _, result = repaired(LOG[:size])
+    summary = make_reader(BytesIO(result), validate_crcs=True).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == len(rows(result))
+    assert [one for one in others(result) if one not in OTHERS] == []
+    assert survey(BytesIO(result), len(result)).is_whole
+    assert check_stream(BytesIO(result), len(result), "x").whole
+
+
+def _past_magic(data: bytes) -> BytesIO:
+    stream = BytesIO(data)
+    assert stream.read(len(MAGIC)) == MAGIC
+    return stream
+
+
+def test_a_recovery_that_was_broken_off_is_done_again() -> None:
+    """Cut at any byte of its own end, the file comes to the same."""
+    _, result = repaired(CHUNKS[: ENDS[2] + 40])
+    for size in range(ENDS[2], len(result)):
+        assert repaired(result[:size])[1] == result
+
+
+@pytest.mark.parametrize("is_finished", [True, False])
+def test_a_flipped_bit_is_never_silently_wrong_data(is_finished: bool) -> None:  # noqa: FBT001 - pytest gives it
+    """Each byte once: what can be read is what was written, and what cannot is told or was the torn end."""
+    data = LOG if is_finished else LOG[: LOG.rindex(b"\x0f\x04\x00\x00\x00\x00\x00\x00\x00")]
+    chooser = random.Random(7)  # noqa: S311 - reproducible, not secret
+    for place in range(len(data)):
+        flipped = bytearray(data)
+        flipped[place] ^= 1 << chooser.randrange(8)
+        found, result = repaired(bytes(flipped))
+        read = rows(result)
+        assert [row for row in read if row not in ROWS] == []
+        assert len(read) == len(set(read))
+        assert [one for one in others(result) if one not in OTHERS] == []
+        if len(read) < len(ROWS):
+            # The last chunk alone may go without a fault: its length says that it is longer than the file.
+            assert found.fault_count or not found.is_torn or not is_finished
+
+
+@given(st.binary(min_size=1, max_size=200), st.integers(0, len(CHUNKS) - 1))
+def test_garbage_anywhere_never_raises_and_never_invents(garbage: bytes, place: int) -> None:
+    """Overwritten, as by a bad block."""
+    data = CHUNKS[:place] + garbage + CHUNKS[place + len(garbage) :]
+    _, result = repaired(data)
+    assert [row for row in rows(result) if row not in rows(CHUNKS)] == []
+
+
+@given(st.binary(max_size=500))
+def test_what_is_no_log_holds_nothing(data: bytes) -> None:
+    """Never an exception."""
+    found = survey(BytesIO(data), len(data))
+    assert (found.messages, found.is_whole) == (0, False)
+
+
+def test_damage_in_the_middle_costs_its_own_chunk() -> None:
+    """The chunks behind it are found again, even where the length of the damaged one is lost."""
+    for place in (ENDS[0] + 1, ENDS[0] + 100):  # its length; its content
+        damaged = bytearray(CHUNKS)
+        damaged[place] ^= 0x40
+        found, result = repaired(bytes(damaged))
+        assert [row[3] for row in rows(result)] == [0, 1, 2, 6, 7, 8, 9, 10, 11]
+        assert found.fault_count == 1
+
+
+def test_a_lost_schema_costs_the_messages_of_its_channels() -> None:
+    """A reader cannot know what they are; the rest of their chunks is kept."""
+    damaged = bytearray(LOG)
+    damaged[LOG.index(b"cruiser.CanFrame")] ^= 1
+    found, result = repaired(bytes(damaged))
+    assert rows(result) == [row for row in ROWS if row[1] != "cruiser.CanFrame"]
+    assert any("5 messages" in fault for fault in found.faults)
+
+
+def test_zeros_behind_the_data_are_nothing() -> None:
+    """A power cut leaves them where the file's length came to the disk before its data."""
+    found, result = repaired(CHUNKS[: ENDS[1]] + bytes(5000))
+    assert found.is_torn
+    assert len(rows(result)) == 6
+
+
+def test_a_whole_chunk_that_is_wrong_at_the_end_is_more_than_torn() -> None:
+    """It is worth keeping."""
+    damaged = bytearray(CHUNKS[: ENDS[1]])
+    damaged[ENDS[0] + 100] ^= 1
+    found, result = repaired(bytes(damaged))
+    assert (found.fault_count, found.is_torn, len(rows(result))) == (0, False, 3)
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
+@pytest.mark.parametrize("use_chunking", [True, False])
+def test_logs_of_others_are_made_whole_too(compression: CompressionType, use_chunking: bool) -> None:  # noqa: FBT001 - pytest gives it
+    """Without our checks, with schemas and channels within chunks, and with messages without any chunk."""
+    stream = BytesIO()
+    writer = Writer(stream, chunk_size=200, compression=compression, use_chunking=use_chunking)
+    writer.start("", "other")
+    schema = writer.register_schema("s", "jsonschema", b"{}")
+    channel = writer.register_channel("t", "json", schema)
+    for number in range(40):
+        writer.add_message(channel, number, b'{"a": 1}', number, number)
+    writer.finish()
+    data = stream.getvalue()
+    assert survey(BytesIO(data), len(data)).is_whole
+    last = 0
+    for size in range(len(data)):
+        found, result = repaired(data[:size])
+        if not found.end:
+            continue
+        read = [row[3] for row in rows(result, NonSeekingReader)]
+        assert read == list(range(len(read)))
+        assert found.messages == len(read) >= last
+        last = len(read)
+    assert last == 40
+
+
+def test_a_log_of_others_whose_data_checksum_is_wrong_is_not_called_good() -> None:
+    """Nothing tells where: a message outside of chunks has no checksum of its own."""
+    stream = BytesIO()
+    writer = Writer(stream, use_chunking=False, enable_data_crcs=True)
+    writer.start("", "other")
+    channel = writer.register_channel("t", "json", writer.register_schema("s", "jsonschema", b"{}"))
+    writer.add_message(channel, 1, b'{"a": 1}', 1, 1)
+    writer.finish()
+    damaged = stream.getvalue().replace(b'{"a": 1}', b'{"a": 9}')
+    found = survey(BytesIO(damaged), len(damaged))
+    assert (found.is_whole, found.fault_count) == (False, 1)
+
+
+def test_a_length_that_nobody_means_costs_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A record that says it is longer than any may be is damage, and is not read."""
+    longest = max(one - two for one, two in pairwise([*ENDS[::-1], 0]))
+    monkeypatch.setattr(mcap_scan, "RECORD_MAX", longest)
+    stream = Watched(CHUNKS[: ENDS[0]] + b"\x06" + (3 * longest).to_bytes(8, "little") + bytes(10 * longest))
+    found = survey(stream, len(stream.getvalue()))
+    assert (found.messages, found.end) == (3, ENDS[0])
+    assert 3 * longest not in stream.lengths
+
+
+class Watched(BytesIO):
+    """A stream that knows what was read."""
+
+    def __init__(self, data: bytes) -> None:
+        super().__init__(data)
+        self.lengths: set[int | None] = set()
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        self.lengths.add(size)
+        return super().read(size)

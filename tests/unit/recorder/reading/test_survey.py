@@ -1,0 +1,51 @@
+"""What logs hold besides messages."""
+
+from pathlib import Path
+
+import pytest
+
+from recorder.reading.faults import Faults
+from recorder.reading.logs import find_logs
+from recorder.reading.survey import Survey, survey
+from recorder.record.robots import METADATA_NAME
+from tests.support.recorder_fakes import small_log
+
+
+def found_in(path: Path) -> tuple[Survey, Faults]:
+    """A survey of the logs there."""
+    faults = Faults()
+    return survey(find_logs([path], faults), faults), faults
+
+
+@pytest.mark.parametrize("cut", [0, 200], ids=["whole", "without its end"])
+def test_topics_metadata_and_attachments_are_found(tmp_path: Path, cut: int) -> None:
+    """By the end of a file, or without one by its records."""
+    path = tmp_path / "log.mcap"
+    data = small_log()
+    path.write_bytes(data[: len(data) - cut])
+    found, faults = found_in(path)
+    assert sorted(found.topics) == [
+        "fleet/cruiser-1/can/can0/rx",
+        "fleet/cruiser-1/chassis/gear",
+        "fleet/cruiser-1/gateway/info",
+        "fleet/elsewhere",
+    ]
+    assert found.robots == ["cruiser-1"]
+    assert found.metadata[METADATA_NAME]["robots"] == "cruiser-1"
+    names = [one.name for one in found.attachments]
+    assert names[:2] == ["cruiser-1/configuration.toml", "cruiser-1/cruiser-coarse.dbc"]
+    assert all(name.startswith("cruiser-1/layout.") for name in names[2:])
+    assert faults.count == bool(cut)
+
+
+def test_of_several_logs_all_is_found(tmp_path: Path) -> None:
+    """A file that goes away meanwhile is a fault, and the others are read."""
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.mcap").write_bytes(small_log())
+    faults = Faults()
+    logs = find_logs([tmp_path], faults)
+    (tmp_path / "a.mcap").unlink()
+    found = survey(logs, faults)
+    names = [one.name for one in found.attachments]
+    assert names.count("cruiser-1/configuration.toml") == 1
+    assert faults.count == 1

@@ -1,0 +1,125 @@
+"""The topics of a log, and how their messages are read."""
+
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap import records
+from msgspec import inspect
+
+from recorder.encoding.protobuf_schema import LOGGED, descriptor_set, fields, optional_part, schema_name
+from recorder.encoding.transcode import compile_encoder
+from recorder.reading.topics import UNREADABLE, Topic, topic_of, typed_decoder
+from schemas.messages import Gear
+from tests.support.made_logs import ENCODE_GEAR, GEAR_TOPIC
+from tests.support.recorder_fakes import gear
+
+KINDS = [kind for kind in LOGGED if schema_name(kind) != "cruiser.CanFrames"]
+
+
+def values(kind: inspect.Type) -> st.SearchStrategy[Any]:
+    """What a field of this type may hold."""
+    inner = optional_part(kind)
+    return st.none() | values(inner) if inner is not None else _STRATEGIES[type(kind)](kind)
+
+
+_STRATEGIES: dict[type[inspect.Type], Callable[[Any], st.SearchStrategy[Any]]] = {
+    inspect.ListType: lambda kind: st.lists(values(kind.item_type), max_size=3),
+    inspect.DictType: lambda kind: st.dictionaries(values(kind.key_type), values(kind.value_type), max_size=3),
+    inspect.StructType: lambda kind: structs(kind.cls),
+    inspect.EnumType: lambda kind: st.sampled_from(list(kind.cls)),
+    inspect.IntType: lambda kind: st.integers(
+        -(2**63) if kind.ge is None else kind.ge, 2**63 - 1 if kind.le is None else kind.le
+    ),
+    inspect.FloatType: lambda _: st.floats(allow_nan=False),
+    inspect.BoolType: lambda _: st.booleans(),
+    inspect.StrType: lambda _: st.text(max_size=5),
+    inspect.BytesType: lambda _: st.binary(max_size=5),
+}
+
+
+def structs(kind: type[msgspec.Struct]) -> st.SearchStrategy[Any]:
+    """Any message of a class."""
+    return st.builds(kind, **{name: values(field) for name, _, field in fields(kind)})
+
+
+def topic(
+    name: str = GEAR_TOPIC, encoding: str = "protobuf", schema: tuple[str, str, bytes] | None = None
+) -> Topic:
+    """The topic of a channel; of our gears unless told otherwise."""
+    found = schema or (schema_name(Gear), "protobuf", descriptor_set(Gear))
+    return topic_of(
+        records.Channel(id=1, topic=name, message_encoding=encoding, metadata={}, schema_id=1),
+        records.Schema(id=1, name=found[0], encoding=found[1], data=found[2]),
+    )
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=schema_name)
+@settings(max_examples=25)
+@given(data=st.data())
+def test_what_was_written_is_read_as_what_it_was(kind: type[msgspec.Struct], data: st.DataObject) -> None:
+    """Every class that may be a record, with every value: numbers, flags, enumerations, absent and nested ones."""
+    message = data.draw(structs(kind))
+    again = typed_decoder(kind)(compile_encoder(kind)(message))
+    assert again == message
+    assert type(again) is kind
+
+
+@settings(max_examples=50)
+@given(st.binary(max_size=60))
+def test_bytes_that_are_no_message_raise_what_is_told(noise: bytes) -> None:
+    """And nothing else."""
+    for kind in KINDS:
+        try:
+            typed_decoder(kind)(noise)
+        except UNREADABLE:
+            continue
+
+
+def test_a_key_of_ours_tells_robot_and_subject() -> None:
+    """Any other topic tells neither."""
+    assert (topic().robot, topic().subject, topic().kind) == ("cruiser-1", "chassis/gear", Gear)
+    assert (topic("/elsewhere").robot, topic("/elsewhere").subject) == ("", "")
+    assert topic("fleet/r/can/can7/rx").subject == "can/{bus}/rx"
+
+
+def test_the_protobuf_of_others_is_read_by_the_schema_in_the_log() -> None:
+    """A message with the fields that it names."""
+    other = descriptor_set(Gear).replace(b"cruiser", b"elsewhe")
+    decode = topic("/x", schema=("elsewhe.Gear", "protobuf", other)).decode
+    assert decode is not None
+    assert decode(ENCODE_GEAR(gear(7))).sequence == 7
+
+
+@pytest.mark.parametrize(
+    ("encoding", "schema"),
+    [
+        ("protobuf", ("a.B", "protobuf", b"\xff\xff")),
+        ("protobuf", ("a.B", "protobuf", b"")),
+        ("cdr", ("p/msg/T", "ros2msg", b"int8 x")),
+        ("", ("", "", b"")),
+    ],
+)
+def test_what_nobody_here_can_read_has_no_decoder(encoding: str, schema: tuple[str, str, bytes]) -> None:
+    """Only its bytes are known."""
+    assert topic("/x", encoding, schema).decode is None
+
+
+def test_json_is_read() -> None:
+    """As what json makes of it."""
+    decode = topic("/x", "json", ("T", "jsonschema", b"{}")).decode
+    assert decode is not None
+    assert decode(b'{"a": [1]}') == {"a": [1]}
+    with pytest.raises(UNREADABLE):
+        decode(b"{")
+
+
+def test_an_enumeration_of_a_newer_version_is_unreadable() -> None:
+    """A number that this version has no name for is no value of it."""
+    data = bytearray(ENCODE_GEAR(gear(0)))
+    data[-1] = 0x7F
+    with pytest.raises(UNREADABLE):
+        typed_decoder(Gear)(bytes(data))

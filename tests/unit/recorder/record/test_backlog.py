@@ -1,0 +1,152 @@
+"""What is asked of what gateways keep."""
+
+from collections.abc import Callable
+
+import pytest
+
+from recorder.record.backlog import ANSWER_NS, KEPT_SUBJECTS, TRIES, Backlog
+from recorder.record.effects import AskKept, Effect
+from schemas.subjects import KEPT_PIECE
+from tests.support.recorder_fakes import MS, SECOND
+
+JOURNAL = "fleet/cruiser-1/journal"
+EVENT = "fleet/cruiser-1/safety/event"
+FIRSTS = {JOURNAL, EVENT, "fleet/cruiser-1/safety/decision"}
+
+
+class Robot:
+    """A gateway that keeps the samples from ``oldest`` on, and a backlog; ``loses`` says which replies go lost."""
+
+    def __init__(self, key: str = JOURNAL, said: int = 0, oldest: int = 0) -> None:
+        self.key, self.said, self.oldest = key, said, oldest
+        self.loses: Callable[[int], bool] = lambda _sequence: False
+        self.now_ns = 0
+        self.got: list[int] = []
+        self.counted = 0
+        self.asked: list[int] = []
+        self.backlog = Backlog()
+        self.backlog.see("fleet", "cruiser-1", 0)
+
+    def say(self, *, is_restart: bool = False, is_lost: bool = False) -> None:
+        """The next sample by itself."""
+        if not is_lost:
+            self.backlog.hear(self.key, self.said, self.now_ns, is_restart=is_restart)
+            self.got.append(self.said)
+        self.said += 1
+
+    def run(self, ticks: int = 200) -> None:
+        """Ask and answer."""
+        for _ in range(ticks):
+            self.now_ns += 50 * MS
+            for effect in self.backlog.ask(self.now_ns):
+                self.answer(effect)
+
+    def answer(self, effect: Effect) -> None:
+        assert isinstance(effect, AskKept)
+        if effect.key != self.key:
+            return
+        self.asked.append(effect.first)
+        start = max(effect.first, self.oldest)
+        for sequence in range(start, min(self.said, start + KEPT_PIECE)):
+            was_missing, was_counted = (
+                (False, False) if self.loses(sequence) else self.backlog.take(self.key, sequence)
+            )
+            self.got += [sequence] * was_missing
+            self.counted += was_counted
+
+
+def test_the_journal_the_decisions_and_the_events_are_kept() -> None:
+    """Of nothing else the past is worth asking for."""
+    assert {f"fleet/cruiser-1/{subject.name}" for subject in KEPT_SUBJECTS} == FIRSTS
+
+
+def test_a_robot_that_is_new_is_asked_for_all_it_keeps() -> None:
+    """Also where it says nothing now."""
+    backlog = Backlog()
+    backlog.see("fleet", "cruiser-1", 0)
+    assert set(backlog.ask(0)) == {AskKept(key, 0) for key in FIRSTS}
+    assert backlog.ask(MS) == []
+
+
+def test_what_was_said_before_comes_piece_by_piece() -> None:
+    """Each is asked for once the one before it is there; nothing comes twice."""
+    robot = Robot(said=100)
+    robot.say()
+    robot.run()
+    assert sorted(robot.got) == list(range(101))
+    assert robot.asked == list(range(0, 100, KEPT_PIECE))
+    assert robot.counted == 0
+
+
+def test_a_gap_is_filled_and_was_counted() -> None:
+    """A link that was cut: the tally has missed these, and has them back."""
+    robot = Robot()
+    robot.run()
+    for number in range(60):
+        robot.say(is_lost=20 <= number < 50)
+    robot.run()
+    assert sorted(robot.got) == list(range(60))
+    assert robot.counted == 30
+
+
+def test_replies_that_go_lost_are_asked_for_again() -> None:
+    """In their order, so that a journal has no hole; whoever never answers is given up."""
+    robot = Robot(said=40)
+    robot.say()
+    lost: list[int] = []
+    robot.loses = lambda sequence: sequence == 7 and len(lost) < 1 and not lost.append(sequence)  # type: ignore[func-returns-value]
+    robot.run()
+    assert sorted(robot.got) == list(range(41))
+    silent = Robot(said=40)
+    silent.say()
+    silent.loses = lambda _sequence: True
+    silent.run(400)
+    assert silent.asked == [0] * TRIES
+    assert silent.now_ns > TRIES * ANSWER_NS
+
+
+@pytest.mark.parametrize(("key", "expected"), [(JOURNAL, [100]), (EVENT, list(range(30, 101)))])
+def test_of_a_past_that_is_cut_off_only_a_journal_is_worth_nothing(key: str, expected: list[int]) -> None:
+    """It cannot be run again; the events that are left still tell what happened."""
+    robot = Robot(key, said=100, oldest=30)
+    robot.say()
+    robot.run()
+    assert sorted(robot.got) == expected
+
+
+def test_a_gateway_that_begins_anew_is_asked_anew() -> None:
+    """Whatever subject shows it: the events of a new run are asked for though none has come by itself."""
+    robot = Robot(said=10)
+    robot.say()
+    robot.run()
+    robot.asked.clear()
+    robot.said = 5
+    robot.say(is_restart=True)
+    asked = [effect for effect in robot.backlog.ask(robot.now_ns) if isinstance(effect, AskKept)]
+    assert {(effect.key, effect.first) for effect in asked} == {(key, 0) for key in FIRSTS}
+
+
+def test_the_end_is_asked_for_too() -> None:
+    """No sample came after it that would show what is missing."""
+    robot = Robot(EVENT)
+    robot.run()
+    robot.say()
+    robot.say(is_lost=True)
+    for effect in robot.backlog.ask_last(robot.now_ns):
+        robot.answer(effect)
+    assert robot.got == [0, 1]
+
+
+def test_two_gateways_of_one_name_make_no_storm_of_questions() -> None:
+    """Each sample of the one looks like a restart of the other; a restart alone is asked about at once."""
+    backlog = Backlog()
+    backlog.see("fleet", "cruiser-1", 0)
+    asked = 0
+    for number in range(500):
+        now_ns = number * 20 * MS
+        backlog.hear(EVENT, 1000 + number, now_ns, is_restart=False)
+        backlog.hear(EVENT, number, now_ns, is_restart=True)
+        asked += sum(one.key == EVENT for one in backlog.ask(now_ns) if isinstance(one, AskKept))
+    assert 3 <= asked <= 6
+    backlog.hear(EVENT, 7, 60 * SECOND, is_restart=True)
+    assert AskKept(EVENT, 0) in backlog.ask(60 * SECOND)

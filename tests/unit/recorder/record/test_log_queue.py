@@ -1,0 +1,113 @@
+"""What waits for the disk, within a bound."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from recorder.mcap.chunk import ChunkBuilder
+from recorder.record.effects import (
+    CloseLog,
+    FileEffect,
+    OpenLog,
+    SyncLog,
+    WriteAttachment,
+    WriteChunk,
+    WriteMetadata,
+)
+from recorder.record.log_queue import ENTRY_BYTES, LogQueue, waiting
+from tests.support.recorder_fakes import WALL_NS
+
+Effect = OpenLog | FileEffect
+
+
+def chunk(size: int) -> WriteChunk:
+    """A chunk that takes so many bytes with its message's header."""
+    builder = ChunkBuilder()
+    builder.add(1, 0, WALL_NS, WALL_NS, bytes(max(0, size - 31)))
+    sealed = builder.seal()
+    assert sealed is not None
+    return WriteChunk(sealed)
+
+
+def queue_of(limit_bytes: int, *effects: Effect) -> LogQueue:
+    """A queue in which these wait."""
+    queue = LogQueue(limit_bytes)
+    for effect in effects:
+        queue.put(waiting("x", effect))
+    return queue
+
+
+def left(queue: LogQueue) -> list[Effect]:
+    """All that still waits."""
+    return [queue.take().effect for _ in range(len(queue))]
+
+
+def test_what_can_never_fit_goes_before_everything_else() -> None:
+    """For it all the others would have to go, and then it too."""
+    small = [chunk(200) for _ in range(5)]
+    large = chunk(5000)
+    queue = queue_of(2000, *small[:3], large, *small[3:])
+    assert [one.effect for one in queue.trim(0)] == [large]
+    assert left(queue) == small
+
+
+def test_a_large_chunk_waits_where_there_is_room() -> None:
+    """While nothing is too much nothing goes."""
+    large = chunk(1500)
+    queue = queue_of(2000, large)
+    assert queue.trim(0) == []
+    assert left(queue) == [large]
+
+
+def test_the_oldest_messages_go_first_and_what_is_said_of_files_last() -> None:
+    """Which files there are, and what lasts, stays whatever happens."""
+    opened, end, sync = OpenLog("x", WALL_NS), CloseLog(), SyncLog()
+    once = WriteMetadata("cruiser.completeness", {"t": "1" * 500})
+    lasting = WriteMetadata("cruiser", {"t": "1" * 500}, lasts=True)
+    attachment = WriteAttachment("a.dbc", "text/plain", bytes(500), WALL_NS)
+    first, second = chunk(300), chunk(300)
+    effects: list[Effect] = [opened, lasting, attachment, first, sync, second, once, end]
+    queue = queue_of(3000, *effects)
+    assert queue.trim(0) == []
+    assert [one.effect for one in queue.trim(3000 - queue.bytes + 300)] == [first]
+    assert [one.effect for one in queue.trim(3000)] == [sync, second, once]
+    assert left(queue) == [opened, lasting, attachment, end]
+
+
+def test_all_that_waits_counts() -> None:
+    """Metadata and attachments may be large, and a million small things are large, too."""
+    queue = queue_of(
+        10_000, WriteMetadata("a", {"key": "entry"}), WriteAttachment("a", "", bytes(7), 0), SyncLog(), chunk(300)
+    )
+    assert queue.bytes == 4 * ENTRY_BYTES + len("keyentry") + 7 + 300
+
+
+@given(
+    st.lists(st.sampled_from([SyncLog(), CloseLog(), chunk(50), chunk(400), chunk(3000)]), max_size=40),
+    st.integers(0, 3000),
+)
+def test_nothing_goes_without_need_and_the_order_stays(effects: list[Effect], other_bytes: int) -> None:
+    """What is dropped and what is left is all there was; what is counted is what is there."""
+    queue = queue_of(4000, *effects)
+    dropped = [one.effect for one in queue.trim(other_bytes)]
+    bound = queue.bytes
+    there = left(queue)
+    assert queue.bytes == 0
+    assert sorted(map(id, dropped + there)) == sorted(map(id, effects))
+    assert [one for one in effects if isinstance(one, CloseLog)] == [
+        one for one in there if isinstance(one, CloseLog)
+    ]
+    ones = [one for one in there if not isinstance(one, CloseLog)]
+    assert bound <= 4000 - other_bytes or not ones
+    if dropped:
+        needed = bound + min(waiting("x", one).bytes for one in dropped[-1:])
+        assert needed > 4000 - other_bytes
+
+
+def test_what_is_put_back_is_the_oldest_again() -> None:
+    """In its order."""
+    ones = [chunk(100) for _ in range(4)]
+    queue = queue_of(2000, *ones)
+    taken = [queue.take(), queue.take()]
+    assert queue.head.effect is ones[2]
+    queue.put_back(taken)
+    assert left(queue) == ones

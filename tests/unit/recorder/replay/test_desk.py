@@ -1,0 +1,108 @@
+"""The terminal of a replay: a real one, as far as a program can tell."""
+
+import io
+import os
+import pty
+import sys
+import termios
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TextIO
+
+import pytest
+
+from recorder.replay.desk import Clock, Desk, orders_of
+from recorder.replay.run import Order
+from tests.support.recorder_fakes import WALL_NS, wait_until
+
+
+@contextmanager
+def terminal() -> Iterator[tuple[int, TextIO]]:
+    """The side of a person, and that of the program."""
+    person, program = pty.openpty()
+    with os.fdopen(program, "r+b", buffering=0) as raw, io.TextIOWrapper(raw, write_through=True) as stream:
+        yield person, stream
+    os.close(person)
+
+
+@pytest.mark.parametrize(
+    ("typed", "orders"),
+    [
+        (b" ", [Order.PAUSE]),
+        (b"q", [Order.QUIT]),
+        (b"\x1b[C\x1b[D", [Order.ON, Order.BACK]),
+        (b"\x1bOC", [Order.ON]),
+        (b"x\x1b[A\n ", [Order.PAUSE]),
+        (b"\xff\x00\x1b", []),
+        (b"", []),
+    ],
+)
+def test_keys_mean_orders(typed: bytes, orders: list[Order]) -> None:
+    """What means nothing is passed over."""
+    assert orders_of(typed) == orders
+
+
+def test_a_terminal_is_read_and_written_and_left_as_it_was() -> None:
+    """Keys come without Enter, the line shows where the replay is, Ctrl-C stays a signal."""
+    with terminal() as (person, stream):
+        before = termios.tcgetattr(stream)
+        with Desk(takes_keys=True, read_from=stream, write_to=stream) as desk:
+            inside = termios.tcgetattr(stream)
+            assert not inside[3] & (termios.ICANON | termios.ECHO)
+            assert inside[3] & termios.ISIG
+            assert desk.orders() == []
+            os.write(person, b" q")
+            found: list[Order] = []
+
+            def came() -> bool:
+                found.extend(desk.orders())
+                return len(found) >= 2
+
+            wait_until(came)
+            assert found == [Order.PAUSE, Order.QUIT]
+            desk.show(None, is_paused=False)
+            desk.show(WALL_NS, is_paused=True)
+            desk.show(WALL_NS, is_paused=False)
+        shown = os.read(person, 1000)
+        assert b"2027-01-15 08:00:00.000 UTC  paused" in shown
+        assert shown.count(b"UTC") == 1
+        assert termios.tcgetattr(stream) == before
+
+
+def test_where_there_is_no_terminal_nothing_is_read_or_shown() -> None:
+    """Input may be a pipe that means something to somebody else."""
+    out = io.StringIO()
+    with Desk(takes_keys=True, read_from=io.StringIO("q"), write_to=out) as desk:
+        desk.show(WALL_NS, is_paused=False)
+        assert desk.orders() == []
+    assert out.getvalue() == ""
+
+
+def test_a_replay_that_takes_no_keys_reads_none() -> None:
+    """To a real bus nobody steps about in a drive."""
+    with terminal() as (person, stream):
+        os.write(person, b"q")
+        with Desk(takes_keys=False, read_from=stream, write_to=stream) as desk:
+            assert desk.orders() == []
+
+
+def test_a_terminal_that_has_gone_ends_the_replay() -> None:
+    """Nobody is watching any more."""
+    with terminal() as (_, stream):
+        desk = Desk(takes_keys=True, read_from=stream, write_to=stream)
+        desk._in = os.open(os.devnull, os.O_WRONLY)
+        try:
+            assert desk.orders() in ([], [Order.QUIT])
+        finally:
+            os.close(desk._in)
+
+
+def test_the_clocks_are_the_machines() -> None:
+    """The one goes on while somebody waits, the other knows the year."""
+    clock = Clock()
+    begun_ns = clock.monotonic_ns()
+    clock.sleep(1_000_000)
+    clock.sleep(-5)
+    assert clock.monotonic_ns() >= begun_ns + 1_000_000
+    assert clock.wall_ns() > WALL_NS // 2
+    assert sys.stdin is not None

@@ -1,0 +1,129 @@
+"""Frames lost, by their alive counters."""
+
+import cantools
+import pytest
+from cantools.database.can import Database
+from hypothesis import given
+from hypothesis import strategies as st
+
+from recorder.review.checking.alive import COUNTER_SPAN, AliveCount, feedback_frames
+from schemas.can_word import EXTENDED
+from schemas.dbc_files import DBC_FILES, DbcFrame, dbc_text
+from schemas.messages import Variant
+from tests.support.recorder_fakes import GEAR_FEEDBACK, MS, feedback
+
+PERIOD_NS = 10 * MS
+GEAR = DbcFrame(EXTENDED | GEAR_FEEDBACK, "Auto_GearFeedBack", "Chassis", PERIOD_NS)
+
+
+def gear_count() -> AliveCount:
+    """The count of a frame of 10 ms."""
+    return AliveCount(GEAR)
+
+
+@pytest.mark.parametrize("variant", DBC_FILES)
+def test_the_frames_and_their_periods_come_from_the_dbc(variant: Variant) -> None:
+    """All that the chassis sends, none of the commands; a log of either variant is read by the same."""
+    frames = feedback_frames()
+    assert frames[GEAR_FEEDBACK] == GEAR
+    database = cantools.database.load_string(dbc_text(variant), database_format="dbc")
+    assert isinstance(database, Database)
+    sent = [message for message in database.messages if message.senders == ["Chassis"]]
+    assert {identifier: (frame.name, frame.period_ns) for identifier, frame in frames.items()} == {
+        message.frame_id: (message.name, (message.cycle_time or 0) * MS) for message in sent
+    }
+    assert len(frames) == 10
+
+
+@given(st.integers(0, 15), st.lists(st.booleans(), min_size=1, max_size=200))
+def test_what_is_lost_is_counted_exactly_while_gaps_are_short(first: int, arrives: list[bool]) -> None:
+    """Any pattern of losses without a gap of 16 periods."""
+    count = gear_count()
+    numbers = [0]
+    for number, comes in enumerate(arrives, start=1):
+        if comes or number - numbers[-1] == COUNTER_SPAN - 1:
+            numbers.append(number)
+    for number in numbers:
+        count.receive(number * PERIOD_NS, feedback(first + number))
+    assert (count.frames, count.lost) == (len(numbers), numbers[-1] + 1 - len(numbers))
+    assert (count.repeated, count.corrupt, count.outages) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("gap", [16, 17, 100, 999])
+@pytest.mark.parametrize("counter", range(COUNTER_SPAN))
+def test_across_a_long_gap_the_counter_decides_and_the_period_only_says_how_often_it_went_round(
+    gap: int, counter: int
+) -> None:
+    """Of all numbers that fit the counter, the one that is nearest to what the period says."""
+    count = gear_count()
+    count.receive(0, feedback(0))
+    count.receive(gap * PERIOD_NS, feedback(counter))
+    fitting = range((counter - 1) % COUNTER_SPAN, gap + COUNTER_SPAN, COUNTER_SPAN)
+    nearest = min(abs(lost - (gap - 1)) for lost in fitting)
+    lost = count.lost + count.unseen
+    assert count.outages == 1
+    assert lost in fitting
+    assert abs(lost - (gap - 1)) == nearest
+
+
+def test_a_step_back_of_the_clock_tells_nothing() -> None:
+    """Neither does the counter: what was between the two is not known."""
+    count = gear_count()
+    count.receive(0, feedback(0))
+    count.receive(-1, feedback(5))
+    assert (count.outages, count.lost, count.unseen) == (1, 0, 0)
+
+
+STALLS = st.lists(st.tuples(st.integers(0, 400), st.integers(0, 120)), max_size=4)
+"""When a machine stands still, and for how long, in periods."""
+
+
+def arrivals(sent: list[int], stalls: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """When each of these frames is received, in order: what comes in a stall comes at its end, all at once."""
+    received = []
+    for number in sent:
+        at = number
+        for start, length in sorted(stalls):
+            at = max(at, start + length) if start <= at else at
+        received.append((at * PERIOD_NS, number))
+    return received
+
+
+@given(st.integers(0, 15), STALLS)
+def test_frames_that_come_late_and_all_at_once_are_not_lost(first: int, stalls: list[tuple[int, int]]) -> None:
+    """All are in the log, with an unbroken counter, whatever the times are."""
+    count = gear_count()
+    for time_ns, number in arrivals(list(range(600)), stalls):
+        count.receive(time_ns, feedback(first + number))
+    assert (count.frames, count.lost, count.unseen, count.repeated) == (600, 0, 0, 0)
+
+
+@given(STALLS, st.integers(20, 300), st.integers(0, 200))
+def test_lost_frames_are_counted_as_often_as_the_counter_went_round(
+    stalls: list[tuple[int, int]], start: int, length: int
+) -> None:
+    """A true loss is told, though frames before and behind it came late; the one right before it came in time."""
+    count = gear_count()
+    sent = [number for number in range(1000) if not start <= number < start + length]
+    apart = [(at, stall) for at, stall in stalls if at + stall < start or at >= start + length]
+    for time_ns, number in arrivals(sent, apart):
+        count.receive(time_ns, feedback(number))
+    assert count.lost + count.unseen == length
+
+
+def test_a_repeated_counter_is_no_loss() -> None:
+    """It is told apart from fifteen lost frames."""
+    count = gear_count()
+    count.receive(0, feedback(3))
+    count.receive(PERIOD_NS, feedback(3))
+    assert (count.repeated, count.lost) == (1, 0)
+
+
+def test_the_counter_of_a_corrupt_frame_is_not_read() -> None:
+    """It counts as the one that was due."""
+    count = gear_count()
+    corrupt = bytearray(feedback(1))
+    corrupt[6] ^= 0x70
+    for number, data in enumerate((feedback(0), bytes(corrupt), feedback(2))):
+        count.receive(number * PERIOD_NS, data)
+    assert (count.corrupt, count.lost, count.repeated) == (1, 0, 0)

@@ -1,0 +1,298 @@
+"""Logs into a dataset, as others read it."""
+
+import json
+import random
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow.dataset as ds
+import pyarrow.parquet as pq
+import pytest
+from mcap.reader import make_reader
+
+from recorder.mcap.summary import MAGIC
+from recorder.reading.faults import Faults
+from recorder.reading.logs import find_logs
+from recorder.reading.rows import Progress
+from recorder.review.export import partitions, parts
+from recorder.review.export.dataset import Exported, Runner, export_dataset, one_after_the_other
+from recorder.review.export.manifest import MANIFEST_NAME, Manifest, read_manifest, sha256_of
+from recorder.review.export.one_log import Outcome, Task, Wanted
+from schemas.exit_codes import CommandError
+from schemas.messages import Gear
+from tests.support.drives import FRAMES, drive, write
+from tests.support.logs_of import channel_of, encoded, log_of
+from tests.support.recorder_fakes import SECOND, WALL_NS, gear, small_log
+
+
+def export(
+    logs: Sequence[Path],
+    out: Path,
+    faults: Faults | None = None,
+    wanted: Wanted | None = None,
+    run: Runner = one_after_the_other,
+    *,
+    is_adding: bool = False,
+) -> Exported:
+    """Export files."""
+    taken = Faults() if faults is None else faults
+    found = find_logs(logs, taken, with_covered=True)
+    done = export_dataset(found, out, wanted or Wanted(), taken, is_adding=is_adding, run=run)
+    if faults is None:
+        assert not taken, taken.told
+    return done
+
+
+def manifest_of(directory: Path) -> Manifest:
+    """The manifest, which is there."""
+    found = read_manifest(directory)
+    assert found is not None
+    return found
+
+
+def rows_by_topic(directory: Path) -> Counter[str]:
+    """Rows that are in the files, by the log's topic."""
+    count: Counter[str] = Counter()
+    for part in manifest_of(directory).files:
+        count[part.topic] += pq.read_metadata(directory / part.path).num_rows
+    return count
+
+
+def contents(directory: Path) -> dict[str, bytes]:
+    """All files."""
+    return {str(path.relative_to(directory)): path.read_bytes() for path in directory.rglob("*") if path.is_file()}
+
+
+def test_every_message_is_a_row(tmp_path: Path) -> None:
+    """Of every topic as many as the mcap package reads."""
+    log = write(tmp_path, "log", drive())
+    done = export([log], tmp_path / "out")
+    with log.open("rb") as stream:
+        expected = Counter(channel.topic for _, channel, _ in make_reader(stream).iter_messages())
+    assert rows_by_topic(tmp_path / "out") == expected
+    assert done.rows == expected.total()
+
+
+def test_others_read_it_as_hive_names_it(tmp_path: Path) -> None:
+    """Topic, robot and day are directories, and come back as they were."""
+    export([write(tmp_path, "1", drive()), write(tmp_path, "2", drive("cruiser-2"))], tmp_path / "out")
+    directories = {
+        str(path.parent.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("*.parquet")
+    }
+    assert "topic=chassis%2Fgear/robot=cruiser-2/date=2027-01-15" in directories
+    table = ds.dataset(tmp_path / "out" / "topic=chassis%2Fgear", partitioning="hive").to_table()
+    assert Counter(table.column("robot").to_pylist()) == {"cruiser-1": 20, "cruiser-2": 20}
+    whole = ds.dataset(tmp_path / "out", partitioning="hive", exclude_invalid_files=True)
+    assert {"chassis/gear", "can/can0/rx", "safety/event/log"} <= set(
+        whole.to_table(columns=["topic"]).column("topic").to_pylist()
+    )
+
+
+def test_the_manifest_says_what_is_there(tmp_path: Path) -> None:
+    """Inputs with their hashes, files with rows, times and columns, units, and who wrote it."""
+    log = write(tmp_path, "log", drive())
+    export([log], tmp_path / "out")
+    manifest = manifest_of(tmp_path / "out")
+    (found,) = manifest.inputs
+    assert (found.bytes, found.sha256) == (log.stat().st_size, sha256_of(log, 1 << 40))
+    assert manifest.product.startswith("cruiser-gateway ")
+    gears = next(part for part in manifest.files if part.table == "chassis_gear")
+    assert (gears.rows, gears.start_ns, gears.end_ns) == (20, WALL_NS, WALL_NS + 190_000_000)
+    columns = {column.name: column for column in manifest.schemas[gears.columns]}
+    assert (columns["time_ns"].type, columns["time_ns"].unit) == ("int64", "ns")
+    assert found.rows == sum(part.rows for part in manifest.files)
+    assert {part.bytes for part in manifest.files} == {
+        (tmp_path / "out" / part.path).stat().st_size for part in manifest.files
+    }
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    """A dataset is refused, and so is a directory that holds something else; both stay as they are."""
+    log = write(tmp_path, "log", drive())
+    export([log], tmp_path / "out")
+    before = contents(tmp_path / "out")
+    with pytest.raises(CommandError, match="is a dataset already"):
+        export([log], tmp_path / "out")
+    assert contents(tmp_path / "out") == before
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "letter.txt").write_text("dear")
+    with pytest.raises(CommandError, match="is not empty, and no dataset"):
+        export([log], other, is_adding=True)
+    assert contents(other) == {"letter.txt": b"dear"}
+
+
+def test_what_is_not_there_can_be_added(tmp_path: Path) -> None:
+    """A log that is in it already adds nothing, whatever it is called."""
+    first, second = write(tmp_path, "1", drive()), write(tmp_path, "2", drive(first=20))
+    export([first], tmp_path / "out")
+    before = contents(tmp_path / "out")
+    again = write(tmp_path, "again", first.read_bytes())
+    done = export([again, second], tmp_path / "out", is_adding=True)
+    assert done.known == [str(again)]
+    assert rows_by_topic(tmp_path / "out")["fleet/cruiser-1/chassis/gear"] == 40
+    assert len(manifest_of(tmp_path / "out").inputs) == 2
+    after = contents(tmp_path / "out")
+    assert {name: after[name] for name in before if name != MANIFEST_NAME} == {
+        name: data for name, data in before.items() if name != MANIFEST_NAME
+    }
+
+
+def test_what_two_logs_hold_is_there_once(tmp_path: Path) -> None:
+    """An incident beside its log, another recorder that heard half of it later: topic, time and sequence tell."""
+    logs = [
+        write(tmp_path, "log", drive(count=20)),
+        write(tmp_path, "heard-later", drive(first=10, count=20, late_ns=3 * SECOND)),
+    ]
+    done = export(logs, tmp_path / "out")
+    counts = rows_by_topic(tmp_path / "out")
+    assert counts["fleet/cruiser-1/chassis/gear"] == 30
+    assert counts["fleet/cruiser-1/can/can0/rx"] == 2 * FRAMES
+    assert [one.repeats for one in done.inputs][1] > 10
+    gears = ds.dataset(tmp_path / "out" / "topic=chassis%2Fgear").to_table().column("sequence").to_pylist()
+    assert sorted(gears) == list(range(30))
+
+
+def test_two_robots_never_say_the_same(tmp_path: Path) -> None:
+    """At one time, with one sequence: they are of two topics."""
+    logs = [write(tmp_path, "1", drive()), write(tmp_path, "2", drive("cruiser-2"))]
+    assert [one.repeats for one in export(logs, tmp_path / "out").inputs] == [0, 0]
+
+
+class FailingRunner:
+    """Does the first task, and then the disk is full."""
+
+    def __call__(self, tasks: Sequence[Task], progress: Progress) -> Iterator[Outcome]:
+        yield from one_after_the_other(tasks[:1], progress)
+        raise OSError(28, "No space left on device")
+
+
+def test_an_export_that_fails_leaves_the_dataset_as_it_was(tmp_path: Path) -> None:
+    """Not a file more; and nothing at all where there was none."""
+    first, second = write(tmp_path, "1", drive()), write(tmp_path, "2", drive(first=20))
+    with pytest.raises(CommandError, match="No space left"):
+        export([first, second], tmp_path / "out", run=FailingRunner())
+    assert contents(tmp_path / "out") == {}
+    export([first], tmp_path / "out")
+    before = contents(tmp_path / "out")
+    with pytest.raises(CommandError, match="No space left"):
+        export([second], tmp_path / "out", run=FailingRunner(), is_adding=True)
+    assert contents(tmp_path / "out") == before
+
+
+def test_what_a_killed_export_left_is_in_nobodys_way(tmp_path: Path) -> None:
+    """Its hidden directory, or a file that it had moved and not named: it is neither overwritten nor counted."""
+    log = write(tmp_path, "log", drive())
+    export([log], tmp_path / "out")
+    manifest = tmp_path / "out" / MANIFEST_NAME
+    text = json.loads(manifest.read_text())
+    (tmp_path / "out" / ".export-dead").mkdir()
+    manifest.write_text(json.dumps({**text, "inputs": [], "files": []}))
+    for part in text["files"]:
+        (tmp_path / "out" / part["path"]).write_bytes(b"half a file")
+    before = contents(tmp_path / "out")
+    export([log], tmp_path / "out", is_adding=True)
+    after = contents(tmp_path / "out")
+    assert all(after[name] == data for name, data in before.items() if name != MANIFEST_NAME)
+    assert rows_by_topic(tmp_path / "out")["fleet/cruiser-1/chassis/gear"] == 20
+    assert all((tmp_path / "out" / part.path).is_file() for part in manifest_of(tmp_path / "out").files)
+
+
+def test_two_exports_do_not_write_at_once(tmp_path: Path) -> None:
+    """The second one is told so."""
+    log = write(tmp_path, "log", drive())
+
+    def run(tasks: Sequence[Task], progress: Progress) -> Iterator[Outcome]:
+        with pytest.raises(CommandError, match="another export writes"):
+            export([log], tmp_path / "out", is_adding=True)
+        yield from one_after_the_other(tasks, progress)
+
+    assert export([log], tmp_path / "out", run=run).rows
+
+
+def test_a_day_is_a_directory(tmp_path: Path) -> None:
+    """By the log times, in UTC."""
+    until_midnight_ns = -WALL_NS % (24 * 3600 * SECOND)
+    first = (until_midnight_ns - 50_000_000) // 10_000_000
+    export([write(tmp_path, "log", drive(first=first, count=10))], tmp_path / "out")
+    gears = [part for part in manifest_of(tmp_path / "out").files if part.table == "chassis_gear"]
+    assert {part.date: part.rows for part in gears} == {"2027-01-15": 5, "2027-01-16": 5}
+
+
+@pytest.mark.parametrize("limit", ["GROUP_BYTES", "HELD_BYTES"])
+def test_rows_are_written_as_they_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str) -> None:
+    """In groups, in the order of the log; no more is held than the limits say."""
+    monkeypatch.setattr(parts, limit, 1)
+    monkeypatch.setattr("recorder.review.columns.reader.BATCH_BYTES", 1)
+    export([write(tmp_path, "log", drive(count=200))], tmp_path / "out")
+    (gears,) = [part for part in manifest_of(tmp_path / "out").files if part.table == "chassis_gear"]
+    file = pq.ParquetFile(tmp_path / "out" / gears.path)
+    assert file.metadata.num_row_groups > 3
+    assert file.read().column("sequence").to_pylist() == list(range(200))
+
+
+@pytest.mark.parametrize("limit", ["OPEN_MAX", "GROUPS_MAX"])
+def test_a_file_that_is_ended_goes_on_in_another_part(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str
+) -> None:
+    """To make room for others, or because of its length: no row is lost."""
+    chunk = [(1, encoded(gear(number))) for number in range(5)] + [(2, encoded(gear(9)))]
+    log = write(tmp_path, "log", log_of([channel_of(Gear, 1, "a"), channel_of(Gear, 2, "b")], [chunk] * 3))
+    export([log], tmp_path / "all")
+    for one in ("GROUP_BYTES", limit):
+        monkeypatch.setattr(parts, one, 1)
+    monkeypatch.setattr("recorder.review.columns.reader.BATCH_BYTES", 1)
+    export([log], tmp_path / "few")
+    assert rows_by_topic(tmp_path / "few") == rows_by_topic(tmp_path / "all")
+    assert len(manifest_of(tmp_path / "all").files) == 2
+    assert len(manifest_of(tmp_path / "few").files) > 2
+
+
+@pytest.mark.parametrize("pattern", ["fleet/cruiser-1/chassis/gear", "chassis/*", "chassis_gear"])
+def test_topics_are_chosen_by_any_of_their_names(tmp_path: Path, pattern: str) -> None:
+    """The key, what follows the robot in it, or the table."""
+    log = write(tmp_path, "log", drive())
+    assert export([log], tmp_path / "out", wanted=Wanted([pattern])).rows == 20
+    span = Wanted([pattern], WALL_NS + 50_000_000, WALL_NS + 100_000_000)
+    assert export([log], tmp_path / "span", wanted=span).rows == 5
+
+
+def test_damage_is_told_and_the_rest_is_there(tmp_path: Path) -> None:
+    """Random bytes flipped, files cut: never an exception, and each fault is in the manifest."""
+    data = small_log()
+    dice = random.Random(3)  # noqa: S311 - reproducible, not secret
+    for number in range(40):
+        damaged = bytearray(data)
+        damaged[dice.randrange(len(MAGIC), len(data))] ^= 1 << dice.randrange(8)
+        end = len(damaged) if number % 2 else dice.randrange(len(MAGIC) + 1, len(damaged))
+        log = write(tmp_path, f"log{number}", bytes(damaged[:end]))
+        faults = Faults()
+        out = tmp_path / f"out{number}"
+        done = export([log], out, faults)
+        assert manifest_of(out).inputs[0].fault_count == faults.count
+        assert done.rows == rows_by_topic(out).total() <= 12
+
+
+def test_a_manifest_that_cannot_be_read_is_told(tmp_path: Path) -> None:
+    """One line."""
+    for text in ("{", "[]", '{"format": "x"}', json.dumps(_manifest(version=9))):
+        (tmp_path / MANIFEST_NAME).write_text(text)
+        with pytest.raises(CommandError):
+            read_manifest(tmp_path)
+
+
+def _manifest(**others: Any) -> dict[str, Any]:  # noqa: ANN401
+    empty: dict[str, Any] = {"inputs": [], "files": [], "schemas": {}}
+    return {"format": "cruiser-dataset", "version": 1, "product": "", **empty, **others}
+
+
+def test_any_topic_is_one_directory_name() -> None:
+    """Slashes and signs are escaped as in a URL; a long one is cut, and still tells itself from others."""
+    assert partitions.escaped("can/can0/rx") == "can%2Fcan0%2Frx"
+    assert partitions.escaped("../x=*?[%\n") == "..%2Fx%3D%2A%3F%5B%25%0A"
+    assert partitions.escaped("") == partitions.NOBODY
+    long = [partitions.escaped("/" * 500 + end) for end in "ab"]
+    assert long[0] != long[1]
+    assert all(len(name) < 240 for name in long)

@@ -1,0 +1,110 @@
+"""Raw frames of logs in the order of time."""
+
+from pathlib import Path
+
+import pytest
+
+from recorder.reading.faults import Faults
+from recorder.reading.logs import find_logs
+from recorder.reading.rows import Selection
+from recorder.review.export import raw_frames
+from recorder.review.export.raw_frames import LoggedFrame, read_frames, write_frames
+from schemas import codec
+from schemas.messages import CanFrames
+from tests.support.drives import FRAMES, drive, write
+from tests.support.recorder_fakes import MS, SECOND, WALL_NS, FakeSample, Log, batch, feedback
+
+
+class FakeFile:
+    """A sink that keeps what it gets."""
+
+    def __init__(self) -> None:
+        self.frames: list[LoggedFrame] = []
+        self.is_closed = False
+
+    def write(self, logged: LoggedFrame) -> None:
+        assert not self.is_closed
+        self.frames.append(logged)
+
+    def close(self) -> None:
+        self.is_closed = True
+
+    def discard(self) -> None:
+        self.frames.clear()
+
+
+def read(paths: list[Path]) -> list[LoggedFrame]:
+    """All frames of files."""
+    faults = Faults()
+    found = list(read_frames(find_logs(paths, faults), Selection(), faults))
+    assert not faults, faults.told
+    return found
+
+
+def both_ways(bus: str = "can0") -> bytes:
+    """Batches of both directions, whose frames lie between each other's."""
+    log = Log()
+    for number in range(4):
+        for way, shift_ns in (("rx", 0), ("tx", 3 * MS)):
+            start_ns = WALL_NS + number * 50 * MS
+            frames = batch(number, [(start_ns + shift_ns + one * 10 * MS, feedback(one)) for one in range(5)])
+            sample = FakeSample(f"fleet/cruiser-1/can/{bus}/{way}", CAN_FRAMES, codec.encode(frames))
+            log.receive(sample, wall_ns=start_ns + 60 * MS + shift_ns)
+    return log.close()
+
+
+CAN_FRAMES = f"application/msgpack;cruiser.CanFrames/{CanFrames.version}"
+
+
+def test_frames_of_both_ways_are_in_the_order_of_their_times(tmp_path: Path) -> None:
+    """Batches come one after the other; their frames were mixed on the bus."""
+    found = read([write(tmp_path, "1", both_ways())])
+    times = [logged.frame.time_ns for logged in found]
+    assert len(times) == 40
+    assert times == sorted(times)
+    assert [logged.is_sent for logged in found] == [False, True] * 20
+
+
+def test_a_frame_that_two_logs_hold_is_written_once(tmp_path: Path) -> None:
+    """Though in one log two frames may be the same in every bit."""
+    one = write(tmp_path, "1", drive())
+    assert len(read([one, write(tmp_path, "2", drive(first=0, count=5))])) == FRAMES
+    log = Log()
+    log.receive(
+        FakeSample("fleet/cruiser-1/can/can0/rx", CAN_FRAMES, codec.encode(batch(0, [(WALL_NS, feedback(1))] * 2)))
+    )
+    twice = log.close()
+    assert len(read([write(tmp_path, "3", twice)])) == 2
+    assert len(read([write(tmp_path, "3", twice), write(tmp_path, "4", twice)])) == 2
+
+
+def test_each_robot_has_a_file(tmp_path: Path) -> None:
+    """All are ended, and what was out of order is counted."""
+    files: dict[str, FakeFile] = {}
+
+    def sink_of(robot: str) -> tuple[str, FakeFile]:
+        files[robot] = FakeFile()
+        return f"{robot}.x", files[robot]
+
+    found = read([write(tmp_path, "1", drive()), write(tmp_path, "2", drive("cruiser-2", first=3))])
+    done = write_frames(iter([*found, found[0]]), sink_of)
+    assert {one.robot: (one.path, one.frames, one.late) for one in done} == {
+        "cruiser-1": ("cruiser-1.x", FRAMES + 1, 1),
+        "cruiser-2": ("cruiser-2.x", FRAMES, 0),
+    }
+    assert all(file.is_closed for file in files.values())
+
+
+@pytest.mark.parametrize(("name", "value"), [("HORIZON_NS", 0), ("HELD_MAX", 3)])
+def test_no_more_wait_than_may(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, value: int) -> None:
+    """However the times are, all frames come out."""
+    monkeypatch.setattr(raw_frames, name, value)
+    assert len(read([write(tmp_path, "1", both_ways())])) == 40
+
+
+def test_only_the_wanted_time_is_read(tmp_path: Path) -> None:
+    """By log time, as everywhere."""
+    faults = Faults()
+    logs = find_logs([write(tmp_path, "1", both_ways())], faults)
+    selection = Selection(from_ns=WALL_NS + 100 * MS, to_ns=WALL_NS + SECOND)
+    assert len(list(read_frames(logs, selection, faults))) == 30

@@ -1,0 +1,32 @@
+"""Where to look, for each reason."""
+
+import pytest
+
+from recorder.review.reasoning.chain import Step
+from recorder.review.reasoning.evidence import EVIDENCE, Clue
+from recorder.review.reasoning.scene import Limits, Scene
+from schemas.reasons import Reason
+from tests.support.recorder_fakes import WALL_NS
+
+
+def test_every_reason_has_a_row() -> None:
+    """None is missing."""
+    assert list(Reason) == sorted(EVIDENCE, key=list(Reason).index)
+    assert set(EVIDENCE) == set(Reason)
+
+
+@pytest.mark.parametrize("reason", Reason, ids=lambda one: one.value)
+def test_of_an_empty_log_nothing_is_claimed(reason: Reason) -> None:
+    """Whatever the reason: no exception, and no evidence."""
+    scene = Scene("cruiser-1", WALL_NS, 0, Limits())
+    scene.settle()
+    links = EVIDENCE[reason](Clue(scene, "Auto_GearFeedBack"))
+    assert {link.step for link in links} <= {Step.MISSING}
+    assert all(link.text for link in links)
+
+
+def test_the_frames_that_a_detail_names_are_found() -> None:
+    """In the order of the DBC."""
+    scene = Scene("cruiser-1", WALL_NS, 0, Limits())
+    clue = Clue(scene, "stopping: feedback of the chassis is missing; Auto_DriveFeedBack, Auto_GearFeedBack")
+    assert clue.names == ["Auto_GearFeedBack", "Auto_DriveFeedBack"]

@@ -1,0 +1,113 @@
+"""What is in the way of a robot, and what is not."""
+
+from pathlib import Path
+
+import pytest
+
+from recorder.review.reasoning.chain import Step
+from recorder.review.why import Explanation
+from schemas.decisions import ArbiterState
+from schemas.reasons import Reason
+from tests.support.loop_rig import Operator
+from tests.support.recorder_fakes import MS
+from tests.support.rig_log import RecordedRig, ask, texts
+
+PRESSED = "it could not be driven forward: the front bumper was hit, and was pressed still"
+
+
+def _acknowledged() -> tuple[RecordedRig, Operator]:
+    """The front bumper was hit, and is pressed still; the robot is reset and engaged again."""
+    rig, operator = RecordedRig.driving()
+    rig.fault("bumper front on for 60s")
+    operator.drive(0.6, 0.0, 0.2)
+    rig.rest()
+    assert operator.take_lease() is Reason.NONE
+    assert operator.reason("reset") is Reason.NONE
+    operator.engage()
+    return rig, operator
+
+
+@pytest.mark.parametrize(
+    ("seconds", "headline"),
+    [
+        (0.2, "It was engaged and told -0.0"),
+        (0.28, "It was engaged and told -0.10 m/s, and hardly moved, at 0.04 m/s."),
+        (0.7, "It was engaged and moved, at 0."),
+    ],
+)
+def test_a_bumper_is_not_in_the_way_of_a_robot_that_goes_away_from_it(
+    seconds: float, headline: str, tmp_path: Path
+) -> None:
+    """It speeds up backward, as the cure says: nothing blocks it, and nothing is to be cured."""
+    rig, operator = _acknowledged()
+    operator.drive(-0.5, 0.0, seconds)
+    explanation = ask(tmp_path / "log.mcap", rig.log(), rig.at_ns)
+    assert explanation.headline.startswith(headline)
+    assert "bumper" not in explanation.headline
+    assert texts(explanation, Step.CAUSE) == ""
+    assert "front_bumper" not in texts(explanation, Step.CURE)
+
+
+def test_a_bumper_is_in_the_way_of_a_robot_that_is_to_go_there(tmp_path: Path) -> None:
+    """It is named as the cause, with the frame; what was reset need not be reset."""
+    rig, operator = _acknowledged()
+    operator.drive(0.5, 0.0, 0.5)
+    explanation = ask(tmp_path / "log.mcap", rig.log(), rig.at_ns)
+    assert explanation.headline == "It was engaged and stood: the front bumper was hit."
+    assert PRESSED in texts(explanation, Step.CAUSE)
+    assert "FrontBumper = 1" in texts(explanation, Step.EVIDENCE)
+    assert "to cure front_bumper: drive backward" in texts(explanation, Step.CURE)
+
+
+def test_a_robot_that_is_asked_for_nothing_is_not_kept_by_a_bumper(tmp_path: Path) -> None:
+    """It stands for its operator; what it could not have done is told besides."""
+    rig, operator = _acknowledged()
+    operator.drive(0.0, 0.0, 0.3)
+    explanation = ask(tmp_path / "log.mcap", rig.log(), rig.at_ns)
+    assert explanation.headline == "It was engaged and stood: operator-1 asked for zero speed."
+    assert PRESSED in texts(explanation, Step.CAUSE)
+
+
+def _remotely_stopped() -> tuple[RecordedRig, Operator]:
+    rig, operator = RecordedRig.driving()
+    rig.put("desk", "stop", b"")
+    rig.tick()
+    rig.rest()
+    return rig, operator
+
+
+def _cures(explanation: Explanation) -> str:
+    return texts(explanation, Step.CURE)
+
+
+def test_what_was_reset_is_not_to_be_reset(tmp_path: Path) -> None:
+    """Before the reset the cure begins with it, behind it does not; and whose reset it was is told."""
+    rig, operator = _remotely_stopped()
+    latched_ns = rig.at_ns
+    assert operator.take_lease() is Reason.NONE
+    assert operator.reason("reset") is Reason.NONE
+    rig.run(0.3)
+    before = ask(tmp_path / "log.mcap", rig.log(), latched_ns)
+    after = ask(tmp_path / "log.mcap", rig.log(), rig.at_ns)
+    assert "to cure remote_stop: reset with 'cruiser reset ROBOT'" in _cures(before)
+    assert "to cure remote_stop: engage with 'cruiser drive ROBOT'" in _cures(after)
+    assert "operator-1 reset it" in texts(after, Step.LATCH)
+
+
+def test_a_reset_of_nothing_resets_no_latch(tmp_path: Path) -> None:
+    """That of the next gateway, which does not know of the latch, is none of it."""
+    rig, _ = _remotely_stopped()
+    latched_ns = rig.at_ns
+    second = RecordedRig(run=2)
+    later_ns = rig.at_ns + 1000 * MS - second.at_ns
+    second.wall_ns += later_ns
+    second.recorder_ns += later_ns
+    second.run(0.6)
+    operator = Operator(second, "operator-2")
+    assert operator.take_lease() is Reason.NONE
+    assert operator.reason("reset") is Reason.NONE
+    second.run(0.3)
+    rig.keeping.kept += second.keeping.kept
+    explanation = ask(tmp_path / "log.mcap", rig.log(), latched_ns)
+    assert explanation.state is ArbiterState.STANDBY
+    assert "remote_stop, and no reset of it is in the log" in texts(explanation, Step.LATCH)

@@ -1,0 +1,252 @@
+"""Reads logs, and finds what a report says of them."""
+
+import random
+from pathlib import Path
+
+import pytest
+
+from recorder.reading.faults import Faults
+from recorder.reading.logs import find_logs
+from recorder.record.session import Plan, Session
+from recorder.review.report import survey
+from recorder.review.report.findings import Outage
+from recorder.review.report.survey import read_report
+from schemas.decisions import ArbiterState, Severity
+from schemas.exit_codes import CommandError
+from schemas.reasons import Reason
+from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, RecordGap
+from tests.support.recorder_fakes import SECOND, WALL_NS, Log, info, sample_of
+from tests.support.report_drive import (
+    PERIOD_NS,
+    arbiter,
+    drive,
+    event,
+    gateway,
+    report_of,
+    restart,
+    state,
+    undecodable,
+    write_log,
+)
+
+SEEDS = 60
+
+
+def test_a_log_of_a_drive(tmp_path: Path) -> None:
+    """Its figures, its facts and the recorder's account of it."""
+    report = report_of(write_log(tmp_path / "a.mcap", drive(201)))
+    (robot,) = report.robots
+    assert robot.summary.distance_m == pytest.approx(10.0)
+    assert robot.summary.facts["variant"] == "coarse"
+    assert robot.summary.facts["versions.cruiser-gateway"] == "0.1.0"
+    assert robot.summary.completeness["fleet/cruiser-1/state"].written == 201
+    assert report.files[0].is_accounted
+    assert not report.fault_count
+
+
+def test_several_robots_have_a_report_each(tmp_path: Path) -> None:
+    """In the order of their names; no more than there is room for, and the others are counted."""
+    report = report_of(write_log(tmp_path / "a.mcap", drive(20), robots=["r-2", "r-1"]))
+    assert [robot.summary.name for robot in report.robots] == ["r-1", "r-2"]
+    assert all("fleet/r-1/" in topic for topic in report.robots[0].summary.completeness)
+
+
+def test_robots_beyond_the_limit_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Names can be made up without end."""
+    monkeypatch.setattr(survey, "ROBOTS_MAX", 2)
+    report = report_of(write_log(tmp_path / "a.mcap", drive(3), robots=["r-1", "r-2", "r-3", "r-4"]))
+    assert ([robot.summary.name for robot in report.robots], report.more_robots) == (["r-1", "r-2"], 2)
+
+
+def test_robots_of_one_name_under_two_roots_are_told_apart(tmp_path: Path) -> None:
+    """Both are called by their roots too."""
+    log = Log()
+    for root in ("fleet", "depot"):
+        for message in drive(5):
+            log.receive(sample_of(message, root=root), wall_ns=message.time_ns)
+    path = tmp_path / "a.mcap"
+    path.write_bytes(log.close())
+    assert [robot.summary.name for robot in report_of(path).robots] == [
+        "depot/cruiser-1",
+        "fleet/cruiser-1",
+    ]
+
+
+def test_a_name_in_two_logs_is_two_robots(tmp_path: Path) -> None:
+    """Each recorder knows but one of the name; neither's gateway, nor what is said of it, is the other's."""
+    paths = []
+    for root in ("fleet", "depot"):
+        log = Log()
+        log.receive(sample_of(gateway(0, f"[robot]\nroot = '{root}'\n"), root=root))
+        for message in drive(20):
+            log.receive(sample_of(message, root=root), wall_ns=message.time_ns)
+        said = RecorderEvent(
+            WALL_NS + 9, 0, Severity.WARNING, RecorderEventKind.FULL, "cruiser-1", "", "", f"of {root}"
+        )
+        log.carry_out(log.session.add_own(f"{root}/@recorder/vm/event", said, 0))
+        paths.append(tmp_path / f"{root}.mcap")
+        paths[-1].write_bytes(log.close())
+    for one, root in zip(report_of(*paths).robots, ("depot", "fleet"), strict=True):
+        hash_of_its_own = gateway(0, f"[robot]\nroot = '{root}'\n").configuration_sha256
+        assert one.summary.name == f"{root}/cruiser-1"
+        assert [known.configuration_sha256 for known in one.summary.in_force] == [hash_of_its_own]
+        assert one.summary.facts["configuration_sha256"] == hash_of_its_own
+        assert [moment.text for moment in one.charts.moments if moment.kind == "recorder"] == [f"of {root}"]
+
+
+def died(path: Path) -> Path:
+    """A log in which a gateway dies at 9.95 s, and another one with another configuration begins at 13 s."""
+    log = Log()
+    told = {0: gateway(0, "[command]\nspeed_limit_mps = 2.222\n")}
+    told[260] = gateway(260, "[command]\nspeed_limit_mps = 0.6\n")
+    for message in restart(200, 60):
+        number = (message.time_ns - WALL_NS) // PERIOD_NS
+        if number in told:
+            log.receive(sample_of(told.pop(number)), wall_ns=message.time_ns)
+        log.receive(sample_of(message), wall_ns=message.time_ns)
+    path.write_bytes(log.close())
+    return path
+
+
+def test_a_gateway_that_died_and_another_that_began_are_told(tmp_path: Path) -> None:
+    """In the summary, among the events, and with both configurations."""
+    (robot,) = report_of(died(tmp_path / "a.mcap")).robots
+    heard_ns, began_ns = WALL_NS + 199 * PERIOD_NS, WALL_NS + 260 * PERIOD_NS
+    assert robot.summary.outages == [Outage(heard_ns, began_ns, is_commanding=True)]
+    told = [(one.kind, one.severity, one.time_ns) for one in robot.charts.moments if one.severity == "error"]
+    assert told == [("gap", "error", heard_ns), ("gateway", "error", began_ns)]
+    assert [one.since_ns for one in robot.summary.in_force] == [WALL_NS, began_ns]
+    assert robot.summary.in_force[1].settings == ["command.speed_limit_mps 0.6, 2.222 before"]
+    assert robot.summary.silences == []
+    assert robot.charts.outages == [(heard_ns, began_ns)]
+
+
+@pytest.mark.parametrize(
+    ("from_number", "to_number", "is_again", "in_force"),
+    [(220, 280, True, 2), (100, 250, False, 1), (262, 280, None, 1), (100, 190, None, 1)],
+)
+def test_a_period_knows_of_a_gateway_that_died_in_it(
+    tmp_path: Path,
+    from_number: int,
+    to_number: int,
+    is_again: bool | None,  # noqa: FBT001 - a case
+    in_force: int,
+) -> None:
+    """That begins while nothing is heard, or ends so; before and after there is nothing to tell."""
+    faults = Faults()
+    logs = find_logs([died(tmp_path / "a.mcap")], faults)
+    period = WALL_NS + from_number * PERIOD_NS, WALL_NS + to_number * PERIOD_NS
+    (robot,) = read_report(logs, *period, faults).robots
+    assert [one.began_ns is not None for one in robot.summary.outages] == ([] if is_again is None else [is_again])
+    assert len(robot.summary.in_force) == in_force
+    assert not robot.summary.ends_commanding
+    assert robot.summary.start_ns >= period[0]
+
+
+def test_an_incident_beside_its_log_tells_nothing_twice(tmp_path: Path) -> None:
+    """Neither of the robot's nor of the recorder's."""
+    data = died(tmp_path / "a.mcap").read_bytes()
+    once = report_of(tmp_path / "a.mcap").robots[0]
+    (tmp_path / "b.mcap").write_bytes(data)
+    twice = report_of(tmp_path / "a.mcap", tmp_path / "b.mcap").robots[0]
+    assert twice.charts.moments == once.charts.moments
+    assert twice.summary.outages == once.summary.outages
+    assert twice.summary.in_force == once.summary.in_force
+
+
+def test_what_comes_again_much_later_is_told_once(tmp_path: Path) -> None:
+    """As where a recorder asked for all events of a drive that another one has, too."""
+    events = [event(number) for number in range(600)]
+    first = write_log(tmp_path / "a.mcap", [state(0), *events])
+    log = Log()
+    for message in events:
+        log.receive(sample_of(message), wall_ns=message.time_ns + 60 * SECOND)
+    (tmp_path / "b.mcap").write_bytes(log.close())
+    (robot,) = report_of(first, tmp_path / "b.mcap").robots
+    assert robot.summary.stops == {"front_bumper": 600}
+
+
+def test_stops_are_told_where_their_events_are_lost(tmp_path: Path) -> None:
+    """Two states, one after the other, tell of them too."""
+    stopping = [arbiter(number, state=ArbiterState.STOPPING, stop_reason=Reason.DEADMAN) for number in range(5, 9)]
+    path = write_log(tmp_path / "a.mcap", [*(arbiter(number) for number in range(5)), *stopping])
+    (robot,) = report_of(path).robots
+    assert robot.summary.stops == {"deadman": 1}
+
+
+def test_files_that_follow_each_other_are_one_drive(tmp_path: Path) -> None:
+    """The path goes on, and the accounts add up."""
+    messages = drive(200)
+    half = len(messages) // 2
+    paths = [write_log(tmp_path / "a.mcap", messages[:half]), write_log(tmp_path / "b.mcap", messages[half:])]
+    (robot,) = report_of(*paths).robots
+    assert robot.summary.distance_m == pytest.approx(199 * 0.05)
+    assert robot.summary.gaps == 0
+    assert robot.summary.completeness["fleet/cruiser-1/state"].written == 200
+
+
+def test_the_period_that_is_asked_about(tmp_path: Path) -> None:
+    """What is outside of it is not in the report."""
+    faults = Faults()
+    logs = find_logs([write_log(tmp_path / "a.mcap", drive(200))], faults)
+    report = read_report(logs, WALL_NS + 2 * SECOND, WALL_NS + 4 * SECOND, faults)
+    (robot,) = report.robots
+    assert (robot.summary.start_ns, robot.summary.end_ns) == (
+        WALL_NS + 2 * SECOND,
+        WALL_NS + 4 * SECOND - PERIOD_NS,
+    )
+
+
+def test_a_log_that_was_not_finished_has_no_account(tmp_path: Path) -> None:
+    """What is in it is told all the same, and that it is cut off is a fault."""
+    whole = write_log(tmp_path / "a.mcap", drive(2000)).read_bytes()
+    path = tmp_path / "b.mcap.part"
+    path.write_bytes(whole[: len(whole) * 2 // 3])
+    faults = Faults()
+    report = report_of(path, faults=faults)
+    assert report.robots[0].summary.distance_m > 1
+    assert not report.files[0].is_accounted
+    assert report.robots[0].summary.facts["variant"] == "coarse"
+    assert faults
+
+
+def test_what_the_recorder_could_not_keep_is_told(tmp_path: Path) -> None:
+    """By topic and reason."""
+    log = Log(Session(Plan(name="a", chunk_bytes=262_144, flush_ns=SECOND // 2, version="0.1.0")))
+    log.receive(sample_of(info()), *(sample_of(message) for message in drive(3)))
+    for reason in (GapReason.DISK, GapReason.QUEUE, GapReason.DISK):
+        gap = RecordGap(WALL_NS, 0, "fleet/cruiser-1/state", reason, WALL_NS, WALL_NS, 5)
+        log.carry_out(log.session.add_own("fleet/@recorder/vm/gap", gap, 0))
+    path = tmp_path / "a.mcap"
+    path.write_bytes(log.close())
+    (robot,) = report_of(path).robots
+    assert [(one.reason, one.count) for one in robot.summary.unwritten] == [("disk", 10), ("queue", 5)]
+
+
+def test_what_cannot_be_read_is_a_fault_or_nobodys(tmp_path: Path) -> None:
+    """A sample that is no message of ours is no state of the robot's."""
+    log = Log()
+    log.receive(undecodable())
+    for message in drive(3):
+        log.receive(sample_of(message), wall_ns=message.time_ns)
+    path = tmp_path / "a.mcap"
+    path.write_bytes(log.close())
+    assert report_of(path).robots[0].summary.known_s == pytest.approx(0.1)
+
+
+def test_damage_anywhere_never_ends_in_an_exception(tmp_path: Path) -> None:
+    """Bytes turned, cut off or doubled: a report or a clear line."""
+    whole = write_log(tmp_path / "a.mcap", drive(100)).read_bytes()
+    path = tmp_path / "b.mcap"
+    read = 0
+    for seed in range(SEEDS):
+        chance = random.Random(seed)  # noqa: S311 - damage, not secrets
+        data = bytearray(whole)
+        for _ in range(chance.choice((1, 3, 50))):
+            data[chance.randrange(len(data))] = chance.randrange(256)
+        path.write_bytes(data[: chance.choice((len(data), chance.randrange(len(data))))])
+        try:
+            read += len(report_of(path).robots)
+        except CommandError:
+            continue
+    assert read > SEEDS // 4

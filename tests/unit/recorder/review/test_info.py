@@ -1,0 +1,243 @@
+"""What a log holds."""
+
+import random
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.writer import CompressionType
+
+from recorder.encoding.protobuf_schema import descriptor_set, schema_name
+from recorder.mcap.channel import LogChannel
+from recorder.record.completeness import KeyReport
+from recorder.record.session import COMPLETENESS_NAME
+from recorder.review.info import LogInfo, SetInfo, Source, read_info, total
+from schemas.exit_codes import CommandError
+from schemas.messages import Gear
+from tests.support.made_logs import NO_INDEXES, foreign_log, gear_message, gears, own_log
+from tests.support.recorder_fakes import (
+    MS,
+    SECOND,
+    WALL_NS,
+    Log,
+    gear,
+    info,
+    sample_of,
+    small_log,
+)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """Where a test's log goes."""
+    return tmp_path / "log.mcap"
+
+
+def info_of(path: Path, data: bytes) -> LogInfo:
+    """What is read from a file with this content."""
+    path.write_bytes(data)
+    return read_info(path)
+
+
+def test_a_whole_log_tells_all_of_itself(path: Path) -> None:
+    """Channels, schemas, counts, robots, variant, versions, attachments."""
+    found = info_of(path, small_log())
+    assert (found.whole, found.source, found.faults) == (True, Source.SUMMARY, [])
+    assert found.messages == 12
+    assert {channel.topic: (channel.schema, channel.messages) for channel in found.channels} == {
+        "fleet/cruiser-1/can/can0/rx": ("cruiser.CanFrame", 5),
+        "fleet/cruiser-1/chassis/gear": ("cruiser.Gear", 5),
+        "fleet/cruiser-1/gateway/info": ("cruiser.GatewayInfo", 1),
+        "fleet/elsewhere": ("cruiser.RawSample", 1),
+    }
+    assert (found.robots, found.variants) == (["cruiser-1"], {"cruiser-1": "coarse"})
+    assert found.versions == {"recorder_version": "0.1.0", "cruiser-1.versions.cruiser-gateway": "0.1.0"}
+    assert [one.name for one in found.attachments] == [
+        "cruiser-1/configuration.toml",
+        "cruiser-1/cruiser-coarse.dbc",
+        "cruiser-1/layout.foxglove.json",
+        "cruiser-1/layout.plotjuggler.xml",
+    ]
+    assert found.bytes == len(small_log())
+
+
+def test_rates_and_times_come_from_the_receipt(path: Path) -> None:
+    """The mean rate over the channel's own span."""
+    log = Log()
+    for number in range(11):
+        log.receive(sample_of(gear(number)), wall_ns=WALL_NS + number * 100 * MS)
+    found = info_of(path, log.close())
+    assert (found.start_ns, found.end_ns, found.duration_s) == (WALL_NS, WALL_NS + SECOND, 1.0)
+    assert found.channels[0].rate_hz == pytest.approx(10.0)
+
+
+def test_the_last_metadata_holds(path: Path) -> None:
+    """A variant that became known later is the one that is told."""
+    log = Log()
+    log.receive(sample_of(gear(0)))
+    log.carry_out(log.session.tick(0))
+    log.receive(sample_of(info()))
+    assert info_of(path, log.close()).variants == {"cruiser-1": "coarse"}
+
+
+def test_any_cut_leaves_what_was_before_it(path: Path) -> None:
+    """At every byte: partial, never a traceback; before the magic is whole it is no MCAP file."""
+    data = own_log([gears(0, 5, 100), gears(5, 5, 200)], attachments=[("x", b"abc")])
+    for size in range(1, len(data)):
+        if size < 8:
+            with pytest.raises(CommandError, match="no MCAP file"):
+                info_of(path, data[:size])
+        else:
+            found = info_of(path, data[:size])
+            assert not found.whole
+            assert found.faults
+
+
+def test_any_noise_is_read_as_far_as_it_goes(path: Path) -> None:
+    """Random damage, many times over, in a log of ours and one of somebody else: never a traceback."""
+    generator = random.Random(1)  # noqa: S311 - nothing here is secret
+    for data in (small_log(), foreign_log(), foreign_log(use_chunking=False)):
+        for _ in range(60):
+            damaged = bytearray(data)
+            for _ in range(generator.randint(1, 8)):
+                damaged[generator.randrange(8, len(data))] ^= generator.randint(1, 255)
+            info_of(path, bytes(damaged))
+
+
+def test_an_end_that_is_damaged_is_not_believed(path: Path) -> None:
+    """Its checksum tells; then the records themselves are asked."""
+    data = small_log()
+    summary_start = int.from_bytes(data[-28:-20], "little")
+    for place in range(summary_start, len(data), 97):
+        damaged = bytearray(data)
+        damaged[place] ^= 0x10
+        found = info_of(path, bytes(damaged))
+        assert (found.source, found.messages) == (Source.RECORDS, 12)
+
+
+def test_a_part_tells_the_same_as_the_whole(path: Path) -> None:
+    """But for what its end would have said."""
+    whole = info_of(path, own_log([gears(0, 5, 100), gears(5, 5, 200)], metadata=[("m", {"a": "b"})]))
+    part = info_of(path, path.read_bytes()[:-400])
+    assert (part.source, part.whole) == (Source.RECORDS, False)
+    assert (part.channels, part.metadata, part.start_ns, part.end_ns) == (
+        whole.channels,
+        whole.metadata,
+        whole.start_ns,
+        whole.end_ns,
+    )
+
+
+def test_no_chunk_of_a_whole_log_is_read(path: Path) -> None:
+    """Damage in one is not seen: that is another question."""
+    data = bytearray(own_log([gears(0, 5, 100), gears(5, 5, 200)]))
+    data[data.index(b"zstd") + 20] ^= 0xFF
+    found = info_of(path, bytes(data))
+    assert (found.whole, found.source, found.messages) == (True, Source.SUMMARY, 10)
+
+
+def test_each_channel_has_its_own_times(path: Path) -> None:
+    """By its first and its last message index, wherever these are."""
+    channels = [
+        LogChannel(number, f"t/{number}", schema_name(Gear), descriptor_set(Gear)) for number in (1, 2, 3, 4)
+    ]
+    chunks = [
+        [gear_message(0, 10), gear_message(1, 20, 2)],
+        [gear_message(2, 30), gear_message(3, 31, 3)],
+        [gear_message(4, 40), gear_message(5, 60, 2)],
+    ]
+    found = info_of(path, own_log(chunks, channels))
+    assert found.source is Source.SUMMARY
+    assert [(one.messages, one.first_ns, one.last_ns) for one in found.channels] == [
+        (3, 10, 40),
+        (2, 20, 60),
+        (1, 31, 31),
+        (0, None, None),
+    ]
+    assert [one.rate_hz for one in found.channels] == [
+        pytest.approx(2 / 30e-9),
+        pytest.approx(1 / 40e-9),
+        None,
+        None,
+    ]
+
+
+def test_chunks_that_are_not_in_order_are_gone_through(path: Path) -> None:
+    """The first one of a channel is then not the earliest."""
+    found = info_of(path, own_log([gears(0, 5, 500), gears(5, 5, 100)]))
+    assert found.source is Source.RECORDS
+    assert (found.channels[0].first_ns, found.channels[0].last_ns) == (100, 540)
+
+
+@pytest.mark.parametrize("compression", CompressionType)
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"use_chunking": False},
+        {"use_statistics": False},
+        {"use_summary_offsets": False},
+        {"repeat_channels": False},
+        {"repeat_schemas": False},
+        {"index_types": NO_INDEXES},
+        {"enable_crcs": False},
+    ],
+)
+def test_files_of_others_tell_the_same_however_they_end(
+    path: Path, compression: CompressionType, given: dict[str, Any]
+) -> None:
+    """What their ends leave out, the records tell."""
+    found = info_of(path, foreign_log(range(10, 20), compression=compression, **given))
+    [channel] = found.channels
+    assert (found.whole, found.messages, found.start_ns, found.end_ns) == (True, 10, 10, 19)
+    assert (channel.topic, channel.schema, channel.encoding, channel.messages) == ("/t", "thing", "json", 10)
+    assert (channel.first_ns, channel.last_ns) == (10, 19)
+    assert [(one.name, one.bytes) for one in found.attachments] == [("note", 10)]
+    assert found.metadata == {"origin": {"by": "somebody"}}
+    assert (found.robots, found.completeness) == ([], {})
+
+
+def test_robots_that_no_metadata_names_are_those_of_the_topics(path: Path) -> None:
+    """As in what another recorder has answered."""
+    assert info_of(path, own_log([gears(0, 1, 1)])).robots == ["cruiser-1"]
+
+
+def test_the_recorders_account_is_told(path: Path) -> None:
+    """What is no account is left out."""
+    account = {"t": '{"sent": 5, "received": 4, "written": 4, "lost_link": 1}', "u": "what"}
+    found = info_of(path, own_log([gears(0, 1, 1)], metadata=[(COMPLETENESS_NAME, account)]))
+    assert found.completeness == {"t": KeyReport(sent=5, received=4, written=4, lost_link=1)}
+
+
+def test_several_logs_together(path: Path) -> None:
+    """From the first message of all to the last; each robot once."""
+    infos = [info_of(path, own_log([gears(0, 5, start_ns)])) for start_ns in (1000, 100)]
+    infos.append(info_of(path, own_log([])[:-1]))
+    assert total(infos) == SetInfo(
+        files=3,
+        whole=2,
+        bytes=sum(info.bytes for info in infos),
+        messages=10,
+        start_ns=100,
+        end_ns=1040,
+        duration_s=940e-9,
+        robots=["cruiser-1"],
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(b"", "is empty"), (b"hello, this is no log", "is no MCAP file"), (None, "No such file")],
+)
+def test_what_is_no_log_is_one_clear_error(path: Path, content: bytes | None, message: str) -> None:
+    """A missing, an empty and a foreign file."""
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(CommandError, match=message):
+        read_info(path)
+
+
+def test_a_directory_is_one_clear_error(tmp_path: Path) -> None:
+    """Not a traceback."""
+    with pytest.raises(CommandError, match="Is a directory"):
+        read_info(tmp_path)

@@ -1,0 +1,323 @@
+"""SQL over logs and datasets."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from recorder.mcap.channel import LogChannel
+from recorder.reading.faults import Faults
+from recorder.reading.logs import find_logs
+from recorder.reading.rows import Selection
+from recorder.review.columns.reader import ColumnReader
+from recorder.review.export.cells import objects
+from recorder.review.export.dataset import export_dataset
+from recorder.review.export.manifest import read_manifest
+from recorder.review.export.one_log import Wanted
+from recorder.review.query import Source, answer, told
+from recorder.review.querying.dataset_source import DatasetSource
+from recorder.review.querying.log_source import LogSource
+from schemas.exit_codes import CommandError, ExitCode
+from tests.support.drives import FRAMES, drive, write
+from tests.support.logs_of import log_of
+from tests.support.recorder_fakes import WALL_NS
+from tests.unit.recorder.review.columns.test_tables import ALL, ALL_SCHEMA, channel
+
+
+def logs_in(tmp_path: Path) -> list[Path]:
+    """Two robots; of the first a log that holds half of it again."""
+    return [
+        write(tmp_path, "1", drive()),
+        write(tmp_path, "2", drive(first=10)),
+        write(tmp_path, "3", drive("cruiser-2", count=5)),
+    ]
+
+
+def over_logs(tmp_path: Path) -> LogSource:
+    """The tables of those logs."""
+    faults = Faults()
+    return LogSource(find_logs(logs_in(tmp_path), faults), Selection(), faults)
+
+
+def over_dataset(tmp_path: Path) -> DatasetSource:
+    """The same as a dataset, in a directory whose name would be a pattern."""
+    faults = Faults()
+    directory = tmp_path / "it's [a] set"
+    export_dataset(find_logs(logs_in(tmp_path), faults), directory, Wanted(), faults)
+    manifest = read_manifest(directory)
+    assert manifest is not None
+    return DatasetSource(directory, manifest)
+
+
+@pytest.fixture(scope="module", params=[over_logs, over_dataset])
+def source(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Source:
+    """Both kinds; nobody changes them."""
+    made: Source = request.param(tmp_path_factory.mktemp("logs"))
+    return made
+
+
+def ask(source: Source, sql: str) -> list[dict[str, Any]]:
+    """The rows of an answer."""
+    with answer(source, sql) as rows, told():
+        return [] if rows is None else [row for batch in rows for row in objects(batch)]
+
+
+@pytest.mark.parametrize(
+    ("sql", "expected"),
+    [
+        ("SELECT count(*) AS n FROM chassis_gear", [{"n": 35}]),
+        ("SELECT count(*) AS n FROM CHASSIS_GEAR WHERE alive_counter < 3", [{"n": 9}]),
+        (
+            "SELECT robot, count(*) AS n, max(sequence) AS m FROM chassis_gear GROUP BY ALL ORDER BY robot",
+            [{"robot": "cruiser-1", "n": 30, "m": 29}, {"robot": "cruiser-2", "n": 5, "m": 4}],
+        ),
+        (
+            "SELECT gear_position, log_time FROM chassis_gear WHERE robot = 'cruiser-2' AND sequence = 1",
+            [{"gear_position": "drive", "log_time": "2027-01-15T08:00:00.010000000Z"}],
+        ),
+        (
+            "SELECT count(*) AS n FROM chassis_gear a JOIN chassis_gear b USING (robot, sequence)",
+            [{"n": 35}],
+        ),
+        ("SELECT DISTINCT bus, dlc FROM can_rx", [{"bus": "can0", "dlc": 8}]),
+        ("SELECT count(*) AS n FROM can_rx WHERE log_time >= '2027-01-15'", [{"n": 3 * FRAMES}]),
+        (
+            "SELECT key FROM raw_sample WHERE robot IS NULL ORDER BY key LIMIT 1",
+            [{"key": "fleet/cruiser-1/strange"}],
+        ),
+        ("SELECT versions['cruiser-gateway'] AS v FROM gateway_info LIMIT 1", [{"v": "0.1.0"}]),
+        ("SELECT kind FROM safety_event WHERE kind = 'latch' LIMIT 1", [{"kind": "latch"}]),
+        ("SELECT count(*) AS n FROM safety_event_log WHERE robot = 'cruiser-1'", [{"n": 2}]),
+        ("SELECT max(sequence) - min(sequence) - 40 AS n FROM chassis_gear", [{"n": -11}]),
+    ],
+)
+def test_subjects_are_tables(source: Source, sql: str, expected: list[dict[str, Any]]) -> None:
+    """Each message once, whatever the statement does with them; both sources answer the same."""
+    assert ask(source, sql) == expected
+
+
+def test_a_whole_row_is_the_same_from_both(tmp_path: Path) -> None:
+    """Column by column, also of nested ones."""
+    of_logs, of_dataset = over_logs(tmp_path), over_dataset(tmp_path)
+    for table in of_logs.tables:
+        rows = sorted(map(repr, ask(of_logs, f"FROM {table.name}")))
+        assert rows
+        assert rows == sorted(map(repr, ask(of_dataset, f"FROM {table.name}")))
+    assert of_logs.tables == of_dataset.tables
+
+
+def test_tables_tell_their_columns(source: Source) -> None:
+    """With units; and whose messages they hold."""
+    table = next(table for table in source.tables if table.name == "chassis_gear")
+    assert table.topics == ["fleet/cruiser-1/chassis/gear", "fleet/cruiser-2/chassis/gear"]
+    assert [column.name for column in table.columns] == [
+        "robot",
+        "topic",
+        "log_time",
+        "publish_time",
+        "sequence",
+        "time_ns",
+        "alive_counter",
+        "active",
+        "gear_position",
+    ]
+    assert table.columns[5].unit == "ns"
+
+
+@pytest.mark.parametrize(
+    ("sql", "code", "words"),
+    [
+        ("SELEC 1", ExitCode.USAGE, "syntax error"),
+        ("SELECT * FROM chassis_gea", ExitCode.USAGE, 'Did you mean "chassis_gear"'),
+        ("SELECT gear FROM chassis_gear", ExitCode.USAGE, "gear_position"),
+        ("SELECT sequence || 1 + gear_position FROM chassis_gear", ExitCode.USAGE, "No function matches"),
+        ("SELECT error('oh') FROM chassis_gear", ExitCode.FAILURE, "oh"),
+        ("", ExitCode.OK, ""),
+    ],
+)
+def test_wrong_sql_is_one_line(source: Source, sql: str, code: ExitCode, words: str) -> None:
+    """What is wrong with it."""
+    if not words:
+        assert ask(source, sql) == []
+        return
+    with pytest.raises(CommandError) as caught:
+        ask(source, sql)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert caught.value.code in {code, ExitCode.USAGE}
+
+
+def test_only_the_columns_that_are_asked_for_are_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And only the chunks that hold them are unpacked."""
+    asked: list[set[str]] = []
+    unpatched = ColumnReader.__init__
+
+    def spy(*arguments: Any, **named: Any) -> None:  # noqa: ANN401
+        asked.append(set(arguments[5] or ()))
+        unpatched(*arguments, **named)
+
+    monkeypatch.setattr(ColumnReader, "__init__", spy)
+    source = LogSource(find_logs([write(tmp_path, "1", drive())], Faults()), Selection(), Faults())
+    ask(source, "SELECT gear_position FROM chassis_gear WHERE active")
+    assert asked
+    assert all(columns <= {"gear_position", "active", "log_time"} for columns in asked)
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "SELECT * FROM 'https://example.com/x.parquet'",
+        "INSTALL httpfs",
+        "SET autoinstall_known_extensions = true",
+        "SET custom_extension_repository = 'http://example.com'",
+    ],
+)
+def test_nothing_goes_to_the_network(source: Source, sql: str) -> None:
+    """No extension is looked for, and the settings stay as they are."""
+    with pytest.raises(CommandError):
+        ask(source, sql)
+
+
+def test_damage_is_told_once(tmp_path: Path) -> None:
+    """However often a statement reads the table; what can be read is in the answer."""
+    data = drive(count=200)
+    log = write(tmp_path, "1", data[: len(data) - 3000])
+    faults = Faults()
+    source = LogSource(find_logs([log], faults), Selection(), faults)
+    rows = ask(source, "SELECT count(*) AS n FROM chassis_gear a, (SELECT 1 FROM chassis_gear LIMIT 1) b")
+    assert rows[0]["n"] > 100
+    assert len(faults.told) == len(set(faults.told)) >= 1
+
+
+def test_only_the_wanted_time_is_asked(tmp_path: Path) -> None:
+    """By log time."""
+    logs = find_logs([write(tmp_path, "1", drive())], Faults())
+    source = LogSource(logs, Selection(from_ns=WALL_NS + 50_000_000, to_ns=WALL_NS + 60_000_000), Faults())
+    assert ask(source, "SELECT sequence FROM chassis_gear") == [{"sequence": 5}]
+
+
+def test_others_topics_are_tables_too(tmp_path: Path) -> None:
+    """Of one name, but other columns: the second is numbered. Without a summary channels are found too."""
+    data = ALL(f_int32=5).SerializeToString()
+    logs = [
+        write(tmp_path, "1", log_of([channel(ALL_SCHEMA)], [[(1, data)]])),
+        write(tmp_path, "2", log_of([channel(b"", "s", "cdr", "ros2msg")], [[(1, b"x")]])[:-30]),
+    ]
+    source = LogSource(find_logs(logs, Faults()), Selection(), Faults())
+    assert ask(source, "SELECT f_int32 FROM t") == [{"f_int32": 5}]
+    assert ask(source, "SELECT data FROM t_2") == [{"data": "eA=="}]
+
+
+def test_own_subjects_have_their_tables_in_any_case(source: Source) -> None:
+    """A robot that was never driven has decided nothing: no rows, and no wrong statement."""
+    assert ask(source, "SELECT reason, count(*) FROM safety_decision GROUP BY reason") == []
+    assert ask(source, "SELECT count(*) AS n FROM recorder_gap JOIN state USING (robot)") == [{"n": 0}]
+    assert "safety_decision" not in {table.name for table in source.tables}
+
+
+def test_own_subjects_have_their_names_before_others(tmp_path: Path) -> None:
+    """Whatever somebody else writes under a key of ours."""
+    other = LogChannel(1, "fleet/a/chassis/gear", "s", b"", "jsonschema", "json")
+    logs = [write(tmp_path, "1", log_of([other], [[(1, b'{"x": 1}')]])), write(tmp_path, "2", drive(count=3))]
+    directory = tmp_path / "set"
+    export_dataset(find_logs(logs, Faults()), directory, Wanted(), Faults())
+    manifest = read_manifest(directory)
+    assert manifest is not None
+    for source in (
+        LogSource(find_logs(logs, Faults()), Selection(), Faults()),
+        DatasetSource(directory, manifest),
+    ):
+        assert ask(source, "SELECT robot, count(*) AS n FROM chassis_gear GROUP BY ALL") == [
+            {"robot": "cruiser-1", "n": 3}
+        ]
+        assert ask(source, "SELECT robot, topic, json FROM chassis_gear_2") == [
+            {"robot": "a", "topic": "chassis/gear", "json": '{"x": 1}'}
+        ]
+
+
+def test_of_others_alone_our_names_stay_free(tmp_path: Path) -> None:
+    """Over the logs and in a dataset: a table of ours without a row is not theirs."""
+    logs = find_logs(
+        [write(tmp_path, "1", log_of([LogChannel(1, "/state", "s", b"", "jsonschema", "json")], [[(1, b"{}")]]))],
+        Faults(),
+    )
+    export_dataset(logs, tmp_path / "set", Wanted(), Faults())
+    manifest = read_manifest(tmp_path / "set")
+    assert manifest is not None
+    for source in (LogSource(logs, Selection(), Faults()), DatasetSource(tmp_path / "set", manifest)):
+        assert ask(source, "SELECT speed_mps FROM state") == []
+        assert ask(source, "SELECT json FROM state_2") == [{"json": "{}"}]
+
+
+def test_robots_of_one_name_are_told_apart(tmp_path: Path) -> None:
+    """By their roots, in a dataset as over the logs."""
+    data = [drive(count=3), drive(count=4).replace(b"fleet/cruiser-1", b"depot/cruiser-1")]
+    found = find_logs([write(tmp_path, str(place), one) for place, one in enumerate(data)], Faults())
+    export_dataset(found, tmp_path / "set", Wanted(), Faults())
+    manifest = read_manifest(tmp_path / "set")
+    assert manifest is not None
+    for source in (LogSource(found, Selection(), Faults()), DatasetSource(tmp_path / "set", manifest)):
+        assert ask(source, "SELECT robot, count(*) AS n FROM chassis_gear GROUP BY robot ORDER BY robot") == [
+            {"robot": "depot/cruiser-1", "n": 4},
+            {"robot": "fleet/cruiser-1", "n": 3},
+        ]
+
+
+def test_a_robot_that_is_added_is_called_as_before_or_refused(tmp_path: Path) -> None:
+    """Whatever was exported first."""
+    data = [drive(count=3), drive(count=4).replace(b"fleet/cruiser-1", b"depot/cruiser-1"), drive(count=5)]
+    paths = [write(tmp_path, str(place), one) for place, one in enumerate(data)]
+    export_dataset(find_logs(paths[:2], Faults()), tmp_path / "both", Wanted(), Faults())
+    export_dataset(find_logs(paths[2:], Faults()), tmp_path / "both", Wanted(), Faults(), is_adding=True)
+    manifest = read_manifest(tmp_path / "both")
+    assert manifest is not None
+    assert {part.robot for part in manifest.files} - {""} == {"depot/cruiser-1", "fleet/cruiser-1"}
+    export_dataset(find_logs(paths[:1], Faults()), tmp_path / "one", Wanted(), Faults())
+    with pytest.raises(CommandError, match="holds fleet/cruiser-1 by its name alone"):
+        export_dataset(find_logs(paths[1:2], Faults()), tmp_path / "one", Wanted(), Faults(), is_adding=True)
+
+
+def test_a_statement_that_would_take_days_can_be_stopped(source: Source) -> None:
+    """DuckDB is interrupted in the midst of it."""
+    looks = iter([False, False])
+    sql = "SELECT sum(a.range % c.range) FROM range(1, 1000000) a, range(1, 1000000) b, range(1, 1000000) c"
+
+    def read() -> None:
+        with answer(source, sql, lambda: next(looks, True)) as rows:
+            assert rows is not None
+            rows.read_all()
+
+    with pytest.raises(KeyboardInterrupt):
+        read()
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "COPY (SELECT 1) TO '{}/out.csv'",
+        "SELECT * FROM '{}/secret.csv'",
+        "SELECT * FROM read_text('{}/secret.csv')",
+        "SELECT * FROM glob('{}/*')",
+        "ATTACH '{}/x.db'",
+        "EXPORT DATABASE '{}/all'",
+        "SET enable_external_access = true",
+        "SET allowed_directories = ['/']",
+    ],
+)
+def test_a_statement_sees_no_files(source: Source, tmp_path_factory: pytest.TempPathFactory, sql: str) -> None:
+    """It may be a stranger's, as the log is: no file of the user's is read, written or listed."""
+    directory = tmp_path_factory.mktemp("home")
+    (directory / "secret.csv").write_text("secret\n1\n")
+    with pytest.raises(CommandError):
+        ask(source, sql.format(directory))
+    # EXPORT leaves an empty directory.
+    assert [path.name for path in directory.rglob("*") if path.is_file()] == ["secret.csv"]
+
+
+def test_a_statement_may_write_a_file_where_that_is_allowed(source: Source, tmp_path: Path) -> None:
+    """It has the user's own rights then, and gives no rows."""
+    path = tmp_path / "gears.csv"
+    sql = "COPY (SELECT sequence FROM chassis_gear WHERE robot = 'cruiser-2') TO '" + str(path) + "'"  # noqa: S608
+    with answer(source, sql, may_use_files=True) as rows:
+        assert rows is None or rows.read_all()
+    assert path.read_text().split() == ["sequence", "0", "1", "2", "3", "4"]

@@ -1,0 +1,458 @@
+"""What happened, in order."""
+
+import random
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from recorder.reading.faults import Faults
+from recorder.reading.logs import find_logs
+from recorder.reading.rows import Selection, read_rows
+from recorder.review.reasoning.signals import BY_IDENTIFIER
+from recorder.review.timeline import timeline as events
+from recorder.review.timeline.entries import Entry, EntryKind, Source
+from recorder.review.timeline.timeline import Question, read_events
+from schemas.decisions import (
+    ArbiterState,
+    Decision,
+    EventKind,
+    SafetyEvent,
+    SafetyState,
+    Severity,
+    Verdict,
+)
+from schemas.messages import Message
+from schemas.reasons import Reason
+from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, RecordGap
+from tests.support import log_scenarios as scenarios
+from tests.support.log_scenarios import SCENARIOS, Scenario, acted, recorded
+from tests.support.recorder_fakes import MS, SAFETY_STATE, SECOND, WALL_NS, Log, gear, sample_of
+from tests.support.rig_log import ROBOT, RecordedRig
+
+TICK_NS = 10 * MS
+FIRST_TICK = 10**11
+AFTER = " (after this time, as the next gateway/health says)"
+"""Behind what has gone wrong between two healths."""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """Where a test's log goes."""
+    return tmp_path / "log.mcap"
+
+
+def told(path: Path, data: bytes, question: Question | None = None) -> list[Entry]:
+    """The entries of a log with this content."""
+    path.write_bytes(data)
+    faults = Faults()
+    entries = list(read_events(find_logs([path], faults), question or Question(), faults))
+    assert not faults, faults.told
+    return entries
+
+
+def at(tick: int, ahead_ns: int = 0) -> int:
+    """The robot's time at a tick."""
+    return WALL_NS + tick * TICK_NS + ahead_ns
+
+
+def state(tick: int, sequence: int, ahead_ns: int = 0, **changes: Any) -> SafetyState:  # noqa: ANN401 - any field
+    """A state of the arbiter; standing by if nothing else is said."""
+    said = msgspec.structs.replace(
+        SAFETY_STATE,
+        time_ns=at(tick, ahead_ns),
+        sequence=sequence,
+        tick=FIRST_TICK + tick,
+        challenge=tick.to_bytes(8, signed=True),
+    )
+    return msgspec.structs.replace(said, **changes)
+
+
+def event(tick: int, sequence: int, kind: EventKind = EventKind.RESET, text: str = "") -> SafetyEvent:
+    """An event."""
+    return SafetyEvent(
+        at(tick),
+        sequence,
+        FIRST_TICK + tick,
+        Severity.INFO,
+        kind,
+        Reason.NONE,
+        "operator-1",
+        text or str(sequence),
+    )
+
+
+def refusal(tick: int, sequence: int, reason: Reason = Reason.TOO_OLD, operator: str = "operator-1") -> Decision:
+    """A drive command that was refused."""
+    return Decision(
+        time_ns=at(tick), sequence=sequence, tick=FIRST_TICK + tick, request="drive", operator=operator, lease=1,
+        request_sequence=sequence, age_ms=500.0, verdict=Verdict.REFUSED, reason=reason,
+        detail=f"detail {sequence}", bound_by=[], requested_speed_mps=0.5, requested_angle_deg=0.0,
+        output_speed_mps=0.0, output_angle_deg=0.0, frames_sent=5,
+    )  # fmt: skip
+
+
+def log_of(said: Iterable[tuple[int, Message]]) -> bytes:
+    """A log of messages, each with its tick of receipt."""
+    log = Log()
+    for tick, message in said:
+        log.receive(sample_of(message), wall_ns=at(tick) + 2 * MS)
+    return log.close()
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda one: one.__name__)
+def test_every_event_of_the_arbiter_is_told_once_in_its_order(scenario: Scenario, path: Path) -> None:
+    """With its own time, operator, reason and text."""
+    rig = acted(scenario)
+    entries = [entry for entry in told(path, rig.log()) if entry.source is Source.EVENT]
+    assert [(one.time_ns, one.tick, one.reason, one.operator, one.text) for one in entries] == [
+        (one.time_ns, one.tick, one.reason, one.operator, one.text) for one in rig.events
+    ]
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda one: one.__name__)
+def test_what_events_say_is_not_derived_once_more(scenario: Scenario, path: Path) -> None:
+    """But for the guard, whose coming and going no event tells."""
+    derived = [entry for entry in told(path, recorded(scenario)) if entry.is_derived]
+    assert {entry.kind for entry in derived} <= {EntryKind.GUARD}
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda one: one.__name__)
+def test_without_events_the_states_tell_the_same_kinds(scenario: Scenario, path: Path) -> None:
+    """Of stops, latches, engages and takeovers, each with its reason, and marked as derived."""
+    kinds = {EntryKind.STOP, EntryKind.STOPPED, EntryKind.LATCH, EntryKind.ENGAGED, EntryKind.TAKEOVER}
+    with_events = [one for one in told(path, recorded(scenario)) if one.kind in kinds]
+    without = [one for one in told(path, recorded(scenario, "safety/event")) if one.kind in kinds]
+    assert all(one.is_derived for one in without)
+
+    def shown(entries: list[Entry]) -> list[tuple[EntryKind, Reason, int]]:
+        return sorted(((one.kind, one.reason, one.time_ns) for one in entries), key=str)
+
+    assert shown(without) == shown(with_events)
+
+
+def test_a_stream_that_is_refused_is_one_entry(path: Path) -> None:
+    """With a count, the first time and the last; another reason or operator is another entry."""
+    said: list[tuple[int, Message]] = [(2 * n, refusal(2 * n, n)) for n in range(500)]
+    said += [(1000, refusal(1000, 500, Reason.SEQUENCE)), (1001, refusal(1001, 501, operator="operator-2"))]
+    entries = told(path, log_of(said))
+    assert [(one.count, one.reason, one.operator) for one in entries] == [
+        (500, Reason.TOO_OLD, "operator-1"),
+        (1, Reason.SEQUENCE, "operator-1"),
+        (1, Reason.TOO_OLD, "operator-2"),
+    ]
+    assert (entries[0].time_ns, entries[0].last_ns) == (at(0), at(998))
+    assert entries[0].text == "drive refused: detail 499"
+    assert {one.kind for one in entries} == {EntryKind.REFUSAL}
+
+
+def test_a_pause_begins_another_entry(path: Path) -> None:
+    """Ten seconds of nothing between two refusals."""
+    entries = told(path, log_of([(0, refusal(0, 0)), (1, refusal(1, 1)), (1000, refusal(1000, 2))]))
+    assert [one.count for one in entries] == [2, 1]
+
+
+def test_what_was_asked_for_later_is_told_in_its_place(path: Path) -> None:
+    """A recorder that comes late gets the past behind the present."""
+    said = [(5000 + n, event(5000 + n, 500 + n)) for n in range(3)]
+    said += [(5010, event(n * 10, n)) for n in range(500)]
+    entries = told(path, log_of(said))
+    assert [one.text for one in entries] == [str(n) for n in range(503)]
+    assert not any(one.is_late for one in entries)
+
+
+def test_what_comes_later_than_the_window_says_so(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is told all the same, and marked."""
+    monkeypatch.setattr(events, "HELD_MAX", 10)
+    said = [(100 + n, event(100 + n, 100 + n)) for n in range(50)]
+    entries = told(path, log_of([*said, (200, event(5, 5))]))
+    assert sorted(one.text for one in entries if one.kind is EntryKind.RESET) == sorted(
+        [str(n) for n in range(100, 150)] + ["5"]
+    )
+    assert [one.text for one in entries if one.is_late and one.kind is EntryKind.RESET] == ["5"]
+
+
+def test_what_is_there_twice_is_told_once(tmp_path: Path) -> None:
+    """An incident beside its log, and a second recorder's log."""
+    data = recorded(scenarios.deadman)
+    for name in ("one.mcap", "two.mcap"):
+        (tmp_path / name).write_bytes(data)
+    faults = Faults()
+    twice = list(read_events(find_logs([tmp_path], faults), Question(), faults))
+    assert twice == told(tmp_path / "one.mcap", data)
+
+
+def test_several_robots_stand_side_by_side(tmp_path: Path) -> None:
+    """By their time, each with its name; one alone if it is asked for."""
+    one, two = acted(scenarios.deadman), acted(scenarios.remote_stop)
+    (tmp_path / "one.mcap").write_bytes(one.log())
+    (tmp_path / "two.mcap").write_bytes(two.log(robot="cruiser-2"))
+    faults = Faults()
+    logs = find_logs([tmp_path], faults)
+    both = list(read_events(logs, Question(), faults))
+    assert {entry.robot for entry in both} == {ROBOT, "cruiser-2"}
+    assert [entry.time_ns for entry in both] == sorted(entry.time_ns for entry in both)
+    alone = list(read_events(logs, Question(robots=frozenset({"cruiser-2"})), faults))
+    assert alone == [entry for entry in both if entry.robot == "cruiser-2"]
+
+
+def test_a_question_bounds_time_and_kind(path: Path) -> None:
+    """The same entries, fewer of them."""
+    data = recorded(scenarios.front_bumper)
+    every = told(path, data)
+    middle_ns = next(one.time_ns for one in every if one.kind is EntryKind.STOP)
+    assert told(path, data, Question(to_ns=middle_ns)) == [one for one in every if one.time_ns < middle_ns]
+    assert told(path, data, Question(from_ns=middle_ns)) == [one for one in every if one.last_ns >= middle_ns]
+    kinds = frozenset({EntryKind.STOP})
+    assert told(path, data, Question(kinds=kinds)) == [one for one in every if one.kind in kinds]
+
+
+@pytest.mark.parametrize("ahead_ns", [3600 * SECOND, -3600 * SECOND, 5 * SECOND])
+def test_a_clock_that_is_wrong_from_the_first_is_told_and_set_right(ahead_ns: int, path: Path) -> None:
+    """Times are the recorder's."""
+    said = [(n * 5, state(n * 5, n, ahead_ns)) for n in range(20)]
+    late = msgspec.structs.replace(event(90, 0), time_ns=at(90, ahead_ns))
+    entries = told(path, log_of([*said, (95, late)]))
+    assert [one.kind for one in entries] == [EntryKind.CLOCK, EntryKind.RESET]
+    assert ("ahead of" if ahead_ns > 0 else "behind") in entries[0].text
+    assert abs(entries[1].time_ns - at(90)) < 10 * MS
+
+
+@pytest.mark.parametrize("set_ns", [3600 * SECOND, -3600 * SECOND])
+def test_a_clock_that_is_set_disturbs_no_order(set_ns: int, path: Path) -> None:
+    """What is said in the very tick is in its place, and the setting is told."""
+    said: list[tuple[int, Message]] = []
+    for n in range(40):
+        ahead_ns = set_ns if n >= 20 else 0
+        moved = event(n * 5, n)
+        said.append((n * 5, msgspec.structs.replace(moved, time_ns=moved.time_ns + ahead_ns)))
+        said.append((n * 5, state(n * 5, n, ahead_ns)))
+    entries = told(path, log_of(said))
+    assert [one.text for one in entries if one.kind is EntryKind.RESET] == [str(n) for n in range(40)]
+    (clock,) = (one for one in entries if one.kind is EntryKind.CLOCK)
+    assert f"{set_ns / 1e9:+.1f} s" in clock.text
+
+
+def test_a_link_that_stalls_is_no_clock_that_was_set(path: Path) -> None:
+    """Three seconds of states at once keep the times that they were said at."""
+    said = [(n * 5 if n < 20 or n >= 80 else 400, state(n * 5, n)) for n in range(100)]
+    said.append((600, state(600, 100, latched=[Reason.GATE])))
+    entries = told(path, log_of(said))
+    assert EntryKind.CLOCK not in {one.kind for one in entries}
+
+
+def test_a_gateway_that_begins_anew_is_told(path: Path) -> None:
+    """Its ticks begin elsewhere; what is latched in it is not derived from what was before."""
+    said: list[tuple[int, Message]] = [(n * 5, state(n * 5, n, latched=[Reason.GATE])) for n in range(5)]
+    said += [(100, msgspec.structs.replace(state(100, 0), tick=5))]
+    entries = told(path, log_of(said))
+    assert [(one.kind, one.text) for one in entries] == [
+        (EntryKind.GATEWAY, "the gateway began anew: nothing of before holds any more")
+    ]
+
+
+def test_what_waited_for_the_recorder_is_no_clock_that_is_wrong(path: Path) -> None:
+    """States of 1.5 s that come in one burst, and then all in time: nothing is told of it, and times are right."""
+    said: list[tuple[int, Message]] = [(max(150, n * 5), state(n * 5, n)) for n in range(200)]
+    said.insert(40, (200, event(200, 0)))
+    entries = told(path, log_of(said))
+    assert [(one.kind, one.time_ns) for one in entries] == [(EntryKind.RESET, at(200))]
+
+
+def test_a_clock_that_is_found_to_be_wrong_later_is_no_silence(path: Path) -> None:
+    """It takes some seconds until one that is 5 s behind is believed to be so."""
+    entries = told(path, log_of([(n * 5, state(n * 5, n, -5 * SECOND)) for n in range(200)]))
+    assert [one.kind for one in entries] == [EntryKind.CLOCK]
+
+
+def test_a_gateway_that_dies_is_a_silence(path: Path) -> None:
+    """What it did then is told, as an error if it commanded the robot; and that another began."""
+    driven: dict[str, Any] = {"state": ArbiterState.ENGAGED, "engaged": True, "output_speed_mps": 1.2}
+    said: list[tuple[int, Message]] = [(n * 5, state(n * 5, n, **driven)) for n in range(5)]
+    said += [(350, msgspec.structs.replace(state(350, 0), tick=5))]
+    entries = told(path, log_of(said))
+    assert [(one.kind, one.severity, one.time_ns, one.last_ns) for one in entries] == [
+        (EntryKind.GAP, Severity.ERROR, at(20), at(350)),
+        (EntryKind.GATEWAY, Severity.ERROR, at(350), at(350)),
+    ]
+    assert entries[0].text == (
+        "nothing of the arbiter for 3.3 s: the gateway fell silent, engaged, and told 1.20 m/s"
+    )
+
+
+def test_samples_that_are_missing_are_told(path: Path) -> None:
+    """Events by their sequence, states by their silence."""
+    said: list[tuple[int, Message]] = [(n * 5, state(n * 5, n)) for n in range(100) if not 20 <= n < 60]
+    said += [(3, event(3, 0)), (400, event(400, 7))]
+    gaps = [one for one in told(path, log_of(sorted(said, key=lambda one: one[0]))) if one.kind is EntryKind.GAP]
+    assert [(one.count, one.time_ns, one.last_ns) for one in gaps] == [
+        (6, at(3), at(400)),
+        (40, at(95), at(300)),
+    ]
+
+
+def test_what_the_recorder_says_is_told(path: Path) -> None:
+    """Its events, and what it could not keep."""
+    gap = RecordGap(WALL_NS + SECOND, 0, "fleet/cruiser-1/safety/event", GapReason.DISK, WALL_NS, WALL_NS + 5, 12)
+    said = RecorderEvent(WALL_NS + 9, 0, Severity.ERROR, RecorderEventKind.FULL, "", "", "operator-1", "no room")
+    log = Log()
+    log.receive(sample_of(gear(0)))
+    log.carry_out(log.session.add_own("fleet/@recorder/depot/gap", gap, 0))
+    log.carry_out(log.session.add_own("fleet/@recorder/depot/event", said, 0))
+    entries = told(path, log.close())
+    assert [(one.kind, one.robot, one.count, one.operator) for one in entries] == [
+        (EntryKind.GAP, ROBOT, 12, ""),
+        (EntryKind.RECORDER, "", 1, "operator-1"),
+    ]
+    assert "the disk did not take them" in entries[0].text
+
+
+def test_a_gateway_that_only_listens_has_faults_and_no_more(path: Path) -> None:
+    """They are in its health."""
+    safety = ("safety/event", "safety/state", "safety/decision", "journal")
+    entries = told(path, recorded(scenarios.one_silent_frame, *safety))
+    assert {one.source for one in entries} == {Source.HEALTH}
+    assert f"faults of frames: silence{AFTER}" in {one.text for one in entries}
+
+
+def test_one_outage_begins_once_and_ends_once(path: Path) -> None:
+    """All feedback stays away and comes again: not a line for each frame and each of its faults."""
+    rig, _ = RecordedRig.driving()
+    rig.corrupt = lambda _frame: None
+    rig.run(3.0)
+    rig.corrupt = lambda frame: frame
+    rig.rest_after(1.0)
+    entries = [one for one in told(path, rig.log()) if one.source is Source.HEALTH]
+    assert [(one.count, one.text.partition(": ")[2]) for one in entries] == [
+        (10, f"silent{AFTER}"),
+        (10, "no longer at fault (silence)"),
+        (1890, "frames that should have come in the silence that is over, by their period"),
+    ]
+    for one in entries:
+        assert one.text.startswith("10 frames (")
+        assert all(frame.name in one.text for frame in BY_IDENTIFIER.values() if frame.is_feedback)
+
+
+def test_a_fault_stands_before_what_it_causes(path: Path) -> None:
+    """The health that tells of it comes later: it began behind the health before."""
+    entries = told(path, recorded(scenarios.one_silent_frame))
+    (stop,) = (one for one in entries if one.kind is EntryKind.STOP)
+    faults = [one for one in entries if one.source is Source.HEALTH]
+    assert faults
+    for one in faults:
+        assert one.time_ns <= stop.time_ns <= one.last_ns
+        assert one.last_ns - one.time_ns == SECOND
+        assert entries.index(one) < entries.index(stop)
+
+
+def test_the_frame_whose_checksums_were_wrong_is_named(path: Path) -> None:
+    """By the health's own counts."""
+    entries = told(path, recorded(scenarios.checksums))
+    (fault,) = (one for one in entries if "wrong checksum" in one.text)
+    assert (fault.text, fault.count) == (f"Auto_DriveFeedBack: frames with a wrong checksum{AFTER}", 5)
+
+
+def test_a_damaged_log_never_raises(path: Path) -> None:
+    """Bytes flipped anywhere, and the file cut anywhere: a fault is told, the rest is read."""
+    data = recorded(scenarios.front_bumper)
+    chance = random.Random(5)  # noqa: S311 - the same damage each time
+    for _ in range(25):
+        damaged = bytearray(data[: chance.randrange(len(data) // 2, len(data))])
+        for _ in range(chance.randrange(4)):
+            damaged[chance.randrange(8, len(damaged))] ^= 1 << chance.randrange(8)
+        path.write_bytes(damaged)
+        faults = Faults()
+        list(read_events(find_logs([path], faults), Question(), faults))
+
+
+def test_a_message_that_cannot_be_read_is_a_fault(path: Path) -> None:
+    """The others are told."""
+    data = recorded(scenarios.deadman)
+    path.write_bytes(data)
+    unread = Faults()
+    timeline = events.Timeline(unread)
+    for row in read_rows(find_logs([path], unread), Selection(), unread):
+        is_event = row.topic.kind is SafetyEvent
+        timeline.take(msgspec.structs.replace(row, data=b"\xff" * 5) if is_event else row)
+    assert unread.count == 1  # The same of each is one fault.
+    assert "safety/event: a message that cannot be read" in unread.told[0]
+    assert EntryKind.STOP in {entry.kind for entry in timeline.end()}
+
+
+def test_an_accepted_request_that_has_no_event_is_told(path: Path) -> None:
+    """Unpark, here."""
+    entries = told(path, recorded(scenarios.deadman))
+    (unpark,) = (one for one in entries if one.kind is EntryKind.REQUEST)
+    assert (unpark.request, unpark.operator, unpark.text) == ("unpark", "operator-1", "unpark, as asked")
+
+
+def test_who_held_the_lease_is_told_with_an_event_that_nobody_did(path: Path) -> None:
+    """The deadman's stop: its operator is empty, and the holder is not."""
+    entries = told(path, recorded(scenarios.deadman))
+    (stop,) = (one for one in entries if one.kind is EntryKind.STOP)
+    assert (stop.operator, stop.holder) == ("", "operator-1")
+
+
+def test_two_runs_of_a_gateway_in_one_log(path: Path) -> None:
+    """The second run's samples count from zero again, and nothing is missing for that."""
+    first, second = RecordedRig.ready(run=1)[0], RecordedRig.ready(run=2)[0]
+    path.write_bytes(first.log())
+    other = path.with_name("other.mcap")
+    second.wall_ns += 60 * SECOND
+    second.recorder_ns += 60 * SECOND
+    second.run(1)
+    other.write_bytes(second.log())
+    faults = Faults()
+    entries = list(read_events(find_logs([path, other], faults), Question(), faults))
+    assert EntryKind.GATEWAY in {one.kind for one in entries}
+    assert not [one for one in entries if one.kind is EntryKind.GAP and "safety/event" in one.text]
+
+
+def test_a_log_that_ends_in_the_middle_of_a_drive_says_so(path: Path) -> None:
+    """Whoever reads the events must not take the silence behind them for a robot at rest."""
+    rig, operator = RecordedRig.driving()
+    operator.drive(0.6, 0.0, 1.0)
+    last = told(path, rig.log())[-1]
+    assert (last.kind, last.severity, last.text) == (
+        EntryKind.GAP,
+        Severity.WARNING,
+        "the log ends here: engaged, and told 0.60 m/s",
+    )
+    rig.rest_after(1.0)
+    assert told(path, rig.log())[-1].kind is not EntryKind.GAP
+
+
+@pytest.mark.parametrize("is_told", [True, False])
+def test_a_gateway_that_was_told_to_end_did_not_fall_silent(tmp_path: Path, is_told: bool) -> None:  # noqa: FBT001
+    """It says so itself, and the next one begins as is to be expected."""
+    first, _ = RecordedRig.ready(run=1)
+    if is_told:
+        first.core.shut_down(first.now_ns)
+    first.tick()
+    second = RecordedRig(run=2)
+    later_ns = first.at_ns + 3 * SECOND - second.at_ns
+    second.wall_ns += later_ns
+    second.recorder_ns += later_ns
+    second.run(1)
+    (tmp_path / "one.mcap").write_bytes(first.log())
+    (tmp_path / "two.mcap").write_bytes(second.log())
+    faults = Faults()
+    entries = list(read_events(find_logs([tmp_path], faults), Question(), faults))
+    silences = [entry for entry in entries if "fell silent" in entry.text]
+    assert bool(silences) is not is_told
+    gateway = [(entry.severity, entry.reason) for entry in entries if entry.kind is EntryKind.GATEWAY]
+    begun = (Severity.INFO if is_told else Severity.WARNING, Reason.NONE)
+    assert gateway[-1] == begun
+    assert ((Severity.INFO, Reason.SHUTDOWN) in gateway) is is_told
+
+
+def test_a_gateway_that_a_recorder_saw_die_is_told_of_its_robot(path: Path) -> None:
+    """As what it is, and not among what recorders do to their files."""
+    log = Log()
+    log.receive(sample_of(gear(0)), sample_of(state(0, 0)))
+    gone = RecorderEvent(WALL_NS, 0, Severity.ERROR, RecorderEventKind.GATEWAY, ROBOT, "", "", "the gateway died")
+    log.carry_out(log.session.add_own("fleet/@recorder/bench/event", gone, 0))
+    (entry,) = (one for one in told(path, log.close()) if one.kind is EntryKind.GATEWAY)
+    assert (entry.robot, entry.severity, entry.source) == (ROBOT, Severity.ERROR, Source.RECORDER)

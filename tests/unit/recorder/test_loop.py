@@ -1,0 +1,437 @@
+"""The run loop, with a source of its own and a real directory."""
+
+import errno
+import time
+from collections.abc import Callable, Mapping, Sequence
+from io import BytesIO, FileIO
+from itertools import count, pairwise, takewhile
+from pathlib import Path
+
+import msgspec
+import pytest
+from mcap.reader import make_reader
+
+from recorder import loop as loop_module
+from recorder.disk import log_directory, log_writer
+from recorder.disk.leftovers import recover_leftovers
+from recorder.disk.log_directory import LogDirectory
+from recorder.disk.log_writer import LogWriter
+from recorder.encoding.routes import keep_raw
+from recorder.encoding.sample import Sample
+from recorder.layouts.attached import COUNT as LAYOUTS
+from recorder.loop import Recorded, Recorder
+from recorder.record import session as session_module
+from recorder.record.completeness import KeyReport
+from recorder.record.effects import Doing
+from recorder.record.health import HealthReport
+from recorder.record.inbox import Inbox
+from recorder.record.notices import Deleted, Notice, Room
+from recorder.record.recording import Recording
+from recorder.record.session import CONTINUED_NAME, Plan
+from recorder.review.check import check_log
+from recorder.review.info import read_info
+from schemas.decisions import EventKind
+from schemas.messages import GatewayInfo, Gear, Message, Variant
+from schemas.recording import (
+    Backfill,
+    Mark,
+    RecorderEvent,
+    RecorderHealth,
+    RecorderState,
+    RecordGap,
+    Split,
+    Start,
+    Status,
+    StopRecording,
+)
+from schemas.requests import Request
+from tests.support.recorder_fakes import (
+    PLAN,
+    RECORDING_PLAN,
+    WALL_NS,
+    FakeAsked,
+    FakeSample,
+    FakeSource,
+    gear,
+    info,
+    key_of,
+    logs_in,
+    safety_event,
+    sample_of,
+)
+
+INFO_KEY = key_of(GatewayInfo)
+
+
+def recorder(source: FakeSource, directory: Path, plan: Plan = PLAN, queue_bytes: int = 64_000_000) -> Recorder:
+    """A recorder of what a source brings."""
+    recording = Recording(msgspec.structs.replace(RECORDING_PLAN, session=plan))
+    writer = LogWriter(LogDirectory(directory), "test")
+    return Recorder(recording, source, writer, Inbox(queue_bytes), HealthReport("bench", "1", 0))
+
+
+def record(source: FakeSource, directory: Path, plan: Plan = PLAN) -> Recorded:
+    """Record all that a source brings."""
+    return recorder(source, directory, plan).run(lambda: source.is_exhausted)
+
+
+def test_a_recording_ends_in_a_whole_file(tmp_path: Path) -> None:
+    """All samples are in it; the result says what and where."""
+    source = FakeSource(sample_of(gear(number)) for number in (0, 1, 2, 5))
+    recorded = record(source, tmp_path)
+    assert recorded.path is not None
+    assert recorded == Recorded(
+        path=str(next(tmp_path.glob("*.mcap"))),
+        files=1,
+        messages=4,
+        lost=2,
+        lost_link=2,
+        lost_queue=0,
+        lost_size=0,
+        lost_full=0,
+        lost_disk=0,
+        bytes=Path(recorded.path).stat().st_size,
+        channels=1,
+        incidents=0,
+        keys={key_of(Gear): KeyReport(sent=6, received=4, written=4, lost_link=2)},
+    )
+    found = check_log(Path(recorded.path))
+    assert found.whole
+    assert (found.messages, found.missed) == (4, 2)
+
+
+def test_without_samples_there_is_no_file(tmp_path: Path) -> None:
+    """Nothing is left of a recorder that waited in vain."""
+    assert record(FakeSource(), tmp_path) == Recorded(None, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, {})
+    assert logs_in(tmp_path) == []
+
+
+def test_a_robot_is_asked_and_its_answer_recorded(tmp_path: Path) -> None:
+    """Even if the recording ends before the answer is there."""
+    source = FakeSource([sample_of(gear(0))], {INFO_KEY: [sample_of(info())]})
+    recorded = record(source, tmp_path)
+    assert INFO_KEY in source.asked
+    found = read_info(Path(recorded.path or ""))
+    assert found.variants == {"cruiser-1": "coarse"}
+    assert len(found.attachments) == 2 + LAYOUTS
+
+
+def test_a_robot_that_did_not_know_its_variant_is_asked_at_the_end(tmp_path: Path) -> None:
+    """It may know by then, and the DBC comes with it."""
+    replies = [sample_of(info(Variant.UNKNOWN, dbc="")), sample_of(info())]
+    source = FakeSource((sample_of(gear(number)) for number in range(5000)), {INFO_KEY: replies})
+    found = read_info(Path(record(source, tmp_path).path or ""))
+    assert source.asked == [INFO_KEY, INFO_KEY]
+    assert found.variants == {"cruiser-1": "coarse"}
+    assert len(found.attachments) == 2 + LAYOUTS
+
+
+def test_what_had_come_in_when_it_was_stopped_is_recorded(tmp_path: Path) -> None:
+    """A signal loses nothing that was received."""
+    source = FakeSource(sample_of(gear(number)) for number in range(5000))
+    recorded = recorder(source, tmp_path).run(lambda: True)
+    assert recorded.messages == 5000
+
+
+class FailingFile(FileIO):
+    """A file on a disk with so much room; what is given back by a cut can be used again."""
+
+    room = 4000
+
+    def write(self, data: memoryview, /) -> int:  # type: ignore[override]  # the fewer types the clearer
+        taken = data[: max(0, self.room - self.tell())]
+        if not taken:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return super().write(taken)
+
+
+class Steady(FakeSource):
+    """Brings a few at a time."""
+
+    def drain(self, _limit: int) -> list[Sample]:
+        taken = super().drain(100)
+        self.is_behind = False
+        return taken
+
+
+def gear_sample(number: int) -> FakeSample:
+    """A sample of which the receipt may be another."""
+    sample = sample_of(gear(number))
+    assert isinstance(sample, FakeSample)
+    return sample
+
+
+@pytest.mark.parametrize("room", [5000, 20_000])
+def test_a_file_that_takes_no_more_is_ended_and_another_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
+) -> None:
+    """The recording goes on, no message is lost or doubled, and each file can be read alone.
+
+    Where there was no room for the end of a file, the next start makes it whole.
+    """
+    monkeypatch.setattr(log_directory, "FileIO", FailingFile)
+    monkeypatch.setattr(FailingFile, "room", room)
+    monkeypatch.setattr(log_writer, "RETRY_MAX_S", 0.0)
+    monkeypatch.setattr(log_writer, "END_S", 60.0)
+    # None waits for its turn: else what the recorder says meanwhile comes before it, and is of a later time.
+    monkeypatch.setattr(loop_module, "PASS_NS", 10**12)
+    numbers = map(gear_sample, range(3000))
+    samples = (msgspec.structs.replace(one, received_ns=time.time_ns()) for one in numbers)
+    recorded = record(Steady(samples), tmp_path, Plan("x", 1024, 10**9, "1"))
+    assert recorded.files > 1
+    assert (recorded.lost, recorded.keys[key_of(Gear)].written) == (0, 3000)
+    sequences: list[int] = []
+    for path in sorted(tmp_path.iterdir(), key=number_of):
+        assert check_log(path).whole == (path.suffix == ".mcap")
+    for _ in recover_leftovers(sorted(tmp_path.glob("*.part")), "test"):
+        pass
+    for path in sorted(tmp_path.iterdir(), key=number_of):
+        assert check_log(path).whole
+        reader = make_reader(BytesIO(path.read_bytes()), validate_crcs=True)
+        messages = reader.iter_messages(topics=[key_of(Gear)], log_time_order=False)
+        sequences += [message.sequence for _, _, message in messages]
+    assert sequences == list(range(3000))
+
+
+def number_of(path: Path) -> tuple[str, int]:
+    """The second in which a log's file was begun, and which of those of that second it is."""
+    start, _, number = path.name.partition(".")[0].rpartition("Z")
+    return start, int(number[1:] or 1)
+
+
+def test_a_disk_that_takes_nothing_ends_no_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it did not take is counted; nothing is left behind."""
+    monkeypatch.setattr(log_directory, "FileIO", FailingFile)
+    monkeypatch.setattr(FailingFile, "room", 4)
+    recorded = record(FakeSource(sample_of(gear(number)) for number in range(100)), tmp_path)
+    assert (recorded.path, recorded.files, recorded.messages, recorded.lost_disk) == (None, 0, 0, 100)
+    assert logs_in(tmp_path) == []
+
+
+def test_a_new_file_is_begun_on_demand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As by SIGHUP; between two samples, none of which is lost."""
+    monkeypatch.setattr(session_module, "ROLL_MIN_NS", 0)
+    files: list[str] = []
+
+    source = Steady(sample_of(gear(number)) for number in takewhile(lambda _: len(files) < 3, count()))
+    one = recorder(source, tmp_path)
+
+    def rolls() -> bool:
+        """Once for each file, as soon as it is there."""
+        file = one._recording.files.get("cruiser-1", "")
+        if not file or file in files:
+            return False
+        files.append(file)
+        return len(files) < 3
+
+    recorded = one.run(lambda: len(files) == 3 and source.is_exhausted, rolls)
+    assert recorded.files == 3
+    found = [read_info(path) for path in sorted(tmp_path.iterdir(), key=number_of)]
+    assert all(check_log(path).is_sound for path in tmp_path.iterdir())
+    assert sum(one.messages for one in found) == recorded.messages
+    assert recorded.keys[GEAR_KEY] == KeyReport(
+        sent=recorded.messages, received=recorded.messages, written=recorded.messages
+    )
+    assert [one.metadata.get(CONTINUED_NAME) for one in found] == [
+        None,
+        {"file": "2", "because": "signal"},
+        {"file": "3", "because": "signal"},
+    ]
+    assert recorded.bytes == sum(one.bytes for one in found)
+
+
+def test_a_fault_of_our_own_leaves_a_readable_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever ends the loop, the log is closed."""
+    monkeypatch.setattr(loop_module, "PASS_NS", 10**12)
+
+    def stopped() -> Callable[[], bool]:
+        passes = iter([False, False])
+        return lambda: next(passes)
+
+    source = FakeSource(sample_of(gear(number)) for number in range(3000))
+    one = recorder(source, tmp_path, Plan("x", 1024, 10**9, "1"))
+    with pytest.raises(StopIteration):
+        one.run(stopped())
+    (left,) = tmp_path.iterdir()
+    assert left.suffix == ".mcap"
+    assert read_info(left).messages > 1900
+
+
+GEAR_KEY = key_of(Gear)
+
+
+@pytest.mark.parametrize("last_samples_ns", [0, 10**12])
+def test_more_than_can_be_recorded_waits_and_the_rest_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last_samples_ns: int
+) -> None:
+    """The oldest go; nothing is silently lost, neither on the way nor when the end has no time for it."""
+    monkeypatch.setattr(loop_module, "LAST_SAMPLES_NS", last_samples_ns)
+    source = FakeSource(sample_of(gear(number)) for number in range(50_000))
+    one = recorder(source, tmp_path, queue_bytes=2_000_000)
+    recorded = one.run(lambda: source.is_exhausted)
+    found = recorded.keys[GEAR_KEY]
+    assert (found.received, found.lost_link, found.lost_full, found.lost_disk) == (50_000, 0, 0, 0)
+    assert found.lost_queue > 0
+    assert recorded.lost == recorded.lost_queue == sum(key.lost for key in recorded.keys.values())
+    assert found.written == 50_000 - found.lost_queue
+    messages = make_reader(BytesIO(Path(recorded.path or "").read_bytes()), validate_crcs=True).iter_messages(
+        topics=[GEAR_KEY], log_time_order=False
+    )
+    sequences = [message.sequence for _, _, message in messages]
+    assert len(sequences) == found.written
+    assert sequences == sorted(sequences)
+
+
+class FakeControl:
+    """Operators who ask these, each once the one before has been answered; remembers what is published."""
+
+    def __init__(self, *requests: Request) -> None:
+        self.asked = [FakeAsked(request) for request in requests]
+        self.published: list[Message] = []
+        self._sent = 0
+
+    @property
+    def is_served(self) -> bool:
+        return all(asked.is_done for asked in self.asked)
+
+    def drain(self) -> list[FakeAsked]:
+        if self._sent < len(self.asked) and all(asked.is_done for asked in self.asked[: self._sent]):
+            self._sent += 1
+            return [self.asked[self._sent - 1]]
+        return []
+
+    def publish(self, message: Message) -> None:
+        self.published.append(message)
+
+    def health(self) -> list[RecorderHealth]:
+        return [one for one in self.published if isinstance(one, RecorderHealth)]
+
+
+def test_operators_are_obeyed_and_told(tmp_path: Path) -> None:
+    """What is asked for happens to the files on the disk, whose names the replies give."""
+    control = FakeControl(Status(), Mark("it shook"), Split(), StopRecording(), Start(), Backfill("x", 0, 1))
+    backfills = []
+    # Each pass brings some, so that there is a file to end.
+    source = FakeSource(sample_of(gear(number)) for number in range(10**9))
+    one = recorder(source, tmp_path, queue_bytes=1_000_000)
+
+    def backfill(asked: object) -> None:
+        backfills.append(asked)
+        control.asked[-1].done()
+
+    one.obey(control, backfill)
+    recorded = one.run(lambda: control.is_served)
+    status, mark, split, stop, start = (asked.answer for asked in control.asked[:-1])
+    assert backfills == [control.asked[-1]]
+    assert [answer.health.state for answer in (status, stop, start)] == [
+        RecorderState.RECORDING,
+        RecorderState.STOPPED,
+        RecorderState.RECORDING,
+    ]
+    files = [*mark.files, *split.files, *stop.files]
+    assert len(set(files)) == 3
+    assert set(files) <= set(logs_in(tmp_path))
+    assert recorded.incidents == 1
+    events = [message.kind.value for message in control.published if isinstance(message, RecorderEvent)]
+    assert events == ["incident", "stopped", "started"]
+
+
+def test_health_is_published_each_second(tmp_path: Path) -> None:
+    """With what the writer, the queue and this process have to tell; so is what was lost."""
+    control = FakeControl()
+    source = FakeSource(sample_of(gear(number)) for number in range(10**9))
+    one = recorder(source, tmp_path, queue_bytes=1_000_000)
+    one.obey(control, lambda _: None)
+    one.run(lambda: len(control.health()) >= 2)
+    first, second = control.health()[:2]
+    assert (second.sequence, second.files, second.robots) == (first.sequence + 1, 1, 1)
+    assert second.received > first.received
+    assert second.received_per_s > 0
+    assert second.cpu_percent > 0
+    assert second.queue_bytes > 0
+    gaps = [one for one in control.published if isinstance(one, RecordGap)]
+    assert {gap.key for gap in gaps} == {GEAR_KEY}
+    assert sum(gap.count for gap in gaps) >= second.dropped["queue"] > 0
+
+
+def test_notices_of_others_are_taken(tmp_path: Path) -> None:
+    """A full disk ends the logs, and is told; an incident is written all the same."""
+    control = FakeControl()
+    source = FakeSource(sample_of(gear(number)) for number in range(100))
+    one = recorder(source, tmp_path, msgspec.structs.replace(PLAN, alarms=frozenset({EventKind.STOP})))
+    notices: list[Notice] = [Room(has_room=False, has_incident_room=True), Deleted("old.mcap", 7)]
+    one.hear(lambda: [notices.pop(0)] if notices else [])
+    one.obey(control, lambda _: None)
+    one._step()
+    late = [sample_of(safety_event(EventKind.STOP)), *(sample_of(gear(number)) for number in range(100, 200))]
+    source._samples = iter(late)
+    source.is_exhausted = False
+    recorded = one.run(lambda: source.is_exhausted and not notices)
+    found = recorded.keys[GEAR_KEY]
+    assert (found.received, found.written, found.lost_full) == (200, 100, 100)
+    events = [message for message in control.published if isinstance(message, RecorderEvent)]
+    assert [event.kind.value for event in events if event.kind.value != "incident"] == ["full", "deleted"]
+    (incident,) = tmp_path.glob("*.incident.mcap")
+    assert sum(1 for _ in make_reader(BytesIO(incident.read_bytes())).iter_messages(topics=[GEAR_KEY])) == 200
+
+
+def test_a_sample_that_is_too_large_holds_nothing_up(tmp_path: Path) -> None:
+    """It is counted, and the others are recorded."""
+    large = FakeSample("x", "x", bytes(RECORDING_PLAN.sample_max_bytes + 1))
+    recorded = record(FakeSource([sample_of(gear(0)), large, sample_of(gear(1))]), tmp_path)
+    assert recorded.keys["x"] == KeyReport(received=1, lost_size=1)
+    assert recorded.keys[GEAR_KEY].written == 2
+
+
+class Clock:
+    """What the loop takes for the time; it goes on where samples are slow, and a little by itself."""
+
+    def __init__(self, slow_ns: int) -> None:
+        self.now_ns = 1
+        self.slow_ns = slow_ns
+
+    def monotonic_ns(self) -> int:
+        self.now_ns += 1000
+        return self.now_ns
+
+    def time_ns(self) -> int:
+        return WALL_NS + self.now_ns
+
+    def sleep(self, wait_s: float) -> None:
+        time.sleep(wait_s)
+        self.now_ns += round(wait_s * 1e9)
+
+    def process_time_ns(self) -> int:
+        return self.now_ns
+
+
+@pytest.mark.parametrize("slow_ns", [10_000, 5_000_000, 35_000_000])
+def test_samples_that_take_long_do_not_hold_up_what_is_due(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, slow_ns: int
+) -> None:
+    """However many come at once: it is looked for in between, the others wait their turn, and all are recorded."""
+    clock = Clock(slow_ns)
+    monkeypatch.setattr(loop_module, "time", clock)
+    monkeypatch.setattr(loop_module, "LAST_SAMPLES_NS", 10**12)
+
+    def keep_slowly(sample: Sample, reason: str, time_ns: int) -> bytes:
+        clock.now_ns += slow_ns
+        return keep_raw(sample, reason, time_ns)
+
+    monkeypatch.setattr("recorder.record.session.keep_raw", keep_slowly)
+    source = FakeSource(FakeSample(f"k/{number % 7}", "x", b"") for number in range(700))
+    one = recorder(source, tmp_path)
+    ticks: list[int] = []
+    tick = one._recording.tick
+
+    def watched(now_ns: int, wall_ns: int, sizes: Mapping[str, int]) -> Sequence[Doing]:
+        ticks.append(now_ns)
+        return tick(now_ns, wall_ns, sizes)
+
+    monkeypatch.setattr(one._recording, "tick", watched)
+    recorded = one.run(lambda: True)
+    assert recorded.messages == 700
+    # One sample may go beyond the time of a pass, but not two.
+    longest_ns = max(later - earlier for earlier, later in pairwise([0, *ticks, clock.now_ns]))
+    assert longest_ns < 2 * loop_module.PASS_NS + loop_module.TICK_NS + 2 * slow_ns
+    assert sum(report.received for report in recorded.keys.values()) == 700

@@ -1,0 +1,73 @@
+import argparse
+import re
+from importlib import import_module
+
+import pytest
+
+from gateway.cli.main import COMMANDS
+from gateway.client.robot import Lease
+from schemas.reasons import OF_A_ROBOT, TEXTS, Reason
+from schemas.subjects import BY_NAME
+from schemas.subjects import COMMANDS as COMMANDS_TABLE
+
+
+def test_every_reason_is_in_words() -> None:
+    """None is missing, in the order of the enumeration."""
+    assert list(TEXTS) == list(Reason)
+
+
+@pytest.mark.parametrize("reason", Reason)
+def test_a_reason_says_what_it_means_and_what_would_cure_it(reason: Reason) -> None:
+    """A refusal always says what would make it succeed; where nothing is wrong there is nothing to cure."""
+    text = TEXTS[reason]
+    assert text.means
+    assert bool(text.cure) == (reason is not Reason.NONE)
+
+
+@pytest.mark.parametrize("reason", Reason)
+def test_a_text_goes_on_with_figures(reason: Reason) -> None:
+    """Figures follow behind a semicolon: a text is one line that neither begins nor ends a sentence."""
+    for text in (TEXTS[reason].means, TEXTS[reason].cure):
+        assert text == text.strip()
+        assert text.isprintable()
+        assert not text.endswith(".")
+        assert text[:1].islower() or not text
+
+
+def test_no_two_reasons_mean_the_same() -> None:
+    """Who reads it knows which one it is."""
+    assert len({text.means for text in TEXTS.values()}) == len(TEXTS)
+
+
+CURES = {text.cure for text in (*TEXTS.values(), *OF_A_ROBOT.values())}
+VERBS = {command.verb for command in COMMANDS_TABLE} - {"stop", "drive", "light", "horn"}
+"""What a person cannot do without a command or a program; those that are left out are words of their own."""
+
+
+@pytest.mark.parametrize("cure", sorted(CURES))
+def test_what_a_cure_quotes_is_a_command_line(cure: str) -> None:
+    """The command exists, and takes these arguments."""
+    assert "cruiser " not in re.sub(r"'cruiser [^']*'", "", cure)
+    for line in re.findall(r"'cruiser ([^']*)'", cure):
+        name, *words = line.replace("ROBOT", "cruiser-1").replace(" N", " 7").split()
+        parser = argparse.ArgumentParser(exit_on_error=False)
+        import_module(COMMANDS[name][0]).add_arguments(parser)
+        if words:
+            parser.parse_args(words)
+
+
+@pytest.mark.parametrize("cure", sorted(CURES))
+def test_a_cure_names_no_verb_without_saying_how(cure: str) -> None:
+    """Acquire it, alone, helps nobody: beside a verb stands a command, or a call of the library."""
+    calls = re.findall(r"lease\.(\w+)\(", cure)
+    assert all(hasattr(Lease, call) for call in calls)
+    if VERBS & set(re.findall(r"\w+", cure)):
+        assert calls or "'cruiser " in cure
+
+
+def test_where_a_cure_sends_someone_there_is_something() -> None:
+    """The keys that the cures name are in the subject table."""
+    cures = " ".join(text.cure for text in TEXTS.values())
+    named = {word.strip(",;") for word in cures.split() if word.startswith(("safety/", "gateway/"))}
+    assert named
+    assert named <= BY_NAME.keys()
