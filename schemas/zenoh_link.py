@@ -17,7 +17,10 @@ RECONNECT_MIN_MS: Final = 100
 RECONNECT_MAX_MS: Final = 500
 
 OPEN_TIMEOUT_MS: Final = 2000
-"""Who accepts a connection and then says nothing for this long does not speak Zenoh."""
+"""Who accepts or opens a connection and then says nothing for this long does not speak Zenoh."""
+
+ACCEPT_PENDING: Final = 500
+"""Connections that have not said yet who they are: as many as a stranger must hold open to keep others out."""
 
 ROUTER_LOOKS: Final = 50
 LOOK_EVERY_S: Final = 0.01
@@ -227,6 +230,10 @@ def _entries(zenoh: ZenohSettings, connect: Sequence[str], listen: Sequence[str]
         MULTICAST: False,
         "scouting/gossip/enabled": True,
         "transport/unicast/open_timeout": OPEN_TIMEOUT_MS,
+        "transport/unicast/accept_timeout": OPEN_TIMEOUT_MS,
+        "transport/unicast/accept_pending": ACCEPT_PENDING,
+        # Whoever shares memory with a process can end it, by cutting the memory off, and can fill it.
+        "transport/shared_memory/enabled": False,
         LEASE: zenoh.lease_ms,
         "transport/link/tx/keep_alive": 4,
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,

@@ -78,6 +78,7 @@ def answer(
                 connection.execute("SET TimeZone = 'UTC'")
                 source.declare(connection, _names_in(connection, sql))
                 if not may_use_files:
+                    _only_reads(connection, sql)
                     _shut_in(connection, [scratch, *source.directories])
                 connection.execute("SET lock_configuration = true")
                 relation = run(connection.sql, sql)
@@ -119,6 +120,12 @@ def _configuration(scratch: str) -> dict[str, str | bool | int | float | list[st
         "python_enable_replacements": "false",
         "temp_directory": scratch,
     }
+
+
+def _only_reads(connection: duckdb.DuckDBPyConnection, sql: str) -> None:
+    """Refuse what is no question: DuckDB lets a statement write wherever it lets it read."""
+    if any(one.type is not duckdb.StatementType.SELECT for one in connection.extract_statements(sql)):
+        raise CommandError("the statement is not a SELECT (--allow-files allows others)", ExitCode.USAGE)
 
 
 def _shut_in(connection: duckdb.DuckDBPyConnection, directories: list[str]) -> None:

@@ -1,6 +1,8 @@
 """Somebody who may connect sends far more than any robot needs."""
 
 import re
+import socket
+from contextlib import ExitStack
 from pathlib import Path
 
 import msgpack
@@ -10,8 +12,10 @@ import zenoh
 from gateway.zenoh.client import close_session, open_session
 from schemas.settings import ZenohSettings
 from tests.support.fake_gateway import free_endpoint
-from tests.support.gateway_process import chassis, gateway
+from tests.support.gateway_process import chassis, gateway, run, wait_for_chassis
 from tests.support.waiting import wait_until
+
+IDLE = 150
 
 HUGE_BYTES = 60_000_000
 GROWS_BYTES = 30_000_000
@@ -47,3 +51,23 @@ def test_no_message_makes_the_gateway_hold_megabytes(verb: str) -> None:
         assert peak_bytes(running.process.pid) - before < GROWS_BYTES
         close_session(session)
         assert running.stop() == 0
+
+
+def test_connections_that_say_nothing_keep_no_stop_out() -> None:
+    """They are more than Zenoh's own start value, 100, which keeps everybody else waiting for 10 s."""
+    endpoint = free_endpoint()
+    with chassis() as (_, address), gateway(address, endpoint), ExitStack() as stack:
+        wait_for_chassis(endpoint)
+        host, _, port = endpoint.removeprefix("tcp/").partition(":")
+        for _ in range(IDLE):
+            stack.enter_context(socket.create_connection((host, int(port))))
+        done = run(["stop", "cruiser-1", "--connect", endpoint, "--timeout", "8"])
+        assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_no_memory_is_shared_with_who_connects() -> None:
+    """Whoever shares memory with a process ends it by cutting the memory off."""
+    endpoint = free_endpoint()
+    with chassis() as (_, address), gateway(address, endpoint) as running:
+        wait_for_chassis(endpoint)
+        assert ".zenoh" not in Path(f"/proc/{running.process.pid}/maps").read_text()

@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     """Check each file."""
     asked = find(arguments, with_covered=True)
     is_sound = True
-    with progress_bar("checking", asked.bytes, stopped, prints=True, is_bounded=True) as progress:
+    with progress_bar("checking", asked.bytes, stopped, prints=True) as progress:
         for log in asked.logs:
             if stopped():
                 break

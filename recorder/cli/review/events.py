@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
         asked.from_ns, asked.to_ns, frozenset(arguments.robot), frozenset(map(EntryKind, arguments.kind))
     )
     show = _as_json if arguments.json else _as_table
-    with progress_bar("events", asked.bytes, stopped, prints=True, is_bounded=True) as progress:
+    with progress_bar("events", asked.bytes, stopped, prints=True) as progress:
         entries = read_events(asked.logs, question, asked.faults, progress)
         for line in show(_until(entries, stopped), asked):
             sys.stdout.write(f"{line}\n")

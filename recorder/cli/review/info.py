@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     """What can be read of a broken file is shown all the same."""
     asked = find(arguments)
     infos: list[LogInfo] = []
-    with progress_bar("looking", asked.bytes, stopped, prints=True, is_bounded=True) as progress:
+    with progress_bar("looking", asked.bytes, stopped, prints=True) as progress:
         for log in asked.logs:
             if stopped():
                 break

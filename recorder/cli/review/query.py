@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
         return int(ExitCode.OK)
     asked = find(arguments)
     selection = Selection(from_ns=asked.from_ns, to_ns=asked.to_ns)
-    with progress_bar("reading", asked.bytes, prints=True) as progress:
+    with progress_bar("reading", asked.bytes, prints=True, is_bounded=False) as progress:
         source = log_source.LogSource(asked.logs, selection, asked.faults, heeding(progress, stopped))
         try:
             _ask(query, source, sql, arguments, stopped)

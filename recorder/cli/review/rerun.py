@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
         # A wrong file or a wrong value is told before a long log is read.
         settings_of("")
     asked = find(arguments)
-    with progress_bar("running again", asked.bytes, stopped, prints=True) as progress:
+    with progress_bar("running again", asked.bytes, stopped, prints=True, is_bounded=False) as progress:
         results: Iterator[RerunResult | WhatIfResult] = (
             what_if_logs(asked.logs, settings_of, asked.faults, progress=progress)
             if changes or text is not None

@@ -139,6 +139,17 @@ def test_files_are_out_of_reach_unless_they_are_allowed(asked: Path, tmp_path: P
     assert (tmp_path / "a.csv").read_text().split() == ["a", "1"]
 
 
+@pytest.mark.parametrize("explain", ["", "EXPLAIN ANALYZE "])
+def test_a_statement_does_not_write_into_the_dataset_that_it_reads(tmp_path: Path, explain: str) -> None:
+    """DuckDB lets a statement write wherever it lets it read."""
+    run("export", "-o", tmp_path / "out", write(tmp_path, "1", drive()))
+    manifest = tmp_path / "out" / "manifest.json"
+    before = manifest.read_bytes()
+    with pytest.raises(CommandError, match="not a SELECT.*--allow-files"):
+        run("query", f"{explain}COPY (SELECT 1 AS a) TO '{manifest}' (FORMAT csv)", tmp_path / "out")
+    assert manifest.read_bytes() == before
+
+
 def test_a_dataset_is_asked_alone(tmp_path: Path) -> None:
     """Beside logs it would be left out without a word."""
     log = write(tmp_path, "1", drive())

@@ -18,6 +18,12 @@ from tests.support.made_logs import gears, own_log, saved
 from tests.support.review_command import run
 
 QUESTIONS = ("info", "check", "events")
+WRITE = {
+    "export": ("-o", "out"),
+    "merge": ("-o", "out.mcap"),
+    "cut": ("-o", "out.mcap", "--from", "0"),
+    "report": ("-o", "out.html"),
+}
 
 
 def bomb(chunks: int, size: int) -> bytes:
@@ -50,7 +56,7 @@ def test_a_bomb_of_zeros_is_answered(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert NO_RECORD in said.out + said.err
 
 
-@pytest.mark.parametrize("question", QUESTIONS)
+@pytest.mark.parametrize("question", [*QUESTIONS, "why", *WRITE])
 def test_what_takes_too_long_is_given_up(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, question: str
 ) -> None:
@@ -58,8 +64,9 @@ def test_what_takes_too_long_is_given_up(
     monkeypatch.setattr(asking, "BUDGET_S", -1.0)
     data = own_log([gears(0, 3, 10), gears(3, 3, 100)])
     path = saved(tmp_path / "slow.mcap", data[:-20])
+    monkeypatch.chdir(tmp_path)
     try:
-        code = run(question, str(path))
+        code = run(question, str(path), *WRITE.get(question, ()))
     except CommandError as error:
         code, said = error.code, str(error)
     else:
