@@ -102,8 +102,8 @@ def progress_bar(
         total_bytes: how much there is to read.
         stopped: turns true at SIGINT; the reading then ends as KeyboardInterrupt does.
         prints: the answer is printed while it is read. On a terminal it would be printed over the bar.
-        is_bounded: give up when it takes far longer than so many bytes should: a log may be made to. Not where the time
-            is the question's own: a statement of SQL, or a drive that is run again.
+        is_bounded: give up when it takes far longer than so many bytes should: a log may be made to. Not where the
+            time is the question's own: a statement of SQL, or a drive that is run again.
 
     Raises:
         KeyboardInterrupt: it was stopped.

@@ -145,7 +145,7 @@ def test_a_statement_does_not_write_into_the_dataset_that_it_reads(tmp_path: Pat
     run("export", "-o", tmp_path / "out", write(tmp_path, "1", drive()))
     manifest = tmp_path / "out" / "manifest.json"
     before = manifest.read_bytes()
-    with pytest.raises(CommandError, match="not a SELECT.*--allow-files"):
+    with pytest.raises(CommandError, match=r"not a SELECT.*--allow-files"):
         run("query", f"{explain}COPY (SELECT 1 AS a) TO '{manifest}' (FORMAT csv)", tmp_path / "out")
     assert manifest.read_bytes() == before
 
