@@ -41,7 +41,7 @@ def stop_table() -> str:
     return documents.table(("cause", "it means", "deceleration", "latched"), rows)
 
 
-_TESTS: Final = "tests/gateway/command/test_gate"
+_TESTS: Final = "tests/unit/gateway/command/test_gate"
 _RISES: Final = (gate.SPEED_RISE_RAW[Variant.COARSE], gate.SPEED_RISE_RAW[Variant.FINE])
 
 BUS_RULES: Final = (

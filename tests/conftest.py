@@ -6,8 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from tests.support.recorder_fakes import small_log
+
+settings.register_profile("patient", deadline=None)  # How long an example takes says how busy the machine is.
+settings.load_profile("patient")
 
 
 @pytest.fixture(autouse=True)

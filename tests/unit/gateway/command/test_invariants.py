@@ -205,9 +205,7 @@ class FineMachine(Machine):
         self.people = [Operator(self.rig, "first"), Operator(self.rig, "second")]
 
 
-SETTINGS = settings(
-    max_examples=60, stateful_step_count=25, deadline=None, suppress_health_check=[HealthCheck.too_slow]
-)
+SETTINGS = settings(max_examples=60, stateful_step_count=25, suppress_health_check=[HealthCheck.too_slow])
 TestCoarse = Machine.TestCase
 TestCoarse.settings = SETTINGS
 TestFine = FineMachine.TestCase

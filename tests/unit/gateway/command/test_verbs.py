@@ -123,7 +123,7 @@ def test_every_other_verb_wants_the_lease_in_force(command: object) -> None:
     assert bench.arbiter.state is ArbiterState.ENGAGED
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     verb=st.sampled_from([command.verb for command in COMMANDS]), payload=st.binary(max_size=60), put=st.booleans()
 )

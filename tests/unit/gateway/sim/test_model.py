@@ -5,7 +5,7 @@ import math
 from collections import Counter
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.chassis.decode import Decoded, Decoder
@@ -38,7 +38,6 @@ def test_a_second_has_630_valid_frames(variant: Variant) -> None:
 
 
 @given(cuts=st.lists(st.integers(0, 300 * MS), max_size=20))
-@settings(deadline=None)
 def test_frames_do_not_depend_on_how_often_they_are_asked_for(cuts: list[int]) -> None:
     """Asked in one go or in slices, the chassis sends the same."""
     whole, sliced = Rig(), Rig()
@@ -323,7 +322,6 @@ def test_a_bad_command_frame_is_ignored() -> None:
 
 
 @given(script=st.lists(any_frames, max_size=30))
-@settings(deadline=None)
 def test_no_frame_upsets_it(script: list[Frame]) -> None:
     """Whatever is on the bus, it goes on sending valid feedback."""
     rig = Rig()

@@ -43,7 +43,7 @@ def as_protobuf_writes(kind: type[msgspec.Struct], data: bytes) -> bytes:
 
 
 @KINDS
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(data=st.data())
 def test_columns_are_what_the_protobuf_package_reads(kind: type[msgspec.Struct], data: st.DataObject) -> None:
     """For every class in a log: many messages of one layout, of several, and of another writer's, in one batch."""
@@ -227,7 +227,6 @@ def test_damage_never_raises_and_never_invents() -> None:
 
 
 @given(st.binary(max_size=200), st.integers(0, 10_000))
-@settings(deadline=None)
 def test_noise_never_raises(noise: bytes, place: int) -> None:
     """In place of a file's bytes, or of the file."""
     data = small_log()

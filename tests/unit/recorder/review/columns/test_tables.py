@@ -121,7 +121,7 @@ def messages(draw: st.DrawFn) -> Any:  # noqa: ANN401
     return message
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(messages(), min_size=1, max_size=3), st.sampled_from([1, 20]))
 def test_every_kind_of_field_of_others_is_read(drawn: list[Any], times: int) -> None:
     """By the descriptors in the log, many alike and single ones."""
@@ -169,7 +169,7 @@ def test_every_legal_way_to_write_is_read(wire: str, count: int) -> None:
     assert [fields_of(row) for row in rows] == [expected(ALL.FromString(data))] * count
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.binary(max_size=40))
 def test_whatever_the_bytes_are_both_ways_agree(data: bytes) -> None:
     """Twenty alike go by their layout, one alone by the protobuf package: the rows are the same."""

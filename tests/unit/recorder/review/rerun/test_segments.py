@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.encoding.transcode import compile_encoder
@@ -64,7 +64,6 @@ def test_it_is_cut_behind_places_of_rest() -> None:
     assert [(part.run, part.first, part.inputs) for part in found.parts] == [(1, 0, 800)]
 
 
-@settings(deadline=None)
 @given(
     rests=st.sets(st.integers(0, 1199).map(lambda number: number * 50)), late_ms=st.integers(-3_600_000, 3_600_000)
 )
