@@ -410,7 +410,7 @@ def test_ever_new_keys_and_robots_cost_no_memory(monkeypatch: pytest.MonkeyPatch
         after, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert after - before < 50_000  # 7,500 keys would be a million and more.
+    assert after - before < 200_000  # 7,500 keys would be a million and more.
     assert len(session.channels.counts) == 31
     assert sum(count.written for count in session.channels.counts.values()) == 3 * 3000
 
