@@ -412,7 +412,7 @@ def test_ever_new_keys_and_robots_cost_no_memory(monkeypatch: pytest.MonkeyPatch
         tracemalloc.stop()
     assert after - before < 200_000  # 7,500 keys would be a million and more.
     assert len(session.channels.counts) == 31
-    assert sum(count.written for count in session.channels.counts.values()) == 3 * 3000
+    assert sum(count.written for count in session.channels.counts.values()) == 3 * 4000
 
 
 def test_the_answer_of_a_robot_too_many_is_a_sample_like_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
