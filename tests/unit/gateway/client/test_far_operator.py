@@ -10,10 +10,10 @@ from tests.support.loop_rig import LoopRig
 
 
 def test_over_200_ms_one_way_it_hardly_ever_stops() -> None:
-    """The goal: 30 % jitter, 1 % loss, 0.5 m/s asked: 95 % of the time at speed, one stop in ten minutes."""
-    made = trip(FAR, speed_mps=0.5, seconds=600)
+    """The goal: 30 % jitter, 1 % loss, 0.5 m/s asked: 95 % of the time at speed. tests/nightly has ten minutes."""
+    made = trip(FAR, speed_mps=0.5, seconds=60)
     assert made.moving >= 0.95
-    assert len(made.stops) <= 1
+    assert made.stops == []
     assert made.reached_mps == pytest.approx(0.5, abs=0.04)
 
 
