@@ -1,8 +1,8 @@
 """Finds the command, reads the configuration, runs it, and turns every expected failure into one clear line.
 
-Each command is a module with ``EXAMPLE``, ``add_arguments`` and ``run``; it is imported only when it is asked
-for, so that ``cruiser --help`` answers at once. This table is the one place that names commands of both the
-gateway and the recorder; it does so by name, and neither package imports the other.
+Each command is a module, or an object in one, with ``EXAMPLE``, ``add_arguments`` and ``run``. It is imported only
+when it is asked for, so that ``cruiser --help`` answers at once. This table alone names commands of
+both the gateway and the recorder; it does so by name, and neither package imports the other.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "why": ("gateway.cli.why", "why does the robot not move?"),
     "reset": ("gateway.cli.reset", "clear what is latched"),
     "lease": ("gateway.cli.lease", "who may command the robot; acquire, take and keep the right to"),
-    "park": ("gateway.cli.park", "apply the parking brake"),
-    "unpark": ("gateway.cli.unpark", "allow drive commands to release the parking brake"),
-    "light": ("gateway.cli.light", "headlamp and indicators"),
-    "horn": ("gateway.cli.horn", "sound the horn"),
-    "odometer": ("gateway.cli.odometer", "set the total mileage to zero"),
+    "park": ("gateway.cli.verbs:PARK", "apply the parking brake"),
+    "unpark": ("gateway.cli.verbs:UNPARK", "allow drive commands to release the parking brake"),
+    "light": ("gateway.cli.verbs:LIGHT", "headlamp and indicators"),
+    "horn": ("gateway.cli.verbs:HORN", "sound the horn"),
+    "odometer": ("gateway.cli.verbs:ODOMETER", "set the total mileage to zero"),
     "decode": ("gateway.cli.decode", "candump lines to JSON lines"),
     "review": ("recorder.cli.review.command", "turn a log into answers"),
 }
-"""Name of the command, its module, and its line in the help."""
+"""Name of the command, its module (and the object in it), and its line in the help."""
 
 TAKE_HANGUPS: Final = frozenset({"record"})
 """Commands to which SIGHUP says something: until they hear it, it says nothing. The others it ends."""
@@ -52,10 +52,13 @@ TAKE_HANGUPS: Final = frozenset({"record"})
 Stopped = Callable[[], bool]
 
 
-class CommandModule(Protocol):
-    """What a command's module offers."""
+class Command(Protocol):
+    """A command: a module, or an object in one."""
 
-    EXAMPLE: str
+    @property
+    def EXAMPLE(self) -> str:  # noqa: N802 - a constant of the module
+        """Examples for its help."""
+        ...
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare the command's flags. A ``dest`` with a dot, ``can.channel``, sets that setting."""
@@ -128,10 +131,10 @@ def _help() -> str:
 
 
 def _run(name: str, words: list[str]) -> int:
-    module_name, about = COMMANDS[name]
+    place, about = COMMANDS[name]
     if name in TAKE_HANGUPS and signal.getsignal(signal.SIGHUP) == signal.SIG_DFL:
         signal.signal(signal.SIGHUP, _not_yet)
-    module = cast("CommandModule", import_module(module_name))
+    command = _find(place)
     # Imported late for the same reason as the commands: they cost more than the help itself.
     from gateway.cli.configuration_file import load_settings  # noqa: PLC0415
     from schemas.exit_codes import CommandError  # noqa: PLC0415
@@ -139,7 +142,7 @@ def _run(name: str, words: list[str]) -> int:
     parser = argparse.ArgumentParser(
         prog=f"cruiser {name}",
         description=about[0].upper() + about[1:] + ".",
-        epilog=f"example:\n{module.EXAMPLE}",
+        epilog=f"example:\n{command.EXAMPLE}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--config", metavar="FILE", help="a TOML file of settings (also CRUISER_CONFIG)")
@@ -149,7 +152,7 @@ def _run(name: str, words: list[str]) -> int:
         choices=["debug", "info", "warning", "error"],
         help="what goes to stderr",
     )
-    module.add_arguments(parser)
+    command.add_arguments(parser)
     arguments = parser.parse_args(words)
     logging.basicConfig(
         level=arguments.log_level.upper(),
@@ -159,12 +162,18 @@ def _run(name: str, words: list[str]) -> int:
     flags = {key: value for key, value in vars(arguments).items() if "." in key and value is not None}
     try:
         settings = load_settings(arguments.config, os.environ, flags)
-        return module.run(arguments, settings, _stop_on_signals())
+        return command.run(arguments, settings, _stop_on_signals())
     except CommandError as error:
         sys.stderr.write(f"cruiser {name}: {error}\n")
         return int(error.code)
     except KeyboardInterrupt:
         return 128 + signal.SIGINT
+
+
+def _find(place: str) -> Command:
+    module, _, name = place.partition(":")
+    found = import_module(module)
+    return cast("Command", getattr(found, name) if name else found)
 
 
 def _not_yet(_number: int, _frame: FrameType | None) -> None:

@@ -7,7 +7,8 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
-from gateway.cli import drive, horn, lease, light, odometer, park, reset, stop, unpark, watch, why
+from gateway.cli import drive, lease, reset, stop, watch, why
+from gateway.cli.verbs import HORN, LIGHT, ODOMETER, PARK, UNPARK
 from gateway.client.robot import Robot
 from schemas.decisions import ArbiterState
 from schemas.exit_codes import CommandError, ExitCode
@@ -20,11 +21,11 @@ from tests.support.waiting import StopWhen, wait_until
 
 Capture = pytest.CaptureFixture[str]
 ACTIONS = {
-    "park": (park, []),
-    "unpark": (unpark, []),
-    "light": (light, ["--headlamp"]),
-    "horn": (horn, ["on"]),
-    "clear_odometer": (odometer, ["--clear"]),
+    "park": (PARK, []),
+    "unpark": (UNPARK, []),
+    "light": (LIGHT, ["--headlamp"]),
+    "horn": (HORN, ["on"]),
+    "clear_odometer": (ODOMETER, ["--clear"]),
 }
 
 
@@ -163,7 +164,7 @@ def test_stop_and_reset(capsys: Capture) -> None:
         assert run(stop, fake.listen, "--all", "--json") == 0
         assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
         with pytest.raises(CommandError, match="remote_stop"):
-            run(park, fake.listen, "cruiser-1")
+            run(PARK, fake.listen, "cruiser-1")
         wait_until(lambda: time.monotonic_ns() - fake.flow.arbiter.latched_ns > RESET_MIN_NS)
         assert run(reset, fake.listen, "cruiser-1") == 0
         assert not fake.flow.arbiter.latched
@@ -315,7 +316,7 @@ def test_lease_shows_the_holder_and_can_be_held(capsys: Capture) -> None:
 def test_what_cannot_be_a_name_or_a_lease_is_a_usage_error(words: list[str], capsys: Capture) -> None:
     """The parser says so."""
     parser = argparse.ArgumentParser()
-    park.add_arguments(parser)
+    PARK.add_arguments(parser)
     with pytest.raises(SystemExit) as caught:
         parser.parse_args(words)
     assert caught.value.code == ExitCode.USAGE

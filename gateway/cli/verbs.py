@@ -1,0 +1,127 @@
+"""The commands of one verb each: ``park``, ``unpark``, ``light``, ``horn``, ``odometer``, as a table."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from typing import Final
+
+import msgspec
+
+from gateway.cli.engaged import POLL_S, engaged
+from gateway.cli.operator_arguments import add_robot_arguments, connect, lease_number
+from gateway.client.reply import BY_REQUEST
+from gateway.client.robot import Lease, Robot
+from schemas.arguments import ending_after, seconds
+from schemas.exit_codes import ExitCode
+from schemas.requests import ClearOdometer, Horn, Light, Park, Request, Unpark
+from schemas.settings import Settings
+
+LAMPS: Final = ("headlamp", "left", "right")
+
+WANTS_ENGAGED: Final = """\
+This wants an engaged robot. With --lease, that of another command of the same operator is used ('cruiser drive'
+and 'cruiser lease --engage' show its number). Without it the lease is acquired, the robot engaged, and afterwards
+it is stopped and the lease given back."""
+
+
+class VerbCommand(msgspec.Struct, frozen=True):
+    """A command that asks an engaged robot for one thing.
+
+    Attributes:
+        EXAMPLE: for its help.
+        request: from its arguments and the number of the lease.
+        add_flags: declares those that it alone has.
+        lasts: what it does ends when the robot is disengaged, so there is something to keep.
+        keep_s: how long that is kept by itself; None is until Ctrl-C.
+    """
+
+    EXAMPLE: str
+    request: Callable[[argparse.Namespace, int], Request]
+    add_flags: Callable[[argparse.ArgumentParser], object] = lambda _parser: None
+    lasts: bool = False
+    keep_s: float | None = None
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the flags."""
+        parser.description = f"{parser.description or ''}\n\n{WANTS_ENGAGED}"
+        add_robot_arguments(parser)
+        parser.add_argument("--lease", type=lease_number, metavar="N", help="use this lease of the same operator")
+        parser.add_argument("--json", action="store_true", help="one JSON object, once it is done")
+        if self.lasts:
+            until = "until Ctrl-C" if self.keep_s is None else f"{self.keep_s:g}"
+            about = f"without --lease: how long to keep it ({until})"
+            parser.add_argument("--seconds", type=seconds, default=self.keep_s, metavar="S", help=about)
+        self.add_flags(parser)
+
+    def run(self, arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+        """Ask the robot, and keep it engaged where that is what lasts.
+
+        Raises:
+            CommandError: it is refused, or nobody answers.
+        """
+        with connect(arguments, settings, stopped) as robot:
+            if arguments.lease is not None:
+                self._ask(robot, arguments, arguments.lease)
+                return int(ExitCode.OK)
+            with robot.lease() as lease, engaged(lease, robot):
+                self._ask(robot, arguments, lease.number)
+                if self.lasts:
+                    _keep(lease, ending_after(stopped, arguments.seconds, time.monotonic))
+        return int(ExitCode.OK)
+
+    def _ask(self, robot: Robot, arguments: argparse.Namespace, lease: int) -> None:
+        request = self.request(arguments, lease)
+        reply = robot.ask(request)
+        if arguments.json:
+            record = {"robot": robot.name, "verb": BY_REQUEST[type(request)].verb, **msgspec.structs.asdict(reply)}
+            sys.stdout.write(f"{msgspec.json.encode(record).decode()}\n")
+            sys.stdout.flush()
+
+
+def _keep(lease: Lease, stopped: Callable[[], bool]) -> None:
+    sys.stderr.write(f"done; lease {lease.number} keeps the robot engaged; Ctrl-C ends it\n")
+    sys.stderr.flush()
+    while not stopped():
+        lease.check()
+        time.sleep(POLL_S)
+
+
+def _add_lamps(parser: argparse.ArgumentParser) -> None:
+    for lamp in LAMPS:
+        parser.add_argument(f"--{lamp}", action="store_true", help="on; off if not given")
+
+
+PARK: Final = VerbCommand(
+    "  cruiser park cruiser-1\n  cruiser park cruiser-1 --lease 123456789",
+    lambda _, lease: Park(lease=lease),
+)
+UNPARK: Final = VerbCommand(
+    "  cruiser unpark cruiser-1 --lease 123456789\n"
+    "  cruiser unpark cruiser-1 --seconds 10        engaged and unparked for ten seconds",
+    lambda _, lease: Unpark(lease=lease),
+    lasts=True,
+)
+LIGHT: Final = VerbCommand(
+    "  cruiser light cruiser-1 --headlamp --left --lease 123456789\n"
+    "  cruiser light cruiser-1 --lease 123456789        all of them off",
+    lambda arguments, lease: Light(lease=lease, **{lamp: getattr(arguments, lamp) for lamp in LAMPS}),
+    _add_lamps,
+    lasts=True,
+)
+HORN: Final = VerbCommand(
+    "  cruiser horn cruiser-1\n  cruiser horn cruiser-1 on --lease 123456789",
+    lambda arguments, lease: Horn(lease=lease, on=arguments.switch == "on"),
+    lambda parser: parser.add_argument(
+        "switch", nargs="?", choices=["on", "off"], default="on", help="on (the default) or off"
+    ),
+    lasts=True,
+    keep_s=1.0,
+)
+ODOMETER: Final = VerbCommand(
+    "  cruiser odometer cruiser-1 --clear",
+    lambda _, lease: ClearOdometer(lease=lease),
+    lambda parser: parser.add_argument("--clear", action="store_true", required=True, help="there is no way back"),
+)
