@@ -21,7 +21,7 @@ QUESTIONS: Final[dict[str, tuple[str, str]]] = {
     "events": ("recorder.cli.review.events", "what happened, in order: stops, faults, refusals, and why"),
     "why": ("recorder.cli.review.why", "why the robot stopped, or did not move, at a time"),
     "rerun": ("recorder.cli.review.rerun", "the recorded run through today's arbiter, or with other settings"),
-    "report": ("recorder.cli.review.report", "a drive as one HTML page or a picture, for people"),
+    "report": ("recorder.cli.review.report", "a drive as one HTML page, for people"),
     "layouts": ("recorder.cli.review.layouts", "layouts of Foxglove, Lichtblick, PlotJuggler and rerun for a log"),
     "replay": ("recorder.cli.review.replay", "publish a log again on Zenoh, or put its frames on a CAN bus"),
     "export": ("recorder.cli.review.export", "logs as Parquet or CSV, raw frames for the tools of CAN"),

@@ -1,4 +1,4 @@
-"""``cruiser review report``: a page or a picture of a drive, for people."""
+"""``cruiser review report``: a drive on one page, for people."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import argparse
 import os
 import sys
 from collections.abc import Callable
-from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
@@ -22,16 +21,15 @@ from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings
 
-EXAMPLE: Final = "  cruiser review report logs -o report.html -o report.png"
+EXAMPLE: Final = "  cruiser review report logs -o report.html"
 DESCRIPTION: Final = (
     "A report of a drive: summary, map of the path, speed, angle, mode and states on one time axis, stops, "
     "refusals, whether the gateway died, what is missing, versions and configurations. As one HTML file that "
-    "needs no network, or as PNG, by the file's ending. With --json and without -o nothing is written but the "
+    "needs no network. With --json and without -o nothing is written but the "
     "summary. Exit code 3 if not all could be read."
 )
 
 DEFAULT_FILE: Final = "report.html"
-_ENDINGS: Final = (".html", ".png")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,21 +39,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o",
         "--out",
-        dest="outs",
-        action="append",
         type=Path,
         metavar="FILE",
-        help=f"write there, {' or '.join(_ENDINGS)}; may be given twice; {DEFAULT_FILE} unless told otherwise",
+        help=f"write there, an HTML file; {DEFAULT_FILE} unless told otherwise",
     )
 
 
 def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
     """Read, and write what is asked for."""
-    outs = arguments.outs or ([] if arguments.json else [Path(DEFAULT_FILE)])
-    for path in outs:
-        if path.suffix not in _ENDINGS:
-            raise CommandError(f"{path} ends neither with {' nor with '.join(_ENDINGS)}", ExitCode.USAGE)
-    libraries = {path.suffix: _library(path.suffix) for path in outs}
+    out = arguments.out or (None if arguments.json else Path(DEFAULT_FILE))
+    if out is not None and out.suffix != ".html":
+        raise CommandError(f"{plain(str(out))} does not end with .html", ExitCode.USAGE)
+    plotly = _plotly() if out is not None else ""
     asked = find(arguments)
     with progress_bar("report", asked.bytes, stopped) as progress:
         report = read_report(
@@ -64,14 +59,14 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     if not report.robots:
         end_with(asked.faults)
         raise CommandError("there is no state, decision or event of a robot in these logs, so nothing to report")
-    for path in outs:
-        _write(path, _made(report, path.suffix, libraries[path.suffix]))
+    if out is not None:
+        _write(out, page(report, plotly).encode())
     if arguments.json:
         sys.stdout.write(f"{summary_json(report)}\n")
     else:
         sys.stdout.write(f"{describe(report)}\n")
-        for path in outs:
-            sys.stdout.write(f"written: {plain(str(path))}\n")
+        if out is not None:
+            sys.stdout.write(f"written: {plain(str(out))}\n")
     return end_with(asked.faults)
 
 
@@ -93,26 +88,17 @@ def describe(report: Report) -> str:
     return "\n".join(map(plain, lines))
 
 
-def _library(suffix: str) -> Any:  # noqa: ANN401 - a module
-    """What draws, loaded before the reading: it may be missing.
+def _plotly() -> str:
+    """The script that draws the charts, loaded before the reading: it may be missing.
 
     Raises:
         CommandError: it is.
     """
-    name = "plotly.offline" if suffix == ".html" else "recorder.review.report.picture"
     try:
-        return import_module(name)
+        from plotly.offline import get_plotlyjs  # noqa: PLC0415 - an extra
     except ImportError as error:
-        raise CommandError(
-            f"a report as {suffix} needs {error.name}: pip install 'cruiser-gateway[review]'"
-        ) from error
-
-
-def _made(report: Report, suffix: str, library: Any) -> bytes:  # noqa: ANN401
-    if suffix == ".html":
-        return page(report, library.get_plotlyjs()).encode()
-    made: bytes = library.picture(report)
-    return made
+        raise CommandError("a report needs plotly: pip install 'cruiser-gateway[review]'") from error
+    return str(get_plotlyjs())
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -1,4 +1,4 @@
-"""A report of a drive, for people: one page that needs no network, or a picture.
+"""A report of a drive, for people: one page that needs no network.
 
 - ``series``      numbers over time, reduced while they stream in, so that spikes survive
 - ``spans``       what was so from when to when
@@ -12,5 +12,4 @@
 - ``words``       the summary in plain words
 - ``figures``     the charts, as plotly wants them
 - ``page``        the HTML page
-- ``picture``     the PNG
 """
