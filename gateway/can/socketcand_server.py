@@ -19,10 +19,10 @@ from gateway.sim.socketcand_protocol import (
     HI,
     OK,
     FaultAsked,
-    Joined,
-    Reply,
+    RawModeEntered,
     Sent,
     ServerConnection,
+    ServerReply,
     error_line,
     frame_line,
 )
@@ -235,9 +235,9 @@ class SocketcandServer:
             match event:
                 case Sent(frame):
                     frames.append(Frame(frame.can_id, frame.data, wall_ns, 0, frame.remote_length))
-                case Reply(reply):
+                case ServerReply(reply):
                     client.outbox.put_reply(reply)
-                case Joined():
+                case RawModeEntered():
                     client.joins_ns = now_ns + JOIN_NS
                 case FaultAsked(text):
                     reason = inject(text)

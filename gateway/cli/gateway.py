@@ -28,7 +28,7 @@ from gateway.host.stop_note import NoteClearer, StopNote
 from gateway.loop import Surroundings
 from gateway.loop import run as run_loop
 from gateway.zenoh.inbox import open_inbox
-from gateway.zenoh.node import Place, open_node
+from gateway.zenoh.node import ZenohPlace, open_node
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.codec import encode
 from schemas.configuration import to_toml
@@ -194,7 +194,7 @@ def _first_bus(settings: Settings) -> Bus | None:
         raise CommandError(f"{error} (--wait-for-bus starts without it)", ExitCode.UNREACHABLE) from error
 
 
-def _info(settings: Settings, core: Core, place: Place) -> Callable[[], bytes]:
+def _info(settings: Settings, core: Core, place: ZenohPlace) -> Callable[[], bytes]:
     """The payload of gateway/info. All but the variant is the same for ever, so it is made once."""
     configuration = to_toml(settings)
     versions = {name: version(name) for name in VERSIONS_TOLD} | {"python": sys.version.split()[0]}

@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     except BusLost as error:
         raise CommandError(str(error), ExitCode.UNREACHABLE) from error
     try:
-        halt = Halt(bus, settings, stopped, round(arguments.wait * 1e9))
+        halt = HaltSequence(bus, settings, stopped, round(arguments.wait * 1e9))
         code = halt.run(force=arguments.force)
     except BusLost as error:
         raise CommandError(f"the bus is lost: {error}", ExitCode.UNREACHABLE) from error
@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     return int(code)
 
 
-class Halt:
+class HaltSequence:
     """One halt: listen, judge, send.
 
     Attributes:

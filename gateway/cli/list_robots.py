@@ -11,9 +11,9 @@ from typing import Final
 import msgspec
 
 from gateway.client import view
-from gateway.client.fleet import Fleet, RobotReport
+from gateway.client.fleet import Fleet, RobotStatus
 from gateway.telemetry.heard import TokenChange
-from gateway.zenoh.client import Question, RobotListener, place
+from gateway.zenoh.client import PendingQuery, RobotListener, place
 from schemas.arguments import add_zenoh_arguments, seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
@@ -87,10 +87,10 @@ class _Search:
         self._deadline_s = deadline_s
         self._settled_s = 0.0
         self._links: frozenset[str] = frozenset()
-        self._roll: Question | None = None
+        self._roll: PendingQuery | None = None
         self._known: set[str] = set()
 
-    def run(self, stopped: Callable[[], bool]) -> list[RobotReport]:
+    def run(self, stopped: Callable[[], bool]) -> list[RobotStatus]:
         """Every robot's report."""
         while not stopped() and time.monotonic() < self._deadline_s and not self._step(time.monotonic_ns()):
             time.sleep(POLL_S)

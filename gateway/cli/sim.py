@@ -13,7 +13,7 @@ from typing import Final
 
 from gateway.can.socketcand_server import SocketcandServer
 from gateway.chassis.layout import load
-from gateway.cli.sim_run import CanBusLink, Clock, Link, live
+from gateway.cli.sim_run import CanBusLink, SimBus, SimClock, live
 from gateway.cli.typed_lines import TypedLines
 from gateway.sim.address import parse_address, show_address
 from gateway.sim.faults import GRAMMAR, FaultTextError, ScheduledFault, parse_scheduled
@@ -116,7 +116,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     faults = [_scheduled(text) for text in arguments.fault]
     layout = load(Variant(settings.sim.variant))
     with _bus(settings.can) if attached else _server(settings.sim.listen) as (link, place):
-        clock = Clock()
+        clock = SimClock()
         now_ns = clock.monotonic_ns()
         chassis = VirtualChassis(
             layout, now_ns, rate_multiplier=arguments.rate_multiplier, conditions=_conditions(flags)
@@ -138,7 +138,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 @contextlib.contextmanager
-def _server(address: str) -> Iterator[tuple[Link, str]]:
+def _server(address: str) -> Iterator[tuple[SimBus, str]]:
     host, port = parse_address(address)
     try:
         server = SocketcandServer(host, port)
@@ -154,7 +154,7 @@ def _server(address: str) -> Iterator[tuple[Link, str]]:
 
 
 @contextlib.contextmanager
-def _bus(settings: CanSettings) -> Iterator[tuple[Link, str]]:
+def _bus(settings: CanSettings) -> Iterator[tuple[SimBus, str]]:
     # python-can takes a while to import, and the server does without it.
     from gateway.can.can_bus import BusLost  # noqa: PLC0415
     from gateway.can.open_bus import describe, open_bus  # noqa: PLC0415

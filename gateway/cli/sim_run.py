@@ -37,7 +37,7 @@ Inject = Callable[[str], str]
 """Causes the fault that a text names; returns what is wrong with the text, or nothing."""
 
 
-class Link(Protocol):
+class SimBus(Protocol):
     """A bus to be on. ``wait`` is the only call that may block."""
 
     def wait(self, timeout_s: float) -> None:
@@ -59,7 +59,7 @@ class Lines(Protocol):
         ...
 
 
-class Clock:
+class SimClock:
     """The machine's clocks."""
 
     def monotonic_ns(self) -> int:
@@ -71,7 +71,7 @@ class Clock:
         return time.time_ns()
 
 
-class Summary(msgspec.Struct):
+class SimSummary(msgspec.Struct):
     """What a run came to."""
 
     sent: int = 0
@@ -122,14 +122,14 @@ class CanBusLink:
 
 def live(
     chassis: VirtualChassis,
-    link: Link,
+    link: SimBus,
     stopped: Callable[[], bool],
     *,
-    clock: Clock,
+    clock: SimClock,
     lines: Lines,
     answer: Callable[[str], None],
     seconds: float | None = None,
-) -> Summary:
+) -> SimSummary:
     """Lets the chassis live on the bus until it is told to stop.
 
     Args:
@@ -141,7 +141,7 @@ def live(
         answer: is told what became of each of them.
         seconds: ends the run by itself after this time.
     """
-    summary = Summary()
+    summary = SimSummary()
     now_ns = clock.monotonic_ns()
     end_ns = None if seconds is None else now_ns + round(seconds * _NS_PER_S)
     next_lines_ns = now_ns
@@ -171,7 +171,7 @@ def live(
     return summary
 
 
-def _time_of_life(clock: Clock, chassis: VirtualChassis, summary: Summary) -> int:
+def _time_of_life(clock: SimClock, chassis: VirtualChassis, summary: SimSummary) -> int:
     """The monotonic time without the times during which this process was stopped."""
     now_ns = clock.monotonic_ns() - summary.stalled_ns
     late_ns = now_ns - chassis.next_due_ns

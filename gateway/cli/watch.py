@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.live import Live
 
 from gateway.client import view
-from gateway.client.fleet import Fleet, RobotReport
+from gateway.client.fleet import Fleet, RobotStatus
 from gateway.client.roll import who_is_there
 from gateway.zenoh.client import RobotListener, place
 from schemas.arguments import add_zenoh_arguments, seconds
@@ -37,7 +37,7 @@ REFRESH_S: Final = 0.1
 LINE_S: Final = 1.0
 """How often a line is written for each robot when there is no terminal."""
 
-Show = Callable[[list[RobotReport]], None]
+Show = Callable[[list[RobotStatus]], None]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -112,7 +112,7 @@ class _Watching:
                 show(self._reports())
             time.sleep(POLL_S)
 
-    def _reports(self) -> list[RobotReport]:
+    def _reports(self) -> list[RobotStatus]:
         now_ns = time.monotonic_ns()
         names = [self.robot] if self.robot else self._fleet.robots(now_ns)
         return [self._fleet.report(name, now_ns) for name in names]
@@ -129,13 +129,13 @@ def _live(watching: _Watching, console: Console, end_s: float, stopped: Callable
     # window that changes its size nor the end of the view may leave old values that somebody reads as current.
     with Live(console=console, auto_refresh=False, screen=True) as live:
 
-        def draw(reports: list[RobotReport]) -> None:
+        def draw(reports: list[RobotStatus]) -> None:
             live.update(view.panel(reports[0]) if watching.robot else view.table(reports), refresh=True)
 
         watching.show(draw, REFRESH_S, end_s, stopped)
 
 
-def _json_line(report: RobotReport) -> str:
+def _json_line(report: RobotStatus) -> str:
     return msgspec.json.encode({"time_ns": time.time_ns(), **msgspec.structs.asdict(report)}).decode()
 
 

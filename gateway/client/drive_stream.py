@@ -65,7 +65,7 @@ class SetPoint(msgspec.Struct, frozen=True):
         )
 
 
-class Ending(msgspec.Struct, frozen=True):
+class DriveEnd(msgspec.Struct, frozen=True):
     """Why the robot no longer obeys.
 
     Attributes:
@@ -93,7 +93,7 @@ class DriveStream:
 
     def __init__(self, lease: int, operator: str) -> None:
         self.lease = lease
-        self.ending: Ending | None = None
+        self.ending: DriveEnd | None = None
         self.engaged = False
         self._operator = operator
         self._is_wanted = False
@@ -179,12 +179,12 @@ class DriveStream:
         elif self.engaged and self._stop.add(now_ns):
             reason = state.stop_reason if state.stop_reason is not Reason.NONE else Reason.NOT_ENGAGED
             detail = "; ".join(filter(None, (TEXTS[reason].means, state.stop_detail)))
-            self._end(Ending(reason, detail))
+            self._end(DriveEnd(reason, detail))
 
     def lose(self, reason: Reason, detail: str = "") -> None:
         """The lease is lost."""
         if not self.is_lost:
-            self._end(Ending(reason, detail, lease_lost=True))
+            self._end(DriveEnd(reason, detail, lease_lost=True))
 
     def command(self, now_ns: int) -> Drive | None:
         """The drive command to send now, or None if none is to be sent."""
@@ -225,7 +225,7 @@ class DriveStream:
         self._note = "the set point was not renewed in time: zero speed"
         return self._set_point
 
-    def _end(self, ending: Ending) -> None:
+    def _end(self, ending: DriveEnd) -> None:
         self.ending = ending
         self._is_wanted = self._is_asked = self.engaged = False
         self._set_point = None

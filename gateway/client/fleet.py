@@ -25,7 +25,7 @@ FORGOTTEN_NS: Final = 60_000_000_000
 """A robot whose token is gone and of which nothing was heard for a minute is no longer listed."""
 
 
-class RobotReport(msgspec.Struct, frozen=True):
+class RobotStatus(msgspec.Struct, frozen=True):
     """A robot at one moment.
 
     Attributes:
@@ -97,12 +97,12 @@ class Fleet:
         }
         return sorted(self._known)
 
-    def report(self, robot: str, now_ns: int) -> RobotReport:
+    def report(self, robot: str, now_ns: int) -> RobotStatus:
         """A robot at this moment; one that was never heard of has an empty report."""
         known = self._known.get(robot) or _Known()
         state_age_ns = now_ns - known.state_ns
         health_age_ns = now_ns - known.health_ns
-        return RobotReport(
+        return RobotStatus(
             robot=robot,
             connected=known.connected and self._linked,
             state=known.state if state_age_ns < STATE_STALE_NS else None,

@@ -16,7 +16,7 @@ from gateway.client.refusal import Unreachable, refused
 from gateway.client.remote_stop import Seen
 from gateway.client.reply import BY_REQUEST, CONTRADICTION, contradict, encode_request, read_reply
 from gateway.telemetry.heard import Missed, Received
-from gateway.zenoh.client import Question
+from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort, SafetyListener
 from schemas import codec, keys
 from schemas.codec import PayloadFault
@@ -54,7 +54,7 @@ class Sighting(msgspec.Struct, frozen=True):
     health: GatewayHealth | None = None
 
 
-class Link:
+class RobotLink:
     """A robot's link: what is heard of it, and what is sent to it.
 
     Attributes:
@@ -78,9 +78,9 @@ class Link:
         self._seen: list[Seen | Missed] = []
         self._events: deque[SafetyEvent] = deque(maxlen=EVENTS_KEPT)
         self._stream: DriveStream | None = None
-        self._renewal: Question | None = None
+        self._renewal: PendingQuery | None = None
         self._renewed: list[Reply] = []
-        self._release: Question | None = None
+        self._release: PendingQuery | None = None
         self._renew_every_ns = 0
         self._renew_ns = 0
         self._closing = threading.Event()

@@ -18,7 +18,7 @@ import msgspec
 from gateway.client.evidence import Evidence
 from gateway.client.reply import CONTRADICTION, contradict, read_reply
 from gateway.telemetry.heard import Heard, Missed, Received
-from gateway.zenoh.client import Question, RobotListener
+from gateway.zenoh.client import PendingQuery, RobotListener
 from gateway.zenoh.operator import CommandPort
 from schemas import codec, keys
 from schemas.codec import PayloadFault
@@ -195,10 +195,10 @@ class _Stopping:
         self._root = root
         self._answers: dict[str, Reply | str] = {}
         self._expected = set() if robot == keys.ALL else {robot}
-        self._questions: list[tuple[int, Question]] = []
+        self._questions: list[tuple[int, PendingQuery]] = []
         self._asked = 0
         self._links: frozenset[str] = frozenset()
-        self._roll: Question | None = None
+        self._roll: PendingQuery | None = None
         self._has_answer = False
         self._changed_s = float("-inf")
         self._is_counted = robot != keys.ALL
@@ -279,7 +279,7 @@ class _Stopping:
         silent = sorted(self._expected - self._answers.keys())
         return StopReport(stopped, refused, unconfirmed, silent, self._linked, self._is_counted)
 
-    def _ask(self) -> Question:
+    def _ask(self) -> PendingQuery:
         return self._port.begin(STOP.verb, b"", 1.0)
 
     def _hear(self, received: Received, question: int) -> None:

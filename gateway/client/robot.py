@@ -22,7 +22,7 @@ from typing import Final, Self
 
 from gateway.client import remote_stop
 from gateway.client.drive_stream import HOLD_S, DriveStream, SetPoint
-from gateway.client.link import Link, Sighting
+from gateway.client.link import RobotLink, Sighting
 from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
 from gateway.client.remote_stop import StopReport
 from gateway.zenoh.client import place
@@ -71,7 +71,7 @@ class Robot:
         operator: the name under which it is commanded.
     """
 
-    def __init__(self, link: Link, operator: str, root: str) -> None:
+    def __init__(self, link: RobotLink, operator: str, root: str) -> None:
         self.name = link.robot
         self.operator = operator
         self._link = link
@@ -107,7 +107,7 @@ class Robot:
         except CommandError:
             commands.close()
             raise
-        link = Link(commands, listener, name)
+        link = RobotLink(commands, listener, name)
         deadline_s = time.monotonic() + timeout_s
         while not (link.is_heard and commands.reaches()):
             if stopped() or time.monotonic() >= deadline_s:
@@ -199,7 +199,7 @@ class Lease:
     holds, else zero speed. Else it renews the lease.
     """
 
-    def __init__(self, link: Link, operator: str, request: Acquire | Take) -> None:
+    def __init__(self, link: RobotLink, operator: str, request: Acquire | Take) -> None:
         self._link = link
         self._operator = operator
         self._request = request
@@ -362,7 +362,7 @@ def stop_all(
     return remote_stop.stop_from_here(settings or Settings(), keys.ALL, operator or login_operator(), timeout_s)
 
 
-def _problem(link: Link) -> str:
+def _problem(link: RobotLink) -> str:
     if not link.commands.connected():
         return "no Zenoh node answered"
     if link.unreadable:

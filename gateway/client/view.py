@@ -11,7 +11,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from gateway.client.fleet import RobotReport
+from gateway.client.fleet import RobotStatus
 from gateway.client.reasons_text import is_idle, last_stop, link_line
 from schemas.decisions import COMMANDING
 from schemas.messages import GatewayHealth, RobotState
@@ -34,7 +34,7 @@ class Fact(msgspec.Struct, frozen=True):
     style: str = PLAIN
 
 
-def alarm(report: RobotReport) -> str:
+def alarm(report: RobotStatus) -> str:
     """Why nothing of the robot's state can be shown; empty if it can."""
     if report.state is not None:
         return ""
@@ -96,7 +96,7 @@ def health_facts(health: GatewayHealth) -> list[Fact]:
     ]
 
 
-def line(report: RobotReport) -> str:
+def line(report: RobotStatus) -> str:
     """A robot in one line."""
     words = [report.robot]
     if report.state is None:
@@ -108,7 +108,7 @@ def line(report: RobotReport) -> str:
     return "  ".join(words)
 
 
-def safety_facts(report: RobotReport) -> list[Fact]:
+def safety_facts(report: RobotStatus) -> list[Fact]:
     """What the arbiter does: for whom, what is latched, why it does not move, its limit, the commands' age."""
     safety = report.safety
     if report.state is None or safety is None:
@@ -128,7 +128,7 @@ def safety_facts(report: RobotReport) -> list[Fact]:
     ]
 
 
-def health_line(report: RobotReport) -> str:
+def health_line(report: RobotStatus) -> str:
     """A robot's gateway in one line, as ``cruiser list`` shows it."""
     if report.health is None:
         if report.unreadable:
@@ -138,7 +138,7 @@ def health_line(report: RobotReport) -> str:
     return "  ".join([*words, *(_word(fact) for fact in health_facts(report.health))])
 
 
-def panel(report: RobotReport) -> RenderableType:
+def panel(report: RobotStatus) -> RenderableType:
     """A robot, large."""
     grid = Table.grid(padding=(0, 2))
     for _ in range(4):
@@ -155,7 +155,7 @@ def panel(report: RobotReport) -> RenderableType:
     return Panel(Group(top, _health_text(report), *safety, grid), title=Text(report.robot), expand=False)
 
 
-def table(reports: Sequence[RobotReport]) -> RenderableType:
+def table(reports: Sequence[RobotStatus]) -> RenderableType:
     """Robots, one a row: what each does, and whatever is wrong with it."""
     shown = Table(expand=False)
     for label in ("robot", *_TABLE_LABELS, "age"):
@@ -173,7 +173,7 @@ def table(reports: Sequence[RobotReport]) -> RenderableType:
 _TABLE_LABELS: Final = ("mode", "gear", "speed", "angle")
 
 
-def _wrong(report: RobotReport) -> Text:
+def _wrong(report: RobotStatus) -> Text:
     text = Text()
     if report.state is None:
         text.append(alarm(report), style=LOUD)
@@ -190,7 +190,7 @@ def _wrong(report: RobotReport) -> Text:
     return text
 
 
-def _age(report: RobotReport) -> Text:
+def _age(report: RobotStatus) -> Text:
     if report.state_age_s is None:
         return Text("never", style=LOUD)
     return Text(f"{report.state_age_s:.1f} s", style=LOUD if report.state is None else GOOD)
@@ -204,7 +204,7 @@ def _word(fact: Fact) -> str:
     return fact.text if fact.label in {"speed", "angle"} else f"{fact.label} {fact.text}"
 
 
-def _health_text(report: RobotReport) -> Text:
+def _health_text(report: RobotStatus) -> Text:
     if report.health is None:
         age = "yet" if report.health_age_s is None else f"for {report.health_age_s:.1f} s"
         return Text(f"no health {age}", style=BAD)
@@ -214,7 +214,7 @@ def _health_text(report: RobotReport) -> Text:
     return text
 
 
-def _faults_word(report: RobotReport) -> str:
+def _faults_word(report: RobotStatus) -> str:
     if report.health is None:
         return "faults not known: no health"
     return _word(next(fact for fact in health_facts(report.health) if fact.label == "faults"))

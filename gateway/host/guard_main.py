@@ -33,7 +33,7 @@ _STDERR: Final = 2
 _PRIORITY_MAX: Final = 99
 
 
-class Order(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class GuardOrder(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What the gateway tells its guard on stdin.
 
     Attributes:
@@ -76,7 +76,7 @@ def main() -> None:
     """Run the guard to its end."""
     asked = _Asked()
     memory = Heartbeat(int(sys.argv[1]))
-    order = msgspec.json.decode(sys.stdin.buffer.read(), type=Order)
+    order = msgspec.json.decode(sys.stdin.buffer.read(), type=GuardOrder)
     settings = order.settings
     guardian = Guardian(settings.command)
     _spare_from_memory_killer()

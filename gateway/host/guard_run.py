@@ -17,7 +17,7 @@ _SKIP_MAX_FRAMES: Final = 100_000
 """More than any socket holds: an end there must be, also on a bus that fills faster than it is read."""
 
 
-class Bus(Protocol):
+class GuardBus(Protocol):
     """The guard's own handle of the bus: it never fails, it is up or it is not."""
 
     is_up: bool
@@ -44,7 +44,7 @@ class Memory(Protocol):
 
 
 def run(
-    bus: Bus,
+    bus: GuardBus,
     memory: Memory,
     guardian: Guardian,
     parent_lives: Callable[[], bool],
@@ -85,14 +85,14 @@ def run(
         due_ns = guardian.next_look_ns(now_ns)
 
 
-def _skip_what_waits(bus: Bus) -> None:
+def _skip_what_waits(bus: GuardBus) -> None:
     """What came while this process stood still is old: it must not be taken for what the chassis says now."""
     for _ in range(_SKIP_MAX_FRAMES):
         if bus.receive(0) is None:
             return
 
 
-def stop_alone(bus: Bus, stopper: Stopper, sight: Sight, is_relieved: Callable[[], bool]) -> str:
+def stop_alone(bus: GuardBus, stopper: Stopper, sight: Sight, is_relieved: Callable[[], bool]) -> str:
     """Bring the robot to rest with a stop that has begun, from the process that drove it. Returns how it ended.
 
     Args:

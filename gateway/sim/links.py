@@ -68,7 +68,7 @@ class _Direction:
         self.last_ns = 0
 
 
-class Link:
+class LossyLink:
     """Both ways of a link.
 
     Attributes:

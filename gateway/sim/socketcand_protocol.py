@@ -36,13 +36,13 @@ _MAX_SHOWN_BYTES: Final = 60
 """What an error repeats of a wrong message."""
 
 
-class Reply(msgspec.Struct, frozen=True):
+class ServerReply(msgspec.Struct, frozen=True):
     """Bytes that this client is to get."""
 
     data: bytes
 
 
-class Joined(msgspec.Struct, frozen=True):
+class RawModeEntered(msgspec.Struct, frozen=True):
     """From here on the client gets the frames of the bus."""
 
 
@@ -58,7 +58,7 @@ class FaultAsked(msgspec.Struct, frozen=True):
     text: str
 
 
-Event = Reply | Joined | Sent | FaultAsked
+Event = ServerReply | RawModeEntered | Sent | FaultAsked
 
 
 class _State(Enum):
@@ -99,14 +99,18 @@ class ServerConnection:
             case b"send":
                 return [self._send(rest)]
             case b"echo":
-                return [Reply(ECHO)]
+                return [ServerReply(ECHO)]
             case b"fault":
                 return [FaultAsked(rest.decode("ascii", errors="replace"))]
             case b"open":
                 return self._advance(_State.CONNECTED, _State.OPENED) if rest else [_error("open what bus?")]
             case b"rawmode":
                 events = self._advance(_State.OPENED, _State.RAW)
-                return [*events, Joined()] if self._state is _State.RAW and events == [Reply(OK)] else events
+                return (
+                    [*events, RawModeEntered()]
+                    if self._state is _State.RAW and events == [ServerReply(OK)]
+                    else events
+                )
             case _:
                 return [_error(f"unknown command {_shown(word)}")]
 
@@ -114,7 +118,7 @@ class ServerConnection:
         if self._state is not wanted:
             return [_error(self._state.value)]
         self._state = following
-        return [Reply(OK)]
+        return [ServerReply(OK)]
 
     def _send(self, rest: bytes) -> Event:
         if self._state is not _State.RAW:
@@ -152,8 +156,8 @@ def error_line(reason: str) -> bytes:
     return f"< error {text} >".encode("ascii", errors="replace")
 
 
-def _error(reason: str) -> Reply:
-    return Reply(error_line(reason))
+def _error(reason: str) -> ServerReply:
+    return ServerReply(error_line(reason))
 
 
 def _shown(data: bytes) -> str:

@@ -217,7 +217,7 @@ def place(settings: ZenohSettings) -> str:
     return ", ".join(map(plain, client_endpoints(settings)))
 
 
-class Question:
+class PendingQuery:
     """A query that is under way. Its replies wait here, and not in one of Zenoh's own channels.
 
     A FIFO channel that is full holds up Zenoh's thread, and then the next query of this session waits for ever. A
@@ -260,9 +260,9 @@ def links_of(session: zenoh.Session) -> frozenset[str]:
     return frozenset(f"{link.src} {link.dst}" for link in session.info.links())
 
 
-def call_roll(session: zenoh.Session, key: str, timeout_s: float) -> Question:
+def call_roll(session: zenoh.Session, key: str, timeout_s: float) -> PendingQuery:
     """Ask for the liveliness tokens under a key."""
-    question = Question()
+    question = PendingQuery()
     session.liveliness().get(key, question.handler, timeout=timeout_s)
     return question
 
@@ -325,7 +325,7 @@ class RobotListener:
         """The connections to other nodes."""
         return links_of(self._session)
 
-    def call_roll(self, timeout_s: float) -> Question:
+    def call_roll(self, timeout_s: float) -> PendingQuery:
         """Ask for the liveliness tokens; the robots that have one are heard by ``drain`` as well."""
         return call_roll(self._session, self._roll, timeout_s)
 

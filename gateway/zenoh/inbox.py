@@ -20,7 +20,7 @@ import zenoh
 from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest
 from gateway.zenoh.client import close_session, open_session
-from gateway.zenoh.node import BLOCK_MAX_US, Place, Replier
+from gateway.zenoh.node import BLOCK_MAX_US, Replier, ZenohPlace
 from schemas import keys
 from schemas.exit_codes import CommandError
 from schemas.settings import (
@@ -182,7 +182,7 @@ def _take(try_recv: Callable[[], Any], most: int) -> list[Any]:
     return taken
 
 
-def open_inbox(settings: Settings, place: Place) -> CommandInbox:
+def open_inbox(settings: Settings, place: ZenohPlace) -> CommandInbox:
     """Open the session for commands, beside that for telemetry.
 
     It connects where that one does, and to that one where it listens: who connects there reaches this session too.

@@ -226,7 +226,7 @@ class ZenohNode:
         log.debug("Zenoh did not take a sample: %s", error)
 
 
-class Place(msgspec.Struct, frozen=True):
+class ZenohPlace(msgspec.Struct, frozen=True):
     """Where a gateway is on Zenoh.
 
     Attributes:
@@ -252,7 +252,7 @@ class Place(msgspec.Struct, frozen=True):
         return plain(", ".join(parts))
 
 
-def open_node(settings: Settings) -> tuple[ZenohNode, Place]:
+def open_node(settings: Settings) -> tuple[ZenohNode, ZenohPlace]:
     """Open the gateway's node. Returns it and where it is.
 
     Raises:
@@ -271,7 +271,7 @@ def open_node(settings: Settings) -> tuple[ZenohNode, Place]:
     return node, place
 
 
-def _wait_for_link(session: zenoh.Session, place: Place) -> None:
+def _wait_for_link(session: zenoh.Session, place: ZenohPlace) -> None:
     """Who is not connected yet cannot be asked whether our name is free."""
     deadline_s = time.monotonic() + NEIGHBOUR_TIMEOUT_S
     while place.connect and not links_of(session) and time.monotonic() < deadline_s:
@@ -306,22 +306,22 @@ def _check_name_is_free(session: zenoh.Session, settings: Settings) -> str:
     return ""
 
 
-def _open_session(settings: Settings) -> tuple[zenoh.Session, Place]:
+def _open_session(settings: Settings) -> tuple[zenoh.Session, ZenohPlace]:
     given = settings.zenoh
     mode, connect, listen, _ = said_of(given)
     if mode == "client":
         connect = connect or [DEFAULT_ENDPOINT]
         session = open_session(given, connect, [], BLOCK_MAX_US)
-        return session, Place(str(session.zid()), connect, is_client=True)
+        return session, ZenohPlace(str(session.zid()), connect, is_client=True)
     if not connect and not listen:
         return _open_default(settings)
     commands = _command_listen(settings, listen)
     listen = with_free_ports(listen)
     session = open_session(given, connect, listen, BLOCK_MAX_US)
-    return session, Place(str(session.zid()), connect, listen, with_free_ports(commands))
+    return session, ZenohPlace(str(session.zid()), connect, listen, with_free_ports(commands))
 
 
-def _open_default(settings: Settings) -> tuple[zenoh.Session, Place]:
+def _open_default(settings: Settings) -> tuple[zenoh.Session, ZenohPlace]:
     given = settings.zenoh
     if not is_allowed(given, DEFAULT_ENDPOINT):
         raise CommandError(
@@ -332,14 +332,14 @@ def _open_default(settings: Settings) -> tuple[zenoh.Session, Place]:
     commands = _command_listen(settings, [DEFAULT_ENDPOINT])
     try:
         session = open_session(given, [], [DEFAULT_ENDPOINT], BLOCK_MAX_US)
-        return session, Place(str(session.zid()), [], [DEFAULT_ENDPOINT], commands)
+        return session, ZenohPlace(str(session.zid()), [], [DEFAULT_ENDPOINT], commands)
     except CommandError as error:
         if error.code is ExitCode.USAGE:
             raise
     listen = with_free_ports([ANY_LOCAL_PORT])
     session = _join_neighbour(given, listen)
     commands = with_free_ports(_command_listen(settings, [ANY_LOCAL_PORT]))
-    return session, Place(str(session.zid()), [DEFAULT_ENDPOINT], listen, commands)
+    return session, ZenohPlace(str(session.zid()), [DEFAULT_ENDPOINT], listen, commands)
 
 
 def _command_listen(settings: Settings, listen: list[str]) -> list[str]:

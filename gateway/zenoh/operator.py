@@ -17,7 +17,7 @@ from zenoh import ext
 
 from gateway.telemetry.heard import Missed, Received
 from gateway.zenoh.client import (
-    Question,
+    PendingQuery,
     call_roll,
     close_session,
     links_of,
@@ -103,13 +103,13 @@ class CommandPort:
         except zenoh.ZError as error:
             log.debug("Zenoh did not take %s: %s", verb, error)
 
-    def begin(self, verb: str, payload: bytes, timeout_s: float) -> Question:
+    def begin(self, verb: str, payload: bytes, timeout_s: float) -> PendingQuery:
         """Ask, and come back for the replies later.
 
         Raises:
             CommandError: the session is closed.
         """
-        question = Question()
+        question = PendingQuery()
         try:
             self._session.get(
                 self._keys[verb],
@@ -145,7 +145,7 @@ class CommandPort:
                 return replies
             time.sleep(POLL_S)
 
-    def call_roll(self, timeout_s: float) -> Question:
+    def call_roll(self, timeout_s: float) -> PendingQuery:
         """Ask for the liveliness tokens of the robots that are connected."""
         return call_roll(self._session, self._roll, timeout_s)
 

@@ -8,9 +8,9 @@ from statistics import median
 
 import msgspec
 
-from gateway.client.drive_stream import PERIOD_S, DriveStream, Ending, SetPoint
+from gateway.client.drive_stream import PERIOD_S, DriveEnd, DriveStream, SetPoint
 from gateway.client.reply import encode_request
-from gateway.sim.links import Link, LinkProfile
+from gateway.sim.links import LinkProfile, LossyLink
 from schemas.decisions import ArbiterState, EventKind, LeaseReply, Reply, SafetyState
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Engage, Renew, Request, Unpark
@@ -48,8 +48,8 @@ class FarOperator:
         endings: why the robot ceased to obey, in order.
     """
 
-    def __init__(self, rig: LoopRig, link: Link, speed_mps: float, deadman_s: float | None = None) -> None:
-        self.endings: list[Ending] = []
+    def __init__(self, rig: LoopRig, link: LossyLink, speed_mps: float, deadman_s: float | None = None) -> None:
+        self.endings: list[DriveEnd] = []
         self._rig = rig
         self._link = link
         self._set_point = SetPoint(speed_mps, angle_deg=0.0)
@@ -148,7 +148,7 @@ class FarOperator:
 
 def trip(profile: LinkProfile, speed_mps: float, seconds: float, seed: int = 1) -> Trip:
     """Drive over a link for a time, and then cut it."""
-    rig, link = LoopRig(), Link(profile, seed)
+    rig, link = LoopRig(), LossyLink(profile, seed)
     operator = FarOperator(rig, link, speed_mps, profile.deadman_s)
     operator.run(10)
     begun, speeds_mps, good = len(rig.events), deque[float](), 0

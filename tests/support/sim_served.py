@@ -10,7 +10,7 @@ import can
 
 from gateway.can.socketcand_server import SocketcandServer
 from gateway.chassis.layout import load
-from gateway.cli.sim_run import Clock, Summary, live
+from gateway.cli.sim_run import SimClock, SimSummary, live
 from gateway.sim.model import VirtualChassis
 from schemas.messages import Variant
 
@@ -31,8 +31,8 @@ class Served:
     def __init__(self, server: SocketcandServer) -> None:
         self.server = server
         self.host, self.port = server.address
-        self.chassis = VirtualChassis(load(Variant.COARSE), Clock().monotonic_ns())
-        self.summary: Summary | None = None
+        self.chassis = VirtualChassis(load(Variant.COARSE), SimClock().monotonic_ns())
+        self.summary: SimSummary | None = None
         self.stop = threading.Event()
         self.thread = threading.Thread(target=self.serve)
 
@@ -45,7 +45,7 @@ class Served:
     def serve(self) -> None:
         """Runs until ``stop`` is set."""
         self.summary = live(
-            self.chassis, self.server, self.stop.is_set, clock=Clock(), lines=NoLines(), answer=print
+            self.chassis, self.server, self.stop.is_set, clock=SimClock(), lines=NoLines(), answer=print
         )
 
     @contextmanager

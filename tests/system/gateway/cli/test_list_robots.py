@@ -5,7 +5,7 @@ from collections.abc import Callable
 import pytest
 
 from gateway.cli.list_robots import add_arguments, run
-from gateway.zenoh.client import Question, RobotListener
+from gateway.zenoh.client import PendingQuery, RobotListener
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from tests.support.fake_fleet import FakeFleet
@@ -101,7 +101,7 @@ def test_a_node_that_does_not_say_who_is_there_is_not_taken_for_an_empty_one(cap
 
 def test_a_list_that_may_not_be_whole_says_so(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     """A robot is there, and who else is was not answered in time: exit code 3, and a line that says so."""
-    monkeypatch.setattr(RobotListener, "call_roll", lambda _listener, _timeout_s: Question())
+    monkeypatch.setattr(RobotListener, "call_roll", lambda _listener, _timeout_s: PendingQuery())
     with FakeGateway("cruiser-1") as gateway:
         assert list_robots(gateway.listen, "--timeout", "2") == ExitCode.PARTIAL
     captured = capsys.readouterr()

@@ -6,7 +6,7 @@ import pytest
 
 from gateway.cli import watch as watch_command
 from gateway.cli.watch import add_arguments, run
-from gateway.client.fleet import Fleet, RobotReport
+from gateway.client.fleet import Fleet, RobotStatus
 from gateway.telemetry.heard import Heard
 from gateway.zenoh.client import RobotListener
 from schemas.exit_codes import CommandError, ExitCode
@@ -156,7 +156,7 @@ def test_a_pause_is_one_line_not_many(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(watch_command, "time", clock)
     shown_s: list[float] = []
 
-    def show(_reports: list[RobotReport]) -> None:
+    def show(_reports: list[RobotStatus]) -> None:
         shown_s.append(round(clock.now_s, 1))
         if len(shown_s) == 2:
             clock.now_s += 60.3

@@ -9,7 +9,7 @@ from gateway.client import remote_stop
 from gateway.client.refusal import Refused
 from gateway.client.robot import Robot, stop_all
 from gateway.telemetry.heard import Missed, Received
-from gateway.zenoh.client import Question
+from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort
 from schemas import keys
 from schemas.decisions import SafetyState
@@ -72,7 +72,7 @@ def test_who_may_be_missing_makes_a_stop_partial(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A robot stops, and whether it is the only one was not answered: exit code 3, and a line that says so."""
-    monkeypatch.setattr(CommandPort, "call_roll", lambda _port, _timeout_s: Question())
+    monkeypatch.setattr(CommandPort, "call_roll", lambda _port, _timeout_s: PendingQuery())
     with FakeRobot() as fake:
         parser = argparse.ArgumentParser()
         stop.add_arguments(parser)

@@ -10,7 +10,7 @@ from gateway.telemetry.heard import Heard, Missed, Received, TokenChange
 from gateway.zenoh import client as zenoh_client
 from gateway.zenoh.client import (
     SAMPLES_WAITING,
-    Question,
+    PendingQuery,
     RobotListener,
     _configuration,
     call_roll,
@@ -249,7 +249,7 @@ def test_a_flood_of_replies_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) ->
                 query.reply("flood", b"%d" % number)
 
     with answerer.declare_queryable("flood", zenoh.handlers.Callback(flood, indirect=False), complete=True):
-        first, second = Question(), Question()
+        first, second = PendingQuery(), PendingQuery()
         querier: Any = asker.declare_querier(
             "flood",
             congestion_control=zenoh.CongestionControl.BLOCK,
@@ -273,7 +273,7 @@ def test_a_question_that_ran_out_of_time_says_so() -> None:
     answerer = open_session(ZenohSettings(), [], [listen])
     asker = open_session(ZenohSettings(), [listen], [])
     with answerer.declare_queryable("mute", zenoh.handlers.RingChannel(1), complete=True) as mute:
-        question = Question()
+        question = PendingQuery()
         querier: Any = asker.declare_querier("mute", timeout=0.1)
         wait_until(lambda: bool(querier.matching_status.matching))
         querier.get(handler=question.handler)

@@ -21,7 +21,7 @@ from gateway.zenoh.inbox import (
     CommandInbox,
     open_inbox,
 )
-from gateway.zenoh.node import Place, open_node
+from gateway.zenoh.node import ZenohPlace, open_node
 from schemas.exit_codes import CommandError
 from schemas.settings import (
     DRIVES_PER_TICK,
@@ -434,6 +434,6 @@ def test_a_gateway_whose_sessions_do_not_meet_says_so(
 ) -> None:
     """Who connects to the telemetry session would find no commands, and no stop."""
     monkeypatch.setattr(zenoh_inbox, "OWN_LINK_TIMEOUT_S", 0.1)
-    place = Place("another", [], [free_endpoint()], [free_endpoint()])
+    place = ZenohPlace("another", [], [free_endpoint()], [free_endpoint()])
     with closing(open_inbox(Settings(), place)):
         assert "cannot command this robot, nor stop it" in caplog.text

@@ -3,7 +3,7 @@ from functools import partial
 import pytest
 
 from gateway.telemetry.heard import Missed, Received
-from gateway.zenoh.client import Question
+from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort, SafetyListener
 from schemas import codec, keys
 from schemas.exit_codes import CommandError, ExitCode
@@ -70,7 +70,7 @@ def test_of_a_large_fleet_every_reply_arrives() -> None:
         assert count_replies(port.begin("stop", b"", 20)) == len(fleet.names)
 
 
-def count_replies(question: Question) -> int:
+def count_replies(question: PendingQuery) -> int:
     """Wait for the end, and count."""
     found: list[Received] = []
     wait_until(lambda: question.is_over, lambda: found.extend(question.poll()))

@@ -7,7 +7,7 @@ import pytest
 from gateway.can.can_bus import BusLost
 from gateway.chassis.frame import ERROR, Frame
 from gateway.chassis.layout import load
-from gateway.cli.sim_run import CanBusLink, Clock, Inject, Summary, live
+from gateway.cli.sim_run import CanBusLink, Inject, SimClock, SimSummary, live
 from gateway.sim.model import VirtualChassis
 from schemas.messages import Variant
 from tests.support.sim_rig import MS, Rig, S
@@ -15,7 +15,7 @@ from tests.support.sim_rig import MS, Rig, S
 WALL_NS = 1_700_000_000 * S
 
 
-class FakeClock(Clock):
+class FakeClock(SimClock):
     """Stands until somebody waits; ``late_ns`` is by how much each wait lasts too long."""
 
     def __init__(self) -> None:
@@ -81,7 +81,7 @@ class Bench:
         self.lines = FakeLines()
         self.answers: list[str] = []
 
-    def run(self, seconds: float | None = None, stopped: Callable[[], bool] = lambda: False) -> Summary:
+    def run(self, seconds: float | None = None, stopped: Callable[[], bool] = lambda: False) -> SimSummary:
         """Live."""
         return live(
             self.chassis,
@@ -221,6 +221,6 @@ def test_a_lost_bus_ends_the_run() -> None:
 
 def test_the_clock_is_the_machines() -> None:
     """Both clocks run forward."""
-    clock = Clock()
+    clock = SimClock()
     assert clock.monotonic_ns() <= clock.monotonic_ns()
     assert clock.wall_ns() > WALL_NS

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.client.drive_stream import HOLD_MAX_S, STALE_NS, DriveStream, Ending, SetPoint
+from gateway.client.drive_stream import HOLD_MAX_S, STALE_NS, DriveEnd, DriveStream, SetPoint
 from schemas.decisions import ArbiterState, SafetyState, StopPhase
 from schemas.reasons import TEXTS, Reason
 from tests.support.fake_gateway import STANDBY
@@ -57,7 +57,7 @@ def test_a_stop_after_refused_commands_says_so() -> None:
     stream = stream_that_saw(ENGAGED)
     detail = "none for 310 ms; 12 commands refused as too old, 1470 ms"
     goes_on_to_see(stream, msgspec.structs.replace(STOPPED, stop_reason=Reason.DEADMAN, stop_detail=detail))
-    assert stream.ending == Ending(Reason.DEADMAN, f"{TEXTS[Reason.DEADMAN].means}; {detail}")
+    assert stream.ending == DriveEnd(Reason.DEADMAN, f"{TEXTS[Reason.DEADMAN].means}; {detail}")
 
 
 def test_while_nothing_is_driven_the_stream_asks_for_zero_speed_and_leaves_the_wheels() -> None:

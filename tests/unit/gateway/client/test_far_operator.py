@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.sim.links import FAR, LINKS, Link, LinkProfile
+from gateway.sim.links import FAR, LINKS, LinkProfile, LossyLink
 from schemas.decisions import ArbiterState
 from schemas.reasons import TEXTS, Reason
 from tests.support.far_operator import FarOperator, trip
@@ -30,7 +30,7 @@ def test_every_link_of_the_table_can_be_driven_over(profile: LinkProfile) -> Non
 def test_a_link_that_is_too_slow_is_not_engaged_over() -> None:
     """It is refused before anything moves, and again and again."""
     rig = LoopRig()
-    operator = FarOperator(rig, Link(LinkProfile("moon", 0.6), 1), 0.5)
+    operator = FarOperator(rig, LossyLink(LinkProfile("moon", 0.6), 1), 0.5)
     operator.run(20)
     engages = [one for one in rig.decided if one.request == "engage"]
     assert len(engages) > 2
@@ -41,7 +41,7 @@ def test_a_link_that_is_too_slow_is_not_engaged_over() -> None:
 
 def test_a_link_that_becomes_too_slow_stops_the_robot_and_the_library_says_why() -> None:
     """An age that jumps: the commands come, and are refused; that is told from a stream that has ended."""
-    rig, link = LoopRig(), Link(LinkProfile("LAN", 0.001), 1)
+    rig, link = LoopRig(), LossyLink(LinkProfile("LAN", 0.001), 1)
     operator = FarOperator(rig, link, 0.5)
     operator.run(5)
     assert rig.says.engaged

@@ -4,7 +4,7 @@ from typing import Any
 import msgspec
 
 from gateway.client import link
-from gateway.client.link import Link
+from gateway.client.link import RobotLink
 from gateway.telemetry.heard import Missed, Received
 from schemas import codec, keys
 from schemas.decisions import SafetyState
@@ -40,7 +40,7 @@ class FakePort:
 def looked_at(batch: Sequence[Received | Missed]) -> list[SafetyState | RobotState | Missed]:
     """What a look shows after one batch: the chassis's states, and where some may be missing."""
     port: Any = FakePort(batch)
-    opened = Link(port, port, "cruiser-1")
+    opened = RobotLink(port, port, "cruiser-1")
     try:
         wait_until(lambda: not port.batch)
         with opened.heard:

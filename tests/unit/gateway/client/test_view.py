@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from rich.console import Console, RenderableType
 
 from gateway.client import view
-from gateway.client.fleet import RobotReport
+from gateway.client.fleet import RobotStatus
 from schemas.decisions import ArbiterState, SafetyState
 from schemas.messages import GatewayHealth, Mode, RobotState, Variant
 from schemas.reasons import Reason
@@ -15,7 +15,7 @@ from tests.support.fake_gateway import HEALTH, STATE
 from tests.support.random_messages import TEXTS, message_of
 from tests.unit.gateway.client.test_drive_stream import ENGAGED
 
-FRESH = RobotReport(
+FRESH = RobotStatus(
     robot="cruiser-1",
     connected=True,
     state=STATE,
@@ -28,7 +28,7 @@ FRESH = RobotReport(
 STALE = msgspec.structs.replace(FRESH, state=None, state_age_s=3.21)
 
 REPORTS = st.builds(
-    RobotReport,
+    RobotStatus,
     robot=st.just("cruiser-1"),
     connected=st.booleans(),
     state=st.none() | message_of(RobotState),
@@ -49,7 +49,7 @@ def drawn(renderable: RenderableType, width: int = 200) -> str:
     return capture.get()
 
 
-def every_view(report: RobotReport) -> list[str]:
+def every_view(report: RobotStatus) -> list[str]:
     """A report as a line, as a panel and as a row of a table."""
     return [view.line(report), drawn(view.panel(report)), drawn(view.table([report]))]
 
@@ -105,7 +105,7 @@ def test_the_view_shows_what_is_latched_and_the_limit_in_force() -> None:
         assert "latched" not in text
 
 
-def of(safety: SafetyState) -> RobotReport:
+def of(safety: SafetyState) -> RobotStatus:
     """A report of a robot whose arbiter says this."""
     return msgspec.structs.replace(FRESH, safety=safety)
 
@@ -227,7 +227,7 @@ def test_the_table_keeps_what_matters_in_80_columns() -> None:
 
 
 @given(report=REPORTS)
-def test_any_report_can_be_shown(report: RobotReport) -> None:
+def test_any_report_can_be_shown(report: RobotStatus) -> None:
     """Whatever a robot sends, a line is one printable line, and panel and table are drawn."""
     assert view.line(report).isprintable()
     assert view.health_line(report).isprintable()

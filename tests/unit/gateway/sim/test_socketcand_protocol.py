@@ -18,10 +18,10 @@ from gateway.sim.socketcand_protocol import (
     OK,
     Event,
     FaultAsked,
-    Joined,
-    Reply,
+    RawModeEntered,
     Sent,
     ServerConnection,
+    ServerReply,
     error_line,
     frame_line,
 )
@@ -56,21 +56,21 @@ sendable = st.builds(Frame, can_id=can_ids, data=st.binary(max_size=8))
 def joined() -> ServerConnection:
     """A connection in raw mode."""
     connection = ServerConnection()
-    assert connection.receive_bytes(HANDSHAKE) == [Reply(OK), Reply(OK), Joined()]
+    assert connection.receive_bytes(HANDSHAKE) == [ServerReply(OK), ServerReply(OK), RawModeEntered()]
     return connection
 
 
 def is_error(event: Event) -> bool:
     """The client is told that something was wrong."""
-    return isinstance(event, Reply) and event.data.startswith(b"< error ")
+    return isinstance(event, ServerReply) and event.data.startswith(b"< error ")
 
 
 def test_the_handshake_is_answered_word_by_word() -> None:
     """Open, then raw mode; only then does the client get frames."""
     connection = ServerConnection()
-    assert connection.receive_bytes(b"< open can0 >") == [Reply(OK)]
-    assert connection.receive_bytes(b"< rawmode >") == [Reply(OK), Joined()]
-    assert connection.receive_bytes(b"< echo >") == [Reply(ECHO)]
+    assert connection.receive_bytes(b"< open can0 >") == [ServerReply(OK)]
+    assert connection.receive_bytes(b"< rawmode >") == [ServerReply(OK), RawModeEntered()]
+    assert connection.receive_bytes(b"< echo >") == [ServerReply(ECHO)]
 
 
 @pytest.mark.parametrize(
@@ -149,11 +149,11 @@ def test_any_bytes_are_events(data: bytes, joins: bool) -> None:  # noqa: FBT001
     connection = joined() if joins else ServerConnection()
     for event in connection.receive_bytes(data):
         if is_error(event):
-            assert isinstance(event, Reply)
+            assert isinstance(event, ServerReply)
             assert event.data.isascii()
             assert (event.data.count(b"<"), event.data.count(b">")) == (1, 1)
     assert len(connection._buffer) <= MAX_MESSAGE_BYTES + 2
-    assert connection.receive_bytes(b"< echo >")[-1] == Reply(ECHO)
+    assert connection.receive_bytes(b"< echo >")[-1] == ServerReply(ECHO)
 
 
 @given(data=st.lists(NOISE, max_size=8).map(b"".join), cuts=st.lists(st.integers(0, 2000), max_size=10))
@@ -167,7 +167,7 @@ def test_segments_do_not_matter(data: bytes, cuts: list[int]) -> None:
 
 def test_a_lost_end_costs_one_message() -> None:
     """A '<' begins anew, whatever came before."""
-    assert joined().receive_bytes(b"< send 123 1 < echo >") == [Reply(ECHO)]
+    assert joined().receive_bytes(b"< send 123 1 < echo >") == [ServerReply(ECHO)]
 
 
 def test_a_fault_may_be_asked_for_at_any_time() -> None:
