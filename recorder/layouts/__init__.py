@@ -1,8 +1,7 @@
 """Layouts with which viewers open a log: what to plot, and where. Pure.
 
-- ``charts``      what is worth seeing of a robot: the one table that all layouts are made from
-- ``foxglove``    for Foxglove and Lichtblick
-- ``plotjuggler`` for PlotJuggler
-- ``attached``    those that a recorder attaches to each log
-- ``rerun``       a blueprint for rerun; it needs rerun's own package
+- ``foxglove.json``, ``plotjuggler.xml``  files as Foxglove, Lichtblick and PlotJuggler save them
+- ``attached``    these for a robot, as a recorder attaches them to each log
+- ``charts``      the lines that are worth seeing
+- ``rerun_blueprint``  a blueprint for rerun; it needs rerun's own package
 """

@@ -1,13 +1,34 @@
-"""The layouts that a recorder attaches to each log."""
+"""The layouts that a recorder attaches to each log.
+
+They are files as the viewers save them, of the robot ``fleet/cruiser-1`` on the bus ``can0``: open one, change it
+in the viewer, and save it here. ``foxglove.json`` is for Foxglove and Lichtblick, which have no map for a log
+without positions; ``plotjuggler.xml`` plots numbers alone.
+"""
 
 from __future__ import annotations
 
+import re
+from importlib import resources
 from typing import Final
 
 import msgspec
 
-from recorder.layouts import foxglove, plotjuggler
 from recorder.layouts.charts import Robot
+from schemas import keys
+
+_KEY: Final = "fleet/cruiser-1/"
+_BUS: Final = "/can/can0/"
+_FILES: Final = {
+    "layout.foxglove.json": ("foxglove.json", "application/json"),
+    "layout.plotjuggler.xml": ("plotjuggler.xml", "application/xml"),
+}
+_TEMPLATES: Final = {
+    name: resources.files("recorder.layouts").joinpath(file).read_text("utf-8")
+    for name, (file, _) in _FILES.items()
+}
+
+COUNT: Final = len(_FILES)
+"""So many does ``layouts`` make."""
 
 
 class Layout(msgspec.Struct, frozen=True):
@@ -22,13 +43,11 @@ class Layout(msgspec.Struct, frozen=True):
     data: bytes
 
 
-COUNT: Final = 2
-"""So many does ``layouts`` make."""
-
-
 def layouts(robot: Robot) -> list[Layout]:
     """The layouts of a robot's log that need no viewer's own code to be made."""
+    # A gateway could make up a name that is none.
+    bus = f"/can/{robot.bus}/" if re.fullmatch(keys.BUS_PATTERN, robot.bus) else _BUS
     return [
-        Layout(foxglove.NAME, foxglove.MEDIA_TYPE, foxglove.foxglove_layout(robot)),
-        Layout(plotjuggler.NAME, plotjuggler.MEDIA_TYPE, plotjuggler.plotjuggler_layout(robot)),
+        Layout(name, media_type, _TEMPLATES[name].replace(_BUS, bus).replace(_KEY, f"{robot.key}/").encode())
+        for name, (_, media_type) in _FILES.items()
     ]

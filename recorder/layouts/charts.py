@@ -1,17 +1,15 @@
-"""What is worth seeing of a robot: the one table that the layouts of all viewers are made from."""
+"""The lines that are worth seeing of a robot, for viewers whose layouts are made by code."""
 
 from __future__ import annotations
 
-import re
 from typing import Final
 
 import msgspec
 
 from recorder.encoding.foxglove_log import LOG_CHUNK
-from schemas import keys
 from schemas.decisions import SafetyEvent, SafetyState
-from schemas.messages import CanFrames, GatewayHealth, Message, RobotState
-from schemas.subjects import BY_NAME, BY_TYPE
+from schemas.messages import GatewayHealth, Message, RobotState
+from schemas.subjects import BY_TYPE
 
 BLUE: Final = "#3987e5"
 ORANGE: Final = "#e08a1e"
@@ -77,13 +75,6 @@ LATENESS: Final = Chart(
         Line(GatewayHealth, "tick_lateness_max_ms", "latest", RED),
     ),
 )
-LOAD: Final = Chart(
-    "frames/s, processor %",
-    (
-        Line(GatewayHealth, "frames_per_s", "frames/s", BLUE),
-        Line(GatewayHealth, "cpu_percent", "processor %", ORANGE),
-    ),
-)
 
 STATES: Final = (
     Line(RobotState, "mode", "mode", ""),
@@ -115,11 +106,3 @@ class Robot(msgspec.Struct, frozen=True):
     def events(self) -> str:
         """The topic that lists events."""
         return f"{self.topic(SafetyEvent)}/{LOG_CHUNK}"
-
-    @property
-    def frames(self) -> str:
-        """The topic of the raw frames received; empty if the bus is not known."""
-        if re.fullmatch(keys.BUS_PATTERN, self.bus) is None:
-            return ""
-        name = next(name for name, subject in BY_NAME.items() if subject.type is CanFrames)
-        return f"{self.key}/{name.format(bus=self.bus)}"

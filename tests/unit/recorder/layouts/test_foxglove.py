@@ -8,8 +8,8 @@ import foxglove.layouts
 import pytest
 
 from recorder.encoding.protobuf_schema import message_class
+from recorder.layouts.attached import layouts
 from recorder.layouts.charts import Robot
-from recorder.layouts.foxglove import foxglove_layout
 from recorder.record.effects import DeclareChannel
 from schemas.decisions import EventKind
 from schemas.keys import parse
@@ -32,7 +32,7 @@ PATH = re.compile(r'"(?P<topic>[^"]+)"(?P<fields>(\.\w+)*)(\[:\])?(\.@negative)?
 
 def layout(robot: Robot = ROBOT) -> dict[str, Any]:
     """As a viewer reads it."""
-    found: dict[str, Any] = json.loads(foxglove_layout(robot))
+    found: dict[str, Any] = json.loads(layouts(robot)[0].data)
     return found
 
 
@@ -93,9 +93,11 @@ def test_events_are_listed() -> None:
 
 
 @pytest.mark.parametrize("bus", ["", 'a"b', "a/b"])
-def test_without_a_bus_there_are_no_raw_frames(bus: str) -> None:
-    """Nor with a name that is none, which a gateway could make up."""
-    assert not any("/can/" in path for path in paths(layout(Robot("fleet/cruiser-1", bus))))
+def test_a_bus_that_is_not_known_is_can0(bus: str) -> None:
+    """So is a name that is none, which a gateway could make up."""
+    assert [path for path in paths(layout(Robot("fleet/cruiser-1", bus))) if "/can/" in path] == [
+        '"fleet/cruiser-1/can/can0/rx"'
+    ]
 
 
 def test_a_point_in_a_root_does_not_end_the_topic() -> None:

@@ -6,8 +6,8 @@ import pytest
 from msgspec import inspect
 
 from recorder.encoding.protobuf_schema import fields, optional_part
+from recorder.layouts.attached import layouts
 from recorder.layouts.charts import Robot
-from recorder.layouts.plotjuggler import plotjuggler_layout
 from tests.support.layout_topics import logged_topics
 
 NUMBERS = (inspect.IntType, inspect.FloatType, inspect.BoolType)
@@ -15,7 +15,7 @@ NUMBERS = (inspect.IntType, inspect.FloatType, inspect.BoolType)
 
 def layout(robot: Robot) -> Element:
     """As PlotJuggler reads it."""
-    return fromstring(plotjuggler_layout(robot))  # noqa: S314 - our own words
+    return fromstring(layouts(robot)[1].data)  # noqa: S314 - our own words
 
 
 @pytest.mark.parametrize("key", ["fleet/cruiser-1", "depot.1/hall/r-2"])
