@@ -14,3 +14,19 @@ sent. ``guard`` is a second process, which stops the robot when this one dies or
 ``host`` touch the world: the bus, the network, the computer of the robot. ``client`` is the operator's library,
 ``sim`` a virtual chassis, ``rerun`` runs a recorded journal again, and ``cli`` has the commands.
 """
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from gateway.client.robot import Robot
+
+__all__ = ["Robot"]
+
+
+def __getattr__(name: str) -> object:
+    """``from gateway import Robot``: loaded when it is asked for, because the guard's process needs no Zenoh."""
+    if name == "Robot":
+        from gateway.client.robot import Robot  # noqa: PLC0415 - as said
+
+        return Robot
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
