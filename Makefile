@@ -1,14 +1,19 @@
 # Each target does its own set-up: a virtual environment in .venv with the pinned versions, nothing global.
-# Needs python3 (3.11 or later) with venv, and make.
+# Needs python3 (3.11 or later) with venv, and make. `make` alone lists the targets.
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# What is installed: what the product needs (120 MB), and what its development needs besides (900 MB).
+DEMO := $(VENV)/demo
 STAMP := $(VENV)/installed
 
-.PHONY: demo test test-unit nightly test-socketcan readers lint types architecture generate bench bench-short bench-recorder bench-review mutation clean
+.PHONY: help install demo test test-unit nightly test-socketcan readers lint types architecture generate bench bench-short bench-recorder bench-review mutation clean
 
-demo: $(STAMP)  ## chassis, gateway and recorder and two operators, for half a minute
+help:  ## this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+demo: $(DEMO)  ## chassis, gateway, recorder and two operators, for half a minute
 	$(BIN)/cruiser demo --seconds 30 --out demo-log
 
 # Many tests wait for processes, so one more runs than there are processors.
@@ -30,31 +35,33 @@ readers: $(STAMP)  ## logs as rerun reads them, in an environment of its own: it
 		.venv-readers/bin/pip install -q --disable-pip-version-check 'rerun-sdk==0.41.0'; }
 	READERS_PYTHON=.venv-readers/bin/python $(BIN)/python -m pytest tests/readers
 
-lint: $(STAMP)
+install: $(STAMP)  ## the environment of the development, in .venv
+
+lint: $(STAMP)  ## ruff: format and rules
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 
-types: $(STAMP)
+types: $(STAMP)  ## mypy --strict
 	$(BIN)/mypy
 
-architecture: $(STAMP)
+architecture: $(STAMP)  ## the import contracts of .importlinter
 	$(BIN)/lint-imports
 
-generate: $(STAMP)  ## what is generated from the tables: JSON Schemas, README and docs tables
+generate: $(STAMP)  ## what is generated from the tables: JSON Schemas, the tables of docs/
 	$(BIN)/python -m schemas.json_schema
 	$(BIN)/python -m gateway.documents
 
-bench: $(STAMP)  ## the figures of README, in ten minutes
+bench: $(STAMP)  ## the figures of docs/performance.md, in ten minutes
 	$(BIN)/python -m tests.bench
 
 bench-short: $(STAMP)  ## a little of each bench, to see that it runs; its figures say nothing
 	$(BIN)/python -m tests.bench --short
 
-bench-review: $(STAMP)  ## of that the review alone, on a log of 1 GB
+bench-review: $(STAMP)  ## of these the review alone, on a log of 1 GB
 	$(BIN)/python -m tests.bench.review_rate
 	$(BIN)/python -m tests.bench.review_export
 
-bench-recorder: $(STAMP)  ## of that the recorder alone, against other writers, with five minutes of load
+bench-recorder: $(STAMP)  ## of these the recorder alone, against other writers, with five minutes of load
 	$(BIN)/python -m tests.bench.recorder_rate --sustain-s 300
 
 mutation: $(STAMP)  ## mutation testing of gateway/command, in an environment of its own; a quarter of an hour
@@ -63,15 +70,21 @@ mutation: $(STAMP)  ## mutation testing of gateway/command, in an environment of
 	.venv-mutation/bin/mutmut run --max-children 2
 	.venv-mutation/bin/mutmut results
 
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
+
 # Debian and Ubuntu keep ensurepip, which venv needs, in a package of its own: root gets it, others are told.
-$(STAMP): pyproject.toml constraints.txt
+$(DEMO): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "needs Python 3.11 or later" >&2; exit 1; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { test "$$(id -u)" = 0 && command -v apt-get >/dev/null \
 		&& apt-get update -qq && apt-get install -y -qq --no-install-recommends python3-venv; } \
 		|| { echo "python3 has no venv: sudo apt-get install python3-venv" >&2; exit 1; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	$(INSTALL) .
 	@touch $@
 
-clean:
+$(STAMP): $(DEMO)
+	$(INSTALL) '.[dev]'
+	@touch $@
+
+clean:  ## remove the environment and the demo's logs
 	rm -rf $(VENV) demo-log demo-log-*

@@ -296,7 +296,7 @@ class Newcomer:
         words = shlex.split(text) if not text.startswith("import ") else [sys.executable, "-c", SETTINGS + text]
         if words[0] == "make":
             # The recipe as it is in a checkout, without the installation.
-            words += ["-f", str(ROOT / "Makefile"), "-o", ".venv/installed", f"BIN={self.home.parent / 'bin'}"]
+            words += ["-f", str(ROOT / "Makefile"), "-o", ".venv/demo", f"BIN={self.home.parent / 'bin'}"]
         return Terminal([*self._become, *words], self.home, environment)
 
 
