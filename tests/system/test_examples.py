@@ -1,0 +1,85 @@
+"""The Python programs of docs/examples: those that drive against a robot on Zenoh, the notebook over a dataset."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support.fake_robot import FakeRobot
+from tests.support.review_command import run
+from tests.support.rig_log import RecordedRig
+
+EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
+TESTED = {"commands_client.py", "dataset.ipynb", "drive.py", "subscribe.py"}
+ELSEWHERE = """\
+from schemas.settings import Settings, ZenohSettings
+SETTINGS = Settings(zenoh=ZenohSettings(connect=["{endpoint}"]))
+"""
+"""What a program says for a robot that is not where the default is."""
+
+
+def test_every_python_example_is_run_here() -> None:
+    """And what is run here is there."""
+    assert {path.name for path in EXAMPLES.iterdir() if path.suffix in {".py", ".ipynb"}} == TESTED
+
+
+@pytest.mark.parametrize("name", ["commands_client.py", "drive.py"])
+def test_a_client_drives_and_leaves_the_robot_to_others(name: str) -> None:
+    """It drives at half a metre a second, and the lease is free afterwards."""
+    with FakeRobot() as fake:
+        program = (EXAMPLES / name).read_text("utf-8")
+        program = program.replace('Robot.connect("cruiser-1")', 'Robot.connect("cruiser-1", settings=SETTINGS)')
+        words = [sys.executable, "-c", ELSEWHERE.format(endpoint=fake.listen) + program, fake.listen]
+        done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert max(one.output_speed_mps for one in fake.accepted("drive")) == 0.5
+        assert fake.accepted("release")
+
+
+def test_a_client_that_is_refused_says_what_would_cure_it() -> None:
+    """The reply of the robot, in its words, and no traceback."""
+    with FakeRobot(front_bumper=True) as fake:
+        words = [sys.executable, str(EXAMPLES / "commands_client.py"), fake.listen]
+        done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 1
+    assert re.fullmatch(r".*bumper.*\. Cure: .*reset.*\n", done.stderr)
+
+
+def test_a_subscriber_prints_what_a_robot_reports() -> None:
+    """One line for each look at it, until Ctrl-C."""
+    with FakeRobot() as fake:
+        words = [sys.executable, str(EXAMPLES / "subscribe.py"), fake.listen]
+        process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        assert process.stdout is not None
+        with process.stdout as lines:
+            first = next(iter(lines))
+            process.send_signal(signal.SIGINT)
+            process.wait(30)
+    assert re.match(r"fleet/cruiser-1/state mode=\w+ gear_position=\w+ speed_mps=0\.0 ", first)
+
+
+def test_the_notebook_says_how_far_the_robot_went(tmp_path: Path) -> None:
+    """Every cell runs, in order, over a dataset that the command has made; the notebook is kept without output."""
+    rig, operator = RecordedRig.driving(1.0)
+    operator.drive(1.0, 0.0, 3.0)
+    rig.rest_after(0.5)
+    (tmp_path / "drive.mcap").write_bytes(rig.log())
+    assert run("export", "-o", str(tmp_path / "dataset"), str(tmp_path / "drive.mcap")) == 0
+    notebook = json.loads((EXAMPLES / "dataset.ipynb").read_text("utf-8"))
+    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in cells)
+    program = "\n".join("".join(cell["source"]) for cell in cells)
+    program += '\nprint("events", len(happened), "metres", distance.fetchall()[0][1])\n'
+    words = [sys.executable, "-c", program]
+    done = subprocess.run(
+        words, cwd=tmp_path, env=os.environ, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert (said := re.search(r"events (\d+) metres ([\d.]+)", done.stdout))
+    assert int(said[1]) > 2
+    assert 3.0 < float(said[2]) < 6.0
