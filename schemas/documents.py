@@ -56,7 +56,7 @@ _DETAILS: Final = re.compile(r" (from )?[\d.-]+$| (from )?[\d.-]+(?= or)| or nul
 """What a type's words hold besides the type."""
 
 FIELDS_LISTED: Final = 7
-"""A message with more fields than this has them in docs/messages.md alone."""
+"""A message with more fields than this has them in its own section of docs/messages.md alone."""
 
 _COMMON_FIELDS: Final = tuple(field.name for field in msgspec.structs.fields(Message))
 
@@ -96,7 +96,7 @@ def key_table() -> str:
     notes = (
         f"Every key begins with `{{root}}/{{robot}}/`; the robot is `{keys.ROBOT_PATTERN}`. Every payload is a "
         f"MessagePack map, which also has {common}; the Zenoh encoding is `{SUBJECTS[0].encoding}`, and so on. A "
-        "field with a unit is a number. Bounds, enumerations, and which fields may be null: docs/messages.md."
+        "field with a unit is a number."
     )
     return f"{table(('key', 'what', 'rate', 'QoS', 'payload'), [*rows, token])}\n\n{notes}"
 
@@ -325,7 +325,7 @@ def _field_list(subject: Subject) -> str:
     properties = json_schema.schema(subject.schema_name)["properties"]
     fields = {name: part for name, part in properties.items() if name not in _COMMON_FIELDS}
     if len(fields) > FIELDS_LISTED:
-        return f"{len(fields)} fields, in [docs/messages.md](docs/messages.md)"
+        return f"{len(fields)} fields, in [messages.md](messages.md#{subject.type.__name__.lower()})"
     return ", ".join(
         f"`{name}` {part.get(UNIT_KEYWORD) or re.sub(_DETAILS, '', _type_words(part))}"
         for name, part in fields.items()

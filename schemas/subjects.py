@@ -1,6 +1,6 @@
 """The one table of subjects: key, type, origin, rate and quality of service.
 
-Nothing else in the tree says how a subject is sent. The key table of the README is generated from here.
+Nothing else in the tree says how a subject is sent. The key table of docs/messages.md is generated from here.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 
 import time
 
-from gateway.client.robot import Robot
+from gateway import Robot
 
 with Robot.connect("cruiser-1") as robot, robot.lease() as lease:
     lease.engage(speed_limit_mps=0.5)

@@ -1,4 +1,4 @@
-"""Every command of README.md, read from it, in the order of the page, as somebody does who has just come.
+"""Every command of the pages that a newcomer follows, read from them, in their order, as one who has just come.
 
 The home is empty, and the user is not root. Chassis, gateway, recorder and demo are real processes. Only the ports
 differ from the page, so that nothing else on the machine is disturbed.
@@ -27,6 +27,9 @@ from tests.bench.processes import free_port
 from tests.support.waiting import wait_until
 
 ROOT: Final = Path(__file__).parents[2]
+PAGES: Final = ("README.md", "docs/tour.md", "docs/messages.md", "docs/integration.md")
+"""In the order in which somebody reads them."""
+
 NOBODY: Final = 65534
 READS_ALL: Final = ("--inh-caps", "+dac_read_search", "--ambient-caps", "+dac_read_search")
 TIMEOUT_S: Final = 400.0
@@ -67,8 +70,6 @@ class Start(msgspec.Struct, frozen=True):
     stays: bool = False
 
 
-INSTALLS: Final = "installs packages; .ci/run runs it"
-
 PICTURE: Final = (
     "TELEMETRY  CAN bus > frame > check and decode > message > sample > zenoh > recorder > MCAP > review"
 )
@@ -77,7 +78,7 @@ COMMANDS: Final[dict[str, Run | Start | str]] = {
     PICTURE: "a picture",
     "make demo": Run(r"second-operator gave the lease back(.|\n)*log: demo-log/"),
     "make test": "runs this test",
-    # First five minutes.
+    # Five minutes.
     "cruiser sim": Start(r" on 127\.0\.0\.1:", stays=True),
     "cruiser gateway --interface socketcand --channel 127.0.0.1:29536": Start("gateway: ", stays=True),
     "cruiser watch cruiser-1": Start("cruiser-1"),
@@ -87,7 +88,11 @@ COMMANDS: Final[dict[str, Run | Start | str]] = {
     "cruiser stop cruiser-1": Run("cruiser-1: stops, latched"),
     "cruiser why cruiser-1": Run("a remote stop was received", codes=(0, 1)),
     "cruiser reset cruiser-1": Run("cleared .*remote_stop"),
-    "cruiser fault bumper front on": Run("ok"),
+    "cruiser review events logs": Run("remote_stop", ended=("cruiser record -o logs",)),
+    # A client.
+    "import time": Run("", drives=True),
+    # The tour.
+    "cruiser fault bumper front on": Run("ok", first=("cruiser record -o logs",)),
     "cruiser fault transmitter remote": Run("ok"),
     "cruiser fault sticks 0.8 15": Run("ok"),
     "cruiser fault checksum Auto_DriveFeedBack for 2s": Run("ok"),
@@ -96,20 +101,13 @@ COMMANDS: Final[dict[str, Run | Start | str]] = {
     "cruiser review info logs": Run("cruiser-1", ended=("cruiser record -o logs",)),
     "cruiser review check logs": Run("Auto_DriveFeedBack: frames with a wrong checksum", codes=(1,)),
     "cruiser reset cruiser-1 --json": Run("", first=("cruiser reset cruiser-1",)),
-    # On a robot.
-    "ip link set can0 up txqueuelen 10 type can bitrate 500000 restart-ms 100": "wants a robot's can0, and root",
-    "cruiser gateway --robot cruiser-7": "wants a robot's can0; tests/socketcan has a vcan",
-    # Keys, commands.
-    "import msgpack, zenoh": Start("'speed_mps'", code=-signal.SIGINT),
-    'import { decode } from "@msgpack/msgpack";': "JavaScript, whose packages are not ours",
-    "import time": Run("", drives=True),
-    # The log.
+    # A recorder.
     "cruiser record status": Run("messages written", first=("cruiser record -o logs",)),
     "cruiser record mark -m 'it swerved'": Run("an incident keeps"),
     "cruiser record split": Run("new files"),
     "cruiser record backfill depot-logs": Run("messages filled", codes=(0, 3), first=("cp -r logs depot-logs",)),
     "cruiser review recover FILE...": Run("whole"),
-    # From a log to an answer.
+    # A log.
     "cruiser review events demo-log": Run("the front bumper was hit"),
     "cruiser review why demo-log --at 23.3": Run("stop"),
     "cruiser review rerun demo-log": Run("different: 0"),
@@ -120,24 +118,22 @@ COMMANDS: Final[dict[str, Run | Start | str]] = {
     ),
     "cruiser review export -o dataset demo-log": Run(""),
     "cruiser review replay demo-log --listen tcp/127.0.0.1:7450": Start("waits for somebody to connect"),
-    # For who works on it.
-    "make lint types architecture": INSTALLS,
-    "make generate": INSTALLS,
-    "make test-socketcan": INSTALLS,
-    "make nightly": "takes an hour",
-    "make readers": INSTALLS,
-    "make bench": "takes ten minutes; .ci/run runs bench-short",
-    "make mutation": "takes a quarter of an hour, and installs packages",
+    # A payload, on a robot.
+    "import msgpack, zenoh": Start("'speed_mps'", code=-signal.SIGINT),
+    'import { decode } from "@msgpack/msgpack";': "JavaScript, whose packages are not ours",
+    "ip link set can0 up txqueuelen 10 type can bitrate 500000 restart-ms 100": "wants a robot's can0, and root",
+    "cruiser gateway --robot cruiser-7": "wants a robot's can0; tests/socketcan has a vcan",
 }
-"""What becomes of each command of the page; a text is the reason why it is not run here.
+"""What becomes of each command of the pages; a text is the reason why it is not run here.
 
 A block of a program is named by its first line.
 """
 
 
-def commands() -> list[tuple[str, str]]:
-    """The indented blocks of README outside of fences: each command, or a program's first line, with its text."""
-    page = re.sub(r"^```.*?^```", "", (ROOT / "README.md").read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
+def commands(pages: tuple[str, ...] = PAGES) -> list[tuple[str, str]]:
+    """The indented blocks outside of fences: each command, or a program's first line, with its text."""
+    page = "\n".join((ROOT / name).read_text("utf-8") for name in pages)
+    page = re.sub(r"^```.*?^```", "", page, flags=re.MULTILINE | re.DOTALL)
     found = []
     for block in re.findall(r"(?:^    .*\n)+", page, flags=re.MULTILINE):
         lines = [line[4:].rstrip() for line in block.splitlines()]
@@ -150,16 +146,15 @@ def commands() -> list[tuple[str, str]]:
 
 
 def test_every_command_is_run_or_has_a_reason() -> None:
-    """And nothing is listed that the page does not have."""
+    """And nothing is listed that no page has."""
     assert [name for name, _ in commands()] == list(COMMANDS)
 
 
-def test_every_place_in_the_tree_that_the_page_names_is_there() -> None:
-    """Files, and folders with their slash, in backticks; what has neither may be a key."""
-    page = (ROOT / "README.md").read_text("utf-8")
-    places = re.findall(r"`((?:deploy|docs|gateway|recorder|schemas|tests)/(?:[\w./-]*(?:/|\.\w+))?)`", page)
-    assert places
-    assert [place for place in places if not (ROOT / place).exists()] == []
+def test_the_chinese_page_has_no_command_of_its_own() -> None:
+    """What it shows is run here, from the English pages."""
+    shown = {name for name, _ in commands(("docs/zh/README.md",))}
+    assert shown
+    assert shown <= set(COMMANDS)
 
 
 SETTINGS: Final = """\
@@ -167,7 +162,7 @@ import os
 from gateway.cli.configuration_file import load_settings
 SETTINGS = load_settings(None, os.environ, {})
 """
-"""What the page says for a robot elsewhere, before its program."""
+"""What a program says for a robot elsewhere."""
 
 
 class Terminal:

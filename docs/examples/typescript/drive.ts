@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // Drives a robot at half a metre a second for two seconds. Written from docs/commands.md alone.
 //
+//     cargo install zenoh-bridge-remote-api
+//     zenoh-bridge-remote-api --mode client --connect tcp/127.0.0.1:7447 --ws-port 127.0.0.1:10000
 //     npm install && npm run build && npm start -- ws/127.0.0.1:10000 fleet/cruiser-1
 //
-// zenoh-ts speaks WebSocket to a Zenoh router that has the plugin `remote-api`, which connects to the robot. The
-// project's tests have no such router: this program is type-checked there, and has not been run against a robot.
-// A program that drives must not depend on a browser tab: a tab in the background is slowed down, and the robot stops.
+// zenoh-ts speaks WebSocket to a Zenoh router that has the plugin `remote-api`, or to the bridge above. It was run so with
+// zenoh-ts 1.10.1 and Node.js 20, against a robot of the tests; the tests do not repeat that.
+// A program that drives must not be a browser tab: one in the background is slowed down, and the robot stops.
 
 import {
   type ChannelReceiver,

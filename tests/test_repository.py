@@ -1,0 +1,122 @@
+"""The pages and the Makefile: links lead somewhere, named tests and places exist, the README is short."""
+
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+ROOT: Final = Path(__file__).parents[1]
+PAGES: Final = [
+    ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md") if (ROOT / name).exists()
+] + sorted(path for path in (ROOT / "docs").rglob("*.md") if "node_modules" not in path.parts)
+README_LINES_MAX: Final = 150
+PICTURE_BYTES_MAX: Final = 300_000
+
+pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+
+
+def prose(page: Path) -> str:
+    """The text of a page without its programs."""
+    text = re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
+    return re.sub(r"^    .*\n", "", text, flags=re.MULTILINE)
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.*)$", prose(page), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def broken_links(page: Path) -> list[str]:
+    """The links of a page to places of the tree that are not there."""
+    broken = []
+    for target in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
+        if re.match(r"[a-z]+:", target):
+            continue
+        name, _, anchor = target.partition("#")
+        place = (page.parent / name).resolve() if name else page
+        if not place.exists() or (anchor and anchor not in anchors(place)):
+            broken.append(target)
+    return broken
+
+
+@pages
+def test_every_link_leads_somewhere(page: Path) -> None:
+    """To a file or a folder of the tree, and to a heading that it has."""
+    assert broken_links(page) == []
+
+
+def test_a_broken_link_would_be_found(tmp_path: Path) -> None:
+    """A missing file, a missing heading, and none that is there."""
+    page = tmp_path / "page.md"
+    page.write_text(
+        "# A: b_c\n[1](no.md) [2](#no) [3](page.md#a-b_c) [4](https://x.example/)\n    [5](code)\n", "utf-8"
+    )
+    assert broken_links(page) == ["no.md", "#no"]
+
+
+@pages
+def test_every_test_that_a_page_names_exists(page: Path) -> None:
+    """A line that nothing holds would be a claim."""
+    for path, test in re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", prose(page)):
+        assert f"\ndef {test}(" in (ROOT / path).read_text("utf-8"), f"{path}::{test}"
+
+
+@pages
+def test_every_place_in_the_tree_that_a_page_names_is_there(page: Path) -> None:
+    """Files, and folders with their slash, in backticks; what has neither may be a key."""
+    if page.name == "CHANGELOG.md":
+        return  # it names what was
+    places = re.findall(
+        r"`((?:deploy|docs|gateway|recorder|schemas|tests)/(?:[\w./-]*(?:/|\.\w+))?)`", prose(page)
+    )
+    assert [place for place in places if not (ROOT / place).exists()] == []
+
+
+def test_the_readme_is_short() -> None:
+    """What does not fit belongs into docs/."""
+    assert len((ROOT / "README.md").read_text("utf-8").splitlines()) <= README_LINES_MAX
+
+
+def test_pictures_are_small_and_load_nothing() -> None:
+    """A picture that fetched a font would tell somebody who reads the page."""
+    pictures = [path for path in (ROOT / "docs").rglob("*") if path.suffix in {".png", ".svg"}]
+    assert pictures
+    for picture in pictures:
+        assert picture.stat().st_size <= PICTURE_BYTES_MAX, picture
+        if picture.suffix == ".svg":
+            text = picture.read_text("utf-8").replace("http://www.w3.org/", "")
+            assert "http" not in text
+            assert "@import" not in text
+
+
+def test_the_licence_is_one() -> None:
+    """As SPDX in the metadata, and in the notice."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    assert project["license"] == "Apache-2.0"
+    assert "SPDX-License-Identifier: Apache-2.0" in (ROOT / "LICENSE").read_text("utf-8")
+
+
+def test_make_help_lists_every_target() -> None:
+    """Each that can be asked for has a line that says what it does."""
+    makefile = (ROOT / "Makefile").read_text("utf-8")
+    phony = re.search(r"^\.PHONY: (.*)$", makefile, flags=re.MULTILINE)
+    assert phony
+    done = subprocess.run(["make", "-f", ROOT / "Makefile"], capture_output=True, text=True, check=True)
+    assert sorted(line.split()[0] for line in done.stdout.splitlines()) == sorted(phony[1].split())
+
+
+def test_the_demo_installs_no_more_than_the_product_needs() -> None:
+    """The product without extras; everything else stands on that."""
+    done = subprocess.run(
+        ["make", "-f", ROOT / "Makefile", "-n", "-W", ROOT / "pyproject.toml", "VENV=/nowhere", "demo"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    installs = [line for line in done.stdout.splitlines() if "pip install" in line]
+    assert [line.split()[-1] for line in installs] == ["."]
