@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     """Run the three, as often as a busy machine needs, then say what was recorded."""
     if arguments.log_level == "warning":
         # What the operators' library warns of is what is shown here, and the timeline has it.
-        logging.getLogger("gateway.remote").setLevel(logging.ERROR)
+        logging.getLogger("gateway.client").setLevel(logging.ERROR)
     directory = _fresh(arguments.out)
     sys.stderr.write(
         f"demo: starts chassis, gateway and recorder; two operators drive for about {arguments.seconds:g} s; "
