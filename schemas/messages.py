@@ -278,8 +278,9 @@ class FrameHealth(msgspec.Struct, frozen=True):
         name: the frame's name in the DBC.
         rate_hz: valid frames per second over the last second.
         valid: valid frames since the start.
-        lost: valid frames that should have come since the start and did not, by the alive counter and, once a
-            silence has ended, by the period. A frame with a wrong checksum or an implausible value is lost too.
+        lost: valid frames that should have come since the start and did not, by the alive counter. The period
+            tells how often it went round in a gap, once what came late has come. A frame with a wrong checksum or
+            an implausible value is lost too.
         withheld: valid frames that were not published because the scale of their speeds was not known.
         checksum_faults: frames with a wrong checksum since the start.
         implausible: frames with a right checksum and a value that this chassis cannot have, since the start. They

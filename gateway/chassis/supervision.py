@@ -2,7 +2,8 @@
 
 The alive counter is judged as in AUTOSAR E2E profile 1, modulo 16: a step of 1 is right, 0 is a repetition, 2 to 3
 means that frames were lost, more is a wrong sequence. Sixteen lost frames would look like none, so silence is
-declared before that, and after a silence the counter starts anew.
+declared before that, and after a silence any counter is right. Lost frames are counted across it all the same: see
+``schemas.alive_counter``.
 """
 
 from __future__ import annotations
@@ -12,8 +13,7 @@ from typing import Final
 
 from gateway.chassis.faults import FaultKind
 from schemas import settings
-
-COUNTER_MODULO: Final = 16
+from schemas.alive_counter import COUNTER_SPAN, UnseenRounds
 
 NEVER_NS: Final = 2**63
 NO_FAULTS: Final[tuple[FaultKind, ...]] = ()
@@ -24,14 +24,15 @@ class AliveCounter:
 
     Attributes:
         faults: +1 for each fault, -1 for each good frame, from 0 to the limit.
-        lost: frames missed since the start.
+        lost: frames that the counter passed over since the start.
         repeats: frames in a row that repeated the counter.
     """
 
-    __slots__ = ("_expected", "faults", "lost", "repeats")
+    __slots__ = ("_expected", "_forgotten", "faults", "lost", "repeats")
 
     def __init__(self) -> None:
         self._expected: int | None = None
+        self._forgotten: int | None = None
         self.faults = 0
         self.lost = 0
         self.repeats = 0
@@ -42,26 +43,29 @@ class AliveCounter:
         return self.faults >= settings.ALIVE_FAULTS
 
     def forget(self) -> None:
-        """Accept whatever counter comes next: the stream begins anew."""
-        self._expected = None
+        """Accept whatever counter comes next: the stream begins anew. What it passes over is lost all the same."""
+        if self._expected is not None:
+            self._forgotten, self._expected = self._expected, None
         self.repeats = 0
 
     def receive(self, counter: int) -> FaultKind | None:
         """Judge the counter of the next valid frame."""
         expected = self._expected
-        self._expected = (counter + 1) % COUNTER_MODULO
+        self._expected = (counter + 1) % COUNTER_SPAN
         if expected == counter or expected is None:
+            if expected is None and self._forgotten is not None:
+                self.lost += (counter - self._forgotten) % COUNTER_SPAN
             self.repeats = 0
             if self.faults:
                 self.faults -= 1
             return None
-        return self._judge((counter - expected) % COUNTER_MODULO)
+        return self._judge((counter - expected) % COUNTER_SPAN)
 
     def _judge(self, beyond: int) -> FaultKind:
         """The fault of a counter that is this far beyond the expected one; a repeated one is 15 beyond."""
         if self.faults < settings.ALIVE_FAULTS:
             self.faults += 1
-        if beyond == COUNTER_MODULO - 1:
+        if beyond == COUNTER_SPAN - 1:
             self.repeats += 1
             stuck = self.repeats >= settings.ALIVE_STUCK_REPEATS
             return FaultKind.ALIVE_STUCK if stuck else FaultKind.ALIVE_REPEATED
@@ -144,9 +148,11 @@ class FrameSupervisor:
     """
 
     __slots__ = (
+        "_counter",
         "_last_ns",
-        "_period_ns",
+        "_rounds",
         "_silence_ns",
+        "_valid_ns",
         "alive",
         "checksums",
         "implausible",
@@ -157,7 +163,9 @@ class FrameSupervisor:
     )
 
     def __init__(self, period_ns: int) -> None:
-        self._period_ns = period_ns
+        self._rounds = UnseenRounds(period_ns)
+        self._counter = 0
+        self._valid_ns = 0
         self._silence_ns = silence_ns(period_ns)
         self._last_ns = 0
         self.alive = AliveCounter()
@@ -170,8 +178,8 @@ class FrameSupervisor:
 
     @property
     def lost(self) -> int:
-        """Frames missed since the start, by the alive counter and, across a silence, by the period."""
-        return self.alive.lost
+        """Frames missed since the start, by the alive counter; how often it went round unseen is judged later."""
+        return self.alive.lost + self._rounds.lost
 
     @property
     def is_seen(self) -> bool:
@@ -201,12 +209,15 @@ class FrameSupervisor:
 
     def receive(self, alive_counter: int, now_ns: int) -> tuple[FaultKind, ...]:
         """A valid frame came. Returns what is wrong with its alive counter and its period."""
+        elapsed_ns = now_ns - self._valid_ns
+        if elapsed_ns >= self._rounds.window_ns or self._rounds.is_waiting:
+            self._follow(alive_counter, elapsed_ns, now_ns)
+        self._counter, self._valid_ns = alive_counter, now_ns
         self.valid += 1
         alive_fault = self.alive.receive(alive_counter)
         if not self.alive.repeats:
             # A frame that only repeats its counter says nothing new: it becomes overdue like one that stays away.
-            if self.is_silent:
-                self._end_silence(now_ns)
+            self.is_silent = False
             self.overdue_ns = now_ns + self._silence_ns
         period_fault = self.period.receive(now_ns)
         if alive_fault is None and period_fault is None:
@@ -225,8 +236,9 @@ class FrameSupervisor:
         self.period.forget()
         return FaultKind.SILENCE
 
-    def _end_silence(self, now_ns: int) -> None:
-        self.is_silent = False
-        if self.valid > 1:
-            # The counter cannot tell how often it wrapped; the period can.
-            self.alive.lost += max(0, round((now_ns - self._last_ns) / self._period_ns) - 1)
+    def _follow(self, alive_counter: int, elapsed_ns: int, now_ns: int) -> None:
+        if self.is_seen:
+            steps = (alive_counter - self._counter) % COUNTER_SPAN
+            if elapsed_ns >= self._rounds.window_ns:
+                steps = steps or COUNTER_SPAN
+            self._rounds.follow(now_ns, elapsed_ns, steps)

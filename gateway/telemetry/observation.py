@@ -6,11 +6,12 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Final, TypeVar
 
-from gateway.chassis.supervision import COUNTER_MODULO, silence_ns
+from gateway.chassis.supervision import silence_ns
 from gateway.chassis.variant import WHEEL_SPEED, VariantDetector
 from gateway.command.observed import Observed
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import Links
+from schemas.alive_counter import COUNTER_SPAN
 from schemas.messages import (
     Body,
     ControllerState,
@@ -172,7 +173,7 @@ class Encoders:
             self._counted.clear()
         elif pulses is not self._before:
             if self._before is not None:
-                periods = (pulses.alive_counter - self._before.alive_counter) % COUNTER_MODULO
+                periods = (pulses.alive_counter - self._before.alive_counter) % COUNTER_SPAN
                 self._counted.append((_counted(pulses, self._before), max(1, periods)))
                 self._direction = self._judge()
             self._before = pulses

@@ -1,9 +1,4 @@
-"""Frames lost on the way from the chassis, by the alive counters that they carry.
-
-The counter decides. It has 4 bits, so in a gap of 16 periods or more it may have gone round unseen. How often is
-judged by the period, and only when the frames that waited have come: a busy machine delivers late, and then all at
-once.
-"""
+"""Frames lost on the way from the chassis, by their alive counters; see ``schemas.alive_counter``."""
 
 from __future__ import annotations
 
@@ -12,15 +7,12 @@ from functools import cache, reduce
 from operator import sub, xor
 from typing import Final
 
+from schemas.alive_counter import COUNTER_SPAN, UnseenRounds
 from schemas.can_word import IDENTIFIER_MASK
 from schemas.dbc_files import DbcFrame, dbc_text, frames
 from schemas.messages import Variant
 
-COUNTER_SPAN: Final = 16
 FRAME_BYTES: Final = 8
-
-LATE_MAX_NS: Final = 10_000_000_000
-"""Nothing waits for longer between the bus and the log."""
 
 COUNTER_AT: Final = 6
 """The byte whose upper half is the counter."""
@@ -50,7 +42,7 @@ class AliveCount:
         corrupt: frames with a wrong checksum; their counter is not read.
         outages: gaps in time in which the counter may have gone round, and steps back of the clock.
         unseen: frames lost in outages beyond those that the counter passed over: 16 for each time that it went
-            round. So often it did as fits the period best; frames that follow faster than it were only late.
+            round.
         first_ns: when each of these was seen for the first time, by the name of the count.
     """
 
@@ -58,20 +50,14 @@ class AliveCount:
         self.name = frame.name
         self.frames = self.lost = self.repeated = self.corrupt = self.outages = 0
         self.first_ns: dict[str, int] = {}
-        self._period_ns = frame.period_ns
-        self._window_ns = COUNTER_SPAN * frame.period_ns
+        self._rounds = UnseenRounds(frame.period_ns)
         self._counter = 0
         self._time_ns = 0
-        self._unseen = 0
-        # Of outages that are not judged yet: by how much the frames came later than their counters say, the least
-        # of that since the last of them, and until when frames may come that were only late.
-        self._behind_ns: int | None = None
-        self._least_ns = self._until_ns = 0
 
     @property
     def unseen(self) -> int:
         """As above; what is not judged yet counts by what has come so far."""
-        return self._unseen + self._gone_round()
+        return self._rounds.lost_so_far
 
     def receive(self, time_ns: int, data: bytes) -> None:
         """The next frame: when it was received, and its eight bytes."""
@@ -88,9 +74,9 @@ class AliveCount:
         gaps_ns = list(map(sub, times_ns, (self._time_ns, *times_ns[:-1])))
         is_regular = (
             self.frames > 0
-            and self._behind_ns is None
+            and not self._rounds.is_waiting
             and min(gaps_ns) >= 0
-            and max(gaps_ns) < self._window_ns
+            and max(gaps_ns) < self._rounds.window_ns
             and halves == (_CYCLE * (count // COUNTER_SPAN + 2))[first : first + count]
         )
         if is_regular:
@@ -104,7 +90,7 @@ class AliveCount:
         self.frames += 1
         if self.frames > 1:
             elapsed_ns = time_ns - self._time_ns
-            is_outage = not 0 <= elapsed_ns < self._window_ns
+            is_outage = not 0 <= elapsed_ns < self._rounds.window_ns
             steps = (counter - self._counter) % COUNTER_SPAN
             if is_outage:
                 self.outages += 1
@@ -116,23 +102,6 @@ class AliveCount:
             elif steps > 1 and elapsed_ns >= 0:
                 self.lost += steps - 1
                 self.first_ns.setdefault("lost", time_ns)
-            if is_outage or self._behind_ns is not None:
-                self._follow(time_ns, elapsed_ns, steps, is_outage=is_outage)
+            if is_outage or self._rounds.is_waiting:
+                self._rounds.follow(time_ns, elapsed_ns, steps)
         self._counter, self._time_ns = counter, time_ns
-
-    def _follow(self, time_ns: int, elapsed_ns: int, steps: int, *, is_outage: bool) -> None:
-        """Wait for frames that are only late, and judge the outage when they have come."""
-        if elapsed_ns < 0 or (self._time_ns if is_outage else time_ns) > self._until_ns:
-            self._unseen, self._behind_ns = self.unseen, None
-        if elapsed_ns < 0 or (self._behind_ns is None and not is_outage):
-            return
-        self._behind_ns = (self._behind_ns or 0) + elapsed_ns - steps * self._period_ns
-        if is_outage:
-            self._until_ns = time_ns + min(self._behind_ns, LATE_MAX_NS)
-            self._least_ns = self._behind_ns
-        self._least_ns = min(self._least_ns, self._behind_ns)
-
-    def _gone_round(self) -> int:
-        """Frames lost in the outages that are not judged yet, of which the counter shows nothing."""
-        rounds = 0 if self._behind_ns is None else round(self._least_ns / self._window_ns)
-        return max(0, rounds) * COUNTER_SPAN

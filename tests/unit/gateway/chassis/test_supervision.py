@@ -6,8 +6,13 @@ from hypothesis import strategies as st
 
 from gateway.chassis.faults import FaultKind
 from gateway.chassis.supervision import AliveCounter, FaultWindow, FrameSupervisor, Period, silence_ns
+from recorder.review.checking.alive import AliveCount
+from schemas.can_word import EXTENDED
+from schemas.dbc_files import DbcFrame
+from tests.support.recorder_fakes import GEAR_FEEDBACK, feedback
 
 MS = 1_000_000
+GEAR = DbcFrame(EXTENDED | GEAR_FEEDBACK, "Auto_GearFeedBack", "Chassis", 10 * MS)
 
 
 @given(first=st.integers(0, 15), frames=st.integers(1, 100))
@@ -123,13 +128,45 @@ def test_a_frame_is_silent_until_the_first_one_comes() -> None:
     assert supervisor.lost == 0
 
 
-def test_frames_lost_in_a_silence_are_counted_by_the_period() -> None:
-    """A second without a 10 ms frame is 99 lost ones, whatever the counter says after it."""
+def test_frames_lost_in_a_silence_are_counted_by_counter_and_period() -> None:
+    """Of a second without a 10 ms frame the counter tells 5 at once, the period its six rounds, later."""
     supervisor = FrameSupervisor(10 * MS)
     supervisor.receive(3, 0)
     supervisor.tick(500 * MS)
     assert supervisor.receive(9, 1000 * MS) == ()
-    assert supervisor.lost == 99
+    assert supervisor.lost == 5
+    for frame in range(1, 100):
+        supervisor.receive((9 + frame) % 16, (1000 + frame * 10) * MS)
+    assert supervisor.lost == 5 + 6 * 16
+
+
+@given(
+    lost=st.sets(st.integers(1, 400)),
+    stalls=st.lists(st.tuples(st.integers(0, 400), st.integers(0, 60)), max_size=4),
+    are_ticks_late=st.booleans(),
+)
+def test_what_the_log_can_show_is_what_is_counted(
+    lost: set[int], stalls: list[tuple[int, int]], *, are_ticks_late: bool
+) -> None:
+    """As ``review check`` counts them: frames that come late and bunched are not lost; the count never falls."""
+    supervisor, log = FrameSupervisor(10 * MS), AliveCount(GEAR)
+    counted, now = 0, -1
+    for number in range(500):
+        at = number
+        for start, length in sorted(stalls):
+            at = max(at, start + length) if start <= at else at
+        ticks = range(now + 1, at + 1)
+        for tick in ticks[-1:] if are_ticks_late else ticks:
+            supervisor.tick(tick * 10 * MS - 1)
+        now = at
+        if number not in lost:
+            supervisor.receive(number % 16, at * 10 * MS)
+            log.receive(at * 10 * MS, feedback(number))
+        assert supervisor.lost >= counted
+        counted = supervisor.lost
+    assert supervisor.lost == log.lost + log.unseen
+    if not lost:
+        assert supervisor.lost == 0
 
 
 @pytest.mark.parametrize(

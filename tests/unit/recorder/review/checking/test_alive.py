@@ -6,7 +6,8 @@ from cantools.database.can import Database
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.review.checking.alive import COUNTER_SPAN, AliveCount, feedback_frames
+from recorder.review.checking.alive import AliveCount, feedback_frames
+from schemas.alive_counter import COUNTER_SPAN
 from schemas.can_word import EXTENDED
 from schemas.dbc_files import DBC_FILES, DbcFrame, dbc_text
 from schemas.messages import Variant
