@@ -15,7 +15,7 @@ FORMS: Final = (
 """What ``time_of`` takes."""
 
 _NS_PER_S: Final = 1_000_000_000
-_SECONDS: Final = re.compile(r"([+-]?)(\d+)(?:\.(\d{1,9}))?s?")
+_SECONDS: Final = re.compile(r"([+-]?)(\d+)(?:\.(\d{1,9}))?(?: ?s)?")
 _DAY_TIME: Final = re.compile(r"([01]?\d|2[0-3]):([0-5]\d)(?::([0-5]\d)(?:\.(\d{1,9}))?)?Z?")
 _DATE: Final = re.compile(r"(\d{4}-[^.]*)(?:\.(\d{1,9}))?([+-]\d\d:?\d\d|Z)?")
 
