@@ -84,7 +84,8 @@ class Text(msgspec.Struct, frozen=True):
 
     Attributes:
         means: what it is.
-        cure: what would cure it. What it quotes is a command; ROBOT in it stands for the robot's name.
+        cure: what would cure it. What it quotes is a command; ROBOT in it stands for the robot's name: see
+            ``cure_of``.
     """
 
     means: str
@@ -237,3 +238,8 @@ OF_A_ROBOT: Final[dict[Reason, Text]] = {
     Reason.NO_LEASE: Text("nobody holds the lease", _ACQUIRE),
 }
 """The same where a reason is said of a robot, not of a request."""
+
+
+def cure_of(cure: str, robot: str) -> str:
+    """A cure with the robot's name, which may come with its root, in the commands that it quotes."""
+    return cure.replace("ROBOT", robot.rpartition("/")[2])

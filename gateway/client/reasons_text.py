@@ -6,13 +6,13 @@ from collections.abc import Iterable
 
 from schemas.decisions import COMMANDING, SafetyEvent, SafetyState, StopPhase
 from schemas.printable import plain
-from schemas.reasons import OF_A_ROBOT, Reason, Text
+from schemas.reasons import OF_A_ROBOT, Reason, Text, cure_of
 
 
 def text_of(reason: Reason, robot: str) -> Text:
     """A reason for which this robot stands still."""
     text = OF_A_ROBOT[reason]
-    return Text(text.means, text.cure.replace("ROBOT", robot))
+    return Text(text.means, cure_of(text.cure, robot))
 
 
 def reason_line(reason: Reason, robot: str) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from schemas.decisions import Reply
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
-from schemas.reasons import TEXTS, Reason
+from schemas.reasons import TEXTS, Reason, cure_of
 
 
 class RobotError(CommandError):
@@ -17,15 +17,15 @@ class RobotError(CommandError):
     Attributes:
         reason: why, one enumeration for all of it.
         detail: the reason in words, with figures.
-        cure: what would make it succeed.
+        cure: what would make it succeed, with the robot's name.
     """
 
     code = ExitCode.FAILURE
 
-    def __init__(self, what: str, reason: Reason, detail: str = "", cure: str = "") -> None:
+    def __init__(self, what: str, reason: Reason, detail: str = "", cure: str = "", *, robot: str) -> None:
         self.reason = reason
         self.detail = detail or TEXTS[reason].means
-        self.cure = cure or TEXTS[reason].cure
+        self.cure = cure_of(cure or TEXTS[reason].cure, robot)
         tail = f". Cure: {self.cure}" if self.cure else ""
         super().__init__(plain(f"{what}: {self.detail} ({reason.value}){tail}"), type(self).code)
 
@@ -53,4 +53,4 @@ class Unreachable(CommandError):  # noqa: N818 - an outcome's name, as programs 
 
 def refused(robot: str, verb: str, reply: Reply) -> Refused:
     """A refusing reply as an exception."""
-    return Refused(f"{robot} refuses {verb}", reply.reason, reply.detail, reply.cure.replace("ROBOT", robot))
+    return Refused(f"{robot} refuses {verb}", reply.reason, reply.detail, reply.cure, robot=robot)

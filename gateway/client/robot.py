@@ -156,9 +156,10 @@ class Robot:
         report = remote_stop.stop(self._link.commands, self._root, self.name, timeout_s, self._link.look)
         if report.unconfirmed:
             why = "; ".join(report.unconfirmed.values())
-            raise Refused(f"{self.name} is not seen to stop", Reason.NOT_CONFIRMED, why)
+            raise Refused(f"{self.name} is not seen to stop", Reason.NOT_CONFIRMED, why, robot=self.name)
         if report.refused:
-            raise Refused(f"{self.name} is not stopped", Reason.NONE, "; ".join(report.refused.values()))
+            why = "; ".join(report.refused.values())
+            raise Refused(f"{self.name} is not stopped", Reason.NONE, why, robot=self.name)
         if not report.stopped:
             raise Unreachable(f"{self.name} did not answer the stop within {timeout_s:g} s")
 
@@ -248,7 +249,8 @@ class Lease:
         """
         ending = self._in_force().ending
         if ending is not None:
-            raise Stopped(f"{self._link.robot} obeys no more", ending.reason, ending.detail)
+            robot = self._link.robot
+            raise Stopped(f"{robot} obeys no more", ending.reason, ending.detail, robot=robot)
         self._link.sighting()
 
     def engage(self, speed_limit_mps: float | None = None, deadman_s: float | None = None) -> None:
@@ -264,7 +266,7 @@ class Lease:
         """
         stream = self._in_force()
         if stream.engaged:
-            raise Refused(f"{self._link.robot} cannot be engaged", Reason.ALREADY_ENGAGED)
+            raise Refused(f"{self._link.robot} cannot be engaged", Reason.ALREADY_ENGAGED, robot=self._link.robot)
         with self._link.heard:
             stream.expect_engaged()
         try:
@@ -302,7 +304,7 @@ class Lease:
             self.check()
             stream = self._in_force()
             if not stream.engaged:
-                raise Refused(f"{self._link.robot} cannot be driven", Reason.NOT_ENGAGED)
+                raise Refused(f"{self._link.robot} cannot be driven", Reason.NOT_ENGAGED, robot=self._link.robot)
             stream.aim(set_point, hold_s, time.monotonic_ns())
 
     def disengage(self) -> None:
@@ -347,7 +349,8 @@ class Lease:
             raise ValueError("a lease is in force only within its with statement")
         ending = self._stream.ending
         if ending is not None and ending.lease_lost:
-            raise LeaseLost(f"the lease of {self._link.robot} is lost", ending.reason, ending.detail)
+            robot = self._link.robot
+            raise LeaseLost(f"the lease of {robot} is lost", ending.reason, ending.detail, robot=robot)
         return self._stream
 
 

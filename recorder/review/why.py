@@ -314,7 +314,7 @@ class _Answer:
         yield from self._latches(scene, focus)
         latched = [] if self._state is None else self._state.latched
         is_past = self._state is not None and focus.tick is not None and self._state.tick >= focus.tick
-        yield from cures(focus.reason, is_reset=is_past and focus.reason not in latched)
+        yield from cures(focus.reason, scene.robot, is_reset=is_past and focus.reason not in latched)
         yield from _lacks(scene)
 
     def _latches(self, scene: Scene, focus: Entry) -> Iterator[Link]:
@@ -360,7 +360,7 @@ class _Answer:
             elif not is_latched:
                 yield from EVIDENCE[reason](Clue(self._now))
         for reason in blocked_by:
-            yield from cures(reason, is_reset=reason not in state.latched)
+            yield from cures(reason, self._now.robot, is_reset=reason not in state.latched)
 
     def _scene(self, at_ns: int, what: str) -> Scene:
         scene = self._now

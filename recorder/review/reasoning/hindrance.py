@@ -9,7 +9,7 @@ from recorder.review.reasoning.chain import Link, Step
 from recorder.review.reasoning.request_evidence import last_command
 from recorder.review.reasoning.scene import Scene
 from schemas.decisions import ArbiterState, Bound, SafetyState
-from schemas.reasons import OF_A_ROBOT, RESET, Reason
+from schemas.reasons import OF_A_ROBOT, RESET, Reason, cure_of
 
 PLAIN: Final = frozenset({Reason.STOPPING, Reason.NOT_ENGAGED, Reason.ENGAGING, Reason.NO_LEASE})
 """What blocks a robot that nobody has engaged: there is nothing to show but that nobody has."""
@@ -61,10 +61,10 @@ def hindrance(reason: Reason, state: SafetyState) -> str:
             return f"it could not be engaged: {means}"
 
 
-def cures(reason: Reason, *, is_reset: bool) -> Iterator[Link]:
+def cures(reason: Reason, robot: str, *, is_reset: bool) -> Iterator[Link]:
     """What would cure it: of what is latched no more, what is left to do after the reset."""
     cure = OF_A_ROBOT[reason].cure
     if is_reset:
         cure = cure.rpartition(RESET)[2]
     if cure and reason not in _PASSING:
-        yield Link(Step.CURE, f"to cure {reason.value}: {cure}", None, {"reason": reason.value})
+        yield Link(Step.CURE, f"to cure {reason.value}: {cure_of(cure, robot)}", None, {"reason": reason.value})

@@ -10,7 +10,7 @@ from gateway.client.robot import Lease, Robot
 from schemas.decisions import ArbiterState
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import Mode
-from schemas.reasons import TEXTS, Reason
+from schemas.reasons import TEXTS, Reason, cure_of
 from schemas.requests import Light, Role
 from schemas.settings import Settings, ZenohSettings
 from tests.support.fake_gateway import STATE, FakeGateway, free_endpoint
@@ -126,7 +126,8 @@ def test_a_stop_ends_the_stream_and_is_told_with_its_reason() -> None:
         with pytest.raises(Stopped) as caught:
             lease.drive(1.0)
         assert caught.value.reason is Reason.FRONT_BUMPER
-        assert caught.value.cure == TEXTS[Reason.FRONT_BUMPER].cure
+        assert caught.value.cure == cure_of(TEXTS[Reason.FRONT_BUMPER].cure, "cruiser-1")
+        assert "'cruiser reset cruiser-1'" in str(caught.value)
         assert caught.value.code is ExitCode.FAILURE
         assert robot.wait_for(lambda state: state.state is ArbiterState.STANDBY, 20)
         fake.front_bumper = False

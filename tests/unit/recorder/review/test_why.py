@@ -18,7 +18,7 @@ from recorder.review.timeline.timeline import Question, read_events
 from recorder.review.why import Explanation, explain
 from schemas.decisions import ArbiterState, Severity
 from schemas.messages import Variant
-from schemas.reasons import TEXTS, Reason
+from schemas.reasons import TEXTS, Reason, cure_of
 from schemas.recording import RecorderEvent, RecorderEventKind
 from tests.support import log_scenarios as scenarios
 from tests.support.log_scenarios import SCENARIOS, Scenario, acted, recorded
@@ -54,7 +54,7 @@ def test_the_last_stop_has_its_cause_its_evidence_and_its_cure(scenario: Scenari
     assert TEXTS[reason].means in texts(explanation, Step.CAUSE)
     shown = texts(explanation, Step.EVIDENCE).lower()
     assert [word for word in words if word.lower() not in shown] == [], shown
-    assert f"to cure {reason.value}: {TEXTS[reason].cure}" in texts(explanation, Step.CURE)
+    assert f"to cure {reason.value}: {cure_of(TEXTS[reason].cure, ROBOT)}" in texts(explanation, Step.CURE)
     assert (f"latched with this stop: {reason.value}" in texts(explanation, Step.LATCH)) is (reason in LATCHING)
     assert explanation.stop_ns == explanation.at_ns
 
@@ -166,7 +166,7 @@ def test_another_latch_than_that_of_the_stop_has_evidence_of_its_own(path: Path)
     assert "s before that moment: a remote stop was received" in explanation.headline
     assert "it could not be engaged: a remote stop was received" in texts(explanation, Step.CAUSE)
     assert "the request was stop, of desk" in texts(explanation, Step.EVIDENCE)
-    assert "to cure remote_stop: reset with 'cruiser reset ROBOT'" in texts(explanation, Step.CURE)
+    assert "to cure remote_stop: reset with 'cruiser reset cruiser-1'" in texts(explanation, Step.CURE)
 
 
 def _another(dead_ns: int) -> RecordedRig:
@@ -407,7 +407,7 @@ def test_a_parked_robot_stands_because_it_is_parked(path: Path) -> None:
     assert explanation.headline == "It was engaged and stood: the parking brake is applied."
     assert "no speed is told until unpark" in texts(explanation, Step.ARBITER)
     assert "asked for 0.50 m/s, 0.0 deg; the chassis was told 0.00 m/s" in texts(explanation, Step.COMMAND)
-    assert "to cure parked: allow drive commands to release it: 'cruiser unpark ROBOT" in texts(
+    assert "to cure parked: allow drive commands to release it: 'cruiser unpark cruiser-1" in texts(
         explanation, Step.CURE
     )
 
@@ -437,7 +437,7 @@ def test_a_robot_that_nobody_has_engaged_stands_for_that(path: Path) -> None:
     rig.run(1)
     explanation = ask(path, rig.log(), rig.at_ns)
     assert "nobody holds the lease" in explanation.headline
-    assert "to cure not_engaged: engage with 'cruiser drive ROBOT'" in texts(explanation, Step.CURE)
+    assert "to cure not_engaged: engage with 'cruiser drive cruiser-1'" in texts(explanation, Step.CURE)
     assert explanation.reason is Reason.NONE
 
 

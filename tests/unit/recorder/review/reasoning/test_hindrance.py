@@ -89,8 +89,8 @@ def test_what_was_reset_is_not_to_be_reset(tmp_path: Path) -> None:
     rig.run(0.3)
     before = ask(tmp_path / "log.mcap", rig.log(), latched_ns)
     after = ask(tmp_path / "log.mcap", rig.log(), rig.at_ns)
-    assert "to cure remote_stop: reset with 'cruiser reset ROBOT'" in _cures(before)
-    assert "to cure remote_stop: engage with 'cruiser drive ROBOT'" in _cures(after)
+    assert "to cure remote_stop: reset with 'cruiser reset cruiser-1'" in _cures(before)
+    assert "to cure remote_stop: engage with 'cruiser drive cruiser-1'" in _cures(after)
     assert "operator-1 reset it" in texts(after, Step.LATCH)
 
 
