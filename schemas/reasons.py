@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from enum import Enum
 from typing import Final
 
@@ -238,6 +239,16 @@ OF_A_ROBOT: Final[dict[Reason, Text]] = {
     Reason.NO_LEASE: Text("nobody holds the lease", _ACQUIRE),
 }
 """The same where a reason is said of a robot, not of a request."""
+
+NO_STOP: Final = frozenset({Reason.HAND_TRANSMITTER, Reason.BUS_DOWN})
+"""While one of these holds, a remote stop cannot be carried out."""
+
+
+def of_a_robot(reason: Reason, beside: Collection[Reason]) -> Text:
+    """A reason for which a robot stands still, beside others: what these forbid is no cure."""
+    if reason is Reason.MOVING and not NO_STOP.isdisjoint(beside):
+        return Text(TEXTS[reason].means, "wait until it stands")
+    return OF_A_ROBOT[reason]
 
 
 def cure_of(cure: str, robot: str) -> str:

@@ -121,7 +121,7 @@ def _by_script(robot: Robot, lease: Lease, arguments: argparse.Namespace, stoppe
             link = link_line(state) or link
     if arguments.speed and not fastest_mps:
         sys.stderr.write(f"{robot.name} did not move\n")
-        sys.stderr.writelines(f"  {reason_line(reason, robot.name)}\n" for reason in blocked_by)
+        sys.stderr.writelines(f"  {reason_line(reason, robot.name, blocked_by)}\n" for reason in blocked_by)
         return ExitCode.FAILURE
     sys.stdout.write(f"{robot.name}: driven for {arguments.seconds:g} s, at most {fastest_mps:.2f} m/s\n")
     if link:

@@ -51,7 +51,7 @@ def panel(cockpit: Cockpit) -> RenderableType:
         hit = [side for side, on in (("front", chassis.front_bumper), ("rear", chassis.rear_bumper)) if on]
         text = f"mode {chassis.mode.value}, gear {chassis.gear_position.value}, bumpers {' '.join(hit) or 'clear'}"
         lines.append(Text(text, style=BAD if hit else ""))
-    lines += [Text(reason_line(reason, cockpit.robot), style=BAD) for reason in state.blocked_by]
+    lines += [Text(reason_line(reason, cockpit.robot, state.blocked_by), style=BAD) for reason in state.blocked_by]
     if cockpit.message:
         lines.append(Text(plain(cockpit.message), style=LOUD))
     lines += [Text(text, style="dim") for text in _keys(cockpit)]

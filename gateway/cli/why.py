@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection
 from typing import Final
 
 import msgspec
@@ -67,7 +67,9 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     else:
         sys.stdout.write(f"{robot.name}: {state_line(state)}\n")
         sys.stdout.write(f"  link: {link_line(state) or 'no commands are obeyed, so their age is not known'}\n")
-        sys.stdout.writelines(f"  {reason_line(reason, robot.name)}\n" for reason in state.blocked_by)
+        sys.stdout.writelines(
+            f"  {reason_line(reason, robot.name, state.blocked_by)}\n" for reason in state.blocked_by
+        )
         if not state.blocked_by:
             sys.stdout.write("  nothing keeps it from moving: it does what its operator's drive commands say\n")
         elif is_idle(state.blocked_by):
@@ -80,5 +82,5 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     return int(ExitCode.OK if is_idle(state.blocked_by) else ExitCode.FAILURE)
 
 
-def _in_words(reasons: Iterable[Reason], robot: str) -> list[dict[str, object]]:
-    return [{"reason": reason, **msgspec.structs.asdict(text_of(reason, robot))} for reason in reasons]
+def _in_words(reasons: Collection[Reason], robot: str) -> list[dict[str, object]]:
+    return [{"reason": reason, **msgspec.structs.asdict(text_of(reason, robot, reasons))} for reason in reasons]

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 from schemas.decisions import COMMANDING, SafetyEvent, SafetyState, StopPhase
 from schemas.printable import plain
-from schemas.reasons import OF_A_ROBOT, Reason, Text, cure_of
+from schemas.reasons import Reason, Text, cure_of, of_a_robot
 
 
-def text_of(reason: Reason, robot: str) -> Text:
-    """A reason for which this robot stands still."""
-    text = OF_A_ROBOT[reason]
+def text_of(reason: Reason, robot: str, beside: Collection[Reason] = ()) -> Text:
+    """A reason for which this robot stands still, beside others."""
+    text = of_a_robot(reason, beside)
     return Text(text.means, cure_of(text.cure, robot))
 
 
-def reason_line(reason: Reason, robot: str) -> str:
-    """A reason with what would cure it."""
-    text = text_of(reason, robot)
+def reason_line(reason: Reason, robot: str, beside: Collection[Reason] = ()) -> str:
+    """A reason with what would cure it, beside others."""
+    text = text_of(reason, robot, beside)
     cure = f" -> {text.cure}" if text.cure else ""
     return f"{reason.value}: {text.means}{cure}"
 

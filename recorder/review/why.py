@@ -360,7 +360,7 @@ class _Answer:
             elif not is_latched:
                 yield from EVIDENCE[reason](Clue(self._now))
         for reason in blocked_by:
-            yield from cures(reason, self._now.robot, is_reset=reason not in state.latched)
+            yield from cures(reason, self._now.robot, blocked_by, is_reset=reason not in state.latched)
 
     def _scene(self, at_ns: int, what: str) -> Scene:
         scene = self._now

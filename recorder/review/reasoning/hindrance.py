@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Final
 
 from recorder.review.reasoning.chain import Link, Step
 from recorder.review.reasoning.request_evidence import last_command
 from recorder.review.reasoning.scene import Scene
 from schemas.decisions import ArbiterState, Bound, SafetyState
-from schemas.reasons import OF_A_ROBOT, RESET, Reason, cure_of
+from schemas.reasons import OF_A_ROBOT, RESET, Reason, cure_of, of_a_robot
 
 PLAIN: Final = frozenset({Reason.STOPPING, Reason.NOT_ENGAGED, Reason.ENGAGING, Reason.NO_LEASE})
 """What blocks a robot that nobody has engaged: there is nothing to show but that nobody has."""
@@ -61,9 +61,16 @@ def hindrance(reason: Reason, state: SafetyState) -> str:
             return f"it could not be engaged: {means}"
 
 
-def cures(reason: Reason, robot: str, *, is_reset: bool) -> Iterator[Link]:
-    """What would cure it: of what is latched no more, what is left to do after the reset."""
-    cure = OF_A_ROBOT[reason].cure
+def cures(reason: Reason, robot: str, beside: Collection[Reason] = (), *, is_reset: bool) -> Iterator[Link]:
+    """What would cure it: of what is latched no more, what is left to do after the reset.
+
+    Args:
+        reason: that of a stop, or one that blocks.
+        robot: its name.
+        beside: what else blocks.
+        is_reset: it is not latched any more.
+    """
+    cure = of_a_robot(reason, beside).cure
     if is_reset:
         cure = cure.rpartition(RESET)[2]
     if cure and reason not in _PASSING:

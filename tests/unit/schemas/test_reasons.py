@@ -6,7 +6,7 @@ import pytest
 
 from gateway.cli.main import COMMANDS
 from gateway.client.robot import Lease
-from schemas.reasons import OF_A_ROBOT, TEXTS, Reason
+from schemas.reasons import NO_STOP, OF_A_ROBOT, TEXTS, Reason, of_a_robot
 from schemas.subjects import BY_NAME
 from schemas.subjects import COMMANDS as COMMANDS_TABLE
 
@@ -71,3 +71,10 @@ def test_where_a_cure_sends_someone_there_is_something() -> None:
     named = {word.strip(",;") for word in cures.split() if word.startswith(("safety/", "gateway/"))}
     assert named
     assert named <= BY_NAME.keys()
+
+
+@pytest.mark.parametrize("beside", NO_STOP)
+def test_a_stop_that_would_be_refused_is_no_cure(beside: Reason) -> None:
+    """The remote control has a moving robot, or the bus is gone: 'cruiser stop' is not offered."""
+    assert "cruiser stop" in of_a_robot(Reason.MOVING, [Reason.MOVING, Reason.NO_LEASE]).cure
+    assert of_a_robot(Reason.MOVING, [beside, Reason.MOVING]).cure == "wait until it stands"
