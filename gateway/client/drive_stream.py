@@ -12,7 +12,7 @@ import msgspec
 
 from gateway.client.evidence import Evidence
 from gateway.command.limits import steering_angle_deg
-from schemas.decisions import COMMANDING, ArbiterState, SafetyState
+from schemas.decisions import COMMANDING, ArbiterState, SafetyState, is_same_run
 from schemas.reasons import TEXTS, Reason
 from schemas.requests import Drive
 
@@ -38,6 +38,9 @@ FOREIGN_NS: Final = 500_000_000
 SENT_KEPT: Final = 128
 """So many commands are remembered: those of the last two seconds and a half."""
 
+
+BEGAN_ANEW: Final = "the robot's gateway has begun anew, and knows nothing of the lease"
+"""It died, or was restarted: its ticks are those of another run."""
 
 ROUNDING: Final = 1e-6
 """m/s and deg: no target that was asked for differs by less."""
@@ -99,6 +102,7 @@ class DriveStream:
         self._is_wanted = False
         self._is_asked = False
         self._was_holder = False
+        self._held_tick = 0
         self._state: SafetyState | None = None
         self._seen_ns = 0
         self._sequence = 0
@@ -163,13 +167,16 @@ class DriveStream:
         self._state, self._seen_ns = state, now_ns
         if state.lease_holder == self._operator:
             self._was_holder = True
+            self._held_tick = state.tick
             self._loss.clear()
             if self._is_foreign(state) and self._foreign.add(now_ns) and not self.is_lost:
                 self.is_shared = True
                 self.lose(Reason.LEASE_TAKEN, "commands that this program did not send are obeyed under its lease")
         elif self._was_holder and self._loss.add(now_ns):
-            taken = f"by {state.lease_holder}" if state.lease_holder else ""
-            self.lose(Reason.LEASE_TAKEN if taken else Reason.LEASE_EXPIRED, taken)
+            if state.lease_holder:
+                self.lose(Reason.LEASE_TAKEN, f"by {state.lease_holder}")
+            else:
+                self.lose(Reason.NO_LEASE if self._is_of_other_run(state) else Reason.LEASE_EXPIRED)
         if not self._is_wanted:
             return
         if state.state is ArbiterState.ENGAGED:
@@ -183,6 +190,8 @@ class DriveStream:
 
     def lose(self, reason: Reason, detail: str = "") -> None:
         """The lease is lost."""
+        if reason is Reason.NO_LEASE and self._state is not None and self._is_of_other_run(self._state):
+            detail = BEGAN_ANEW
         if not self.is_lost:
             self._end(DriveEnd(reason, detail, lease_lost=True))
 
@@ -203,6 +212,10 @@ class DriveStream:
         """What the program should know, once; empty if there is nothing."""
         note, self._note = self._note, ""
         return note
+
+    def _is_of_other_run(self, state: SafetyState) -> bool:
+        """Said by another run of the gateway than the one that gave the lease."""
+        return self._was_holder and not is_same_run(state.tick, self._held_tick)
 
     def _is_foreign(self, state: SafetyState) -> bool:
         """The last accepted command of our lease was not ours: we never sent it, or asked for something else."""

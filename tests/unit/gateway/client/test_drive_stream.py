@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.client.drive_stream import HOLD_MAX_S, STALE_NS, DriveEnd, DriveStream, SetPoint
-from schemas.decisions import ArbiterState, SafetyState, StopPhase
+from gateway.client.drive_stream import BEGAN_ANEW, HOLD_MAX_S, STALE_NS, DriveEnd, DriveStream, SetPoint
+from schemas.decisions import RUN_TICKS, ArbiterState, SafetyState, StopPhase
 from schemas.reasons import TEXTS, Reason
 from tests.support.fake_gateway import STANDBY
 
@@ -313,3 +313,20 @@ def test_the_target_of_a_new_engagement_is_no_command_of_the_last_one() -> None:
     stream.expect_engaged()
     goes_on_to_see(stream, msgspec.structs.replace(accepted, target_speed_mps=0.0, target_angle_deg=0.0))
     assert stream.ending is None
+
+
+@pytest.mark.parametrize("is_renewal_refused", [False, True])
+def test_a_lease_that_a_gateway_took_to_its_grave_was_not_renewed_too_late(is_renewal_refused: bool) -> None:  # noqa: FBT001 - drawn
+    """Another run of the gateway knows nothing of it; a run that goes on has let it expire."""
+    held = msgspec.structs.replace(ENGAGED, lease_holder="first")
+    stream = stream_that_saw(held)
+    anew = msgspec.structs.replace(STANDBY, tick=102 + RUN_TICKS, lease_holder="")
+    if is_renewal_refused:
+        stream.see(anew, START_NS)
+        stream.lose(Reason.NO_LEASE)
+    else:
+        goes_on_to_see(stream, anew)
+    assert stream.ending == DriveEnd(Reason.NO_LEASE, BEGAN_ANEW, lease_lost=True)
+    expired = stream_that_saw(held)
+    goes_on_to_see(expired, msgspec.structs.replace(STANDBY, tick=300, lease_holder=""))
+    assert expired.ending == DriveEnd(Reason.LEASE_EXPIRED, lease_lost=True)
