@@ -41,7 +41,14 @@ from schemas.decisions import ArbiterState, EventKind, SafetyEvent, Severity
 from schemas.journal import Kind
 from schemas.messages import SEQUENCE_MAX, ControllerState, Message, Variant
 from schemas.reasons import Reason
-from schemas.settings import BATCH_MAX_FRAMES, BATCH_PERIOD_NS, HEALTH_PERIOD_NS, STATE_PERIOD_NS, Settings
+from schemas.settings import (
+    BATCH_MAX_FRAMES,
+    BATCH_PERIOD_NS,
+    COMMANDER_NS,
+    HEALTH_PERIOD_NS,
+    STATE_PERIOD_NS,
+    Settings,
+)
 from schemas.subjects import SUBJECTS
 
 CONFIGURED_VARIANT: Final = {"auto": Variant.UNKNOWN, "coarse": Variant.COARSE, "fine": Variant.FINE}
@@ -113,6 +120,7 @@ class Core:
         self.command = None if settings.gateway.listen_only else CommandFlow(settings, run)
         self._observer = Observer(self._streams.values(), self._detector, settings.chassis.required_feedback)
         self._commander_ns: int | None = None
+        self._motion_ns: int | None = None
         self._requests: list[RawRequest] = []
         self._offered: list[Frame] = []
         self._journal = None if self.command is None else JournalWriter(run)
@@ -252,6 +260,10 @@ class Core:
             self._journal.add((Kind.SHUT_DOWN, now_ns))
             self.command.arbiter.shut_down(now_ns)
 
+    def hears_commands(self, now_ns: int) -> bool:
+        """Somebody else tells the chassis how to move: another computer, or a guard."""
+        return self._motion_ns is not None and now_ns - self._motion_ns < COMMANDER_NS
+
     @property
     def lease_holder(self) -> str:
         """The operator who holds the lease; empty if nobody does."""
@@ -313,8 +325,10 @@ class Core:
             if frame.can_id not in self._motion_commands:
                 return  # Lamps and horn move nobody.
             # The guard's are ours: taken for another's, a chassis that it leaves would count as taken over.
-            if check(frame) is None and not self._links.guard_sends:
-                self._commander_ns = now_ns
+            if check(frame) is None:
+                self._motion_ns = now_ns
+                if not self._links.guard_sends:
+                    self._commander_ns = now_ns
             return
         if frame.can_id & ERROR:
             self._health.controller = controller_state(frame) or self._health.controller

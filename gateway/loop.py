@@ -129,6 +129,18 @@ class Note(Protocol):
         ...
 
 
+class FormerGuard(Protocol):
+    """The guard of the gateway before this one, as the loop sees it.
+
+    Attributes:
+        is_stopping: it has begun a stop lately, and has not said how that ended.
+        says: how it ended; empty until then.
+    """
+
+    is_stopping: bool
+    says: str
+
+
 class Surroundings(msgspec.Struct):
     """What the loop runs between. ``inbox``, ``guard`` and ``note`` are None for a gateway that only listens."""
 
@@ -137,6 +149,7 @@ class Surroundings(msgspec.Struct):
     inbox: Inbox | None = None
     guard: Guard | None = None
     note: Note | None = None
+    former_guard: FormerGuard | None = None
     has_realtime: Callable[[], bool] = lambda: False
 
 
@@ -194,6 +207,8 @@ def run(around: Surroundings, core: Core, info: Callable[[], bytes], stopped: Ca
             log.warning("the loop was %d ms late; frames that waited keep their own times", late_ns // MS)
         is_behind = now_ns - reader.read_all_ns > BEHIND_NS
         links = _observe(around, links, is_behind=is_behind, is_full=ticks % SELDOM_TICKS == 0)
+        if around.former_guard is not None:
+            links = _with_former(links, around.former_guard, hears_commands=core.hears_commands(now_ns))
         ticks += 1
         _tick(around, core, numbers, links, now_ns, late_ns)
         sink.answer(info)
@@ -306,4 +321,17 @@ def _observe(around: Surroundings, before: Links, *, is_behind: bool, is_full: b
         is_behind=is_behind,
         realtime=around.has_realtime() if is_full else before.realtime,
         inbox_drops=around.inbox.drops if around.inbox is not None else 0,
+    )
+
+
+def _with_former(links: Links, former: FormerGuard, *, hears_commands: bool) -> Links:
+    """The links, and the guard of the gateway before.
+
+    While it has not said that it is done, commands on the bus are its own. Where none are heard it is up to us: it
+    may be dead as well.
+    """
+    return msgspec.structs.replace(
+        links,
+        guard_sends=links.guard_sends or (former.is_stopping and hears_commands),
+        guard_says=links.guard_says or former.says,
     )

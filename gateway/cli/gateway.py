@@ -20,6 +20,7 @@ from gateway.chassis.layout import load
 from gateway.core import Core
 from gateway.guard.sight import Sight
 from gateway.guard.stopper import Stopper
+from gateway.host.former_guard import FormerGuard
 from gateway.host.guard_process import GuardLink, start_guard
 from gateway.host.guard_run import stop_alone
 from gateway.host.log_queue import logging_aside
@@ -110,8 +111,11 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             log.warning("%s", node.warning)
         elif node.warning:
             core.warn(node.warning, time.monotonic_ns())
+        # Before the note is read: of what the guard says meanwhile, nothing is missed.
+        former_guard = FormerGuard(StopNote.of(settings))
         note = NoteClearer(_recall_guard_stop(core, settings))
         closing.callback(note.close)
+        closing.callback(former_guard.close)
         if inbox is not None and guard.why_not:
             log.warning("%s", _unguarded(settings, guard.why_not))
         if place.connect and not node.peers():
@@ -119,7 +123,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         request_realtime(settings.gateway.realtime_priority)
         if inbox is not None and not has_realtime():
             log.warning("%s", _without_realtime(settings))
-        around = Surroundings(bus, node, inbox, guard, note, has_realtime)
+        around = Surroundings(bus, node, inbox, guard, note, former_guard, has_realtime)
         try:
             with logging_aside():
                 run_loop(around, core, info, ending_after(stopped, arguments.seconds, time.monotonic))

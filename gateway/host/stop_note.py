@@ -79,6 +79,18 @@ class StopNote:
             return f"the note {self.path} is damaged: {plain(' / '.join(lines))}"
         return plain("; ".join(lines))
 
+    def last(self) -> tuple[datetime, str] | None:
+        """The last line, and when it was added; None if there is none, or it is damaged."""
+        try:
+            content = b"" if self.path is None else self.path.read_bytes()[:NOTE_MAX_BYTES]
+        except OSError:
+            return None
+        lines = content.decode(errors="backslashreplace").splitlines()
+        if not content.endswith(b"\n") or not lines or not _is_whole(lines[-1]):
+            return None
+        time, _, text = lines[-1].partition(" ")
+        return datetime.fromisoformat(time), text
+
     def add(self, line: str) -> None:
         """Add a line with the time of day; the file is there with its first line or not at all.
 

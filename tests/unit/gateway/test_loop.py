@@ -4,11 +4,13 @@ import gc
 import logging
 import time
 from collections.abc import Callable, Iterator
+from typing import cast
 
 import msgspec
 import pytest
 
 from gateway import loop as loop_module
+from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
 from gateway.command.flow import CommandFlow, PendingReply
@@ -21,6 +23,7 @@ from gateway.telemetry.sample import Sample
 from schemas import codec
 from schemas.decisions import SafetyState
 from schemas.messages import GatewayHealth, Message, RobotState, Variant
+from schemas.reasons import TEXTS, Reason
 from schemas.settings import ChassisSettings, Settings
 from schemas.subjects import BY_NAME
 from tests.support.frames import MS, Feedback
@@ -377,6 +380,13 @@ class OrderedZenoh(FakeZenoh):
         super().publish(sample)
 
 
+class FakeFormerGuard:
+    """Is over, until a test says otherwise."""
+
+    is_stopping = False
+    says = ""
+
+
 class Commanded:
     """A loop with everything around it, and a script: called each tick, it ends the loop by returning."""
 
@@ -387,6 +397,7 @@ class Commanded:
         self.inbox = FakeInbox(self.order)
         self.guard = FakeGuard(self.order)
         self.note = FakeNote()
+        self.former_guard = FakeFormerGuard()
         self.is_realtime = True
         self.core = core()
 
@@ -400,7 +411,13 @@ class Commanded:
             return next(steps, None) is None
 
         around = Surroundings(
-            self.bus, self.zenoh, self.inbox, self.guard, self.note, has_realtime=lambda: self.is_realtime
+            self.bus,
+            self.zenoh,
+            self.inbox,
+            self.guard,
+            self.note,
+            self.former_guard,
+            has_realtime=lambda: self.is_realtime,
         )
         run(around, self.core, lambda: b"", stopped)
 
@@ -618,6 +635,37 @@ def test_a_stop_by_the_guard_is_noted_until_it_is_reset() -> None:
     assert commanded.note.latched == [False, True, False]
     events = [sample.payload for sample in commanded.zenoh.samples if sample.subject == "safety/event"]
     assert any(msgspec.msgpack.decode(event)["text"].endswith(commanded.guard.says) for event in events)
+
+
+@pytest.mark.parametrize("is_stopping", [True, False])
+def test_the_guard_of_a_dead_gateway_is_no_other_computer(*, is_stopping: bool) -> None:
+    """Its frames are known for as long as it has not said that it is done; then its words are an event."""
+    commanded = Commanded()
+    commanded.former_guard.is_stopping = is_stopping
+    encoder = Encoder(load(Variant.COARSE))
+
+    def script(one: Commanded) -> Iterator[bool]:
+        expected = "guard" if is_stopping else "other_commander"
+        counter = 0
+        while expected not in blocked(one):
+            one.core.receive_frame(encoder.encode("Auto_DriveCmd", {}, counter), clock.now_ns)
+            counter = (counter + 1) % 16
+            yield False
+        assert {"guard", "other_commander"} - blocked(one) == {"guard", "other_commander"} - {expected}
+        one.former_guard.is_stopping, one.former_guard.says = False, "the robot stands; 180 frames sent"
+        while blocked(one) & {"guard", "other_commander"} - set(cast("list[str]", one.says("latched"))):
+            yield False
+
+    commanded.run(script)
+    events = [sample.payload for sample in commanded.zenoh.samples if sample.subject == "safety/event"]
+    texts = [msgspec.msgpack.decode(event)["text"] for event in events]
+    assert "the guard's stop has ended: the robot stands; 180 frames sent" in texts
+    assert (TEXTS[Reason.OTHER_COMMANDER].means in texts) is not is_stopping
+
+
+def blocked(one: Commanded) -> set[str]:
+    """Why the robot stands still."""
+    return set(cast("list[str]", one.says("blocked_by") or []))
 
 
 def test_real_time_priority_is_in_health_and_sets_the_speed_limit() -> None:

@@ -448,6 +448,31 @@ def test_a_stop_by_the_guard_is_latched_until_a_reset_whatever_is_restarted() ->
             assert running.stop() == 0
 
 
+def test_the_guard_of_a_dead_gateway_is_no_other_computer_to_the_next() -> None:
+    """One that is there while the guard still stops the robot knows whose frames these are, and how it ended."""
+    endpoint = free_endpoint()
+    settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
+    with (
+        chassis() as (_, address),
+        gateway(address, endpoint) as running,
+        Robot.connect("cruiser-1", "first", settings, 30) as robot,
+        robot.lease() as lease,
+    ):
+        wait_until(lambda: lease.is_engaged or is_done(lease.engage))
+        lease.unpark()
+        wait_until(lambda: abs(robot.state().state.output_speed_mps) > 0.8, lambda: lease.drive(1.0))
+        running.process.kill()
+        with gateway(address, endpoint) as after, Robot.connect("cruiser-1", "second", settings, 30) as other:
+            events: list[SafetyEvent] = []
+            # On a busy machine the guard may be done before; then its words are with the latch.
+            wait_until(
+                lambda: any(one.reason is Reason.GUARD and "the robot stands" in one.text for one in events),
+                lambda: events.extend(other.events()),
+            )
+            assert [one for one in events if one.reason is Reason.OTHER_COMMANDER] == []
+            assert after.stop() == 0
+
+
 def is_done(act: Callable[[], object]) -> bool:
     """It is accepted. On a busy machine a robot may be refused for a moment."""
     try:

@@ -1,0 +1,60 @@
+"""The guard of a gateway that died: it may still be stopping the robot when the next gateway is there."""
+
+from __future__ import annotations
+
+import threading
+import time
+from datetime import UTC, datetime, timedelta
+from typing import Final
+
+from gateway.host.stop_note import StopNote
+
+STOP_MAX_S: Final = 10.0
+"""A guard that has said nothing for so long is not waited for: a stop from the highest speed takes half of it."""
+
+_POLL_S: Final = 0.05
+
+_OURS: Final = "guard: "
+_DONE: Final = (f"{_OURS}done: ", f"{_OURS}given up: ")
+
+
+class FormerGuard:
+    """Reads in the note that a guard begins or ends a stop. The disk is read on a thread of its own.
+
+    Attributes:
+        is_stopping: it has begun a stop lately, and has not said how that ended.
+        says: how it ended; empty until it is known, and where the stop was over before this start.
+    """
+
+    def __init__(self, note: StopNote) -> None:
+        self.says = ""
+        self.is_stopping = self._is_stopping(note)
+        self._note = note
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._follow, name="former-guard", daemon=True)
+        if self.is_stopping:
+            self._thread.start()
+
+    def close(self) -> None:
+        """Look no more."""
+        self._closing.set()
+        if self._thread.ident is not None:
+            self._thread.join(_POLL_S * 2)
+
+    @staticmethod
+    def _is_stopping(note: StopNote) -> bool:
+        last = note.last()
+        if last is None or not last[1].startswith(_OURS) or last[1].startswith(_DONE):
+            return False
+        return timedelta() <= datetime.now(UTC) - last[0] <= timedelta(seconds=STOP_MAX_S)
+
+    def _follow(self) -> None:
+        until_s = time.monotonic() + STOP_MAX_S
+        while self.is_stopping and time.monotonic() < until_s and not self._closing.wait(_POLL_S):
+            last = self._note.last()
+            if last is None:
+                break
+            if last[1].startswith(_DONE):
+                self.says = last[1].removeprefix(_OURS).removeprefix("done: ")
+                break
+        self.is_stopping = False
