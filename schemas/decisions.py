@@ -140,6 +140,10 @@ class EventKind(Enum):
     GATEWAY = "gateway"
 
 
+GUARD_STOP_ENDED: Final = "the guard's stop has ended: "
+"""So the text of an event of kind ``guard`` begins that says how the guard's stop ended."""
+
+
 class SafetyState(Message, frozen=True):
     """The arbiter, at 20 Hz, at 50 Hz while the robot is engaged, and whenever something changes.
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from gateway.command.observed import Observed
-from schemas.decisions import EventKind, Severity
+from schemas.decisions import GUARD_STOP_ENDED, EventKind, Severity
 from schemas.messages import ControllerState
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import COMMANDER_QUIET_NS, LATE_NS, LATE_TOLD_NS
@@ -64,5 +64,5 @@ class Notices:
         if not observed.guard_sends and observed.guard_says != self._guard_says:
             self._guard_says = observed.guard_says
             if observed.guard_says:
-                text = f"the guard's stop has ended: {observed.guard_says}"
+                text = f"{GUARD_STOP_ENDED}{observed.guard_says}"
                 yield Notice(Severity.WARNING, Reason.GUARD, text, EventKind.GUARD)

@@ -215,9 +215,10 @@ class _Answer:
         silence, death = self._silence(), self.death
         links = [*motion(now), *arbiter(now, state), *self._command()]
         if silence is not None:
-            links += silences.links(silence)
+            after = self._story.next_run(silence.heard_ns, silence.was.said.tick)
+            links += silences.links(silence, silences.guard_links(after) if silence.was_active else [])
         elif death is not None:
-            links.append(Link(Step.CAUSE, death.text, death.time_ns))
+            links += self._death(death)
         if focus is not None:
             links += self._stop(focus)
         links += self._blocked({Reason.NONE if focus is None else focus.reason})
@@ -259,6 +260,16 @@ class _Answer:
         if death is None or self._now.at_ns - death.time_ns > BEFORE_NS:
             return None
         return death if last is None or last.time_ns <= death.time_ns + STALE_NS else None
+
+    def _death(self, death: Entry) -> Iterator[Link]:
+        """One that a recorder saw; and of what came behind it, as far as another gateway tells."""
+        yield Link(Step.CAUSE, death.text, death.time_ns)
+        last = self._now.last(SafetyState)
+        after = self._story.next_run(death.time_ns, None if last is None else last.said.tick)
+        if after:
+            text = f"another gateway said something {span(after[0].time_ns - death.time_ns)} later"
+            yield Link(Step.CAUSE, f"{text}: nothing of before holds any more", after[0].time_ns)
+        yield from silences.guard_links(after)
 
     def _headline(self, silence: Silence | None, death: Entry | None) -> str:
         now, state = self._now, self._state

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import pairwise
+from collections.abc import Iterator, Sequence
+from itertools import pairwise, takewhile
 from typing import Final
 
 import msgspec
 
 from recorder.review.reasoning.chain import Link, Step, before, evidence, missing, span
 from recorder.review.reasoning.scene import Heard, Scene, is_other_run
+from recorder.review.timeline.entries import Entry, EntryKind
 from schemas.decisions import ArbiterState, EventKind, SafetyEvent, SafetyState, is_same_run
 from schemas.messages import Drive
+from schemas.reasons import TEXTS, Reason
 from schemas.settings import STANDSTILL_MPS
 
 _FRESH_NS: Final = 500_000_000
@@ -99,8 +101,33 @@ def in_a_sentence(silence: Silence, at_ns: int) -> str:
     return f"The gateway {silence.fell} {fell}, {silence.left}; another began {began}."
 
 
-def links(silence: Silence) -> Iterator[Link]:
-    """The silence, its end, and what is known of the robot in between."""
+def guard_links(after: Sequence[Entry]) -> list[Link]:
+    """What the guard of a gateway that died did, in its own words.
+
+    Args:
+        after: what the next gateway said.
+    """
+    at_first = takewhile(lambda one: one.kind is not EntryKind.ENGAGED, after)
+    told = [one for one in at_first if one.tells_of_guard or one.kind is EntryKind.LATCH]
+    return [
+        Link(Step.ACTION, f"the next gateway says of the guard: {_words(one)}", one.time_ns)
+        for one in told
+        if one.reason is Reason.GUARD
+    ]
+
+
+def _words(entry: Entry) -> str:
+    """Those of the guard, with their times; where none were kept, those of the gateway."""
+    return entry.text.partition(f"{TEXTS[Reason.GUARD].means}; ")[2] or entry.text
+
+
+def links(silence: Silence, guard: Sequence[Link]) -> Iterator[Link]:
+    """The silence, its end, and what is known of the robot in between.
+
+    Args:
+        silence: of a gateway.
+        guard: what is known of what its guard did.
+    """
     said = silence.was.said
     silent_ns = silence.then.time_ns - silence.heard_ns
     data = {
@@ -113,17 +140,19 @@ def links(silence: Silence) -> Iterator[Link]:
     }
     told = f"; it told the chassis {said.output_speed_mps:.2f} m/s" if said.state is ArbiterState.ENGAGED else ""
     yield Link(Step.CAUSE, f"the gateway {silence.fell}, {silence.left}{told}", silence.heard_ns, data)
-    if silence.was_active and said.guarded:
+    if not guard and silence.was_active and said.guarded:
         text = (
             "a guard watched the gateway, and is there to stop the robot in its place: what it did then is not in"
         )
         yield missing(f"{text} the log, for only the gateway tells of the bus")
-    elif silence.was_active:
+    elif not guard and silence.was_active:
         yield missing(
             "no guard watched the gateway; what the chassis, which obeys its last command, did is not told"
         )
     text = f"another gateway began after {span(silent_ns)}: nothing of before holds any more"
-    yield Link(Step.CAUSE, text, silence.then.time_ns)
+    began = Link(Step.CAUSE, text, silence.then.time_ns)
+    # The first thing that the other one says may be of the guard.
+    yield from sorted([*guard, began], key=lambda link: link.time_ns or 0)
     if silence.was_active and silence.found is not None:
         found = silence.found
         after = span(found.time_ns - silence.heard_ns)

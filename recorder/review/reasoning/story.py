@@ -42,6 +42,17 @@ class Story:
         last = next((one for one in reversed(self._entries) if one.time_ns <= until_ns), None)
         return last if last is not None and _is_death(last) else None
 
+    def next_run(self, after_ns: int, tick: int | None) -> list[Entry]:
+        """What the gateway said that came after one that died, whose last tick was this, as far as it is known."""
+        behind = [
+            (one, one.tick)
+            for one in self._entries
+            if one.time_ns > after_ns
+            and one.tick is not None
+            and (tick is None or not is_same_run(one.tick, tick))
+        ]
+        return [one for one, its_tick in behind if is_same_run(its_tick, behind[0][1])]
+
     def newest_latch(self, reasons: Iterable[Reason], until_ns: int) -> Entry | None:
         """Of what is latched, that which was latched last."""
         latches = [entry for reason in reasons if (entry := self.last_latch(reason, until_ns)) is not None]
@@ -87,7 +98,7 @@ class Story:
 
 def _stops(entry: Entry) -> bool:
     # That a guard is there, or is gone, has no reason: it stops nothing by itself.
-    return entry.kind in STOPS and entry.reason is not Reason.NONE
+    return entry.kind in STOPS and entry.reason is not Reason.NONE and not entry.tells_of_guard
 
 
 def _is_death(entry: Entry) -> bool:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Sequence
+from datetime import datetime
 from typing import Final
 
 import msgspec
@@ -13,6 +15,7 @@ from recorder.review.report.findings import Moment, Outage, Silence
 from recorder.review.report.odometry import Place
 from recorder.review.timeline.entries import Entry, EntryKind, Source
 from schemas.decisions import Severity
+from schemas.reasons import Reason
 
 MOMENTS_MAX: Final = 2000
 ERRORS_MAX: Final = 500
@@ -22,13 +25,16 @@ OUTAGES_MAX: Final = 200
 SILENCES_MAX: Final = 200
 
 RECENT: Final = 50
-"""Silences among which that before a restart is."""
+"""Silences among which that before a restart is, and stops by the guard that a restart may tell again."""
 
 BEYOND_NS: Final = 24 * 3600 * 1_000_000_000
 """A time that is further from all that the robot said is of no use."""
 
 CLOCKS_APART_NS: Final = 2_000_000_000
 """The robot's clock and the recorder's may differ by so much, and the log times are the recorder's."""
+
+_NOTED: Final = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}\+00:00")
+"""When the guard began to stop, as its note says."""
 
 _IN_OTHER_TABLES: Final = frozenset({EntryKind.REFUSAL, EntryKind.REQUEST})
 
@@ -51,6 +57,7 @@ class Happenings:
         self.more_outages = self.more_silences = 0
         self._entries: list[Entry] = []
         self._recent: deque[Silence] = deque(maxlen=RECENT)
+        self._guard_stops_ns: deque[int] = deque(maxlen=RECENT)
 
     def take(self, entry: Entry) -> None:
         """The next one."""
@@ -59,6 +66,8 @@ class Happenings:
         self._keep(entry)
         if entry.kind is EntryKind.STOP:
             self.stops[entry.reason.value] += 1
+        elif entry.kind is EntryKind.LATCH and entry.reason is Reason.GUARD:
+            self._take_guard_stop(entry)
         elif entry.kind is EntryKind.GAP and entry.source is Source.LOG and entry.last_ns > entry.time_ns:
             self._take_silence(entry)
         elif _is_restart(entry):
@@ -100,6 +109,14 @@ class Happenings:
         room = MOMENTS_MAX + (ERRORS_MAX if entry.severity is Severity.ERROR else 0)
         if len(self._entries) < room:
             self._entries.append(entry)
+
+    def _take_guard_stop(self, entry: Entry) -> None:
+        """A stop by the guard, which each gateway tells again that finds it latched at its start."""
+        noted = _NOTED.search(entry.text)
+        began_ns = entry.time_ns if noted is None else round(datetime.fromisoformat(noted[0]).timestamp() * 1e9)
+        if not any(abs(began_ns - other_ns) < CLOCKS_APART_NS for other_ns in self._guard_stops_ns):
+            self._guard_stops_ns.append(began_ns)
+            self.stops[entry.reason.value] += 1
 
     def _take_silence(self, entry: Entry) -> None:
         silence = Silence(entry.time_ns, entry.last_ns, entry.text)

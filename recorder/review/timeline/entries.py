@@ -7,7 +7,7 @@ from typing import Final
 
 import msgspec
 
-from schemas.decisions import EventKind, Severity
+from schemas.decisions import GUARD_STOP_ENDED, EventKind, Severity
 from schemas.messages import Count, TimeNs
 from schemas.reasons import Reason
 from schemas.requests import Tick
@@ -91,3 +91,8 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     def is_derived(self) -> bool:
         """No message says so."""
         return self.source is Source.STATE
+
+    @property
+    def tells_of_guard(self) -> bool:
+        """It says how a stop by the guard ended, which is no stop itself."""
+        return self.kind is EntryKind.GUARD and self.text.startswith(GUARD_STOP_ENDED)

@@ -169,18 +169,35 @@ def test_another_latch_than_that_of_the_stop_has_evidence_of_its_own(path: Path)
     assert "to cure remote_stop: reset with 'cruiser reset cruiser-1'" in texts(explanation, Step.CURE)
 
 
-def _another(dead_ns: int) -> RecordedRig:
-    """A gateway that begins 3 s after another one died."""
+def _another(dead_ns: int, later_s: float = 3, note: str = "", ended: str = "") -> RecordedRig:
+    """A gateway that begins so long after another one died, and finds this note of its guard."""
     rig = RecordedRig(run=2)
-    later_ns = dead_ns + 3 * SECOND - rig.at_ns
+    later_ns = dead_ns + round(later_s * SECOND) - rig.at_ns
     rig.wall_ns += later_ns
     rig.recorder_ns += later_ns
-    rig.run(4)
+    if note:
+        rig.core.latch_guard_stop(note, rig.now_ns)
+    rig.run(1)
+    if ended:
+        rig.links = msgspec.structs.replace(rig.links, guard_says=ended)
+    rig.run(3)
     return rig
 
 
-def _dead_gateway(tmp_path: Path) -> tuple[list[LogFile], int]:
+NOTE = "2026-11-22T06:00:00.000+00:00 guard: the gateway is gone, last heartbeat 51 ms ago: stopping the robot"
+
+
+def _dead_gateway(
+    tmp_path: Path, later_s: float = 3, note: str = "", ended: str = "", recorder_says: str = ""
+) -> tuple[list[LogFile], int]:
     """A stop, an engagement, and a gateway that dies while the robot drives; another begins 3 s later.
+
+    Args:
+        tmp_path: of the logs.
+        later_s: so much later.
+        note: what the guard had written down by then.
+        ended: how its stop ended, as the other gateway says a second after that.
+        recorder_says: of the death.
 
     Returns:
         the logs, and when the one was last heard.
@@ -192,8 +209,10 @@ def _dead_gateway(tmp_path: Path) -> tuple[list[LogFile], int]:
     operator.engage()
     operator.drive(0.6, 0.0, 1.5)
     dead_ns = rig.at_ns
-    (tmp_path / "one.mcap").write_bytes(rig.log())
-    (tmp_path / "two.mcap").write_bytes(_another(dead_ns).log())
+    event = RecorderEventKind.GATEWAY
+    said = RecorderEvent(dead_ns + MS, 0, Severity.ERROR, event, ROBOT, "", "", recorder_says)
+    (tmp_path / "one.mcap").write_bytes(rig.log(recorder_says=[said] if recorder_says else []))
+    (tmp_path / "two.mcap").write_bytes(_another(dead_ns, later_s, note, ended).log())
     return find_logs([tmp_path], Faults()), dead_ns
 
 
@@ -214,6 +233,27 @@ def test_a_gateway_that_died_is_told_and_no_stop_of_before(tmp_path: Path) -> No
     assert after.headline.startswith("It was not engaged: nobody holds the lease")
     assert "The gateway fell silent 3.5" in after.headline
     assert after.silent_ns == between.silent_ns
+
+
+@pytest.mark.parametrize("later_s", [3, 40])
+@pytest.mark.parametrize("after_ns", [None, -400 * MS, SECOND])
+def test_what_the_guard_of_a_dead_gateway_did_is_told_by_the_next(
+    later_s: float, after_ns: int | None, tmp_path: Path
+) -> None:
+    """In the guard's own words, soon or late: those of its note, and those that came later; and that one began."""
+    ended = "the robot stands; 180 frames sent"
+    gone = "the gateway died, or the link to it: its token is gone, and it was engaged, and told 0.60 m/s"
+    logs, dead_ns = _dead_gateway(tmp_path, later_s, NOTE, ended, gone)
+    faults = Faults()
+    explanation = explain(
+        ROBOT, logs, survey(logs, faults), None if after_ns is None else dead_ns + after_ns, faults
+    )
+    assert abs((explanation.silent_ns or 0) - dead_ns) <= 60 * MS, explanation.headline
+    did = texts(explanation, Step.ACTION)
+    assert f"the next gateway says of the guard: {NOTE}" in did
+    assert f"the guard's stop has ended: {ended}" in did
+    assert "another gateway" in texts(explanation, Step.CAUSE)
+    assert "what it did then is not in the log" not in texts(explanation, Step.MISSING)
 
 
 def _killed_again_and_again(tmp_path: Path) -> tuple[list[LogFile], list[int]]:

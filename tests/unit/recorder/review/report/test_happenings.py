@@ -1,5 +1,7 @@
 """What happened to one robot, from the entries of the timeline."""
 
+from datetime import UTC, datetime
+
 import msgspec
 import pytest
 
@@ -121,3 +123,18 @@ def test_a_time_beyond_reason_is_put_where_the_robot_was(far_ns: int) -> None:
     (moment,) = found.moments([], WALL_NS, WALL_NS + HOUR_NS)
     assert moment.time_ns == (WALL_NS + HOUR_NS if far_ns else WALL_NS)
     assert moment.last_ns == moment.time_ns
+
+
+def test_a_stop_by_the_guard_is_a_stop_and_is_counted_once() -> None:
+    """Each gateway that finds it latched at its start says so again; another one of another time is another."""
+
+    def latch(at_s: float, text: str = "latched until a reset") -> Entry:
+        return entry(at_s, EntryKind.LATCH, reason=Reason.GUARD, text=text)
+
+    def noted(at_s: float, began_s: float) -> Entry:
+        began = datetime.fromtimestamp(WALL_NS / 1e9 + began_s, UTC).isoformat(timespec="milliseconds")
+        return latch(at_s, f"latched until a reset: ...; {began} guard: the gateway is gone; {began} guard: done")
+
+    assert happened(noted(5, 1), noted(50, 1), noted(500, 1)).stops == {"guard": 1}
+    assert happened(latch(1), noted(50, 1.2)).stops == {"guard": 1}
+    assert happened(noted(5, 1), noted(50, 40), latch(60)).stops == {"guard": 3}
