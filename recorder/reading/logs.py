@@ -71,10 +71,11 @@ def look_at(path: Path) -> LogFile:
         CommandError: it cannot be opened, is empty, or is no MCAP file.
     """
     with open_log(path) as (stream, size):
+        is_written = is_being_written(stream)
         start_ns, end_ns, channels = _span(stream, size)
     parts = [keys.parse(channel.topic) for channel in channels]
     robots = frozenset((one.root, one.robot) for one in parts if one is not None and one.robot)
-    return LogFile(path, size, start_ns, end_ns, robots)
+    return LogFile(path, size, start_ns, end_ns, robots, is_being_written=is_written)
 
 
 @contextmanager

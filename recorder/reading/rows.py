@@ -125,6 +125,7 @@ class LogReader:
         self._stream = stream
         self._size = log.bytes
         self._name = str(log.path)
+        self._is_being_written = log.is_being_written
         self._selection = selection
         self._faults = faults
         self._declared = Declared(log.namesakes)
@@ -150,6 +151,8 @@ class LogReader:
                     self.metadata[piece.name] = piece.metadata
                 case records.Attachment():
                     self.attachments.append(piece)
+                case Fault() if piece.cuts and self._is_being_written:
+                    pass
                 case Fault():
                     self._fault(piece.offset, piece.detail)
                 case records.Schema() | records.Channel():

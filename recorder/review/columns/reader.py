@@ -152,6 +152,7 @@ class ColumnReader:
         self._unpacker = Unpacker(stream)
         self._size = log.bytes
         self._name = str(log.path)
+        self._is_being_written = log.is_being_written
         self._selection = selection
         self._faults = faults
         self._wanted_columns = wanted
@@ -178,6 +179,8 @@ class ColumnReader:
                     told = piece.offset + piece.length
                 case LooseMessage():
                     pending.add(piece.offset, piece.raw, None)
+                case Fault() if piece.cuts and self._is_being_written:
+                    pass
                 case Fault():
                     self._fault(piece.offset, piece.detail)
                 case records.Schema() | records.Channel():

@@ -82,7 +82,7 @@ def topics_of(log: LogFile, faults: Faults) -> list[Topic]:
 def _declared(stream: BinaryIO, log: LogFile, faults: Faults) -> Iterator[records.Schema | records.Channel]:
     known: set[int] = set()
     for piece in read_pieces(stream, log.bytes, is_verifying=False):
-        if isinstance(piece, Fault):
+        if isinstance(piece, Fault) and not (piece.cuts and log.is_being_written):
             faults.add(f"{log.path}: byte {piece.offset}: {piece.detail}")
         found: Iterator[Any] = iter([piece])
         if isinstance(piece, PackedChunk):

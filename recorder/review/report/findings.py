@@ -194,6 +194,7 @@ class ReportedFile(msgspec.Struct, frozen=True):
 
     Attributes:
         is_accounted: it ends with the recorder's account of what it received and lost.
+        is_being_written: a recorder has it open: that account is still to come.
     """
 
     name: str
@@ -201,6 +202,7 @@ class ReportedFile(msgspec.Struct, frozen=True):
     start_ns: int
     end_ns: int
     is_accounted: bool
+    is_being_written: bool
 
 
 class Report(msgspec.Struct, frozen=True):

@@ -17,7 +17,7 @@ import msgspec
 
 from recorder.reading.times import in_words
 from recorder.review.report.figures import clock, on_map, over_time, placed
-from recorder.review.report.findings import Report, RobotReport, RobotSummary
+from recorder.review.report.findings import Report, ReportedFile, RobotReport, RobotSummary
 from recorder.review.report.words import (
     SHOWN,
     Line,
@@ -309,6 +309,12 @@ def _in_force(summary: RobotSummary) -> Iterator[str]:
         yield "<p>The log does not tell.</p>"
 
 
+def _state(file: ReportedFile) -> str:
+    if file.is_accounted:
+        return "finished"
+    return "being written" if file.is_being_written else "not finished by its recorder"
+
+
 def _files(report: Report) -> Iterator[str]:
     rows = [
         (
@@ -318,7 +324,7 @@ def _files(report: Report) -> Iterator[str]:
                 size(file.bytes),
                 in_words(file.start_ns),
                 in_words(file.end_ns),
-                "finished" if file.is_accounted else "not finished by its recorder",
+                _state(file),
             ),
         )
         for file in report.files

@@ -177,4 +177,11 @@ def _robot_key(topic: Topic) -> str:
 
 def _reported(log: LogFile, margins: Margins) -> ReportedFile:
     is_accounted = log.is_incident or bool(margins.completeness)
-    return ReportedFile(log.path.name, log.bytes, log.start_ns, log.end_ns, is_accounted)
+    return ReportedFile(
+        name=log.path.name,
+        bytes=log.bytes,
+        start_ns=log.start_ns,
+        end_ns=log.end_ns,
+        is_accounted=is_accounted,
+        is_being_written=log.is_being_written,
+    )

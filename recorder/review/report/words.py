@@ -229,7 +229,11 @@ def _missing(robot: RobotSummary, files: Iterable[ReportedFile]) -> list[str]:
     if robot.unwritten:
         count = sum(one.count for one in robot.unwritten)
         said.append(f"{count} messages reached the recorder and were not kept.")
-    bare = [file.name for file in files if not file.is_accounted]
+    unfinished = [file for file in files if not file.is_accounted]
+    growing = [file.name for file in unfinished if file.is_being_written]
+    if growing:
+        said.append(f"No account yet, because the recorder is writing the file: {_list(growing)}.")
+    bare = [file.name for file in unfinished if not file.is_being_written]
     if bare:
         said.append(f"No account, because the recorder did not finish the file: {_list(bare)}.")
     return said or ["the log does not tell"]

@@ -71,7 +71,12 @@ def test_an_unfinished_file_is_named(report: Report) -> None:
     """Of it the recorder gave no account."""
     file = msgspec.structs.replace(report.files[0], is_accounted=False)
     changed = msgspec.structs.replace(report, files=[file])
-    assert "No account" in dict(summary_lines(report.robots[0].summary, changed))["Missing"]
+    told = dict(summary_lines(report.robots[0].summary, changed))["Missing"]
+    assert f"No account, because the recorder did not finish the file: {file.name}." in told
+    growing = msgspec.structs.replace(report, files=[msgspec.structs.replace(file, is_being_written=True)])
+    told = dict(summary_lines(report.robots[0].summary, growing))["Missing"]
+    assert f"No account yet, because the recorder is writing the file: {file.name}." in told
+    assert "did not finish" not in told
 
 
 def test_a_standing_robot_and_one_of_which_nothing_is_known(report: Report) -> None:
