@@ -153,8 +153,8 @@ def _load() -> str:
 
 
 def _incident_files(info: dict[str, Any]) -> list[str]:
-    """The file that keeps what came before and after an incident, as the log names it."""
-    return [info["incident"]["file"]] if info["incident"] else []
+    """The files that keep what came before and after each incident, as the log names them."""
+    return [one["file"] for one in info["incidents"]]
 
 
 def _seconds(text: str) -> float:

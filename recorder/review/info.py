@@ -76,7 +76,8 @@ class LogInfo(msgspec.Struct, frozen=True):
         metadata: all metadata records by name, the last of each.
         completeness: the recorder's own account of each topic while it wrote this log; empty if it gives none.
         is_cut: this is a part of what the account is about.
-        incident: the other file, time and reason, where this is an incident or one was kept of it.
+        incidents: the other file, time and reason, where this is an incident or one was kept of it: each of them.
+        incident: the last one of these.
     """
 
     path: str
@@ -98,6 +99,7 @@ class LogInfo(msgspec.Struct, frozen=True):
     metadata: dict[str, dict[str, str]]
     completeness: dict[str, KeyReport]
     is_cut: bool
+    incidents: list[dict[str, str]]
     incident: dict[str, str]
 
 
@@ -181,6 +183,7 @@ def _read(stream: BinaryIO, size: int, path: str, progress: Progress) -> LogInfo
         metadata=metadata,
         completeness=_completeness(metadata.get(COMPLETENESS_NAME, {})),
         is_cut=CUT_NAME in metadata,
+        incidents=_incidents(contents),
         incident=metadata.get(INCIDENT_NAME, {}),
     )
 
@@ -201,6 +204,13 @@ def _channels(contents: Contents) -> Iterable[ChannelInfo]:
             rate_hz=(messages - 1) / span_s if messages > 1 and span_s > 0 else None,
             backfilled_from=channel.metadata.get(BACKFILLED_FROM, ""),
         )
+
+
+def _incidents(contents: Contents) -> list[dict[str, str]]:
+    """Each once. An incident that was begun without a log names none at first."""
+    found = [entries for name, entries in contents.metadata if name == INCIDENT_NAME]
+    found = [one for number, one in enumerate(found) if one not in found[:number]]
+    return [one for one in found if one.get("file")] or found
 
 
 def _robots(channels: Iterable[ChannelInfo]) -> list[str]:

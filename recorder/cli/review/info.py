@@ -101,8 +101,7 @@ def _of_one(info: LogInfo) -> Iterator[str]:
     sources = sorted({channel.backfilled_from for channel in info.channels if channel.backfilled_from})
     if sources:
         yield f"  backfilled from recorder {', '.join(sources)}"
-    if info.incident:
-        yield f"  incident {info.incident.get('file', '')}: {info.incident.get('because', '')}"
+    yield from (f"  incident {one.get('file', '')}: {one.get('because', '')}" for one in info.incidents)
     yield from _completeness(info)
 
 

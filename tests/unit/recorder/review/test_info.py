@@ -7,9 +7,11 @@ from typing import Any
 import pytest
 from mcap.writer import CompressionType
 
+from recorder.cli.review.info import describe
 from recorder.encoding.protobuf_schema import descriptor_set, schema_name
 from recorder.mcap.channel import LogChannel
 from recorder.record.completeness import KeyReport
+from recorder.record.incidents import INCIDENT_NAME
 from recorder.record.session import COMPLETENESS_NAME
 from recorder.review.info import LogInfo, SetInfo, Source, read_info, total
 from schemas.exit_codes import CommandError
@@ -69,6 +71,18 @@ def test_rates_and_times_come_from_the_receipt(path: Path) -> None:
     found = info_of(path, log.close())
     assert (found.start_ns, found.end_ns, found.duration_s) == (WALL_NS, WALL_NS + SECOND, 1.0)
     assert found.channels[0].rate_hz == pytest.approx(10.0)
+
+
+def test_all_incidents_are_named(path: Path) -> None:
+    """Each once; one that was begun without a log names none only while there is none."""
+    about = [{"file": name, "because": name[:1]} for name in ("", "a.incident.mcap", "b.incident.mcap")]
+    chunk = [gears(0, 1, 1)]
+    named = info_of(path, own_log(chunk, metadata=[(INCIDENT_NAME, about[place]) for place in (0, 1, 2, 1)]))
+    assert (named.incidents, named.incident) == (about[1:], about[1])
+    assert info_of(path, own_log(chunk, metadata=[(INCIDENT_NAME, about[0])])).incidents == about[:1]
+    assert info_of(path, own_log(chunk)).incidents == []
+    said = describe(named)
+    assert "  incident a.incident.mcap: a\n  incident b.incident.mcap: b\n" in said
 
 
 def test_the_last_metadata_holds(path: Path) -> None:
