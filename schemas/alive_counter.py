@@ -49,9 +49,7 @@ class UnseenRounds:
         """
         is_gap = not 0 <= elapsed_ns < self.window_ns
         if elapsed_ns < 0 or (time_ns - elapsed_ns if is_gap else time_ns) > self._until_ns:
-            self.lost = self.lost_so_far
-            self.is_waiting = False
-            self._behind_ns = 0
+            self.judge()
         if elapsed_ns < 0 or not (is_gap or self.is_waiting):
             return
         self._behind_ns += elapsed_ns - steps * self._period_ns
@@ -60,3 +58,9 @@ class UnseenRounds:
             self._until_ns = time_ns + min(self._behind_ns, LATE_MAX_NS)
             self._least_ns = self._behind_ns
         self._least_ns = min(self._least_ns, self._behind_ns)
+
+    def judge(self) -> None:
+        """No frame comes any more that was only late."""
+        self.lost = self.lost_so_far
+        self.is_waiting = False
+        self._behind_ns = 0

@@ -53,11 +53,17 @@ class AliveCount:
         self._rounds = UnseenRounds(frame.period_ns)
         self._counter = 0
         self._time_ns = 0
+        self._is_first = True
 
     @property
     def unseen(self) -> int:
         """As above; what is not judged yet counts by what has come so far."""
         return self._rounds.lost_so_far
+
+    def begin_anew(self) -> None:
+        """Another gateway receives the frames from here on: what came between the two was not lost on the way."""
+        self._rounds.judge()
+        self._is_first = True
 
     def receive(self, time_ns: int, data: bytes) -> None:
         """The next frame: when it was received, and its eight bytes."""
@@ -73,7 +79,7 @@ class AliveCount:
         count, first = len(halves), (self._counter + 1) % COUNTER_SPAN
         gaps_ns = list(map(sub, times_ns, (self._time_ns, *times_ns[:-1])))
         is_regular = (
-            self.frames > 0
+            not self._is_first
             and not self._rounds.is_waiting
             and min(gaps_ns) >= 0
             and max(gaps_ns) < self._rounds.window_ns
@@ -88,7 +94,7 @@ class AliveCount:
 
     def _count(self, time_ns: int, counter: int) -> None:
         self.frames += 1
-        if self.frames > 1:
+        if not self._is_first:
             elapsed_ns = time_ns - self._time_ns
             is_outage = not 0 <= elapsed_ns < self._rounds.window_ns
             steps = (counter - self._counter) % COUNTER_SPAN
@@ -104,4 +110,5 @@ class AliveCount:
                 self.first_ns.setdefault("lost", time_ns)
             if is_outage or self._rounds.is_waiting:
                 self._rounds.follow(time_ns, elapsed_ns, steps)
+        self._is_first = False
         self._counter, self._time_ns = counter, time_ns

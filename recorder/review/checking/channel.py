@@ -5,11 +5,14 @@ Messages wait until many of them can be judged at once: most of what that costs 
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import Final
 
 import msgspec
 from mcap import records
 
+from recorder.encoding.key_counters import SEQUENCE_SPAN
 from recorder.encoding.protobuf_schema import schema_name
 from recorder.reading.topics import UNREADABLE, typed_decoder
 from recorder.review.checking.findings import Findings
@@ -73,6 +76,9 @@ class Channel:
         self._sequence = sequence_count(self._schema) if is_protobuf else None
         self._is_gaps = is_protobuf and self._schema == _RECORD_GAP
         self._messages = self._unreadable = 0
+        self._newest = 0
+        self._begun_anew = 0
+        self._begun_anew_ns: int | None = None
         self._sequences: list[int] = []
         self._publish_ns: list[int] = []
         self._log_ns: list[int] = []
@@ -95,11 +101,13 @@ class Channel:
 
     def judge(self) -> None:
         """Judge the messages that wait."""
+        # Of raw frames as many sequences wait as there are data.
+        anew = self._look_for_other_gateways() if self.frames else []
         if self._sequence is not None and self._sequences:
             self._sequence.take(self._sequences, self._publish_ns, self._log_ns)
             self._sequences, self._publish_ns, self._log_ns = [], [], []
         if self._proof is not None and self._datas:
-            for place in self._proof(self._datas):
+            for place in self._proven(self._proof, anew):
                 self._unreadable += 1
                 offset = max(one for one in self._offsets if one[0] <= place)[1]
                 self._findings.file("messages are not what their schema says", offset, topic=self.topic)
@@ -113,6 +121,9 @@ class Channel:
         missed, missed_ns = (None, None) if self._sequence is None else self._sequence.missed()
         if missed:
             self._findings.data("samples missed, by the sequence", self.topic, missed, missed_ns)
+        if self._begun_anew and self.frames and any(self.frames.counts):
+            what = "times without a gateway, whose frames nobody received: another one began then"
+            self._findings.data(what, self.topic, self._begun_anew, self._begun_anew_ns)
         for _, alive in self.frames.counts if self.frames else ():
             for name, what in _FRAME_FAULTS.items():
                 count = getattr(alive, name)
@@ -128,6 +139,29 @@ class Channel:
             unreadable=self._unreadable,
             missed=missed,
         )
+
+    def _look_for_other_gateways(self) -> list[int]:
+        """Before which of the frames that wait another gateway began: it counts its batches from 0."""
+        sequences, before = self._sequences, self._newest
+        if not sequences:
+            return []
+        self._newest = sequences[-1]
+        if sequences[0] >= before and sequences == sorted(sequences):
+            return []
+        steps = enumerate(pairwise([before, *sequences]))
+        places = [place for place, (was, now) in steps if 0 < was - now < SEQUENCE_SPAN // 2]
+        if places and self._begun_anew_ns is None:
+            self._begun_anew_ns = self._log_ns[places[0]]
+        self._begun_anew += len(places)
+        return places
+
+    def _proven(self, proof: Proof, anew: Sequence[int]) -> Iterator[int]:
+        """The places of data that are not what their schema says."""
+        for start, end in pairwise([0, *anew, len(self._datas)]):
+            if start in anew and self.frames:
+                self.frames.begin_anew()
+            if start < end:
+                yield from (start + place for place in proof(self._datas[start:end] if anew else self._datas))
 
     def _tell_gaps(self) -> None:
         """What the recorder says that it could not write."""

@@ -87,6 +87,11 @@ class FrameCount:
             self._take_columns(form, joined, len(datas))
         return []
 
+    def begin_anew(self) -> None:
+        """Another gateway receives the frames from here on."""
+        for count in self._counts.values():
+            count.begin_anew()
+
     @property
     def counts(self) -> Iterator[tuple[str, AliveCount]]:
         """The count of each identifier that was seen."""

@@ -392,6 +392,28 @@ def test_losses_are_about_the_data_and_the_file_is_whole() -> None:
     assert [one.time_ns for one in found.findings if "sequence" in one.what] == [WALL_NS, WALL_NS]
 
 
+@pytest.mark.parametrize("away_ms", [40, 700, 20_000])
+@pytest.mark.parametrize("is_one_chunk", [True, False])
+def test_the_time_without_a_gateway_is_no_loss_on_the_way(away_ms: int, *, is_one_chunk: bool) -> None:
+    """One that was killed, and another that counts its batches anew; what either lost is told all the same."""
+    log = Log()
+    frames = [(WALL_NS + number * 10 * MS, feedback(number)) for number in range(60) if number not in {5, 45}]
+    away = [(at_ns + away_ms * MS, data) for at_ns, data in frames[29:]]
+    batches = [batch(0, frames[:10]), batch(1, frames[10:29]), batch(0, away[:10]), batch(1, away[10:])]
+    for one in batches:
+        log.receive(sample_of(one))
+        if not is_one_chunk:
+            log.receive(*(sample_of(gear(number)) for number in range(2000)))
+    found = check(log.close())
+    (frame,) = found.frames
+    assert (frame.frames, frame.lost, frame.outages, frame.unseen) == (58, 2, 0, 0)
+    about_frames = [(one.what, one.count) for one in found.findings if one.topic.endswith("rx")]
+    assert about_frames == [
+        ("times without a gateway, whose frames nobody received: another one began then", 1),
+        ("Auto_GearFeedBack: frames lost, by the alive counter", 2),
+    ]
+
+
 def test_what_was_asked_for_later_is_not_missed() -> None:
     """It stands behind what came by itself; its time tells its place."""
     log = Log()

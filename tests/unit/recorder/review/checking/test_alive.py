@@ -128,3 +128,16 @@ def test_the_counter_of_a_corrupt_frame_is_not_read() -> None:
     for number, data in enumerate((feedback(0), bytes(corrupt), feedback(2))):
         count.receive(number * PERIOD_NS, data)
     assert (count.corrupt, count.lost, count.repeated) == (1, 0, 0)
+
+
+@given(st.integers(0, 15), st.integers(0, 400))
+def test_what_came_between_two_gateways_is_not_counted(counter: int, periods: int) -> None:
+    """Whatever the counter is then; a gap of before is judged with what had come."""
+    count = gear_count()
+    for number in (0, 1, 2, 40, 41):
+        count.receive(number * PERIOD_NS, feedback(number))
+    lost = count.lost + count.unseen
+    assert lost == 37
+    count.begin_anew()
+    count.receive((41 + periods) * PERIOD_NS, feedback(counter))
+    assert (count.lost + count.unseen, count.outages, count.repeated, count.frames) == (lost, 1, 0, 6)
