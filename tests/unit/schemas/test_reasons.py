@@ -51,7 +51,9 @@ def test_what_a_cure_quotes_is_a_command_line(cure: str) -> None:
     for line in re.findall(r"'cruiser ([^']*)'", cure):
         name, *words = line.replace("ROBOT", "cruiser-1").replace(" N", " 7").split()
         parser = argparse.ArgumentParser(exit_on_error=False)
-        import_module(COMMANDS[name][0]).add_arguments(parser)
+        module, _, command = COMMANDS[name][0].partition(":")
+        found = import_module(module)
+        (getattr(found, command) if command else found).add_arguments(parser)
         if words:
             parser.parse_args(words)
 
