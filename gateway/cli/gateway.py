@@ -112,7 +112,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         elif node.warning:
             core.warn(node.warning, time.monotonic_ns())
         # Before the note is read: of what the guard says meanwhile, nothing is missed.
-        former_guard = FormerGuard(StopNote.of(settings))
+        former_guard = FormerGuard(StopNote.of(settings), settings.gateway.realtime_priority)
         note = NoteClearer(_recall_guard_stop(core, settings))
         closing.callback(note.close)
         closing.callback(former_guard.close)
