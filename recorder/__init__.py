@@ -2,14 +2,14 @@
 
 The end of the telemetry flow::
 
-    zenoh > sample > recording > session > protobuf record in a chunk > MCAP file > review
+    zenoh > sample > Recorder > RobotLog > protobuf records in a chunk > MCAP file > review
 
 Its rooms, from the file upwards. Pure ones do no I/O: the time is an argument, and what is to be done comes out.
 
 - ``mcap``      the MCAP file format both ways, whole or damaged; pure
 - ``encoding``  a sample to the protobuf bytes of a log; pure
 - ``layouts``   layouts with which viewers open a log; pure
-- ``record``    what a recorder writes: begin with ``record.recording``; pure
+- ``record``    what a recorder writes: begin with ``record.recorder``; pure
 - ``backfill``  what another recorder's logs hold and these lack; pure
 - ``disk``      the directory of logs: the thread that writes them, retention, what a crash left behind
 - ``zenoh``     samples in, what operators ask of a recorder, backfill

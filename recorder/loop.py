@@ -1,4 +1,4 @@
-"""The loop of a recorder: samples from Zenoh into the recording, and what it asks for out to disk and Zenoh.
+"""The loop of a recorder: samples from Zenoh into ``record.recorder``, its actions out to the disk and to Zenoh.
 
 It never waits for the disk: files are written by ``disk.log_writer`` on a thread of its own. Nor does it let
 samples pile up unseen: when more come than it can record, they wait in the inbox, which is bounded.
@@ -16,14 +16,14 @@ import msgspec
 
 from recorder.disk.keeper import DiskKeeper
 from recorder.disk.log_writer import LogWriter
-from recorder.encoding.sample import Sample
-from recorder.record.completeness import KeyReport, total
-from recorder.record.effects import AskInfo, AskKept, Doing, OnLog
+from recorder.encoding.received_sample import ReceivedSample
+from recorder.record.accounting import KeyReport, total
+from recorder.record.actions import Action, LogAction, Publish, Query
 from recorder.record.health import HealthReport, Vitals
-from recorder.record.inbox import Inbox
+from recorder.record.inbox import SampleInbox
 from recorder.record.notices import DiskBack, Notice
-from recorder.record.orders import Asked, Orders
-from recorder.record.recording import Recording
+from recorder.record.orders import OperatorRequest, Orders
+from recorder.record.recorder import Recorder
 from schemas.messages import Message
 from schemas.printable import plain
 from schemas.recording import GapReason, RecorderEvent, RecorderHealth
@@ -32,10 +32,10 @@ from schemas.subjects import KEPT_FIRST
 log = logging.getLogger(__name__)
 
 PASS_SAMPLES: Final = 1000
-"""Samples between two ticks at most..."""
+"""Samples between two ticks at most."""
 
 PASS_BYTES: Final = 4_000_000
-"""...and bytes of those that waited in the inbox."""
+"""Bytes of samples from the inbox between two ticks at most."""
 
 INTAKE_SAMPLES: Final = 20_000
 """Samples moved into the inbox between two ticks at most, when more come than are recorded."""
@@ -62,7 +62,7 @@ LAST_SAMPLES_NS: Final = 2_000_000_000
 """How long the end goes on writing what had already come in."""
 
 
-class Source(Protocol):
+class SampleSource(Protocol):
     """Where samples come from."""
 
     @property
@@ -80,7 +80,7 @@ class Source(Protocol):
         """Whether more had come in than the last ``drain`` gave."""
         ...
 
-    def drain(self, limit: int) -> Sequence[Sample]:
+    def drain(self, limit: int) -> Sequence[ReceivedSample]:
         """The samples that have come in, so many at most."""
         ...
 
@@ -94,19 +94,19 @@ class Source(Protocol):
 
 
 class Control(Protocol):
-    """Where operators are heard."""
+    """Where operators' requests come from."""
 
-    def drain(self) -> Iterable[Asked]:
+    def drain(self) -> Iterable[OperatorRequest]:
         """The requests that have come in."""
         ...
 
     def publish(self, message: Message) -> None:
-        """Say something under the recorder's own keys."""
+        """Publish a message under the recorder's own keys."""
         ...
 
 
 class Recorded(msgspec.Struct, frozen=True):
-    """What a recording has come to.
+    """The result of a recording.
 
     Attributes:
         path: the newest log; None if there is none.
@@ -144,11 +144,11 @@ def _nothing() -> None:
     """Nothing is to be done."""
 
 
-class Recorder:
-    """Runs a recording.
+class RecorderLoop:
+    """Runs a recorder.
 
     Args:
-        recording: what is recorded.
+        recorder: decides what is written.
         source: where samples come from.
         writer: where files are written; it is closed at the end.
         inbox: where samples wait.
@@ -156,9 +156,14 @@ class Recorder:
     """
 
     def __init__(
-        self, recording: Recording, source: Source, writer: LogWriter, inbox: Inbox, health: HealthReport
+        self,
+        recorder: Recorder,
+        source: SampleSource,
+        writer: LogWriter,
+        inbox: SampleInbox,
+        health: HealthReport,
     ) -> None:
-        self._recording = recording
+        self._recorder = recorder
         self._source = source
         self._writer = writer
         self._inbox = inbox
@@ -171,21 +176,21 @@ class Recorder:
         self._notices: list[Callable[[], Iterable[Notice]]] = [writer.notices]
         self._act_when_back: Callable[[], None] = _nothing
 
-    def obey(self, control: Control, backfill: Callable[[Asked], None]) -> None:
-        """Hear operators, and say how the recorder is."""
+    def obey(self, control: Control, backfill: Callable[[OperatorRequest], None]) -> None:
+        """Obey operators, and publish events, gaps and health."""
         self._control = control
-        self._orders = Orders(self._recording, self._health_now, backfill)
+        self._orders = Orders(self._recorder, self._health_now, backfill)
 
-    def hear(self, notices: Callable[[], Iterable[Notice]]) -> None:
-        """Take these notices, too."""
+    def add_notices(self, notices: Callable[[], Iterable[Notice]]) -> None:
+        """Have these notices reach the recorder, too."""
         self._notices.append(notices)
 
     def when_back(self, act: Callable[[], None]) -> None:
-        """Do this each time that the disk takes the logs again. It must not wait for the disk."""
+        """Set what is called each time that the disk takes the logs again. It must not wait for the disk."""
         self._act_when_back = act
 
     def watch(self, keeper: DiskKeeper) -> None:
-        """Stop and go on as the disk has room."""
+        """Stop and resume as the disk has room."""
         self._keeper = keeper
         self._notices.append(keeper.notices)
 
@@ -194,13 +199,13 @@ class Recorder:
         try:
             while not stopped():
                 if rolls():
-                    self._carry_out(self._recording.roll("signal", time.monotonic_ns()))
+                    self._apply(self._recorder.roll("signal", time.monotonic_ns()))
                 if not self._step():
                     time.sleep(IDLE_S)
             self._end()
         finally:
             self._writer.close()
-        self._take_notices(time.monotonic_ns(), time.time_ns())
+        self._receive_notices(time.monotonic_ns(), time.time_ns())
         return self._recorded()
 
     def _step(self) -> bool:
@@ -210,10 +215,10 @@ class Recorder:
         if now_ns - self._ticked_ns < TICK_NS:
             return busy
         self._ticked_ns = now_ns
-        self._take_notices(now_ns, wall_ns)
+        self._receive_notices(now_ns, wall_ns)
         for key in self._source.tokens_gone():
-            self._recording.lose_token(key, now_ns)
-        self._carry_out(self._recording.tick(now_ns, wall_ns, self._writer.sizes))
+            self._recorder.lose_token(key, now_ns)
+        self._apply(self._recorder.tick(now_ns, wall_ns, self._writer.sizes))
         if self._control is not None:
             self._obey(self._control, now_ns, wall_ns)
         if now_ns - self._link_seen_ns >= LINK_NS:
@@ -237,7 +242,7 @@ class Recorder:
             self._take_in()
         return bool(samples)
 
-    def _receive(self, samples: Iterator[Sample]) -> None:
+    def _receive(self, samples: Iterator[ReceivedSample]) -> None:
         """Record samples as long as there is time; the others are left in the iterator."""
         end_ns = time.monotonic_ns() + PASS_NS
 
@@ -246,38 +251,38 @@ class Recorder:
 
         for first in samples:
             some = chain([first], islice(samples, SLICE_SAMPLES - 1))
-            self._carry_out(self._recording.receive(some, time.monotonic_ns(), is_late))
+            self._apply(self._recorder.receive(some, time.monotonic_ns(), is_late))
             if is_late():
                 return
 
     def _take_in(self) -> None:
         self._put_by(self._source.drain(INTAKE_SAMPLES))
 
-    def _put_by(self, samples: Iterable[Sample]) -> None:
+    def _put_by(self, samples: Iterable[ReceivedSample]) -> None:
         """Have samples wait in the inbox, which drops the oldest when they are too many."""
         for sample in samples:
             for key, received_ns in self._inbox.put(sample):
-                self._recording.drop(key, GapReason.QUEUE, time.monotonic_ns(), received_ns)
+                self._recorder.drop(key, GapReason.QUEUE, time.monotonic_ns(), received_ns)
 
-    def _take_notices(self, now_ns: int, wall_ns: int) -> None:
+    def _receive_notices(self, now_ns: int, wall_ns: int) -> None:
         for notices in self._notices:
             for notice in notices():
                 if self._orders is not None:
-                    self._orders.take_notice(notice)
+                    self._orders.receive_notice(notice)
                 if isinstance(notice, DiskBack):
                     self._act_when_back()
-                self._carry_out(self._recording.take_notice(notice, now_ns, wall_ns))
+                self._apply(self._recorder.receive_notice(notice, now_ns, wall_ns))
 
     def _obey(self, control: Control, now_ns: int, wall_ns: int) -> None:
         if self._orders is not None:
             for asked in control.drain():
-                self._carry_out(self._orders.take(asked, now_ns, wall_ns))
+                self._apply(self._orders.obey(asked, now_ns, wall_ns))
             self._orders.tick(now_ns)
         if self._health.is_due(now_ns):
-            control.publish(self._health.next(self._recording, self._vitals(), now_ns, wall_ns))
+            control.publish(self._health.next(self._recorder, self._vitals(), now_ns, wall_ns))
 
     def _health_now(self) -> RecorderHealth:
-        return self._health.now(self._recording, self._vitals(), time.monotonic_ns(), time.time_ns())
+        return self._health.now(self._recorder, self._vitals(), time.monotonic_ns(), time.time_ns())
 
     def _vitals(self) -> Vitals:
         use = self._keeper.use if self._keeper is not None else None
@@ -310,36 +315,36 @@ class Recorder:
         start_ns = time.monotonic_ns()
         while self._step() and time.monotonic_ns() - start_ns < LAST_SAMPLES_NS:
             pass
-        self._carry_out(self._recording.ask_last(time.monotonic_ns()))
+        self._apply(self._recorder.ask_last(time.monotonic_ns()))
         asked_ns = time.monotonic_ns()
         while self._source.is_asking and time.monotonic_ns() - asked_ns < LAST_ANSWERS_NS:
             self._step()
             time.sleep(IDLE_S)
         for sample in self._inbox.take(len(self._inbox), self._inbox.bytes):
             # There was no time for it.
-            self._recording.drop(sample.key, GapReason.QUEUE, time.monotonic_ns(), sample.received_ns)
-        self._carry_out(self._recording.close(time.monotonic_ns(), time.time_ns()))
+            self._recorder.drop(sample.key, GapReason.QUEUE, time.monotonic_ns(), sample.received_ns)
+        self._apply(self._recorder.close(time.monotonic_ns(), time.time_ns()))
 
-    def _carry_out(self, doings: Sequence[Doing]) -> None:
-        for doing in doings:
-            match doing:
-                case OnLog():
-                    self._writer.submit(doing)
-                case AskInfo():
-                    self._source.ask(doing.key)
-                case AskKept():
-                    self._source.ask(doing.key, f"{KEPT_FIRST}={doing.first}")
-                case _:
-                    self._say(doing.message)
+    def _apply(self, actions: Sequence[Action]) -> None:
+        if not actions:
+            return
+        on_logs = [action for action in actions if isinstance(action, LogAction)]
+        if on_logs:
+            self._writer.submit(on_logs)
+        for action in actions:
+            if isinstance(action, Query):
+                self._source.ask(action.key, "" if action.first is None else f"{KEPT_FIRST}={action.first}")
+            elif isinstance(action, Publish):
+                self._publish(action.message)
 
-    def _say(self, message: Message) -> None:
+    def _publish(self, message: Message) -> None:
         if isinstance(message, RecorderEvent):
             log.info("%s", plain(message.text))
         if self._control is not None:
             self._control.publish(message)
 
     def _recorded(self) -> Recorded:
-        counts = self._recording.counts
+        counts = self._recorder.counts
         all_keys = total(counts.values())
         lost_link, lost_queue, lost_size = all_keys.lost_link, all_keys.lost_queue, all_keys.lost_size
         # The writer knows, too, what was lost when nobody took its notices any more.
@@ -356,7 +361,7 @@ class Recorder:
             lost_disk=lost_disk,
             bytes=self._writer.bytes,
             channels=len(counts),
-            incidents=self._recording.incidents,
+            incidents=self._recorder.incidents,
             keys=counts,
             is_hung=self._writer.is_hung,
         )

@@ -25,14 +25,13 @@ from recorder.disk.keeper import DiskKeeper
 from recorder.disk.leftovers import LeftoverThread
 from recorder.disk.log_directory import LogDirectory
 from recorder.disk.log_writer import QUEUE_BYTES, LogWriter
-from recorder.loop import Recorded, Recorder
+from recorder.loop import Recorded, RecorderLoop
 from recorder.record.health import HealthReport
-from recorder.record.inbox import Inbox
-from recorder.record.incidents import IncidentPlan
-from recorder.record.orders import Asked
-from recorder.record.recording import Recording, RecordingPlan
-from recorder.record.retention import Limits
-from recorder.record.session import Plan
+from recorder.record.inbox import SampleInbox
+from recorder.record.orders import OperatorRequest
+from recorder.record.recorder import Recorder, RecorderPlan
+from recorder.record.retention import DiskLimits
+from recorder.record.robot_log import LogPlan
 from recorder.zenoh.backfill_server import BackfillServer
 from recorder.zenoh.backfill_source import key_matches
 from recorder.zenoh.remote_control import RemoteControl
@@ -149,7 +148,7 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
         control = stack.enter_context(closing(RemoteControl(settings)))
         writer = LogWriter(directory, library, QUEUE_BYTES + recorder.incident_ring_bytes)
         known = known_robots(settings, expressions)
-        limits = Limits(recorder.budget_bytes, recorder.floor_bytes, known, recorder.keep_s)
+        limits = DiskLimits(recorder.budget_bytes, recorder.floor_bytes, known, recorder.keep_s)
         keeper = stack.enter_context(closing(DiskKeeper(path, limits, lambda: writer.parts)))
         sys.stderr.write(
             f"record: waiting for samples of {', '.join(expressions)} into {recorder.directory}; "
@@ -157,21 +156,21 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
         )
         sys.stderr.flush()
         leftovers = LeftoverThread(path, library)
-        plan = recording_plan(settings, control.name, expressions, release)
-        one = Recorder(
-            Recording(msgspec.structs.replace(plan, log_limit=log_limit)),
+        plan = recorder_plan(settings, control.name, expressions, release)
+        loop = RecorderLoop(
+            Recorder(msgspec.structs.replace(plan, log_limit=log_limit)),
             source,
             writer,
-            Inbox(recorder.queue_bytes),
+            SampleInbox(recorder.queue_bytes),
             HealthReport(control.name, release, time.monotonic_ns()),
         )
-        one.watch(keeper)
-        one.hear(leftovers.notices)
-        one.when_back(leftovers.look_again)
-        one.obey(
+        loop.watch(keeper)
+        loop.add_notices(leftovers.notices)
+        loop.when_back(leftovers.look_again)
+        loop.obey(
             control, partial(_answer_backfill, stack.enter_context(closing(BackfillServer(path, key_matches))))
         )
-        recorded = one.run(ending_after(stopped, arguments.seconds, time.monotonic), rolls)
+        recorded = loop.run(ending_after(stopped, arguments.seconds, time.monotonic), rolls)
     leftovers.wait(LEFTOVERS_S)
     if not recorded.is_hung:
         # Only now: what was left in a fault may have been recovered since.
@@ -185,22 +184,22 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
     return code
 
 
-def _answer_backfill(server: BackfillServer, asked: Asked) -> None:
+def _answer_backfill(server: BackfillServer, asked: OperatorRequest) -> None:
     if isinstance(asked.request, Backfill):
         server.submit(asked.request, asked.reply, asked.done)
 
 
-def recording_plan(settings: Settings, name: str, expressions: Sequence[str], release: str) -> RecordingPlan:
+def recorder_plan(settings: Settings, name: str, expressions: Sequence[str], release: str) -> RecorderPlan:
     """What the settings say is to be recorded."""
     recorder = settings.recorder
     # What is being written cannot be deleted: within a budget no file may be large.
     budget_part = recorder.budget_bytes // BUDGET_FILES
     rotate_bytes = min(filter(None, (recorder.rotate_bytes, budget_part)), default=0)
-    return RecordingPlan(
+    return RecorderPlan(
         root=settings.robot.root,
         recorder=name,
         per_robot=recorder.per_robot,
-        session=Plan(
+        log=LogPlan(
             name=log_name(settings.robot.root, expressions),
             # A file is at least one chunk.
             chunk_bytes=min(recorder.chunk_bytes, max(CHUNK_MIN_BYTES, rotate_bytes or recorder.chunk_bytes)),
@@ -210,9 +209,8 @@ def recording_plan(settings: Settings, name: str, expressions: Sequence[str], re
             rotate_ns=round(recorder.rotate_s * 1e9),
             idle_ns=IDLE_NS,
             alarms=frozenset(map(EventKind, recorder.incident_events)),
-        ),
-        incident=IncidentPlan(
-            before_ns=round(recorder.incident_before_s * 1e9), after_ns=round(recorder.incident_after_s * 1e9)
+            before_ns=round(recorder.incident_before_s * 1e9),
+            after_ns=round(recorder.incident_after_s * 1e9),
         ),
         ring_bytes=min(recorder.incident_ring_bytes, recorder.budget_bytes // BUDGET_RINGS or sys.maxsize),
         sample_max_bytes=recorder.sample_max_bytes,

@@ -13,7 +13,7 @@ from typing import Final
 from recorder.backfill.backfilling import BACKFILLED_FROM
 from recorder.backfill.excerpt import Message
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX, free_path, lock
-from recorder.disk.log_file import sync_directory
+from recorder.disk.part_file import sync_directory
 from recorder.mcap.channel import LogChannel
 from recorder.mcap.chunk import ChunkBuilder
 from recorder.mcap.writer import McapFile

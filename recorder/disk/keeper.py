@@ -15,8 +15,8 @@ from typing import Final
 import msgspec
 
 from recorder.disk.log_directory import INCIDENT_SUFFIX, PART_SUFFIX
-from recorder.record.notices import Deleted, Moved, Notice, Room
-from recorder.record.retention import Limits, LogEntry, judge
+from recorder.record.notices import Deleted, DiskRoom, Moved, Notice
+from recorder.record.retention import DiskLimits, LogEntry, judge
 from schemas.printable import plain
 
 log = logging.getLogger(__name__)
@@ -93,12 +93,14 @@ class DiskKeeper:
         own: names of the files that are being written here.
     """
 
-    def __init__(self, directory: Path, limits: Limits, own: Callable[[], Collection[str]] = frozenset) -> None:
+    def __init__(
+        self, directory: Path, limits: DiskLimits, own: Callable[[], Collection[str]] = frozenset
+    ) -> None:
         self._directory = directory
         self._limits = limits
         self._own = own
         self._notices: deque[Notice] = deque(maxlen=NOTICES_MAX)
-        self._room = Room(has_room=True, has_incident_room=True)
+        self._room = DiskRoom(has_room=True, has_incident_room=True)
         self._stuck: dict[str, float] = {}
         """Names of files that could not be deleted, and when to try again."""
         self._place: os.stat_result | None = None
@@ -150,7 +152,7 @@ class DiskKeeper:
         judgement = judge(entries, free, limits, is_full=not self._room.has_room)
         for name in judgement.delete:
             self._delete(name, sizes[name])
-        room = Room(judgement.has_room, judgement.has_incident_room, judgement.roll)
+        room = DiskRoom(judgement.has_room, judgement.has_incident_room, judgement.roll)
         if room != self._room or room.roll:
             self._room = room
             self._notices.append(room)

@@ -21,7 +21,7 @@ from typing import BinaryIO, Final
 import msgspec
 
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX, free_path, lock
-from recorder.disk.log_file import sync_directory
+from recorder.disk.part_file import sync_directory
 from recorder.mcap.recovery import Survey, copy_good, survey
 from recorder.record.notices import Notice, Recovered
 from schemas.printable import plain

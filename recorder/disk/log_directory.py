@@ -1,4 +1,4 @@
-"""The directory of logs: how files are called, locked and begun; see ``log_file`` for the rest of their life.
+"""The directory of logs: how files are called, locked and begun; see ``part_file`` for the rest of their life.
 
 A file is ``NAME-START.mcap.part`` while it is written and ``NAME-START.mcap`` when it is whole. Nothing is ever
 overwritten. A part is locked as long as its writer lives. An OSError becomes one clear CommandError here.
@@ -18,7 +18,7 @@ from io import FileIO
 from pathlib import Path
 from typing import Final
 
-from recorder.disk.log_file import LogFile, clear_errors, sync_directory
+from recorder.disk.part_file import PartFile, clear_errors, sync_directory
 from schemas.exit_codes import CommandError
 
 SUFFIX: Final = ".mcap"
@@ -52,7 +52,7 @@ class LogDirectory:
             if not os.access(path, os.W_OK | os.X_OK):
                 raise PermissionError(0, "no permission to write there")
 
-    def open(self, name: str, wall_ns: int, library: str, *, is_incident: bool = False) -> LogFile:
+    def open(self, name: str, wall_ns: int, library: str, *, is_incident: bool = False) -> PartFile:
         """Begin a file whose name holds ``name`` and the time.
 
         A directory that somebody has removed is made again, but not where its disk was unmounted.
@@ -67,7 +67,7 @@ class LogDirectory:
             part, path, stream = self._create(stem)
             try:
                 sync_directory(self._path)
-                return LogFile(part, path, stream, library, self._disk)
+                return PartFile(part, path, stream, library, self._disk)
             except (CommandError, OSError):
                 # Not even the header fits: there is nothing to keep.
                 with suppress(OSError):

@@ -1,9 +1,9 @@
-"""The writer's thread: carries effects out on files, whatever the disk does, while the loop goes on receiving.
+"""The writer's thread: applies actions to the files of all logs, whatever the disk does, while the loop receives.
 
 When a write fails, the file is cut back to its last whole chunk and ended, and the next one begins with the chunk
 that failed; or, where the disk fails to keep what it had taken, with all that it has not kept. That is held until
 then, and when it is too much no more is written. What is not written waits, up to a bound; beyond that the oldest
-messages go, and are told.
+messages go, and are reported as lost.
 """
 
 from __future__ import annotations
@@ -18,13 +18,12 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from recorder.disk.log_chain import LogChain
 from recorder.disk.log_directory import SYNC_THREADS, LogDirectory
-from recorder.disk.log_file import LogFile
-from recorder.record.effects import CloseLog, FileEffect, OnLog, OpenLog, SyncLog, WriteChunk
-from recorder.record.log_queue import LogQueue, Waiting, waiting
+from recorder.disk.log_queue import LogQueue
+from recorder.disk.part_file import PartFile, Prologue
+from recorder.record.actions import CloseLog, LogAction, OpenLog, SyncLog, WriteChunk, WriteMetadata
 from recorder.record.notices import DiskBack, DiskFault, Ended, Lost, Notice, Opened
-from recorder.record.prologue import Prologue
+from recorder.record.robot_log import CONTINUED_NAME
 from schemas.exit_codes import CommandError
 
 log = logging.getLogger(__name__)
@@ -38,15 +37,43 @@ UNKEPT_SHARE: Final = 0.5
 NOTICES_MAX: Final = 10_000
 
 RETRY_MIN_S: Final = 0.2
-"""First pause before a file is begun again after a fault that came at once again; it doubles up to..."""
+"""First pause before a file is begun again after a fault that came at once again; it doubles."""
 
 RETRY_MAX_S: Final = 5.0
+"""The longest pause."""
 
 FAULT: Final = "fault"
 """Why a file is begun after another could not be written, as ``cruiser.continued`` has it."""
 
 END_S: Final = 10.0
-"""How long the end waits for a disk that gets on with nothing."""
+"""How long the end waits for a disk that makes no progress."""
+
+
+class _Chain:
+    """The files of one log, one after the other."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.prologue = Prologue()
+        self.file: PartFile | None = None
+        self.wanted: OpenLog | None = None
+        """The file that is to be written, or to be continued in another one after a fault; None if none is."""
+        self.submitted = self.opened = 0
+        """Files that were asked for, and of those the ones whose turn has come."""
+        self.is_incident = False
+
+    @property
+    def is_begun(self) -> bool:
+        """Whether the newest file that was asked for is being written."""
+        return self.file is not None and self.opened == self.submitted
+
+    def beginning_ns(self, first: WriteChunk) -> int:
+        """Time in the name of a file that begins with this chunk, after a fault.
+
+        An incident's is the time of the incident, which its first messages come before.
+        """
+        start_ns = first.chunk.start_ns
+        return max(start_ns, self.wanted.wall_ns) if self.is_incident and self.wanted is not None else start_ns
 
 
 class LogWriter:
@@ -62,14 +89,14 @@ class LogWriter:
         self._directory = directory
         self._library = library
         self._unkept_max = int(UNKEPT_SHARE * queue_bytes)
-        self._waiting = LogQueue(queue_bytes)
+        self._queue = LogQueue(queue_bytes)
         self._unkept_bytes = 0
         self._changed = threading.Condition()
         self._is_closing = False
-        self._chains: dict[str, LogChain] = {}
+        self._chains: dict[str, _Chain] = {}
         self._failed: deque[str] = deque()
         """Logs of which a sync has failed."""
-        self._ending: dict[str, Waiting] = {}
+        self._ending: dict[str, LogAction] = {}
         """At the end: the logs whose file is to be ended when all is written."""
         self._progress = 0
         """Changes with everything that the disk gets on with."""
@@ -95,7 +122,7 @@ class LogWriter:
     @property
     def waiting_bytes(self) -> int:
         """Bytes of what waits for the disk."""
-        return self._waiting.bytes
+        return self._queue.bytes
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -127,8 +154,8 @@ class LogWriter:
         while self._notices:
             yield self._notices.popleft()
 
-    def submit(self, doing: OnLog) -> None:
-        """Have these carried out, in order. Never waits for the disk.
+    def submit(self, actions: Iterable[LogAction]) -> None:
+        """Have these applied, in order. Never waits for the disk.
 
         Raises:
             Exception: the thread has ended by a fault of our own.
@@ -136,12 +163,14 @@ class LogWriter:
         with self._changed:
             if self._fault is not None:
                 raise self._fault
-            chain = self._chains.setdefault(doing.log, LogChain(doing.log))
-            for effect in doing.effects:
-                self._waiting.put(waiting(doing.log, effect))
-                if isinstance(effect, OpenLog):
+            for action in actions:
+                chain = self._chains.get(action.log)
+                if chain is None:
+                    chain = self._chains[action.log] = _Chain(action.log)
+                if isinstance(action, OpenLog):
                     chain.submitted += 1
-                    chain.is_incident = effect.is_incident
+                    chain.is_incident = action.is_incident
+                self._queue.put(action)
             self._trim()
             self._changed.notify()
 
@@ -156,21 +185,21 @@ class LogWriter:
             self.is_hung = self._thread.is_alive() and self._progress == before
         if self.is_hung:
             with self._changed:
-                while self._waiting:
-                    self._lose(self._waiting.take())
+                while self._queue:
+                    self._lose(self._queue.take())
             log.error("the disk does not answer; the logs are not ended")
         elif self._fault is not None:
             raise self._fault
 
     def _trim(self) -> None:
-        for one in self._waiting.trim(self._unkept_bytes):
-            self._lose(one)
+        for action in self._queue.trim(self._unkept_bytes):
+            self._lose(action)
 
-    def _lose(self, one: Waiting) -> None:
-        """It is not written; the lock is held."""
-        if not isinstance(one.effect, WriteChunk):
+    def _lose(self, action: LogAction) -> None:
+        """Report an action that is not applied as a loss; the lock is held."""
+        if not isinstance(action, WriteChunk):
             return
-        chunk, name = one.effect.chunk, one.log
+        chunk, name = action.chunk, action.log
         if self._chains[name].is_incident:
             log.error("the disk takes too little: an incident lacks messages")
             return
@@ -188,11 +217,11 @@ class LogWriter:
 
     def _run(self) -> None:
         try:
-            while (one := self._next()) is not None or self._ending:
-                if one is None:
+            while (action := self._next()) is not None or self._ending:
+                if action is None:
                     self._end_files()
                 else:
-                    self._carry_out(one)
+                    self._apply(action)
                 self._progress += 1
         except BaseException as error:  # noqa: BLE001 - the loop raises it
             self._fault = error
@@ -200,119 +229,124 @@ class LogWriter:
             for chain in self._chains.values():
                 unkept = self._leave(chain)
                 with self._changed:
-                    for one in unkept:
-                        self._lose(one)
+                    for chunk in unkept:
+                        self._lose(chunk)
             self._directory.close()
 
-    def _next(self) -> Waiting | None:
-        """What is to be carried out now; None at the end."""
+    def _next(self) -> LogAction | None:
+        """The action whose turn it is; None at the end."""
         with self._changed:
             while True:
                 if self._failed:
-                    # To look at a file is to be told.
-                    return waiting(self._failed.popleft(), SyncLog())
-                if self._waiting and isinstance(self._waiting.head.effect, WriteChunk) and not self._has_room():
+                    # Any action on the file raises the failure.
+                    return SyncLog(self._failed.popleft())
+                if self._queue and isinstance(self._queue.head, WriteChunk) and not self._has_room():
                     self._changed.wait()
                     continue
-                if self._waiting and self._is_stuck(self._waiting.head):
+                if self._queue and self._is_stuck(self._queue.head):
                     # It waits in the queue, not in hand: the oldest are the first to go, perhaps all of them.
                     self._pause()
-                if self._waiting:
-                    return self._waiting.take()
+                if self._queue:
+                    return self._queue.take()
                 if self._is_closing:
                     return None
                 self._changed.wait()
 
-    def _is_stuck(self, one: Waiting) -> bool:
-        return self._is_faulty and isinstance(one.effect, WriteChunk) and self._chains[one.log].file is None
+    def _is_stuck(self, action: LogAction) -> bool:
+        return self._is_faulty and isinstance(action, WriteChunk) and self._chains[action.log].file is None
 
     def _has_room(self) -> bool:
-        """Whether more may be written before the disk has kept some, which it is told to do where it is not so."""
+        """Whether more may be written before the disk has kept some. Where it may not, asks for syncs."""
         if self._unkept_bytes < self._unkept_max:
             return True
-        chains = [chain for chain in self._chains.values() if chain.unkept_bytes]
-        for chain in chains:
-            chain.release()
-        self._unkept_bytes = sum(chain.unkept_bytes for chain in chains)
+        files = [file for chain in self._chains.values() if (file := chain.file) is not None and file.unkept_bytes]
+        for file in files:
+            file.release()
+        self._unkept_bytes = sum(file.unkept_bytes for file in files)
         if self._unkept_bytes < self._unkept_max:
             return True
-        for chain in chains:
-            if chain.unkept_bytes and chain.file is not None:
-                chain.file.sync()
+        for file in files:
+            if file.unkept_bytes:
+                file.sync()
         return False
 
-    def _tell_synced(self, chain: LogChain, file: LogFile) -> None:
-        """On a thread of the syncs: the disk has kept something, or failed to."""
+    def _note_sync(self, chain: _Chain, file: PartFile) -> None:
+        """On a thread of the syncs: note that the disk has kept something, or failed to."""
         with self._changed:
             self._progress += 1
             if file.has_failed:
                 self._failed.append(chain.name)
             self._changed.notify()
 
-    def _put_back(self, ones: Iterable[Waiting]) -> None:
-        """These wait again, as the oldest."""
+    def _put_back(self, actions: Iterable[LogAction]) -> None:
+        """Have these wait again, as the oldest."""
         again = []
         with self._changed:
-            for one in ones:
-                if isinstance(one.effect, WriteChunk) and self._is_closing and self._pause_s > RETRY_MIN_S:
-                    self._lose(one)
+            for action in actions:
+                if isinstance(action, WriteChunk) and self._is_closing and self._pause_s > RETRY_MIN_S:
+                    self._lose(action)
                 else:
-                    again.append(one)
-            self._waiting.put_back(again)
+                    again.append(action)
+            self._queue.put_back(again)
             self._trim()
 
-    def _carry_out(self, one: Waiting) -> None:
-        chain, effect = self._chains[one.log], one.effect
-        if isinstance(effect, OpenLog):
-            self._open(chain, one, effect)
+    def _apply(self, action: LogAction) -> None:
+        chain = self._chains[action.log]
+        if isinstance(action, OpenLog):
+            self._open(chain, action)
             return
-        chain.prologue.take(effect)
-        if isinstance(effect, CloseLog) and self._is_closing and chain.file is not None:
-            self._ending[one.log] = one
+        chain.prologue.add(action)
+        if isinstance(action, CloseLog) and self._is_closing and chain.file is not None:
+            self._ending[chain.name] = action
             return
-        if isinstance(effect, WriteChunk) and chain.file is None:
-            self._begin(chain, chain.beginning_ns(effect), FAULT)
-        self._settle(chain, one, self._write(chain, effect, one))
+        if isinstance(action, WriteChunk) and chain.file is None:
+            self._begin(chain, chain.beginning_ns(action), FAULT)
+        self._settle(chain, action, self._write(chain, action))
 
-    def _open(self, chain: LogChain, one: Waiting, effect: OpenLog) -> None:
+    def _open(self, chain: _Chain, action: OpenLog) -> None:
         ending = self._ending.pop(chain.name, None)
-        again = self._leave(chain)
+        again: list[LogAction] = [*self._leave(chain)]
         if again:
             # What the file before could not keep goes into another one, before this one.
-            self._put_back([*again, *([ending] if ending is not None else []), one])
+            self._put_back([*again, *([ending] if ending is not None else []), action])
             return
-        chain.wanted = effect
+        chain.wanted = action
         chain.opened += 1
-        if effect.is_incident:
-            chain.prologue = Prologue()
-        self._begin(chain, effect.wall_ns)
+        if action.is_incident:
+            of_log = self._chains.get(action.name)
+            chain.prologue = of_log.prologue.copy() if of_log is not None else Prologue()
+        self._begin(chain, action.wall_ns)
 
-    def _write(self, chain: LogChain, effect: FileEffect, one: Waiting) -> CommandError | None:
-        """Write an effect into the present file, if there is one. Why the disk does not take it."""
-        before = chain.unkept_bytes
+    def _write(self, chain: _Chain, action: LogAction) -> CommandError | None:
+        """Apply an action to the present file, if there is one. Returns why the disk does not take it."""
+        file = chain.file
+        if file is None:
+            return None
+        before = file.unkept_bytes
         try:
-            chain.write(effect, one)
+            file.write(action)
         except CommandError as error:
             return error
         finally:
-            self._unkept_bytes += chain.unkept_bytes - before
+            self._unkept_bytes += file.unkept_bytes - before
         return None
 
-    def _settle(self, chain: LogChain, one: Waiting, error: CommandError | None) -> None:
-        """After an effect was carried out, or not: what is to be written again waits again."""
-        file, again = chain.file, []
-        is_chunk, is_end = isinstance(one.effect, WriteChunk), isinstance(one.effect, CloseLog)
+    def _settle(self, chain: _Chain, action: LogAction, error: CommandError | None) -> None:
+        """After an action was applied, or not: have wait again what is to be written again."""
+        file = chain.file
+        again: list[LogAction] = []
+        is_chunk, is_end = isinstance(action, WriteChunk), isinstance(action, CloseLog)
         if error is not None:
             log.error("%s; the log goes on in another file", error)
-            self._fall_ill(str(error))
-            again = self._leave(chain)
+            self._enter_fault(str(error))
+            again += self._leave(chain)
             if again and not is_chunk:
-                again.append(one if is_end else waiting(chain.name, SyncLog()))
+                again.append(action if is_end else SyncLog(chain.name))
         elif file is not None and file.has_synced:
             file.has_synced = False
-            self._get_well()
+            self._clear_fault()
         if is_chunk and (file is None or error is not None):
-            again.append(one)
+            again.append(action)
         if again:
             self._put_back(again)
         elif is_end:
@@ -324,13 +358,16 @@ class LogWriter:
         ending, self._ending = self._ending, {}
         with ThreadPoolExecutor(SYNC_THREADS, "log end") as pool:
             errors = list(pool.map(self._end_file, ending.values()))
-        self._unkept_bytes = sum(chain.unkept_bytes for chain in self._chains.values())
-        for one, error in zip(ending.values(), errors, strict=True):
-            self._settle(self._chains[one.log], one, error)
+        files = [file for chain in self._chains.values() if (file := chain.file) is not None]
+        self._unkept_bytes = sum(file.unkept_bytes for file in files)
+        for action, error in zip(ending.values(), errors, strict=True):
+            self._settle(self._chains[action.log], action, error)
 
-    def _end_file(self, one: Waiting) -> CommandError | None:
+    def _end_file(self, action: LogAction) -> CommandError | None:
+        file = self._chains[action.log].file
         try:
-            self._chains[one.log].write(CloseLog(), one)
+            if file is not None:
+                file.write(action)
         except CommandError as error:
             return error
         finally:
@@ -344,7 +381,7 @@ class LogWriter:
             self._changed.wait(left_s)
         self._pause_s = min(max(2 * self._pause_s, RETRY_MIN_S), RETRY_MAX_S)
 
-    def _fall_ill(self, detail: str) -> None:
+    def _enter_fault(self, detail: str) -> None:
         for chain in self._chains.values():
             if chain.file is not None:
                 # What it has kept until now says nothing of what is to come.
@@ -353,33 +390,51 @@ class LogWriter:
             self._is_faulty = True
             self._notices.append(DiskFault(detail))
 
-    def _get_well(self) -> None:
+    def _clear_fault(self) -> None:
         self._pause_s = 0.0
         if self._is_faulty:
             self._is_faulty = False
             log.warning("the disk takes the logs again; %d messages are lost", self.lost)
             self._notices.append(DiskBack())
 
-    def _begin(self, chain: LogChain, wall_ns: int, because: str = "") -> None:
-        """Begin the file that is wanted, if the disk takes it."""
+    def _begin(self, chain: _Chain, wall_ns: int, because: str = "") -> None:
+        """Begin the file that is wanted, with all that those before it declared, if the disk takes it.
+
+        Args:
+            chain: of the log.
+            wall_ns: the time in the file's name.
+            because: why it continues what another file should have held, if it does.
+        """
+        wanted = chain.wanted
+        if wanted is None:
+            return
         try:
-            file = chain.begin(self._directory, self._library, wall_ns, because)
+            file = self._directory.open(wanted.name, wall_ns, self._library, is_incident=wanted.is_incident)
+            try:
+                file.begin(chain.prologue)
+                if because:
+                    file.write(WriteMetadata(chain.name, CONTINUED_NAME, {"because": because}))
+            except CommandError:
+                # Nobody knows of it yet.
+                file.salvage()
+                raise
         except CommandError as error:
             if self._pause_s <= RETRY_MIN_S:
                 log.error("%s; trying on", error)  # noqa: TRY400 - a full disk is no bug
-            self._fall_ill(str(error))
+            self._enter_fault(str(error))
             return
-        if file is not None:
-            file.when_synced = partial(self._tell_synced, chain, file)
-            log.info("writing %s", file.path)
-            self._notices.append(Opened(chain.name, file.name))
+        chain.file = file
+        file.when_synced = partial(self._note_sync, chain, file)
+        log.info("writing %s", file.path)
+        self._notices.append(Opened(chain.name, file.name))
 
-    def _leave(self, chain: LogChain) -> list[Waiting]:
-        """End the present file of a log, as well as can be. What the disk has not kept of it."""
-        self._unkept_bytes -= chain.unkept_bytes
-        file, unkept = chain.leave()
+    def _leave(self, chain: _Chain) -> list[WriteChunk]:
+        """End the present file of a log, as well as can be. Returns what the disk has not kept of it."""
+        file, chain.file = chain.file, None
         if file is None:
             return []
+        self._unkept_bytes -= file.unkept_bytes
+        unkept = file.salvage()
         self._notices.append(Ended(chain.name, file.name, file.size))
         if file.is_left:
             self._left.append(file.path)

@@ -15,7 +15,7 @@ from typing import Any, Final
 import msgspec
 
 from recorder.encoding.fast_path import Adder
-from recorder.encoding.key_counters import SEQUENCE_SPAN, Tally
+from recorder.encoding.key_counters import SEQUENCE_SPAN, KeyCounters
 from recorder.encoding.transcode import compile_row_encoder
 from recorder.mcap.chunk import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE, ChunkBuilder
 from schemas.can_word import ERROR, EXTENDED, IDENTIFIER_MASK, REMOTE
@@ -70,13 +70,13 @@ def _template(channel_id: int, bus: str, *, is_extended: bool) -> _Template:
     )
 
 
-def can_adder(tally: Tally, chunk: ChunkBuilder, channel_id: int) -> Adder:
+def can_adder(counters: KeyCounters, chunk: ChunkBuilder, channel_id: int) -> Adder:
     """The function of one key of raw frames; see ``fast_path``."""
     limit_bytes = chunk.limit_bytes
 
     def add(payload: bytes, log_ns: int) -> bool:
         batch = _DECODE(payload)
-        if batch.sequence != tally.next or chunk.is_full or not is_common(batch):
+        if batch.sequence != counters.next or chunk.is_full or not is_common(batch):
             return False
         count = len(batch.can_id)
         if count:
@@ -85,10 +85,10 @@ def can_adder(tally: Tally, chunk: ChunkBuilder, channel_id: int) -> Adder:
             if count > FRAMES_MAX or count * len(template.record) > limit_bytes:
                 return False
             _write(batch, template, log_ns, chunk, channel_id)
-        tally.next = (batch.sequence + 1) % SEQUENCE_SPAN
-        tally.dropped = max(tally.dropped, batch.dropped)
-        tally.samples += 1
-        tally.messages += count
+        counters.next = (batch.sequence + 1) % SEQUENCE_SPAN
+        counters.dropped = max(counters.dropped, batch.dropped)
+        counters.samples += 1
+        counters.messages += count
         return True
 
     return add

@@ -13,7 +13,7 @@ from typing import Any, cast
 
 import msgspec
 
-from recorder.encoding.key_counters import Tally
+from recorder.encoding.key_counters import KeyCounters
 from recorder.encoding.transcode import Packed, packed_fields
 from recorder.mcap.chunk import HEADER_IN_LENGTH, MESSAGE_OPCODE, ChunkBuilder
 from schemas.messages import Message
@@ -36,22 +36,22 @@ class Latest:
         self.message: Message | None = None
 
 
-Make = Callable[[Tally, ChunkBuilder, int, Latest], Adder]
+Make = Callable[[KeyCounters, ChunkBuilder, int, Latest], Adder]
 
 
 def compile_adder(
-    kind: type[Message], tally: Tally, chunk: ChunkBuilder, channel_id: int, latest: Latest
+    kind: type[Message], counters: KeyCounters, chunk: ChunkBuilder, channel_id: int, latest: Latest
 ) -> Adder:
     """The function of one key.
 
     Args:
         kind: the class of its messages.
-        tally: counts them.
+        counters: counts them.
         chunk: where the records go.
         channel_id: of the records.
         latest: holds the newest message.
     """
-    return _make(kind)(tally, chunk, channel_id, latest)
+    return _make(kind)(counters, chunk, channel_id, latest)
 
 
 @cache
@@ -65,7 +65,7 @@ def _make(kind: type[Message]) -> Make:
             sequence = message.sequence
             records = chunk.records
             offset = len(records)
-            if sequence != tally.next or offset >= limit_bytes:
+            if sequence != counters.next or offset >= limit_bytes:
                 return False
             time_ns = message.time_ns
             tail = part_4(message.text)
@@ -75,7 +75,7 @@ def _make(kind: type[Message]) -> Make:
             index = chunk.index[channel_id]
             index.append(log_ns)
             index.append(offset)
-            tally.next = sequence + 1
+            counters.next = sequence + 1
             ...
             return True
     """
@@ -85,14 +85,14 @@ def _make(kind: type[Message]) -> Make:
     length = HEADER_IN_LENGTH + packed.struct("").size
     arguments = ", ".join(["channel_id", "sequence", "log_ns", "time_ns", *packed.arguments])
     source = f"""
-def make(tally, chunk, channel_id, latest):
+def make(counters, chunk, channel_id, latest):
     limit_bytes = chunk.limit_bytes
     def add(payload, log_ns):
         message = decode(payload)
         sequence = message.sequence
         records = chunk.records
         offset = len(records)
-        if sequence != tally.next or offset >= limit_bytes:
+        if sequence != counters.next or offset >= limit_bytes:
             return False
         time_ns = message.time_ns
         {f"tail = {tail}" if tail else ""}
@@ -102,9 +102,9 @@ def make(tally, chunk, channel_id, latest):
         index = chunk.index[channel_id]
         index.append(log_ns)
         index.append(offset)
-        tally.next = sequence + 1
-        tally.samples += 1
-        tally.messages += 1
+        counters.next = sequence + 1
+        counters.samples += 1
+        counters.messages += 1
         latest.message = message
         latest.log_ns = log_ns
         return True

@@ -19,7 +19,7 @@ RESTART_STEP: Final = 2**24
 """A step forward of this much (two days at 100 Hz) is none: the sender began anew, or a sample was late."""
 
 
-class Tally:
+class KeyCounters:
     """What has come in on one key.
 
     Attributes:

@@ -9,8 +9,8 @@ import msgspec
 
 from recorder.encoding.can_columns import FRAMES_MAX, can_adder
 from recorder.encoding.fast_path import Adder, Latest, compile_adder
-from recorder.encoding.key_counters import Tally
-from recorder.encoding.sample import Sample
+from recorder.encoding.key_counters import KeyCounters
+from recorder.encoding.received_sample import ReceivedSample
 from recorder.encoding.transcode import Encoder, compile_encoder, compile_row_encoder
 from recorder.mcap.chunk import ChunkBuilder
 from schemas.can_word import (
@@ -57,6 +57,7 @@ class Route:
 
     __slots__ = (
         "channel_id",
+        "counters",
         "counts_sequence",
         "encoding",
         "is_kept",
@@ -66,7 +67,6 @@ class Route:
         "latest",
         "robot",
         "subject",
-        "tally",
         "transcode",
     )
 
@@ -74,7 +74,7 @@ class Route:
         self.channel_id = channel_id
         self.subject = subject
         self.robot = robot
-        self.tally = Tally()
+        self.counters = KeyCounters()
         self.encoding = ""
         self.counts_sequence = subject is not None and subject.pattern is Pattern.PUBLISHED
         self.is_kept = subject is not None and subject.qos.kept_bytes > 0
@@ -92,15 +92,15 @@ class Route:
 
     def adder(self, chunk: ChunkBuilder) -> Adder | None:
         """The fast path into a chunk, if there is one: see ``fast_path``. After the first sample."""
-        if self.subject is None or self.tally.next is None:
+        if self.subject is None or self.counters.next is None:
             return None
         if self.subject.type is CanFrames:
-            return can_adder(self.tally, chunk, self.channel_id)
+            return can_adder(self.counters, chunk, self.channel_id)
         if not self.is_state or self.is_watched:
             return None
-        return compile_adder(self.subject.type, self.tally, chunk, self.channel_id, self.latest)
+        return compile_adder(self.subject.type, self.counters, chunk, self.channel_id, self.latest)
 
-    def decode(self, sample: Sample) -> Message | str:
+    def decode(self, sample: ReceivedSample) -> Message | str:
         """The sample's message, or why it is kept as it is."""
         if self.subject is None:
             return "deleted" if sample.deleted else "the key is no known subject"
@@ -152,7 +152,7 @@ def unfold(batch: CanFrames) -> list[Record]:
     ]
 
 
-def keep_raw(sample: Sample, reason: str, time_ns: int) -> bytes:
+def keep_raw(sample: ReceivedSample, reason: str, time_ns: int) -> bytes:
     """The RawSample record of a sample that is not decoded."""
     raw = RawSample(
         time_ns=time_ns,

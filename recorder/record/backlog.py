@@ -1,4 +1,4 @@
-"""What gateways still keep and this log lacks: found by gaps in the sequence, asked for piece by piece. Pure.
+"""Samples that gateways still keep and this log lacks: found by gaps in the sequence, queried in pieces. Pure.
 
 A recorder that starts late, or whose link was cut, gets the journal, the decisions and the events of before. One
 piece is on its way at a time for each key, so that a thin link carries the present first.
@@ -6,28 +6,29 @@ piece is on its way at a time for each key, so that a thin link carries the pres
 
 from __future__ import annotations
 
+from itertools import islice
 from typing import Final
 
-from recorder.record.effects import AskKept, Effect
+from recorder.record.actions import Query
 from schemas import keys
 from schemas.decisions import Journal
 from schemas.recorder_settings import ROBOT_LIMIT
 from schemas.subjects import KEPT_PIECE, SUBJECTS, Subject
 
 ANSWER_NS: Final = 1_000_000_000
-"""A piece that is not whole after this time is asked for again..."""
+"""A piece that is not whole after this time is asked for again."""
 
 TRIES: Final = 5
-"""...so many times in a row, then it is given up."""
+"""Queries for one piece in a row; then it is given up."""
 
 AGAIN_NS: Final = 2_000_000_000
-"""Of a gateway that begins anew so soon after a question, the next one waits: two of one name look like that with
+"""Shortest time between two queries for the whole past of a key: two gateways of one name look like a restart with
 every sample."""
 
 RANGES_MAX: Final = 32
 """Gaps of one key that wait; beyond it the oldest are given up."""
 
-ASK_PER_TICK: Final = 8
+QUERIES_PER_TICK: Final = 8
 
 KEPT_SUBJECTS: Final = tuple(subject for subject in SUBJECTS if subject.qos.kept_bytes)
 
@@ -39,7 +40,7 @@ class _Range:
         self.start = start
         self.end = end
         self.counted = counted
-        """The tally has counted them as missed."""
+        """The key's counters count them as missed."""
         self.asked_to = start
         self.asked_ns: int | None = None
         self.tries = 0
@@ -63,14 +64,14 @@ class _Key:
         self.begin(now_ns)
 
     def begin(self, now_ns: int) -> None:
-        """A gateway is new to us: all it has said is missing."""
+        """Treat the gateway as new: all that it has published is missing."""
         self.begun_ns = now_ns
         self.ask_at_ns = now_ns if self.asked_ns is None else max(now_ns, self.asked_ns + AGAIN_NS)
         self.expected = 0
         self.ranges = [_Range(0, None, counted=False)]
 
-    def hear(self, sequence: int) -> None:
-        """A sample came by itself."""
+    def receive(self, sequence: int) -> None:
+        """Note a sample that came by itself."""
         last = self.ranges[-1] if self.ranges else None
         if last is not None and last.end is None:
             last.end = sequence
@@ -79,8 +80,8 @@ class _Key:
             del self.ranges[:-RANGES_MAX]
         self.expected = sequence + 1
 
-    def ask(self, now_ns: int) -> Effect | None:
-        """What is to be asked now."""
+    def query(self, now_ns: int) -> Query | None:
+        """The query that is due."""
         self.ranges = [one for one in self.ranges if not one.is_over]
         if now_ns < self.ask_at_ns or not self.ranges or not self.ranges[0].is_due(now_ns):
             return None
@@ -91,7 +92,7 @@ class _Key:
             return None
         self.asked_ns = one.asked_ns = now_ns
         one.asked_to = one.start + KEPT_PIECE
-        return AskKept(self.key, one.start)
+        return Query(self.key, one.start)
 
 
 class Backlog:
@@ -101,7 +102,7 @@ class Backlog:
         self._keys: dict[str, _Key] = {}
 
     def see(self, root: str, robot: str, now_ns: int) -> None:
-        """A robot is there; ask for what it said before."""
+        """Ask a robot for what it published before, if it is new."""
         if len(self._keys) >= ROBOT_LIMIT * len(KEPT_SUBJECTS):
             return
         for subject in KEPT_SUBJECTS:
@@ -109,17 +110,17 @@ class Backlog:
             if key not in self._keys:
                 self._keys[key] = _Key(key, subject, now_ns)
 
-    def hear(self, key: str, sequence: int, now_ns: int, *, is_restart: bool) -> None:
-        """A sample came by itself. ``is_restart``: its sequence steps back."""
+    def receive(self, key: str, sequence: int, now_ns: int, *, is_restart: bool) -> None:
+        """Note a sample that came by itself. ``is_restart``: its sequence steps back."""
         one = self._keys.get(key)
         if one is None:
             return
         if is_restart:
             self._begin_again(one, key, now_ns)
-        one.hear(sequence)
+        one.receive(sequence)
 
-    def take(self, key: str, sequence: int) -> tuple[bool, bool]:
-        """A sample came as a reply. Whether it was missing, and whether the tally has counted it so."""
+    def receive_reply(self, key: str, sequence: int) -> tuple[bool, bool]:
+        """Note a sample that came as a reply. Whether it was missing, and whether it was counted as missed."""
         one = self._keys.get(key)
         wanted = one.ranges[0] if one is not None and one.ranges else None
         if one is None or wanted is None or sequence < wanted.start:
@@ -137,26 +138,20 @@ class Backlog:
         one.expected = max(one.expected, wanted.start)
         return True, wanted.counted
 
-    def ask(self, now_ns: int) -> list[Effect]:
-        """The questions that are due."""
-        effects: list[Effect] = []
-        for one in self._keys.values():
-            effect = one.ask(now_ns)
-            if effect is not None:
-                effects.append(effect)
-            if len(effects) == ASK_PER_TICK:
-                break
-        return effects
+    def queries(self, now_ns: int) -> list[Query]:
+        """The queries that are due."""
+        due = (query for one in self._keys.values() if (query := one.query(now_ns)) is not None)
+        return list(islice(due, QUERIES_PER_TICK))
 
-    def ask_last(self, now_ns: int) -> list[Effect]:
-        """The end of what was said may be missing too: nothing came after it that would show it."""
+    def last_queries(self, now_ns: int) -> list[Query]:
+        """The queries at the end: its last samples may be missing too, and nothing came after them to show it."""
         for one in self._keys.values():
             if not one.ranges:
                 one.ranges.append(_Range(one.expected, None, counted=False))
-        return self.ask(now_ns)
+        return self.queries(now_ns)
 
     def _begin_again(self, one: _Key, key: str, now_ns: int) -> None:
-        """One subject shows that a gateway has begun anew; what is seldom said would not."""
+        """Begin again with all subjects of a gateway: those that are seldom published would not show a restart."""
         one.begin(now_ns)
         parts = keys.parse(key)
         if parts is None:

@@ -7,19 +7,18 @@ the same topic. What somebody publishes as ``KEY/log`` is no line of ours.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from enum import Enum, auto
 from typing import Final
 
 import msgspec
 
 from recorder.encoding.foxglove_log import LOG_CHUNK, SCHEMA_DATA, SCHEMA_NAME
-from recorder.encoding.key_counters import Tally
+from recorder.encoding.key_counters import KeyCounters
 from recorder.encoding.protobuf_schema import descriptor_set, schema_name
 from recorder.encoding.routes import RAW_CHUNK, Route
 from recorder.mcap.channel import LogChannel
-from recorder.record.completeness import KeyReport, report
-from recorder.record.effects import DeclareChannel, Effect
+from recorder.record.accounting import KeyReport, report
 from schemas.keys import KEY_MAX_LENGTH
 from schemas.recorder_settings import CHANNEL_LIMIT, TABLE_CHANNEL_LIMIT
 from schemas.recording import GapReason
@@ -32,22 +31,27 @@ RESERVED_LINE_CHUNK: Final = "@log"
 """Events as viewers list them go to ``{key}/@log`` where ``{key}/log`` is somebody's key; no key goes there."""
 
 
-class Room(Enum):
-    """Among which channels a new one counts: what anybody makes up must not take the place of the others."""
+class ChannelQuota(Enum):
+    """The channels among which a new one counts: keys that anybody makes up must not take the place of others."""
 
     OTHER = auto()
     TABLE = auto()
     OWN = auto()
 
 
-LIMITS: Final = {Room.OTHER: CHANNEL_LIMIT, Room.TABLE: TABLE_CHANNEL_LIMIT}
-"""Channels of each sort. There is always room for what the recorder itself says."""
+LIMITS: Final = {ChannelQuota.OTHER: CHANNEL_LIMIT, ChannelQuota.TABLE: TABLE_CHANNEL_LIMIT}
+"""Channels of each quota. What the recorder itself publishes has no limit."""
 
 
 class Channels:
-    """By key: the one memory of keys, and a bounded one."""
+    """The channels of a log by key: its only memory of keys, and a bounded one.
 
-    def __init__(self) -> None:
+    Args:
+        declare: is called with each new channel.
+    """
+
+    def __init__(self, declare: Callable[[LogChannel], None]) -> None:
+        self._declare = declare
         self._by_key: dict[str, Route] = {}
         self._lines: dict[str, Route] = {}
         """By the key of the events."""
@@ -55,18 +59,18 @@ class Channels:
         # By channel id, from 1.
         self._by_id: list[Route] = []
         self._topics: list[str] = []
-        self._taken: Counter[Room] = Counter()
+        self._used: Counter[ChannelQuota] = Counter()
 
     @property
-    def tallies(self) -> Iterable[Tally]:
-        """Of every topic."""
-        return (route.tally for route in self._by_id)
+    def counters(self) -> Iterable[KeyCounters]:
+        """The counters of every topic."""
+        return (route.counters for route in self._by_id)
 
     @property
     def counts(self) -> dict[str, KeyReport]:
-        """Per topic, what was received, written and lost."""
+        """The report of each topic."""
         return {
-            topic: report(route.tally, counts_sequence=route.counts_sequence)
+            topic: report(route.counters, counts_sequence=route.counts_sequence)
             for topic, route in sorted(self._by_topic.items())
         }
 
@@ -84,44 +88,44 @@ class Channels:
         return self._by_key.get(key)
 
     def declare(
-        self, key: str, subject: Subject | None, robot: str, effects: list[Effect], room: Room = Room.OTHER
+        self, key: str, subject: Subject | None, robot: str, quota: ChannelQuota = ChannelQuota.OTHER
     ) -> Route:
-        """The channel of a key's samples, declared when it is new; the one that many share if there is no room."""
+        """The route of a key's samples, declared when new; the shared one if the quotas are used up."""
         route = self._by_key.get(key)
         if route is None:
-            if len(key) > KEY_MAX_LENGTH or not self._take_room(room):
-                return self._add(OVERFLOW_TOPIC, None, "", effects)
+            if len(key) > KEY_MAX_LENGTH or not self._use(quota):
+                return self._add(OVERFLOW_TOPIC, None, "")
             topic = f"{key}/{RAW_CHUNK}" if self._is_line(key) else key
-            route = self._by_key[key] = self._add(topic, subject, robot, effects)
+            route = self._by_key[key] = self._add(topic, subject, robot)
         return route
 
-    def declare_raw(self, key: str, effects: list[Effect]) -> Route:
-        """The channel of the broken samples of a known key."""
-        return self.declare(f"{key}/{RAW_CHUNK}", None, "", effects)
+    def declare_raw(self, key: str) -> Route:
+        """The route of the broken samples of a known key."""
+        return self.declare(f"{key}/{RAW_CHUNK}", None, "")
 
-    def declare_line(self, key: str, effects: list[Effect], room: Room = Room.TABLE) -> Route | None:
-        """The channel of a key's events as viewers list them, declared when new; None if there are too many."""
+    def declare_line(self, key: str, quota: ChannelQuota) -> Route | None:
+        """The route of a key's events as viewers list them; None if the quotas are used up."""
         route = self._lines.get(key)
-        if route is None and self._take_room(room):
+        if route is None and self._use(quota):
             topic = f"{key}/{LOG_CHUNK}"
             if topic in self._by_topic:
                 topic = f"{key}/{RESERVED_LINE_CHUNK}"
             route = self._lines[key] = self._remember(topic, None, "")
-            effects.append(DeclareChannel(LogChannel(route.channel_id, topic, SCHEMA_NAME, SCHEMA_DATA)))
+            self._declare(LogChannel(route.channel_id, topic, SCHEMA_NAME, SCHEMA_DATA))
         return route
 
     def lose_written(self, counts: Mapping[int, int], reason: GapReason | None) -> dict[str, int]:
-        """So many messages of these channels are in no log. Without a reason it is no loss.
+        """Count messages of these channels that are in no log. Without a reason they are no loss.
 
         Returns:
-            The same by topic.
+            The counts by topic.
         """
         topics = {}
         for channel_id, count in counts.items():
-            tally = self._by_id[channel_id - 1].tally
-            tally.unwritten += count
+            counters = self._by_id[channel_id - 1].counters
+            counters.unwritten += count
             if reason is not None:
-                tally.lose(reason, count)
+                counters.lose(reason, count)
             topics[self._topics[channel_id - 1]] = count
         return topics
 
@@ -130,23 +134,21 @@ class Channels:
         key, _, chunk = topic.rpartition("/")
         return chunk == RESERVED_LINE_CHUNK or (chunk == LOG_CHUNK and key in self._lines)
 
-    def _take_room(self, room: Room) -> bool:
-        """Have one more channel of this sort, or else among those that anybody may make up."""
-        for one in (room, Room.OTHER):
+    def _use(self, quota: ChannelQuota) -> bool:
+        """Use one more channel of a quota, or else of the one for keys that anybody may make up. False if full."""
+        for one in (quota, ChannelQuota.OTHER):
             limit = LIMITS.get(one)
-            if limit is None or self._taken[one] < limit:
-                self._taken[one] += 1
+            if limit is None or self._used[one] < limit:
+                self._used[one] += 1
                 return True
         return False
 
-    def _add(self, topic: str, subject: Subject | None, robot: str, effects: list[Effect]) -> Route:
+    def _add(self, topic: str, subject: Subject | None, robot: str) -> Route:
         route = self._by_topic.get(topic)
         if route is None:
             route = self._remember(topic, subject, robot)
             kind = route.kind
-            effects.append(
-                DeclareChannel(LogChannel(route.channel_id, topic, schema_name(kind), descriptor_set(kind)))
-            )
+            self._declare(LogChannel(route.channel_id, topic, schema_name(kind), descriptor_set(kind)))
         return route
 
     def _remember(self, topic: str, subject: Subject | None, robot: str) -> Route:

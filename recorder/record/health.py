@@ -1,4 +1,4 @@
-"""A recorder's health, out of what its parts count. Pure."""
+"""The health of a recorder, from what its parts count. Pure."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Final
 import msgspec
 
 from recorder.encoding.key_counters import SEQUENCE_SPAN
-from recorder.record.recording import Recording
+from recorder.record.recorder import Recorder
 from schemas.recording import GapReason, RecorderHealth, RecorderState
 
 SECOND_NS: Final = 1_000_000_000
 
 
 class Vitals(msgspec.Struct, frozen=True):
-    """What the rooms with I/O and the loop count; see ``RecorderHealth``."""
+    """Figures from the disk, the inbox and the loop; see ``RecorderHealth``."""
 
     files: int = 0
     files_ended: int = 0
@@ -50,42 +50,42 @@ class HealthReport:
         """A second has passed."""
         return now_ns - self._last_ns >= SECOND_NS
 
-    def next(self, recording: Recording, vitals: Vitals, now_ns: int, wall_ns: int) -> RecorderHealth:
+    def next(self, recorder: Recorder, vitals: Vitals, now_ns: int, wall_ns: int) -> RecorderHealth:
         """The health of the second that has passed."""
         span_ns = max(1, now_ns - self._last_ns)
         self._cpu_percent = max(0, vitals.cpu_ns - self._cpu_ns) * 100 / span_ns
         self._sequence = (self._sequence + 1) % SEQUENCE_SPAN
-        health = self.now(recording, vitals, now_ns, wall_ns)
+        health = self.now(recorder, vitals, now_ns, wall_ns)
         self._received_per_s = max(0, health.received - self._received) * SECOND_NS / span_ns
         self._received, self._cpu_ns, self._last_ns = health.received, vitals.cpu_ns, now_ns
         return msgspec.structs.replace(health, received_per_s=self._received_per_s)
 
-    def now(self, recording: Recording, vitals: Vitals, now_ns: int, wall_ns: int) -> RecorderHealth:
+    def now(self, recorder: Recorder, vitals: Vitals, now_ns: int, wall_ns: int) -> RecorderHealth:
         """The health as it is, with the rates of the last whole second."""
-        if recording.state is not self._state:
+        if recorder.state is not self._state:
             # What it does at first, it does since the start.
             self._state_since_ns = self._started_ns if self._state is None else now_ns
-            self._state = recording.state
+            self._state = recorder.state
         lost: Counter[GapReason] = Counter()
         received = messages = missed = keys = 0
-        for tally in recording.tallies:
+        for counters in recorder.counters:
             keys += 1
-            received += tally.samples + tally.unread
-            messages += tally.messages - tally.unwritten
-            missed += tally.missed
-            lost.update(tally.lost)
+            received += counters.samples + counters.unread
+            messages += counters.messages - counters.unwritten
+            missed += counters.missed
+            lost.update(counters.lost)
         return RecorderHealth(
             time_ns=wall_ns,
             sequence=self._sequence,
             recorder=self._recorder,
             recorder_version=self._version,
             uptime_s=(now_ns - self._started_ns) / SECOND_NS,
-            state=recording.state,
+            state=recorder.state,
             state_since_s=(now_ns - self._state_since_ns) / SECOND_NS,
             files=vitals.files,
             files_ended=vitals.files_ended,
             ended_bytes=vitals.ended_bytes,
-            robots=recording.robots,
+            robots=recorder.robots,
             keys=keys,
             received=received,
             received_per_s=self._received_per_s,
@@ -94,8 +94,8 @@ class HealthReport:
             dropped={reason.value: count for reason, count in sorted(lost.items(), key=lambda one: one[0].value)},
             queue_bytes=vitals.queue_bytes,
             disk_queue_bytes=vitals.disk_queue_bytes,
-            ring_bytes=recording.ring_bytes,
-            incidents=recording.incidents,
+            ring_bytes=recorder.ring_bytes,
+            incidents=recorder.incidents,
             disk_free_bytes=vitals.disk_free_bytes,
             disk_used_bytes=vitals.disk_used_bytes,
             incident_bytes=vitals.incident_bytes,

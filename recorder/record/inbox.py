@@ -6,30 +6,30 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Final
 
-from recorder.encoding.sample import Sample, copy
+from recorder.encoding.received_sample import ReceivedSample, copy
 
 SAMPLE_BYTES: Final = 500
-"""What a sample takes in memory besides its payload and key, about."""
+"""Memory that a sample takes besides its payload and key, about."""
 
 
-class Inbox:
+class SampleInbox:
     """A queue of samples.
 
     Args:
-        limit_bytes: payloads, keys and all, that may wait.
+        limit_bytes: memory of what may wait, payloads, keys and all.
     """
 
     def __init__(self, limit_bytes: int) -> None:
         self._limit_bytes = limit_bytes
-        self._waiting: deque[tuple[Sample, int]] = deque()
+        self._waiting: deque[tuple[ReceivedSample, int]] = deque()
         self.bytes = 0
         """Bytes that wait."""
 
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def put(self, sample: Sample) -> list[tuple[str, int]]:
-        """Have a sample wait. Key and receipt of those that must go instead; of this one if it is too much."""
+    def put(self, sample: ReceivedSample) -> list[tuple[str, int]]:
+        """Have a sample wait. Returns key and receipt of those that are dropped for it, which may be itself."""
         size = len(sample.payload) + len(sample.attachment) + len(sample.key) + SAMPLE_BYTES
         self._waiting.append((copy(sample), size))
         self.bytes += size
@@ -42,8 +42,8 @@ class Inbox:
             dropped.append((oldest.key, oldest.received_ns))
         return dropped
 
-    def take(self, limit: int, limit_bytes: int) -> Iterator[Sample]:
-        """The oldest samples: so many, and about so many bytes, at most."""
+    def take(self, limit: int, limit_bytes: int) -> Iterator[ReceivedSample]:
+        """Return the oldest samples: at most so many, and about so many bytes."""
         taken_bytes = 0
         for _ in range(min(limit, len(self._waiting))):
             sample, size = self._waiting.popleft()

@@ -1,61 +1,47 @@
 """The last seconds of a log in memory, and incidents: what came before and after, in a file of its own. Pure.
 
-A ring holds the chunks that the log was given. When something happens they are written into an incident's file,
-and so is what comes after, for a while. Another alarm meanwhile makes that while longer, up to a bound: a fault
-that comes back all the time must not make an endless file.
+A ring holds the newest chunks of the log. When something happens they are written into an incident's file, and
+so is what comes after, for a while. Another alarm meanwhile makes that while longer, up to a bound: a fault that
+comes back all the time must not make an endless file.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
+from heapq import heapify, heappop, heappush
 from typing import Final
 
-import msgspec
-
 from recorder.mcap.chunk import Chunk
-from recorder.record.effects import (
+from recorder.record.actions import (
+    INCIDENT_MARK,
     CloseLog,
-    DeclareChannel,
-    Effect,
-    FileEffect,
+    LogAction,
     OpenLog,
     SyncLog,
-    WriteAttachment,
     WriteChunk,
     WriteMetadata,
 )
-from recorder.record.prologue import Prologue
 from schemas.recorder_settings import INCIDENT_MAX_NS
 
 INCIDENT_NAME: Final = "cruiser.incident"
 """The metadata record that links a log and an incident: in each the file of the other, when, and why."""
 
 
-class IncidentPlan(msgspec.Struct, frozen=True):
-    """What an incident's file holds.
-
-    Attributes:
-        before_ns: so much of what came before...
-        after_ns: ...and so much of what comes after.
-    """
-
-    before_ns: int
-    after_ns: int
-
-
 class Incidents:
-    """The ring of one log, and the incident that is being written of it.
+    """The ring of one log, and the incident that is being written of it. Methods return what is to be done.
 
     Args:
-        name: begins the incidents' file names.
-        plan: how much they hold.
+        name: the log's.
+        before_ns: an incident holds so much of what came before it.
+        after_ns: an incident lasts so long after the last alarm.
     """
 
-    def __init__(self, name: str, plan: IncidentPlan) -> None:
+    def __init__(self, name: str, before_ns: int, after_ns: int) -> None:
+        self.log = name + INCIDENT_MARK
+        """The name of the log of the incidents."""
         self._name = name
-        self._plan = plan
-        self._prologue = Prologue()
+        self._before_ns, self._after_ns = before_ns, after_ns
         self._ring: deque[tuple[int, Chunk]] = deque()
         self.ring_bytes = 0
         """Bytes of the messages in the ring."""
@@ -69,76 +55,83 @@ class Incidents:
         """Whether an incident is being written."""
         return self._until_ns is not None
 
-    def take(self, effects: Iterable[Effect], now_ns: int) -> list[OpenLog | FileEffect]:
-        """Effects on their way into the log. What of them belongs into the incident too."""
-        copied: list[OpenLog | FileEffect] = []
-        for effect in effects:
-            if isinstance(effect, WriteChunk):
-                self._ring.append((now_ns, effect.chunk))
-                self.ring_bytes += len(effect.chunk.records)
-            elif isinstance(effect, DeclareChannel | WriteAttachment) or (
-                isinstance(effect, WriteMetadata) and effect.lasts
-            ):
-                self._prologue.take(effect)
-            elif not isinstance(effect, SyncLog):
-                continue
-            if self._until_ns is not None:
-                copied.append(effect)
-        return copied
+    def add(self, chunk: Chunk, now_ns: int) -> list[LogAction]:
+        """Add a chunk of the log."""
+        self._ring.append((now_ns, chunk))
+        self.ring_bytes += len(chunk.records)
+        return [WriteChunk(self.log, chunk)] if self.is_open else []
 
     @property
     def oldest_ns(self) -> int | None:
-        """When the oldest chunk of the ring came; None if it is empty."""
+        """When the oldest chunk of the ring came; None if the ring is empty."""
         return self._ring[0][0] if self._ring else None
 
     def trim(self, now_ns: int) -> None:
         """Forget what is too old for an incident that would begin now."""
-        while self._ring and now_ns - self._ring[0][0] > self._plan.before_ns:
+        while self._ring and now_ns - self._ring[0][0] > self._before_ns:
             self.forget_oldest()
 
     def forget_oldest(self) -> int:
-        """Forget the oldest chunk of the ring. Its bytes."""
+        """Forget the oldest chunk of the ring. Returns its bytes."""
         size = len(self._ring.popleft()[1].records)
         self.ring_bytes -= size
         return size
 
-    def begin(self, now_ns: int, wall_ns: int, because: str, log: str) -> list[OpenLog | FileEffect]:
-        """Something has happened. Nothing is to be done if an incident is under way: it lasts longer.
+    def begin(self, now_ns: int, wall_ns: int, because: str, file: str) -> list[LogAction]:
+        """Begin an incident. One that is being written lasts longer instead, and nothing is to be done.
 
         Args:
-            now_ns: when.
-            wall_ns: the same, since 1970.
-            because: what.
-            log: the file in which the log goes on; empty if there is none.
+            now_ns: monotonic time.
+            wall_ns: the same instant since 1970.
+            because: what has happened.
+            file: the log's present file; empty if there is none.
         """
         if self._until_ns is not None:
-            self._until_ns = min(now_ns + self._plan.after_ns, self._begun_ns + INCIDENT_MAX_NS)
+            self._until_ns = min(now_ns + self._after_ns, self._begun_ns + INCIDENT_MAX_NS)
             return []
         self._begun_ns = now_ns
-        self._until_ns = now_ns + self._plan.after_ns
+        self._until_ns = now_ns + self._after_ns
         self.about = {"at_ns": str(wall_ns), "because": because}
         return [
-            OpenLog(self._name, wall_ns, is_incident=True),
-            *self._prologue.effects,
-            self._naming(log),
-            *(WriteChunk(chunk) for _, chunk in self._ring),
-            SyncLog(),
+            OpenLog(self.log, self._name, wall_ns, is_incident=True),
+            self._link_to(file),
+            *(WriteChunk(self.log, chunk) for _, chunk in self._ring),
+            SyncLog(self.log),
         ]
 
-    def go_on_in(self, log: str) -> list[OpenLog | FileEffect]:
-        """The log goes on in this file: an incident that is being written says so."""
-        return [] if self._until_ns is None else [self._naming(log)]
+    def link_to(self, file: str) -> list[LogAction]:
+        """Name the file in which the log goes on, if an incident is being written."""
+        return [self._link_to(file)] if self.is_open else []
 
     def is_over(self, now_ns: int) -> bool:
         """Whether the incident that is being written is to be ended."""
         return self._until_ns is not None and now_ns >= self._until_ns
 
-    def close(self) -> list[OpenLog | FileEffect]:
+    def close(self) -> list[LogAction]:
         """End the incident, if there is one."""
         if self._until_ns is None:
             return []
         self._until_ns = None
-        return [CloseLog()]
+        return [CloseLog(self.log)]
 
-    def _naming(self, log: str) -> WriteMetadata:
-        return WriteMetadata(INCIDENT_NAME, {**self.about, "file": log}, lasts=True)
+    def _link_to(self, file: str) -> WriteMetadata:
+        return WriteMetadata(self.log, INCIDENT_NAME, {**self.about, "file": file}, lasts=True)
+
+
+def trim_rings(all_incidents: Iterable[Incidents], now_ns: int, limit_bytes: int) -> None:
+    """Forget what is too old for an incident that would begin now, and the oldest of all if it is too much."""
+    total_bytes = 0
+    rings = list(all_incidents)
+    for ring in rings:
+        ring.trim(now_ns)
+        total_bytes += ring.ring_bytes
+    if total_bytes <= limit_bytes:
+        return
+    heads = [(ring.oldest_ns, number) for number, ring in enumerate(rings) if ring.oldest_ns is not None]
+    heapify(heads)
+    while heads and total_bytes > limit_bytes:
+        _, number = heappop(heads)
+        total_bytes -= rings[number].forget_oldest()
+        oldest_ns = rings[number].oldest_ns
+        if oldest_ns is not None:
+            heappush(heads, (oldest_ns, number))

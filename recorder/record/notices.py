@@ -1,4 +1,4 @@
-"""What became of files: what the disk reports to a recording. Pure."""
+"""What the disk reports to the recorder, and what the recorder announces to people. Pure."""
 
 from __future__ import annotations
 
@@ -64,13 +64,13 @@ class Recovered(msgspec.Struct, frozen=True):
     messages: int
 
 
-class Room(msgspec.Struct, frozen=True):
+class DiskRoom(msgspec.Struct, frozen=True):
     """What the disk may hold has changed.
 
     Attributes:
-        has_room: for logs...
-        has_incident_room: ...and for incidents.
-        roll: the logs are to be ended, so that they may go.
+        has_room: whether logs may be written.
+        has_incident_room: whether incidents may be written.
+        roll: the logs are to be ended, so that they may be deleted.
     """
 
     has_room: bool
@@ -78,11 +78,11 @@ class Room(msgspec.Struct, frozen=True):
     roll: bool = False
 
 
-Notice = Opened | Ended | Lost | DiskFault | DiskBack | Deleted | Moved | Recovered | Room
+Notice = Opened | Ended | Lost | DiskFault | DiskBack | Deleted | Moved | Recovered | DiskRoom
 
 
-class Word(msgspec.Struct, frozen=True):
-    """What a person is told; see ``schemas.recording.RecorderEvent``."""
+class Announcement(msgspec.Struct, frozen=True):
+    """Something that people are to know; see ``schemas.recording.RecorderEvent``."""
 
     kind: RecorderEventKind
     severity: Severity
@@ -92,49 +92,49 @@ class Word(msgspec.Struct, frozen=True):
     robot: str = ""
 
 
-STARTED: Final = Word(RecorderEventKind.STARTED, Severity.INFO, "recording was started")
-STOPPED: Final = Word(RecorderEventKind.STOPPED, Severity.WARNING, "recording was stopped")
-FULL: Final = Word(
+STARTED: Final = Announcement(RecorderEventKind.STARTED, Severity.INFO, "recording was started")
+STOPPED: Final = Announcement(RecorderEventKind.STOPPED, Severity.WARNING, "recording was stopped")
+FULL: Final = Announcement(
     RecorderEventKind.FULL,
     Severity.ERROR,
     "recording has stopped: the disk may hold no more, and nothing that may be deleted would be enough",
 )
-ROOM: Final = Word(RecorderEventKind.FULL, Severity.INFO, "there is room on the disk again")
+ROOM: Final = Announcement(RecorderEventKind.FULL, Severity.INFO, "there is room on the disk again")
 
 
-def incident_word(file: str, because: str) -> Word:
-    """What a person is told of an incident that is being written."""
+def incident_begun(file: str, because: str) -> Announcement:
+    """Announce an incident that is being written."""
     text = f"{file} keeps what came before and after: {because}"
-    return Word(RecorderEventKind.INCIDENT, Severity.WARNING, text, file)
+    return Announcement(RecorderEventKind.INCIDENT, Severity.WARNING, text, file)
 
 
-def no_incident_word(robot: str, because: str) -> Word:
-    """What a person is told of an incident for which there is no room."""
+def incident_refused(robot: str, because: str) -> Announcement:
+    """Announce an incident for which there is no room."""
     text = f"the disk may hold no more incidents, so none is kept of {robot}: {because}"
-    return Word(RecorderEventKind.INCIDENT, Severity.ERROR, text)
+    return Announcement(RecorderEventKind.INCIDENT, Severity.ERROR, text)
 
 
-def cut_incident_word(robot: str, file: str) -> Word:
-    """What a person is told of an incident that was ended for want of room."""
+def incident_cut(robot: str, file: str) -> Announcement:
+    """Announce an incident that was ended for want of room."""
     text = f"the disk may hold no more incidents, so the one that was being written of {robot} has ended early"
-    return Word(RecorderEventKind.INCIDENT, Severity.ERROR, text, file)
+    return Announcement(RecorderEventKind.INCIDENT, Severity.ERROR, text, file)
 
 
-def in_words(notice: Notice) -> Word | None:
-    """What a person is told of a notice, if it is worth telling."""
+def announcement_of(notice: Notice) -> Announcement | None:
+    """Announce what people should know of a notice; None if there is nothing."""
     match notice:
         case DiskFault():
-            return Word(RecorderEventKind.DISK, Severity.ERROR, f"the disk takes no logs: {notice.detail}")
+            return Announcement(RecorderEventKind.DISK, Severity.ERROR, f"the disk takes no logs: {notice.detail}")
         case DiskBack():
-            return Word(RecorderEventKind.DISK, Severity.INFO, "the disk takes the logs again")
+            return Announcement(RecorderEventKind.DISK, Severity.INFO, "the disk takes the logs again")
         case Deleted():
             text = f"{notice.file} was deleted for want of room: {notice.bytes} bytes"
-            return Word(RecorderEventKind.DELETED, Severity.INFO, text, notice.file)
+            return Announcement(RecorderEventKind.DELETED, Severity.INFO, text, notice.file)
         case Moved():
             text = f"somebody has moved or removed {notice.path}: what was being written ends where it is now"
-            return Word(RecorderEventKind.DISK, Severity.WARNING, text)
+            return Announcement(RecorderEventKind.DISK, Severity.WARNING, text)
         case Recovered():
             text = f"{notice.file} was left unfinished, and is whole now: {notice.messages} messages"
-            return Word(RecorderEventKind.RECOVERED, Severity.INFO, text, notice.file)
+            return Announcement(RecorderEventKind.RECOVERED, Severity.INFO, text, notice.file)
         case _:
             return None

@@ -1,4 +1,4 @@
-"""What operators ask of a recorder, and the replies: some come when a file has been opened or ended. Pure."""
+"""Requests of operators to a recorder, and the replies: some wait until a file is opened or ended. Pure."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Final, Protocol
 
 import msgspec
 
-from recorder.record.effects import Doing
+from recorder.record.actions import Action
 from recorder.record.notices import Ended, Notice, Opened
-from recorder.record.recording import Recording
+from recorder.record.recorder import Recorder
 from schemas.codec import PayloadFault
 from schemas.recording import (
     Backfill,
@@ -25,10 +25,10 @@ from schemas.recording import (
 from schemas.requests import Request
 
 REPLY_NS: Final = 2_000_000_000
-"""A reply that waits for the disk waits no longer; then it says so."""
+"""The longest wait of a reply for the disk; one that ends so says so."""
 
 
-class Asked(Protocol):
+class OperatorRequest(Protocol):
     """A request, and how to answer it."""
 
     @property
@@ -55,7 +55,7 @@ class Asked(Protocol):
 class _Pending(msgspec.Struct):
     """A reply that waits until files of these logs are opened, or ended."""
 
-    asked: Asked
+    asked: OperatorRequest
     detail: str
     awaits: set[str]
     notice: type[Opened | Ended]
@@ -64,50 +64,50 @@ class _Pending(msgspec.Struct):
 
 
 class Orders:
-    """Carries requests out on a recording.
+    """Carries requests out on a recorder.
 
     Args:
-        recording: what is recorded.
-        health: the recorder's, as it is now.
-        backfill: answers such a request, on a thread of its own.
+        recorder: obeys.
+        health: returns the recorder's present health.
+        backfill: answers a request for a backfill, on a thread of its own.
     """
 
     def __init__(
-        self, recording: Recording, health: Callable[[], RecorderHealth], backfill: Callable[[Asked], None]
+        self, recorder: Recorder, health: Callable[[], RecorderHealth], backfill: Callable[[OperatorRequest], None]
     ) -> None:
-        self._recording = recording
+        self._recorder = recorder
         self._health = health
         self._backfill = backfill
         self._pending: list[_Pending] = []
 
-    def take(self, asked: Asked, now_ns: int, wall_ns: int) -> Sequence[Doing]:
-        """Do what is asked. Nothing in a request raises."""
-        recording, request = self._recording, asked.request
-        writing = recording.writing
-        doings: Sequence[Doing] = ()
+    def obey(self, asked: OperatorRequest, now_ns: int, wall_ns: int) -> Sequence[Action]:
+        """Do what a request asks. Nothing in a request raises."""
+        recorder, request = self._recorder, asked.request
+        writing = recorder.writing
+        actions: Sequence[Action] = ()
         match request:
             case PayloadFault():
                 self._refuse(asked, request.detail)
             case Backfill():
                 self._backfill(asked)
             case Start():
-                doings = recording.start(asked.operator, now_ns, wall_ns)
-                self._answer(asked, _STATES[recording.state], [])
+                actions = recorder.start(asked.operator, now_ns, wall_ns)
+                self._answer(asked, _STATES[recorder.state], [])
             case StopRecording():
-                doings = recording.stop(asked.operator, now_ns, wall_ns)
-                self._wait(asked, _STATES[recording.state], writing, Ended, now_ns)
+                actions = recorder.stop(asked.operator, now_ns, wall_ns)
+                self._wait(asked, _STATES[recorder.state], writing, Ended, now_ns)
             case Split():
-                doings = recording.roll("split", now_ns)
+                actions = recorder.roll("split", now_ns)
                 detail = "the next samples begin new files" if writing else "no file is being written"
                 self._wait(asked, detail, writing, Ended, now_ns)
             case Mark():
-                doings = self._mark(asked, request, now_ns, wall_ns)
+                actions = self._mark(asked, request, now_ns, wall_ns)
             case _:
-                self._answer(asked, _STATES[recording.state], sorted(recording.files.values()))
-        return doings
+                self._answer(asked, _STATES[recorder.state], sorted(recorder.files.values()))
+        return actions
 
-    def take_notice(self, notice: Notice) -> None:
-        """A file was opened or ended: somebody may wait for that."""
+    def receive_notice(self, notice: Notice) -> None:
+        """Note a file that was opened or ended: a reply may wait for that."""
         if not self._pending or not isinstance(notice, Opened | Ended):
             return
         for one in self._pending:
@@ -123,23 +123,23 @@ class Orders:
             late = "; the disk has not done it yet" if one.awaits else ""
             self._answer(one.asked, one.detail + late, sorted(one.files))
 
-    def _mark(self, asked: Asked, mark: Mark, now_ns: int, wall_ns: int) -> Sequence[Doing]:
+    def _mark(self, asked: OperatorRequest, mark: Mark, now_ns: int, wall_ns: int) -> Sequence[Action]:
         because = f"mark by {asked.operator}: {mark.text}" if mark.text else f"mark by {asked.operator}"
-        marked, doings = self._recording.mark(mark.robot, because, now_ns, wall_ns)
+        marked, actions = self._recorder.mark(mark.robot, because, now_ns, wall_ns)
         if marked:
             opened = [file for file in marked.values() if file]
             awaits = {name for name, file in marked.items() if not file}
             self._wait(asked, "an incident keeps what came before and after", awaits, Opened, now_ns, opened)
-        elif not self._recording.has_incident_room:
+        elif not self._recorder.has_incident_room:
             self._refuse(asked, "the disk may hold no more incidents")
         else:
             whose = f"of {mark.robot} " if mark.robot else ""
             self._refuse(asked, f"nothing {whose}has been heard")
-        return doings
+        return actions
 
     def _wait(
         self,
-        asked: Asked,
+        asked: OperatorRequest,
         detail: str,
         awaits: set[str],
         notice: type[Opened | Ended],
@@ -149,11 +149,11 @@ class Orders:
         self._pending.append(_Pending(asked, detail, set(awaits), notice, now_ns + REPLY_NS, list(files)))
         self.tick(now_ns)
 
-    def _answer(self, asked: Asked, detail: str, files: list[str]) -> None:
+    def _answer(self, asked: OperatorRequest, detail: str, files: list[str]) -> None:
         asked.reply(RecorderReply(ok=True, detail=detail, files=files, health=self._health()))
         asked.done()
 
-    def _refuse(self, asked: Asked, detail: str) -> None:
+    def _refuse(self, asked: OperatorRequest, detail: str) -> None:
         if isinstance(asked.request, Backfill):
             asked.reply(refusal(detail))
         else:

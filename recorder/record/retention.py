@@ -56,7 +56,7 @@ class LogEntry(msgspec.Struct, frozen=True):
     is_stuck: bool = False
 
 
-class Limits(msgspec.Struct, frozen=True):
+class DiskLimits(msgspec.Struct, frozen=True):
     """How much logs may take; 0 is no limit.
 
     Attributes:
@@ -92,7 +92,7 @@ class Judgement(msgspec.Struct, frozen=True):
     roll: bool
 
 
-def judge(entries: Sequence[LogEntry], free_bytes: int, limits: Limits, *, is_full: bool) -> Judgement:
+def judge(entries: Sequence[LogEntry], free_bytes: int, limits: DiskLimits, *, is_full: bool) -> Judgement:
     """What to do about the disk.
 
     Args:
@@ -139,7 +139,7 @@ def judge(entries: Sequence[LogEntry], free_bytes: int, limits: Limits, *, is_fu
     )
 
 
-def _wanted(used: int, free_bytes: int, limits: Limits, *, is_full: bool) -> int:
+def _wanted(used: int, free_bytes: int, limits: DiskLimits, *, is_full: bool) -> int:
     """How many bytes have to go."""
     more = 1.0 + RESUME_SHARE if is_full else 1.0
     over_budget = used * more - limits.budget_bytes if limits.budget_bytes else 0
@@ -157,11 +157,11 @@ def _is_worth(wanted: int, closed: Iterable[LogEntry], being_written: Iterable[L
     return closed_bytes < wanted <= closed_bytes + open_bytes and open_bytes >= ROLL_BYTES
 
 
-def _is_of_stranger(entry: LogEntry, limits: Limits) -> bool:
+def _is_of_stranger(entry: LogEntry, limits: DiskLimits) -> bool:
     return entry.is_incident and not entry.is_open and bool(limits.known) and entry.robot not in limits.known
 
 
-def _in_turn(entries: Iterable[LogEntry], takes: Counter[str], limits: Limits) -> Iterator[LogEntry]:
+def _in_turn(entries: Iterable[LogEntry], takes: Counter[str], limits: DiskLimits) -> Iterator[LogEntry]:
     """What may go, in turn: the oldest of the share that takes most. ``takes`` is what is left of each."""
     shares: dict[str, deque[LogEntry]] = defaultdict(deque)
     for entry in sorted(entries, key=_age):
@@ -179,7 +179,7 @@ def _age(entry: LogEntry) -> tuple[str, int, str]:
     return entry.started, entry.number, entry.name
 
 
-def _last_hours(logs: Iterable[LogEntry], limits: Limits) -> set[str]:
+def _last_hours(logs: Iterable[LogEntry], limits: DiskLimits) -> set[str]:
     """The names of the logs that hold the last hours of a known robot: back from where its newest begins.
 
     A log reaches as far as the next one begins.

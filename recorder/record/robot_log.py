@@ -1,236 +1,537 @@
-"""One log of a recording: its session, its incidents, and which files they are in. Pure.
+"""The log of one robot, without I/O: samples in, actions on the log's files and on those of its incidents out.
 
-What its session asks for goes into the log as far as that is written, and into the ring whatever happens. What is
-to be done about it goes through an ``Outlet``, which all logs of a recording share.
+``receive_sample`` finds the sample's route by its key, decodes it, and appends protobuf records to the chunk in
+hand; what fits no subject is kept whole. ``tick`` hands the chunk over before ``flush_ns`` of the log are at risk,
+and ends a file that is long enough; the next sample begins the next one. While no file is written, chunks go into
+the ring of the incidents alone.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Sequence
-from heapq import heapify, heappop, heappush
 from typing import Final
 
+import msgspec
+
 from recorder.encoding.fast_path import FastPath
-from recorder.record.effects import (
-    Alarm,
-    AskInfo,
-    AskKept,
+from recorder.encoding.foxglove_log import log_record
+from recorder.encoding.key_counters import SEQUENCE_SPAN
+from recorder.encoding.received_sample import ReceivedSample
+from recorder.encoding.routes import Record, Route, keep_raw
+from recorder.mcap.channel import LogChannel
+from recorder.mcap.chunk import ChunkBuilder, log_time
+from recorder.record.accounting import COMPLETENESS_NAME, FileAccount, LossReport
+from recorder.record.actions import (
+    Action,
     CloseLog,
-    Doing,
-    Effect,
-    FileEffect,
-    OnLog,
+    DeclareChannel,
+    LogAction,
     OpenLog,
     SyncLog,
     WriteChunk,
     WriteMetadata,
 )
-from recorder.record.gaps import Gaps
-from recorder.record.incidents import INCIDENT_NAME, IncidentPlan, Incidents
-from recorder.record.notices import Ended, Lost, Opened, Word, cut_incident_word, incident_word, no_incident_word
-from recorder.record.session import Plan, Session
+from recorder.record.backlog import Backlog
+from recorder.record.channels import ChannelQuota, Channels
+from recorder.record.incidents import INCIDENT_NAME, Incidents
+from recorder.record.notices import (
+    Announcement,
+    Ended,
+    Lost,
+    Opened,
+    incident_begun,
+    incident_cut,
+    incident_refused,
+)
+from recorder.record.robots import Robots
+from schemas import keys
+from schemas.decisions import EventKind, SafetyEvent, Severity
+from schemas.messages import CanFrames, GatewayHealth, GatewayInfo, Message
+from schemas.printable import short
 from schemas.recorder_settings import OWNED_KEY_LIMIT
-from schemas.recording import GapReason
+from schemas.recording import GapReason, RecorderEvent, RecordGap
+from schemas.subjects import BY_DBC_MESSAGE, BY_TYPE
 
-INCIDENT_MARK: Final = "!"
-"""Behind a log's name it is that of its incidents: no robot's name holds it."""
+INFO_MAX_BYTES: Final = 1_000_000
+"""A gateway's answer that is larger is recorded like any sample, but not kept for every further file."""
+
+ROLL_MIN_NS: Final = 1_000_000_000
+"""The shortest life of a file that is ended for its size, as what each file repeats may already be that large; and
+the shortest time between two files, however often another one is asked for."""
+
+CONTINUED_NAME: Final = "cruiser.continued"
+"""The metadata record with the number of a log's file, and why the file before it ended."""
+
+LATEST_NAME: Final = "cruiser.latest"
+"""The metadata record with the newest state of each topic when this file began, as JSON, with its log time.
+
+No message of a channel: no message may be there twice when the files of a log are put together.
+"""
+
+GAPS_MAX: Final = 10_000
+"""Gaps of all logs that wait to be reported."""
+
+PENDING_EVENTS_MAX: Final = 1000
+"""Events of the recorder that wait for the next file of a log; beyond it the oldest go."""
+
+PENDING_GAPS_MAX: Final = 1000
+"""Gaps that wait for the next file of a log: a disk may be full for as long as it likes."""
+
+ANNOUNCEMENTS_MAX: Final = 1000
 
 
-WORDS_MAX: Final = 1000
-
-
-class Outlet:
-    """What the logs of a recording share.
+class LogPlan(msgspec.Struct, frozen=True):
+    """What to record into a log.
 
     Attributes:
-        doings: what is to be done.
-        gaps: what is lost, until it is told.
+        name: the log's, which begins its files' names.
+        chunk_bytes: a chunk is handed over at this size.
+        flush_ns: at most this much of the log is at risk.
+        version: the recorder's.
+        rotate_bytes: a file that has reached this size is ended; 0 is never.
+        rotate_ns: a file that was begun so long ago is ended; 0 is never.
+        idle_ns: a file in which nothing was written for so long is ended; 0 is never.
+        alarms: kinds of safety events that are incidents.
+        before_ns: an incident holds so much of what came before it.
+        after_ns: an incident lasts so long after the last alarm.
+    """
+
+    name: str
+    chunk_bytes: int
+    flush_ns: int
+    version: str
+    rotate_bytes: int = 0
+    rotate_ns: int = 0
+    idle_ns: int = 0
+    alarms: frozenset[EventKind] = frozenset()
+    before_ns: int = 0
+    after_ns: int = 0
+
+
+class LogContext:
+    """What the logs of a recorder share.
+
+    Attributes:
+        actions: what is to be done, in this order.
+        losses: what is lost, by log, until it is reported.
         fast_paths: by key; see ``fast_path``.
-        left_out: why chunks are not written that are not; None is no loss.
+        left_out: why chunks are not written while no file is; None is no loss.
         has_incident_room: incidents may be begun.
-        incidents: that were begun.
-        words: what is to be told.
+        incidents: incidents that were begun.
+        announcements: what is to be announced.
     """
 
     def __init__(self) -> None:
-        self.doings: list[Doing] = []
-        self.gaps = Gaps()
+        self.actions: list[Action] = []
+        self.losses = LossReport(GAPS_MAX)
         self.fast_paths: dict[str, FastPath] = {}
         self.left_out: GapReason | None = None
         self.has_incident_room = True
         self.incidents = 0
-        self.words: deque[Word] = deque(maxlen=WORDS_MAX)
-
-    def take_words(self) -> list[Word]:
-        """What is to be told."""
-        words = list(self.words)
-        self.words.clear()
-        return words
+        self.announcements: deque[Announcement] = deque(maxlen=ANNOUNCEMENTS_MAX)
 
 
 class RobotLog:
-    """The log of one robot, or of all.
+    """The log of one robot, or the one log of all.
 
     Args:
-        plan: what to record; its name is the log's.
-        incident: what an incident's file holds.
-        outlet: where what is to be done goes.
+        plan: what to record.
+        context: what it shares with the recorder's other logs; its actions go there.
     """
 
-    def __init__(self, plan: Plan, incident: IncidentPlan, outlet: Outlet) -> None:
+    def __init__(self, plan: LogPlan, context: LogContext) -> None:
         self.name = plan.name
-        self.session = Session(plan)
-        self.incidents = Incidents(plan.name, incident)
-        self._outlet = outlet
-        self.is_written = False
-        """A file of it was asked for, and is not ended."""
+        self._plan = plan
+        self._context = context
+        self._chunk = ChunkBuilder(plan.chunk_bytes)
+        self.channels = Channels(self._declare)
+        self.incidents = Incidents(plan.name, plan.before_ns, plan.after_ns)
+        self._robots = Robots(plan.name, plan.version)
+        self._backlog = Backlog()
+        self._account = FileAccount()
+        self._fast_keys: list[str] = []
+        """Its keys that take the fast path, while a file is written."""
+        self._pending_events: deque[tuple[str, RecorderEvent]] = deque(maxlen=PENDING_EVENTS_MAX)
+        self._pending_gaps = LossReport(PENDING_GAPS_MAX)
+        self.ended_ticks: dict[str, int] = {}
+        """The ticks at which gateways reported that they were told to end, by the key of their events."""
+        self.is_open = False
+        """A file was asked for, and is not ended, whether the disk has begun it yet or not."""
+        self.is_paused = False
+        """No file is written, and none begun."""
         self.file = ""
         """The file that is being written, without its directory; empty if there is none, or not yet."""
         self.incident_file = ""
         """The same of an incident."""
-        self._is_incident_told = True
-        """Whether the latest incident has been opened, and that was told."""
-        self._named = ""
+        self._is_incident_announced = True
+        """Whether the latest incident has been opened, and that was announced."""
+        self._linked_incident = ""
         """The incident that the present file of the log names."""
-        self._fast_keys: list[str] = []
-        """Its keys that take the fast path, while a file is written."""
+        self._files = 0
+        self._is_awaited = False
+        """The disk has not begun the file yet: it is not ended for the sake of another."""
+        self._opened_ns = self._received_ns = 0
+        self._rolled_ns: int | None = None
+        self._roll_wanted = ""
+        """Why the file is to be ended as soon as may be."""
+        self._ended_by = ""
+        self._at_risk_since_ns: int | None = None
+        # Half for what comes together, half for the ticks, the write and the sync.
+        self._patience_ns = plan.flush_ns // 2
 
     @property
-    def incident_name(self) -> str:
-        """The name of the log of its incidents."""
-        return self.name + INCIDENT_MARK
+    def robots(self) -> int:
+        """Robots of which a sample has come."""
+        return len(self._robots)
 
-    def carry_on(self, effects: Iterable[Effect], now_ns: int) -> None:
-        """What the session asks for."""
-        written: list[OpenLog | FileEffect] = []
-        kept: list[Effect] = []
-        for effect in effects:
-            if isinstance(effect, AskInfo | AskKept):
-                self._outlet.doings.append(effect)
-            elif isinstance(effect, Alarm):
-                if self._outlet.has_incident_room:
-                    self.begin_incident(effect.because, now_ns, effect.wall_ns)
-                else:
-                    self._outlet.words.append(no_incident_word(self.name, effect.because))
-            elif isinstance(effect, WriteChunk | SyncLog) and not self.is_written:
-                kept.append(effect)
-                if isinstance(effect, WriteChunk):
-                    self._leave_out(effect)
-            else:
-                kept.append(effect)
-                written.append(effect)
-                if isinstance(effect, OpenLog | CloseLog):
-                    self.is_written = self.session.is_awaited = isinstance(effect, OpenLog)
-                    self._named = ""
-                    self._close_fast_paths()
-        if written:
-            self._outlet.doings.append(OnLog(self.name, tuple(written)))
-        if kept:
-            self._write_incident(self.incidents.take(kept, now_ns))
+    def knows(self, robot: str) -> bool:
+        """Whether a sample of this robot has come."""
+        return robot in self._robots
+
+    # Samples
+
+    def receive_sample(self, sample: ReceivedSample, now_ns: int, wall_ns: int) -> None:
+        """Record a sample. It may hold anything: nothing in it raises."""
+        log_ns = log_time(wall_ns)
+        if not self.is_open and not self.is_paused:
+            self._open(now_ns, log_ns)
+        route = self.channels.get(sample.key) or self._find_route(sample.key, now_ns)
+        message = route.decode(sample)
+        if isinstance(message, str):
+            self._add_raw(sample, message, route, now_ns, log_ns)
+        else:
+            self._add_message(sample, message, route, now_ns, log_ns)
+        if self._at_risk_since_ns is None:
+            self._at_risk_since_ns = self._received_ns = now_ns
+        if self._chunk.is_full:
+            self.hand_over(now_ns)
 
     def find_fast_path(self, key: str) -> None:
-        """Have the samples of a key take the fast path, if it has one."""
-        paths = self._outlet.fast_paths
-        if key in paths or len(paths) >= OWNED_KEY_LIMIT:
+        """Have the samples of a key take the fast path, if it has one; see ``fast_path``."""
+        paths, route = self._context.fast_paths, self.channels.get(key)
+        if not self.is_open or route is None or key in paths or len(paths) >= OWNED_KEY_LIMIT:
             return
-        path = self.session.fast_path(key)
-        if path is not None:
-            paths[key] = path
+        add = route.adder(self._chunk)
+        if add is not None:
+            paths[key] = route.encoding, add
             self._fast_keys.append(key)
 
+    def drop_sample(self, key: str, reason: GapReason, now_ns: int, wall_ns: int) -> None:
+        """Count a sample that was dropped unread."""
+        route = self.channels.get(key) or self._find_route(key, now_ns)
+        route.counters.lose(reason, 1)
+        self._context.losses.lose(self.name, key, reason, 1, wall_ns, wall_ns)
+
+    def add_own(self, topic: str, message: RecorderEvent | RecordGap, now_ns: int) -> None:
+        """Record what the recorder itself reports; while no file is open, in the next one."""
+        if self.is_open:
+            route = self.channels.declare(topic, BY_TYPE[type(message)], "", ChannelQuota.OWN)
+            log_ns = log_time(message.time_ns)
+            self._add(route, message.sequence, now_ns, log_ns, route.transcode(message))
+            if isinstance(message, RecorderEvent):
+                self._add_line(topic, message, now_ns, log_ns, ChannelQuota.OWN)
+            if self._at_risk_since_ns is None:
+                self._at_risk_since_ns = now_ns
+        elif isinstance(message, RecorderEvent):
+            self._pending_events.append((topic, message))
+        else:
+            self._pending_gaps.add(topic, message)
+
+    def _add_message(
+        self, sample: ReceivedSample, message: Message, route: Route, now_ns: int, log_ns: int
+    ) -> None:
+        if sample.is_reply and route.is_kept:
+            was_missing, was_counted = self._backlog.receive_reply(sample.key, message.sequence)
+            if not was_missing:
+                return
+            if was_counted:
+                route.counters.find()
+        elif route.counts_sequence:
+            is_restart = not route.counters.count_sequence(message.sequence)
+            if is_restart:
+                self._robots.see_restart(route.robot, now_ns)
+            if route.is_kept:
+                self._backlog.receive(sample.key, message.sequence, now_ns, is_restart=is_restart)
+        if route.is_watched:
+            self._watch(sample, message, route, now_ns, log_ns)
+        if route.is_state:
+            route.latest.log_ns, route.latest.message = log_ns, message
+        self._add(route, message.sequence, now_ns, log_ns, route.transcode(message))
+
+    def _add_raw(self, sample: ReceivedSample, reason: str, route: Route, now_ns: int, log_ns: int) -> None:
+        if route.subject is not None:
+            route = self.channels.declare_raw(sample.key)
+        time_ns = log_time(sample.zenoh_time_ns)
+        source, sequence = sample.source or ("", 0)
+        if source and route.subject is None:
+            route.counters.count_source(source, sequence)
+        # Without a time of the source's, the receipt's is the best there is.
+        records = [(time_ns or log_ns, keep_raw(sample, reason, time_ns))]
+        self._add(route, sequence % SEQUENCE_SPAN, now_ns, log_ns, records)
+
+    def _add(self, route: Route, sequence: int, now_ns: int, log_ns: int, records: Sequence[Record]) -> None:
+        """Append the records of a sample. A chunk is handed over as soon as it is full: many more may follow."""
+        for publish_ns, data in records:
+            if self._chunk.is_full:
+                self.hand_over(now_ns)
+            self._chunk.add(route.channel_id, sequence, log_ns, publish_ns, data)
+        route.counters.samples += 1
+        route.counters.messages += len(records)
+
+    def _add_line(
+        self, key: str, event: SafetyEvent | RecorderEvent, now_ns: int, log_ns: int, quota: ChannelQuota
+    ) -> None:
+        """Append the event once more, as viewers list them."""
+        route = self.channels.declare_line(key, quota)
+        if route is None:
+            return
+        parts = keys.parse(key)
+        name = (parts.robot or parts.recorder) if parts else key
+        self._add(route, event.sequence, now_ns, log_ns, [(event.time_ns, log_record(event, name))])
+
+    def _watch(self, sample: ReceivedSample, message: Message, route: Route, now_ns: int, log_ns: int) -> None:
+        """Act on a message that means something to the recorder itself."""
+        if isinstance(message, CanFrames):
+            route.counters.dropped = max(route.counters.dropped, message.dropped)
+        elif isinstance(message, GatewayInfo):
+            if len(sample.payload) <= INFO_MAX_BYTES:
+                self._apply_all(self._robots.receive_info(route.robot, message, log_ns))
+        elif isinstance(message, GatewayHealth):
+            self._count_bus(sample.key, message)
+        elif isinstance(message, SafetyEvent):
+            self._add_line(sample.key, message, now_ns, log_ns, ChannelQuota.TABLE)
+            if message.kind is EventKind.GATEWAY:
+                self.ended_ticks[sample.key] = message.tick
+            # An event that a gateway had kept is long past.
+            is_alarm = message.kind in self._plan.alarms and message.severity is not Severity.INFO
+            if is_alarm and not sample.is_reply:
+                self.raise_alarm(short(f"{message.kind.value}: {message.text}"), now_ns, log_ns)
+
+    def _count_bus(self, key: str, health: GatewayHealth) -> None:
+        parts = keys.parse(key)
+        # Each name once: somebody may send a hundred thousand.
+        for name, lost in {frame.name: frame.lost for frame in health.feedback}.items():
+            subject = BY_DBC_MESSAGE.get(name)
+            if parts is not None and subject is not None:
+                of_frame = self.channels.get(keys.build(parts.root, parts.robot, subject))
+                if of_frame is not None:
+                    of_frame.counters.count_bus(lost)
+
+    def _find_route(self, key: str, now_ns: int) -> Route:
+        parts = keys.parse(key)
+        if parts is None:
+            return self.channels.declare(key, None, "")
+        if not parts.robot:
+            return self.channels.declare(key, parts.subject, "")
+        robot = self._robots.see(parts.root, parts.robot, now_ns)
+        self._backlog.see(parts.root, parts.robot, now_ns)
+        quota = ChannelQuota.TABLE if self._robots.has_quota(robot, parts.bus) else ChannelQuota.OTHER
+        return self.channels.declare(key, parts.subject, robot, quota)
+
+    # Chunks and files
+
+    def tick(self, now_ns: int, file_bytes: int = 0) -> None:
+        """Do what is due: queries, handing the chunk over to the disk, ending a file of this size, an incident."""
+        self._context.actions += self._robots.queries(now_ns)
+        self._context.actions += self._backlog.queries(now_ns)
+        if self._at_risk_since_ns is None and len(self._chunk):
+            # What took the fast path since the last tick.
+            self._at_risk_since_ns = self._received_ns = now_ns
+        if self._chunk.is_full:
+            self.hand_over(now_ns)
+        since = self._at_risk_since_ns
+        if since is not None and now_ns - since >= self._patience_ns:
+            self.hand_over(now_ns)
+            self._sync()
+            self._at_risk_since_ns = None
+        if self.is_open and (reason := self._why_roll(now_ns, file_bytes)):
+            self.roll(reason, now_ns)
+        if self.incidents.is_over(now_ns):
+            self.end_incident(now_ns)
+
+    def roll(self, reason: str, now_ns: int) -> None:
+        """End the file, if one is open; the next sample begins another.
+
+        However often that is asked for, files do not become many: requests that come too soon wait, and are one.
+        """
+        if self.is_open and (
+            self._is_awaited or (self._rolled_ns is not None and now_ns - self._rolled_ns < ROLL_MIN_NS)
+        ):
+            self._roll_wanted = reason
+            return
+        if self.is_open:
+            self._rolled_ns, self._ended_by = now_ns, reason
+        self.close(now_ns)
+
+    def pause(self, reason: str, now_ns: int) -> None:
+        """End the file, and begin none until ``resume``."""
+        if self.is_open:
+            self._ended_by = reason
+        self.is_paused = True
+        self.close(now_ns)
+
+    def resume(self, now_ns: int) -> None:
+        """Have the next sample begin a file; what came before it is in none."""
+        self.hand_over(now_ns)
+        self.is_paused = False
+
+    def hand_over(self, now_ns: int) -> None:
+        """Hand over the chunk in hand: to the file, if one is open, and to the incidents whatever happens."""
+        chunk = self._chunk.seal()
+        if chunk is None:
+            return
+        if self.is_open:
+            self._apply(WriteChunk(self.name, chunk))
+        else:
+            # That the disk is full is a loss; that somebody stopped us is none.
+            self._lose_written(chunk.counts, self._context.left_out, chunk.start_ns, chunk.end_ns)
+        self._context.actions += self.incidents.add(chunk, now_ns)
+
+    def ask_last(self, now_ns: int) -> None:
+        """Query what is worth asking once more before ``close``."""
+        self._context.actions += self._robots.last_queries()
+        self._context.actions += self._backlog.last_queries(now_ns)
+
+    def close(self, now_ns: int) -> None:
+        """End the file, if one is open."""
+        self.hand_over(now_ns)
+        if not self.is_open:
+            return
+        self._apply_all(self._robots.describe())
+        reports = self._account.end_file(self.channels.counts)
+        completeness = {topic: msgspec.json.encode(report).decode() for topic, report in reports.items()}
+        self._apply(WriteMetadata(self.name, COMPLETENESS_NAME, completeness))
+        self._apply(CloseLog(self.name))
+        self.is_open = self._is_awaited = False
+        self._roll_wanted = ""
+        self._at_risk_since_ns = None
+        for key in self._fast_keys:
+            # The next sample of each key takes the slow path, which begins a file.
+            del self._context.fast_paths[key]
+        self._fast_keys.clear()
+
+    def count_as_wanted(self, *, is_wanted: bool) -> None:
+        """Count what comes from here on for the files, or not: what nobody wants is no file's business."""
+        self._account.want(self.channels.counts, is_wanted=is_wanted)
+
+    def _why_roll(self, now_ns: int, file_bytes: int) -> str:
+        """Why the file is to be ended now; empty if it is not."""
+        age_ns = now_ns - self._opened_ns
+        if 0 < self._plan.idle_ns <= now_ns - self._received_ns:
+            return "silence"
+        if 0 < self._plan.rotate_bytes <= file_bytes and age_ns >= ROLL_MIN_NS:
+            return "size"
+        if 0 < self._plan.rotate_ns <= age_ns:
+            return "time"
+        return self._roll_wanted
+
+    def _open(self, now_ns: int, log_ns: int) -> None:
+        self.is_open = self._is_awaited = True
+        self._linked_incident = ""
+        self._files += 1
+        self._opened_ns = self._received_ns = now_ns
+        self._apply(OpenLog(self.name, self.name, log_ns))
+        self._apply_all(self._robots.describe())
+        if self._files > 1:
+            continued = {"file": str(self._files), "because": self._ended_by}
+            self._apply(WriteMetadata(self.name, CONTINUED_NAME, continued))
+            self._apply(WriteMetadata(self.name, LATEST_NAME, self.channels.latest))
+        events, self._pending_events = self._pending_events, deque(maxlen=PENDING_EVENTS_MAX)
+        for topic, event in events:
+            self.add_own(topic, event, now_ns)
+        for topic, gap in self._pending_gaps.take():
+            self.add_own(topic, gap, now_ns)
+
+    def _sync(self) -> None:
+        if self.is_open:
+            self._apply(SyncLog(self.name))
+        if self.incidents.is_open:
+            self._apply(SyncLog(self.incidents.log))
+
+    def _declare(self, channel: LogChannel) -> None:
+        self._apply(DeclareChannel(self.name, channel))
+
+    def _apply(self, action: LogAction) -> None:
+        """Have an action applied to the log; one that files repeat, to an incident that is being written, too."""
+        self._context.actions.append(action)
+        if action.is_repeated and self.incidents.is_open:
+            self._context.actions.append(msgspec.structs.replace(action, log=self.incidents.log))
+
+    def _apply_all(self, actions: Iterable[LogAction]) -> None:
+        for action in actions:
+            self._apply(action)
+
+    def _lose_written(self, counts: dict[int, int], reason: GapReason | None, first_ns: int, last_ns: int) -> None:
+        for topic, count in self.channels.lose_written(counts, reason).items():
+            if reason is not None:
+                self._context.losses.lose(self.name, topic, reason, count, first_ns, last_ns)
+
+    # Incidents
+
+    def raise_alarm(self, because: str, now_ns: int, wall_ns: int) -> None:
+        """Begin an incident, or announce that there is no room for it."""
+        if self._context.has_incident_room:
+            self.begin_incident(because, now_ns, wall_ns)
+        else:
+            self._context.announcements.append(incident_refused(self.name, because))
+
     def begin_incident(self, because: str, now_ns: int, wall_ns: int) -> None:
-        """Something has happened: keep what came before, and what comes."""
-        # Where no file has been begun yet, nothing has been said of the robots.
-        self.carry_on(self.session.describe(), now_ns)
-        effects = self.incidents.begin(now_ns, wall_ns, because, self.file if self.is_written else "")
-        if effects:
-            self._is_incident_told = False
+        """Keep what came before, and what comes."""
+        # Where no file has been begun yet, the robots have not been described.
+        self._apply_all(self._robots.describe())
+        actions = self.incidents.begin(now_ns, wall_ns, because, self.file if self.is_open else "")
+        if actions:
+            self._is_incident_announced = False
             self.incident_file = ""
-            self._outlet.incidents += 1
-        self._write_incident(effects)
+            self._context.incidents += 1
+        self._context.actions += actions
 
     def end_incident(self, now_ns: int) -> None:
         """End the incident, if there is one."""
         if self.incidents.is_open:
             # What is in hand was received in time.
-            self.carry_on(self.session.seal(), now_ns)
-            self._write_incident(self.incidents.close())
+            self.hand_over(now_ns)
+            self._context.actions += self.incidents.close()
 
     def cut_incident(self, now_ns: int) -> None:
         """End the incident, if there is one, for want of room."""
         if self.incidents.is_open:
             self.end_incident(now_ns)
-            self._outlet.words.append(cut_incident_word(self.name, self.incident_file))
+            self._context.announcements.append(incident_cut(self.name, self.incident_file))
 
-    def take_opened(self, notice: Opened, now_ns: int) -> Word | None:
-        """A file of the log, or of an incident of it, was begun. What is to be told of that."""
+    # Notices of the disk
+
+    def receive_opened(self, notice: Opened) -> Announcement | None:
+        """Note that a file of the log, or of an incident of it, was begun. Returns what is to be announced."""
         if notice.log == self.name:
             self.file = notice.file
-            self.session.is_awaited = False
-            self._write_incident(self.incidents.go_on_in(notice.file))
+            self._is_awaited = False
+            self._context.actions += self.incidents.link_to(notice.file)
             if self.incidents.is_open and self.incident_file:
-                self._name_incident(now_ns)
+                self._link_to_incident()
             return None
         self.incident_file = notice.file
-        if self._is_incident_told:
+        if self._is_incident_announced:
             return None  # The incident goes on in another file, after a fault of the disk.
-        self._is_incident_told = True
-        self._name_incident(now_ns)
-        return incident_word(notice.file, self.incidents.about["because"])
+        self._is_incident_announced = True
+        self._link_to_incident()
+        return incident_begun(notice.file, self.incidents.about["because"])
 
-    def take_ended(self, notice: Ended) -> None:
-        """A file of the log, or of an incident of it, is whole."""
+    def receive_ended(self, notice: Ended) -> None:
+        """Note that a file of the log, or of an incident of it, is whole."""
         if notice.log == self.name and self.file == notice.file:
             self.file = ""
         elif self.incident_file == notice.file:
             self.incident_file = ""
 
-    def take_lost(self, lost: Lost) -> None:
-        """The disk did not take messages. Those of an incident the log itself may have."""
+    def receive_lost(self, lost: Lost) -> None:
+        """Count messages that the disk did not take. Those of an incident the log itself may have."""
         if lost.log == self.name:
-            for topic, count in self.session.channels.lose_written(lost.counts, GapReason.DISK).items():
-                self._outlet.gaps.add(self.name, topic, GapReason.DISK, count, lost.first_ns, lost.last_ns)
+            self._lose_written(lost.counts, GapReason.DISK, lost.first_ns, lost.last_ns)
 
-    def _leave_out(self, effect: WriteChunk) -> None:
-        """A chunk that only the ring holds. That the disk is full is a loss; that somebody stopped us is none."""
-        chunk, reason = effect.chunk, self._outlet.left_out
-        for topic, count in self.session.channels.lose_written(chunk.counts, reason).items():
-            if reason is not None:
-                self._outlet.gaps.add(self.name, topic, reason, count, chunk.start_ns, chunk.end_ns)
-
-    def _close_fast_paths(self) -> None:
-        """The next sample of each key takes the slow path, which begins a file where there is none."""
-        for key in self._fast_keys:
-            del self._outlet.fast_paths[key]
-        self._fast_keys.clear()
-
-    def _name_incident(self, now_ns: int) -> None:
-        if self.is_written and self._named != self.incident_file:
-            self._named = self.incident_file
+    def _link_to_incident(self) -> None:
+        if self.is_open and self._linked_incident != self.incident_file:
+            self._linked_incident = self.incident_file
             entries = {**self.incidents.about, "file": self.incident_file}
-            self.carry_on([WriteMetadata(INCIDENT_NAME, entries)], now_ns)
-
-    def _write_incident(self, effects: Sequence[OpenLog | FileEffect]) -> None:
-        if effects:
-            self._outlet.doings.append(OnLog(self.incident_name, tuple(effects)))
-
-
-def trim_rings(logs: Iterable[RobotLog], now_ns: int, limit_bytes: int) -> None:
-    """Forget what is too old for an incident that would begin now, and the oldest of all if it is too much."""
-    total_bytes = 0
-    rings = []
-    for log in logs:
-        log.incidents.trim(now_ns)
-        total_bytes += log.incidents.ring_bytes
-        rings.append(log.incidents)
-    if total_bytes <= limit_bytes:
-        return
-    heads = [(ring.oldest_ns, number) for number, ring in enumerate(rings) if ring.oldest_ns is not None]
-    heapify(heads)
-    while heads and total_bytes > limit_bytes:
-        _, number = heappop(heads)
-        total_bytes -= rings[number].forget_oldest()
-        oldest_ns = rings[number].oldest_ns
-        if oldest_ns is not None:
-            heappush(heads, (oldest_ns, number))
+            self._apply(WriteMetadata(self.name, INCIDENT_NAME, entries))

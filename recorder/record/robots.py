@@ -1,4 +1,4 @@
-"""What is known of each robot in a log: when to ask for it, and how the log keeps it. Pure."""
+"""The robots of a log: when each is asked who it is, and how the log keeps the answer. Pure."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ from typing import Final
 
 from recorder.layouts.attached import layouts
 from recorder.layouts.charts import Robot
-from recorder.record.effects import AskInfo, Effect, WriteAttachment, WriteMetadata
+from recorder.record.actions import LogAction, Query, WriteAttachment, WriteMetadata
 from schemas import keys
 from schemas.messages import GatewayInfo, Variant
 from schemas.recorder_settings import BUS_LIMIT, ROBOT_LIMIT
 from schemas.subjects import BY_TYPE
 
 METADATA_NAME: Final = "cruiser"
-"""The metadata record that says whose log it is; the last of this name in a file holds."""
+"""The metadata record with the robots of a log; the last one of this name in a file is valid."""
 
 ASK_AGAIN_NS: Final = 2_000_000_000
-"""First pause before a gateway that has not answered, or does not know its variant, is asked again..."""
+"""First pause before a gateway that has not answered, or does not know its variant, is asked again; it doubles."""
 
 ASK_AGAIN_MAX_NS: Final = 60_000_000_000
-"""...which doubles up to this."""
+"""The longest pause between two such queries."""
 
-ASK_PER_TICK: Final = 8
+QUERIES_PER_TICK: Final = 8
 """Queries in one tick at most, however many robots turn up at once."""
 
 _INFO: Final = BY_TYPE[GatewayInfo]
@@ -46,10 +46,12 @@ class Robots:
     """The robots of a log, up to ROBOT_LIMIT: anybody on the network can make up names.
 
     Args:
+        log: the log's name.
         recorder_version: goes into the metadata.
     """
 
-    def __init__(self, recorder_version: str) -> None:
+    def __init__(self, log: str, recorder_version: str) -> None:
+        self._log = log
         self._version = recorder_version
         self._robots: dict[str, _Robot] = {}
         self._written: dict[str, str] = {}
@@ -61,7 +63,7 @@ class Robots:
         return name in self._robots
 
     def see(self, root: str, robot: str, now_ns: int) -> str:
-        """A sample of this robot came in: ask who it is, if it is new. Returns its name in this log."""
+        """Ask a robot who it is, if it is new. Returns its name in this log."""
         key = keys.build(root, robot, _INFO)
         known = self._robots.get(robot)
         # Two roots may hold a robot of the same name; the second is called by its root too.
@@ -70,8 +72,8 @@ class Robots:
             self._robots[name] = _Robot(key, now_ns)
         return name
 
-    def has_room(self, name: str, bus: str = "") -> bool:
-        """Whether the log keeps room for this robot's keys, and for those of this bus of it: for the first few."""
+    def has_quota(self, name: str, bus: str = "") -> bool:
+        """Whether keys of this robot, and of this bus of it, have a quota of their own: the first few have."""
         robot = self._robots.get(name)
         if robot is None or not bus or bus in robot.buses:
             return robot is not None
@@ -81,56 +83,55 @@ class Robots:
         return True
 
     def see_restart(self, name: str, now_ns: int) -> None:
-        """The robot's gateway has begun anew, perhaps as another version: ask again."""
+        """Ask a robot again, as its gateway has begun anew, perhaps as another version."""
         robot = self._robots.get(name)
         if robot is not None and robot.ask_at_ns is None:
             # Two gateways of one name look like a restart with every sample: no storm of queries.
             robot.ask_at_ns = max(now_ns, robot.asked_ns + ASK_AGAIN_NS)
             robot.pause_ns = ASK_AGAIN_NS
 
-    def ask(self, now_ns: int) -> list[Effect]:
+    def queries(self, now_ns: int) -> list[Query]:
         """The queries that are due."""
-        effects: list[Effect] = []
+        queries: list[Query] = []
         for robot in self._robots.values():
             if robot.ask_at_ns is None or now_ns < robot.ask_at_ns:
                 continue
-            effects.append(AskInfo(robot.key))
+            queries.append(Query(robot.key))
             robot.asked_ns = now_ns
             robot.ask_at_ns = now_ns + robot.pause_ns
             robot.pause_ns = min(2 * robot.pause_ns, ASK_AGAIN_MAX_NS)
-            if len(effects) == ASK_PER_TICK:
+            if len(queries) == QUERIES_PER_TICK:
                 break
-        return effects
+        return queries
 
-    def ask_last(self) -> list[Effect]:
+    def last_queries(self) -> list[Query]:
         """A last query to each robot of which something is not known."""
-        return [AskInfo(robot.key) for robot in self._robots.values() if not robot.is_known]
+        return [Query(robot.key) for robot in self._robots.values() if not robot.is_known]
 
-    def take_info(self, name: str, info: GatewayInfo, wall_ns: int) -> list[Effect]:
-        """What a robot's answer adds to the log; nothing if it is one of too many."""
+    def receive_info(self, name: str, info: GatewayInfo, wall_ns: int) -> list[LogAction]:
+        """Add a robot's answer to the log; nothing if it is one of too many."""
         robot = self._robots.get(name)
         if robot is None:
             return []
         before, robot.info = robot.info, info
         if robot.is_known:
             robot.ask_at_ns = None
-        effects: list[Effect] = []
+        attached: list[tuple[str, str, bytes]] = []
         if info.configuration and (before is None or before.configuration != info.configuration):
-            configuration = info.configuration.encode()
-            effects.append(
-                WriteAttachment(f"{name}/configuration.toml", "application/toml", configuration, wall_ns)
-            )
+            attached.append(("configuration.toml", "application/toml", info.configuration.encode()))
         if info.dbc and (before is None or before.dbc != info.dbc):
-            effects.append(WriteAttachment(f"{name}/{info.dbc_name}", "text/plain", info.dbc.encode(), wall_ns))
+            attached.append((info.dbc_name, "text/plain", info.dbc.encode()))
         if before is None or before.bus != info.bus:
-            effects += [
-                WriteAttachment(f"{name}/{layout.name}", layout.media_type, layout.data, wall_ns)
-                for layout in layouts(Robot(robot.key.removesuffix(f"/{_INFO.name}"), info.bus))
-            ]
-        return effects + self.describe()
+            base = robot.key.removesuffix(f"/{_INFO.name}")
+            attached += [(one.name, one.media_type, one.data) for one in layouts(Robot(base, info.bus))]
+        actions: list[LogAction] = [
+            WriteAttachment(self._log, f"{name}/{file}", media_type, data, wall_ns)
+            for file, media_type, data in attached
+        ]
+        return actions + self.describe()
 
-    def describe(self) -> list[Effect]:
-        """The metadata record, unless the log already ends with the same."""
+    def describe(self) -> list[LogAction]:
+        """Write the metadata record, unless the log already ends with the same."""
         entries = {"recorder_version": self._version, "robots": ",".join(sorted(self._robots))}
         for name, robot in sorted(self._robots.items()):
             info = robot.info
@@ -144,4 +145,4 @@ class Robots:
         if entries == self._written:
             return []
         self._written = entries
-        return [WriteMetadata(METADATA_NAME, dict(entries), lasts=True)]
+        return [WriteMetadata(self._log, METADATA_NAME, dict(entries), lasts=True)]

@@ -18,10 +18,9 @@ from recorder.backfill.backfilling import BACKFILLED_FROM
 from recorder.reading.contents import Contents, read_contents, walk_contents
 from recorder.reading.logs import is_being_written, open_log
 from recorder.reading.rows import Progress
-from recorder.record.completeness import KeyReport
+from recorder.record.accounting import COMPLETENESS_NAME, KeyReport
 from recorder.record.incidents import INCIDENT_NAME
 from recorder.record.robots import METADATA_NAME
-from recorder.record.session import COMPLETENESS_NAME
 from schemas import keys
 
 CUT_NAME: Final = "cruiser.cut"

@@ -1,6 +1,6 @@
 """The recorder's own keys on Zenoh: its verbs, its health, events and gaps, and a liveliness token.
 
-A session of its own: the one that takes in the robots' samples may have a long queue. Queries wait in a ring that
+A session of its own: the one that receives the robots' samples may have a long queue. Queries wait in a ring that
 the loop drains; no Python of ours runs on Zenoh's threads.
 """
 
@@ -46,15 +46,15 @@ REPLIES_WAITING: Final = 128
 REQUEST_MAX_BYTES: Final = 4096
 
 NAMESAKES_S: Final = 1.0
-"""How long the start listens for other recorders: the links to them take their time..."""
+"""How long the start listens for other recorders: the links to them take their time."""
 
 NAMESAKES_PAUSE_S: Final = 0.05
-"""...and it asks so often."""
+"""Pause between two queries for other recorders at the start."""
 
 NAMESAKES_MAX: Final = 100
 
 
-class Asked(msgspec.Struct, frozen=True):
+class ZenohRequest(msgspec.Struct, frozen=True):
     """A request, and how to answer it.
 
     Attributes:
@@ -109,13 +109,13 @@ class RemoteControl:
         }
 
     def publish(self, message: Message) -> None:
-        """Say something under the recorder's own keys."""
+        """Publish a message under the recorder's own keys."""
         try:
             self._publishers[type(message)].put(codec.encode(message))
         except zenoh.ZError as error:
             log.debug("Zenoh does not take it: %s", error)
 
-    def drain(self) -> Iterator[Asked]:
+    def drain(self) -> Iterator[ZenohRequest]:
         """The requests that have come in."""
         self._loop_thread = threading.get_ident()
         for _ in range(REQUESTS_PER_PASS):
@@ -133,7 +133,7 @@ class RemoteControl:
         self._replier.shutdown(cancel_futures=True)
         self._session.close()
 
-    def _asked(self, query: zenoh.Query) -> Asked | None:
+    def _asked(self, query: zenoh.Query) -> ZenohRequest | None:
         operator, name = keys.parse_command(str(query.key_expr))
         verb = RECORDER_BY_VERB.get(name)
         if verb is None or not operator:
@@ -158,7 +158,7 @@ class RemoteControl:
         def reply(answer: RecorderReply | BackfillPiece) -> None:
             self._off_the_loop(partial(send, answer))
 
-        return Asked(verb, operator, request, reply, partial(self._off_the_loop, query.drop))
+        return ZenohRequest(verb, operator, request, reply, partial(self._off_the_loop, query.drop))
 
     def _off_the_loop(self, work: Callable[[], None]) -> None:
         """Do what may wait for somebody's link: where the loop asks for it, on a thread that may."""

@@ -45,7 +45,7 @@ _Replies = zenoh.handlers.Handler[zenoh.Reply]
 
 
 class ZenohSample(msgspec.Struct, frozen=True, gc=False):
-    """A sample as ``recorder.encoding.sample.Sample`` has it. What few ever ask for is fetched when they do."""
+    """A ``ReceivedSample`` from Zenoh. What is rarely needed is fetched when it is asked for."""
 
     key: str
     encoding: str

@@ -2,7 +2,7 @@
 
 The peer is what a user would write first: `mcap` reads, `mcap-protobuf-support` decodes, `pyarrow` builds tables
 of the same columns and writes them with the same compression. Both take the same log, in turns. The log is a drive
-as the gateway's core tells it (see `recorder_load`), written by the recorder's own session.
+as the gateway's core tells it (see `recorder_load`), written by the recorder's own log.
 
 Usage: python -m tests.bench.review_export [--messages N] [--rounds N] [--keep DIR]
 """
@@ -15,7 +15,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable
 from operator import attrgetter
 from pathlib import Path
 from statistics import median
@@ -30,8 +29,8 @@ from mcap_protobuf.decoder import DecoderFactory
 from recorder.mcap.writer import McapFile
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
-from recorder.record.effects import CloseLog, DeclareChannel, Effect, WriteAttachment, WriteChunk, WriteMetadata
-from recorder.record.session import Plan, Session
+from recorder.record.actions import LogAction
+from recorder.record.robot_log import LogContext, LogPlan, RobotLog
 from recorder.review.columns.tables import TIME_TYPE
 from recorder.review.export.dataset import export_dataset
 from recorder.review.export.manifest import read_manifest
@@ -76,8 +75,8 @@ class ExportRate(msgspec.Struct, frozen=True):
 def write_log(path: Path, messages: int, robot: str = "cruiser-1") -> int:
     """A log of so many messages at least. Returns how many."""
     script = make_script()
-    plan = Plan(name=robot, chunk_bytes=1_000_000, flush_ns=500_000_000, version="0.1.0")
-    session = Session(plan)
+    context = LogContext()
+    log = RobotLog(LogPlan(name=robot, chunk_bytes=1_000_000, flush_ns=500_000_000, version="0.1.0"), context)
     names = [keys.build(ROOT, robot, BY_NAME[name], BUS if "{bus}" in name else "") for name in script.subjects]
     encodings = [BY_NAME[name].encoding for name in script.subjects]
     sequences = [0] * len(names)
@@ -92,29 +91,21 @@ def write_log(path: Path, messages: int, robot: str = "cruiser-1") -> int:
                 stamp = _STAMP.pack(_TIME_KEY, b"\xcf", wall_ns, _SEQUENCE_KEY, b"\xce", sequences[number])
                 sequences[number] += 1
                 sample = FakeSample(names[number], encodings[number], said.head + stamp + said.tail)
-                _carry_out(file, session.receive_sample(sample, now_ns, wall_ns))
+                log.receive_sample(sample, now_ns, wall_ns)
                 written += said.records
-            _carry_out(file, session.tick(now_ns))
+            log.tick(now_ns)
+            _apply(file, context)
             tick += 1
-        _carry_out(file, session.close())
+        log.close(tick * TICK_NS)
+        _apply(file, context)
     return file.messages
 
 
-def _carry_out(file: McapFile, effects: Iterable[Effect]) -> None:
-    for effect in effects:
-        match effect:
-            case DeclareChannel():
-                file.add_channel(effect.channel)
-            case WriteChunk():
-                file.write_chunk(effect.chunk)
-            case WriteMetadata():
-                file.add_metadata(effect.name, effect.entries)
-            case WriteAttachment():
-                file.add_attachment(effect.name, effect.media_type, effect.data, effect.wall_ns)
-            case CloseLog():
-                file.finish()
-            case _:
-                pass
+def _apply(file: McapFile, context: LogContext) -> None:
+    for action in context.actions:
+        if isinstance(action, LogAction):
+            action.write_to(file)
+    context.actions.clear()
 
 
 def export_ours(log: Path, directory: Path) -> int:

@@ -18,18 +18,18 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from recorder.disk.log_directory import LogDirectory
 from recorder.disk.log_writer import LogWriter
-from recorder.encoding.sample import Sample
-from recorder.loop import Recorder
+from recorder.encoding.received_sample import ReceivedSample
+from recorder.loop import RecorderLoop
 from recorder.record.health import HealthReport
-from recorder.record.inbox import Inbox
-from recorder.record.recording import Recording
+from recorder.record.inbox import SampleInbox
+from recorder.record.recorder import Recorder
 from schemas import codec, keys
 from schemas.decisions import EventKind
 from schemas.messages import CanFrames
 from schemas.subjects import BY_NAME
 from tests.bench.recorder_load import make_script
 from tests.support.recorder_fakes import (
-    RECORDING_PLAN,
+    RECORDER_PLAN,
     WALL_NS,
     FakeSample,
     FakeSource,
@@ -53,7 +53,7 @@ class Logged(msgspec.Struct, frozen=True):
     fields: dict[str, Any]
 
 
-def samples() -> Iterator[Sample]:
+def samples() -> Iterator[ReceivedSample]:
     """Two seconds of a driving robot, an event, and who it is."""
     script = make_script()
     sequences: Counter[str] = Counter()
@@ -81,8 +81,8 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("logs")
     source = FakeSource(samples())
     writer = LogWriter(LogDirectory(directory), "test")
-    recorder = Recorder(
-        Recording(RECORDING_PLAN), source, writer, Inbox(64_000_000), HealthReport("bench", "1", 0)
+    recorder = RecorderLoop(
+        Recorder(RECORDER_PLAN), source, writer, SampleInbox(64_000_000), HealthReport("bench", "1", 0)
     )
     recorder.run(lambda: source.is_exhausted)
     return next(path for path in directory.glob("*.mcap") if ".incident" not in path.name)

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from recorder.record.session import Plan, Session
+from recorder.record.robot_log import LogPlan
 from schemas.decisions import EventKind
 from schemas.messages import CanFrames
 from tests.support.recorder_fakes import (
@@ -31,7 +31,7 @@ def drive(robot: str = "cruiser-1", first: int = 0, count: int = 20, late_ns: in
         count: gears.
         late_ns: so much later than it was said the recorder has heard it.
     """
-    log = Log(Session(Plan(name=robot, chunk_bytes=262_144, flush_ns=SECOND // 2, version="0.1.0")))
+    log = Log(LogPlan(name=robot, chunk_bytes=262_144, flush_ns=SECOND // 2, version="0.1.0"))
     for number in range(first, first + count):
         time_ns = WALL_NS + number * 10 * MS
         log.receive(sample_of(gear(number, time_ns), robot), wall_ns=time_ns + late_ns, now_ns=number * 10 * MS)

@@ -10,29 +10,13 @@ from pathlib import Path
 
 import msgspec
 
-from recorder.encoding.sample import Sample
+from recorder.disk.part_file import Prologue
+from recorder.encoding.received_sample import ReceivedSample
 from recorder.mcap.writer import McapFile
-from recorder.record.effects import (
-    AskInfo,
-    AskKept,
-    CloseLog,
-    DeclareChannel,
-    Doing,
-    Effect,
-    FileEffect,
-    OnLog,
-    OpenLog,
-    Say,
-    SyncLog,
-    WriteAttachment,
-    WriteChunk,
-    WriteMetadata,
-)
-from recorder.record.incidents import IncidentPlan
+from recorder.record.actions import Action, CloseLog, DeclareChannel, LogAction, OpenLog, Publish, WriteChunk
 from recorder.record.notices import Ended, Lost, Notice, Opened
-from recorder.record.prologue import Prologue
-from recorder.record.recording import RecordingPlan
-from recorder.record.session import Plan, Session
+from recorder.record.recorder import RecorderPlan
+from recorder.record.robot_log import LogContext, LogPlan, RobotLog
 from schemas import codec, keys
 from schemas.can_word import EXTENDED
 from schemas.codec import PayloadFault
@@ -48,17 +32,16 @@ ROBOT = "cruiser-1"
 WALL_NS = 1_800_000_000_000_000_000
 SECOND = 1_000_000_000
 MS = 1_000_000
-PLAN = Plan(name="cruiser-1", chunk_bytes=262_144, flush_ns=SECOND // 2, version="0.1.0")
-
-INCIDENT_PLAN = IncidentPlan(before_ns=30 * SECOND, after_ns=30 * SECOND)
-RECORDING_PLAN = RecordingPlan(
-    root=ROOT,
-    recorder="bench",
-    per_robot=True,
-    session=PLAN,
-    incident=INCIDENT_PLAN,
-    ring_bytes=1_000_000,
-    sample_max_bytes=1_000_000,
+PLAN = LogPlan(
+    name="cruiser-1",
+    chunk_bytes=262_144,
+    flush_ns=SECOND // 2,
+    version="0.1.0",
+    before_ns=30 * SECOND,
+    after_ns=30 * SECOND,
+)
+RECORDER_PLAN = RecorderPlan(
+    root=ROOT, recorder="bench", per_robot=True, log=PLAN, ring_bytes=1_000_000, sample_max_bytes=1_000_000
 )
 
 GEAR_FEEDBACK = 0x18C4D1EF
@@ -98,7 +81,7 @@ def key_of(kind: type[Message], robot: str = ROBOT, root: str = ROOT) -> str:
     return keys.build(root, robot, subject, "can0" if "{bus}" in subject.name else "")
 
 
-def sample_of(message: Message, robot: str = ROBOT, root: str = ROOT) -> Sample:
+def sample_of(message: Message, robot: str = ROBOT, root: str = ROOT) -> ReceivedSample:
     """The sample that a gateway publishes of a message."""
     kind = type(message)
     return FakeSample(key_of(kind, robot, root), BY_TYPE[kind].encoding, codec.encode(message))
@@ -181,55 +164,50 @@ class Disk(BytesIO):
 
 
 class Log:
-    """Carries a session's effects out in memory, and remembers them."""
+    """One robot's log, written into memory. Remembers the actions on it."""
 
-    def __init__(self, session: Session | None = None) -> None:
-        self.session = session or Session(PLAN)
+    def __init__(self, plan: LogPlan = PLAN) -> None:
+        self.context = LogContext()
+        self.log = RobotLog(plan, self.context)
         self.disk = Disk()
-        self.done: list[Effect] = []
+        self.done: list[Action] = []
+        """All actions, those on incidents included."""
         self._file: McapFile | None = None
 
-    def receive(self, *samples: Sample, now_ns: int = 0, wall_ns: int = WALL_NS) -> None:
+    def receive(self, *samples: ReceivedSample, now_ns: int = 0, wall_ns: int = WALL_NS) -> list[Action]:
         for sample in samples:
-            self.carry_out(self.session.receive_sample(sample, now_ns, wall_ns))
+            self.log.receive_sample(sample, now_ns, wall_ns)
+        return self.apply()
 
-    def tick(self, now_ns: int) -> list[Effect]:
-        effects = list(self.session.tick(now_ns))
-        self.carry_out(effects)
-        return effects
+    def tick(self, now_ns: int, file_bytes: int = 0) -> list[Action]:
+        self.log.tick(now_ns, file_bytes)
+        return self.apply()
 
-    def close(self) -> bytes:
-        """Close the session; the file's bytes."""
-        self.carry_out(self.session.close())
+    def add_own(self, topic: str, message: RecorderEvent | RecordGap, now_ns: int = 0) -> list[Action]:
+        self.log.add_own(topic, message, now_ns)
+        return self.apply()
+
+    def close(self, now_ns: int = 0) -> bytes:
+        """Close the log; the bytes of its file."""
+        self.log.close(now_ns)
+        self.apply()
         return self.disk.getvalue()
 
-    def carry_out(self, effects: Iterable[Effect]) -> None:
-        for effect in effects:
-            self.done.append(effect)
-            if isinstance(effect, OpenLog):
+    def apply(self) -> list[Action]:
+        """Apply what the log has asked for since the last call, and return it."""
+        actions, self.context.actions = self.context.actions, []
+        self.done += actions
+        for action in actions:
+            if not isinstance(action, LogAction) or action.log != self.log.name:
+                continue
+            if isinstance(action, OpenLog):
                 assert self._file is None, "opened twice"
                 self._file = McapFile(self.disk, "test")
-            elif isinstance(effect, AskInfo | AskKept):
-                pass
+                self.log.receive_opened(Opened(action.log, f"{action.name}.mcap"))
             else:
                 assert self._file is not None, "written before it is open"
-                _write(self._file, effect)
-
-
-def _write(file: McapFile, effect: Effect) -> None:
-    match effect:
-        case DeclareChannel():
-            file.add_channel(effect.channel)
-        case WriteChunk():
-            file.write_chunk(effect.chunk)
-        case WriteMetadata():
-            file.add_metadata(effect.name, effect.entries)
-        case WriteAttachment():
-            file.add_attachment(effect.name, effect.media_type, effect.data, effect.wall_ns)
-        case CloseLog():
-            file.finish()
-        case SyncLog() | _:
-            pass
+                action.write_to(self._file)
+        return actions
 
 
 class MemoryFile:
@@ -258,52 +236,50 @@ class MemoryWriter:
         self._prologues: dict[str, Prologue] = {}
         self._topics: dict[tuple[str, int], str] = {}
 
-    def carry_out(self, doings: Iterable[Doing]) -> None:
-        for doing in doings:
-            if isinstance(doing, OnLog):
-                for effect in doing.effects:
-                    self._carry_out(doing.log, effect)
-            elif isinstance(doing, Say):
-                self.said.append(doing.message)
+    def apply(self, actions: Iterable[Action]) -> None:
+        for action in actions:
+            if isinstance(action, LogAction):
+                self._apply(action)
+            elif isinstance(action, Publish):
+                self.said.append(action.message)
 
     def open_file(self, log: str) -> MemoryFile | None:
         """The file that is being written."""
         files = self.files.get(log)
         return files[-1] if files and not files[-1].is_ended else None
 
-    def _carry_out(self, log: str, effect: OpenLog | FileEffect) -> None:
+    def _apply(self, action: LogAction) -> None:
+        log = action.log
         file = self.open_file(log)
-        if isinstance(effect, OpenLog):
+        if isinstance(action, OpenLog):
             assert file is None, "opened twice"
             files = self.files.setdefault(log, [])
-            file = MemoryFile(f"{effect.name}-{len(files)}{'.incident' * effect.is_incident}.mcap", effect)
+            file = MemoryFile(f"{action.name}-{len(files)}{'.incident' * action.is_incident}.mcap", action)
             files.append(file)
-            if effect.is_incident:
-                self._prologues[log] = Prologue()
-            for again in self._prologues.setdefault(log, Prologue()).effects:
-                _write(file.mcap, again)
+            if action.is_incident:
+                self._prologues[log] = self._prologues[action.name].copy()
+            self._prologues.setdefault(log, Prologue()).write_to(file.mcap)
             self.notices.append(Opened(log, file.name))
             return
-        self._prologues.setdefault(log, Prologue()).take(effect)
-        if isinstance(effect, DeclareChannel):
-            self._topics[log, effect.channel.channel_id] = effect.channel.topic
-        if isinstance(effect, WriteChunk):
+        self._prologues.setdefault(log, Prologue()).add(action)
+        if isinstance(action, DeclareChannel):
+            self._topics[log, action.channel.channel_id] = action.channel.topic
+        if isinstance(action, WriteChunk):
             assert file is not None, "written before it is open"
             if self.loses and not file.opened.is_incident:
-                self._lose(log, effect)
+                self._lose(action)
                 return
         if file is not None:
-            _write(file.mcap, effect)
-            if isinstance(effect, CloseLog):
+            action.write_to(file.mcap)
+            if isinstance(action, CloseLog):
                 file.is_ended = True
                 self.notices.append(Ended(log, file.name, file.mcap.size))
 
-    def _lose(self, log: str, effect: WriteChunk) -> None:
-        chunk = effect.chunk
-        counts = {channel_id: len(entries) // 2 for channel_id, entries in chunk.index.items()}
+    def _lose(self, action: WriteChunk) -> None:
+        chunk = action.chunk
         for channel_id, entries in chunk.index.items():
-            self.lost.update((self._topics[log, channel_id], time_ns) for time_ns in entries[::2])
-        self.notices.append(Lost(log, counts, chunk.start_ns, chunk.end_ns))
+            self.lost.update((self._topics[action.log, channel_id], time_ns) for time_ns in entries[::2])
+        self.notices.append(Lost(action.log, chunk.counts, chunk.start_ns, chunk.end_ns))
 
 
 def small_log() -> bytes:
@@ -319,11 +295,13 @@ def small_log() -> bytes:
 class FakeSource:
     """A source that brings these samples, and answers the queries on a key with its replies, the last for ever."""
 
-    def __init__(self, samples: Iterable[Sample] = (), replies: dict[str, list[Sample]] | None = None) -> None:
+    def __init__(
+        self, samples: Iterable[ReceivedSample] = (), replies: dict[str, list[ReceivedSample]] | None = None
+    ) -> None:
         self.asked: list[str] = []
         self._samples = iter(samples)
         self._replies = replies or {}
-        self._answers: list[Sample] = []
+        self._answers: list[ReceivedSample] = []
         self.is_exhausted = self.is_behind = False
 
     @property
@@ -337,7 +315,7 @@ class FakeSource:
     def tokens_gone(self) -> list[str]:
         return []
 
-    def drain(self, limit: int) -> list[Sample]:
+    def drain(self, limit: int) -> list[ReceivedSample]:
         taken = list(islice(self._samples, limit))
         self.is_behind = len(taken) == limit
         if not self.is_behind:

@@ -8,7 +8,7 @@ import msgspec
 from mcap import records
 
 from recorder.encoding.protobuf_schema import descriptor_set, schema_name
-from recorder.encoding.sample import Sample
+from recorder.encoding.received_sample import ReceivedSample
 from recorder.encoding.transcode import compile_encoder
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
@@ -38,9 +38,9 @@ STEP_NS = 10 * MS
 """Between the messages of ``drive``."""
 
 
-def drive(count: int = 20, root: str = "fleet", robot: str = "cruiser-1") -> list[Sample]:
+def drive(count: int = 20, root: str = "fleet", robot: str = "cruiser-1") -> list[ReceivedSample]:
     """What a robot says: gears, with two frames each, and who it is; and somebody else."""
-    found: list[Sample] = [sample_of(info(), robot, root)]
+    found: list[ReceivedSample] = [sample_of(info(), robot, root)]
     for number in range(count):
         time_ns = WALL_NS + number * STEP_NS
         frames = [(time_ns - 3 * MS, feedback(2 * number)), (time_ns - MS, feedback(2 * number + 1))]
@@ -51,7 +51,7 @@ def drive(count: int = 20, root: str = "fleet", robot: str = "cruiser-1") -> lis
     return [*found, FakeSample(f"{root}/elsewhere", "text/plain", b"hello", attachment=b"with this")]
 
 
-def log_of(samples: Sequence[Sample], offset_ns: int = 0) -> bytes:
+def log_of(samples: Sequence[ReceivedSample], offset_ns: int = 0) -> bytes:
     """A log of samples, each received a step after the one before."""
     log = Log()
     for number, sample in enumerate(samples):
@@ -59,7 +59,7 @@ def log_of(samples: Sequence[Sample], offset_ns: int = 0) -> bytes:
     return log.close()
 
 
-def write_log(path: Path, samples: Sequence[Sample], offset_ns: int = 0) -> Path:
+def write_log(path: Path, samples: Sequence[ReceivedSample], offset_ns: int = 0) -> Path:
     """The same in a file."""
     path.write_bytes(log_of(samples, offset_ns))
     return path

@@ -131,7 +131,7 @@ class RecordedRig(LoopRig):
             key = keys.build(root, robot, subject, "can0" if "{bus}" in subject.name else "")
             log.receive(FakeSample(key, subject.encoding, sample.payload), wall_ns=log_ns)
         for said in recorder_says:
-            log.carry_out(log.session.add_own(keys.of_recorder(root, "bench", "event"), said, 0))
+            log.add_own(keys.of_recorder(root, "bench", "event"), said, 0)
         return log.close()
 
 

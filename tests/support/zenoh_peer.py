@@ -8,7 +8,7 @@ from typing import Self
 
 import zenoh
 
-from recorder.encoding.sample import Sample
+from recorder.encoding.received_sample import ReceivedSample
 from schemas.settings import ZenohSettings
 from schemas.zenoh_link import session_settings
 
@@ -44,7 +44,7 @@ class Peer:
         """The peer's session, for what it cannot do itself."""
         return self._session
 
-    def put(self, sample: Sample) -> None:
+    def put(self, sample: ReceivedSample) -> None:
         """Publish a sample."""
         self._session.put(
             sample.key,
@@ -58,7 +58,7 @@ class Peer:
         """Say that a key is deleted."""
         self._session.delete(key)
 
-    def answer(self, reply: Sample) -> None:
+    def answer(self, reply: ReceivedSample) -> None:
         """Answer every query on the reply's key with it."""
         queries = self._session.declare_queryable(reply.key, zenoh.handlers.RingChannel(16), complete=True)
 

@@ -11,7 +11,7 @@ import msgspec
 
 from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
 from recorder.reading.times import in_words
-from recorder.record.completeness import KeyReport
+from recorder.record.accounting import KeyReport
 from recorder.review.info import LogInfo, SetInfo, Source, read_info, total
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Final, Protocol
 
 from recorder.backfill.runs import Line
-from recorder.encoding.key_counters import SEQUENCE_SPAN, Tally
+from recorder.encoding.key_counters import SEQUENCE_SPAN, KeyCounters
 from recorder.encoding.protobuf_schema import schema_name
 from schemas.messages import CanFrame, GatewayInfo, RawSample
 from schemas.recording import RecorderEvent, RecordGap
@@ -47,7 +47,7 @@ class _InFileCount:
     """
 
     def __init__(self, *, is_batched: bool) -> None:
-        self._tally = Tally()
+        self._tally = KeyCounters()
         self._is_batched = is_batched
         self._first_ns: int | None = None
 

@@ -19,9 +19,8 @@ from recorder.mcap.writer import McapFile
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Progress
-from recorder.record.completeness import KeyReport, total
+from recorder.record.accounting import COMPLETENESS_NAME, KeyReport, total
 from recorder.record.robots import METADATA_NAME
-from recorder.record.session import COMPLETENESS_NAME
 from recorder.review.joining.duplicates import LATE_MAX, RECENT_MAX, Recent
 from recorder.review.joining.ordered import in_order
 from recorder.review.joining.source import Row, Source

@@ -9,7 +9,7 @@ from typing import Final
 
 import msgspec
 
-from recorder.record.completeness import KeyReport
+from recorder.record.accounting import KeyReport
 from recorder.review.report.findings import (
     Driver,
     Outage,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from recorder.record.completeness import KeyReport
+from recorder.record.accounting import KeyReport
 from recorder.review.report.odometry import Place
 from recorder.review.report.series import Point
 from recorder.review.report.spans import Span

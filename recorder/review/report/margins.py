@@ -12,9 +12,8 @@ from mcap import records
 
 from recorder.mcap.records import Fault, read_pieces
 from recorder.reading.log_file import LogFile
-from recorder.record.completeness import KeyReport, total
+from recorder.record.accounting import COMPLETENESS_NAME, KeyReport, total
 from recorder.record.robots import METADATA_NAME
-from recorder.record.session import COMPLETENESS_NAME
 from recorder.review.report.versions import Versions
 
 TOPICS_MAX: Final = 5000

@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import Final
 
 from recorder.reading.times import in_words
-from recorder.record.completeness import KeyReport, total
+from recorder.record.accounting import KeyReport, total
 from recorder.review.report.findings import InForce, Moment, Outage, Report, ReportedFile, RobotSummary
 from recorder.review.timeline.entries import EntryKind
 from schemas.reasons import TEXTS

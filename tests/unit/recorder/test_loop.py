@@ -16,18 +16,18 @@ from recorder.disk import log_directory, log_writer
 from recorder.disk.leftovers import recover_leftovers
 from recorder.disk.log_directory import LogDirectory
 from recorder.disk.log_writer import LogWriter
+from recorder.encoding.received_sample import ReceivedSample
 from recorder.encoding.routes import keep_raw
-from recorder.encoding.sample import Sample
 from recorder.layouts.attached import COUNT as LAYOUTS
-from recorder.loop import Recorded, Recorder
-from recorder.record import session as session_module
-from recorder.record.completeness import KeyReport
-from recorder.record.effects import Doing
+from recorder.loop import Recorded, RecorderLoop
+from recorder.record import robot_log
+from recorder.record.accounting import KeyReport
+from recorder.record.actions import Action
 from recorder.record.health import HealthReport
-from recorder.record.inbox import Inbox
-from recorder.record.notices import Deleted, Notice, Room
-from recorder.record.recording import Recording
-from recorder.record.session import CONTINUED_NAME, Plan
+from recorder.record.inbox import SampleInbox
+from recorder.record.notices import Deleted, DiskRoom, Notice
+from recorder.record.recorder import Recorder
+from recorder.record.robot_log import CONTINUED_NAME, LogPlan
 from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas.decisions import EventKind
@@ -47,7 +47,7 @@ from schemas.recording import (
 from schemas.requests import Request
 from tests.support.recorder_fakes import (
     PLAN,
-    RECORDING_PLAN,
+    RECORDER_PLAN,
     WALL_NS,
     FakeAsked,
     FakeSample,
@@ -63,14 +63,16 @@ from tests.support.recorder_fakes import (
 INFO_KEY = key_of(GatewayInfo)
 
 
-def recorder(source: FakeSource, directory: Path, plan: Plan = PLAN, queue_bytes: int = 64_000_000) -> Recorder:
+def recorder(
+    source: FakeSource, directory: Path, plan: LogPlan = PLAN, queue_bytes: int = 64_000_000
+) -> RecorderLoop:
     """A recorder of what a source brings."""
-    recording = Recording(msgspec.structs.replace(RECORDING_PLAN, session=plan))
+    pure = Recorder(msgspec.structs.replace(RECORDER_PLAN, log=plan))
     writer = LogWriter(LogDirectory(directory), "test")
-    return Recorder(recording, source, writer, Inbox(queue_bytes), HealthReport("bench", "1", 0))
+    return RecorderLoop(pure, source, writer, SampleInbox(queue_bytes), HealthReport("bench", "1", 0))
 
 
-def record(source: FakeSource, directory: Path, plan: Plan = PLAN) -> Recorded:
+def record(source: FakeSource, directory: Path, plan: LogPlan = PLAN) -> Recorded:
     """Record all that a source brings."""
     return recorder(source, directory, plan).run(lambda: source.is_exhausted)
 
@@ -148,7 +150,7 @@ class FailingFile(FileIO):
 class Steady(FakeSource):
     """Brings a few at a time."""
 
-    def drain(self, _limit: int) -> list[Sample]:
+    def drain(self, _limit: int) -> list[ReceivedSample]:
         taken = super().drain(100)
         self.is_behind = False
         return taken
@@ -177,7 +179,7 @@ def test_a_file_that_takes_no_more_is_ended_and_another_begun(
     monkeypatch.setattr(loop_module, "PASS_NS", 10**12)
     numbers = map(gear_sample, range(3000))
     samples = (msgspec.structs.replace(one, received_ns=time.time_ns()) for one in numbers)
-    recorded = record(Steady(samples), tmp_path, Plan("x", 1024, 10**9, "1"))
+    recorded = record(Steady(samples), tmp_path, LogPlan("x", 1024, 10**9, "1"))
     assert recorded.files > 1
     assert (recorded.lost, recorded.keys[key_of(Gear)].written) == (0, 3000)
     sequences: list[int] = []
@@ -210,7 +212,7 @@ def test_a_disk_that_takes_nothing_ends_no_recording(tmp_path: Path, monkeypatch
 
 def test_a_new_file_is_begun_on_demand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As by SIGHUP; between two samples, none of which is lost."""
-    monkeypatch.setattr(session_module, "ROLL_MIN_NS", 0)
+    monkeypatch.setattr(robot_log, "ROLL_MIN_NS", 0)
     files: list[str] = []
 
     source = Steady(sample_of(gear(number)) for number in takewhile(lambda _: len(files) < 3, count()))
@@ -218,7 +220,7 @@ def test_a_new_file_is_begun_on_demand(tmp_path: Path, monkeypatch: pytest.Monke
 
     def rolls() -> bool:
         """Once for each file, as soon as it is there."""
-        file = one._recording.files.get("cruiser-1", "")
+        file = one._recorder.files.get("cruiser-1", "")
         if not file or file in files:
             return False
         files.append(file)
@@ -249,7 +251,7 @@ def test_a_fault_of_our_own_leaves_a_readable_file(tmp_path: Path, monkeypatch: 
         return lambda: next(passes)
 
     source = FakeSource(sample_of(gear(number)) for number in range(3000))
-    one = recorder(source, tmp_path, Plan("x", 1024, 10**9, "1"))
+    one = recorder(source, tmp_path, LogPlan("x", 1024, 10**9, "1"))
     with pytest.raises(StopIteration):
         one.run(stopped())
     (left,) = tmp_path.iterdir()
@@ -359,8 +361,8 @@ def test_notices_of_others_are_taken(tmp_path: Path) -> None:
     control = FakeControl()
     source = FakeSource(sample_of(gear(number)) for number in range(100))
     one = recorder(source, tmp_path, msgspec.structs.replace(PLAN, alarms=frozenset({EventKind.STOP})))
-    notices: list[Notice] = [Room(has_room=False, has_incident_room=True), Deleted("old.mcap", 7)]
-    one.hear(lambda: [notices.pop(0)] if notices else [])
+    notices: list[Notice] = [DiskRoom(has_room=False, has_incident_room=True), Deleted("old.mcap", 7)]
+    one.add_notices(lambda: [notices.pop(0)] if notices else [])
     one.obey(control, lambda _: None)
     one._step()
     late = [sample_of(safety_event(EventKind.STOP)), *(sample_of(gear(number)) for number in range(100, 200))]
@@ -377,7 +379,7 @@ def test_notices_of_others_are_taken(tmp_path: Path) -> None:
 
 def test_a_sample_that_is_too_large_holds_nothing_up(tmp_path: Path) -> None:
     """It is counted, and the others are recorded."""
-    large = FakeSample("x", "x", bytes(RECORDING_PLAN.sample_max_bytes + 1))
+    large = FakeSample("x", "x", bytes(RECORDER_PLAN.sample_max_bytes + 1))
     recorded = record(FakeSource([sample_of(gear(0)), large, sample_of(gear(1))]), tmp_path)
     assert recorded.keys["x"] == KeyReport(received=1, lost_size=1)
     assert recorded.keys[GEAR_KEY].written == 2
@@ -414,21 +416,21 @@ def test_samples_that_take_long_do_not_hold_up_what_is_due(
     monkeypatch.setattr(loop_module, "time", clock)
     monkeypatch.setattr(loop_module, "LAST_SAMPLES_NS", 10**12)
 
-    def keep_slowly(sample: Sample, reason: str, time_ns: int) -> bytes:
+    def keep_slowly(sample: ReceivedSample, reason: str, time_ns: int) -> bytes:
         clock.now_ns += slow_ns
         return keep_raw(sample, reason, time_ns)
 
-    monkeypatch.setattr("recorder.record.session.keep_raw", keep_slowly)
+    monkeypatch.setattr("recorder.record.robot_log.keep_raw", keep_slowly)
     source = FakeSource(FakeSample(f"k/{number % 7}", "x", b"") for number in range(700))
     one = recorder(source, tmp_path)
     ticks: list[int] = []
-    tick = one._recording.tick
+    tick = one._recorder.tick
 
-    def watched(now_ns: int, wall_ns: int, sizes: Mapping[str, int]) -> Sequence[Doing]:
+    def watched(now_ns: int, wall_ns: int, sizes: Mapping[str, int]) -> Sequence[Action]:
         ticks.append(now_ns)
         return tick(now_ns, wall_ns, sizes)
 
-    monkeypatch.setattr(one._recording, "tick", watched)
+    monkeypatch.setattr(one._recorder, "tick", watched)
     recorded = one.run(lambda: True)
     assert recorded.messages == 700
     # One sample may go beyond the time of a pass, but not two.

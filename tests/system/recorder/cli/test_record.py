@@ -206,7 +206,7 @@ def test_flags_set_settings() -> None:
 def test_an_incident_does_not_begin_with_more_than_a_part_of_the_budget(budget: int, ring: int) -> None:
     """Else a single one might leave no room for the logs, for ever."""
     settings = Settings(recorder=RecorderSettings(budget_bytes=budget, incident_ring_bytes=9000))
-    assert record.recording_plan(settings, "depot", ["fleet/**"], "1").ring_bytes == ring
+    assert record.recorder_plan(settings, "depot", ["fleet/**"], "1").ring_bytes == ring
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ import pytest
 from recorder.cli import record
 from recorder.disk.keeper import read_entries
 from recorder.loop import Recorded
-from recorder.record.completeness import KeyReport
+from recorder.record.accounting import KeyReport
 from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas.decisions import EventKind, SafetyEvent, Severity

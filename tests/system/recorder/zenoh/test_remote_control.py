@@ -13,7 +13,7 @@ import pytest
 import zenoh
 
 from recorder.zenoh import remote_control
-from recorder.zenoh.remote_control import Asked, RemoteControl, host_name
+from recorder.zenoh.remote_control import RemoteControl, ZenohRequest, host_name
 from recorder.zenoh.session import open_session
 from schemas import codec, keys
 from schemas.codec import PayloadFault
@@ -95,18 +95,18 @@ class Pair:
     def __init__(self, control: RemoteControl, client: Client) -> None:
         self.control = control
         self.client = client
-        self.asked: list[Asked] = []
+        self.asked: list[ZenohRequest] = []
         wait_until(lambda: bool(self.take("status")))
 
     def key(self, verb: str, operator: str = "operator-1", recorder: str = "bench") -> str:
         return f"fleet/@recorder/{recorder}/@cmd/{operator}/{verb}"
 
-    def take(self, verb: str, payload: bytes | None = b"", operator: str = "operator-1") -> list[Asked]:
+    def take(self, verb: str, payload: bytes | None = b"", operator: str = "operator-1") -> list[ZenohRequest]:
         """Send a request; what comes in of it, or of those before it."""
         self.client.ask(self.key(verb, operator), payload)
         return list(self.control.drain())
 
-    def next(self) -> Asked:
+    def next(self) -> ZenohRequest:
         """The next request that comes in."""
 
         def has_come() -> bool:

@@ -7,7 +7,7 @@ from contextlib import closing
 import pytest
 import zenoh
 
-from recorder.encoding.sample import Sample
+from recorder.encoding.received_sample import ReceivedSample
 from recorder.zenoh import source as zenoh_source
 from recorder.zenoh.source import ZenohSource
 from schemas import keys
@@ -36,7 +36,7 @@ class Inbox:
 
     def __init__(self, origin: ZenohSource) -> None:
         self._origin = origin
-        self.samples: list[Sample] = []
+        self.samples: list[ReceivedSample] = []
 
     def holds(self, key: str) -> bool:
         """Take what there is; is a sample of this key among all so far?"""
@@ -44,7 +44,7 @@ class Inbox:
         return any(sample.key == key for sample in self.samples)
 
 
-def put_until(peer: Peer, sample: Sample, inbox: Inbox) -> None:
+def put_until(peer: Peer, sample: ReceivedSample, inbox: Inbox) -> None:
     """Publish until it comes in: the link takes its time."""
 
     def condition() -> bool:

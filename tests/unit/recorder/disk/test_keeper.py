@@ -13,8 +13,8 @@ import pytest
 
 from recorder.disk import keeper as disk_keeper
 from recorder.disk.keeper import DiskKeeper, read_entries
-from recorder.record.notices import Deleted, Moved, Notice, Room
-from recorder.record.retention import Limits, LogEntry
+from recorder.record.notices import Deleted, DiskRoom, Moved, Notice
+from recorder.record.retention import DiskLimits, LogEntry
 from tests.support.recorder_fakes import logs_in, wait_until
 
 
@@ -47,7 +47,7 @@ class Looks:
 
 @contextmanager
 def kept(
-    directory: Path, limits: Limits, monkeypatch: pytest.MonkeyPatch, own: frozenset[str] = frozenset()
+    directory: Path, limits: DiskLimits, monkeypatch: pytest.MonkeyPatch, own: frozenset[str] = frozenset()
 ) -> Iterator[Looks]:
     """A keeper that looks all the time."""
     looked: list[int] = []
@@ -112,7 +112,7 @@ def test_what_a_recorder_does_not_call_so_is_neither_counted_nor_deleted(
     """Whatever else is in the directory is somebody's."""
     (tmp_path / name).write_bytes(bytes(5000))
     assert read_entries(tmp_path) == []
-    with kept(tmp_path, Limits(budget_bytes=1000), monkeypatch) as looks:
+    with kept(tmp_path, DiskLimits(budget_bytes=1000), monkeypatch) as looks:
         looks.look_twice()
     assert looks.notices == []
     assert logs_in(tmp_path) == [name]
@@ -123,7 +123,7 @@ def test_the_oldest_logs_go_for_the_budget(tmp_path: Path, monkeypatch: pytest.M
     incident = log(tmp_path, 1, kind=".incident")
     part = log(tmp_path, 2, suffix=".mcap.part")
     first, second, third = (log(tmp_path, start) for start in (3, 4, 5))
-    with kept(tmp_path, Limits(budget_bytes=4000), monkeypatch) as looks:
+    with kept(tmp_path, DiskLimits(budget_bytes=4000), monkeypatch) as looks:
         wait_until(lambda: looks.has_said(Deleted(first, 1000)))
         looks.look_twice()
         assert logs_in(tmp_path) == sorted([incident, part, second, third])
@@ -139,11 +139,11 @@ def test_when_nothing_may_go_it_says_so_and_when_there_is_room_again(
 ) -> None:
     """Once each: for logs and for incidents."""
     incident = log(tmp_path, 1, 5000, kind=".incident")
-    with kept(tmp_path, Limits(budget_bytes=4000), monkeypatch) as looks:
-        wait_until(lambda: looks.has_said(Room(has_room=False, has_incident_room=False)))
+    with kept(tmp_path, DiskLimits(budget_bytes=4000), monkeypatch) as looks:
+        wait_until(lambda: looks.has_said(DiskRoom(has_room=False, has_incident_room=False)))
         looks.look_twice()
         (tmp_path / incident).unlink()
-        wait_until(lambda: looks.has_said(Room(has_room=True, has_incident_room=True)))
+        wait_until(lambda: looks.has_said(DiskRoom(has_room=True, has_incident_room=True)))
     assert len(looks.notices) == 2
 
 
@@ -155,26 +155,26 @@ def test_the_floor_is_a_tenth_of_a_small_disk_at_most(tmp_path: Path, monkeypatc
 
     monkeypatch.setattr(os, "statvfs", lambda _: Stick)
     name = log(tmp_path, 1)
-    with kept(tmp_path, Limits(floor_bytes=10**12), monkeypatch) as looks:
+    with kept(tmp_path, DiskLimits(floor_bytes=10**12), monkeypatch) as looks:
         looks.look_twice()
         assert looks.notices == []
         assert looks._keeper.use.free == 26_000 * 4096
         monkeypatch.setattr(Stick, "f_bavail", 24_999)
-        wait_until(lambda: looks.has_said(Room(has_room=False, has_incident_room=True)))
+        wait_until(lambda: looks.has_said(DiskRoom(has_room=False, has_incident_room=True)))
         assert logs_in(tmp_path) == [name], "to delete all would not be enough"
         monkeypatch.setattr(Stick, "f_bavail", 26_000)
-        wait_until(lambda: looks.has_said(Room(has_room=True, has_incident_room=True)))
+        wait_until(lambda: looks.has_said(DiskRoom(has_room=True, has_incident_room=True)))
 
 
 def test_what_is_being_written_is_ended_so_that_it_may_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is asked for again as long as that is so."""
     part = log(tmp_path, 2, 500_000, suffix=".mcap.part")
     own = frozenset({part})
-    roll = Room(has_room=True, has_incident_room=True, roll=True)
-    with kept(tmp_path, Limits(budget_bytes=400_000), monkeypatch, own) as looks:
+    roll = DiskRoom(has_room=True, has_incident_room=True, roll=True)
+    with kept(tmp_path, DiskLimits(budget_bytes=400_000), monkeypatch, own) as looks:
         wait_until(lambda: looks.has_said(roll))
         (tmp_path / part).rename(tmp_path / part.removesuffix(".part"))
-        wait_until(lambda: looks.has_said(Room(has_room=True, has_incident_room=True)))
+        wait_until(lambda: looks.has_said(DiskRoom(has_room=True, has_incident_room=True)))
     assert looks.notices[0] == roll
     assert Deleted(part.removesuffix(".part"), 500_000) in looks.notices
     assert logs_in(tmp_path) == []
@@ -200,7 +200,7 @@ def test_a_log_that_cannot_be_deleted_counts_and_others_go_in_its_place(
     monkeypatch.setattr(disk_keeper, "RETRY_S", 0.05)
     with (
         caplog.at_level(logging.WARNING),
-        kept(tmp_path, Limits(budget_bytes=2000), monkeypatch) as looks,
+        kept(tmp_path, DiskLimits(budget_bytes=2000), monkeypatch) as looks,
     ):
         wait_until(lambda: looks.has_said(Deleted(others[1], 1000)))
         looks.look_twice()
@@ -236,10 +236,10 @@ def test_when_all_are_held_recording_stops_and_goes_on_once_they_can_go(
 
     monkeypatch.setattr(Path, "unlink", refuse)
     monkeypatch.setattr(disk_keeper, "RETRY_S", 0.5)
-    with kept(tmp_path, Limits(budget_bytes=2500), monkeypatch) as looks:
-        wait_until(lambda: looks.has_said(Room(has_room=False, has_incident_room=True)))
+    with kept(tmp_path, DiskLimits(budget_bytes=2500), monkeypatch) as looks:
+        wait_until(lambda: looks.has_said(DiskRoom(has_room=False, has_incident_room=True)))
         is_held = False
-        wait_until(lambda: looks.has_said(Room(has_room=True, has_incident_room=True)))
+        wait_until(lambda: looks.has_said(DiskRoom(has_room=True, has_incident_room=True)))
         looks.look_twice()
     assert logs_in(tmp_path) == names[2:]
 
@@ -256,7 +256,7 @@ def test_a_log_that_somebody_else_deletes_is_none_of_ours(
         unlink(path)
 
     monkeypatch.setattr(Path, "unlink", late)
-    with kept(tmp_path, Limits(budget_bytes=1000), monkeypatch) as looks:
+    with kept(tmp_path, DiskLimits(budget_bytes=1000), monkeypatch) as looks:
         wait_until(lambda: logs_in(tmp_path) == [])
         looks.look_twice()
         assert looks.notices == []
@@ -268,7 +268,7 @@ def test_a_directory_that_vanishes_ends_no_looking(tmp_path: Path, monkeypatch: 
     """Whoever writes there tells of it; when it is there again, its limits hold."""
     directory = tmp_path / "logs"
     directory.mkdir()
-    with kept(directory, Limits(budget_bytes=1000), monkeypatch) as looks:
+    with kept(directory, DiskLimits(budget_bytes=1000), monkeypatch) as looks:
         looks.look_twice()
         directory.rmdir()
         looks.look_twice()
@@ -286,15 +286,15 @@ def test_that_the_directory_was_moved_is_told_and_what_is_written_in_it_ended(
     directory = tmp_path / "logs"
     directory.mkdir()
     part = log(directory, 1, suffix=".mcap.part")
-    with kept(directory, Limits(), monkeypatch, frozenset({part})) as looks:
+    with kept(directory, DiskLimits(), monkeypatch, frozenset({part})) as looks:
         looks.look_twice()
         assert looks.notices == []
         directory.rename(tmp_path / "elsewhere")
         if is_made_again:
             directory.mkdir()
-        wait_until(lambda: looks.has_said(Room(has_room=True, has_incident_room=True, roll=True)))
+        wait_until(lambda: looks.has_said(DiskRoom(has_room=True, has_incident_room=True, roll=True)))
         looks.look_twice()
-    assert looks.notices == [Moved(str(directory)), Room(has_room=True, has_incident_room=True, roll=True)]
+    assert looks.notices == [Moved(str(directory)), DiskRoom(has_room=True, has_incident_room=True, roll=True)]
 
 
 def test_a_directory_that_was_moved_with_nothing_being_written_is_no_matter(
@@ -303,7 +303,7 @@ def test_a_directory_that_was_moved_with_nothing_being_written_is_no_matter(
     """Nor one in which all that is being written is there already."""
     directory = tmp_path / "logs"
     directory.mkdir()
-    with kept(directory, Limits(), monkeypatch) as looks:
+    with kept(directory, DiskLimits(), monkeypatch) as looks:
         looks.look_twice()
         directory.rename(tmp_path / "elsewhere")
         directory.mkdir()
@@ -312,12 +312,12 @@ def test_a_directory_that_was_moved_with_nothing_being_written_is_no_matter(
     fresh = tmp_path / "fresh"
     fresh.mkdir()
     part = log(fresh, 1, suffix=".mcap.part")
-    with kept(directory, Limits(), monkeypatch, frozenset({part})) as looks:
+    with kept(directory, DiskLimits(), monkeypatch, frozenset({part})) as looks:
         looks.look_twice()
         directory.rename(tmp_path / "again")
         fresh.rename(directory)
         looks.look_twice()
-        assert [one for one in looks.notices if isinstance(one, Room)] == []
+        assert [one for one in looks.notices if isinstance(one, DiskRoom)] == []
 
 
 def test_the_end_does_not_wait_for_a_disk_that_does_not_answer(
@@ -333,7 +333,7 @@ def test_the_end_does_not_wait_for_a_disk_that_does_not_answer(
 
     monkeypatch.setattr(disk_keeper, "read_entries", hang)
     monkeypatch.setattr(disk_keeper, "END_S", 0.01)
-    keeper = DiskKeeper(tmp_path, Limits())
+    keeper = DiskKeeper(tmp_path, DiskLimits())
     assert asked.wait(30)
     keeper.close()
     assert keeper._thread.is_alive()

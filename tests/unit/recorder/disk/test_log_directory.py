@@ -17,16 +17,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from recorder.disk import log_directory, log_file
+from recorder.disk import log_directory, part_file
 from recorder.disk.keeper import read_entries
 from recorder.disk.leftovers import Outcome, recover
 from recorder.disk.log_directory import LogDirectory, lock, safe_name
-from recorder.disk.log_file import LogFile
+from recorder.disk.part_file import PartFile, Prologue
 from recorder.encoding.protobuf_schema import descriptor_set
 from recorder.mcap.channel import LogChannel
 from recorder.mcap.chunk import Chunk, ChunkBuilder
 from recorder.reading.topic_names import file_name
-from recorder.record.effects import CloseLog, DeclareChannel, SyncLog, WriteChunk
+from recorder.record.actions import CloseLog, DeclareChannel, SyncLog, WriteChunk
 from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas.exit_codes import CommandError
@@ -43,13 +43,13 @@ def chunk(number: int, data: bytes = b"") -> WriteChunk:
     builder.add(1, number, number, number, data)
     sealed = builder.seal()
     assert isinstance(sealed, Chunk)
-    return WriteChunk(sealed)
+    return WriteChunk("x", sealed)
 
 
-def opened(path: Path) -> LogFile:
+def opened(path: Path) -> PartFile:
     """A log with a channel."""
     log = LogDirectory(path).open("cruiser-1", WALL_NS, "test")
-    log.write(DeclareChannel(CHANNEL))
+    log.write(DeclareChannel("x", CHANNEL))
     return log
 
 
@@ -64,9 +64,9 @@ def test_a_log_is_a_part_until_it_is_whole(tmp_path: Path) -> None:
     directory = tmp_path / "deep" / "logs"
     log = opened(directory)
     log.write(chunk(1))
-    log.write(SyncLog())
+    log.write(SyncLog("x"))
     assert logs_in(directory) == [f"{STEM}.mcap.part"]
-    log.write(CloseLog())
+    log.write(CloseLog("x"))
     assert logs_in(directory) == [f"{STEM}.mcap"]
     assert log.path == directory / f"{STEM}.mcap"
     assert log.size == log.path.stat().st_size
@@ -83,20 +83,20 @@ def test_a_sync_reaches_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     log = opened(tmp_path)
     assert synced == ["name"]
     log.write(chunk(1))
-    log.write(SyncLog())
+    log.write(SyncLog("x"))
     wait_until(lambda: "data" in synced)
-    log.write(CloseLog())
+    log.write(CloseLog("x"))
     assert synced == ["name", "data", "file", "name"]
 
 
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
     """Logs of one name and second, whole or not, live side by side."""
     first, second = opened(tmp_path), opened(tmp_path)
-    first.write(CloseLog())
+    first.write(CloseLog("x"))
     third = opened(tmp_path)
-    second.write(CloseLog())
+    second.write(CloseLog("x"))
     assert logs_in(tmp_path) == [f"{STEM}-2.mcap", f"{STEM}-3.mcap.part", f"{STEM}.mcap"]
-    third.write(CloseLog())
+    third.write(CloseLog("x"))
 
 
 @given(st.text(max_size=50))
@@ -122,7 +122,7 @@ def test_a_name_is_no_longer_than_a_disk_takes(tmp_path: Path) -> None:
     directory = LogDirectory(tmp_path)
     logs = [directory.open("a" * 5000 + end, WALL_NS, "test", is_incident=True) for end in "xy"]
     for log in logs:
-        log.write(CloseLog())
+        log.write(CloseLog("x"))
     assert len({log.path for log in logs}) == 2
     assert all(log.path.name.startswith("aaa") and ".incident" in log.path.name for log in logs)
 
@@ -153,11 +153,11 @@ def test_a_vanished_directory_is_one_clear_error(tmp_path: Path) -> None:
     with pytest.raises(CommandError, match="No such file"):
         directory.open("x", WALL_NS, "test")
     with pytest.raises(CommandError, match="removed the log"):
-        log.write(CloseLog())
+        log.write(CloseLog("x"))
     log.salvage()
 
 
-def fill(log: LogFile) -> int:
+def fill(log: PartFile) -> int:
     """Write until the disk takes no more; the number of chunks that it took."""
     number = 0
     try:
@@ -220,13 +220,13 @@ def test_a_log_that_was_removed_is_not_written_in_silence(tmp_path: Path) -> Non
     """The disk takes the bytes of a file without a name; nobody will ever read them, so that is an error."""
     log = opened(tmp_path)
     log.write(chunk(1))
-    log.write(SyncLog())
+    log.write(SyncLog("x"))
     (tmp_path / f"{STEM}.mcap.part").unlink()
 
     def is_told() -> bool:
         try:
             log.write(chunk(2))
-            log.write(SyncLog())
+            log.write(SyncLog("x"))
         except CommandError as error:
             return "removed the log" in str(error)
         return False
@@ -245,10 +245,10 @@ def test_a_failed_sync_is_told_by_the_next_write(tmp_path: Path, monkeypatch: py
 
     log = opened(tmp_path)
     log.write(chunk(1))
-    log.write(SyncLog())
+    log.write(SyncLog("x"))
 
     def is_kept() -> bool:
-        log.write(SyncLog())
+        log.write(SyncLog("x"))
         return log.has_synced
 
     wait_until(is_kept)
@@ -258,7 +258,7 @@ def test_a_failed_sync_is_told_by_the_next_write(tmp_path: Path, monkeypatch: py
 
     def is_told() -> bool:
         try:
-            log.write(SyncLog())
+            log.write(SyncLog("x"))
         except CommandError as error:
             return "Input/output error" in str(error)
         return False
@@ -285,11 +285,11 @@ def test_a_slow_sync_holds_up_no_write(tmp_path: Path, monkeypatch: pytest.Monke
     log = opened(tmp_path)
     for number in range(1, 6):
         log.write(chunk(number))
-        log.write(SyncLog())
+        log.write(SyncLog("x"))
     wait_until(lambda: bool(started))
     assert read_info(log.path).messages == 5
     goes_on.set()
-    log.write(CloseLog())
+    log.write(CloseLog("x"))
     assert len(started) <= 2
     assert sequences(log.path) == [1, 2, 3, 4, 5]
 
@@ -309,7 +309,7 @@ def test_what_is_written_during_a_sync_is_kept_by_the_next_one(
     log = opened(tmp_path)
     for number in range(1, 5):
         log.write(chunk(number))
-        log.write(SyncLog())
+        log.write(SyncLog("x"))
         wait_until(lambda: bool(asked))
     goes_on.set()
     wait_until(lambda: log.kept_size == log.size)
@@ -331,10 +331,10 @@ def test_no_file_takes_the_disk_for_itself(tmp_path: Path, monkeypatch: pytest.M
     directory = LogDirectory(tmp_path)
     busy, other = (directory.open(name, WALL_NS, "test") for name in "xy")
     numbers = [log.path.stat().st_ino for log in (busy, other)]
-    busy.write(SyncLog())
+    busy.write(SyncLog("x"))
     wait_until(lambda: len(order) == 1)
-    busy.write(SyncLog())
-    other.write(SyncLog())
+    busy.write(SyncLog("x"))
+    other.write(SyncLog("x"))
     goes_on.release(10)
     wait_until(lambda: len(order) == 3)
     assert order == [numbers[0], numbers[1], numbers[0]]
@@ -354,10 +354,13 @@ def test_a_file_begins_with_all_channels_in_one_write(tmp_path: Path, monkeypatc
     monkeypatch.setattr(log_directory, "FileIO", Counted)
     log = LogDirectory(tmp_path).open("cruiser-1", WALL_NS, "test")
     writes.clear()
-    log.begin([DeclareChannel(msgspec.structs.replace(CHANNEL, channel_id=one)) for one in range(1, 501)])
+    prologue = Prologue()
+    for one in range(1, 501):
+        prologue.add(DeclareChannel("x", msgspec.structs.replace(CHANNEL, channel_id=one)))
+    log.begin(prologue)
     assert len(writes) == 1
     log.write(chunk(1))
-    log.write(CloseLog())
+    log.write(CloseLog("x"))
     assert sequences(log.path) == [1]
     summary = make_reader(BytesIO(log.path.read_bytes())).get_summary()
     assert summary is not None
@@ -373,7 +376,7 @@ def test_a_log_whose_directory_was_moved_becomes_whole_where_it_is(tmp_path: Pat
     other = opened(here)
     assert other.path == here / f"{STEM}.mcap.part"
     log.write(chunk(2))
-    log.write(CloseLog())
+    log.write(CloseLog("x"))
     assert log.path == elsewhere / f"{STEM}.mcap"
     assert log.is_kept
     assert sequences(log.path) == [1, 2]
@@ -387,7 +390,7 @@ def test_a_log_that_was_called_something_else_is_left_as_it_is(tmp_path: Path) -
     log.write(chunk(1))
     (tmp_path / f"{STEM}.mcap.part").rename(tmp_path / "mine")
     with pytest.raises(CommandError, match="moved the log"):
-        log.write(CloseLog())
+        log.write(CloseLog("x"))
     log.salvage()
     assert log.is_left
     assert logs_in(tmp_path) == ["mine"]
@@ -399,7 +402,7 @@ def test_for_want_of_a_name_no_log_is_refused(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(log_directory, "NAMESAKES_MAX", 3)
     logs = [opened(tmp_path) for _ in range(6)]
     for log in logs:
-        log.write(CloseLog())
+        log.write(CloseLog("x"))
     assert len({log.path for log in logs}) == 6
     assert len(read_entries(tmp_path)) == 6
 
@@ -419,7 +422,7 @@ def test_a_part_is_locked_until_it_is_whole(tmp_path: Path, monkeypatch: pytest.
     log.write(chunk(1))
     with log.path.open("rb") as other:
         assert not lock(other.fileno())
-    log.write(CloseLog())
+    log.write(CloseLog("x"))
     assert got == [False]
     with log.path.open("rb") as other:
         assert lock(other.fileno())
@@ -447,7 +450,7 @@ def test_where_there_are_no_locks_a_log_is_written_all_the_same(
     monkeypatch.setattr(log_directory, "lock", none)
     log = opened(tmp_path)
     log.write(chunk(1))
-    log.write(CloseLog())
+    log.write(CloseLog("x"))
     assert sequences(log.path) == [1]
 
 
@@ -473,7 +476,7 @@ def test_a_file_that_cannot_even_be_taken_back_is_one_clear_error(
 
     directory = LogDirectory(tmp_path)
     with monkeypatch.context() as knobs:
-        knobs.setattr(log_directory if step == "sync_directory" else log_file, step, fail)
+        knobs.setattr(log_directory if step == "sync_directory" else part_file, step, fail)
         knobs.setattr(Path, "unlink", refuse)
         with pytest.raises(CommandError, match=os.strerror(errno.EIO)):
             directory.open("x", WALL_NS, "test")
@@ -515,6 +518,6 @@ def test_an_incident_is_called_one(tmp_path: Path) -> None:
     logs = [directory.open("cruiser-1", WALL_NS, "test", is_incident=True) for _ in range(2)]
     assert logs_in(tmp_path) == [f"{STEM}.incident-2.mcap.part", f"{STEM}.incident.mcap.part"]
     for log in logs:
-        log.write(CloseLog())
+        log.write(CloseLog("x"))
     assert [log.name for log in logs] == [f"{STEM}.incident.mcap", f"{STEM}.incident-2.mcap"]
     assert logs_in(tmp_path) == sorted(log.name for log in logs)

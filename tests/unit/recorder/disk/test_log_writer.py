@@ -11,21 +11,21 @@ from functools import partial
 from io import BytesIO, FileIO
 from pathlib import Path
 
+import msgspec
 import pytest
 from mcap.reader import make_reader
 
-from recorder.disk import log_directory, log_file, log_writer
+from recorder.disk import log_directory, log_writer, part_file
 from recorder.disk.leftovers import Outcome, recover
 from recorder.disk.log_directory import LogDirectory
 from recorder.disk.log_writer import LogWriter
 from recorder.encoding.protobuf_schema import descriptor_set
 from recorder.mcap.channel import LogChannel
 from recorder.mcap.chunk import ChunkBuilder
-from recorder.record.effects import (
+from recorder.record.actions import (
     CloseLog,
     DeclareChannel,
-    FileEffect,
-    OnLog,
+    LogAction,
     OpenLog,
     SyncLog,
     WriteAttachment,
@@ -37,12 +37,12 @@ from schemas.messages import Gear
 from tests.support.recorder_fakes import SECOND, WALL_NS, logs_in, wait_until
 
 STEM = "x-20270115T080000Z"
-BEGIN: list[OpenLog | FileEffect] = [
-    OpenLog("x", WALL_NS),
-    WriteMetadata("cruiser", {"robots": "cruiser-1"}, lasts=True),
-    WriteMetadata("cruiser.once", {}),
-    WriteAttachment("a.dbc", "text/plain", b"dbc", WALL_NS),
-    DeclareChannel(LogChannel(1, "t", "cruiser.Gear", descriptor_set(Gear))),
+BEGIN: list[LogAction] = [
+    OpenLog("x", "x", WALL_NS),
+    WriteMetadata("x", "cruiser", {"robots": "cruiser-1"}, lasts=True),
+    WriteMetadata("x", "cruiser.once", {}),
+    WriteAttachment("x", "a.dbc", "text/plain", b"dbc", WALL_NS),
+    DeclareChannel("x", LogChannel(1, "t", "cruiser.Gear", descriptor_set(Gear))),
 ]
 
 
@@ -79,12 +79,12 @@ def chunk(number: int, size: int = 100, at_ns: int = WALL_NS) -> WriteChunk:
     builder.add(1, number, at_ns, at_ns, os.urandom(size))
     sealed = builder.seal()
     assert sealed is not None
-    return WriteChunk(sealed)
+    return WriteChunk("x", sealed)
 
 
-def on_log(effects: Iterable[OpenLog | FileEffect], log: str = "x") -> OnLog:
-    """Effects on their way to a log."""
-    return OnLog(log, tuple(effects))
+def on_log(actions: Iterable[LogAction], log: str = "x") -> list[LogAction]:
+    """The actions, on a log."""
+    return [msgspec.structs.replace(action, log=log) for action in actions]
 
 
 def sequences(path: Path) -> list[int]:
@@ -99,11 +99,11 @@ def names(path: Path) -> list[str]:
     return [one.name for one in reader.iter_metadata()] + [one.name for one in reader.iter_attachments()]
 
 
-def test_effects_become_a_file(tmp_path: Path) -> None:
+def test_actions_become_a_file(tmp_path: Path) -> None:
     """In order; the result says what was written."""
     writer = LogWriter(LogDirectory(tmp_path), "test")
-    writer.submit(on_log([*BEGIN, chunk(1), SyncLog()]))
-    writer.submit(on_log([chunk(2), CloseLog()]))
+    writer.submit(on_log([*BEGIN, chunk(1), SyncLog("x")]))
+    writer.submit(on_log([chunk(2), CloseLog("x")]))
     writer.close()
     path = tmp_path / f"{STEM}.mcap"
     assert sequences(path) == [1, 2]
@@ -113,7 +113,7 @@ def test_effects_become_a_file(tmp_path: Path) -> None:
 def test_the_next_file_repeats_what_lasts(tmp_path: Path) -> None:
     """So that it can be read alone; no message is in both."""
     writer = LogWriter(LogDirectory(tmp_path), "test")
-    writer.submit(on_log([*BEGIN, chunk(1), CloseLog(), OpenLog("x", WALL_NS), chunk(2), CloseLog()]))
+    writer.submit(on_log([*BEGIN, chunk(1), CloseLog("x"), OpenLog("x", "x", WALL_NS), chunk(2), CloseLog("x")]))
     writer.close()
     first, second = tmp_path / f"{STEM}.mcap", tmp_path / f"{STEM}-2.mcap"
     assert (sequences(first), sequences(second)) == ([1], [2])
@@ -136,12 +136,12 @@ def test_after_a_fault_the_log_goes_on_in_another_file(tmp_path: Path, error: in
     """The chunk that failed is the first of it; nothing is lost or doubled."""
     writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1)]))
-    wait_until(lambda: bool(writer.sizes) and not writer._waiting)
+    wait_until(lambda: bool(writer.sizes) and not writer._queue)
     FaultyFile.error = error
-    writer.submit(on_log([chunk(2), SyncLog()]))
+    writer.submit(on_log([chunk(2), SyncLog("x")]))
     wait_until(lambda: writer.files == 1)
     FaultyFile.error = 0
-    writer.submit(on_log([chunk(3), CloseLog()]))
+    writer.submit(on_log([chunk(3), CloseLog("x")]))
     writer.close()
     assert writer.lost == 0
     kept = sorted(tmp_path.iterdir())
@@ -157,12 +157,12 @@ def test_while_the_disk_takes_nothing_memory_is_bounded_and_losses_are_counted(t
     writer.submit(on_log(BEGIN))
     wait_until(lambda: writer._is_faulty)
     for number in range(100):
-        writer.submit(on_log([chunk(number), SyncLog()]))
+        writer.submit(on_log([chunk(number), SyncLog("x")]))
         assert writer.waiting_bytes <= 1000
     wait_until(lambda: writer.lost >= 90)
     assert logs_in(tmp_path) in ([], [f"{STEM}.mcap.part"])
     FaultyFile.error = 0
-    writer.submit(on_log([CloseLog()]))
+    writer.submit(on_log([CloseLog("x")]))
     writer.close()
     kept = sequences(tmp_path / f"{STEM}.mcap")
     # One may be in hand while later ones go.
@@ -183,10 +183,10 @@ def test_the_disk_is_said_to_be_back_when_it_has_kept_something(tmp_path: Path) 
     FaultyFile.error = 0
     number = 2
     while writer._is_faulty:
-        writer.submit(on_log([chunk(number), SyncLog()]))
+        writer.submit(on_log([chunk(number), SyncLog("x")]))
         number += 1
-        wait_until(lambda: not writer._waiting)
-    writer.submit(on_log([CloseLog()]))
+        wait_until(lambda: not writer._queue)
+    writer.submit(on_log([CloseLog("x")]))
     writer.close()
     assert [type(one) for one in writer.notices()] == [DiskFault, Opened, DiskBack, Ended]
     assert sequences(tmp_path / f"{STEM}.mcap") == list(range(1, number))
@@ -210,24 +210,24 @@ def test_what_the_disk_fails_to_keep_is_written_again(
     monkeypatch.setattr(os, "fdatasync", lambda descriptor: sync(descriptor, keep[0]))
     monkeypatch.setattr(os, "fsync", lambda descriptor: sync(descriptor, keep[1]))
     writer = LogWriter(LogDirectory(tmp_path), "test")
-    writer.submit(on_log([*BEGIN, chunk(1), SyncLog()]))
+    writer.submit(on_log([*BEGIN, chunk(1), SyncLog("x")]))
 
     def is_kept() -> bool:
-        writer.submit(on_log([SyncLog()]))
-        return not writer._chains["x"].unkept_bytes
+        writer.submit(on_log([SyncLog("x")]))
+        return (file := writer._chains["x"].file) is not None and not file.unkept_bytes
 
     wait_until(is_kept)
     fails.set()
-    writer.submit(on_log([chunk(2), chunk(3), *([CloseLog()] if ends else [SyncLog(), chunk(4)])]))
+    writer.submit(on_log([chunk(2), chunk(3), *([CloseLog("x")] if ends else [SyncLog("x"), chunk(4)])]))
 
     def is_told() -> bool:
-        writer.submit(on_log([] if ends else [SyncLog()]))
+        writer.submit(on_log([] if ends else [SyncLog("x")]))
         return writer._is_faulty
 
     wait_until(is_told)
     fails.clear()
     if not ends:
-        writer.submit(on_log([chunk(5), CloseLog()]))
+        writer.submit(on_log([chunk(5), CloseLog("x")]))
     writer.close()
     for path in tmp_path.glob("*.part"):
         assert recover(path, "test").outcome is Outcome.RECOVERED
@@ -240,10 +240,10 @@ def test_several_logs_are_written_at_once(tmp_path: Path) -> None:
     """Each into files of its own, with its own prologue; an incident is called one."""
     writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1)]))
-    writer.submit(on_log([OpenLog("y", WALL_NS, is_incident=True), *BEGIN[1:], chunk(2)], "y!"))
+    writer.submit(on_log([OpenLog("y", "y", WALL_NS, is_incident=True), *BEGIN[1:], chunk(2)], "y!"))
     writer.submit(on_log([chunk(3)]))
-    writer.submit(on_log([chunk(4), CloseLog()], "y!"))
-    writer.submit(on_log([CloseLog()]))
+    writer.submit(on_log([chunk(4), CloseLog("x")], "y!"))
+    writer.submit(on_log([CloseLog("x")]))
     writer.close()
     incident = tmp_path / "y-20270115T080000Z.incident.mcap"
     assert (sequences(tmp_path / f"{STEM}.mcap"), sequences(incident)) == ([1, 3], [2, 4])
@@ -260,15 +260,15 @@ def test_a_directory_that_vanishes_is_made_again(tmp_path: Path) -> None:
     """The log goes on in another file, and what was not yet on the disk is the first of it."""
     directory = tmp_path / "logs"
     writer = LogWriter(LogDirectory(directory), "test")
-    writer.submit(on_log([*BEGIN, chunk(1), SyncLog()]))
-    wait_until(lambda: bool(writer.sizes) and not writer._waiting)
+    writer.submit(on_log([*BEGIN, chunk(1), SyncLog("x")]))
+    wait_until(lambda: bool(writer.sizes) and not writer._queue)
     shutil.rmtree(directory)
     number = 2
     while not directory.exists():
-        writer.submit(on_log([chunk(number), SyncLog()]))
-        wait_until(lambda: not writer._waiting)
+        writer.submit(on_log([chunk(number), SyncLog("x")]))
+        wait_until(lambda: not writer._queue)
         number += 1
-    writer.submit(on_log([chunk(number), CloseLog()]))
+    writer.submit(on_log([chunk(number), CloseLog("x")]))
     writer.close()
     assert sequences(next(directory.glob("*.mcap")))[-1] == number
     assert writer.lost == 0
@@ -278,7 +278,7 @@ def test_the_end_does_not_wait_for_a_disk_that_takes_nothing(tmp_path: Path) -> 
     """What waits is lost, and counted."""
     writer = LogWriter(LogDirectory(tmp_path), "test")
     FaultyFile.error = errno.EIO
-    writer.submit(on_log([*BEGIN, *(chunk(number) for number in range(20)), CloseLog()]))
+    writer.submit(on_log([*BEGIN, *(chunk(number) for number in range(20)), CloseLog("x")]))
     writer.close()
     assert (writer.lost, writer.files, writer.path) == (20, 0, None)
     assert logs_in(tmp_path) == []
@@ -291,10 +291,10 @@ def test_who_submits_never_waits_for_the_disk(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(FaultyFile, "write", lambda file, data: goes_on.wait(30) and write(file, data))
     writer = LogWriter(LogDirectory(tmp_path), "test")
     for number in range(50):
-        writer.submit(on_log([*(BEGIN if not number else []), chunk(number), SyncLog()]))
+        writer.submit(on_log([*(BEGIN if not number else []), chunk(number), SyncLog("x")]))
     assert not goes_on.is_set()
     goes_on.set()
-    writer.submit(on_log([CloseLog()]))
+    writer.submit(on_log([CloseLog("x")]))
     writer.close()
     assert sequences(tmp_path / f"{STEM}.mcap") == list(range(50))
 
@@ -303,8 +303,8 @@ def test_a_fault_of_our_own_is_raised_where_the_loop_is(tmp_path: Path, monkeypa
     """A thread that dies in silence would be a recorder that records nothing; the file is ended."""
     writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1)]))
-    wait_until(lambda: not writer._waiting)
-    monkeypatch.setattr(writer, "_carry_out", lambda _: 1 / 0)
+    wait_until(lambda: not writer._queue)
+    monkeypatch.setattr(writer, "_apply", lambda _: 1 / 0)
     writer.submit(on_log([chunk(2)]))
     wait_until(lambda: not writer._thread.is_alive())
     with pytest.raises(ZeroDivisionError):
@@ -320,11 +320,11 @@ def test_of_an_incident_whose_file_waits_too_the_loss_is_no_logs(tmp_path: Path)
     FaultyFile.error = errno.ENOSPC
     writer.submit(on_log([*BEGIN, chunk(0)]))
     wait_until(lambda: writer._is_faulty)
-    opening = OpenLog("x", WALL_NS, is_incident=True)
+    opening = OpenLog("x", "x", WALL_NS, is_incident=True)
     writer.submit(on_log([opening, *BEGIN[1:], *(chunk(number) for number in range(1, 100))], "x!"))
     FaultyFile.error = 0
-    writer.submit(on_log([CloseLog()], "x!"))
-    writer.submit(on_log([CloseLog()]))
+    writer.submit(on_log([CloseLog("x")], "x!"))
+    writer.submit(on_log([CloseLog("x")]))
     writer.close()
     lost = [one for one in writer.notices() if isinstance(one, Lost)]
     assert {one.log for one in lost} <= {"x"}
@@ -335,10 +335,10 @@ def test_of_an_incident_whose_file_waits_too_the_loss_is_no_logs(tmp_path: Path)
 def test_the_newest_log_is_told_and_no_incident(tmp_path: Path) -> None:
     """Not even the second incident of one second."""
     writer = LogWriter(LogDirectory(tmp_path), "test")
-    writer.submit(on_log([*BEGIN, chunk(1), CloseLog()]))
+    writer.submit(on_log([*BEGIN, chunk(1), CloseLog("x")]))
     for number in (2, 3):
-        opening = OpenLog("x", WALL_NS, is_incident=True)
-        writer.submit(on_log([opening, *BEGIN[1:], chunk(number), CloseLog()], "x!"))
+        opening = OpenLog("x", "x", WALL_NS, is_incident=True)
+        writer.submit(on_log([opening, *BEGIN[1:], chunk(number), CloseLog("x")], "x!"))
     writer.close()
     assert logs_in(tmp_path) == [f"{STEM}.incident-2.mcap", f"{STEM}.incident.mcap", f"{STEM}.mcap"]
     assert (writer.path, writer.files) == (str(tmp_path / f"{STEM}.mcap"), 3)
@@ -352,7 +352,7 @@ def test_a_chunk_larger_than_the_queue_costs_no_others(tmp_path: Path) -> None:
     wait_until(lambda: writer._is_faulty)
     writer.submit(on_log([chunk(10, 20_000), chunk(11)]))
     FaultyFile.error = 0
-    writer.submit(on_log([CloseLog()]))
+    writer.submit(on_log([CloseLog("x")]))
     writer.close()
     assert writer.lost == 1
     assert sequences(tmp_path / f"{STEM}.mcap") == [*range(10), 11]
@@ -362,29 +362,30 @@ def test_a_file_that_takes_no_channel_is_neither_left_nor_told(tmp_path: Path) -
     """The header fits and what follows does not: who waits for an ended file does not wait for that one."""
     writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1)]))
-    wait_until(lambda: bool(writer.sizes) and not writer._waiting)
+    wait_until(lambda: bool(writer.sizes) and not writer._queue)
     FaultyFile.room = FaultyFile.written + 500
     writer.submit(on_log([chunk(2, 5000)]))
     wait_until(lambda: writer._pause_s > log_writer.RETRY_MIN_S)
     FaultyFile.room = 10**9
-    writer.submit(on_log([CloseLog()]))
+    writer.submit(on_log([CloseLog("x")]))
     writer.close()
     told = [one for one in writer.notices() if isinstance(one, Opened | Ended)]
     assert {one.file for one in told} == {name.removesuffix(".part") for name in logs_in(tmp_path)}
     assert [type(one) for one in told] == [Opened, Ended] * (len(told) // 2)
 
 
-def test_an_incident_repeats_nothing_of_the_one_before(tmp_path: Path) -> None:
-    """It is told all that it needs: nothing is in it twice, and nothing of another robot's past."""
+def test_an_incident_begins_with_what_its_log_has_declared(tmp_path: Path) -> None:
+    """Whether a file of the log is open or not; and with nothing of the incident before it."""
     writer = LogWriter(LogDirectory(tmp_path), "test")
+    writer.submit(on_log(BEGIN[1:], "y"))
     for number in range(2):
-        about = WriteMetadata(f"incident {number}", {}, lasts=True)
-        opening = OpenLog("y", WALL_NS, is_incident=True)
-        writer.submit(on_log([opening, *BEGIN[1:], about, chunk(number), CloseLog()], "y!"))
+        about = WriteMetadata("x", f"incident {number}", {}, lasts=True)
+        opening = OpenLog("y!", "y", WALL_NS, is_incident=True)
+        writer.submit(on_log([opening, about, chunk(number), CloseLog("x")], "y!"))
     writer.close()
     first, second = tmp_path / "y-20270115T080000Z.incident.mcap", tmp_path / "y-20270115T080000Z.incident-2.mcap"
-    assert names(first) == ["cruiser", "cruiser.once", "incident 0", "a.dbc"]
-    assert names(second) == ["cruiser", "cruiser.once", "incident 1", "a.dbc"]
+    assert names(first) == ["cruiser", "incident 0", "a.dbc"]
+    assert names(second) == ["cruiser", "incident 1", "a.dbc"]
     assert (sequences(first), sequences(second)) == ([0], [1])
 
 
@@ -421,18 +422,18 @@ def test_a_disk_that_hangs_and_then_fails_loses_nothing_untold(
     """What it has taken and may not keep is held; when that is too much no more is written, and waits."""
     disk = SlowDisk(monkeypatch)
     writer = LogWriter(LogDirectory(tmp_path), "test", queue_bytes=20_000)
-    writer.submit(on_log([*BEGIN, chunk(0), SyncLog()]))
+    writer.submit(on_log([*BEGIN, chunk(0), SyncLog("x")]))
     wait_until(lambda: writer._chains["x"].file is not None and writer._chains["x"].file.kept_size > 0)
     disk.goes_on.clear()
     for number in range(1, 100):
-        writer.submit(on_log([chunk(number, 1000), SyncLog()]))
+        writer.submit(on_log([chunk(number, 1000), SyncLog("x")]))
         assert writer.waiting_bytes + writer._unkept_bytes <= 20_000 + 2000
     wait_until(lambda: writer._unkept_bytes >= 10_000)
     disk.fails = True
     disk.goes_on.set()
     wait_until(lambda: writer._is_faulty)
     disk.fails = False
-    writer.submit(on_log([chunk(100), CloseLog()]))
+    writer.submit(on_log([chunk(100), CloseLog("x")]))
     writer.close()
     found = all_sequences(tmp_path)
     assert found == sorted(set(found)), "nothing is there twice"
@@ -449,13 +450,13 @@ def test_what_may_be_written_again_is_bounded_over_all_logs(
     disk.goes_on.clear()
     writer = LogWriter(LogDirectory(tmp_path), "test", queue_bytes=40_000)
     for log in range(30):
-        writer.submit(on_log([OpenLog(f"x{log}", WALL_NS), BEGIN[-1], chunk(log, 1000)], f"x{log}"))
+        writer.submit(on_log([OpenLog(f"x{log}", f"x{log}", WALL_NS), BEGIN[-1], chunk(log, 1000)], f"x{log}"))
     wait_until(lambda: disk.asked > 0)
     assert 20_000 <= writer._unkept_bytes < 20_000 + 1500
     disk.goes_on.set()
-    wait_until(lambda: not writer._waiting)
+    wait_until(lambda: not writer._queue)
     for log in range(30):
-        writer.submit(on_log([CloseLog()], f"x{log}"))
+        writer.submit(on_log([CloseLog("x")], f"x{log}"))
     writer.close()
     assert (writer.lost, writer._unkept_bytes) == (0, 0)
     assert all_sequences(tmp_path) == list(range(30))
@@ -467,8 +468,8 @@ def test_a_sync_that_fails_before_a_silence_is_seen(tmp_path: Path, monkeypatch:
     disk.goes_on.clear()
     disk.fails = True
     writer = LogWriter(LogDirectory(tmp_path), "test")
-    writer.submit(on_log([*BEGIN, chunk(1), SyncLog()]))
-    wait_until(lambda: disk.asked > 0 and not writer._waiting)
+    writer.submit(on_log([*BEGIN, chunk(1), SyncLog("x")]))
+    wait_until(lambda: disk.asked > 0 and not writer._queue)
     disk.goes_on.set()
     wait_until(lambda: writer._is_faulty)
     disk.fails = False
@@ -478,7 +479,7 @@ def test_a_sync_that_fails_before_a_silence_is_seen(tmp_path: Path, monkeypatch:
         return file is not None and file.kept_size == file.size
 
     wait_until(is_kept)
-    writer.submit(on_log([CloseLog()]))
+    writer.submit(on_log([CloseLog("x")]))
     writer.close()
     assert [type(one) for one in writer.notices()][-2:] == [DiskBack, Ended]
     assert all_sequences(tmp_path) == [1]
@@ -493,13 +494,13 @@ def test_a_file_begun_after_a_fault_is_called_by_what_is_in_it(
     writer.submit(on_log(BEGIN))
     for number in range(5):
         writer.submit(on_log([chunk(1000 * number, at_ns=WALL_NS + (2 * number + 1) * SECOND)]))
-        wait_until(lambda: not writer._waiting and bool(writer.sizes))
+        wait_until(lambda: not writer._queue and bool(writer.sizes))
         FaultyFile.error = errno.ENOSPC
         writer.submit(on_log([chunk(1000 * number + 1, at_ns=WALL_NS + (2 * number + 2) * SECOND)]))
         wait_until(lambda: not writer.sizes)
         FaultyFile.error = 0
         wait_until(lambda: bool(writer.sizes))
-    writer.submit(on_log([CloseLog()]))
+    writer.submit(on_log([CloseLog("x")]))
     writer.close()
     assert all_sequences(tmp_path) == sorted(1000 * number + one for number in range(5) for one in range(2))
     assert logs_in(tmp_path) == [f"x-20270115T0800{second:02}Z.mcap" for second in (0, 2, 4, 6, 8, 10)]
@@ -509,8 +510,8 @@ def test_the_end_waits_for_a_slow_disk_that_gets_on(tmp_path: Path, monkeypatch:
     """Each sync takes its time, and all of them far more than what the end waits for one that does nothing."""
     writer = LogWriter(LogDirectory(tmp_path), "test")
     for log in range(60):
-        writer.submit(on_log([OpenLog(f"x{log}", WALL_NS), BEGIN[-1], chunk(log)], f"x{log}"))
-    wait_until(lambda: not writer._waiting)
+        writer.submit(on_log([OpenLog(f"x{log}", f"x{log}", WALL_NS), BEGIN[-1], chunk(log)], f"x{log}"))
+    wait_until(lambda: not writer._queue)
     fsync = os.fsync
 
     def slow(descriptor: int) -> None:
@@ -520,7 +521,7 @@ def test_the_end_waits_for_a_slow_disk_that_gets_on(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(os, "fsync", slow)
     monkeypatch.setattr(log_writer, "END_S", 1.0)
     for log in range(60):
-        writer.submit(on_log([chunk(100 + log), CloseLog()], f"x{log}"))
+        writer.submit(on_log([chunk(100 + log), CloseLog("x")], f"x{log}"))
     writer.close()
     assert (writer.is_hung, writer.lost, writer.files) == (False, 0, 60)
     assert all_sequences(tmp_path) == [*range(60), *range(100, 160)]
@@ -535,14 +536,15 @@ def test_at_the_end_all_is_written_before_files_are_ended_several_at_once(
     monkeypatch.setattr(FaultyFile, "write", lambda file, data: goes_on.wait(30) and write(file, data))
     writer = LogWriter(LogDirectory(tmp_path), "test")
     for log in range(4):
-        writer.submit(on_log([OpenLog(f"x{log}", WALL_NS), BEGIN[-1], chunk(log), CloseLog()], f"x{log}"))
+        opening = OpenLog("x", f"x{log}", WALL_NS)
+        writer.submit(on_log([opening, BEGIN[-1], chunk(log), CloseLog("x")], f"x{log}"))
     together = threading.Barrier(4, timeout=30)
     waited: list[int] = []
     fsync = os.fsync
 
     def sync(descriptor: int) -> None:
         if stat.S_ISREG(os.fstat(descriptor).st_mode):
-            waited.append(len(writer._waiting))
+            waited.append(len(writer._queue))
             together.wait()
         fsync(descriptor)
 
@@ -561,20 +563,20 @@ def test_at_the_end_what_the_disk_fails_to_keep_is_written_again(
     """Of each log, and of the file before the last one too."""
     disk = SlowDisk(monkeypatch)
     fails = iter([True] * 3)
-    write_end = log_file.LogFile._sync_all
+    write_end = part_file.PartFile._sync_all
 
-    def sync_all(file: log_file.LogFile) -> None:
+    def sync_all(file: part_file.PartFile) -> None:
         disk.fails = next(fails, False)
         write_end(file)
 
     writer = LogWriter(LogDirectory(tmp_path), "test")
-    monkeypatch.setattr(log_file.LogFile, "_sync_all", sync_all)
+    monkeypatch.setattr(part_file.PartFile, "_sync_all", sync_all)
     with writer._changed:
         writer._is_closing = True
         for log in range(3):
-            opening = OpenLog(f"x{log}", WALL_NS)
-            writer.submit(on_log([opening, BEGIN[-1], chunk(10 * log), CloseLog()], f"x{log}"))
-            writer.submit(on_log([opening, chunk(10 * log + 1), CloseLog()], f"x{log}"))
+            opening = OpenLog(f"x{log}", f"x{log}", WALL_NS)
+            writer.submit(on_log([opening, BEGIN[-1], chunk(10 * log), CloseLog("x")], f"x{log}"))
+            writer.submit(on_log([opening, chunk(10 * log + 1), CloseLog("x")], f"x{log}"))
     writer.close()
     assert not writer.is_hung
     assert all_sequences(tmp_path) == [0, 1, 10, 11, 20, 21]
@@ -602,10 +604,10 @@ def test_what_a_fault_of_our_own_leaves_unkept_is_counted(tmp_path: Path, monkey
     disk = SlowDisk(monkeypatch)
     writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1), chunk(2)]))
-    wait_until(lambda: not writer._waiting and writer._chains["x"].unkept_bytes > 200)
+    wait_until(lambda: not writer._queue and writer._unkept_bytes > 200)
     disk.fails = True
-    monkeypatch.setattr(writer, "_carry_out", lambda _: 1 / 0)
-    writer.submit(on_log([SyncLog()]))
+    monkeypatch.setattr(writer, "_apply", lambda _: 1 / 0)
+    writer.submit(on_log([SyncLog("x")]))
     with pytest.raises(ZeroDivisionError):
         writer.close()
     assert (writer.lost, logs_in(tmp_path)) == (2, [])
@@ -615,11 +617,11 @@ def test_an_incident_is_called_by_what_it_is_about_after_a_fault_too(tmp_path: P
     """Its first messages came long before."""
     writer = LogWriter(LogDirectory(tmp_path), "test")
     FaultyFile.error = errno.ENOSPC
-    opening = OpenLog("x", WALL_NS, is_incident=True)
+    opening = OpenLog("x", "x", WALL_NS, is_incident=True)
     writer.submit(on_log([opening, BEGIN[-1], chunk(1, at_ns=WALL_NS - 30 * SECOND)], "x!"))
     wait_until(lambda: writer._is_faulty)
     FaultyFile.error = 0
-    writer.submit(on_log([CloseLog()], "x!"))
+    writer.submit(on_log([CloseLog("x")], "x!"))
     writer.close()
     assert logs_in(tmp_path) == [f"{STEM}.incident.mcap"]
 
@@ -628,9 +630,9 @@ def test_a_file_that_could_not_be_made_whole_is_counted_until_it_is(tmp_path: Pa
     """Without room for its end it is a part, which somebody may recover later."""
     writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1)]))
-    wait_until(lambda: bool(writer.sizes) and not writer._waiting)
+    wait_until(lambda: bool(writer.sizes) and not writer._queue)
     FaultyFile.error = errno.ENOSPC
-    writer.submit(on_log([CloseLog()]))
+    writer.submit(on_log([CloseLog("x")]))
     writer.close()
     assert writer.unfinished == 1
     assert all_sequences(tmp_path) == [1]
@@ -646,7 +648,7 @@ def test_the_end_does_not_wait_for_a_disk_that_does_not_answer(
     monkeypatch.setattr(FaultyFile, "write", lambda file, data: goes_on.wait(30) and write(file, data))
     monkeypatch.setattr(log_writer, "END_S", 0.05)
     writer = LogWriter(LogDirectory(tmp_path), "test")
-    writer.submit(on_log([*BEGIN, *(chunk(number) for number in range(20)), CloseLog()]))
+    writer.submit(on_log([*BEGIN, *(chunk(number) for number in range(20)), CloseLog("x")]))
     writer.close()
     assert (writer.is_hung, writer.lost) == (True, 20)
     goes_on.set()

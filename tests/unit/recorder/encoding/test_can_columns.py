@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.encoding.can_columns import can_adder, is_common
-from recorder.encoding.key_counters import SEQUENCE_SPAN, Tally
+from recorder.encoding.key_counters import SEQUENCE_SPAN, KeyCounters
 from recorder.encoding.routes import unfold
 from recorder.mcap.chunk import Chunk, ChunkBuilder
 from schemas import codec
@@ -49,22 +49,22 @@ def slow_path(message: CanFrames) -> Chunk | None:
     return chunk.seal()
 
 
-def fast_path(message: CanFrames) -> tuple[bool, Chunk | None, Tally]:
+def fast_path(message: CanFrames) -> tuple[bool, Chunk | None, KeyCounters]:
     """By columns; whether it went that way."""
-    tally, chunk = Tally(), ChunkBuilder()
-    tally.next = message.sequence
-    added = can_adder(tally, chunk, CHANNEL)(codec.encode(message), WALL_NS)
-    return added, chunk.seal(), tally
+    counters, chunk = KeyCounters(), ChunkBuilder()
+    counters.next = message.sequence
+    added = can_adder(counters, chunk, CHANNEL)(codec.encode(message), WALL_NS)
+    return added, chunk.seal(), counters
 
 
 @given(common_batches())
 def test_a_common_batch_becomes_the_same_records(message: CanFrames) -> None:
     """Byte for byte, index and counts included."""
-    added, chunk, tally = fast_path(message)
+    added, chunk, counters = fast_path(message)
     assert added
     assert chunk == slow_path(message)
-    assert (tally.samples, tally.messages, tally.dropped) == (1, len(message.data), message.dropped)
-    assert tally.next == (message.sequence + 1) % SEQUENCE_SPAN
+    assert (counters.samples, counters.messages, counters.dropped) == (1, len(message.data), message.dropped)
+    assert counters.next == (message.sequence + 1) % SEQUENCE_SPAN
 
 
 def test_a_full_chunk_is_left_to_the_slow_path() -> None:
@@ -72,12 +72,12 @@ def test_a_full_chunk_is_left_to_the_slow_path() -> None:
     message = batch(0, [(WALL_NS, feedback(0))])
     whole = slow_path(message)
     assert whole is not None
-    tally, chunk = Tally(), ChunkBuilder(len(whole.records))
-    tally.next = 0
-    add = can_adder(tally, chunk, CHANNEL)
+    counters, chunk = KeyCounters(), ChunkBuilder(len(whole.records))
+    counters.next = 0
+    add = can_adder(counters, chunk, CHANNEL)
     assert add(codec.encode(message), WALL_NS)
     assert not add(codec.encode(msgspec.structs.replace(message, sequence=1)), WALL_NS)
-    assert (tally.samples, tally.next) == (1, 1)
+    assert (counters.samples, counters.next) == (1, 1)
 
 
 @pytest.mark.parametrize(("limit_frames", "added"), [(9, False), (10, True)])
@@ -86,10 +86,10 @@ def test_a_batch_that_is_more_than_a_chunk_is_left_to_the_slow_path(limit_frames
     message = batch(0, [(WALL_NS, feedback(number)) for number in range(10)])
     whole = slow_path(message)
     assert whole is not None
-    tally, chunk = Tally(), ChunkBuilder(len(whole.records) * limit_frames // 10)
-    tally.next = 0
-    assert can_adder(tally, chunk, CHANNEL)(codec.encode(message), WALL_NS) == added
-    assert (tally.messages, len(chunk) > 0) == (10 * added, added)
+    counters, chunk = KeyCounters(), ChunkBuilder(len(whole.records) * limit_frames // 10)
+    counters.next = 0
+    assert can_adder(counters, chunk, CHANNEL)(codec.encode(message), WALL_NS) == added
+    assert (counters.messages, len(chunk) > 0) == (10 * added, added)
 
 
 @given(message_of(CanFrames))

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.encoding.fast_path import Latest, compile_adder
-from recorder.encoding.key_counters import SEQUENCE_SPAN, Tally
+from recorder.encoding.key_counters import SEQUENCE_SPAN, KeyCounters
 from recorder.encoding.transcode import compile_encoder
 from recorder.mcap.chunk import Chunk, ChunkBuilder
 from schemas import codec
@@ -35,13 +35,13 @@ def test_a_message_of_any_class_becomes_the_same_record(data: st.DataObject) -> 
     first = data.draw(st.integers(0, SEQUENCE_SPAN - 10))
     drawn = data.draw(st.lists(message_of(kind), min_size=1, max_size=5))
     messages = [msgspec.structs.replace(one, sequence=first + number) for number, one in enumerate(drawn)]
-    tally, chunk, latest = Tally(), ChunkBuilder(), Latest()
-    tally.next = first
-    add = compile_adder(kind, tally, chunk, CHANNEL, latest)
+    counters, chunk, latest = KeyCounters(), ChunkBuilder(), Latest()
+    counters.next = first
+    add = compile_adder(kind, counters, chunk, CHANNEL, latest)
     assert all(add(codec.encode(one), WALL_NS + number) for number, one in enumerate(messages))
     assert chunk.seal() == slow_path(messages)
-    assert (tally.samples, tally.messages, tally.missed) == (len(messages), len(messages), 0)
-    assert tally.next == first + len(messages)
+    assert (counters.samples, counters.messages, counters.missed) == (len(messages), len(messages), 0)
+    assert counters.next == first + len(messages)
     assert latest.message == codec.decode(
         next(one for one in SUBJECTS if one.type is kind), codec.encode(messages[-1])
     )
@@ -51,21 +51,21 @@ def test_a_message_of_any_class_becomes_the_same_record(data: st.DataObject) -> 
 @pytest.mark.parametrize("sequence", [0, 4, 6, SEQUENCE_SPAN - 1])
 def test_what_does_not_follow_is_left_to_the_slow_path(sequence: int) -> None:
     """A gap, a repetition, a step back: nothing is written or counted."""
-    tally, chunk = Tally(), ChunkBuilder()
-    tally.next = 5
-    add = compile_adder(Gear, tally, chunk, CHANNEL, Latest())
+    counters, chunk = KeyCounters(), ChunkBuilder()
+    counters.next = 5
+    add = compile_adder(Gear, counters, chunk, CHANNEL, Latest())
     assert not add(codec.encode(gear(sequence)), WALL_NS)
-    assert (len(chunk), tally.samples, tally.next) == (0, 0, 5)
+    assert (len(chunk), counters.samples, counters.next) == (0, 0, 5)
 
 
 def test_a_full_chunk_is_left_to_the_slow_path() -> None:
     """Which has it handed over."""
-    tally, chunk = Tally(), ChunkBuilder(1000)
-    tally.next = 0
-    add = compile_adder(Gear, tally, chunk, CHANNEL, Latest())
+    counters, chunk = KeyCounters(), ChunkBuilder(1000)
+    counters.next = 0
+    add = compile_adder(Gear, counters, chunk, CHANNEL, Latest())
     count = next(number for number in range(1000) if not add(codec.encode(gear(number)), WALL_NS))
     assert chunk.is_full
-    assert (tally.samples, tally.next) == (count, count)
+    assert (counters.samples, counters.next) == (count, count)
     chunk.seal()
     assert add(codec.encode(gear(count)), WALL_NS)
 
@@ -73,19 +73,19 @@ def test_a_full_chunk_is_left_to_the_slow_path() -> None:
 @given(st.binary())
 def test_what_cannot_be_decoded_leaves_no_trace(payload: bytes) -> None:
     """It raises, and the next sample is written as if it had not been."""
-    tally, chunk = Tally(), ChunkBuilder()
-    tally.next = 1
-    add = compile_adder(RobotState, tally, chunk, CHANNEL, Latest())
+    counters, chunk = KeyCounters(), ChunkBuilder()
+    counters.next = 1
+    add = compile_adder(RobotState, counters, chunk, CHANNEL, Latest())
     with pytest.raises(msgspec.DecodeError):
         add(payload, WALL_NS)
-    assert (len(chunk), dict(chunk.index), tally.samples, tally.next) == (0, {}, 0, 1)
+    assert (len(chunk), dict(chunk.index), counters.samples, counters.next) == (0, {}, 0, 1)
 
 
 def test_after_a_chunk_is_handed_over_the_next_one_is_filled() -> None:
     """The function of a key outlives its chunks."""
-    tally, chunk = Tally(), ChunkBuilder()
-    tally.next = 0
-    add = compile_adder(Gear, tally, chunk, CHANNEL, Latest())
+    counters, chunk = KeyCounters(), ChunkBuilder()
+    counters.next = 0
+    add = compile_adder(Gear, counters, chunk, CHANNEL, Latest())
     for number in range(3):
         assert add(codec.encode(gear(number)), WALL_NS)
         assert chunk.seal() == slow_path([gear(number)])

@@ -5,92 +5,92 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.encoding.key_counters import SEQUENCE_SPAN, SOURCES_MAX, Tally
+from recorder.encoding.key_counters import SEQUENCE_SPAN, SOURCES_MAX, KeyCounters
 from schemas.recording import GapReason
 
 
 @given(st.integers(0, SEQUENCE_SPAN - 1), st.lists(st.booleans(), min_size=1, max_size=50))
 def test_a_gap_counts_what_is_missing(first: int, arrives: list[bool]) -> None:
     """What is missing between the first and the last that came is counted, across the wrap too."""
-    tally = Tally()
+    counters = KeyCounters()
     numbers = [number for number, comes in enumerate(arrives) if comes]
     for number in numbers:
-        assert tally.count_sequence((first + number) % SEQUENCE_SPAN)
+        assert counters.count_sequence((first + number) % SEQUENCE_SPAN)
     expected = numbers[-1] - numbers[0] + 1 - len(numbers) if numbers else 0
-    assert tally.missed == expected
+    assert counters.missed == expected
 
 
 def test_a_step_back_is_a_new_beginning() -> None:
     """A restarted sender counts from 0; that is no loss."""
-    tally = Tally()
-    assert tally.count_sequence(500)
-    assert not tally.count_sequence(0)
-    assert tally.count_sequence(1)
-    assert tally.missed == 0
+    counters = KeyCounters()
+    assert counters.count_sequence(500)
+    assert not counters.count_sequence(0)
+    assert counters.count_sequence(1)
+    assert counters.missed == 0
 
 
 def test_what_was_dropped_unread_is_not_missed() -> None:
     """But only where it was dropped: elsewhere a gap is one, and what never was numbered hides none."""
-    tally = Tally()
-    tally.lose(GapReason.QUEUE, 5)
-    tally.count_sequence(10)
-    tally.count_sequence(13)
-    assert tally.missed == 2
-    tally.lose(GapReason.QUEUE, 2)
-    tally.lose(GapReason.SIZE, 1)
-    tally.lose(GapReason.DISK, 50)
-    tally.count_sequence(20)
-    assert tally.missed == 5
-    tally.lose(GapReason.SIZE, 1)
-    tally.count_sequence(21)
-    tally.count_sequence(23)
-    assert tally.missed == 6
-    assert tally.unread == 9
-    assert tally.lost == {GapReason.QUEUE: 7, GapReason.SIZE: 2, GapReason.DISK: 50}
+    counters = KeyCounters()
+    counters.lose(GapReason.QUEUE, 5)
+    counters.count_sequence(10)
+    counters.count_sequence(13)
+    assert counters.missed == 2
+    counters.lose(GapReason.QUEUE, 2)
+    counters.lose(GapReason.SIZE, 1)
+    counters.lose(GapReason.DISK, 50)
+    counters.count_sequence(20)
+    assert counters.missed == 5
+    counters.lose(GapReason.SIZE, 1)
+    counters.count_sequence(21)
+    counters.count_sequence(23)
+    assert counters.missed == 6
+    assert counters.unread == 9
+    assert counters.lost == {GapReason.QUEUE: 7, GapReason.SIZE: 2, GapReason.DISK: 50}
 
 
 def test_what_has_come_after_all_is_missed_no_more() -> None:
     """And never less than nothing is missed."""
-    tally = Tally()
-    tally.count_sequence(0)
-    tally.count_sequence(2)
-    tally.find()
-    tally.find()
-    assert tally.missed == 0
+    counters = KeyCounters()
+    counters.count_sequence(0)
+    counters.count_sequence(2)
+    counters.find()
+    counters.find()
+    assert counters.missed == 0
 
 
 @given(st.lists(st.integers(0, 1000), min_size=1))
 def test_frames_lost_on_the_bus_are_counted_from_when_we_came(counts: list[int]) -> None:
     """A count that falls is a gateway's that began anew; without any, nothing is known."""
-    tally = Tally()
-    assert tally.lost_bus is None
+    counters = KeyCounters()
+    assert counters.lost_bus is None
     for count in counts:
-        tally.count_bus(count)
-    assert tally.lost_bus == sum(
+        counters.count_bus(count)
+    assert counters.lost_bus == sum(
         later - earlier if later >= earlier else later for earlier, later in pairwise(counts)
     )
 
 
 def test_another_source_begins_another_sequence() -> None:
     """Two that publish on one key do not look like losses."""
-    tally = Tally()
+    counters = KeyCounters()
     for source, sequence in (("a", 5), ("a", 7), ("b", 900), ("b", 902), ("a", 8)):
-        tally.count_source(source, sequence)
-    assert tally.missed == 2
+        counters.count_source(source, sequence)
+    assert counters.missed == 2
 
 
 def test_sources_that_take_turns_are_followed_each_for_itself() -> None:
     """Of nine lost from each of two, none is hidden by the other."""
-    tally = Tally()
+    counters = KeyCounters()
     for sequence in range(0, 50, 10):
         for source in ("a", "b"):
-            tally.count_source(source, sequence)
-    assert tally.missed == 2 * 4 * 9
+            counters.count_source(source, sequence)
+    assert counters.missed == 2 * 4 * 9
 
 
 def test_sources_without_end_take_no_memory_without_end() -> None:
     """Anybody may make them up."""
-    tally = Tally()
+    counters = KeyCounters()
     for number in range(10 * SOURCES_MAX):
-        tally.count_source(str(number), 7)
-    assert (tally.missed, len(tally._sources)) == (0, SOURCES_MAX)
+        counters.count_source(str(number), 7)
+    assert (counters.missed, len(counters._sources)) == (0, SOURCES_MAX)

@@ -10,7 +10,7 @@ import pytest
 from recorder.encoding.protobuf_schema import message_class
 from recorder.layouts.attached import layouts
 from recorder.layouts.charts import Robot
-from recorder.record.effects import DeclareChannel
+from recorder.record.actions import DeclareChannel
 from schemas.decisions import EventKind
 from schemas.keys import parse
 from tests.support.layout_topics import logged_topics

@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import pytest
 
+from recorder.record.actions import Query
 from recorder.record.backlog import ANSWER_NS, KEPT_SUBJECTS, TRIES, Backlog
-from recorder.record.effects import AskKept, Effect
 from schemas.subjects import KEPT_PIECE
 from tests.support.recorder_fakes import MS, SECOND
 
@@ -30,7 +30,7 @@ class Robot:
     def say(self, *, is_restart: bool = False, is_lost: bool = False) -> None:
         """The next sample by itself."""
         if not is_lost:
-            self.backlog.hear(self.key, self.said, self.now_ns, is_restart=is_restart)
+            self.backlog.receive(self.key, self.said, self.now_ns, is_restart=is_restart)
             self.got.append(self.said)
         self.said += 1
 
@@ -38,18 +38,18 @@ class Robot:
         """Ask and answer."""
         for _ in range(ticks):
             self.now_ns += 50 * MS
-            for effect in self.backlog.ask(self.now_ns):
-                self.answer(effect)
+            for query in self.backlog.queries(self.now_ns):
+                self.answer(query)
 
-    def answer(self, effect: Effect) -> None:
-        assert isinstance(effect, AskKept)
-        if effect.key != self.key:
+    def answer(self, query: Query) -> None:
+        assert query.first is not None
+        if query.key != self.key:
             return
-        self.asked.append(effect.first)
-        start = max(effect.first, self.oldest)
+        self.asked.append(query.first)
+        start = max(query.first, self.oldest)
         for sequence in range(start, min(self.said, start + KEPT_PIECE)):
             was_missing, was_counted = (
-                (False, False) if self.loses(sequence) else self.backlog.take(self.key, sequence)
+                (False, False) if self.loses(sequence) else self.backlog.receive_reply(self.key, sequence)
             )
             self.got += [sequence] * was_missing
             self.counted += was_counted
@@ -64,8 +64,8 @@ def test_a_robot_that_is_new_is_asked_for_all_it_keeps() -> None:
     """Also where it says nothing now."""
     backlog = Backlog()
     backlog.see("fleet", "cruiser-1", 0)
-    assert set(backlog.ask(0)) == {AskKept(key, 0) for key in FIRSTS}
-    assert backlog.ask(MS) == []
+    assert set(backlog.queries(0)) == {Query(key, 0) for key in FIRSTS}
+    assert backlog.queries(MS) == []
 
 
 def test_what_was_said_before_comes_piece_by_piece() -> None:
@@ -122,8 +122,7 @@ def test_a_gateway_that_begins_anew_is_asked_anew() -> None:
     robot.asked.clear()
     robot.said = 5
     robot.say(is_restart=True)
-    asked = [effect for effect in robot.backlog.ask(robot.now_ns) if isinstance(effect, AskKept)]
-    assert {(effect.key, effect.first) for effect in asked} == {(key, 0) for key in FIRSTS}
+    assert set(robot.backlog.queries(robot.now_ns)) == {Query(key, 0) for key in FIRSTS}
 
 
 def test_the_end_is_asked_for_too() -> None:
@@ -132,8 +131,8 @@ def test_the_end_is_asked_for_too() -> None:
     robot.run()
     robot.say()
     robot.say(is_lost=True)
-    for effect in robot.backlog.ask_last(robot.now_ns):
-        robot.answer(effect)
+    for query in robot.backlog.last_queries(robot.now_ns):
+        robot.answer(query)
     assert robot.got == [0, 1]
 
 
@@ -144,9 +143,9 @@ def test_two_gateways_of_one_name_make_no_storm_of_questions() -> None:
     asked = 0
     for number in range(500):
         now_ns = number * 20 * MS
-        backlog.hear(EVENT, 1000 + number, now_ns, is_restart=False)
-        backlog.hear(EVENT, number, now_ns, is_restart=True)
-        asked += sum(one.key == EVENT for one in backlog.ask(now_ns) if isinstance(one, AskKept))
+        backlog.receive(EVENT, 1000 + number, now_ns, is_restart=False)
+        backlog.receive(EVENT, number, now_ns, is_restart=True)
+        asked += sum(one.key == EVENT for one in backlog.queries(now_ns))
     assert 3 <= asked <= 6
-    backlog.hear(EVENT, 7, 60 * SECOND, is_restart=True)
-    assert AskKept(EVENT, 0) in backlog.ask(60 * SECOND)
+    backlog.receive(EVENT, 7, 60 * SECOND, is_restart=True)
+    assert Query(EVENT, 0) in backlog.queries(60 * SECOND)

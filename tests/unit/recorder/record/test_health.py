@@ -3,16 +3,16 @@
 import msgspec
 
 from recorder.encoding.key_counters import SEQUENCE_SPAN
-from recorder.record.effects import Doing
+from recorder.record.actions import Action
 from recorder.record.health import HealthReport, Vitals
-from recorder.record.notices import Lost, Room
-from recorder.record.recording import Recording
+from recorder.record.notices import DiskRoom, Lost
+from recorder.record.recorder import Recorder
 from schemas import codec
 from schemas.messages import Gear
 from schemas.recording import GapReason, RecorderHealth, RecorderState
 from schemas.subjects import BY_TYPE
 from tests.support.recorder_fakes import (
-    RECORDING_PLAN,
+    RECORDER_PLAN,
     SECOND,
     WALL_NS,
     FakeSample,
@@ -42,28 +42,28 @@ def report() -> HealthReport:
     return HealthReport("bench", "1.2", START_NS)
 
 
-def receive(recording: Recording, *sequences: int, robot: str = "a") -> list[Doing]:
+def receive(recorder: Recorder, *sequences: int, robot: str = "a") -> list[Action]:
     """These samples come."""
     return [
-        doing
+        action
         for sequence in sequences
-        for doing in recording.receive_sample(sample_of(gear(sequence), robot), START_NS, WALL_NS)
+        for action in recorder.receive([sample_of(gear(sequence), robot)], START_NS)
     ]
 
 
 def test_it_counts_everything_that_became_of_the_samples() -> None:
     """Samples and messages, of all robots together; what was dropped unread was received, and is not missed."""
-    recording = Recording(msgspec.structs.replace(RECORDING_PLAN, sample_max_bytes=500))
+    recorder = Recorder(msgspec.structs.replace(RECORDER_PLAN, sample_max_bytes=500))
     writer = MemoryWriter()
-    writer.carry_out(receive(recording, 0, 1, 5))
+    writer.apply(receive(recorder, 0, 1, 5))
     frames = batch(0, [(WALL_NS, feedback(number)) for number in range(7)])
-    recording.receive_sample(sample_of(frames, "b"), START_NS, WALL_NS)
+    recorder.receive([sample_of(frames, "b")], START_NS)
     for _ in range(10):
-        recording.drop(key_of(Gear, "b"), GapReason.QUEUE, START_NS, WALL_NS)
-    recording.receive_sample(FakeSample("x", "x", bytes(501)), START_NS, WALL_NS)
-    recording.take_notice(Lost("a", {1: 2}, WALL_NS, WALL_NS), START_NS, WALL_NS)
-    writer.carry_out(recording.mark("a", "", START_NS, WALL_NS)[1])
-    found = report().now(recording, VITALS, START_NS + 3 * SECOND, WALL_NS)
+        recorder.drop(key_of(Gear, "b"), GapReason.QUEUE, START_NS, WALL_NS)
+    recorder.receive([FakeSample("x", "x", bytes(501))], START_NS)
+    recorder.receive_notice(Lost("a", {1: 2}, WALL_NS, WALL_NS), START_NS, WALL_NS)
+    writer.apply(recorder.mark("a", "", START_NS, WALL_NS)[1])
+    found = report().now(recorder, VITALS, START_NS + 3 * SECOND, WALL_NS)
     assert found == RecorderHealth(
         time_ns=WALL_NS,
         sequence=0,
@@ -96,46 +96,46 @@ def test_it_counts_everything_that_became_of_the_samples() -> None:
 
 def test_rates_are_those_of_the_last_second() -> None:
     """Also of what was received and not recorded; who asks between gets the same."""
-    recording, health = Recording(RECORDING_PLAN), report()
-    receive(recording, *range(30))
+    recorder, health = Recorder(RECORDER_PLAN), report()
+    receive(recorder, *range(30))
     for _ in range(10):
-        recording.drop(key_of(Gear, "a"), GapReason.QUEUE, START_NS, WALL_NS)
+        recorder.drop(key_of(Gear, "a"), GapReason.QUEUE, START_NS, WALL_NS)
     cpu_ns = SECOND // 4
-    first = health.next(recording, Vitals(cpu_ns=cpu_ns), START_NS + 2 * SECOND, WALL_NS)
+    first = health.next(recorder, Vitals(cpu_ns=cpu_ns), START_NS + 2 * SECOND, WALL_NS)
     assert (first.received_per_s, first.cpu_percent) == (20.0, 12.5)
-    receive(recording, 40, 41)
-    between = health.now(recording, Vitals(cpu_ns=10 * SECOND), START_NS + 3 * SECOND - 1, WALL_NS)
+    receive(recorder, 40, 41)
+    between = health.now(recorder, Vitals(cpu_ns=10 * SECOND), START_NS + 3 * SECOND - 1, WALL_NS)
     assert (between.received, between.received_per_s, between.cpu_percent) == (42, 20.0, 12.5)
-    second = health.next(recording, Vitals(cpu_ns=cpu_ns), START_NS + 3 * SECOND, WALL_NS)
+    second = health.next(recorder, Vitals(cpu_ns=cpu_ns), START_NS + 3 * SECOND, WALL_NS)
     assert (second.received_per_s, second.cpu_percent) == (2.0, 0.0)
 
 
 def test_it_is_due_each_second_and_numbered() -> None:
     """A gap in the numbers is a loss on the way, so a reply between takes none."""
-    recording, health = Recording(RECORDING_PLAN), report()
+    recorder, health = Recorder(RECORDER_PLAN), report()
     assert not health.is_due(START_NS + SECOND - 1)
     assert health.is_due(START_NS + SECOND)
-    first = health.next(recording, VITALS, START_NS + SECOND, WALL_NS)
+    first = health.next(recorder, VITALS, START_NS + SECOND, WALL_NS)
     assert not health.is_due(START_NS + 2 * SECOND - 1)
-    between = health.now(recording, VITALS, START_NS + SECOND, WALL_NS)
-    second = health.next(recording, VITALS, START_NS + 2 * SECOND, WALL_NS)
+    between = health.now(recorder, VITALS, START_NS + SECOND, WALL_NS)
+    second = health.next(recorder, VITALS, START_NS + 2 * SECOND, WALL_NS)
     assert between.sequence == first.sequence
     assert second.sequence == first.sequence + 1
     health._sequence = SEQUENCE_SPAN - 1
-    assert health.next(recording, VITALS, START_NS + 3 * SECOND, WALL_NS).sequence == 0
+    assert health.next(recorder, VITALS, START_NS + 3 * SECOND, WALL_NS).sequence == 0
 
 
 def test_it_says_since_when_it_does_what_it_does() -> None:
     """At first since the start."""
-    recording, health = Recording(RECORDING_PLAN), report()
+    recorder, health = Recorder(RECORDER_PLAN), report()
 
     def told(after_s: int) -> tuple[RecorderState, float]:
-        one = health.now(recording, VITALS, START_NS + after_s * SECOND, WALL_NS)
+        one = health.now(recorder, VITALS, START_NS + after_s * SECOND, WALL_NS)
         return one.state, one.state_since_s
 
     assert told(2) == (RecorderState.RECORDING, 2.0)
-    recording.take_notice(Room(has_room=False, has_incident_room=True), START_NS, WALL_NS)
+    recorder.receive_notice(DiskRoom(has_room=False, has_incident_room=True), START_NS, WALL_NS)
     assert told(3) == (RecorderState.FULL, 0.0)
     assert told(5) == (RecorderState.FULL, 2.0)
-    recording.stop("operator-1", START_NS, WALL_NS)
+    recorder.stop("operator-1", START_NS, WALL_NS)
     assert told(6) == (RecorderState.STOPPED, 0.0)

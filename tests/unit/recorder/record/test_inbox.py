@@ -5,14 +5,14 @@ import weakref
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.encoding.sample import Sample
-from recorder.record.inbox import SAMPLE_BYTES, Inbox
+from recorder.encoding.received_sample import ReceivedSample
+from recorder.record.inbox import SAMPLE_BYTES, SampleInbox
 from tests.support.recorder_fakes import FakeSample
 
 LIMIT_BYTES = 5000
 
 
-def sample(number: int, size: int) -> Sample:
+def sample(number: int, size: int) -> ReceivedSample:
     """A sample of this size, known by its receipt."""
     return FakeSample("k", "x", bytes(size), received_ns=number)
 
@@ -20,7 +20,7 @@ def sample(number: int, size: int) -> Sample:
 @given(st.lists(st.one_of(st.integers(0, 6000), st.tuples(st.integers(0, 5), st.integers(0, 3000))), max_size=60))
 def test_the_oldest_go_first_and_each_is_taken_or_told(steps: list[int | tuple[int, int]]) -> None:
     """In the order of their receipt, within the limit whatever comes; none goes while there is room."""
-    inbox = Inbox(LIMIT_BYTES)
+    inbox = SampleInbox(LIMIT_BYTES)
     waiting: list[tuple[int, int]] = []
     for number, step in enumerate(steps):
         if isinstance(step, int):
@@ -45,7 +45,7 @@ def test_the_oldest_go_first_and_each_is_taken_or_told(steps: list[int | tuple[i
 
 def test_it_gives_about_as_many_bytes_as_are_wanted() -> None:
     """One sample beyond them at most, and one at least."""
-    inbox = Inbox(LIMIT_BYTES)
+    inbox = SampleInbox(LIMIT_BYTES)
     for number in range(4):
         inbox.put(sample(number, 499))
     assert [one.received_ns for one in inbox.take(10, 999)] == [0]
@@ -55,7 +55,7 @@ def test_it_gives_about_as_many_bytes_as_are_wanted() -> None:
 
 def test_a_sample_larger_than_the_limit_is_told_and_does_not_stay() -> None:
     """Nor do those that waited: they are older."""
-    inbox = Inbox(LIMIT_BYTES)
+    inbox = SampleInbox(LIMIT_BYTES)
     assert inbox.put(sample(1, 100)) == []
     assert inbox.put(sample(2, LIMIT_BYTES)) == [("k", 1), ("k", 2)]
     assert (len(inbox), inbox.bytes) == (0, 0)
@@ -70,7 +70,7 @@ class Received:
 
 def test_what_waits_is_a_copy() -> None:
     """It holds on to nothing; all of the sample is there when its turn comes."""
-    inbox, received = Inbox(1000), Received()
+    inbox, received = SampleInbox(1000), Received()
     gone = weakref.ref(received)
     inbox.put(received)
     del received

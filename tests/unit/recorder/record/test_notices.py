@@ -10,13 +10,13 @@ from recorder.record.notices import (
     Deleted,
     DiskBack,
     DiskFault,
+    DiskRoom,
     Ended,
     Lost,
     Notice,
     Opened,
     Recovered,
-    Room,
-    in_words,
+    announcement_of,
 )
 from schemas.decisions import Severity
 from schemas.recording import RecorderEventKind
@@ -35,7 +35,7 @@ def test_what_is_worth_telling_is_told(
     notice: Notice, kind: RecorderEventKind, severity: Severity, file: str, text: str
 ) -> None:
     """With the file that it is about, also by its name in the text, and what is to be known of it."""
-    word = in_words(notice)
+    word = announcement_of(notice)
     assert word is not None
     assert (word.kind, word.severity, word.file) == (kind, severity, file)
     assert file in word.text
@@ -44,11 +44,11 @@ def test_what_is_worth_telling_is_told(
 
 @pytest.mark.parametrize(
     "notice",
-    [Opened("a", "b"), Ended("a", "b", 1), Lost("a", {}, 0, 0), Room(has_room=True, has_incident_room=True)],
+    [Opened("a", "b"), Ended("a", "b", 1), Lost("a", {}, 0, 0), DiskRoom(has_room=True, has_incident_room=True)],
 )
 def test_what_happens_all_the_time_is_not(notice: Notice) -> None:
     """Files come and go; losses are told as gaps, and room where it makes a difference."""
-    assert in_words(notice) is None
+    assert announcement_of(notice) is None
 
 
 def test_what_ends_a_recording_is_no_mere_information() -> None:

@@ -6,15 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.record.effects import CloseLog, OnLog
-from recorder.record.notices import Deleted, Ended, Opened, Room
-from recorder.record.orders import REPLY_NS, Asked, Orders
-from recorder.record.recording import Recording
+from recorder.record.actions import CloseLog
+from recorder.record.notices import Deleted, DiskRoom, Ended, Opened
+from recorder.record.orders import REPLY_NS, OperatorRequest, Orders
+from recorder.record.recorder import Recorder
 from schemas.codec import PayloadFault
 from schemas.recording import Backfill, Mark, RecorderState, Split, Start, Status, StopRecording
 from schemas.requests import Request
 from tests.support.health_of import health
-from tests.support.recorder_fakes import RECORDING_PLAN, SECOND, WALL_NS, FakeAsked, MemoryWriter, gear, sample_of
+from tests.support.recorder_fakes import RECORDER_PLAN, SECOND, WALL_NS, FakeAsked, MemoryWriter, gear, sample_of
 
 BACKFILL = Backfill("fleet/**", 0, 1)
 
@@ -23,20 +23,20 @@ class Desk:
     """Orders for a recording that a writer in memory carries out."""
 
     def __init__(self) -> None:
-        self.recording = Recording(RECORDING_PLAN)
+        self.recorder = Recorder(RECORDER_PLAN)
         self.writer = MemoryWriter()
-        self.backfills: list[Asked] = []
-        self.orders = Orders(self.recording, lambda: health(self.recording.state), self.backfills.append)
+        self.backfills: list[OperatorRequest] = []
+        self.orders = Orders(self.recorder, lambda: health(self.recorder.state), self.backfills.append)
         self.now_ns = 0
 
     def receive(self, *robots: str) -> None:
         for robot in robots:
-            doings = self.recording.receive_sample(sample_of(gear(0), robot), self.now_ns, WALL_NS)
-            self.writer.carry_out(doings)
+            actions = self.recorder.receive([sample_of(gear(0), robot)], self.now_ns)
+            self.writer.apply(actions)
 
     def ask(self, request: Request | PayloadFault) -> FakeAsked:
         asked = FakeAsked(request)
-        self.writer.carry_out(self.orders.take(asked, self.now_ns, WALL_NS))
+        self.writer.apply(self.orders.obey(asked, self.now_ns, WALL_NS))
         return asked
 
     def notice(self, only: Callable[[str], bool] = lambda _: True) -> None:
@@ -45,12 +45,14 @@ class Desk:
         for notice in notices:
             assert isinstance(notice, Opened | Ended)
             if only(notice.log):
-                self.orders.take_notice(notice)
-                self.writer.carry_out(self.recording.take_notice(notice, self.now_ns, WALL_NS))
+                self.orders.receive_notice(notice)
+                self.writer.apply(self.recorder.receive_notice(notice, self.now_ns, WALL_NS))
         self.orders.tick(self.now_ns)
 
     def room(self, *, has_room: bool = True, has_incident_room: bool = True) -> None:
-        self.writer.carry_out(self.recording.take_notice(Room(has_room, has_incident_room), self.now_ns, WALL_NS))
+        self.writer.apply(
+            self.recorder.receive_notice(DiskRoom(has_room, has_incident_room), self.now_ns, WALL_NS)
+        )
 
 
 def test_a_split_names_the_files_that_it_ended() -> None:
@@ -62,7 +64,7 @@ def test_a_split_names_the_files_that_it_ended() -> None:
     assert not asked.replies
     desk.notice(lambda log: log == "a")
     assert not asked.replies
-    desk.orders.take_notice(Ended("b", "b-0.mcap", 1))
+    desk.orders.receive_notice(Ended("b", "b-0.mcap", 1))
     desk.orders.tick(desk.now_ns)
     assert (asked.answer.ok, asked.answer.files) == (True, ["a-0.mcap", "b-0.mcap"])
     assert asked.answer.detail == "the next samples begin new files"
@@ -75,7 +77,7 @@ def test_a_file_that_the_disk_has_not_begun_yet_is_waited_for() -> None:
     asked = desk.ask(Split())
     desk.notice()
     assert not asked.replies
-    desk.writer.carry_out(desk.recording.tick(desk.now_ns, WALL_NS, {}))
+    desk.writer.apply(desk.recorder.tick(desk.now_ns, WALL_NS, {}))
     desk.notice()
     assert (asked.answer.files, asked.answer.detail) == (["a-0.mcap"], "the next samples begin new files")
 
@@ -117,13 +119,13 @@ def test_a_mark_names_its_incidents() -> None:
     first = desk.ask(Mark("it shook", "a"))
     desk.notice()
     assert first.answer.files == ["a-0.incident.mcap"]
-    assert desk.recording._logs["a"].incidents.about["because"] == "mark by operator-1: it shook"
+    assert desk.recorder._logs["a"].incidents.about["because"] == "mark by operator-1: it shook"
     assert desk.ask(Mark("", "a")).answer.files == ["a-0.incident.mcap"]
     both = desk.ask(Mark())
     assert not both.replies
     desk.notice()
     assert both.answer.files == ["a-0.incident.mcap", "b-0.incident.mcap"]
-    assert desk.recording._logs["b"].incidents.about["because"] == "mark by operator-1"
+    assert desk.recorder._logs["b"].incidents.about["because"] == "mark by operator-1"
 
 
 @pytest.mark.parametrize(
@@ -189,12 +191,12 @@ def test_whoever_asks_is_answered_once_and_in_time(steps: list[Request | Payload
                 desk.notice()
             case "wait":
                 desk.now_ns += SECOND
-                desk.writer.carry_out(desk.recording.tick(desk.now_ns, WALL_NS, {}))
+                desk.writer.apply(desk.recorder.tick(desk.now_ns, WALL_NS, {}))
                 desk.orders.tick(desk.now_ns)
             case "full" | "room":
                 desk.room(has_room=step == "room")
             case "close":
-                desk.orders.take_notice(Deleted("x", 1))
+                desk.orders.receive_notice(Deleted("x", 1))
             case str():
                 pytest.fail(step)
             case _:
@@ -212,7 +214,6 @@ def test_the_files_are_ended_by_what_is_returned() -> None:
     desk = Desk()
     desk.receive("a")
     desk.notice()
-    doings = desk.orders.take(FakeAsked(Split()), 0, WALL_NS)
-    (on_log,) = [one for one in doings if isinstance(one, OnLog)]
-    assert on_log.effects[-1] == CloseLog()
-    desk.writer.carry_out(doings)
+    actions = desk.orders.obey(FakeAsked(Split()), 0, WALL_NS)
+    assert actions[-1] == CloseLog("a")
+    desk.writer.apply(actions)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.record.retention import RESUME_SHARE, ROLL_BYTES, Judgement, Limits, LogEntry, judge
+from recorder.record.retention import RESUME_SHARE, ROLL_BYTES, DiskLimits, Judgement, LogEntry, judge
 from schemas.recorder_settings import INCIDENT_FLOOR_SHARE, INCIDENT_SHARE
 
 SCALE = ROLL_BYTES // 80
@@ -32,7 +32,7 @@ ENTRIES = st.lists(
     ]
 )
 LIMITS = st.builds(
-    Limits,
+    DiskLimits,
     budget_bytes=st.sampled_from([0, 500 * SCALE, 1000 * SCALE]),
     floor_bytes=st.sampled_from([0, 200 * SCALE]),
 )
@@ -49,7 +49,7 @@ def without(entries: list[LogEntry], judgement: Judgement) -> list[LogEntry]:
     return [entry for entry in entries if entry.name not in judgement.delete]
 
 
-def is_within(entries: list[LogEntry], free_bytes: int, limits: Limits) -> bool:
+def is_within(entries: list[LogEntry], free_bytes: int, limits: DiskLimits) -> bool:
     """Whether the limits are kept."""
     return free_bytes >= limits.floor_bytes and (not limits.budget_bytes or used(entries) <= limits.budget_bytes)
 
@@ -58,7 +58,7 @@ def is_within(entries: list[LogEntry], free_bytes: int, limits: Limits) -> bool:
 def test_only_what_may_go_goes_the_oldest_first(
     entries: list[LogEntry],
     free_bytes: int,
-    limits: Limits,
+    limits: DiskLimits,
     is_full: bool,  # noqa: FBT001 - drawn
 ) -> None:
     """Incidents and what is being written never do, and nothing is deleted twice."""
@@ -70,7 +70,7 @@ def test_only_what_may_go_goes_the_oldest_first(
 
 @given(ENTRIES, FREE, LIMITS)
 def test_where_there_is_room_the_limits_are_kept_and_no_log_goes_in_vain(
-    entries: list[LogEntry], free_bytes: int, limits: Limits
+    entries: list[LogEntry], free_bytes: int, limits: DiskLimits
 ) -> None:
     """One file less would not have been enough; and where nothing is enough, nothing goes."""
     judgement = judge(entries, free_bytes, limits, is_full=False)
@@ -90,7 +90,7 @@ def test_where_there_is_room_the_limits_are_kept_and_no_log_goes_in_vain(
 
 @given(ENTRIES, FREE, LIMITS)
 def test_logs_are_ended_only_when_that_makes_room_and_is_worth_it(
-    entries: list[LogEntry], free_bytes: int, limits: Limits
+    entries: list[LogEntry], free_bytes: int, limits: DiskLimits
 ) -> None:
     """Then recording goes on meanwhile, and what is ended may go next."""
     judgement = judge(entries, free_bytes, limits, is_full=False)
@@ -107,7 +107,7 @@ def test_logs_are_ended_only_when_that_makes_room_and_is_worth_it(
 
 @given(ENTRIES, FREE, LIMITS)
 def test_a_recording_that_goes_on_does_not_stop_at_the_next_byte(
-    entries: list[LogEntry], free_bytes: int, limits: Limits
+    entries: list[LogEntry], free_bytes: int, limits: DiskLimits
 ) -> None:
     """It goes on only when a part of the limits is free beyond them."""
     judgement = judge(entries, free_bytes, limits, is_full=True)
@@ -123,7 +123,7 @@ def test_a_recording_that_goes_on_does_not_stop_at_the_next_byte(
 def test_incidents_have_a_share_of_their_own(
     entries: list[LogEntry],
     free_bytes: int,
-    limits: Limits,
+    limits: DiskLimits,
     is_full: bool,  # noqa: FBT001 - drawn
 ) -> None:
     """Of the budget, and of the reserve that logs leave free; whatever the logs take."""
@@ -142,7 +142,7 @@ def log(name: str, size: int, *, is_open: bool = False) -> LogEntry:
 def test_what_an_earlier_recorder_left_is_no_reason_to_end_files() -> None:
     """It is not this one's to end: nothing would come of it but many small files."""
     left = LogEntry("1", 5000 * SCALE, "1", is_open=True)
-    judgement = judge([left, log("2", 100 * SCALE)], 0, Limits(budget_bytes=1000 * SCALE), is_full=False)
+    judgement = judge([left, log("2", 100 * SCALE)], 0, DiskLimits(budget_bytes=1000 * SCALE), is_full=False)
     assert judgement == Judgement((), has_room=False, has_incident_room=True, roll=False)
 
 
@@ -166,16 +166,16 @@ def test_what_is_being_written_is_ended_when_the_rest_is_not_enough(
     """And only then, if it makes a difference."""
     sizes = {"3": open_bytes, "2": 300, "1": 402}
     entries = [log(name, size * SCALE, is_open=name == "3") for name, size in sizes.items()]
-    limits = Limits(800 * SCALE, 5000 * SCALE)
+    limits = DiskLimits(800 * SCALE, 5000 * SCALE)
     assert judge(entries, free_bytes * SCALE, limits, is_full=False) == judgement
 
 
 def test_what_is_ended_and_just_enough_ends_nothing_else() -> None:
     """Nor is a byte too little where all of it together is just enough."""
     entries = [log("1", 300 * SCALE), log("2", 600 * SCALE, is_open=True)]
-    judgement = judge(entries, 0, Limits(budget_bytes=600 * SCALE), is_full=False)
+    judgement = judge(entries, 0, DiskLimits(budget_bytes=600 * SCALE), is_full=False)
     assert (judgement.delete, judgement.roll) == (("1",), False)
-    judgement = judge(entries, 0, Limits(floor_bytes=900 * SCALE), is_full=False)
+    judgement = judge(entries, 0, DiskLimits(floor_bytes=900 * SCALE), is_full=False)
     assert (judgement.delete, judgement.roll, judgement.has_room) == (("1",), True, True)
 
 
@@ -183,24 +183,24 @@ def test_what_is_ended_and_just_enough_ends_nothing_else() -> None:
 def test_incidents_may_fill_their_share_and_no_more(more_bytes: int, *, has_room: bool) -> None:
     """Of the budget; the byte that fills it is the last."""
     incident = msgspec.structs.replace(log("1", int(INCIDENT_SHARE * 1000 * SCALE) + more_bytes), is_incident=True)
-    assert judge([incident], 0, Limits(budget_bytes=1000 * SCALE), is_full=False).has_incident_room is has_room
+    assert judge([incident], 0, DiskLimits(budget_bytes=1000 * SCALE), is_full=False).has_incident_room is has_room
 
 
 @pytest.mark.parametrize(
     ("limits", "free_bytes", "is_full", "has_room"),
     [
-        (Limits(1000, 0), 0, False, True),
-        (Limits(999, 0), 0, False, False),
-        (Limits(1019, 0), 0, True, False),
-        (Limits(1020, 0), 0, True, True),
-        (Limits(0, 1000), 1000, False, True),
-        (Limits(0, 1000), 999, False, False),
-        (Limits(0, 1000), 1019, True, False),
-        (Limits(0, 1000), 1020, True, True),
+        (DiskLimits(1000, 0), 0, False, True),
+        (DiskLimits(999, 0), 0, False, False),
+        (DiskLimits(1019, 0), 0, True, False),
+        (DiskLimits(1020, 0), 0, True, True),
+        (DiskLimits(0, 1000), 1000, False, True),
+        (DiskLimits(0, 1000), 999, False, False),
+        (DiskLimits(0, 1000), 1019, True, False),
+        (DiskLimits(0, 1000), 1020, True, True),
     ],
 )
 def test_to_go_on_takes_more_room_than_not_to_stop(
-    limits: Limits,
+    limits: DiskLimits,
     free_bytes: int,
     is_full: bool,  # noqa: FBT001 - pytest gives it
     has_room: bool,  # noqa: FBT001 - pytest gives it
@@ -213,7 +213,7 @@ def test_to_go_on_takes_more_room_than_not_to_stop(
 def test_without_limits_nothing_goes() -> None:
     """However full the disk is."""
     entries = [LogEntry("a", 10**12, "20270115T080000Z")]
-    assert judge(entries, 0, Limits(), is_full=True) == Judgement(
+    assert judge(entries, 0, DiskLimits(), is_full=True) == Judgement(
         (), has_room=True, has_incident_room=True, roll=False
     )
 
@@ -240,7 +240,7 @@ def test_made_up_robots_cost_the_true_one_no_more_than_its_fair_share() -> None:
     entries = [*logs_of("cruiser-1", *[100] * 10)]
     for number in range(9):
         entries += logs_of(f"spoof-{number}", *[100] * 10, hour=10)
-    judgement = judge(entries, 0, Limits(budget_bytes=1000 * SCALE), is_full=False)
+    judgement = judge(entries, 0, DiskLimits(budget_bytes=1000 * SCALE), is_full=False)
     left = without(entries, judgement)
     robots = {entry.robot for entry in entries}
     assert {robot: bytes_of(robot, left) for robot in robots} == dict.fromkeys(robots, 100)
@@ -250,14 +250,14 @@ def test_made_up_robots_cost_the_true_one_no_more_than_its_fair_share() -> None:
 def test_the_logs_of_the_robot_that_takes_most_go_although_others_are_older() -> None:
     """Its oldest first. A robot that was quiet for long keeps what it has."""
     entries = [*logs_of("quiet", 50, 50), *logs_of("loud", 300, 300, 300, hour=10)]
-    judgement = judge(entries, 0, Limits(budget_bytes=500 * SCALE), is_full=False)
+    judgement = judge(entries, 0, DiskLimits(budget_bytes=500 * SCALE), is_full=False)
     assert judgement.delete == ("loud-20270115T100000Z", "loud-20270115T110000Z")
 
 
 def test_what_a_robot_writes_now_counts_in_its_share() -> None:
     """Its older log goes, before the still older one of a robot that takes less."""
     entries = [*logs_of("quiet", 300), *logs_of("loud", 100, 500, hour=10, is_written=True)]
-    judgement = judge(entries, 0, Limits(budget_bytes=850 * SCALE), is_full=False)
+    judgement = judge(entries, 0, DiskLimits(budget_bytes=850 * SCALE), is_full=False)
     assert judgement.delete == ("loud-20270115T100000Z",)
 
 
@@ -266,7 +266,7 @@ def test_made_up_robots_have_one_share_together_where_robots_are_known() -> None
     entries = logs_of("cruiser-1", *[100] * 10)
     for number in range(1000):
         entries += logs_of(f"spoof-{number}", 10, hour=10)
-    limits = Limits(budget_bytes=2000 * SCALE, known=frozenset({"cruiser-1"}), keep_s=0)
+    limits = DiskLimits(budget_bytes=2000 * SCALE, known=frozenset({"cruiser-1"}), keep_s=0)
     left = without(entries, judge(entries, 0, limits, is_full=False))
     assert bytes_of("cruiser-1", left) == 1000
     assert used(left) <= 2000 * SCALE
@@ -276,7 +276,7 @@ def test_made_up_robots_have_one_share_together_where_robots_are_known() -> None
 def test_the_last_hours_of_a_known_robot_stay(keep_s: int) -> None:
     """Back from where its newest log begins; a log reaches up to the next. What else is there goes before."""
     entries = [*logs_of("cruiser-1", 10, 10, 10, 10, 10), *logs_of("spoof", 1, 1, hour=10)]
-    limits = Limits(budget_bytes=SCALE, known=frozenset({"cruiser-1"}), keep_s=keep_s)
+    limits = DiskLimits(budget_bytes=SCALE, known=frozenset({"cruiser-1"}), keep_s=keep_s)
     kept = {0: 1, 1: 2, 3600: 2, 7200: 3, 7201: 4}[keep_s]
     limits = msgspec.structs.replace(limits, budget_bytes=kept * 10 * SCALE)
     judgement = judge(entries, 0, limits, is_full=False)
@@ -289,7 +289,7 @@ def test_the_last_hours_of_a_known_robot_stay(keep_s: int) -> None:
 def test_of_a_known_robot_whose_starts_are_no_times_the_newest_log_stays(starts: tuple[str, str]) -> None:
     """Anybody can name a file: one that cannot be reckoned with, or an hour before the first year."""
     own = [LogEntry(f"cruiser-1-{start}", 100 * SCALE, start, robot="cruiser-1") for start in starts]
-    limits = Limits(budget_bytes=150 * SCALE, known=frozenset({"cruiser-1"}), keep_s=3600)
+    limits = DiskLimits(budget_bytes=150 * SCALE, known=frozenset({"cruiser-1"}), keep_s=3600)
     judgement = judge([*own, *logs_of("spoof", 50)], 0, limits, is_full=False)
     assert judgement.delete == (own[0].name,)
 
@@ -297,7 +297,7 @@ def test_of_a_known_robot_whose_starts_are_no_times_the_newest_log_stays(starts:
 def test_what_strangers_write_is_ended_before_the_last_hours_of_a_known_robot_go() -> None:
     """It may go as soon as it is a whole log."""
     entries = [*logs_of("cruiser-1", 300, 100, is_written=True), *logs_of("spoof", 600, hour=10, is_written=True)]
-    limits = Limits(budget_bytes=900 * SCALE, known=frozenset({"cruiser-1"}), keep_s=7200)
+    limits = DiskLimits(budget_bytes=900 * SCALE, known=frozenset({"cruiser-1"}), keep_s=7200)
     assert judge(entries, 0, limits, is_full=False) == Judgement(
         (), has_room=True, has_incident_room=True, roll=True
     )
@@ -306,7 +306,7 @@ def test_what_strangers_write_is_ended_before_the_last_hours_of_a_known_robot_go
 def test_when_nothing_else_is_left_a_known_robot_records_on() -> None:
     """Its own oldest log goes, even of its last hours: a robot that stops recording loses more."""
     entries = logs_of("cruiser-1", 300, 300, 300, is_written=True)
-    limits = Limits(budget_bytes=800 * SCALE, known=frozenset({"cruiser-1"}), keep_s=7200)
+    limits = DiskLimits(budget_bytes=800 * SCALE, known=frozenset({"cruiser-1"}), keep_s=7200)
     assert judge(entries, 0, limits, is_full=False) == Judgement(
         ("cruiser-1-20270115T000000Z",), has_room=True, has_incident_room=True, roll=False
     )
@@ -315,7 +315,7 @@ def test_when_nothing_else_is_left_a_known_robot_records_on() -> None:
 def test_when_even_that_is_not_enough_what_a_known_robot_writes_is_ended() -> None:
     """So that it may go in its turn: recording goes on."""
     entries = logs_of("cruiser-1", 300, 600, is_written=True)
-    limits = Limits(budget_bytes=200 * SCALE, known=frozenset({"cruiser-1"}), keep_s=7200)
+    limits = DiskLimits(budget_bytes=200 * SCALE, known=frozenset({"cruiser-1"}), keep_s=7200)
     assert judge(entries, 0, limits, is_full=False) == Judgement(
         ("cruiser-1-20270115T000000Z",), has_room=True, has_incident_room=True, roll=True
     )
@@ -326,7 +326,7 @@ def test_an_incident_of_a_stranger_that_is_being_written_is_no_log_yet() -> None
     [incident] = [
         msgspec.structs.replace(entry, is_incident=True) for entry in logs_of("spoof", 600, is_written=True)
     ]
-    limits = Limits(budget_bytes=1000 * SCALE, known=frozenset({"cruiser-1"}))
+    limits = DiskLimits(budget_bytes=1000 * SCALE, known=frozenset({"cruiser-1"}))
     entries = [incident, *logs_of("cruiser-1", 500)]
     assert judge(entries, 0, limits, is_full=False) == Judgement(
         ("cruiser-1-20270115T000000Z",), has_room=True, has_incident_room=False, roll=False
@@ -336,7 +336,7 @@ def test_an_incident_of_a_stranger_that_is_being_written_is_no_log_yet() -> None
 def test_incidents_of_strangers_go_like_logs_where_robots_are_known() -> None:
     """Else made-up alarms would fill what a known robot's incidents may take, and nothing would ever free it."""
     incidents = [msgspec.structs.replace(entry, is_incident=True) for entry in logs_of("spoof", 300, 300)]
-    limits = Limits(budget_bytes=1000 * SCALE)
+    limits = DiskLimits(budget_bytes=1000 * SCALE)
     assert judge(incidents, 0, limits, is_full=False).has_incident_room is False
     known = msgspec.structs.replace(limits, known=frozenset({"cruiser-1"}))
     assert judge(incidents, 0, known, is_full=False).has_incident_room
@@ -353,7 +353,7 @@ def test_a_recorder_goes_on_for_ever_within_its_limits(
     seconds: list[tuple[int, bool, int]], budget_bytes: int, floor_bytes: int
 ) -> None:
     """Whatever it writes each second, whether its files are short or long, on a disk that others fill a bit."""
-    limits = Limits(budget_bytes * SCALE, floor_bytes * SCALE)
+    limits = DiskLimits(budget_bytes * SCALE, floor_bytes * SCALE)
     entries: list[LogEntry] = []
     others_bytes = 0
     for second, (grows_bytes, ends, others_grow_bytes) in enumerate(seconds):

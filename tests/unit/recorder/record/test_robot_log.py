@@ -1,49 +1,611 @@
-"""What the logs of a recorder share. The logs themselves are tested through ``Recording``."""
+"""One robot's log, without I/O."""
+
+import json
+import tracemalloc
+from collections.abc import Callable, Sequence
+from enum import Enum
+from io import BytesIO
+from itertools import pairwise
+from typing import Any
 
 import msgspec
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.records import Message as McapMessage
+from mcap_protobuf.decoder import DecoderFactory
 
-from recorder.mcap.chunk import ChunkBuilder
-from recorder.record.effects import WriteChunk
-from recorder.record.robot_log import Outlet, RobotLog, trim_rings
-from tests.support.recorder_fakes import INCIDENT_PLAN, PLAN, SECOND
+from recorder.encoding.can_columns import FRAMES_MAX
+from recorder.encoding.foxglove_log import SCHEMA_NAME as FOXGLOVE_LOG
+from recorder.encoding.received_sample import ReceivedSample
+from recorder.encoding.routes import FRAMES_MAX_BYTES
+from recorder.record import channels
+from recorder.record import robots as robots_module
+from recorder.record.accounting import KeyReport
+from recorder.record.actions import (
+    Action,
+    CloseLog,
+    DeclareChannel,
+    OpenLog,
+    Query,
+    SyncLog,
+    WriteAttachment,
+    WriteChunk,
+    WriteMetadata,
+)
+from recorder.record.channels import ChannelQuota
+from recorder.record.notices import Opened
+from recorder.record.robot_log import LogContext, LogPlan, RobotLog
+from schemas import codec, keys
+from schemas.decisions import Decision, EventKind, Journal, SafetyEvent, SafetyState, Severity
+from schemas.messages import CanFrames, FrameHealth, GatewayHealth, GatewayInfo, Gear, Message
+from schemas.recording import GapReason, RecordGap
+from schemas.snake_case import snake_case
+from schemas.subjects import BY_NAME, SUBJECTS, Subject
+from tests.support.random_messages import TEXTS, message_of, subjects_and_messages
+from tests.support.recorder_fakes import (
+    GEAR_FEEDBACK,
+    MS,
+    PLAN,
+    SECOND,
+    WALL_NS,
+    FakeSample,
+    Log,
+    batch,
+    feedback,
+    gear,
+    info,
+    key_of,
+    safety_event,
+    sample_of,
+)
 
-LOGS = 4
+ENCODINGS = st.one_of(st.sampled_from([subject.encoding for subject in SUBJECTS]), TEXTS)
+KEYS = st.one_of(st.sampled_from([key_of(subject.type) for subject in SUBJECTS]), TEXTS)
+TIMES = st.one_of(st.integers(-(2**70), 2**70), st.just(WALL_NS))
+GEAR_KEY = key_of(Gear)
+FRAMES_KEY = key_of(CanFrames)
+INFO_KEY = key_of(GatewayInfo)
 
 
-def chunk(number: int, size: int) -> WriteChunk:
-    """A chunk of one message."""
-    builder = ChunkBuilder()
-    builder.add(1, number, number, number, bytes(size))
-    sealed = builder.seal()
-    assert sealed is not None
-    return WriteChunk(sealed)
+def read(data: bytes) -> list[tuple[str, str, McapMessage, Any]]:
+    """Topic, schema, record and content of every message, but for events' second form."""
+    reader = make_reader(BytesIO(data), validate_crcs=True, decoder_factories=[DecoderFactory()])
+    return [
+        (channel.topic, schema.name if schema else "", message, content)
+        for schema, channel, message, content in reader.iter_decoded_messages(log_time_order=False)
+        if schema is not None and schema.name != FOXGLOVE_LOG
+    ]
+
+
+def in_short(report: KeyReport) -> tuple[int, int, int]:
+    """Messages written, samples missed, frames that the source dropped."""
+    return report.written, report.lost_link, report.lost_source
+
+
+def enumerated(value: Enum) -> str:
+    """What protobuf calls a value of an enumeration."""
+    return f"{snake_case(type(value).__name__).upper()}_{value.name}"
+
+
+def kinds(actions: Sequence[Action]) -> list[type[Action]]:
+    """What sort of action each is."""
+    return [type(action) for action in actions]
+
+
+@given(subjects_and_messages())
+def test_a_sample_of_any_subject_becomes_its_message(pair: tuple[Subject, Message]) -> None:
+    """One channel of the key's own, with the subject's schema; times and sequence are kept."""
+    subject, message = pair
+    log = Log()
+    log.receive(sample_of(message))
+    records = read(log.close())
+    if isinstance(message, CanFrames):
+        return  # has tests of its own
+    topic, schema, record, content = records[0]
+    assert len(records) == 1
+    assert (topic, schema) == (key_of(subject.type), subject.schema_name)
+    assert (record.log_time, record.publish_time, record.sequence) == (WALL_NS, message.time_ns, message.sequence)
+    assert content.time_ns == message.time_ns
+
+
+@given(st.one_of(message_of(SafetyState), message_of(Decision), message_of(SafetyEvent), message_of(Journal)))
+def test_what_the_arbiter_says_is_in_the_log_field_by_field(message: Message) -> None:
+    """A public reader sees it all: enumerations by name, lists of them, null as absent, bytes as they were."""
+    log = Log()
+    log.receive(sample_of(message))
+    ((_, _, _, content),) = read(log.close())
+    fields = content.DESCRIPTOR.fields_by_name
+    for name in message.__struct_fields__:
+        wanted = getattr(message, name)
+        found = getattr(content, name)
+        values = fields[name].enum_type.values_by_number if fields[name].enum_type else {}
+        if isinstance(wanted, Enum):
+            assert values[found].name == enumerated(wanted)
+        elif isinstance(wanted, list):
+            assert [values[number].name for number in found] == [enumerated(one) for one in wanted]
+        elif wanted is None:
+            assert not content.HasField(name)
+        else:
+            assert found == wanted
+
+
+def test_frames_sent_have_a_channel_of_their_own() -> None:
+    """Same class, other key: what was received and what was sent do not mix, each with its own sequence."""
+    sent = batch(0, [(WALL_NS, feedback(0)), (WALL_NS + MS, feedback(1))])
+    subject = BY_NAME["can/{bus}/tx"]
+    key = keys.build("fleet", "cruiser-1", subject, "can0")
+    log = Log()
+    log.receive(sample_of(batch(5, [(WALL_NS, feedback(2))])))
+    log.receive(FakeSample(key, subject.encoding, codec.encode(sent)))
+    records = read(log.close())
+    assert [(topic, schema) for topic, schema, _, _ in records] == [
+        (FRAMES_KEY, "cruiser.CanFrame"),
+        (key, "cruiser.CanFrame"),
+        (key, "cruiser.CanFrame"),
+    ]
+    assert in_short(log.log.channels.counts[key]) == (2, 0, 0)
+    assert [record.publish_time for _, _, record, _ in records[1:]] == [WALL_NS, WALL_NS + MS]
 
 
 @given(
-    steps=st.lists(st.tuples(st.integers(1, SECOND), st.integers(0, LOGS - 1), st.integers(1, 500))),
-    wait_ns=st.integers(0, 40 * SECOND),
-    limit_bytes=st.integers(0, 3000),
+    st.lists(
+        st.builds(FakeSample, KEYS, ENCODINGS, st.binary(max_size=60), st.binary(max_size=9), TIMES), max_size=9
+    ),
+    TIMES,
 )
-def test_all_rings_together_hold_the_newest(
-    steps: list[tuple[int, int, int]], wait_ns: int, limit_bytes: int
+def test_whatever_comes_is_kept_in_a_file_that_others_read(samples: list[ReceivedSample], wall_ns: int) -> None:
+    """Any key, encoding, payload, attachment and time, and any clock of ours: nothing raises, nothing is lost."""
+    log = Log()
+    log.receive(*samples, wall_ns=wall_ns)
+    if not samples:
+        assert log.close() == b""
+        return
+    records = read(log.close())
+    assert len(records) == len(samples)
+    for sample, (topic, schema, record, content) in zip(samples, records, strict=True):
+        assert schema == "cruiser.RawSample"
+        assert (content.key, content.encoding) == (sample.key, sample.encoding)
+        assert (content.payload, content.attachment) == (sample.payload, sample.attachment)
+        assert content.reason
+        assert topic in {sample.key, f"{sample.key}/@raw"}
+        assert 0 <= record.publish_time <= 2**63 - 1
+        assert 0 <= record.log_time <= 2**63 - 1
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda sample: FakeSample(sample.key, sample.encoding, b"\xc1"), ""),
+        (lambda sample: FakeSample(sample.key, "text/plain", sample.payload), "encoding"),
+        (lambda sample: FakeSample(sample.key, sample.encoding.replace("/1", "/2"), sample.payload), "encoding"),
+        (lambda sample: FakeSample(sample.key, "zenoh/bytes", b"", deleted=True), "deleted"),
+        (lambda sample: FakeSample(sample.key, sample.encoding, b""), ""),
+    ],
+)
+def test_a_broken_sample_of_a_known_key_is_kept_beside_the_good_ones(
+    change: Callable[[ReceivedSample], ReceivedSample], reason: str
 ) -> None:
-    """Whosesoever it is: a robot that says much may use what the others leave."""
-    outlet = Outlet()
-    logs = [
-        RobotLog(msgspec.structs.replace(PLAN, name=str(number)), INCIDENT_PLAN, outlet) for number in range(LOGS)
+    """On a channel of its own, so that the key's channel keeps one schema; with the reason."""
+    log = Log()
+    good = sample_of(gear(0))
+    log.receive(good, change(good), sample_of(gear(1)))
+    records = [(topic, schema) for topic, schema, _, _ in read(log.close())]
+    assert records == [
+        (GEAR_KEY, "cruiser.Gear"),
+        (f"{GEAR_KEY}/@raw", "cruiser.RawSample"),
+        (GEAR_KEY, "cruiser.Gear"),
     ]
-    now_ns = 0
-    came: list[tuple[int, int]] = []
-    for number, (step_ns, log, size) in enumerate(steps):
-        now_ns += step_ns
-        one = chunk(number, size)
-        logs[log].incidents.take([one], now_ns)
-        came.append((now_ns, len(one.chunk.records)))
-    now_ns += wait_ns
-    trim_rings(logs, now_ns, limit_bytes)
-    young = [size for at_ns, size in came if now_ns - at_ns <= INCIDENT_PLAN.before_ns]
-    while sum(young) > limit_bytes:
-        young.pop(0)
-    assert sum(log.incidents.ring_bytes for log in logs) == sum(young)
+    assert reason in read(log.disk.getvalue())[1][3].reason
+
+
+@pytest.mark.parametrize("time", [-1, 2**63, 2**64 - 1, None, 1.5, "now"])
+def test_an_absurd_time_is_kept_raw(time: object) -> None:
+    """A time that no log can hold never becomes a publish time."""
+    log = Log()
+    good = sample_of(gear(0))
+    payload = msgspec.msgpack.encode({**msgspec.to_builtins(gear(0)), "time_ns": time})
+    log.receive(good, FakeSample(good.key, good.encoding, payload))
+    records = read(log.close())
+    assert [schema for _, schema, _, _ in records] == ["cruiser.Gear", "cruiser.RawSample"]
+
+
+def test_a_batch_is_unfolded_into_its_frames() -> None:
+    """One record for each frame, published when the bus delivered it, with flags and bytes as received."""
+    log = Log()
+    frames = [(WALL_NS - number * MS, feedback(number)) for number in range(3)]
+    log.receive(sample_of(batch(7, frames, dropped=2)))
+    records = read(log.close())
+    assert {(topic, schema) for topic, schema, _, _ in records} == {(FRAMES_KEY, "cruiser.CanFrame")}
+    assert [(record.publish_time, content.data) for _, _, record, content in records] == frames
+    assert {(record.sequence, record.log_time) for _, _, record, _ in records} == {(7, WALL_NS)}
+    content = records[0][3]
+    assert (content.identifier, content.is_extended, content.dlc, content.bus) == (GEAR_FEEDBACK, True, 8, "can0")
+    assert in_short(log.log.channels.counts[FRAMES_KEY]) == (3, 0, 2)
+
+
+@pytest.mark.parametrize(
+    ("word", "fd", "expected"),
+    [
+        (0x7FF, 0, (0x7FF, False, False, False, False, False, False)),
+        (0x9FFFFFFF, 0, (0x1FFFFFFF, True, False, False, False, False, False)),
+        (0x40000001, 0, (1, False, True, False, False, False, False)),
+        (0x20000004, 0, (4, False, False, True, False, False, False)),
+        (1, 0b111, (1, False, False, False, True, True, True)),
+        (1, 0b100, (1, False, False, False, True, False, False)),
+    ],
+)
+def test_the_flags_of_a_frame_are_told_apart(word: int, fd: int, expected: tuple[object, ...]) -> None:
+    """Extended, remote and error as in linux/can.h; FD with bit rate switch and error state."""
+    log = Log()
+    message = CanFrames(WALL_NS, 0, "can0", 0, [1], [word], [fd], [0], [b""])
+    log.receive(sample_of(message))
+    content = read(log.close())[0][3]
+    flags = (content.is_extended, content.is_remote, content.is_error)
+    fd_flags = (content.is_fd, content.bitrate_switch, content.error_state_indicator)
+    assert (content.identifier, *flags, *fd_flags) == expected
+
+
+def test_a_batch_of_uneven_columns_is_kept_raw() -> None:
+    """Frames are not invented and not lost."""
+    log = Log()
+    message = CanFrames(WALL_NS, 0, "can0", 0, [1, 2], [1], [0], [0], [b""])
+    log.receive(sample_of(message))
+    records = read(log.close())
+    assert [(schema, content.reason) for _, schema, _, content in records] == [
+        ("cruiser.RawSample", "the columns differ in length")
+    ]
+
+
+def test_the_file_is_opened_by_the_first_sample() -> None:
+    """A recorder that waits leaves no file; the opening comes before all else."""
+    log = Log()
+    assert log.tick(SECOND) == []
+    assert log.close() == b""
+    log.receive(sample_of(gear(0)))
+    assert kinds(log.done) == [OpenLog, WriteMetadata, DeclareChannel]
+    assert log.done[0] == OpenLog("cruiser-1", "cruiser-1", WALL_NS)
+
+
+def test_a_channel_is_declared_once_before_its_messages() -> None:
+    """One channel for each key."""
+    log = Log(LogPlan("x", 1, SECOND, "1"))
+    log.receive(*(sample_of(gear(number)) for number in range(3)))
+    assert kinds(log.done) == [OpenLog, WriteMetadata, DeclareChannel, WriteChunk, WriteChunk, WriteChunk]
+
+
+@given(st.lists(st.tuples(st.integers(1, 300), st.booleans()), max_size=60))
+def test_no_message_waits_longer_than_the_setting(steps: list[tuple[int, bool]]) -> None:
+    """With a tick every 10 ms, whatever comes when, half the setting is left to the disk."""
+    log = Log()
+    now, oldest = 0, None
+    for wait_ms, comes in steps:
+        for _ in range(-(-wait_ms // 10)):
+            now += 10 * MS
+            if SyncLog in kinds(log.tick(now)):
+                oldest = None
+            assert oldest is None or now - oldest < PLAN.flush_ns // 2
+        if comes:
+            log.receive(sample_of(gear(0)), now_ns=now)
+            oldest = now if oldest is None else oldest
+
+
+def test_what_a_gateway_still_keeps_fills_the_gap() -> None:
+    """A reply is recorded once, at its key, and is missed no more; what is there already is not recorded again."""
+    message = Journal(time_ns=WALL_NS, sequence=0, run=7, first=0, count=0, inputs=b"\x90")
+    lived = [sample_of(msgspec.structs.replace(message, sequence=number)) for number in range(6)]
+    replies = [FakeSample(one.key, one.encoding, one.payload, is_reply=True) for one in lived]
+    log = Log()
+    log.receive(lived[0])
+    log.tick(0)
+    log.receive(lived[4], now_ns=1)
+    assert in_short(log.log.channels.counts[key_of(Journal)]) == (2, 3, 0)
+    log.tick(2)
+    log.receive(*replies[1:5], now_ns=3)
+    log.receive(*replies, lived[5], now_ns=4)
+    assert in_short(log.log.channels.counts[key_of(Journal)]) == (6, 0, 0)
+    sequences = [content.sequence for topic, _, _, content in read(log.close()) if topic == key_of(Journal)]
+    assert sequences == [0, 4, 1, 2, 3, 5]
+
+
+def test_a_sync_comes_after_the_chunk_and_only_when_there_is_something() -> None:
+    """An idle recorder leaves the disk alone."""
+    log = Log()
+    log.receive(sample_of(gear(0)))
+    assert set(kinds(log.tick(PLAN.flush_ns // 2 - 1))) == {Query}
+    assert kinds(log.tick(PLAN.flush_ns // 2)) == [WriteChunk, SyncLog]
+    assert kinds(log.tick(PLAN.flush_ns)) == []
+
+
+def test_full_chunks_that_are_written_early_are_synced_in_time() -> None:
+    """A chunk that went out by size is at risk until it is synced."""
+    log = Log(LogPlan("x", 1, SECOND, "1"))
+    log.receive(sample_of(gear(0)))
+    assert set(kinds(log.tick(SECOND // 2))) == {Query, SyncLog}
+
+
+def test_a_gateways_answer_is_recorded_described_and_attached() -> None:
+    """The answer to the query that a new robot causes comes as a sample."""
+    log = Log()
+    log.receive(sample_of(gear(0)))
+    assert log.tick(0)[0] == Query(INFO_KEY)
+    log.receive(sample_of(info()))
+    assert [one.name for one in log.done if isinstance(one, WriteAttachment)] == [
+        "cruiser-1/configuration.toml",
+        "cruiser-1/cruiser-coarse.dbc",
+        "cruiser-1/layout.foxglove.json",
+        "cruiser-1/layout.plotjuggler.xml",
+    ]
+    log.log.ask_last(0)
+    assert Query(INFO_KEY) not in log.apply()
+    assert "cruiser.GatewayInfo" in {schema for _, schema, _, _ in read(log.close())}
+
+
+def test_a_restarted_gateway_is_asked_again() -> None:
+    """Its sequence falls back; that is no loss, but it may be another version."""
+    log = Log()
+    log.receive(sample_of(gear(900)), sample_of(info()))
+    log.tick(0)
+    log.receive(sample_of(gear(0)))
+    assert Query(INFO_KEY) in log.tick(2 * SECOND)
+    assert log.log.channels.counts[GEAR_KEY].lost_link == 0
+
+
+def test_missed_samples_are_counted_for_each_key() -> None:
+    """By the gaps in sequence, and told in the log's own metadata; answers to others' queries are no gaps."""
+    log = Log()
+    log.receive(*(sample_of(gear(number)) for number in (0, 1, 5)))
+    log.receive(sample_of(info(sequence=1)), sample_of(info(sequence=9)))
+    assert in_short(log.log.channels.counts[GEAR_KEY]) == (3, 3, 0)
+    data = log.close()
+    metadata = {one.name: one.metadata for one in make_reader(BytesIO(data)).iter_metadata()}
+    told = msgspec.json.decode(metadata["cruiser.completeness"][GEAR_KEY], type=KeyReport)
+    assert (told.sent, told.received, told.written, told.lost_link) == (6, 3, 3, 3)
+    assert log.log.channels.counts[INFO_KEY].lost_link == 0
+
+
+def test_more_keys_than_channels_share_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """MCAP has 65,535 channels; samples beyond are kept with their key. The table's keys have room apart."""
+    monkeypatch.setitem(channels.LIMITS, ChannelQuota.OTHER, 2)
+    monkeypatch.setitem(channels.LIMITS, ChannelQuota.TABLE, 1)
+    log = Log()
+    log.receive(*(FakeSample(f"k/{number}", "x", b"") for number in range(4)))
+    log.receive(sample_of(gear(0)), sample_of(gear(0), "b"))
+    records = read(log.close())
+    assert [topic for topic, _, _, _ in records] == ["k/0", "k/1", "@more", "@more", GEAR_KEY, "@more"]
+    keys_kept = [content.key for topic, _, _, content in records if topic == "@more"]
+    assert keys_kept == ["k/2", "k/3", key_of(Gear, "b")]
+
+
+def test_a_robot_has_room_for_a_few_buses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their names are not in the table: those of further ones are keys like any other."""
+    monkeypatch.setattr(robots_module, "BUS_LIMIT", 2)
+    monkeypatch.setitem(channels.LIMITS, ChannelQuota.OTHER, 1)
+    log = Log()
+    sample = sample_of(batch(0, [(WALL_NS, feedback(0))]))
+    for bus in ("can0", "can1", "can2", "can3", "can0"):
+        log.receive(FakeSample(sample.key.replace("can0", bus), sample.encoding, sample.payload))
+    topics = [topic for topic, _, _, _ in read(log.close())]
+    assert topics == [*(FRAMES_KEY.replace("can0", bus) for bus in ("can0", "can1", "can2")), "@more", FRAMES_KEY]
+
+
+def test_the_answer_of_a_robot_too_many_is_a_sample_like_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is recorded; the log's metadata holds nothing of it."""
+    monkeypatch.setattr(robots_module, "ROBOT_LIMIT", 1)
+    log = Log()
+    log.receive(sample_of(gear(0)), sample_of(info(), "another"))
+    assert not [one for one in log.done if isinstance(one, WriteAttachment)]
+    assert key_of(GatewayInfo, "another") in {topic for topic, _, _, _ in read(log.close())}
+
+
+GAP = RecordGap(WALL_NS, 3, GEAR_KEY, GapReason.QUEUE, WALL_NS - 5, WALL_NS - 1, 7)
+
+
+def test_there_is_always_room_for_what_the_recorder_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many keys others have made up."""
+    monkeypatch.setitem(channels.LIMITS, ChannelQuota.OTHER, 3)
+    log = Log()
+    log.receive(*(FakeSample(f"x/{number}", "", b"") for number in range(9)))
+    log.add_own("own", GAP, SECOND)
+    assert [one[1] for one in read(log.close()) if one[0] == "own"] == ["cruiser.RecordGap"]
+
+
+@given(message_of(GatewayHealth), st.lists(st.integers(0, 100), min_size=1, max_size=5))
+def test_what_the_gateway_never_got_from_the_bus_is_counted_at_its_key(
+    health: GatewayHealth, counts: list[int]
+) -> None:
+    """By its own count, from when we came; of a frame that nobody publishes it is nowhere."""
+    log = Log()
+    log.receive(sample_of(gear(0)))
+    assert log.log.channels.counts[GEAR_KEY].lost_bus is None
+    for sequence, count in enumerate(counts):
+        frames = [
+            FrameHealth(name, 100.0, 0, count, 0, 0, 0, silent=False, alive_faults=0, failures=[])
+            for name in ("Auto_GearFeedBack", "Auto_DriveFeedBack", "what is that")
+        ]
+        log.receive(sample_of(msgspec.structs.replace(health, sequence=sequence, feedback=frames)))
+    lost = sum(later - earlier if later >= earlier else later for earlier, later in pairwise(counts))
+    assert log.log.channels.counts[GEAR_KEY].lost_bus == lost
+    assert set(log.log.channels.counts) == {GEAR_KEY, key_of(GatewayHealth)}
+
+
+@pytest.mark.parametrize(
+    ("count", "reason"),
+    [
+        (FRAMES_MAX, ""),
+        (FRAMES_MAX + 1, f"more than {FRAMES_MAX} frames in a batch"),
+        (10 * FRAMES_MAX, f"a batch of frames is larger than {FRAMES_MAX_BYTES} bytes"),
+    ],
+)
+def test_a_batch_of_absurdly_many_frames_is_kept_as_it_is(count: int, reason: str) -> None:
+    """To unfold it would take seconds; where it is that large, to decode it, too."""
+    log = Log(LogPlan("x", 1 << 30, SECOND, "1"))
+    log.receive(sample_of(batch(0, [(0, bytes(8))] * count)))
+    assert log.log.channels.counts[FRAMES_KEY].written == (0 if reason else count)
+    if reason:
+        ((topic, _, _, content),) = read(log.close())
+        assert (topic, content.reason) == (f"{FRAMES_KEY}/@raw", reason)
+
+
+def test_ever_new_keys_and_robots_cost_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beyond the limits a sample is written, and nothing of it is kept: neither its key, its robot nor a route."""
+    monkeypatch.setitem(channels.LIMITS, ChannelQuota.OTHER, 20)
+    monkeypatch.setitem(channels.LIMITS, ChannelQuota.TABLE, 10)
+    monkeypatch.setattr(robots_module, "ROBOT_LIMIT", 10)
+    # That cache has a bound of its own.
+    monkeypatch.setattr(keys, "_parse", keys._parse.__wrapped__)
+    log = Log(LogPlan("x", 1, SECOND, "1"))  # Every sample is a chunk of its own, and goes.
+
+    def receive(first: int, last: int) -> None:
+        for number in range(first, last):
+            log.log.receive_sample(sample_of(gear(number), f"robot-{number}"), 0, WALL_NS)
+            log.log.receive_sample(FakeSample(f"any/{number}", "x", b""), 0, WALL_NS)
+            log.log.receive_sample(FakeSample(key_of(Gear, f"broken-{number}"), "x", b""), 0, WALL_NS)
+            log.log.incidents.trim(SECOND)
+            log.context.actions.clear()
+
+    receive(0, 500)
+    tracemalloc.start()
+    try:
+        before, _ = tracemalloc.get_traced_memory()
+        receive(500, 3000)
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert after - before < 50_000  # 7,500 keys would be a million and more.
+    assert len(log.log.channels.counts) == 31
+    assert sum(count.written for count in log.log.channels.counts.values()) == 3 * 3000
+
+
+ROLLING = LogPlan("x", 1 << 20, SECOND // 2, "1", rotate_bytes=1000, rotate_ns=60 * SECOND)
+
+
+@pytest.mark.parametrize(
+    ("plan", "now_ns", "file_bytes", "is_ended"),
+    [
+        (ROLLING, 2 * SECOND, 999, False),
+        (ROLLING, 2 * SECOND, 1000, True),
+        (ROLLING, SECOND - 1, 1000, False),
+        (ROLLING, 60 * SECOND - 1, 0, False),
+        (ROLLING, 60 * SECOND, 0, True),
+        (PLAN, 10**18, 10**18, False),
+    ],
+)
+def test_a_file_that_is_large_or_old_enough_is_ended(
+    plan: LogPlan,
+    now_ns: int,
+    file_bytes: int,
+    is_ended: bool,  # noqa: FBT001 - pytest gives it
+) -> None:
+    """By its size, but not at once, or by its time, where these are set; the chunk in hand goes first."""
+    log = Log(plan)
+    log.receive(sample_of(gear(0)))
+    actions = kinds(log.tick(now_ns, file_bytes))
+    assert (CloseLog in actions) == is_ended
+    if is_ended:
+        assert actions[-1] == CloseLog
+        assert actions.index(WriteChunk) < actions.index(WriteMetadata)
+
+
+def test_a_file_in_which_nothing_is_received_is_ended() -> None:
+    """What the recorder itself says is no sign of life of a robot."""
+    log = Log(LogPlan("x", 1 << 20, SECOND, "1", idle_ns=10 * SECOND))
+    log.receive(sample_of(gear(0)))
+    log.tick(5 * SECOND)
+    log.receive(sample_of(gear(1)), now_ns=6 * SECOND)
+    log.tick(7 * SECOND)
+    log.add_own("own", GAP, 8 * SECOND)
+    assert CloseLog not in kinds(log.tick(16 * SECOND - 1))
+    assert kinds(log.tick(16 * SECOND))[-1] == CloseLog
+
+
+def test_the_next_file_begins_with_the_next_sample() -> None:
+    """Named after its time; it says what it continues, and what the newest state was. Nothing is doubled."""
+    context = LogContext()
+    log = RobotLog(ROLLING, context)
+    log.receive_sample(sample_of(gear(4)), 0, WALL_NS)
+    log.receive_sample(sample_of(batch(0, [(WALL_NS, feedback(0))])), 0, WALL_NS)
+    log.receive_opened(Opened("x", "x.mcap"))
+    log.roll("signal", 0)
+    assert context.actions[-1] == CloseLog("x")
+    context.actions.clear()
+    log.roll("signal", 0)
+    log.close(0)
+    assert context.actions == []
+    log.receive_sample(sample_of(gear(5)), SECOND, WALL_NS + SECOND)
+    assert context.actions[0] == OpenLog("x", "x", WALL_NS + SECOND)
+    records = {one.name: one.entries for one in context.actions if isinstance(one, WriteMetadata)}
+    assert records["cruiser.continued"] == {"file": "2", "because": "signal"}
+    assert list(records["cruiser.latest"]) == [GEAR_KEY]
+    latest = json.loads(records["cruiser.latest"][GEAR_KEY])
+    assert (latest["log_time_ns"], latest["message"]["sequence"]) == (WALL_NS, 4)
+    assert latest["message"]["gear_position"] == gear(4).gear_position.value
+    log.close(SECOND)
+    (chunk,) = [one.chunk for one in context.actions if isinstance(one, WriteChunk)]
+    assert chunk.counts == {1: 1}
+
+
+def test_what_the_recorder_says_is_in_the_log_like_a_sample() -> None:
+    """It begins no file: where none is open, it is in the next one. Its time is the one that it says."""
+    log = Log()
+    assert log.add_own("own", GAP) == []
+    log.receive(sample_of(gear(0)))
+    log.tick(SECOND)
+    log.add_own("own", GAP, SECOND)
+    assert SyncLog in kinds(log.tick(2 * SECOND))
+    records = [one for one in read(log.close()) if one[0] == "own"]
+    assert len(records) == 2
+    for record in records:
+        assert (record[1], record[2].log_time, record[2].sequence) == ("cruiser.RecordGap", WALL_NS, 3)
+        assert (record[3].key, record[3].count) == (GEAR_KEY, 7)
+
+
+@pytest.mark.parametrize("kind", EventKind)
+@pytest.mark.parametrize("severity", Severity)
+@pytest.mark.parametrize("is_reply", [False, True])
+def test_an_event_of_the_kinds_that_were_asked_for_is_an_alarm(
+    kind: EventKind,
+    severity: Severity,
+    is_reply: bool,  # noqa: FBT001 - pytest gives it
+) -> None:
+    """Once it is worth a warning, and as it happens; the event itself is in the incident, behind its beginning."""
+    log = Log(LogPlan("x", 1, SECOND, "1", alarms=frozenset({EventKind.STOP, EventKind.FAULT})))
+    # Something of before, so that what a reply holds is missing.
+    log.receive(sample_of(gear(0)))
+    event = sample_of(safety_event(kind, severity))
+    actions = log.receive(FakeSample(event.key, event.encoding, event.payload, is_reply=is_reply))
+    is_alarm = kind in {EventKind.STOP, EventKind.FAULT} and severity is not Severity.INFO and not is_reply
+    begun = [one for one in actions if isinstance(one, OpenLog)]
+    assert begun == [OpenLog("x!", "x", WALL_NS, is_incident=True)] * is_alarm
+    last = actions[-1]
+    assert isinstance(last, WriteChunk)
+    assert last.log == ("x!" if is_alarm else "x")
+    if is_alarm:
+        assert log.log.incidents.about["because"] == f"{kind.value}: as it were"
+
+
+def test_a_batch_becomes_as_many_chunks_as_it_needs() -> None:
+    """None is much larger than it is to be: what cannot wait for the disk would take everything else with it."""
+    limit_bytes = 2000
+    log = Log(LogPlan("x", limit_bytes, SECOND, "1"))
+    log.receive(sample_of(batch(0, [(WALL_NS + number, feedback(number)) for number in range(1000)])))
+    log.close()
+    sizes = [len(one.chunk.records) for one in log.done if isinstance(one, WriteChunk)]
+    assert len(sizes) > 20
+    assert max(sizes) < limit_bytes + 200
+    assert log.log.channels.counts[FRAMES_KEY].written == 1000
+
+
+def test_a_text_without_end_is_cut_where_it_becomes_a_line() -> None:
+    """The reason of an incident is one, and so is the second form of an event; its first form holds it all."""
+    event = msgspec.structs.replace(
+        safety_event(EventKind.STOP), text="x" * 1_000_000, operator="y" * 1_000_000, sequence=0
+    )
+    log = Log(LogPlan("x", 1 << 30, SECOND, "1", alarms=frozenset({EventKind.STOP})))
+    log.receive(sample_of(event))
+    log.close()
+    because = log.log.incidents.about["because"]
+    assert (len(because), because[:9]) == (300, "stop: xxx")
+    chunk = next(one.chunk for one in log.done if isinstance(one, WriteChunk))
+    assert 2_000_000 < len(chunk.records) < 2_002_000

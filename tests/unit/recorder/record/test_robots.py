@@ -6,8 +6,8 @@ import msgspec
 import pytest
 
 from recorder.record import robots as robots_module
-from recorder.record.effects import AskInfo, Effect, WriteAttachment, WriteMetadata
-from recorder.record.robots import ASK_AGAIN_MAX_NS, ASK_AGAIN_NS, ASK_PER_TICK, Robots
+from recorder.record.actions import LogAction, Query, WriteAttachment, WriteMetadata
+from recorder.record.robots import ASK_AGAIN_MAX_NS, ASK_AGAIN_NS, QUERIES_PER_TICK, Robots
 from schemas.messages import Variant
 from tests.support.recorder_fakes import SECOND, WALL_NS, info
 
@@ -17,12 +17,12 @@ LAYOUTS = ["cruiser-1/layout.foxglove.json", "cruiser-1/layout.plotjuggler.xml"]
 
 def seen() -> Robots:
     """One robot, seen at 0."""
-    robots = Robots("1.0")
+    robots = Robots("x", "1.0")
     robots.see("fleet", "cruiser-1", 0)
     return robots
 
 
-def names(effects: list[Effect]) -> list[str]:
+def names(effects: list[LogAction]) -> list[str]:
     """The attachments among the effects."""
     return [one.name for one in effects if isinstance(one, WriteAttachment)]
 
@@ -30,7 +30,7 @@ def names(effects: list[Effect]) -> list[str]:
 def test_a_new_robot_is_asked_at_once_and_again_ever_more_rarely() -> None:
     """A gateway that never answers costs little."""
     robots = seen()
-    asked = [now for now in range(0, 400 * SECOND, SECOND // 10) if robots.ask(now) == [AskInfo(KEY)]]
+    asked = [now for now in range(0, 400 * SECOND, SECOND // 10) if robots.queries(now) == [Query(KEY)]]
     pauses = [later - earlier for earlier, later in pairwise(asked)]
     assert asked[0] == 0
     assert pauses[0] == ASK_AGAIN_NS
@@ -40,35 +40,35 @@ def test_a_new_robot_is_asked_at_once_and_again_ever_more_rarely() -> None:
 
 def test_many_robots_at_once_are_asked_in_turns() -> None:
     """A tick sends a bounded number of queries, and all get their turn."""
-    robots = Robots("1.0")
-    for number in range(3 * ASK_PER_TICK):
+    robots = Robots("x", "1.0")
+    for number in range(3 * QUERIES_PER_TICK):
         robots.see("fleet", f"r{number}", 0)
-    asked: set[Effect] = set()
+    asked: set[Query] = set()
     for _ in range(3):
-        effects = robots.ask(0)
-        assert len(effects) == ASK_PER_TICK
+        effects = robots.queries(0)
+        assert len(effects) == QUERIES_PER_TICK
         asked.update(effects)
-    assert len(asked) == 3 * ASK_PER_TICK
+    assert len(asked) == 3 * QUERIES_PER_TICK
 
 
 def test_robots_beyond_the_limit_are_neither_asked_nor_described(monkeypatch: pytest.MonkeyPatch) -> None:
     """Names can be made up without end; the robots that came first keep their places."""
     monkeypatch.setattr(robots_module, "ROBOT_LIMIT", 2)
-    robots = Robots("1.0")
+    robots = Robots("x", "1.0")
     assert [robots.see("fleet", f"r{number}", 0) for number in (0, 1, 2, 0)] == ["r0", "r1", "r2", "r0"]
-    assert robots.ask(0) == [AskInfo(f"fleet/r{number}/gateway/info") for number in (0, 1)]
-    assert robots.take_info("r2", info(), WALL_NS) == []
+    assert robots.queries(0) == [Query(f"fleet/r{number}/gateway/info") for number in (0, 1)]
+    assert robots.receive_info("r2", info(), WALL_NS) == []
     robots.see_restart("r2", 0)
     assert robots.describe() == [
-        WriteMetadata("cruiser", {"recorder_version": "1.0", "robots": "r0,r1"}, lasts=True)
+        WriteMetadata("x", "cruiser", {"recorder_version": "1.0", "robots": "r0,r1"}, lasts=True)
     ]
 
 
 def test_an_answer_becomes_metadata_and_attachments() -> None:
     """Variant, versions and hash as metadata; configuration and DBC as attachments; no more questions."""
     robots = seen()
-    robots.ask(0)
-    effects = robots.take_info("cruiser-1", info(), WALL_NS)
+    robots.queries(0)
+    effects = robots.receive_info("cruiser-1", info(), WALL_NS)
     assert names(effects) == ["cruiser-1/configuration.toml", "cruiser-1/cruiser-coarse.dbc", *LAYOUTS]
     metadata = effects[-1]
     assert isinstance(metadata, WriteMetadata)
@@ -81,41 +81,42 @@ def test_an_answer_becomes_metadata_and_attachments() -> None:
         "cruiser-1.configuration_sha256": "ab" * 32,
         "cruiser-1.versions.cruiser-gateway": "0.1.0",
     }
-    assert robots.ask(10**15) == robots.ask_last() == robots.describe() == []
+    assert robots.queries(10**15) == robots.last_queries() == []
+    assert robots.describe() == []
 
 
 def test_a_robot_whose_variant_is_unknown_is_asked_again() -> None:
     """The DBC comes with the variant; what was attached already is not attached again."""
     robots = seen()
-    robots.ask(0)
-    first = robots.take_info("cruiser-1", info(Variant.UNKNOWN, dbc=""), WALL_NS)
+    robots.queries(0)
+    first = robots.receive_info("cruiser-1", info(Variant.UNKNOWN, dbc=""), WALL_NS)
     assert names(first) == ["cruiser-1/configuration.toml", *LAYOUTS]
-    assert robots.ask_last() == [AskInfo(KEY)]
-    assert robots.ask(ASK_AGAIN_NS) == [AskInfo(KEY)]
-    assert names(robots.take_info("cruiser-1", info(), WALL_NS)) == ["cruiser-1/cruiser-coarse.dbc"]
+    assert robots.last_queries() == [Query(KEY)]
+    assert robots.queries(ASK_AGAIN_NS) == [Query(KEY)]
+    assert names(robots.receive_info("cruiser-1", info(), WALL_NS)) == ["cruiser-1/cruiser-coarse.dbc"]
 
 
 def test_layouts_are_those_of_the_robot_and_its_bus() -> None:
     """Under its root; they are attached again where the bus is another one, and only then."""
-    robots = Robots("1.0")
+    robots = Robots("x", "1.0")
     robots.see("depot/hall-2", "cruiser-1", 0)
-    effects = robots.take_info("cruiser-1", info(), WALL_NS)
+    effects = robots.receive_info("cruiser-1", info(), WALL_NS)
     layout = next(one for one in effects if isinstance(one, WriteAttachment) and one.name == LAYOUTS[0])
     assert b"depot/hall-2/cruiser-1/can/can0/rx" in layout.data
     other = msgspec.structs.replace(info(), bus="can1")
-    assert names(robots.take_info("cruiser-1", other, WALL_NS)) == LAYOUTS
-    assert names(robots.take_info("cruiser-1", other, WALL_NS)) == []
+    assert names(robots.receive_info("cruiser-1", other, WALL_NS)) == LAYOUTS
+    assert names(robots.receive_info("cruiser-1", other, WALL_NS)) == []
 
 
 def test_a_gateway_that_began_anew_is_asked_again() -> None:
     """It may be another version; the same answer adds nothing to the log. Restarts in a row ask once."""
     robots = seen()
-    robots.take_info("cruiser-1", info(), WALL_NS)
+    robots.receive_info("cruiser-1", info(), WALL_NS)
     robots.see_restart("cruiser-1", 5)
-    assert robots.ask(5) == []
+    assert robots.queries(5) == []
     robots.see_restart("cruiser-1", 6)
-    assert robots.ask(ASK_AGAIN_NS) == [AskInfo(KEY)]
-    assert robots.take_info("cruiser-1", info(), WALL_NS) == []
+    assert robots.queries(ASK_AGAIN_NS) == [Query(KEY)]
+    assert robots.receive_info("cruiser-1", info(), WALL_NS) == []
 
 
 def test_robots_of_one_name_under_two_roots_are_told_apart() -> None:
@@ -123,4 +124,4 @@ def test_robots_of_one_name_under_two_roots_are_told_apart() -> None:
     robots = seen()
     assert robots.see("other/base", "cruiser-1", 0) == "other/base/cruiser-1"
     assert robots.see("fleet", "cruiser-1", 0) == "cruiser-1"
-    assert robots.ask(0) == [AskInfo(KEY), AskInfo("other/base/cruiser-1/gateway/info")]
+    assert robots.queries(0) == [Query(KEY), Query("other/base/cruiser-1/gateway/info")]

@@ -433,7 +433,7 @@ def test_what_the_recorder_could_not_write_is_about_the_data() -> None:
     log.receive(sample_of(gear(0)))
     for number, count in enumerate((3, 4)):
         gap = RecordGap(WALL_NS, number, "fleet/x", GapReason.QUEUE, WALL_NS + SECOND, WALL_NS + 2 * SECOND, count)
-        log.carry_out(log.session.add_own("fleet/@recorder/bench/gap", gap, 0))
+        log.add_own("fleet/@recorder/bench/gap", gap, 0)
     [finding] = check(log.close()).findings
     assert (finding.about, finding.topic, finding.count, finding.time_ns) == (
         About.DATA,

@@ -10,9 +10,8 @@ from mcap.writer import CompressionType
 from recorder.cli.review.info import describe
 from recorder.encoding.protobuf_schema import descriptor_set, schema_name
 from recorder.mcap.channel import LogChannel
-from recorder.record.completeness import KeyReport
+from recorder.record.accounting import COMPLETENESS_NAME, KeyReport
 from recorder.record.incidents import INCIDENT_NAME
-from recorder.record.session import COMPLETENESS_NAME
 from recorder.review.info import LogInfo, SetInfo, Source, read_info, total
 from schemas.exit_codes import CommandError
 from schemas.messages import Gear
@@ -89,7 +88,7 @@ def test_the_last_metadata_holds(path: Path) -> None:
     """A variant that became known later is the one that is told."""
     log = Log()
     log.receive(sample_of(gear(0)))
-    log.carry_out(log.session.tick(0))
+    log.tick(0)
     log.receive(sample_of(info()))
     assert info_of(path, log.close()).variants == {"cruiser-1": "coarse"}
 

@@ -15,9 +15,8 @@ from recorder.encoding.protobuf_schema import descriptor_set, schema_name
 from recorder.mcap.channel import LogChannel
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
-from recorder.record.completeness import KeyReport
+from recorder.record.accounting import COMPLETENESS_NAME, KeyReport
 from recorder.record.robots import METADATA_NAME
-from recorder.record.session import COMPLETENESS_NAME
 from recorder.review.check import check_log
 from recorder.review.info import read_info
 from recorder.review.joining import ordered

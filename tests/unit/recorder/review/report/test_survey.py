@@ -7,7 +7,7 @@ import pytest
 
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
-from recorder.record.session import Plan, Session
+from recorder.record.robot_log import LogPlan
 from recorder.review.report import survey
 from recorder.review.report.findings import Outage
 from recorder.review.report.survey import read_report
@@ -83,7 +83,7 @@ def test_a_name_in_two_logs_is_two_robots(tmp_path: Path) -> None:
         said = RecorderEvent(
             WALL_NS + 9, 0, Severity.WARNING, RecorderEventKind.FULL, "cruiser-1", "", "", f"of {root}"
         )
-        log.carry_out(log.session.add_own(f"{root}/@recorder/vm/event", said, 0))
+        log.add_own(f"{root}/@recorder/vm/event", said, 0)
         paths.append(tmp_path / f"{root}.mcap")
         paths[-1].write_bytes(log.close())
     for one, root in zip(report_of(*paths).robots, ("depot", "fleet"), strict=True):
@@ -212,11 +212,11 @@ def test_a_log_that_was_not_finished_has_no_account(tmp_path: Path) -> None:
 
 def test_what_the_recorder_could_not_keep_is_told(tmp_path: Path) -> None:
     """By topic and reason."""
-    log = Log(Session(Plan(name="a", chunk_bytes=262_144, flush_ns=SECOND // 2, version="0.1.0")))
+    log = Log(LogPlan(name="a", chunk_bytes=262_144, flush_ns=SECOND // 2, version="0.1.0"))
     log.receive(sample_of(info()), *(sample_of(message) for message in drive(3)))
     for reason in (GapReason.DISK, GapReason.QUEUE, GapReason.DISK):
         gap = RecordGap(WALL_NS, 0, "fleet/cruiser-1/state", reason, WALL_NS, WALL_NS, 5)
-        log.carry_out(log.session.add_own("fleet/@recorder/vm/gap", gap, 0))
+        log.add_own("fleet/@recorder/vm/gap", gap, 0)
     path = tmp_path / "a.mcap"
     path.write_bytes(log.close())
     (robot,) = report_of(path).robots

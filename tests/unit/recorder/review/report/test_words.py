@@ -5,7 +5,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from recorder.record.completeness import KeyReport
+from recorder.record.accounting import KeyReport
 from recorder.review.report.findings import Driver, Outage, Refusal, Report, Silence
 from recorder.review.report.words import (
     duration,

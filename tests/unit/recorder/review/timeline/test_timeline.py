@@ -299,8 +299,8 @@ def test_what_the_recorder_says_is_told(path: Path) -> None:
     said = RecorderEvent(WALL_NS + 9, 0, Severity.ERROR, RecorderEventKind.FULL, "", "", "operator-1", "no room")
     log = Log()
     log.receive(sample_of(gear(0)))
-    log.carry_out(log.session.add_own("fleet/@recorder/depot/gap", gap, 0))
-    log.carry_out(log.session.add_own("fleet/@recorder/depot/event", said, 0))
+    log.add_own("fleet/@recorder/depot/gap", gap, 0)
+    log.add_own("fleet/@recorder/depot/event", said, 0)
     entries = told(path, log.close())
     assert [(one.kind, one.robot, one.count, one.operator) for one in entries] == [
         (EntryKind.GAP, ROBOT, 12, ""),
@@ -453,6 +453,6 @@ def test_a_gateway_that_a_recorder_saw_die_is_told_of_its_robot(path: Path) -> N
     log = Log()
     log.receive(sample_of(gear(0)), sample_of(state(0, 0)))
     gone = RecorderEvent(WALL_NS, 0, Severity.ERROR, RecorderEventKind.GATEWAY, ROBOT, "", "", "the gateway died")
-    log.carry_out(log.session.add_own("fleet/@recorder/bench/event", gone, 0))
+    log.add_own("fleet/@recorder/bench/event", gone, 0)
     (entry,) = (one for one in told(path, log.close()) if one.kind is EntryKind.GATEWAY)
     assert (entry.robot, entry.severity, entry.source) == (ROBOT, Severity.ERROR, Source.RECORDER)

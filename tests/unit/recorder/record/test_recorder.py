@@ -1,4 +1,4 @@
-"""All logs of a recorder, without I/O: whatever comes and whatever is asked, each message is accounted for."""
+"""A recorder without I/O: whatever comes and whatever is asked, each message is accounted for."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -14,17 +14,15 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from recorder.encoding.foxglove_log import LOG_CHUNK
-from recorder.encoding.sample import Sample
-from recorder.record import channels, unsaid
-from recorder.record.completeness import KeyReport
-from recorder.record.effects import AskInfo, DeclareChannel, OnLog, Say, WriteMetadata
-from recorder.record.gaps import OTHER_KEYS
+from recorder.encoding.received_sample import ReceivedSample
+from recorder.record import channels, robot_log
+from recorder.record.accounting import COMPLETENESS_NAME, OTHER_KEYS, KeyReport
+from recorder.record.actions import INCIDENT_MARK, LogAction, Publish, Query
 from recorder.record.health import HealthReport, Vitals
-from recorder.record.incidents import INCIDENT_NAME, IncidentPlan
-from recorder.record.notices import Deleted, Lost, Room
-from recorder.record.recording import QUICK_BYTES, TELL_GAPS_NS, Recording, RecordingPlan
-from recorder.record.robot_log import INCIDENT_MARK
-from recorder.record.session import COMPLETENESS_NAME, CONTINUED_NAME, Plan
+from recorder.record.incidents import INCIDENT_NAME
+from recorder.record.notices import Deleted, DiskRoom, Lost
+from recorder.record.recorder import QUICK_BYTES, REPORT_LOSSES_NS, Recorder, RecorderPlan
+from recorder.record.robot_log import CONTINUED_NAME, LogPlan
 from schemas import codec, keys
 from schemas.decisions import ArbiterState, EventKind, SafetyEvent, SafetyState, Severity
 from schemas.messages import CanFrames, GatewayInfo, Gear
@@ -32,7 +30,7 @@ from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, Recor
 from schemas.subjects import BY_TYPE
 from tests.support.recorder_fakes import (
     MS,
-    RECORDING_PLAN,
+    RECORDER_PLAN,
     ROOT,
     SAFETY_STATE,
     SECOND,
@@ -53,9 +51,16 @@ OTHERS: Final = "others"
 """The name of the log for what is no robot's."""
 
 PLAN: Final = msgspec.structs.replace(
-    RECORDING_PLAN,
-    session=Plan(OTHERS, 300, SECOND // 2, "0.1.0", alarms=frozenset({EventKind.STOP})),
-    incident=IncidentPlan(before_ns=2 * SECOND, after_ns=2 * SECOND),
+    RECORDER_PLAN,
+    log=LogPlan(
+        OTHERS,
+        300,
+        SECOND // 2,
+        "0.1.0",
+        alarms=frozenset({EventKind.STOP}),
+        before_ns=2 * SECOND,
+        after_ns=2 * SECOND,
+    ),
     sample_max_bytes=1000,
 )
 GEAR_KEY = key_of(Gear)
@@ -66,8 +71,8 @@ OWN = keys.of_recorder(ROOT, "bench")
 class Bench:
     """A recording, the writer that carries it out, and a clock."""
 
-    def __init__(self, plan: RecordingPlan = PLAN) -> None:
-        self.recording = Recording(plan)
+    def __init__(self, plan: RecorderPlan = PLAN) -> None:
+        self.recorder = Recorder(plan)
         self.writer = MemoryWriter()
         self.now_ns = 0
 
@@ -75,16 +80,16 @@ class Bench:
     def wall_ns(self) -> int:
         return WALL_NS + self.now_ns
 
-    def receive(self, *samples: Sample) -> None:
+    def receive(self, *samples: ReceivedSample) -> None:
         """They come now."""
-        self.writer.carry_out(self.recording.receive(map(self._now, samples), self.now_ns))
+        self.writer.apply(self.recorder.receive(map(self._now, samples), self.now_ns))
 
-    def _now(self, sample: Sample) -> Sample:
+    def _now(self, sample: ReceivedSample) -> ReceivedSample:
         assert isinstance(sample, FakeSample)
         return msgspec.structs.replace(sample, received_ns=self.wall_ns)
 
     def tick(self) -> None:
-        self.writer.carry_out(self.recording.tick(self.now_ns, self.wall_ns, {}))
+        self.writer.apply(self.recorder.tick(self.now_ns, self.wall_ns, {}))
 
     def run(self, span_ns: int) -> None:
         """Let time go by."""
@@ -98,25 +103,25 @@ class Bench:
         """What became of the files."""
         while self.writer.notices:
             notice = self.writer.notices.pop(0)
-            self.writer.carry_out(self.recording.take_notice(notice, self.now_ns, self.wall_ns))
+            self.writer.apply(self.recorder.receive_notice(notice, self.now_ns, self.wall_ns))
 
     def stop(self) -> None:
-        self.writer.carry_out(self.recording.stop("operator-1", self.now_ns, self.wall_ns))
+        self.writer.apply(self.recorder.stop("operator-1", self.now_ns, self.wall_ns))
 
     def start(self) -> None:
-        self.writer.carry_out(self.recording.start("operator-1", self.now_ns, self.wall_ns))
+        self.writer.apply(self.recorder.start("operator-1", self.now_ns, self.wall_ns))
 
     def mark(self, robot: str = "", because: str = "it shook") -> dict[str, str]:
-        marked, doings = self.recording.mark(robot, because, self.now_ns, self.wall_ns)
-        self.writer.carry_out(doings)
+        marked, actions = self.recorder.mark(robot, because, self.now_ns, self.wall_ns)
+        self.writer.apply(actions)
         return marked
 
     def room(self, *, has_room: bool = True, has_incident_room: bool = True, roll: bool = False) -> None:
-        room = Room(has_room, has_incident_room, roll)
-        self.writer.carry_out(self.recording.take_notice(room, self.now_ns, self.wall_ns))
+        room = DiskRoom(has_room, has_incident_room, roll)
+        self.writer.apply(self.recorder.receive_notice(room, self.now_ns, self.wall_ns))
 
     def close(self) -> None:
-        self.writer.carry_out(self.recording.close(self.now_ns, self.wall_ns))
+        self.writer.apply(self.recorder.close(self.now_ns, self.wall_ns))
         self.notice()
 
     def events(self) -> list[RecorderEvent]:
@@ -196,15 +201,15 @@ class Machine(RuleBasedStateMachine):
         known = self.keys.setdefault((robot, key), _Key())
         known.fates.append(fate)
         if fate == "queue":
-            self.bench.recording.drop(key, GapReason.QUEUE, self.bench.now_ns, self.bench.wall_ns)
+            self.bench.recorder.drop(key, GapReason.QUEUE, self.bench.now_ns, self.bench.wall_ns)
         elif fate == "size":
             self.bench.receive(FakeSample(key, "", bytes(1001)))
         elif fate == "come":
-            known.fate_of[self.bench.wall_ns] = (self.bench.recording.state.value, count)
+            known.fate_of[self.bench.wall_ns] = (self.bench.recorder.state.value, count)
             self.bench.receive(sample)
         self.bench.notice()
 
-    def _sample(self, robot: str, frames: int) -> tuple[str, Sample, int]:
+    def _sample(self, robot: str, frames: int) -> tuple[str, ReceivedSample, int]:
         if robot == OTHERS:
             return "fleet/elsewhere", FakeSample("fleet/elsewhere", "text/plain", b"hello"), 1
         key = key_of(CanFrames if frames else Gear, robot)
@@ -222,9 +227,9 @@ class Machine(RuleBasedStateMachine):
         known = self.keys.setdefault((robot, key), _Key())
         known.sequence += 1
         known.fates.append("come")
-        known.fate_of[self.bench.wall_ns] = (self.bench.recording.state.value, 1)
+        known.fate_of[self.bench.wall_ns] = (self.bench.recorder.state.value, 1)
         self.bench.receive(sample_of(safety_event(EventKind.STOP, severity, known.sequence), robot))
-        if severity is not Severity.INFO and self.bench.recording.has_incident_room:
+        if severity is not Severity.INFO and self.bench.recorder.has_incident_room:
             self._begun(robot)
         self.bench.notice()
 
@@ -238,7 +243,7 @@ class Machine(RuleBasedStateMachine):
         file = self.bench.writer.open_file(log + INCIDENT_MARK)
         assert file is not None
         windows = self.windows.setdefault(log, [])
-        now_ns, plan = self.bench.now_ns, PLAN.incident
+        now_ns, plan = self.bench.now_ns, PLAN.log
         if windows and windows[-1].file is file:
             windows[-1].last_ns = now_ns + plan.after_ns
         else:
@@ -260,7 +265,7 @@ class Machine(RuleBasedStateMachine):
 
     @rule()
     def split(self) -> None:
-        self.bench.writer.carry_out(self.bench.recording.roll("split", self.bench.now_ns))
+        self.bench.writer.apply(self.bench.recorder.roll("split", self.bench.now_ns))
         self.bench.notice()
 
     @rule(has_room=st.booleans(), has_incident_room=st.sampled_from([True, True, False]), roll=st.booleans())
@@ -301,7 +306,7 @@ class Machine(RuleBasedStateMachine):
         assert all(_is_ours(topic) for _, topic in found)
 
     def _the_account_of_a_key_adds_up(self, key: str, known: _Key) -> None:
-        report = self.bench.recording.counts.get(key, KeyReport())
+        report = self.bench.recorder.counts.get(key, KeyReport())
         fates = Counter(known.fates)
         came = [index for index, fate in enumerate(known.fates) if fate == "come"]
         seen = known.fates[came[0] : came[-1]] if came else []
@@ -332,7 +337,7 @@ class Machine(RuleBasedStateMachine):
                         is_due = window.first_ns <= time_ns - WALL_NS <= window.last_ns
                         assert found.pop((key, time_ns), 0) in ({count} if is_due else {0, count})
                 assert all(_is_ours(topic) for topic, _ in found)
-        assert self.bench.recording.incidents == sum(map(len, self.windows.values()))
+        assert self.bench.recorder.incidents == sum(map(len, self.windows.values()))
 
     def _log_and_incident_name_each_other(self) -> None:
         for log, windows in self.windows.items():
@@ -346,8 +351,8 @@ class Machine(RuleBasedStateMachine):
                         assert {**one, "file": window.file.name} in back
 
     def _the_health_says_the_same(self) -> None:
-        counts = self.bench.recording.counts.values()
-        health = HealthReport("bench", "1", 0).now(self.bench.recording, Vitals(), self.bench.now_ns, WALL_NS)
+        counts = self.bench.recorder.counts.values()
+        health = HealthReport("bench", "1", 0).now(self.bench.recorder, Vitals(), self.bench.now_ns, WALL_NS)
         assert health.received == sum(one.received for one in counts)
         assert health.written == sum(one.written for one in counts)
         assert health.missed == sum(one.lost_link for one in counts)
@@ -388,18 +393,18 @@ def test_each_robot_has_a_log_and_what_is_no_robots_another(bench: Bench) -> Non
 
 def test_robots_beyond_the_limit_share_a_log(monkeypatch: pytest.MonkeyPatch, bench: Bench) -> None:
     """Anybody on the network can make up names."""
-    bench.recording = Recording(msgspec.structs.replace(PLAN, log_limit=2))
-    monkeypatch.setattr("recorder.record.recording.OWNED_KEY_LIMIT", 4)
+    bench.recorder = Recorder(msgspec.structs.replace(PLAN, log_limit=2))
+    monkeypatch.setattr("recorder.record.recorder.OWNED_KEY_LIMIT", 4)
     for number in range(10):
         bench.receive(sample_of(gear(0), f"r-{number}"))
-        assert len(bench.recording._by_key) <= 4
+        assert len(bench.recorder._by_key) <= 4
     assert set(bench.logs()) == {"r-0", "r-1", "r-2", OTHERS}
 
 
 def test_a_known_robot_has_its_own_log_however_many_others_came_first(bench: Bench) -> None:
     """Made-up names must not push it into the log that strangers share."""
     plan = msgspec.structs.replace(PLAN, log_limit=2, known=frozenset({"cruiser-1"}))
-    bench.recording = Recording(plan)
+    bench.recorder = Recorder(plan)
     for number in range(10):
         bench.receive(sample_of(gear(0), f"r-{number}"))
     bench.receive(sample_of(gear(0)))
@@ -418,7 +423,7 @@ def test_one_log_for_all_if_that_is_wanted() -> None:
 def test_in_standby_nothing_is_written_but_incidents() -> None:
     """Until somebody starts it: then the next sample begins a file. What was before is in none, and no loss."""
     bench = Bench(msgspec.structs.replace(PLAN, standby=True))
-    assert bench.recording.state is RecorderState.STOPPED
+    assert bench.recorder.state is RecorderState.STOPPED
     bench.receive(sample_of(gear(0)))
     bench.run(SECOND)
     assert bench.writer.files == {}
@@ -431,7 +436,7 @@ def test_in_standby_nothing_is_written_but_incidents() -> None:
         [2 * SECOND],
         [0, 2 * SECOND],
     )
-    assert bench.recording.counts[GEAR_KEY] == KeyReport(sent=2, received=2, written=1)
+    assert bench.recorder.counts[GEAR_KEY] == KeyReport(sent=2, received=2, written=1)
     assert bench.gaps() == []
 
 
@@ -447,7 +452,7 @@ def test_what_is_in_hand_when_the_reason_changes_keeps_its_own(bench: Bench) -> 
     bench.room()
     bench.receive(sample_of(gear(4)))
     bench.run(SECOND)
-    report = bench.recording.counts[GEAR_KEY]
+    report = bench.recorder.counts[GEAR_KEY]
     assert (report.received, report.written, report.lost_full) == (5, 2, 2)
     assert sum(gap.count for gap in bench.gaps()) == 2
 
@@ -457,11 +462,11 @@ def test_what_is_in_hand_at_the_end_is_accounted_for_too() -> None:
     bench = Bench()
     bench.receive(sample_of(gear(0)))
     bench.room(has_room=False)
-    bench.run(TELL_GAPS_NS)
+    bench.run(REPORT_LOSSES_NS)
     bench.receive(sample_of(gear(1)))
     bench.mark()
     bench.close()
-    report = bench.recording.counts[GEAR_KEY]
+    report = bench.recorder.counts[GEAR_KEY]
     assert (report.written, report.lost_full) == (1, 1)
     assert [(gap.key, gap.reason, gap.count) for gap in bench.gaps()] == [(GEAR_KEY, GapReason.FULL, 1)]
     assert times(bench.writer.files["cruiser-1!"][0]) == [0, SECOND]
@@ -480,8 +485,8 @@ def test_an_incident_ends_with_what_was_in_hand(bench: Bench) -> None:
 
 def test_an_incident_of_no_time_holds_its_cause(bench: Bench) -> None:
     """Nothing before and nothing after, but the event."""
-    plan = msgspec.structs.replace(PLAN, incident=IncidentPlan(before_ns=0, after_ns=0))
-    bench.recording = Recording(plan)
+    plan = msgspec.structs.replace(PLAN, log=msgspec.structs.replace(PLAN.log, before_ns=0, after_ns=0))
+    bench.recorder = Recorder(plan)
     bench.receive(sample_of(safety_event(EventKind.STOP)))
     bench.run(10 * MS)
     assert times(bench.writer.files["cruiser-1!"][0], EVENT_KEY) == [0]
@@ -541,7 +546,7 @@ def test_incident_and_log_find_each_other_however_late_the_disk_is(bench: Bench)
     bench.receive(sample_of(safety_event(EventKind.STOP)))
     bench.now_ns += SECOND
     bench.notice()
-    bench.writer.carry_out(bench.recording.roll("split", bench.now_ns))
+    bench.writer.apply(bench.recorder.roll("split", bench.now_ns))
     bench.receive(sample_of(gear(1)))
     bench.notice()
     bench.close()
@@ -556,17 +561,17 @@ def test_an_alarm_is_of_its_kind_and_of_now(bench: Bench) -> None:
     """What is merely said, what is not asked for, and what a gateway kept of long ago make no incident."""
     event = sample_of(safety_event(EventKind.STOP))
     bench.receive(sample_of(gear(0)), FakeSample(event.key, event.encoding, event.payload, is_reply=True))
-    assert bench.recording.counts[EVENT_KEY].received == 1
+    assert bench.recorder.counts[EVENT_KEY].received == 1
     bench.receive(sample_of(safety_event(EventKind.LEASE)), sample_of(safety_event(EventKind.STOP, Severity.INFO)))
-    assert bench.recording.incidents == 0
+    assert bench.recorder.incidents == 0
     bench.receive(event)
-    assert bench.recording.incidents == 1
+    assert bench.recorder.incidents == 1
 
 
 TOKEN = keys.liveliness(ROOT, "cruiser-1")
 
 
-def arbiter(bench: Bench, sequence: int, engaged: ArbiterState, *, run: int = 1) -> Sample:
+def arbiter(bench: Bench, sequence: int, engaged: ArbiterState, *, run: int = 1) -> ReceivedSample:
     """A state that is published now, of one of several runs of the gateway."""
     tick = run * 10**10 + sequence
     said = msgspec.structs.replace(SAFETY_STATE, sequence=sequence, tick=tick, state=engaged, output_speed_mps=0.6)
@@ -585,12 +590,12 @@ def test_a_gateway_that_dies_at_work_is_an_incident(bench: Bench, restart_ns: in
     """Whether another one begins soon, late, or never; it is said, with what the dead one told the chassis."""
     drive(bench)
     dead_ns = bench.wall_ns
-    bench.recording.lose_token(TOKEN, bench.now_ns)
+    bench.recorder.lose_token(TOKEN, bench.now_ns)
     if restart_ns is not None:
         bench.run(restart_ns)
         drive(bench, ArbiterState.STANDBY, run=2)
     bench.run(SECOND)
-    assert bench.recording.incidents == 1
+    assert bench.recorder.incidents == 1
     (gone,) = [one for one in bench.events() if one.kind is RecorderEventKind.GATEWAY]
     assert (gone.robot, gone.severity, gone.time_ns) == ("cruiser-1", Severity.ERROR, dead_ns)
     assert "its token is gone, and it was engaged, and told 0.60 m/s" in gone.text
@@ -603,9 +608,9 @@ def test_a_gateway_that_dies_at_work_is_an_incident(bench: Bench, restart_ns: in
 def test_a_gateway_that_stands_by_is_told_and_makes_no_incident(bench: Bench) -> None:
     """Nothing was told the chassis; links of robots that stand come and go all day."""
     drive(bench, ArbiterState.STANDBY)
-    bench.recording.lose_token(TOKEN, bench.now_ns)
+    bench.recorder.lose_token(TOKEN, bench.now_ns)
     bench.run(SECOND)
-    assert bench.recording.incidents == 0
+    assert bench.recorder.incidents == 0
     (gone,) = [one for one in bench.events() if one.kind is RecorderEventKind.GATEWAY]
     assert gone.severity is Severity.WARNING
 
@@ -616,32 +621,32 @@ def test_a_gateway_that_was_told_to_end_has_not_died(bench: Bench) -> None:
         drive(bench, engaged, first=10 * sequence)
         ends = msgspec.structs.replace(safety_event(EventKind.GATEWAY, Severity.INFO, sequence), tick=10**10)
         bench.receive(sample_of(ends))
-        bench.recording.lose_token(TOKEN, bench.now_ns)
+        bench.recorder.lose_token(TOKEN, bench.now_ns)
         bench.run(SECOND)
-        assert bench.recording.incidents == incidents
+        assert bench.recorder.incidents == incidents
 
 
 def test_a_token_that_goes_while_the_states_go_on_tells_nothing(bench: Bench) -> None:
     """Anybody may declare it and take it back. Nor does one of a robot that is not recorded."""
     drive(bench)
-    bench.recording.lose_token(TOKEN, bench.now_ns)
-    bench.recording.lose_token(keys.liveliness(ROOT, "stranger"), bench.now_ns)
-    bench.recording.lose_token("odd", bench.now_ns)
+    bench.recorder.lose_token(TOKEN, bench.now_ns)
+    bench.recorder.lose_token(keys.liveliness(ROOT, "stranger"), bench.now_ns)
+    bench.recorder.lose_token("odd", bench.now_ns)
     for first in range(10, 310, 10):
         drive(bench, first=first)
     bench.run(SECOND)
-    assert bench.recording.incidents == 0
+    assert bench.recorder.incidents == 0
     assert bench.events() == []
 
 
 def test_states_that_wait_for_a_busy_recorder_hide_no_death(bench: Bench) -> None:
     """They come in after the token is gone, and then no more."""
     drive(bench)
-    bench.recording.lose_token(TOKEN, bench.now_ns)
+    bench.recorder.lose_token(TOKEN, bench.now_ns)
     drive(bench, first=10)
     drive(bench, first=20)
     bench.run(SECOND)
-    assert bench.recording.incidents == 1
+    assert bench.recorder.incidents == 1
 
 
 def test_without_room_for_incidents_there_are_none(bench: Bench) -> None:
@@ -657,7 +662,7 @@ def test_without_room_for_incidents_there_are_none(bench: Bench) -> None:
     assert bench.mark() == {}
     bench.run(3 * SECOND)
     bench.receive(sample_of(safety_event(EventKind.STOP, sequence=1)))
-    assert bench.recording.incidents == 1
+    assert bench.recorder.incidents == 1
     assert len(times(incident)) == 2
     (cut,) = [one for one in bench.events() if "ended early" in one.text]
     assert (cut.kind, cut.severity, cut.file) == (RecorderEventKind.INCIDENT, Severity.ERROR, incident.name)
@@ -665,21 +670,21 @@ def test_without_room_for_incidents_there_are_none(bench: Bench) -> None:
 
 def test_the_rings_share_their_memory(bench: Bench) -> None:
     """However much comes, from however many robots."""
-    bench.recording = Recording(msgspec.structs.replace(PLAN, ring_bytes=10_000))
+    bench.recorder = Recorder(msgspec.structs.replace(PLAN, ring_bytes=10_000))
     for number in range(300):
         bench.receive(sample_of(gear(number), f"r-{number % 3}"))
         bench.run(10 * MS)
-        assert bench.recording.ring_bytes <= 10_000
-    assert bench.recording.ring_bytes > 5000
+        assert bench.recorder.ring_bytes <= 10_000
+    assert bench.recorder.ring_bytes > 5000
 
 
 def test_a_loss_is_told_in_the_log_that_it_is_about(bench: Bench) -> None:
     """Also of a broken sample's topic, which is no key; once a second, all of a key together."""
     for robot in ("a", "b"):
         bench.receive(sample_of(gear(0), robot), FakeSample(key_of(Gear, robot), "text/plain", b""))
-    bench.writer.carry_out(bench.recording.take_notice(Lost("a", {1: 3, 2: 2}, WALL_NS, WALL_NS + 5), 0, WALL_NS))
-    bench.writer.carry_out(bench.recording.take_notice(Lost("a", {1: 1}, WALL_NS + 7, WALL_NS + 9), 0, WALL_NS))
-    bench.run(TELL_GAPS_NS)
+    bench.writer.apply(bench.recorder.receive_notice(Lost("a", {1: 3, 2: 2}, WALL_NS, WALL_NS + 5), 0, WALL_NS))
+    bench.writer.apply(bench.recorder.receive_notice(Lost("a", {1: 1}, WALL_NS + 7, WALL_NS + 9), 0, WALL_NS))
+    bench.run(REPORT_LOSSES_NS)
     key = key_of(Gear, "a")
     assert [(gap.key, gap.count, gap.first_ns, gap.last_ns) for gap in bench.gaps()] == [
         (key, 4, WALL_NS, WALL_NS + 9),
@@ -695,18 +700,18 @@ def test_what_the_disk_lost_of_an_incident_is_no_loss_of_the_log(bench: Bench) -
     """Nor is anything told of a log that nobody knows."""
     bench.receive(sample_of(gear(0)))
     for log in ("cruiser-1!", "nobody"):
-        assert bench.recording.take_notice(Lost(log, {1: 1}, 0, 0), 0, WALL_NS) == []
-    bench.run(TELL_GAPS_NS)
-    assert bench.recording.counts[GEAR_KEY].lost_disk == 0
+        assert bench.recorder.receive_notice(Lost(log, {1: 1}, 0, 0), 0, WALL_NS) == []
+    bench.run(REPORT_LOSSES_NS)
+    assert bench.recorder.counts[GEAR_KEY].lost_disk == 0
 
 
 def test_a_robot_whose_first_sample_is_dropped_is_asked_all_the_same(bench: Bench) -> None:
     """And its answer describes the log."""
-    bench.recording.drop(key_of(GatewayInfo), GapReason.QUEUE, 0, WALL_NS)
-    assert list(bench.recording._logs) == ["cruiser-1"]
-    doings = bench.recording.tick(0, WALL_NS, {})
-    assert AskInfo(key_of(GatewayInfo)) in doings
-    bench.writer.carry_out(doings)
+    bench.recorder.drop(key_of(GatewayInfo), GapReason.QUEUE, 0, WALL_NS)
+    assert list(bench.recorder._logs) == ["cruiser-1"]
+    actions = bench.recorder.tick(0, WALL_NS, {})
+    assert Query(key_of(GatewayInfo)) in actions
+    bench.writer.apply(actions)
     bench.receive(sample_of(info()))
     bench.close()
     described = metadata(bench.logs()["cruiser-1"][0], "cruiser")
@@ -716,15 +721,15 @@ def test_a_robot_whose_first_sample_is_dropped_is_asked_all_the_same(bench: Benc
 def test_a_sample_that_is_too_large_is_counted_and_no_more(bench: Bench) -> None:
     """One byte less is recorded."""
     bench.receive(FakeSample("x", "x", bytes(1000)), FakeSample("x", "x", bytes(1001)))
-    bench.run(TELL_GAPS_NS)
-    assert bench.recording.counts["x"] == KeyReport(received=2, written=1, lost_size=1)
+    bench.run(REPORT_LOSSES_NS)
+    assert bench.recorder.counts["x"] == KeyReport(received=2, written=1, lost_size=1)
     assert [(gap.key, gap.reason, gap.count) for gap in bench.gaps()] == [("x", GapReason.SIZE, 1)]
 
 
 def test_what_is_said_is_numbered_and_said_in_every_log_that_is_written(bench: Bench) -> None:
     """A stop by the one who asked for it, what was deleted, and a disk that is full and is not any more."""
     bench.receive(sample_of(gear(0), "a"), sample_of(gear(0), "b"))
-    bench.writer.carry_out(bench.recording.take_notice(Deleted("old.mcap", 5), 0, WALL_NS))
+    bench.writer.apply(bench.recorder.receive_notice(Deleted("old.mcap", 5), 0, WALL_NS))
     bench.room(has_room=False)
     bench.room(has_room=False)
     bench.room()
@@ -745,7 +750,7 @@ def test_what_is_said_is_numbered_and_said_in_every_log_that_is_written(bench: B
         # No file is being written when there is room again, nor at the start: nothing has come since.
         assert [len([1 for topic, _ in messages(file) if topic == f"{OWN}/event"]) for file in files] == [2]
     # What several logs hold is counted together.
-    assert bench.recording.counts[f"{OWN}/event"].written == 4
+    assert bench.recorder.counts[f"{OWN}/event"].written == 4
 
 
 def test_a_file_says_why_the_one_before_it_ended(bench: Bench) -> None:
@@ -753,7 +758,7 @@ def test_a_file_says_why_the_one_before_it_ended(bench: Bench) -> None:
     bench.receive(sample_of(gear(0)))
     bench.notice()
     bench.room(roll=True)
-    bench.writer.carry_out(bench.recording.roll("signal", 0))
+    bench.writer.apply(bench.recorder.roll("signal", 0))
     bench.receive(sample_of(gear(1)))
     bench.stop()
     bench.start()
@@ -776,39 +781,44 @@ def test_a_robot_that_turns_up_meanwhile_has_no_file(
 ) -> None:
     """Neither while it was stopped nor while the disk is full; what it declares is in the file that follows."""
     bring_about(bench)
-    assert bench.recording.state is state
+    assert bench.recorder.state is state
     bench.receive(sample_of(gear(0)))
-    assert (bench.writer.files, bench.recording.writing, bench.recording.files) == ({}, set(), {})
+    assert (bench.writer.files, bench.recorder.writing, bench.recorder.files) == ({}, set(), {})
     bench.room()
     bench.start()
     bench.receive(sample_of(gear(1)))
-    assert bench.recording.writing == {"cruiser-1"}
-    assert bench.recording.files == {}
+    assert bench.recorder.writing == {"cruiser-1"}
+    assert bench.recorder.files == {}
     bench.notice()
-    assert bench.recording.files == {"cruiser-1": "cruiser-1-0.mcap"}
+    assert bench.recorder.files == {"cruiser-1": "cruiser-1-0.mcap"}
 
 
 def test_after_the_end_nothing_is_asked_for(bench: Bench) -> None:
     """Notices come after it, too; nobody would carry out what they cause."""
     bench.receive(sample_of(gear(0)))
     bench.mark()
-    bench.writer.carry_out(bench.recording.close(0, WALL_NS))
-    for notice in [*bench.writer.notices, Room(has_room=False, has_incident_room=True), Deleted("x", 1)]:
-        doings = bench.recording.take_notice(notice, 0, WALL_NS)
-        assert not [one for one in doings if isinstance(one, OnLog)]
+    bench.writer.apply(bench.recorder.close(0, WALL_NS))
+    for notice in [*bench.writer.notices, DiskRoom(has_room=False, has_incident_room=True), Deleted("x", 1)]:
+        actions = bench.recorder.receive_notice(notice, 0, WALL_NS)
+        assert not [one for one in actions if isinstance(one, LogAction)]
     bench.writer.notices.clear()
 
 
 def test_an_incident_declares_what_its_log_did(bench: Bench) -> None:
-    """With its attachments, and what is known of the robot; it can be read alone."""
+    """With its attachments, and what is known of the robot; also what is declared while it lasts."""
     bench.receive(sample_of(gear(0)), sample_of(info()))
-    marked, doings = bench.recording.mark("cruiser-1", "", 0, WALL_NS)
-    assert list(marked) == ["cruiser-1!"]
-    (begun,) = [one for one in doings if isinstance(one, OnLog)]
-    declared = [one.channel.topic for one in begun.effects if isinstance(one, DeclareChannel)]
-    assert declared == [GEAR_KEY, key_of(GatewayInfo)]
-    assert [one.name for one in begun.effects if isinstance(one, WriteMetadata)] == ["cruiser", INCIDENT_NAME]
-    bench.writer.carry_out(doings)
+    assert set(bench.mark("cruiser-1")) == {"cruiser-1!"}
+    bench.receive(sample_of(batch(0, [(WALL_NS, feedback(0))])))
+    bench.close()
+    (incident,) = bench.writer.files["cruiser-1!"]
+    reader = make_reader(BytesIO(incident.disk.getvalue()))
+    summary = reader.get_summary()
+    assert summary is not None
+    topics = [channel.topic for channel in summary.channels.values()]
+    assert topics[:3] == [GEAR_KEY, key_of(GatewayInfo), key_of(CanFrames)]
+    assert [one.name for one in reader.iter_metadata()] == ["cruiser", INCIDENT_NAME]
+    attached = {one.name for one in reader.iter_attachments()}
+    assert {"cruiser-1/configuration.toml", "cruiser-1/cruiser-coarse.dbc"} < attached
 
 
 @pytest.mark.parametrize(
@@ -825,7 +835,7 @@ def test_a_broken_payload_on_the_fast_path_is_kept_as_it_is(payload: bytes) -> N
     good = sample_of(gear(0))
     broken = FakeSample(good.key, good.encoding, payload)
     bench.receive(*(sample_of(gear(number)) for number in range(3)), broken, sample_of(gear(3)))
-    counts = bench.recording.counts
+    counts = bench.recorder.counts
     assert (counts[GEAR_KEY].written, counts[f"{GEAR_KEY}/@raw"].written) == (4, 1)
 
 
@@ -834,20 +844,20 @@ def test_an_incident_without_room_is_told(bench: Bench) -> None:
     bench.receive(sample_of(gear(0)))
     bench.room(has_incident_room=False)
     bench.receive(sample_of(safety_event(EventKind.STOP)))
-    doings = bench.recording.tick(SECOND, WALL_NS, {})
-    bench.writer.carry_out(doings)
-    (said,) = [one.message for one in doings if isinstance(one, Say)]
+    actions = bench.recorder.tick(SECOND, WALL_NS, {})
+    bench.writer.apply(actions)
+    (said,) = [one.message for one in actions if isinstance(one, Publish)]
     assert isinstance(said, RecorderEvent)
     assert (said.kind, said.severity) == (RecorderEventKind.INCIDENT, Severity.ERROR)
     assert "stop: as it were" in said.text
-    assert bench.recording.incidents == 0
+    assert bench.recorder.incidents == 0
 
 
 def test_files_do_not_become_many_however_often_it_is_asked_for(bench: Bench) -> None:
     """One a second of each log; what comes too soon is one later, and nothing waits for a file that is ended."""
     for number in range(300):
         bench.receive(sample_of(gear(number)))
-        bench.writer.carry_out(bench.recording.roll("signal", bench.now_ns))
+        bench.writer.apply(bench.recorder.roll("signal", bench.now_ns))
         bench.run(10 * MS)
     assert len(bench.logs()["cruiser-1"]) in {3, 4}
     bench.run(2 * SECOND)
@@ -860,11 +870,11 @@ def test_files_do_not_become_many_however_often_it_is_asked_for(bench: Bench) ->
 
 def test_a_file_that_the_disk_has_not_begun_is_not_ended_for_another() -> None:
     """While a disk hangs, what is to be begun does not pile up; when it goes on, the file is ended once."""
-    plan = msgspec.structs.replace(PLAN, session=msgspec.structs.replace(PLAN.session, rotate_ns=2 * SECOND))
+    plan = msgspec.structs.replace(PLAN, log=msgspec.structs.replace(PLAN.log, rotate_ns=2 * SECOND))
     bench = Bench(plan)
     for number in range(200):
         bench.receive(sample_of(gear(number)))
-        bench.writer.carry_out(bench.recording.roll("signal", bench.now_ns))
+        bench.writer.apply(bench.recorder.roll("signal", bench.now_ns))
         bench.now_ns += 100 * MS
         bench.tick()
     assert len(bench.logs()["cruiser-1"]) == 1
@@ -944,8 +954,8 @@ def test_a_file_counts_what_was_wanted_since_the_one_before_it(
 
 def test_the_gaps_of_a_long_full_disk_are_in_the_next_file(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each is published in its second; in the file those of a key are one, so that it may last."""
-    monkeypatch.setattr(unsaid, "EVENTS_MAX", 10)
-    monkeypatch.setattr(unsaid, "KEYS_MAX", 3)
+    monkeypatch.setattr(robot_log, "PENDING_EVENTS_MAX", 10)
+    monkeypatch.setattr(robot_log, "PENDING_GAPS_MAX", 3)
     bench.receive(sample_of(gear(0)))
     bench.room(has_room=False)
     for _ in range(60):
@@ -976,24 +986,24 @@ def test_what_the_recorder_says_comes_back_and_is_recorded_once(bench: Bench) ->
     (said,) = bench.events()
     encoding, payload = BY_TYPE[RecorderEvent].encoding, codec.encode(said)
     bench.receive(*(FakeSample(f"fleet/@recorder/{name}/event", encoding, payload) for name in ("bench", "depot")))
-    bench.recording.drop(f"{OWN}/event", GapReason.QUEUE, 0, WALL_NS)
+    bench.recorder.drop(f"{OWN}/event", GapReason.QUEUE, 0, WALL_NS)
     bench.close()
     files = [file for files in bench.logs().values() for file in files]
     found = Counter(topic for file in files for topic, _ in messages(file))
     assert found[f"{OWN}/event"] == found["fleet/@recorder/depot/event"] == 1
-    assert bench.recording.counts[f"{OWN}/event"].lost_queue == 0
+    assert bench.recorder.counts[f"{OWN}/event"].lost_queue == 0
 
 
 def test_keys_that_anybody_makes_up_take_nothing_from_the_tables(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However many came before it, a safety event makes its incident."""
-    monkeypatch.setitem(channels.LIMITS, channels.Room.OTHER, 10)
+    monkeypatch.setitem(channels.LIMITS, channels.ChannelQuota.OTHER, 10)
     bench.receive(*(FakeSample(f"fleet/cruiser-1/k/{number}", "x", b"") for number in range(60)))
     bench.receive(sample_of(safety_event(EventKind.STOP)))
-    assert bench.recording.incidents == 1
-    assert bench.recording.counts["@more"].written == 50
-    assert bench.recording.counts[f"{EVENT_KEY}/{LOG_CHUNK}"].written == 1
+    assert bench.recorder.incidents == 1
+    assert bench.recorder.counts["@more"].written == 50
+    assert bench.recorder.counts[f"{EVENT_KEY}/{LOG_CHUNK}"].written == 1
 
 
 LONG_KEY: Final = f"fleet/cruiser-1/{'y' * keys.KEY_MAX_LENGTH}"
@@ -1004,10 +1014,10 @@ def test_very_long_keys_are_kept_and_not_remembered(bench: Bench) -> None:
     monster = [FakeSample(f"{LONG_KEY}{number}", "x", b"") for number in range(20)]
     bench.receive(*monster)
     bench.receive(FakeSample(LONG_KEY, "x", bytes(2000)))
-    bench.run(TELL_GAPS_NS)
-    assert set(bench.recording.counts) == {"@more", f"{OWN}/gap"}
-    assert bench.recording.counts["@more"] == KeyReport(received=21, written=20, lost_size=1)
-    assert not bench.recording._by_key
+    bench.run(REPORT_LOSSES_NS)
+    assert set(bench.recorder.counts) == {"@more", f"{OWN}/gap"}
+    assert bench.recorder.counts["@more"] == KeyReport(received=21, written=20, lost_size=1)
+    assert not bench.recorder._by_key
     assert [gap.key for gap in bench.gaps()] == [OTHER_KEYS]
 
 
@@ -1015,9 +1025,9 @@ def test_a_pass_ends_when_its_time_is_over(bench: Bench) -> None:
     """What there was no time for is still there; at least one is recorded."""
     for is_late, taken in ((lambda: False, 7), (lambda: True, 1)):
         waiting = iter([FakeSample("fleet/cruiser-1/k", "x", b"")] * 7)
-        before = sum(count.received for count in bench.recording.counts.values())
-        bench.writer.carry_out(bench.recording.receive(waiting, 0, is_late))
-        assert sum(count.received for count in bench.recording.counts.values()) - before == taken
+        before = sum(count.received for count in bench.recorder.counts.values())
+        bench.writer.apply(bench.recorder.receive(waiting, 0, is_late))
+        assert sum(count.received for count in bench.recorder.counts.values()) - before == taken
         assert len(list(waiting)) == 7 - taken
 
 
@@ -1028,6 +1038,6 @@ def test_large_payloads_do_not_take_the_quick_way() -> None:
     large = msgspec.msgpack.encode({**msgspec.to_builtins(gear(3)), "more": bytes(QUICK_BYTES)})
     good = sample_of(gear(3))
     waiting = iter([FakeSample(good.key, good.encoding, large), sample_of(gear(4))])
-    bench.writer.carry_out(bench.recording.receive(waiting, 0, lambda: True))
+    bench.writer.apply(bench.recorder.receive(waiting, 0, lambda: True))
     assert len(list(waiting)) == 1
-    assert bench.recording.counts[GEAR_KEY].written == 4
+    assert bench.recorder.counts[GEAR_KEY].written == 4

@@ -1,24 +1,26 @@
-"""One log that is being written: as a part, synced beside the writing, and renamed when it is whole.
+"""One file of a log: written as a part, synced beside the writing, and renamed when it is whole.
 
-Nobody waits for a sync but who ends the file. An OSError becomes one clear CommandError here.
+Only the end of the file waits for a sync. An OSError becomes one clear CommandError here.
 """
 
 from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, wait
 from contextlib import contextmanager, suppress
 from io import FileIO
 from pathlib import Path
-from typing import assert_never
+from typing import Final
 
+from recorder.layouts.attached import COUNT as LAYOUTS
 from recorder.mcap.writer import McapFile
-from recorder.record.effects import (
+from recorder.record.actions import (
     CloseLog,
     DeclareChannel,
-    FileEffect,
+    LogAction,
     SyncLog,
     WriteAttachment,
     WriteChunk,
@@ -26,11 +28,15 @@ from recorder.record.effects import (
 )
 from schemas.exit_codes import CommandError
 from schemas.printable import plain
+from schemas.recorder_settings import ROBOT_LIMIT
+
+ATTACHMENTS_MAX: Final = (2 + LAYOUTS) * ROBOT_LIMIT
+"""A configuration, a DBC and layouts for each robot; beyond it the oldest go, for a robot may make up names."""
 
 
 @contextmanager
 def clear_errors(path: Path) -> Iterator[None]:
-    """Whatever the system says against it is one CommandError."""
+    """Raise one CommandError for whatever the system reports."""
     try:
         yield
     except OSError as error:
@@ -46,12 +52,47 @@ def sync_directory(path: Path) -> None:
         os.close(descriptor)
 
 
+class Prologue:
+    """The actions that every file of a log begins with, so that each can be read alone."""
+
+    def __init__(self) -> None:
+        self._channels: dict[int, DeclareChannel] = {}
+        self._metadata: dict[str, WriteMetadata] = {}
+        self._attachments: dict[str, WriteAttachment] = {}
+
+    def add(self, action: LogAction) -> None:
+        """Remember an action that is repeated: of metadata and attachments the newest of each name."""
+        if isinstance(action, DeclareChannel):
+            self._channels[action.channel.channel_id] = action
+        elif isinstance(action, WriteMetadata) and action.lasts:
+            self._metadata[action.name] = action
+        elif isinstance(action, WriteAttachment):
+            self._attachments.pop(action.name, None)
+            self._attachments[action.name] = action
+            if len(self._attachments) > ATTACHMENTS_MAX:
+                del self._attachments[next(iter(self._attachments))]
+
+    def copy(self) -> Prologue:
+        """Copy it for a log that begins with the same."""
+        other = Prologue()
+        other._channels |= self._channels
+        other._metadata |= self._metadata
+        other._attachments |= self._attachments
+        return other
+
+    def write_to(self, file: McapFile) -> None:
+        """Write all of it; the channels, of which there may be thousands, in one write."""
+        for action in [*self._metadata.values(), *self._attachments.values()]:
+            action.write_to(file)
+        file.add_channels([action.channel for action in self._channels.values()])
+
+
 def _nothing() -> None:
-    """Nobody waits for the disk."""
+    """Do nothing: nobody waits for the disk."""
 
 
-class LogFile:
-    """A log that is being written.
+class PartFile:
+    """A file that is being written.
 
     Args:
         part: the path while it is written.
@@ -84,6 +125,10 @@ class LogFile:
         """The disk has failed to keep what it had taken: what is beyond ``kept_size`` may be anything."""
         self.is_left = False
         """It could not be made whole, and holds messages."""
+        self.unkept_bytes = 0
+        """Memory of the chunks that were written, and that the disk may not keep yet."""
+        self._unkept: deque[tuple[int, WriteChunk]] = deque()
+        """Those chunks, each with its end in the file: they may have to be written again."""
         with clear_errors(part):
             self._mcap = McapFile(stream, library)
 
@@ -109,44 +154,38 @@ class LogFile:
         """A sync has failed, which the next write tells."""
         return self._fault is not None
 
-    def begin(self, effects: Iterable[FileEffect]) -> None:
-        """Carry out what the file begins with; its channels, of which there may be thousands, in one write.
+    def begin(self, prologue: Prologue) -> None:
+        """Write what the file begins with.
 
         Raises:
             CommandError: the disk does not take it.
         """
-        channels = []
-        for effect in effects:
-            if isinstance(effect, DeclareChannel):
-                channels.append(effect.channel)
-            else:
-                self.write(effect)
         with clear_errors(self.path):
-            self._mcap.add_channels(channels)
+            prologue.write_to(self._mcap)
 
-    def write(self, effect: FileEffect) -> None:
-        """Carry an effect out. A sync goes on beside what is written next; its failure is that one's.
+    def write(self, action: LogAction) -> None:
+        """Apply an action. A sync goes on beside what is written next, which reports the sync's failure.
 
         Raises:
             CommandError: the disk does not take it.
         """
         with clear_errors(self.path):
             self._raise_fault()
-            match effect:
-                case WriteChunk():
-                    self._mcap.write_chunk(effect.chunk)
-                case SyncLog():
-                    self.sync()
-                case DeclareChannel():
-                    self._mcap.add_channel(effect.channel)
-                case WriteMetadata():
-                    self._mcap.add_metadata(effect.name, effect.entries)
-                case WriteAttachment():
-                    self._mcap.add_attachment(effect.name, effect.media_type, effect.data, effect.wall_ns)
-                case CloseLog():
-                    self._finish()
-                case _:
-                    assert_never(effect)
+            if isinstance(action, SyncLog):
+                self.sync()
+            elif isinstance(action, CloseLog):
+                self._finish()
+            else:
+                action.write_to(self._mcap)
+        if isinstance(action, WriteChunk):
+            self._unkept.append((self.size, action))
+            self.unkept_bytes += action.bytes
+        self.release()
+
+    def release(self) -> None:
+        """Forget the chunks that the disk keeps by now."""
+        while self._unkept and self._unkept[0][0] <= self.kept_size:
+            self.unkept_bytes -= self._unkept.popleft()[1].bytes
 
     def sync(self) -> None:
         """Have the disk keep all that is written so far. Does not wait for it."""
@@ -156,14 +195,24 @@ class LogFile:
             else:
                 self._wants_sync = True
 
-    def salvage(self) -> None:
-        """After a failure: leave all that was written, and a whole file if there is room for its end.
+    def salvage(self) -> list[WriteChunk]:
+        """End the file as well as can be: leave all that was written, whole if there is room for the end.
 
-        A file without a message only repeats what another says, and is not left. Where the disk has failed to keep
-        what it had taken, the file is cut back to what it keeps: a part, which the next start makes whole.
+        A file without a message only repeats what another one holds, and is deleted. Where the disk has failed to
+        keep what it had taken, the file is cut back to what the disk keeps: a part, which the next start makes
+        whole.
+
+        Returns:
+            The chunks that the disk has failed to keep.
         """
-        if self._stream.closed:
-            return
+        if not self._stream.closed:
+            self._end()
+        unkept = [action for end, action in self._unkept if self.is_doubtful and end > self.kept_size]
+        self._unkept.clear()
+        self.unkept_bytes = 0
+        return unkept
+
+    def _end(self) -> None:
         with suppress(OSError):
             self._wait_for_sync()
         with suppress(OSError):

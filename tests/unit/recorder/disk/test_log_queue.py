@@ -3,20 +3,19 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
+from recorder.disk.log_queue import LogQueue
 from recorder.mcap.chunk import ChunkBuilder
-from recorder.record.effects import (
+from recorder.record.actions import (
+    ACTION_BYTES,
     CloseLog,
-    FileEffect,
+    LogAction,
     OpenLog,
     SyncLog,
     WriteAttachment,
     WriteChunk,
     WriteMetadata,
 )
-from recorder.record.log_queue import ENTRY_BYTES, LogQueue, waiting
 from tests.support.recorder_fakes import WALL_NS
-
-Effect = OpenLog | FileEffect
 
 
 def chunk(size: int) -> WriteChunk:
@@ -25,20 +24,20 @@ def chunk(size: int) -> WriteChunk:
     builder.add(1, 0, WALL_NS, WALL_NS, bytes(max(0, size - 31)))
     sealed = builder.seal()
     assert sealed is not None
-    return WriteChunk(sealed)
+    return WriteChunk("x", sealed)
 
 
-def queue_of(limit_bytes: int, *effects: Effect) -> LogQueue:
+def queue_of(limit_bytes: int, *actions: LogAction) -> LogQueue:
     """A queue in which these wait."""
     queue = LogQueue(limit_bytes)
-    for effect in effects:
-        queue.put(waiting("x", effect))
+    for action in actions:
+        queue.put(action)
     return queue
 
 
-def left(queue: LogQueue) -> list[Effect]:
+def left(queue: LogQueue) -> list[LogAction]:
     """All that still waits."""
-    return [queue.take().effect for _ in range(len(queue))]
+    return [queue.take() for _ in range(len(queue))]
 
 
 def test_what_can_never_fit_goes_before_everything_else() -> None:
@@ -46,7 +45,7 @@ def test_what_can_never_fit_goes_before_everything_else() -> None:
     small = [chunk(200) for _ in range(5)]
     large = chunk(5000)
     queue = queue_of(2000, *small[:3], large, *small[3:])
-    assert [one.effect for one in queue.trim(0)] == [large]
+    assert queue.trim(0) == [large]
     assert left(queue) == small
 
 
@@ -60,46 +59,50 @@ def test_a_large_chunk_waits_where_there_is_room() -> None:
 
 def test_the_oldest_messages_go_first_and_what_is_said_of_files_last() -> None:
     """Which files there are, and what lasts, stays whatever happens."""
-    opened, end, sync = OpenLog("x", WALL_NS), CloseLog(), SyncLog()
-    once = WriteMetadata("cruiser.completeness", {"t": "1" * 500})
-    lasting = WriteMetadata("cruiser", {"t": "1" * 500}, lasts=True)
-    attachment = WriteAttachment("a.dbc", "text/plain", bytes(500), WALL_NS)
+    opened, end, sync = OpenLog("x", "x", WALL_NS), CloseLog("x"), SyncLog("x")
+    once = WriteMetadata("x", "cruiser.completeness", {"t": "1" * 500})
+    lasting = WriteMetadata("x", "cruiser", {"t": "1" * 500}, lasts=True)
+    attachment = WriteAttachment("x", "a.dbc", "text/plain", bytes(500), WALL_NS)
     first, second = chunk(300), chunk(300)
-    effects: list[Effect] = [opened, lasting, attachment, first, sync, second, once, end]
-    queue = queue_of(3000, *effects)
+    actions: list[LogAction] = [opened, lasting, attachment, first, sync, second, once, end]
+    queue = queue_of(3000, *actions)
     assert queue.trim(0) == []
-    assert [one.effect for one in queue.trim(3000 - queue.bytes + 300)] == [first]
-    assert [one.effect for one in queue.trim(3000)] == [sync, second, once]
+    assert queue.trim(3000 - queue.bytes + 300) == [first]
+    assert queue.trim(3000) == [sync, second, once]
     assert left(queue) == [opened, lasting, attachment, end]
 
 
 def test_all_that_waits_counts() -> None:
     """Metadata and attachments may be large, and a million small things are large, too."""
     queue = queue_of(
-        10_000, WriteMetadata("a", {"key": "entry"}), WriteAttachment("a", "", bytes(7), 0), SyncLog(), chunk(300)
+        10_000,
+        WriteMetadata("x", "a", {"key": "entry"}),
+        WriteAttachment("x", "a", "", bytes(7), 0),
+        SyncLog("x"),
+        chunk(300),
     )
-    assert queue.bytes == 4 * ENTRY_BYTES + len("keyentry") + 7 + 300
+    assert queue.bytes == 4 * ACTION_BYTES + len("keyentry") + 7 + 300
 
 
 @given(
-    st.lists(st.sampled_from([SyncLog(), CloseLog(), chunk(50), chunk(400), chunk(3000)]), max_size=40),
+    st.lists(st.sampled_from([SyncLog("x"), CloseLog("x"), chunk(50), chunk(400), chunk(3000)]), max_size=40),
     st.integers(0, 3000),
 )
-def test_nothing_goes_without_need_and_the_order_stays(effects: list[Effect], other_bytes: int) -> None:
+def test_nothing_goes_without_need_and_the_order_stays(actions: list[LogAction], other_bytes: int) -> None:
     """What is dropped and what is left is all there was; what is counted is what is there."""
-    queue = queue_of(4000, *effects)
-    dropped = [one.effect for one in queue.trim(other_bytes)]
+    queue = queue_of(4000, *actions)
+    dropped = queue.trim(other_bytes)
     bound = queue.bytes
     there = left(queue)
     assert queue.bytes == 0
-    assert sorted(map(id, dropped + there)) == sorted(map(id, effects))
-    assert [one for one in effects if isinstance(one, CloseLog)] == [
+    assert sorted(map(id, dropped + there)) == sorted(map(id, actions))
+    assert [one for one in actions if isinstance(one, CloseLog)] == [
         one for one in there if isinstance(one, CloseLog)
     ]
     ones = [one for one in there if not isinstance(one, CloseLog)]
     assert bound <= 4000 - other_bytes or not ones
     if dropped:
-        needed = bound + min(waiting("x", one).bytes for one in dropped[-1:])
+        needed = bound + min(one.bytes for one in dropped[-1:])
         assert needed > 4000 - other_bytes
 
 
@@ -108,6 +111,6 @@ def test_what_is_put_back_is_the_oldest_again() -> None:
     ones = [chunk(100) for _ in range(4)]
     queue = queue_of(2000, *ones)
     taken = [queue.take(), queue.take()]
-    assert queue.head.effect is ones[2]
+    assert queue.head is ones[2]
     queue.put_back(taken)
     assert left(queue) == ones

@@ -7,7 +7,7 @@ from typing import Protocol
 import msgspec
 
 
-class Sample(Protocol):
+class ReceivedSample(Protocol):
     """One sample, or one reply to a query. Key, encoding and payload are at hand, the rest may cost something."""
 
     @property
@@ -70,7 +70,7 @@ class WaitingSample(msgspec.Struct, frozen=True, gc=False):
     is_reply: bool
 
 
-def copy(sample: Sample) -> WaitingSample:
+def copy(sample: ReceivedSample) -> WaitingSample:
     """All of a sample, by value."""
     return WaitingSample(
         sample.key,

@@ -1,4 +1,4 @@
-"""Which gateways have died, of those whose liveliness token is gone. Pure.
+"""Gateways that have died, of those whose liveliness token is gone. Pure.
 
 The token alone proves nothing: it also goes with the link, and anybody may declare one and take it back. So the
 arbiter's states are waited for: a gateway whose states go on lives.
@@ -15,20 +15,21 @@ from recorder.encoding.fast_path import Latest
 from schemas.decisions import ArbiterState, SafetyState, is_same_run
 
 WAIT_NS: Final = 500_000_000
-"""So long without a state is a silence: they come every 50 ms."""
+"""The time without a state that counts as silence: states come every 50 ms."""
 
 LIVES_NS: Final = 10_000_000_000
-"""A gateway whose states go on for so long lives; what waits for a busy recorder comes sooner."""
+"""A gateway that still publishes states so long after its token went is alive. States that merely waited for a
+busy recorder come sooner."""
 
 
-class Gone(msgspec.Struct, frozen=True):
-    """A gateway that is gone.
+class LostGateway(msgspec.Struct, frozen=True):
+    """A gateway that has died.
 
     Attributes:
         key: of its ``safety/state``.
         lost_ns: when its token went, monotonic.
-        text: what is known of it, in a sentence.
-        was_commanding: it told the chassis something when it was last heard.
+        text: a sentence about it.
+        was_commanding: it commanded the chassis when its last state came.
     """
 
     key: str
@@ -44,30 +45,31 @@ class _Waiting(msgspec.Struct, frozen=True):
     lost_ns: int
 
 
-class Gateways:
-    """The tokens that have gone, until that is told. Those of robots that are not recorded are not looked at."""
+class LostGateways:
+    """The tokens that are gone, until their gateways are known to be dead or alive."""
 
     def __init__(self) -> None:
         self._waiting: dict[str, _Waiting] = {}
 
     def lose_token(self, key: str, latest: Latest, ended: Callable[[], int | None], now_ns: int) -> None:
-        """The token is gone of the gateway that publishes ``safety/state`` under this key.
+        """Note that a gateway's token is gone.
 
         Args:
-            key: of its states.
+            key: of the gateway's ``safety/state``.
             latest: the newest of these; it is looked at again when it is due.
-            ended: the tick at which a gateway said last that it was told to end; None if none did.
+            ended: returns the tick at which the gateway last reported that it was told to end; None if it
+                never did.
             now_ns: monotonic.
         """
         if isinstance(latest.message, SafetyState):
             self._waiting.setdefault(key, _Waiting(latest, latest.message, ended, now_ns))
 
-    def due(self, now_ns: int, wall_ns: int) -> Iterator[Gone]:
-        """The gateways that have died, as far as can be told.
+    def due(self, now_ns: int, wall_ns: int) -> Iterator[LostGateway]:
+        """Return the gateways that turn out to have died.
 
         Args:
             now_ns: monotonic.
-            wall_ns: since 1970, as the states' times of receipt.
+            wall_ns: since 1970, as are the states' times of receipt.
         """
         for key, waiting in [*self._waiting.items()]:
             waited_ns = now_ns - waiting.lost_ns
@@ -86,4 +88,4 @@ class Gateways:
                 continue
             told = f", and told {last.output_speed_mps:.2f} m/s" if was_commanding else ""
             text = f"the gateway died, or the link to it: its token is gone, and it was {last.state.value}{told}"
-            yield Gone(key, waiting.lost_ns, text, was_commanding)
+            yield LostGateway(key, waiting.lost_ns, text, was_commanding)

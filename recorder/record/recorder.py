@@ -1,0 +1,422 @@
+"""All that one recorder writes, without I/O: samples, ticks, orders and notices in, actions out.
+
+One ``RobotLog`` for each robot, or one for all. ``receive`` finds the log by the key. The page to begin with; then
+``robot_log``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from typing import Final
+
+import msgspec
+
+from recorder.encoding.key_counters import SEQUENCE_SPAN, KeyCounters
+from recorder.encoding.received_sample import ReceivedSample
+from recorder.mcap.chunk import log_time
+from recorder.record.accounting import KeyReport, total
+from recorder.record.actions import INCIDENT_MARK, Action, Publish
+from recorder.record.incidents import trim_rings
+from recorder.record.lost_gateways import LostGateway, LostGateways
+from recorder.record.notices import (
+    FULL,
+    ROOM,
+    STARTED,
+    STOPPED,
+    Announcement,
+    DiskRoom,
+    Ended,
+    Lost,
+    Notice,
+    Opened,
+    announcement_of,
+)
+from recorder.record.robot_log import LogContext, LogPlan, RobotLog
+from schemas import keys
+from schemas.codec import PAYLOAD_ERRORS
+from schemas.decisions import SafetyEvent, SafetyState, Severity
+from schemas.printable import short
+from schemas.recorder_settings import OWNED_KEY_LIMIT, ROBOT_LIMIT
+from schemas.recording import (
+    GapReason,
+    RecorderEvent,
+    RecorderEventKind,
+    RecorderState,
+    RecordGap,
+)
+from schemas.subjects import BY_TYPE, LIVELINESS_CHUNK
+
+REPORT_LOSSES_NS: Final = 1_000_000_000
+"""Losses are reported once a second."""
+
+QUICK_BYTES: Final = 65_536
+"""A larger payload takes the slow path, where the time is looked at after each: it may take long to decode."""
+
+TICK_LOGS: Final = 50
+"""Logs that are looked after in one tick, or a part of all in TICK_TURNS."""
+
+TICK_TURNS: Final = 4
+"""Ticks in which all logs have had their turn: a thousand in one tick would take all the time."""
+
+
+class RecorderPlan(msgspec.Struct, frozen=True):
+    """What to record.
+
+    Attributes:
+        root: the first chunks of the robots' keys.
+        recorder: this recorder's name, in its own keys.
+        per_robot: a log for each robot; else one for all.
+        log: of each log. Its name is that of the log for all, and of the log for what is no robot's.
+        ring_bytes: memory of all rings together.
+        sample_max_bytes: larger samples are counted, and not recorded.
+        standby: incidents are written, and no logs until ``start``.
+        log_limit: robots beyond it share one log, but for those that are known.
+        known: robots that are known by name.
+    """
+
+    root: str
+    recorder: str
+    per_robot: bool
+    log: LogPlan
+    ring_bytes: int
+    sample_max_bytes: int
+    standby: bool = False
+    log_limit: int = ROBOT_LIMIT
+    known: frozenset[str] = frozenset()
+
+
+class Recorder:
+    """Writes the logs of the robots; each method returns what is to be done."""
+
+    def __init__(self, plan: RecorderPlan) -> None:
+        self._plan = plan
+        self._logs: dict[str, RobotLog] = {}
+        self._by_key: dict[str, RobotLog] = {}
+        self._context = LogContext()
+        self._lost_gateways = LostGateways()
+        self._losses_reported_ns = 0
+        self._turn = 0
+        self._event_sequence = self._gap_sequence = 0
+        self._is_stopped = plan.standby
+        self._has_room = True
+        self._of_robot = re.compile(rf"{re.escape(plan.root)}/({keys.ROBOT_PATTERN})/.*", re.DOTALL)
+        self._own_topics = {
+            kind: keys.of_recorder(plan.root, plan.recorder, BY_TYPE[kind].name)
+            for kind in (RecorderEvent, RecordGap)
+        }
+        """Where it publishes: a sample from there is in the logs already."""
+
+    @property
+    def state(self) -> RecorderState:
+        """What it does."""
+        if self._is_stopped:
+            return RecorderState.STOPPED
+        return RecorderState.RECORDING if self._has_room else RecorderState.FULL
+
+    @property
+    def counts(self) -> dict[str, KeyReport]:
+        """The report of each topic."""
+        reports = defaultdict(list)
+        for log in self._logs.values():
+            for topic, report in log.channels.counts.items():
+                reports[topic].append(report)
+        # Few are in several logs: what the recorder itself says, and what is beyond the limits.
+        return {topic: found[0] if len(found) == 1 else total(found) for topic, found in reports.items()}
+
+    @property
+    def counters(self) -> Iterable[KeyCounters]:
+        """The counters of every topic of every log."""
+        return (counters for log in self._logs.values() for counters in log.channels.counters)
+
+    @property
+    def robots(self) -> int:
+        """Robots of which a sample has come."""
+        return sum(log.robots for log in self._logs.values())
+
+    @property
+    def files(self) -> dict[str, str]:
+        """The files that are being written, without their directory, by their log; no incidents."""
+        return {log.name: log.file for log in self._logs.values() if log.file}
+
+    @property
+    def writing(self) -> set[str]:
+        """The logs of which a file is being written, whether the disk has begun it yet or not."""
+        return {log.name for log in self._logs.values() if log.is_open}
+
+    @property
+    def incidents(self) -> int:
+        """Incidents that were begun."""
+        return self._context.incidents
+
+    @property
+    def has_incident_room(self) -> bool:
+        """Whether the disk may hold more incidents."""
+        return self._context.has_incident_room
+
+    @property
+    def ring_bytes(self) -> int:
+        """Bytes of the messages in all rings."""
+        return sum(log.incidents.ring_bytes for log in self._logs.values())
+
+    def receive(
+        self, samples: Iterable[ReceivedSample], now_ns: int, is_late: Callable[[], bool] = lambda: False
+    ) -> Sequence[Action]:
+        """Record samples, each received when it says. They may hold anything: nothing in them raises.
+
+        Nearly all take the fast path of their key, see ``fast_path``; the others through ``receive_sample``.
+
+        Args:
+            samples: if it is an iterator, what there was no time for is still in it.
+            now_ns: monotonic time.
+            is_late: the time is over, asked after each sample that may have taken long.
+        """
+        fast_paths, limit_bytes = self._context.fast_paths, min(QUICK_BYTES, self._plan.sample_max_bytes)
+        for sample in samples:
+            path = fast_paths.get(sample.key)
+            payload = sample.payload
+            if path is not None and path[0] == sample.encoding and len(payload) <= limit_bytes:
+                try:
+                    if path[1](payload, sample.received_ns):
+                        continue
+                except PAYLOAD_ERRORS:
+                    pass
+            self._receive_sample(sample, now_ns)
+            if is_late():
+                break
+        return self._take_actions()
+
+    def _receive_sample(self, sample: ReceivedSample, now_ns: int) -> None:
+        key = sample.key
+        if key in self._own_topics.values():
+            return
+        log = self._by_key.get(key) or self._find_log(key)
+        if len(sample.payload) + len(sample.attachment) > self._plan.sample_max_bytes:
+            log.drop_sample(key, GapReason.SIZE, now_ns, sample.received_ns)
+        else:
+            log.receive_sample(sample, now_ns, sample.received_ns)
+            log.find_fast_path(key)
+
+    def lose_token(self, key: str, now_ns: int) -> None:
+        """Note that a gateway's liveliness token is gone. If it has died, ``tick`` makes an incident of that."""
+        robot = key.removesuffix(f"/{LIVELINESS_CHUNK}")
+        state_key, event_key = (f"{robot}/{BY_TYPE[kind].name}" for kind in (SafetyState, SafetyEvent))
+        log = self._by_key.get(state_key)
+        route = None if log is None else log.channels.get(state_key)
+        if log is not None and route is not None:
+            ended = partial(log.ended_ticks.get, event_key)
+            self._lost_gateways.lose_token(state_key, route.latest, ended, now_ns)
+
+    def drop(self, key: str, reason: GapReason, now_ns: int, wall_ns: int) -> None:
+        """Count a sample that was dropped unread."""
+        if key not in self._own_topics.values():
+            log = self._by_key.get(key) or self._find_log(key)
+            log.drop_sample(key, reason, now_ns, wall_ns)
+
+    def tick(self, now_ns: int, wall_ns: int, sizes: Mapping[str, int]) -> Sequence[Action]:
+        """Do what is due.
+
+        Args:
+            now_ns: monotonic time.
+            wall_ns: since 1970.
+            sizes: of the file of each log, in bytes.
+        """
+        for log in self._due():
+            log.tick(now_ns, sizes.get(log.name, 0))
+        for lost in self._lost_gateways.due(now_ns, wall_ns):
+            self._receive_lost_gateway(lost, now_ns, wall_ns)
+        while self._context.announcements:
+            self._announce(self._context.announcements.popleft(), now_ns, wall_ns)
+        trim_rings((log.incidents for log in self._logs.values()), now_ns, self._plan.ring_bytes)
+        if now_ns - self._losses_reported_ns >= REPORT_LOSSES_NS:
+            self._losses_reported_ns = now_ns
+            self._report_losses(now_ns, wall_ns)
+        return self._take_actions()
+
+    def roll(self, reason: str, now_ns: int) -> Sequence[Action]:
+        """End all files; the next samples begin others. See ``RobotLog.roll`` for how soon."""
+        for log in self._logs.values():
+            log.roll(reason, now_ns)
+        return self._take_actions()
+
+    def stop(self, operator: str, now_ns: int, wall_ns: int) -> Sequence[Action]:
+        """End the logs, and write incidents alone."""
+        if not self._is_stopped:
+            self._announce(msgspec.structs.replace(STOPPED, operator=operator), now_ns, wall_ns)
+            self._is_stopped = True
+            self._pause_or_resume("stopped", now_ns)
+        return self._take_actions()
+
+    def start(self, operator: str, now_ns: int, wall_ns: int) -> Sequence[Action]:
+        """Record, after a stop."""
+        if self._is_stopped:
+            self._is_stopped = False
+            self._pause_or_resume("", now_ns)
+            self._announce(msgspec.structs.replace(STARTED, operator=operator), now_ns, wall_ns)
+        return self._take_actions()
+
+    def mark(self, robot: str, because: str, now_ns: int, wall_ns: int) -> tuple[dict[str, str], Sequence[Action]]:
+        """Make an incident, of one log or of all.
+
+        Returns:
+            Of each log whose incident begins or goes on, the name of the incidents' log and the incident's file,
+            which is empty until it is opened; and what is to be done. Nothing if there is no such log, or no room.
+        """
+        if not self.has_incident_room:
+            return {}, ()
+        marked = [log for log in self._logs.values() if self._is_of(log, robot)]
+        for log in marked:
+            log.begin_incident(because, now_ns, wall_ns)
+        return {log.incidents.log: log.incident_file for log in marked}, self._take_actions()
+
+    def receive_notice(self, notice: Notice, now_ns: int, wall_ns: int) -> Sequence[Action]:
+        """Act on what became of files and of the disk."""
+        announcement, log = announcement_of(notice), None
+        if isinstance(notice, DiskRoom):
+            self._receive_room(notice, now_ns, wall_ns)
+        elif isinstance(notice, Opened | Ended | Lost):
+            log = self._logs.get(notice.log.removesuffix(INCIDENT_MARK))
+            if log is None:
+                return []
+            if isinstance(notice, Opened):
+                announcement = log.receive_opened(notice)
+            elif isinstance(notice, Ended):
+                log.receive_ended(notice)
+            else:
+                log.receive_lost(notice)
+        if announcement is not None:
+            self._announce(announcement, now_ns, wall_ns, log)
+        return self._take_actions()
+
+    def ask_last(self, now_ns: int) -> Sequence[Action]:
+        """Query what is worth asking once more before ``close``."""
+        for log in self._logs.values():
+            log.ask_last(now_ns)
+        return self._take_actions()
+
+    def close(self, now_ns: int, wall_ns: int) -> Sequence[Action]:
+        """End everything."""
+        for log in self._logs.values():
+            log.hand_over(now_ns)
+        self._report_losses(now_ns, wall_ns)
+        for log in self._logs.values():
+            log.close(now_ns)
+            log.end_incident(now_ns)
+        return self._take_actions()
+
+    def _due(self) -> list[RobotLog]:
+        """The logs whose turn it is: all, or of very many a part at a time."""
+        logs = list(self._logs.values())
+        if len(logs) <= TICK_LOGS:
+            return logs
+        count = max(TICK_LOGS, -(-len(logs) // TICK_TURNS))
+        begin = self._turn * count
+        self._turn = self._turn + 1 if begin + count < len(logs) else 0
+        return logs[begin : begin + count]
+
+    def _find_log(self, key: str) -> RobotLog:
+        name = self._name_of(key) if self._plan.per_robot else self._plan.log.name
+        is_new = name not in self._logs and name not in self._plan.known
+        if is_new and len(self._logs) > self._plan.log_limit:
+            name = self._plan.log.name
+        log = self._logs.get(name)
+        if log is None:
+            plan = msgspec.structs.replace(self._plan.log, name=name)
+            log = self._logs[name] = RobotLog(plan, self._context)
+            log.is_paused = self.state is not RecorderState.RECORDING
+            log.count_as_wanted(is_wanted=not self._is_stopped)
+        if len(key) > keys.KEY_MAX_LENGTH:
+            return log
+        if len(self._by_key) >= OWNED_KEY_LIMIT:
+            self._by_key.clear()
+        self._by_key[key] = log
+        return log
+
+    def _name_of(self, key: str) -> str:
+        own = self._of_robot.fullmatch(key)
+        if own is not None:
+            return own[1]
+        parts = keys.parse(key)
+        if parts is None or not parts.robot:
+            return self._plan.log.name
+        # Robots of other roots may have the same names.
+        return f"{parts.root}/{parts.robot}"
+
+    def _is_of(self, log: RobotLog, robot: str) -> bool:
+        if not robot or log.name == robot:
+            return True
+        return not self._plan.per_robot and log.knows(robot)
+
+    def _receive_room(self, room: DiskRoom, now_ns: int, wall_ns: int) -> None:
+        had_room, self._has_room = self._has_room, room.has_room
+        self._context.has_incident_room = room.has_incident_room
+        for log in self._logs.values():
+            if room.roll:
+                log.roll("room", now_ns)
+            if not room.has_incident_room:
+                log.cut_incident(now_ns)
+        if had_room and not room.has_room:
+            self._announce(FULL, now_ns, wall_ns)
+            self._pause_or_resume("full", now_ns)
+        elif room.has_room and not had_room:
+            self._pause_or_resume("", now_ns)
+            self._announce(ROOM, now_ns, wall_ns)
+
+    def _pause_or_resume(self, reason: str, now_ns: int) -> None:
+        is_paused = self.state is not RecorderState.RECORDING
+        for log in self._logs.values():
+            log.hand_over(now_ns)
+            if is_paused and not log.is_paused:
+                log.pause(reason, now_ns)
+            elif log.is_paused and not is_paused:
+                log.resume(now_ns)
+            # What comes while somebody has stopped us is no loss.
+            log.count_as_wanted(is_wanted=not self._is_stopped)
+        # Only now: what was in hand came before.
+        self._context.left_out = GapReason.FULL if self.state is RecorderState.FULL else None
+
+    def _report_losses(self, now_ns: int, wall_ns: int) -> None:
+        for name, gap in self._context.losses.take():
+            numbered = msgspec.structs.replace(gap, time_ns=log_time(wall_ns), sequence=self._gap_sequence)
+            self._gap_sequence = (self._gap_sequence + 1) % SEQUENCE_SPAN
+            self._say(numbered, self._logs[name], now_ns)
+
+    def _receive_lost_gateway(self, lost: LostGateway, now_ns: int, wall_ns: int) -> None:
+        wall_ns -= now_ns - lost.lost_ns
+        log = self._find_log(lost.key)
+        route = log.channels.get(lost.key)
+        severity = Severity.ERROR if lost.was_commanding else Severity.WARNING
+        robot = "" if route is None else route.robot
+        announcement = Announcement(RecorderEventKind.GATEWAY, severity, lost.text, robot=robot)
+        self._announce(announcement, now_ns, wall_ns, log)
+        if lost.was_commanding:
+            log.raise_alarm(short(lost.text), now_ns, wall_ns)
+
+    def _announce(
+        self, announcement: Announcement, now_ns: int, wall_ns: int, log: RobotLog | None = None
+    ) -> None:
+        event = RecorderEvent(
+            time_ns=wall_ns,
+            sequence=self._event_sequence,
+            severity=announcement.severity,
+            kind=announcement.kind,
+            robot=announcement.robot or (log.name if log is not None else ""),
+            file=announcement.file,
+            operator=announcement.operator,
+            text=announcement.text,
+        )
+        self._event_sequence = (self._event_sequence + 1) % SEQUENCE_SPAN
+        self._say(event, log, now_ns)
+
+    def _say(self, message: RecorderEvent | RecordGap, log: RobotLog | None, now_ns: int) -> None:
+        """Publish a message, and write it into its log, or into all."""
+        self._context.actions.append(Publish(message))
+        topic = self._own_topics[type(message)]
+        for one in self._logs.values() if log is None else [log]:
+            one.add_own(topic, message, now_ns)
+
+    def _take_actions(self) -> Sequence[Action]:
+        actions, self._context.actions = self._context.actions, []
+        return actions
