@@ -36,7 +36,7 @@ COPY_SUFFIX: Final = ".mcap.copy"
 _SUFFIXES: Final = (PART_SUFFIX, DAMAGED_SUFFIX, REST_SUFFIX, SUFFIX)
 
 
-class Outcome(Enum):
+class RecoveryOutcome(Enum):
     """What became of a file."""
 
     WHOLE = "whole"
@@ -65,7 +65,7 @@ class Recovery(msgspec.Struct, frozen=True):
     """
 
     path: str
-    outcome: Outcome
+    outcome: RecoveryOutcome
     result: str
     messages: int = 0
     chunks: int = 0
@@ -87,13 +87,15 @@ def recover(path: Path, library: str, *, set_aside: bool = False) -> Recovery:
     try:
         with path.open("r+b") as stream:
             if not lock(stream.fileno()):
-                return Recovery(str(path), Outcome.BUSY, str(path), detail="a recorder is writing it")
+                return Recovery(str(path), RecoveryOutcome.BUSY, str(path), detail="a recorder is writing it")
             # Its writer may have renamed it before the lock was ours.
             if not os.path.samestat(path.stat(), os.fstat(stream.fileno())):
-                return Recovery(str(path), Outcome.BUSY, str(path), detail="a recorder has just written it")
+                return Recovery(
+                    str(path), RecoveryOutcome.BUSY, str(path), detail="a recorder has just written it"
+                )
             return _recover(path, stream, library, set_aside=set_aside)
     except OSError as error:
-        return Recovery(str(path), Outcome.FAILED, str(path), detail=error.strerror or str(error))
+        return Recovery(str(path), RecoveryOutcome.FAILED, str(path), detail=error.strerror or str(error))
 
 
 def _recover(path: Path, stream: BinaryIO, library: str, *, set_aside: bool) -> Recovery:
@@ -101,7 +103,9 @@ def _recover(path: Path, stream: BinaryIO, library: str, *, set_aside: bool) -> 
     found = survey(stream, size)
     if not found.end or (found.fault_count and not found.messages):
         kept = _rename(path, DAMAGED_SUFFIX) if set_aside else path
-        return Recovery(str(path), Outcome.NOTHING, str(kept), cut_bytes=size, detail="nothing in it can be read")
+        return Recovery(
+            str(path), RecoveryOutcome.NOTHING, str(kept), cut_bytes=size, detail="nothing in it can be read"
+        )
     if found.fault_count:
         return _copy(path, stream, size, library, found)
     kept_rest = None
@@ -111,7 +115,13 @@ def _recover(path: Path, stream: BinaryIO, library: str, *, set_aside: bool) -> 
         _finish(stream, found)
     os.fsync(stream.fileno())
     result = _rename(path, SUFFIX) if path.name.endswith(PART_SUFFIX) else path
-    outcome = Outcome.WHOLE if found.is_whole else Outcome.DAMAGED if kept_rest else Outcome.RECOVERED
+    outcome = (
+        RecoveryOutcome.WHOLE
+        if found.is_whole
+        else RecoveryOutcome.DAMAGED
+        if kept_rest
+        else RecoveryOutcome.RECOVERED
+    )
     return Recovery(
         str(path),
         outcome,
@@ -164,7 +174,7 @@ def _copy(path: Path, stream: BinaryIO, size: int, library: str, found: Survey) 
         result = _rename(copy, SUFFIX)
     return Recovery(
         str(path),
-        Outcome.DAMAGED,
+        RecoveryOutcome.DAMAGED,
         str(result),
         messages=found.messages,
         chunks=found.chunks,
@@ -193,16 +203,16 @@ def recover_leftovers(parts: Iterable[Path], library: str) -> Iterator[Recovery]
     """Recover each part that nobody writes any more, and say so in the log."""
     for path in parts:
         recovery = recover(path, library, set_aside=True)
-        if recovery.outcome is not Outcome.BUSY:
+        if recovery.outcome is not RecoveryOutcome.BUSY:
             _tell(recovery)
             yield recovery
 
 
 def _tell(recovery: Recovery) -> None:
     path, result = plain(recovery.path), plain(recovery.result)
-    if recovery.outcome in {Outcome.WHOLE, Outcome.RECOVERED}:
+    if recovery.outcome in {RecoveryOutcome.WHOLE, RecoveryOutcome.RECOVERED}:
         log.info("recovered %d messages of %s into %s", recovery.messages, path, result)
-    elif recovery.outcome is Outcome.DAMAGED:
+    elif recovery.outcome is RecoveryOutcome.DAMAGED:
         log.warning(
             "recovered %d messages of %s, which is damaged, into %s; the rest is kept in %s",
             recovery.messages,
@@ -244,7 +254,7 @@ class LeftoverThread:
     def _run(self, parts: Iterable[Path]) -> None:
         for recovery in recover_leftovers(parts, self._library):
             self.recoveries.append(recovery)
-            if recovery.outcome not in {Outcome.FAILED, Outcome.NOTHING}:
+            if recovery.outcome not in {RecoveryOutcome.FAILED, RecoveryOutcome.NOTHING}:
                 self._notices.append(Recovered(plain(Path(recovery.result).name), recovery.messages))
 
     def notices(self) -> Iterator[Notice]:

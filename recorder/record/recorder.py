@@ -107,7 +107,9 @@ class Recorder:
             kind: keys.of_recorder(plan.root, plan.recorder, BY_TYPE[kind].name)
             for kind in (RecorderEvent, RecordGap)
         }
-        """Where it publishes: a sample from there is in the logs already."""
+        """Where it publishes each kind of message."""
+        self._own_keys = frozenset(self._own_topics.values())
+        """A sample from there is in the logs already."""
 
     @property
     def state(self) -> RecorderState:
@@ -190,7 +192,7 @@ class Recorder:
 
     def _receive_sample(self, sample: ReceivedSample, now_ns: int) -> None:
         key = sample.key
-        if key in self._own_topics.values():
+        if key in self._own_keys:
             return
         log = self._by_key.get(key) or self._find_log(key)
         if len(sample.payload) + len(sample.attachment) > self._plan.sample_max_bytes:
@@ -211,7 +213,7 @@ class Recorder:
 
     def drop(self, key: str, reason: GapReason, now_ns: int, wall_ns: int) -> None:
         """Count a sample that was dropped unread."""
-        if key not in self._own_topics.values():
+        if key not in self._own_keys:
             log = self._by_key.get(key) or self._find_log(key)
             log.drop_sample(key, reason, now_ns, wall_ns)
 
@@ -418,5 +420,7 @@ class Recorder:
             one.add_own(topic, message, now_ns)
 
     def _take_actions(self) -> Sequence[Action]:
+        if not self._context.actions:
+            return ()
         actions, self._context.actions = self._context.actions, []
         return actions

@@ -19,7 +19,7 @@ from typing import Self
 import msgspec
 from mcap.reader import make_reader
 
-from recorder.disk.leftovers import Outcome, recover
+from recorder.disk.leftovers import RecoveryOutcome, recover
 from recorder.review.check import check_log
 from schemas.messages import Gear
 from tests.bench.processes import quantile, start
@@ -99,7 +99,7 @@ def measure(kills: int, directory: Path, seed: int = 1) -> Kills:
                 recorder.wait()
     left = sorted(directory.glob("*.part"))
     for path in left:
-        assert recover(path, "bench").outcome in {Outcome.WHOLE, Outcome.RECOVERED}
+        assert recover(path, "bench").outcome in {RecoveryOutcome.WHOLE, RecoveryOutcome.RECOVERED}
     return _count(directory, ends, len(left))
 
 

@@ -11,7 +11,7 @@ from typing import Final
 
 import msgspec
 
-from recorder.disk.leftovers import Outcome, Recovery, recover
+from recorder.disk.leftovers import Recovery, RecoveryOutcome, recover
 from recorder.disk.log_directory import PART_SUFFIX
 from schemas.exit_codes import ExitCode
 from schemas.printable import plain
@@ -26,7 +26,7 @@ DESCRIPTION: Final = (
     "file was damaged, 1 if nothing can be recovered."
 )
 
-_FINE: Final = {Outcome.WHOLE, Outcome.RECOVERED}
+_FINE: Final = {RecoveryOutcome.WHOLE, RecoveryOutcome.RECOVERED}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
     """Recover."""
     library = f"cruiser-gateway {version('cruiser-gateway')}"
-    outcomes: set[Outcome] = set()
+    outcomes: set[RecoveryOutcome] = set()
     for path in _leftovers(arguments.files):
         if stopped():
             break
@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
         sys.stdout.write(f"{text}\n")
     if outcomes <= _FINE:
         return int(ExitCode.OK)
-    return int(ExitCode.PARTIAL if outcomes & {*_FINE, Outcome.DAMAGED} else ExitCode.FAILURE)
+    return int(ExitCode.PARTIAL if outcomes & {*_FINE, RecoveryOutcome.DAMAGED} else ExitCode.FAILURE)
 
 
 def _leftovers(paths: Sequence[Path]) -> Iterator[Path]:
@@ -67,7 +67,7 @@ def _leftovers(paths: Sequence[Path]) -> Iterator[Path]:
 
 def describe_recovery(recovery: Recovery) -> str:
     """What became of a log, for people."""
-    if recovery.outcome in {Outcome.NOTHING, Outcome.BUSY, Outcome.FAILED}:
+    if recovery.outcome in {RecoveryOutcome.NOTHING, RecoveryOutcome.BUSY, RecoveryOutcome.FAILED}:
         lines = [f"{recovery.path}: not recovered: {recovery.detail or 'nothing in it can be read'}"]
     else:
         lines = [f"{recovery.result}: {recovery.outcome.value}, {recovery.messages} messages"]

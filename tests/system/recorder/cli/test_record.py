@@ -15,7 +15,7 @@ import pytest
 
 from gateway.cli import main
 from recorder.cli import record, remote
-from recorder.disk.leftovers import Outcome, recover
+from recorder.disk.leftovers import RecoveryOutcome, recover
 from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas.exit_codes import ExitCode
@@ -248,7 +248,7 @@ def test_a_file_that_may_grow_no_more_ends_no_recording(tmp_path: Path) -> None:
     assert Path(out.strip()).exists()
     for path in tmp_path.iterdir():
         assert check_log(path).whole == (path.suffix == ".mcap")
-        assert recover(path, "test").outcome in {Outcome.WHOLE, Outcome.RECOVERED}
+        assert recover(path, "test").outcome in {RecoveryOutcome.WHOLE, RecoveryOutcome.RECOVERED}
 
 
 def test_a_full_disk_ends_no_recording(small_disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -274,7 +274,7 @@ def test_a_full_disk_ends_no_recording(small_disk: Path, monkeypatch: pytest.Mon
     assert "No space left on device" in err
     assert "Traceback" not in err
     for path in small_disk.glob("*.mcap*"):
-        assert recover(path, "test").outcome in {Outcome.WHOLE, Outcome.RECOVERED}
+        assert recover(path, "test").outcome in {RecoveryOutcome.WHOLE, RecoveryOutcome.RECOVERED}
 
 
 def test_a_hangup_begins_a_new_file(tmp_path: Path) -> None:

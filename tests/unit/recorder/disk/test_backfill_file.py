@@ -10,7 +10,7 @@ from recorder.backfill.backfilling import BACKFILLED_FROM
 from recorder.backfill.excerpt import Message
 from recorder.cli.review.info import describe
 from recorder.disk.backfill_file import BACKFILL_NAME, BackfillFile, BackfillFiles
-from recorder.disk.leftovers import Outcome, recover
+from recorder.disk.leftovers import RecoveryOutcome, recover
 from recorder.encoding.protobuf_schema import descriptor_set
 from recorder.mcap.recovery import survey
 from recorder.review.info import read_info
@@ -71,7 +71,7 @@ def test_a_part_holds_what_was_written_so_far(tmp_path: Path) -> None:
     data = part.read_bytes()
     found = survey(BytesIO(data), len(data))
     assert found.messages == len(ROWS)
-    assert recover(part, "test").outcome is Outcome.BUSY
+    assert recover(part, "test").outcome is RecoveryOutcome.BUSY
     files.close()
 
 
@@ -80,7 +80,7 @@ def test_a_backfill_that_is_broken_off_leaves_what_it_had(tmp_path: Path) -> Non
     files = written(tmp_path, ROWS)
     (part,) = files.parts()
     files.close()
-    assert recover(part, "test").outcome is Outcome.RECOVERED
+    assert recover(part, "test").outcome is RecoveryOutcome.RECOVERED
     assert rows_in((tmp_path / NAME).read_bytes()) == ROWS
 
 

@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 
 from recorder.disk import leftovers
 from recorder.disk.keeper import read_entries
-from recorder.disk.leftovers import LeftoverThread, Outcome, Recovery, recover, recover_leftovers
+from recorder.disk.leftovers import LeftoverThread, Recovery, RecoveryOutcome, recover, recover_leftovers
 from recorder.disk.log_directory import LogDirectory, lock
 from recorder.record.notices import Recovered
 from recorder.review.check import check_log
@@ -47,7 +47,7 @@ def test_a_killed_recorders_log_is_made_whole_in_place(tmp_path: Path) -> None:
     path = part(tmp_path, LOG[: SUMMARY + 3])
     inode = path.stat().st_ino
     recovery = recover(path, "test")
-    assert (recovery.outcome, recovery.messages, recovery.cut_bytes) == (Outcome.RECOVERED, 12, 3)
+    assert (recovery.outcome, recovery.messages, recovery.cut_bytes) == (RecoveryOutcome.RECOVERED, 12, 3)
     assert logs_in(tmp_path) == ["x.mcap"]
     assert (tmp_path / "x.mcap").stat().st_ino == inode
     assert check_log(tmp_path / "x.mcap").whole
@@ -56,7 +56,7 @@ def test_a_killed_recorders_log_is_made_whole_in_place(tmp_path: Path) -> None:
 
 def test_a_whole_part_is_but_renamed(tmp_path: Path) -> None:
     """Its recorder was killed between the last write and the new name."""
-    assert recover(part(tmp_path, LOG), "test").outcome is Outcome.WHOLE
+    assert recover(part(tmp_path, LOG), "test").outcome is RecoveryOutcome.WHOLE
     assert (tmp_path / "x.mcap").read_bytes() == LOG
 
 
@@ -73,7 +73,7 @@ def test_a_part_that_somebody_writes_is_not_touched(tmp_path: Path) -> None:
     """The lock of a living recorder tells; when it is gone, so is the lock."""
     log = LogDirectory(tmp_path).open("x", WALL_NS, "test")
     before = log.path.read_bytes()
-    assert recover(log.path, "test").outcome is Outcome.BUSY
+    assert recover(log.path, "test").outcome is RecoveryOutcome.BUSY
     assert log.path.read_bytes() == before
     assert list(recover_leftovers([log.path], "test")) == []
     log.salvage()
@@ -91,7 +91,7 @@ def test_a_part_that_was_renamed_before_it_was_locked_is_not_touched(
         return lock(descriptor)
 
     monkeypatch.setattr(leftovers, "lock", late)
-    assert recover(path, "test").outcome is Outcome.BUSY
+    assert recover(path, "test").outcome is RecoveryOutcome.BUSY
     assert path.read_bytes() == b"new"
     assert (tmp_path / "x.mcap").read_bytes() == LOG[:SUMMARY]
 
@@ -105,7 +105,7 @@ def test_where_there_are_no_locks_nothing_is_touched(tmp_path: Path, monkeypatch
     monkeypatch.setattr(leftovers, "lock", none)
     path = part(tmp_path, LOG[:SUMMARY])
     recovery = recover(path, "test")
-    assert (recovery.outcome, recovery.detail) == (Outcome.FAILED, "No locks available")
+    assert (recovery.outcome, recovery.detail) == (RecoveryOutcome.FAILED, "No locks available")
     assert path.read_bytes() == LOG[:SUMMARY]
 
 
@@ -113,7 +113,7 @@ def test_a_damaged_log_is_kept_as_it_is_beside_what_is_good_in_it(tmp_path: Path
     """Nothing of value is deleted."""
     data = flipped(LOG)[:SUMMARY]
     recovery = recover(part(tmp_path, data), "test")
-    assert (recovery.outcome, recovery.fault_count, recovery.messages) == (Outcome.DAMAGED, 1, 2)
+    assert (recovery.outcome, recovery.fault_count, recovery.messages) == (RecoveryOutcome.DAMAGED, 1, 2)
     assert logs_in(tmp_path) == ["x.mcap", "x.mcap.damaged"]
     assert (tmp_path / "x.mcap.damaged").read_bytes() == data
     assert recovery.kept == str(tmp_path / "x.mcap.damaged")
@@ -124,7 +124,7 @@ def test_a_damaged_log_is_kept_as_it_is_beside_what_is_good_in_it(tmp_path: Path
 def test_what_is_cut_off_and_more_than_torn_is_kept(tmp_path: Path) -> None:
     """Here something that is no record."""
     recovery = recover(part(tmp_path, LOG[:SUMMARY] + b"\xffnobody knows"), "test")
-    assert (recovery.outcome, recovery.messages) == (Outcome.DAMAGED, 12)
+    assert (recovery.outcome, recovery.messages) == (RecoveryOutcome.DAMAGED, 12)
     assert (tmp_path / "x.mcap.rest").read_bytes() == b"\xffnobody knows"
     assert check_log(tmp_path / "x.mcap").whole
 
@@ -145,10 +145,10 @@ def test_a_log_that_is_no_part_keeps_its_name(tmp_path: Path) -> None:
 def test_a_part_without_anything_is_set_aside_at_a_start(tmp_path: Path, data: bytes) -> None:
     """As it is, so that the next start does not try it again; by hand it is left where it is."""
     path = part(tmp_path, data)
-    assert recover(path, "test").outcome is Outcome.NOTHING
+    assert recover(path, "test").outcome is RecoveryOutcome.NOTHING
     assert logs_in(tmp_path) == ["x.mcap.part"]
     (recovery,) = recover_leftovers([path], "test")
-    assert recovery.outcome is Outcome.NOTHING
+    assert recovery.outcome is RecoveryOutcome.NOTHING
     assert (tmp_path / "x.mcap.damaged").read_bytes() == data
     assert logs_in(tmp_path) == ["x.mcap.damaged"]
 
@@ -169,7 +169,7 @@ def test_a_copy_that_does_not_fit_leaves_the_log_as_it_was(
     fail_to("copy_good", monkeypatch)
     data = flipped(LOG)[:SUMMARY]
     recovery = recover(part(tmp_path, data), "test")
-    assert (recovery.outcome, recovery.detail) == (Outcome.FAILED, "No space left on device")
+    assert (recovery.outcome, recovery.detail) == (RecoveryOutcome.FAILED, "No space left on device")
     assert logs_in(tmp_path) == ["x.mcap.part"]
     assert (tmp_path / "x.mcap.part").read_bytes() == data
 
@@ -190,10 +190,10 @@ def test_a_log_whose_end_does_not_fit_stays_a_part(tmp_path: Path, monkeypatch: 
     finish = leftovers._finish
     monkeypatch.setattr(leftovers, "_finish", lambda stream, found: finish(Full(stream), found))  # type: ignore[arg-type]  # as much of a stream as is used
     path = part(tmp_path, LOG[: SUMMARY + 3])
-    assert recover(path, "test").outcome is Outcome.FAILED
+    assert recover(path, "test").outcome is RecoveryOutcome.FAILED
     assert path.read_bytes() == LOG[:SUMMARY]
     monkeypatch.undo()
-    assert recover(path, "test").outcome is Outcome.RECOVERED
+    assert recover(path, "test").outcome is RecoveryOutcome.RECOVERED
 
 
 def test_a_recovery_reaches_the_disk_before_the_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -270,7 +270,7 @@ def test_what_cannot_be_recovered_now_is_told_by_nobody(tmp_path: Path, monkeypa
     thread = LeftoverThread(tmp_path, "test")
     thread.wait(30)
     assert list(thread.notices()) == []
-    assert [one.outcome for one in thread.recoveries] == [Outcome.FAILED]
+    assert [one.outcome for one in thread.recoveries] == [RecoveryOutcome.FAILED]
 
 
 def test_an_incident_stays_one(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 
 from recorder.disk import log_directory, part_file
 from recorder.disk.keeper import read_entries
-from recorder.disk.leftovers import Outcome, recover
+from recorder.disk.leftovers import RecoveryOutcome, recover
 from recorder.disk.log_directory import LogDirectory, lock, safe_name
 from recorder.disk.part_file import PartFile, Prologue
 from recorder.encoding.protobuf_schema import descriptor_set
@@ -268,7 +268,7 @@ def test_a_failed_sync_is_told_by_the_next_write(tmp_path: Path, monkeypatch: py
     log.salvage()
     part = tmp_path / f"{STEM}.mcap.part"
     assert part.stat().st_size == kept_size < log.size
-    assert recover(part, "test").outcome is Outcome.RECOVERED
+    assert recover(part, "test").outcome is RecoveryOutcome.RECOVERED
     assert sequences(tmp_path / f"{STEM}.mcap") == [1]
 
 

@@ -16,7 +16,7 @@ import pytest
 from mcap.reader import make_reader
 
 from recorder.disk import log_directory, log_writer, part_file
-from recorder.disk.leftovers import Outcome, recover
+from recorder.disk.leftovers import RecoveryOutcome, recover
 from recorder.disk.log_directory import LogDirectory
 from recorder.disk.log_writer import LogWriter
 from recorder.encoding.protobuf_schema import descriptor_set
@@ -230,7 +230,7 @@ def test_what_the_disk_fails_to_keep_is_written_again(
         writer.submit(on_log([chunk(5), CloseLog("x")]))
     writer.close()
     for path in tmp_path.glob("*.part"):
-        assert recover(path, "test").outcome is Outcome.RECOVERED
+        assert recover(path, "test").outcome is RecoveryOutcome.RECOVERED
     found = [sequences(path) for path in sorted(tmp_path.iterdir(), key=lambda path: path.stat().st_mtime_ns)]
     assert sorted(number for numbers in found for number in numbers) == list(range(1, 4 if ends else 6))
     assert writer.lost == 0
@@ -412,7 +412,7 @@ class SlowDisk:
 def all_sequences(directory: Path) -> list[int]:
     """The messages of all files, those that are parts made whole."""
     for path in directory.glob("*.part"):
-        assert recover(path, "test").outcome in {Outcome.RECOVERED, Outcome.WHOLE}
+        assert recover(path, "test").outcome in {RecoveryOutcome.RECOVERED, RecoveryOutcome.WHOLE}
     return sorted(number for path in directory.glob("*.mcap") for number in sequences(path))
 
 
