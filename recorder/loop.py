@@ -47,19 +47,19 @@ SLICE_SAMPLES: Final = 100
 """Quick ones between two looks at the clock."""
 
 TICK_NS: Final = 20_000_000
-"""What is due is looked for so often: with a thousand logs that takes its time."""
+"""Pause between two ticks: with a thousand logs each takes its time."""
 
 LINK_NS: Final = 200_000_000
-"""Whether the link is there is looked at so often."""
+"""Pause between two looks at the link."""
 
 IDLE_S: Final = 0.01
 """Pause when nothing has come in."""
 
 LAST_ANSWERS_NS: Final = 500_000_000
-"""How long the end waits for robots that have not yet said who they are."""
+"""Longest wait of the end for robots that have not yet said who they are."""
 
 LAST_SAMPLES_NS: Final = 2_000_000_000
-"""How long the end goes on writing what had already come in."""
+"""Longest time in which the end still records what had already come in."""
 
 
 class SampleSource(Protocol):
@@ -67,17 +67,17 @@ class SampleSource(Protocol):
 
     @property
     def is_asking(self) -> bool:
-        """Whether a query is still without its reply."""
+        """True if a query is still without its reply."""
         ...
 
     @property
     def is_connected(self) -> bool:
-        """Whether any Zenoh node is connected."""
+        """True if any Zenoh node is connected."""
         ...
 
     @property
     def is_behind(self) -> bool:
-        """Whether more had come in than the last ``drain`` gave."""
+        """True if more had come in than the last ``drain`` gave."""
         ...
 
     def drain(self, limit: int) -> Sequence[ReceivedSample]:
@@ -227,7 +227,7 @@ class RecorderLoop:
         return busy
 
     def _take_samples(self) -> bool:
-        """Whether anything had come in, or was waiting."""
+        """True if anything had come in, or was waiting."""
         if self._inbox:
             self._take_in()
             self._receive(self._inbox.take(PASS_SAMPLES, PASS_BYTES))

@@ -54,7 +54,7 @@ class BackfillFile:
         self._schemas: dict[str, bytes] = {}
 
     def fits(self, message: Message) -> bool:
-        """Whether its schema is none of another version than the one of that name here."""
+        """True if its schema is none of another version than the one of that name here."""
         channel = message.channel
         return self._schemas.get(channel.schema_name, channel.schema_data) == channel.schema_data
 

@@ -22,13 +22,13 @@ from schemas.printable import plain
 log = logging.getLogger(__name__)
 
 LOOK_S: Final = 1.0
-"""How often the disk is looked at."""
+"""Pause between two looks at the disk."""
 
 RETRY_S: Final = 10.0
-"""How long a file that could not be deleted is let alone; others go in its place."""
+"""Pause before a file that could not be deleted is tried again; others go in its place."""
 
 END_S: Final = 2.0
-"""How long the end waits for a disk that does not answer."""
+"""Longest wait of the end for a disk that does not answer."""
 
 NOTICES_MAX: Final = 10_000
 
@@ -42,7 +42,7 @@ _NAME: Final = re.compile(
 
 
 class DiskUse(msgspec.Struct, frozen=True):
-    """How full the disk is, in bytes."""
+    """Use of the disk, in bytes."""
 
     free: int = 0
     used: int = 0
@@ -111,7 +111,7 @@ class DiskKeeper:
         self._thread.start()
 
     def notices(self) -> Iterable[Notice]:
-        """What has happened since the last call."""
+        """Return the notices since the last call."""
         while self._notices:
             yield self._notices.popleft()
 
@@ -191,5 +191,5 @@ def _state(directory: Path) -> os.stat_result | None:
 
 
 def _is_same(before: os.stat_result, now: os.stat_result | None) -> bool:
-    """Whether it is the directory that it was, or another disk's in its place: what is there may come back."""
+    """True if it is the directory that it was, or another disk's in its place: what is there may come back."""
     return now is not None and (before.st_dev != now.st_dev or before.st_ino == now.st_ino)

@@ -37,7 +37,7 @@ _SUFFIXES: Final = (PART_SUFFIX, DAMAGED_SUFFIX, REST_SUFFIX, SUFFIX)
 
 
 class RecoveryOutcome(Enum):
-    """What became of a file."""
+    """The outcome of recovering a file."""
 
     WHOLE = "whole"
     """It was whole already."""
@@ -54,7 +54,7 @@ class RecoveryOutcome(Enum):
 
 
 class Recovery(msgspec.Struct, frozen=True):
-    """What became of a file.
+    """The recovery of a file.
 
     Attributes:
         result: the log as it is called now.
@@ -258,7 +258,7 @@ class LeftoverThread:
                 self._notices.append(Recovered(plain(Path(recovery.result).name), recovery.messages))
 
     def notices(self) -> Iterator[Notice]:
-        """What was recovered since the last call."""
+        """Return the notices since the last call."""
         while self._notices:
             yield self._notices.popleft()
 

@@ -43,10 +43,10 @@ RETRY_MAX_S: Final = 5.0
 """The longest pause."""
 
 FAULT: Final = "fault"
-"""Why a file is begun after another could not be written, as ``cruiser.continued`` has it."""
+"""The reason in ``cruiser.continued`` of a file that was begun because another could not be written."""
 
 END_S: Final = 10.0
-"""How long the end waits for a disk that makes no progress."""
+"""Longest wait of the end for a disk that makes no progress."""
 
 
 class _Chain:
@@ -64,7 +64,7 @@ class _Chain:
 
     @property
     def is_begun(self) -> bool:
-        """Whether the newest file that was asked for is being written."""
+        """True if the newest file that was asked for is being written."""
         return self.file is not None and self.opened == self.submitted
 
     def beginning_ns(self, first: WriteChunk) -> int:
@@ -147,7 +147,7 @@ class LogWriter:
         return sum(path.exists() for path in self._left)
 
     def notices(self) -> Iterable[Notice]:
-        """What became of the files since the last call."""
+        """Return the notices since the last call."""
         with self._changed:
             losses, self._losses = self._losses, {}
         yield from losses.values()
@@ -256,7 +256,7 @@ class LogWriter:
         return self._is_faulty and isinstance(action, WriteChunk) and self._chains[action.log].file is None
 
     def _has_room(self) -> bool:
-        """Whether more may be written before the disk has kept some. Where it may not, asks for syncs."""
+        """True if more may be written before the disk has kept some. Where it may not, asks for syncs."""
         if self._unkept_bytes < self._unkept_max:
             return True
         files = [file for chain in self._chains.values() if (file := chain.file) is not None and file.unkept_bytes]

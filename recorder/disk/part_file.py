@@ -114,11 +114,11 @@ class PartFile:
         self._wants_sync = False
         """Something was written that the present sync may not cover: another is to follow it."""
         self._fault: OSError | None = None
-        """What a sync has failed with, until the next write tells."""
+        """The failure of a sync, until the next write raises it."""
         self.when_synced: Callable[[], None] = _nothing
         """Called on another thread after each sync, whatever became of it."""
         self.has_synced = False
-        """Whether the disk has taken anything of this file."""
+        """True if the disk has taken anything of this file."""
         self.kept_size = 0
         """Bytes that the disk has said it keeps."""
         self.is_doubtful = False
@@ -144,7 +144,7 @@ class PartFile:
 
     @property
     def is_kept(self) -> bool:
-        """Whether there is a file, which ``salvage`` may have found not worth keeping."""
+        """True if there is a file, which ``salvage`` may have found not worth keeping."""
         with suppress(OSError):  # A disk that is gone may not even say that it has no such file.
             return self.path.exists()
         return False

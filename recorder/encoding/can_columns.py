@@ -95,7 +95,7 @@ def can_adder(counters: KeyCounters, chunk: ChunkBuilder, channel_id: int) -> Ad
 
 
 def is_common(batch: CanFrames) -> bool:
-    """Whether all frames are classic data frames of eight bytes, with identifiers of one length."""
+    """True if all frames are classic data frames of eight bytes, with identifiers of one length."""
     words = batch.can_id
     count = len(words)
     if not (

@@ -1,4 +1,4 @@
-"""What has come in on one key, and what has not. Pure."""
+"""Counters of one key: samples received, missed and lost. Pure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ SEQUENCE_SPAN: Final = 2**32
 """Sequences wrap here."""
 
 UNREAD: Final = frozenset({GapReason.QUEUE, GapReason.SIZE})
-"""What is lost for these reasons are samples that were never decoded: their sequence is not known."""
+"""Reasons for the loss of samples that were never decoded: their sequence is not known."""
 
 SOURCES_MAX: Final = 16
 """Sources of one key that are followed; of more, those that were silent longest begin anew."""
@@ -20,7 +20,7 @@ RESTART_STEP: Final = 2**24
 
 
 class KeyCounters:
-    """What has come in on one key.
+    """Counts the samples of one key.
 
     Attributes:
         samples: samples decoded, or kept as they are.

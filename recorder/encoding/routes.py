@@ -1,4 +1,4 @@
-"""Which channel a key's samples go to, and how they become records. Pure."""
+"""The route of a key's samples: their channel, and how they become records. Pure."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ _WATCHED: Final = frozenset({CanFrames, GatewayInfo, GatewayHealth, SafetyEvent}
 
 
 def _fault_of(batch: CanFrames) -> str:
-    """What is wrong with a batch; empty if nothing is."""
+    """Describe the fault of a batch; empty if there is none."""
     count = len(batch.frame_time_ns)
     if not count == len(batch.can_id) == len(batch.fd_flags) == len(batch.length) == len(batch.data):
         return "the columns differ in length"

@@ -1,1 +1,1 @@
-"""What a recorder writes, without I/O: the recording, its logs, channels, incidents and counters. Pure."""
+"""A recorder without I/O: its logs, with their channels, chunks, files, incidents and counters. Pure."""

@@ -1,6 +1,7 @@
-"""What a recorder asks of the disk and of Zenoh. An action on a log is the same object from here into the file.
+"""The actions that a recorder asks of the disk and of Zenoh. Pure.
 
-``RobotLog`` makes it, it waits in the queue of the disk as it is, and ``write_to`` puts it into the file.
+An action on a log is the same object from ``RobotLog``, which makes it, through the queue of the disk, where it
+waits, into the file, where ``write_to`` puts it.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class LogAction(msgspec.Struct, frozen=True):
 
     @property
     def is_repeated(self) -> bool:
-        """Whether every file that continues the present one begins with it again."""
+        """True if every file that continues the present one begins with it again."""
         return False
 
     def write_to(self, file: McapFile) -> None:
@@ -111,7 +112,7 @@ class WriteMetadata(LogAction, frozen=True):
 
     @property
     def is_repeated(self) -> bool:
-        """Whether it lasts."""
+        """True if it lasts."""
         return self.lasts
 
     def write_to(self, file: McapFile) -> None:

@@ -130,7 +130,7 @@ class Channels:
         return topics
 
     def _is_line(self, topic: str) -> bool:
-        """Whether a topic is one of a line, or is kept free for one."""
+        """True if a topic is one of a line, or is kept free for one."""
         key, _, chunk = topic.rpartition("/")
         return chunk == RESERVED_LINE_CHUNK or (chunk == LOG_CHUNK and key in self._lines)
 

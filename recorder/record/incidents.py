@@ -52,7 +52,7 @@ class Incidents:
 
     @property
     def is_open(self) -> bool:
-        """Whether an incident is being written."""
+        """True if an incident is being written."""
         return self._until_ns is not None
 
     def add(self, chunk: Chunk, now_ns: int) -> list[LogAction]:
@@ -104,7 +104,7 @@ class Incidents:
         return [self._link_to(file)] if self.is_open else []
 
     def is_over(self, now_ns: int) -> bool:
-        """Whether the incident that is being written is to be ended."""
+        """True if the incident that is being written is to be ended."""
         return self._until_ns is not None and now_ns >= self._until_ns
 
     def close(self) -> list[LogAction]:

@@ -1,4 +1,4 @@
-"""What the disk reports to the recorder, and what the recorder announces to people. Pure."""
+"""Notices of the disk to the recorder, and announcements of the recorder to people. Pure."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Recovered(msgspec.Struct, frozen=True):
 
 
 class DiskRoom(msgspec.Struct, frozen=True):
-    """What the disk may hold has changed.
+    """A change of what the disk may hold.
 
     Attributes:
         has_room: whether logs may be written.

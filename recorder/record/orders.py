@@ -38,7 +38,7 @@ class OperatorRequest(Protocol):
 
     @property
     def request(self) -> Request | PayloadFault:
-        """What is asked, or what is wrong with it."""
+        """The request, or the fault of its payload."""
         ...
 
     @property

@@ -63,7 +63,7 @@ TICK_TURNS: Final = 4
 
 
 class RecorderPlan(msgspec.Struct, frozen=True):
-    """What to record.
+    """The settings of a recorder.
 
     Attributes:
         root: the first chunks of the robots' keys.
@@ -113,7 +113,7 @@ class Recorder:
 
     @property
     def state(self) -> RecorderState:
-        """What it does."""
+        """Its state."""
         if self._is_stopped:
             return RecorderState.STOPPED
         return RecorderState.RECORDING if self._has_room else RecorderState.FULL
@@ -155,7 +155,7 @@ class Recorder:
 
     @property
     def has_incident_room(self) -> bool:
-        """Whether the disk may hold more incidents."""
+        """True if the disk may hold more incidents."""
         return self._context.has_incident_room
 
     @property

@@ -1,4 +1,4 @@
-"""Which logs go when the disk is full, and whether there is room to go on. Pure.
+"""Retention: the logs that are deleted when the disk is full, and the room to go on. Pure.
 
 Each robot has a fair share: the oldest log of the robot that takes most goes first. Anybody on the network can
 make up robots, so where robots are known by name, all others have one share together, and the last hours of a
@@ -27,7 +27,7 @@ ROLL_BYTES: Final = 100_000
 """Logs that are being written are ended, so that they may go, when they take so much together."""
 
 START_FORMAT: Final = "%Y%m%dT%H%M%SZ"
-"""How the start is written in a log's name."""
+"""The format of the start in a log's name."""
 
 OTHERS: Final = ""
 """The share of all robots that are not known, where some are."""
@@ -57,7 +57,7 @@ class LogEntry(msgspec.Struct, frozen=True):
 
 
 class DiskLimits(msgspec.Struct, frozen=True):
-    """How much logs may take; 0 is no limit.
+    """The room that logs may take; 0 is no limit.
 
     Attributes:
         budget_bytes: that they may take together.
@@ -77,7 +77,7 @@ class DiskLimits(msgspec.Struct, frozen=True):
 
 
 class Judgement(msgspec.Struct, frozen=True):
-    """What to do.
+    """The decision about the disk.
 
     Attributes:
         delete: names of files, in this order.
@@ -93,7 +93,7 @@ class Judgement(msgspec.Struct, frozen=True):
 
 
 def judge(entries: Sequence[LogEntry], free_bytes: int, limits: DiskLimits, *, is_full: bool) -> Judgement:
-    """What to do about the disk.
+    """Decide what is deleted, and what may be written.
 
     Args:
         entries: the recorder's files in the directory.
@@ -140,7 +140,7 @@ def judge(entries: Sequence[LogEntry], free_bytes: int, limits: DiskLimits, *, i
 
 
 def _wanted(used: int, free_bytes: int, limits: DiskLimits, *, is_full: bool) -> int:
-    """How many bytes have to go."""
+    """Count the bytes that have to go."""
     more = 1.0 + RESUME_SHARE if is_full else 1.0
     over_budget = used * more - limits.budget_bytes if limits.budget_bytes else 0
     under_floor = limits.floor_bytes * more - free_bytes
@@ -152,7 +152,7 @@ def _bytes(entries: Iterable[LogEntry]) -> int:
 
 
 def _is_worth(wanted: int, closed: Iterable[LogEntry], being_written: Iterable[LogEntry]) -> bool:
-    """Whether there is room enough only when what is being written has gone, too, and it is no trifle."""
+    """True if there is room enough only when what is being written has gone, too, and it is no trifle."""
     closed_bytes, open_bytes = _bytes(closed), _bytes(being_written)
     return closed_bytes < wanted <= closed_bytes + open_bytes and open_bytes >= ROLL_BYTES
 

@@ -82,7 +82,7 @@ ANNOUNCEMENTS_MAX: Final = 1000
 
 
 class LogPlan(msgspec.Struct, frozen=True):
-    """What to record into a log.
+    """The settings of a log.
 
     Attributes:
         name: the log's, which begins its files' names.
@@ -110,7 +110,7 @@ class LogPlan(msgspec.Struct, frozen=True):
 
 
 class LogContext:
-    """What the logs of a recorder share.
+    """State that the logs of a recorder share.
 
     Attributes:
         actions: what is to be done, in this order.
@@ -165,7 +165,7 @@ class RobotLog:
         self.incident_file = ""
         """The same of an incident."""
         self._is_incident_announced = True
-        """Whether the latest incident has been opened, and that was announced."""
+        """True if the latest incident has been opened, and that was announced."""
         self._linked_incident = ""
         """The incident that the present file of the log names."""
         self._files = 0
@@ -174,7 +174,7 @@ class RobotLog:
         self._opened_ns = self._received_ns = 0
         self._rolled_ns: int | None = None
         self._roll_wanted = ""
-        """Why the file is to be ended as soon as may be."""
+        """The reason to end the file as soon as may be; empty if there is none."""
         self._ended_by = ""
         self._at_risk_since_ns: int | None = None
         # Half for what comes together, half for the ticks, the write and the sync.
@@ -186,7 +186,7 @@ class RobotLog:
         return len(self._robots)
 
     def knows(self, robot: str) -> bool:
-        """Whether a sample of this robot has come."""
+        """True if a sample of this robot has come."""
         return robot in self._robots
 
     # Samples
@@ -416,7 +416,7 @@ class RobotLog:
         self._account.want(self.channels.counts, is_wanted=is_wanted)
 
     def _why_roll(self, now_ns: int, file_bytes: int) -> str:
-        """Why the file is to be ended now; empty if it is not."""
+        """Return the reason to end the file now; empty if there is none."""
         age_ns = now_ns - self._opened_ns
         if 0 < self._plan.idle_ns <= now_ns - self._received_ns:
             return "silence"

@@ -38,7 +38,7 @@ class _Robot:
 
     @property
     def is_known(self) -> bool:
-        """Whether nothing is left to ask: the DBC is there only when the variant is known."""
+        """True if nothing is left to ask: the DBC is there only when the variant is known."""
         return self.info is not None and self.info.variant is not Variant.UNKNOWN
 
 
@@ -73,7 +73,7 @@ class Robots:
         return name
 
     def has_quota(self, name: str, bus: str = "") -> bool:
-        """Whether keys of this robot, and of this bus of it, have a quota of their own: the first few have."""
+        """True if keys of this robot, and of this bus of it, have a quota of their own: the first few have."""
         robot = self._robots.get(name)
         if robot is None or not bus or bus in robot.buses:
             return robot is not None

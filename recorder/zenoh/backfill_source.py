@@ -40,7 +40,7 @@ _DECODER: Final = msgspec.msgpack.Decoder(BackfillPiece)
 
 
 def key_matches(expression: str, topic: str) -> bool:
-    """Whether a Zenoh key expression matches a topic. False of what is no key expression."""
+    """True if a Zenoh key expression matches a topic. False of what is no key expression."""
     try:
         return zenoh.KeyExpr.autocanonize(expression).includes(zenoh.KeyExpr(topic))
     except zenoh.ZError:

@@ -46,7 +46,7 @@ REPLIES_WAITING: Final = 128
 REQUEST_MAX_BYTES: Final = 4096
 
 NAMESAKES_S: Final = 1.0
-"""How long the start listens for other recorders: the links to them take their time."""
+"""Time in which the start listens for other recorders: the links to them take their time."""
 
 NAMESAKES_PAUSE_S: Final = 0.05
 """Pause between two queries for other recorders at the start."""

@@ -20,7 +20,7 @@ from schemas.subjects import KEPT_PIECE
 from schemas.zenoh_link import reason
 
 REPLY_TIMEOUT_S: Final = 2.0
-"""How long a query may wait for its reply."""
+"""Longest wait of a query for its reply."""
 
 RING_SAMPLE_BYTES: Final = 3_200
 """Of ``recorder.queue_bytes`` for a sample in Zenoh's own ring, of each key expression: 20,000 of them in 64 MB.
@@ -109,7 +109,7 @@ class ZenohSource:
             keys.ANY_TOKEN, zenoh.handlers.RingChannel(TOKENS_WAITING), history=True
         )
         self.is_behind = False
-        """Whether more had come in than the last ``drain`` gave."""
+        """True if more had come in than the last ``drain`` gave."""
         self._overlap = any(
             one.intersects(other)
             for index, one in enumerate(self._expressions)
@@ -119,12 +119,12 @@ class ZenohSource:
 
     @property
     def is_asking(self) -> bool:
-        """Whether a query is still without its reply."""
+        """True if a query is still without its reply."""
         return bool(self._pending)
 
     @property
     def is_connected(self) -> bool:
-        """Whether any Zenoh node is connected."""
+        """True if any Zenoh node is connected."""
         info = self._session.info
         return bool(info.peers_zid() or info.routers_zid())
 
