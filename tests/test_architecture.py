@@ -1,5 +1,6 @@
 """The import rules: .importlinter has them, by folder, and this sees that none is without one."""
 
+import ast
 import configparser
 import subprocess
 import sys
@@ -17,6 +18,11 @@ WORLD = {
     "recorder.zenoh",
 }
 """Rooms that touch the world: clocks, threads, the bus, Zenoh. Whoever adds one says so here."""
+
+PACKAGES = ("gateway", "recorder", "schemas")
+
+FRAMING = {"recorder.mcap.framing", "recorder.mcap.proof"}
+"""Opcodes, record headers and checksums of MCAP files: for the room of the format alone."""
 
 
 def contracts() -> dict[str, set[str]]:
@@ -60,3 +66,23 @@ def test_a_core_that_touched_the_world_would_be_seen(module: str) -> None:
     parser = configparser.ConfigParser()
     parser.read(ROOT / ".importlinter")
     assert module in parser["importlinter:contract:pure"]["forbidden_modules"].split()
+
+
+def framing_in(path: Path) -> set[str]:
+    """The modules of MCAP's framing that a file imports: ours, and all of the mcap package but its records."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+    foreign = {name for name in found if name.startswith("mcap.") and not name.startswith("mcap.records")}
+    return foreign | found & FRAMING
+
+
+def test_only_one_room_knows_how_mcap_is_framed() -> None:
+    """All others read by ``recorder.mcap.reader`` and its neighbours, and write by its writer."""
+    room = ROOT / "recorder" / "mcap"
+    files = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
+    assert {str(path): found for path in files if room not in path.parents and (found := framing_in(path))} == {}
+    assert any(framing_in(path) >= {"recorder.mcap.framing", "mcap.opcode"} for path in room.glob("*.py"))

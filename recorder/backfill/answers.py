@@ -12,9 +12,7 @@ from mcap import records
 from recorder.backfill.excerpt import PIECE_NAME, Message
 from recorder.backfill.questions import Question
 from recorder.mcap.channel import LogChannel
-from recorder.mcap.messages import LoggedMessage, Walked, walk
-from recorder.mcap.records import Fault
-from recorder.mcap.summary import MAGIC
+from recorder.mcap.reader import Fault, LoggedMessage, Walked, walk
 from recorder.mcap.writer import MESSAGE_ENCODING, SCHEMA_ENCODING
 from schemas.recording import Backfill, BackfillPiece
 
@@ -112,10 +110,8 @@ def read_piece(piece: BackfillPiece, number: int, from_ns: int) -> list[Message]
     if not piece.mcap:
         # The last piece has messages if any has: of an empty one none before it can be lost.
         return [] if piece.is_last and not number and not piece.messages else None
-    stream = BytesIO(piece.mcap)
-    stream.seek(len(MAGIC))
     reader = _PieceReader()
-    for walked in walk(stream, len(piece.mcap)):
+    for walked in walk(BytesIO(piece.mcap), len(piece.mcap)):
         if not reader.take(walked):
             return None
     expected = {"number": str(number), "from_ns": str(from_ns)}

@@ -17,7 +17,7 @@ from typing import BinaryIO, Final
 import msgspec
 
 from recorder.mcap.channel import LogChannel
-from recorder.mcap.chunk import MESSAGE_HEADER, ChunkBuilder
+from recorder.mcap.chunk import ChunkBuilder, record_size
 from recorder.mcap.log_map import EARLY_NS, LATE_NS, LogMap
 from recorder.mcap.writer import McapFile
 from schemas.recording import Backfill, BackfillPiece
@@ -78,7 +78,7 @@ class Message(msgspec.Struct, frozen=True):
     @property
     def size(self) -> int:
         """Bytes of its record."""
-        return MESSAGE_HEADER.size + len(self.data)
+        return record_size(self.data)
 
     @property
     def place(self) -> Place:
@@ -198,9 +198,9 @@ class Excerpt:
                         yield None
                         return
                     for looks, one in enumerate(log.chart.read(stream, number), start=1):
-                        channel_id, sequence, log_ns, publish_ns, data = one
-                        if from_ns <= publish_ns < to_ns and channel_id in channels:
-                            yield Message(channels[channel_id], sequence, log_ns, publish_ns, data)
+                        channel = channels.get(one.channel_id)
+                        if from_ns <= one.publish_ns < to_ns and channel is not None:
+                            yield Message(channel, one.sequence, one.log_ns, one.publish_ns, one.data)
                         if looks % LOOK_EVERY == 0 and self._is_expired():
                             yield None
                             return

@@ -13,7 +13,7 @@ from recorder.backfill.excerpt import Message
 from recorder.backfill.holes import ANY_TOPIC, Hole, HoleKind, HoleTally
 from recorder.backfill.questions import Question
 from recorder.mcap.channel import LogChannel
-from recorder.mcap.log_map import Logged
+from recorder.mcap.reader import LoggedMessage
 
 Identity = tuple[str, int, int, int]
 """Topic, sequence, publish time, and CRC-32 of the data: no two messages of a log are the same in all of them."""
@@ -93,12 +93,12 @@ class Filling:
         """Messages that were answered; ``written`` of them were missing."""
         self.written = 0
 
-    def hold(self, channels: dict[int, LogChannel], messages: Iterable[Logged]) -> None:
+    def hold(self, channels: dict[int, LogChannel], messages: Iterable[LoggedMessage]) -> None:
         """Learn which messages one's own logs have where something is missing."""
-        for channel_id, sequence, _, publish_ns, data in messages:
-            topic = channels[channel_id].topic
-            if self._holes_at(topic, publish_ns):
-                self._held.add((topic, sequence, publish_ns, zlib.crc32(data)))
+        for one in messages:
+            topic = channels[one.channel_id].topic
+            if self._holes_at(topic, one.publish_ns):
+                self._held.add((topic, one.sequence, one.publish_ns, zlib.crc32(one.data)))
 
     def take(self, message: Message) -> bool:
         """A message was answered. True if it is missing, and is to be written."""

@@ -13,7 +13,7 @@ from recorder.backfill.ranges import Range, merged, overlaps
 from recorder.backfill.runs import Cover, Line
 from recorder.encoding.protobuf_schema import message_class, schema_name
 from recorder.mcap.channel import LogChannel
-from recorder.mcap.log_map import Logged
+from recorder.mcap.reader import LoggedMessage
 from schemas import keys
 from schemas.messages import GatewayInfo, RawSample
 from schemas.recording import RecordGap
@@ -112,16 +112,16 @@ class HoleFinder:
         self._covers: dict[str, Cover] = {}
         self._gaps: list[_Dropped] = []
 
-    def take(self, channels: dict[int, LogChannel], messages: Iterable[Logged]) -> None:
+    def take(self, channels: dict[int, LogChannel], messages: Iterable[LoggedMessage]) -> None:
         """Take the messages of one log."""
         known = {number: self._topic(channel) for number, channel in channels.items()}
         gaps = {number for number, channel in channels.items() if channel.schema_name == _GAP}
-        for channel_id, sequence, log_ns, publish_ns, data in messages:
-            topic = known[channel_id]
+        for one in messages:
+            topic = known[one.channel_id]
             if topic is not None:
-                topic.take(sequence, log_ns, publish_ns)
-            elif channel_id in gaps:
-                self._take_gap(data)
+                topic.take(one.sequence, one.log_ns, one.publish_ns)
+            elif one.channel_id in gaps:
+                self._take_gap(one.data)
 
     def holes(self) -> list[Hole]:
         """What is missing, by robot and time."""

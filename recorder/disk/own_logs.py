@@ -8,9 +8,10 @@ from pathlib import Path
 
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX
 from recorder.mcap.channel import LogChannel
-from recorder.mcap.log_map import Logged, LogMap
+from recorder.mcap.log_map import LogMap
+from recorder.mcap.reader import LoggedMessage
 
-Take = Callable[[dict[int, LogChannel], Iterable[Logged]], None]
+Take = Callable[[dict[int, LogChannel], Iterable[LoggedMessage]], None]
 """Takes the channels and the messages of one log."""
 
 

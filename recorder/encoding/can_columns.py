@@ -17,7 +17,7 @@ import msgspec
 from recorder.encoding.fast_path import Adder
 from recorder.encoding.key_counters import SEQUENCE_SPAN, KeyCounters
 from recorder.encoding.transcode import compile_row_encoder
-from recorder.mcap.chunk import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE, ChunkBuilder
+from recorder.mcap.chunk import ChunkBuilder, message_record
 from schemas.can_word import ERROR, EXTENDED, IDENTIFIER_MASK, REMOTE
 from schemas.messages import CanFrame, CanFrames
 
@@ -28,45 +28,43 @@ FRAMES_MAX: Final = 10_000
 """Frames of a batch: what a saturated bus carries in a second, and a gateway sends each 50 ms."""
 
 TEMPLATES_MAX: Final = 4096
-"""One for each channel and name of a bus; anybody may make up names."""
-
-_LOG_AT: Final = struct.calcsize("<BQH")
-"""Where sequence and log time stand in a message record; the publish time is right behind them."""
-
-_PUBLISH_AT: Final = struct.calcsize("<BQHIQ")
+"""Two for each name of a bus; anybody may make up names."""
 
 # Marks that no record holds by chance, to find the places of the columns.
 _TIME_MARK: Final = 0x1122334455667788
 _IDENTIFIER_MARK: Final = 0x0ABBCCDD
 _DATA_MARK: Final = b"\xa1\xa2\xa3\xa4\xa5\xa6\xa7\xa8"
 
-_WORDS: Final = struct.Struct("<IQ")
-
 _ENCODE_ROW: Final[Callable[..., bytes]] = compile_row_encoder(CanFrame)
 _DECODE: Final = msgspec.msgpack.Decoder(CanFrames).decode
 
 
 class _Template(msgspec.Struct, frozen=True):
-    """A record with marks, and where they stand."""
+    """The data of a message with marks, and where in its record they stand, and the publish time."""
 
-    record: bytes
+    data: bytes
+    size: int
+    publish_at: int
     time_at: int
     identifier_at: int
     data_at: int
 
 
 @lru_cache(TEMPLATES_MAX)
-def _template(channel_id: int, bus: str, *, is_extended: bool) -> _Template:
+def _template(bus: str, *, is_extended: bool) -> _Template:
     flags = (is_extended, False, False, False, False, False)
     body = _ENCODE_ROW(_TIME_MARK, bus, _IDENTIFIER_MARK, *flags, DATA_BYTES, _DATA_MARK)
-    header = MESSAGE_HEADER.pack(MESSAGE_OPCODE, HEADER_IN_LENGTH + len(body), channel_id, 0, 0, 0)
-    start = len(header)
+    time_mark = struct.pack("<Q", _TIME_MARK)
+    record = message_record(0, 0, 0, _TIME_MARK, body)
+    start = len(record) - len(body)
     return _Template(
-        record=header + body,
-        time_at=start + body.index(struct.pack("<Q", _TIME_MARK)),
-        identifier_at=start + body.index(struct.pack("<I", _IDENTIFIER_MARK)),
+        data=body,
+        size=len(record),
+        publish_at=record.index(time_mark),
+        time_at=record.index(time_mark, start),
+        identifier_at=record.index(struct.pack("<I", _IDENTIFIER_MARK), start),
         # The bus's name, which may be anything, stands before it.
-        data_at=start + body.rindex(_DATA_MARK),
+        data_at=record.rindex(_DATA_MARK),
     )
 
 
@@ -80,9 +78,9 @@ def can_adder(counters: KeyCounters, chunk: ChunkBuilder, channel_id: int) -> Ad
             return False
         count = len(batch.can_id)
         if count:
-            template = _template(channel_id, batch.bus, is_extended=batch.can_id[0] & EXTENDED != 0)
+            template = _template(batch.bus, is_extended=batch.can_id[0] & EXTENDED != 0)
             # Of a batch that is a chunk by itself the slow path makes several.
-            if count > FRAMES_MAX or count * len(template.record) > limit_bytes:
+            if count > FRAMES_MAX or count * template.size > limit_bytes:
                 return False
             _write(batch, template, log_ns, chunk, channel_id)
         counters.next = (batch.sequence + 1) % SEQUENCE_SPAN
@@ -120,14 +118,13 @@ def is_common(batch: CanFrames) -> bool:
 
 
 def _write(batch: CanFrames, template: _Template, log_ns: int, chunk: ChunkBuilder, channel_id: int) -> None:
-    count, size = len(batch.can_id), len(template.record)
-    one = bytearray(template.record)
-    one[_LOG_AT:_PUBLISH_AT] = _WORDS.pack(batch.sequence, log_ns)
-    records: Any = one * count
+    count, size = len(batch.can_id), template.size
+    one = message_record(channel_id, batch.sequence, log_ns, 0, template.data)
+    records: Any = bytearray(one) * count
     times = struct.pack(f"<{count}Q", *batch.frame_time_ns)
     for byte in range(8):
         column = times[byte::8]
-        records[_PUBLISH_AT + byte :: size] = column
+        records[template.publish_at + byte :: size] = column
         records[template.time_at + byte :: size] = column
     words = struct.pack(f"<{count}I", *[word & IDENTIFIER_MASK for word in batch.can_id])
     for byte in range(4):

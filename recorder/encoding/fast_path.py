@@ -15,7 +15,7 @@ import msgspec
 
 from recorder.encoding.key_counters import KeyCounters
 from recorder.encoding.transcode import Packed, packed_fields
-from recorder.mcap.chunk import HEADER_IN_LENGTH, MESSAGE_OPCODE, ChunkBuilder
+from recorder.mcap.chunk import ChunkBuilder, head_source
 from schemas.messages import Message
 
 Adder = Callable[[bytes, int], bool]
@@ -69,7 +69,7 @@ def _make(kind: type[Message]) -> Make:
                 return False
             time_ns = message.time_ns
             tail = part_4(message.text)
-            head = pack(5, 45 + len(tail), channel_id, sequence, log_ns, time_ns, 9, time_ns, 21, sequence, ...)
+            head = pack(5, 22 + 23 + len(tail), channel_id, sequence, log_ns, time_ns, 9, time_ns, 21, ...)
             records += head
             records += tail
             index = chunk.index[channel_id]
@@ -81,8 +81,9 @@ def _make(kind: type[Message]) -> Make:
     """
     packed: Packed = packed_fields(kind, {"time_ns": "time_ns", "sequence": "sequence"}, "message.")
     tail = " + ".join(packed.parts)
-    pack = packed.struct("BQHIQQ")
-    length = HEADER_IN_LENGTH + packed.struct("").size
+    length = str(packed.struct("").size) + (" + len(tail)" if tail else "")
+    head_format, head = head_source(length)
+    pack = packed.struct(head_format)
     arguments = ", ".join(["channel_id", "sequence", "log_ns", "time_ns", *packed.arguments])
     source = f"""
 def make(counters, chunk, channel_id, latest):
@@ -96,7 +97,7 @@ def make(counters, chunk, channel_id, latest):
             return False
         time_ns = message.time_ns
         {f"tail = {tail}" if tail else ""}
-        head = pack({MESSAGE_OPCODE}, {length}{" + len(tail)" if tail else ""}, {arguments})
+        head = pack({head}, {arguments})
         records += head
         {"records += tail" if tail else ""}
         index = chunk.index[channel_id]

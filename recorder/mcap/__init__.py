@@ -1,1 +1,4 @@
-"""The MCAP file format both ways: records and messages, whole or damaged. It opens no file."""
+"""The MCAP file format both ways: begin with ``reader`` and ``writer``. It opens no file.
+
+Only this room knows how records are framed (``framing``); ``tests/test_architecture.py`` holds the tree to that.
+"""

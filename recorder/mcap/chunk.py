@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import struct
 from array import array
 from typing import Final
 
 import msgspec
 
-MESSAGE_OPCODE: Final = 0x05
-MESSAGE_HEADER: Final = struct.Struct("<BQHIQQ")
-"""A message record up to its data: opcode, length, channel, sequence, log time, publish time."""
-
-HEADER_IN_LENGTH: Final = MESSAGE_HEADER.size - 9
-"""The part of the header that a record's length counts: all but opcode and length."""
-
+from recorder.mcap.framing import HEAD_FORMAT, HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE
 
 NO_LIMIT: Final = 2**63
 
@@ -26,6 +19,30 @@ INT64_MAX: Final = 2**63 - 1
 def log_time(time_ns: int) -> int:
     """The nearest time since 1970 that a log may hold."""
     return min(max(time_ns, 0), INT64_MAX)
+
+
+def message_record(channel_id: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> bytes:
+    """A message's record. The times are unsigned 64-bit, the sequence 32-bit, the channel 16-bit."""
+    length = HEADER_IN_LENGTH + len(data)
+    return MESSAGE_HEADER.pack(MESSAGE_OPCODE, length, channel_id, sequence, log_ns, publish_ns) + data
+
+
+def record_size(data: bytes) -> int:
+    """Bytes of the record of a message with this data."""
+    return MESSAGE_HEADER.size + len(data)
+
+
+def head_source(length: str) -> tuple[str, str]:
+    """The head of a message's record for code that packs it with the data at once.
+
+    Args:
+        length: an expression, the bytes of the data.
+
+    Returns:
+        The format, as ``struct`` has it, and the first of the values, as source; those behind are expressions of
+        the channel's id, the sequence, the log time and the publish time.
+    """
+    return HEAD_FORMAT, f"{MESSAGE_OPCODE}, {HEADER_IN_LENGTH} + {length}"
 
 
 class Chunk(msgspec.Struct, frozen=True):

@@ -5,25 +5,32 @@ A log may be whole or still being written, and damaged: what cannot be read is s
 
 from __future__ import annotations
 
-import struct
 import zlib
 from array import array
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Iterator
-from io import BytesIO
 from itertools import accumulate
 from typing import BinaryIO, Final
 
-import zstandard
 from mcap import records
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.stream_reader import get_chunk_data_stream
 
 from recorder.mcap.channel import LogChannel
-from recorder.mcap.chunk import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE
-from recorder.mcap.scan import BROKEN, RECORD_MAX, Scanner
-from recorder.mcap.summary import CHECK, CHECK_OPCODE, MAGIC, RECORD_HEADER
+from recorder.mcap.framing import (
+    BROKEN,
+    CHECK,
+    CHECK_OPCODE,
+    CHUNK_TIMES,
+    FIRST_RECORD,
+    MAGIC,
+    RECORD_HEADER,
+    RecordFile,
+    check_of,
+    is_no_opcode,
+    parse,
+)
+from recorder.mcap.pieces import Fault, LoggedMessage, messages_at
+from recorder.mcap.proof import Scanner
 from recorder.mcap.writer import MESSAGE_ENCODING, SCHEMA_ENCODING
 
 EARLY_NS: Final = 60_000_000_000
@@ -45,15 +52,8 @@ DECLARATION_MAX: Final = 1 << 24
 LOOK_EVERY: Final = 256
 """Records between two looks at the time that is left."""
 
-_CHUNK_TIMES: Final = struct.Struct("<QQ")
-_HEAD_BYTES: Final = RECORD_HEADER.size + _CHUNK_TIMES.size
-_FIRST_PRIVATE: Final = 0x80
-
 Spans = tuple[tuple[int, int], ...]
 """First and last of publish times that lie close together, in order."""
-
-Logged = tuple[int, int, int, int, bytes]
-"""Channel, sequence, log time, publish time and data of a message."""
 
 
 class LogMap:
@@ -117,12 +117,13 @@ class LogMap:
             OSError: the stream cannot be read.
         """
         self.is_complete = False
+        file = RecordFile(stream, size)
         looks = 0
         while not self._has_ended:
             looks += 1
             if (chunks_max is not None and len(self) >= chunks_max) or (looks % LOOK_EVERY == 0 and is_expired()):
                 return
-            if not self._step(stream, size):
+            if not self._step(file, stream):
                 break
         self.is_complete = True
 
@@ -137,26 +138,28 @@ class LogMap:
             if self._ends[number] >= earliest and self._may_hold(number, from_ns, to_ns)
         ]
 
-    def read(self, stream: BinaryIO, number: int) -> list[Logged]:
+    def read(self, stream: BinaryIO, number: int) -> list[LoggedMessage]:
         """The messages of a chunk; none if it is damaged.
 
         Raises:
             OSError: the stream cannot be read.
         """
-        try:
-            found = list(_messages(_content(stream, self._offsets[number])))
-        except BROKEN:
-            self.damaged += 1
-            self._spans[number] = ()
-            return []
+        found: list[LoggedMessage] = []
+        for one in messages_at(stream, self._offsets[number]):
+            if isinstance(one, LoggedMessage):
+                found.append(one)
+            elif isinstance(one, Fault):
+                self.damaged += 1
+                self._spans[number] = ()
+                return []
         if number not in self._spans:
-            self._spans[number] = _spans(message[3] for message in found)
-            lost = {message[0] for message in found} - self.channels.keys() - self._others
+            self._spans[number] = _spans(message.publish_ns for message in found)
+            lost = {message.channel_id for message in found} - self.channels.keys() - self._others
             self.damaged += len(lost)
             self._others |= lost
         return found
 
-    def messages(self, stream: BinaryIO) -> Iterator[Logged]:
+    def messages(self, stream: BinaryIO) -> Iterator[LoggedMessage]:
         """Every message of a log whose channel is known, chunk by chunk.
 
         Raises:
@@ -164,7 +167,7 @@ class LogMap:
         """
         for number in range(len(self)):
             for message in self.read(stream, number):
-                if message[0] in self.channels:
+                if message.channel_id in self.channels:
                     yield message
 
     def _may_hold(self, number: int, from_ns: int, to_ns: int) -> bool:
@@ -180,42 +183,37 @@ class LogMap:
             self._sorted = order, starts, ends
         return self._sorted
 
-    def _step(self, stream: BinaryIO, size: int) -> bool:
+    def _step(self, file: RecordFile, stream: BinaryIO) -> bool:
         """Take the next record. False if there is none, or not all of it yet."""
         offset = self._offset
-        stream.seek(offset)
         if not offset:
-            return self._begin(stream.read(len(MAGIC)))
-        head = stream.read(_HEAD_BYTES)
-        if len(head) < RECORD_HEADER.size:
+            return self._begin(file.read(0, len(MAGIC)))
+        header = file.header(offset)
+        if header is None:
             return False
-        opcode, length = RECORD_HEADER.unpack_from(head)
-        end = offset + RECORD_HEADER.size + length
+        opcode, end = header
         if opcode in {Opcode.DATA_END, Opcode.FOOTER}:
             self._has_ended = True
             return False
-        if end > size or (not 0 < opcode <= max(Opcode) <= _FIRST_PRIVATE and opcode < _FIRST_PRIVATE):
-            return self._go_past_damage(stream, size)
-        if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
-            if length > DECLARATION_MAX:
-                return self._go_past_damage(stream, size)
-            if end + CHECK.size > size:
+        is_declaration = opcode in {Opcode.SCHEMA, Opcode.CHANNEL}
+        is_too_long = is_declaration and end - offset > RECORD_HEADER.size + DECLARATION_MAX
+        if end > file.size or is_no_opcode(opcode) or is_too_long:
+            return self._go_past_damage(stream, file.size)
+        if is_declaration:
+            if end + CHECK.size > file.size:
                 return False
-            self._declare(stream, opcode, offset, length)
-        elif opcode == Opcode.CHUNK and len(head) == _HEAD_BYTES:
-            start_ns, end_ns = _CHUNK_TIMES.unpack_from(head, RECORD_HEADER.size)
-            self._offsets.append(offset)
-            self._starts.append(start_ns)
-            self._ends.append(end_ns)
-            self._sure = offset
-            self._passed.clear()
+            self._declare(opcode, file.read(offset, end - offset), file.read(end, CHECK.size))
+        elif opcode == Opcode.CHUNK:
+            times = file.read(offset + RECORD_HEADER.size, CHUNK_TIMES.size)
+            if len(times) == CHUNK_TIMES.size:
+                self._add_chunk(offset, *CHUNK_TIMES.unpack(times))
         self._passed.add(offset)
         self._offset = end
         return True
 
     def _begin(self, magic: bytes) -> bool:
         if magic == MAGIC:
-            self._offset = len(MAGIC)
+            self._offset = FIRST_RECORD
             return True
         if not MAGIC.startswith(magic):
             self.damaged += 1
@@ -235,23 +233,27 @@ class LogMap:
         self._passed.clear()
         return True
 
-    def _declare(self, stream: BinaryIO, opcode: int, offset: int, length: int) -> None:
-        stream.seek(offset)
-        raw = stream.read(RECORD_HEADER.size + length)
-        check = stream.read(CHECK.size)
+    def _add_chunk(self, offset: int, start_ns: int, end_ns: int) -> None:
+        self._offsets.append(offset)
+        self._starts.append(start_ns)
+        self._ends.append(end_ns)
+        self._sure = offset
+        self._passed.clear()
+
+    def _declare(self, opcode: int, raw: bytes, check: bytes) -> None:
         is_checked = check[:1] == bytes([CHECK_OPCODE])
-        if is_checked and check != CHECK.pack(CHECK_OPCODE, 8, len(raw), zlib.crc32(raw)):
+        if is_checked and check != check_of(len(raw), zlib.crc32(raw)):
             self.damaged += 1
             return
-        body = ReadDataStream(BytesIO(raw[RECORD_HEADER.size :]))
         try:
-            if opcode == Opcode.SCHEMA:
-                schema = records.Schema.read(body)
-                self._schemas.setdefault(schema.id, schema)
-            else:
-                self._add_channel(records.Channel.read(body))
+            record = parse(opcode, raw[RECORD_HEADER.size :])
         except BROKEN:
             self.damaged += 1
+            return
+        if isinstance(record, records.Schema):
+            self._schemas.setdefault(record.id, record)
+        else:
+            self._add_channel(record)
 
     def _add_channel(self, channel: records.Channel) -> None:
         schema = self._schemas.get(channel.schema_id)
@@ -261,35 +263,6 @@ class LogMap:
             self.channels.setdefault(channel.id, found)
         elif schema is not None or not channel.schema_id:
             self._others.add(channel.id)
-
-
-def _content(stream: BinaryIO, offset: int) -> bytes:
-    """The records of the chunk there, proven by its checksum."""
-    stream.seek(offset)
-    head = stream.read(RECORD_HEADER.size)
-    _, length = RECORD_HEADER.unpack(head)
-    if length > RECORD_MAX:
-        raise ValueError("a chunk is too long")
-    chunk = records.Chunk.read(ReadDataStream(BytesIO(stream.read(length))))
-    promised = zstandard.frame_content_size(chunk.data) if chunk.compression == "zstd" else -1
-    if chunk.uncompressed_size > RECORD_MAX or promised not in {-1, chunk.uncompressed_size}:
-        raise ValueError("a chunk's sizes differ")
-    content, size = get_chunk_data_stream(chunk, validate_crc=True)
-    return content.read(size)
-
-
-def _messages(content: bytes) -> Iterator[Logged]:
-    position, end = 0, len(content)
-    unpack, header, whole = MESSAGE_HEADER.unpack_from, RECORD_HEADER.size, MESSAGE_HEADER.size
-    while position < end:
-        if content[position] == MESSAGE_OPCODE:
-            _, length, channel_id, sequence, log_ns, publish_ns = unpack(content, position)
-            start, position = position + whole, position + header + length
-            if position > end or length < HEADER_IN_LENGTH:
-                raise ValueError("a chunk holds half a record")
-            yield channel_id, sequence, log_ns, publish_ns, content[start:position]
-        else:
-            position += header + RECORD_HEADER.unpack_from(content, position)[1]
 
 
 def _spans(times_ns: Iterable[int]) -> Spans:

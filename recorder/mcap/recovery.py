@@ -14,9 +14,18 @@ import msgspec
 import zstandard
 from mcap import records
 
-from recorder.mcap.chunk import MESSAGE_HEADER, MESSAGE_OPCODE
-from recorder.mcap.scan import ChunkPiece, DataEnd, Parsed, RecordPiece, Scanner, index_content, message_indexes
-from recorder.mcap.summary import MAGIC, RECORD_HEADER, Summary, checked, encode
+from recorder.mcap.framing import (
+    FIRST_RECORD,
+    MAGIC,
+    MESSAGE_HEADER,
+    MESSAGE_OPCODE,
+    checked,
+    encode,
+    encode_indexes,
+)
+from recorder.mcap.pieces import index_content, split
+from recorder.mcap.proof import DataEnd, Parsed, ProvenChunk, ProvenRecord, Scanner
+from recorder.mcap.summary import Summary
 from recorder.mcap.writer import COMPRESSION, COMPRESSION_LEVEL
 
 FAULTS_SHOWN: Final = 20
@@ -61,11 +70,11 @@ def survey(stream: BinaryIO, size: int) -> Survey:
     pending: list[str] = []
     for found in scanner.scan():
         match found:
-            case RecordPiece() | ChunkPiece():
+            case ProvenRecord() | ProvenChunk():
                 # What was wrong is damage only if something good comes behind it; else it is the torn end.
                 rebuild.faults += pending
                 pending = []
-                if isinstance(found, ChunkPiece) and not found.as_written:
+                if isinstance(found, ProvenChunk) and not found.as_written:
                     pending.append(f"byte {found.offset}: the indexes of a chunk are wrong")
                     end = found.chunk_end
                 else:
@@ -86,7 +95,7 @@ def survey(stream: BinaryIO, size: int) -> Survey:
         ending=rebuild.trailing + rebuild.ending(),
         faults=rebuild.faults[:FAULTS_SHOWN],
         fault_count=len(rebuild.faults),
-        is_torn=data_end is not None or scanner.is_torn(max(end, len(MAGIC))),
+        is_torn=data_end is not None or scanner.is_torn(max(end, FIRST_RECORD)),
         messages=rebuild.summary.messages,
         chunks=rebuild.summary.chunks,
     )
@@ -97,7 +106,7 @@ def copy_good(stream: BinaryIO, size: int, sink: Sink, library: str) -> None:
     rebuild = _Rebuild(sink)
     rebuild.put(MAGIC + checked(encode(records.Header(profile="", library=library))))
     for found in Scanner(stream, size).scan():
-        if isinstance(found, ChunkPiece | RecordPiece):
+        if isinstance(found, ProvenChunk | ProvenRecord):
             rebuild.take(found)
     sink.write(rebuild.ending())
 
@@ -127,10 +136,10 @@ class _Rebuild:
         """The end of the result."""
         return self.summary.ending(self._size, self.crc)
 
-    def take(self, piece: ChunkPiece | RecordPiece) -> None:
+    def take(self, piece: ProvenChunk | ProvenRecord) -> None:
         """A piece is part of the result, as far as it makes sense."""
         self.trailing = b""
-        if isinstance(piece, ChunkPiece):
+        if isinstance(piece, ProvenChunk):
             self._take_chunk(piece)
         elif isinstance(piece.parsed, records.Header):
             if self._sink is None:
@@ -142,7 +151,7 @@ class _Rebuild:
         else:
             self.put(piece.raw)
 
-    def _take_record(self, piece: RecordPiece, parsed: Parsed) -> None:
+    def _take_record(self, piece: ProvenRecord, parsed: Parsed) -> None:
         offset = self._size
         if isinstance(parsed, records.Channel) and parsed.schema_id not in self._schemas:
             self.faults.append(f"byte {piece.offset}: the schema of {parsed.topic} is lost")
@@ -163,7 +172,7 @@ class _Rebuild:
             self._channels.add(parsed.id)
             self.summary.add_channel(parsed)
 
-    def _take_message(self, piece: RecordPiece) -> None:
+    def _take_message(self, piece: ProvenRecord) -> None:
         _, _, channel_id, _, log_ns, _ = MESSAGE_HEADER.unpack_from(piece.raw)
         if channel_id not in self._channels:
             self.faults.append(f"byte {piece.offset}: the channel of a message is lost")
@@ -171,7 +180,7 @@ class _Rebuild:
         self.put(piece.raw)
         self.summary.add_messages({channel_id: 1}, log_ns, log_ns)
 
-    def _take_chunk(self, piece: ChunkPiece) -> None:
+    def _take_chunk(self, piece: ProvenChunk) -> None:
         for parsed in piece.declared:
             self._declare(parsed)
         content, index = piece.content, piece.index
@@ -185,7 +194,7 @@ class _Rebuild:
         elif not piece.has_true_head:
             self.faults.append(f"byte {piece.offset}: the times of a chunk were wrong")
         data, offset = encode(chunk), self._size
-        indexes = message_indexes(index)
+        indexes = encode_indexes(index)
         self.put(data + indexes)
         self.summary.add_chunk(chunk, offset, len(data), index)
         self.trailing = b"" if piece.as_written else indexes
@@ -193,12 +202,9 @@ class _Rebuild:
     def _known(self, content: bytes) -> bytes:
         """The records of a chunk, without messages of channels that nobody knows."""
         kept = bytearray()
-        position = 0
-        while position < len(content):
-            opcode, length = RECORD_HEADER.unpack_from(content, position)
-            start, position = position, position + RECORD_HEADER.size + length
+        for opcode, start, end in split(content):
             if opcode != MESSAGE_OPCODE or MESSAGE_HEADER.unpack_from(content, start)[2] in self._channels:
-                kept += content[start:position]
+                kept += content[start:end]
         return bytes(kept)
 
 

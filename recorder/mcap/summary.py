@@ -6,36 +6,16 @@ that was left unfinished end a file by the same hand.
 
 from __future__ import annotations
 
-import struct
-import sys
 import zlib
 from array import array
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Final, cast
+from typing import Final
 
 from mcap import records
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
-MAGIC: Final = b"\x89MCAP0\r\n"
-
-RECORD_HEADER: Final = struct.Struct("<BQ")
-"""Opcode and length of what follows."""
-
-CHECK_OPCODE: Final = 0x80
-"""A record of our own (MCAP leaves 0x80 and above to applications, and readers skip them): a checksum.
-
-MCAP has none for schemas, channels and metadata before the file is finished: in a log of a recorder that was
-killed a flipped bit would change a topic's name, and nobody would know.
-"""
-
-CHECK: Final = struct.Struct("<BQII")
-"""The check: opcode, length, and of how many bytes right before it which CRC-32."""
-
-FOOTER_LENGTH: Final = 20
-
-_INDEX_HEADER: Final = struct.Struct("<BQHI")
+from recorder.mcap.framing import FOOTER, INDEX_HEADER, MAGIC, RECORD_HEADER, encode
 
 _SUMMARY_ORDER: Final = (
     Opcode.SCHEMA,
@@ -104,7 +84,7 @@ class Summary:
         end = offset + length
         for channel_id, entries in index.items():
             places[channel_id] = end
-            end += _INDEX_HEADER.size + entries.itemsize * len(entries)
+            end += INDEX_HEADER.size + entries.itemsize * len(entries)
         if index:
             counts = {channel_id: len(entries) // 2 for channel_id, entries in index.items()}
             self.add_messages(counts, chunk.message_start_time, chunk.message_end_time)
@@ -157,9 +137,10 @@ class Summary:
         offset_start = start + len(summary)
         summary += offsets
         # The summary's checksum covers the footer too, up to the checksum itself.
-        footer = RECORD_HEADER.pack(Opcode.FOOTER, FOOTER_LENGTH) + struct.pack("<QQ", start, offset_start)
+        length = FOOTER.size - RECORD_HEADER.size
+        footer = FOOTER.pack(Opcode.FOOTER, length, start, offset_start, 0)[:-4]
         crc = zlib.crc32(footer, zlib.crc32(summary))
-        return data_end + bytes(summary) + footer + struct.pack("<I", crc) + MAGIC
+        return data_end + bytes(summary) + footer + crc.to_bytes(4, "little") + MAGIC
 
     def _statistics(self) -> records.Statistics:
         return records.Statistics(
@@ -173,24 +154,3 @@ class Summary:
             metadata_count=self._groups[Opcode.METADATA_INDEX].count,
             schema_count=self._groups[Opcode.SCHEMA].count,
         )
-
-
-def encode(record: records.McapRecord) -> bytes:
-    """A record's bytes, opcode and length included."""
-    builder = RecordBuilder()
-    record.write(builder)
-    return cast("bytes", builder.end())
-
-
-def encode_index(channel_id: int, entries: array[int]) -> bytes:
-    """A message index record: log times and offsets in turns, of the messages of one channel in a chunk."""
-    if sys.byteorder == "big":
-        entries = entries[:]
-        entries.byteswap()
-    data = entries.tobytes()
-    return _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, 6 + len(data), channel_id, len(data)) + data
-
-
-def checked(data: bytes) -> bytes:
-    """Records, and the check behind them."""
-    return data + CHECK.pack(CHECK_OPCODE, CHECK.size - RECORD_HEADER.size, len(data), zlib.crc32(data))

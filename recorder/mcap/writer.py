@@ -18,7 +18,8 @@ from mcap import records
 
 from recorder.mcap.channel import LogChannel
 from recorder.mcap.chunk import Chunk
-from recorder.mcap.summary import MAGIC, Summary, checked, encode, encode_index
+from recorder.mcap.framing import MAGIC, checked, encode, encode_indexes
+from recorder.mcap.summary import Summary
 
 COMPRESSION: Final = "zstd"
 COMPRESSION_LEVEL: Final = 3
@@ -121,8 +122,7 @@ class McapFile:
             uncompressed_size=len(chunk.records),
         )
         data, start = encode(record), self._size
-        indexes = [encode_index(channel_id, entries) for channel_id, entries in chunk.index.items()]
-        self._write(b"".join([data, *indexes]))
+        self._write(data + encode_indexes(chunk.index))
         self._summary.add_chunk(record, start, len(data), chunk.index)
 
     def add_attachment(self, name: str, media_type: str, data: bytes, log_ns: int, create_ns: int = 0) -> None:

@@ -9,23 +9,28 @@ from __future__ import annotations
 from array import array
 from collections import Counter
 from collections.abc import Mapping
-from io import BytesIO
-from typing import BinaryIO, Final
+from typing import BinaryIO, TypeVar
 
 import msgspec
 from mcap import records
-from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
 
-from recorder.mcap.index import LogSummary, read_summary
-from recorder.mcap.messages import LoggedMessage, messages
-from recorder.mcap.records import End, Fault, LooseMessage, PackedChunk, Piece, read_pieces
-from recorder.mcap.scan import BROKEN, RECORD_MAX
-from recorder.mcap.summary import RECORD_HEADER
+from recorder.mcap.reader import (
+    DamagedError,
+    End,
+    Fault,
+    LoggedMessage,
+    MessageBlock,
+    PackedChunk,
+    Piece,
+    Walked,
+    read_pieces,
+    record_at,
+)
+from recorder.mcap.summary_reader import LogSummary, read_summary
 from recorder.reading.faults import Faults
 from recorder.reading.rows import Progress
 
-_PARSED: Final = {Opcode.MESSAGE_INDEX: records.MessageIndex.read, Opcode.METADATA: records.Metadata.read}
+Kind = TypeVar("Kind", records.MessageIndex, records.Metadata)
 
 
 class Contents(msgspec.Struct):
@@ -69,7 +74,7 @@ def read_contents(stream: BinaryIO) -> Contents | None:
     )
     try:
         places = _places(stream, summary)
-    except BROKEN:
+    except DamagedError:
         return None
     if places is None or not counts.keys() <= places[0].keys():
         return None
@@ -88,8 +93,8 @@ def read_contents(stream: BinaryIO) -> Contents | None:
         if first and last:
             contents.spans[channel_id] = min(first), max(last)
     for one in summary.metadata:
-        record = _record(stream, one.offset, Opcode.METADATA)
-        if isinstance(record, records.Metadata) and record.name == one.name:
+        record = _record(stream, one.offset, records.Metadata)
+        if record is not None and record.name == one.name:
             contents.metadata.append((record.name, record.metadata))
         else:
             contents.fault(one.offset, f"the metadata {one.name} is not where the summary says")
@@ -111,7 +116,7 @@ def walk_contents(
     read_to = 0
     for piece in read_pieces(stream, size, is_verifying=False):
         if not (is_being_written and isinstance(piece, Fault) and piece.cuts):
-            _take(contents, piece, stream)
+            _take(contents, piece)
         if isinstance(piece, PackedChunk):
             progress(piece.end - read_to)
             read_to = piece.end
@@ -149,37 +154,28 @@ def _places(stream: BinaryIO, summary: LogSummary) -> tuple[dict[int, int], dict
 
 def _times(stream: BinaryIO, channel_id: int, offset: int, contents: Contents) -> list[int]:
     """The log times of a message index; none if it is not there."""
-    record = _record(stream, offset, Opcode.MESSAGE_INDEX)
-    if isinstance(record, records.MessageIndex) and record.channel_id == channel_id and record.records:
+    record = _record(stream, offset, records.MessageIndex)
+    if record is not None and record.channel_id == channel_id and record.records:
         return [time_ns for time_ns, _ in record.records]
     contents.fault(offset, f"the message index of channel {channel_id} is not where the summary says")
     return []
 
 
-def _record(stream: BinaryIO, offset: int, opcode: Opcode) -> records.MessageIndex | records.Metadata | None:
+def _record(stream: BinaryIO, offset: int, kind: type[Kind]) -> Kind | None:
     """The record there; None if it is no such record."""
-    stream.seek(offset)
-    head = stream.read(RECORD_HEADER.size)
-    if len(head) < RECORD_HEADER.size:
-        return None
-    found, length = RECORD_HEADER.unpack(head)
-    if found != opcode or length > RECORD_MAX:
-        return None
     try:
-        record: records.MessageIndex | records.Metadata = _PARSED[opcode](
-            ReadDataStream(BytesIO(stream.read(length)))
-        )
-    except BROKEN:
+        return record_at(stream, offset, kind)
+    except DamagedError:
         return None
-    return record
 
 
-def _take(contents: Contents, piece: Piece, stream: BinaryIO) -> None:
+def _take(contents: Contents, piece: Piece | Walked) -> None:
     match piece:
-        case PackedChunk():
-            _take_chunk(contents, piece, stream)
-        case LooseMessage():
-            _take_messages(contents, piece.offset, piece.raw)
+        case PackedChunk() if piece.index is not None and piece.index.keys() <= contents.channels.keys():
+            _count(contents, piece.index, piece.offset)
+        case PackedChunk() | MessageBlock():
+            # Others declare channels within chunks.
+            _take_messages(contents, piece)
         case records.Schema():
             contents.schemas.setdefault(piece.id, piece)
         case records.Channel():
@@ -197,27 +193,14 @@ def _take(contents: Contents, piece: Piece, stream: BinaryIO) -> None:
             pass
 
 
-def _take_chunk(contents: Contents, chunk: PackedChunk, stream: BinaryIO) -> None:
-    # Others declare channels within chunks.
-    if chunk.index is not None and chunk.index.keys() <= contents.channels.keys():
-        _count(contents, chunk.index, chunk.offset)
-        return
-    try:
-        content = chunk.unpack(stream)
-    except BROKEN as error:
-        contents.fault(chunk.offset, f"a chunk cannot be read: {error}")
-    else:
-        _take_messages(contents, chunk.offset, content)
-
-
-def _take_messages(contents: Contents, offset: int, content: bytes) -> None:
+def _take_messages(contents: Contents, piece: PackedChunk | MessageBlock) -> None:
     index: dict[int, array[int]] = {}
-    for found in messages(offset, content):
+    for found in piece.messages():
         if isinstance(found, LoggedMessage):
             index.setdefault(found.channel_id, array("Q")).extend((found.log_ns, 0))
         else:
-            _take(contents, found, BytesIO())
-    _count(contents, index, offset)
+            _take(contents, found)
+    _count(contents, index, piece.offset)
 
 
 def _count(contents: Contents, index: Mapping[int, array[int]], offset: int) -> None:

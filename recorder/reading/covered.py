@@ -10,10 +10,8 @@ from typing import BinaryIO, Final
 
 from mcap import records
 
-from recorder.mcap.index import read_summary
-from recorder.mcap.messages import LoggedMessage, messages
-from recorder.mcap.records import Fault, LooseMessage, PackedChunk, read_pieces
-from recorder.mcap.scan import BROKEN
+from recorder.mcap.reader import DamagedError, Fault, LoggedMessage, MessageBlock, PackedChunk, read_pieces
+from recorder.mcap.summary_reader import read_summary
 from recorder.reading.declared import Declared
 from recorder.reading.log_file import LogFile
 
@@ -94,27 +92,25 @@ def _times(
     for piece in read_pieces(stream, size, is_verifying=False):
         if isinstance(piece, PackedChunk):
             if any(piece.start_ns <= last_ns and first_ns <= piece.end_ns for first_ns, last_ns in windows):
-                yield from _of_chunk(stream, piece, declared)
-        elif isinstance(piece, LooseMessage):
-            yield from _one_by_one(piece.offset, piece.raw, declared)
+                yield from _of_chunk(piece, declared)
+        elif isinstance(piece, MessageBlock):
+            yield from _one_by_one(piece, declared)
         elif isinstance(piece, records.Schema | records.Channel):
             declared.take(piece)
 
 
-def _of_chunk(
-    stream: BinaryIO, chunk: PackedChunk, declared: Declared
-) -> Iterator[tuple[Window, int, Sequence[int]]]:
-    with suppress(*BROKEN):
-        content = chunk.unpack(stream)
+def _of_chunk(chunk: PackedChunk, declared: Declared) -> Iterator[tuple[Window, int, Sequence[int]]]:
+    with suppress(DamagedError):
+        block = chunk.unpack()
         if chunk.index is None or not chunk.index.keys() <= declared.topics.keys():
-            yield from _one_by_one(chunk.offset, content, declared)
+            yield from _one_by_one(block, declared)
             return
         within = chunk.start_ns, chunk.end_ns
         yield from ((within, channel_id, entries[::2]) for channel_id, entries in chunk.index.items())
 
 
-def _one_by_one(offset: int, content: bytes, declared: Declared) -> Iterator[tuple[Window, int, Sequence[int]]]:
-    for one in messages(offset, content):
+def _one_by_one(block: MessageBlock, declared: Declared) -> Iterator[tuple[Window, int, Sequence[int]]]:
+    for one in block.messages():
         if isinstance(one, LoggedMessage):
             yield (one.log_ns, one.log_ns), one.channel_id, (one.log_ns,)
         elif not isinstance(one, Fault):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mcap import records
 
-from recorder.mcap.index import LogSummary
+from recorder.mcap.summary_reader import LogSummary
 from recorder.reading.topics import Topic, topic_of
 
 

@@ -14,10 +14,8 @@ import msgspec
 from mcap import records
 
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX
-from recorder.mcap.index import read_summary
-from recorder.mcap.messages import LoggedMessage, messages
-from recorder.mcap.records import LooseMessage, PackedChunk, read_pieces
-from recorder.mcap.summary import MAGIC
+from recorder.mcap.reader import LoggedMessage, MessageBlock, PackedChunk, is_mcap, read_pieces
+from recorder.mcap.summary_reader import read_summary
 from recorder.reading.covered import without_covered
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
@@ -91,7 +89,7 @@ def open_log(path: Path) -> Generator[tuple[BinaryIO, int], None, None]:
             size = os.fstat(stream.fileno()).st_size
             if size == 0:
                 raise CommandError(f"{shown} is empty")
-            if stream.read(len(MAGIC)) != MAGIC:
+            if not is_mcap(stream):
                 raise CommandError(f"{shown} is no MCAP file")
             yield stream, size
     except OSError as error:
@@ -122,9 +120,8 @@ def _span(stream: BinaryIO, size: int) -> tuple[int, int, list[records.Channel]]
     for piece in read_pieces(stream, size, is_verifying=False):
         if isinstance(piece, PackedChunk):
             found_ns = [piece.start_ns, piece.end_ns]
-        elif isinstance(piece, LooseMessage):
-            found = messages(piece.offset, piece.raw)
-            found_ns = [one.log_ns for one in found if isinstance(one, LoggedMessage)]
+        elif isinstance(piece, MessageBlock):
+            found_ns = [one.log_ns for one in piece.messages() if isinstance(one, LoggedMessage)]
         else:
             channels += [piece] if isinstance(piece, records.Channel) else []
             continue

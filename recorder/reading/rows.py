@@ -6,23 +6,16 @@ with a log: of each open file one chunk is held.
 
 from __future__ import annotations
 
-import struct
-from array import array
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from heapq import merge
-from itertools import repeat
 from operator import attrgetter
 from typing import BinaryIO, Final
 
 import msgspec
 from mcap import records
 
-from recorder.mcap.chunk import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE
-from recorder.mcap.index import read_summary
-from recorder.mcap.messages import LoggedMessage, messages
-from recorder.mcap.records import Fault, LooseMessage, PackedChunk, read_pieces
-from recorder.mcap.scan import BROKEN
-from recorder.mcap.summary import RECORD_HEADER
+from recorder.mcap.reader import DamagedError, Fault, LoggedMessage, MessageBlock, PackedChunk, read_pieces
+from recorder.mcap.summary_reader import read_summary
 from recorder.reading.declared import Declared
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
@@ -129,7 +122,7 @@ class LogReader:
         self._selection = selection
         self._faults = faults
         self._declared = Declared(log.namesakes)
-        self._wanted: set[int] = set()
+        self._wanted: dict[int, Topic] = {}
         self.topics = self._declared.topics
         self.metadata: dict[str, dict[str, str]] = {}
         self.attachments: list[records.Attachment] = []
@@ -145,8 +138,8 @@ class LogReader:
                     yield from self._rows(piece)
                     progress(piece.offset + piece.length - told)
                     told = piece.offset + piece.length
-                case LooseMessage():
-                    yield from self._sift(messages(piece.offset, piece.raw))
+                case MessageBlock():
+                    yield from self._sift(piece.messages())
                 case records.Metadata():
                     self.metadata[piece.name] = piece.metadata
                 case records.Attachment():
@@ -164,18 +157,18 @@ class LogReader:
     def _rows(self, chunk: PackedChunk) -> Iterator[Row]:
         if not self._may_hold(chunk):
             return
+        if chunk.index is None or not chunk.index.keys() <= self.topics.keys():
+            yield from self._sift(chunk.messages())
+            return
         try:
-            content = chunk.unpack(self._stream)
-        except BROKEN as error:
+            block = chunk.unpack()
+        except DamagedError as error:
             self._fault(chunk.offset, f"a chunk cannot be read: {error}")
             return
-        if chunk.index is None or not chunk.index.keys() <= self.topics.keys():
-            yield from self._sift(messages(chunk.offset, content))
-            return
-        found = self._by_index(content, chunk.index)
+        found = block.pick(chunk.index, self._wanted, Row, self._selection.from_ns, self._selection.to_ns)
         if found is None:
             self._fault(chunk.offset, "the message indexes behind a chunk are wrong")
-            yield from self._sift(messages(chunk.offset, content))
+            yield from self._sift(block.messages())
         else:
             yield from found
 
@@ -186,33 +179,6 @@ class LogReader:
         if chunk.start_ns >= self._selection.to_ns or chunk.end_ns < self._selection.from_ns:
             return False
         return any(channel in self._wanted or channel not in self.topics for channel in chunk.index)
-
-    def _by_index(self, content: bytes, index: Mapping[int, array[int]]) -> list[Row] | None:
-        """The wanted rows, each found by its offset; None if an entry does not fit the message there."""
-        places: list[tuple[int, int, int]] = []
-        for channel, entries in index.items():
-            if channel in self._wanted:
-                places += zip(entries[1::2], entries[::2], repeat(channel), strict=False)
-        places.sort()
-        from_ns, to_ns = self._selection.from_ns, self._selection.to_ns
-        unpack, topics = MESSAGE_HEADER.unpack_from, self.topics
-        head, end = MESSAGE_HEADER.size, len(content)
-        rows = []
-        try:
-            for offset, expected_ns, expected_id in places:
-                opcode, length, channel_id, sequence, log_ns, publish_ns = unpack(content, offset)
-                behind = offset + RECORD_HEADER.size + length
-                if opcode != MESSAGE_OPCODE or length < HEADER_IN_LENGTH or behind > end:
-                    return None
-                if channel_id != expected_id or log_ns != expected_ns:
-                    return None
-                if from_ns <= log_ns < to_ns:
-                    data = content[offset + head : behind]
-                    rows.append(Row(topics[channel_id], sequence, log_ns, publish_ns, data))
-        except (struct.error, OverflowError):
-            # Beyond the content, or beyond what this machine can address.
-            return None
-        return rows
 
     def _sift(self, found: Iterator[LoggedMessage | records.Schema | records.Channel | Fault]) -> Iterator[Row]:
         from_ns, to_ns = self._selection.from_ns, self._selection.to_ns
@@ -233,7 +199,7 @@ class LogReader:
             self._want(self._declared.take(piece))
 
     def _want(self, found: list[tuple[int, Topic]]) -> None:
-        self._wanted.update(channel_id for channel_id, topic in found if self._selection.wants(topic))
+        self._wanted.update((channel_id, topic) for channel_id, topic in found if self._selection.wants(topic))
 
     def _fault(self, offset: int, detail: str) -> None:
         self._faults.add(f"{self._name}: byte {offset}: {detail}")

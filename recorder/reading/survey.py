@@ -8,10 +8,9 @@ from typing import BinaryIO
 
 import msgspec
 from mcap import records
-from mcap.reader import SeekingReader
 
-from recorder.mcap.index import read_summary
-from recorder.mcap.scan import BROKEN
+from recorder.mcap.reader import DamagedError, record_at
+from recorder.mcap.summary_reader import read_summary
 from recorder.reading.declared import Declared
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
@@ -62,15 +61,15 @@ def _by_summary(stream: BinaryIO, log: LogFile, found: Survey) -> bool:
     summary = read_summary(stream)
     if summary is None:
         return False
-    with suppress(*BROKEN):
-        reader = SeekingReader(stream, validate_crcs=True)
-        attachments = list(reader.iter_attachments())
-        metadata = {one.name: one.metadata for one in reader.iter_metadata()}
-        for _, topic in Declared(log.namesakes).take_summary(summary):
-            found.topics.setdefault(topic.name, topic)
-        found.attachments += attachments
-        found.metadata.update(metadata)
-        return True
+    with suppress(DamagedError):
+        attachments = [record_at(stream, one.offset, records.Attachment) for one in summary.attachments]
+        metadata = [record_at(stream, one.offset, records.Metadata) for one in summary.metadata]
+        if None not in [*attachments, *metadata]:
+            for _, topic in Declared(log.namesakes).take_summary(summary):
+                found.topics.setdefault(topic.name, topic)
+            found.attachments += filter(None, attachments)
+            found.metadata.update((one.name, one.metadata) for one in metadata if one is not None)
+            return True
     return False
 
 

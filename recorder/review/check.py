@@ -5,15 +5,26 @@ In one pass, in memory that does not grow with the log but for 16 bytes a chunk 
 
 from __future__ import annotations
 
+from array import array
+from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO, Final
 
 import msgspec
 from mcap import records
 
-from recorder.mcap.records import End, Fault, LooseMessage, PackedChunk, Piece, SummaryStart, read_pieces
-from recorder.mcap.scan import BROKEN, index_content
-from recorder.mcap.summary import MAGIC
+from recorder.mcap.columns import Messages
+from recorder.mcap.reader import (
+    FIRST_RECORD,
+    DamagedError,
+    End,
+    Fault,
+    MessageBlock,
+    PackedChunk,
+    Piece,
+    SummaryStart,
+    read_pieces,
+)
 from recorder.reading.logs import is_being_written, open_log
 from recorder.reading.rows import Progress
 from recorder.review.checking.channel import Channel, ChannelCheck
@@ -21,7 +32,6 @@ from recorder.review.checking.findings import About, Finding, Findings
 from recorder.review.checking.frames import FrameInfo
 from recorder.review.checking.proofs import faults_of_schema
 from recorder.review.checking.structure import Structure
-from recorder.review.checking.unpacking import Messages, unpack_at, unpack_indexed
 
 WAITING_BYTES_MAX: Final = 16_000_000
 """When all messages that wait to be judged are so large together, they are judged."""
@@ -100,7 +110,7 @@ class _Check:
                 self._read_to = piece.end
         progress(self._size - self._read_to)
         if not self._has_header:
-            self._findings.file("the file has no header", len(MAGIC))
+            self._findings.file("the file has no header", FIRST_RECORD)
         if self._statistics is not None:
             self._structure.compare_statistics(self._statistics)
         if self._has_ended:
@@ -130,7 +140,7 @@ class _Check:
         match piece:
             case PackedChunk():
                 self._take_chunk(piece)
-            case LooseMessage():
+            case MessageBlock():
                 self._take_loose(piece)
             case records.Schema() | records.Channel():
                 self._declare(piece)
@@ -157,48 +167,40 @@ class _Check:
         elif self._structure.take_channel(record, is_repeated=self._is_in_summary):
             self._channels[record.id] = Channel(record, self._schemas.get(record.schema_id), self._findings)
 
-    def _take_loose(self, piece: LooseMessage) -> None:
+    def _take_loose(self, piece: MessageBlock) -> None:
         try:
-            self._take_content(piece.raw, piece.offset)
-        except BROKEN as error:
+            self._take_block(piece)
+        except DamagedError as error:
             self._findings.file(f"a message cannot be read: {error}", piece.offset)
 
     def _take_chunk(self, piece: PackedChunk) -> None:
         try:
-            chunk = piece.read(self._stream)
-            content = piece.unpack(self._stream, chunk)
-            found = None if piece.index is None else unpack_indexed(content, piece.index)
-            if found is None:
-                found = self._take_content(content, piece.offset)
-            else:
-                self._take_messages(found, piece.offset)
-        except BROKEN as error:
+            block = piece.unpack()
+            found = self._take_block(block, piece.index)
+        except DamagedError as error:
             # Without the figures, which differ from chunk to chunk.
             why = str(error).partition(",")[0]
             self._findings.file(f"a chunk cannot be read: {why}", piece.offset)
             self._structure.take_broken_chunk(piece)
         else:
-            self._structure.take_chunk(piece, chunk, len(content), found)
-            self._waiting_bytes += len(content)
+            self._structure.take_chunk(piece, len(block.content), found)
+            self._waiting_bytes += len(block.content)
             if self._waiting_bytes > WAITING_BYTES_MAX:
                 for channel in self._channels.values():
                     channel.judge()
                 self._waiting_bytes = 0
 
-    def _take_content(self, content: bytes, offset: int) -> Messages | None:
-        """Records one by one: those that stand outside of chunks, or in one with more in it than messages.
+    def _take_block(self, block: MessageBlock, index: Mapping[int, array[int]] | None = None) -> Messages | None:
+        """The messages of a chunk, or one outside of chunks, and what is declared between them.
 
         Raises:
-            what ``recorder.mcap.scan.BROKEN`` lists: these are no records.
+            DamagedError: these are no records.
         """
-        index, declared = index_content(content)
+        found, declared = block.columns(index)
         for record in declared:
-            if isinstance(record, records.Schema | records.Channel):
-                self._declare(record)
-        starts = sorted(start for entries in index.values() for start in entries[1::2])
-        found = unpack_at(content, starts) if starts else None
+            self._declare(record)
         if found is not None:
-            self._take_messages(found, offset)
+            self._take_messages(found, block.offset)
         return found
 
     def _take_messages(self, found: Messages, offset: int) -> None:

@@ -12,7 +12,6 @@ from recorder.encoding.protobuf_schema import descriptor_set, schema_name
 from recorder.encoding.transcode import compile_encoder
 from recorder.mcap.channel import LogChannel
 from recorder.mcap.chunk import ChunkBuilder
-from recorder.mcap.summary import MAGIC
 from recorder.mcap.writer import McapFile
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
@@ -52,7 +51,6 @@ def batches_of(
 ) -> list[Batch]:
     """The batches of a file's bytes."""
     stream = BytesIO(data)
-    stream.seek(len(MAGIC))
     taken = Faults() if faults is None else faults
     reader = ColumnReader(stream, LogFile(Path("log"), len(data), 0, 0), selection or Selection(), taken)
     found = list(reader.batches(lambda _: None, sift))

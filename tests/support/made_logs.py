@@ -13,7 +13,7 @@ from recorder.encoding.protobuf_schema import descriptor_set, schema_name
 from recorder.encoding.transcode import compile_encoder
 from recorder.mcap.channel import LogChannel
 from recorder.mcap.chunk import ChunkBuilder
-from recorder.mcap.summary import encode
+from recorder.mcap.framing import encode
 from recorder.mcap.writer import McapFile
 from schemas.messages import Gear
 from tests.support.recorder_fakes import Disk, gear

@@ -14,12 +14,12 @@ from mcap import records
 
 from recorder.encoding.key_counters import SEQUENCE_SPAN
 from recorder.encoding.protobuf_schema import schema_name
+from recorder.mcap.columns import ChannelMessages
 from recorder.reading.topics import UNREADABLE, typed_decoder
 from recorder.review.checking.findings import Findings
 from recorder.review.checking.frames import FrameCount
 from recorder.review.checking.proofs import Proof, proof_of
 from recorder.review.checking.sequences import sequence_count
-from recorder.review.checking.unpacking import ChannelMessages
 from schemas.messages import CanFrame
 from schemas.recording import RecordGap
 

@@ -8,26 +8,16 @@ from __future__ import annotations
 from array import array
 from collections import Counter
 from collections.abc import Sequence
-from io import BytesIO
 from itertools import pairwise
-from typing import BinaryIO, Final
+from typing import BinaryIO
 
 from mcap import records
-from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
 
-from recorder.mcap.index import IndexedChunk, LogSummary, read_records, read_summary
-from recorder.mcap.records import PackedChunk
-from recorder.mcap.scan import BROKEN, RECORD_MAX
-from recorder.mcap.summary import RECORD_HEADER
+from recorder.mcap.columns import Messages
+from recorder.mcap.reader import DamagedError, PackedChunk, record_at
+from recorder.mcap.summary_reader import LogSummary, read_summary
 from recorder.review.checking.findings import Findings
-from recorder.review.checking.unpacking import Messages
 from schemas.subjects import RECORDER_CHUNK
-
-_INDEXED: Final = {
-    Opcode.ATTACHMENT: records.Attachment.read,
-    Opcode.METADATA: records.Metadata.read,
-}
 
 
 class Structure:
@@ -117,32 +107,20 @@ class Structure:
         )
         return [time_ns for _, time_ns in places]
 
-    def take_chunk(self, piece: PackedChunk, chunk: records.Chunk, size: int, found: Messages | None) -> None:
+    def take_chunk(self, piece: PackedChunk, size: int, found: Messages | None) -> None:
         """A chunk that could be read, the bytes of its records, and the messages in it, if there are any."""
-        if chunk.uncompressed_size != size:
+        chunk = piece.described()
+        if chunk.unpacked != size:
             self._findings.file("a chunk's size is not the one that it says", piece.offset)
         times = (0, 0) if found is None else (found.start_ns, found.end_ns)
-        if (chunk.message_start_time, chunk.message_end_time) != times:
+        if (chunk.start_ns, chunk.end_ns) != times:
             self._findings.file("a chunk's times are not those of its messages", piece.offset)
         if piece.index is not None and not (
             found.is_indexed(piece.index) if found else not any(piece.index.values())
         ):
             self._findings.file("the message indexes behind a chunk are wrong", piece.offset)
         self._offsets.append(piece.offset)
-        self._digests.append(
-            hash(
-                (
-                    chunk.message_start_time,
-                    chunk.message_end_time,
-                    piece.length,
-                    piece.end - piece.offset - piece.length,
-                    chunk.compression.encode(),
-                    len(chunk.data),
-                    chunk.uncompressed_size,
-                    frozenset(piece.places.items()),
-                )
-            )
-        )
+        self._digests.append(chunk.digest())
 
     def take_broken_chunk(self, piece: PackedChunk) -> None:
         """A chunk that cannot be read: nothing of it can be compared but its place."""
@@ -180,25 +158,15 @@ class Structure:
         if summary is None:
             return
         try:
-            self._compare_groups(stream, summary)
+            for _ in summary.wrong_groups(stream):
+                self._findings.file("the summary's own offsets are wrong", summary.offset_start)
             self._compare_chunks(stream, summary)
             for attachment in summary.attachments:
                 self._compare_record(stream, attachment)
             for metadata in summary.metadata:
                 self._compare_record(stream, metadata)
-        except BROKEN as error:
+        except DamagedError as error:
             self._findings.file(f"the summary cannot be read: {error}", summary.start)
-
-    def _compare_groups(self, stream: BinaryIO, summary: LogSummary) -> None:
-        for group in summary.groups:
-            end = group.group_start + group.group_length
-            is_inside = summary.start <= group.group_start <= end <= (summary.offset_start or summary.end)
-            opcodes = (
-                {opcode for opcode, _, _ in read_records(stream, group.group_start, end)} if is_inside else {0}
-            )
-            # Some writers name groups that hold nothing.
-            if opcodes != ({group.group_opcode} if group.group_length else set()):
-                self._findings.file("the summary's own offsets are wrong", summary.offset_start)
 
     def _compare_chunks(self, stream: BinaryIO, summary: LogSummary) -> None:
         at = {offset: place for place, offset in enumerate(self._offsets)} if summary.chunks_at else {}
@@ -208,7 +176,7 @@ class Structure:
             place = at.get(chunk.offset)
             if place is None:
                 self._findings.file("the summary's index names a chunk that is not there", summary.start)
-            elif self._digests[place] not in {0, _digest(chunk)}:
+            elif self._digests[place] not in {0, chunk.digest()}:
                 self._findings.file("the summary's index of a chunk is wrong", chunk.offset)
         if summary.chunks_at and indexed != len(self._offsets):
             self._findings.file(
@@ -217,34 +185,14 @@ class Structure:
 
     def _compare_record(self, stream: BinaryIO, index: records.AttachmentIndex | records.MetadataIndex) -> None:
         is_attachment = isinstance(index, records.AttachmentIndex)
-        opcode = Opcode.ATTACHMENT if is_attachment else Opcode.METADATA
-        stream.seek(index.offset)
-        head = stream.read(RECORD_HEADER.size)
-        is_true = len(head) == RECORD_HEADER.size
-        if is_true:
-            found, length = RECORD_HEADER.unpack(head)
-            is_true = (found, RECORD_HEADER.size + length) == (opcode, index.length) and length <= RECORD_MAX
-            if is_true:
-                record = _INDEXED[opcode](ReadDataStream(BytesIO(stream.read(length))))
-                is_true = _facts(record) == _facts(index)
-        if not is_true:
+        found = (
+            record_at(stream, index.offset, records.Attachment, index.length)
+            if is_attachment
+            else record_at(stream, index.offset, records.Metadata, index.length)
+        )
+        if found is None or _facts(found) != _facts(index):
             what = "attachment" if is_attachment else "metadata"
             self._findings.file(f"the summary's index of the {what} {index.name} is wrong", index.offset)
-
-
-def _digest(chunk: IndexedChunk) -> int:
-    return hash(
-        (
-            chunk.start_ns,
-            chunk.end_ns,
-            chunk.length,
-            chunk.indexes_length,
-            chunk.compression,
-            chunk.packed,
-            chunk.unpacked,
-            frozenset(chunk.place_map().items()),
-        )
-    )
 
 
 def _facts(

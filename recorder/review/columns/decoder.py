@@ -10,18 +10,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from recorder.mcap.chunk import MESSAGE_HEADER
+from recorder.mcap.arrays import Bytes, Numbers, Places
 from recorder.review.columns import arrays, parsed
 from recorder.review.columns.layout import Layout, find_layout
-from recorder.review.columns.places import (
-    LOG_AT,
-    PUBLISH_AT,
-    SEQUENCE_AT,
-    Bytes,
-    Numbers,
-    Places,
-    words,
-)
 from recorder.review.columns.shape import INT64_MAX, Shape
 from recorder.review.columns.tables import HEAD, TIME_TYPE, Columns, shown
 
@@ -38,7 +29,7 @@ _WORD: Final = 8
 
 
 class _Pattern(msgspec.Struct, frozen=True):
-    """A layout, and a message of it to compare others with, record header and padding included."""
+    """A layout, and a message of it to compare others with, padding included."""
 
     layout: Layout
     example: NDArray[np.uint64]
@@ -96,14 +87,13 @@ class Decoder:
         return pa.RecordBatch.from_arrays([*self._head(content, places), *found], schema=self.schema)
 
     def _head(self, content: Bytes, places: Places) -> list[pa.Array]:
-        offsets, found = places.offsets, []
+        found = []
         if self._wants_head[0]:
-            found.append(times(words(content, "<u8", LOG_AT)[offsets]))
+            found.append(times(places.log_ns(content)))
         if self._wants_head[1]:
-            found.append(times(words(content, "<u8", PUBLISH_AT)[offsets]))
+            found.append(times(places.publish_ns(content)))
         if self._wants_head[2]:
-            sequences = words(content, "<u4", SEQUENCE_AT)[offsets].astype(np.int64)
-            found.append(arrays.bare_array(pa.int64(), sequences))
+            found.append(arrays.bare_array(pa.int64(), places.sequences(content).astype(np.int64)))
         return found
 
     def _bytes(self, content: Bytes, places: Places) -> tuple[Numbers | None, list[pa.Array]]:
@@ -181,7 +171,7 @@ class Decoder:
                 alike, matrix_alike, group_left = group[same], matrix[same], group[differs]
                 matrix = matrix[differs]
             if len(alike):
-                rows = matrix_alike.view(np.uint8)[:, MESSAGE_HEADER.size : length]
+                rows = matrix_alike.view(np.uint8)[:, :length]
                 parts.append((alike, arrays.columns(shape, pattern.layout.places, rows)))
             group = group_left
         return parts, group
@@ -195,9 +185,8 @@ def times(numbers: NDArray[np.unsignedinteger]) -> pa.Array:
 def message_bytes(content: Bytes, places: Places) -> list[bytes]:
     """The data of each message."""
     view = memoryview(content.data)
-    head = MESSAGE_HEADER.size
     ends = (places.offsets + places.lengths).tolist()
-    return [bytes(view[start + head : end]) for start, end in zip(places.offsets.tolist(), ends, strict=True)]
+    return [bytes(view[start:end]) for start, end in zip(places.offsets.tolist(), ends, strict=True)]
 
 
 def _text_of(value: bytes) -> str | None:
@@ -221,13 +210,13 @@ def _groups(lengths: Numbers) -> Sequence[tuple[int, Numbers]]:
     ]
 
 
-def _pattern(shape: Shape, record: NDArray[np.uint64], length: int) -> _Pattern | None:
-    data = record.tobytes()
-    layout = find_layout(shape, data[MESSAGE_HEADER.size : length])
+def _pattern(shape: Shape, message: NDArray[np.uint64], length: int) -> _Pattern | None:
+    data = message.tobytes()
+    layout = find_layout(shape, data[:length])
     if layout is None:
         return None
-    mask = (bytes(MESSAGE_HEADER.size) + layout.mask).ljust(len(data), b"\0")
-    return _Pattern(layout, record.copy(), np.frombuffer(mask, np.uint64))
+    mask = layout.mask.ljust(len(data), b"\0")
+    return _Pattern(layout, message.copy(), np.frombuffer(mask, np.uint64))
 
 
 def _differences(matrix: NDArray[np.uint64], pattern: _Pattern) -> NDArray[np.bool_]:

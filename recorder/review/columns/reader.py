@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Collection, Iterator, Mapping
-from io import BytesIO
 from itertools import groupby
 from typing import BinaryIO, Final
 
@@ -12,35 +11,18 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 from mcap import records
-from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from recorder.mcap.chunk import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE
-from recorder.mcap.index import read_summary
-from recorder.mcap.records import Fault, LooseMessage, PackedChunk, read_pieces
-from recorder.mcap.scan import BROKEN
-from recorder.mcap.summary import RECORD_HEADER
+from recorder.mcap.arrays import PADDING, Bytes, Indexed, Places, joined, proven_places, walked_places
+from recorder.mcap.reader import DamagedError, Fault, MessageBlock, PackedChunk, read_pieces
+from recorder.mcap.summary_reader import read_summary
 from recorder.reading.declared import Declared
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
 from recorder.reading.topics import Topic
 from recorder.review.columns.decoder import Decoder
-from recorder.review.columns.places import (
-    LOG_AT,
-    PADDING,
-    PUBLISH_AT,
-    SEQUENCE_AT,
-    Bytes,
-    Indexed,
-    Places,
-    in_order,
-    proven_places,
-    words,
-)
 from recorder.review.columns.tables import Columns, columns_of
-from recorder.review.columns.unpacking import Unpacker
 
 BATCH_BYTES: Final = 4_000_000
 """So much is unpacked at once: enough that the work on a batch is more than that around it."""
@@ -53,9 +35,6 @@ class Heads(msgspec.Struct, frozen=True):
     publish_ns: NDArray[np.uint64]
     sequence: NDArray[np.uint32]
 
-
-_DECLARED: Final = {Opcode.SCHEMA: records.Schema.read, Opcode.CHANNEL: records.Channel.read}
-"""What else may stand in a chunk."""
 
 Sift = Callable[[Topic, Heads], NDArray[np.bool_] | None]
 """Says which messages of a topic are to be read; None is all."""
@@ -102,28 +81,31 @@ class _Pending:
     """Chunks that are unpacked, and wait to be read together."""
 
     def __init__(self) -> None:
-        self.contents: list[bytes] = []
+        self.blocks: list[MessageBlock] = []
         self.chunks: list[Indexed | None] = []
-        self.offsets: list[int] = []
         self.size = 0
 
-    def add(self, offset: int, content: bytes, index: Mapping[int, array[int]] | None) -> None:
+    def add(self, block: MessageBlock, index: Mapping[int, array[int]] | None = None) -> None:
         """A chunk's records, or one record outside of chunks."""
-        base, self.size = self.size, self.size + len(content)
-        self.contents.append(content)
+        base, self.size = self.size, self.size + len(block.content)
+        self.blocks.append(block)
         self.chunks.append(None if index is None else Indexed(base, self.size, index))
-        self.offsets.append(offset)
 
-    def runs(self) -> Iterator[tuple[int, bytes, Indexed | None]]:
+    @property
+    def content(self) -> bytes:
+        """All records, and padding behind."""
+        return b"".join([*(block.content for block in self.blocks), bytes(PADDING)])
+
+    def runs(self) -> Iterator[tuple[MessageBlock, Indexed | None]]:
         """Each chunk with an index, and all between two of them at once."""
         for is_indexed, group in groupby(
-            zip(self.offsets, self.contents, self.chunks, strict=True), key=lambda one: one[2] is not None
+            zip(self.blocks, self.chunks, strict=True), key=lambda one: one[1] is not None
         ):
             if is_indexed:
                 yield from group
             else:
-                run = list(group)
-                yield run[0][0], b"".join([content for _, content, _ in run]), None
+                run = [block for block, _ in group]
+                yield MessageBlock(run[0].offset, b"".join([block.content for block in run])), None
 
 
 class ColumnReader:
@@ -149,7 +131,6 @@ class ColumnReader:
         wanted: Collection[str] | None = None,
     ) -> None:
         self._stream = stream
-        self._unpacker = Unpacker(stream)
         self._size = log.bytes
         self._name = str(log.path)
         self._is_being_written = log.is_being_written
@@ -177,14 +158,12 @@ class ColumnReader:
                     self._unpack(piece, pending)
                     progress(piece.offset + piece.length - told)
                     told = piece.offset + piece.length
-                case LooseMessage():
-                    pending.add(piece.offset, piece.raw, None)
+                case MessageBlock():
+                    pending.add(piece)
                 case Fault() if piece.cuts and self._is_being_written:
                     pass
-                case Fault():
-                    self._fault(piece.offset, piece.detail)
-                case records.Schema() | records.Channel():
-                    self._want(self._declared.take(piece))
+                case Fault() | records.Schema() | records.Channel():
+                    self._take(piece)
                 case _:
                     pass
             if pending.size >= BATCH_BYTES:
@@ -206,14 +185,14 @@ class ColumnReader:
             if not any(channel in self._decoders or channel not in self._topics for channel in index):
                 return
         try:
-            pending.add(chunk.offset, self._unpacker.unpack(chunk), index)
-        except BROKEN as error:
+            pending.add(chunk.unpack(), index)
+        except DamagedError as error:
             self._fault(chunk.offset, f"a chunk cannot be read: {error}")
 
     def _read(self, pending: _Pending, sift: Sift | None) -> Iterator[Batch]:
         if not pending.size:
             return
-        content = np.frombuffer(b"".join([*pending.contents, bytes(PADDING)]), np.uint8)
+        content = np.frombuffer(pending.content, np.uint8)
         indexed = [chunk for chunk in pending.chunks if chunk is not None]
         places = None
         if len(indexed) == len(pending.chunks):
@@ -230,7 +209,7 @@ class ColumnReader:
     def _batch(self, decoder: Decoder, content: Bytes, places: Places, sift: Sift | None) -> Iterator[Batch]:
         from_ns, to_ns = self._selection.from_ns, self._selection.to_ns
         if from_ns > 0 or to_ns < END_OF_TIME_NS:
-            log_ns = words(content, "<u8", LOG_AT)[places.offsets]
+            log_ns = places.log_ns(content)
             first, last = max(from_ns, 0), min(max(to_ns, 0), END_OF_TIME_NS) - 1
             is_within = (log_ns >= np.uint64(min(first, END_OF_TIME_NS - 1))) & (log_ns <= np.uint64(max(last, 0)))
             places = places.only(is_within & (last >= first))
@@ -246,60 +225,39 @@ class ColumnReader:
         """Each chunk by its own index, or where that is missing or wrong, record by record."""
         found: dict[int, list[Places]] = {}
         base = 0
-        for offset, content, chunk in pending.runs():
+        for block, chunk in pending.runs():
             places = None
             if chunk is not None:
-                padded = np.frombuffer(content + bytes(PADDING), np.uint8)
-                places = proven_places(padded, len(content), [Indexed(0, len(content), chunk.index)])
+                size = len(block.content)
+                padded = np.frombuffer(block.content + bytes(PADDING), np.uint8)
+                places = proven_places(padded, size, [Indexed(0, size, chunk.index)])
                 if places is None:
-                    self._fault(offset, "the message indexes behind a chunk are wrong")
+                    self._fault(block.offset, "the message indexes behind a chunk are wrong")
                 elif any(channel not in self._topics for channel in places):
                     places = None
             if places is None:
-                places = self._walk(offset, content)
+                places = self._walk(block)
             for channel, one in places.items():
-                found.setdefault(channel, []).append(Places(one.offsets + base, one.lengths))
-            base += len(content)
-        return {
-            channel: in_order(
-                Places(
-                    np.concatenate([one.offsets for one in parts]), np.concatenate([one.lengths for one in parts])
-                )
-            )
-            for channel, parts in found.items()
-        }
+                found.setdefault(channel, []).append(one.moved(base))
+            base += len(block.content)
+        return {channel: joined(parts) for channel, parts in found.items()}
 
-    def _walk(self, offset: int, content: bytes) -> dict[int, Places]:
+    def _walk(self, block: MessageBlock) -> dict[int, Places]:
         """Where the messages of each channel are, record by record; declares the channels between them."""
-        found: dict[int, tuple[list[int], list[int]]] = {}
-        at, end = 0, len(content)
-        try:
-            while at < end:
-                opcode, length = RECORD_HEADER.unpack_from(content, at)
-                behind = at + RECORD_HEADER.size + length
-                if behind > end or (opcode == MESSAGE_OPCODE and length < HEADER_IN_LENGTH):
-                    self._fault(offset, "a chunk holds half a record")
-                    break
-                if opcode == MESSAGE_OPCODE:
-                    channel = MESSAGE_HEADER.unpack_from(content, at)[2]
-                    offsets, lengths = found.setdefault(channel, ([], []))
-                    offsets.append(at)
-                    lengths.append(behind - at)
-                elif opcode in _DECLARED:
-                    body = content[at + RECORD_HEADER.size : behind]
-                    self._want(self._declared.take(_DECLARED[Opcode(opcode)](ReadDataStream(BytesIO(body)))))
-                at = behind
-        except BROKEN as error:
-            self._fault(offset, f"a record cannot be read: {error}")
-        for channel, (offsets, _) in found.items():
+        found, others = walked_places(block)
+        for one in others:
+            self._take(one)
+        for channel, places in found.items():
             if channel not in self._topics:
-                self._faults.add(
-                    f"{self._name}: {len(offsets)} messages of channel {channel}, which the file does not hold"
-                )
-        return {
-            channel: Places(np.array(offsets, np.int64), np.array(lengths, np.int64))
-            for channel, (offsets, lengths) in found.items()
-        }
+                what = f"{len(places.offsets)} messages of channel {channel}, which the file does not hold"
+                self._faults.add(f"{self._name}: {what}")
+        return found
+
+    def _take(self, piece: records.Schema | records.Channel | Fault) -> None:
+        if isinstance(piece, Fault):
+            self._fault(piece.offset, piece.detail)
+        else:
+            self._want(self._declared.take(piece))
 
     def _want(self, found: list[tuple[int, Topic]]) -> None:
         for channel_id, topic in found:
@@ -311,8 +269,4 @@ class ColumnReader:
 
 
 def _heads(content: Bytes, places: Places) -> Heads:
-    return Heads(
-        log_ns=words(content, "<u8", LOG_AT)[places.offsets],
-        publish_ns=words(content, "<u8", PUBLISH_AT)[places.offsets],
-        sequence=words(content, "<u4", SEQUENCE_AT)[places.offsets],
-    )
+    return Heads(places.log_ns(content), places.publish_ns(content), places.sequences(content))

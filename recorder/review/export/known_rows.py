@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.encoding.foxglove_log import SCHEMA_NAME as LOG_SCHEMA_NAME
-from recorder.mcap.index import read_summary
+from recorder.mcap.summary_reader import read_summary
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Selection

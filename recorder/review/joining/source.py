@@ -5,20 +5,24 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from io import BytesIO
 from operator import itemgetter
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, TypeVar
 
 from mcap import records
-from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
 
 from recorder.mcap.channel import LogChannel
-from recorder.mcap.index import read_summary
-from recorder.mcap.messages import LoggedMessage, messages
-from recorder.mcap.records import Fault, LooseMessage, PackedChunk, read_pieces
-from recorder.mcap.scan import BROKEN, RECORD_MAX
-from recorder.mcap.summary import MAGIC, RECORD_HEADER
+from recorder.mcap.reader import (
+    FIRST_RECORD,
+    DamagedError,
+    Fault,
+    LoggedMessage,
+    MessageBlock,
+    PackedChunk,
+    messages_at,
+    read_pieces,
+    record_at,
+)
+from recorder.mcap.summary_reader import read_summary
 from recorder.reading.contents import tells_all
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
@@ -32,7 +36,7 @@ Row = tuple[int, int, int, int, bytes]
 Choose = Callable[[LogChannel], int | None]
 """The id that a channel has in the new file; None if its messages are not wanted. Its own id says nothing."""
 
-Parse = Callable[[ReadDataStream], records.McapRecord]
+Kind = TypeVar("Kind", records.Header, records.Metadata, records.Attachment)
 
 
 class Source:
@@ -67,8 +71,8 @@ class Source:
         self._offsets, self._lengths = array("Q"), array("Q")
         self._loose: set[int] = set()
         with self._path.open("rb") as stream:
-            header = self._read(stream, len(MAGIC), Opcode.HEADER, records.Header.read)
-            self.profile = str(header.profile) if isinstance(header, records.Header) else ""
+            header = self._read(stream, FIRST_RECORD, records.Header)
+            self.profile = "" if header is None else str(header.profile)
             if not self._look_at_summary(stream):
                 self._look_at_records(stream)
 
@@ -83,35 +87,33 @@ class Source:
             with self._path.open("rb") as stream:
                 if number in self._loose:
                     stream.seek(offset)
-                    content = stream.read(length)
+                    messages = MessageBlock(offset, stream.read(length)).messages()
                 else:
-                    content = PackedChunk(offset, length, 0, 0, None, {}, offset + length).unpack(stream)
-        except (*BROKEN, OSError) as error:
+                    messages = messages_at(stream, offset, length)
+                found = list(self._sift(offset, messages, from_ns, to_ns))
+        except OSError as error:
             self._fault(offset, f"a chunk cannot be read: {error}")
             return []
-        found = list(self._sift(offset, content, from_ns, to_ns))
         found.sort(key=itemgetter(0))
         return found
 
     def read_metadata(self) -> Iterator[records.Metadata]:
         """The metadata records that can be read."""
         for one in self.metadata:
-            record = self._read_at(one, Opcode.METADATA, records.Metadata.read) if isinstance(one, int) else one
-            if isinstance(record, records.Metadata):
+            record = self._read_at(one, records.Metadata) if isinstance(one, int) else one
+            if record is not None:
                 yield record
 
     def read_attachments(self) -> Iterator[records.Attachment]:
         """The attachments that can be read."""
         for one in self.attachments:
-            record = (
-                self._read_at(one, Opcode.ATTACHMENT, records.Attachment.read) if isinstance(one, int) else one
-            )
-            if isinstance(record, records.Attachment):
+            record = self._read_at(one, records.Attachment) if isinstance(one, int) else one
+            if record is not None:
                 yield record
 
-    def _sift(self, offset: int, content: bytes, from_ns: int, to_ns: int) -> Iterator[Row]:
+    def _sift(self, offset: int, messages: Iterator[object], from_ns: int, to_ns: int) -> Iterator[Row]:
         ids = self._ids
-        for one in messages(offset, content):
+        for one in messages:
             if isinstance(one, LoggedMessage):
                 chosen = ids.get(one.channel_id)
                 if chosen is not None and from_ns <= one.log_ns < to_ns:
@@ -130,11 +132,11 @@ class Source:
             return False
         if statistics.message_count and statistics.chunk_count == 0:
             return False
-        with suppress(*BROKEN):
+        with suppress(DamagedError):
             for chunk in summary.chunks(stream):
                 self._add(chunk.offset, chunk.length, chunk.start_ns, chunk.end_ns)
         if len(self.starts) != statistics.chunk_count or any(
-            not len(MAGIC) <= offset < self._size for offset in self._offsets
+            not FIRST_RECORD <= offset < self._size for offset in self._offsets
         ):
             for column in (self.starts, self.ends, self._offsets, self._lengths):
                 del column[:]
@@ -152,7 +154,7 @@ class Source:
             match piece:
                 case PackedChunk():
                     self._add(piece.offset, piece.length, piece.start_ns, piece.end_ns)
-                case LooseMessage():
+                case MessageBlock():
                     self._add_loose(piece)
                 case records.Metadata():
                     self.metadata.append(piece)
@@ -167,20 +169,20 @@ class Source:
         self.starts.append(start_ns)
         self.ends.append(end_ns)
 
-    def _add_loose(self, piece: LooseMessage) -> None:
+    def _add_loose(self, piece: MessageBlock) -> None:
         """A message outside of chunks, which lengthens the stretch before it or begins another."""
-        found = next(messages(piece.offset, piece.raw), None)
+        found = next(piece.messages(), None)
         if not isinstance(found, LoggedMessage):
             return
         last = len(self.starts) - 1
-        length = piece.offset + len(piece.raw) - (self._offsets[last] if last >= 0 else 0)
+        length = piece.offset + len(piece.content) - (self._offsets[last] if last >= 0 else 0)
         if last in self._loose and length <= STRETCH_BYTES:
             self._lengths[last] = length
             self.starts[last] = min(self.starts[last], found.log_ns)
             self.ends[last] = max(self.ends[last], found.log_ns)
         else:
             self._loose.add(last + 1)
-            self._add(piece.offset, len(piece.raw), found.log_ns, found.log_ns)
+            self._add(piece.offset, len(piece.content), found.log_ns, found.log_ns)
 
     def _take(self, record: object) -> None:
         match record:
@@ -204,26 +206,21 @@ class Source:
             case _:
                 pass
 
-    def _read_at(self, offset: int, opcode: Opcode, parse: Parse) -> records.McapRecord | None:
+    def _read_at(self, offset: int, kind: type[Kind]) -> Kind | None:
         try:
             with self._path.open("rb") as stream:
-                return self._read(stream, offset, opcode, parse)
+                return self._read(stream, offset, kind)
         except OSError as error:
             self._fault(offset, error.strerror or str(error))
             return None
 
-    def _read(self, stream: BinaryIO, offset: int, opcode: Opcode, parse: Parse) -> records.McapRecord | None:
-        stream.seek(offset)
-        head = stream.read(RECORD_HEADER.size)
-        if len(head) == RECORD_HEADER.size:
-            found, length = RECORD_HEADER.unpack(head)
-            if found == opcode and length <= RECORD_MAX:
-                try:
-                    return parse(ReadDataStream(BytesIO(stream.read(length))))
-                except BROKEN:
-                    pass
-        self._fault(offset, "a record cannot be read")
-        return None
+    def _read(self, stream: BinaryIO, offset: int, kind: type[Kind]) -> Kind | None:
+        found = None
+        with suppress(DamagedError):
+            found = record_at(stream, offset, kind)
+        if found is None:
+            self._fault(offset, "a record cannot be read")
+        return found
 
     def _fault(self, offset: int, detail: str) -> None:
         self._faults.add(f"{self._path}: byte {offset}: {detail}")

@@ -11,10 +11,8 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 from mcap import records
 
-from recorder.mcap.index import read_summary
-from recorder.mcap.messages import messages
-from recorder.mcap.records import Fault, PackedChunk, read_pieces
-from recorder.mcap.scan import BROKEN
+from recorder.mcap.reader import Fault, PackedChunk, read_pieces
+from recorder.mcap.summary_reader import read_summary
 from recorder.reading.declared import Declared
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
@@ -88,10 +86,7 @@ def _declared(stream: BinaryIO, log: LogFile, faults: Faults) -> Iterator[record
         if isinstance(piece, PackedChunk):
             if piece.index is not None and piece.index.keys() <= known:
                 continue
-            try:
-                found = messages(piece.offset, piece.unpack(stream))
-            except BROKEN:
-                continue
+            found = piece.messages()
         for one in found:
             if isinstance(one, records.Channel):
                 known.add(one.id)

@@ -10,7 +10,7 @@ from typing import Final
 import msgspec
 from mcap import records
 
-from recorder.mcap.records import Fault, read_pieces
+from recorder.mcap.reader import Fault, read_pieces
 from recorder.reading.log_file import LogFile
 from recorder.record.accounting import COMPLETENESS_NAME, KeyReport, total
 from recorder.record.robots import METADATA_NAME

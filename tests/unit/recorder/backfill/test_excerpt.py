@@ -17,7 +17,8 @@ from recorder.backfill import excerpt as module
 from recorder.backfill.excerpt import PIECE_NAME, Excerpt, LogCopy, Message
 from recorder.encoding.protobuf_schema import descriptor_set
 from recorder.mcap.chunk import ChunkBuilder
-from recorder.mcap.log_map import Logged, LogMap
+from recorder.mcap.log_map import LogMap
+from recorder.mcap.reader import LoggedMessage
 from recorder.mcap.writer import McapFile
 from schemas.messages import Gear
 from schemas.recording import Backfill, BackfillPiece
@@ -284,7 +285,7 @@ def test_no_chunk_is_read_when_the_time_is_over(monkeypatch: pytest.MonkeyPatch)
     """It is looked at before each."""
     read: list[int] = []
 
-    def watched(_chart: LogMap, _stream: object, number: int) -> list[Logged]:
+    def watched(_chart: LogMap, _stream: object, number: int) -> list[LoggedMessage]:
         read.append(number)
         return []
 

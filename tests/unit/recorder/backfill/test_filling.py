@@ -4,6 +4,7 @@ from recorder.backfill.excerpt import Message
 from recorder.backfill.filling import Filling
 from recorder.backfill.holes import Hole, HoleKind
 from recorder.backfill.questions import Question
+from recorder.mcap.reader import LoggedMessage
 from tests.support.backfill_logs import GEAR, ROBOT, RX, SECOND, channel_of
 
 SHORT = Hole(GEAR, HoleKind.SEQUENCE, 0, 2 * SECOND, 1, (0, 0), (2, 2 * SECOND))
@@ -29,7 +30,8 @@ def test_only_what_lies_in_a_hole_is_wanted() -> None:
 def test_what_is_held_is_not_wanted() -> None:
     """By topic, sequence, time and data."""
     filling = Filling([SHORT])
-    filling.hold({1: channel_of(GEAR, 1)}, [(1, 1, 99, SECOND, b"here"), (1, 1, 99, 60 * SECOND, b"elsewhere")])
+    held = [LoggedMessage(1, 1, 99, SECOND, b"here"), LoggedMessage(1, 1, 99, 60 * SECOND, b"elsewhere")]
+    filling.hold({1: channel_of(GEAR, 1)}, held)
     assert len(filling._held) == 1
     assert not filling.take(message(1, data=b"here"))
     assert filling.take(message(1, data=b"other"))

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from recorder.disk.own_logs import OwnLogs
 from recorder.mcap.channel import LogChannel
-from recorder.mcap.log_map import Logged
+from recorder.mcap.reader import LoggedMessage
 from tests.support.backfill_logs import GEAR, gear_rows, log_of, write
 
 
@@ -13,8 +13,8 @@ def sequences(logs: OwnLogs) -> list[int]:
     found: list[int] = []
 
     def take(channels: dict[int, LogChannel], messages: object) -> None:
-        rows: list[Logged] = list(messages)  # type: ignore[call-overload] # an iterable
-        found.extend(one[1] for one in rows if channels[one[0]].topic == GEAR)
+        rows: list[LoggedMessage] = list(messages)  # type: ignore[call-overload] # an iterable
+        found.extend(one.sequence for one in rows if channels[one.channel_id].topic == GEAR)
 
     logs.each(take)
     return sorted(found)

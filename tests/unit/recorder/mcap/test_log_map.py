@@ -12,7 +12,7 @@ from mcap.writer import Writer
 
 from recorder.mcap import log_map
 from recorder.mcap.log_map import EARLY_NS, LATE_NS, LogMap
-from recorder.mcap.scan import SEARCH_BYTES
+from recorder.mcap.proof import SEARCH_BYTES
 from tests.support.backfill_logs import (
     GEAR,
     MS,
@@ -36,8 +36,8 @@ CHUNKS = [found.start() - 41 for found in re.finditer(b"zstd", OPEN)]
 def rows_of(data: bytes, chart: LogMap) -> list[Row]:
     """All messages that are found by a map."""
     return [
-        Row(publish_ns, chart.channels[number].topic, sequence, log_ns, content)
-        for number, sequence, log_ns, publish_ns, content in chart.messages(BytesIO(data))
+        Row(one.publish_ns, chart.channels[one.channel_id].topic, one.sequence, one.log_ns, one.data)
+        for one in chart.messages(BytesIO(data))
     ]
 
 

@@ -12,11 +12,11 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap.writer import CompressionType, Writer
 
 from recorder.encoding.protobuf_schema import descriptor_set
-from recorder.mcap import scan as mcap_scan
+from recorder.mcap import framing
 from recorder.mcap.channel import LogChannel
 from recorder.mcap.chunk import ChunkBuilder
+from recorder.mcap.framing import MAGIC
 from recorder.mcap.recovery import Survey, copy_good, survey
-from recorder.mcap.summary import MAGIC
 from recorder.mcap.writer import McapFile
 from recorder.review.check import check_stream
 from schemas.messages import Gear
@@ -229,7 +229,7 @@ def test_a_log_of_others_whose_data_checksum_is_wrong_is_not_called_good() -> No
 def test_a_length_that_nobody_means_costs_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """A record that says it is longer than any may be is damage, and is not read."""
     longest = max(one - two for one, two in pairwise([*ENDS[::-1], 0]))
-    monkeypatch.setattr(mcap_scan, "RECORD_MAX", longest)
+    monkeypatch.setattr(framing, "RECORD_MAX", longest)
     stream = Watched(CHUNKS[: ENDS[0]] + b"\x06" + (3 * longest).to_bytes(8, "little") + bytes(10 * longest))
     found = survey(stream, len(stream.getvalue()))
     assert (found.messages, found.end) == (3, ENDS[0])

@@ -17,8 +17,8 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from recorder.encoding.protobuf_schema import descriptor_set
 from recorder.mcap.channel import LogChannel
-from recorder.mcap.chunk import MESSAGE_HEADER, ChunkBuilder
-from recorder.mcap.summary import MAGIC
+from recorder.mcap.chunk import ChunkBuilder
+from recorder.mcap.framing import MAGIC, MESSAGE_HEADER
 from recorder.mcap.writer import McapFile
 from schemas.messages import CanFrame, Gear, GearPosition, RawSample
 from tests.support.recorder_fakes import MS, WALL_NS, Disk, small_log

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from recorder.encoding.protobuf_schema import descriptor_set, schema_name
 from recorder.mcap.channel import LogChannel
-from recorder.mcap.records import PackedChunk, read_pieces
-from recorder.mcap.summary import MAGIC, encode_index
+from recorder.mcap.framing import MAGIC, encode_index
+from recorder.mcap.reader import PackedChunk, read_pieces
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.logs import find_logs

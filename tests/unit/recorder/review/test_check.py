@@ -17,7 +17,7 @@ from mcap.writer import CompressionType
 
 from recorder.encoding.protobuf_schema import descriptor_set, schema_name
 from recorder.mcap.channel import LogChannel
-from recorder.mcap.summary import CHECK_OPCODE, MAGIC, RECORD_HEADER, encode
+from recorder.mcap.framing import CHECK_OPCODE, MAGIC, RECORD_HEADER, encode
 from recorder.review.check import LogCheck, check_log, check_stream
 from recorder.review.checking.findings import FINDINGS_MAX, About, Findings
 from schemas.decisions import Journal

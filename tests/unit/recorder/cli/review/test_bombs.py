@@ -9,10 +9,9 @@ import zstandard
 from mcap import records
 
 from recorder.cli.review import asking
-from recorder.mcap.messages import messages
-from recorder.mcap.records import Fault
-from recorder.mcap.scan import NO_RECORD, index_content
-from recorder.mcap.summary import MAGIC, encode
+from recorder.mcap.framing import MAGIC, encode
+from recorder.mcap.pieces import NO_RECORD, Fault, MessageBlock
+from recorder.mcap.reader import DamagedError
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support.made_logs import gears, own_log, saved
 from tests.support.review_command import run
@@ -41,9 +40,11 @@ def bomb(chunks: int, size: int) -> bytes:
 
 def test_zeros_are_no_records() -> None:
     """Nine of them would look like one, and a chunk holds millions."""
-    assert list(messages(7, bytes(1_000_000))) == [Fault(7, NO_RECORD)]
-    with pytest.raises(ValueError, match=NO_RECORD):
-        index_content(bytes(1_000_000))
+    zeros = MessageBlock(7, bytes(1_000_000))
+    assert list(zeros.messages()) == [Fault(7, NO_RECORD)]
+    assert zeros.index() == ({}, [Fault(7, NO_RECORD)])
+    with pytest.raises(DamagedError, match=NO_RECORD):
+        zeros.columns()
 
 
 @pytest.mark.parametrize("question", QUESTIONS)

@@ -13,12 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from recorder.encoding.protobuf_schema import LOGGED, message_class, schema_name
-from recorder.mcap.chunk import MESSAGE_HEADER
-from recorder.mcap.summary import MAGIC
+from recorder.mcap.arrays import PADDING, Indexed, proven_places
+from recorder.mcap.framing import MAGIC, MESSAGE_HEADER
 from recorder.reading.faults import Faults
 from recorder.reading.rows import Selection
 from recorder.review.columns import decoder, parsed
-from recorder.review.columns.places import PADDING, Indexed, proven_places
 from recorder.review.columns.tables import UNIT_KEY
 from schemas.messages import CanFrame, Drive, Gear, Message, RawSample
 from tests.support.logs_of import (

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 from mcap.reader import make_reader
 
-from recorder.mcap.summary import MAGIC
+from recorder.mcap.framing import MAGIC
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
 from recorder.reading.rows import Progress

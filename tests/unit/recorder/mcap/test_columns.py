@@ -6,9 +6,10 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.mcap.chunk import MESSAGE_HEADER, ChunkBuilder
-from recorder.mcap.scan import index_content
-from recorder.review.checking.unpacking import unpack_at, unpack_indexed
+from recorder.mcap.chunk import ChunkBuilder
+from recorder.mcap.columns import unpack_at, unpack_indexed
+from recorder.mcap.framing import MESSAGE_HEADER
+from recorder.mcap.pieces import index_content
 
 MESSAGES = st.lists(
     st.tuples(

@@ -1,8 +1,8 @@
 """The messages of a chunk, channel by channel, each field of their headers in a column of its own.
 
-Where they begin is told by the message index, and proven by what stands there: records of messages must fill the
-chunk from its beginning to its end. All fields of all of them are unpacked in a single call, which takes a
-fraction of one call for each.
+The message index says where they begin, and what stands there proves it: records of messages must fill the chunk
+from its beginning to its end. All fields of all of them are unpacked in a single call, which takes a fraction of
+one call for each. ``arrays`` does the same with numpy, which a recorder need not have.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ from typing import Any, Final
 
 import msgspec
 
-from recorder.mcap.chunk import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE
-from recorder.mcap.summary import RECORD_HEADER
+from recorder.mcap.framing import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE, RECORD_HEADER
 
 _FIELDS: Final = 7
 """Opcode, length, channel, sequence, log time, publish time, data."""

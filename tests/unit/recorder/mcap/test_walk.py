@@ -10,9 +10,8 @@ from mcap.writer import CompressionType, Writer
 from recorder.encoding.protobuf_schema import descriptor_set
 from recorder.mcap.channel import LogChannel
 from recorder.mcap.chunk import ChunkBuilder
-from recorder.mcap.messages import LoggedMessage, Walked, walk
-from recorder.mcap.records import End, Fault
-from recorder.mcap.summary import MAGIC
+from recorder.mcap.framing import MAGIC
+from recorder.mcap.reader import End, Fault, LoggedMessage, Walked, walk
 from recorder.mcap.writer import McapFile
 from schemas.messages import Gear
 from tests.support.recorder_fakes import Disk, small_log
@@ -20,9 +19,7 @@ from tests.support.recorder_fakes import Disk, small_log
 
 def walked(data: bytes) -> list[Walked]:
     """All that a walk over a file brings."""
-    stream = BytesIO(data)
-    stream.seek(len(MAGIC))
-    return list(walk(stream, len(data)))
+    return list(walk(BytesIO(data), len(data)))
 
 
 def of_three_chunks() -> tuple[bytes, list[int]]:

@@ -8,33 +8,25 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator
-from io import SEEK_END, BytesIO
-from typing import Any, BinaryIO, Final
+from collections.abc import Iterator, Mapping
+from io import SEEK_END
+from typing import BinaryIO, Final
 
 import msgspec
 from mcap import records
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 
-from recorder.mcap.scan import BROKEN, RECORD_MAX
-from recorder.mcap.summary import FOOTER_LENGTH, MAGIC, RECORD_HEADER
+from recorder.mcap.framing import BROKEN, FOOTER, MAGIC, RECORD_HEADER, RECORD_MAX, parse, parsing
 
-_FOOTER: Final = struct.Struct("<BQQQI")
 _CHUNK_PLACE: Final = struct.Struct("<QQQQI")
 _CHUNK_REST: Final = struct.Struct("<QI")
 _CHUNK_SIZES: Final = struct.Struct("<QQ")
 _MAP_ENTRY: Final = struct.Struct("<HQ")
 _BLOCK_BYTES: Final = 1 << 20
 
-_PARSED: Final[dict[int, Callable[[ReadDataStream], Any]]] = {
-    Opcode.SCHEMA: records.Schema.read,
-    Opcode.CHANNEL: records.Channel.read,
-    Opcode.STATISTICS: records.Statistics.read,
-    Opcode.ATTACHMENT_INDEX: records.AttachmentIndex.read,
-    Opcode.METADATA_INDEX: records.MetadataIndex.read,
-    Opcode.SUMMARY_OFFSET: records.SummaryOffset.read,
-}
+_REPEATED: Final = frozenset(
+    {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX}
+)
 
 
 class IndexedChunk(msgspec.Struct, frozen=True, gc=False):
@@ -43,7 +35,7 @@ class IndexedChunk(msgspec.Struct, frozen=True, gc=False):
     Attributes:
         start_ns, end_ns: log times of its first and last message.
         offset, length: of its record in the file.
-        places: where the message index of each channel stands, as MCAP's map has it: ``place_of`` reads it.
+        places: where the message index of each channel stands, as MCAP's map has it: ``place_map`` reads it.
         indexes_length: bytes of these behind the chunk.
         compression: its name.
         packed, unpacked: bytes of its records, as they are in the file and as they were.
@@ -62,6 +54,17 @@ class IndexedChunk(msgspec.Struct, frozen=True, gc=False):
     def place_map(self) -> dict[int, int]:
         """Where in the file the message index of each channel stands."""
         return dict(_MAP_ENTRY.iter_unpack(self.places))
+
+    def digest(self) -> int:
+        """A number that two descriptions of a chunk have in common if they say the same."""
+        facts = (self.start_ns, self.end_ns, self.offset, self.length, self.indexes_length)
+        sizes = (self.compression, self.packed, self.unpacked)
+        return hash((facts, sizes, frozenset(self.place_map().items())))
+
+
+def place_entries(places: Mapping[int, int]) -> bytes:
+    """Where the message index of each channel stands, as MCAP's map has it."""
+    return b"".join(_MAP_ENTRY.pack(*entry) for entry in places.items())
 
 
 class LogSummary(msgspec.Struct):
@@ -94,12 +97,28 @@ class LogSummary(msgspec.Struct):
         """What the index says of each chunk, in its order.
 
         Raises:
-            what ``recorder.mcap.scan.BROKEN`` lists: it cannot be read.
+            DamagedError: it cannot be read.
         """
-        for start, end in self.chunks_at:
-            for opcode, _, body in read_records(stream, start, end):
-                if opcode == Opcode.CHUNK_INDEX:
-                    yield _indexed_chunk(body)
+        with parsing():
+            for start, end in self.chunks_at:
+                for opcode, _, body in _read_records(stream, start, end):
+                    if opcode == Opcode.CHUNK_INDEX:
+                        yield _indexed_chunk(body)
+
+    def wrong_groups(self, stream: BinaryIO) -> Iterator[records.SummaryOffset]:
+        """The groups that are not where the summary says, or are not theirs alone.
+
+        Raises:
+            DamagedError: one cannot be read.
+        """
+        with parsing():
+            for group in self.groups:
+                end = group.group_start + group.group_length
+                is_inside = self.start <= group.group_start <= end <= (self.offset_start or self.end)
+                found = _read_records(stream, group.group_start, end) if is_inside else iter([(0, 0, b"")])
+                # Some writers name groups that hold nothing.
+                if {opcode for opcode, _, _ in found} != ({group.group_opcode} if group.group_length else set()):
+                    yield group
 
 
 def read_summary(stream: BinaryIO) -> LogSummary | None:
@@ -117,13 +136,13 @@ def read_summary(stream: BinaryIO) -> LogSummary | None:
 def _find(stream: BinaryIO) -> LogSummary | None:
     """By the footer."""
     size = stream.seek(0, SEEK_END)
-    end = size - _FOOTER.size - len(MAGIC)
+    end = size - FOOTER.size - len(MAGIC)
     if end < len(MAGIC):
         return None
     stream.seek(end)
     tail = stream.read()
-    opcode, length, start, offset_start, crc = _FOOTER.unpack_from(tail)
-    if tail[_FOOTER.size :] != MAGIC or (opcode, length) != (Opcode.FOOTER, FOOTER_LENGTH):
+    opcode, length, start, offset_start, crc = FOOTER.unpack_from(tail)
+    if tail[FOOTER.size :] != MAGIC or (opcode, length) != (Opcode.FOOTER, FOOTER.size - RECORD_HEADER.size):
         return None
     if not len(MAGIC) <= start <= end or (offset_start and not start <= offset_start <= end):
         return None
@@ -133,7 +152,7 @@ def _find(stream: BinaryIO) -> LogSummary | None:
 def _is_intact(stream: BinaryIO, summary: LogSummary) -> bool:
     if not summary.crc:
         return True
-    crc, end = 0, summary.end + _FOOTER.size - 4
+    crc, end = 0, summary.end + FOOTER.size - 4
     stream.seek(summary.start)
     for at in range(summary.start, end, _BLOCK_BYTES):
         crc = zlib.crc32(stream.read(min(_BLOCK_BYTES, end - at)), crc)
@@ -143,9 +162,9 @@ def _is_intact(stream: BinaryIO, summary: LogSummary) -> bool:
 def _read_groups(stream: BinaryIO, summary: LogSummary) -> None:
     """Reads all but the index of chunks, and passes over that where the summary says how long it is."""
     if summary.offset_start:
-        for opcode, _, body in read_records(stream, summary.offset_start, summary.end):
+        for opcode, _, body in _read_records(stream, summary.offset_start, summary.end):
             if opcode == Opcode.SUMMARY_OFFSET:
-                summary.groups.append(records.SummaryOffset.read(ReadDataStream(BytesIO(body))))
+                summary.groups.append(parse(opcode, body))
     chunks = {
         one.group_start: one.group_length for one in summary.groups if one.group_opcode == Opcode.CHUNK_INDEX
     }
@@ -161,16 +180,15 @@ def _read_groups(stream: BinaryIO, summary: LogSummary) -> None:
 
 
 def _take_records(stream: BinaryIO, summary: LogSummary, start: int, end: int) -> None:
-    for opcode, at, body in read_records(stream, start, end):
+    for opcode, at, body in _read_records(stream, start, end):
         if opcode == Opcode.CHUNK_INDEX:
             stretch = at, at + RECORD_HEADER.size + len(body)
             if summary.chunks_at and summary.chunks_at[-1][1] == stretch[0]:
                 stretch = summary.chunks_at.pop()[0], stretch[1]
             summary.chunks_at.append(stretch)
-        parse = _PARSED.get(opcode)
-        if parse is None:
+        if opcode not in _REPEATED:
             continue
-        record = parse(ReadDataStream(BytesIO(body)))
+        record = parse(opcode, body)
         match record:
             case records.Schema():
                 summary.schemas.setdefault(record.id, record)
@@ -186,7 +204,7 @@ def _take_records(stream: BinaryIO, summary: LogSummary, start: int, end: int) -
                 pass
 
 
-def read_records(stream: BinaryIO, start: int, end: int) -> Iterator[tuple[int, int, bytes]]:
+def _read_records(stream: BinaryIO, start: int, end: int) -> Iterator[tuple[int, int, bytes]]:
     """Opcode, offset and body of each record there.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Where the messages of chunks are, by the message indexes behind them, which are proven first.
+"""The places of the messages of many chunks at once, as numpy's arrays, by the message indexes behind the chunks.
 
 An index is believed if its messages, with the schemas and channels that others put between them, fill the chunk
 from its first byte to its last: then none is missing, none is there twice, and none is anything but a message.
@@ -16,15 +16,22 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from recorder.mcap.chunk import HEADER_IN_LENGTH, MESSAGE_HEADER, MESSAGE_OPCODE
-from recorder.mcap.summary import RECORD_HEADER
+from recorder.mcap.framing import (
+    BROKEN,
+    CHANNEL_AT,
+    DATA_AT,
+    HEADER_IN_LENGTH,
+    LENGTH_AT,
+    LOG_AT,
+    MESSAGE_OPCODE,
+    PUBLISH_AT,
+    RECORD_HEADER,
+    SEQUENCE_AT,
+)
+from recorder.mcap.pieces import Declared, Fault, MessageBlock, split
 
 Numbers = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
-
-_LENGTH_AT, _CHANNEL_AT = 1, 9
-SEQUENCE_AT, LOG_AT, PUBLISH_AT = 11, 15, 23
-"""Where in a message's record its numbers stand."""
 
 PADDING: Final = 8
 """Bytes behind the records, so that whole words can be read of the last one."""
@@ -40,7 +47,7 @@ class Indexed(msgspec.Struct, frozen=True):
     Attributes:
         base: where the chunk's records begin in a row of chunks...
         end: ...and where they end.
-        index: as ``pieces.PackedChunk.index``.
+        index: as ``PackedChunk.index``.
     """
 
     base: int
@@ -52,8 +59,8 @@ class Places(msgspec.Struct, frozen=True):
     """The messages of one channel in a row of chunks.
 
     Attributes:
-        offsets: of each record.
-        lengths: of each record, opcode and length included.
+        offsets: of the data of each.
+        lengths: of the data of each.
     """
 
     offsets: Numbers
@@ -62,6 +69,22 @@ class Places(msgspec.Struct, frozen=True):
     def only(self, which: NDArray[Any]) -> Places:
         """Some of them."""
         return Places(self.offsets[which], self.lengths[which])
+
+    def moved(self, base: int) -> Places:
+        """The same in a row in which so many bytes stand before."""
+        return Places(self.offsets + base, self.lengths)
+
+    def log_ns(self, content: Bytes) -> NDArray[np.uint64]:
+        """Log times, in nanoseconds since 1970."""
+        return _words(content, "<u8", LOG_AT)[self.offsets - DATA_AT]
+
+    def publish_ns(self, content: Bytes) -> NDArray[np.uint64]:
+        """Publish times, in nanoseconds since 1970."""
+        return _words(content, "<u8", PUBLISH_AT)[self.offsets - DATA_AT]
+
+    def sequences(self, content: Bytes) -> NDArray[np.uint32]:
+        """Sequence numbers."""
+        return _words(content, "<u4", SEQUENCE_AT)[self.offsets - DATA_AT]
 
 
 def proven_places(content: Bytes, size: int, chunks: Sequence[Indexed]) -> dict[int, Places] | None:
@@ -85,22 +108,41 @@ def proven_places(content: Bytes, size: int, chunks: Sequence[Indexed]) -> dict[
         return None
     bases, ends = (np.repeat(np.array(bound), counts) for bound in _bounds(parts))
     places = offsets.astype(np.int64) + bases
-    if (places + MESSAGE_HEADER.size > ends).any():
+    if (places + DATA_AT > ends).any():
         return None
-    raw_lengths = words(content, "<u8", _LENGTH_AT)[places]
+    raw_lengths = _words(content, "<u8", LENGTH_AT)[places]
     if raw_lengths.max() > np.uint64(size) or raw_lengths.min() < np.uint64(HEADER_IN_LENGTH):
         return None
     lengths = raw_lengths.astype(np.int64) + RECORD_HEADER.size
     channels = np.array([channel for channel, _, _ in parts])
     if (
         (content[places] != MESSAGE_OPCODE).any()
-        or (words(content, "<u2", _CHANNEL_AT)[places] != np.repeat(channels, counts)).any()
-        or (words(content, "<u8", LOG_AT)[places] != times).any()
+        or (_words(content, "<u2", CHANNEL_AT)[places] != np.repeat(channels, counts)).any()
+        or (_words(content, "<u8", LOG_AT)[places] != times).any()
         or (places + lengths > ends).any()
         or not _fills(content, size, places, lengths)
     ):
         return None
-    return _by_channel(channels, counts, places, lengths)
+    return _by_channel(channels, counts, places + DATA_AT, lengths - DATA_AT)
+
+
+def walked_places(block: MessageBlock) -> tuple[dict[int, Places], list[Declared | Fault]]:
+    """The places of the messages of each channel, record by record; and all else that is there."""
+    index, others = block.index()
+    content = np.frombuffer(block.content + bytes(PADDING), np.uint8)
+    found = {}
+    for channel, entries in index.items():
+        starts = np.frombuffer(entries[1::2], np.uint64).astype(np.int64)
+        lengths = _words(content, "<u8", LENGTH_AT)[starts].astype(np.int64) - HEADER_IN_LENGTH
+        found[channel] = Places(starts + DATA_AT, lengths)
+    return found, others
+
+
+def joined(parts: Sequence[Places]) -> Places:
+    """The messages of all parts, in the order of the file."""
+    offsets = np.concatenate([one.offsets for one in parts])
+    lengths = np.concatenate([one.lengths for one in parts])
+    return _in_order(Places(offsets, lengths))
 
 
 def _channel_of(part: tuple[int, array[int], Indexed]) -> int:
@@ -117,22 +159,20 @@ def _by_channel(channels: Numbers, counts: list[int], offsets: Numbers, lengths:
     unique, first = np.unique(channels, return_index=True)
     starts = [int(sums[place - 1]) if place else 0 for place in first] + [len(offsets)]
     for channel, start, end in zip(unique, starts[:-1], starts[1:], strict=True):
-        found[int(channel)] = in_order(Places(offsets[start:end], lengths[start:end]))
+        found[int(channel)] = _in_order(Places(offsets[start:end], lengths[start:end]))
     return found
 
 
-def in_order(places: Places) -> Places:
+def _in_order(places: Places) -> Places:
     """The same in the order of the file; others sort their indexes by time."""
     if (np.diff(places.offsets) > 0).all():
         return places
     return places.only(np.argsort(places.offsets, kind="stable"))
 
 
-def words(content: Bytes, kind: str, shift: int) -> NDArray[np.unsignedinteger]:
+def _words(content: Bytes, kind: str, shift: int) -> NDArray[Any]:
     """What stands so far behind each byte, as a number."""
-    words: NDArray[np.unsignedinteger] = np.ndarray(
-        (len(content) - MESSAGE_HEADER.size + 1,), kind, content, shift, (1,)
-    )
+    words: NDArray[Any] = np.ndarray((len(content) - DATA_AT + 1,), kind, content, shift, (1,))
     return words
 
 
@@ -146,15 +186,11 @@ def _fills(content: Bytes, size: int, offsets: Numbers, lengths: Numbers) -> boo
     gaps = np.flatnonzero(ends != starts)
     if len(gaps) > _GAPS_MAX:
         return False
-    return all(_holds_no_message(content, int(ends[gap]), int(starts[gap])) for gap in gaps)
+    return not any(_holds_message(content[ends[gap] : starts[gap]].tobytes()) for gap in gaps)
 
 
-def _holds_no_message(content: Bytes, at: int, end: int) -> bool:
-    while at < end:
-        if end - at < RECORD_HEADER.size:
-            return False
-        opcode, length = RECORD_HEADER.unpack(content[at : at + RECORD_HEADER.size].tobytes())
-        if opcode in {MESSAGE_OPCODE, Opcode.CHUNK, 0}:
-            return False
-        at += RECORD_HEADER.size + length
-    return at == end
+def _holds_message(gap: bytes) -> bool:
+    try:
+        return any(opcode in {MESSAGE_OPCODE, Opcode.CHUNK} for opcode, _, _ in split(gap))
+    except BROKEN:
+        return True

@@ -9,10 +9,17 @@ from hypothesis import strategies as st
 from mcap import records
 from mcap.writer import CompressionType
 
-from recorder.mcap.chunk import MESSAGE_HEADER
-from recorder.mcap.records import End, Fault, LooseMessage, PackedChunk, Piece, SummaryStart, read_pieces
-from recorder.mcap.scan import BROKEN, index_content
-from recorder.mcap.summary import MAGIC
+from recorder.mcap.framing import MAGIC, MESSAGE_HEADER
+from recorder.mcap.reader import (
+    DamagedError,
+    End,
+    Fault,
+    MessageBlock,
+    PackedChunk,
+    Piece,
+    SummaryStart,
+    read_pieces,
+)
 from tests.support.made_logs import foreign_log, gears, own_log
 
 LOG = own_log([gears(3 * number, 3, 100 * number) for number in range(1, 5)], metadata=[("m", {"a": "b"})])
@@ -62,11 +69,11 @@ def test_a_chunk_tells_what_is_in_it_before_it_is_unpacked() -> None:
     """Times, index, and where the index stands."""
     for number, chunk in enumerate(chunks(LOG), start=1):
         assert (chunk.start_ns, chunk.end_ns) == (100 * number, 100 * number + 20)
-        content = chunk.unpack(BytesIO(LOG))
-        assert chunk.index == index_content(content)[0]
+        block = chunk.unpack()
+        assert chunk.index == block.index()[0]
         assert chunk.places == {1: chunk.offset + chunk.length}
         assert LOG[chunk.places[1]] == 7
-        assert [MESSAGE_HEADER.unpack_from(content, start)[3] for start in chunk.index[1][1::2]] == [
+        assert [MESSAGE_HEADER.unpack_from(block.content, start)[3] for start in chunk.index[1][1::2]] == [
             3 * number + place for place in range(3)
         ]
 
@@ -85,9 +92,9 @@ def test_what_is_not_unpacked_is_not_read() -> None:
 def test_messages_outside_of_chunks_come_one_by_one(use_chunking: bool) -> None:  # noqa: FBT001 - a parameter
     """Whole records, with their places."""
     data = foreign_log(use_chunking=use_chunking)
-    loose = [piece for piece in pieces(data) if isinstance(piece, LooseMessage)]
+    loose = [piece for piece in pieces(data) if isinstance(piece, MessageBlock)]
     assert len(loose) == (0 if use_chunking else 10)
-    assert all(data[one.offset : one.offset + len(one.raw)] == one.raw for one in loose)
+    assert all(data[one.offset : one.offset + len(one.content)] == one.content for one in loose)
 
 
 def test_damage_in_the_middle_is_passed_over() -> None:
@@ -117,8 +124,9 @@ def test_a_compression_that_nobody_knows_is_told_when_it_is_unpacked(name: bytes
     """The chunk itself can be passed over."""
     data = LOG.replace(b"zstd", name)
     for chunk in chunks(data):
-        with pytest.raises(BROKEN):
-            chunk.unpack(BytesIO(data))
+        with pytest.raises(DamagedError, match="not known here"):
+            chunk.unpack()
+        assert [type(one) for one in chunk.messages()] == [Fault]
 
 
 @given(st.binary(max_size=300), st.integers(0, 10_000), st.booleans())

@@ -1,0 +1,349 @@
+"""The pieces that a reader finds in an MCAP file, and the one way to take a chunk apart. Pure, but for the stream.
+
+A chunk is still packed when it is found. Unpacked it is a block of messages, as is a single message outside of
+chunks; a block is read message by message, by its index, or as columns (``columns``; with numpy ``arrays``).
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from array import array
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from itertools import repeat
+from typing import BinaryIO, Final, TypeVar
+
+import msgspec
+import zstandard
+from mcap import records
+from mcap.opcode import Opcode
+from mcap.stream_reader import get_chunk_data_stream
+
+from recorder.mcap.columns import Messages, unpack_at, unpack_indexed
+from recorder.mcap.framing import (
+    BROKEN,
+    HEADER_IN_LENGTH,
+    MESSAGE_HEADER,
+    MESSAGE_OPCODE,
+    RECORD_HEADER,
+    RECORD_MAX,
+    DamagedError,
+    parse,
+    parsing,
+)
+from recorder.mcap.summary_reader import IndexedChunk, place_entries
+
+NO_RECORD: Final = "a chunk holds what is no record"
+HALF_RECORD: Final = "a chunk holds half a record"
+
+_COMPRESSIONS: Final = frozenset({"", "lz4", "zstd"})
+"""All that MCAP's registry names; the mcap package takes any other name for none."""
+
+_CHUNK_HEAD: Final = struct.Struct("<QQQII")
+"""A chunk's record up to the name of its compression: two times, size and checksum unpacked, the name's length."""
+
+_ZSTD_HEAD: Final = struct.Struct("<QQQII4sQ")
+"""The same of a chunk packed with zstd up to its data: the name, and the length of the data."""
+
+_DECLARED: Final = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
+"""Besides messages, what a chunk may hold."""
+
+Topic = TypeVar("Topic")
+Made = TypeVar("Made")
+
+Index = dict[int, "array[int]"]
+"""Per channel the log time and the offset in the chunk of each message, in turns."""
+
+
+class Fault(msgspec.Struct, frozen=True):
+    """Something wrong with the file.
+
+    Attributes:
+        offset: where in the file, in bytes.
+        cuts: nothing can be read beyond it.
+    """
+
+    offset: int
+    detail: str
+    cuts: bool = False
+
+
+class LoggedMessage(msgspec.Struct, frozen=True, gc=False):
+    """A message record. Times are nanoseconds since 1970."""
+
+    channel_id: int
+    sequence: int
+    log_ns: int
+    publish_ns: int
+    data: bytes
+
+
+Declared = records.Schema | records.Channel
+
+
+class MessageBlock(msgspec.Struct, frozen=True):
+    """Message records, and between them the schemas and channels that others declare in chunks.
+
+    Attributes:
+        offset: of the chunk, or of the first record outside of chunks; in the file, in bytes.
+        content: the records one after the other, opcodes and lengths included.
+    """
+
+    offset: int
+    content: bytes
+
+    def messages(self) -> Iterator[LoggedMessage | Declared | Fault]:
+        """The records one by one; a Fault is the last."""
+        content = self.content
+        unpack, head = MESSAGE_HEADER.unpack_from, MESSAGE_HEADER.size
+        try:
+            for opcode, start, end in split(content):
+                if opcode == MESSAGE_OPCODE:
+                    _, _, channel_id, sequence, log_ns, publish_ns = unpack(content, start)
+                    yield LoggedMessage(channel_id, sequence, log_ns, publish_ns, content[start + head : end])
+                elif opcode in _DECLARED:
+                    yield parse(opcode, content[start + RECORD_HEADER.size : end])
+        except BROKEN as error:
+            yield self._fault(error)
+
+    def index(self) -> tuple[Index, list[Declared | Fault]]:
+        """Where the messages are, and all else that is there; a Fault is the last."""
+        index, declared, error = _index_of(self.content)
+        return index, [*declared, *([] if error is None else [self._fault(error)])]
+
+    def _fault(self, error: Exception) -> Fault:
+        what = "" if isinstance(error, DamagedError) else "a record cannot be read: "
+        return Fault(self.offset, f"{what}{error}")
+
+    def pick(
+        self,
+        index: Mapping[int, array[int]],
+        wanted: Mapping[int, Topic],
+        make: Callable[[Topic, int, int, int, bytes], Made],
+        from_ns: int,
+        to_ns: int,
+    ) -> list[Made] | None:
+        """The wanted messages in the order of the block; None if an entry of the index does not fit its message.
+
+        Args:
+            index: as the message indexes behind the chunk say.
+            wanted: what ``make`` is given for each channel; messages of others are passed over.
+            make: is given that, sequence, log time, publish time and data of each message.
+            from_ns: the first log time.
+            to_ns: the first one that is too late.
+        """
+        places: list[tuple[int, int, int]] = []
+        for channel, entries in index.items():
+            if channel in wanted:
+                places += zip(entries[1::2], entries[::2], repeat(channel), strict=False)
+        places.sort()
+        content = self.content
+        unpack, head, end = MESSAGE_HEADER.unpack_from, MESSAGE_HEADER.size, len(content)
+        made = []
+        try:
+            for offset, expected_ns, expected_id in places:
+                opcode, length, channel_id, sequence, log_ns, publish_ns = unpack(content, offset)
+                behind = offset + RECORD_HEADER.size + length
+                if opcode != MESSAGE_OPCODE or length < HEADER_IN_LENGTH or behind > end:
+                    return None
+                if channel_id != expected_id or log_ns != expected_ns:
+                    return None
+                if from_ns <= log_ns < to_ns:
+                    data = content[offset + head : behind]
+                    made.append(make(wanted[channel_id], sequence, log_ns, publish_ns, data))
+        except (struct.error, OverflowError):
+            # Beyond the content, or beyond what this machine can address.
+            return None
+        return made
+
+    def columns(self, index: Mapping[int, array[int]] | None = None) -> tuple[Messages | None, list[Declared]]:
+        """The messages as columns, None if there are none; and the schemas and channels between them.
+
+        Args:
+            index: as the message indexes behind the chunk say; it is proven, and makes this several times faster.
+
+        Raises:
+            DamagedError: these are no records.
+        """
+        with parsing():
+            found = None if index is None else unpack_indexed(self.content, index)
+            if found is not None:
+                return found, []
+            true, declared = index_content(self.content)
+            starts = sorted(start for entries in true.values() for start in entries[1::2])
+            return (unpack_at(self.content, starts) if starts else None), declared
+
+
+class PackedChunk(msgspec.Struct, frozen=True):
+    """A chunk, not yet read.
+
+    Attributes:
+        stream: the file.
+        offset, length: of the chunk's record in the file, opcode and length included.
+        start_ns, end_ns: log times of its first and last message, as its head says.
+        index: of each channel the log time and the offset of each message, in turns, as the message indexes
+            behind the chunk say; None if there are none, or some may be missing. Nothing has proven them.
+        places: of each channel in ``index`` where in the file its message index stands.
+        end: where in the file the message indexes end.
+    """
+
+    stream: BinaryIO
+    offset: int
+    length: int
+    start_ns: int
+    end_ns: int
+    index: Mapping[int, array[int]] | None
+    places: Mapping[int, int]
+    end: int
+
+    def unpack(self) -> MessageBlock:
+        """The chunk's records; its checksum is verified.
+
+        Raises:
+            DamagedError: it is damaged, or packed in a way that nobody here knows.
+        """
+        return unpack_chunk(self.stream, self.offset, self.length)
+
+    def messages(self) -> Iterator[LoggedMessage | Declared | Fault]:
+        """The records one by one; a Fault is the last, and the only one of a chunk that cannot be unpacked."""
+        return messages_at(self.stream, self.offset, self.length)
+
+    def described(self) -> IndexedChunk:
+        """The chunk as the summary's index should describe it; of a chunk that can be unpacked."""
+        self.stream.seek(self.offset + RECORD_HEADER.size)
+        start_ns, end_ns, unpacked, _, name_length = _CHUNK_HEAD.unpack(self.stream.read(_CHUNK_HEAD.size))
+        return IndexedChunk(
+            start_ns=start_ns,
+            end_ns=end_ns,
+            offset=self.offset,
+            length=self.length,
+            places=place_entries(self.places),
+            indexes_length=self.end - self.offset - self.length,
+            compression=self.stream.read(name_length),
+            packed=int.from_bytes(self.stream.read(8), "little"),
+            unpacked=unpacked,
+        )
+
+
+def unpack_chunk(stream: BinaryIO, offset: int, length: int | None = None) -> MessageBlock:
+    """The records of the chunk there; its checksum is verified.
+
+    Args:
+        stream: the file.
+        offset: of the chunk's record.
+        length: of the whole record, if it is known.
+
+    Raises:
+        DamagedError: it is damaged, or packed in a way that nobody here knows.
+    """
+    with parsing():
+        stream.seek(offset)
+        head = stream.read(RECORD_HEADER.size)
+        size = RECORD_HEADER.unpack(head)[1] if length is None else length - RECORD_HEADER.size
+        if size > RECORD_MAX:
+            raise DamagedError(f"a chunk of {size} bytes is too large")
+        return MessageBlock(offset, _content(stream.read(size)))
+
+
+def messages_at(
+    stream: BinaryIO, offset: int, length: int | None = None
+) -> Iterator[LoggedMessage | Declared | Fault]:
+    """The same one by one; a Fault is the last, and the only one of a chunk that cannot be unpacked."""
+    try:
+        block = unpack_chunk(stream, offset, length)
+    except DamagedError as error:
+        yield Fault(offset, f"a chunk cannot be read: {error}")
+    else:
+        yield from block.messages()
+
+
+def content_of(chunk: records.Chunk) -> bytes:
+    """The records of a chunk, whose checksum is verified, if it has one.
+
+    Raises:
+        what ``framing.BROKEN`` lists.
+    """
+    if chunk.compression not in _COMPRESSIONS:
+        raise DamagedError(f"its compression {chunk.compression!r} is not known here")
+    if chunk.uncompressed_size > RECORD_MAX:
+        raise DamagedError(f"a chunk of {chunk.uncompressed_size} bytes is too large")
+    if has_wrong_size(chunk):
+        raise DamagedError("a chunk's sizes differ")
+    content, length = get_chunk_data_stream(chunk, validate_crc=True)
+    return bytes(content.read(length))
+
+
+def has_wrong_size(chunk: records.Chunk) -> bool:
+    """True if zstd will unpack to another size than the chunk says."""
+    promised = zstandard.frame_content_size(chunk.data) if chunk.compression == "zstd" else -1
+    return promised not in {-1, chunk.uncompressed_size}
+
+
+def _content(body: bytes) -> bytes:
+    """The records of a chunk's record; those that a recorder of ours has packed without detours."""
+    if len(body) > _ZSTD_HEAD.size:
+        _, _, size, crc, name_length, name, length = _ZSTD_HEAD.unpack_from(body)
+        data = memoryview(body)[_ZSTD_HEAD.size :]
+        is_plain = (name_length, name, length) == (4, b"zstd", len(data)) and crc and size <= RECORD_MAX
+        if is_plain and zstandard.frame_content_size(data) == size:
+            with suppress(zstandard.ZstdError):
+                content = zstandard.decompress(data)
+                if len(content) == size and zlib.crc32(content) == crc:
+                    return content
+    # Whatever is wrong with it, or only another way to pack it, is found there.
+    return content_of(parse(Opcode.CHUNK, body))
+
+
+def split(content: bytes) -> Iterator[tuple[int, int, int]]:
+    """Opcode of each record in a chunk, where it begins, and where it ends.
+
+    Raises:
+        DamagedError: these are no records.
+        struct.error: a record's header is cut off.
+    """
+    unpack = RECORD_HEADER.unpack_from
+    start, size = 0, len(content)
+    while start < size:
+        opcode, length = unpack(content, start)
+        end = start + RECORD_HEADER.size + length
+        if end > size or (opcode == MESSAGE_OPCODE and length < HEADER_IN_LENGTH):
+            raise DamagedError(HALF_RECORD)
+        if not opcode:
+            # Else every nine zeros would count as a record: a bomb of them keeps a reader busy for minutes.
+            raise DamagedError(NO_RECORD)
+        yield opcode, start, end
+        start = end
+
+
+def index_content(content: bytes) -> tuple[Index, list[Declared]]:
+    """The index of a chunk's messages, and the schemas and channels among them.
+
+    Raises:
+        DamagedError: these are no records.
+    """
+    index, declared, error = _index_of(content)
+    if error is not None:
+        raise DamagedError(str(error)) from error
+    return index, declared
+
+
+def _index_of(content: bytes) -> tuple[Index, list[Declared], Exception | None]:
+    """The same up to where these are no records, and what is wrong there."""
+    index: Index = {}
+    declared: list[Declared] = []
+    unpack = MESSAGE_HEADER.unpack_from
+    try:
+        for opcode, start, end in split(content):
+            if opcode == MESSAGE_OPCODE:
+                _, _, channel_id, _, log_ns, _ = unpack(content, start)
+                entries = index.get(channel_id)
+                if entries is None:
+                    entries = index[channel_id] = array("Q")
+                entries.append(log_ns)
+                entries.append(start)
+            elif opcode in _DECLARED:
+                declared.append(parse(opcode, content[start + RECORD_HEADER.size : end]))
+    except BROKEN as error:
+        return index, declared, error
+    return index, declared, None

@@ -1,0 +1,293 @@
+"""What is whole in a damaged or unfinished MCAP file, piece by piece, each proven by its checksum.
+
+A piece is a chunk with its message indexes, or another record with the check behind it. Where the bytes make no
+sense the scan goes on at the next piece that is proven. In a file without checks, which others wrote, a record
+outside of chunks is taken as it is.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from typing import BinaryIO, Final
+
+import msgspec
+from mcap import records
+from mcap.opcode import Opcode
+
+from recorder.mcap.framing import (
+    BROKEN,
+    CHECK,
+    CHECK_MARK,
+    CHECK_OPCODE,
+    CHUNK_NAME_AT,
+    FIRST_RECORD,
+    FOOTER,
+    MAGIC,
+    MESSAGE_HEADER,
+    MESSAGE_OPCODE,
+    RECORD_HEADER,
+    RECORD_MAX,
+    RecordFile,
+    check_of,
+    encode,
+    encode_indexes,
+    has_wrong_crc,
+    parse,
+)
+from recorder.mcap.pieces import Declared, Fault, Index, content_of, has_wrong_size, index_content
+
+SEARCH_BYTES: Final = 1 << 20
+"""The search for the next whole piece reads this much at once."""
+
+LOOK_FOR_CHECKS: Final = 4096
+"""A file is one of ours if there is a check within so many bytes of its beginning, where we have several."""
+
+_COMPRESSION_MARKS: Final = (b"\x04\x00\x00\x00zstd", b"\x03\x00\x00\x00lz4")
+
+_PARSED: Final = frozenset({Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT})
+_WRITTEN: Final = _PARSED | {
+    Opcode.MESSAGE,
+    Opcode.CHUNK,
+    Opcode.MESSAGE_INDEX,
+    CHECK_OPCODE,
+    Opcode.DATA_END,
+}
+
+Parsed = records.Header | records.Schema | records.Channel | records.Metadata | records.Attachment
+
+
+class ProvenChunk(msgspec.Struct, frozen=True):
+    """A chunk whose content its CRC proves.
+
+    Attributes:
+        offset, chunk_end, end: of the chunk, of its record, and of the message indexes behind it.
+        record: the chunk; its times are those of its content, whatever it said.
+        content: its records, not compressed.
+        declared: the schemas and channels within.
+        index: as in ``recorder.mcap.chunk.Chunk``, found anew.
+        as_written: the chunk's head, and every message index behind it, say what is there.
+        has_true_head: the chunk's head does.
+    """
+
+    offset: int
+    chunk_end: int
+    end: int
+    record: records.Chunk
+    content: bytes
+    declared: list[Declared]
+    index: Index
+    as_written: bool
+    has_true_head: bool
+
+
+class ProvenRecord(msgspec.Struct, frozen=True):
+    """A record outside of chunks, and its check.
+
+    Attributes:
+        raw: the bytes of both; ``length`` of them are the record's.
+        parsed: None for a message and for what MCAP leaves to applications.
+    """
+
+    offset: int
+    end: int
+    raw: bytes
+    length: int
+    parsed: Parsed | None
+
+
+class DataEnd(msgspec.Struct, frozen=True):
+    """The data ends here; what follows can be made anew. ``crc`` is what it says of all data, 0 if nothing."""
+
+    offset: int
+    crc: int
+
+
+Found = ProvenChunk | ProvenRecord | DataEnd | Fault
+
+
+class Scanner:
+    """Looks through a file.
+
+    Args:
+        stream: the file.
+        size: its length in bytes.
+    """
+
+    def __init__(self, stream: BinaryIO, size: int) -> None:
+        self._file = RecordFile(stream, size)
+        self._size = size
+        self.has_checks = CHECK_MARK in self._file.read(0, LOOK_FOR_CHECKS)
+
+    def scan(self) -> Iterator[Found]:
+        """What the file holds, in its order."""
+        offset: int | None = FIRST_RECORD
+        if self._file.read(0, len(MAGIC)) != MAGIC:
+            yield Fault(0, "the file does not begin as MCAP does")
+            offset = self.next_piece(0)
+        while offset is not None and offset < self._size:
+            found = self._piece(offset)
+            yield found
+            if isinstance(found, DataEnd):
+                return
+            offset = self.next_piece(offset) if isinstance(found, Fault) else found.end
+
+    def is_closed(self, data_end: int) -> bool:
+        """Whether the file, whose data ends there, has a proper summary and footer and then ends."""
+        start = self._size - len(MAGIC) - FOOTER.size
+        behind = data_end + RECORD_HEADER.size + 4
+        if start < behind or self._size - behind > RECORD_MAX:
+            return False
+        rest = self._file.read(behind, self._size - behind)
+        opcode, length, summary_start, _, crc = FOOTER.unpack_from(rest, start - behind)
+        return (
+            rest.endswith(MAGIC)
+            and (opcode, length) == (Opcode.FOOTER, FOOTER.size - RECORD_HEADER.size)
+            and summary_start in {0, behind}
+            and crc in {0, zlib.crc32(rest[: -len(MAGIC) - 4])}
+        )
+
+    def is_torn(self, offset: int) -> bool:
+        """Whether what stands from there to the end is but the beginning of one last write, or nothing at all."""
+        at = offset
+        while at < self._size and (header := self._file.header(at)) is not None:
+            opcode, at = header
+            if opcode not in _WRITTEN or (opcode == Opcode.CHUNK and at <= self._size):
+                return self._is_blank(offset)
+        return True
+
+    def _is_blank(self, offset: int) -> bool:
+        """Whether only zeros follow: a power cut leaves them where the length of a file came to the disk first."""
+        while block := self._file.read(offset, SEARCH_BYTES):
+            if any(block):
+                return False
+            offset += len(block)
+        return True
+
+    def _piece(self, offset: int) -> Found:
+        record = self._file.record(offset)
+        if record is None:
+            return Fault(offset, "a record is cut off")
+        opcode, raw = record
+        try:
+            if opcode == Opcode.CHUNK:
+                return self._chunk(offset, raw)
+            if opcode == Opcode.DATA_END:
+                return self._data_end(offset, raw)
+            return self._other(offset, opcode, raw)
+        except BROKEN as error:
+            return Fault(offset, f"a record cannot be read: {error}")
+
+    def _data_end(self, offset: int, raw: bytes) -> Found:
+        behind = self._file.read(offset + len(raw), 1)
+        if len(raw) != RECORD_HEADER.size + 4 or (behind and behind[0] > max(Opcode)):
+            return Fault(offset, "a record cannot be read")
+        return DataEnd(offset, int.from_bytes(raw[RECORD_HEADER.size :], "little"))
+
+    def _other(self, offset: int, opcode: int, raw: bytes) -> Found:
+        end = offset + len(raw)
+        is_known = opcode in _PARSED or opcode == MESSAGE_OPCODE
+        if self.has_checks:
+            check = self._file.read(end, CHECK.size)
+            if not is_known or check != check_of(len(raw), zlib.crc32(raw)):
+                return Fault(offset, "a record's check is wrong")
+            end += len(check)
+        elif not is_known and opcode <= max(Opcode):
+            return Fault(offset, "a record has no place there")
+        parsed: Parsed | None = None
+        if opcode in _PARSED:
+            body = raw[RECORD_HEADER.size :]
+            parsed = parse(opcode, body)
+            if opcode == Opcode.ATTACHMENT and has_wrong_crc(body):
+                return Fault(offset, "an attachment's checksum is wrong")
+        elif opcode == MESSAGE_OPCODE:
+            MESSAGE_HEADER.unpack_from(raw)
+        return ProvenRecord(offset, end, self._file.read(offset, end - offset), len(raw), parsed)
+
+    def _chunk(self, offset: int, raw: bytes) -> Found:
+        chunk: records.Chunk = parse(Opcode.CHUNK, raw[RECORD_HEADER.size :])
+        if self.has_checks and not chunk.uncompressed_crc:
+            return Fault(offset, "a chunk's checksum is missing")
+        if chunk.uncompressed_size > RECORD_MAX or has_wrong_size(chunk):
+            return Fault(offset, "a chunk's sizes differ")
+        content = content_of(chunk)
+        index, declared = index_content(content)
+        times = [entries[::2] for entries in index.values()]
+        true = records.Chunk(
+            compression=chunk.compression,
+            data=chunk.data,
+            message_start_time=min(map(min, times), default=0),
+            message_end_time=max(map(max, times), default=0),
+            uncompressed_crc=chunk.uncompressed_crc,
+            uncompressed_size=len(content),
+        )
+        has_true_head = encode(true) == raw
+        chunk_end = offset + len(raw)
+        is_indexed, end = self._message_indexes(chunk_end, index)
+        as_written = has_true_head and is_indexed
+        return ProvenChunk(offset, chunk_end, end, true, content, declared, index, as_written, has_true_head)
+
+    def _message_indexes(self, offset: int, index: Index) -> tuple[bool, int]:
+        """Whether the message indexes there say what the chunk before holds, and where they end."""
+        expected = encode_indexes(index)
+        if self._file.read(offset, len(expected)) == expected:
+            return True, offset + len(expected)
+        # Others may put them in another order.
+        found: dict[int, list[tuple[int, int]]] = {}
+        while (record := self._file.record(offset)) is not None and record[0] == Opcode.MESSAGE_INDEX:
+            raw = record[1]
+            try:
+                one: records.MessageIndex = parse(Opcode.MESSAGE_INDEX, raw[RECORD_HEADER.size :])
+            except BROKEN:
+                return False, offset
+            if encode(one) != raw or one.channel_id in found:
+                return False, offset
+            found[one.channel_id] = sorted(one.records)
+            offset += len(raw)
+        return found == {
+            channel_id: sorted(zip(entries[::2], entries[1::2], strict=True))
+            for channel_id, entries in index.items()
+        }, offset
+
+    def next_piece(self, damaged: int) -> int | None:
+        """Where the next proven piece begins, behind a damaged one."""
+        record = self._file.record(damaged)
+        if record is not None and self._is_proven(damaged + len(record[1])):
+            return damaged + len(record[1])
+        at = damaged + 1
+        while (candidate := self._find(at)) is not None:
+            mark, start = candidate
+            if start > damaged and self._is_proven(start):
+                return start
+            at = mark + 1
+        return None
+
+    def _is_proven(self, offset: int) -> bool:
+        if offset >= self._size:
+            return False
+        found = self._piece(offset)
+        if isinstance(found, ProvenChunk):
+            return found.record.uncompressed_crc != 0
+        if isinstance(found, DataEnd):
+            return self.is_closed(offset)
+        return isinstance(found, ProvenRecord) and (self.has_checks or found.parsed is not None)
+
+    def _find(self, start: int) -> tuple[int, int] | None:
+        """The first mark from there on that a piece may have, and where that piece would begin."""
+        overlap = max(map(len, (CHECK_MARK, *_COMPRESSION_MARKS)))
+        while start < self._size:
+            block = self._file.read(start, SEARCH_BYTES + overlap)
+            marks = []
+            for pattern in (CHECK_MARK, *_COMPRESSION_MARKS):
+                at = block.find(pattern)
+                if at >= 0:
+                    marks.append((at, pattern))
+            if marks:
+                at, pattern = min(marks)
+                mark = start + at
+                if pattern != CHECK_MARK:
+                    return mark, mark - CHUNK_NAME_AT
+                length = int.from_bytes(self._file.read(mark + len(pattern), 4), "little")
+                return mark, mark - length
+            start += SEARCH_BYTES
+        return None

@@ -1,0 +1,288 @@
+"""The reader of MCAP files: piece by piece, in the file's order and in any state; whole, cut off or damaged.
+
+    for piece in read_pieces(stream, size):
+        match piece:
+            case PackedChunk():     # .index and times are known; .unpack() reads it, .messages() one by one
+            case MessageBlock():    # a message outside of chunks: .messages()
+            case records.Schema() | records.Channel() | records.Metadata() | ...:
+            case Fault():           # what is wrong, and where; the reading goes on where it can
+            case SummaryStart():    # what follows repeats some of the data
+            case End():
+
+What is wrong with a file is a value, a Fault. Behind a damaged record the reader looks for the next piece that
+proves itself by a checksum (``proof``). Nothing of a chunk is read from the disk before it is unpacked, so who
+wants few of them pays for few.
+
+Besides: ``walk`` gives the messages themselves; ``messages_at`` those of a chunk whose place is known;
+``record_at`` a single record; ``summary_reader`` the end of a file; ``log_map`` the chunks of a log that still
+grows; ``recovery`` what is proven of a damaged one.
+"""
+
+from __future__ import annotations
+
+import sys
+import zlib
+from array import array
+from collections.abc import Generator, Iterator
+from typing import BinaryIO, Final
+
+import msgspec
+from mcap import records
+from mcap.opcode import Opcode
+
+from recorder.mcap.framing import (
+    BROKEN,
+    CHECK,
+    CHECK_OPCODE,
+    CHUNK_TIMES,
+    FIRST_RECORD,
+    FOOTER,
+    INDEX_HEADER,
+    MAGIC,
+    RECORD_HEADER,
+    DamagedError,
+    RecordFile,
+    check_of,
+    has_wrong_crc,
+    is_no_opcode,
+    parse,
+    record_at,
+)
+from recorder.mcap.pieces import Fault, LoggedMessage, MessageBlock, PackedChunk, messages_at
+from recorder.mcap.proof import Scanner
+
+__all__ = [
+    "FIRST_RECORD",
+    "DamagedError",
+    "End",
+    "Fault",
+    "LoggedMessage",
+    "MessageBlock",
+    "PackedChunk",
+    "Piece",
+    "SummaryStart",
+    "Walked",
+    "is_mcap",
+    "messages_at",
+    "read_pieces",
+    "record_at",
+    "walk",
+]
+
+_BLOCK_BYTES: Final = 1 << 20
+"""All that is read goes by in such blocks; where most is passed over, in smaller ones."""
+_GLANCE_BYTES: Final = 1 << 13
+
+_YIELDED: Final = frozenset(
+    {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.STATISTICS}
+)
+
+
+class End(msgspec.Struct, frozen=True):
+    """The footer and the closing magic: the file is whole, but for the faults before."""
+
+
+class SummaryStart(msgspec.Struct, frozen=True):
+    """The data ends here; what follows repeats some of it."""
+
+
+Around = (
+    records.Header
+    | records.Schema
+    | records.Channel
+    | records.Attachment
+    | records.Metadata
+    | records.Statistics
+    | Fault
+    | End
+)
+Piece = Around | MessageBlock | PackedChunk | SummaryStart
+Walked = Around | LoggedMessage
+
+
+def is_mcap(stream: BinaryIO) -> bool:
+    """Whether a file begins as MCAP does."""
+    stream.seek(0)
+    return stream.read(len(MAGIC)) == MAGIC
+
+
+def read_pieces(stream: BinaryIO, size: int, *, is_verifying: bool = True) -> Iterator[Piece]:
+    """The pieces of a file. Schemas, channels and statistics come again from the summary.
+
+    Args:
+        stream: the file, which can be sought in, and which begins as MCAP does.
+        size: its length in bytes.
+        is_verifying: hold the data, the checks and the summary against their checksums too, which reads every
+            byte. A chunk's own is verified whenever it is unpacked.
+    """
+    return _Reading(stream, size, is_verifying=is_verifying).pieces()
+
+
+def walk(stream: BinaryIO, size: int) -> Iterator[Walked]:
+    """The messages of a file one by one, and the records around them. Every checksum is verified.
+
+    Args:
+        stream: the file, which begins as MCAP does.
+        size: its length in bytes.
+    """
+    for piece in read_pieces(stream, size):
+        match piece:
+            case PackedChunk() | MessageBlock():
+                yield from piece.messages()
+            case SummaryStart():
+                pass
+            case _:
+                yield piece
+
+
+class _Reading:
+    def __init__(self, stream: BinaryIO, size: int, *, is_verifying: bool) -> None:
+        self._stream = stream
+        self._file = RecordFile(stream, size, _BLOCK_BYTES if is_verifying else _GLANCE_BYTES)
+        self._is_verifying = is_verifying
+        # Of the data section up to its end, then of the summary; None once bytes were passed over.
+        self._crc: int | None = zlib.crc32(MAGIC)
+        # Where the record before begins and ends: a check repeats its length and checksum.
+        self._last = (0, 0)
+
+    def pieces(self) -> Iterator[Piece]:
+        offset, size = FIRST_RECORD, self._file.size
+        while offset < size:
+            opcode, end = self._file.header(offset) or (0, size + 1)
+            if end > size:
+                behind = yield from self._pass_over(offset, "the file is cut off within a record")
+            elif is_no_opcode(opcode):
+                behind = yield from self._pass_over(offset, "this is no record")
+            elif opcode == Opcode.FOOTER:
+                yield from self._end(offset, end)
+                return
+            else:
+                behind = yield from self._record(offset, opcode, end)
+            if behind is None:
+                return
+            offset = behind
+        yield Fault(size, "the file ends without a footer", cuts=True)
+
+    def _pass_over(self, offset: int, detail: str) -> Generator[Piece, None, int | None]:
+        """Looks for the next piece. Returns, at the end of the iteration, where it is; None if there is none."""
+        behind = Scanner(self._stream, self._file.size).next_piece(offset)
+        self._crc = None
+        yield Fault(offset, detail, cuts=behind is None)
+        return behind
+
+    def _record(self, offset: int, opcode: int, end: int) -> Generator[Piece, None, int]:
+        """One record, and with a chunk its indexes. Returns, at the end, where the next one begins."""
+        if opcode == Opcode.DATA_END:
+            yield from self._data_end(offset, end)
+            return end
+        before, self._last = self._last, (offset, end)
+        self._take(offset, end)
+        if opcode == CHECK_OPCODE:
+            is_ours = end - offset == CHECK.size
+            if self._is_verifying and is_ours and self._file.read(offset, CHECK.size) != self._check_of(*before):
+                yield Fault(offset, "the check of the record before is wrong")
+        elif opcode == Opcode.CHUNK:
+            end = yield from self._chunk(offset, end)
+        elif opcode == Opcode.MESSAGE:
+            yield MessageBlock(offset, self._file.read(offset, end - offset))
+        elif opcode in _YIELDED:
+            yield from self._other(offset, opcode, self._body(offset, end))
+        return end
+
+    def _body(self, offset: int, end: int) -> bytes:
+        return self._file.read(offset + RECORD_HEADER.size, end - offset - RECORD_HEADER.size)
+
+    def _take(self, offset: int, end: int) -> None:
+        """Adds bytes of the file to the checksum of all."""
+        if self._is_verifying and self._crc is not None:
+            self._crc = self._crc_of(offset, end, self._crc)
+
+    def _crc_of(self, offset: int, end: int, crc: int = 0) -> int:
+        for start in range(offset, end, _BLOCK_BYTES):
+            crc = zlib.crc32(self._file.read(start, min(_BLOCK_BYTES, end - start)), crc)
+        return crc
+
+    def _check_of(self, offset: int, end: int) -> bytes:
+        """The check that belongs behind this record."""
+        # A longer record than a check can hold is none of ours.
+        return check_of(min(end - offset, 2**32 - 1), self._crc_of(offset, end))
+
+    def _data_end(self, offset: int, end: int) -> Iterator[Piece]:
+        expected = int.from_bytes(self._file.read(offset + RECORD_HEADER.size, 4), "little")
+        if end - offset != RECORD_HEADER.size + 4:
+            yield Fault(offset, "the end of the data cannot be read")
+        elif self._is_verifying and self._crc is not None and expected not in {0, self._crc}:
+            yield Fault(offset, "the data's checksum is wrong")
+        self._crc = 0
+        yield SummaryStart()
+
+    def _chunk(self, offset: int, end: int) -> Generator[Piece, None, int]:
+        """Yields the chunk. Returns where its message indexes end."""
+        times = self._file.read(offset + RECORD_HEADER.size, CHUNK_TIMES.size)
+        length = end - offset
+        index: dict[int, array[int]] = {}
+        places: dict[int, int] = {}
+        while (entry := self._index(end)) is not None:
+            channel_id, entries, behind = entry
+            self._last = end, behind
+            index.setdefault(channel_id, array("Q")).extend(entries)
+            places.setdefault(channel_id, end)
+            end = behind
+        self._take(offset + length, end)
+        if len(times) == CHUNK_TIMES.size:
+            start_ns, end_ns = CHUNK_TIMES.unpack(times)
+            is_all = bool(index) and self._is_other(end)
+            found = index if is_all else None
+            yield PackedChunk(self._stream, offset, length, start_ns, end_ns, found, places, end)
+        else:
+            yield Fault(offset, "a chunk is too short")
+        return end
+
+    def _is_other(self, offset: int) -> bool:
+        """Whether a whole record of another kind follows. Else one of the message indexes may be missing."""
+        opcode, end = self._file.header(offset) or (0, 0)
+        return not is_no_opcode(opcode) and opcode != Opcode.MESSAGE_INDEX and end <= self._file.size
+
+    def _index(self, offset: int) -> tuple[int, array[int], int] | None:
+        """The message index there: its channel, its entries, and where it ends; None if there is none."""
+        head = self._file.read(offset, INDEX_HEADER.size)
+        if len(head) < INDEX_HEADER.size or head[0] != Opcode.MESSAGE_INDEX:
+            return None
+        _, length, channel_id, entries_length = INDEX_HEADER.unpack(head)
+        behind: int = offset + RECORD_HEADER.size + length
+        is_true = behind == offset + len(head) + entries_length and entries_length % 16 == 0
+        if not is_true or behind > self._file.size:
+            return None
+        entries = array("Q")
+        entries.frombytes(self._file.read(offset + len(head), entries_length))
+        if sys.byteorder == "big":
+            entries.byteswap()
+        return channel_id, entries, behind
+
+    def _other(self, offset: int, opcode: int, body: bytes) -> Iterator[Piece]:
+        try:
+            record = parse(opcode, body)
+        except BROKEN as error:
+            yield Fault(offset, f"a record cannot be read: {error}")
+            return
+        if opcode == Opcode.ATTACHMENT and has_wrong_crc(body):
+            yield Fault(offset, "an attachment's checksum is wrong")
+        yield record
+
+    def _end(self, offset: int, end: int) -> Iterator[Piece]:
+        if end - offset != FOOTER.size:
+            yield Fault(offset, "the footer cannot be read", cuts=True)
+            return
+        footer = self._file.read(offset, end - offset)
+        rest = self._file.read(end, len(MAGIC) + 1)
+        if self._is_verifying and self._crc is not None:
+            expected = int.from_bytes(footer[-4:], "little")
+            if expected not in {0, zlib.crc32(footer[:-4], self._crc)}:
+                yield Fault(offset, "the summary's checksum is wrong")
+        if rest == MAGIC:
+            yield End()
+        elif rest.startswith(MAGIC):
+            yield Fault(offset, "there is more behind the end of the file")
+            yield End()
+        else:
+            yield Fault(offset, "the file is cut off within its last bytes", cuts=True)
