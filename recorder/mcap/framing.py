@@ -9,7 +9,7 @@ import struct
 import sys
 import zlib
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from io import BytesIO
 from typing import Any, BinaryIO, Final, TypeVar, cast
@@ -158,6 +158,22 @@ class RecordFile:
             return None
         return header[0], self.read(offset, header[1] - offset)
 
+    def message_index(self, offset: int) -> tuple[int, array[int], int] | None:
+        """The message index there: its channel, its entries, and where it ends; None if there is none."""
+        head = self.read(offset, INDEX_HEADER.size)
+        if len(head) < INDEX_HEADER.size or head[0] != Opcode.MESSAGE_INDEX:
+            return None
+        _, length, channel_id, entries_length = INDEX_HEADER.unpack(head)
+        end: int = offset + RECORD_HEADER.size + length
+        is_true = end == offset + INDEX_HEADER.size + entries_length and entries_length % 16 == 0
+        if not is_true or end > self.size:
+            return None
+        entries = array("Q")
+        entries.frombytes(self.read(offset + INDEX_HEADER.size, entries_length))
+        if sys.byteorder == "big":
+            entries.byteswap()
+        return channel_id, entries, end
+
 
 def is_no_opcode(opcode: int) -> bool:
     """True of those that neither MCAP nor an application uses."""
@@ -223,7 +239,7 @@ def encode_index(channel_id: int, entries: array[int]) -> bytes:
     return INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, 6 + len(data), channel_id, len(data)) + data
 
 
-def encode_indexes(index: dict[int, array[int]]) -> bytes:
+def encode_indexes(index: Mapping[int, array[int]]) -> bytes:
     """The records that stand behind a chunk with this index."""
     return b"".join(encode_index(channel_id, entries) for channel_id, entries in index.items())
 

@@ -5,7 +5,6 @@ A log may be whole or still being written, and damaged: what cannot be read is s
 
 from __future__ import annotations
 
-import zlib
 from array import array
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Iterator
@@ -17,20 +16,15 @@ from mcap.opcode import Opcode
 
 from recorder.mcap.channel import LogChannel
 from recorder.mcap.framing import (
-    BROKEN,
     CHECK,
-    CHECK_OPCODE,
     CHUNK_TIMES,
     FIRST_RECORD,
     MAGIC,
     RECORD_HEADER,
-    RecordFile,
-    check_of,
     is_no_opcode,
-    parse,
 )
 from recorder.mcap.pieces import Fault, LoggedMessage, messages_at
-from recorder.mcap.proof import Scanner
+from recorder.mcap.proof import ProvenRecord, Scanner
 from recorder.mcap.writer import MESSAGE_ENCODING, SCHEMA_ENCODING
 
 EARLY_NS: Final = 60_000_000_000
@@ -117,13 +111,13 @@ class LogMap:
             OSError: the stream cannot be read.
         """
         self.is_complete = False
-        file = RecordFile(stream, size)
+        scanner = Scanner(stream, size)
         looks = 0
         while not self._has_ended:
             looks += 1
             if (chunks_max is not None and len(self) >= chunks_max) or (looks % LOOK_EVERY == 0 and is_expired()):
                 return
-            if not self._step(file, stream):
+            if not self._step(scanner):
                 break
         self.is_complete = True
 
@@ -183,9 +177,9 @@ class LogMap:
             self._sorted = order, starts, ends
         return self._sorted
 
-    def _step(self, file: RecordFile, stream: BinaryIO) -> bool:
+    def _step(self, scanner: Scanner) -> bool:
         """Take the next record. False if there is none, or not all of it yet."""
-        offset = self._offset
+        file, offset = scanner.file, self._offset
         if not offset:
             return self._begin(file.read(0, len(MAGIC)))
         header = file.header(offset)
@@ -198,11 +192,11 @@ class LogMap:
         is_declaration = opcode in {Opcode.SCHEMA, Opcode.CHANNEL}
         is_too_long = is_declaration and end - offset > RECORD_HEADER.size + DECLARATION_MAX
         if end > file.size or is_no_opcode(opcode) or is_too_long:
-            return self._go_past_damage(stream, file.size)
+            return self._go_past_damage(scanner)
         if is_declaration:
             if end + CHECK.size > file.size:
                 return False
-            self._declare(opcode, file.read(offset, end - offset), file.read(end, CHECK.size))
+            self._declare(scanner.piece(offset))
         elif opcode == Opcode.CHUNK:
             times = file.read(offset + RECORD_HEADER.size, CHUNK_TIMES.size)
             if len(times) == CHUNK_TIMES.size:
@@ -220,9 +214,8 @@ class LogMap:
             self._has_ended = True
         return False
 
-    def _go_past_damage(self, stream: BinaryIO, size: int) -> bool:
+    def _go_past_damage(self, scanner: Scanner) -> bool:
         """Nothing makes sense here: go on at the next piece that is proven. At the end it is a write under way."""
-        scanner = Scanner(stream, size)
         following = scanner.next_piece(self._sure)
         while following is not None and following in self._passed:
             following = scanner.next_piece(following)
@@ -240,20 +233,14 @@ class LogMap:
         self._sure = offset
         self._passed.clear()
 
-    def _declare(self, opcode: int, raw: bytes, check: bytes) -> None:
-        is_checked = check[:1] == bytes([CHECK_OPCODE])
-        if is_checked and check != check_of(len(raw), zlib.crc32(raw)):
-            self.damaged += 1
-            return
-        try:
-            record = parse(opcode, raw[RECORD_HEADER.size :])
-        except BROKEN:
-            self.damaged += 1
-            return
+    def _declare(self, found: object) -> None:
+        record = found.parsed if isinstance(found, ProvenRecord) else None
         if isinstance(record, records.Schema):
             self._schemas.setdefault(record.id, record)
-        else:
+        elif isinstance(record, records.Channel):
             self._add_channel(record)
+        else:
+            self.damaged += 1
 
     def _add_channel(self, channel: records.Channel) -> None:
         schema = self._schemas.get(channel.schema_id)

@@ -52,8 +52,8 @@ _DECLARED: Final = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
 Topic = TypeVar("Topic")
 Made = TypeVar("Made")
 
-Index = dict[int, "array[int]"]
-"""Per channel the log time and the offset in the chunk of each message, in turns."""
+Index = Mapping[int, "array[int]"]
+"""Per channel the log time and the offset in the block of each message, in turns."""
 
 
 class Fault(msgspec.Struct, frozen=True):
@@ -118,7 +118,7 @@ class MessageBlock(msgspec.Struct, frozen=True):
 
     def pick(
         self,
-        index: Mapping[int, array[int]],
+        index: Index,
         wanted: Mapping[int, Topic],
         make: Callable[[Topic, int, int, int, bytes], Made],
         from_ns: int,
@@ -157,7 +157,7 @@ class MessageBlock(msgspec.Struct, frozen=True):
             return None
         return made
 
-    def columns(self, index: Mapping[int, array[int]] | None = None) -> tuple[Messages | None, list[Declared]]:
+    def columns(self, index: Index | None = None) -> tuple[Messages | None, list[Declared]]:
         """The messages as columns, None if there are none; and the schemas and channels between them.
 
         Args:
@@ -193,7 +193,7 @@ class PackedChunk(msgspec.Struct, frozen=True):
     length: int
     start_ns: int
     end_ns: int
-    index: Mapping[int, array[int]] | None
+    index: Index | None
     places: Mapping[int, int]
     end: int
 
@@ -330,7 +330,7 @@ def index_content(content: bytes) -> tuple[Index, list[Declared]]:
 
 def _index_of(content: bytes) -> tuple[Index, list[Declared], Exception | None]:
     """The same up to where these are no records, and what is wrong there."""
-    index: Index = {}
+    index: dict[int, array[int]] = {}
     declared: list[Declared] = []
     unpack = MESSAGE_HEADER.unpack_from
     try:

@@ -8,6 +8,7 @@ outside of chunks is taken as it is.
 from __future__ import annotations
 
 import zlib
+from array import array
 from collections.abc import Iterator
 from typing import BinaryIO, Final
 
@@ -112,21 +113,25 @@ class Scanner:
     Args:
         stream: the file.
         size: its length in bytes.
+
+    Attributes:
+        file: the file's records.
+        has_checks: a recorder of ours wrote it, with a check behind each record that has no checksum.
     """
 
     def __init__(self, stream: BinaryIO, size: int) -> None:
-        self._file = RecordFile(stream, size)
+        self.file = RecordFile(stream, size)
         self._size = size
-        self.has_checks = CHECK_MARK in self._file.read(0, LOOK_FOR_CHECKS)
+        self.has_checks = CHECK_MARK in self.file.read(0, LOOK_FOR_CHECKS)
 
     def scan(self) -> Iterator[Found]:
         """What the file holds, in its order."""
         offset: int | None = FIRST_RECORD
-        if self._file.read(0, len(MAGIC)) != MAGIC:
+        if self.file.read(0, len(MAGIC)) != MAGIC:
             yield Fault(0, "the file does not begin as MCAP does")
             offset = self.next_piece(0)
         while offset is not None and offset < self._size:
-            found = self._piece(offset)
+            found = self.piece(offset)
             yield found
             if isinstance(found, DataEnd):
                 return
@@ -138,7 +143,7 @@ class Scanner:
         behind = data_end + RECORD_HEADER.size + 4
         if start < behind or self._size - behind > RECORD_MAX:
             return False
-        rest = self._file.read(behind, self._size - behind)
+        rest = self.file.read(behind, self._size - behind)
         opcode, length, summary_start, _, crc = FOOTER.unpack_from(rest, start - behind)
         return (
             rest.endswith(MAGIC)
@@ -150,7 +155,7 @@ class Scanner:
     def is_torn(self, offset: int) -> bool:
         """Whether what stands from there to the end is but the beginning of one last write, or nothing at all."""
         at = offset
-        while at < self._size and (header := self._file.header(at)) is not None:
+        while at < self._size and (header := self.file.header(at)) is not None:
             opcode, at = header
             if opcode not in _WRITTEN or (opcode == Opcode.CHUNK and at <= self._size):
                 return self._is_blank(offset)
@@ -158,14 +163,15 @@ class Scanner:
 
     def _is_blank(self, offset: int) -> bool:
         """Whether only zeros follow: a power cut leaves them where the length of a file came to the disk first."""
-        while block := self._file.read(offset, SEARCH_BYTES):
+        while block := self.file.read(offset, SEARCH_BYTES):
             if any(block):
                 return False
             offset += len(block)
         return True
 
-    def _piece(self, offset: int) -> Found:
-        record = self._file.record(offset)
+    def piece(self, offset: int) -> Found:
+        """The piece there, if anything proves it."""
+        record = self.file.record(offset)
         if record is None:
             return Fault(offset, "a record is cut off")
         opcode, raw = record
@@ -179,7 +185,7 @@ class Scanner:
             return Fault(offset, f"a record cannot be read: {error}")
 
     def _data_end(self, offset: int, raw: bytes) -> Found:
-        behind = self._file.read(offset + len(raw), 1)
+        behind = self.file.read(offset + len(raw), 1)
         if len(raw) != RECORD_HEADER.size + 4 or (behind and behind[0] > max(Opcode)):
             return Fault(offset, "a record cannot be read")
         return DataEnd(offset, int.from_bytes(raw[RECORD_HEADER.size :], "little"))
@@ -188,7 +194,7 @@ class Scanner:
         end = offset + len(raw)
         is_known = opcode in _PARSED or opcode == MESSAGE_OPCODE
         if self.has_checks:
-            check = self._file.read(end, CHECK.size)
+            check = self.file.read(end, CHECK.size)
             if not is_known or check != check_of(len(raw), zlib.crc32(raw)):
                 return Fault(offset, "a record's check is wrong")
             end += len(check)
@@ -202,7 +208,7 @@ class Scanner:
                 return Fault(offset, "an attachment's checksum is wrong")
         elif opcode == MESSAGE_OPCODE:
             MESSAGE_HEADER.unpack_from(raw)
-        return ProvenRecord(offset, end, self._file.read(offset, end - offset), len(raw), parsed)
+        return ProvenRecord(offset, end, self.file.read(offset, end - offset), len(raw), parsed)
 
     def _chunk(self, offset: int, raw: bytes) -> Found:
         chunk: records.Chunk = parse(Opcode.CHUNK, raw[RECORD_HEADER.size :])
@@ -230,28 +236,19 @@ class Scanner:
     def _message_indexes(self, offset: int, index: Index) -> tuple[bool, int]:
         """Whether the message indexes there say what the chunk before holds, and where they end."""
         expected = encode_indexes(index)
-        if self._file.read(offset, len(expected)) == expected:
+        if self.file.read(offset, len(expected)) == expected:
             return True, offset + len(expected)
         # Others may put them in another order.
-        found: dict[int, list[tuple[int, int]]] = {}
-        while (record := self._file.record(offset)) is not None and record[0] == Opcode.MESSAGE_INDEX:
-            raw = record[1]
-            try:
-                one: records.MessageIndex = parse(Opcode.MESSAGE_INDEX, raw[RECORD_HEADER.size :])
-            except BROKEN:
-                return False, offset
-            if encode(one) != raw or one.channel_id in found:
-                return False, offset
-            found[one.channel_id] = sorted(one.records)
-            offset += len(raw)
-        return found == {
-            channel_id: sorted(zip(entries[::2], entries[1::2], strict=True))
-            for channel_id, entries in index.items()
-        }, offset
+        found: dict[int, array[int]] = {}
+        while (one := self.file.message_index(offset)) is not None and one[0] not in found:
+            channel_id, found[channel_id], offset = one
+        header = self.file.header(offset)
+        is_all = header is None or header[0] != Opcode.MESSAGE_INDEX
+        return is_all and _in_order(found) == _in_order(index), offset
 
     def next_piece(self, damaged: int) -> int | None:
         """Where the next proven piece begins, behind a damaged one."""
-        record = self._file.record(damaged)
+        record = self.file.record(damaged)
         if record is not None and self._is_proven(damaged + len(record[1])):
             return damaged + len(record[1])
         at = damaged + 1
@@ -265,7 +262,7 @@ class Scanner:
     def _is_proven(self, offset: int) -> bool:
         if offset >= self._size:
             return False
-        found = self._piece(offset)
+        found = self.piece(offset)
         if isinstance(found, ProvenChunk):
             return found.record.uncompressed_crc != 0
         if isinstance(found, DataEnd):
@@ -276,7 +273,7 @@ class Scanner:
         """The first mark from there on that a piece may have, and where that piece would begin."""
         overlap = max(map(len, (CHECK_MARK, *_COMPRESSION_MARKS)))
         while start < self._size:
-            block = self._file.read(start, SEARCH_BYTES + overlap)
+            block = self.file.read(start, SEARCH_BYTES + overlap)
             marks = []
             for pattern in (CHECK_MARK, *_COMPRESSION_MARKS):
                 at = block.find(pattern)
@@ -287,7 +284,11 @@ class Scanner:
                 mark = start + at
                 if pattern != CHECK_MARK:
                     return mark, mark - CHUNK_NAME_AT
-                length = int.from_bytes(self._file.read(mark + len(pattern), 4), "little")
+                length = int.from_bytes(self.file.read(mark + len(pattern), 4), "little")
                 return mark, mark - length
             start += SEARCH_BYTES
         return None
+
+
+def _in_order(index: Index) -> dict[int, list[tuple[int, int]]]:
+    return {channel: sorted(zip(entries[::2], entries[1::2], strict=True)) for channel, entries in index.items()}

@@ -20,7 +20,6 @@ grows; ``recovery`` what is proven of a damaged one.
 
 from __future__ import annotations
 
-import sys
 import zlib
 from array import array
 from collections.abc import Generator, Iterator
@@ -37,7 +36,6 @@ from recorder.mcap.framing import (
     CHUNK_TIMES,
     FIRST_RECORD,
     FOOTER,
-    INDEX_HEADER,
     MAGIC,
     RECORD_HEADER,
     DamagedError,
@@ -48,7 +46,7 @@ from recorder.mcap.framing import (
     parse,
     record_at,
 )
-from recorder.mcap.pieces import Fault, LoggedMessage, MessageBlock, PackedChunk, messages_at
+from recorder.mcap.pieces import Fault, Index, LoggedMessage, MessageBlock, PackedChunk, messages_at
 from recorder.mcap.proof import Scanner
 
 __all__ = [
@@ -56,6 +54,7 @@ __all__ = [
     "DamagedError",
     "End",
     "Fault",
+    "Index",
     "LoggedMessage",
     "MessageBlock",
     "PackedChunk",
@@ -222,7 +221,7 @@ class _Reading:
         length = end - offset
         index: dict[int, array[int]] = {}
         places: dict[int, int] = {}
-        while (entry := self._index(end)) is not None:
+        while (entry := self._file.message_index(end)) is not None:
             channel_id, entries, behind = entry
             self._last = end, behind
             index.setdefault(channel_id, array("Q")).extend(entries)
@@ -242,22 +241,6 @@ class _Reading:
         """Whether a whole record of another kind follows. Else one of the message indexes may be missing."""
         opcode, end = self._file.header(offset) or (0, 0)
         return not is_no_opcode(opcode) and opcode != Opcode.MESSAGE_INDEX and end <= self._file.size
-
-    def _index(self, offset: int) -> tuple[int, array[int], int] | None:
-        """The message index there: its channel, its entries, and where it ends; None if there is none."""
-        head = self._file.read(offset, INDEX_HEADER.size)
-        if len(head) < INDEX_HEADER.size or head[0] != Opcode.MESSAGE_INDEX:
-            return None
-        _, length, channel_id, entries_length = INDEX_HEADER.unpack(head)
-        behind: int = offset + RECORD_HEADER.size + length
-        is_true = behind == offset + len(head) + entries_length and entries_length % 16 == 0
-        if not is_true or behind > self._file.size:
-            return None
-        entries = array("Q")
-        entries.frombytes(self._file.read(offset + len(head), entries_length))
-        if sys.byteorder == "big":
-            entries.byteswap()
-        return channel_id, entries, behind
 
     def _other(self, offset: int, opcode: int, body: bytes) -> Iterator[Piece]:
         try:

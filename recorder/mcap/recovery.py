@@ -7,7 +7,6 @@ A file whose writer was killed is good up to its last write: cut it back to ``Su
 from __future__ import annotations
 
 import zlib
-from array import array
 from typing import BinaryIO, Final, Protocol
 
 import msgspec
@@ -23,7 +22,7 @@ from recorder.mcap.framing import (
     encode,
     encode_indexes,
 )
-from recorder.mcap.pieces import index_content, split
+from recorder.mcap.pieces import Index, index_content, split
 from recorder.mcap.proof import DataEnd, Parsed, ProvenChunk, ProvenRecord, Scanner
 from recorder.mcap.summary import Summary
 from recorder.mcap.writer import COMPRESSION, COMPRESSION_LEVEL
@@ -208,7 +207,7 @@ class _Rebuild:
         return bytes(kept)
 
 
-def _chunk_of(content: bytes, index: dict[int, array[int]]) -> records.Chunk:
+def _chunk_of(content: bytes, index: Index) -> records.Chunk:
     times = [time for entries in index.values() for time in entries[::2]]
     return records.Chunk(
         compression=COMPRESSION,

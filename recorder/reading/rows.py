@@ -14,7 +14,7 @@ from typing import BinaryIO, Final
 import msgspec
 from mcap import records
 
-from recorder.mcap.reader import DamagedError, Fault, LoggedMessage, MessageBlock, PackedChunk, read_pieces
+from recorder.mcap.reader import DamagedError, Fault, Index, LoggedMessage, MessageBlock, PackedChunk, read_pieces
 from recorder.mcap.summary_reader import read_summary
 from recorder.reading.declared import Declared
 from recorder.reading.faults import Faults
@@ -32,6 +32,11 @@ Progress = Callable[[int], None]
 def every_topic(_topic: Topic) -> bool:
     """Wants all."""
     return True
+
+
+def no_topic(_topic: Topic) -> bool:
+    """Wants none."""
+    return False
 
 
 class Selection(msgspec.Struct, frozen=True):
@@ -99,8 +104,8 @@ def _rows_from(log: LogFile, selection: Selection, faults: Faults, progress: Pro
         faults.add(f"{log.path}: {error.strerror or error}")
 
 
-class LogReader:
-    """Reads the rows of one log.
+class BlockReader:
+    """Reads what may hold something wanted of one log: chunks, unpacked, and messages outside of chunks.
 
     Args:
         stream: the file.
@@ -109,7 +114,9 @@ class LogReader:
         faults: takes what cannot be read.
 
     Attributes:
+        name: of the log.
         topics: by channel id, those known so far.
+        wanted: those of them that are wanted.
         metadata: all metadata records by name, the last of each.
         attachments: those met so far.
     """
@@ -117,89 +124,102 @@ class LogReader:
     def __init__(self, stream: BinaryIO, log: LogFile, selection: Selection, faults: Faults) -> None:
         self._stream = stream
         self._size = log.bytes
-        self._name = str(log.path)
         self._is_being_written = log.is_being_written
-        self._selection = selection
         self._faults = faults
         self._declared = Declared(log.namesakes)
-        self._wanted: dict[int, Topic] = {}
+        self.name = str(log.path)
+        self.selection = selection
         self.topics = self._declared.topics
+        self.wanted: dict[int, Topic] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self.attachments: list[records.Attachment] = []
+        # Others declare channels within chunks; the summary repeats them.
+        self._want(self._declared.take_summary(read_summary(stream)))
 
-    def rows(self, progress: Progress = lambda _: None) -> Iterator[Row]:
-        """The wanted rows, in the order of the file."""
-        # Others declare channels within chunks; the summary tells them before.
-        self._want(self._declared.take_summary(read_summary(self._stream)))
-        told = 0
+    def declare_all(self) -> None:
+        """Learn the topics of a log whose summary says nothing of them."""
+        for block, _ in self.blocks():
+            for one in block.messages():
+                if isinstance(one, records.Schema | records.Channel):
+                    self.take(one)
+
+    def blocks(self, progress: Progress = lambda _: None) -> Iterator[tuple[MessageBlock, Index | None]]:
+        """The blocks in the order of the file, each with what its index says, if it has one."""
+        read_to = 0
         for piece in read_pieces(self._stream, self._size, is_verifying=False):
             match piece:
                 case PackedChunk():
-                    yield from self._rows(piece)
-                    progress(piece.offset + piece.length - told)
-                    told = piece.offset + piece.length
+                    yield from self._unpacked(piece)
+                    progress(piece.offset + piece.length - read_to)
+                    read_to = piece.offset + piece.length
                 case MessageBlock():
-                    yield from self._sift(piece.messages())
+                    yield piece, None
                 case records.Metadata():
                     self.metadata[piece.name] = piece.metadata
                 case records.Attachment():
                     self.attachments.append(piece)
                 case Fault() if piece.cuts and self._is_being_written:
                     pass
-                case Fault():
-                    self._fault(piece.offset, piece.detail)
-                case records.Schema() | records.Channel():
-                    self._take(piece)
+                case Fault() | records.Schema() | records.Channel():
+                    self.take(piece)
                 case _:
                     pass
-        progress(self._size - told)
+        progress(self._size - read_to)
 
-    def _rows(self, chunk: PackedChunk) -> Iterator[Row]:
-        if not self._may_hold(chunk):
-            return
-        if chunk.index is None or not chunk.index.keys() <= self.topics.keys():
-            yield from self._sift(chunk.messages())
-            return
-        try:
-            block = chunk.unpack()
-        except DamagedError as error:
-            self._fault(chunk.offset, f"a chunk cannot be read: {error}")
-            return
-        found = block.pick(chunk.index, self._wanted, Row, self._selection.from_ns, self._selection.to_ns)
-        if found is None:
-            self._fault(chunk.offset, "the message indexes behind a chunk are wrong")
-            yield from self._sift(block.messages())
-        else:
-            yield from found
-
-    def _may_hold(self, chunk: PackedChunk) -> bool:
-        """Whether something wanted may be in it; without an index its head is all there is to go by."""
-        if chunk.index is None:
-            return True
-        if chunk.start_ns >= self._selection.to_ns or chunk.end_ns < self._selection.from_ns:
-            return False
-        return any(channel in self._wanted or channel not in self.topics for channel in chunk.index)
-
-    def _sift(self, found: Iterator[LoggedMessage | records.Schema | records.Channel | Fault]) -> Iterator[Row]:
-        from_ns, to_ns = self._selection.from_ns, self._selection.to_ns
-        for one in found:
-            if not isinstance(one, LoggedMessage):
-                self._take(one)
-            elif one.channel_id not in self.topics:
-                self._faults.add(
-                    f"{self._name}: a message of channel {one.channel_id}, which the file does not hold"
-                )
-            elif one.channel_id in self._wanted and from_ns <= one.log_ns < to_ns:
-                yield Row(self.topics[one.channel_id], one.sequence, one.log_ns, one.publish_ns, one.data)
-
-    def _take(self, piece: records.Schema | records.Channel | Fault) -> None:
+    def take(self, piece: records.Schema | records.Channel | Fault) -> None:
+        """Take what stands between messages."""
         if isinstance(piece, Fault):
-            self._fault(piece.offset, piece.detail)
+            self.fault(f"byte {piece.offset}: {piece.detail}")
         else:
             self._want(self._declared.take(piece))
 
-    def _want(self, found: list[tuple[int, Topic]]) -> None:
-        self._wanted.update((channel_id, topic) for channel_id, topic in found if self._selection.wants(topic))
+    def fault(self, detail: str) -> None:
+        """Something of the log cannot be read."""
+        self._faults.add(f"{self.name}: {detail}")
 
-    def _fault(self, offset: int, detail: str) -> None:
-        self._faults.add(f"{self._name}: byte {offset}: {detail}")
+    def wrong_index(self, block: MessageBlock) -> None:
+        """The message indexes of a block do not fit its messages."""
+        self.take(Fault(block.offset, "the message indexes behind a chunk are wrong"))
+
+    def _unpacked(self, chunk: PackedChunk) -> Iterator[tuple[MessageBlock, Index | None]]:
+        index = chunk.index
+        if index is not None:
+            # Without an index its head is all there is to go by, which may be wrong.
+            if chunk.start_ns >= self.selection.to_ns or chunk.end_ns < self.selection.from_ns:
+                return
+            if not any(channel in self.wanted or channel not in self.topics for channel in index):
+                return
+        try:
+            block = chunk.unpack()
+        except DamagedError as error:
+            self.take(Fault(chunk.offset, f"a chunk cannot be read: {error}"))
+        else:
+            yield block, index
+
+    def _want(self, found: list[tuple[int, Topic]]) -> None:
+        self.wanted.update((channel_id, topic) for channel_id, topic in found if self.selection.wants(topic))
+
+
+class LogReader(BlockReader):
+    """Reads the rows of one log."""
+
+    def rows(self, progress: Progress = lambda _: None) -> Iterator[Row]:
+        """The wanted rows, in the order of the file."""
+        from_ns, to_ns = self.selection.from_ns, self.selection.to_ns
+        for block, index in self.blocks(progress):
+            found = None
+            if index is not None and index.keys() <= self.topics.keys():
+                found = block.pick(index, self.wanted, Row, from_ns, to_ns)
+                if found is None:
+                    self.wrong_index(block)
+            yield from self._sift(block) if found is None else found
+
+    def _sift(self, block: MessageBlock) -> Iterator[Row]:
+        from_ns, to_ns = self.selection.from_ns, self.selection.to_ns
+        for one in block.messages():
+            if not isinstance(one, LoggedMessage):
+                self.take(one)
+            elif one.channel_id not in self.topics:
+                self.fault(f"a message of channel {one.channel_id}, which the file does not hold")
+            elif one.channel_id in self.wanted and from_ns <= one.log_ns < to_ns:
+                yield Row(self.topics[one.channel_id], one.sequence, one.log_ns, one.publish_ns, one.data)

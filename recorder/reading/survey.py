@@ -14,7 +14,7 @@ from recorder.mcap.summary_reader import read_summary
 from recorder.reading.declared import Declared
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
-from recorder.reading.rows import LogReader, Selection
+from recorder.reading.rows import LogReader, Selection, no_topic
 from recorder.reading.topics import Topic
 
 
@@ -74,8 +74,7 @@ def _by_summary(stream: BinaryIO, log: LogFile, found: Survey) -> bool:
 
 
 def _by_records(stream: BinaryIO, log: LogFile, found: Survey, faults: Faults) -> None:
-    selection = Selection(wants=lambda _: False)
-    reader = LogReader(stream, log, selection, faults)
+    reader = LogReader(stream, log, Selection(no_topic), faults)
     for _ in reader.rows():
         pass
     for topic in reader.topics.values():

@@ -5,8 +5,6 @@ In one pass, in memory that does not grow with the log but for 16 bytes a chunk 
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -19,6 +17,7 @@ from recorder.mcap.reader import (
     DamagedError,
     End,
     Fault,
+    Index,
     MessageBlock,
     PackedChunk,
     Piece,
@@ -190,7 +189,7 @@ class _Check:
                     channel.judge()
                 self._waiting_bytes = 0
 
-    def _take_block(self, block: MessageBlock, index: Mapping[int, array[int]] | None = None) -> Messages | None:
+    def _take_block(self, block: MessageBlock, index: Index | None = None) -> Messages | None:
         """The messages of a chunk, or one outside of chunks, and what is declared between them.
 
         Raises:

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from itertools import groupby
 from typing import BinaryIO, Final
 
 import msgspec
 import numpy as np
 import pyarrow as pa
-from mcap import records
 from numpy.typing import NDArray
 
 from recorder.mcap.arrays import PADDING, Bytes, Indexed, Places, joined, proven_places, walked_places
-from recorder.mcap.reader import DamagedError, Fault, MessageBlock, PackedChunk, read_pieces
-from recorder.mcap.summary_reader import read_summary
-from recorder.reading.declared import Declared
+from recorder.mcap.reader import Index, MessageBlock
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
-from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
+from recorder.reading.rows import END_OF_TIME_NS, BlockReader, Progress, Selection
 from recorder.reading.topics import Topic
 from recorder.review.columns.decoder import Decoder
 from recorder.review.columns.tables import Columns, columns_of
@@ -85,7 +81,7 @@ class _Pending:
         self.chunks: list[Indexed | None] = []
         self.size = 0
 
-    def add(self, block: MessageBlock, index: Mapping[int, array[int]] | None = None) -> None:
+    def add(self, block: MessageBlock, index: Index | None = None) -> None:
         """A chunk's records, or one record outside of chunks."""
         base, self.size = self.size, self.size + len(block.content)
         self.blocks.append(block)
@@ -108,7 +104,7 @@ class _Pending:
                 yield MessageBlock(run[0].offset, b"".join([block.content for block in run])), None
 
 
-class ColumnReader:
+class ColumnReader(BlockReader):
     """Reads the batches of one log.
 
     Args:
@@ -116,10 +112,7 @@ class ColumnReader:
         log: which it is.
         selection: what is wanted.
         faults: takes what cannot be read.
-        wanted: names of the columns that are wanted; None is all.
-
-    Attributes:
-        columns: by channel id, of the topics known so far.
+        columns: names of the columns that are wanted; None is all.
     """
 
     def __init__(
@@ -128,66 +121,24 @@ class ColumnReader:
         log: LogFile,
         selection: Selection,
         faults: Faults,
-        wanted: Collection[str] | None = None,
+        columns: Collection[str] | None = None,
     ) -> None:
-        self._stream = stream
-        self._size = log.bytes
-        self._name = str(log.path)
-        self._is_being_written = log.is_being_written
-        self._selection = selection
-        self._faults = faults
-        self._wanted_columns = wanted
-        self._declared = Declared(log.namesakes)
+        super().__init__(stream, log, selection, faults)
+        self._columns = columns
         self._decoders: dict[int, Decoder] = {}
-        self._topics = self._declared.topics
-
-    @property
-    def columns(self) -> dict[int, Columns]:
-        """Of the wanted topics, by channel id."""
-        return {channel: decoder.columns for channel, decoder in self._decoders.items()}
 
     def batches(self, progress: Progress, sift: Sift | None) -> Iterator[Batch]:
         """The wanted batches."""
-        # Others declare channels within chunks; the summary tells them before.
-        self._want(self._declared.take_summary(read_summary(self._stream)))
         pending = _Pending()
-        told = 0
-        for piece in read_pieces(self._stream, self._size, is_verifying=False):
-            match piece:
-                case PackedChunk():
-                    self._unpack(piece, pending)
-                    progress(piece.offset + piece.length - told)
-                    told = piece.offset + piece.length
-                case MessageBlock():
-                    pending.add(piece)
-                case Fault() if piece.cuts and self._is_being_written:
-                    pass
-                case Fault() | records.Schema() | records.Channel():
-                    self._take(piece)
-                case _:
-                    pass
+        for block, index in self.blocks(progress):
+            pending.add(block, index)
             if pending.size >= BATCH_BYTES:
                 yield from self._read(pending, sift)
                 pending = _Pending()
         yield from self._read(pending, sift)
         for channel_id, decoder in self._decoders.items():
             if decoder.broken:
-                self._faults.add(
-                    f"{self._name}: {decoder.broken} messages of {self._topics[channel_id].name} cannot be read"
-                )
-        progress(self._size - told)
-
-    def _unpack(self, chunk: PackedChunk, pending: _Pending) -> None:
-        index = chunk.index
-        if index is not None:
-            if chunk.start_ns >= self._selection.to_ns or chunk.end_ns < self._selection.from_ns:
-                return
-            if not any(channel in self._decoders or channel not in self._topics for channel in index):
-                return
-        try:
-            pending.add(chunk.unpack(), index)
-        except DamagedError as error:
-            self._fault(chunk.offset, f"a chunk cannot be read: {error}")
+                self.fault(f"{decoder.broken} messages of {self.topics[channel_id].name} cannot be read")
 
     def _read(self, pending: _Pending, sift: Sift | None) -> Iterator[Batch]:
         if not pending.size:
@@ -197,17 +148,21 @@ class ColumnReader:
         places = None
         if len(indexed) == len(pending.chunks):
             places = proven_places(content, pending.size, indexed)
-            if places is not None and any(channel not in self._topics for channel in places):
+            if places is not None and not places.keys() <= self.topics.keys():
                 places = None  # Perhaps the channels are within the chunks.
         if places is None:
             places = self._places_one_by_one(pending)
         for channel, found in places.items():
-            decoder = self._decoders.get(channel)
-            if decoder is not None:
-                yield from self._batch(decoder, content, found, sift)
+            if channel in self.wanted:
+                yield from self._batch(self._decoder(channel), content, found, sift)
+
+    def _decoder(self, channel: int) -> Decoder:
+        if channel not in self._decoders:
+            self._decoders[channel] = Decoder(columns_of(self.wanted[channel]), self._columns)
+        return self._decoders[channel]
 
     def _batch(self, decoder: Decoder, content: Bytes, places: Places, sift: Sift | None) -> Iterator[Batch]:
-        from_ns, to_ns = self._selection.from_ns, self._selection.to_ns
+        from_ns, to_ns = self.selection.from_ns, self.selection.to_ns
         if from_ns > 0 or to_ns < END_OF_TIME_NS:
             log_ns = places.log_ns(content)
             first, last = max(from_ns, 0), min(max(to_ns, 0), END_OF_TIME_NS) - 1
@@ -232,10 +187,8 @@ class ColumnReader:
                 padded = np.frombuffer(block.content + bytes(PADDING), np.uint8)
                 places = proven_places(padded, size, [Indexed(0, size, chunk.index)])
                 if places is None:
-                    self._fault(block.offset, "the message indexes behind a chunk are wrong")
-                elif any(channel not in self._topics for channel in places):
-                    places = None
-            if places is None:
+                    self.wrong_index(block)
+            if places is None or not places.keys() <= self.topics.keys():
                 places = self._walk(block)
             for channel, one in places.items():
                 found.setdefault(channel, []).append(one.moved(base))
@@ -246,26 +199,11 @@ class ColumnReader:
         """Where the messages of each channel are, record by record; declares the channels between them."""
         found, others = walked_places(block)
         for one in others:
-            self._take(one)
+            self.take(one)
         for channel, places in found.items():
-            if channel not in self._topics:
-                what = f"{len(places.offsets)} messages of channel {channel}, which the file does not hold"
-                self._faults.add(f"{self._name}: {what}")
+            if channel not in self.topics:
+                self.fault(f"{len(places.offsets)} messages of channel {channel}, which the file does not hold")
         return found
-
-    def _take(self, piece: records.Schema | records.Channel | Fault) -> None:
-        if isinstance(piece, Fault):
-            self._fault(piece.offset, piece.detail)
-        else:
-            self._want(self._declared.take(piece))
-
-    def _want(self, found: list[tuple[int, Topic]]) -> None:
-        for channel_id, topic in found:
-            if self._selection.wants(topic):
-                self._decoders[channel_id] = Decoder(columns_of(topic), self._wanted_columns)
-
-    def _fault(self, offset: int, detail: str) -> None:
-        self._faults.add(f"{self._name}: byte {offset}: {detail}")
 
 
 def _heads(content: Bytes, places: Places) -> Heads:

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
-from typing import Any, BinaryIO
+from typing import Any
 
 import duckdb
 import msgspec
 import pyarrow as pa
 import pyarrow.dataset as ds
-from mcap import records
 
-from recorder.mcap.reader import Fault, PackedChunk, read_pieces
-from recorder.mcap.summary_reader import read_summary
-from recorder.reading.declared import Declared
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
-from recorder.reading.rows import Progress, Selection
+from recorder.reading.rows import BlockReader, Progress, Selection, no_topic
 from recorder.reading.topics import Topic
 from recorder.review.columns.reader import read_batches
 from recorder.review.columns.tables import LOG_TIME, ROBOT, TOPIC, Columns, columns_of
@@ -65,33 +61,15 @@ def _table_of(found: dict[tuple[str, str], Table], columns: Columns) -> Table:
 
 def topics_of(log: LogFile, faults: Faults) -> list[Topic]:
     """The topics of a log, by its summary, or else by all that is in it."""
-    declared = Declared(log.namesakes)
     try:
         with log.path.open("rb") as stream:
-            declared.take_summary(read_summary(stream))
-            if not declared.topics:
-                for one in _declared(stream, log, faults):
-                    declared.take(one)
+            reader = BlockReader(stream, log, Selection(no_topic), faults)
+            if not reader.topics:
+                reader.declare_all()
+            return list(reader.topics.values())
     except OSError as error:
         faults.add(f"{log.path}: {error.strerror or error}")
-    return list(declared.topics.values())
-
-
-def _declared(stream: BinaryIO, log: LogFile, faults: Faults) -> Iterator[records.Schema | records.Channel]:
-    known: set[int] = set()
-    for piece in read_pieces(stream, log.bytes, is_verifying=False):
-        if isinstance(piece, Fault) and not (piece.cuts and log.is_being_written):
-            faults.add(f"{log.path}: byte {piece.offset}: {piece.detail}")
-        found: Iterator[Any] = iter([piece])
-        if isinstance(piece, PackedChunk):
-            if piece.index is not None and piece.index.keys() <= known:
-                continue
-            found = piece.messages()
-        for one in found:
-            if isinstance(one, records.Channel):
-                known.add(one.id)
-            if isinstance(one, records.Schema | records.Channel):
-                yield one
+        return []
 
 
 class LogSource:
