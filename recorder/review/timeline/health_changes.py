@@ -30,12 +30,9 @@ _COUNTS: Final[tuple[tuple[str, str], ...]] = (
 _FRAME_COUNTS: Final[tuple[tuple[str, str, str], ...]] = (
     ("checksum_faults", "checksum", "frames with a wrong checksum"),
     ("implausible", "implausible", "frames with a value that the chassis cannot have"),
-    ("lost", "alive_lost", "frames that should have come, and did not"),
+    ("lost", "alive_lost", "frames that should have come, and did not; they are counted when that is known"),
 )
 """Counters of each frame whose rise is told, and the kind of fault that need not be told besides."""
-
-_LOST_IN_SILENCE: Final = "frames that should have come in the silence that is over, by their period"
-"""They are counted when it ends; so the gateway counts, and one that was only late is among them."""
 
 _HARMLESS: Final = frozenset({"unknown_identifier", "remote_frame", "error_frame", "fd_frame"})
 """Frames of others on the bus, mostly."""
@@ -112,13 +109,9 @@ def _counts(before: GatewayHealth, now: GatewayHealth) -> Iterator[Risen]:
         }
         if rises:
             said.add(kind)
-        late = {name for name in rises if field == "lost" and "silence" in were[name].failures}
-        for text, names in ((words, rises.keys() - late), (_LOST_IN_SILENCE, late)):
-            if names:
-                about = tuple(name for name in rises if name in names)
-                count = sum(rises[name] for name in about)
-                is_end = names is late
-                yield Risen(text, EntryKind.FAULT, Severity.WARNING, text, count, about, is_end=is_end)
+            # A frame may only be late: the gateway knows that it is lost some seconds after its time.
+            count, is_end = sum(rises.values()), field == "lost"
+            yield Risen(words, EntryKind.FAULT, Severity.WARNING, words, count, tuple(rises), is_end=is_end)
     for kind, count in now.faults.items():
         rise = count - before.faults.get(kind, 0)
         if rise > 0 and kind not in said:

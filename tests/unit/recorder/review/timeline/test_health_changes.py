@@ -77,6 +77,8 @@ def test_a_frame_that_says_a_thing_is_not_said_twice() -> None:
     ]
 
 
+LOST = "frames that should have come, and did not; they are counted when that is known"
+
 NAMES = ("Auto_GearFeedBack", "Auto_DriveFeedBack")
 
 
@@ -93,14 +95,14 @@ def test_what_befalls_several_frames_is_one() -> None:
     assert [(one.text, one.count, one.about, one.is_end) for one in begun] == [("silent", 2, NAMES, False)]
     assert [(one.text, one.count, one.about, one.is_end) for one in ended] == [
         ("no longer at fault (silence)", 2, NAMES, True),
-        ("frames that should have come in the silence that is over, by their period", 100, NAMES, True),
+        (LOST, 100, NAMES, True),
     ]
 
 
-def test_what_is_lost_without_a_silence_was_lost_since_the_health_before() -> None:
-    """What is lost in a silence is counted when it ends, and may have been long before."""
+def test_when_frames_were_lost_is_not_known() -> None:
+    """They are counted when what was only late has come, and so may have been lost long before."""
     (lost,) = risen(health(feedback=frames()), health(feedback=frames(lost=3)))
-    assert (lost.text, lost.count, lost.is_end) == ("frames that should have come, and did not", 6, False)
+    assert (lost.text, lost.count, lost.is_end) == (LOST, 6, True)
 
 
 def test_every_failure_has_words() -> None:
