@@ -4,7 +4,7 @@ Two flows, which touch once::
 
     TELEMETRY  CAN bus > frame > check and decode > message > sample > zenoh > recorder > MCAP > review
                                                        |
-                                                       v observe
+                                                       v chassis state
     COMMAND    zenoh > request > arbiter > decision > encode > gate > frame > CAN bus
 
 ``core`` has both on one page, without I/O and without a clock; ``loop`` is the one thread that runs them. What a

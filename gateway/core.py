@@ -3,7 +3,7 @@
     TELEMETRY  frame   > ``receive_frame``   > check, supervise, decode    > Sample     at the pace of the bus
                time    > ``tick``            > batches, state, health      > Samples    every 10 ms
     COMMAND    request > ``receive_request`` > waits for the tick
-               time    > ``tick``            > observe, arbitrate, gate    > frames, replies, Samples
+               time    > ``tick``            > arbitrate, encode, gate     > frames, replies, Samples
                the bus > ``sent``            > counters advance            > decisions
 
 Each call returns what is to be done; the loop does it. Every call is written into the journal: run again with the
@@ -27,11 +27,11 @@ from gateway.chassis.variant import WHEEL_SPEED, VariantDetector
 from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.frames import MOTION_FRAMES
 from gateway.command.request import RawRequest
-from gateway.command.rest import QUIET_NS, Rest, is_at_rest, memory_of, recall
+from gateway.command.snapshot import QUIET_NS, Snapshot, is_at_rest, restore, snapshot
 from gateway.journal import FRAME, LINKS, JournalWriter
+from gateway.telemetry.chassis_tracker import BODY, ChassisTracker
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import HealthMeter, Links
-from gateway.telemetry.observation import BODY, Observer
 from gateway.telemetry.raw_frames import FrameBatch
 from gateway.telemetry.sample import Sample
 from gateway.telemetry.state import LatestMessages, robot_state
@@ -57,7 +57,7 @@ REST_PERIOD_NS: Final = 60_000_000_000
 """So often the journal says what a gateway at rest is remembered by..."""
 
 REST_LOOK_NS: Final = 1_000_000_000
-"""...and so often it looks whether the gateway is at rest."""
+"""...and so often it looks whether the gateway is at kept."""
 
 SCALED_BY_VARIANT: Final = ("Auto_DriveFeedBack", WHEEL_SPEED)
 """The feedback frames whose layout depends on the variant; a test holds this against the two DBC files."""
@@ -118,7 +118,7 @@ class Core:
         self._health_due_ns = now_ns + HEALTH_PERIOD_NS
         self._state_sequence = 0
         self.command = None if settings.gateway.listen_only else CommandFlow(settings, run)
-        self._observer = Observer(self._streams.values(), self._detector, settings.chassis.required_feedback)
+        self._tracker = ChassisTracker(self._streams.values(), self._detector, settings.chassis.required_feedback)
         self._commander_ns: int | None = None
         self._motion_ns: int | None = None
         self._requests: list[RawRequest] = []
@@ -141,10 +141,10 @@ class Core:
             self._receive_other(frame, now_ns)
             return None
         if frame.can_id == self._wheel_speed and check(frame) is None:
-            self._observe_variant(frame)
+            self._detect_variant(frame)
         sample = stream.receive(frame, now_ns)
         if frame.can_id == self._body and sample is not None:
-            self._observer.note_body()
+            self._tracker.note_body()
         return sample
 
     def receive_request(self, request: RawRequest, now_ns: int) -> None:
@@ -165,7 +165,7 @@ class Core:
         )
         self._requests.append(request)
 
-    def observe_links(self, links: Links, now_ns: int) -> None:
+    def update_links(self, links: Links, now_ns: int) -> None:
         """What the loop sees of the bus, of Zenoh and of the guard."""
         before, self._links = self._links, links
         if links.bus_losses != before.bus_losses:
@@ -226,15 +226,15 @@ class Core:
         self._links, self._told = links, _told(links)
         self._health.controller = controller
 
-    def recall(self, rest: Rest, now_ns: int) -> None:
+    def restore(self, kept: Snapshot, now_ns: int) -> None:
         """From here on this core is the one that was at rest, as far as it has seen what that one saw before.
 
         Args:
-            rest: what was remembered.
+            kept: the snapshot.
             now_ns: when it was, monotonic.
         """
         if self.command is not None:
-            recall(self.command, rest, now_ns)
+            restore(self.command, kept, now_ns)
 
     def last_batches(self, wall_ns: int) -> list[Sample]:
         """The gateway ends: the raw frames and the journal that have not been published yet."""
@@ -246,19 +246,19 @@ class Core:
         """The guard stopped the robot before this start, and nobody has reset that: latched, with these words."""
         if self.command is not None and self._journal is not None:
             self._journal.add((Kind.GUARD_STOP, now_ns, words))
-            self.command.arbiter.latch(Reason.GUARD, words, now_ns)
+            self.command.arbiter.engagement.latch(Reason.GUARD, words, now_ns)
 
     def warn(self, words: str, now_ns: int) -> None:
         """What was found at the start becomes an event, in these words."""
         if self.command is not None and self._journal is not None:
             self._journal.add((Kind.WARNING, now_ns, words))
-            self.command.arbiter.tell(Severity.WARNING, EventKind.FAULT, Reason.NONE, words)
+            self.command.arbiter.outbox.add_event(Severity.WARNING, EventKind.FAULT, Reason.NONE, words)
 
     def shut_down(self, now_ns: int) -> None:
-        """The gateway is to end: bring the robot to rest. ``is_at_rest`` says when that is done."""
+        """The gateway is to end: bring the robot to kept. ``is_at_rest`` says when that is done."""
         if self.command is not None and self._journal is not None:
             self._journal.add((Kind.SHUT_DOWN, now_ns))
-            self.command.arbiter.shut_down(now_ns)
+            self.command.arbiter.engagement.shut_down(now_ns)
 
     def hears_commands(self, now_ns: int) -> bool:
         """Somebody else tells the chassis how to move: another computer, or a guard."""
@@ -267,19 +267,19 @@ class Core:
     @property
     def lease_holder(self) -> str:
         """The operator who holds the lease; empty if nobody does."""
-        lease = self.command.arbiter.desk.lease if self.command is not None else None
+        lease = self.command.arbiter.leases.held if self.command is not None else None
         return lease.operator if lease is not None else ""
 
     @property
     def lease_id(self) -> int:
         """The identifier of the lease in force; 0, which is no lease's, if there is none."""
-        lease = self.command.arbiter.desk.lease if self.command is not None else None
+        lease = self.command.arbiter.leases.held if self.command is not None else None
         return lease.id if lease is not None else 0
 
     @property
     def last_sequence(self) -> int:
         """Of the last drive that was accepted under the lease in force."""
-        return self.command.arbiter.last_sequence if self.command is not None else -1
+        return self.command.arbiter.link.last_sequence if self.command is not None else -1
 
     @property
     def is_at_rest(self) -> bool:
@@ -294,9 +294,9 @@ class Core:
                 self._remember(command, self._journal, now_ns)
             self._journal.add((Kind.TICK, now_ns, wall_ns, late_ns, challenge))
         links, controller = self._links, self._health.controller
-        observed = self._observer.observe(links, controller, self.variant, self._commander_ns, now_ns)
+        chassis = self._tracker.state(links, controller, self.variant, self._commander_ns, now_ns)
         requests, self._requests = self._requests, []
-        commanded = command.tick(observed, requests, now_ns, wall_ns, late_ns, challenge)
+        commanded = command.tick(chassis, requests, now_ns, wall_ns, late_ns, challenge)
         due.frames = self._offered = commanded.frames
         due.replies = commanded.replies
         due.samples += [_sample(message) for message in commanded.messages]
@@ -308,7 +308,7 @@ class Core:
         if is_at_rest(command, now_ns):
             self._rest_due_ns = now_ns + REST_PERIOD_NS
             controller = self._health.controller.value
-            journal.add((Kind.REST, now_ns, memory_of(command), controller, *_told(self._links)))
+            journal.add((Kind.REST, now_ns, snapshot(command), controller, *_told(self._links)))
 
     def _take_batches(self, samples: list[Sample], wall_ns: int) -> None:
         for subject, batch in ((RX, self._received), (TX, self._sent)):
@@ -337,7 +337,7 @@ class Core:
         if fault.kind is FaultKind.UNKNOWN_IDENTIFIER:
             self._health.unknown_identifier(frame.can_id)
 
-    def _observe_variant(self, frame: Frame) -> None:
+    def _detect_variant(self, frame: Frame) -> None:
         before = self.variant
         fault = self._detector.receive_wheel_speed(frame.data)
         if fault is not None:

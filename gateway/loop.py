@@ -206,7 +206,7 @@ def run(around: Surroundings, core: Core, info: Callable[[], bytes], stopped: Ca
             complained_ns = now_ns
             log.warning("the loop was %d ms late; frames that waited keep their own times", late_ns // MS)
         is_behind = now_ns - reader.read_all_ns > BEHIND_NS
-        links = _observe(around, links, is_behind=is_behind, is_full=ticks % SELDOM_TICKS == 0)
+        links = _read_links(around, links, is_behind=is_behind, is_full=ticks % SELDOM_TICKS == 0)
         if around.former_guard is not None:
             links = _with_former(links, around.former_guard, hears_commands=core.hears_commands(now_ns))
         ticks += 1
@@ -225,7 +225,7 @@ def _tick(
 ) -> None:
     """Requests in; frames first, then everything else out."""
     monotonic_ns, inbox = time.monotonic_ns, around.inbox
-    core.observe_links(links, now_ns)
+    core.update_links(links, now_ns)
     if inbox is not None:
         lease = numbers.number_of(core.lease_id)
         for request in inbox.drain(core.lease_holder, lease, core.last_sequence):
@@ -239,7 +239,7 @@ def _tick(
     if around.guard is not None and core.command is not None:
         around.guard.beat(monotonic_ns(), core.command)
     if around.note is not None and core.command is not None:
-        around.note.follow(is_latched=Reason.GUARD in core.command.arbiter.latched)
+        around.note.follow(is_latched=Reason.GUARD in core.command.arbiter.latches.details)
     if inbox is not None:
         for reply in due.replies:
             inbox.reply(numbers.disclose(reply))
@@ -294,7 +294,7 @@ class Reader:
                 return
 
 
-def _observe(around: Surroundings, before: Links, *, is_behind: bool, is_full: bool) -> Links:
+def _read_links(around: Surroundings, before: Links, *, is_behind: bool, is_full: bool) -> Links:
     bus, sink = around.bus, around.sink
     peers = sink.peers() if is_full else before.zenoh_peers
     guard = around.guard.look() if around.guard is not None else NO_GUARD

@@ -22,7 +22,7 @@ class Kind(IntEnum):
     SHUT_DOWN = 5
     REST = 6
     """[what the arbiter is remembered by], controller, and the links as in LINKS: nothing is given to the core.
-    The gateway is at rest, and from here on a run can be run again: see ``gateway.command.rest``."""
+    The gateway is at rest, and from here on a run can be run again: see ``gateway.command.snapshot``."""
     GUARD_STOP = 7
     """words: the guard stopped the robot before this start, and nobody has reset that"""
     WARNING = 8

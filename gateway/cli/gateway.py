@@ -18,7 +18,7 @@ from gateway.can.open_bus import describe, open_bus
 from gateway.can.reconnecting_bus import ReconnectingBus
 from gateway.chassis.layout import load
 from gateway.core import Core
-from gateway.guard.sight import Sight
+from gateway.guard.chassis_view import ChassisView
 from gateway.guard.stopper import Stopper
 from gateway.host.former_guard import FormerGuard
 from gateway.host.guard_process import GuardLink, start_guard
@@ -135,13 +135,13 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 def _stop_unguarded(core: Core, bus: ReconnectingBus, guard: GuardLink, settings: Settings) -> None:
     """The loop has failed. A guard that watches stops the robot now; where there is none, it is done from here."""
-    told = None if core.command is None else core.command.arbiter.actuation
+    told = None if core.command is None else core.command.arbiter.output.actuation
     if core.command is None or told is None or guard.look().is_watching:
         return
-    sight = Sight()
+    sight = ChassisView()
     stopper = Stopper(sight, settings.command)
     counters = bytes(core.command.maker.counters.values())
-    stopper.begin(told, core.command.arbiter.variant, counters, time.monotonic_ns())
+    stopper.begin(told, core.command.arbiter.output.variant, counters, time.monotonic_ns())
     outcome = stop_alone(bus, stopper, sight, lambda: guard.look().is_sending)
     text = f"the loop has failed, and no guard watches: the robot was stopped from here; {outcome}"
     log.error("%s", text)

@@ -17,7 +17,7 @@ from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
 from gateway.chassis.variant import VariantDetector
 from gateway.core import CONFIGURED_VARIANT
-from gateway.guard.sight import Sight
+from gateway.guard.chassis_view import ChassisView
 from gateway.guard.stopper import NOT_OBEYED, OTHER, REMOTE, STANDS, UNSEEN, Stopper
 from gateway.host.stop_note import NoteWriter, StopNote
 from schemas.arguments import seconds
@@ -107,7 +107,7 @@ class HaltSequence:
         self._wait_ns = wait_ns
         self.outcome = ""
         self.frames = 0
-        self._sight = Sight()
+        self._sight = ChassisView()
         self._detector = VariantDetector(CONFIGURED_VARIANT[settings.chassis.variant])
         self._wheels: bytes | None = None
 

@@ -12,10 +12,10 @@ import msgspec
 
 from gateway.chassis.frame import Frame
 from gateway.command.arbiter import Arbiter
+from gateway.command.chassis_state import ChassisState
 from gateway.command.frames import MOTION_FRAMES, FrameMaker
 from gateway.command.gate import Gate
-from gateway.command.observed import Observed
-from gateway.command.outcome import Outcome
+from gateway.command.outcome import TickOutcome
 from gateway.command.report import Reporter, reply
 from gateway.command.request import RawRequest
 from schemas.decisions import ArbiterState
@@ -57,12 +57,12 @@ class CommandFlow:
         self.reporter = Reporter(self.arbiter)
         self.busy_ns = 0
         self._tellings = 0
-        self._outcome: Outcome | None = None
+        self._outcome: TickOutcome | None = None
         self._offered: list[Frame] = []
 
     def tick(
         self,
-        observed: Observed,
+        chassis: ChassisState,
         requests: list[RawRequest],
         now_ns: int,
         wall_ns: int,
@@ -70,7 +70,7 @@ class CommandFlow:
         challenge: bytes,
     ) -> Due:
         """Ten milliseconds have passed; see ``Arbiter.tick``. The challenge is for a state that is due."""
-        outcome = self._outcome = self.arbiter.tick(observed, requests, now_ns, late_ns)
+        outcome = self._outcome = self.arbiter.tick(chassis, requests, now_ns, late_ns)
         self._offered = self._frames(outcome, now_ns)
         if outcome.judged or outcome.events or outcome.actuation is not None:
             self.busy_ns = now_ns
@@ -92,27 +92,27 @@ class CommandFlow:
         sent = offered[:count]
         self.maker.sent(sent)
         self.gate.sent(sent, now_ns)
-        watch = self.arbiter.watch
-        watch.send_failures = watch.send_failures + 1 if len(sent) < len(offered) else 0
-        bounds = self.arbiter.motion.bounds if self.arbiter.state is ArbiterState.ENGAGED else []
+        monitor = self.arbiter.monitor
+        monitor.send_failures = monitor.send_failures + 1 if len(sent) < len(offered) else 0
+        bounds = self.arbiter.output.motion.bounds if self.arbiter.state is ArbiterState.ENGAGED else []
         if len(sent) >= len(MOTION_FRAMES):
-            self.arbiter.told_ns = now_ns
+            self.arbiter.output.told_ns = now_ns
         elif offered:
-            self.arbiter.unsent(is_speed_told=bool(sent))
-        if watch.send_failures >= MUTE_FAILURES and self.arbiter.state is ArbiterState.STOPPING:
+            self.arbiter.output.undo_step(is_speed_told=bool(sent))
+        if monitor.send_failures >= MUTE_FAILURES and self.arbiter.state is ArbiterState.STOPPING:
             self.is_mute = True
         return [self.reporter.decision(judged, bounds, len(sent), wall_ns) for judged in outcome.judged]
 
-    def _frames(self, outcome: Outcome, now_ns: int) -> list[Frame]:
+    def _frames(self, outcome: TickOutcome, now_ns: int) -> list[Frame]:
         if outcome.actuation is None:
             self.is_mute = self.arbiter.handover.is_cut_off
             self.gate.pause()
             return []
-        if self.arbiter.tellings != self._tellings:
+        if self.arbiter.output.begun != self._tellings:
             # It yielded and begins anew in one tick: what was told before is not held against this.
-            self._tellings = self.arbiter.tellings
+            self._tellings = self.arbiter.output.begun
             self.gate.pause()
-        variant = self.arbiter.variant
+        variant = self.arbiter.output.variant
         frames = self.maker.make(outcome.actuation, outcome.auxiliary, variant)
         is_stop = self.arbiter.state is ArbiterState.STOPPING
         fault = self.gate.admit(frames, variant, now_ns, stopping=is_stop)
@@ -120,7 +120,9 @@ class CommandFlow:
             self.is_mute = False
             return frames
         # In its place zero speed and the parking brake go out. If they are refused too, only the guard is left.
-        instead = self.arbiter.refuse_output(f"{fault.can_id & 0x1FFF_FFFF:08X}: {fault.detail}", now_ns)
+        instead = self.arbiter.engagement.refuse_output(
+            f"{fault.can_id & 0x1FFF_FFFF:08X}: {fault.detail}", now_ns
+        )
         frames = self.maker.make(instead, [], variant)
         self.is_mute = self.gate.admit(frames, variant, now_ns, stopping=True) is not None
         return [] if self.is_mute else frames

@@ -63,7 +63,7 @@ class FrameMaker:
         frames += [encode(extra.name, extra.values, counters[extra.name]) for extra in auxiliary]
         return frames
 
-    def recall(self, sent: Mapping[int, int]) -> None:
+    def restore(self, sent: Mapping[int, int]) -> None:
         """These counters, by identifier, were sent last."""
         for can_id, counter in sent.items():
             self.counters[self._names[can_id]] = (counter + 1) % COUNTER_MODULO

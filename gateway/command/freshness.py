@@ -29,7 +29,7 @@ class ChallengeLog:
         """Those that are remembered, each with its time."""
         return list(self._published)
 
-    def recall(self, published: list[tuple[bytes, int]]) -> None:
+    def restore(self, published: list[tuple[bytes, int]]) -> None:
         """Remember these, and no others."""
         self._published = deque(published)
         self._times_ns = dict(self._published)

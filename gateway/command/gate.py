@@ -83,7 +83,7 @@ class GateFault(msgspec.Struct, frozen=True):
     detail: str
 
 
-class Motion(msgspec.Struct, frozen=True, gc=False):
+class MotionBurst(msgspec.Struct, frozen=True, gc=False):
     """The five frames of a burst, read back from their bytes.
 
     Attributes:
@@ -110,7 +110,7 @@ class Gate:
     def __init__(self) -> None:
         self.counters: dict[int, int] = {}
         self._times_ns: dict[int, deque[int]] = {can_id: deque(maxlen=RATE_FRAMES) for can_id in USED_BITS}
-        self._before: Motion | None = None
+        self._before: MotionBurst | None = None
         self._before_ns = 0
 
     def admit(
@@ -185,10 +185,10 @@ def word_fault(can_id: int, word: int, last_counter: int | None) -> str:
     return ""
 
 
-def read_motion(frames: list[Frame]) -> Motion:
+def read_motion(frames: list[Frame]) -> MotionBurst:
     """What the five frames that a burst begins with say."""
     drive, gear, steering, braking, parking = (int.from_bytes(frame.data, "little") for frame in frames[:5])
-    return Motion(
+    return MotionBurst(
         enables=(drive & 1) + (gear & 1) + (steering & 1) + (braking & 1) + (parking & 1),
         gear=gear >> 8 & 0x7,
         angle_raw=steering >> 8 & 0xFFF,
@@ -198,7 +198,7 @@ def read_motion(frames: list[Frame]) -> Motion:
     )
 
 
-def motion_fault(motion: Motion, variant: Variant) -> str:
+def motion_fault(motion: MotionBurst, variant: Variant) -> str:
     """What is wrong with the five frames taken together; empty if nothing is."""
     moves = motion.speed_raw > 0
     rules = (
@@ -215,7 +215,7 @@ def motion_fault(motion: Motion, variant: Variant) -> str:
     return _broken(rules)
 
 
-def step_fault(motion: Motion, before: Motion | None, variant: Variant, *, stopping: bool) -> str:
+def step_fault(motion: MotionBurst, before: MotionBurst | None, variant: Variant, *, stopping: bool) -> str:
     """What is wrong with the step from one burst to the next; empty if nothing is.
 
     Args:

@@ -20,7 +20,7 @@ _ENDED_KEPT: Final = 16
 """Leases whose end is remembered, so that who lost one is told how."""
 
 
-class Lease(msgspec.Struct, frozen=True):
+class HeldLease(msgspec.Struct, frozen=True):
     """Who may command.
 
     Attributes:
@@ -34,11 +34,11 @@ class Lease(msgspec.Struct, frozen=True):
     expires_ns: int
 
 
-class LeaseDesk:
+class Leases:
     """Gives, renews and ends leases; one at a time.
 
     Attributes:
-        lease: the one in force, or None.
+        held: the one in force, or None.
         given: how many were given.
     """
 
@@ -49,7 +49,7 @@ class LeaseDesk:
             duration_ns: a lease that is not renewed for this long expires.
             random: where the identifiers come from. It keeps no secret, so that a run can be run again.
         """
-        self.lease: Lease | None = None
+        self.held: HeldLease | None = None
         self.given = 0
         self._duration_ns = duration_ns
         self._random = random
@@ -60,53 +60,53 @@ class LeaseDesk:
         """The leases that ended last, and why."""
         return list(self._ended)
 
-    def recall(self, given: int, ended: list[tuple[int, Reason]]) -> None:
+    def restore(self, given: int, ended: list[tuple[int, Reason]]) -> None:
         """A new desk goes on as one that has given and ended these; nobody holds a lease."""
         for _ in range(given - self.given):
             self._next_id()
         self._ended.extend(ended)
 
-    def acquire(self, operator: str, role: Role, now_ns: int) -> Lease | Reason:
+    def acquire(self, operator: str, role: Role, now_ns: int) -> HeldLease | Reason:
         """Give the lease, if nobody holds it."""
-        return Reason.LEASE_HELD if self.lease is not None else self._give(operator, role, now_ns)
+        return Reason.LEASE_HELD if self.held is not None else self._give(operator, role, now_ns)
 
-    def take(self, operator: str, role: Role, now_ns: int) -> Lease | Reason:
+    def take(self, operator: str, role: Role, now_ns: int) -> HeldLease | Reason:
         """Give the lease to someone of a higher or equal role than its holder's."""
-        if self.lease is not None:
-            if role.rank < self.lease.role.rank:
+        if self.held is not None:
+            if role.rank < self.held.role.rank:
                 return Reason.ROLE_TOO_LOW
             self.end(Reason.LEASE_TAKEN)
         return self._give(operator, role, now_ns)
 
     def refusal(self, lease_id: int, operator: str) -> Reason | None:
         """Why this lease of this operator is not the one in force, or None if it is."""
-        lease = self.lease
+        lease = self.held
         if lease is not None and lease.id == lease_id and lease.operator == operator:
             return None
         return dict(self._ended).get(lease_id, Reason.NO_LEASE)
 
     def renew(self, now_ns: int) -> None:
         """The holder has been heard."""
-        if self.lease is not None:
-            self.lease = msgspec.structs.replace(self.lease, expires_ns=now_ns + self._duration_ns)
+        if self.held is not None:
+            self.held = msgspec.structs.replace(self.held, expires_ns=now_ns + self._duration_ns)
 
     def end(self, reason: Reason) -> None:
         """End the lease, if there is one."""
-        if self.lease is not None:
-            self._ended.append((self.lease.id, reason))
-            self.lease = None
+        if self.held is not None:
+            self._ended.append((self.held.id, reason))
+            self.held = None
 
-    def expire(self, now_ns: int) -> Lease | None:
+    def expire(self, now_ns: int) -> HeldLease | None:
         """End the lease if its time is over; returns it then."""
-        lease = self.lease
+        lease = self.held
         if lease is None or now_ns < lease.expires_ns:
             return None
         self.end(Reason.LEASE_EXPIRED)
         return lease
 
-    def _give(self, operator: str, role: Role, now_ns: int) -> Lease:
-        self.lease = Lease(self._next_id(), operator, role, now_ns + self._duration_ns)
-        return self.lease
+    def _give(self, operator: str, role: Role, now_ns: int) -> HeldLease:
+        self.held = HeldLease(self._next_id(), operator, role, now_ns + self._duration_ns)
+        return self.held
 
     def _next_id(self) -> int:
         self.given += 1

@@ -11,8 +11,8 @@ from schemas.requests import Drive
 from schemas.settings import WHEELBASE_M, CommandSettings
 
 
-class Limits(msgspec.Struct, frozen=True):
-    """Limits of motion. They can be lowered at run time, never raised."""
+class MotionLimits(msgspec.Struct, frozen=True):
+    """MotionLimits of motion. They can be lowered at run time, never raised."""
 
     speed_mps: float
     acceleration_mps2: float
@@ -35,7 +35,7 @@ class Limits(msgspec.Struct, frozen=True):
             lateral_acceleration_mps2=settings.lateral_acceleration_mps2,
         )
 
-    def lowered(self, speed_mps: float | None) -> Limits:
+    def lowered(self, speed_mps: float | None) -> MotionLimits:
         """The same with this speed limit, if it is a lower one."""
         if speed_mps is None or speed_mps >= self.speed_mps:
             return self

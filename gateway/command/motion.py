@@ -8,7 +8,7 @@ from typing import Final
 import msgspec
 
 from gateway.command.actuation import Actuation
-from gateway.command.limits import Limits
+from gateway.command.limits import MotionLimits
 from schemas.decisions import Bound
 from schemas.messages import GearPosition, ParkingStatus
 from schemas.settings import AUTO_HOLD_NS, SHIFT_TICKS, TICK_NS
@@ -23,7 +23,7 @@ class Target(msgspec.Struct, frozen=True):
     angle_deg: float = 0.0
 
 
-class Surroundings(msgspec.Struct, frozen=True):
+class MotionConstraints(msgspec.Struct, frozen=True):
     """What besides the limits bounds the motion in a tick.
 
     Attributes:
@@ -44,7 +44,7 @@ class Surroundings(msgspec.Struct, frozen=True):
     backward: bool = True
 
 
-class Motion:
+class MotionProfile:
     """What the chassis is being told, tick by tick.
 
     The robot never stands in neutral unbraked: in gear the motor holds it, and the gear is changed behind the
@@ -67,17 +67,17 @@ class Motion:
         self._stood_ticks = 0
         self._gear_ticks = SHIFT_TICKS
 
-    def __copy__(self) -> Motion:
+    def __copy__(self) -> MotionProfile:
         # Taken in every tick; copy's own way costs ten times as much.
-        other = object.__new__(Motion)
+        other = object.__new__(MotionProfile)
         other.__dict__.update(self.__dict__)
         return other
 
     def tick(
         self,
         target: Target,
-        limits: Limits,
-        surroundings: Surroundings,
+        limits: MotionLimits,
+        constraints: MotionConstraints,
         dt_s: float,
         elapsed_s: float | None = None,
     ) -> Actuation:
@@ -86,19 +86,19 @@ class Motion:
         Args:
             target: what is asked.
             limits: those in force.
-            surroundings: what else bounds it.
+            constraints: what else bounds it.
             dt_s: a tick.
             elapsed_s: time since the last one, if it is late: the speed falls by that, and rises by a tick alone.
         """
         self.bounds = []
         angle_deg = self._within(target.angle_deg, limits.steering_deg, Bound.STEERING)
-        speed_mps = self._wanted_speed(target.speed_mps, angle_deg, limits, surroundings)
-        self._stood_ticks = self._stood_ticks + 1 if surroundings.stands and not self.speed_mps else 0
+        speed_mps = self._wanted_speed(target.speed_mps, angle_deg, limits, constraints)
+        self._stood_ticks = self._stood_ticks + 1 if constraints.stands and not self.speed_mps else 0
         self._gear_ticks += 1
-        speed_mps = self._drive_off(speed_mps, surroundings) if speed_mps else self._stand(surroundings)
+        speed_mps = self._drive_off(speed_mps, constraints) if speed_mps else self._stand(constraints)
         self._step_speed(speed_mps, limits, dt_s, dt_s if elapsed_s is None else elapsed_s)
         # While the speed is still on its way down to what the angle allows, the steering waits for it.
-        fastest_mps = max(abs(self.speed_mps), surroundings.speed_mps)
+        fastest_mps = max(abs(self.speed_mps), constraints.speed_mps)
         angle_deg = self._within(angle_deg, limits.angle_at(fastest_mps), Bound.LATERAL_ACCELERATION)
         self._step_angle(angle_deg, limits, dt_s)
         return Actuation(
@@ -110,57 +110,57 @@ class Motion:
         )
 
     def _wanted_speed(
-        self, speed_mps: float, angle_deg: float, limits: Limits, surroundings: Surroundings
+        self, speed_mps: float, angle_deg: float, limits: MotionLimits, constraints: MotionConstraints
     ) -> float:
         """The target speed within the limits that do not depend on the way there."""
-        if (speed_mps > 0 and not surroundings.forward) or (speed_mps < 0 and not surroundings.backward):
+        if (speed_mps > 0 and not constraints.forward) or (speed_mps < 0 and not constraints.backward):
             self._bound(Bound.BUMPER)
             return 0.0
-        if surroundings.parked and speed_mps:
+        if constraints.parked and speed_mps:
             self._bound(Bound.PARKING)
             return 0.0
         speed_mps = self._within(speed_mps, limits.speed_mps, Bound.SPEED)
         # The wheels may still be turned further than they shall be.
-        furthest_deg = max(abs(angle_deg), abs(self.angle_deg), abs(surroundings.angle_deg))
+        furthest_deg = max(abs(angle_deg), abs(self.angle_deg), abs(constraints.angle_deg))
         return self._within(speed_mps, limits.speed_at(furthest_deg), Bound.LATERAL_ACCELERATION)
 
-    def _stand(self, surroundings: Surroundings) -> float:
+    def _stand(self, constraints: MotionConstraints) -> float:
         """Go to zero speed in gear; the parking brake follows when it is asked for, or the robot has stood."""
-        if surroundings.parked or self._stood_ticks > AUTO_HOLD_TICKS:
+        if constraints.parked or self._stood_ticks > AUTO_HOLD_TICKS:
             self.parking = True
         if self.parking:
             self.speed_mps = 0.0
         return 0.0
 
-    def _drive_off(self, speed_mps: float, surroundings: Surroundings) -> float:
+    def _drive_off(self, speed_mps: float, constraints: MotionConstraints) -> float:
         """The speed to go to now: zero until the gear of that direction is in and the brake is released."""
         wanted = GearPosition.DRIVE if speed_mps > 0 else GearPosition.REVERSE
         if self.gear is not wanted:
             self._bound(Bound.GEAR if self.gear is GearPosition.NEUTRAL else Bound.REVERSAL)
-            self._shift(wanted, surroundings)
+            self._shift(wanted, constraints)
             return 0.0
         if self.parking:
             self._bound(Bound.PARKING)
             self.parking = self._gear_ticks < SHIFT_TICKS
             return 0.0
-        if surroundings.brake is not ParkingStatus.RELEASED:
+        if constraints.brake is not ParkingStatus.RELEASED:
             self._bound(Bound.PARKING)
             return 0.0
-        if surroundings.gear is not self.gear:
+        if constraints.gear is not self.gear:
             self._bound(Bound.GEAR)
             return 0.0
         return speed_mps
 
-    def _shift(self, wanted: GearPosition, surroundings: Surroundings) -> None:
+    def _shift(self, wanted: GearPosition, constraints: MotionConstraints) -> None:
         """One step on the way to another gear: standstill, parking brake, neutral, gear."""
         if not self.parking:
-            self.parking = self.speed_mps == 0 and surroundings.stands
+            self.parking = self.speed_mps == 0 and constraints.stands
             self._gear_ticks = 0
-        elif surroundings.brake is ParkingStatus.APPLIED and self._gear_ticks >= SHIFT_TICKS:
+        elif constraints.brake is ParkingStatus.APPLIED and self._gear_ticks >= SHIFT_TICKS:
             self.gear = wanted if self.gear is GearPosition.NEUTRAL else GearPosition.NEUTRAL
             self._gear_ticks = 0
 
-    def _step_speed(self, speed_mps: float, limits: Limits, dt_s: float, elapsed_s: float) -> None:
+    def _step_speed(self, speed_mps: float, limits: MotionLimits, dt_s: float, elapsed_s: float) -> None:
         before_mps = self.speed_mps
         if abs(speed_mps) > abs(before_mps):
             bound, most_mps = Bound.ACCELERATION, limits.acceleration_mps2 * dt_s
@@ -173,7 +173,7 @@ class Motion:
         else:
             self.speed_mps = speed_mps
 
-    def _step_angle(self, angle_deg: float, limits: Limits, dt_s: float) -> None:
+    def _step_angle(self, angle_deg: float, limits: MotionLimits, dt_s: float) -> None:
         most_deg = limits.steering_rate_degps * dt_s
         change_deg = angle_deg - self.angle_deg
         if abs(change_deg) > most_deg:

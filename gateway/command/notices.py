@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from gateway.command.observed import Observed
+from gateway.command.chassis_state import ChassisState
 from schemas.decisions import GUARD_STOP_ENDED, EventKind, Severity
 from schemas.messages import ControllerState
 from schemas.reasons import TEXTS, Reason
@@ -41,28 +41,28 @@ class Notices:
         self._is_realtime = False
         self._commander_ns: int | None = None
 
-    def look(self, observed: Observed, now_ns: int, late_ns: int) -> Iterator[Notice]:
+    def look(self, chassis: ChassisState, now_ns: int, late_ns: int) -> Iterator[Notice]:
         """What is new at this tick, which began so late."""
         if late_ns > LATE_NS and now_ns - self._late_told_ns >= LATE_TOLD_NS:
             self._late_told_ns = now_ns
             yield Notice(Severity.WARNING, Reason.LOOP_LATE, f"the loop was {late_ns / 1e6:.0f} ms late")
-        before, self._controller = self._controller, observed.controller
+        before, self._controller = self._controller, chassis.controller
         if self._controller is not before:
             yield Notice(
                 _GRAVITY.get(self._controller, Severity.INFO),
                 Reason.BUS_OFF if self._controller is ControllerState.BUS_OFF else Reason.BUS_ERRORS,
                 f"the CAN controller: {before.value} before, {self._controller.value} now",
             )
-        heard_ns, last_ns = observed.commander_ns, self._commander_ns
+        heard_ns, last_ns = chassis.commander_ns, self._commander_ns
         if heard_ns is not None:
             self._commander_ns = heard_ns
             if last_ns is None or heard_ns - last_ns > COMMANDER_QUIET_NS:
                 yield Notice(Severity.WARNING, Reason.OTHER_COMMANDER, TEXTS[Reason.OTHER_COMMANDER].means)
-        was_realtime, self._is_realtime = self._is_realtime, observed.realtime
-        if was_realtime and not observed.realtime:
+        was_realtime, self._is_realtime = self._is_realtime, chassis.realtime
+        if was_realtime and not chassis.realtime:
             yield Notice(Severity.WARNING, Reason.NO_REALTIME, TEXTS[Reason.NO_REALTIME].means)
-        if not observed.guard_sends and observed.guard_says != self._guard_says:
-            self._guard_says = observed.guard_says
-            if observed.guard_says:
-                text = f"{GUARD_STOP_ENDED}{observed.guard_says}"
+        if not chassis.guard_sends and chassis.guard_says != self._guard_says:
+            self._guard_says = chassis.guard_says
+            if chassis.guard_says:
+                text = f"{GUARD_STOP_ENDED}{chassis.guard_says}"
                 yield Notice(Severity.WARNING, Reason.GUARD, text, EventKind.GUARD)

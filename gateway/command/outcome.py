@@ -6,7 +6,7 @@ import msgspec
 
 from gateway.command.actuation import Actuation
 from gateway.command.auxiliary import AuxiliaryFrame
-from gateway.command.request import Answer, Judged
+from gateway.command.request import Judged, VerbAnswer
 from schemas.decisions import EventKind, Severity
 from schemas.reasons import Reason
 
@@ -21,7 +21,7 @@ class Event(msgspec.Struct, frozen=True):
     operator: str = ""
 
 
-class Outcome(msgspec.Struct, frozen=True):
+class TickOutcome(msgspec.Struct, frozen=True):
     """What a tick came to.
 
     Attributes:
@@ -34,5 +34,5 @@ class Outcome(msgspec.Struct, frozen=True):
     actuation: Actuation | None
     auxiliary: list[AuxiliaryFrame]
     judged: list[Judged]
-    answers: list[Answer]
+    answers: list[VerbAnswer]
     events: list[Event]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Final
 
 from gateway.command.actuation import Actuation
-from gateway.command.observed import Observed
+from gateway.command.chassis_state import ChassisState
 from schemas.reasons import Reason
 from schemas.settings import (
     CREEPING_NS,
@@ -104,28 +104,28 @@ class Plausibility:
         self.details: dict[Reason, str] = {}
         self._envelope = Envelope(speed_mps, angle_deg)
         self._since_ns: dict[str, int] = {}
-        self._observed_ns: int | None = None
+        self._checked_ns: int | None = None
 
-    def observe(self, observed: Observed, told: Actuation, limit_mps: float, now_ns: int) -> list[Reason]:
+    def check(self, chassis: ChassisState, told: Actuation, limit_mps: float, now_ns: int) -> list[Reason]:
         """What has not been plausible for too long.
 
         Args:
-            observed: the chassis now.
+            chassis: the chassis now.
             told: what it was last told.
             limit_mps: the speed limit in force.
             now_ns: monotonic.
         """
-        elapsed_s = 0.0 if self._observed_ns is None else (now_ns - self._observed_ns) / 1e9
-        self._observed_ns = now_ns
+        elapsed_s = 0.0 if self._checked_ns is None else (now_ns - self._checked_ns) / 1e9
+        self._checked_ns = now_ns
         self._envelope.follow(told, elapsed_s)
-        self._count_way(observed, elapsed_s)
+        self._count_way(chassis, elapsed_s)
         frozen = f"for {self._driven_m:.1f} m" if self._driven_m > FROZEN_BODY_M else ""
         found = (
-            ("speeds", Reason.IMPLAUSIBLE_SPEED, IMPLAUSIBLE_NS, self._misfit(observed)),
-            ("rolls", Reason.ROLLING, ROLLING_NS, self._rolling(observed, told, ROLLING_MPS)),
-            ("creeps", Reason.ROLLING, CREEPING_NS, self._rolling(observed, told, STANDSTILL_MPS)),
-            ("overspeed", Reason.OVERSPEED, OVERSPEED_NS, self._overspeed(observed, limit_mps)),
-            ("steering", Reason.STEERING, STEERING_DEVIATION_NS, self._deviation(observed)),
+            ("speeds", Reason.IMPLAUSIBLE_SPEED, IMPLAUSIBLE_NS, self._misfit(chassis)),
+            ("rolls", Reason.ROLLING, ROLLING_NS, self._rolling(chassis, told, ROLLING_MPS)),
+            ("creeps", Reason.ROLLING, CREEPING_NS, self._rolling(chassis, told, STANDSTILL_MPS)),
+            ("overspeed", Reason.OVERSPEED, OVERSPEED_NS, self._overspeed(chassis, limit_mps)),
+            ("steering", Reason.STEERING, STEERING_DEVIATION_NS, self._deviation(chassis)),
             ("frozen", Reason.FEEDBACK_FROZEN, 0, frozen),
         )
         lasting = [
@@ -143,8 +143,8 @@ class Plausibility:
         self.details[reason] = detail
         return now_ns - self._since_ns.setdefault(check, now_ns)
 
-    def _misfit(self, observed: Observed) -> str:
-        wheel_mps, drive_mps = observed.wheel_speed_mps, observed.speed_mps
+    def _misfit(self, chassis: ChassisState) -> str:
+        wheel_mps, drive_mps = chassis.wheel_speed_mps, chassis.speed_mps
         if wheel_mps is None or drive_mps is None:
             return ""  # Missing feedback is a cause of its own.
         envelope = self._envelope
@@ -158,41 +158,41 @@ class Plausibility:
             return f"the wheels turn at {wheel_mps:.2f} m/s, the drive feedback says {drive_mps:.2f} m/s{fit}"
         return ""
 
-    def _rolling(self, observed: Observed, told: Actuation, bound_mps: float) -> str:
+    def _rolling(self, chassis: ChassisState, told: Actuation, bound_mps: float) -> str:
         """Moves a way that is not commanded, faster than the bound beyond what is left of a ramp."""
-        told_mps, wheels_mps = told.signed_speed_mps, observed.wheel_speed_mps or 0.0
+        told_mps, wheels_mps = told.signed_speed_mps, chassis.wheel_speed_mps or 0.0
         left_mps = {1: self._envelope.forward_mps, -1: self._envelope.backward_mps}
         for sign, way in ((1, "forward"), (-1, "backward")):
             if told_mps * sign > 0:
                 continue
             if wheels_mps * sign > left_mps[sign] + bound_mps:
                 return f"{way} at {abs(wheels_mps):.2f} m/s by the wheels"
-            if observed.pulses == sign and left_mps[sign] < STANDSTILL_MPS:
+            if chassis.pulses == sign and left_mps[sign] < STANDSTILL_MPS:
                 return f"{way} by the wheel pulses"
-        fastest_mps = observed.fastest_mps or 0.0
+        fastest_mps = chassis.fastest_mps or 0.0
         if not told_mps and fastest_mps > max(left_mps.values()) + bound_mps:
             return f"at {fastest_mps:.2f} m/s"
         return ""
 
-    def _overspeed(self, observed: Observed, limit_mps: float) -> str:
+    def _overspeed(self, chassis: ChassisState, limit_mps: float) -> str:
         """Over the limit; one that has just been lowered has to be reached first."""
-        speeds = (observed.speed_mps or 0.0, abs(observed.wheel_speed_mps or 0.0))
+        speeds = (chassis.speed_mps or 0.0, abs(chassis.wheel_speed_mps or 0.0))
         bound_mps = max(limit_mps, self._envelope.forward_mps, self._envelope.backward_mps)
         if max(speeds) < bound_mps + OVERSPEED_MPS - _HAIR:
             return ""
         return f"{max(speeds):.2f} m/s, the limit is {limit_mps:.2f} m/s"
 
-    def _deviation(self, observed: Observed) -> str:
-        angle_deg = observed.angle_deg
+    def _deviation(self, chassis: ChassisState) -> str:
+        angle_deg = chassis.angle_deg
         if angle_deg is None:
             return ""
         envelope = self._envelope
         off_deg = max(angle_deg - envelope.left_deg, envelope.right_deg - angle_deg)
         return f"off by {off_deg:.1f} deg, at {angle_deg:.1f} deg" if off_deg > STEERING_DEVIATION_DEG else ""
 
-    def _count_way(self, observed: Observed, elapsed_s: float) -> None:
+    def _count_way(self, chassis: ChassisState, elapsed_s: float) -> None:
         """How far the robot has driven, at the least, since the mileage has changed."""
-        if observed.total_mileage_km != self._mileage_km or observed.total_mileage_km is None:
-            self._mileage_km = observed.total_mileage_km
+        if chassis.total_mileage_km != self._mileage_km or chassis.total_mileage_km is None:
+            self._mileage_km = chassis.total_mileage_km
             self._driven_m = 0.0
-        self._driven_m += observed.seen_mps * elapsed_s
+        self._driven_m += chassis.slowest_mps * elapsed_s

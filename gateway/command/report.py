@@ -7,10 +7,8 @@ from typing import Final
 from gateway.command.actuation import AT_REST
 from gateway.command.arbiter import Arbiter
 from gateway.command.causes import BUMPERS
-from gateway.command.link_age import LinkAge
 from gateway.command.outcome import Event
-from gateway.command.request import Answer, Judged
-from gateway.command.verbs import engage_blockers
+from gateway.command.request import Judged, VerbAnswer
 from schemas.decisions import (
     COMMANDING,
     ArbiterState,
@@ -46,7 +44,7 @@ class Reporter:
         self.state_due_ns = 0
         self._said: tuple[object, ...] = ()
 
-    def recall(self, sequences: dict[str, int], state_due_ns: int, now_ns: int) -> None:
+    def restore(self, sequences: dict[str, int], state_due_ns: int, now_ns: int) -> None:
         """Goes on as one that has said so much, and lastly what the arbiter is now."""
         self.sequences = dict(sequences)
         self.state_due_ns = state_due_ns
@@ -56,19 +54,19 @@ class Reporter:
         """The arbiter's state, if it is due or something has changed. Only then is the challenge published."""
         arbiter = self._arbiter
         blocked_by = self._blocked_by(now_ns)
-        lease = arbiter.desk.lease
+        lease = arbiter.leases.held
         says = self._says(blocked_by)
         if now_ns < self.state_due_ns and says == self._said:
             return None
         self._said = says
         engaged = arbiter.state is ArbiterState.ENGAGED
         self.state_due_ns = now_ns + (SAFETY_STATE_ENGAGED_PERIOD_NS if engaged else SAFETY_STATE_PERIOD_NS)
-        arbiter.challenges.publish(challenge, now_ns)
-        limits = arbiter.limits if arbiter.state in COMMANDING else arbiter.configured_limits
-        told = arbiter.actuation
+        arbiter.link.challenges.publish(challenge, now_ns)
+        limits = arbiter.setpoint.limits if arbiter.state in COMMANDING else arbiter.setpoint.configured_limits
+        told = arbiter.output.actuation
         output = told or AT_REST
         # Without a holder there is no link; what is left of the last one's would not be at rest.
-        link = arbiter.link if lease is not None else LinkAge(arbiter.settings)
+        link = arbiter.link.age if lease is not None else arbiter.link.unused_age()
         ages, delay_s, travel_limit_mps = link.ages(now_ns), link.delay_s(now_ns), link.speed_limit_mps(now_ns)
         return SafetyState(
             time_ns=wall_ns,
@@ -76,14 +74,14 @@ class Reporter:
             tick=arbiter.tick_number,
             state=arbiter.state,
             engaged=engaged,
-            stop_reason=arbiter.stop_reason,
-            stop_phase=arbiter.stop_phase,
+            stop_reason=arbiter.engagement.stop_reason,
+            stop_phase=arbiter.output.stop_phase,
             lease_holder=lease.operator if lease is not None else "",
             lease_role=lease.role if lease is not None else Role.PROGRAM,
             lease_expires_s=round((lease.expires_ns - now_ns) / _NS_PER_S, 3) if lease is not None else 0.0,
-            latched=list(arbiter.latched),
+            latched=list(arbiter.latches.details),
             blocked_by=blocked_by,
-            guarded=arbiter.watch.observed.guarded,
+            guarded=arbiter.monitor.chassis.guarded,
             speed_limit_mps=limits.speed_mps,
             acceleration_limit_mps2=limits.acceleration_mps2,
             deceleration_limit_mps2=limits.deceleration_mps2,
@@ -91,8 +89,8 @@ class Reporter:
             steering_limit_deg=limits.steering_deg,
             steering_rate_limit_degps=limits.steering_rate_degps,
             lateral_acceleration_limit_mps2=limits.lateral_acceleration_mps2,
-            target_speed_mps=arbiter.target.speed_mps,
-            target_angle_deg=arbiter.target.angle_deg,
+            target_speed_mps=arbiter.setpoint.target.speed_mps,
+            target_angle_deg=arbiter.setpoint.target.angle_deg,
             output_speed_mps=output.signed_speed_mps,
             output_angle_deg=output.angle_deg,
             output_gear=told.gear if told is not None else GearPosition.UNDEFINED,
@@ -107,13 +105,13 @@ class Reporter:
             travel_speed_limit_mps=None if travel_limit_mps is None else round(travel_limit_mps, 3),
             deadman_s=link.deadman_ns / _NS_PER_S,
             accepted_seq=link.accepted_seq,
-            stop_detail=arbiter.stop_detail,
+            stop_detail=arbiter.engagement.stop_detail,
         )
 
     def decision(self, judged: Judged, bounds: list[Bound], frames_sent: int, wall_ns: int) -> Decision:
         """What became of a request, once it is known what was sent in its tick."""
         ruling = judged.ruling
-        output = self._arbiter.actuation or AT_REST
+        output = self._arbiter.output.actuation or AT_REST
         accepted = ruling.reason is Reason.NONE
         asked = ruling.asked
         return Decision(
@@ -152,15 +150,15 @@ class Reporter:
     def _says(self, blocked_by: list[Reason]) -> tuple[object, ...]:
         """What is told at once when it changes."""
         arbiter = self._arbiter
-        lease = arbiter.desk.lease
+        lease = arbiter.leases.held
         return (
             arbiter.state,
-            arbiter.stop_phase,
-            arbiter.stop_reason,
+            arbiter.output.stop_phase,
+            arbiter.engagement.stop_reason,
             lease.id if lease is not None else None,
-            tuple(arbiter.latched),
+            tuple(arbiter.latches.details),
             tuple(blocked_by),
-            arbiter.actuation is None or arbiter.actuation.parking,
+            arbiter.output.actuation is None or arbiter.output.actuation.parking,
         )
 
     def _blocked_by(self, now_ns: int) -> list[Reason]:
@@ -168,16 +166,18 @@ class Reporter:
         arbiter = self._arbiter
         match arbiter.state:
             case ArbiterState.STANDBY:
-                first = [Reason.NO_LEASE] if arbiter.desk.lease is None else []
-                return [*first, *engage_blockers(arbiter, now_ns), Reason.NOT_ENGAGED]
+                first = [Reason.NO_LEASE] if arbiter.leases.held is None else []
+                return [*first, *arbiter.engagement.blockers(now_ns), Reason.NOT_ENGAGED]
             case ArbiterState.STOPPING:
-                return [*dict.fromkeys([*arbiter.latched, arbiter.stop_reason, Reason.STOPPING])]
+                return [
+                    *dict.fromkeys([*arbiter.latches.details, arbiter.engagement.stop_reason, Reason.STOPPING])
+                ]
             case ArbiterState.ENGAGING:
                 return [Reason.ENGAGING]
             case _:
-                pressed = [bumper for bumper in BUMPERS if bumper in arbiter.watch.pressed]
-                parked = [Reason.PARKED] if arbiter.parked else []
-                shifting = not arbiter.parked and not _SHIFTING.isdisjoint(arbiter.motion.bounds)
+                pressed = [bumper for bumper in BUMPERS if bumper in arbiter.monitor.pressed]
+                parked = [Reason.PARKED] if arbiter.setpoint.parked else []
+                shifting = not arbiter.setpoint.parked and not _SHIFTING.isdisjoint(arbiter.output.motion.bounds)
                 return [*pressed, *parked, *([Reason.GEAR_SHIFTING] if shifting else [])]
 
     def _next(self, kind: type) -> int:
@@ -186,7 +186,7 @@ class Reporter:
         return sequence
 
 
-def reply(answer: Answer) -> Reply:
+def reply(answer: VerbAnswer) -> Reply:
     """The typed reply to a verb; an unknown verb gets the plainest one."""
     ruling = answer.ruling
     command = BY_VERB.get(answer.verb)

@@ -69,7 +69,7 @@ class Judged(msgspec.Struct, frozen=True):
     ruling: Ruling
 
 
-class Answer(msgspec.Struct, frozen=True):
+class VerbAnswer(msgspec.Struct, frozen=True):
     """A ruling that goes back to who waits for it."""
 
     handle: int

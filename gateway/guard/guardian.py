@@ -6,7 +6,7 @@ from typing import Final
 
 from gateway.chassis.frame import Frame
 from gateway.guard.beat import Beat, Cause, GuardStatus, Outcome
-from gateway.guard.sight import Sight
+from gateway.guard.chassis_view import ChassisView
 from gateway.guard.stopper import NOT_OBEYED, REMOTE, STANDS, UNSEEN, Stopper
 from schemas.messages import Mode
 from schemas.settings import (
@@ -37,7 +37,7 @@ class Guardian:
     """
 
     def __init__(self, settings: CommandSettings) -> None:
-        self.sight = Sight()
+        self.sight = ChassisView()
         self.is_ended = False
         self.is_sending = False
         self.stops = 0

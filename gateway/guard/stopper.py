@@ -13,10 +13,10 @@ from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.auxiliary import AuxiliaryFrame
 from gateway.command.frames import COUNTER_MODULO, MOTION_FRAMES, FrameMaker
 from gateway.command.gate import Gate
-from gateway.command.limits import Limits
+from gateway.command.limits import MotionLimits
 from gateway.command.stop import StopFeedback, StopSequence
 from gateway.guard.beat import Outcome
-from gateway.guard.sight import Sight
+from gateway.guard.chassis_view import ChassisView
 from schemas.decisions import StopPhase
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.settings import GUARD_LOOK_NS, GUARD_SILENT_NS, OFF_BURSTS, TICK_NS, CommandSettings
@@ -59,9 +59,9 @@ class Stopper:
         outcome: how it ended, in words; empty before.
     """
 
-    def __init__(self, sight: Sight, settings: CommandSettings) -> None:
+    def __init__(self, sight: ChassisView, settings: CommandSettings) -> None:
         self._sight = sight
-        self._deceleration_mps2 = Limits.of(settings).emergency_deceleration_mps2
+        self._deceleration_mps2 = MotionLimits.of(settings).emergency_deceleration_mps2
         self._maker = FrameMaker()
         self._gate = Gate()
         self._sequence: StopSequence | None = None

@@ -129,10 +129,10 @@ class GuardProcess:
         arbiter = command.arbiter
         self.tell(
             now_ns,
-            arbiter.variant,
-            arbiter.actuation,
+            arbiter.output.variant,
+            arbiter.output.actuation,
             command.maker.counters,
-            told_ns=arbiter.told_ns,
+            told_ns=arbiter.output.told_ns,
             left=arbiter.handover.left,
             is_mute=command.is_mute,
         )

@@ -8,8 +8,8 @@ from typing import Final, Protocol
 
 from gateway.chassis.frame import Frame
 from gateway.guard.beat import Beat, GuardStatus
+from gateway.guard.chassis_view import ChassisView
 from gateway.guard.guardian import Guardian
-from gateway.guard.sight import Sight
 from gateway.guard.stopper import Stopper
 from schemas.settings import GUARD_GIVES_UP_NS, GUARD_POLL_NS, GUARD_SILENT_NS
 
@@ -92,7 +92,7 @@ def _skip_what_waits(bus: GuardBus) -> None:
             return
 
 
-def stop_alone(bus: GuardBus, stopper: Stopper, sight: Sight, is_relieved: Callable[[], bool]) -> str:
+def stop_alone(bus: GuardBus, stopper: Stopper, sight: ChassisView, is_relieved: Callable[[], bool]) -> str:
     """Bring the robot to rest with a stop that has begun, from the process that drove it. Returns how it ended.
 
     Args:

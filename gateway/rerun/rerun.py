@@ -11,7 +11,7 @@ import msgspec
 
 from gateway.chassis.frame import Frame
 from gateway.command.request import RawRequest
-from gateway.command.rest import Rest
+from gateway.command.snapshot import Snapshot
 from gateway.core import Core, Due
 from gateway.journal import LINKS, BrokenJournalError, Input, follow, inputs_of
 from gateway.telemetry.health import Links
@@ -46,13 +46,13 @@ class Run(msgspec.Struct, frozen=True):
         """A core as it was when the run, or the part, began."""
         core = Core(settings, "", self.begins_ns, self.run)
         if self.warm_up:
-            *before, (_, now_ns, rest, controller, *told) = self.warm_up
+            *before, (_, now_ns, kept, controller, *told) = self.warm_up
             core.look_from(_as_links(told), ControllerState(controller))
             for one in before:
                 # Nobody asked anything then.
                 if one[0] in {Kind.FRAME, Kind.TICK, Kind.SENT}:
                     give(core, one)
-            core.recall(msgspec.convert(rest, Rest), now_ns)
+            core.restore(msgspec.convert(kept, Snapshot), now_ns)
         return core
 
 
@@ -155,7 +155,7 @@ def _request(core: Core, now_ns: int, *request: Any) -> list[Sample]:  # noqa: A
 
 
 def _links(core: Core, now_ns: int, *told: Any) -> list[Sample]:  # noqa: ANN401 - as the journal holds them
-    core.observe_links(_as_links(told), now_ns)
+    core.update_links(_as_links(told), now_ns)
     return []
 
 

@@ -15,7 +15,7 @@ from typing import Final
 import msgspec
 
 from gateway.chassis.frame import Frame
-from gateway.command.lease import Lease
+from gateway.command.lease import HeldLease
 from gateway.core import Core, Due
 from gateway.journal import Input
 from gateway.rerun.rerun import give, run_of
@@ -185,8 +185,8 @@ class _Echo:
         return (kind, now_ns, handle, verb, operator, encoded, size + len(encoded) - len(payload), *fault)
 
 
-def _lease(core: Core) -> Lease | None:
-    return None if core.command is None else core.command.arbiter.desk.lease
+def _lease(core: Core) -> HeldLease | None:
+    return None if core.command is None else core.command.arbiter.leases.held
 
 
 class _State(msgspec.Struct):

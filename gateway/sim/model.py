@@ -33,7 +33,7 @@ _GEARS: Final = {gear.value: gear for gear in (GearPosition.DRIVE, GearPosition.
 _OTHER: Final = {Variant.COARSE: Variant.FINE, Variant.FINE: Variant.COARSE}
 
 
-class ChassisState(msgspec.Struct, frozen=True):
+class SimulatedState(msgspec.Struct, frozen=True):
     """How the chassis really is, whatever its frames say. For tests and demonstrations.
 
     Attributes:
@@ -148,10 +148,10 @@ class VirtualChassis:
         return frames
 
     @property
-    def state(self) -> ChassisState:
+    def state(self) -> SimulatedState:
         """How the chassis really is."""
         motion = self._motion
-        return ChassisState(
+        return SimulatedState(
             mode=self._mode,
             variant=self._layout.variant,
             gear_position=self._gear_position,

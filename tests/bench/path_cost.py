@@ -81,7 +81,7 @@ def measure(rounds: int = ROUNDS) -> PathCost:
         assert isinstance(database, Database)
 
         core = Core(settings, "bench", 0)
-        core.observe_links(Links(bus_up=True), 0)
+        core.update_links(Links(bus_up=True), 0)
         begin_ns = itertools.count(0, 1_000_000_000 * SECONDS_OF_FRAMES)
 
         def path() -> None:

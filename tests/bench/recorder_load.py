@@ -109,7 +109,7 @@ def make_script() -> Script:
     """Have the gateway's core say what it says of a chassis that somebody drives by hand."""
     subjects = [name for name in BY_NAME if BY_NAME[name].pattern is Pattern.PUBLISHED]
     core = Core(Settings(chassis=ChassisSettings(variant="coarse")), "bench", 0)
-    core.observe_links(Links(bus_up=True), 0)
+    core.update_links(Links(bus_up=True), 0)
     frames = deque(_frames())
     slots = []
     for now_ns in range(0, SLOTS * TICK_NS, TICK_NS):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.command.gate import Motion, motion_fault, step_fault
+from gateway.command.gate import MotionBurst, motion_fault, step_fault
 from schemas.messages import Variant
 from tests.support.bus_rules import DRIVE, STEERING
 from tests.support.gate_domain import (
@@ -76,10 +76,10 @@ def test_a_stop_in_place_after_every_speed_and_angle(variant: Variant) -> None:
     """2 gears x 1,093 angles x every speed."""
     for gear in (R, D):
         for angle in ANGLES:
-            stop = Motion(5, gear, angle, speed_raw=0, pedal_raw=0, parking=1)
+            stop = MotionBurst(5, gear, angle, speed_raw=0, pedal_raw=0, parking=1)
             assert not motion_fault(stop, variant)
             for speed in SPEEDS[variant]:
-                before = Motion(5, gear, angle, speed, pedal_raw=0, parking=0)
+                before = MotionBurst(5, gear, angle, speed, pedal_raw=0, parking=0)
                 assert not step_fault(stop, before, variant, stopping=True), before
 
 

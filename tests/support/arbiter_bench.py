@@ -3,8 +3,8 @@
 import msgspec
 
 from gateway.command.arbiter import Arbiter
-from gateway.command.observed import Observed
-from gateway.command.outcome import Event, Outcome
+from gateway.command.chassis_state import ChassisState
+from gateway.command.outcome import Event, TickOutcome
 from gateway.command.request import RawRequest, Ruling
 from schemas.decisions import EventKind
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
@@ -12,7 +12,7 @@ from schemas.requests import CHALLENGE_BYTES
 from schemas.settings import CommandSettings, GatewaySettings, Settings
 
 MS = 1_000_000
-STANDING = Observed(
+STANDING = ChassisState(
     bus_up=True,
     variant=Variant.COARSE,
     confirmed=True,
@@ -41,7 +41,7 @@ class Bench:
     """Time, requests, and what the chassis shows.
 
     Attributes:
-        changes: what is observed otherwise than a chassis that follows at once shows it.
+        changes: fields that differ from those of a chassis that follows at once.
     """
 
     def __init__(self, command: CommandSettings | None = None, *, accept_unguarded: bool = False) -> None:
@@ -54,7 +54,7 @@ class Bench:
         )
         self.now_ns = 0
         self.changes: dict[str, object] = {}
-        self.outcome: Outcome | None = None
+        self.outcome: TickOutcome | None = None
         self.events: list[Event] = []
         self.lease = 0
         self.sequence = 0
@@ -62,9 +62,9 @@ class Bench:
         self.tick(count=6)
 
     @property
-    def observed(self) -> Observed:
+    def chassis(self) -> ChassisState:
         """A chassis that obeys what it was told in the last tick."""
-        told = self.arbiter.actuation
+        told = self.arbiter.output.actuation
         seen = msgspec.structs.replace(STANDING, total_mileage_km=1 + int(self._way_m) / 1000)
         if told is not None and told.enabled:
             seen = msgspec.structs.replace(
@@ -80,15 +80,15 @@ class Bench:
             )
         return msgspec.structs.replace(seen, **self.changes)
 
-    def tick(self, requests: list[RawRequest] | None = None, *, count: int = 1, late_ns: int = 0) -> Outcome:
+    def tick(self, requests: list[RawRequest] | None = None, *, count: int = 1, late_ns: int = 0) -> TickOutcome:
         """Ticks; the requests come in the first."""
         for _ in range(count):
             self.now_ns += 10 * MS
-            self.arbiter.challenges.publish(challenge_of(self.arbiter.tick_number), self.now_ns)
-            self.outcome = self.arbiter.tick(self.observed, requests or [], self.now_ns, late_ns)
+            self.arbiter.link.challenges.publish(challenge_of(self.arbiter.tick_number), self.now_ns)
+            self.outcome = self.arbiter.tick(self.chassis, requests or [], self.now_ns, late_ns)
             if self.outcome.actuation is not None:
                 self._way_m += self.outcome.actuation.speed_mps * 0.01
-                self.arbiter.told_ns = self.now_ns
+                self.arbiter.output.told_ns = self.now_ns
             self.events += self.outcome.events
             requests = None
         assert self.outcome is not None

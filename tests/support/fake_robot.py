@@ -11,8 +11,8 @@ import msgspec
 import zenoh
 from zenoh import ext
 
+from gateway.command.chassis_state import ChassisState
 from gateway.command.flow import CommandFlow
-from gateway.command.observed import Observed
 from gateway.command.request import RawRequest
 from gateway.zenoh.client import close_session, open_session
 from schemas import codec, keys
@@ -102,7 +102,7 @@ class FakeRobot:
     @property
     def angle_deg(self) -> float:
         """What the chassis is told; left is positive."""
-        told = self.flow.arbiter.actuation
+        told = self.flow.arbiter.output.actuation
         return told.angle_deg if told is not None else 0.0
 
     def has_heard(self, puts: int) -> bool:
@@ -123,7 +123,7 @@ class FakeRobot:
             now_ns = time.monotonic_ns()
             late_ns = max(0, now_ns - due_ns)
             # This machine may be busy: how late the loop is, is no matter of these tests.
-            due = self.flow.tick(self._observed(), self._requests(), now_ns, time.time_ns(), 0, os.urandom(8))
+            due = self.flow.tick(self._chassis_state(), self._requests(), now_ns, time.time_ns(), 0, os.urandom(8))
             messages = [*due.messages, *self.flow.sent(len(due.frames), now_ns, time.time_ns())]
             # Before anybody hears of them: who has the reply may ask at once what was decided.
             self.decisions += [message for message in messages if isinstance(message, Decision)]
@@ -156,19 +156,19 @@ class FakeRobot:
         return requests
 
     def _told(self) -> tuple[float, GearPosition]:
-        told = self.flow.arbiter.actuation
+        told = self.flow.arbiter.output.actuation
         if told is None:
             return 0.0, GearPosition.NEUTRAL
         return told.speed_mps * _SIGN.get(told.gear, 0.0), told.gear
 
-    def _observed(self) -> Observed:
-        told = self.flow.arbiter.actuation
+    def _chassis_state(self) -> ChassisState:
+        told = self.flow.arbiter.output.actuation
         speed_mps, gear = self._told()
         if self.flow.arbiter.auxiliary.is_clearing:
             self._mileage_km = 0.0
         obeys = told is not None and told.enabled
         parked = told is None or told.parking
-        return Observed(
+        return ChassisState(
             bus_up=True,
             variant=Variant.COARSE,
             confirmed=True,

@@ -7,7 +7,7 @@ from random import Random
 from typing import Final, NamedTuple
 
 from gateway.chassis.frame import EXTENDED, Frame
-from gateway.command.gate import Gate, Motion, read_motion, step_fault, word_fault
+from gateway.command.gate import Gate, MotionBurst, read_motion, step_fault, word_fault
 from schemas.messages import Variant
 from tests.support import bus_rules
 from tests.support.bus_rules import BURST, PICTURES, Bus, Told, compose
@@ -44,7 +44,7 @@ class Burst(NamedTuple):
     """A burst, and what it says in the gate's words and in those of the rules."""
 
     frames: list[Frame]
-    motion: Motion
+    motion: MotionBurst
     told: Told
 
 

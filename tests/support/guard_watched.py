@@ -17,7 +17,7 @@ from gateway.can.open_bus import open_bus
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
 from gateway.command.frames import MOTION_FRAMES
-from gateway.guard.sight import Sight
+from gateway.guard.chassis_view import ChassisView
 from schemas.messages import Mode, Variant
 from schemas.settings import CanSettings
 from tests.support.gateway_process import chassis
@@ -47,7 +47,7 @@ class Listener:
     """Hears the bus on a thread of its own."""
 
     def __init__(self, bus: Bus) -> None:
-        self.sight = Sight()
+        self.sight = ChassisView()
         self.bursts: list[Burst] = []
         self._bus = bus
         self._ended = threading.Event()

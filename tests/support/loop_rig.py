@@ -173,7 +173,7 @@ class LoopRig:
         requests, self._requests = self._requests, []
         for request in requests:
             self.core.receive_request(request, self.now_ns)
-        self.core.observe_links(self.links, self.now_ns)
+        self.core.update_links(self.links, self.now_ns)
         due = self.core.tick(self.now_ns, self.wall_ns, late_ns, challenge_of(self._run, self.now_ns))
         taken = due.frames[: self.takes]
         for frame in taken:
@@ -213,12 +213,12 @@ class LoopRig:
         command = self.core.command
         assert command is not None
         arbiter = command.arbiter
-        assert Reason.GATE not in arbiter.latched, f"the gate refused: {arbiter.latched}"
-        jammed = arbiter.watch.send_failures >= MUTE_FAILURES and arbiter.state is ArbiterState.STOPPING
+        assert Reason.GATE not in arbiter.latches.details, f"the gate refused: {arbiter.latches.details}"
+        jammed = arbiter.monitor.send_failures >= MUTE_FAILURES and arbiter.state is ArbiterState.STOPPING
         assert command.is_mute is (arbiter.handover.is_cut_off or jammed), "mute for want of a bus only"
         reset = any(d.request == "reset" and d.reason is Reason.NONE for d in self.decided[-4:])
-        assert reset or self._latched <= arbiter.latched.keys(), "a latch cleared itself"
-        self._latched = set(arbiter.latched)
+        assert reset or self._latched <= arbiter.latches.details.keys(), "a latch cleared itself"
+        self._latched = set(arbiter.latches.details)
         if arbiter.state is ArbiterState.STANDBY:
             assert not offered, "standing by is silent"
         for frame in taken:
@@ -247,7 +247,9 @@ class LoopRig:
         parking = bool(signals["Auto_ParkingCmd"]["ParkingRequest"])
         assert parking or gear != "neutral", "neutral only behind the parking request"
         assert enables == {True} or (gear == "neutral" and not speed_mps), "disabled it is told nothing else"
-        limits = arbiter.limits if arbiter.state in {ArbiterState.ENGAGED, ArbiterState.ENGAGING} else None
+        limits = (
+            arbiter.setpoint.limits if arbiter.state in {ArbiterState.ENGAGED, ArbiterState.ENGAGING} else None
+        )
         lateral_mps2 = speed_mps**2 * tan(radians(abs(angle_deg))) / 0.660
         assert lateral_mps2 <= self.settings.command.lateral_acceleration_mps2 + 0.02
         assert abs(angle_deg) <= self.settings.command.steering_limit_deg + 0.03
@@ -261,10 +263,10 @@ class LoopRig:
             assert gear != "neutral"
             assert not parking
             if arbiter.state is ArbiterState.ENGAGED:
-                lease = arbiter.desk.lease
+                lease = arbiter.leases.held
                 assert lease is not None, "motion without a lease"
                 assert self.now_ns < lease.expires_ns, "motion without a live lease"
-                assert self.now_ns - arbiter.fresh_ns <= arbiter.link.deadman_ns, "a stale command"
+                assert self.now_ns - arbiter.link.fresh_ns <= arbiter.link.age.deadman_ns, "a stale command"
             else:
                 assert arbiter.state is ArbiterState.STOPPING, "only a stop goes on with a speed"
                 assert before_mps is None or speed_mps <= before_mps + 1e-9, "a stop never speeds up"

@@ -102,7 +102,7 @@ class Gateway:
             "guard_stops": guard.stops,
             "realtime": True,
         }
-        self._core.observe_links(Links(**{k: v for k, v in links.items() if k in self._known_links}), now_ns)  # type: ignore[arg-type]
+        self._core.update_links(Links(**{k: v for k, v in links.items() if k in self._known_links}), now_ns)  # type: ignore[arg-type]
         challenge = (self._random.randbytes(8),) if self._takes_challenge else ()
         wall_ns = WALL_NS + now_ns
         due = self._core.tick(now_ns, wall_ns, late_ns, *challenge)
@@ -121,17 +121,17 @@ class Gateway:
         command = self._core.command
         assert command is not None
         arbiter = command.arbiter
-        actuation, left = arbiter.actuation, arbiter.handover.left
+        actuation, left = arbiter.output.actuation, arbiter.handover.left
         is_told = actuation is not None or command.is_mute
         is_active = is_told or (self._was_told and left is None)
         self._was_told = is_told
         return Beat(
             now_ns=now_ns,
-            told_ns=arbiter.told_ns,
+            told_ns=arbiter.output.told_ns,
             is_active=is_active,
             is_left=left is not None and left.enabled,
             is_mute=command.is_mute,
-            variant=arbiter.variant,
+            variant=arbiter.output.variant,
             last=actuation or left or (before.last if is_active else AT_REST),
             counters=bytes(command.maker.counters.values()),
         )

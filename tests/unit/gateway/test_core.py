@@ -43,7 +43,7 @@ UP = Links(bus_up=True)
 def core(variant: str = "auto") -> Core:
     """A core whose bus is up."""
     made = Core(Settings(chassis=ChassisSettings(variant=variant)), "1.2.3", 0)  # type: ignore[arg-type]
-    made.observe_links(UP, 0)
+    made.update_links(UP, 0)
     return made
 
 
@@ -144,7 +144,7 @@ def test_a_bus_that_returns_has_to_prove_its_variant_again() -> None:
     """Another chassis may be on it now."""
     made, feedback = core(), Feedback(Variant.COARSE)
     confirm(made, feedback)
-    made.observe_links(Links(bus_up=True, bus_losses=1), 0)
+    made.update_links(Links(bus_up=True, bus_losses=1), 0)
     assert made.variant is Variant.UNKNOWN
     assert made.receive_frame(feedback.frame("Auto_DriveFeedBack"), 0) is None
 
@@ -281,7 +281,7 @@ def test_no_decoder_is_compiled_in_the_loop(monkeypatch: pytest.MonkeyPatch) -> 
         drive = read(made.receive_frame(feedback.frame("Auto_DriveFeedBack", {"Speed": 2.0}), 0))
         assert isinstance(drive, Drive)
         assert drive.speed_mps == pytest.approx(2.0)
-    made.observe_links(Links(bus_up=True, bus_losses=1), 0)
+    made.update_links(Links(bus_up=True, bus_losses=1), 0)
     assert made.variant is Variant.UNKNOWN
 
 
@@ -499,7 +499,7 @@ class Bench:
 
     def __init__(self) -> None:
         self.core = Core(Settings(), "1.2.3", 0, run=7)
-        self.core.observe_links(Links(bus_up=True, guarded=True), 0)
+        self.core.update_links(Links(bus_up=True, guarded=True), 0)
         self.rig = Rig()
         self.takes = 100
         self.offered: list[Frame] = []
@@ -540,7 +540,7 @@ class Bench:
         self.ask("acquire")
         self.tick()
         assert self.core.command is not None
-        lease = self.core.command.arbiter.desk.lease
+        lease = self.core.command.arbiter.leases.held
         assert lease is not None
         handle = self.ask("engage", lease=lease.id, challenge=CHALLENGE)
         self.tick(30)
@@ -561,7 +561,7 @@ class Bench:
 def test_a_listening_gateway_has_no_command_flow() -> None:
     """It judges nothing, offers no frame, publishes neither decisions nor a journal, and is always at rest."""
     made = Core(Settings(gateway=GatewaySettings(listen_only=True)), "1.2.3", 0)
-    made.observe_links(UP, 0)
+    made.update_links(UP, 0)
     assert made.command is None
     made.receive_request(RawRequest(1, "acquire", "first", b"", 0), 0)
     subjects: set[str] = set()
@@ -630,7 +630,7 @@ def test_raw_frames_may_be_left_out() -> None:
     """With can.raw_frames off they are counted and journalled, and not published as they are."""
     settings = Settings(can=CanSettings(raw_frames=False), chassis=ChassisSettings(variant="coarse"))
     made = Core(settings, "1.2.3", 0)
-    made.observe_links(UP, 0)
+    made.update_links(UP, 0)
     confirm(made, Feedback(Variant.COARSE))
     published = ticks(made, 1000)
     assert not [subject for subject in published if subject.startswith("can/")]
@@ -646,12 +646,12 @@ def test_error_frames_tell_the_state_of_the_controller_until_the_bus_is_lost() -
     states = []
     for number, kinds in enumerate((0x00, 0x40, 0x08, 0x100)):
         made.receive_frame(Frame(ERROR | kinds, bytes(8)), 0)
-        made.observe_links(Links(bus_up=True, bus_drops=number), 0)
+        made.update_links(Links(bus_up=True, bus_drops=number), 0)
         (health,) = ticks(made, 1000 * number + 1000, 1000 * number + 10)["gateway/health"]
         assert isinstance(health, GatewayHealth)
         states.append((health.controller.value, health.bus_drops))
     assert states == [("unknown", 0), ("bus_off", 1), ("bus_off", 2), ("active", 3)]
-    made.observe_links(Links(bus_up=True, bus_losses=1), 0)
+    made.update_links(Links(bus_up=True, bus_losses=1), 0)
     (health,) = ticks(made, 5000, 4010)["gateway/health"]
     assert isinstance(health, GatewayHealth)
     assert health.controller is ControllerState.UNKNOWN
@@ -671,12 +671,12 @@ def test_a_standing_gateway_publishes_no_batch_of_sent_frames() -> None:
 def test_whose_command_frames_are_another_computers(*, guard_sends: bool, spoilt: bool, is_other: bool) -> None:
     """Valid ones, while the guard does not send: its frames are ours."""
     made = Core(Settings(), "1.2.3", 0)
-    made.observe_links(Links(bus_up=True, guard_sends=guard_sends), 0)
+    made.update_links(Links(bus_up=True, guard_sends=guard_sends), 0)
     frame = Encoder(load(Variant.COARSE)).encode("Auto_DriveCmd", {}, 0)
     made.receive_frame(Frame(frame.can_id, b"\1" + frame.data[1:]) if spoilt else frame, 7)
     made.tick(10 * MS, WALL_NS, 0, CHALLENGE)
     assert made.command is not None
-    assert made.command.arbiter.watch.observed.commander_ns == (7 if is_other else None)
+    assert made.command.arbiter.monitor.chassis.commander_ns == (7 if is_other else None)
 
 
 def test_an_end_brings_the_robot_to_rest_first() -> None:

@@ -85,10 +85,10 @@ def test_every_input_of_the_core_is_written_down() -> None:
     for at_ns, frame in enumerate(frames):
         core.receive_frame(frame, at_ns)
     core.receive_request(RawRequest(9, "stop", "first", b"\xff\x00", 2), 3)
-    core.observe_links(Links(bus_up=True, bus_losses=1, guarded=True), 4)
-    core.observe_links(Links(bus_up=True, bus_losses=1, guarded=True, zenoh_peers=5, cpu_ns=7), 5)
+    core.update_links(Links(bus_up=True, bus_losses=1, guarded=True), 4)
+    core.update_links(Links(bus_up=True, bus_losses=1, guarded=True, zenoh_peers=5, cpu_ns=7), 5)
     says = "it has given up"
-    core.observe_links(
+    core.update_links(
         Links(bus_up=True, bus_losses=1, guarded=True, guard_stops=1, guard_says=says, realtime=True), 6
     )
     core.latch_guard_stop("the robot stands", 7)

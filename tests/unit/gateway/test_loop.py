@@ -226,7 +226,7 @@ def test_a_bus_that_is_never_read_to_its_end_shows_old_things() -> None:
         made, zenoh = core(), FakeZenoh()
         run(Surroundings(bus, zenoh), made, lambda: b"info", StopWhen(lambda: zenoh.answered >= 40))
         assert made.command is not None
-        return made.command.arbiter.watch.observed.is_behind
+        return made.command.arbiter.monitor.chassis.is_behind
 
     assert is_behind(BusyBus([]))
     assert not is_behind(FakeBus([]))
@@ -458,7 +458,7 @@ def test_the_number_of_a_lease_is_in_the_replies_to_its_holder_alone() -> None:
 
     def script(one: Commanded) -> Iterator[bool]:
         yield from one.engage()
-        numbers.append(one.core.command.arbiter.desk.lease.id)  # type: ignore[union-attr]
+        numbers.append(one.core.command.arbiter.leases.held.id)  # type: ignore[union-attr]
         numbers.extend(reply["lease"] for reply in one.inbox.replies.values() if "lease" in reply)  # type: ignore[misc]
         handles = [one.inbox.ask("renew", lease=number) for number in numbers]
         while not set(handles) <= one.inbox.replies.keys():

@@ -5,7 +5,7 @@ from random import Random
 import pytest
 
 from gateway.chassis.frame import Frame
-from gateway.command.rest import QUIET_NS
+from gateway.command.snapshot import QUIET_NS
 from gateway.journal import inputs_of
 from gateway.rerun.rerun import WARM_UP_NS, rerun, run_again, run_of
 from gateway.telemetry.sample import Sample

@@ -523,7 +523,7 @@ def test_a_loop_that_fails_unguarded_stops_the_robot_before_it_ends(
     def fail(around: Surroundings, core: Core, _info: object, _stopped: object) -> None:
         assert core.command is not None
         arbiter = core.command.arbiter
-        arbiter.variant, arbiter.actuation = Variant.COARSE, driving
+        arbiter.output.variant, arbiter.output.actuation = Variant.COARSE, driving
 
         def drive() -> None:
             assert core.command is not None

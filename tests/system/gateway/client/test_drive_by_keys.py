@@ -191,7 +191,7 @@ def test_why_it_stands_is_shown_and_r_and_g_bring_it_back() -> None:
         driver.wait_shows("the front bumper was hit")
         fake.front_bumper = False
         driver.types(b"r")()
-        wait_until(lambda: Reason.FRONT_BUMPER not in fake.flow.arbiter.latched)
+        wait_until(lambda: Reason.FRONT_BUMPER not in fake.flow.arbiter.latches.details)
         assert len(fake.accepted("engage")) == 1
         driver.types(b"g")()
         wait_until(lambda: fake.state is ArbiterState.ENGAGED)

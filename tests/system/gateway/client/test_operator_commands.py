@@ -134,7 +134,7 @@ def test_an_action_engages_does_it_and_rests(verb: str, capsys: Capture) -> None
         assert run(module, fake.listen, "cruiser-1", *words, until=lambda: bool(fake.accepted(verb))) == 0
         assert len(fake.accepted(verb)) == 1
         assert fake.state is ArbiterState.STANDBY
-        assert fake.flow.arbiter.desk.lease is None
+        assert fake.flow.arbiter.leases.held is None
     assert capsys.readouterr().out == ""
 
 
@@ -162,14 +162,14 @@ def test_stop_and_reset(capsys: Capture) -> None:
     with FakeRobot() as fake:
         assert run(stop, fake.listen, "cruiser-1") == 0
         assert run(stop, fake.listen, "--all", "--json") == 0
-        assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
+        assert Reason.REMOTE_STOP in fake.flow.arbiter.latches.details
         with pytest.raises(CommandError, match="remote_stop"):
             run(PARK, fake.listen, "cruiser-1")
-        wait_until(lambda: time.monotonic_ns() - fake.flow.arbiter.latched_ns > RESET_MIN_NS)
+        wait_until(lambda: time.monotonic_ns() - fake.flow.arbiter.latches.newest_ns > RESET_MIN_NS)
         assert run(reset, fake.listen, "cruiser-1") == 0
-        assert not fake.flow.arbiter.latched
+        assert not fake.flow.arbiter.latches.details
         assert run(reset, fake.listen, "cruiser-1") == 0
-        fake.flow.arbiter.latch(Reason.GUARD, "", time.monotonic_ns() - RESET_MIN_NS)
+        fake.flow.arbiter.engagement.latch(Reason.GUARD, "", time.monotonic_ns() - RESET_MIN_NS)
         assert run(reset, fake.listen, "cruiser-1", "--json") == 0
         assert run(reset, fake.listen, "cruiser-1", "--json") == 0
     lines = capsys.readouterr().out.splitlines()
@@ -197,7 +197,7 @@ def test_stop_that_nobody_answers_is_an_error(capsys: Capture) -> None:
         with pytest.raises(CommandError, match="nobody answered") as caught:
             run(stop, fake.listen, "cruiser-2", "--timeout", "2")
         assert caught.value.code is ExitCode.UNREACHABLE
-        assert Reason.REMOTE_STOP in deaf.flow.arbiter.latched
+        assert Reason.REMOTE_STOP in deaf.flow.arbiter.latches.details
         assert "cruiser-2: NO ANSWER" in capsys.readouterr().err
         assert run(stop, fake.listen, "--all", "--timeout", "3") == ExitCode.PARTIAL
     for words in ([], ["cruiser-1", "--all"]):
@@ -237,7 +237,7 @@ def test_a_stop_that_cannot_be_carried_out_is_no_success(capsys: Capture) -> Non
         assert run(stop, fake.listen, "--all", "--json") == ExitCode.PARTIAL
         report = json.loads(capsys.readouterr().out)
         assert (report["stopped"], list(report["refused"])) == (["cruiser-1"], ["cruiser-2"])
-        assert Reason.REMOTE_STOP in other.flow.arbiter.latched
+        assert Reason.REMOTE_STOP in other.flow.arbiter.latches.details
 
 
 def test_why_says_each_reason_with_its_cure(capsys: Capture) -> None:
@@ -291,7 +291,7 @@ def test_lease_shows_the_holder_and_can_be_held(capsys: Capture) -> None:
         engaged = lambda: fake.state is ArbiterState.ENGAGED  # noqa: E731 - it reads as a condition
         assert run(lease, fake.listen, "cruiser-1", "--hold", "--engage", until=engaged) == 0
         assert int(capsys.readouterr().out) > 0
-        assert fake.flow.arbiter.desk.lease is None
+        assert fake.flow.arbiter.leases.held is None
         settings = Settings(zenoh=ZenohSettings(connect=[fake.listen]))
         with Robot.connect("cruiser-1", "second", settings, 20) as robot, robot.lease() as held:
             assert run(lease, fake.listen, "cruiser-1", "--json") == 0

@@ -34,8 +34,8 @@ def test_a_robot_that_hears_it_is_said_to_stop() -> None:
     with FakeRobot("cruiser-1") as fake, FakeRobot("cruiser-2", connect=fake.listen) as other:
         report = remote_stop.stop_from_here(settings_for(fake.listen), "cruiser-1", "first", 20)
         assert (report.stopped, report.refused, report.silent, report.linked) == (["cruiser-1"], {}, [], True)
-        assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
-        assert not other.flow.arbiter.latched
+        assert Reason.REMOTE_STOP in fake.flow.arbiter.latches.details
+        assert not other.flow.arbiter.latches.details
 
 
 def test_a_robot_that_answers_nothing_is_told_all_the_same() -> None:
@@ -43,7 +43,7 @@ def test_a_robot_that_answers_nothing_is_told_all_the_same() -> None:
     with FakeRobot(deaf=True) as fake:
         report = remote_stop.stop_from_here(settings_for(fake.listen), fake.name, "first", 3)
         assert (report.stopped, report.silent) == ([], [fake.name])
-        assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
+        assert Reason.REMOTE_STOP in fake.flow.arbiter.latches.details
         assert fake.puts.count("stop") > 5
 
 
@@ -58,7 +58,7 @@ def test_a_fleet_is_stopped_and_who_is_silent_is_named() -> None:
         assert report.stopped == ["cruiser-1", "cruiser-2"]
         assert report.silent == ["cruiser-3"]
         for robot in (first, second, third):
-            assert Reason.REMOTE_STOP in robot.flow.arbiter.latched
+            assert Reason.REMOTE_STOP in robot.flow.arbiter.latches.details
 
 
 def test_a_fleet_that_is_not_counted_in_time_is_not_said_to_be_all() -> None:
@@ -121,7 +121,7 @@ def test_the_library_stops_a_robot_by_what_it_sees() -> None:
     """With the sessions that it has; the call returns once the robot stands, and raises if it does not."""
     with FakeRobot() as fake, Robot.connect(fake.name, "first", settings_for(fake.listen), 20) as robot:
         robot.stop(20)
-        assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
+        assert Reason.REMOTE_STOP in fake.flow.arbiter.latches.details
         fake.moves_mps = 0.3
         with pytest.raises(Refused, match=r"not seen to stop.*0\.30 m/s"):
             robot.stop(2)

@@ -249,7 +249,7 @@ def test_the_remote_stop_needs_no_lease() -> None:
     with FakeRobot() as fake, engaged(fake) as (_, lease), connected(fake, "second") as theirs:
         wait_until(lambda: fake.speed_mps > 0.2, lambda: lease.drive(1.0))
         theirs.stop(30)
-        assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
+        assert Reason.REMOTE_STOP in fake.flow.arbiter.latches.details
         wait_until(lambda: not lease.is_engaged)
         assert fake.puts.count("stop") > 1
 
@@ -259,7 +259,7 @@ def test_a_remote_stop_that_cannot_be_carried_out_is_an_error() -> None:
     with FakeRobot(mode=Mode.REMOTE) as fake, connected(fake) as robot:
         with pytest.raises(Refused, match=r"is not stopped.*hand_transmitter.*the robot stands"):
             robot.stop(30)
-        assert Reason.REMOTE_STOP in fake.flow.arbiter.latched
+        assert Reason.REMOTE_STOP in fake.flow.arbiter.latches.details
 
 
 def test_state_has_an_age_and_an_end() -> None:

@@ -34,7 +34,7 @@ def test_engaging_gives_five_enables_with_zero_speed_until_it_reads_auto() -> No
     bench.ask("acquire")
     assert bench.ask("engage").is_pending
     for _ in range(20):
-        told = bench.arbiter.actuation
+        told = bench.arbiter.output.actuation
         assert told is not None
         assert (told.enabled, told.gear, told.speed_mps, told.parking) == (True, GearPosition.NEUTRAL, 0.0, True)
         assert told.angle_deg == 7.0, "the wheels stay where they are"
@@ -44,16 +44,16 @@ def test_engaging_gives_five_enables_with_zero_speed_until_it_reads_auto() -> No
     assert (answer.verb, answer.ruling.reason) == ("engage", Reason.NONE)
     assert bench.arbiter.state is ArbiterState.ENGAGED
     assert [event.operator for event in bench.told(EventKind.ENGAGED)] == ["first"]
-    assert bench.arbiter.target == Target(0.0, 7.0), "until the first command nothing changes"
+    assert bench.arbiter.setpoint.target == Target(0.0, 7.0), "until the first command nothing changes"
 
 
 def test_what_failed_before_does_not_count_after_engaging() -> None:
     """The bus takes our frames again, or we shall see."""
     bench = Bench()
-    bench.arbiter.watch.send_failures = 9
+    bench.arbiter.monitor.send_failures = 9
     bench.ask("acquire")
     bench.ask("engage")
-    assert bench.arbiter.watch.send_failures == 0
+    assert bench.arbiter.monitor.send_failures == 0
     assert bench.arbiter.state is ArbiterState.ENGAGING
 
 
@@ -87,10 +87,10 @@ def test_a_bench_told_nothing_yet_stops_by_what_is_seen() -> None:
     bench.ask("acquire")
     bench.changes = {"mode": Mode.STOP}
     bench.ask("engage")
-    bench.arbiter.actuation = None
+    bench.arbiter.output.actuation = None
     bench.ask("stop")
-    assert bench.arbiter.actuation is not None
-    assert bench.arbiter.actuation.speed_mps == 0
+    assert bench.arbiter.output.actuation is not None
+    assert bench.arbiter.output.actuation.speed_mps == 0
 
 
 @pytest.mark.parametrize(("deadman_s", "ticks"), [(0.3, 30), (0.1, 10)])
@@ -101,7 +101,7 @@ def test_the_deadman(deadman_s: float, ticks: int) -> None:
     bench.tick(count=ticks)
     assert bench.arbiter.state is ArbiterState.ENGAGED
     bench.tick()
-    assert bench.arbiter.stop_reason is Reason.DEADMAN
+    assert bench.arbiter.engagement.stop_reason is Reason.DEADMAN
     assert bench.told(EventKind.STOP)[-1].text.endswith(f"none for {ticks * 10 + 10} ms")
     assert bench.told(EventKind.STOP)[-1].severity is Severity.INFO
 
@@ -126,12 +126,12 @@ def test_each_cause_stops_an_engaged_robot(changes: dict[str, object], reason: R
     bench.changes = changes
     bench.drive(0.5)
     assert bench.arbiter.state is ArbiterState.STOPPING
-    assert bench.arbiter.stop_reason is reason
+    assert bench.arbiter.engagement.stop_reason is reason
     event = bench.told(EventKind.STOP)[-1]
     assert event.reason is reason
     if reason is Reason.FEEDBACK_MISSING:
         assert event.text.endswith("; Auto_GearFeedBack, Auto_LightFeedback")
-    told = bench.arbiter.actuation
+    told = bench.arbiter.output.actuation
     assert told is not None
     expected_mps = 0.5 - (0.012 if reason is Reason.UNGUARDED else 0.02)
     assert told.speed_mps == pytest.approx(0.0 if reason is Reason.VARIANT_UNKNOWN else expected_mps)
@@ -140,10 +140,10 @@ def test_each_cause_stops_an_engaged_robot(changes: dict[str, object], reason: R
 def test_frames_that_are_not_taken_stop_it() -> None:
     """Five ticks in a row; at once, and not latched."""
     bench = engaged()
-    bench.arbiter.watch.send_failures = 5
+    bench.arbiter.monitor.send_failures = 5
     bench.drive()
-    assert bench.arbiter.stop_reason is Reason.SEND_FAILED
-    assert bench.arbiter.latched == {}
+    assert bench.arbiter.engagement.stop_reason is Reason.SEND_FAILED
+    assert bench.arbiter.latches.details == {}
 
 
 def test_a_bus_that_was_lost_before_does_not_matter() -> None:
@@ -212,11 +212,11 @@ def test_the_output_ceases_at_once(changes: dict[str, object], reason: Reason, *
     outcome = bench.tick()
     assert (outcome.actuation, outcome.auxiliary) == (None, [])
     assert bench.arbiter.state is ArbiterState.STANDBY
-    assert bench.arbiter.stop_reason is reason
-    assert bench.arbiter.stop_phase is StopPhase.IDLE
+    assert bench.arbiter.engagement.stop_reason is reason
+    assert bench.arbiter.output.stop_phase is StopPhase.IDLE
     kind = EventKind.GUARD if reason is Reason.GUARD else EventKind.TAKEOVER
     assert [event.reason for event in bench.told(kind)] == [reason]
-    assert (Reason.GUARD in bench.arbiter.latched) is (reason is Reason.GUARD)
+    assert (Reason.GUARD in bench.arbiter.latches.details) is (reason is Reason.GUARD)
     assert handle.reason in {Reason.MOVING, Reason.NOT_ENGAGED}
     for _ in range(50):
         assert bench.tick().actuation is None, "no automatic return"
@@ -251,10 +251,10 @@ def test_a_robot_that_coasts_in_mode_stop_is_told_the_parking_brake(
     assert told is not None
     assert (told.enabled, told.speed_mps, told.gear, told.parking) == (True, 0.0, GearPosition.DRIVE, True)
     bench.tick(count=1_000)
-    assert bench.arbiter.stop_phase is StopPhase.HOLD, "a robot that is seen to move is not left"
+    assert bench.arbiter.output.stop_phase is StopPhase.HOLD, "a robot that is seen to move is not left"
     bench.changes = {"mode": Mode.STOP, **AT_REST}
     assert bench.tick(count=200).actuation is None
-    assert bench.arbiter.stop_reason is (Reason.DISENGAGED if stopping else Reason.MODE_NOT_AUTO)
+    assert bench.arbiter.engagement.stop_reason is (Reason.DISENGAGED if stopping else Reason.MODE_NOT_AUTO)
 
 
 STOPPED_BY_GUARD = {
@@ -274,14 +274,14 @@ def test_a_gateway_that_comes_back_after_the_guard_has_ended_tells_the_chassis_n
     """Row 'nothing ever resumes by itself': it was stopped at 1 m/s for 6 s, and the robot stands by now."""
     bench = engaged()
     bench.drive_for(150, 1.0)
-    assert bench.arbiter.motion.speed_mps == 1.0
+    assert bench.arbiter.output.motion.speed_mps == 1.0
     bench.changes = STOPPED_BY_GUARD | seen
     bench.now_ns += 6000 * MS
     told = bench.tick(late_ns=6000 * MS).actuation
     # One that reads auto all the same is stopped from where it stands.
-    assert (told is None) is (bench.observed.mode is not Mode.AUTO)
+    assert (told is None) is (bench.chassis.mode is not Mode.AUTO)
     assert told is None or told.speed_mps == 0
-    assert list(bench.arbiter.latched) == [Reason.GUARD]
+    assert list(bench.arbiter.latches.details) == [Reason.GUARD]
     assert [event.reason for event in bench.told(EventKind.GUARD)] == [Reason.GUARD]
     for _ in range(300):
         told = bench.tick().actuation
@@ -293,23 +293,23 @@ def test_a_burst_that_left_after_a_pause_is_not_what_the_next_stop_begins_from()
     bench = engaged()
     bench.drive_for(150, 1.0)
     bench.now_ns += 3500 * MS
-    bench.arbiter.told_ns = bench.now_ns
+    bench.arbiter.output.told_ns = bench.now_ns
     bench.changes = {"guard_stops": 1, "mode": Mode.AUTO, "speed_mps": 0.04, "fastest_wheel_mps": 0.05}
     told = bench.tick(late_ns=0).actuation
     assert told is not None
     assert told.speed_mps < 0.04
 
 
-@pytest.mark.parametrize(("seen_mps", "first_mps"), [(0.0, 0.0), (0.4, 0.4), (None, 0.0), (1.3, 0.98)])
+@pytest.mark.parametrize(("slowest_mps", "first_mps"), [(0.0, 0.0), (0.4, 0.4), (None, 0.0), (1.3, 0.98)])
 def test_an_unguarded_gateway_that_comes_back_stops_from_what_is_seen(
-    seen_mps: float | None, first_mps: float
+    slowest_mps: float | None, first_mps: float
 ) -> None:
     """Row 'loop late over 100 ms: stop': never from a speed above the one that the robot has now."""
     bench = Bench(accept_unguarded=True)
     bench.changes = {"guarded": False}
     bench.engage()
     bench.drive_for(150, 1.0)
-    seen = {"speed_mps": seen_mps, "wheel_speed_mps": seen_mps, "fastest_wheel_mps": seen_mps}
+    seen = {"speed_mps": slowest_mps, "wheel_speed_mps": slowest_mps, "fastest_wheel_mps": slowest_mps}
     bench.changes = {"guarded": False, "mode": Mode.AUTO} | seen
     bench.now_ns += 500 * MS
     told = bench.tick(late_ns=500 * MS).actuation
@@ -360,12 +360,12 @@ def test_a_bus_that_comes_back_to_a_chassis_that_is_not_seen_parks_it(*, parked:
 
 
 @pytest.mark.parametrize(
-    ("left_mps", "seen_mps", "told_mps"),
+    ("left_mps", "slowest_mps", "told_mps"),
     [(0.5, 0.3, 0.3), (0.5, 1.9, 0.5), (0.0, 1.9, 0.0), (-0.5, 0.3, 0.0)],
 )
 @pytest.mark.parametrize("latched", [True, False])
 def test_a_robot_that_is_given_back_is_not_told_a_speed_above_what_it_was_left_on(
-    left_mps: float, seen_mps: float, told_mps: float, *, latched: bool
+    left_mps: float, slowest_mps: float, told_mps: float, *, latched: bool
 ) -> None:
     """Row 'given back: never above the lower of left on and seen; emergency deceleration if latched'."""
     bench = engaged()
@@ -374,7 +374,7 @@ def test_a_robot_that_is_given_back_is_not_told_a_speed_above_what_it_was_left_o
     bench.tick(count=100)
     if latched:
         bench.ask("stop", "anyone")
-    moving = {"speed_mps": seen_mps, "wheel_speed_mps": seen_mps, "fastest_wheel_mps": seen_mps}
+    moving = {"speed_mps": slowest_mps, "wheel_speed_mps": slowest_mps, "fastest_wheel_mps": slowest_mps}
     released = {"gear": GearPosition.DRIVE, "brake": ParkingStatus.RELEASED}
     bench.changes = {"mode": Mode.AUTO, **released, **moving}
     speeds = [told.speed_mps for told in (bench.tick().actuation for _ in range(40)) if told is not None]
@@ -404,7 +404,7 @@ def test_who_waits_is_told_when_the_output_ceases() -> None:
 def test_where_nobody_waits_nobody_is_told() -> None:
     """A result that nobody asked for."""
     bench = Bench()
-    bench.arbiter._answer_waiting("engage", Ruling())
+    bench.arbiter.outbox.settle("engage", Ruling())
     assert bench.tick().answers == []
 
 
@@ -412,11 +412,11 @@ def test_the_mode_may_leave_auto_when_the_frames_are_disabled() -> None:
     """That is what they are for."""
     bench = engaged()
     bench.ask("disengage")
-    while bench.arbiter.stop_phase is not StopPhase.DISABLE:
+    while bench.arbiter.output.stop_phase is not StopPhase.DISABLE:
         bench.tick()
     for _ in range(49):
         assert bench.tick().actuation is not None
-    assert bench.observed.mode is Mode.STOP
+    assert bench.chassis.mode is Mode.STOP
     assert bench.tick().actuation is None
     assert bench.arbiter.state is ArbiterState.STANDBY
     [event] = bench.told(EventKind.STOPPED)
@@ -456,9 +456,9 @@ def test_what_was_left_under_command_is_stopped_when_it_may_obey_again(changes: 
     bench.changes = changes
     bench.tick()
     assert bench.arbiter.state is ArbiterState.STOPPING
-    assert bench.arbiter.stop_reason is Reason.FOUND_MOVING
-    assert bench.arbiter.actuation is not None
-    assert bench.arbiter.actuation.speed_mps == 0
+    assert bench.arbiter.engagement.stop_reason is Reason.FOUND_MOVING
+    assert bench.arbiter.output.actuation is not None
+    assert bench.arbiter.output.actuation.speed_mps == 0
 
 
 def test_what_another_computer_has_taken_is_not_ours_any_more() -> None:
@@ -501,7 +501,7 @@ def test_a_robot_found_moving_is_stopped_from_what_is_seen(
     assert later is not None
     assert later.speed_mps == pytest.approx(max(0.0, speed_mps - 26 * 0.012)), "its scale is known"
     rolls = gear is GearPosition.NEUTRAL  # told to stand, and no slower for a fifth of a second
-    assert [*bench.arbiter.latched] == [Reason.ROLLING] * rolls, "its own speed is no fault"
+    assert [*bench.arbiter.latches.details] == [Reason.ROLLING] * rolls, "its own speed is no fault"
 
 
 @pytest.mark.parametrize(("ticks", "parks"), [(10, True), (99, False)])
@@ -582,8 +582,8 @@ def test_a_remote_stop_while_standing_by(mode: Mode, told: bool) -> None:  # noq
     bench = Bench()
     bench.changes = {"mode": mode}
     bench.ask("stop", "anyone")
-    assert (bench.arbiter.actuation is not None) is told
-    assert [*bench.arbiter.latched] == [Reason.REMOTE_STOP]
+    assert (bench.arbiter.output.actuation is not None) is told
+    assert [*bench.arbiter.latches.details] == [Reason.REMOTE_STOP]
     assert bench.told(EventKind.LATCH)[0].text.endswith("by anyone")
 
 
@@ -593,8 +593,8 @@ def test_nothing_is_sent_where_it_cannot_or_must_not_be(changes: dict[str, objec
     bench = Bench()
     bench.changes = {"mode": Mode.AUTO} | changes
     bench.ask("stop")
-    assert bench.arbiter.actuation is None
-    assert Reason.REMOTE_STOP in bench.arbiter.latched
+    assert bench.arbiter.output.actuation is None
+    assert Reason.REMOTE_STOP in bench.arbiter.latches.details
 
 
 @pytest.mark.parametrize(
@@ -626,7 +626,7 @@ def test_the_reply_to_a_stop_says_what_the_robot_does(
     bench.tick()
     ruling = bench.ask("stop", "anyone")
     assert (ruling.reason, ruling.detail) == (reason, detail)
-    assert Reason.REMOTE_STOP in bench.arbiter.latched
+    assert Reason.REMOTE_STOP in bench.arbiter.latches.details
 
 
 @pytest.mark.parametrize("seen", [{"pulses": 1}, {"fastest_wheel_mps": 0.5}])
@@ -636,7 +636,7 @@ def test_a_stop_reaches_a_robot_that_coasts_in_mode_stop(seen: dict[str, object]
     bench.changes = {"mode": Mode.STOP, "gear": GearPosition.DRIVE, "brake": ParkingStatus.RELEASED} | seen
     bench.tick()
     assert bench.ask("stop", "anyone").reason is Reason.NONE
-    told = bench.arbiter.actuation
+    told = bench.arbiter.output.actuation
     assert told is not None
     assert (told.enabled, told.speed_mps, told.gear, told.parking) == (True, 0.0, GearPosition.DRIVE, True)
 
@@ -648,7 +648,7 @@ def test_a_brake_that_does_not_read_applied_is_told_once() -> None:
     bench.changes = {"brake": ParkingStatus.RELEASED}
     bench.ask("stop")
     bench.tick(count=30)
-    assert bench.arbiter.stop_phase is StopPhase.PARK
+    assert bench.arbiter.output.stop_phase is StopPhase.PARK
     bench.tick(count=269)
     assert bench.told(EventKind.FAULT) == []
     told = bench.tick(count=500).actuation
@@ -683,8 +683,8 @@ def test_what_the_robot_does_of_itself_stops_it_and_is_latched(
     bench.drive_for(ticks - 1, 0.5)
     assert bench.arbiter.state is ArbiterState.ENGAGED
     bench.drive(0.5)
-    assert [*bench.arbiter.latched] == [reason]
-    told = bench.arbiter.actuation
+    assert [*bench.arbiter.latches.details] == [reason]
+    told = bench.arbiter.output.actuation
     assert told is not None
     assert (told.speed_mps, told.parking) == ((0.0, True) if reason is Reason.ROLLING else (0.48, False))
 
@@ -696,9 +696,9 @@ def test_a_body_frame_that_is_frozen_stops_the_robot() -> None:
         bench.changes = {"total_mileage_km": 1.0 + tick // 20 / 1000}
         bench.drive(1.0)
     bench.drive_for(280, 1.0)
-    assert bench.arbiter.latched == {}
+    assert bench.arbiter.latches.details == {}
     bench.drive_for(40, 1.0)
-    assert [*bench.arbiter.latched] == [Reason.FEEDBACK_FROZEN]
+    assert [*bench.arbiter.latches.details] == [Reason.FEEDBACK_FROZEN]
 
 
 def test_stop_wins_over_everything_in_its_tick() -> None:
@@ -706,14 +706,14 @@ def test_stop_wins_over_everything_in_its_tick() -> None:
     bench = engaged()
     bench.drive_for(200, 1.0)
     bench.ask("disengage")
-    before = bench.arbiter.actuation
+    before = bench.arbiter.output.actuation
     bench.ask("stop", "second")
-    after = bench.arbiter.actuation
+    after = bench.arbiter.output.actuation
     assert before is not None
     assert after is not None
     assert before.speed_mps - after.speed_mps == pytest.approx(0.02)
-    assert bench.arbiter.stop_reason is Reason.DISENGAGED
-    assert Reason.REMOTE_STOP in bench.arbiter.latched
+    assert bench.arbiter.engagement.stop_reason is Reason.DISENGAGED
+    assert Reason.REMOTE_STOP in bench.arbiter.latches.details
     bench.ask("stop", "carl")
     assert len(bench.told(EventKind.LATCH)) == 1
 
@@ -725,7 +725,7 @@ def test_a_graver_cause_during_a_stop_latches() -> None:
     bench.ask("disengage")
     bench.changes = {"speed_mps": 1.0, "wheel_speed_mps": 1.0}
     bench.tick(count=100)
-    assert Reason.IMPLAUSIBLE_SPEED in bench.arbiter.latched
+    assert Reason.IMPLAUSIBLE_SPEED in bench.arbiter.latches.details
 
 
 @pytest.mark.parametrize(("late_ms", "event", "stops"), [(50, False, False), (51, True, False), (101, True, True)])
@@ -734,7 +734,7 @@ def test_a_late_loop(late_ms: int, event: bool, stops: bool) -> None:  # noqa: F
     bench = engaged()
     bench.tick(late_ns=late_ms * MS)
     assert [told.reason for told in bench.told(EventKind.FAULT)] == [Reason.LOOP_LATE] * event
-    assert (bench.arbiter.stop_reason is Reason.LOOP_LATE) is stops
+    assert (bench.arbiter.engagement.stop_reason is Reason.LOOP_LATE) is stops
     if stops:
         assert bench.told(EventKind.STOP)[-1].text.endswith("by 101 ms")
 
@@ -744,8 +744,8 @@ def test_a_bumper_latches_in_every_state() -> None:
     bench = Bench()
     bench.changes = {"rear_bumper": True}
     bench.tick(count=3)
-    assert [*bench.arbiter.latched] == [Reason.REAR_BUMPER]
-    assert bench.arbiter.actuation is None
+    assert [*bench.arbiter.latches.details] == [Reason.REAR_BUMPER]
+    assert bench.arbiter.output.actuation is None
     assert len(bench.told(EventKind.LATCH)) == 1
 
 
@@ -762,9 +762,9 @@ def test_a_pressed_bumper_forbids_its_direction() -> None:
         bench.drive()
         bench.ask("unpark")
         bench.drive_for(30, -away * 0.5)
-        assert bench.arbiter.motion.speed_mps == 0
+        assert bench.arbiter.output.motion.speed_mps == 0
         bench.drive_for(30, away * 0.5)
-        assert bench.arbiter.motion.speed_mps * away > 0
+        assert bench.arbiter.output.motion.speed_mps * away > 0
 
 
 def test_the_guard_latches_while_standing_by_too() -> None:
@@ -772,22 +772,22 @@ def test_the_guard_latches_while_standing_by_too() -> None:
     bench = Bench()
     bench.changes = {"guard_sends": True}
     bench.tick(count=2)
-    assert [*bench.arbiter.latched] == [Reason.GUARD]
+    assert [*bench.arbiter.latches.details] == [Reason.GUARD]
 
 
 def test_shutting_down() -> None:
     """Engaged: a controlled stop. Standing by: nothing. Then nobody engages it."""
     bench = engaged()
     bench.drive_for(10, 0.5)
-    bench.arbiter.shut_down(bench.now_ns)
-    assert bench.arbiter.stop_reason is Reason.SHUTDOWN
+    bench.arbiter.engagement.shut_down(bench.now_ns)
+    assert bench.arbiter.engagement.stop_reason is Reason.SHUTDOWN
     bench.tick()
     told = [(event.kind, event.severity) for event in bench.events if event.reason is Reason.SHUTDOWN]
     assert told == [(EventKind.GATEWAY, Severity.INFO), (EventKind.STOP, Severity.INFO)]
     idle = Bench()
     idle.changes = {"mode": Mode.AUTO}
     idle.tick()
-    idle.arbiter.shut_down(idle.now_ns)
+    idle.arbiter.engagement.shut_down(idle.now_ns)
     assert idle.arbiter.state is ArbiterState.STANDBY, "somebody else may have it in auto"
     idle.ask("acquire")
     assert idle.ask("engage").reason is Reason.SHUTDOWN
@@ -797,18 +797,18 @@ def test_what_the_bus_did_not_take_was_no_step() -> None:
     """The next burst is a step from what the chassis was told last."""
     bench = engaged()
     bench.drive_for(60, 1.0)
-    before = bench.arbiter.actuation
+    before = bench.arbiter.output.actuation
     bench.drive(1.0)
-    once = bench.arbiter.actuation
-    bench.arbiter.unsent()
-    assert bench.arbiter.actuation == before
+    once = bench.arbiter.output.actuation
+    bench.arbiter.output.undo_step()
+    assert bench.arbiter.output.actuation == before
     bench.drive(1.0)
-    assert bench.arbiter.actuation == once
-    bench.arbiter.unsent()
+    assert bench.arbiter.output.actuation == once
+    bench.arbiter.output.undo_step()
     bench.ask("stop")
     assert before is not None
-    assert bench.arbiter.actuation is not None
-    assert bench.arbiter.actuation.speed_mps == pytest.approx(before.speed_mps - 0.02)
+    assert bench.arbiter.output.actuation is not None
+    assert bench.arbiter.output.actuation.speed_mps == pytest.approx(before.speed_mps - 0.02)
 
 
 @pytest.mark.parametrize("stopping", [True, False])
@@ -820,13 +820,13 @@ def test_in_place_of_a_refused_burst_zero_speed_and_the_parking_brake_are_told(*
         bench.ask("disengage")
     bench.drive(1.0)
     instead = Actuation(True, GearPosition.DRIVE, 0.0, parking=True)  # noqa: FBT003
-    assert bench.arbiter.refuse_output("why", bench.now_ns) == bench.arbiter.actuation == instead
-    assert bench.arbiter.latched == {Reason.GATE: "why"}
-    bench.arbiter.unsent()
+    assert bench.arbiter.engagement.refuse_output("why", bench.now_ns) == bench.arbiter.output.actuation == instead
+    assert bench.arbiter.latches.details == {Reason.GATE: "why"}
+    bench.arbiter.output.undo_step()
     told = bench.tick().actuation
     assert told == instead
     bench.tick(count=3)
-    assert bench.arbiter.stop_phase is StopPhase.HOLD
+    assert bench.arbiter.output.stop_phase is StopPhase.HOLD
     bench.tick(count=200)
     assert bench.arbiter.state is ArbiterState.STANDBY
 

@@ -4,8 +4,9 @@ import msgspec
 import pytest
 
 from gateway.command.actuation import Actuation
-from gateway.command.causes import STOPS, Watch
-from gateway.command.observed import Observed
+from gateway.command.causes import STOPS
+from gateway.command.chassis_monitor import ChassisMonitor
+from gateway.command.chassis_state import ChassisState
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.reasons import Reason
 from tests.support.arbiter_bench import MS
@@ -17,22 +18,22 @@ STANDING = msgspec.structs.replace(IN_STOP, mode=Mode.AUTO, gear=GearPosition.NE
 MOVING = msgspec.structs.replace(STANDING, speed_mps=1.0, wheel_speed_mps=1.0, fastest_wheel_mps=1.0, turns=True)
 
 
-def but(observed: Observed = STANDING, /, **changes: object) -> Observed:
+def but(chassis: ChassisState = STANDING, /, **changes: object) -> ChassisState:
     """The same but for this."""
-    return msgspec.structs.replace(observed, **changes)
+    return msgspec.structs.replace(chassis, **changes)
 
 
-def watching(*observed: Observed) -> Watch:
-    """A watch that has seen these, a tick each, the last of them at zero."""
-    watch = Watch()
-    for number, each in enumerate(observed, 1 - len(observed)):
-        watch.observe(each, number * 10 * MS)
-    return watch
+def monitoring(*chassis: ChassisState) -> ChassisMonitor:
+    """A monitor that has seen these, a tick each, the last of them at zero."""
+    monitor = ChassisMonitor()
+    for number, each in enumerate(chassis, 1 - len(chassis)):
+        monitor.update(each, number * 10 * MS)
+    return monitor
 
 
-def found(watch: Watch, at_ms: int = 0, late_ns: int = 0) -> list[Reason]:
+def found(monitor: ChassisMonitor, at_ms: int = 0, late_ns: int = 0) -> list[Reason]:
     """The causes to stop a robot that is told to stand."""
-    return watch.faults(TOLD, LIMIT_MPS, late_ns, at_ms * MS)
+    return monitor.faults(TOLD, LIMIT_MPS, late_ns, at_ms * MS)
 
 
 def test_what_latches_is_what_the_table_says() -> None:
@@ -99,92 +100,92 @@ def test_what_gets_the_parking_brake_at_once() -> None:
 def test_standstill_is_five_slow_ticks(changes: dict[str, object], slow: bool) -> None:  # noqa: FBT001
     """Row 'standstill: measured speed under 0.05 m/s': both speeds known, for 50 ms without a break."""
     seen = but(**changes)
-    assert watching(*[seen] * 4).stands is False
-    assert watching(*[seen] * 5).stands is slow
-    assert watching(*[seen] * 4, MOVING, *[seen] * 4).stands is False
+    assert monitoring(*[seen] * 4).stands is False
+    assert monitoring(*[seen] * 5).stands is slow
+    assert monitoring(*[seen] * 4, MOVING, *[seen] * 4).stands is False
 
 
 def test_a_speed_beyond_the_chassis_is_one_in_the_other_scale() -> None:
     """Row 'plausibility: stop, latched, and say which scale fits'; before engaging it is faulty feedback."""
-    watch = watching(but(absurd=("Auto_DriveFeedBack",), speed_mps=None))
-    assert watch.chassis_faults() == [Reason.FEEDBACK_FAULTY]
-    assert found(watch)[0] is Reason.IMPLAUSIBLE_SPEED
-    assert watch.fault_detail(Reason.IMPLAUSIBLE_SPEED, 0) == (
+    monitor = monitoring(but(absurd=("Auto_DriveFeedBack",), speed_mps=None))
+    assert monitor.chassis_faults() == [Reason.FEEDBACK_FAULTY]
+    assert found(monitor)[0] is Reason.IMPLAUSIBLE_SPEED
+    assert monitor.fault_detail(Reason.IMPLAUSIBLE_SPEED, 0) == (
         "Auto_DriveFeedBack reads beyond what the chassis can do; the fine scale may fit"
     )
-    assert Reason.IMPLAUSIBLE_SPEED not in found(watching(but(absurd=("Auto_SteeringFeedBack",))))
+    assert Reason.IMPLAUSIBLE_SPEED not in found(monitoring(but(absurd=("Auto_SteeringFeedBack",))))
 
 
 FRONT = but(front_bumper=True)
 
 
-def see(watch: Watch, observed: Observed, from_ms: int, until_ms: int) -> None:
+def see(monitor: ChassisMonitor, chassis: ChassisState, from_ms: int, until_ms: int) -> None:
     """The same in every tick of this time, the last included."""
     for at_ms in range(from_ms, until_ms + 1, 10):
-        watch.observe(observed, at_ms * MS)
+        monitor.update(chassis, at_ms * MS)
 
 
 def test_a_reset_hit_is_a_new_one_once_the_bumper_was_clear_for_300_ms() -> None:
     """Row 'bumper: only motion away from the hit side until it reads clear for 300 ms'; each side for itself."""
-    watch = watching(FRONT)
-    assert watch.hits == [Reason.FRONT_BUMPER]
-    watch.acknowledge([Reason.FRONT_BUMPER])
-    assert watch.hits == []
-    watch.observe(but(FRONT, rear_bumper=True), 10 * MS)
-    assert watch.hits == [Reason.REAR_BUMPER]
-    see(watch, STANDING, 20, 300)
-    assert watch.pressed == {Reason.FRONT_BUMPER, Reason.REAR_BUMPER}
-    see(watch, STANDING, 310, 310)
-    assert watch.pressed == set()
-    see(watch, FRONT, 320, 320)
-    assert watch.hits == [Reason.FRONT_BUMPER]
+    monitor = monitoring(FRONT)
+    assert monitor.hits == [Reason.FRONT_BUMPER]
+    monitor.acknowledge([Reason.FRONT_BUMPER])
+    assert monitor.hits == []
+    monitor.update(but(FRONT, rear_bumper=True), 10 * MS)
+    assert monitor.hits == [Reason.REAR_BUMPER]
+    see(monitor, STANDING, 20, 300)
+    assert monitor.pressed == {Reason.FRONT_BUMPER, Reason.REAR_BUMPER}
+    see(monitor, STANDING, 310, 310)
+    assert monitor.pressed == set()
+    see(monitor, FRONT, 320, 320)
+    assert monitor.hits == [Reason.FRONT_BUMPER]
 
 
 @pytest.mark.parametrize("chatter_ms", range(10, 81, 10))
 def test_contacts_that_bounce_hit_once(chatter_ms: int) -> None:
     """Row 'bumper: contact bounce of an acknowledged bumper latches nothing new'; it is pressed meanwhile."""
-    watch = watching(FRONT)
-    watch.acknowledge([Reason.FRONT_BUMPER])
+    monitor = monitoring(FRONT)
+    monitor.acknowledge([Reason.FRONT_BUMPER])
     for at_ms in range(10, 3_000, 10):
-        watch.observe(FRONT if at_ms // chatter_ms % 2 else STANDING, at_ms * MS)
-        assert (watch.hits, watch.pressed, watch.struck) == ([], {Reason.FRONT_BUMPER}, set())
+        monitor.update(FRONT if at_ms // chatter_ms % 2 else STANDING, at_ms * MS)
+        assert (monitor.hits, monitor.pressed, monitor.struck) == ([], {Reason.FRONT_BUMPER}, set())
 
 
 def test_a_reset_acknowledges_only_what_was_latched() -> None:
     """A bumper that is hit in the tick of the reset is not among it."""
-    watch = watching(but(front_bumper=True, rear_bumper=True))
-    watch.acknowledge([Reason.FRONT_BUMPER, Reason.REMOTE_STOP])
-    assert watch.hits == [Reason.REAR_BUMPER]
+    monitor = monitoring(but(front_bumper=True, rear_bumper=True))
+    monitor.acknowledge([Reason.FRONT_BUMPER, Reason.REMOTE_STOP])
+    assert monitor.hits == [Reason.REAR_BUMPER]
 
 
 def test_a_bumper_strikes_once() -> None:
     """In the tick in which it is pressed, and again once it was clear for 300 ms."""
-    watch = watching(FRONT)
-    assert watch.struck == {Reason.FRONT_BUMPER}
-    watch.observe(but(FRONT, rear_bumper=True), 10 * MS)
-    assert watch.struck == {Reason.REAR_BUMPER}
-    see(watch, STANDING, 20, 310)
-    assert watch.struck == set()
-    see(watch, FRONT, 320, 320)
-    assert watch.struck == {Reason.FRONT_BUMPER}
+    monitor = monitoring(FRONT)
+    assert monitor.struck == {Reason.FRONT_BUMPER}
+    monitor.update(but(FRONT, rear_bumper=True), 10 * MS)
+    assert monitor.struck == {Reason.REAR_BUMPER}
+    see(monitor, STANDING, 20, 310)
+    assert monitor.struck == set()
+    see(monitor, FRONT, 320, 320)
+    assert monitor.struck == {Reason.FRONT_BUMPER}
 
 
 def test_a_bumper_that_was_not_seen_for_a_while_is_a_new_hit() -> None:
     """Not known is not pressed, and nobody has reset what comes next."""
-    watch = watching(FRONT)
-    watch.acknowledge([Reason.FRONT_BUMPER])
-    see(watch, but(front_bumper=None), 10, 300)
-    assert watch.pressed == set()
-    see(watch, FRONT, 310, 310)
-    assert watch.hits == [Reason.FRONT_BUMPER]
+    monitor = monitoring(FRONT)
+    monitor.acknowledge([Reason.FRONT_BUMPER])
+    see(monitor, but(front_bumper=None), 10, 300)
+    assert monitor.pressed == set()
+    see(monitor, FRONT, 310, 310)
+    assert monitor.hits == [Reason.FRONT_BUMPER]
 
 
 @pytest.mark.parametrize(("age_ms", "heard"), [(0, True), (99, True), (100, False), (None, False)])
 def test_another_commander_is_heard_for_a_tenth_of_a_second(age_ms: int | None, heard: bool) -> None:  # noqa: FBT001
     """Row 'standing by: another computer may own it'."""
-    watch = watching(but(commander_ns=None if age_ms is None else 500 * MS - age_ms * MS))
-    assert watch.is_commanded_by_other(500 * MS) is heard
-    assert (Reason.OTHER_COMMANDER in watch.faults(TOLD, LIMIT_MPS, 0, 500 * MS)) is heard
+    monitor = monitoring(but(commander_ns=None if age_ms is None else 500 * MS - age_ms * MS))
+    assert monitor.is_commanded_by_other(500 * MS) is heard
+    assert (Reason.OTHER_COMMANDER in monitor.faults(TOLD, LIMIT_MPS, 0, 500 * MS)) is heard
 
 
 @pytest.mark.parametrize(
@@ -199,33 +200,33 @@ def test_another_commander_is_heard_for_a_tenth_of_a_second(age_ms: int | None, 
 )
 def test_the_chassis_speaks_against_it(changes: dict[str, object], reasons: list[Reason]) -> None:
     """Rows 'feedback silence', 'checksum faults', 'engage: variant confirmed'."""
-    watch = watching(but(**changes))
-    assert watch.chassis_faults() == reasons
-    assert found(watch) == reasons
+    monitor = monitoring(but(**changes))
+    assert monitor.chassis_faults() == reasons
+    assert found(monitor) == reasons
 
 
 @pytest.mark.parametrize(("late_ns", "stops"), [(100 * MS, False), (100 * MS + 1, True)])
 def test_a_late_loop_stops(late_ns: int, stops: bool) -> None:  # noqa: FBT001
     """Row 'loop late: over 100 ms: stop'."""
-    assert found(watching(STANDING), late_ns=late_ns) == ([Reason.LOOP_LATE] if stops else [])
+    assert found(monitoring(STANDING), late_ns=late_ns) == ([Reason.LOOP_LATE] if stops else [])
 
 
 @pytest.mark.parametrize(("failures", "stops"), [(4, False), (5, True)])
 def test_frames_that_the_bus_does_not_take_stop(failures: int, stops: bool) -> None:  # noqa: FBT001
     """Five ticks in a row."""
-    watch = watching(STANDING)
-    watch.send_failures = failures
-    assert found(watch) == ([Reason.SEND_FAILED] if stops else [])
+    monitor = monitoring(STANDING)
+    monitor.send_failures = failures
+    assert found(monitor) == ([Reason.SEND_FAILED] if stops else [])
 
 
 def test_what_is_not_plausible_stops() -> None:
     """Rows 'rolling' and 'plausibility': told to stand it moves; the details are those of what was found."""
-    watch = watching(MOVING)
-    assert found(watch) == []
-    assert found(watch, 100) == [Reason.ROLLING]
-    assert watch.fault_detail(Reason.ROLLING, 0) == "forward at 1.00 m/s by the wheels"
-    assert found(watch, 300) == [Reason.IMPLAUSIBLE_SPEED, Reason.ROLLING]
-    assert watch.fault_detail(Reason.IMPLAUSIBLE_SPEED, 0).startswith("the wheels turn forward at 1.00 m/s")
+    monitor = monitoring(MOVING)
+    assert found(monitor) == []
+    assert found(monitor, 100) == [Reason.ROLLING]
+    assert monitor.fault_detail(Reason.ROLLING, 0) == "forward at 1.00 m/s by the wheels"
+    assert found(monitor, 300) == [Reason.IMPLAUSIBLE_SPEED, Reason.ROLLING]
+    assert monitor.fault_detail(Reason.IMPLAUSIBLE_SPEED, 0).startswith("the wheels turn forward at 1.00 m/s")
 
 
 @pytest.mark.parametrize(
@@ -239,19 +240,19 @@ def test_what_is_not_plausible_stops() -> None:
     ],
     ids=["raw", "drive", "wheels", "pulses", "no body frame"],
 )
-def test_found_moving_for_a_fifth_of_a_second(moves: Observed) -> None:
+def test_found_moving_for_a_fifth_of_a_second(moves: ChassisState) -> None:
     """Row 'found at start: in auto, moving by drive, wheels or pulses, and nobody sending': without a break."""
-    watch = watching(moves)
-    assert [watch.found_moving(at_ms * MS) for at_ms in (0, 199, 200)] == [False, False, True]
+    monitor = monitoring(moves)
+    assert [monitor.found_moving(at_ms * MS) for at_ms in (0, 199, 200)] == [False, False, True]
     for calm in (
         STANDING,
         but(moves, mode=Mode.STOP),
         but(moves, mode=Mode.REMOTE),
         but(moves, commander_ns=200 * MS),
     ):
-        watch.observe(calm, 210 * MS)
-        assert not watch.found_moving(210 * MS)
-        watch.observe(moves, 220 * MS)
-        assert not watch.found_moving(220 * MS)
-        assert not watch.found_moving(419 * MS)
-        assert watch.found_moving(420 * MS)
+        monitor.update(calm, 210 * MS)
+        assert not monitor.found_moving(210 * MS)
+        monitor.update(moves, 220 * MS)
+        assert not monitor.found_moving(220 * MS)
+        assert not monitor.found_moving(419 * MS)
+        assert monitor.found_moving(420 * MS)

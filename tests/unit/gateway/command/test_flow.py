@@ -67,7 +67,7 @@ def test_in_place_of_what_the_gate_refuses_the_parking_brake_is_told(
     sent = len(rig.out)
     rig.takes = None if taken else 0
     rig.tick()
-    assert made.arbiter.latched == {Reason.GATE: "18C4D3D0: because"}
+    assert made.arbiter.latches.details == {Reason.GATE: "18C4D3D0: because"}
     assert made.arbiter.state is ArbiterState.STOPPING
     assert not made.is_mute
     rig.takes = None
@@ -107,7 +107,9 @@ def test_the_gate_is_told_what_was_sent() -> None:
     rig._witness = lambda *_: None  # type: ignore[method-assign]
     made.maker.counters["Auto_DriveCmd"] = (made.maker.counters["Auto_DriveCmd"] + 15) % 16
     rig.tick()
-    assert made.arbiter.latched == {Reason.GATE: "18C4D3D0: the alive counter does not follow the last one"}
+    assert made.arbiter.latches.details == {
+        Reason.GATE: "18C4D3D0: the alive counter does not follow the last one"
+    }
 
 
 def test_nobody_is_mute_who_has_nothing_to_say(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -163,14 +165,14 @@ def test_a_stop_that_the_bus_does_not_take_is_left_to_the_guard_in_the_end(ticks
 def test_whole_bursts_alone_count_as_told() -> None:
     """Of a part the chassis has heard some; the time since it was told all goes on."""
     rig, operator = driving(1.0)
-    assert flow(rig).arbiter.told_ns == rig.now_ns
+    assert flow(rig).arbiter.output.told_ns == rig.now_ns
     told_ns = rig.now_ns
     rig.takes = 4
     operator.drive(1.0)
-    assert flow(rig).arbiter.told_ns == told_ns
+    assert flow(rig).arbiter.output.told_ns == told_ns
     rig.takes = 5
     operator.drive(1.0)
-    assert flow(rig).arbiter.told_ns == rig.now_ns
+    assert flow(rig).arbiter.output.told_ns == rig.now_ns
 
 
 def test_a_ramp_goes_on_where_the_bus_takes_the_speed_and_little_more() -> None:
@@ -182,10 +184,10 @@ def test_a_ramp_goes_on_where_the_bus_takes_the_speed_and_little_more() -> None:
     rig.tick(70)
     assert rig.heard[begun:] == sorted(rig.heard[begun:], reverse=True)
     assert rig.heard[-1] == 0
-    assert flow(rig).arbiter.stop_phase is StopPhase.RAMP, "the brake was not heard yet"
+    assert flow(rig).arbiter.output.stop_phase is StopPhase.RAMP, "the brake was not heard yet"
     rig.takes = None
     rig.tick()
-    assert flow(rig).arbiter.stop_phase is StopPhase.BRAKE
+    assert flow(rig).arbiter.output.stop_phase is StopPhase.BRAKE
 
 
 def test_after_a_silence_the_gate_begins_anew() -> None:
@@ -196,7 +198,7 @@ def test_after_a_silence_the_gate_begins_anew() -> None:
     rig.fault("transmitter remote for 60ms")
     rig.tick(6)
     angle = {"angle_deg": -20.0}
-    observed = msgspec.structs.replace(STANDING, mode=Mode.STOP, **angle)
+    chassis = msgspec.structs.replace(STANDING, mode=Mode.STOP, **angle)
     made = flow(rig)
     while made.arbiter.state is not ArbiterState.STANDBY:
         rig.tick()
@@ -206,33 +208,33 @@ def test_after_a_silence_the_gate_begins_anew() -> None:
     now_ns = rig.now_ns
     frames = []
     for tick in range(1, 12):
-        due = made.tick(observed, [engage] if tick == 8 else [], now_ns + tick * 10 * MS, WALL_NS, 0, CHALLENGE)
+        due = made.tick(chassis, [engage] if tick == 8 else [], now_ns + tick * 10 * MS, WALL_NS, 0, CHALLENGE)
         made.sent(len(due.frames), now_ns + tick * 10 * MS, WALL_NS)
         frames += due.frames
-    assert Reason.GATE not in made.arbiter.latched
+    assert Reason.GATE not in made.arbiter.latches.details
     assert frames
 
 
 def test_send_failures_are_counted_in_a_row() -> None:
     """One whole burst in between begins anew; lamps that were not taken count too."""
     rig, operator = driving(0.5)
-    watch = flow(rig).arbiter.watch
+    monitor = flow(rig).arbiter.monitor
     for takes, failures in ((4, 1), (0, 2), (None, 0), (3, 1)):
         rig.takes = takes
-        motion = flow(rig).arbiter.motion
+        motion = flow(rig).arbiter.output.motion
         operator_payload = operator.drive_payload(0.5)
         rig.put("first", "drive", operator_payload)
         rig.tick()
-        assert watch.send_failures == failures
-        assert (flow(rig).arbiter.motion is motion) is (takes is not None), "what was not taken was no step"
+        assert monitor.send_failures == failures
+        assert (flow(rig).arbiter.output.motion is motion) is (takes is not None), "what was not taken was no step"
     rig.takes = None
     operator.reason("horn", on=True)
     rig.takes = 5
-    before = flow(rig).arbiter.motion
+    before = flow(rig).arbiter.output.motion
     rig.put("first", "drive", operator.drive_payload(0.5))
     rig.tick()
-    assert watch.send_failures == 1
-    assert flow(rig).arbiter.motion is not before, "the five were taken: that was a step"
+    assert monitor.send_failures == 1
+    assert flow(rig).arbiter.output.motion is not before, "the five were taken: that was a step"
 
 
 def test_decisions_are_bound_while_it_is_engaged_only() -> None:

@@ -4,18 +4,18 @@ import msgspec
 import pytest
 
 from gateway.command.actuation import Actuation
+from gateway.command.chassis_state import ChassisState
 from gateway.command.handover import Handover, may_be_stopped, may_obey
-from gateway.command.observed import Observed
 from schemas.messages import GearPosition, Mode
 from schemas.reasons import Reason
 from schemas.settings import LEFT_BLIND_NS
 
-AUTO = Observed(bus_up=True, mode=Mode.AUTO, bus_losses=3, guard_stops=2)
+AUTO = ChassisState(bus_up=True, mode=Mode.AUTO, bus_losses=3, guard_stops=2)
 TOLD = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=1.0, parking=False)
 NOW_NS = 7_000_000_000
 
 
-def but(**changes: object) -> Observed:
+def but(**changes: object) -> ChassisState:
     """A chassis in auto, but for this."""
     return msgspec.structs.replace(AUTO, **changes)
 

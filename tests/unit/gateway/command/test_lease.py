@@ -5,60 +5,60 @@ from random import Random
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.command.lease import Lease, LeaseDesk
+from gateway.command.lease import HeldLease, Leases
 from schemas.reasons import Reason
 from schemas.requests import LEASE_MAX, Role
 
 S = 1_000_000_000
 
 
-def desk(seed: int = 1) -> LeaseDesk:
-    """A desk whose leases last 2 s."""
-    return LeaseDesk(2 * S, Random(seed))  # noqa: S311 - as in the arbiter: it keeps no secret
+def leases(seed: int = 1) -> Leases:
+    """Leases that last 2 s."""
+    return Leases(2 * S, Random(seed))  # noqa: S311 - as in the arbiter: it keeps no secret
 
 
-def given_to(made: LeaseDesk, operator: str, role: Role = Role.OPERATOR, now_ns: int = 0) -> Lease:
+def given_to(made: Leases, operator: str, role: Role = Role.OPERATOR, now_ns: int = 0) -> HeldLease:
     """The lease, which nobody held."""
     lease = made.acquire(operator, role, now_ns)
-    assert isinstance(lease, Lease)
+    assert isinstance(lease, HeldLease)
     return lease
 
 
 def test_one_at_a_time() -> None:
     """Row 'lease: exclusive': who comes second is told that it is held, also the holder himself."""
-    made = desk()
+    made = leases()
     lease = given_to(made, "first")
     assert made.acquire("second", Role.SUPERVISOR, 0) is Reason.LEASE_HELD
     assert made.acquire("first", Role.OPERATOR, 0) is Reason.LEASE_HELD
-    assert made.lease == lease
+    assert made.held == lease
 
 
 def test_it_expires_at_two_seconds_and_not_before() -> None:
     """Row 'lease: expires: 2 s'; each renewal counts anew."""
-    made = desk()
+    made = leases()
     given_to(made, "first")
     made.renew(S)
     assert made.expire(3 * S - 1) is None
     lost = made.expire(3 * S)
     assert lost is not None
     assert lost.operator == "first"
-    assert made.lease is None
+    assert made.held is None
     assert made.expire(4 * S) is None
     assert made.refusal(lost.id, "first") is Reason.LEASE_EXPIRED
 
 
 def test_nobodys_lease_is_neither_renewed_nor_ended() -> None:
     """There is nothing to renew."""
-    made = desk()
+    made = leases()
     made.renew(0)
     made.end(Reason.LEASE_RELEASED)
-    assert made.lease is None
+    assert made.held is None
     assert made.refusal(0, "first") is Reason.NO_LEASE
 
 
 def test_number_and_operator_both_have_to_fit() -> None:
     """Who has overheard the number is still somebody else."""
-    made = desk()
+    made = leases()
     lease = given_to(made, "first")
     assert made.refusal(lease.id, "first") is None
     assert made.refusal(lease.id, "second") is Reason.NO_LEASE
@@ -69,26 +69,26 @@ def test_a_higher_or_equal_role_takes_it() -> None:
     """Row 'take needs a higher or equal role', for every pair of roles."""
     for holder in Role:
         for taker in Role:
-            made = desk()
+            made = leases()
             old = given_to(made, "first", holder)
             taken = made.take("second", taker, S)
             if taker.rank < holder.rank:
                 assert taken is Reason.ROLE_TOO_LOW
-                assert made.lease == old
+                assert made.held == old
             else:
-                assert isinstance(taken, Lease)
+                assert isinstance(taken, HeldLease)
                 assert (taken.operator, taken.role, taken.expires_ns) == ("second", taker, 3 * S)
                 assert made.refusal(old.id, "first") is Reason.LEASE_TAKEN
 
 
 def test_what_nobody_holds_anybody_takes() -> None:
     """Take is acquire then."""
-    assert isinstance(desk().take("second", Role.PROGRAM, 0), Lease)
+    assert isinstance(leases().take("second", Role.PROGRAM, 0), HeldLease)
 
 
 def test_sixteen_ended_leases_are_remembered() -> None:
     """Who lost one is told how; what is older is just not in force."""
-    made = desk()
+    made = leases()
     numbers = []
     for _ in range(17):
         numbers.append(given_to(made, "first").id)
@@ -100,6 +100,6 @@ def test_sixteen_ended_leases_are_remembered() -> None:
 @given(run=st.integers(0, 2**64), other=st.integers(0, 2**64))
 def test_numbers_of_one_run_do_not_fit_another(run: int, other: int) -> None:
     """And each is one that every language holds exactly."""
-    number = given_to(desk(run), "first").id
+    number = given_to(leases(run), "first").id
     assert 0 < number <= LEASE_MAX
-    assert (number == given_to(desk(other), "first").id) is (run == other)
+    assert (number == given_to(leases(other), "first").id) is (run == other)

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.command.limits import Limits, steering_angle_deg
+from gateway.command.limits import MotionLimits, steering_angle_deg
 from schemas.requests import Drive
 from schemas.settings import CommandSettings
 
-LIMITS = Limits.of(CommandSettings())
+LIMITS = MotionLimits.of(CommandSettings())
 
 
 def drive(speed_mps: float = 1.0, **asked: Any) -> Drive:  # noqa: ANN401 - any field
@@ -21,20 +21,20 @@ def drive(speed_mps: float = 1.0, **asked: Any) -> Drive:  # noqa: ANN401 - any 
 
 def test_the_start_values_are_those_of_the_table() -> None:
     """Rows 'speed limit', 'acceleration / normal / emergency deceleration', 'steering limit / rate', 'lateral'."""
-    assert Limits(2.222, 0.8, 1.2, 2.0, 24.0, 60.0, 1.5) == LIMITS
+    assert MotionLimits(2.222, 0.8, 1.2, 2.0, 24.0, 60.0, 1.5) == LIMITS
 
 
 def test_the_emergency_deceleration_is_never_the_lower_one() -> None:
     """Whatever the settings say, a graver stop is no slower."""
     settings = CommandSettings(deceleration_mps2=1.5, emergency_deceleration_mps2=0.5)
-    assert Limits.of(settings).emergency_deceleration_mps2 == 1.5
+    assert MotionLimits.of(settings).emergency_deceleration_mps2 == 1.5
 
 
 @pytest.mark.parametrize(
     ("asked_mps", "limit_mps"), [(None, 2.222), (3.0, 2.222), (2.222, 2.222), (1.0, 1.0), (0.0, 0.0), (-1.0, 0.0)]
 )
 def test_limits_scale_down_never_up(asked_mps: float | None, limit_mps: float) -> None:
-    """Limits scale down, never up, at run time."""
+    """MotionLimits scale down, never up, at run time."""
     assert LIMITS.lowered(asked_mps).speed_mps == limit_mps
 
 

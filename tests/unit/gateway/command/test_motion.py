@@ -7,13 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.command.actuation import AT_REST, Actuation
-from gateway.command.limits import Limits
-from gateway.command.motion import Motion, Surroundings, Target
+from gateway.command.limits import MotionLimits
+from gateway.command.motion import MotionConstraints, MotionProfile, Target
 from schemas.decisions import Bound
 from schemas.messages import GearPosition, ParkingStatus
 from schemas.settings import CommandSettings
 
-LIMITS = Limits.of(CommandSettings())
+LIMITS = MotionLimits.of(CommandSettings())
 DRIVE, REVERSE, NEUTRAL, PARK = (
     GearPosition.DRIVE,
     GearPosition.REVERSE,
@@ -34,8 +34,8 @@ class Robot:
         speed_mps, angle_deg: as measured; None follows.
     """
 
-    def __init__(self, limits: Limits = LIMITS) -> None:
-        self.motion = Motion()
+    def __init__(self, limits: MotionLimits = LIMITS) -> None:
+        self.motion = MotionProfile()
         self.limits = limits
         self.told = AT_REST
         self.gear: GearPosition | None = None
@@ -52,7 +52,7 @@ class Robot:
         self.bounds = set()
         for _ in range(count):
             told = self.told
-            seen = Surroundings(
+            seen = MotionConstraints(
                 stands=told.speed_mps == 0 if self.stands is None else self.stands,
                 gear=self.gear or (PARK if told.parking else told.gear),
                 brake=self.brake or (APPLIED if told.parking else RELEASED),
@@ -67,7 +67,7 @@ class Robot:
         return self.told
 
 
-def going(speed_mps: float = 1.0, limits: Limits = LIMITS) -> Robot:
+def going(speed_mps: float = 1.0, limits: MotionLimits = LIMITS) -> Robot:
     """A robot that drives at this speed."""
     robot = Robot(limits)
     assert robot.tick(speed_mps, count=GO_TICKS + 300).signed_speed_mps == speed_mps
@@ -146,7 +146,7 @@ def test_a_brake_that_does_not_read_released_at_speed_takes_the_speed() -> None:
     assert (robot.tick(1.0, count=100).speed_mps, robot.told.gear) == (0.0, DRIVE)
 
 
-# Limits.
+# MotionLimits.
 
 
 @pytest.mark.parametrize(

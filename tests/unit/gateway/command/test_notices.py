@@ -1,7 +1,7 @@
 """What is told although it stops nothing."""
 
+from gateway.command.chassis_state import ChassisState
 from gateway.command.notices import Notice, Notices
-from gateway.command.observed import Observed
 from schemas.decisions import EventKind, Severity
 from schemas.messages import ControllerState
 from schemas.reasons import Reason
@@ -13,12 +13,12 @@ MS = 1_000_000
 def test_a_late_loop_is_told_once_a_second() -> None:
     """From the first time on, above 50 ms; how late is in the words."""
     notices = Notices()
-    assert list(notices.look(Observed(), 0, 50 * MS)) == []
-    assert list(notices.look(Observed(), 1, 51 * MS)) == [
+    assert list(notices.look(ChassisState(), 0, 50 * MS)) == []
+    assert list(notices.look(ChassisState(), 1, 51 * MS)) == [
         Notice(Severity.WARNING, Reason.LOOP_LATE, "the loop was 51 ms late")
     ]
-    assert list(notices.look(Observed(), LATE_TOLD_NS, 80 * MS)) == []
-    assert len(list(notices.look(Observed(), LATE_TOLD_NS + 1, 80 * MS))) == 1
+    assert list(notices.look(ChassisState(), LATE_TOLD_NS, 80 * MS)) == []
+    assert len(list(notices.look(ChassisState(), LATE_TOLD_NS + 1, 80 * MS))) == 1
 
 
 def test_each_change_of_the_controller_is_told() -> None:
@@ -27,7 +27,7 @@ def test_each_change_of_the_controller_is_told() -> None:
     told = [
         (notice.severity, notice.reason, notice.text)
         for state in ("unknown", "warning", "warning", "passive", "bus_off", "bus_off", "active")
-        for notice in notices.look(Observed(controller=ControllerState(state)), 0, 0)
+        for notice in notices.look(ChassisState(controller=ControllerState(state)), 0, 0)
     ]
     begin = "the CAN controller: "
     assert told == [
@@ -47,7 +47,7 @@ def test_another_computers_commands_are_told_once_until_they_have_ceased_for_a_s
             (0, None), (10, 5), (20, 15), (30, None), (40, 35), (50, 35), (50, 35 + COMMANDER_QUIET_NS),
             (60, 36 + 2 * COMMANDER_QUIET_NS),
         ]
-        for notice in notices.look(Observed(commander_ns=heard_ns), at_ns, 0)
+        for notice in notices.look(ChassisState(commander_ns=heard_ns), at_ns, 0)
     ]  # fmt: skip
     text = "another computer commands the chassis on the bus"
     assert told == [(at_ns, Notice(Severity.WARNING, Reason.OTHER_COMMANDER, text)) for at_ns in (10, 60)]
@@ -57,18 +57,18 @@ def test_the_end_of_the_guards_stop_is_told_with_its_words() -> None:
     """Row 'the guard has stopped the robot': once, when it sends no more."""
     notices = Notices()
     cause = "the gateway's loop gave no sign of life"
-    assert list(notices.look(Observed(guard_sends=True, guard_stops=1, guard_says=cause), 0, 0)) == []
-    ended = Observed(guard_stops=1, guard_says=f"{cause}; the robot stands")
+    assert list(notices.look(ChassisState(guard_sends=True, guard_stops=1, guard_says=cause), 0, 0)) == []
+    ended = ChassisState(guard_stops=1, guard_says=f"{cause}; the robot stands")
     text = f"the guard's stop has ended: {cause}; the robot stands"
     assert list(notices.look(ended, 1, 0)) == [Notice(Severity.WARNING, Reason.GUARD, text, EventKind.GUARD)]
     assert list(notices.look(ended, 2, 0)) == []
-    assert list(notices.look(Observed(), 3, 0)) == [], "another guard has begun, and says nothing yet"
+    assert list(notices.look(ChassisState(), 3, 0)) == [], "another guard has begun, and says nothing yet"
 
 
 def test_lost_real_time_priority_is_told_and_its_absence_is_not() -> None:
     """Row 'a gateway without real-time priority': from the start on it is in health, and is no event."""
     notices = Notices()
-    assert list(notices.look(Observed(), 0, 0)) == []
-    assert list(notices.look(Observed(realtime=True), 1, 0)) == []
-    (notice,) = notices.look(Observed(), 2, 0)
+    assert list(notices.look(ChassisState(), 0, 0)) == []
+    assert list(notices.look(ChassisState(realtime=True), 1, 0)) == []
+    (notice,) = notices.look(ChassisState(), 2, 0)
     assert (notice.severity, notice.reason) == (Severity.WARNING, Reason.NO_REALTIME)

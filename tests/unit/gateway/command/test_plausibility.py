@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from gateway.command.actuation import AT_REST, Actuation
-from gateway.command.observed import Observed
+from gateway.command.chassis_state import ChassisState
 from gateway.command.plausibility import Plausibility, exceeds, fits, fitting_scale
 from schemas.messages import GearPosition
 from schemas.reasons import Reason
@@ -22,16 +22,16 @@ def told(speed_mps: float = 0.0, angle_deg: float = 0.0) -> Actuation:
     return Actuation(True, gear, abs(speed_mps), angle_deg, parking=False)  # noqa: FBT003
 
 
-def seen(wheel_mps: float | None = 0.0, drive_mps: float | None = None, **changes: object) -> Observed:
+def seen(wheel_mps: float | None = 0.0, drive_mps: float | None = None, **changes: object) -> ChassisState:
     """A chassis whose drive feedback fits its wheels, but for what is given."""
     fastest_mps = None if wheel_mps is None else abs(wheel_mps)
-    observed = Observed(
+    chassis = ChassisState(
         speed_mps=fastest_mps if drive_mps is None else drive_mps,
         wheel_speed_mps=wheel_mps,
         fastest_wheel_mps=fastest_mps,
         angle_deg=0.0,
     )
-    return msgspec.structs.replace(observed, **changes)
+    return msgspec.structs.replace(chassis, **changes)
 
 
 class Watched:
@@ -43,20 +43,20 @@ class Watched:
         self.now_ms = 0
 
     def run(
-        self, observed: Observed, actuation: Actuation = AT_REST, ms: int = 10, limit_mps: float = 2.222
+        self, chassis: ChassisState, actuation: Actuation = AT_REST, ms: int = 10, limit_mps: float = 2.222
     ) -> list[Reason]:
         """Ticks, the last of them so many milliseconds after the first; what is found in the last."""
         found: list[Reason] = []
         for _ in range(0, ms, 10):
-            found = self.made.observe(observed, actuation, limit_mps, self.now_ms * MS)
+            found = self.made.check(chassis, actuation, limit_mps, self.now_ms * MS)
             self.now_ms += 10
         return found
 
-    def found_after_ms(self, reason: Reason, observed: Observed, actuation: Actuation = AT_REST) -> int | None:
+    def found_after_ms(self, reason: Reason, chassis: ChassisState, actuation: Actuation = AT_REST) -> int | None:
         """When this is found, counted from the first tick; None if it is not within 10 s."""
         begun_ms = self.now_ms
         for _ in range(1_000):
-            if reason in self.run(observed, actuation):
+            if reason in self.run(chassis, actuation):
                 return self.now_ms - begun_ms - 10
         return None
 
@@ -112,8 +112,8 @@ def test_speeds_that_do_not_fit_are_found_after_300_ms(
 ) -> None:
     """Row 'plausibility: wheels against the command and drive feedback, for 300 ms: stop, and say which scale'."""
     watched = Watched()
-    observed = seen(sign * wheel_mps, drive_mps)
-    assert watched.found_after_ms(Reason.IMPLAUSIBLE_SPEED, observed, told(sign * told_mps)) == 300
+    chassis = seen(sign * wheel_mps, drive_mps)
+    assert watched.found_after_ms(Reason.IMPLAUSIBLE_SPEED, chassis, told(sign * told_mps)) == 300
     assert words in watched.made.details[Reason.IMPLAUSIBLE_SPEED]
 
 
@@ -124,10 +124,10 @@ def test_what_fits_in_between_begins_anew() -> None:
         assert watched.run(seen(0.5 if at_ms % 300 == 290 else 1.0), told(0.5)) == []
 
 
-@pytest.mark.parametrize("observed", [seen(None, 2.0), seen(2.0, speed_mps=None), seen(None, angle_deg=None)])
-def test_what_is_not_known_does_not_misfit(observed: Observed) -> None:
+@pytest.mark.parametrize("chassis", [seen(None, 2.0), seen(2.0, speed_mps=None), seen(None, angle_deg=None)])
+def test_what_is_not_known_does_not_misfit(chassis: ChassisState) -> None:
     """Missing feedback is a cause of its own."""
-    assert Watched().found_after_ms(Reason.IMPLAUSIBLE_SPEED, observed, told(2.0)) is None
+    assert Watched().found_after_ms(Reason.IMPLAUSIBLE_SPEED, chassis, told(2.0)) is None
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ FORWARD, BACKWARD = told(0.5), told(-0.5)
 
 
 @pytest.mark.parametrize(
-    ("observed", "actuation", "words"),
+    ("chassis", "actuation", "words"),
     [
         (seen(0.101, 0.0), AT_REST, "forward at 0.10 m/s by the wheels"),
         (seen(-0.101, 0.0), AT_REST, "backward at 0.10 m/s by the wheels"),
@@ -167,15 +167,15 @@ FORWARD, BACKWARD = told(0.5), told(-0.5)
         (seen(0.0, pulses=1), BACKWARD, "forward by the wheel pulses"),
     ],
 )
-def test_a_robot_that_rolls_is_found_after_100_ms(observed: Observed, actuation: Actuation, words: str) -> None:
+def test_a_robot_that_rolls_is_found_after_100_ms(chassis: ChassisState, actuation: Actuation, words: str) -> None:
     """Row 'rolling: at zero command, or against the commanded direction, by wheels or pulses, for 100 ms'."""
     watched = Watched()
-    assert watched.found_after_ms(Reason.ROLLING, observed, actuation) == 100
+    assert watched.found_after_ms(Reason.ROLLING, chassis, actuation) == 100
     assert watched.made.details[Reason.ROLLING] == words
 
 
 @pytest.mark.parametrize(
-    ("observed", "actuation"),
+    ("chassis", "actuation"),
     [
         (seen(0.05), AT_REST),
         (seen(-0.05), AT_REST),
@@ -186,9 +186,9 @@ def test_a_robot_that_rolls_is_found_after_100_ms(observed: Observed, actuation:
         (seen(None, 0.5), FORWARD),
     ],
 )
-def test_what_stands_or_goes_as_it_is_told_does_not_roll(observed: Observed, actuation: Actuation) -> None:
+def test_what_stands_or_goes_as_it_is_told_does_not_roll(chassis: ChassisState, actuation: Actuation) -> None:
     """Row 'rolling: over the standstill bound'."""
-    assert Watched().found_after_ms(Reason.ROLLING, observed, actuation) is None
+    assert Watched().found_after_ms(Reason.ROLLING, chassis, actuation) is None
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -223,7 +223,7 @@ def test_a_robot_that_is_found_moving_has_its_speed(speed_mps: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("limit_mps", "observed", "is_over"),
+    ("limit_mps", "chassis", "is_over"),
     [
         (2.222, seen(2.53), True),
         (2.222, seen(2.51), False),
@@ -235,15 +235,15 @@ def test_a_robot_that_is_found_moving_has_its_speed(speed_mps: float) -> None:
 )
 def test_a_robot_that_is_faster_than_its_limit_is_found(
     limit_mps: float,
-    observed: Observed,
+    chassis: ChassisState,
     is_over: bool,  # noqa: FBT001 - a case of the table
 ) -> None:
     """Row 'measured speed over the limit in force by 0.3 m/s for 300 ms', also under a lowered limit."""
     watched = Watched()
-    assert observed.wheel_speed_mps is not None
-    actuation = told(limit_mps if observed.wheel_speed_mps > 0 else -limit_mps)
-    assert Reason.OVERSPEED not in watched.run(observed, actuation, 300, limit_mps)
-    assert (Reason.OVERSPEED in watched.run(observed, actuation, 10, limit_mps)) is is_over
+    assert chassis.wheel_speed_mps is not None
+    actuation = told(limit_mps if chassis.wheel_speed_mps > 0 else -limit_mps)
+    assert Reason.OVERSPEED not in watched.run(chassis, actuation, 300, limit_mps)
+    assert (Reason.OVERSPEED in watched.run(chassis, actuation, 10, limit_mps)) is is_over
 
 
 def test_a_limit_that_was_lowered_has_to_be_reached_first() -> None:
@@ -294,7 +294,7 @@ def test_a_mileage_that_stands_still_while_the_robot_drives_is_found() -> None:
 
 
 @pytest.mark.parametrize(
-    "observed",
+    "chassis",
     [
         seen(0.0, 1.0, total_mileage_km=1.5),
         seen(1.0, 0.0, total_mileage_km=1.5),
@@ -303,9 +303,9 @@ def test_a_mileage_that_stands_still_while_the_robot_drives_is_found() -> None:
     ],
     ids=["drive alone", "wheels alone", "stands", "no mileage"],
 )
-def test_what_may_be_another_fault_is_no_frozen_mileage(observed: Observed) -> None:
+def test_what_may_be_another_fault_is_no_frozen_mileage(chassis: ChassisState) -> None:
     """The lower of both speeds counts, and a mileage that is not known is missing, not frozen."""
-    assert Watched().found_after_ms(Reason.FEEDBACK_FROZEN, observed, told(1.0)) is None
+    assert Watched().found_after_ms(Reason.FEEDBACK_FROZEN, chassis, told(1.0)) is None
 
 
 def test_a_mileage_that_counts_or_is_cleared_is_not_frozen() -> None:

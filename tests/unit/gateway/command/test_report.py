@@ -4,7 +4,7 @@ import pytest
 
 from gateway.command.actuation import AT_REST
 from gateway.command.report import Reporter, reply
-from gateway.command.request import Answer, Judged, RawRequest, Ruling
+from gateway.command.request import Judged, RawRequest, Ruling, VerbAnswer
 from schemas.decisions import ArbiterState, Bound, EventKind, LeaseReply, Reply, SafetyState, Verdict
 from schemas.messages import SEQUENCE_MAX, GearPosition, Mode
 from schemas.reasons import TEXTS, Reason
@@ -37,9 +37,9 @@ def test_the_state_goes_out_at_20_hz_and_on_change() -> None:
     told = Told()
     due = []
     for _ in range(20):
-        told.bench.outcome = told.bench.arbiter.tick(told.bench.observed, [], told.bench.now_ns, 0)
+        told.bench.outcome = told.bench.arbiter.tick(told.bench.chassis, [], told.bench.now_ns, 0)
         challenge, state = told.bench.challenge(), told.state()
-        age_ns = told.bench.arbiter.challenges.age_ns(challenge, told.bench.now_ns)
+        age_ns = told.bench.arbiter.link.challenges.age_ns(challenge, told.bench.now_ns)
         assert isinstance(age_ns, int) is (state is not None)
         assert state is None or state.challenge == challenge
         due.append(state is not None)
@@ -239,7 +239,7 @@ def test_an_event_keeps_what_it_is_made_of() -> None:
 )
 def test_a_reply_has_its_verbs_own_fields(verb: str, ruling: Ruling, expected: Reply) -> None:
     """The lease and how long it lasts, for those that give one."""
-    made = reply(Answer(1, verb, ruling))
+    made = reply(VerbAnswer(1, verb, ruling))
     assert (type(made), made) == (type(expected), expected)
 
 
@@ -247,7 +247,7 @@ def test_a_reply_has_its_verbs_own_fields(verb: str, ruling: Ruling, expected: R
 @pytest.mark.parametrize("reason", [reason for reason in Reason if reason is not Reason.NONE])
 def test_every_refusal_has_words_and_a_cure(verb: str, reason: Reason) -> None:
     """Every refusal has a reason from one enumeration, and what would cure it."""
-    made = reply(Answer(1, verb, Ruling(reason, "42", lease=7)))
+    made = reply(VerbAnswer(1, verb, Ruling(reason, "42", lease=7)))
     assert (made.ok, made.reason, made.cure) == (False, reason, TEXTS[reason].cure)
     assert made.detail == f"{TEXTS[reason].means}; 42"
     assert made.cure

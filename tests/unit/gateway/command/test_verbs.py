@@ -82,7 +82,7 @@ def test_bytes_that_are_no_request_are_refused(payload: bytes) -> None:
     ruling = bench.send("acquire", payload)
     assert ruling.reason is Reason.MALFORMED
     assert 0 < len(ruling.detail) <= 200
-    assert bench.arbiter.desk.lease is None
+    assert bench.arbiter.leases.held is None
 
 
 @pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf")])
@@ -91,7 +91,7 @@ def test_numbers_that_are_none_are_refused(number: float) -> None:
     bench = engaged()
     for name in ("speed_mps", "angle_deg"):
         assert bench.drive(**{name: number}).reason is Reason.MALFORMED
-    assert bench.arbiter.target.speed_mps == 0
+    assert bench.arbiter.setpoint.target.speed_mps == 0
 
 
 def test_an_operator_without_a_name_may_only_stop() -> None:
@@ -159,9 +159,9 @@ def test_renew_and_drive_keep_it() -> None:
     bench.tick(count=150)
     assert bench.drive().reason is Reason.NOT_ENGAGED
     bench.tick(count=199)
-    assert bench.arbiter.desk.lease is not None
+    assert bench.arbiter.leases.held is not None
     bench.tick()
-    assert bench.arbiter.desk.lease is None
+    assert bench.arbiter.leases.held is None
     assert bench.drive().reason is Reason.LEASE_EXPIRED
 
 
@@ -170,7 +170,7 @@ def test_a_lease_that_expires_stops_the_robot() -> None:
     bench = engaged(lease_s=0.5, deadman_s=0.5)
     bench.tick(count=52)
     assert bench.arbiter.state is ArbiterState.STOPPING
-    assert bench.arbiter.stop_reason is Reason.LEASE_EXPIRED
+    assert bench.arbiter.engagement.stop_reason is Reason.LEASE_EXPIRED
     assert (bench.told(EventKind.LEASE)[-1].operator, bench.told(EventKind.STOP)[-1].operator) == (
         "first",
         "first",
@@ -182,11 +182,11 @@ def test_release_stops_the_robot() -> None:
     bench = engaged()
     assert bench.ask("release").reason is Reason.NONE
     assert bench.told(EventKind.LEASE)[-1].text == "first gave the lease back"
-    assert bench.arbiter.stop_reason is Reason.LEASE_RELEASED
+    assert bench.arbiter.engagement.stop_reason is Reason.LEASE_RELEASED
     assert bench.drive().reason is Reason.LEASE_RELEASED
     bench.ask("acquire", "second")
     assert bench.ask("release", "second").reason is Reason.NONE
-    assert bench.arbiter.stop_reason is Reason.LEASE_RELEASED
+    assert bench.arbiter.engagement.stop_reason is Reason.LEASE_RELEASED
 
 
 def test_take_wants_a_standing_robot_or_an_override() -> None:
@@ -199,7 +199,7 @@ def test_take_wants_a_standing_robot_or_an_override() -> None:
     assert (low.reason, low.detail) == (Reason.ROLE_TOO_LOW, "first holds it as operator")
     taken = bench.ask("take", "second", override=True)
     assert taken.reason is Reason.NONE
-    assert bench.arbiter.stop_reason is Reason.LEASE_TAKEN
+    assert bench.arbiter.engagement.stop_reason is Reason.LEASE_TAKEN
     lost, won = bench.told(EventKind.LEASE)[-2:]
     assert (lost.operator, lost.text) == ("first", "second took the lease from first")
     assert (won.operator, won.text) == ("second", "second has taken the lease as operator")
@@ -222,7 +222,7 @@ def test_a_lease_that_ends_while_it_is_being_engaged_stops_that(verb: str, reaso
     bench.ask("acquire")
     bench.ask("engage")
     bench.ask(verb)
-    assert bench.arbiter.stop_reason is reason
+    assert bench.arbiter.engagement.stop_reason is reason
     assert bench.arbiter.state is ArbiterState.STOPPING
 
 
@@ -317,7 +317,7 @@ def test_engage_may_lower_the_speed_limit(limit_mps: float | None, in_force_mps:
     bench = Bench()
     bench.ask("acquire")
     assert bench.ask("engage", speed_limit_mps=limit_mps).is_pending
-    assert bench.arbiter.limits.speed_mps == in_force_mps
+    assert bench.arbiter.setpoint.limits.speed_mps == in_force_mps
 
 
 @pytest.mark.parametrize("limit_mps", [0.0, -1.0])
@@ -349,9 +349,9 @@ def test_disengage() -> None:
     assert bench.ask("disengage").reason is Reason.NONE
     assert bench.arbiter.state is ArbiterState.STOPPING
     assert bench.ask("disengage").reason is Reason.NONE
-    assert bench.arbiter.actuation is not None
-    assert bench.arbiter.actuation.speed_mps == pytest.approx(0.5 - 0.024)
-    assert bench.arbiter.latched == {}
+    assert bench.arbiter.output.actuation is not None
+    assert bench.arbiter.output.actuation.speed_mps == pytest.approx(0.5 - 0.024)
+    assert bench.arbiter.latches.details == {}
     stopped(bench)
     assert bench.ask("disengage").reason is Reason.NOT_ENGAGED
 
@@ -365,11 +365,11 @@ def test_reset_clears_what_is_latched() -> None:
     bench.ask("stop", "second")
     assert bench.ask("reset").reason is Reason.STOPPING
     stopped(bench)
-    assert bench.arbiter.latched
+    assert bench.arbiter.latches.details
     assert bench.ask("engage").reason is Reason.REMOTE_STOP
     ruling = bench.ask("reset")
     assert (ruling.reason, ruling.detail) == (Reason.NONE, "remote_stop")
-    assert bench.arbiter.latched == {}
+    assert bench.arbiter.latches.details == {}
     assert bench.told(EventKind.RESET)[-1].text == "reset: remote_stop"
     assert bench.arbiter.state is ArbiterState.STANDBY, "nothing ever resumes by itself"
     bench.ask("reset")
@@ -394,7 +394,7 @@ def test_reset_wants_the_cause_gone(changes: dict[str, object], reason: Reason) 
     bench.changes = changes
     bench.tick()
     assert bench.ask("reset").reason is reason
-    assert Reason.REMOTE_STOP in bench.arbiter.latched
+    assert Reason.REMOTE_STOP in bench.arbiter.latches.details
 
 
 def test_reset_wants_the_command_to_be_zero() -> None:
@@ -431,7 +431,7 @@ def test_a_reset_is_as_old_as_the_challenge_that_it_echoes(seen_ticks_ago: int, 
     bench.tick(count=200)
     ruling = bench.ask("reset", challenge=bench.challenge(seen_ticks_ago))
     assert ruling.reason is reason
-    assert (ruling.lease, bool(bench.arbiter.latched)) == (bench.lease, reason is not Reason.NONE)
+    assert (ruling.lease, bool(bench.arbiter.latches.details)) == (bench.lease, reason is not Reason.NONE)
     if reason is not Reason.NONE:
         assert ruling.detail == "it was made before this was to be seen"
 
@@ -496,7 +496,7 @@ def test_a_reset_keeps_the_lease() -> None:
     bench.tick(count=150)
     assert bench.ask("reset").reason is Reason.NONE
     bench.tick(count=100)
-    assert bench.arbiter.desk.lease is not None
+    assert bench.arbiter.leases.held is not None
 
 
 def test_the_first_command_of_a_lease_may_have_the_number_zero() -> None:
@@ -521,13 +521,13 @@ def test_park_and_unpark() -> None:
     assert bench.ask("unpark").reason is Reason.COMMAND_NOT_ZERO
     bench.drive(0.0)
     assert bench.ask("unpark").reason is Reason.NONE
-    assert not bench.arbiter.parked
+    assert not bench.arbiter.setpoint.parked
     bench.drive_for(100, 1.0)
     assert bench.ask("park").reason is Reason.COMMAND_NOT_ZERO
     bench.drive(0.0)
-    assert bench.arbiter.motion.speed_mps > 0.5
+    assert bench.arbiter.output.motion.speed_mps > 0.5
     assert bench.ask("park").reason is Reason.NONE
-    told = bench.arbiter.actuation
+    told = bench.arbiter.output.actuation
     assert told is not None
     assert (told.parking, told.speed_mps, told.gear) == (True, 0.0, GearPosition.DRIVE)
 
@@ -583,8 +583,8 @@ def test_a_fresh_command_is_obeyed() -> None:
     bench = engaged()
     ruling = bench.drive(1.0, angle_deg=3.0)
     assert (ruling.reason, ruling.sequence, ruling.age_ns) == (Reason.NONE, bench.sequence, 0)
-    assert ruling.asked == bench.arbiter.target
-    assert (bench.arbiter.target.speed_mps, bench.arbiter.target.angle_deg) == (1.0, 3.0)
+    assert ruling.asked == bench.arbiter.setpoint.target
+    assert (bench.arbiter.setpoint.target.speed_mps, bench.arbiter.setpoint.target.angle_deg) == (1.0, 3.0)
 
 
 @pytest.mark.parametrize("step", [0, -1])
@@ -594,7 +594,7 @@ def test_the_sequence_rises(step: int) -> None:
     bench.drive(0.5, seq=50)
     ruling = bench.drive(1.0, seq=50 + step)
     assert (ruling.reason, ruling.detail) == (Reason.SEQUENCE, f"{50 + step} after 50")
-    assert bench.arbiter.target.speed_mps == 0.5
+    assert bench.arbiter.setpoint.target.speed_mps == 0.5
     assert bench.drive(1.0, seq=51).reason is Reason.NONE
 
 
@@ -630,10 +630,10 @@ def test_the_age_is_bounded_by_the_echo(ticks: int, reason: Reason) -> None:
     bench = engaged(deadman_s=0.5, max_age_s=0.4)
     echo = bench.challenge()
     bench.tick(count=ticks)
-    before_ns = bench.arbiter.fresh_ns
+    before_ns = bench.arbiter.link.fresh_ns
     ruling = bench.drive(1.0, challenge=echo)
     assert (ruling.reason, ruling.age_ns) == (reason, ticks * 10 * MS)
-    assert (bench.arbiter.fresh_ns > before_ns) is (reason is Reason.NONE)
+    assert (bench.arbiter.link.fresh_ns > before_ns) is (reason is Reason.NONE)
     if reason is Reason.TOO_OLD:
         assert ruling.detail == "410 ms, at most 400 ms"
         assert bench.drive(1.0, seq=bench.sequence).reason is Reason.NONE, "its sequence does not count either"
@@ -648,7 +648,7 @@ def test_the_deadman_tells_what_was_refused_before_it() -> None:
     [stop] = bench.told(EventKind.STOP)
     assert stop.reason is Reason.DEADMAN
     assert stop.text.endswith("none for 310 ms; 31 commands refused as too old, 470 ms")
-    assert bench.arbiter.stop_detail == "none for 310 ms; 31 commands refused as too old, 470 ms"
+    assert bench.arbiter.engagement.stop_detail == "none for 310 ms; 31 commands refused as too old, 470 ms"
 
 
 @pytest.mark.parametrize(("asked_s", "ticks"), [(None, 31), (0.1, 31), (0.8, 81), (1.0, 101)])
@@ -662,7 +662,7 @@ def test_an_engagement_has_the_deadman_that_it_asked_for(asked_s: float | None, 
     bench.tick(count=ticks - 1)
     assert bench.arbiter.state is ArbiterState.ENGAGED
     bench.tick()
-    assert bench.arbiter.stop_reason is Reason.DEADMAN
+    assert bench.arbiter.engagement.stop_reason is Reason.DEADMAN
 
 
 @pytest.mark.parametrize("deadman_s", [0.0, 0.04, 1.01, -1.0])
@@ -677,15 +677,15 @@ def test_old_commands_drive_slowly() -> None:
     """Row 'travel delay': down by the normal deceleration, up by the acceleration, and recorded as what bound."""
     bench = engaged()
     bench.drive_for(300, 2.0)
-    assert bench.arbiter.motion.speed_mps == 2.0
-    assert Bound.TRAVEL_DELAY not in bench.arbiter.motion.bounds
+    assert bench.arbiter.output.motion.speed_mps == 2.0
+    assert Bound.TRAVEL_DELAY not in bench.arbiter.output.motion.bounds
     speeds_mps = [2.0]
     for ticks_ago in [70] * 300 + [0] * 300:
         bench.drive(2.0, challenge=bench.challenge(ticks_ago))
-        limit_mps = bench.arbiter.link.speed_limit_mps(bench.now_ns)
+        limit_mps = bench.arbiter.link.age.speed_limit_mps(bench.now_ns)
         assert limit_mps is not None
-        assert (Bound.TRAVEL_DELAY in bench.arbiter.motion.bounds) is (limit_mps < 2.0)
-        speeds_mps.append(bench.arbiter.motion.speed_mps)
+        assert (Bound.TRAVEL_DELAY in bench.arbiter.output.motion.bounds) is (limit_mps < 2.0)
+        speeds_mps.append(bench.arbiter.output.motion.speed_mps)
     assert speeds_mps[300] == pytest.approx(1.0 / (0.7 + 0.3))
     assert speeds_mps[-1] == 2.0
     steps_mps = [after - before for before, after in pairwise(speeds_mps)]
@@ -699,7 +699,7 @@ def test_an_unknown_challenge_is_refused() -> None:
     for challenge in (bytes(8), bench.challenge(-5)):
         ruling = bench.drive(1.0, challenge=challenge, tick=bench.arbiter.tick_number)
         assert (ruling.reason, ruling.age_ns) == (Reason.CHALLENGE_UNKNOWN, None)
-    assert bench.arbiter.target.speed_mps == 0
+    assert bench.arbiter.setpoint.target.speed_mps == 0
 
 
 def test_what_is_no_bend_is_malformed() -> None:
@@ -721,4 +721,4 @@ def test_drive_while_it_is_not_engaged() -> None:
     assert bench.drive(1.0).reason is Reason.ENGAGING
     bench.ask("disengage")
     assert bench.drive(0.0).reason is Reason.STOPPING
-    assert bench.arbiter.target.speed_mps == 0
+    assert bench.arbiter.setpoint.target.speed_mps == 0

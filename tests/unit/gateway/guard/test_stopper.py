@@ -9,7 +9,7 @@ from gateway.chassis.decode import Decoded, Decoder
 from gateway.chassis.encode import Encoder
 from gateway.chassis.layout import load
 from gateway.command.actuation import Actuation
-from gateway.guard.sight import Sight
+from gateway.guard.chassis_view import ChassisView
 from gateway.guard.stopper import Stopper
 from schemas.decisions import StopPhase
 from schemas.messages import GearPosition, Variant
@@ -19,7 +19,7 @@ from tests.support.frames import MS, Feedback
 DRIVING = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=1.0, parking=False)
 
 
-def begun(sight: Sight, counters: bytes | None, now_ns: int = 0) -> Stopper:
+def begun(sight: ChassisView, counters: bytes | None, now_ns: int = 0) -> Stopper:
     """A stop that has begun."""
     stopper = Stopper(sight, CommandSettings())
     stopper.begin(DRIVING, Variant.COARSE, counters, now_ns)
@@ -28,7 +28,7 @@ def begun(sight: Sight, counters: bytes | None, now_ns: int = 0) -> Stopper:
 
 def test_nothing_is_sent_before_it_begins() -> None:
     """And it counts as over."""
-    stopper = Stopper(Sight(), CommandSettings())
+    stopper = Stopper(ChassisView(), CommandSettings())
     assert stopper.is_over
     assert stopper.tick(0) == []
     assert stopper.phase is StopPhase.IDLE
@@ -37,7 +37,7 @@ def test_nothing_is_sent_before_it_begins() -> None:
 @pytest.mark.parametrize("nonsense", [nan, inf])
 def test_what_is_not_a_number_counts_as_zero(nonsense: float) -> None:
     """Never as the furthest that is allowed."""
-    stopper = Stopper(Sight(), CommandSettings())
+    stopper = Stopper(ChassisView(), CommandSettings())
     last = msgspec.structs.replace(DRIVING, speed_mps=nonsense, angle_deg=nonsense)
     stopper.begin(last, Variant.COARSE, bytes(8), 0)
     decoder = Decoder(load(Variant.COARSE))
@@ -50,7 +50,7 @@ def test_what_is_not_a_number_counts_as_zero(nonsense: float) -> None:
 
 def test_one_burst_a_tick() -> None:
     """However often it is asked; after a pause one, not those that were missed."""
-    stopper = begun(Sight(), bytes(8))
+    stopper = begun(ChassisView(), bytes(8))
     times_ns = [at_ns for at_ns in range(0, 10 * TICK_NS, TICK_NS // 5) if stopper.tick(at_ns)]
     assert times_ns == list(range(0, 10 * TICK_NS, TICK_NS))
     assert len([at_ns for at_ns in range(15 * TICK_NS, 17 * TICK_NS, TICK_NS // 5) if stopper.tick(at_ns)]) == 2
@@ -58,7 +58,7 @@ def test_one_burst_a_tick() -> None:
 
 def test_without_a_heartbeat_the_counters_are_those_heard() -> None:
     """Of each frame its own; from 0 where none was heard."""
-    sight, encoder = Sight(), Encoder(load(Variant.COARSE))
+    sight, encoder = ChassisView(), Encoder(load(Variant.COARSE))
     sight.receive(encoder.encode("Auto_DriveCmd", {}, 8), 0)
     frames = begun(sight, None).tick(0)
     assert [frame.data[6] >> 4 for frame in frames[:5]] == [9, 0, 0, 0, 0]
@@ -66,7 +66,7 @@ def test_without_a_heartbeat_the_counters_are_those_heard() -> None:
 
 def test_counters_heard_long_ago_do_not_count() -> None:
     """Another computer's, which happen to be a little ahead of the heartbeat's."""
-    sight, encoder = Sight(), Encoder(load(Variant.COARSE))
+    sight, encoder = ChassisView(), Encoder(load(Variant.COARSE))
     sight.receive(encoder.encode("Auto_DriveCmd", {}, 8), 0)
     assert begun(sight, bytes([7] * 8), 100 * MS).tick(100 * MS)[0].data[6] >> 4 == 9
     assert begun(sight, bytes([7] * 8), 300 * MS).tick(300 * MS)[0].data[6] >> 4 == 7
@@ -74,14 +74,14 @@ def test_counters_heard_long_ago_do_not_count() -> None:
 
 def test_counters_heard_that_are_behind_do_not_count() -> None:
     """The guard has not heard the gateway's last burst yet: repeated counters would be refused."""
-    sight, encoder = Sight(), Encoder(load(Variant.COARSE))
+    sight, encoder = ChassisView(), Encoder(load(Variant.COARSE))
     sight.receive(encoder.encode("Auto_DriveCmd", {}, 8), 0)
     assert begun(sight, bytes([10] * 8)).tick(0)[0].data[6] >> 4 == 10
 
 
 def test_it_yields_to_the_hand_transmitter_between_two_ticks() -> None:
     """At once, not when the next burst would be due."""
-    sight, feedback = Sight(), Feedback(Variant.COARSE)
+    sight, feedback = ChassisView(), Feedback(Variant.COARSE)
     stopper = begun(sight, bytes(8))
     assert stopper.tick(0)
     for at_ns in (1, 2):

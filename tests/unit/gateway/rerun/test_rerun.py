@@ -168,7 +168,7 @@ def test_a_journal_of_before_has_six_links_and_the_speed_limit_of_its_time() -> 
     give(core, (Kind.LINKS, 5, True, 1, True, False, 2, False))
     give(core, (Kind.TICK, 10, 11, 0))
     assert core.command is not None
-    seen = core.command.arbiter.watch.observed
+    seen = core.command.arbiter.monitor.chassis
     assert (seen.bus_losses, seen.guarded, seen.guard_stops, seen.guard_says, seen.realtime) == (
         1,
         True,

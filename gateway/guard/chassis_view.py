@@ -30,7 +30,7 @@ _WATCHED: Final = (_GEAR, _STEERING, _DRIVE, _PARKING, _BODY, WHEEL_SPEED)
 _STANDS_NS: Final = STANDSTILL_TICKS * TICK_NS
 
 
-class Sight:
+class ChassisView:
     """What the bus says.
 
     Attributes:

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from gateway.command.flow import CommandFlow
-from gateway.command.rest import QUIET_NS, Rest, is_at_rest, memory_of, recall
+from gateway.command.snapshot import QUIET_NS, Snapshot, is_at_rest, restore, snapshot
 from schemas.messages import Variant
 from schemas.reasons import Reason
 from tests.support.loop_rig import GUARDED, LoopRig, Operator, ready
@@ -33,36 +33,36 @@ def rested() -> LoopRig:
     return rig
 
 
-def test_what_is_remembered_is_recalled() -> None:
+def test_what_is_remembered_is_restored() -> None:
     """By way of the journal's bytes, and by a flow of the same run that knows nothing."""
     rig = rested()
-    memory = memory_of(flow_of(rig))
+    memory = snapshot(flow_of(rig))
     assert memory.leases == 2
     assert memory.ended
     assert memory.target_angle_deg == 3.0
     assert not memory.parked
     assert len(memory.sent) == 5
     assert len(memory.challenges) > 50
-    read = msgspec.convert(msgspec.msgpack.decode(msgspec.msgpack.encode(memory)), Rest)
+    read = msgspec.convert(msgspec.msgpack.decode(msgspec.msgpack.encode(memory)), Snapshot)
     assert read == memory
     flow = CommandFlow(rig.settings, 7)
-    recall(flow, read, rig.now_ns)
-    assert memory_of(flow) == memory
+    restore(flow, read, rig.now_ns)
+    assert snapshot(flow) == memory
     assert flow.maker.counters == flow_of(rig).maker.counters
     challenge, published_ns = memory.challenges[-1]
-    assert flow.arbiter.challenges.age_ns(challenge, published_ns + 5) == 5
+    assert flow.arbiter.link.challenges.age_ns(challenge, published_ns + 5) == 5
     number, reason = memory.ended[-1]
-    assert flow.arbiter.desk.refusal(number, "second") is Reason(reason)
+    assert flow.arbiter.leases.refusal(number, "second") is Reason(reason)
 
 
 def test_the_next_lease_has_the_number_that_it_would_have_had() -> None:
     """It goes on where the run's numbers are."""
     rig = rested()
     flow = CommandFlow(rig.settings, 7)
-    recall(flow, memory_of(flow_of(rig)), rig.now_ns)
+    restore(flow, snapshot(flow_of(rig)), rig.now_ns)
     operator = Operator(rig, "third")
     operator.take_lease()
-    given = flow.arbiter.desk.acquire("third", rig.says.lease_role, 0)
+    given = flow.arbiter.leases.acquire("third", rig.says.lease_role, 0)
     assert not isinstance(given, Reason)
     assert given.id == operator.lease
 

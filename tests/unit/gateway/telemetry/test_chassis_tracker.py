@@ -11,12 +11,12 @@ from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
 from gateway.chassis.supervision import silence_ns
 from gateway.chassis.variant import WHEEL_SPEED, VariantDetector
+from gateway.command.chassis_state import ChassisState
 from gateway.command.frames import MOTION_FRAMES
-from gateway.command.observed import Observed
 from gateway.core import Core
+from gateway.telemetry.chassis_tracker import BODY, DRIVE, ChassisTracker
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import Links
-from gateway.telemetry.observation import BODY, DRIVE, Observer
 from schemas.messages import ControllerState, GearPosition, Mode, ParkingStatus, Variant
 from schemas.settings import (
     CHECKSUM_FAULTS,
@@ -38,7 +38,7 @@ PATIENCE_MS = {
 
 
 class Eye:
-    """An observer with its streams and detector, and frames to show them."""
+    """A tracker with its streams and detector, and frames to show them."""
 
     def __init__(self, variant: Variant = Variant.COARSE, required: Iterable[str] = REQUIRED) -> None:
         faults: Counter[object] = Counter()
@@ -47,7 +47,7 @@ class Eye:
             for layout in load(variant).feedback
         }
         self.detector = VariantDetector(variant)
-        self.observer = Observer(self.streams.values(), self.detector, required)
+        self.tracker = ChassisTracker(self.streams.values(), self.detector, required)
         self.feedback = Feedback(variant)
         self.links = UP
         self.controller = ControllerState.ACTIVE
@@ -64,14 +64,14 @@ class Eye:
             if name not in but:
                 self.show(name, at_ms=at_ms)
 
-    def look(self, at_ms: int = 0) -> Observed:
+    def look(self, at_ms: int = 0) -> ChassisState:
         """A tick."""
         for stream in self.streams.values():
             stream.tick(at_ms * MS)
-        return self.observer.observe(self.links, self.controller, self.variant, self.commander_ns, at_ms * MS)
+        return self.tracker.state(self.links, self.controller, self.variant, self.commander_ns, at_ms * MS)
 
 
-STANDS = Observed(
+STANDS = ChassisState(
     bus_up=True,
     bus_losses=2,
     controller=ControllerState.ACTIVE,
@@ -95,9 +95,9 @@ WHEELS = {"wheel_speed_mps": -1.5, "fastest_wheel_mps": 2.0}
 """Direction by the mean; standing only if the faster one does: wheels that turn against each other move."""
 
 
-def rounded(observed: Observed) -> dict[str, object]:
+def rounded(chassis: ChassisState) -> dict[str, object]:
     """Its fields, with numbers as coarse as the wire."""
-    fields = msgspec.structs.asdict(observed)
+    fields = msgspec.structs.asdict(chassis)
     return {name: round(value, 1) if isinstance(value, float) else value for name, value in fields.items()}
 
 
@@ -379,10 +379,10 @@ def test_motion_is_seen_while_the_variant_is_not_known(variant: Variant, speed_m
     for name in STANDING:
         moves = {"Speed": speed_mps} if name == DRIVE else None
         made.receive_frame(feedback.frame(name, moves), 0)
-    made.observe_links(UP, 0)
+    made.update_links(UP, 0)
     made.tick(10 * MS, 0, 0, CHALLENGE)
     assert made.command is not None
-    seen = made.command.arbiter.watch.observed
+    seen = made.command.arbiter.monitor.chassis
     assert (seen.variant, seen.speed_mps, seen.wheel_speed_mps) == (Variant.UNKNOWN, None, None)
     assert seen.turns is turns
 
@@ -396,10 +396,10 @@ def test_another_computer_is_noticed_by_its_command_frames() -> None:
             made.receive_frame(frame, 10 * MS)
         made.receive_frame(Frame(0x18C4D1D0, bytes(8)), 10 * MS)
         made.tick(10 * MS, 0, 0, CHALLENGE)
-        assert made.command.arbiter.watch.observed.commander_ns is None
+        assert made.command.arbiter.monitor.chassis.commander_ns is None
         made.receive_frame(Frame(layout.can_id, bytes(8)), 17 * MS)
         made.tick(20 * MS, 0, 0, CHALLENGE)
-        assert made.command.arbiter.watch.observed.commander_ns == (
+        assert made.command.arbiter.monitor.chassis.commander_ns == (
             17 * MS if layout.name in MOTION_FRAMES else None
         )
 
@@ -409,7 +409,7 @@ def test_a_bumper_contact_between_two_ticks_is_seen() -> None:
     eye = Eye()
     eye.show_all()
     eye.show(BODY, {"FrontBumper": True})
-    eye.observer.note_body()
+    eye.tracker.note_body()
     eye.show(BODY, {"FrontBumper": False})
-    eye.observer.note_body()
+    eye.tracker.note_body()
     assert (eye.look().front_bumper, eye.look().front_bumper) == (True, False)

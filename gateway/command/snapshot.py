@@ -19,7 +19,7 @@ QUIET_NS: Final = 5_000_000_000
 """Nobody has asked anything, and nothing was told, for so long."""
 
 
-class Rest(msgspec.Struct, frozen=True, array_like=True):
+class Snapshot(msgspec.Struct, frozen=True, array_like=True):
     """The few numbers. In the journal it is an array, in this order.
 
     Attributes:
@@ -49,58 +49,58 @@ class Rest(msgspec.Struct, frozen=True, array_like=True):
 
 
 def is_at_rest(flow: CommandFlow, now_ns: int) -> bool:
-    """Nothing goes on, and nothing is left of what did but what ``memory_of`` tells."""
+    """Nothing goes on, and nothing is left of what did but what ``snapshot`` tells."""
     arbiter = flow.arbiter
     return (
         arbiter.state is ArbiterState.STANDBY
         and now_ns - flow.busy_ns >= QUIET_NS
-        and arbiter.desk.lease is None
-        and not arbiter.latched
-        and not arbiter.is_closing
+        and arbiter.leases.held is None
+        and not arbiter.latches.details
+        and not arbiter.engagement.is_closing
         and arbiter.handover.left is None
-        and not arbiter.owes_stop
+        and not arbiter.engagement.owes_stop
         and arbiter.auxiliary.is_off(now_ns)
-        and arbiter.watch.stands
-        and not arbiter.watch.pressed
-        and not arbiter.watch.chassis_faults()
-        and arbiter.watch.observed.bus_up
+        and arbiter.monitor.stands
+        and not arbiter.monitor.pressed
+        and not arbiter.monitor.chassis_faults()
+        and arbiter.monitor.chassis.bus_up
     )
 
 
-def memory_of(flow: CommandFlow) -> Rest:
+def snapshot(flow: CommandFlow) -> Snapshot:
     """What a gateway at rest has to be remembered by."""
     arbiter = flow.arbiter
-    return Rest(
+    return Snapshot(
         tick_number=arbiter.tick_number,
-        challenges=arbiter.challenges.published,
-        leases=arbiter.desk.given,
-        ended=[(number, reason.value) for number, reason in arbiter.desk.ended],
-        stop_reason=arbiter.stop_reason.value,
-        stop_detail=arbiter.stop_detail,
-        parked=arbiter.parked,
-        target_speed_mps=arbiter.target.speed_mps,
-        target_angle_deg=arbiter.target.angle_deg,
+        challenges=arbiter.link.challenges.published,
+        leases=arbiter.leases.given,
+        ended=[(number, reason.value) for number, reason in arbiter.leases.ended],
+        stop_reason=arbiter.engagement.stop_reason.value,
+        stop_detail=arbiter.engagement.stop_detail,
+        parked=arbiter.setpoint.parked,
+        target_speed_mps=arbiter.setpoint.target.speed_mps,
+        target_angle_deg=arbiter.setpoint.target.angle_deg,
         sequences=dict(flow.reporter.sequences),
         state_due_ns=flow.reporter.state_due_ns,
         sent=dict(flow.gate.counters),
     )
 
 
-def recall(flow: CommandFlow, rest: Rest, now_ns: int) -> None:
+def restore(flow: CommandFlow, kept: Snapshot, now_ns: int) -> None:
     """From here on the flow is the one that is remembered.
 
     Args:
         flow: a new one, which has seen the feedback of the last seconds.
-        rest: what was remembered.
+        kept: the snapshot.
         now_ns: when it was, monotonic.
     """
     arbiter = flow.arbiter
-    arbiter.tick_number = rest.tick_number
-    arbiter.challenges.recall(rest.challenges)
-    arbiter.desk.recall(rest.leases, [(number, Reason(reason)) for number, reason in rest.ended])
-    arbiter.stop_reason, arbiter.stop_detail = Reason(rest.stop_reason), rest.stop_detail
-    arbiter.parked = rest.parked
-    arbiter.target = Target(rest.target_speed_mps, rest.target_angle_deg)
-    flow.maker.recall(rest.sent)
-    flow.gate.counters = dict(rest.sent)
-    flow.reporter.recall(rest.sequences, rest.state_due_ns, now_ns)
+    arbiter.tick_number = kept.tick_number
+    arbiter.link.challenges.restore(kept.challenges)
+    arbiter.leases.restore(kept.leases, [(number, Reason(reason)) for number, reason in kept.ended])
+    arbiter.engagement.stop_reason, arbiter.engagement.stop_detail = Reason(kept.stop_reason), kept.stop_detail
+    arbiter.setpoint.parked = kept.parked
+    arbiter.setpoint.target = Target(kept.target_speed_mps, kept.target_angle_deg)
+    flow.maker.restore(kept.sent)
+    flow.gate.counters = dict(kept.sent)
+    flow.reporter.restore(kept.sequences, kept.state_due_ns, now_ns)

@@ -4,13 +4,13 @@ import msgspec
 import pytest
 
 from gateway.command.actuation import Actuation
-from gateway.command.limits import Limits
-from gateway.command.observed import Observed
-from gateway.command.seen import seen_actuation, seen_angle_deg
+from gateway.command.chassis_state import ChassisState
+from gateway.command.inferred import inferred_actuation, inferred_angle_deg
+from gateway.command.limits import MotionLimits
 from schemas.messages import GearPosition
 from schemas.settings import CommandSettings
 
-LIMITS = Limits.of(CommandSettings(speed_limit_mps=1.5, steering_limit_deg=10.0))
+LIMITS = MotionLimits.of(CommandSettings(speed_limit_mps=1.5, steering_limit_deg=10.0))
 DRIVE, REVERSE, NEUTRAL, PARK, UNDEFINED = (
     GearPosition.DRIVE,
     GearPosition.REVERSE,
@@ -21,7 +21,7 @@ DRIVE, REVERSE, NEUTRAL, PARK, UNDEFINED = (
 
 
 @pytest.mark.parametrize(
-    ("drive_mps", "wheels_mps", "seen_mps", "fastest_mps"),
+    ("drive_mps", "wheels_mps", "slowest_mps", "fastest_mps"),
     [
         (1.0, 0.9, 0.9, 1.0),
         (0.9, 1.0, 0.9, 1.0),
@@ -32,15 +32,15 @@ DRIVE, REVERSE, NEUTRAL, PARK, UNDEFINED = (
     ],
 )
 def test_the_lower_speed_is_told_and_the_higher_one_is_feared(
-    drive_mps: float | None, wheels_mps: float | None, seen_mps: float, fastest_mps: float | None
+    drive_mps: float | None, wheels_mps: float | None, slowest_mps: float, fastest_mps: float | None
 ) -> None:
     """No single faulty sensor sets a robot going, and none hides a motion."""
-    observed = Observed(speed_mps=drive_mps, fastest_wheel_mps=wheels_mps, gear=DRIVE)
-    assert (observed.seen_mps, observed.fastest_mps) == (seen_mps, fastest_mps)
-    assert seen_actuation(observed, LIMITS).speed_mps == seen_mps
+    chassis = ChassisState(speed_mps=drive_mps, fastest_wheel_mps=wheels_mps, gear=DRIVE)
+    assert (chassis.slowest_mps, chassis.fastest_mps) == (slowest_mps, fastest_mps)
+    assert inferred_actuation(chassis, LIMITS).speed_mps == slowest_mps
 
 
-SLOW = Observed(speed_mps=0.0499, fastest_wheel_mps=0.0499, turns=False, confirmed=True)
+SLOW = ChassisState(speed_mps=0.0499, fastest_wheel_mps=0.0499, turns=False, confirmed=True)
 
 
 @pytest.mark.parametrize(
@@ -63,14 +63,14 @@ def test_what_stands_and_what_moves(changes: dict[str, object], *, is_slow: bool
 
     The raw drive feedback counts where its scale is in doubt: else a fine scale's millimetres a second are rest.
     """
-    observed = msgspec.structs.replace(SLOW, **changes)
-    assert (observed.is_slow, observed.moves) == (is_slow, moves)
+    chassis = msgspec.structs.replace(SLOW, **changes)
+    assert (chassis.is_slow, chassis.moves) == (is_slow, moves)
 
 
 @pytest.mark.parametrize(("seen_deg", "told_deg"), [(None, 0.0), (-30.0, -10.0), (30.0, 10.0), (4.0, 4.0)])
 def test_the_angle_is_within_the_limit(seen_deg: float | None, told_deg: float) -> None:
     """Straight on where it is not seen."""
-    assert seen_angle_deg(Observed(angle_deg=seen_deg), LIMITS) == told_deg
+    assert inferred_angle_deg(ChassisState(angle_deg=seen_deg), LIMITS) == told_deg
 
 
 @pytest.mark.parametrize(
@@ -87,12 +87,12 @@ def test_only_in_gear_is_there_a_speed(
     gear: GearPosition, told: GearPosition, speed_mps: float, *, parking: bool
 ) -> None:
     """Within the limit; the brake is asked for where the robot may be parked."""
-    observed = Observed(speed_mps=2.0, fastest_wheel_mps=2.0, gear=gear)
-    assert seen_actuation(observed, LIMITS) == Actuation(True, told, speed_mps, parking=parking)  # noqa: FBT003
+    chassis = ChassisState(speed_mps=2.0, fastest_wheel_mps=2.0, gear=gear)
+    assert inferred_actuation(chassis, LIMITS) == Actuation(True, told, speed_mps, parking=parking)  # noqa: FBT003
 
 
 @pytest.mark.parametrize(
-    ("left", "seen_mps", "gear", "told_mps"),
+    ("left", "slowest_mps", "gear", "told_mps"),
     [
         (Actuation(True, DRIVE, 1.0, parking=False), 0.4, DRIVE, 0.4),  # noqa: FBT003
         (Actuation(True, DRIVE, 0.4, parking=False), 1.0, DRIVE, 0.4),  # noqa: FBT003
@@ -104,9 +104,9 @@ def test_only_in_gear_is_there_a_speed(
     ],
 )
 def test_what_was_left_bounds_what_is_told(
-    left: Actuation, seen_mps: float, gear: GearPosition, told_mps: float
+    left: Actuation, slowest_mps: float, gear: GearPosition, told_mps: float
 ) -> None:
     """Row 'given back: never a speed above the lower of what it was left on and what is seen'; parked it stays."""
-    observed = Observed(speed_mps=seen_mps, fastest_wheel_mps=seen_mps, gear=gear)
-    told = seen_actuation(observed, LIMITS, left)
+    chassis = ChassisState(speed_mps=slowest_mps, fastest_wheel_mps=slowest_mps, gear=gear)
+    told = inferred_actuation(chassis, LIMITS, left)
     assert (told.speed_mps, told.parking) == (told_mps, left.parking)

@@ -3,41 +3,41 @@
 from __future__ import annotations
 
 from gateway.command.actuation import Actuation
-from gateway.command.limits import Limits
-from gateway.command.observed import Observed
+from gateway.command.chassis_state import ChassisState
+from gateway.command.limits import MotionLimits
 from schemas.messages import GearPosition
 from schemas.settings import STEERING_DEVIATION_DEG
 
 IN_GEAR = frozenset({GearPosition.DRIVE, GearPosition.REVERSE})
 
 
-def seen_angle_deg(observed: Observed, limits: Limits) -> float:
+def inferred_angle_deg(chassis: ChassisState, limits: MotionLimits) -> float:
     """The steering angle, within the limit; straight on if it is not seen."""
-    return max(-limits.steering_deg, min(limits.steering_deg, observed.angle_deg or 0.0))
+    return max(-limits.steering_deg, min(limits.steering_deg, chassis.angle_deg or 0.0))
 
 
-def seen_actuation(observed: Observed, limits: Limits, left: Actuation | None = None) -> Actuation:
+def inferred_actuation(chassis: ChassisState, limits: MotionLimits, left: Actuation | None = None) -> Actuation:
     """What the chassis must have been told.
 
     Args:
-        observed: the chassis now.
+        chassis: the chassis now.
         limits: the configured ones; no speed is above them.
         left: what we ourselves left it on, if it may obey that again: no speed is above that one. If it was not
             us, the parking brake is asked for where the gear is that of a parked robot, or is not seen: released,
             it may set a standing robot going.
     """
-    rolls = observed.gear in IN_GEAR
-    angle_deg = seen_angle_deg(observed, limits)
+    rolls = chassis.gear in IN_GEAR
+    angle_deg = inferred_angle_deg(chassis, limits)
     # The feedback is off by a degree: what we told goes on where the wheels still are there.
     is_ours = left is not None and abs(left.angle_deg - angle_deg) <= STEERING_DEVIATION_DEG
     gear = GearPosition.NEUTRAL if left is None else left.gear
-    parking = observed.gear in {GearPosition.PARK, GearPosition.UNDEFINED} if left is None else left.parking
-    speed_mps = min(observed.seen_mps, limits.speed_mps)
+    parking = chassis.gear in {GearPosition.PARK, GearPosition.UNDEFINED} if left is None else left.parking
+    speed_mps = min(chassis.slowest_mps, limits.speed_mps)
     if left is not None:
-        speed_mps = min(speed_mps, left.speed_mps) if left.gear is observed.gear else 0.0
+        speed_mps = min(speed_mps, left.speed_mps) if left.gear is chassis.gear else 0.0
     return Actuation(
         enabled=True,
-        gear=observed.gear if rolls else gear,
+        gear=chassis.gear if rolls else gear,
         speed_mps=speed_mps if rolls and not parking else 0.0,
         angle_deg=left.angle_deg if is_ours and left is not None else angle_deg,
         parking=parking,

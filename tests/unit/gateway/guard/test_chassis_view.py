@@ -5,7 +5,7 @@ import pytest
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import load
-from gateway.guard.sight import Sight
+from gateway.guard.chassis_view import ChassisView
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.settings import GUARD_SILENT_NS
 from tests.support.frames import MS, Feedback
@@ -15,7 +15,7 @@ DRIVE = "Auto_DriveFeedBack"
 WHEELS = "Auto_WheelSpdFeedback"
 
 
-def feed(sight: Sight, variant: Variant = Variant.COARSE, wheels_in: Variant | None = None) -> None:
+def feed(sight: ChassisView, variant: Variant = Variant.COARSE, wheels_in: Variant | None = None) -> None:
     """A second of a standing chassis."""
     feedback = Feedback(variant)
     other = Feedback(wheels_in or variant)
@@ -32,7 +32,7 @@ def body(feedback: Feedback, mode: str) -> Frame:
 
 def test_remote_is_believed_from_the_second_frame() -> None:
     """One frame may be two flipped bits that the checksum passes, and the guard would let go of the robot."""
-    sight, feedback = Sight(), Feedback(Variant.COARSE)
+    sight, feedback = ChassisView(), Feedback(Variant.COARSE)
     sight.receive(body(feedback, "auto"), 0)
     assert sight.mode(0) is Mode.AUTO
     sight.receive(body(feedback, "remote"), 20 * MS)
@@ -46,14 +46,14 @@ def test_remote_is_believed_from_the_second_frame() -> None:
 
 def test_eight_zero_bytes_say_nothing() -> None:
     """Their checksum is right, and they would read auto."""
-    sight = Sight()
+    sight = ChassisView()
     sight.receive(Frame(load(Variant.COARSE).messages[BODY].can_id, bytes(8)), 0)
     assert sight.mode(0) is Mode.UNDEFINED
 
 
 def test_a_wrong_checksum_says_nothing() -> None:
     """Neither of the mode nor of a counter."""
-    sight, feedback = Sight(), Feedback(Variant.COARSE)
+    sight, feedback = ChassisView(), Feedback(Variant.COARSE)
     for frame in (body(feedback, "auto"), Encoder(load(Variant.COARSE)).encode("Auto_GearCmd", {}, 3)):
         sight.receive(Frame(frame.can_id, frame.data[:7] + bytes([frame.data[7] ^ 1])), 0)
     assert sight.mode(0) is Mode.UNDEFINED
@@ -63,7 +63,7 @@ def test_a_wrong_checksum_says_nothing() -> None:
 
 def test_a_stuck_counter_is_silence() -> None:
     """A chassis that repeats itself tells nothing new: what it says becomes stale."""
-    sight, frame = Sight(), body(Feedback(Variant.COARSE), "auto")
+    sight, frame = ChassisView(), body(Feedback(Variant.COARSE), "auto")
     for at_ms in range(0, 1000, 20):
         sight.receive(frame, at_ms * MS)
     assert sight.mode(980 * MS) is Mode.UNDEFINED
@@ -73,7 +73,7 @@ def test_a_stuck_counter_is_silence() -> None:
 @pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
 def test_standstill_is_seen_in_either_variant_known_or_not(variant: Variant) -> None:
     """And only after 50 ms of it."""
-    sight = Sight()
+    sight = ChassisView()
     assert not sight.stands(variant, 0)
     feed(sight, variant)
     assert sight.stands(variant, 990 * MS)
@@ -83,7 +83,7 @@ def test_standstill_is_seen_in_either_variant_known_or_not(variant: Variant) -> 
     assert not sight.stands(variant, 3000 * MS)
     assert not sight.stands(variant, 3049 * MS)
     assert sight.stands(variant, 3050 * MS)
-    fresh = Sight()
+    fresh = ChassisView()
     feed(fresh, variant)
     assert fresh.stands(Variant.UNKNOWN, 990 * MS)
 
@@ -91,7 +91,7 @@ def test_standstill_is_seen_in_either_variant_known_or_not(variant: Variant) -> 
 @pytest.mark.parametrize("name", [DRIVE, WHEELS])
 def test_either_speed_alone_keeps_it_from_standing(name: str) -> None:
     """Drive feedback and wheels must both say so."""
-    sight, feedback = Sight(), Feedback(Variant.COARSE)
+    sight, feedback = ChassisView(), Feedback(Variant.COARSE)
     values: dict[str, dict[str, float]] = {
         DRIVE: {"Speed": 0.2},
         WHEELS: {"RearLeftSpeed": 0.2, "RearRightSpeed": 0.2},
@@ -107,7 +107,7 @@ def test_either_speed_alone_keeps_it_from_standing(name: str) -> None:
 @pytest.mark.parametrize("variant", [Variant.COARSE, Variant.UNKNOWN])
 def test_wheels_that_turn_against_each_other_do_not_stand(variant: Variant) -> None:
     """Their mean is zero, and the robot turns on the spot or slips."""
-    sight, feedback = Sight(), Feedback(Variant.COARSE)
+    sight, feedback = ChassisView(), Feedback(Variant.COARSE)
     feed(sight)
     for at_ms in range(1000, 1100, 10):
         sight.receive(feedback.frame(WHEELS, {"RearLeftSpeed": 0.4, "RearRightSpeed": -0.4}), at_ms * MS)
@@ -130,7 +130,7 @@ def test_motion_is_seen_by_either_speed(
     name: str, values: dict[str, float | bool], moves: tuple[bool, bool]
 ) -> None:
     """Row 'stop: a robot that is seen to move'; in an unknown scale by the raw drive feedback."""
-    sight = Sight()
+    sight = ChassisView()
     sight.receive(Feedback(Variant.COARSE).frame(name, values), 0)
     assert (sight.moves(Variant.COARSE, 0), sight.moves(Variant.UNKNOWN, 0)) == moves
     assert not sight.moves(Variant.COARSE, 2000 * MS)
@@ -138,7 +138,7 @@ def test_motion_is_seen_by_either_speed(
 
 def test_what_a_stop_looks_at() -> None:
     """Row 'stop: moves against the ramp, does not slow, applied parking brake': not known before it is told."""
-    sight, feedback = Sight(), Feedback(Variant.COARSE)
+    sight, feedback = ChassisView(), Feedback(Variant.COARSE)
     assert sight.is_braked(0) is sight.fastest_mps(Variant.COARSE, 0) is None
     assert sight.wheel_speed_mps(Variant.COARSE, 0) is None
     sight.receive(feedback.frame(DRIVE, {"Speed": 0.4}), 0)
@@ -153,7 +153,7 @@ def test_what_a_stop_looks_at() -> None:
 
 def test_silence_is_not_standstill() -> None:
     """What is not heard is not known."""
-    sight = Sight()
+    sight = ChassisView()
     feed(sight)
     assert sight.hears(990 * MS)
     assert sight.gear(990 * MS) is GearPosition.PARK
@@ -167,7 +167,7 @@ def test_silence_is_not_standstill() -> None:
 
 def test_the_next_counter_of_each_command_is_known() -> None:
     """Whoever sent it: 15 wraps to 0."""
-    sight, encoder = Sight(), Encoder(load(Variant.COARSE))
+    sight, encoder = ChassisView(), Encoder(load(Variant.COARSE))
     sight.receive(encoder.encode("Auto_GearCmd", {}, 15), 7)
     sight.receive(encoder.encode("Auto_LightCmd", {}, 3), 9)
     assert sight.next_counters == {"Auto_GearCmd": 0, "Auto_LightCmd": 4}

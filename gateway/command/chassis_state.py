@@ -8,7 +8,7 @@ from schemas.messages import ControllerState, GearPosition, Mode, ParkingStatus,
 from schemas.settings import STANDSTILL_MPS
 
 
-class Observed(msgspec.Struct, frozen=True):
+class ChassisState(msgspec.Struct, frozen=True):
     """What is known of the chassis, the bus and the guard now. What is not known is None or UNDEFINED.
 
     Attributes:
@@ -84,7 +84,7 @@ class Observed(msgspec.Struct, frozen=True):
         return turns or bool(self.pulses) or (self.fastest_mps or 0.0) > STANDSTILL_MPS
 
     @property
-    def seen_mps(self) -> float:
+    def slowest_mps(self) -> float:
         """How fast the robot is seen to be at least, a magnitude: no single faulty sensor sets it going."""
         return min(self._known_mps, default=0.0)
 

@@ -8,7 +8,7 @@ from typing import Final, TypeVar
 
 from gateway.chassis.supervision import silence_ns
 from gateway.chassis.variant import WHEEL_SPEED, VariantDetector
-from gateway.command.observed import Observed
+from gateway.command.chassis_state import ChassisState
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import Links
 from schemas.alive_counter import COUNTER_SPAN
@@ -35,7 +35,7 @@ DRIVE: Final = "Auto_DriveFeedBack"
 _Kind = TypeVar("_Kind", bound=Feedback)
 
 
-class Observer:
+class ChassisTracker:
     """Looks at the feedback streams each tick."""
 
     def __init__(
@@ -66,14 +66,14 @@ class Observer:
             self._hits[0] |= body.front_bumper
             self._hits[1] |= body.rear_bumper
 
-    def observe(
+    def state(
         self,
         links: Links,
         controller: ControllerState,
         variant: Variant,
         commander_ns: int | None,
         now_ns: int,
-    ) -> Observed:
+    ) -> ChassisState:
         """The chassis now.
 
         Args:
@@ -88,7 +88,7 @@ class Observer:
         steering = self._latest("Auto_SteeringFeedBack", Steering)
         (front, rear), self._hits = self._hits, [False, False]
         parking = self._latest("Auto_ParkingFeedBack", Parking)
-        return Observed(
+        return ChassisState(
             bus_up=links.bus_up,
             bus_losses=links.bus_losses,
             controller=controller,

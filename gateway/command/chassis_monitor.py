@@ -1,0 +1,132 @@
+"""The chassis over time: standstill, bumpers, faults, who else commands it. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+from gateway.command.actuation import Actuation
+from gateway.command.causes import BUMPERS
+from gateway.command.chassis_state import ChassisState
+from gateway.command.plausibility import Plausibility
+from schemas.messages import ControllerState, Mode, Variant
+from schemas.reasons import Reason
+from schemas.settings import (
+    BUMPER_CLEAR_NS,
+    COMMANDER_NS,
+    FOUND_MOVING_NS,
+    LOOP_LATE_STOP_NS,
+    SEND_FAILURES,
+    STANDSTILL_TICKS,
+)
+
+SPEED_FRAMES: Final = frozenset({"Auto_DriveFeedBack", "Auto_WheelSpdFeedback"})
+
+
+class ChassisMonitor:
+    """Looks at the chassis each tick.
+
+    Attributes:
+        stands: the robot was seen to stand for long enough. False also when that cannot be seen.
+        chassis: the chassis at this tick.
+        pressed: the bumpers that are pressed, or have not read clear for long enough.
+        struck: those that were clear, a tick before.
+        plausibility: does the robot do what it is told.
+        send_failures: ticks in a row whose frames the bus did not take.
+    """
+
+    def __init__(self) -> None:
+        self.chassis = ChassisState()
+        self.stands = False
+        self.pressed: set[Reason] = set()
+        self.struck: set[Reason] = set()
+        self.plausibility = Plausibility()
+        self.send_failures = 0
+        self._slow_ticks = 0
+        self._moving_since_ns: int | None = None
+        self._acknowledged: set[Reason] = set()
+        self._pressed_ns: dict[Reason, int] = {}
+
+    def update(self, chassis: ChassisState, now_ns: int) -> None:
+        """Take in the chassis at this tick."""
+        self.chassis = chassis
+        self._slow_ticks = self._slow_ticks + 1 if chassis.is_slow else 0
+        self.stands = self._slow_ticks >= STANDSTILL_TICKS
+        for bumper, is_pressed in zip(BUMPERS, (chassis.front_bumper, chassis.rear_bumper), strict=True):
+            if is_pressed:
+                self._pressed_ns[bumper] = now_ns
+        before = self.pressed
+        self.pressed = {b for b, pressed_ns in self._pressed_ns.items() if now_ns - pressed_ns < BUMPER_CLEAR_NS}
+        self.struck = self.pressed - before
+        # A hit that was reset counts as a new one once the bumper has been clear.
+        if self._acknowledged:
+            self._acknowledged &= self.pressed
+
+    @property
+    def hits(self) -> list[Reason]:
+        """The bumpers that are pressed and that nobody has acknowledged by a reset."""
+        return (
+            [bumper for bumper in BUMPERS if bumper in self.pressed - self._acknowledged] if self.pressed else []
+        )
+
+    def acknowledge(self, latched: Iterable[Reason]) -> None:
+        """A reset of these: from now on such a bumper, while pressed, forbids its direction and nothing more."""
+        self._acknowledged |= self.pressed.intersection(latched)
+
+    def is_commanded_by_other(self, now_ns: int) -> bool:
+        """Another computer's command frames are on the bus."""
+        heard_ns = self.chassis.commander_ns
+        return heard_ns is not None and now_ns - heard_ns < COMMANDER_NS
+
+    def chassis_faults(self) -> list[Reason]:
+        """What speaks against commanding the chassis, but for its mode."""
+        chassis = self.chassis
+        faults = (
+            (Reason.BUS_OFF, chassis.controller is ControllerState.BUS_OFF),
+            (Reason.FEEDBACK_MISSING, chassis.missing),
+            (Reason.FEEDBACK_FAULTY, chassis.faulty or chassis.absurd),
+            (Reason.FEEDBACK_LATE, chassis.is_behind),
+            (Reason.VARIANT_UNKNOWN, chassis.variant is Variant.UNKNOWN or not chassis.confirmed),
+        )
+        return [reason for reason, is_so in faults if is_so]
+
+    def faults(self, told: Actuation, limit_mps: float, late_ns: int, now_ns: int) -> list[Reason]:
+        """The causes to stop a robot that is being told this, under this speed limit."""
+        chassis = self.chassis
+        found = self.chassis_faults()
+        if chassis.absurd and not SPEED_FRAMES.isdisjoint(chassis.absurd):
+            # Read in the wrong scale a speed is 40 times too high: no other fault looks like it.
+            found.insert(0, Reason.IMPLAUSIBLE_SPEED)
+        found += self.plausibility.check(chassis, told, limit_mps, now_ns)
+        if late_ns > LOOP_LATE_STOP_NS:
+            found.append(Reason.LOOP_LATE)
+        if self.send_failures >= SEND_FAILURES:
+            found.append(Reason.SEND_FAILED)
+        if self.is_commanded_by_other(now_ns):
+            found.append(Reason.OTHER_COMMANDER)
+        return found
+
+    def fault_detail(self, reason: Reason, late_ns: int) -> str:
+        """What a reason's own text does not say."""
+        return {
+            Reason.FEEDBACK_MISSING: ", ".join(self.chassis.missing),
+            Reason.FEEDBACK_FAULTY: ", ".join([*self.chassis.faulty, *self.chassis.absurd]),
+            Reason.LOOP_LATE: f"by {late_ns / 1e6:.0f} ms",
+        }.get(reason) or self.plausibility.details.get(reason, self._absurd_speed(reason))
+
+    def _absurd_speed(self, reason: Reason) -> str:
+        if reason is not Reason.IMPLAUSIBLE_SPEED:
+            return ""
+        frames = ", ".join(name for name in self.chassis.absurd if name in SPEED_FRAMES)
+        other = {Variant.COARSE: "the fine scale", Variant.FINE: "the coarse scale"}.get(self.chassis.variant)
+        return f"{frames} reads beyond what the chassis can do" + (f"; {other} may fit" if other else "")
+
+    def found_moving(self, now_ns: int) -> bool:
+        """The chassis moves, nobody commands it, the remote control neither, and that is no accident."""
+        adrift = self.chassis.mode is not Mode.REMOTE and not self.is_commanded_by_other(now_ns)
+        if not adrift or not self.chassis.moves:
+            self._moving_since_ns = None
+            return False
+        if self._moving_since_ns is None:
+            self._moving_since_ns = now_ns
+        return now_ns - self._moving_since_ns >= FOUND_MOVING_NS

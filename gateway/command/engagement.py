@@ -1,0 +1,254 @@
+"""The robot under command: it is engaged, stopped, left to others, latched. Pure."""
+
+from __future__ import annotations
+
+from math import inf
+
+import msgspec
+
+from gateway.command.actuation import Actuation
+from gateway.command.auxiliary import Auxiliary
+from gateway.command.causes import AS_ASKED, STOPS, StopRule
+from gateway.command.chassis_monitor import ChassisMonitor
+from gateway.command.handover import Handover, may_be_stopped
+from gateway.command.inferred import IN_GEAR, inferred_actuation, inferred_angle_deg
+from gateway.command.latches import Latches
+from gateway.command.limits import MotionLimits
+from gateway.command.motion import MotionProfile, Target
+from gateway.command.outbox import Outbox
+from gateway.command.output import Output
+from gateway.command.request import Ruling
+from gateway.command.setpoint import Setpoint
+from gateway.command.states import TRANSITIONS, Trigger
+from gateway.command.stop import StopSequence
+from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity
+from schemas.messages import GearPosition, Mode, ParkingStatus
+from schemas.reasons import TEXTS, Reason
+from schemas.settings import ENGAGE_TIMEOUT_NS, REPEATED_NS, CommandSettings
+
+
+class Engagement:
+    """What the robot is doing for its operator, and every way into and out of it.
+
+    Attributes:
+        state: where it is in the table of states.
+        monitor: the chassis.
+        setpoint: what is asked of it, and the limits in force.
+        output: what it is told.
+        auxiliary: its lamps, horn and odometer.
+        handover: who else commands it, and what it was left on.
+        latches: what must be reset before it can be engaged.
+        outbox: replies and events.
+        stop_reason, stop_detail: why the last stop was begun, and its figures.
+        owes_stop: a stop could not be carried out, or ended without an applied parking brake.
+        engage_until_ns: while engaging, when the chassis must read auto, monotonic.
+        is_closing: the gateway is to end; nothing is engaged any more.
+        needs_guard: nothing is commanded that no guard watches.
+    """
+
+    def __init__(self, settings: CommandSettings, *, needs_guard: bool) -> None:
+        self.state = ArbiterState.STANDBY
+        self.monitor = ChassisMonitor()
+        self.setpoint = Setpoint(settings)
+        self.output = Output()
+        self.auxiliary = Auxiliary()
+        self.handover = Handover()
+        self.latches = Latches()
+        self.outbox = Outbox()
+        self.stop_reason = Reason.NONE
+        self.stop_detail = ""
+        self.owes_stop = False
+        self.engage_until_ns = 0
+        self.is_closing = False
+        self.needs_guard = needs_guard
+        self._is_brake_missed = False
+        self._stray_ns: int | None = None
+
+    def blockers(self, now_ns: int) -> list[Reason]:
+        """Return why the robot cannot be engaged now, whoever asks; the gravest first."""
+        monitor, chassis = self.monitor, self.monitor.chassis
+        conditions = {
+            Reason.SHUTDOWN: self.is_closing,
+            Reason.BUS_DOWN: not chassis.bus_up,
+            Reason.UNGUARDED: self.needs_guard and not chassis.guarded,
+            Reason.GUARD: chassis.guard_sends,
+            Reason.HAND_TRANSMITTER: chassis.mode is Mode.REMOTE,
+            Reason.OTHER_COMMANDER: monitor.is_commanded_by_other(now_ns),
+        }
+        blockers = [*self.latches.details]
+        blockers += [reason for reason, holds in conditions.items() if holds and reason not in blockers]
+        faults = monitor.chassis_faults()
+        blockers += faults
+        if not faults and not monitor.stands:
+            blockers.append(Reason.MOVING)
+        return blockers
+
+    # Into motion.
+
+    def begin_engaging(self, limits: MotionLimits, now_ns: int) -> None:
+        """Give the five enables with zero speed. Nothing speaks against it any more."""
+        self._go(Trigger.ENGAGE)
+        self.owes_stop = False
+        chassis, configured = self.monitor.chassis, self.setpoint.configured_limits
+        self.setpoint.reset(limits)
+        angle_deg = inferred_angle_deg(chassis, configured)
+        self.output.motion = MotionProfile(
+            angle_deg, chassis.gear if chassis.gear in IN_GEAR else GearPosition.NEUTRAL
+        )
+        self._begin_output(Actuation(angle_deg=angle_deg))
+        self.auxiliary.end(now_ns)
+        self.monitor.send_failures = 0
+        self.engage_until_ns = now_ns + ENGAGE_TIMEOUT_NS
+
+    def confirm(self, holder: str) -> None:
+        """The chassis reads auto: it is engaged."""
+        self._go(Trigger.CONFIRMED)
+        self.setpoint.target = Target(0.0, self.output.motion.angle_deg)
+        self.outbox.settle("engage", Ruling())
+        text = "engaged: the chassis reads auto"
+        self.outbox.add_event(Severity.INFO, EventKind.ENGAGED, Reason.NONE, text, holder)
+
+    # Out of motion.
+
+    def begin_stop(self, reason: Reason, now_ns: int, detail: str = "", operator: str = "") -> None:
+        """Bring the robot to rest for this cause if it is told anything, and latch what the table latches."""
+        rule = STOPS[reason]
+        self.latch(reason, detail, now_ns, operator)
+        output, chassis = self.output, self.monitor.chassis
+        deceleration_mps2 = self._deceleration_mps2(rule)
+        if output.sequence is not None:
+            output.sequence.hasten(deceleration_mps2)
+            if rule.parks:
+                output.sequence.park(now_ns)
+            return
+        last = self._last_told()
+        if self.state is ArbiterState.STANDBY:
+            is_barred = not chassis.bus_up or chassis.mode is Mode.REMOTE
+            self.owes_stop = is_barred and reason is Reason.REMOTE_STOP
+            if not may_be_stopped(chassis):
+                return  # Standing by stays silent.
+            self.setpoint.limits = self.setpoint.configured_limits
+            self._begin_output(last)
+        output.sequence = StopSequence(last, deceleration_mps2, now_ns)
+        if rule.parks or chassis.mode is Mode.STOP or self._note_stray(now_ns):
+            output.sequence.park(now_ns)
+        self._is_brake_missed = self.owes_stop = False
+        self.auxiliary.end(now_ns)
+        self.stop_reason, self.stop_detail = reason, detail
+        self._go(Trigger.STOP)
+        self.outbox.refuse_pending(reason, detail)
+        is_calm = self.monitor.stands or reason in AS_ASKED
+        severity = Severity.INFO if is_calm and not rule.at_once else Severity.WARNING
+        text = f"stopping: {_in_words(reason, detail)}"
+        self.outbox.add_event(severity, EventKind.STOP, reason, text, operator)
+
+    def latch(self, reason: Reason, detail: str, now_ns: int, operator: str = "") -> None:
+        """Keep the robot from being engaged until a reset, if the table says so."""
+        if not STOPS[reason].latched:
+            return
+        is_new_hit = reason is Reason.REMOTE_STOP or reason in self.monitor.struck
+        if self.latches.add(reason, detail, now_ns, is_new_hit=is_new_hit):
+            text = f"latched until a reset: {_in_words(reason, detail)}"
+            self.outbox.add_event(Severity.ERROR, EventKind.LATCH, reason, text, operator)
+
+    def refuse_output(self, detail: str, now_ns: int) -> Actuation:
+        """Stop the robot: the gate refused what was to be sent, which is a fault of our own.
+
+        Returns what is told in its place: zero speed and the parking brake, and all else as it was told last.
+        """
+        self.output.undo_step()
+        last = self._last_told()
+        self.begin_stop(Reason.GATE, now_ns, detail)
+        instead = msgspec.structs.replace(last, enabled=True, speed_mps=0.0, parking=True)
+        self.output.replace_step(instead)
+        return instead
+
+    def shut_down(self, now_ns: int) -> None:
+        """Bring the robot to rest, and engage it no more: the gateway is to end."""
+        self.is_closing = True
+        text = "the gateway ends, as it was told to"
+        self.outbox.add_event(Severity.INFO, EventKind.GATEWAY, Reason.SHUTDOWN, text)
+        if self.state in COMMANDING:
+            self.begin_stop(Reason.SHUTDOWN, now_ns)
+
+    def step_stop(self, sequence: StopSequence, now_ns: int, late_ns: int) -> Actuation | None:
+        """Return what the chassis is told in this tick of a stop; None when the stop has ended."""
+        actuation = self.output.step_stop(sequence, self.monitor, now_ns, late_ns)
+        if sequence.lacks_brake(now_ns) and not self._is_brake_missed:
+            self._is_brake_missed = True
+            text = "the parking brake does not read applied; the motor holds the robot in gear meanwhile"
+            self.outbox.add_event(Severity.ERROR, EventKind.FAULT, Reason.NOT_CONFIRMED, text)
+        if actuation is None:
+            self._rest(now_ns)
+        return actuation
+
+    def leave(self, reason: Reason, now_ns: int) -> None:
+        """Cease the output at once: somebody else commands the chassis, or no command can reach it."""
+        output, chassis = self.output, self.monitor.chassis
+        detail = chassis.guard_says if reason is Reason.GUARD else ""
+        if reason is Reason.GUARD:
+            self.latch(reason, detail, now_ns)
+        self._go(Trigger.YIELD)
+        told = output.actuation if output.actuation is not None else Actuation(parking=self.setpoint.parked)
+        self.handover.leave(told, reason, chassis, now_ns)
+        output.cease()
+        self.stop_reason, self.stop_detail = reason, ""
+        self.outbox.refuse_pending(reason, "")
+        kind = EventKind.GUARD if reason is Reason.GUARD else EventKind.TAKEOVER
+        text = f"nothing is sent any more: {_in_words(reason, detail)}"
+        self.outbox.add_event(Severity.WARNING, kind, reason, text)
+
+    @property
+    def is_loose(self) -> bool:
+        """The parking brake reads released, and can be told otherwise."""
+        chassis = self.monitor.chassis
+        return chassis.brake is ParkingStatus.RELEASED and may_be_stopped(chassis)
+
+    def _rest(self, now_ns: int) -> None:
+        monitor = self.monitor
+        self.output.sequence = None
+        self.owes_stop = monitor.chassis.brake is not ParkingStatus.APPLIED
+        self._go(Trigger.REST)
+        stands = "and stands" if monitor.stands else "but is not seen to stand"
+        if monitor.is_commanded_by_other(now_ns):
+            stands = "but another computer commands it, and can move it"
+        severity = Severity.INFO if monitor.stands else Severity.ERROR
+        text = f"stopped: the robot is told nothing, {stands}"
+        self.outbox.add_event(severity, EventKind.STOPPED, self.stop_reason, text)
+
+    def _begin_output(self, last: Actuation) -> None:
+        """Begin to tell the chassis something; ``last`` is what it must have been told before."""
+        chassis = self.monitor.chassis
+        self.output.begin(chassis.variant)
+        self.monitor.plausibility.forget(chassis.wheel_speed_mps or 0.0, last.angle_deg)
+        self.handover.begin(chassis)
+
+    def _last_told(self) -> Actuation:
+        """Return what the chassis was last told, or must have been told: there a stop begins."""
+        if self.output.actuation is not None:
+            return self.output.actuation
+        return inferred_actuation(self.monitor.chassis, self.setpoint.configured_limits, self.handover.left)
+
+    def _note_stray(self, now_ns: int) -> bool:
+        """Remember a stop that begins while standing by.
+
+        Returns whether one began a moment ago already, as where the mode flickers.
+        """
+        if self.state is not ArbiterState.STANDBY:
+            return False
+        before_ns, self._stray_ns = self._stray_ns, now_ns
+        return before_ns is not None and now_ns - before_ns < REPEATED_NS
+
+    def _deceleration_mps2(self, rule: StopRule) -> float:
+        if not rule.ramps:
+            return inf
+        limits = self.setpoint.configured_limits
+        at_once = rule.at_once or self.latches.details
+        return limits.emergency_deceleration_mps2 if at_once else limits.deceleration_mps2
+
+    def _go(self, trigger: Trigger) -> None:
+        self.state = TRANSITIONS[self.state, trigger]
+
+
+def _in_words(reason: Reason, detail: str) -> str:
+    return "; ".join(filter(None, (TEXTS[reason].means, detail)))

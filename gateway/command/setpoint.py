@@ -1,0 +1,28 @@
+"""The setpoint of the motion: what the holder asks for, and the limits in force. Pure."""
+
+from __future__ import annotations
+
+from gateway.command.limits import MotionLimits
+from gateway.command.motion import Target
+from schemas.settings import CommandSettings
+
+
+class Setpoint:
+    """What the motion is led to.
+
+    Attributes:
+        target: what the last acceptable drive command asks for.
+        parked: the parking brake stays applied, whatever speed is asked for, until ``unpark``.
+        limits: those in force.
+        configured_limits: the highest that may be in force.
+    """
+
+    def __init__(self, settings: CommandSettings) -> None:
+        self.configured_limits = MotionLimits.of(settings)
+        self.reset(self.configured_limits)
+
+    def reset(self, limits: MotionLimits) -> None:
+        """Stand, parked, under these limits."""
+        self.limits = limits
+        self.target = Target()
+        self.parked = True
