@@ -19,17 +19,18 @@ from typing import Any, Final
 import msgspec
 
 from gateway.chassis.controller import controller_state
-from gateway.chassis.decode import check, compile_message, unknown_frame
+from gateway.chassis.cruiser.feedback import compile_feedback
+from gateway.chassis.cruiser.frames import BODY, MOTION_FRAMES, SCALED_BY_VARIANT, WHEEL_SPEED
+from gateway.chassis.cruiser.layout import load
+from gateway.chassis.cruiser.variant import VariantDetector
+from gateway.chassis.decode import check, unknown_frame
 from gateway.chassis.faults import FaultKind
 from gateway.chassis.frame import ERROR, Frame
-from gateway.chassis.layout import load
-from gateway.chassis.variant import WHEEL_SPEED, VariantDetector
 from gateway.command.flow import CommandFlow, PendingReply
-from gateway.command.frames import MOTION_FRAMES
 from gateway.command.request import RawRequest
 from gateway.command.snapshot import QUIET_NS, Snapshot, is_at_rest, restore, snapshot
 from gateway.journal import FRAME, LINKS, JournalWriter
-from gateway.telemetry.chassis_tracker import BODY, ChassisTracker
+from gateway.telemetry.chassis_tracker import ChassisTracker
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import HealthMeter, Links
 from gateway.telemetry.raw_frames import FrameBatch
@@ -58,9 +59,6 @@ REST_PERIOD_NS: Final = 60_000_000_000
 
 REST_LOOK_NS: Final = 1_000_000_000
 """...and so often it looks whether the gateway is at kept."""
-
-SCALED_BY_VARIANT: Final = ("Auto_DriveFeedBack", WHEEL_SPEED)
-"""The feedback frames whose layout depends on the variant; a test holds this against the two DBC files."""
 
 RX, TX = "can/{bus}/rx", "can/{bus}/tx"
 _SUBJECT: Final = {subject.type: subject.name for subject in SUBJECTS}
@@ -97,7 +95,7 @@ class Core:
         # Until the variant is known the coarse layout serves for the frames that are the same in both.
         layout = load(Variant.COARSE)
         self._streams = {
-            message.can_id: FeedbackStream(compile_message(message), self._health.faults)
+            message.can_id: FeedbackStream(compile_feedback(message), self._health.faults)
             for message in layout.feedback
         }
         self._commands = {message.can_id for message in layout.commands}
@@ -107,7 +105,7 @@ class Core:
         self._scaled = [
             (
                 self._streams[layout.messages[name].can_id],
-                {variant: compile_message(load(variant).messages[name]) for variant in DBC_FILES},
+                {variant: compile_feedback(load(variant).messages[name]) for variant in DBC_FILES},
             )
             for name in SCALED_BY_VARIANT
         ]

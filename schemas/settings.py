@@ -15,6 +15,7 @@ import msgspec
 from msgspec import Meta
 
 from schemas import keys
+from schemas.cruiser import SPEED_TOP_MPS, STEERING_TOP_DEG
 from schemas.messages import BUS_MAX_LENGTH
 from schemas.recorder_settings import RecorderSettings
 
@@ -43,18 +44,6 @@ Three would stop the robot seven times an hour where one frame in a thousand is 
 hours. None of these frames is ever believed."""
 
 CHECKSUM_WINDOW_NS: Final = 1_000_000_000
-
-SPEED_TOP_MPS: Final = 2.222
-"""The chassis drives no faster, either way: 8 km/h."""
-
-STEERING_TOP_DEG: Final = 24.0
-"""The chassis steers no further, to either side (manual V2.0, 2.2)."""
-
-STEERING_PLAUSIBLE_DEG: Final = 25.0
-"""Steering feedback beyond this is implausible: 24 deg to either side, to within 1 (manual V2.0, 2.2)."""
-
-SPEED_PLAUSIBLE_MPS: Final = 3.0
-"""Speed feedback beyond this is implausible: 2.222 m/s is the top, 2.68 m/s for the outer wheel at full lock."""
 
 IMPLAUSIBLE_FAULTS: Final = 3
 """This many implausible frames of one identifier within IMPLAUSIBLE_WINDOW_NS are a failure of that frame."""
@@ -192,9 +181,6 @@ PULSES_STEADY: Final = 0.9
 SEND_FAILURES: Final = 5
 """This many ticks in a row whose frames the bus did not take are a failure."""
 
-TURNING_RAW_MIN: Final = 2
-"""A drive feedback of this raw value or more is one of a robot that moves, in either scale."""
-
 LEFT_BLIND_NS: Final = 200_000_000
 """A chassis that was left while it was being told something, and is not seen, is stopped after this time."""
 
@@ -244,9 +230,6 @@ SAFETY_STATE_ENGAGED_PERIOD_NS: Final = 20_000_000
 
 DEADMAN_MAX_S: Final = 1.0
 """No engagement has a longer deadman."""
-
-WHEELBASE_M: Final = 0.660
-"""The Cruiser's wheelbase (manual V2.0, 2.2)."""
 
 GUARD_POLL_NS: Final = 5_000_000
 """The guard looks at the loop's heartbeat every 5 ms."""

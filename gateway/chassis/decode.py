@@ -2,14 +2,14 @@
 
 For each frame of the layout one small function is generated and compiled, as ``dataclasses`` does it: the eight
 bytes become one integer, each signal is a shift and a mask of it, or of its byte. A test holds every one against
-cantools. The rules of ``plausibility`` become comparisons of raw integers in the same function.
+cantools. The rules of ``value_rules`` become comparisons of raw integers in the same function.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Sequence
 from enum import Enum
 from typing import Any, Final
 
@@ -18,7 +18,7 @@ import msgspec
 from gateway.chassis.faults import FaultKind, FrameFault
 from gateway.chassis.frame import ERROR, REMOTE, Frame
 from gateway.chassis.layout import ALIVE_COUNTER, ChassisLayout, MessageLayout, SignalLayout
-from gateway.chassis.plausibility import Named, Requires, Rule, Within, rules
+from gateway.chassis.value_rules import Named, Requires, Rule, Within
 from schemas.messages import Feedback
 from schemas.subjects import BY_DBC_MESSAGE, Subject
 
@@ -100,8 +100,12 @@ class MessageDecoder(msgspec.Struct, frozen=True):
     undefined: Callable[[bytes], bool] | None
 
 
-def compile_message(layout: MessageLayout) -> MessageDecoder:
-    """The decoder of a feedback frame, whose message class the subject table names.
+def compile_message(layout: MessageLayout, rules: Sequence[tuple[str, Rule]]) -> MessageDecoder:
+    """Return the decoder of a feedback frame, whose message class the subject table names.
+
+    Args:
+        layout: of the frame.
+        rules: signal and rule; a message is made only of values that keep all of them.
 
     Raises:
         KeyError: no subject is made from this frame.
@@ -117,11 +121,10 @@ def compile_message(layout: MessageLayout) -> MessageDecoder:
     values = ", ".join(
         _expression(by_field[name], scope, unnamed="undefined", enum=annotations[name]) for name in fields
     )
-    judged = rules(layout.name)
     message = f"cls(time_ns, sequence, {values})"
-    if judged:
-        message += f" if {' and '.join(_condition(layout, name, rule) for name, rule in judged)} else None"
-    named = {name for name, rule in judged if isinstance(rule, Named)}
+    if rules:
+        message += f" if {' and '.join(_condition(layout, name, rule) for name, rule in rules)} else None"
+    named = {name for name, rule in rules if isinstance(rule, Named)}
     choices = [signal for signal in layout.payload_signals if signal.kind == "choice" and signal.name not in named]
     tests = [f"{_raw(signal)} not in {set(signal.choices)!r}" for signal in choices]
     return MessageDecoder(

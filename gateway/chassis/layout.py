@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Final, Literal
 
 import cantools
@@ -10,7 +9,6 @@ import msgspec
 from cantools.database.can import Database, Message, Signal
 
 from gateway.chassis.frame import EXTENDED
-from schemas.dbc_files import CHASSIS_NODE, dbc_text
 from schemas.messages import Variant
 from schemas.snake_case import snake_case
 
@@ -112,20 +110,24 @@ class ChassisLayout(msgspec.Struct, frozen=True):
         return tuple(message for message in self.messages.values() if not message.is_feedback)
 
 
-@cache
-def load(variant: Variant) -> ChassisLayout:
-    """The layout of a variant, from its DBC.
+def read_layout(variant: Variant, dbc: str, chassis_node: str) -> ChassisLayout:
+    """Read the layout of a variant from the text of its DBC.
+
+    Args:
+        variant: the variant.
+        dbc: the text.
+        chassis_node: the node that sends the feedback; what others send are commands.
 
     Raises:
-        ValueError: the DBC says something that this chassis does not have.
+        ValueError: the DBC says something that is not implemented.
     """
-    database = cantools.database.load_string(dbc_text(variant), database_format="dbc")
+    database = cantools.database.load_string(dbc, database_format="dbc")
     if not isinstance(database, Database):
         raise TypeError("not a CAN database")
-    return ChassisLayout(variant, {message.name: _message(message) for message in database.messages})
+    return ChassisLayout(variant, {message.name: _message(message, chassis_node) for message in database.messages})
 
 
-def _message(message: Message) -> MessageLayout:
+def _message(message: Message, chassis_node: str) -> MessageLayout:
     if not message.is_extended_frame or message.length != 8:
         raise ValueError(f"{message.name}: every frame is extended and has 8 bytes")
     return MessageLayout(
@@ -133,7 +135,7 @@ def _message(message: Message) -> MessageLayout:
         can_id=message.frame_id | EXTENDED,
         length=message.length,
         period_ns=(message.cycle_time or 0) * 1_000_000,
-        is_feedback=message.senders == [CHASSIS_NODE],
+        is_feedback=message.senders == [chassis_node],
         signals=tuple(_signal(message.name, signal) for signal in message.signals),
     )
 

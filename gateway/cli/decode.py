@@ -16,7 +16,7 @@ import sys
 from collections.abc import Callable, Iterator
 from typing import Any, Final
 
-from gateway.chassis import layout
+from gateway.chassis.cruiser import layout
 from gateway.chassis.decode import Decoded, Decoder
 from gateway.chassis.layout import CHECKSUM
 from gateway.cli import candump

@@ -16,7 +16,7 @@ from gateway.can.bus_claim import BusClaim
 from gateway.can.can_bus import Bus, BusLost
 from gateway.can.open_bus import describe, open_bus
 from gateway.can.reconnecting_bus import ReconnectingBus
-from gateway.chassis.layout import load
+from gateway.chassis.cruiser.layout import load
 from gateway.core import Core
 from gateway.guard.chassis_view import ChassisView
 from gateway.guard.stopper import Stopper

@@ -13,9 +13,9 @@ import msgspec
 
 from gateway.can.can_bus import Bus, BusFull, BusLost
 from gateway.can.open_bus import describe, open_bus
+from gateway.chassis.cruiser.layout import load
+from gateway.chassis.cruiser.variant import VariantDetector
 from gateway.chassis.frame import Frame
-from gateway.chassis.layout import load
-from gateway.chassis.variant import VariantDetector
 from gateway.core import CONFIGURED_VARIANT
 from gateway.guard.chassis_view import ChassisView
 from gateway.guard.stopper import NOT_OBEYED, OTHER, REMOTE, STANDS, UNSEEN, Stopper

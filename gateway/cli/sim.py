@@ -12,7 +12,7 @@ from functools import partial
 from typing import Final
 
 from gateway.can.socketcand_server import SocketcandServer
-from gateway.chassis.layout import load
+from gateway.chassis.cruiser.layout import load
 from gateway.cli.sim_run import CanBusLink, SimBus, SimClock, live
 from gateway.cli.typed_lines import TypedLines
 from gateway.sim.address import parse_address, show_address

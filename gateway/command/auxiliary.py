@@ -9,7 +9,15 @@ from typing import Final
 
 import msgspec
 
-from gateway.chassis.decode import Value
+from gateway.chassis.cruiser.frames import (
+    LIGHT_COMMAND,
+    ODOMETER_COMMAND,
+    SPEAKER_COMMAND,
+    light_signals,
+    odometer_signals,
+    speaker_signals,
+)
+from gateway.chassis.decode import Signals
 from schemas.requests import Light
 from schemas.settings import ODOMETER_TIMEOUT_NS, TAIL_NS
 
@@ -23,7 +31,7 @@ class AuxiliaryFrame(msgspec.Struct, frozen=True):
     """A frame to send, by its name in the DBC, with its signals."""
 
     name: str
-    values: dict[str, Value]
+    values: Signals
 
 
 class Auxiliary:
@@ -85,13 +93,12 @@ class Auxiliary:
         due: list[AuxiliaryFrame] = []
         light = self._light
         if light.headlamp or light.left or light.right or now_ns < self._light_until_ns:
-            lamps = {"Headlamp": light.headlamp, "RightIndicator": light.right, "LeftIndicator": light.left}
-            due.append(AuxiliaryFrame("Auto_LightCmd", dict(lamps)))
+            lamps = light_signals(headlamp=light.headlamp, left=light.left, right=light.right)
+            due.append(AuxiliaryFrame(LIGHT_COMMAND, lamps))
         if self._horn or now_ns < self._horn_until_ns:
-            due.append(AuxiliaryFrame("Auto_SpeakerCmd", {"Horn": self._horn}))
+            due.append(AuxiliaryFrame(SPEAKER_COMMAND, speaker_signals(horn=self._horn)))
         if self.is_clearing or now_ns < self._odometer_until_ns:
-            on = self.is_clearing
-            due.append(AuxiliaryFrame("Auto_OdometerCmd", {"Enable": on, "ClearMileage": on}))
+            due.append(AuxiliaryFrame(ODOMETER_COMMAND, odometer_signals(clears=self.is_clearing)))
         return due
 
     def _end_clearing(self, now_ns: int) -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Final
 
+from gateway.chassis.cruiser.frames import SCALED_BY_VARIANT
 from gateway.command.actuation import Actuation
 from gateway.command.causes import BUMPERS
 from gateway.command.chassis_state import ChassisState
@@ -19,8 +19,6 @@ from schemas.settings import (
     SEND_FAILURES,
     STANDSTILL_TICKS,
 )
-
-SPEED_FRAMES: Final = frozenset({"Auto_DriveFeedBack", "Auto_WheelSpdFeedback"})
 
 
 class ChassisMonitor:
@@ -94,7 +92,7 @@ class ChassisMonitor:
         """The causes to stop a robot that is being told this, under this speed limit."""
         chassis = self.chassis
         found = self.chassis_faults()
-        if chassis.absurd and not SPEED_FRAMES.isdisjoint(chassis.absurd):
+        if chassis.absurd and not set(SCALED_BY_VARIANT).isdisjoint(chassis.absurd):
             # Read in the wrong scale a speed is 40 times too high: no other fault looks like it.
             found.insert(0, Reason.IMPLAUSIBLE_SPEED)
         found += self.plausibility.check(chassis, told, limit_mps, now_ns)
@@ -117,7 +115,7 @@ class ChassisMonitor:
     def _absurd_speed(self, reason: Reason) -> str:
         if reason is not Reason.IMPLAUSIBLE_SPEED:
             return ""
-        frames = ", ".join(name for name in self.chassis.absurd if name in SPEED_FRAMES)
+        frames = ", ".join(name for name in self.chassis.absurd if name in SCALED_BY_VARIANT)
         other = {Variant.COARSE: "the fine scale", Variant.FINE: "the coarse scale"}.get(self.chassis.variant)
         return f"{frames} reads beyond what the chassis can do" + (f"; {other} may fit" if other else "")
 

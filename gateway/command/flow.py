@@ -10,10 +10,11 @@ from typing import Final
 
 import msgspec
 
+from gateway.chassis.cruiser.frames import MOTION_FRAMES
 from gateway.chassis.frame import Frame
 from gateway.command.arbiter import Arbiter
 from gateway.command.chassis_state import ChassisState
-from gateway.command.frames import MOTION_FRAMES, FrameMaker
+from gateway.command.frames import FrameMaker
 from gateway.command.gate import Gate
 from gateway.command.outcome import TickOutcome
 from gateway.command.report import Reporter, reply

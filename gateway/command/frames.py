@@ -8,22 +8,20 @@ from typing import Final
 
 import msgspec
 
-from gateway.chassis.decode import Value
+from gateway.chassis.cruiser.frames import (
+    DRIVE_COMMAND,
+    MOTION_FRAMES,
+    STEERING_COMMAND,
+    TARGET_ANGLE,
+    TARGET_SPEED,
+    motion_signals,
+)
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
-from gateway.chassis.layout import load
 from gateway.command.actuation import Actuation
 from gateway.command.auxiliary import AuxiliaryFrame
 from schemas.messages import Variant
-
-MOTION_FRAMES: Final = (
-    "Auto_DriveCmd",
-    "Auto_GearCmd",
-    "Auto_SteeringCmd",
-    "Auto_BrakingCmd",
-    "Auto_ParkingCmd",
-)
-"""The five of a burst, in their order: where a bus takes but a part of it, the speed is heard first."""
 
 COUNTER_MODULO: Final = 16
 _HAIR: Final = 1e-6
@@ -38,15 +36,16 @@ class FrameMaker:
     """
 
     def __init__(self) -> None:
-        self._encoders = {variant: Encoder(load(variant)) for variant in (Variant.COARSE, Variant.FINE)}
+        layouts = {variant: load(variant) for variant in (Variant.COARSE, Variant.FINE)}
+        self._encoders = {variant: Encoder(layout) for variant, layout in layouts.items()}
         self._scales = {
-            variant: load(variant).messages["Auto_DriveCmd"].signal("TargetVelocity").scale
-            for variant in self._encoders
+            variant: layout.messages[DRIVE_COMMAND].signal(TARGET_SPEED).scale
+            for variant, layout in layouts.items()
         }
-        angle = load(Variant.COARSE).messages["Auto_SteeringCmd"].signal("TargetAngle")
-        self._angle_scale_deg = angle.scale
-        self.counters = {message.name: 0 for message in load(Variant.COARSE).commands}
-        self._names = {message.can_id: message.name for message in load(Variant.COARSE).commands}
+        commands = layouts[Variant.COARSE].commands
+        self._angle_scale_deg = layouts[Variant.COARSE].messages[STEERING_COMMAND].signal(TARGET_ANGLE).scale
+        self.counters = {message.name: 0 for message in commands}
+        self._names = {message.can_id: message.name for message in commands}
 
     def make(self, actuation: Actuation, auxiliary: list[AuxiliaryFrame], variant: Variant) -> list[Frame]:
         """The frames of this tick: the five motion frames, then what else is asked for.
@@ -58,7 +57,14 @@ class FrameMaker:
         encode, counters = self._encoders[known].encode, self.counters
         if variant is Variant.UNKNOWN:
             actuation = msgspec.structs.replace(actuation, speed_mps=0.0)
-        values = self._motion_values(actuation, self._scales[known])
+        values = motion_signals(
+            enabled=actuation.enabled,
+            gear=actuation.gear,
+            # Down to the bit: to the nearest one it would be above the limit.
+            speed_mps=_toward_zero(actuation.speed_mps, self._scales[known]),
+            angle_deg=_toward_zero(actuation.angle_deg, self._angle_scale_deg),
+            parking=actuation.parking,
+        )
         frames = [encode(name, values[name], counters[name]) for name in MOTION_FRAMES]
         frames += [encode(extra.name, extra.values, counters[extra.name]) for extra in auxiliary]
         return frames
@@ -74,20 +80,7 @@ class FrameMaker:
             name = self._names[frame.can_id]
             self.counters[name] = (self.counters[name] + 1) % COUNTER_MODULO
 
-    def _motion_values(self, actuation: Actuation, scale: float) -> dict[str, dict[str, Value]]:
-        enable = actuation.enabled
-        return {
-            "Auto_GearCmd": {"Enable": enable, "TargetGear": actuation.gear.value},
-            "Auto_SteeringCmd": {"Enable": enable, "TargetAngle": self._toward_zero(actuation.angle_deg)},
-            # Down to the bit: to the nearest one it would be above the limit.
-            "Auto_DriveCmd": {
-                "Enable": enable,
-                "TargetVelocity": floor(actuation.speed_mps / scale + _HAIR) * scale,
-            },
-            "Auto_BrakingCmd": {"Enable": enable, "BrakePedal": 0.0},
-            "Auto_ParkingCmd": {"Enable": enable, "ParkingRequest": actuation.parking},
-        }
 
-    def _toward_zero(self, angle_deg: float) -> float:
-        bits = floor(abs(angle_deg) / self._angle_scale_deg + _HAIR)
-        return bits * self._angle_scale_deg * (-1 if angle_deg < 0 else 1)
+def _toward_zero(value: float, scale: float) -> float:
+    """Return the value of the nearest whole number of bits that is not beyond it."""
+    return floor(abs(value) / scale + _HAIR) * scale * (-1 if value < 0 else 1)

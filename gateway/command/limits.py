@@ -7,8 +7,9 @@ from typing import Self
 
 import msgspec
 
+from schemas.cruiser import WHEELBASE_M
 from schemas.requests import Drive
-from schemas.settings import WHEELBASE_M, CommandSettings
+from schemas.settings import CommandSettings
 
 
 class MotionLimits(msgspec.Struct, frozen=True):

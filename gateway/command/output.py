@@ -11,6 +11,7 @@ from gateway.command.link_age import LinkAge
 from gateway.command.motion import MotionConstraints, MotionProfile, Target
 from gateway.command.setpoint import Setpoint
 from gateway.command.stop import StopFeedback, StopSequence
+from schemas.cruiser import SPEED_BIT_MPS
 from schemas.decisions import Bound, StopPhase
 from schemas.messages import Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
@@ -20,9 +21,6 @@ _NS_PER_S: Final = 1_000_000_000
 _TICK_S: Final = TICK_NS / _NS_PER_S
 LATE_STEP_S: Final = 10 * _TICK_S
 """After a pause the speed goes on falling by no greater step than this makes."""
-
-_SPEED_BIT_MPS: Final = {Variant.COARSE: 0.04, Variant.FINE: 0.001}
-"""The smallest speed that the drive command can carry (manual V2.0, 5 (3))."""
 
 
 class Output:
@@ -108,7 +106,7 @@ class Output:
         )
         limits = setpoint.limits
         bounded = age.bounded(target, limits.speed_mps, now_ns)
-        if abs(bounded.speed_mps) < _SPEED_BIT_MPS.get(self.variant, 0.0):
+        if abs(bounded.speed_mps) < SPEED_BIT_MPS.get(self.variant, 0.0):
             # On the wire that is zero: the robot is told to stand, and is held.
             bounded = Target(0.0, bounded.angle_deg)
         elapsed_s = min(max((now_ns - self.told_ns) / _NS_PER_S, _TICK_S), LATE_STEP_S)

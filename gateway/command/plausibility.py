@@ -10,6 +10,7 @@ from typing import Final
 
 from gateway.command.actuation import Actuation
 from gateway.command.chassis_state import ChassisState
+from schemas.cruiser import SCALE_RATIO
 from schemas.reasons import Reason
 from schemas.settings import (
     CREEPING_NS,
@@ -28,9 +29,6 @@ from schemas.settings import (
     STEERING_DEVIATION_NS,
     STEERING_FOLLOWS_DEGPS,
 )
-
-SCALE_RATIO: Final = 40.0
-"""Between the coarse scale, 0.04 m/s a bit, and the fine one, 0.001 m/s a bit."""
 
 _HAIR: Final = 1e-9
 """So that a speed that is just on a bound is not below it by rounding."""

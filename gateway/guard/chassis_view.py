@@ -4,28 +4,18 @@ from __future__ import annotations
 
 from typing import Final
 
+from gateway.chassis.cruiser.frames import BODY, DRIVE, GEAR, MOTION_FRAMES, PARKING, STEERING, WHEEL_SPEED
+from gateway.chassis.cruiser.layout import load
+from gateway.chassis.cruiser.variant import StandstillEvidence
 from gateway.chassis.decode import Signals, check, compile_signals
 from gateway.chassis.frame import Frame
-from gateway.chassis.layout import load
 from gateway.chassis.supervision import silence_ns
-from gateway.chassis.variant import WHEEL_SPEED, StandstillEvidence
-from gateway.command.frames import COUNTER_MODULO, MOTION_FRAMES
+from gateway.command.frames import COUNTER_MODULO
+from schemas.cruiser import TURNING_RAW_MIN
 from schemas.messages import GearPosition, Mode, Variant
-from schemas.settings import (
-    GUARD_SILENT_NS,
-    REMOTE_FRAMES,
-    STANDSTILL_MPS,
-    STANDSTILL_TICKS,
-    TICK_NS,
-    TURNING_RAW_MIN,
-)
+from schemas.settings import GUARD_SILENT_NS, REMOTE_FRAMES, STANDSTILL_MPS, STANDSTILL_TICKS, TICK_NS
 
-_GEAR: Final = "Auto_GearFeedBack"
-_STEERING: Final = "Auto_SteeringFeedBack"
-_DRIVE: Final = "Auto_DriveFeedBack"
-_BODY: Final = "Auto_MileageAndBodyFeedback"
-_PARKING: Final = "Auto_ParkingFeedBack"
-_WATCHED: Final = (_GEAR, _STEERING, _DRIVE, _PARKING, _BODY, WHEEL_SPEED)
+_WATCHED: Final = (GEAR, STEERING, DRIVE, PARKING, BODY, WHEEL_SPEED)
 
 _STANDS_NS: Final = STANDSTILL_TICKS * TICK_NS
 
@@ -69,7 +59,7 @@ class ChassisView:
         # A frame that only repeats its counter says nothing new, and becomes stale like one that stays away.
         if before is None or before[0][6] >> 4 != frame.data[6] >> 4:
             self._latest[layout.name] = (frame.data, now_ns)
-            if layout.name == _BODY:
+            if layout.name == BODY:
                 self._remote_frames = (
                     self._remote_frames + 1 if _mode(self._body(frame.data)) is Mode.REMOTE else 0
                 )
@@ -80,7 +70,7 @@ class ChassisView:
 
     def mode(self, now_ns: int) -> Mode:
         """The mode; UNDEFINED if it is not told, or is remote in a single frame."""
-        data = self._fresh(_BODY, now_ns)
+        data = self._fresh(BODY, now_ns)
         mode = Mode.UNDEFINED if data is None else _mode(self._body(data))
         return Mode.UNDEFINED if mode is Mode.REMOTE and self._remote_frames < REMOTE_FRAMES else mode
 
@@ -95,14 +85,14 @@ class ChassisView:
 
     def gear(self, now_ns: int) -> GearPosition:
         """The gear feedback."""
-        data = self._fresh(_GEAR, now_ns)
-        told = "" if data is None else str(self._read[Variant.COARSE][_GEAR](data)["GearPosition"])
+        data = self._fresh(GEAR, now_ns)
+        told = "" if data is None else str(self._read[Variant.COARSE][GEAR](data)["GearPosition"])
         return _GEARS.get(told, GearPosition.UNDEFINED)
 
     def angle_deg(self, now_ns: int) -> float:
         """The steering feedback; straight ahead if there is none."""
-        data = self._fresh(_STEERING, now_ns)
-        return 0.0 if data is None else float(self._read[Variant.COARSE][_STEERING](data)["Angle"])
+        data = self._fresh(STEERING, now_ns)
+        return 0.0 if data is None else float(self._read[Variant.COARSE][STEERING](data)["Angle"])
 
     def seen_mps(self, variant: Variant, now_ns: int) -> float | None:
         """How fast the robot is seen to be at least, a magnitude: no single faulty sensor sets it going.
@@ -128,18 +118,18 @@ class ChassisView:
 
     def moves(self, variant: Variant, now_ns: int) -> bool:
         """The robot is seen to move; by the raw drive feedback where its scale is not known."""
-        drive = self._fresh(_DRIVE, now_ns) if variant is Variant.UNKNOWN else None
+        drive = self._fresh(DRIVE, now_ns) if variant is Variant.UNKNOWN else None
         turns = drive is not None and int.from_bytes(drive[1:3], "little") >= TURNING_RAW_MIN
         return turns or (self.fastest_mps(variant, now_ns) or 0.0) > STANDSTILL_MPS
 
     def is_braked(self, now_ns: int) -> bool | None:
         """The parking brake reads applied; None if it is not told."""
-        data = self._fresh(_PARKING, now_ns)
-        return None if data is None else self._read[Variant.COARSE][_PARKING](data)["ParkingStatus"] == "applied"
+        data = self._fresh(PARKING, now_ns)
+        return None if data is None else self._read[Variant.COARSE][PARKING](data)["ParkingStatus"] == "applied"
 
     def sees(self, now_ns: int) -> bool:
         """All that a stop has to begin from: mode, gear, angle and speed."""
-        return all(self._fresh(name, now_ns) is not None for name in (_GEAR, _STEERING, _DRIVE, _BODY))
+        return all(self._fresh(name, now_ns) is not None for name in (GEAR, STEERING, DRIVE, BODY))
 
     def wheel_speed_data(self, now_ns: int) -> bytes | None:
         """The latest wheel speed frame: evidence of the variant."""
@@ -147,7 +137,7 @@ class ChassisView:
 
     def _is_slow(self, variant: Variant, now_ns: int) -> bool:
         if variant is Variant.UNKNOWN:
-            wheels, drive = self._fresh(WHEEL_SPEED, now_ns), self._fresh(_DRIVE, now_ns)
+            wheels, drive = self._fresh(WHEEL_SPEED, now_ns), self._fresh(DRIVE, now_ns)
             if wheels is None or drive is None:
                 return False
             # Zero is the same in both scales, and so is what each one's standing wheels cannot be in the other.
@@ -156,10 +146,10 @@ class ChassisView:
         return all(speed_mps is not None and speed_mps < STANDSTILL_MPS for speed_mps in speeds_mps)
 
     def _drive_mps(self, variant: Variant, now_ns: int) -> float | None:
-        data = self._fresh(_DRIVE, now_ns)
+        data = self._fresh(DRIVE, now_ns)
         if data is None or variant is Variant.UNKNOWN:
             return None
-        return float(self._read[variant][_DRIVE](data)["Speed"])
+        return float(self._read[variant][DRIVE](data)["Speed"])
 
     def _fastest_wheel_mps(self, variant: Variant, now_ns: int) -> float | None:
         wheels = self._wheels_mps(variant, now_ns)
@@ -181,7 +171,7 @@ class ChassisView:
         return latest[0]
 
     def _body(self, data: bytes) -> Signals:
-        return self._read[Variant.COARSE][_BODY](data)
+        return self._read[Variant.COARSE][BODY](data)
 
 
 _SILENCE_NS: Final = {name: silence_ns(load(Variant.COARSE).messages[name].period_ns) for name in _WATCHED}

@@ -8,24 +8,30 @@ from typing import Final
 
 from msgspec.structs import replace
 
+from gateway.chassis.cruiser.frames import (
+    LIGHT_COMMAND,
+    MOTION_FRAMES,
+    ODOMETER_COMMAND,
+    SPEAKER_COMMAND,
+    light_signals,
+    odometer_signals,
+    speaker_signals,
+)
 from gateway.chassis.frame import Frame
 from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.auxiliary import AuxiliaryFrame
-from gateway.command.frames import COUNTER_MODULO, MOTION_FRAMES, FrameMaker
+from gateway.command.frames import COUNTER_MODULO, FrameMaker
 from gateway.command.gate import Gate
 from gateway.command.limits import MotionLimits
 from gateway.command.stop import StopFeedback, StopSequence
 from gateway.guard.beat import Outcome
 from gateway.guard.chassis_view import ChassisView
+from schemas.cruiser import SPEED_TOP_MPS, STEERING_TOP_DEG
 from schemas.decisions import StopPhase
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.settings import GUARD_LOOK_NS, GUARD_SILENT_NS, OFF_BURSTS, TICK_NS, CommandSettings
 
 _MOVING_GEARS: Final = frozenset({GearPosition.DRIVE, GearPosition.REVERSE})
-
-_SPEED_MAX_MPS: Final = 2.222
-_ANGLE_MAX_DEG: Final = 24.0
-"""What the chassis can do (manual V2.0, 2.2): the gate admits no more, whatever the heartbeat says."""
 
 STANDS: Final = Outcome.STANDS.value
 UNSEEN: Final = Outcome.UNSEEN.value
@@ -35,9 +41,9 @@ NOT_OBEYED: Final = "it is told zero speed and the parking brake, and is not see
 """How a stop ends, or why it waits."""
 
 _OFF: Final = (
-    AuxiliaryFrame("Auto_LightCmd", {"Headlamp": False, "RightIndicator": False, "LeftIndicator": False}),
-    AuxiliaryFrame("Auto_SpeakerCmd", {"Horn": False}),
-    AuxiliaryFrame("Auto_OdometerCmd", {"Enable": False, "ClearMileage": False}),
+    AuxiliaryFrame(LIGHT_COMMAND, light_signals()),
+    AuxiliaryFrame(SPEAKER_COMMAND, speaker_signals()),
+    AuxiliaryFrame(ODOMETER_COMMAND, odometer_signals()),
 )
 """The chassis keeps these for ever too, and nobody else ends them any more."""
 
@@ -263,8 +269,8 @@ def _possible(last: Actuation, variant: Variant) -> Actuation:
     return Actuation(
         enabled=True,
         gear=last.gear if in_gear else GearPosition.NEUTRAL,
-        speed_mps=_clamped(last.speed_mps, 0.0, _SPEED_MAX_MPS) if moves else 0.0,
-        angle_deg=_clamped(last.angle_deg, -_ANGLE_MAX_DEG, _ANGLE_MAX_DEG),
+        speed_mps=_clamped(last.speed_mps, 0.0, SPEED_TOP_MPS) if moves else 0.0,
+        angle_deg=_clamped(last.angle_deg, -STEERING_TOP_DEG, STEERING_TOP_DEG),
         parking=last.parking,
     )
 

@@ -19,7 +19,7 @@ import msgspec
 from gateway.can.can_bus import Bus, BusLost
 from gateway.can.open_bus import open_bus
 from gateway.can.reconnecting_bus import ReconnectingBus
-from gateway.chassis.layout import load
+from gateway.chassis.cruiser.layout import load
 from gateway.guard.guardian import Guardian
 from gateway.host.guard_run import run
 from gateway.host.heartbeat import Heartbeat

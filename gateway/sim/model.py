@@ -12,10 +12,11 @@ from typing import Final
 
 import msgspec
 
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.decode import Decoded, Decoder, Signals
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
-from gateway.chassis.layout import ChassisLayout, load
+from gateway.chassis.layout import ChassisLayout
 from gateway.sim.disturbances import Disturbances
 from gateway.sim.faults import FaultLine
 from gateway.sim.feedback import FeedbackSender, Values

@@ -28,8 +28,8 @@ from gateway.sim.parameters import (
     TYRE_DIAMETER_M,
     Conditions,
 )
+from schemas.cruiser import WHEELBASE_M
 from schemas.messages import GearPosition
-from schemas.settings import WHEELBASE_M
 
 _PULSES_PER_M = PULSES_PER_TURN / (math.pi * TYRE_DIAMETER_M)
 _TIME_RESOLUTION_S = 1e-9

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 from typing import Final
 
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.decode import Decoded, Decoder, Signals, check
 from gateway.chassis.encode import Encoder, checksum
 from gateway.chassis.frame import Frame
-from gateway.chassis.layout import load
 from gateway.sim.model import VirtualChassis
 from gateway.telemetry.state import signed_speed_mps
 from schemas.messages import Drive, Gear, GearPosition, Mode, Variant, WheelSpeed

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-from typing import Final, TypeVar
+from typing import TypeVar
 
+from gateway.chassis.cruiser.frames import BODY, DRIVE, GEAR, PARKING, STEERING, WHEEL_PULSE, WHEEL_SPEED
+from gateway.chassis.cruiser.variant import VariantDetector
 from gateway.chassis.supervision import silence_ns
-from gateway.chassis.variant import WHEEL_SPEED, VariantDetector
 from gateway.command.chassis_state import ChassisState
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import Links
 from schemas.alive_counter import COUNTER_SPAN
+from schemas.cruiser import TURNING_RAW_MIN
 from schemas.messages import (
     Body,
     ControllerState,
@@ -27,10 +29,7 @@ from schemas.messages import (
     WheelPulse,
     WheelSpeed,
 )
-from schemas.settings import PULSES_MOVING_FRAMES, PULSES_STEADY, TURNING_RAW_MIN
-
-BODY: Final = "Auto_MileageAndBodyFeedback"
-DRIVE: Final = "Auto_DriveFeedBack"
+from schemas.settings import PULSES_MOVING_FRAMES, PULSES_STEADY
 
 _Kind = TypeVar("_Kind", bound=Feedback)
 
@@ -84,10 +83,10 @@ class ChassisTracker:
             now_ns: monotonic.
         """
         wheels, body = self._latest(WHEEL_SPEED, WheelSpeed), self._latest(BODY, Body)
-        drive, gear = self._latest(DRIVE, Drive), self._latest("Auto_GearFeedBack", Gear)
-        steering = self._latest("Auto_SteeringFeedBack", Steering)
+        drive, gear = self._latest(DRIVE, Drive), self._latest(GEAR, Gear)
+        steering = self._latest(STEERING, Steering)
         (front, rear), self._hits = self._hits, [False, False]
-        parking = self._latest("Auto_ParkingFeedBack", Parking)
+        parking = self._latest(PARKING, Parking)
         return ChassisState(
             bus_up=links.bus_up,
             bus_losses=links.bus_losses,
@@ -104,7 +103,7 @@ class ChassisTracker:
             wheel_speed_mps=_mean_mps(wheels),
             fastest_wheel_mps=_fastest_mps(wheels),
             turns=self._turns(),
-            pulses=self._encoders.direction(self._latest("Auto_WheelPulseFeedback", WheelPulse)),
+            pulses=self._encoders.direction(self._latest(WHEEL_PULSE, WheelPulse)),
             angle_deg=steering.angle_deg if steering is not None else None,
             front_bumper=front or (_bumper(body, body.front_bumper) if body is not None else None),
             rear_bumper=rear or (_bumper(body, body.rear_bumper) if body is not None else None),

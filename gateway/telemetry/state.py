@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import radians, tan
 from typing import Final, TypeVar
 
+from schemas.cruiser import WHEELBASE_M
 from schemas.messages import (
     Body,
     Braking,
@@ -24,7 +25,7 @@ from schemas.messages import (
     WheelPulse,
     WheelSpeed,
 )
-from schemas.settings import STANDSTILL_MPS, WHEELBASE_M
+from schemas.settings import STANDSTILL_MPS
 
 FeedbackType = TypeVar("FeedbackType", bound=Feedback)
 

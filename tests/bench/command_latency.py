@@ -21,7 +21,7 @@ import zenoh
 
 from gateway.can.can_bus import BusLost
 from gateway.can.open_bus import open_bus
-from gateway.chassis.layout import load
+from gateway.chassis.cruiser.layout import load
 from gateway.zenoh.client import close_session, open_session
 from schemas.messages import Variant
 from schemas.settings import CanSettings, ZenohSettings

@@ -9,8 +9,8 @@ from typing import Final
 import msgspec
 import zenoh
 
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.frame import Frame
-from gateway.chassis.layout import load
 from gateway.sim.model import VirtualChassis
 from gateway.zenoh.client import close_session, open_session
 from schemas.messages import CanFrames, Variant

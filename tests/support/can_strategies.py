@@ -2,9 +2,10 @@
 
 from hypothesis import strategies as st
 
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.encode import to_raw
 from gateway.chassis.frame import REMOTE, Frame
-from gateway.chassis.layout import MessageLayout, load
+from gateway.chassis.layout import MessageLayout
 from schemas.messages import Variant
 
 VARIANTS = (Variant.COARSE, Variant.FINE)

@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator, Mapping
 
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.decode import Value
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
-from gateway.chassis.layout import load
 from schemas.messages import Variant
 
 MS = 1_000_000

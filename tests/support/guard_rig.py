@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import msgspec
 
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.frame import Frame
-from gateway.chassis.layout import load
 from gateway.command.actuation import Actuation
 from gateway.command.frames import FrameMaker
 from gateway.command.gate import Gate

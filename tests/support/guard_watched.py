@@ -14,9 +14,9 @@ import msgspec
 
 from gateway.can.can_bus import Bus
 from gateway.can.open_bus import open_bus
+from gateway.chassis.cruiser.frames import MOTION_FRAMES
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.frame import Frame
-from gateway.chassis.layout import load
-from gateway.command.frames import MOTION_FRAMES
 from gateway.guard.chassis_view import ChassisView
 from schemas.messages import Mode, Variant
 from schemas.settings import CanSettings

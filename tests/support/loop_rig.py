@@ -10,10 +10,10 @@ from math import radians, tan
 
 import msgspec
 
+from gateway.chassis.cruiser.frames import MOTION_FRAMES
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.decode import Decoded, Decoder, Value
 from gateway.chassis.frame import Frame
-from gateway.chassis.layout import load
-from gateway.command.frames import MOTION_FRAMES
 from gateway.command.request import RawRequest
 from gateway.core import Core
 from gateway.sim.faults import FaultLine, parse

@@ -1,9 +1,9 @@
 """A virtual chassis on the bench: commands in by name, feedback out by name."""
 
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.decode import Decoded, Decoder, Value
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
-from gateway.chassis.layout import load
 from gateway.sim.faults import FaultLine, parse
 from gateway.sim.model import VirtualChassis
 from gateway.sim.parameters import NOMINAL, Conditions

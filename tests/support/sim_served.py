@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import can
 
 from gateway.can.socketcand_server import SocketcandServer
-from gateway.chassis.layout import load
+from gateway.chassis.cruiser.layout import load
 from gateway.cli.sim_run import SimClock, SimSummary, live
 from gateway.sim.model import VirtualChassis
 from schemas.messages import Variant

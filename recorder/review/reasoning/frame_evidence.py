@@ -16,6 +16,7 @@ from recorder.review.reasoning.signals import (
     signals,
     silence_ns,
 )
+from schemas.cruiser import SPEED_PLAUSIBLE_MPS, STEERING_PLAUSIBLE_DEG
 from schemas.decisions import SafetyState
 from schemas.messages import Body, Drive, Mode, RobotState, Steering, Variant, WheelSpeed
 from schemas.settings import (
@@ -33,10 +34,8 @@ from schemas.settings import (
     ROLLING_MPS,
     ROLLING_NS,
     SAFETY_STATE_PERIOD_NS,
-    SPEED_PLAUSIBLE_MPS,
     STEERING_DEVIATION_DEG,
     STEERING_DEVIATION_NS,
-    STEERING_PLAUSIBLE_DEG,
     TICK_NS,
 )
 

@@ -12,7 +12,7 @@ from typing import Final
 
 import msgspec
 
-from schemas.settings import WHEELBASE_M
+from schemas.cruiser import WHEELBASE_M
 
 GAP_NS: Final = 500_000_000
 """Ten periods of ``state``: beyond that nothing is integrated."""

@@ -8,11 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway import core as core_module
+from gateway.chassis.cruiser.frames import SCALED_BY_VARIANT
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import ERROR, EXTENDED, Frame
-from gateway.chassis.layout import load
 from gateway.command.request import RawRequest
-from gateway.core import SCALED_BY_VARIANT, Core
+from gateway.core import Core
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas import codec
@@ -273,7 +274,7 @@ def test_the_virtual_chassis_can_be_implausible(fault: str, name: str) -> None:
 def test_no_decoder_is_compiled_in_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     """To compile one takes a millisecond: both variants' are made at the start, and changed for one another."""
     made, fine, coarse = core(), Feedback(Variant.FINE), Feedback(Variant.COARSE)
-    monkeypatch.setattr(core_module, "compile_message", None)
+    monkeypatch.setattr(core_module, "compile_feedback", None)
     monkeypatch.setattr(core_module, "load", None)
     for feedback, variant in ((fine, Variant.FINE), (coarse, Variant.COARSE)):
         confirm(made, feedback)

@@ -10,9 +10,9 @@ import msgspec
 import pytest
 
 from gateway import loop as loop_module
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
-from gateway.chassis.layout import load
 from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.request import RawRequest
 from gateway.core import Core, Due

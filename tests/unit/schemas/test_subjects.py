@@ -3,7 +3,7 @@ from enum import Enum
 import msgspec
 import pytest
 
-from gateway.chassis import layout
+from gateway.chassis.cruiser import layout
 from gateway.chassis.layout import MessageLayout
 from schemas import messages
 from schemas.messages import CanFrames, Variant

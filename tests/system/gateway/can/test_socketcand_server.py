@@ -17,9 +17,9 @@ from gateway.can.socketcand_server import (
     SocketcandServer,
     _Outbox,
 )
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import EXTENDED, Frame
-from gateway.chassis.layout import load
 from schemas.messages import Mode, Variant
 from tests.support.sim_served import DEADLINE_S, Served, receive, served, wait_until
 

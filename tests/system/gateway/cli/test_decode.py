@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.chassis import layout
+from gateway.chassis.cruiser import layout
 from gateway.chassis.decode import Decoder
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import hex_identifier

@@ -13,7 +13,7 @@ import msgpack
 import pytest
 import zenoh
 
-from gateway.chassis.layout import load
+from gateway.chassis.cruiser.layout import load
 from gateway.cli.gateway import run as run_gateway
 from gateway.client.refusal import RobotError
 from gateway.client.robot import Robot

@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterable
 import pytest
 
 from gateway.can.can_bus import BusLost
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.frame import ERROR, Frame
-from gateway.chassis.layout import load
 from gateway.cli.sim_run import CanBusLink, Inject, SimClock, SimSummary, live
 from gateway.sim.model import VirtualChassis
 from schemas.messages import Variant

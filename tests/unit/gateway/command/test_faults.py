@@ -6,12 +6,13 @@ from itertools import combinations
 import msgspec
 import pytest
 
+from gateway.chassis.cruiser.frames import MOTION_FRAMES
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.decode import check
 from gateway.chassis.faults import FaultKind
 from gateway.chassis.frame import ERROR, FD, Frame
-from gateway.chassis.layout import load
 from gateway.command.actuation import Actuation
-from gateway.command.frames import MOTION_FRAMES, FrameMaker
+from gateway.command.frames import FrameMaker
 from gateway.guard.beat import Cause
 from gateway.sim.model import VirtualChassis
 from gateway.telemetry.health import Links

@@ -4,12 +4,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.chassis.cruiser.frames import MOTION_FRAMES
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.decode import Decoded, Decoder
 from gateway.chassis.frame import Frame
-from gateway.chassis.layout import load
 from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.auxiliary import AuxiliaryFrame
-from gateway.command.frames import MOTION_FRAMES, FrameMaker
+from gateway.command.frames import FrameMaker
 from schemas.messages import GearPosition, Variant
 from tests.support.can_strategies import VARIANTS
 

@@ -5,13 +5,14 @@ from random import Random
 import msgspec
 import pytest
 
+from gateway.chassis.cruiser.gate_table import MOTION, USED_BITS
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.frame import ERROR, EXTENDED, FD, REMOTE, Frame
-from gateway.chassis.layout import load
 from gateway.command import gate as gate_module
 from gateway.command.actuation import Actuation
 from gateway.command.auxiliary import AuxiliaryFrame
 from gateway.command.frames import FrameMaker
-from gateway.command.gate import MOTION, USED_BITS, Gate, GateFault
+from gateway.command.gate import Gate, GateFault
 from schemas.messages import GearPosition, Variant
 from tests.support.can_strategies import VARIANTS, with_checksum
 

@@ -4,9 +4,9 @@ from itertools import product
 
 import pytest
 
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
-from gateway.chassis.layout import load
 from gateway.sim.model import VirtualChassis
 from gateway.sim.parameters import Conditions
 from schemas.decisions import ArbiterState, EventKind

@@ -2,9 +2,9 @@
 
 import pytest
 
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
-from gateway.chassis.layout import load
 from gateway.guard.chassis_view import ChassisView
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.settings import GUARD_SILENT_NS

@@ -7,13 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from gateway.chassis.cruiser.gate_table import MOTION
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.decode import Decoded, Decoder, Value
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
-from gateway.chassis.layout import load
 from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.auxiliary import AuxiliaryFrame
-from gateway.command.gate import MOTION
 from gateway.guard.beat import Cause
 from gateway.guard.guardian import Guardian
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant

@@ -5,9 +5,9 @@ from math import inf, nan
 import msgspec
 import pytest
 
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.decode import Decoded, Decoder
 from gateway.chassis.encode import Encoder
-from gateway.chassis.layout import load
 from gateway.command.actuation import Actuation
 from gateway.guard.chassis_view import ChassisView
 from gateway.guard.stopper import Stopper

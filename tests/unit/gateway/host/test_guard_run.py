@@ -4,8 +4,8 @@ import threading
 
 import pytest
 
+from gateway.chassis.cruiser.gate_table import MOTION
 from gateway.chassis.frame import Frame
-from gateway.command.gate import MOTION
 from gateway.guard.beat import Beat, GuardStatus
 from gateway.guard.guardian import Guardian
 from gateway.host.guard_run import run

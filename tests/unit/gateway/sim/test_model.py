@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.decode import Decoded, Decoder
 from gateway.chassis.frame import EXTENDED, REMOTE, Frame
-from gateway.chassis.layout import load
 from gateway.sim.model import VirtualChassis
 from gateway.sim.parameters import Conditions, StopMode
 from schemas.messages import BrakingStatus, GearPosition, Mode, ParkingStatus, Variant

@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.decode import Decoded, Value, check
 from gateway.chassis.encode import Encoder, checksum
 from gateway.chassis.frame import Frame
-from gateway.chassis.layout import load
 from gateway.sim.stand_in import StandIn
 from schemas.messages import Variant
 from tests.support.can_strategies import frames as any_frames

@@ -6,15 +6,16 @@ from collections.abc import Iterable, Mapping
 import msgspec
 import pytest
 
-from gateway.chassis.decode import Value, compile_message
+from gateway.chassis.cruiser.feedback import compile_feedback
+from gateway.chassis.cruiser.frames import BODY, DRIVE, MOTION_FRAMES, WHEEL_SPEED
+from gateway.chassis.cruiser.layout import load
+from gateway.chassis.cruiser.variant import VariantDetector
+from gateway.chassis.decode import Value
 from gateway.chassis.frame import Frame
-from gateway.chassis.layout import load
 from gateway.chassis.supervision import silence_ns
-from gateway.chassis.variant import WHEEL_SPEED, VariantDetector
 from gateway.command.chassis_state import ChassisState
-from gateway.command.frames import MOTION_FRAMES
 from gateway.core import Core
-from gateway.telemetry.chassis_tracker import BODY, DRIVE, ChassisTracker
+from gateway.telemetry.chassis_tracker import ChassisTracker
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import Links
 from schemas.messages import ControllerState, GearPosition, Mode, ParkingStatus, Variant
@@ -43,7 +44,7 @@ class Eye:
     def __init__(self, variant: Variant = Variant.COARSE, required: Iterable[str] = REQUIRED) -> None:
         faults: Counter[object] = Counter()
         self.streams = {
-            layout.name: FeedbackStream(compile_message(layout), faults)  # type: ignore[arg-type]
+            layout.name: FeedbackStream(compile_feedback(layout), faults)  # type: ignore[arg-type]
             for layout in load(variant).feedback
         }
         self.detector = VariantDetector(variant)

@@ -3,9 +3,9 @@
 from collections import Counter
 from collections.abc import Iterable
 
-from gateway.chassis.decode import compile_message
+from gateway.chassis.cruiser.feedback import compile_feedback
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.faults import FaultKind
-from gateway.chassis.layout import load
 from gateway.chassis.supervision import silence_ns
 from gateway.telemetry.feedback import FeedbackStream
 from schemas.messages import Variant
@@ -21,7 +21,7 @@ class Gears:
 
     def __init__(self) -> None:
         self.faults: Counter[FaultKind] = Counter()
-        self.stream = FeedbackStream(compile_message(load(Variant.COARSE).messages[GEAR]), self.faults)
+        self.stream = FeedbackStream(compile_feedback(load(Variant.COARSE).messages[GEAR]), self.faults)
         self._feedback = Feedback(Variant.COARSE)
 
     def receive(self, times_ns: Iterable[int]) -> None:

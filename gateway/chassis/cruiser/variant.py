@@ -1,4 +1,4 @@
-"""Which firmware variant is it? The wheel speed frame of a standing robot tells.
+"""The firmware variant, by the wheel speed frame of a standing robot.
 
 Standing still, it reads about 200 raw in the coarse variant and about 32768 in the fine one; read in the wrong
 variant a standing robot shows -8 m/s or -32.6 m/s (protocol notes, 'Two firmware variants').
@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from gateway.chassis.cruiser.frames import WHEEL_SPEED
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.decode import Signals, compile_signals
 from gateway.chassis.faults import FaultKind
-from gateway.chassis.layout import MessageLayout, load
+from gateway.chassis.layout import MessageLayout
 from schemas.messages import Variant
 from schemas.settings import STANDSTILL_MPS, VARIANT_EVIDENCE_FRAMES
 
-WHEEL_SPEED: Final = "Auto_WheelSpdFeedback"
 _KNOWN: Final = (Variant.COARSE, Variant.FINE)
 
 

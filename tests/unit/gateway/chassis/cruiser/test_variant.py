@@ -3,10 +3,10 @@
 import pytest
 from hypothesis import given
 
+from gateway.chassis.cruiser.layout import load
+from gateway.chassis.cruiser.variant import StandstillEvidence, VariantDetector
 from gateway.chassis.encode import Encoder
 from gateway.chassis.faults import FaultKind
-from gateway.chassis.layout import load
-from gateway.chassis.variant import StandstillEvidence, VariantDetector
 from schemas.messages import Variant
 from tests.support.can_strategies import VARIANTS, payloads
 
