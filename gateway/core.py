@@ -64,7 +64,7 @@ RX, TX = "can/{bus}/rx", "can/{bus}/tx"
 _SUBJECT: Final = {subject.type: subject.name for subject in SUBJECTS}
 
 
-class Due(msgspec.Struct):
+class TickEffects(msgspec.Struct):
     """What a tick asks to be done, in this order: send the frames, say how many went out, reply, publish, log."""
 
     frames: list[Frame]
@@ -179,7 +179,7 @@ class Core:
             self._journal.add((Kind.LINKS, now_ns, *told))
         self._told = told
 
-    def tick(self, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes) -> Due:
+    def tick(self, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes) -> TickEffects:
         """Every 10 ms. Returns what is due: commands, raw frames, state, health.
 
         Args:
@@ -192,7 +192,7 @@ class Core:
         for stream in self._streams.values():
             if now_ns > stream.supervisor.overdue_ns:
                 stream.tick(now_ns)
-        due = Due([], [], [], [])
+        due = TickEffects([], [], [], [])
         if self.command is not None:
             self._command(self.command, due, now_ns, wall_ns, late_ns, challenge)
         if now_ns >= self._batch_due_ns:
@@ -285,7 +285,7 @@ class Core:
         return self.command is None or self.command.arbiter.state is ArbiterState.STANDBY
 
     def _command(
-        self, command: CommandFlow, due: Due, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes
+        self, command: CommandFlow, due: TickEffects, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes
     ) -> None:
         if self._journal is not None:
             if now_ns >= self._rest_due_ns:

@@ -85,7 +85,7 @@ class SampleSink(Protocol):
         ...
 
 
-class Inbox(Protocol):
+class RequestInbox(Protocol):
     """Where requests wait, as the loop sees it: it never fails and never blocks.
 
     Attributes:
@@ -141,12 +141,12 @@ class FormerGuard(Protocol):
     says: str
 
 
-class Surroundings(msgspec.Struct):
+class LoopPorts(msgspec.Struct):
     """What the loop runs between. ``inbox``, ``guard`` and ``note`` are None for a gateway that only listens."""
 
     bus: FrameSource
     sink: SampleSink
-    inbox: Inbox | None = None
+    inbox: RequestInbox | None = None
     guard: Guard | None = None
     note: Note | None = None
     former_guard: FormerGuard | None = None
@@ -167,18 +167,18 @@ def _no_collections() -> Iterator[None]:
 
 
 @_no_collections()
-def run(around: Surroundings, core: Core, info: Callable[[], bytes], stopped: Callable[[], bool]) -> None:
+def run(ports: LoopPorts, core: Core, info: Callable[[], bytes], stopped: Callable[[], bool]) -> None:
     """Run until ``stopped()``, and then until the robot is at rest.
 
     Args:
-        around: bus, Zenoh, requests, guard.
+        ports: bus, Zenoh, requests, guard.
         core: decides what a frame, a request and a tick mean.
         info: the payload of ``gateway/info``.
         stopped: asked every tick.
     """
     monotonic_ns = time.monotonic_ns
-    sink = around.sink
-    reader = Reader(around, core)
+    sink = ports.sink
+    reader = Reader(ports, core)
     due_ns = monotonic_ns() + TICK_NS
     links = Links()
     numbers = LeaseNumbers(lambda: secrets.randbelow(LEASE_MAX) + 1)
@@ -206,25 +206,25 @@ def run(around: Surroundings, core: Core, info: Callable[[], bytes], stopped: Ca
             complained_ns = now_ns
             log.warning("the loop was %d ms late; frames that waited keep their own times", late_ns // MS)
         is_behind = now_ns - reader.read_all_ns > BEHIND_NS
-        links = _read_links(around, links, is_behind=is_behind, is_full=ticks % SELDOM_TICKS == 0)
-        if around.former_guard is not None:
-            links = _with_former(links, around.former_guard, hears_commands=core.hears_commands(now_ns))
+        links = _read_links(ports, links, is_behind=is_behind, is_full=ticks % SELDOM_TICKS == 0)
+        if ports.former_guard is not None:
+            links = _with_former(links, ports.former_guard, hears_commands=core.hears_commands(now_ns))
         ticks += 1
-        _tick(around, core, numbers, links, now_ns, late_ns)
+        _tick(ports, core, numbers, links, now_ns, late_ns)
         sink.answer(info)
         due_ns += TICK_NS * (1 + (now_ns - due_ns) // TICK_NS)
-    if around.guard is not None and core.command is not None:
+    if ports.guard is not None and core.command is not None:
         # The last word: nothing is told any more, so nothing is left to stop.
-        around.guard.beat(monotonic_ns(), core.command)
+        ports.guard.beat(monotonic_ns(), core.command)
     for sample in core.last_batches(time.time_ns()):
         sink.publish(sample)
 
 
 def _tick(
-    around: Surroundings, core: Core, numbers: LeaseNumbers, links: Links, now_ns: int, late_ns: int
+    ports: LoopPorts, core: Core, numbers: LeaseNumbers, links: Links, now_ns: int, late_ns: int
 ) -> None:
     """Requests in; frames first, then everything else out."""
-    monotonic_ns, inbox = time.monotonic_ns, around.inbox
+    monotonic_ns, inbox = time.monotonic_ns, ports.inbox
     core.update_links(links, now_ns)
     if inbox is not None:
         lease = numbers.number_of(core.lease_id)
@@ -232,21 +232,21 @@ def _tick(
             core.receive_request(numbers.redact(request), now_ns)
     due = core.tick(now_ns, time.time_ns(), late_ns, os.urandom(CHALLENGE_BYTES))
     # Asked once more, right before: this process may have been stopped since, for longer than the guard needs.
-    seen = around.guard.look() if around.guard is not None else NO_GUARD
-    is_ours = not seen.is_sending and seen.stops == links.guard_stops
-    count = around.bus.send(due.frames) if due.frames and is_ours else 0
+    guard = ports.guard.look() if ports.guard is not None else NO_GUARD
+    is_ours = not guard.is_sending and guard.stops == links.guard_stops
+    count = ports.bus.send(due.frames) if due.frames and is_ours else 0
     samples = core.sent(count, monotonic_ns(), time.time_ns())
-    if around.guard is not None and core.command is not None:
-        around.guard.beat(monotonic_ns(), core.command)
-    if around.note is not None and core.command is not None:
-        around.note.follow(is_latched=Reason.GUARD in core.command.arbiter.latches.details)
+    if ports.guard is not None and core.command is not None:
+        ports.guard.beat(monotonic_ns(), core.command)
+    if ports.note is not None and core.command is not None:
+        ports.note.follow(is_latched=Reason.GUARD in core.command.arbiter.latches.details)
     if inbox is not None:
         for reply in due.replies:
             inbox.reply(numbers.disclose(reply))
     for sample in due.samples:
-        around.sink.publish(sample)
+        ports.sink.publish(sample)
     for sample in samples:
-        around.sink.publish(sample)
+        ports.sink.publish(sample)
     for event in due.events:
         log.log(LEVELS[event.severity], "%s", event.text)
 
@@ -258,10 +258,10 @@ class Reader:
         read_all_ns: when nothing was left to read last. Long ago, frames come faster than they are read.
     """
 
-    def __init__(self, around: Surroundings, core: Core) -> None:
+    def __init__(self, ports: LoopPorts, core: Core) -> None:
         self.read_all_ns = time.monotonic_ns()
-        self._receive = around.bus.receive
-        self._publish = around.sink.publish
+        self._receive = ports.bus.receive
+        self._publish = ports.sink.publish
         self._core = core
 
     def read_burst(self, timeout_s: float) -> bool:
@@ -294,10 +294,10 @@ class Reader:
                 return
 
 
-def _read_links(around: Surroundings, before: Links, *, is_behind: bool, is_full: bool) -> Links:
-    bus, sink = around.bus, around.sink
+def _read_links(ports: LoopPorts, before: Links, *, is_behind: bool, is_full: bool) -> Links:
+    bus, sink = ports.bus, ports.sink
     peers = sink.peers() if is_full else before.zenoh_peers
-    guard = around.guard.look() if around.guard is not None else NO_GUARD
+    guard = ports.guard.look() if ports.guard is not None else NO_GUARD
     if bus.is_up and not before.bus_up:
         log.info("the bus is up%s", " again" if bus.losses else "")
     elif before.bus_up and (not bus.is_up or bus.losses != before.bus_losses):
@@ -319,8 +319,8 @@ def _read_links(around: Surroundings, before: Links, *, is_behind: bool, is_full
         guard_stops=guard.stops,
         guard_says=guard.says,
         is_behind=is_behind,
-        realtime=around.has_realtime() if is_full else before.realtime,
-        inbox_drops=around.inbox.drops if around.inbox is not None else 0,
+        realtime=ports.has_realtime() if is_full else before.realtime,
+        inbox_drops=ports.inbox.drops if ports.inbox is not None else 0,
     )
 
 

@@ -93,7 +93,7 @@ class Text(msgspec.Struct, frozen=True):
     cure: str
 
 
-_BOTH: Final = "; with both pressed, free the robot by hand or with the hand transmitter"
+_BOTH: Final = "; with both pressed, free the robot by hand or with the remote control"
 _ACQUIRE: Final = "acquire it with 'cruiser drive ROBOT', or with 'cruiser lease ROBOT --hold'"
 _ENGAGE: Final = "engage with 'cruiser drive ROBOT' (driving: key g)"
 
@@ -179,11 +179,12 @@ TEXTS: Final[dict[Reason, Text]] = {
         "the firmware variant, and with it the scale of speeds, is not known",
         "let the robot stand still with its feedback on the bus; where it does, chassis.variant is set wrong",
     ),
+    # The remote control (RC), by its old name: this stands in events, which a journal run again gives by the byte.
     Reason.HAND_TRANSMITTER: Text(
         "the hand transmitter has the robot", f"switch the transmitter's SA to command control, then {_ENGAGE}"
     ),
     Reason.MODE_NOT_AUTO: Text(
-        "the chassis does not read auto", f"look at the robot's button and at the hand transmitter, then {_ENGAGE}"
+        "the chassis does not read auto", f"look at the robot's button and at the remote control, then {_ENGAGE}"
     ),
     Reason.FRONT_BUMPER: Text(
         "the front bumper was hit", f"{RESET}drive backward ('cruiser drive ROBOT') until it is clear{_BOTH}"

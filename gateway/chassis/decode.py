@@ -46,7 +46,7 @@ def check(frame: Frame) -> FaultKind | None:
     return None
 
 
-class Decoder:
+class FrameDecoder:
     """Decodes every frame of a variant to signals; for people and tests. The loop uses ``MessageDecoder``."""
 
     def __init__(self, layout: ChassisLayout) -> None:

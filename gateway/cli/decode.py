@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 from gateway.chassis.cruiser import layout
-from gateway.chassis.decode import Decoded, Decoder
+from gateway.chassis.decode import Decoded, FrameDecoder
 from gateway.chassis.layout import CHECKSUM
 from gateway.cli import candump
 from schemas.exit_codes import CommandError, ExitCode
@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     Raises:
         CommandError: the file cannot be read.
     """
-    decoder = Decoder(layout.load(_variant(settings)))
+    decoder = FrameDecoder(layout.load(_variant(settings)))
     all_read = True
     source = _open(arguments.file)
     name = "standard input" if source == _STANDARD_INPUT else repr(plain(arguments.file))
@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     return int(ExitCode.OK if all_read else ExitCode.PARTIAL)
 
 
-def describe(decoder: Decoder, raw: bytes, number: int) -> dict[str, Any] | None:
+def describe(decoder: FrameDecoder, raw: bytes, number: int) -> dict[str, Any] | None:
     """What a line says, ready for JSON; None for an empty line. Any bytes will do."""
     if not raw.strip():
         return None

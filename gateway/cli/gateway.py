@@ -26,7 +26,7 @@ from gateway.host.guard_run import stop_alone
 from gateway.host.log_queue import logging_aside
 from gateway.host.realtime import has_realtime, request_realtime
 from gateway.host.stop_note import NoteClearer, StopNote
-from gateway.loop import Surroundings
+from gateway.loop import LoopPorts
 from gateway.loop import run as run_loop
 from gateway.zenoh.inbox import open_inbox
 from gateway.zenoh.node import ZenohPlace, open_node
@@ -123,10 +123,10 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         request_realtime(settings.gateway.realtime_priority)
         if inbox is not None and not has_realtime():
             log.warning("%s", _without_realtime(settings))
-        around = Surroundings(bus, node, inbox, guard, note, former_guard, has_realtime)
+        ports = LoopPorts(bus, node, inbox, guard, note, former_guard, has_realtime)
         try:
             with logging_aside():
-                run_loop(around, core, info, ending_after(stopped, arguments.seconds, time.monotonic))
+                run_loop(ports, core, info, ending_after(stopped, arguments.seconds, time.monotonic))
         except Exception:
             _stop_unguarded(core, bus, guard, settings)
             raise
@@ -138,11 +138,11 @@ def _stop_unguarded(core: Core, bus: ReconnectingBus, guard: GuardLink, settings
     told = None if core.command is None else core.command.arbiter.output.actuation
     if core.command is None or told is None or guard.look().is_watching:
         return
-    sight = ChassisView()
-    stopper = Stopper(sight, settings.command)
+    view = ChassisView()
+    stopper = Stopper(view, settings.command)
     counters = bytes(core.command.maker.counters.values())
     stopper.begin(told, core.command.arbiter.output.variant, counters, time.monotonic_ns())
-    outcome = stop_alone(bus, stopper, sight, lambda: guard.look().is_sending)
+    outcome = stop_alone(bus, stopper, view, lambda: guard.look().is_sending)
     text = f"the loop has failed, and no guard watches: the robot was stopped from here; {outcome}"
     log.error("%s", text)
     with suppress(OSError):

@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags of ``cruiser halt``."""
     parser.description = (
         "Listens, says what it finds, and brings a robot that nobody commands any more to rest: zero speed, "
-        "parking brake, then silence. It waits for a guard at work, and for a hand transmitter "
+        "parking brake, then silence. It waits for a guard at work, and for a remote control "
         "that has the robot: the chassis would obey its last command again afterwards. A gateway that starts "
         "afterwards wants a reset first. Not an emergency stop: that is the button on the robot."
     )
@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=seconds,
         default=HALT_YIELD_NS / 1e9,
         metavar="N",
-        help="wait so many seconds at most for another sender, or for the hand transmitter (default %(default)g)",
+        help="wait so many seconds at most for another sender, or for the remote control (default %(default)g)",
     )
 
 
@@ -107,7 +107,7 @@ class HaltSequence:
         self._wait_ns = wait_ns
         self.outcome = ""
         self.frames = 0
-        self._sight = ChassisView()
+        self._view = ChassisView()
         self._detector = VariantDetector(CONFIGURED_VARIANT[settings.chassis.variant])
         self._wheels: bytes | None = None
 
@@ -129,8 +129,8 @@ class HaltSequence:
             if not self._wait_while(self._is_remote):
                 return self._end(f"{REMOTE}, so nothing is sent", ExitCode.REFUSED)
         now_ns = time.monotonic_ns()
-        mode, stands = self._sight.mode(now_ns), self._sight.stands(self._variant, now_ns)
-        if not self._sight.hears(now_ns):
+        mode, stands = self._view.mode(now_ns), self._view.stands(self._variant, now_ns)
+        if not self._view.has_feedback(now_ns):
             _say(f"no feedback on {self._where}: stopping blindly")
         else:
             _say(f"mode {mode.value}, {STANDS if stands else UNSEEN}")
@@ -150,11 +150,11 @@ class HaltSequence:
         return Variant.UNKNOWN if self._detector.contradicted else self._detector.variant
 
     def _is_commanded(self) -> bool:
-        heard_ns = self._sight.commander_ns
+        heard_ns = self._view.commander_ns
         return heard_ns is not None and time.monotonic_ns() - heard_ns < COMMANDER_NS
 
     def _is_remote(self) -> bool:
-        return self._sight.mode(time.monotonic_ns()) is Mode.REMOTE
+        return self._view.mode(time.monotonic_ns()) is Mode.REMOTE
 
     def _wait_while(self, condition: Callable[[], bool]) -> bool:
         """Listen while this holds. False if it still does when the time is over."""
@@ -169,22 +169,22 @@ class HaltSequence:
         end_ns = time.monotonic_ns() + duration_ns
         while (now_ns := time.monotonic_ns()) < end_ns:
             self._receive_until(min(end_ns, now_ns + GUARD_POLL_NS))
-            self._sight.stands(self._variant, time.monotonic_ns())
+            self._view.stands(self._variant, time.monotonic_ns())
 
     def _receive_until(self, end_ns: int) -> None:
         while (now_ns := time.monotonic_ns()) < end_ns:
             frame = self._bus.receive((end_ns - now_ns) / 1e9)
             if frame is None:
                 continue
-            self._sight.receive(frame, now_ns)
-            wheels = self._sight.wheel_speed_data(now_ns)
+            self._view.receive(frame, now_ns)
+            wheels = self._view.wheel_speed_data(now_ns)
             if wheels is not None and wheels is not self._wheels:
                 self._wheels = wheels
                 self._detector.receive_wheel_speed(wheels)
 
     def _send(self) -> ExitCode:
         variant, now_ns = self._variant, time.monotonic_ns()
-        stopper = Stopper(self._sight, self._settings.command)
+        stopper = Stopper(self._view, self._settings.command)
         stopper.begin(None, variant, None, now_ns)
         note = NoteWriter(StopNote.of(self._settings), _say)
         try:

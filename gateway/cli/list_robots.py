@@ -12,7 +12,7 @@ import msgspec
 
 from gateway.client import view
 from gateway.client.fleet import Fleet, RobotStatus
-from gateway.telemetry.heard import TokenChange
+from gateway.telemetry.received import TokenChange
 from gateway.zenoh.client import PendingQuery, RobotListener, place
 from schemas.arguments import add_zenoh_arguments, seconds
 from schemas.exit_codes import CommandError, ExitCode

@@ -9,7 +9,7 @@ from typing import Final
 
 import msgspec
 
-from gateway.telemetry.heard import Heard, Missed, Received
+from gateway.telemetry.received import Arrival, Missed, Received
 from schemas import codec, keys
 from schemas.codec import PayloadFault
 from schemas.decisions import SafetyState
@@ -72,7 +72,7 @@ class Fleet:
         self._known: dict[str, _Known] = {}
         self._linked = True
 
-    def hear(self, heard: Heard, now_ns: int) -> None:
+    def hear(self, heard: Arrival, now_ns: int) -> None:
         """Take in a sample or a change of a token. What is no robot's is ignored."""
         if isinstance(heard, Received):
             self._receive(heard, now_ns)

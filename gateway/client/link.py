@@ -15,7 +15,7 @@ from gateway.client.drive_stream import PERIOD_S, SILENT_NS, DriveStream
 from gateway.client.refusal import Unreachable, refused
 from gateway.client.remote_stop import Seen
 from gateway.client.reply import BY_REQUEST, CONTRADICTION, contradict, encode_request, read_reply
-from gateway.telemetry.heard import Missed, Received
+from gateway.telemetry.received import Missed, Received
 from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort, SafetyListener
 from schemas import codec, keys

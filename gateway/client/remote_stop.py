@@ -17,7 +17,7 @@ import msgspec
 
 from gateway.client.evidence import Evidence
 from gateway.client.reply import CONTRADICTION, contradict, read_reply
-from gateway.telemetry.heard import Heard, Missed, Received
+from gateway.telemetry.received import Arrival, Missed, Received
 from gateway.zenoh.client import PendingQuery, RobotListener
 from gateway.zenoh.operator import CommandPort
 from schemas import codec, keys
@@ -100,7 +100,7 @@ def stop_from_here(
         return stop(port, root, robot, timeout_s, look, stopped)
 
 
-def _read(heard: Iterable[Heard]) -> Iterator[Seen | Missed]:
+def _read(heard: Iterable[Arrival]) -> Iterator[Seen | Missed]:
     for one in heard:
         now_ns = time.monotonic_ns()
         if isinstance(one, Missed):

@@ -6,7 +6,7 @@ from typing import Final
 
 import msgspec
 
-from gateway.telemetry.heard import Received
+from gateway.telemetry.received import Received
 from schemas.codec import PayloadFault
 from schemas.decisions import LeaseReply, Reply
 from schemas.subjects import COMMANDS, Command

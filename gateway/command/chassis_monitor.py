@@ -73,8 +73,8 @@ class ChassisMonitor:
 
     def is_commanded_by_other(self, now_ns: int) -> bool:
         """Another computer's command frames are on the bus."""
-        heard_ns = self.chassis.commander_ns
-        return heard_ns is not None and now_ns - heard_ns < COMMANDER_NS
+        received_ns = self.chassis.commander_ns
+        return received_ns is not None and now_ns - received_ns < COMMANDER_NS
 
     def chassis_faults(self) -> list[Reason]:
         """What speaks against commanding the chassis, but for its mode."""

@@ -1,6 +1,6 @@
 """The command flow on one page: arbiter, frames, gate and reports together. Pure.
 
-requests > ``tick`` > arbiter > frames > gate > ``Due``: frames to send, replies, samples
+requests > ``tick`` > arbiter > frames > gate > ``CommandEffects``: frames to send, replies, samples
 the bus  > ``sent`` > counters advance, decisions go out
 """
 
@@ -32,7 +32,7 @@ class PendingReply(msgspec.Struct, frozen=True):
     payload: bytes
 
 
-class Due(msgspec.Struct, frozen=True):
+class CommandEffects(msgspec.Struct, frozen=True):
     """What a tick asks to be done: send the frames, in their order, then say how many went out with ``sent``."""
 
     frames: list[Frame]
@@ -69,7 +69,7 @@ class CommandFlow:
         wall_ns: int,
         late_ns: int,
         challenge: bytes,
-    ) -> Due:
+    ) -> CommandEffects:
         """Ten milliseconds have passed; see ``Arbiter.tick``. The challenge is for a state that is due."""
         outcome = self._outcome = self.arbiter.tick(chassis, requests, now_ns, late_ns)
         self._offered = self._frames(outcome, now_ns)
@@ -82,7 +82,7 @@ class CommandFlow:
         replies = [
             PendingReply(answer.handle, answer.verb, _ENCODER.encode(reply(answer))) for answer in outcome.answers
         ]
-        return Due(self._offered, replies, messages)
+        return CommandEffects(self._offered, replies, messages)
 
     def sent(self, count: int, now_ns: int, wall_ns: int) -> list[Message]:
         """So many of the tick's frames were taken by the bus; the rest are lost and are never sent later."""

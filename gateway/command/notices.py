@@ -53,10 +53,10 @@ class Notices:
                 Reason.BUS_OFF if self._controller is ControllerState.BUS_OFF else Reason.BUS_ERRORS,
                 f"the CAN controller: {before.value} before, {self._controller.value} now",
             )
-        heard_ns, last_ns = chassis.commander_ns, self._commander_ns
-        if heard_ns is not None:
-            self._commander_ns = heard_ns
-            if last_ns is None or heard_ns - last_ns > COMMANDER_QUIET_NS:
+        received_ns, last_ns = chassis.commander_ns, self._commander_ns
+        if received_ns is not None:
+            self._commander_ns = received_ns
+            if last_ns is None or received_ns - last_ns > COMMANDER_QUIET_NS:
                 yield Notice(Severity.WARNING, Reason.OTHER_COMMANDER, TEXTS[Reason.OTHER_COMMANDER].means)
         was_realtime, self._is_realtime = self._is_realtime, chassis.realtime
         if was_realtime and not chassis.realtime:

@@ -14,7 +14,7 @@ class Trigger(Enum):
     ENGAGE = "engage is accepted"
     CONFIRMED = "the chassis reads auto"
     STOP = "a cause to stop"
-    YIELD = "the hand transmitter or the guard takes over, the mode leaves auto at rest, or the bus is lost"
+    YIELD = "the remote control or the guard takes over, the mode leaves auto at rest, or the bus is lost"
     REST = "the stop sequence has ended"
 
 

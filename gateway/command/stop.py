@@ -97,37 +97,37 @@ class StopSequence:
             self._speed_mps = 0.0
             self._enter(StopPhase.PARK, now_ns)
 
-    def tick(self, now_ns: int, seen: StopFeedback) -> Actuation | None:
+    def tick(self, now_ns: int, feedback: StopFeedback) -> Actuation | None:
         """What the chassis is told now; None when the sequence has ended.
 
         Args:
             now_ns: monotonic.
-            seen: the chassis now.
+            feedback: the chassis now.
         """
         elapsed_ns = min(now_ns - self._ticked_ns, _STEP_MAX_NS)
         self._ticked_ns = now_ns
         match self.phase:
             case StopPhase.RAMP:
                 self._speed_mps = max(0.0, self._speed_mps - self._deceleration_mps2 * elapsed_ns / 1e9)
-                if self._runs_away(seen, now_ns):
+                if self._runs_away(feedback, now_ns):
                     self.park(now_ns)
                 elif self._speed_mps == 0:
                     self._enter(StopPhase.BRAKE, now_ns)
             # One phase a tick at most: zero speed has to be told before all else, also after a pause.
             case StopPhase.BRAKE if (
-                seen.stands
-                or self._is_blind(seen)
-                or self._runs_away(seen, now_ns)
+                feedback.stands
+                or self._is_blind(feedback)
+                or self._runs_away(feedback, now_ns)
                 or now_ns - self._begun_ns >= BRAKE_MAX_NS
             ):
                 self.park(now_ns)
-            case StopPhase.PARK if seen.is_braked or (
-                seen.is_braked is None and now_ns - self._begun_ns >= BRAKE_UNSEEN_NS
+            case StopPhase.PARK if feedback.is_braked or (
+                feedback.is_braked is None and now_ns - self._begun_ns >= BRAKE_UNSEEN_NS
             ):
                 self._enter(StopPhase.HOLD, now_ns)
-            case StopPhase.HOLD if seen.moves:
+            case StopPhase.HOLD if feedback.moves:
                 self._begun_ns = now_ns
-            case StopPhase.DISABLE if seen.moves:
+            case StopPhase.DISABLE if feedback.moves:
                 # Its brake does not hold it when the enables are gone.
                 self._enter(StopPhase.PARK, now_ns)
             case StopPhase.HOLD if now_ns - self._begun_ns >= HOLD_NS:
@@ -140,14 +140,14 @@ class StopSequence:
         self.phase, self._begun_ns = phase, now_ns
 
     @staticmethod
-    def _is_blind(seen: StopFeedback) -> bool:
+    def _is_blind(feedback: StopFeedback) -> bool:
         """Nothing tells of motion: at zero speed that is not waited for."""
-        return seen.speed_mps is None and not seen.moves
+        return feedback.speed_mps is None and not feedback.moves
 
-    def _runs_away(self, seen: StopFeedback, now_ns: int) -> bool:
+    def _runs_away(self, feedback: StopFeedback, now_ns: int) -> bool:
         """The robot moves against the ramp, or is not seen to slow down."""
-        against_mps = -(seen.wheel_speed_mps or 0.0) * _DIRECTION.get(self._gear, 0.0)
-        speed_mps = seen.speed_mps
+        against_mps = -(feedback.wheel_speed_mps or 0.0) * _DIRECTION.get(self._gear, 0.0)
+        speed_mps = feedback.speed_mps
         if speed_mps is not None and (self._lowest_mps is None or speed_mps < self._lowest_mps - SLOWING_MPS):
             self._lowest_mps, self._slowed_ns = speed_mps, now_ns
         return against_mps > STANDSTILL_MPS or now_ns - self._slowed_ns >= NOT_SLOWING_NS

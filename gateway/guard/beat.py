@@ -45,14 +45,14 @@ class Cause(Enum):
     GONE = "the gateway is gone"
 
 
-class Outcome(Enum):
+class StopOutcome(Enum):
     """How the guard's stop ended, in words."""
 
     NONE = ""
     STANDS = "the robot stands"
     UNSEEN = "the robot is not seen to stand"
-    REMOTE = "the hand transmitter has the robot"
-    OTHER = "the hand transmitter had the robot, and another computer commands it since"
+    REMOTE = "the remote control has the robot"
+    OTHER = "the remote control had the robot, and another computer commands it since"
     GIVEN_UP = "it has given up"
 
 
@@ -60,7 +60,7 @@ class GuardView(msgspec.Struct, frozen=True):
     """The guard, as the loop sees it at one time.
 
     Attributes:
-        is_watching: it lives, has its bus and hears feedback: it would stop the robot in our place.
+        is_watching: it lives, has its bus and receives feedback: it would stop the robot in our place.
         is_sending: it does so now, and we must be silent. One that gives no sign of life any more is not.
         stops: how often it has begun to, since the start.
         says: why it last did, and how that ended; empty if it never did.
@@ -77,8 +77,8 @@ class GuardStatus(msgspec.Struct, frozen=True):
 
     Attributes:
         now_ns: monotonic.
-        is_ready: its bus is open and it hears feedback.
-        is_sending: it stops the robot; the loop must not send. Also while it waits for the hand transmitter to
+        is_ready: its bus is open and it receives feedback.
+        is_sending: it stops the robot; the loop must not send. Also while it waits for the remote control to
             give the robot back.
         stops: how many stops it has begun since it was started.
         cause: of the last one, or of the one under way.
@@ -90,7 +90,7 @@ class GuardStatus(msgspec.Struct, frozen=True):
     is_sending: bool = False
     stops: int = 0
     cause: Cause = Cause.NONE
-    outcome: Outcome = Outcome.NONE
+    outcome: StopOutcome = StopOutcome.NONE
 
     @property
     def says(self) -> str:

@@ -64,7 +64,7 @@ class ChassisView:
                     self._remote_frames + 1 if _mode(self._body(frame.data)) is Mode.REMOTE else 0
                 )
 
-    def hears(self, now_ns: int) -> bool:
+    def has_feedback(self, now_ns: int) -> bool:
         """Feedback comes."""
         return any(now_ns - heard_ns < GUARD_SILENT_NS for _, heard_ns in self._latest.values())
 
@@ -94,7 +94,7 @@ class ChassisView:
         data = self._fresh(STEERING, now_ns)
         return 0.0 if data is None else float(self._read[Variant.COARSE][STEERING](data)["Angle"])
 
-    def seen_mps(self, variant: Variant, now_ns: int) -> float | None:
+    def slowest_mps(self, variant: Variant, now_ns: int) -> float | None:
         """How fast the robot is seen to be at least, a magnitude: no single faulty sensor sets it going.
 
         None if there is no drive feedback, or the scale is not known.
@@ -104,7 +104,7 @@ class ChassisView:
 
     def speed_mps(self, variant: Variant, now_ns: int) -> float:
         """The same; zero where that is None."""
-        return self.seen_mps(variant, now_ns) or 0.0
+        return self.slowest_mps(variant, now_ns) or 0.0
 
     def fastest_mps(self, variant: Variant, now_ns: int) -> float | None:
         """How fast the robot may be, a magnitude: by drive feedback or wheels; None if neither tells."""
@@ -127,7 +127,7 @@ class ChassisView:
         data = self._fresh(PARKING, now_ns)
         return None if data is None else self._read[Variant.COARSE][PARKING](data)["ParkingStatus"] == "applied"
 
-    def sees(self, now_ns: int) -> bool:
+    def is_complete(self, now_ns: int) -> bool:
         """All that a stop has to begin from: mode, gear, angle and speed."""
         return all(self._fresh(name, now_ns) is not None for name in (GEAR, STEERING, DRIVE, BODY))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from gateway.chassis.frame import Frame
-from gateway.guard.beat import Beat, Cause, GuardStatus, Outcome
+from gateway.guard.beat import Beat, Cause, GuardStatus, StopOutcome
 from gateway.guard.chassis_view import ChassisView
 from gateway.guard.stopper import NOT_OBEYED, REMOTE, STANDS, UNSEEN, Stopper
 from schemas.messages import Mode
@@ -21,7 +21,7 @@ from schemas.settings import (
 _LATE_LOOKS: Final = 2
 """Late in so many looks: where the whole machine stood still, the loop may beat before the second."""
 
-_OUTCOMES: Final = {outcome.value: outcome for outcome in Outcome}
+_OUTCOMES: Final = {outcome.value: outcome for outcome in StopOutcome}
 
 
 class Guardian:
@@ -37,17 +37,17 @@ class Guardian:
     """
 
     def __init__(self, settings: CommandSettings) -> None:
-        self.sight = ChassisView()
+        self.view = ChassisView()
         self.is_ended = False
         self.is_sending = False
         self.stops = 0
         self.cause = Cause.NONE
-        self.outcome = Outcome.NONE
-        self._stopper = Stopper(self.sight, settings)
+        self.outcome = StopOutcome.NONE
+        self._stopper = Stopper(self.view, settings)
         # One stop for each failure: after it, only a loop that is well again can fail again.
         self._is_armed = True
         self._late_looks = 0
-        self._began_ns = self._heard_ns = 0
+        self._began_ns = self._feedback_ns = 0
         self._ticked_ns: int | None = None
         self._gone_since_ns: int | None = None
         # When a stop of its own was complete: what was told before is no command any more.
@@ -63,7 +63,7 @@ class Guardian:
 
     def receive(self, frame: Frame, now_ns: int) -> None:
         """A frame came from the bus."""
-        self.sight.receive(frame, now_ns)
+        self.view.receive(frame, now_ns)
 
     def tick(self, beat: Beat | None, now_ns: int, *, parent_lives: bool, bus_up: bool) -> list[Frame]:
         """Time to look.
@@ -85,8 +85,8 @@ class Guardian:
         is_alone = not parent_lives or (beat is not None and beat.is_closing)
         if is_fresh and beat is not None and not beat.is_mute and not self.is_sending and not is_alone:
             self._is_armed = True
-        if self.sight.hears(now_ns):
-            self._heard_ns = now_ns
+        if self.view.has_feedback(now_ns):
+            self._feedback_ns = now_ns
         if self.is_sending:
             self._give_up_if_in_vain(
                 now_ns, is_superfluous=is_fresh and not is_alone and paused_ns > GUARD_SILENT_NS
@@ -118,7 +118,7 @@ class Guardian:
 
     def status(self, now_ns: int, *, bus_up: bool) -> GuardStatus:
         """What the loop is told."""
-        is_ready = bus_up and self.sight.hears(now_ns)
+        is_ready = bus_up and self.view.has_feedback(now_ns)
         return GuardStatus(now_ns, is_ready, self.is_sending, self.stops, self.cause, self.outcome)
 
     def take_lines(self) -> list[str]:
@@ -127,17 +127,17 @@ class Guardian:
         return lines
 
     def _is_left(self, beat: Beat) -> bool:
-        """The chassis was left on its last command, as where the hand transmitter took it over, and it still is.
+        """The chassis was left on its last command, as where the remote control took it over, and it still is.
 
         It obeys that for ever, unless somebody else has commanded it since.
         """
-        commander_ns = self.sight.commander_ns
+        commander_ns = self.view.commander_ns
         is_old = commander_ns is not None and commander_ns - beat.now_ns > GUARD_SILENT_NS
         return beat.is_left and beat.told_ns > self._ended_ns and not is_old
 
     def _is_taken(self, last: Beat, now_ns: int) -> bool:
         """Late as this is, somebody else has begun to command the chassis, and does so now: two must not."""
-        commander_ns = self.sight.commander_ns
+        commander_ns = self.view.commander_ns
         return (
             commander_ns is not None
             and now_ns - last.now_ns > GUARD_SILENT_NS
@@ -155,7 +155,7 @@ class Guardian:
                 return None
             if is_alone:
                 return Cause.GONE
-            is_obeyed = self.sight.mode(now_ns) is Mode.AUTO
+            is_obeyed = self.view.mode(now_ns) is Mode.AUTO
             return Cause.LATE if is_obeyed and self._late_looks >= _LATE_LOOKS else None
         if is_alone:
             return Cause.GONE
@@ -166,9 +166,9 @@ class Guardian:
     def _begin(self, last: Beat, cause: Cause, now_ns: int) -> None:
         self.is_sending = True
         self.cause = cause
-        self.outcome = Outcome.NONE
+        self.outcome = StopOutcome.NONE
         self.stops += 1
-        self._began_ns = self._heard_ns = now_ns
+        self._began_ns = self._feedback_ns = now_ns
         self._stopper.begin(last.last, last.variant, last.counters, now_ns, last.told_ns)
         age_ms = (now_ns - last.now_ns) / 1e6
         self._lines.append(f"{cause.value}, last heartbeat {age_ms:.0f} ms ago: stopping the robot")
@@ -181,10 +181,10 @@ class Guardian:
             # This process was the one that stood still, and the loop no longer counts on it.
             self._stopper.give_up("given back to the gateway, after a pause of the guard itself")
         elif now_ns - self._began_ns > GUARD_GIVES_UP_NS:
-            why = NOT_OBEYED if self._stopper.is_heard(now_ns) else "the bus takes no frames"
+            why = NOT_OBEYED if self._stopper.is_transmitting(now_ns) else "the bus takes no frames"
             self._stopper.give_up(f"given up: {why}")
-        elif self._stopper.is_paused and now_ns - self._heard_ns > GUARD_GIVES_UP_NS:
-            self._stopper.give_up("given up: the hand transmitter had the robot, and it is not heard any more")
+        elif self._stopper.is_paused and now_ns - self._feedback_ns > GUARD_GIVES_UP_NS:
+            self._stopper.give_up("given up: the remote control had the robot, and it is not heard any more")
         if self._stopper.is_over:
             self._finish()
 
@@ -198,7 +198,7 @@ class Guardian:
         self.is_sending = False
         self._is_armed = False
         self._late_looks = 0
-        self.outcome = _OUTCOMES.get(self._stopper.outcome, Outcome.GIVEN_UP)
+        self.outcome = _OUTCOMES.get(self._stopper.outcome, StopOutcome.GIVEN_UP)
         if self._stopper.outcome in {STANDS, UNSEEN}:
             self._ended_ns = self._ticked_ns or 0
         self._lines.append(f"done: {self._stopper.outcome}; {self._stopper.frames} frames sent")

@@ -24,7 +24,7 @@ from gateway.command.frames import COUNTER_MODULO, FrameMaker
 from gateway.command.gate import Gate
 from gateway.command.limits import MotionLimits
 from gateway.command.stop import StopFeedback, StopSequence
-from gateway.guard.beat import Outcome
+from gateway.guard.beat import StopOutcome
 from gateway.guard.chassis_view import ChassisView
 from schemas.cruiser import SPEED_TOP_MPS, STEERING_TOP_DEG
 from schemas.decisions import StopPhase
@@ -33,10 +33,10 @@ from schemas.settings import GUARD_LOOK_NS, GUARD_SILENT_NS, OFF_BURSTS, TICK_NS
 
 _MOVING_GEARS: Final = frozenset({GearPosition.DRIVE, GearPosition.REVERSE})
 
-STANDS: Final = Outcome.STANDS.value
-UNSEEN: Final = Outcome.UNSEEN.value
-REMOTE: Final = Outcome.REMOTE.value
-OTHER: Final = Outcome.OTHER.value
+STANDS: Final = StopOutcome.STANDS.value
+UNSEEN: Final = StopOutcome.UNSEEN.value
+REMOTE: Final = StopOutcome.REMOTE.value
+OTHER: Final = StopOutcome.OTHER.value
 NOT_OBEYED: Final = "it is told zero speed and the parking brake, and is not seen to obey"
 """How a stop ends, or why it waits."""
 
@@ -56,17 +56,17 @@ class Stopper:
 
     What was told long ago counts for little: a robot that others have brought to rest meanwhile must not be set
     going by a ramp from an old speed. So a stop that begins late, or was held up, looks at the chassis first.
-    While the hand transmitter has the robot it waits: the chassis keeps its last command, and obeys it afterwards.
+    While the remote control (RC) has the robot it waits: the chassis keeps its last command, and obeys it after.
 
     Attributes:
         is_over: nothing more is to be sent.
-        is_paused: nothing is sent, for the hand transmitter has the robot.
+        is_paused: nothing is sent, for the remote control has the robot.
         frames: how many were sent.
         outcome: how it ended, in words; empty before.
     """
 
-    def __init__(self, sight: ChassisView, settings: CommandSettings) -> None:
-        self._sight = sight
+    def __init__(self, view: ChassisView, settings: CommandSettings) -> None:
+        self._view = view
         self._deceleration_mps2 = MotionLimits.of(settings).emergency_deceleration_mps2
         self._maker = FrameMaker()
         self._gate = Gate()
@@ -119,8 +119,8 @@ class Stopper:
         """The frames that are due now; none between two ticks of the bus, and none once it is over."""
         if self.is_over:
             return []
-        stands = self._sight.stands(self._variant, now_ns)
-        mode = self._sight.mode(now_ns)
+        stands = self._view.stands(self._variant, now_ns)
+        mode = self._view.mode(now_ns)
         if self._is_held(mode, now_ns) or now_ns < self._due_ns:
             return []
         self._due_ns += TICK_NS * (1 + (now_ns - self._due_ns) // TICK_NS)
@@ -134,8 +134,8 @@ class Stopper:
     def _next_burst(self, now_ns: int, *, stands: bool) -> list[Frame]:
         if self._sequence is None:
             return []
-        is_held = self._sight.is_braked(now_ns) is not False and not self._sight.moves(self._variant, now_ns)
-        if self._sight.mode(now_ns) is Mode.STOP and not is_held:
+        is_held = self._view.is_braked(now_ns) is not False and not self._view.moves(self._variant, now_ns)
+        if self._view.mode(now_ns) is Mode.STOP and not is_held:
             # Nobody commands it, and nothing holds it: the parking brake is told all the same.
             self._sequence.park(now_ns)
         self._before = copy(self._sequence)
@@ -166,12 +166,12 @@ class Stopper:
         self.frames += len(sent)
 
     def _is_held(self, mode: Mode, now_ns: int) -> bool:
-        """Nothing may be sent now, for the hand transmitter has the robot, or has had it and nothing is seen."""
+        """Nothing may be sent now, for the remote control has the robot, or has had it and nothing is seen."""
         if mode is Mode.REMOTE and not self.is_paused:
             self.is_paused, self._paused_ns = True, now_ns
         if not self.is_paused:
             return False
-        commander_ns = self._sight.commander_ns
+        commander_ns = self._view.commander_ns
         if commander_ns is not None and commander_ns - self._paused_ns > GUARD_SILENT_NS:
             self._end(OTHER)
             return True
@@ -195,14 +195,14 @@ class Stopper:
         told, told_ns = self._told, self._told_ns
         first = told if told_ns is not None and now_ns - told_ns <= GUARD_SILENT_NS else None
         if first is None:
-            if not self._sight.sees(now_ns) and now_ns < self._look_until_ns:
+            if not self._view.is_complete(now_ns) and now_ns < self._look_until_ns:
                 return False
             first = self._seen(now_ns)
-        seen_mps = self._sight.seen_mps(self._variant, now_ns)
-        if seen_mps is not None:
-            first = replace(first, speed_mps=_lower(first.speed_mps, seen_mps))
+        slowest_mps = self._view.slowest_mps(self._variant, now_ns)
+        if slowest_mps is not None:
+            first = replace(first, speed_mps=_lower(first.speed_mps, slowest_mps))
         self._sequence = StopSequence(_possible(first, self._variant), self._deceleration_mps2, now_ns)
-        if mode is Mode.STOP and self._sight.is_braked(now_ns) and not self._sight.moves(self._variant, now_ns):
+        if mode is Mode.STOP and self._view.is_braked(now_ns) and not self._view.moves(self._variant, now_ns):
             # It obeys nobody, and its brake holds it: enables would only switch it back to auto.
             self._sequence.phase = StopPhase.DISABLE
         self._went_on_ns = now_ns
@@ -210,30 +210,30 @@ class Stopper:
 
     def _seen(self, now_ns: int) -> Actuation:
         """What the chassis must have been told, as far as can be seen. What is not seen may stand, parked."""
-        gear = self._sight.gear(now_ns)
-        speed_mps = self._sight.speed_mps(self._variant, now_ns)
+        gear = self._view.gear(now_ns)
+        speed_mps = self._view.speed_mps(self._variant, now_ns)
         return Actuation(
             enabled=True,
             gear=gear,
             speed_mps=speed_mps if self._told is None else _lower(self._told.speed_mps, speed_mps),
-            angle_deg=self._sight.angle_deg(now_ns),
+            angle_deg=self._view.angle_deg(now_ns),
             parking=gear in {GearPosition.PARK, GearPosition.UNDEFINED},
         )
 
     def _stop_feedback(self, now_ns: int, *, stands: bool) -> StopFeedback:
-        sight, variant = self._sight, self._variant
-        is_braked = sight.is_braked(now_ns)
-        is_open = sight.mode(now_ns) is not Mode.AUTO
+        view, variant = self._view, self._variant
+        is_braked = view.is_braked(now_ns)
+        is_open = view.mode(now_ns) is not Mode.AUTO
         return StopFeedback(
             stands=stands,
-            moves=sight.moves(variant, now_ns),
-            speed_mps=sight.fastest_mps(variant, now_ns),
-            wheel_speed_mps=sight.wheel_speed_mps(variant, now_ns),
+            moves=view.moves(variant, now_ns),
+            speed_mps=view.fastest_mps(variant, now_ns),
+            wheel_speed_mps=view.wheel_speed_mps(variant, now_ns),
             # In mode stop the chassis need not heed the request.
             is_braked=None if is_open and not is_braked else is_braked,
         )
 
-    def is_heard(self, now_ns: int) -> bool:
+    def is_transmitting(self, now_ns: int) -> bool:
         """The bus takes what is sent."""
         return now_ns - self._went_on_ns <= GUARD_SILENT_NS
 
@@ -248,13 +248,13 @@ class Stopper:
 
     def _counters(self, counters: bytes | None, now_ns: int) -> dict[str, int]:
         """The counters to go on with: those heard on the bus may be a little ahead of those known."""
-        names, sight = self._maker.counters, self._sight
+        names, view = self._maker.counters, self._view
         if counters is None:
-            return dict.fromkeys(names, 0) | sight.next_counters
+            return dict.fromkeys(names, 0) | view.next_counters
         known = dict(zip(names, counters, strict=True))
-        if sight.commander_ns is None or now_ns - sight.commander_ns > GUARD_SILENT_NS:
+        if view.commander_ns is None or now_ns - view.commander_ns > GUARD_SILENT_NS:
             return known
-        return {name: _further(counter, sight.next_counters.get(name)) for name, counter in known.items()}
+        return {name: _further(counter, view.next_counters.get(name)) for name, counter in known.items()}
 
     def _end(self, outcome: str) -> list[Frame]:
         self.is_over = True
@@ -275,9 +275,9 @@ def _possible(last: Actuation, variant: Variant) -> Actuation:
     )
 
 
-def _lower(told_mps: float, seen_mps: float) -> float:
+def _lower(told_mps: float, slowest_mps: float) -> float:
     """The lower one; what was told may be no number at all."""
-    return min(told_mps, seen_mps) if isfinite(told_mps) else 0.0
+    return min(told_mps, slowest_mps) if isfinite(told_mps) else 0.0
 
 
 def _clamped(value: float, low: float, high: float) -> float:

@@ -92,13 +92,13 @@ def _skip_what_waits(bus: GuardBus) -> None:
             return
 
 
-def stop_alone(bus: GuardBus, stopper: Stopper, sight: ChassisView, is_relieved: Callable[[], bool]) -> str:
+def stop_alone(bus: GuardBus, stopper: Stopper, view: ChassisView, is_relieved: Callable[[], bool]) -> str:
     """Bring the robot to rest with a stop that has begun, from the process that drove it. Returns how it ended.
 
     Args:
         bus: the gateway's own, still open.
         stopper: has begun.
-        sight: what the stopper looks at.
+        view: what the stopper looks at.
         is_relieved: somebody else stops the robot, or there has to be an end.
     """
     monotonic_ns = time.monotonic_ns
@@ -115,5 +115,5 @@ def stop_alone(bus: GuardBus, stopper: Stopper, sight: ChassisView, is_relieved:
         while (now_ns := monotonic_ns()) < until_ns:
             frame = bus.receive((until_ns - now_ns) / 1e9)
             if frame is not None:
-                sight.receive(frame, monotonic_ns())
+                view.receive(frame, monotonic_ns())
     return stopper.outcome

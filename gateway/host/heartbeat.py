@@ -14,7 +14,7 @@ from typing import Any, Final, Self
 from zlib import crc32
 
 from gateway.command.actuation import Actuation
-from gateway.guard.beat import Beat, Cause, GuardStatus, Outcome
+from gateway.guard.beat import Beat, Cause, GuardStatus, StopOutcome
 from schemas.messages import GearPosition, Variant
 
 SIZE_BYTES: Final = 4096
@@ -29,7 +29,7 @@ _CHECKSUM: Final = struct.Struct("<I")
 _VARIANTS: Final = tuple(Variant)
 _GEARS: Final = tuple(GearPosition)
 _CAUSES: Final = tuple(Cause)
-_OUTCOMES: Final = tuple(Outcome)
+_OUTCOMES: Final = tuple(StopOutcome)
 _VARIANT_CODES: Final = {variant: code for code, variant in enumerate(_VARIANTS)}
 _GEAR_CODES: Final = {gear: code for code, gear in enumerate(_GEARS)}
 _CAUSE_CODES: Final = {cause: code for code, cause in enumerate(_CAUSES)}

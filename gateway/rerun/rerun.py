@@ -12,7 +12,7 @@ import msgspec
 from gateway.chassis.frame import Frame
 from gateway.command.request import RawRequest
 from gateway.command.snapshot import Snapshot
-from gateway.core import Core, Due
+from gateway.core import Core, TickEffects
 from gateway.journal import LINKS, BrokenJournalError, Input, follow, inputs_of
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
@@ -125,13 +125,13 @@ def run_again(core: Core, inputs: Iterable[Input]) -> Iterator[tuple[list[Frame]
     """
     for one in inputs:
         returned = give(core, one)
-        if isinstance(returned, Due):
+        if isinstance(returned, TickEffects):
             yield returned.frames, returned.samples
         elif returned:
             yield [], returned
 
 
-def give(core: Core, one: Input) -> Due | list[Sample]:
+def give(core: Core, one: Input) -> TickEffects | list[Sample]:
     """Gives the core one input of a journal. Returns what the core does.
 
     Raises:
@@ -167,7 +167,7 @@ def _as_links(told: Sequence[Any]) -> Links:
     return Links(**(_NOT_YET_TOLD | dict(zip(LINKS, told, strict=False))))
 
 
-def _tick(core: Core, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes = b"") -> Due:
+def _tick(core: Core, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes = b"") -> TickEffects:
     # Under rules 1 there was none; whatever nobody echoes will do.
     return core.tick(now_ns, wall_ns, late_ns, challenge or now_ns.to_bytes(CHALLENGE_BYTES))
 
@@ -191,7 +191,7 @@ def _shut_down(core: Core, now_ns: int) -> list[Sample]:
     return []
 
 
-_GIVE: Final[dict[int, Callable[..., Due | list[Sample]]]] = {
+_GIVE: Final[dict[int, Callable[..., TickEffects | list[Sample]]]] = {
     Kind.FRAME: _frame,
     Kind.REQUEST: _request,
     Kind.LINKS: _links,

@@ -16,7 +16,7 @@ import msgspec
 
 from gateway.chassis.frame import Frame
 from gateway.command.lease import HeldLease
-from gateway.core import Core, Due
+from gateway.core import Core, TickEffects
 from gateway.journal import Input
 from gateway.rerun.rerun import give, run_of
 from gateway.sim.stand_in import StandIn
@@ -89,7 +89,7 @@ class _Pair:
         elif kind == Kind.SENT:
             one = self._sent(one)
         answer = give(self._other, one)
-        if isinstance(returned, Due) and isinstance(answer, Due):
+        if isinstance(returned, TickEffects) and isinstance(answer, TickEffects):
             self._compare(returned.frames, answer.frames, now_ns)
         for samples, is_other in ((_samples(returned), False), (_samples(answer), True)):
             for sample in samples:
@@ -201,5 +201,5 @@ def _told(frames: list[Frame]) -> list[tuple[int, bytes]]:
     return [(frame.can_id, frame.data[:_COUNTED_BYTES]) for frame in frames]
 
 
-def _samples(returned: Due | list[Sample]) -> list[Sample]:
-    return returned.samples if isinstance(returned, Due) else returned
+def _samples(returned: TickEffects | list[Sample]) -> list[Sample]:
+    return returned.samples if isinstance(returned, TickEffects) else returned

@@ -123,12 +123,12 @@ class Disturbances:
 
     @property
     def remote(self) -> bool:
-        """The hand transmitter's SA switch is on remote."""
+        """The remote control's SA switch is on remote."""
         return ("switch", "") in self._active
 
     @property
     def sticks(self) -> Sticks:
-        """What the hand transmitter asks for."""
+        """What the remote control asks for."""
         active = self._active.get(("sticks", ""))
         return active.fault if active is not None and isinstance(active.fault, Sticks) else Sticks(0.0, 0.0)
 
@@ -155,7 +155,7 @@ class Disturbances:
         return msgspec.structs.replace(start, **changed) if changed else start
 
     def transmitter_lost_for_ns(self, now_ns: int) -> int:
-        """How long the hand transmitter has been lost; 0 if it is not."""
+        """How long the remote control has been lost; 0 if it is not."""
         active = self._active.get(("radio", ""))
         return now_ns - active.since_ns if active is not None else 0
 

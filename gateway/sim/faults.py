@@ -32,9 +32,9 @@ GRAMMAR: Final = """\
   foreign siblings             the battery frames 200, 201 and 202 of a sibling chassis
   bumper front|rear|both on|off [bounce]
                                hit, or free again; with 'bounce' the contact chatters first
-  transmitter remote|command   the hand transmitter takes over, or gives back
+  transmitter remote|command   the remote control takes over, or gives back
   transmitter lost|found       its radio link
-  sticks SPEED_MPS ANGLE_DEG   what the hand transmitter asks for in remote mode
+  sticks SPEED_MPS ANGLE_DEG   what the remote control asks for in remote mode
   scale wrong|right            drive command and feedback in the other variant's scale, wheel speeds not
   variant coarse|fine          another firmware
   slope DEG                    -30 to 30, nose up positive, whichever way the robot turns
@@ -102,19 +102,19 @@ class Bumper(msgspec.Struct, frozen=True):
 
 
 class Switch(msgspec.Struct, frozen=True):
-    """The hand transmitter's SA switch: on remote, or on command control."""
+    """The remote control's SA switch: on remote, or on command control."""
 
     remote: bool
 
 
 class Radio(msgspec.Struct, frozen=True):
-    """The hand transmitter's radio link."""
+    """The remote control's radio link."""
 
     lost: bool
 
 
 class Sticks(msgspec.Struct, frozen=True):
-    """What the hand transmitter asks for: signed speed, and angle with left positive."""
+    """What the remote control asks for: signed speed, and angle with left positive."""
 
     speed_mps: float
     angle_deg: float

@@ -13,7 +13,7 @@ from typing import Final
 import msgspec
 
 from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Decoded, Decoder, Signals
+from gateway.chassis.decode import Decoded, FrameDecoder, Signals
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import ChassisLayout
@@ -68,7 +68,7 @@ class VirtualChassis:
         rate_multiplier: float = 1.0,
         conditions: Conditions = NOMINAL,
     ) -> None:
-        """Powers up: standing, parked, nothing commanded, the hand transmitter on command control.
+        """Powers up: standing, parked, nothing commanded, the remote control on command control.
 
         Args:
             layout: the firmware variant.
@@ -241,7 +241,7 @@ class VirtualChassis:
 
     def _use_firmware(self, layout: ChassisLayout) -> None:
         self._layout = layout
-        self._decoder = Decoder(layout)
+        self._decoder = FrameDecoder(layout)
         self._encoder = Encoder(layout)
         own = layout.messages["Auto_DriveCmd"].signal("TargetVelocity").scale
         other = load(_OTHER[layout.variant]).messages["Auto_DriveCmd"].signal("TargetVelocity").scale

@@ -71,7 +71,7 @@ SPEED_RESOLUTION_MPS: Final = 0.0005
 """Nearer than this to its target, the lagging speed is at it: half of the finest bit on the wire."""
 
 TRANSMITTER_LOSS_NS: Final = 3_000_000_000
-"""In remote mode the chassis stops when the hand transmitter is lost for 3 s (manual V2.0, 6.4)."""
+"""In remote mode the chassis stops when the remote control is lost for 3 s (manual V2.0, 6.4)."""
 
 REBOOT_NS: Final = 2_000_000_000
 """How long the chassis's control unit reboots unless asked otherwise. Chosen."""

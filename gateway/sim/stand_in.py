@@ -4,7 +4,7 @@ A recorded run holds the chassis's answers to what it was told then. From the mo
 the arbiter tells it something else, those answers no longer fit: this shows frames in their place. They come at
 the recorded times, with the recorded alive counters, and what was lost, late or broken stays so; speed, steering,
 gear, brakes and mode are those of the virtual chassis, which hears the other commands. What people and the
-surroundings did stays as recorded: the bumpers, and all that the hand transmitter does.
+surroundings did stays as recorded: the bumpers, and all that the remote control does.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import Final
 
 from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Decoded, Decoder, Signals, check
+from gateway.chassis.decode import Decoded, FrameDecoder, Signals, check
 from gateway.chassis.encode import Encoder, checksum
 from gateway.chassis.frame import Frame
 from gateway.sim.model import VirtualChassis
@@ -33,7 +33,7 @@ class StandIn:
 
     def __init__(self, variant: Variant) -> None:
         self._layout = load(variant)
-        self._decoder = Decoder(self._layout)
+        self._decoder = FrameDecoder(self._layout)
         self._encoder = Encoder(self._layout)
         self._names = {message.can_id: message.name for message in self._layout.feedback}
         self._body = self._layout.messages[BODY].can_id

@@ -17,7 +17,7 @@ from typing import Final, Self
 import msgspec
 import zenoh
 
-from gateway.telemetry.heard import Heard, Missed, Received, TokenChange
+from gateway.telemetry.received import Arrival, Missed, Received, TokenChange
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
@@ -329,7 +329,7 @@ class RobotListener:
         """Ask for the liveliness tokens; the robots that have one are heard by ``drain`` as well."""
         return call_roll(self._session, self._roll, timeout_s)
 
-    def drain(self) -> Iterator[Heard]:
+    def drain(self) -> Iterator[Arrival]:
         """What has arrived since the last time, a bounded number: more may come while it is read."""
         for _ in range(SAMPLES_WAITING):
             if (token := self._tokens.try_recv()) is None:

@@ -15,7 +15,7 @@ from typing import Any, Final, Self
 import zenoh
 from zenoh import ext
 
-from gateway.telemetry.heard import Missed, Received
+from gateway.telemetry.received import Missed, Received
 from gateway.zenoh.client import (
     PendingQuery,
     call_roll,

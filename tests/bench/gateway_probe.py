@@ -12,7 +12,7 @@ from pathlib import Path
 
 import gateway.cli.gateway as command
 from gateway.cli.main import main
-from gateway.core import Core, Due
+from gateway.core import Core, TickEffects
 
 LATE_NS: list[int] = []
 CPU_S: list[float] = []
@@ -21,7 +21,7 @@ CPU_S: list[float] = []
 class ProbedCore(Core):
     """A core that remembers how late its ticks began."""
 
-    def tick(self, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes) -> Due:
+    def tick(self, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes) -> TickEffects:
         LATE_NS.append(late_ns)
         CPU_S.append(time.process_time())
         return super().tick(now_ns, wall_ns, late_ns, challenge)

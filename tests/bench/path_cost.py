@@ -23,7 +23,7 @@ from cantools.database.can import Database
 
 from gateway.chassis.frame import Frame
 from gateway.core import Core
-from gateway.loop import Reader, Surroundings
+from gateway.loop import LoopPorts, Reader
 from gateway.telemetry.health import Links
 from gateway.zenoh.client import close_session, open_session
 from gateway.zenoh.node import ZenohNode
@@ -141,7 +141,7 @@ def run_ours(
     """Our path at the pace of the processor: a burst of frames, then the tick of its 10 ms, as in the loop."""
     gc.disable()
     bus = BurstyBus(frames)
-    reader = Reader(Surroundings(bus, node), core)
+    reader = Reader(LoopPorts(bus, node), core)
     for now_ns in range(begin_ns, begin_ns + SECONDS_OF_FRAMES * 1_000_000_000, TICK_NS):
         reader.read_burst(1)
         if with_ticks:

@@ -47,7 +47,7 @@ class Listener:
     """Hears the bus on a thread of its own."""
 
     def __init__(self, bus: Bus) -> None:
-        self.sight = ChassisView()
+        self.view = ChassisView()
         self.bursts: list[Burst] = []
         self._bus = bus
         self._ended = threading.Event()
@@ -62,15 +62,15 @@ class Listener:
 
     def mode(self) -> Mode:
         """The mode that the chassis reads now."""
-        return self.sight.mode(time.monotonic_ns())
+        return self.view.mode(time.monotonic_ns())
 
     def stands(self) -> bool:
         """The robot stands."""
-        return self.sight.stands(Variant.COARSE, time.monotonic_ns())
+        return self.view.stands(Variant.COARSE, time.monotonic_ns())
 
     def speed_mps(self) -> float:
         """What the chassis says."""
-        return self.sight.speed_mps(Variant.COARSE, time.monotonic_ns())
+        return self.view.speed_mps(Variant.COARSE, time.monotonic_ns())
 
     def by_guard(self) -> list[Burst]:
         """The guard's bursts, but for one that may still be coming in."""
@@ -82,7 +82,7 @@ class Listener:
             if frame is None:
                 continue
             now_ns = time.monotonic_ns()
-            self.sight.receive(frame, now_ns)
+            self.view.receive(frame, now_ns)
             if COMMANDS.get(frame.can_id) == MOTION_FRAMES[0] or (frame.can_id in COMMANDS and not self.bursts):
                 self.bursts.append(Burst(now_ns, [frame]))
             elif frame.can_id in COMMANDS:

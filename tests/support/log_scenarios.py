@@ -122,7 +122,7 @@ def remote_stop() -> RecordedRig:
 
 
 def hand_transmitter() -> RecordedRig:
-    """The hand transmitter takes over."""
+    """The remote control takes over."""
     rig, operator = RecordedRig.driving()
     rig.fault("transmitter remote for 9s")
     operator.drive(0.6, 0.0, 0.3)

@@ -12,7 +12,7 @@ import msgspec
 
 from gateway.chassis.cruiser.frames import MOTION_FRAMES
 from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Decoded, Decoder, Value
+from gateway.chassis.decode import Decoded, FrameDecoder, Value
 from gateway.chassis.frame import Frame
 from gateway.command.request import RawRequest
 from gateway.core import Core
@@ -93,7 +93,7 @@ class LoopRig:
         self.out: list[Frame] = []
         self.heard: list[int] = []
         self.faults: list[str] = []
-        self._decoder = Decoder(load(variant))
+        self._decoder = FrameDecoder(load(variant))
         self._run = run
         self._requests: list[RawRequest] = []
         self._handles = 0

@@ -9,7 +9,7 @@ import pytest
 
 from gateway import core
 from gateway.chassis.frame import Frame
-from gateway.core import Core, Due
+from gateway.core import Core, TickEffects
 from gateway.journal import inputs_of
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
@@ -67,7 +67,7 @@ class Kept(Core):
         self.samples += [] if sample is None else [sample]
         return sample
 
-    def tick(self, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes) -> Due:
+    def tick(self, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes) -> TickEffects:
         due = super().tick(now_ns, wall_ns, late_ns, challenge)
         self.samples += due.samples
         self.offered.append(due.frames)

@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 
 from gateway.chassis.frame import Frame
-from gateway.core import Core, Due
+from gateway.core import Core, TickEffects
 from gateway.telemetry.sample import Sample
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
@@ -41,7 +41,7 @@ class _Keeping(Core):
         self.kept += [] if sample is None else [(self._rig.at_ns, sample)]
         return sample
 
-    def tick(self, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes) -> Due:
+    def tick(self, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes) -> TickEffects:
         due = super().tick(now_ns, wall_ns, late_ns, challenge)
         self.kept += [(self._rig.at_ns, sample) for sample in due.samples]
         return due

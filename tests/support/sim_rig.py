@@ -1,7 +1,7 @@
 """A virtual chassis on the bench: commands in by name, feedback out by name."""
 
 from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Decoded, Decoder, Value
+from gateway.chassis.decode import Decoded, FrameDecoder, Value
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
 from gateway.sim.faults import FaultLine, parse
@@ -27,7 +27,7 @@ class Rig:
         layout = load(variant)
         self.chassis = VirtualChassis(layout, 0, rate_multiplier=rate_multiplier, conditions=conditions)
         self.encoder = Encoder(layout)
-        self.decoder = Decoder(layout)
+        self.decoder = FrameDecoder(layout)
         self.now_ns = 0
         self.seen: dict[str, dict[str, Value]] = {}
 

@@ -40,7 +40,7 @@ def test_its_commands_exist(service: dict[str, str], line: str, command: str) ->
 
 
 def test_the_guard_outlives_the_gateway(service: dict[str, str]) -> None:
-    """Only the main process is ever killed, and a halt has time for a guard at work and for a hand transmitter.
+    """Only the main process is ever killed, and a halt has time for a guard at work and for a remote control.
 
     'mixed' sends SIGKILL to all that is left once the main process is gone: to the guard, amid its stop.
     """

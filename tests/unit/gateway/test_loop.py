@@ -15,9 +15,9 @@ from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
 from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.request import RawRequest
-from gateway.core import Core, Due
+from gateway.core import Core, TickEffects
 from gateway.guard.beat import GuardView
-from gateway.loop import BURST_MAX_FRAMES, SELDOM_TICKS, Surroundings, run
+from gateway.loop import BURST_MAX_FRAMES, SELDOM_TICKS, LoopPorts, run
 from gateway.sim.model import VirtualChassis
 from gateway.telemetry.sample import Sample
 from schemas import codec
@@ -117,7 +117,7 @@ def test_frames_come_out_as_samples_and_ticks_go_on() -> None:
     """Every frame is published, state and health come by time, queries are answered each tick."""
     feedback = Feedback(Variant.COARSE)
     bus, zenoh = FakeBus([frame for _ in range(20) for frame in feedback.all()]), FakeZenoh()
-    run(Surroundings(bus, zenoh), core(), lambda: b"info", lambda: bool(zenoh.of("gateway/health")))
+    run(LoopPorts(bus, zenoh), core(), lambda: b"info", lambda: bool(zenoh.of("gateway/health")))
     chassis = [sample for sample in zenoh.samples if sample.subject.startswith("chassis/")]
     assert len(chassis) == 200
     health = zenoh.of("gateway/health")[0]
@@ -138,7 +138,7 @@ def test_a_lost_bus_ends_nothing(caplog: pytest.LogCaptureFixture) -> None:
         return len(states) >= 6
 
     with caplog.at_level(logging.INFO):
-        run(Surroundings(bus, zenoh), core(), lambda: b"", stopped)
+        run(LoopPorts(bus, zenoh), core(), lambda: b"", stopped)
     states = [state for state in zenoh.of("state") if isinstance(state, RobotState)]
     assert [state.bus_up for state in states[:2]] == [True, True]
     assert states[-1].bus_up is False
@@ -159,7 +159,7 @@ def test_a_lost_zenoh_is_logged(caplog: pytest.LogCaptureFixture) -> None:
 
     asked_enough = StopWhen(lambda: zenoh.asked >= 4, go)
     with caplog.at_level(logging.INFO):
-        run(Surroundings(FakeBus([]), zenoh), core(), lambda: b"", asked_enough)
+        run(LoopPorts(FakeBus([]), zenoh), core(), lambda: b"", asked_enough)
     assert [record.getMessage() for record in caplog.records][1:] == [
         "a Zenoh node is connected",
         "no Zenoh node is connected any more",
@@ -178,7 +178,7 @@ def test_a_loop_that_stood_still_says_so(caplog: pytest.LogCaptureFixture) -> No
             clock.sleep(stalls.pop() if stalls else timeout_s)
             return None
 
-    run(Surroundings(StallingBus([]), zenoh), core(), lambda: b"", lambda: len(zenoh.of("gateway/health")) == 2)
+    run(LoopPorts(StallingBus([]), zenoh), core(), lambda: b"", lambda: len(zenoh.of("gateway/health")) == 2)
     assert any("ms late" in record.getMessage() for record in caplog.records)
     first, second = zenoh.of("gateway/health")
     assert isinstance(first, GatewayHealth)
@@ -206,7 +206,7 @@ def test_a_bus_that_is_never_empty_does_not_keep_the_tick_waiting() -> None:
             return frame
 
     zenoh = FakeZenoh()
-    run(Surroundings(BusyBus([]), zenoh), core(), lambda: b"info", StopWhen(lambda: zenoh.answered >= 3))
+    run(LoopPorts(BusyBus([]), zenoh), core(), lambda: b"info", StopWhen(lambda: zenoh.answered >= 3))
     assert longest == BURST_MAX_FRAMES
 
 
@@ -224,7 +224,7 @@ def test_a_bus_that_is_never_read_to_its_end_shows_old_things() -> None:
 
     def is_behind(bus: FakeBus) -> bool:
         made, zenoh = core(), FakeZenoh()
-        run(Surroundings(bus, zenoh), made, lambda: b"info", StopWhen(lambda: zenoh.answered >= 40))
+        run(LoopPorts(bus, zenoh), made, lambda: b"info", StopWhen(lambda: zenoh.answered >= 40))
         assert made.command is not None
         return made.command.arbiter.monitor.chassis.is_behind
 
@@ -250,12 +250,12 @@ def test_after_a_pause_the_bus_is_read_before_anything_is_decided() -> None:
     bus = StallingBus(frames)
     tick = made.tick
 
-    def spied(now_ns: int, wall_ns: int, late_ns: int, challenge: bytes) -> Due:
+    def spied(now_ns: int, wall_ns: int, late_ns: int, challenge: bytes) -> TickEffects:
         seen.append((late_ns, len(bus.frames)))
         return tick(now_ns, wall_ns, late_ns, challenge)
 
     made.tick = spied  # type: ignore[method-assign]
-    run(Surroundings(bus, zenoh), made, lambda: b"info", StopWhen(lambda: zenoh.answered >= 3))
+    run(LoopPorts(bus, zenoh), made, lambda: b"info", StopWhen(lambda: zenoh.answered >= 3))
     late_ns, waiting = seen[0]
     assert late_ns > 100_000_000
     assert waiting == 0
@@ -265,7 +265,7 @@ def test_zenoh_is_asked_who_is_there_in_every_tenth_tick() -> None:
     """The answer costs more than it changes; between two questions the last one holds."""
     zenoh = FakeZenoh()
     run(
-        Surroundings(FakeBus([]), zenoh),
+        LoopPorts(FakeBus([]), zenoh),
         core(),
         lambda: b"info",
         StopWhen(lambda: zenoh.answered == 3 * SELDOM_TICKS - 1),  # One more tick says that it ends.
@@ -281,7 +281,7 @@ def test_the_garbage_collector_is_given_back() -> None:
         seen.append(gc.isenabled())
         return len(seen) > 2
 
-    run(Surroundings(FakeBus([]), FakeZenoh()), core(), lambda: b"", stopped)
+    run(LoopPorts(FakeBus([]), FakeZenoh()), core(), lambda: b"", stopped)
     assert not any(seen)
     assert gc.isenabled()
 
@@ -410,7 +410,7 @@ class Commanded:
             assert time.monotonic() < deadline_s, "the script came no further"
             return next(steps, None) is None
 
-        around = Surroundings(
+        ports = LoopPorts(
             self.bus,
             self.zenoh,
             self.inbox,
@@ -419,7 +419,7 @@ class Commanded:
             self.former_guard,
             has_realtime=lambda: self.is_realtime,
         )
-        run(around, self.core, lambda: b"", stopped)
+        run(ports, self.core, lambda: b"", stopped)
 
     def engage(self) -> Iterator[bool]:
         """First takes the lease and engages."""
@@ -578,7 +578,7 @@ def test_no_challenge_is_ever_published_twice() -> None:
 
     def published() -> list[bytes]:
         zenoh = FakeZenoh()
-        run(Surroundings(FakeBus([]), zenoh), core(), lambda: b"info", StopWhen(lambda: zenoh.answered >= 30))
+        run(LoopPorts(FakeBus([]), zenoh), core(), lambda: b"info", StopWhen(lambda: zenoh.answered >= 30))
         return [state.challenge for state in zenoh.of("safety/state") if isinstance(state, SafetyState)]
 
     challenges = published() + published()

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.chassis.cruiser import layout
-from gateway.chassis.decode import Decoder
+from gateway.chassis.decode import FrameDecoder
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import hex_identifier
 from gateway.chassis.layout import MessageLayout
@@ -20,7 +20,7 @@ from schemas.messages import Variant
 from schemas.subjects import BY_DBC_MESSAGE
 
 VARIANTS = (Variant.COARSE, Variant.FINE)
-DECODERS = {variant: Decoder(layout.load(variant)) for variant in VARIANTS}
+DECODERS = {variant: FrameDecoder(layout.load(variant)) for variant in VARIANTS}
 DECODER = DECODERS[Variant.COARSE]
 FRAMES = [(variant, frame) for variant in VARIANTS for frame in layout.load(variant).messages.values()]
 GEAR = "(1436509052.249713) vcan0 18C4D1EF#0104000000000005"

@@ -22,7 +22,7 @@ from gateway.core import Core
 from gateway.guard.beat import GuardView
 from gateway.host.guard_process import NoGuard
 from gateway.host.stop_note import StopNote
-from gateway.loop import Surroundings
+from gateway.loop import LoopPorts
 from gateway.zenoh.client import close_session, open_session
 from schemas.dbc_files import dbc_text
 from schemas.decisions import EventKind, SafetyEvent
@@ -520,7 +520,7 @@ def test_a_loop_that_fails_unguarded_stops_the_robot_before_it_ends(
     def start_fake_guard(_settings: Settings) -> FakeGuard:
         return link
 
-    def fail(around: Surroundings, core: Core, _info: object, _stopped: object) -> None:
+    def fail(around: LoopPorts, core: Core, _info: object, _stopped: object) -> None:
         assert core.command is not None
         arbiter = core.command.arbiter
         arbiter.output.variant, arbiter.output.actuation = Variant.COARSE, driving

@@ -99,9 +99,9 @@ def test_the_hand_transmitter_is_never_sent_against() -> None:
         for words in ((), ("--force",)):
             done = halt(address, "--wait", "0.1", "--json", *words)
             assert done.returncode == 5, done.stderr
-            outcome = "the hand transmitter has the robot, so nothing is sent"
+            outcome = "the remote control has the robot, so nothing is sent"
             assert json.loads(done.stdout) == {"ok": False, "outcome": outcome, "frames_sent": 0}
-            assert "hand transmitter" in done.stderr
+            assert "remote control" in done.stderr
         assert listener.bursts == []
 
 
@@ -112,7 +112,7 @@ def test_a_robot_that_the_hand_transmitter_gives_back_is_stopped() -> None:
         assert run(["fault", "--sim", address, "transmitter", "remote"]).returncode == 0
         wait_until(lambda: listener.mode() is Mode.REMOTE)
         with Running("halt", "--interface", "socketcand", "--channel", address, "--wait", "60") as halting:
-            halting.wait_says("hand transmitter has the robot: waiting")
+            halting.wait_says("remote control has the robot: waiting")
             heard = len(listener.bursts)
             assert run(["fault", "--sim", address, "transmitter", "command"]).returncode == 0
             assert halting.process.wait(30) == 0, halting.said
@@ -140,7 +140,7 @@ def test_the_hand_transmitter_may_take_over_during_the_stop() -> None:
             halting.wait_says("sending the stop sequence")
             assert run(["fault", "--sim", address, "transmitter", "remote"]).returncode == 0, sim.said
             assert halting.process.wait(30) == 5
-            halting.wait_says("hand transmitter")
+            halting.wait_says("remote control")
 
 
 def test_it_waits_for_a_guard_at_work() -> None:
@@ -160,7 +160,7 @@ def test_blindly_is_better_than_not_at_all() -> None:
     with chassis() as (_, address), listening(address) as listener:
         leave_rolling(address, listener)
         assert run(["fault", "--sim", address, "silence", "all"]).returncode == 0
-        wait_until(lambda: not listener.sight.hears(time.monotonic_ns()))
+        wait_until(lambda: not listener.view.has_feedback(time.monotonic_ns()))
         done = halt(address)
         assert done.returncode == 1, done.stderr
         assert "blindly" in done.stderr

@@ -7,7 +7,7 @@ import pytest
 from gateway.cli import watch as watch_command
 from gateway.cli.watch import add_arguments, run
 from gateway.client.fleet import Fleet, RobotStatus
-from gateway.telemetry.heard import Heard
+from gateway.telemetry.received import Arrival
 from gateway.zenoh.client import RobotListener
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import RobotState
@@ -51,7 +51,7 @@ class SilentListener(RobotListener):
     def connected(self) -> bool:
         return True
 
-    def drain(self) -> Iterator[Heard]:
+    def drain(self) -> Iterator[Arrival]:
         return iter(())
 
 

@@ -8,7 +8,7 @@ from gateway.cli import stop
 from gateway.client import remote_stop
 from gateway.client.refusal import Refused
 from gateway.client.robot import Robot, stop_all
-from gateway.telemetry.heard import Missed, Received
+from gateway.telemetry.received import Missed, Received
 from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort
 from schemas import keys

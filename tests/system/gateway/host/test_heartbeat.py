@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.command.actuation import Actuation
-from gateway.guard.beat import Beat, Cause, GuardStatus, Outcome
+from gateway.guard.beat import Beat, Cause, GuardStatus, StopOutcome
 from gateway.host.heartbeat import Heartbeat
 from schemas.messages import GearPosition, Variant
 
@@ -41,7 +41,7 @@ STATUSES = st.builds(
     is_sending=st.booleans(),
     stops=st.integers(0, 2**62),
     cause=st.sampled_from(Cause),
-    outcome=st.sampled_from(Outcome),
+    outcome=st.sampled_from(StopOutcome),
 )
 
 

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 import zenoh
 
-from gateway.telemetry.heard import Heard, Missed, Received, TokenChange
+from gateway.telemetry.received import Arrival, Missed, Received, TokenChange
 from gateway.zenoh import client as zenoh_client
 from gateway.zenoh.client import (
     SAMPLES_WAITING,
@@ -150,7 +150,7 @@ def test_a_listener_is_connected_only_while_somebody_is_there() -> None:
 def test_state_health_and_token_are_heard() -> None:
     """What a gateway says arrives with key, encoding and payload as they were sent, and nothing else does."""
     with FakeGateway("cruiser-1") as gateway, RobotListener.open(settings_for(gateway.listen)) as listener:
-        heard: list[Heard] = []
+        heard: list[Arrival] = []
         state = Received("fleet/cruiser-1/state", BY_NAME["state"].encoding, codec.encode(STATE))
 
         def speak() -> None:
@@ -170,7 +170,7 @@ def test_a_health_of_before_is_not_heard() -> None:
     with FakeGateway("cruiser-1", caches_health=True) as gateway:
         gateway.say(HEALTH)
         with RobotListener.open(settings_for(gateway.listen)) as listener:
-            heard: list[Heard] = []
+            heard: list[Arrival] = []
             wait_until(lambda: TOKEN in heard, lambda: heard.extend(listener.drain()))
 
             def speak() -> None:
@@ -185,7 +185,7 @@ def test_a_token_that_goes_is_heard() -> None:
     """When a gateway leaves, its token goes, and that is heard."""
     endpoint = free_endpoint()
     with RobotListener.open(settings_for(endpoint), "cruiser-1") as listener:
-        heard: list[Heard] = []
+        heard: list[Arrival] = []
 
         def listen() -> None:
             heard.extend(listener.drain())
@@ -218,7 +218,7 @@ def test_one_robot_is_heard_without_the_others() -> None:
         FakeGateway("cruiser-2", connect=first.listen) as second,
         RobotListener.open(settings_for(first.listen), "cruiser-2") as listener,
     ):
-        heard: list[Heard] = []
+        heard: list[Arrival] = []
 
         def speak() -> None:
             first.say(STATE)

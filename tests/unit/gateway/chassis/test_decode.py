@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from gateway.chassis.cruiser.feedback import compile_feedback
 from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Decoded, Decoder, Value, compile_message, compile_signals
+from gateway.chassis.decode import Decoded, FrameDecoder, Value, compile_message, compile_signals
 from gateway.chassis.encode import Encoder
 from gateway.chassis.faults import FaultKind, FrameFault
 from gateway.chassis.frame import ERROR, EXTENDED, FD, REMOTE, Frame
@@ -49,7 +49,7 @@ COARSE = load(Variant.COARSE).messages.values()
 READERS = {
     variant: {name: compile_signals(row) for name, row in load(variant).messages.items()} for variant in VARIANTS
 }
-DECODERS = {variant: Decoder(load(variant)) for variant in VARIANTS}
+DECODERS = {variant: FrameDecoder(load(variant)) for variant in VARIANTS}
 
 
 def as_number(signal: SignalLayout, value: Value) -> float:
@@ -210,7 +210,7 @@ def test_the_manuals_examples_in_both_directions(example: dict[str, str]) -> Non
     """Every frame that the manual prints decodes, and its signals encode to the same bytes again."""
     layout = load(Variant.COARSE)
     frame = Frame(int(example["id"], 16) | EXTENDED, bytes.fromhex(example["data"]))
-    decoded = Decoder(layout).decode(frame)
+    decoded = FrameDecoder(layout).decode(frame)
     assert isinstance(decoded, Decoded)
     values = {signal.name: decoded.signals[signal.name] for signal in decoded.layout.payload_signals}
     encoded = Encoder(layout).encode(decoded.layout.name, values, alive_counter=0)

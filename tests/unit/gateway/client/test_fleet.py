@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.client.fleet import FORGOTTEN_NS, HEALTH_STALE_NS, STATE_STALE_NS, Fleet
-from gateway.telemetry.heard import Received, TokenChange
+from gateway.telemetry.received import Received, TokenChange
 from schemas import codec, keys
 from schemas.messages import Message
 from schemas.subjects import BY_NAME, BY_TYPE, SUBJECTS

@@ -5,7 +5,7 @@ import msgspec
 
 from gateway.client import link
 from gateway.client.link import RobotLink
-from gateway.telemetry.heard import Missed, Received
+from gateway.telemetry.received import Missed, Received
 from schemas import codec, keys
 from schemas.decisions import SafetyState
 from schemas.messages import RobotState

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.client.reply import BY_REQUEST, encode_request, read_reply
-from gateway.telemetry.heard import Received
+from gateway.telemetry.received import Received
 from schemas.codec import PayloadFault, decode_request
 from schemas.decisions import LeaseReply, Reply
 from schemas.reasons import Reason

@@ -201,7 +201,7 @@ def test_unguarded_is_accepted_where_the_settings_say_so() -> None:
 )
 @pytest.mark.parametrize("stopping", [True, False])
 def test_the_output_ceases_at_once(changes: dict[str, object], reason: Reason, *, stopping: bool) -> None:
-    """Row 'hand transmitter takes over: output ceases at once', in a stop too."""
+    """Row 'remote control takes over: output ceases at once', in a stop too."""
     bench = engaged()
     bench.drive_for(100, 0.5)
     if stopping:

@@ -364,12 +364,12 @@ def stopped_and_parked() -> LoopRig:
     return rig
 
 
-@pytest.mark.parametrize("by", ["hand transmitter", "bus", "bus, and then silence"])
+@pytest.mark.parametrize("by", ["remote control", "bus", "bus, and then silence"])
 def test_a_parked_robot_stays_parked_when_its_stop_is_begun_again(by: str) -> None:
     """Nobody who gave way in the hold of a stop releases the brake afterwards, not for one frame."""
     rig = stopped_and_parked()
     begun = len(rig.bursts)
-    if by == "hand transmitter":
+    if by == "remote control":
         rig.fault("transmitter remote")
         rig.run(0.5)
         rig.fault("transmitter command")
@@ -482,7 +482,7 @@ def test_a_takeover_that_is_followed_by_silence_is_not_believed() -> None:
 
 
 def test_the_hand_transmitter_takes_over() -> None:
-    """Row 'hand transmitter takes over (mode remote): output ceases at once, no automatic return'."""
+    """Row 'remote control takes over (mode remote): output ceases at once, no automatic return'."""
     rig, operator = driving(1.0)
     rig.fault("transmitter remote")
     rig.fault("sticks 0.3 0")

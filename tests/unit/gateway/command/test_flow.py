@@ -191,7 +191,7 @@ def test_a_ramp_goes_on_where_the_bus_takes_the_speed_and_little_more() -> None:
 
 
 def test_after_a_silence_the_gate_begins_anew() -> None:
-    """The hand transmitter has steered meanwhile: the first burst is not held against the last one."""
+    """The remote control has steered meanwhile: the first burst is not held against the last one."""
     rig, operator = ready()
     operator.engage()
     operator.drive(0.0, 20.0, 0.5)

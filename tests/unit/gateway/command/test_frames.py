@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from gateway.chassis.cruiser.frames import MOTION_FRAMES
 from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Decoded, Decoder
+from gateway.chassis.decode import Decoded, FrameDecoder
 from gateway.chassis.frame import Frame
 from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.auxiliary import AuxiliaryFrame
@@ -19,7 +19,7 @@ FULL = Actuation(True, GearPosition.REVERSE, 2.222, -24.0, parking=False)  # noq
 
 def signals(frames: list[Frame], variant: Variant) -> dict[str, dict[str, object]]:
     """What the DBC reads from them."""
-    decoder = Decoder(load(variant))
+    decoder = FrameDecoder(load(variant))
     read: dict[str, dict[str, object]] = {}
     for frame in frames:
         decoded = decoder.decode(frame)

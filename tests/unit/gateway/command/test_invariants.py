@@ -187,7 +187,7 @@ class Machine(RuleBasedStateMachine):
 
     @invariant()
     def the_robot_is_no_faster_than_it_was_told(self) -> None:
-        """But for the lag of its drive, and what the hand transmitter does."""
+        """But for the lag of its drive, and what the remote control does."""
         if self.rig.chassis.state.mode is Mode.REMOTE or any("scale" in text for text in self.rig.faults[-40:]):
             return
         scale = 0.04 if self.rig.chassis.state.variant is Variant.COARSE else 0.001

@@ -15,14 +15,14 @@ DRIVE = "Auto_DriveFeedBack"
 WHEELS = "Auto_WheelSpdFeedback"
 
 
-def feed(sight: ChassisView, variant: Variant = Variant.COARSE, wheels_in: Variant | None = None) -> None:
+def feed(view: ChassisView, variant: Variant = Variant.COARSE, wheels_in: Variant | None = None) -> None:
     """A second of a standing chassis."""
     feedback = Feedback(variant)
     other = Feedback(wheels_in or variant)
     for at_ns, frame in feedback.second():
         is_wheels = frame.can_id == load(Variant.COARSE).messages[WHEELS].can_id
-        sight.receive(other.frame(WHEELS) if is_wheels else frame, at_ns)
-        sight.stands(variant, at_ns)
+        view.receive(other.frame(WHEELS) if is_wheels else frame, at_ns)
+        view.stands(variant, at_ns)
 
 
 def body(feedback: Feedback, mode: str) -> Frame:
@@ -32,57 +32,57 @@ def body(feedback: Feedback, mode: str) -> Frame:
 
 def test_remote_is_believed_from_the_second_frame() -> None:
     """One frame may be two flipped bits that the checksum passes, and the guard would let go of the robot."""
-    sight, feedback = ChassisView(), Feedback(Variant.COARSE)
-    sight.receive(body(feedback, "auto"), 0)
-    assert sight.mode(0) is Mode.AUTO
-    sight.receive(body(feedback, "remote"), 20 * MS)
-    assert sight.mode(20 * MS) is Mode.UNDEFINED
-    sight.receive(body(feedback, "auto"), 40 * MS)
-    sight.receive(body(feedback, "remote"), 60 * MS)
-    assert sight.mode(60 * MS) is Mode.UNDEFINED
-    sight.receive(body(feedback, "remote"), 80 * MS)
-    assert sight.mode(80 * MS) is Mode.REMOTE
+    view, feedback = ChassisView(), Feedback(Variant.COARSE)
+    view.receive(body(feedback, "auto"), 0)
+    assert view.mode(0) is Mode.AUTO
+    view.receive(body(feedback, "remote"), 20 * MS)
+    assert view.mode(20 * MS) is Mode.UNDEFINED
+    view.receive(body(feedback, "auto"), 40 * MS)
+    view.receive(body(feedback, "remote"), 60 * MS)
+    assert view.mode(60 * MS) is Mode.UNDEFINED
+    view.receive(body(feedback, "remote"), 80 * MS)
+    assert view.mode(80 * MS) is Mode.REMOTE
 
 
 def test_eight_zero_bytes_say_nothing() -> None:
     """Their checksum is right, and they would read auto."""
-    sight = ChassisView()
-    sight.receive(Frame(load(Variant.COARSE).messages[BODY].can_id, bytes(8)), 0)
-    assert sight.mode(0) is Mode.UNDEFINED
+    view = ChassisView()
+    view.receive(Frame(load(Variant.COARSE).messages[BODY].can_id, bytes(8)), 0)
+    assert view.mode(0) is Mode.UNDEFINED
 
 
 def test_a_wrong_checksum_says_nothing() -> None:
     """Neither of the mode nor of a counter."""
-    sight, feedback = ChassisView(), Feedback(Variant.COARSE)
+    view, feedback = ChassisView(), Feedback(Variant.COARSE)
     for frame in (body(feedback, "auto"), Encoder(load(Variant.COARSE)).encode("Auto_GearCmd", {}, 3)):
-        sight.receive(Frame(frame.can_id, frame.data[:7] + bytes([frame.data[7] ^ 1])), 0)
-    assert sight.mode(0) is Mode.UNDEFINED
-    assert sight.next_counters == {}
-    assert sight.commander_ns is None
+        view.receive(Frame(frame.can_id, frame.data[:7] + bytes([frame.data[7] ^ 1])), 0)
+    assert view.mode(0) is Mode.UNDEFINED
+    assert view.next_counters == {}
+    assert view.commander_ns is None
 
 
 def test_a_stuck_counter_is_silence() -> None:
     """A chassis that repeats itself tells nothing new: what it says becomes stale."""
-    sight, frame = ChassisView(), body(Feedback(Variant.COARSE), "auto")
+    view, frame = ChassisView(), body(Feedback(Variant.COARSE), "auto")
     for at_ms in range(0, 1000, 20):
-        sight.receive(frame, at_ms * MS)
-    assert sight.mode(980 * MS) is Mode.UNDEFINED
-    assert not sight.hears(980 * MS)
+        view.receive(frame, at_ms * MS)
+    assert view.mode(980 * MS) is Mode.UNDEFINED
+    assert not view.has_feedback(980 * MS)
 
 
 @pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
 def test_standstill_is_seen_in_either_variant_known_or_not(variant: Variant) -> None:
     """And only after 50 ms of it."""
-    sight = ChassisView()
-    assert not sight.stands(variant, 0)
-    feed(sight, variant)
-    assert sight.stands(variant, 990 * MS)
-    assert not sight.stands(Variant.UNKNOWN, 2000 * MS)
+    view = ChassisView()
+    assert not view.stands(variant, 0)
+    feed(view, variant)
+    assert view.stands(variant, 990 * MS)
+    assert not view.stands(Variant.UNKNOWN, 2000 * MS)
     for frame in Feedback(variant).all():
-        sight.receive(frame, 3000 * MS)
-    assert not sight.stands(variant, 3000 * MS)
-    assert not sight.stands(variant, 3049 * MS)
-    assert sight.stands(variant, 3050 * MS)
+        view.receive(frame, 3000 * MS)
+    assert not view.stands(variant, 3000 * MS)
+    assert not view.stands(variant, 3049 * MS)
+    assert view.stands(variant, 3050 * MS)
     fresh = ChassisView()
     feed(fresh, variant)
     assert fresh.stands(Variant.UNKNOWN, 990 * MS)
@@ -91,29 +91,29 @@ def test_standstill_is_seen_in_either_variant_known_or_not(variant: Variant) -> 
 @pytest.mark.parametrize("name", [DRIVE, WHEELS])
 def test_either_speed_alone_keeps_it_from_standing(name: str) -> None:
     """Drive feedback and wheels must both say so."""
-    sight, feedback = ChassisView(), Feedback(Variant.COARSE)
+    view, feedback = ChassisView(), Feedback(Variant.COARSE)
     values: dict[str, dict[str, float]] = {
         DRIVE: {"Speed": 0.2},
         WHEELS: {"RearLeftSpeed": 0.2, "RearRightSpeed": 0.2},
     }
-    feed(sight)
-    sight.receive(feedback.frame(name, values[name]), 1000 * MS)
-    sight.receive(feedback.frame(name, values[name]), 1001 * MS)
+    feed(view)
+    view.receive(feedback.frame(name, values[name]), 1000 * MS)
+    view.receive(feedback.frame(name, values[name]), 1001 * MS)
     for variant in (Variant.COARSE, Variant.UNKNOWN):
         for at_ms in range(1001, 1090, 10):
-            assert not sight.stands(variant, at_ms * MS)
+            assert not view.stands(variant, at_ms * MS)
 
 
 @pytest.mark.parametrize("variant", [Variant.COARSE, Variant.UNKNOWN])
 def test_wheels_that_turn_against_each_other_do_not_stand(variant: Variant) -> None:
     """Their mean is zero, and the robot turns on the spot or slips."""
-    sight, feedback = ChassisView(), Feedback(Variant.COARSE)
-    feed(sight)
+    view, feedback = ChassisView(), Feedback(Variant.COARSE)
+    feed(view)
     for at_ms in range(1000, 1100, 10):
-        sight.receive(feedback.frame(WHEELS, {"RearLeftSpeed": 0.4, "RearRightSpeed": -0.4}), at_ms * MS)
+        view.receive(feedback.frame(WHEELS, {"RearLeftSpeed": 0.4, "RearRightSpeed": -0.4}), at_ms * MS)
         for name in (DRIVE, BODY):
-            sight.receive(feedback.frame(name), at_ms * MS)
-        assert not sight.stands(variant, at_ms * MS)
+            view.receive(feedback.frame(name), at_ms * MS)
+        assert not view.stands(variant, at_ms * MS)
 
 
 @pytest.mark.parametrize(
@@ -130,45 +130,45 @@ def test_motion_is_seen_by_either_speed(
     name: str, values: dict[str, float | bool], moves: tuple[bool, bool]
 ) -> None:
     """Row 'stop: a robot that is seen to move'; in an unknown scale by the raw drive feedback."""
-    sight = ChassisView()
-    sight.receive(Feedback(Variant.COARSE).frame(name, values), 0)
-    assert (sight.moves(Variant.COARSE, 0), sight.moves(Variant.UNKNOWN, 0)) == moves
-    assert not sight.moves(Variant.COARSE, 2000 * MS)
+    view = ChassisView()
+    view.receive(Feedback(Variant.COARSE).frame(name, values), 0)
+    assert (view.moves(Variant.COARSE, 0), view.moves(Variant.UNKNOWN, 0)) == moves
+    assert not view.moves(Variant.COARSE, 2000 * MS)
 
 
 def test_what_a_stop_looks_at() -> None:
     """Row 'stop: moves against the ramp, does not slow, applied parking brake': not known before it is told."""
-    sight, feedback = ChassisView(), Feedback(Variant.COARSE)
-    assert sight.is_braked(0) is sight.fastest_mps(Variant.COARSE, 0) is None
-    assert sight.wheel_speed_mps(Variant.COARSE, 0) is None
-    sight.receive(feedback.frame(DRIVE, {"Speed": 0.4}), 0)
-    sight.receive(feedback.frame(WHEELS, {"RearLeftSpeed": -0.4, "RearRightSpeed": -0.8}), 0)
-    assert sight.fastest_mps(Variant.COARSE, 0) == pytest.approx(0.8)
-    assert sight.wheel_speed_mps(Variant.COARSE, 0) == pytest.approx(-0.6)
-    assert sight.wheel_speed_mps(Variant.UNKNOWN, 0) is sight.fastest_mps(Variant.UNKNOWN, 0) is None
+    view, feedback = ChassisView(), Feedback(Variant.COARSE)
+    assert view.is_braked(0) is view.fastest_mps(Variant.COARSE, 0) is None
+    assert view.wheel_speed_mps(Variant.COARSE, 0) is None
+    view.receive(feedback.frame(DRIVE, {"Speed": 0.4}), 0)
+    view.receive(feedback.frame(WHEELS, {"RearLeftSpeed": -0.4, "RearRightSpeed": -0.8}), 0)
+    assert view.fastest_mps(Variant.COARSE, 0) == pytest.approx(0.8)
+    assert view.wheel_speed_mps(Variant.COARSE, 0) == pytest.approx(-0.6)
+    assert view.wheel_speed_mps(Variant.UNKNOWN, 0) is view.fastest_mps(Variant.UNKNOWN, 0) is None
     for status, is_braked in (("applied", True), ("released", False)):
-        sight.receive(feedback.frame("Auto_ParkingFeedBack", {"ParkingStatus": status}), 0)
-        assert sight.is_braked(0) is is_braked
+        view.receive(feedback.frame("Auto_ParkingFeedBack", {"ParkingStatus": status}), 0)
+        assert view.is_braked(0) is is_braked
 
 
 def test_silence_is_not_standstill() -> None:
     """What is not heard is not known."""
-    sight = ChassisView()
-    feed(sight)
-    assert sight.hears(990 * MS)
-    assert sight.gear(990 * MS) is GearPosition.PARK
+    view = ChassisView()
+    feed(view)
+    assert view.has_feedback(990 * MS)
+    assert view.gear(990 * MS) is GearPosition.PARK
     later_ns = 990 * MS + GUARD_SILENT_NS
-    assert not sight.hears(later_ns)
-    assert not sight.stands(Variant.COARSE, later_ns)
-    assert sight.gear(later_ns) is GearPosition.UNDEFINED
-    assert sight.speed_mps(Variant.COARSE, later_ns) == 0
-    assert sight.angle_deg(later_ns) == 0
+    assert not view.has_feedback(later_ns)
+    assert not view.stands(Variant.COARSE, later_ns)
+    assert view.gear(later_ns) is GearPosition.UNDEFINED
+    assert view.speed_mps(Variant.COARSE, later_ns) == 0
+    assert view.angle_deg(later_ns) == 0
 
 
 def test_the_next_counter_of_each_command_is_known() -> None:
     """Whoever sent it: 15 wraps to 0."""
-    sight, encoder = ChassisView(), Encoder(load(Variant.COARSE))
-    sight.receive(encoder.encode("Auto_GearCmd", {}, 15), 7)
-    sight.receive(encoder.encode("Auto_LightCmd", {}, 3), 9)
-    assert sight.next_counters == {"Auto_GearCmd": 0, "Auto_LightCmd": 4}
-    assert sight.commander_ns == 7, "lamps move nobody"
+    view, encoder = ChassisView(), Encoder(load(Variant.COARSE))
+    view.receive(encoder.encode("Auto_GearCmd", {}, 15), 7)
+    view.receive(encoder.encode("Auto_LightCmd", {}, 3), 9)
+    assert view.next_counters == {"Auto_GearCmd": 0, "Auto_LightCmd": 4}
+    assert view.commander_ns == 7, "lamps move nobody"

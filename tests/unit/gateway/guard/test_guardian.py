@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from gateway.chassis.cruiser.gate_table import MOTION
 from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Decoded, Decoder, Value
+from gateway.chassis.decode import Decoded, FrameDecoder, Value
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
 from gateway.command.actuation import AT_REST, Actuation
@@ -93,7 +93,7 @@ def test_the_order_of_the_stop() -> None:
     rig.drive()
     rig.parent_lives = False
     rig.run(A_STOP_S)
-    decoder = Decoder(load(Variant.COARSE))
+    decoder = FrameDecoder(load(Variant.COARSE))
     seen: dict[str, int] = {}
     speeds = []
     for at_ns, frame in rig.sent:
@@ -271,14 +271,14 @@ def test_one_failure_is_stopped_for_once(end: str) -> None:
 
 
 def taken_over_before(rig: GuardRig) -> None:
-    """The gateway dies when it has not seen yet that the hand transmitter has the robot."""
+    """The gateway dies when it has not seen yet that the remote control has the robot."""
     rig.fault("transmitter remote")
     rig.run(0.1)
     rig.parent_lives = False
 
 
 def taken_over_and_left(rig: GuardRig) -> None:
-    """The gateway gives way to the hand transmitter, and dies later."""
+    """The gateway gives way to the remote control, and dies later."""
     rig.fault("transmitter remote")
     rig.run(0.1)
     rig.told = None
@@ -307,7 +307,7 @@ def test_the_hand_transmitter_has_the_robot(take_over: Callable[[GuardRig], None
     assert rig.chassis.state.speed_mps > 0.7
     assert len(rig.sent) == sent
     assert not rig.guardian.is_ended
-    assert "hand transmitter" in rig.lines[-1]
+    assert "remote control" in rig.lines[-1]
     rig.fault("sticks 0 0")
     rig.run(5)
     assert rig.chassis.state.speed_mps == 0
@@ -421,7 +421,7 @@ def test_a_chassis_that_is_switched_off_under_the_hand_transmitter_is_waited_for
 
 
 def test_a_gateway_that_ended_the_command_and_goes_leaves_nothing_to_wait_for() -> None:
-    """Disabled frames were the last: under the hand transmitter or not, the guard leaves with it."""
+    """Disabled frames were the last: under the remote control or not, the guard leaves with it."""
     rig = GuardRig()
     rig.drive()
     rig.told = AT_REST
@@ -603,7 +603,7 @@ def test_a_bus_that_comes_back_in_time_is_used() -> None:
 
 def told_mps(rig: GuardRig, since: int = 0) -> list[float]:
     """The speeds that the guard sent, from this frame on."""
-    decoder = Decoder(load(rig.variant))
+    decoder = FrameDecoder(load(rig.variant))
     told = [decoder.decode(frame) for _, frame in rig.sent[since:]]
     return [
         float(one.signals["TargetVelocity"])
@@ -660,11 +660,11 @@ def test_a_stop_begins_no_faster_than_the_robot_is_seen_to_be() -> None:
     """It is speeding up when the gateway dies: the rest of that is not what the guard wants."""
     rig = GuardRig(Variant.FINE)
     rig.drive(seconds=0.4)
-    seen_mps = rig.chassis.state.speed_mps
-    assert 0 < seen_mps < 0.7
+    slowest_mps = rig.chassis.state.speed_mps
+    assert 0 < slowest_mps < 0.7
     rig.parent_lives = False
     rig.run(A_STOP_S)
-    assert 0 < max(told_mps(rig)) <= seen_mps + 0.01
+    assert 0 < max(told_mps(rig)) <= slowest_mps + 0.01
 
 
 def test_a_robot_that_is_given_back_rolling_is_told_zero_speed_at_once() -> None:

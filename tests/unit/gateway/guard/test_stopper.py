@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Decoded, Decoder
+from gateway.chassis.decode import Decoded, FrameDecoder
 from gateway.chassis.encode import Encoder
 from gateway.command.actuation import Actuation
 from gateway.guard.chassis_view import ChassisView
@@ -19,9 +19,9 @@ from tests.support.frames import MS, Feedback
 DRIVING = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=1.0, parking=False)
 
 
-def begun(sight: ChassisView, counters: bytes | None, now_ns: int = 0) -> Stopper:
+def begun(view: ChassisView, counters: bytes | None, now_ns: int = 0) -> Stopper:
     """A stop that has begun."""
-    stopper = Stopper(sight, CommandSettings())
+    stopper = Stopper(view, CommandSettings())
     stopper.begin(DRIVING, Variant.COARSE, counters, now_ns)
     return stopper
 
@@ -40,7 +40,7 @@ def test_what_is_not_a_number_counts_as_zero(nonsense: float) -> None:
     stopper = Stopper(ChassisView(), CommandSettings())
     last = msgspec.structs.replace(DRIVING, speed_mps=nonsense, angle_deg=nonsense)
     stopper.begin(last, Variant.COARSE, bytes(8), 0)
-    decoder = Decoder(load(Variant.COARSE))
+    decoder = FrameDecoder(load(Variant.COARSE))
     told = [decoder.decode(frame) for frame in stopper.tick(0)]
     assert isinstance(told[2], Decoded)
     assert isinstance(told[0], Decoded)
@@ -58,34 +58,34 @@ def test_one_burst_a_tick() -> None:
 
 def test_without_a_heartbeat_the_counters_are_those_heard() -> None:
     """Of each frame its own; from 0 where none was heard."""
-    sight, encoder = ChassisView(), Encoder(load(Variant.COARSE))
-    sight.receive(encoder.encode("Auto_DriveCmd", {}, 8), 0)
-    frames = begun(sight, None).tick(0)
+    view, encoder = ChassisView(), Encoder(load(Variant.COARSE))
+    view.receive(encoder.encode("Auto_DriveCmd", {}, 8), 0)
+    frames = begun(view, None).tick(0)
     assert [frame.data[6] >> 4 for frame in frames[:5]] == [9, 0, 0, 0, 0]
 
 
 def test_counters_heard_long_ago_do_not_count() -> None:
     """Another computer's, which happen to be a little ahead of the heartbeat's."""
-    sight, encoder = ChassisView(), Encoder(load(Variant.COARSE))
-    sight.receive(encoder.encode("Auto_DriveCmd", {}, 8), 0)
-    assert begun(sight, bytes([7] * 8), 100 * MS).tick(100 * MS)[0].data[6] >> 4 == 9
-    assert begun(sight, bytes([7] * 8), 300 * MS).tick(300 * MS)[0].data[6] >> 4 == 7
+    view, encoder = ChassisView(), Encoder(load(Variant.COARSE))
+    view.receive(encoder.encode("Auto_DriveCmd", {}, 8), 0)
+    assert begun(view, bytes([7] * 8), 100 * MS).tick(100 * MS)[0].data[6] >> 4 == 9
+    assert begun(view, bytes([7] * 8), 300 * MS).tick(300 * MS)[0].data[6] >> 4 == 7
 
 
 def test_counters_heard_that_are_behind_do_not_count() -> None:
     """The guard has not heard the gateway's last burst yet: repeated counters would be refused."""
-    sight, encoder = ChassisView(), Encoder(load(Variant.COARSE))
-    sight.receive(encoder.encode("Auto_DriveCmd", {}, 8), 0)
-    assert begun(sight, bytes([10] * 8)).tick(0)[0].data[6] >> 4 == 10
+    view, encoder = ChassisView(), Encoder(load(Variant.COARSE))
+    view.receive(encoder.encode("Auto_DriveCmd", {}, 8), 0)
+    assert begun(view, bytes([10] * 8)).tick(0)[0].data[6] >> 4 == 10
 
 
 def test_it_yields_to_the_hand_transmitter_between_two_ticks() -> None:
     """At once, not when the next burst would be due."""
-    sight, feedback = ChassisView(), Feedback(Variant.COARSE)
-    stopper = begun(sight, bytes(8))
+    view, feedback = ChassisView(), Feedback(Variant.COARSE)
+    stopper = begun(view, bytes(8))
     assert stopper.tick(0)
     for at_ns in (1, 2):
-        sight.receive(feedback.frame("Auto_MileageAndBodyFeedback", {"Mode": "remote"}), at_ns)
+        view.receive(feedback.frame("Auto_MileageAndBodyFeedback", {"Mode": "remote"}), at_ns)
     assert stopper.tick(3) == []
     assert stopper.is_paused
     assert not stopper.is_over

@@ -120,14 +120,14 @@ def test_what_came_while_the_guard_stood_still_is_not_believed(monkeypatch: pyte
     monkeypatch.setattr("gateway.host.guard_run.time.monotonic_ns", world.monotonic_ns)
     guardian = live(world)
     assert world.frames == []
-    assert not guardian.sight.hears(world.now_ns)
+    assert not guardian.view.has_feedback(world.now_ns)
 
 
 def test_frames_are_heard_and_an_idle_guard_leaves_without_a_word() -> None:
     """With its parent."""
     world = World(Beat(1))
     guardian = live(world)
-    assert guardian.sight.hears(0)
-    assert guardian.sight.mode(0) is Mode.STOP
+    assert guardian.view.has_feedback(0)
+    assert guardian.view.mode(0) is Mode.STOP
     assert world.sent == []
     assert world.said == []

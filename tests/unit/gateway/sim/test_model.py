@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Decoded, Decoder
+from gateway.chassis.decode import Decoded, FrameDecoder
 from gateway.chassis.frame import EXTENDED, REMOTE, Frame
 from gateway.sim.model import VirtualChassis
 from gateway.sim.parameters import Conditions, StopMode
@@ -352,7 +352,7 @@ def test_the_wrong_scale_shows_in_drive_and_not_in_the_wheels(variant: Variant) 
     rig.run(3)
     rig.fault("scale wrong")
     rig.run(3)
-    other = Decoder(load(Variant.FINE if variant is Variant.COARSE else Variant.COARSE))
+    other = FrameDecoder(load(Variant.FINE if variant is Variant.COARSE else Variant.COARSE))
     drive = other.decode(rig.named("Auto_DriveFeedBack", rig.run(0.05))[-1])
     assert isinstance(drive, Decoded)
     assert drive.signals["Speed"] == pytest.approx(abs(rig.speed_mps), abs=0.04)

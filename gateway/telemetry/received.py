@@ -1,4 +1,4 @@
-"""What is heard of robots: samples and liveliness tokens, as they arrive."""
+"""Samples and liveliness tokens of robots, as they arrive."""
 
 from __future__ import annotations
 
@@ -24,4 +24,4 @@ class TokenChange(msgspec.Struct, frozen=True):
     present: bool
 
 
-Heard = Received | Missed | TokenChange
+Arrival = Received | Missed | TokenChange
