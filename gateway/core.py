@@ -65,7 +65,7 @@ _SUBJECT: Final = {subject.type: subject.name for subject in SUBJECTS}
 
 
 class TickEffects(msgspec.Struct):
-    """What a tick asks to be done, in this order: send the frames, say how many went out, reply, publish, log."""
+    """The effects of a tick, in this order: send the frames, say how many went out, reply, publish, log."""
 
     frames: list[Frame]
     replies: list[PendingReply]
@@ -164,7 +164,7 @@ class Core:
         self._requests.append(request)
 
     def update_links(self, links: Links, now_ns: int) -> None:
-        """What the loop sees of the bus, of Zenoh and of the guard."""
+        """Take over the newest state of the bus, of Zenoh and of the guard."""
         before, self._links = self._links, links
         if links.bus_losses != before.bus_losses:
             # A bus that returns may have another chassis on it.
@@ -247,7 +247,7 @@ class Core:
             self.command.arbiter.engagement.latch(Reason.GUARD, words, now_ns)
 
     def warn(self, words: str, now_ns: int) -> None:
-        """What was found at the start becomes an event, in these words."""
+        """Report a finding of the start as an event, in these words."""
         if self.command is not None and self._journal is not None:
             self._journal.add((Kind.WARNING, now_ns, words))
             self.command.arbiter.outbox.add_event(Severity.WARNING, EventKind.FAULT, Reason.NONE, words)
@@ -365,7 +365,7 @@ class Core:
 
 
 _told: Final[Callable[[Links], tuple[Any, ...]]] = attrgetter(*LINKS)
-"""What of the links the command flow is told, and the journal holds."""
+"""The links that the command flow decides by, and the journal holds."""
 
 
 def _sample(message: Message) -> Sample:

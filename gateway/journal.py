@@ -124,7 +124,7 @@ def inputs_of(journal: Journal) -> list[Input]:
 
 
 def reach(journals: Iterable[Journal]) -> dict[int, int]:
-    """What can be run again: of each run the number of inputs from its first on, up to a gap; 0 without it."""
+    """Count what can be run again: of each run the inputs from its first on, up to a gap; 0 without it."""
     reached: dict[int, int] = {}
     for journal in sorted(journals, key=lambda one: one.first):
         expected = reached.setdefault(journal.run, 0)

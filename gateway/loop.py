@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 MS: Final = 1_000_000
 
 LEVELS: Final = {Severity.INFO: logging.INFO, Severity.WARNING: logging.WARNING, Severity.ERROR: logging.ERROR}
-"""What a person should know is in the robot's own log too."""
+"""Levels of events in the robot's own log."""
 
 BURST_MAX_FRAMES: Final = 32
 """Frames taken at a time, so that a bus that never falls silent cannot keep the tick waiting."""
@@ -39,7 +39,7 @@ BURST_MAX_FRAMES: Final = 32
 NO_GUARD: Final = GuardView()
 
 SELDOM_TICKS: Final = 10
-"""Who is connected, and whether there is real-time priority, is asked in every tenth tick: asking takes time."""
+"""Connected nodes and real-time priority are asked for in every tenth tick: asking takes time."""
 
 
 CATCH_UP_BURSTS: Final = 256
@@ -113,7 +113,7 @@ class Guard(Protocol):
     """The guard, as the loop sees it."""
 
     def look(self) -> GuardView:
-        """How it is now."""
+        """Return the guard's state now."""
         ...
 
     def beat(self, now_ns: int, command: CommandFlow) -> None:
@@ -142,7 +142,7 @@ class FormerGuard(Protocol):
 
 
 class LoopPorts(msgspec.Struct):
-    """What the loop runs between. ``inbox``, ``guard`` and ``note`` are None for a gateway that only listens."""
+    """The ports of the loop. ``inbox``, ``guard`` and ``note`` are None for a gateway that only listens."""
 
     bus: FrameSource
     sink: SampleSink
@@ -220,9 +220,7 @@ def run(ports: LoopPorts, core: Core, info: Callable[[], bytes], stopped: Callab
         sink.publish(sample)
 
 
-def _tick(
-    ports: LoopPorts, core: Core, numbers: LeaseNumbers, links: Links, now_ns: int, late_ns: int
-) -> None:
+def _tick(ports: LoopPorts, core: Core, numbers: LeaseNumbers, links: Links, now_ns: int, late_ns: int) -> None:
     """Requests in; frames first, then everything else out."""
     monotonic_ns, inbox = time.monotonic_ns, ports.inbox
     core.update_links(links, now_ns)

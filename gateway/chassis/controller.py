@@ -1,4 +1,4 @@
-"""What an error frame says of the CAN controller, in the words of ISO 11898-1.
+"""The CAN controller's state by an error frame, in the words of ISO 11898-1.
 
 Linux makes error frames out of what the controller reports (linux/can/error.h); python-can has them of other
 interfaces too, without these details.

@@ -35,7 +35,7 @@ class Decoded(msgspec.Struct, frozen=True):
 
 
 def check(frame: Frame) -> FaultKind | None:
-    """What is wrong with a frame whose identifier the layout has, or None."""
+    """Return the fault of a frame whose identifier the layout has, or None."""
     data = frame.data
     if frame.fd_flags:
         return FaultKind.FD_FRAME

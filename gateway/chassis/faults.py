@@ -1,4 +1,4 @@
-"""What can be wrong with a frame or a stream of frames. Faults are values: wire input never raises."""
+"""Faults of a frame or a stream of frames. Faults are values: wire input never raises."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class FaultKind(Enum):
 
 
 class FrameFault(msgspec.Struct, frozen=True):
-    """Why a frame is not a valid message.
+    """A frame's fault, for which it is not a valid message.
 
     Attributes:
         name: the frame's name in the DBC; empty if it has none.

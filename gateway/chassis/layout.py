@@ -46,7 +46,7 @@ class SignalLayout(msgspec.Struct, frozen=True):
 
     @property
     def kind(self) -> Literal["flag", "choice", "integer", "physical"]:
-        """How a message shows it: one bit is a flag, a value table a choice, an unscaled number an integer."""
+        """The field's kind: one bit is a flag, a value table a choice, an unscaled number an integer."""
         if self.length == 1:
             return "flag"
         if self.choices:

@@ -1,4 +1,4 @@
-"""Is a stream of frames whole? Pure state machines: checksum, plausibility, alive counter, period and silence.
+"""Supervision of a stream of frames: checksum, plausibility, alive counter, period and silence. Pure.
 
 The alive counter is judged as in AUTOSAR E2E profile 1, modulo 16: a step of 1 is right, 0 is a repetition, 2 to 3
 means that frames were lost, more is a wrong sequence. Sixteen lost frames would look like none, so silence is
@@ -133,7 +133,7 @@ class FaultWindow:
 
 
 def silence_ns(period_ns: int) -> int:
-    """How long a frame may stay away before it counts as silent."""
+    """Return the time for which a frame may stay away before it counts as silent."""
     return max(settings.SILENCE_PERIODS * period_ns, settings.SILENCE_MIN_NS)
 
 
@@ -191,13 +191,13 @@ class FrameSupervisor:
         return not self.is_silent and now_ns <= self.overdue_ns
 
     def age_ns(self, now_ns: int) -> int | None:
-        """How old the last frame is that said something new; None before the first."""
+        """Return the age of the last frame that said something new; None before the first."""
         if not self.is_seen:
             return None
         return now_ns - (self._last_ns if self.is_silent else self.overdue_ns - self._silence_ns)
 
     def failures(self, now_ns: int) -> list[str]:
-        """What is beyond its threshold now, by name."""
+        """Return the names of what is beyond its threshold now."""
         failed = {
             "checksum": self.checksums.has_failed(now_ns),
             "implausible": self.implausible.has_failed(now_ns),

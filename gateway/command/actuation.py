@@ -1,4 +1,4 @@
-"""What the chassis is told in one tick, in physical units."""
+"""The command to the chassis in one tick, in physical units."""
 
 from __future__ import annotations
 

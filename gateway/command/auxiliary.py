@@ -35,7 +35,7 @@ class AuxiliaryFrame(msgspec.Struct, frozen=True):
 
 
 class Auxiliary:
-    """What is asked for besides motion."""
+    """The lamps, the horn and the odometer, as asked for."""
 
     def __init__(self) -> None:
         self._light = _DARK
@@ -67,7 +67,7 @@ class Auxiliary:
         self._clearing_until_ns = now_ns + ODOMETER_TIMEOUT_NS
 
     def clearing_result(self, mileage_km: float | None, now_ns: int) -> bool | None:
-        """Whether the mileage was cleared; None while that is open, or nothing is being cleared. Told once."""
+        """Return, once, whether the mileage was cleared; None while that is open, or nothing is being cleared."""
         until_ns = self._clearing_until_ns
         if until_ns is None:
             return None

@@ -1,4 +1,4 @@
-"""What stops the robot: one table of causes."""
+"""Causes to stop the robot: one table."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from schemas.reasons import Reason
 
 
 class StopRule(msgspec.Struct, frozen=True):
-    """How a cause stops the robot.
+    """The rule by which a cause stops the robot.
 
     Attributes:
         at_once: with the emergency deceleration; else with the normal one.

@@ -77,7 +77,7 @@ class ChassisMonitor:
         return received_ns is not None and now_ns - received_ns < COMMANDER_NS
 
     def chassis_faults(self) -> list[Reason]:
-        """What speaks against commanding the chassis, but for its mode."""
+        """Return what speaks against commanding the chassis, but for its mode."""
         chassis = self.chassis
         faults = (
             (Reason.BUS_OFF, chassis.controller is ControllerState.BUS_OFF),
@@ -105,7 +105,7 @@ class ChassisMonitor:
         return found
 
     def fault_detail(self, reason: Reason, late_ns: int) -> str:
-        """What a reason's own text does not say."""
+        """Return the figures that a reason's own text does not have."""
         return {
             Reason.FEEDBACK_MISSING: ", ".join(self.chassis.missing),
             Reason.FEEDBACK_FAULTY: ", ".join([*self.chassis.faulty, *self.chassis.absurd]),

@@ -9,7 +9,7 @@ from schemas.settings import STANDSTILL_MPS
 
 
 class ChassisState(msgspec.Struct, frozen=True):
-    """What is known of the chassis, the bus and the guard now. What is not known is None or UNDEFINED.
+    """The chassis, the bus and the guard now. A field that is not known is None or UNDEFINED.
 
     Attributes:
         bus_up: the bus is open.
@@ -85,12 +85,12 @@ class ChassisState(msgspec.Struct, frozen=True):
 
     @property
     def slowest_mps(self) -> float:
-        """How fast the robot is seen to be at least, a magnitude: no single faulty sensor sets it going."""
+        """The lowest speed that a sensor shows, a magnitude: no single faulty one sets the robot going."""
         return min(self._known_mps, default=0.0)
 
     @property
     def fastest_mps(self) -> float | None:
-        """How fast the robot may be, a magnitude: the fastest that any sensor shows; None if none does."""
+        """The highest speed that a sensor shows, a magnitude; None if none shows any."""
         return max(self._known_mps, default=None)
 
     @property

@@ -28,7 +28,7 @@ from schemas.settings import ENGAGE_TIMEOUT_NS, REPEATED_NS, CommandSettings
 
 
 class Engagement:
-    """What the robot is doing for its operator, and every way into and out of it.
+    """The robot under command: its states, and every way into and out of motion.
 
     Attributes:
         state: where it is in the table of states.

@@ -33,7 +33,7 @@ class PendingReply(msgspec.Struct, frozen=True):
 
 
 class CommandEffects(msgspec.Struct, frozen=True):
-    """What a tick asks to be done: send the frames, in their order, then say how many went out with ``sent``."""
+    """The effects of a tick: send the frames, in their order, then say how many went out with ``sent``."""
 
     frames: list[Frame]
     replies: list[PendingReply]

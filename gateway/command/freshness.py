@@ -1,4 +1,4 @@
-"""How old a drive command can be, without clocks in common.
+"""The greatest age of a drive command, without clocks in common.
 
 Each published state of the arbiter carries a challenge: random bytes that nobody can know before. A command
 carries the newest challenge that its sender had seen, so it was made after that was published: its age is at most
@@ -18,7 +18,7 @@ REMEMBERED_NS: Final = 4_000_000_000
 
 
 class ChallengeLog:
-    """When each challenge was published."""
+    """The time at which each challenge was published."""
 
     def __init__(self) -> None:
         self._published: deque[tuple[bytes, int]] = deque()

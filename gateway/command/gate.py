@@ -43,7 +43,7 @@ FORGET_NS: Final = 200_000_000
 
 
 class GateFault(msgspec.Struct, frozen=True):
-    """Why the gate refused a burst."""
+    """The fault for which the gate refused a burst."""
 
     can_id: int
     detail: str
@@ -65,7 +65,7 @@ class Gate:
     def admit(
         self, frames: list[Frame], variant: Variant, now_ns: int, *, stopping: bool = False
     ) -> GateFault | None:
-        """Why these frames must not be sent together, or None if they may.
+        """Return the fault for which these frames must not be sent together, or None if they may.
 
         One stop is always admitted, whatever was admitted before: zero speed, gear and angle of the burst before,
         the parking request, all enables and no pedal.
@@ -116,7 +116,7 @@ class Gate:
 
 
 def word_fault(can_id: int, word: int, last_counter: int | None) -> str:
-    """What is wrong with the eight bytes of a frame, read as one little-endian number; empty if nothing is.
+    """Return the fault of a frame's eight bytes, read as one little-endian number; empty if there is none.
 
     Args:
         can_id: one of ``USED_BITS``.
@@ -135,7 +135,7 @@ def word_fault(can_id: int, word: int, last_counter: int | None) -> str:
 
 
 def motion_fault(motion: MotionBurst, variant: Variant) -> str:
-    """What is wrong with the five frames taken together; empty if nothing is."""
+    """Return the fault of the five frames together; empty if there is none."""
     moves = motion.speed_raw > 0
     rules = (
         (motion.gear in GEARS, "this gear is not commanded"),
@@ -152,7 +152,7 @@ def motion_fault(motion: MotionBurst, variant: Variant) -> str:
 
 
 def step_fault(motion: MotionBurst, before: MotionBurst | None, variant: Variant, *, stopping: bool) -> str:
-    """What is wrong with the step from one burst to the next; empty if nothing is.
+    """Return the fault of the step from one burst to the next; empty if there is none.
 
     Args:
         motion: the burst; neither it nor the one before has a motion fault.

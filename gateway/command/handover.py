@@ -1,4 +1,4 @@
-"""Who commands the chassis: when our output has to cease at once, and what may be obeyed after that. Pure."""
+"""The chassis in others' hands: when our output has to cease, and what may be obeyed after that. Pure."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def may_be_stopped(chassis: ChassisState) -> bool:
 
 
 class Handover:
-    """What becomes of a chassis that is told something.
+    """The way of a chassis from us to others, and back.
 
     Attributes:
         left: what the chassis had been told when it was left to somebody else, unless that has been ended since.
@@ -45,7 +45,7 @@ class Handover:
         self._guard_stops = chassis.guard_stops
 
     def reason_to_yield(self, chassis: ChassisState) -> Reason:
-        """Why nothing may be told any more to the chassis, which we are telling something; NONE if nothing is."""
+        """Return why the output to the chassis has to cease now; NONE if it need not."""
         self._was_auto = self._was_auto or chassis.mode is Mode.AUTO
         if chassis.guard_sends or chassis.guard_stops != self._guard_stops:
             # Also when it has ended by now: this process was stopped meanwhile, and what it knows is old.
@@ -65,7 +65,7 @@ class Handover:
         self.is_cut_off = reason is Reason.BUS_DOWN and not chassis.bus_up
 
     def is_obeyed_again(self, chassis: ChassisState, now_ns: int, *, is_taken: bool) -> bool:
-        """Whether the chassis may obey what it was left on, or is not held. Asked each tick while nothing is told.
+        """Return whether the chassis may obey what it was left on. Asked each tick while nothing is sent.
 
         Args:
             chassis: the chassis now.

@@ -1,4 +1,4 @@
-"""What a chassis must have been told, as far as can be seen: where a stop begins that nobody of us led up to."""
+"""The command that a chassis must have had, by its feedback: there a stop begins that we did not lead up to."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def inferred_angle_deg(chassis: ChassisState, limits: MotionLimits) -> float:
 
 
 def inferred_actuation(chassis: ChassisState, limits: MotionLimits, left: Actuation | None = None) -> Actuation:
-    """What the chassis must have been told.
+    """Infer the command that the chassis must have had.
 
     Args:
         chassis: the chassis now.

@@ -6,7 +6,7 @@ from schemas.reasons import Reason
 
 
 class Latches:
-    """What is latched.
+    """Latched causes.
 
     Attributes:
         details: what must be reset, oldest first, with its detail.

@@ -21,7 +21,7 @@ _ENDED_KEPT: Final = 16
 
 
 class HeldLease(msgspec.Struct, frozen=True):
-    """Who may command.
+    """The right of an operator to command.
 
     Attributes:
         id: tells it from every other lease of any run. Public.
@@ -79,7 +79,7 @@ class Leases:
         return self._give(operator, role, now_ns)
 
     def refusal(self, lease_id: int, operator: str) -> Reason | None:
-        """Why this lease of this operator is not the one in force, or None if it is."""
+        """Return why this lease of this operator is not the one in force, or None if it is."""
         lease = self.held
         if lease is not None and lease.id == lease_id and lease.operator == operator:
             return None

@@ -29,7 +29,7 @@ _KEPT: Final = 32
 
 
 class LeaseNumbers:
-    """Which number stands for which lease."""
+    """The number of each lease that was given."""
 
     def __init__(self, draw: Callable[[], int]) -> None:
         """No lease was given yet.

@@ -1,4 +1,4 @@
-"""How old the commands of an operator are when they are obeyed, and what that costs in speed. Pure.
+"""The age of an operator's commands when they are obeyed, and the speed that it allows. Pure.
 
 A robot that drives on what its operator saw a while ago, and goes on for the deadman's time when the link is cut,
 covers some metres before it can react. The setting ``command.travel_delay_m`` bounds these metres, and thereby the
@@ -40,7 +40,7 @@ _NS_PER_S: Final = 1_000_000_000
 
 
 class Ages(msgspec.Struct, frozen=True):
-    """How old the accepted commands were, in seconds; None where there were none.
+    """Ages of the accepted commands, in seconds; None where there were none.
 
     Attributes:
         mean_s: of the last second.

@@ -17,14 +17,14 @@ AUTO_HOLD_TICKS: Final = AUTO_HOLD_NS // TICK_NS
 
 
 class Target(msgspec.Struct, frozen=True):
-    """What a drive command asks for. Forward and left are positive."""
+    """Speed and angle that a drive command asks for. Forward and left are positive."""
 
     speed_mps: float = 0.0
     angle_deg: float = 0.0
 
 
 class MotionConstraints(msgspec.Struct, frozen=True):
-    """What besides the limits bounds the motion in a tick.
+    """Bounds of the motion in a tick besides the limits.
 
     Attributes:
         stands: the measured speed is that of a standing robot.
@@ -45,7 +45,7 @@ class MotionConstraints(msgspec.Struct, frozen=True):
 
 
 class MotionProfile:
-    """What the chassis is being told, tick by tick.
+    """The commands to the chassis, tick by tick, on the way to a target.
 
     The robot never stands in neutral unbraked: in gear the motor holds it, and the gear is changed behind the
     applied parking brake.
@@ -81,7 +81,7 @@ class MotionProfile:
         dt_s: float,
         elapsed_s: float | None = None,
     ) -> Actuation:
-        """What the chassis is told in this tick, on the way to the target.
+        """Return the command of this tick, on the way to the target.
 
         Args:
             target: what is asked.

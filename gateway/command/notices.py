@@ -1,4 +1,4 @@
-"""What a person should know although it stops nothing.
+"""Events that stop nothing.
 
 A late loop, a CAN controller in trouble, another computer's commands, a guard's end.
 """
@@ -16,7 +16,7 @@ from schemas.settings import COMMANDER_QUIET_NS, LATE_NS, LATE_TOLD_NS
 
 
 class Notice(NamedTuple):
-    """How grave it is, what it is, and that in words."""
+    """An event before it is published."""
 
     severity: Severity
     reason: Reason
@@ -42,7 +42,7 @@ class Notices:
         self._commander_ns: int | None = None
 
     def look(self, chassis: ChassisState, now_ns: int, late_ns: int) -> Iterator[Notice]:
-        """What is new at this tick, which began so late."""
+        """Yield what is new at this tick, which began so late."""
         if late_ns > LATE_NS and now_ns - self._late_told_ns >= LATE_TOLD_NS:
             self._late_told_ns = now_ns
             yield Notice(Severity.WARNING, Reason.LOOP_LATE, f"the loop was {late_ns / 1e6:.0f} ms late")

@@ -11,7 +11,7 @@ FIRST_SEQUENCE = -1
 
 
 class OperatorLink:
-    """What is known of the holder's commands.
+    """The drive commands of who holds the lease.
 
     Attributes:
         challenges: when each challenge was published.

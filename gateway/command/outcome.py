@@ -1,4 +1,4 @@
-"""What a tick of the arbiter came to."""
+"""The outcome of a tick of the arbiter."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from schemas.reasons import Reason
 
 
 class Event(msgspec.Struct, frozen=True):
-    """What a person should know; becomes a SafetyEvent."""
+    """An event for people; becomes a SafetyEvent."""
 
     severity: Severity
     kind: EventKind
@@ -22,7 +22,7 @@ class Event(msgspec.Struct, frozen=True):
 
 
 class TickOutcome(msgspec.Struct, frozen=True):
-    """What a tick came to.
+    """The outcome of a tick.
 
     Attributes:
         actuation: the five motion frames; None for silence.

@@ -1,4 +1,4 @@
-"""What the chassis is told, tick by tick; a tick that the bus did not take is undone. Pure."""
+"""The output to the chassis, tick by tick; a step that the bus did not take is undone. Pure."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LATE_STEP_S: Final = 10 * _TICK_S
 
 
 class Output:
-    """What the chassis is told.
+    """The command that the chassis has.
 
     Attributes:
         actuation: what it was last told; None while it is told nothing.
@@ -47,7 +47,7 @@ class Output:
 
     @property
     def stop_phase(self) -> StopPhase:
-        """How far the stop has come."""
+        """The phase of the stop; IDLE if there is none."""
         return StopPhase.IDLE if self.sequence is None else self.sequence.phase
 
     def begin(self, variant: Variant) -> None:

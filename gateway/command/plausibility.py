@@ -1,4 +1,4 @@
-"""Does the robot do what it is told? Speeds against the command and each other, direction, steering, the limit.
+"""Plausibility of the motion: speeds against the command and each other, direction, steering, the limit.
 
 A chassis whose firmware has the other scale moves 40 times as fast as it is told, or as slow; one on a slope or
 pushed by somebody moves without being told. This notices both, and more.
@@ -45,7 +45,7 @@ def fits(one_mps: float, other_mps: float) -> bool:
 
 
 def fitting_scale(drive_mps: float, wheel_mps: float) -> str:
-    """Which scale of the drive frames would make their speed fit that of the wheels, in words; or empty."""
+    """Return the scale of the drive frames in which their speed fits that of the wheels, in words; or nothing."""
     if fits(drive_mps, wheel_mps):
         return ""
     # A coarse bit that is taken for a fine one is worth a fortieth; and the other way round.
@@ -56,7 +56,7 @@ def fitting_scale(drive_mps: float, wheel_mps: float) -> str:
 
 
 class Envelope:
-    """How fast and how far turned the robot may still be, by what it was told: a chassis lags behind.
+    """The speeds and angles that the robot may still have by its commands: a chassis lags behind.
 
     Attributes:
         forward_mps, backward_mps: the highest speed each way.
@@ -105,7 +105,7 @@ class Plausibility:
         self._checked_ns: int | None = None
 
     def check(self, chassis: ChassisState, told: Actuation, limit_mps: float, now_ns: int) -> list[Reason]:
-        """What has not been plausible for too long.
+        """Return the reasons for which the motion has not been plausible for too long.
 
         Args:
             chassis: the chassis now.
@@ -189,7 +189,7 @@ class Plausibility:
         return f"off by {off_deg:.1f} deg, at {angle_deg:.1f} deg" if off_deg > STEERING_DEVIATION_DEG else ""
 
     def _count_way(self, chassis: ChassisState, elapsed_s: float) -> None:
-        """How far the robot has driven, at the least, since the mileage has changed."""
+        """Count the way that the robot has driven, at the least, since the mileage has changed."""
         if chassis.total_mileage_km != self._mileage_km or chassis.total_mileage_km is None:
             self._mileage_km = chassis.total_mileage_km
             self._driven_m = 0.0

@@ -1,4 +1,4 @@
-"""What the arbiter says, as messages: its state, decisions, events and replies."""
+"""The arbiter's messages: its state, decisions, events and replies."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ class Reporter:
         )
 
     def decision(self, judged: Judged, bounds: list[Bound], frames_sent: int, wall_ns: int) -> Decision:
-        """What became of a request, once it is known what was sent in its tick."""
+        """Return the decision on a request, once it is known what was sent in its tick."""
         ruling = judged.ruling
         output = self._arbiter.output.actuation or AT_REST
         accepted = ruling.reason is Reason.NONE
@@ -135,7 +135,7 @@ class Reporter:
         )
 
     def event(self, event: Event, wall_ns: int) -> SafetyEvent:
-        """What a person should know."""
+        """Return an event as a message."""
         return SafetyEvent(
             time_ns=wall_ns,
             sequence=self._next(SafetyEvent),
@@ -148,7 +148,7 @@ class Reporter:
         )
 
     def _says(self, blocked_by: list[Reason]) -> tuple[object, ...]:
-        """What is told at once when it changes."""
+        """Return what is published at once when it changes."""
         arbiter = self._arbiter
         lease = arbiter.leases.held
         return (
@@ -162,7 +162,7 @@ class Reporter:
         )
 
     def _blocked_by(self, now_ns: int) -> list[Reason]:
-        """Why the robot stands still, or cannot be engaged."""
+        """Return the reasons for which the robot stands still, or cannot be engaged."""
         arbiter = self._arbiter
         match arbiter.state:
             case ArbiterState.STANDBY:

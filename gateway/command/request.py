@@ -34,7 +34,7 @@ class RawRequest(msgspec.Struct, frozen=True):
 
 
 class Ruling(msgspec.Struct, frozen=True):
-    """What was ruled on a request.
+    """The ruling on a request.
 
     Attributes:
         reason: NONE if it was accepted.

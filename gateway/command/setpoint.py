@@ -8,7 +8,7 @@ from schemas.settings import CommandSettings
 
 
 class Setpoint:
-    """What the motion is led to.
+    """The target of the motion, and its limits.
 
     Attributes:
         target: what the last acceptable drive command asks for.

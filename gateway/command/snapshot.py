@@ -1,4 +1,4 @@
-"""What a gateway at rest has to be remembered by, so that its journal can be run again from there. Pure.
+"""Snapshots of a gateway at rest, from which its journal can be run again. Pure.
 
 At rest the robot stands, nobody holds the lease, nothing is latched or asked, and all feedback is well. What the
 arbiter knows then is in the feedback of the last seconds, but for a few numbers: those are here.
@@ -49,7 +49,7 @@ class Snapshot(msgspec.Struct, frozen=True, array_like=True):
 
 
 def is_at_rest(flow: CommandFlow, now_ns: int) -> bool:
-    """Nothing goes on, and nothing is left of what did but what ``snapshot`` tells."""
+    """Nothing goes on, and nothing is left of what did but what ``snapshot`` holds."""
     arbiter = flow.arbiter
     return (
         arbiter.state is ArbiterState.STANDBY
@@ -68,7 +68,7 @@ def is_at_rest(flow: CommandFlow, now_ns: int) -> bool:
 
 
 def snapshot(flow: CommandFlow) -> Snapshot:
-    """What a gateway at rest has to be remembered by."""
+    """Return the snapshot of a gateway at rest."""
     arbiter = flow.arbiter
     return Snapshot(
         tick_number=arbiter.tick_number,

@@ -9,7 +9,7 @@ from schemas.decisions import ArbiterState
 
 
 class Trigger(Enum):
-    """What may change the state, in words."""
+    """Events that change the state, in words."""
 
     ENGAGE = "engage is accepted"
     CONFIRMED = "the chassis reads auto"
@@ -33,7 +33,7 @@ TRANSITIONS: Final[dict[tuple[ArbiterState, Trigger], ArbiterState]] = {
     (_STOPPING, Trigger.YIELD): _STANDBY,
     (_STOPPING, Trigger.REST): _STANDBY,
 }
-"""What is not in the table does not happen. Only ENGAGE leads out of standby to motion, and nothing but a request
+"""No other transition happens. Only ENGAGE leads out of standby to motion, and nothing but a request
 of the lease's holder triggers it: nothing resumes by itself."""
 
 

@@ -33,7 +33,7 @@ _DIRECTION: Final = {GearPosition.DRIVE: 1.0, GearPosition.REVERSE: -1.0}
 
 
 class StopFeedback(msgspec.Struct, frozen=True):
-    """What a stop looks at.
+    """The feedback that a stop needs.
 
     Attributes:
         stands: the robot is seen to stand; False also when that cannot be seen.
@@ -98,7 +98,7 @@ class StopSequence:
             self._enter(StopPhase.PARK, now_ns)
 
     def tick(self, now_ns: int, feedback: StopFeedback) -> Actuation | None:
-        """What the chassis is told now; None when the sequence has ended.
+        """Return the command of this tick; None when the sequence has ended.
 
         Args:
             now_ns: monotonic.

@@ -91,7 +91,7 @@ class Verbs:
         return self._rules[type(request)](request, raw.operator, now_ns)
 
     def _stop(self, operator: str, now_ns: int) -> Ruling:
-        """Latched in any case. Where it cannot be carried out, the reply says so, and what the robot does."""
+        """Latch a stop in any case. Where it cannot be carried out, the reply says so, and what the robot does."""
         self._engagement.begin_stop(
             Reason.REMOTE_STOP, now_ns, f"by {operator or 'an unnamed operator'}", operator
         )
@@ -216,7 +216,7 @@ class Verbs:
         return Ruling(detail=cleared, lease=request.lease)
 
     def _unseen_reason(self, challenge: bytes | None, now_ns: int) -> Reason:
-        """Why a reset that echoes this challenge may not be meant for all that is latched."""
+        """Return why a reset that echoes this challenge may not be meant for all that is latched."""
         if challenge is None:
             return Reason.NONE
         age_ns = self._link.challenges.age_ns(challenge, now_ns)
@@ -228,7 +228,7 @@ class Verbs:
         return Reason.NONE if is_seen else self._latches.newest
 
     def _reset_refusal(self, now_ns: int) -> Reason | None:
-        """Why nothing can be reset: the robot must be seen to stand, and nobody may ask it to move."""
+        """Return why nothing can be reset: the robot must be seen to stand, and nobody may ask it to move."""
         if self._engagement.state is not ArbiterState.STANDBY:
             return _BY_STATE[self._engagement.state]
         if self._monitor.chassis.guard_sends:

@@ -1,4 +1,4 @@
-"""What the loop and the guard tell each other in shared memory."""
+"""The heartbeats of the loop and of the guard, which they exchange in shared memory."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Beat(msgspec.Struct, frozen=True):
 
 
 class Cause(Enum):
-    """Why the guard acted, in words."""
+    """Causes for which the guard acts, in words."""
 
     NONE = "it has not acted"
     LATE = "the gateway's loop gave no sign of life"
@@ -46,7 +46,7 @@ class Cause(Enum):
 
 
 class StopOutcome(Enum):
-    """How the guard's stop ended, in words."""
+    """Ends of the guard's stop, in words."""
 
     NONE = ""
     STANDS = "the robot stands"

@@ -1,4 +1,4 @@
-"""The chassis as the guard sees it on the bus: mode, standstill, counters of the frames it is told. Pure."""
+"""The chassis's state as the guard reads it from the bus: mode, standstill, counters of command frames. Pure."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _STANDS_NS: Final = STANDSTILL_TICKS * TICK_NS
 
 
 class ChassisView:
-    """What the bus says.
+    """The newest feedback and commands on the bus.
 
     Attributes:
         next_counters: what each command frame that was heard would count next, by its name.
@@ -95,7 +95,7 @@ class ChassisView:
         return 0.0 if data is None else float(self._read[Variant.COARSE][STEERING](data)["Angle"])
 
     def slowest_mps(self, variant: Variant, now_ns: int) -> float | None:
-        """How fast the robot is seen to be at least, a magnitude: no single faulty sensor sets it going.
+        """Return the lowest speed that a sensor shows, a magnitude: no single faulty one sets the robot going.
 
         None if there is no drive feedback, or the scale is not known.
         """
@@ -107,7 +107,7 @@ class ChassisView:
         return self.slowest_mps(variant, now_ns) or 0.0
 
     def fastest_mps(self, variant: Variant, now_ns: int) -> float | None:
-        """How fast the robot may be, a magnitude: by drive feedback or wheels; None if neither tells."""
+        """Return the higher speed of drive feedback and wheels, a magnitude; None if neither shows any."""
         speeds = (self._drive_mps(variant, now_ns), self._fastest_wheel_mps(variant, now_ns))
         return max((speed for speed in speeds if speed is not None), default=None)
 

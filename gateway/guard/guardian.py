@@ -1,4 +1,4 @@
-"""When the guard acts, and for how long. Pure: time, heartbeat and frames come in, frames to send come out."""
+"""The guard's decisions: when to act, and for how long. Pure: time, beats and frames in, frames to send out."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ class Guardian:
         return frames
 
     def next_look_ns(self, now_ns: int) -> int:
-        """When to look again: soon, and right when the heartbeat that was seen last becomes late."""
+        """Return when to look again: soon, and right when the heartbeat that was seen last becomes late."""
         due_ns = now_ns + GUARD_POLL_NS
         return min(due_ns, self._late_at_ns) if self._late_at_ns > now_ns else due_ns
 
@@ -117,12 +117,12 @@ class Guardian:
         self._stopper.sent(count, now_ns)
 
     def status(self, now_ns: int, *, bus_up: bool) -> GuardStatus:
-        """What the loop is told."""
+        """Return the status for the loop."""
         is_ready = bus_up and self.view.has_feedback(now_ns)
         return GuardStatus(now_ns, is_ready, self.is_sending, self.stops, self.cause, self.outcome)
 
     def take_lines(self) -> list[str]:
-        """What there is to tell people since the last call."""
+        """Return the lines for people since the last call."""
         lines, self._lines = self._lines, []
         return lines
 
@@ -145,7 +145,7 @@ class Guardian:
         )
 
     def _cause(self, beat: Beat | None, now_ns: int, *, is_fresh: bool, is_alone: bool) -> Cause | None:
-        """Why to act now, if there is a reason."""
+        """Return the cause to act now, if there is one."""
         self._late_looks = 0 if is_fresh else self._late_looks + 1
         if beat is None or not self._is_armed:
             return None

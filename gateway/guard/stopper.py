@@ -38,7 +38,7 @@ UNSEEN: Final = StopOutcome.UNSEEN.value
 REMOTE: Final = StopOutcome.REMOTE.value
 OTHER: Final = StopOutcome.OTHER.value
 NOT_OBEYED: Final = "it is told zero speed and the parking brake, and is not seen to obey"
-"""How a stop ends, or why it waits."""
+"""Ends of a stop, and reasons to wait."""
 
 _OFF: Final = (
     AuxiliaryFrame(LIGHT_COMMAND, light_signals()),
@@ -209,7 +209,7 @@ class Stopper:
         return True
 
     def _seen(self, now_ns: int) -> Actuation:
-        """What the chassis must have been told, as far as can be seen. What is not seen may stand, parked."""
+        """Infer what the chassis must have been told. One that is not seen may stand, parked."""
         gear = self._view.gear(now_ns)
         speed_mps = self._view.speed_mps(self._variant, now_ns)
         return Actuation(
@@ -243,7 +243,7 @@ class Stopper:
 
     @property
     def phase(self) -> StopPhase:
-        """How far it has come."""
+        """The phase of the stop; IDLE if there is none."""
         return StopPhase.IDLE if self._sequence is None or self.is_over else self._sequence.phase
 
     def _counters(self, counters: bytes | None, now_ns: int) -> dict[str, int]:
@@ -263,7 +263,7 @@ class Stopper:
 
 
 def _possible(last: Actuation, variant: Variant) -> Actuation:
-    """What can be meant by this: nothing in it may keep the stop sequence from passing the gate."""
+    """Limit the command to what the chassis can do: nothing in it may keep the stop from passing the gate."""
     in_gear = last.gear in _MOVING_GEARS
     moves = in_gear and not last.parking and variant is not Variant.UNKNOWN
     return Actuation(

@@ -35,7 +35,7 @@ _Kind = TypeVar("_Kind", bound=Feedback)
 
 
 class ChassisTracker:
-    """Looks at the feedback streams each tick."""
+    """Makes the chassis's state of the newest feedback, each tick."""
 
     def __init__(
         self, streams: Iterable[FeedbackStream], detector: VariantDetector, required: Iterable[str]
@@ -148,7 +148,7 @@ class ChassisTracker:
                 yield name
 
     def _turns(self) -> bool | None:
-        """Whether the drive feedback is not zero, in whatever scale: a robot that moves shows no variant."""
+        """Return whether the drive feedback is not zero, in whatever scale: in motion no variant shows."""
         data = self._streams[DRIVE].data
         return None if data is None else int.from_bytes(data[1:3], "little") >= TURNING_RAW_MIN
 
@@ -193,7 +193,7 @@ def _rate(counted: list[tuple[int, int]]) -> float:
 
 
 def _counted(pulses: WheelPulse, before: WheelPulse) -> int:
-    """What both wheels have counted, across the wrap of the signed 16 bits."""
+    """Return the pulses of both wheels, across the wrap of the signed 16 bits."""
     left = pulses.rear_left_pulses - before.rear_left_pulses
     right = pulses.rear_right_pulses - before.rear_right_pulses
     return _wrapped(left) + _wrapped(right)

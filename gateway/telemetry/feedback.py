@@ -76,7 +76,7 @@ class FeedbackStream:
             self.latest = self.data = None
 
     def health(self, elapsed_s: float, now_ns: int) -> FrameHealth:
-        """How the stream is; the rate is that since the last call, which was ``elapsed_s`` ago."""
+        """Return the health of the stream; the rate is that since the last call, which was ``elapsed_s`` ago."""
         supervisor = self.supervisor
         rate_hz = (supervisor.valid - self._rated_valid) / elapsed_s
         self._rated_valid = supervisor.valid

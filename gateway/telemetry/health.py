@@ -19,7 +19,7 @@ OTHER_IDENTIFIERS: Final = "other"
 
 
 class Links(msgspec.Struct, frozen=True):
-    """What the loop sees of the outside and tells the core.
+    """The bus, Zenoh and the guard, as the loop reports them to the core.
 
     Attributes:
         bus_up, bus_detail, bus_losses, bus_drops: the CAN bus, as in GatewayHealth.

@@ -6,7 +6,7 @@ import msgspec
 
 
 class Sample(msgspec.Struct, frozen=True, gc=False):
-    """What the loop publishes.
+    """A payload to publish under a subject.
 
     Attributes:
         subject: the subject's name in the subject table.

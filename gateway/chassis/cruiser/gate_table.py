@@ -80,7 +80,7 @@ class MotionBurst(msgspec.Struct, frozen=True, gc=False):
 
 
 def read_motion(frames: list[Frame]) -> MotionBurst:
-    """What the five frames that a burst begins with say."""
+    """Read the five frames that a burst begins with."""
     drive, gear, steering, braking, parking = (int.from_bytes(frame.data, "little") for frame in frames[:5])
     return MotionBurst(
         enables=(drive & 1) + (gear & 1) + (steering & 1) + (braking & 1) + (parking & 1),

@@ -28,7 +28,7 @@ def _unused_bits(layout: MessageLayout) -> int:
 
 
 class StandstillEvidence:
-    """What a wheel speed frame says about the variant."""
+    """Evidence of the variant in a wheel speed frame."""
 
     def __init__(self) -> None:
         layouts = {variant: load(variant).messages[WHEEL_SPEED] for variant in _KNOWN}
