@@ -129,7 +129,7 @@ class Note(Protocol):
         ...
 
 
-class FormerGuard(Protocol):
+class FormerGuardView(Protocol):
     """The guard of the gateway before this one, as the loop sees it.
 
     Attributes:
@@ -149,7 +149,7 @@ class LoopPorts(msgspec.Struct):
     inbox: RequestInbox | None = None
     guard: Guard | None = None
     note: Note | None = None
-    former_guard: FormerGuard | None = None
+    former_guard: FormerGuardView | None = None
     has_realtime: Callable[[], bool] = lambda: False
 
 
@@ -322,7 +322,7 @@ def _read_links(ports: LoopPorts, before: Links, *, is_behind: bool, is_full: bo
     )
 
 
-def _with_former(links: Links, former: FormerGuard, *, hears_commands: bool) -> Links:
+def _with_former(links: Links, former: FormerGuardView, *, hears_commands: bool) -> Links:
     """The links, and the guard of the gateway before.
 
     While it has not said that it is done, commands on the bus are its own. Where none are heard it is up to us: it
