@@ -86,7 +86,7 @@ def session_settings(
     return {path: value for path, value in entries.items() if given.get(path) or not says(path)}
 
 
-class Said(NamedTuple):
+class ZenohChoice(NamedTuple):
     """What the settings, or else a Zenoh configuration file, say of a session."""
 
     mode: str
@@ -95,7 +95,7 @@ class Said(NamedTuple):
     is_mode_given: bool = False
 
 
-def said(zenoh: ZenohSettings, of_file: Callable[[str], Json]) -> Said:
+def said(zenoh: ZenohSettings, of_file: Callable[[str], Json]) -> ZenohChoice:
     """What is said of a session: a client listens on nothing.
 
     Args:
@@ -108,7 +108,7 @@ def said(zenoh: ZenohSettings, of_file: Callable[[str], Json]) -> Said:
     connect = list(zenoh.connect) or _endpoints(of_file(CONNECT), mode)
     listen = list(zenoh.listen) or _endpoints(of_file(LISTEN), mode)
     is_given = "mode" in zenoh.given or files is not None
-    return Said(mode, connect, [] if mode == "client" else listen, is_given)
+    return ZenohChoice(mode, connect, [] if mode == "client" else listen, is_given)
 
 
 class Connected(Protocol):

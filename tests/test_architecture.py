@@ -86,3 +86,18 @@ def test_only_one_room_knows_how_mcap_is_framed() -> None:
     files = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
     assert {str(path): found for path in files if room not in path.parents and (found := framing_in(path))} == {}
     assert any(framing_in(path) >= {"recorder.mcap.framing", "mcap.opcode"} for path in room.glob("*.py"))
+
+
+SAID_TWICE = {"Drive", "Light"}
+"""What the chassis reports, and what an operator asks for: both stand in the names of schemas that clients know."""
+
+
+def test_no_public_class_has_the_name_of_another() -> None:
+    """A name in a traceback or a search means one thing."""
+    places: dict[str, list[str]] = {}
+    for package in ("gateway", "recorder", "schemas"):
+        for path in sorted((ROOT / package).rglob("*.py")):
+            for node in ast.parse(path.read_text(encoding="utf-8")).body:
+                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                    places.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
+    assert {name: found for name, found in places.items() if len(found) > 1 and name not in SAID_TWICE} == {}

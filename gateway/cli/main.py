@@ -52,7 +52,7 @@ TAKE_HANGUPS: Final = frozenset({"record"})
 Stopped = Callable[[], bool]
 
 
-class Command(Protocol):
+class CliCommand(Protocol):
     """A command: a module, or an object in one."""
 
     @property
@@ -170,10 +170,10 @@ def _run(name: str, words: list[str]) -> int:
         return 128 + signal.SIGINT
 
 
-def _find(place: str) -> Command:
+def _find(place: str) -> CliCommand:
     module, _, name = place.partition(":")
     found = import_module(module)
-    return cast("Command", getattr(found, name) if name else found)
+    return cast("CliCommand", getattr(found, name) if name else found)
 
 
 def _not_yet(_number: int, _frame: FrameType | None) -> None:

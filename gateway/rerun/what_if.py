@@ -39,7 +39,7 @@ _COUNTED_BYTES: Final = 6
 """What follows in a command frame is alive counter and checksum (manual V2.0, section 5)."""
 
 
-class Said(msgspec.Struct, frozen=True, gc=False):
+class GivenOutput(msgspec.Struct, frozen=True, gc=False):
     """What one of the two runs says.
 
     Attributes:
@@ -51,7 +51,7 @@ class Said(msgspec.Struct, frozen=True, gc=False):
     is_other: bool
 
 
-def what_if(settings: Settings, other: Settings, journals: Iterable[Journal]) -> Iterator[Said]:
+def what_if(settings: Settings, other: Settings, journals: Iterable[Journal]) -> Iterator[GivenOutput]:
     """All that the core says, and would have said.
 
     Args:
@@ -78,7 +78,7 @@ class _Pair:
         self._offered_other: list[Frame] = []
         self._resting_since_ns: int | None = None
 
-    def give(self, one: Input) -> Iterator[Said]:
+    def give(self, one: Input) -> Iterator[GivenOutput]:
         """One input, to both."""
         kind, now_ns = one[0], one[1]
         returned = give(self._core, one)
@@ -95,7 +95,7 @@ class _Pair:
             for sample in samples:
                 if sample.subject == SAFETY_STATE:
                     self._echo.published(sample, is_other=is_other)
-                yield Said(sample, is_other)
+                yield GivenOutput(sample, is_other)
 
     def _shown(self, one: Input) -> Input:
         stand_in = self._stand_in

@@ -27,7 +27,7 @@ from schemas.zenoh_link import (
     LEASE,
     PROTOCOLS,
     Json,
-    Said,
+    ZenohChoice,
     allows,
     finds_router,
     reason,
@@ -113,7 +113,7 @@ def client_endpoints(settings: ZenohSettings) -> list[str]:
     return said_of(settings).connect or [DEFAULT_ENDPOINT]
 
 
-def said_of(settings: ZenohSettings) -> Said:
+def said_of(settings: ZenohSettings) -> ZenohChoice:
     """What the settings, or else the Zenoh configuration file, say of a session.
 
     Raises:

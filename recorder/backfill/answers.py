@@ -9,8 +9,8 @@ from typing import Final
 import msgspec
 from mcap import records
 
-from recorder.backfill.excerpt import PIECE_NAME, Message
-from recorder.backfill.questions import Question
+from recorder.backfill.excerpt import PIECE_NAME, LoggedBytes
+from recorder.backfill.questions import BackfillQuestion
 from recorder.mcap.channel import LogChannel
 from recorder.mcap.reader import Fault, LoggedMessage, Walked, walk
 from recorder.mcap.writer import MESSAGE_ENCODING, SCHEMA_ENCODING
@@ -39,7 +39,7 @@ class Answer(msgspec.Struct, frozen=True):
         next_ns: all that was published before this time has come.
     """
 
-    messages: list[Message]
+    messages: list[LoggedBytes]
     next_ns: int
 
 
@@ -52,7 +52,7 @@ class Conversation:
         is_heard: it has answered at all.
     """
 
-    def __init__(self, ask: Ask, question: Question) -> None:
+    def __init__(self, ask: Ask, question: BackfillQuestion) -> None:
         self._ask = ask
         self._question = question
         self._max_bytes = FIRST_BYTES
@@ -99,7 +99,7 @@ class Conversation:
         return False
 
 
-def read_piece(piece: BackfillPiece, number: int, from_ns: int) -> list[Message] | None:
+def read_piece(piece: BackfillPiece, number: int, from_ns: int) -> list[LoggedBytes] | None:
     """The messages of a piece; None if it is damaged, or not the next one.
 
     Args:
@@ -121,7 +121,7 @@ def read_piece(piece: BackfillPiece, number: int, from_ns: int) -> list[Message]
 
 class _PieceReader:
     def __init__(self) -> None:
-        self.messages: list[Message] = []
+        self.messages: list[LoggedBytes] = []
         self.about: dict[str, str] = {}
         self._schemas: dict[int, records.Schema] = {}
         self._channels: dict[int, LogChannel] = {}
@@ -134,7 +134,7 @@ class _PieceReader:
                 if channel is None:
                     return False
                 times = walked.log_ns, walked.publish_ns
-                self.messages.append(Message(channel, walked.sequence, *times, walked.data))
+                self.messages.append(LoggedBytes(channel, walked.sequence, *times, walked.data))
             case records.Schema():
                 self._schemas[walked.id] = walked
             case records.Channel():

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Final
 
 from recorder.backfill.answers import Conversation
-from recorder.backfill.excerpt import Message
+from recorder.backfill.excerpt import LoggedBytes
 from recorder.backfill.filling import Filling
 from recorder.backfill.questions import questions
 from schemas.recording import Backfill, BackfillPiece
@@ -32,7 +32,7 @@ class Backfilling:
         ask: Callable[[str, Backfill], Iterable[BackfillPiece]],
         filling: Filling,
         topics: Mapping[str, set[str]],
-        write: Callable[[Message, str], None],
+        write: Callable[[LoggedBytes, str], None],
         learn: Callable[[], None],
     ) -> None:
         self._ask = ask

@@ -23,7 +23,7 @@ from recorder.mcap.writer import McapFile
 from schemas.recording import Backfill, BackfillPiece
 
 PIECE_BYTES: Final = 262_144
-"""Message records of a piece, before compression. A message that is larger is a piece of its own."""
+"""Bytes of message records in a piece, before compression. A message that is larger is a piece of its own."""
 
 PIECE_NAME: Final = "cruiser.piece"
 """The metadata record of a piece: its ``number``, from 0, and ``from_ns``, where the piece before it ended.
@@ -66,7 +66,7 @@ class LogCopy(msgspec.Struct, frozen=True):
     chart: LogMap
 
 
-class Message(msgspec.Struct, frozen=True):
+class LoggedBytes(msgspec.Struct, frozen=True):
     """A message of a log, and its channel there."""
 
     channel: LogChannel
@@ -141,7 +141,7 @@ class Excerpt:
         parts = [f"{damaged} damaged places were skipped"] if damaged else []
         return "; ".join(parts + self.faults)
 
-    def _in_order(self) -> Iterator[tuple[Message | None, int]]:
+    def _in_order(self) -> Iterator[tuple[LoggedBytes | None, int]]:
         """The messages by their publish time, without repetitions; and up to when all have been given.
 
         The last one is None, and tells how far it went.
@@ -166,11 +166,11 @@ class Excerpt:
             start = end
         yield None, request.to_ns
 
-    def _gather(self, start: Place, to_ns: int) -> tuple[list[Message], Place, int] | None:
+    def _gather(self, start: Place, to_ns: int) -> tuple[list[LoggedBytes], Place, int] | None:
         """The messages from a place on, in order; where they end; and what they take. None: no time is left."""
         if self._is_expired():
             return None
-        found: list[Message] = []
+        found: list[LoggedBytes] = []
         held, end = 0, _before(to_ns)
         for log in list(self._logs):
             # The end may be a place within an instant.
@@ -185,7 +185,7 @@ class Excerpt:
                     found, end, held = _earliest(found, end)
         return _earliest(found, end)
 
-    def _read(self, log: LogCopy, from_ns: int, to_ns: int) -> Iterator[Message | None]:
+    def _read(self, log: LogCopy, from_ns: int, to_ns: int) -> Iterator[LoggedBytes | None]:
         """What a log has of a slice; None when the time is over."""
         numbers = log.chart.near(from_ns, to_ns)
         if not numbers:
@@ -200,7 +200,7 @@ class Excerpt:
                     for looks, one in enumerate(log.chart.read(stream, number), start=1):
                         channel = channels.get(one.channel_id)
                         if from_ns <= one.publish_ns < to_ns and channel is not None:
-                            yield Message(channel, one.sequence, one.log_ns, one.publish_ns, one.data)
+                            yield LoggedBytes(channel, one.sequence, one.log_ns, one.publish_ns, one.data)
                         if looks % LOOK_EVERY == 0 and self._is_expired():
                             yield None
                             return
@@ -214,12 +214,12 @@ def _before(publish_ns: int) -> Place:
     return publish_ns, -1, "", b""
 
 
-def _earliest(found: list[Message], end: Place) -> tuple[list[Message], Place, int]:
+def _earliest(found: list[LoggedBytes], end: Place) -> tuple[list[LoggedBytes], Place, int]:
     """As many messages as may be held, at least one, in order and each once; up to which place; what they take.
 
     What an incident's log holds is in the recorder's other log too.
     """
-    kept: list[Message] = []
+    kept: list[LoggedBytes] = []
     held, last = 0, None
     for place, message in sorted(((one.place, one) for one in found), key=itemgetter(0)):
         if place == last:
@@ -244,7 +244,7 @@ class _Piece:
         self._ids: dict[tuple[str, str], int] = {}
         self._channels: dict[str, LogChannel] = {}
 
-    def fits(self, message: Message) -> bool:
+    def fits(self, message: LoggedBytes) -> bool:
         """Whether it may hold the message too. A schema of another version than its own does not fit."""
         if not self._messages:
             return True
@@ -253,7 +253,7 @@ class _Piece:
             return False
         return len(self._chunk) + message.size <= PIECE_BYTES
 
-    def add(self, message: Message) -> None:
+    def add(self, message: LoggedBytes) -> None:
         channel = message.channel
         self._channels.setdefault(channel.schema_name, channel)
         number = self._ids.setdefault((channel.topic, channel.schema_name), len(self._ids) + 1)

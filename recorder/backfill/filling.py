@@ -9,9 +9,9 @@ from functools import cache
 
 import msgspec
 
-from recorder.backfill.excerpt import Message
+from recorder.backfill.excerpt import LoggedBytes
 from recorder.backfill.holes import ANY_TOPIC, Hole, HoleKind, HoleTally
-from recorder.backfill.questions import Question
+from recorder.backfill.questions import BackfillQuestion
 from recorder.mcap.channel import LogChannel
 from recorder.mcap.reader import LoggedMessage
 
@@ -88,7 +88,7 @@ class Filling:
         self._held: set[Identity] = set()
         self._recent: set[Identity] = set()
         self._answered: set[int] = set()
-        self._unanswered: list[Question] = []
+        self._unanswered: list[BackfillQuestion] = []
         self.asked = 0
         """Messages that were answered; ``written`` of them were missing."""
         self.written = 0
@@ -100,7 +100,7 @@ class Filling:
             if self._holes_at(topic, one.publish_ns):
                 self._held.add((topic, one.sequence, one.publish_ns, zlib.crc32(one.data)))
 
-    def take(self, message: Message) -> bool:
+    def take(self, message: LoggedBytes) -> bool:
         """A message was answered. True if it is missing, and is to be written."""
         self.asked += 1
         topic = message.channel.topic
@@ -129,7 +129,7 @@ class Filling:
             if number not in self._answered or tally.still_missing != 0
         ]
 
-    def give_up(self, question: Question) -> None:
+    def give_up(self, question: BackfillQuestion) -> None:
         """The recorder that is being asked did not answer this."""
         self._unanswered.append(question)
 

@@ -10,7 +10,7 @@ import msgspec
 from google.protobuf.message import DecodeError
 
 from recorder.backfill.ranges import Range, merged, overlaps
-from recorder.backfill.runs import Cover, Line
+from recorder.backfill.runs import Cover, SequenceLine
 from recorder.encoding.protobuf_schema import message_class, schema_name
 from recorder.mcap.channel import LogChannel
 from recorder.mcap.reader import LoggedMessage
@@ -86,7 +86,7 @@ class _Dropped(msgspec.Struct, frozen=True):
 class _Topic:
     def __init__(self, prefix: str, cover: Cover) -> None:
         self.prefix = prefix
-        self.line = Line()
+        self.line = SequenceLine()
         self.cover = cover
         self.lag_ns: int | None = None
         """From publishing to receipt, at least: it tells the two clocks apart."""
@@ -187,7 +187,7 @@ class HoleFinder:
                     yield Hole(f"{prefix}{ANY_TOPIC}", HoleKind.SILENCE, last_ns, first_ns + 1, None)
 
 
-def _between(topic: str, line: Line) -> Iterator[Hole]:
+def _between(topic: str, line: SequenceLine) -> Iterator[Hole]:
     for before, after, missing in line.gaps():
         # A source whose clock was set back has its messages in two places.
         from_ns, end_ns = sorted((before.last_ns, after.first_ns))
@@ -205,7 +205,7 @@ class HoleTally:
     def __init__(self, hole: Hole) -> None:
         self.hole = hole
         self.filled = 0
-        self._line = Line()
+        self._line = SequenceLine()
         for place in (hole.before, hole.after):
             if place is not None:
                 self._line.take(*place)

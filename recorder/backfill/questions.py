@@ -20,7 +20,7 @@ SHARE: Final = 0.5
 """From this share of a robot's topics on, over their common time, all of it is asked for at once."""
 
 
-class Question(msgspec.Struct, frozen=True):
+class BackfillQuestion(msgspec.Struct, frozen=True):
     """What to ask for: a topic or all that a robot says, and a publish time."""
 
     key: str
@@ -34,7 +34,7 @@ class Question(msgspec.Struct, frozen=True):
         )
 
 
-def questions(holes: Iterable[Hole], topics: Mapping[str, set[str]]) -> list[Question]:
+def questions(holes: Iterable[Hole], topics: Mapping[str, set[str]]) -> list[BackfillQuestion]:
     """The questions that bring what is missing, in the order of time.
 
     Args:
@@ -53,19 +53,19 @@ def questions(holes: Iterable[Hole], topics: Mapping[str, set[str]]) -> list[Que
     return sorted(asked, key=lambda one: (one.from_ns, one.key))
 
 
-def _single(by_topic: Mapping[str, list[Range]]) -> list[Question]:
-    return [Question(topic, *one) for topic, ranges in by_topic.items() for one in merged(ranges, NEAR_NS)]
+def _single(by_topic: Mapping[str, list[Range]]) -> list[BackfillQuestion]:
+    return [BackfillQuestion(topic, *one) for topic, ranges in by_topic.items() for one in merged(ranges, NEAR_NS)]
 
 
-def _of_robot(prefix: str, by_topic: dict[str, list[Range]], topic_count: int) -> list[Question]:
+def _of_robot(prefix: str, by_topic: dict[str, list[Range]], topic_count: int) -> list[BackfillQuestion]:
     everything = f"{prefix}{ANY_TOPIC}"
     silences = merged(by_topic.pop(everything, []))
     whole = merged([_widened(silence, by_topic) for silence in silences])
     rest = {topic: without(merged(ranges, NEAR_NS), whole) for topic, ranges in by_topic.items()}
     shared = _shared(rest, topic_count)
     rest = {topic: without(ranges, shared) for topic, ranges in rest.items()}
-    found = [Question(everything, *one) for one in merged(whole + shared)]
-    return found + [Question(topic, *one) for topic, ranges in rest.items() for one in ranges]
+    found = [BackfillQuestion(everything, *one) for one in merged(whole + shared)]
+    return found + [BackfillQuestion(topic, *one) for topic, ranges in rest.items() for one in ranges]
 
 
 def _widened(silence: Range, by_topic: Mapping[str, list[Range]]) -> Range:

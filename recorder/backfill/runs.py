@@ -24,7 +24,7 @@ RUNS_MAX: Final = 4096
 """Beyond this many they are put in order meanwhile."""
 
 
-class Run:
+class SequenceRun:
     """Messages whose sequences follow each other; the frames of a batch share theirs."""
 
     __slots__ = ("first", "first_ns", "last", "last_ns")
@@ -44,7 +44,7 @@ class Run:
             self.first_ns = publish_ns
         return True
 
-    def join(self, other: Run) -> bool:
+    def join(self, other: SequenceRun) -> bool:
         """Take in a run that begins no earlier; False if it neither goes on from here nor is a part of this."""
         length, begins, ends = (
             (sequence - self.first) % SEQUENCE_SPAN for sequence in (self.last, other.first, other.last)
@@ -60,16 +60,16 @@ class Run:
         return is_next
 
 
-def _is_free(runs: list[Run], run: Run, publish_ns: int) -> bool:
+def _is_free(runs: list[SequenceRun], run: SequenceRun, publish_ns: int) -> bool:
     """Whether no other run begins between the end of this one and that time: then it cannot go on there."""
     return not any(run.last_ns < other.first_ns < publish_ns for other in runs)
 
 
-class Line:
+class SequenceLine:
     """The messages of one topic."""
 
     def __init__(self) -> None:
-        self._runs: list[Run] = []
+        self._runs: list[SequenceRun] = []
         self._limit = RUNS_MAX
 
     def take(self, sequence: int, publish_ns: int) -> None:
@@ -83,18 +83,18 @@ class Line:
         if len(self._runs) >= self._limit:
             self._runs = self.runs()
             self._limit = RUNS_MAX + 2 * len(self._runs)
-        self._runs.append(Run(sequence, publish_ns))
+        self._runs.append(SequenceRun(sequence, publish_ns))
 
-    def runs(self) -> list[Run]:
+    def runs(self) -> list[SequenceRun]:
         """What is there, in the order of time. This takes the line apart no further than it was."""
-        joined: list[Run] = []
+        joined: list[SequenceRun] = []
         for run in sorted(self._runs, key=attrgetter("first_ns", "first")):
             if not joined or not joined[-1].join(run):
                 joined.append(run)
         self._runs = joined
         return joined
 
-    def gaps(self) -> Iterator[tuple[Run, Run, int | None]]:
+    def gaps(self) -> Iterator[tuple[SequenceRun, SequenceRun, int | None]]:
         """The runs around each gap, and how many sequences are missing; None where the source began anew."""
         runs = self.runs()
         for before, after in pairwise(runs):

@@ -15,7 +15,7 @@ from typing import Final
 import msgspec
 
 from recorder.backfill.backfilling import Backfilling
-from recorder.backfill.excerpt import Message
+from recorder.backfill.excerpt import LoggedBytes
 from recorder.backfill.filling import Filled, Filling
 from recorder.backfill.holes import HoleFinder, HoleKind
 from recorder.disk.backfill_file import BackfillFiles
@@ -152,7 +152,7 @@ def _ask(
         there = source.recorders(arguments.recorder or keys.ALL, arguments.timeout)
         directory = cache(logs.directory)
 
-        def write(message: Message, recorder: str) -> None:
+        def write(message: LoggedBytes, recorder: str) -> None:
             prefix = _prefix(message.channel.topic, topics)
             name = prefix.rpartition("/")[2] or OTHERS_NAME
             files.write(directory(f"{prefix}/"), safe_name(name), message, recorder)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from recorder.backfill.backfilling import BACKFILLED_FROM
-from recorder.backfill.excerpt import Message
+from recorder.backfill.excerpt import LoggedBytes
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX, free_path, lock
 from recorder.disk.part_file import sync_directory
 from recorder.mcap.channel import LogChannel
@@ -53,12 +53,12 @@ class BackfillFile:
         self._ids: dict[tuple[str, str, str], int] = {}
         self._schemas: dict[str, bytes] = {}
 
-    def fits(self, message: Message) -> bool:
+    def fits(self, message: LoggedBytes) -> bool:
         """True if its schema is none of another version than the one of that name here."""
         channel = message.channel
         return self._schemas.get(channel.schema_name, channel.schema_data) == channel.schema_data
 
-    def write(self, message: Message, recorder: str) -> None:
+    def write(self, message: LoggedBytes, recorder: str) -> None:
         """Write a message that fits, and which recorder sent it: each has channels of its own."""
         channel = message.channel
         key = channel.topic, channel.schema_name, recorder
@@ -114,7 +114,7 @@ class BackfillFiles:
         self._library = library
         self._files: dict[str, list[BackfillFile]] = {}
 
-    def write(self, directory: Path, name: str, message: Message, recorder: str) -> None:
+    def write(self, directory: Path, name: str, message: LoggedBytes, recorder: str) -> None:
         """Write a message of this recorder into the log of that name."""
         files = self._files.setdefault(name, [])
         file = next((one for one in files if one.fits(message)), None)

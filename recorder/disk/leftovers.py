@@ -22,7 +22,7 @@ import msgspec
 
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX, free_path, lock
 from recorder.disk.part_file import sync_directory
-from recorder.mcap.recovery import Survey, copy_good, survey
+from recorder.mcap.recovery import FileSurvey, copy_good, survey
 from recorder.record.notices import Notice, Recovered
 from schemas.printable import plain
 
@@ -133,7 +133,7 @@ def _recover(path: Path, stream: BinaryIO, library: str, *, set_aside: bool) -> 
     )
 
 
-def _finish(stream: BinaryIO, found: Survey) -> None:
+def _finish(stream: BinaryIO, found: FileSurvey) -> None:
     """Cut back to the good data and end the file; without room for its end it stays a part."""
     try:
         stream.seek(found.end)
@@ -156,7 +156,7 @@ def _keep_rest(path: Path, stream: BinaryIO, end: int) -> Path:
     return rest
 
 
-def _copy(path: Path, stream: BinaryIO, size: int, library: str, found: Survey) -> Recovery:
+def _copy(path: Path, stream: BinaryIO, size: int, library: str, found: FileSurvey) -> Recovery:
     copy = path.with_name(_stem(path) + COPY_SUFFIX)
     try:
         with copy.open("wb") as sink:

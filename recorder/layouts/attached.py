@@ -13,7 +13,7 @@ from typing import Final
 
 import msgspec
 
-from recorder.layouts.charts import Robot
+from recorder.layouts.charts import RobotKeys
 from schemas import keys
 
 _KEY: Final = "fleet/cruiser-1/"
@@ -31,7 +31,7 @@ COUNT: Final = len(_FILES)
 """So many does ``layouts`` make."""
 
 
-class Layout(msgspec.Struct, frozen=True):
+class ViewerLayout(msgspec.Struct, frozen=True):
     """A layout as a file.
 
     Attributes:
@@ -43,11 +43,11 @@ class Layout(msgspec.Struct, frozen=True):
     data: bytes
 
 
-def layouts(robot: Robot) -> list[Layout]:
+def layouts(robot: RobotKeys) -> list[ViewerLayout]:
     """The layouts of a robot's log that need no viewer's own code to be made."""
     # A gateway could make up a name that is none.
     bus = f"/can/{robot.bus}/" if re.fullmatch(keys.BUS_PATTERN, robot.bus) else _BUS
     return [
-        Layout(name, media_type, _TEMPLATES[name].replace(_BUS, bus).replace(_KEY, f"{robot.key}/").encode())
+        ViewerLayout(name, media_type, _TEMPLATES[name].replace(_BUS, bus).replace(_KEY, f"{robot.key}/").encode())
         for name, (_, media_type) in _FILES.items()
     ]

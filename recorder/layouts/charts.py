@@ -18,7 +18,7 @@ RED: Final = "#e0524d"
 GREY: Final = "#8a8f98"
 
 
-class Line(msgspec.Struct, frozen=True):
+class ChartLine(msgspec.Struct, frozen=True):
     """A field over time.
 
     Attributes:
@@ -37,57 +37,57 @@ class Chart(msgspec.Struct, frozen=True):
     """Lines that belong together."""
 
     title: str
-    lines: tuple[Line, ...]
+    lines: tuple[ChartLine, ...]
 
 
 SPEED: Final = Chart(
     "speed, m/s",
     (
-        Line(RobotState, "speed_mps", "measured", BLUE),
-        Line(SafetyState, "target_speed_mps", "asked for", ORANGE),
-        Line(SafetyState, "output_speed_mps", "told to the chassis", GREEN),
-        Line(SafetyState, "speed_limit_mps", "limit", GREY),
+        ChartLine(RobotState, "speed_mps", "measured", BLUE),
+        ChartLine(SafetyState, "target_speed_mps", "asked for", ORANGE),
+        ChartLine(SafetyState, "output_speed_mps", "told to the chassis", GREEN),
+        ChartLine(SafetyState, "speed_limit_mps", "limit", GREY),
     ),
 )
 ANGLE: Final = Chart(
     "steering angle, deg",
     (
-        Line(RobotState, "angle_deg", "measured", BLUE),
-        Line(SafetyState, "target_angle_deg", "asked for", ORANGE),
-        Line(SafetyState, "output_angle_deg", "told to the chassis", GREEN),
-        Line(SafetyState, "steering_limit_deg", "limit", GREY, is_mirrored=True),
+        ChartLine(RobotState, "angle_deg", "measured", BLUE),
+        ChartLine(SafetyState, "target_angle_deg", "asked for", ORANGE),
+        ChartLine(SafetyState, "output_angle_deg", "told to the chassis", GREEN),
+        ChartLine(SafetyState, "steering_limit_deg", "limit", GREY, is_mirrored=True),
     ),
 )
 SWITCHES: Final = Chart(
     "engaged, bumpers, parking brake asked for",
     (
-        Line(SafetyState, "engaged", "engaged", GREEN),
-        Line(RobotState, "front_bumper", "front bumper", RED),
-        Line(RobotState, "rear_bumper", "rear bumper", ORANGE),
-        Line(SafetyState, "parking", "parking brake asked for", GREY),
+        ChartLine(SafetyState, "engaged", "engaged", GREEN),
+        ChartLine(RobotState, "front_bumper", "front bumper", RED),
+        ChartLine(RobotState, "rear_bumper", "rear bumper", ORANGE),
+        ChartLine(SafetyState, "parking", "parking brake asked for", GREY),
     ),
 )
 LATENESS: Final = Chart(
     "tick lateness, ms",
     (
-        Line(GatewayHealth, "tick_lateness_p50_ms", "median", GREEN),
-        Line(GatewayHealth, "tick_lateness_p99_ms", "99 %", ORANGE),
-        Line(GatewayHealth, "tick_lateness_max_ms", "latest", RED),
+        ChartLine(GatewayHealth, "tick_lateness_p50_ms", "median", GREEN),
+        ChartLine(GatewayHealth, "tick_lateness_p99_ms", "99 %", ORANGE),
+        ChartLine(GatewayHealth, "tick_lateness_max_ms", "latest", RED),
     ),
 )
 
 STATES: Final = (
-    Line(RobotState, "mode", "mode", ""),
-    Line(RobotState, "gear_position", "gear", ""),
-    Line(SafetyState, "state", "arbiter", ""),
-    Line(SafetyState, "stop_phase", "stop", ""),
-    Line(SafetyState, "stop_reason", "why stopped", ""),
-    Line(SafetyState, "lease_holder", "lease", ""),
+    ChartLine(RobotState, "mode", "mode", ""),
+    ChartLine(RobotState, "gear_position", "gear", ""),
+    ChartLine(SafetyState, "state", "arbiter", ""),
+    ChartLine(SafetyState, "stop_phase", "stop", ""),
+    ChartLine(SafetyState, "stop_reason", "why stopped", ""),
+    ChartLine(SafetyState, "lease_holder", "lease", ""),
 )
 """Fields that are no numbers."""
 
 
-class Robot(msgspec.Struct, frozen=True):
+class RobotKeys(msgspec.Struct, frozen=True):
     """Whose log it is.
 
     Attributes:

@@ -16,7 +16,7 @@ from msgspec import inspect
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
 from recorder.encoding.protobuf_schema import fields, schema_name
-from recorder.layouts.charts import ANGLE, LATENESS, SPEED, STATES, SWITCHES, Chart, Line, Robot
+from recorder.layouts.charts import ANGLE, LATENESS, SPEED, STATES, SWITCHES, Chart, ChartLine, RobotKeys
 
 NAME: Final = "layout.rerun.rbl"
 
@@ -24,7 +24,7 @@ _SCALARS: Final = "Scalars:scalars"
 _STATE: Final = "StateChange:state"
 
 
-def save_blueprint(robot: Robot, application: str, path: Path) -> None:
+def save_blueprint(robot: RobotKeys, application: str, path: Path) -> None:
     """Write the blueprint of a robot's log.
 
     Args:
@@ -48,7 +48,7 @@ def save_blueprint(robot: Robot, application: str, path: Path) -> None:
     made.save(application, path)
 
 
-def _plot(chart: Chart, robot: Robot) -> blueprints.TimeSeriesView:
+def _plot(chart: Chart, robot: RobotKeys) -> blueprints.TimeSeriesView:
     """Several lines of one topic are several visualisers of it."""
     overrides: dict[str, list[Any]] = {}
     for line in chart.lines:
@@ -58,7 +58,7 @@ def _plot(chart: Chart, robot: Robot) -> blueprints.TimeSeriesView:
     return blueprints.TimeSeriesView(origin="/", contents=list(overrides), name=chart.title, overrides=overrides)
 
 
-def _states(robot: Robot) -> blueprints.StateTimelineView:
+def _states(robot: RobotKeys) -> blueprints.StateTimelineView:
     overrides: dict[str, list[Any]] = {}
     for line in STATES:
         drawn = rerun.StateChange.from_fields().visualizer(mappings=[mapping_of(line, _STATE)])
@@ -66,7 +66,7 @@ def _states(robot: Robot) -> blueprints.StateTimelineView:
     return blueprints.StateTimelineView(origin="/", contents=list(overrides), name="states", overrides=overrides)
 
 
-def mapping_of(line: Line, target: str) -> VisualizerComponentMapping:
+def mapping_of(line: ChartLine, target: str) -> VisualizerComponentMapping:
     """Where a visualiser finds what it draws; ``target`` is the name by which it asks for that."""
     # Of an enumeration rerun makes a struct with its name and its number.
     kinds = {name: kind for name, _, kind in fields(line.kind)}

@@ -1,7 +1,7 @@
 """Makes a damaged or unfinished MCAP file whole, as far as its checksums prove what it holds. No I/O but streams.
 
-A file whose writer was killed is good up to its last write: cut it back to ``Survey.end`` and append
-``Survey.ending``. Where something before that is damaged, ``copy_good`` writes what is good into another file.
+A file whose writer was killed is good up to its last write: cut it back to ``FileSurvey.end`` and append
+``FileSurvey.ending``. Where something before that is damaged, ``copy_good`` writes what is good into another file.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Sink(Protocol):
         ...
 
 
-class Survey(msgspec.Struct, frozen=True):
+class FileSurvey(msgspec.Struct, frozen=True):
     """What a file comes to.
 
     Attributes:
@@ -60,7 +60,7 @@ class Survey(msgspec.Struct, frozen=True):
     chunks: int
 
 
-def survey(stream: BinaryIO, size: int) -> Survey:
+def survey(stream: BinaryIO, size: int) -> FileSurvey:
     """Read a file and judge it; nothing in it raises."""
     scanner = Scanner(stream, size)
     rebuild = _Rebuild(None)
@@ -88,7 +88,7 @@ def survey(stream: BinaryIO, size: int) -> Survey:
         if data_end.crc not in {0, rebuild.crc} and not (rebuild.faults or scanner.has_checks):
             rebuild.faults.append(f"byte {data_end.offset}: the data's checksum is wrong, and nothing tells where")
     is_closed = data_end is not None and scanner.is_closed(data_end.offset) and data_end.crc in {0, rebuild.crc}
-    return Survey(
+    return FileSurvey(
         is_whole=is_closed and not rebuild.faults,
         end=end,
         ending=rebuild.trailing + rebuild.ending(),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from recorder.layouts.attached import layouts
-from recorder.layouts.charts import Robot
+from recorder.layouts.charts import RobotKeys
 from recorder.record.actions import LogAction, Query, WriteAttachment, WriteMetadata
 from schemas import keys
 from schemas.messages import GatewayInfo, Variant
@@ -123,7 +123,7 @@ class Robots:
             attached.append((info.dbc_name, "text/plain", info.dbc.encode()))
         if before is None or before.bus != info.bus:
             base = robot.key.removesuffix(f"/{_INFO.name}")
-            attached += [(one.name, one.media_type, one.data) for one in layouts(Robot(base, info.bus))]
+            attached += [(one.name, one.media_type, one.data) for one in layouts(RobotKeys(base, info.bus))]
         actions: list[LogAction] = [
             WriteAttachment(self._log, f"{name}/{file}", media_type, data, wall_ns)
             for file, media_type, data in attached

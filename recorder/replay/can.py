@@ -13,7 +13,7 @@ from typing import Any, Final
 import can
 import msgspec
 
-from recorder.replay.frames import Frame
+from recorder.replay.frames import ReplayedFrame
 from recorder.replay.run import Halt
 from schemas.exit_codes import CommandError, ExitCode
 
@@ -41,7 +41,7 @@ DRAINED: Final = 1000
 """Frames of others that are thrown away at a time: nobody here wants them, and their queue must not grow."""
 
 
-class Place(msgspec.Struct, frozen=True):
+class CanPlace(msgspec.Struct, frozen=True):
     """Where a bus is.
 
     Attributes:
@@ -57,7 +57,7 @@ class Place(msgspec.Struct, frozen=True):
     is_fd: bool = False
 
 
-def is_virtual(place: Place, devices: Path = VIRTUAL_DEVICES) -> bool:
+def is_virtual(place: CanPlace, devices: Path = VIRTUAL_DEVICES) -> bool:
     """Whether it is certain that no robot is on the bus.
 
     A socketcand server of this machine may well serve a real bus, so it is asked what it is.
@@ -120,7 +120,7 @@ class CanOutlet:
         CommandError: it cannot be opened.
     """
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, place: CanPlace) -> None:
         self.sent = self.failed = 0
         self._failures = 0
         self._why = ""
@@ -139,7 +139,7 @@ class CanOutlet:
                 value.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 value.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("@ll", SEND_TIMEOUT_S, 0))
 
-    def send(self, item: Frame, _shift_ns: int) -> None:
+    def send(self, item: ReplayedFrame, _shift_ns: int) -> None:
         """Send a frame: it goes now or never. Never raises."""
         if self._failures >= FAILURES_MAX:
             self.failed += 1
@@ -189,7 +189,7 @@ class CanOutlet:
             log.debug("closing the bus: %s", error)
 
 
-def _arguments(place: Place) -> dict[str, Any]:
+def _arguments(place: CanPlace) -> dict[str, Any]:
     arguments: dict[str, Any] = {"interface": place.interface, "channel": place.channel}
     if place.interface == SOCKETCAND:
         host, port, name = _address(place)
@@ -201,7 +201,7 @@ def _arguments(place: Place) -> dict[str, Any]:
     return arguments
 
 
-def _address(place: Place) -> tuple[str, int, str]:
+def _address(place: CanPlace) -> tuple[str, int, str]:
     """Host, port and the bus's name of a socketcand channel."""
     address, _, name = place.channel.partition("/")
     host, colon, port = address.rpartition(":")

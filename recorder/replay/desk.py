@@ -43,7 +43,7 @@ def orders_of(typed: bytes) -> list[Order]:
     return orders
 
 
-class Clock:
+class TerminalClock:
     """The machine's clocks."""
 
     def monotonic_ns(self) -> int:
@@ -59,7 +59,7 @@ class Clock:
         time.sleep(max(0, duration_ns) / 1e9)
 
 
-class Desk:
+class KeyboardDesk:
     """The terminal while the block runs, as it was afterwards. Where there is none, nothing is read or shown.
 
     Args:

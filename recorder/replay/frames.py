@@ -14,7 +14,7 @@ import msgspec
 
 from recorder.reading.faults import Faults
 from recorder.reading.topics import UNREADABLE, Topic
-from recorder.replay.rows import Run
+from recorder.replay.rows import ReplayRun
 from recorder.replay.samples import Wants
 from schemas import keys
 from schemas.messages import CanFrame, CanFrames
@@ -50,7 +50,7 @@ class Rules(msgspec.Struct, frozen=True):
     takes_fd: bool = False
 
 
-class Frame(msgspec.Struct, frozen=True, gc=False):
+class ReplayedFrame(msgspec.Struct, frozen=True, gc=False):
     """A frame to be sent again.
 
     Attributes:
@@ -108,7 +108,7 @@ class Frames:
         self._faults = faults
         self.withheld: Counter[str] = Counter()
 
-    def of(self, runs: Iterable[Run]) -> Iterator[Frame]:
+    def of(self, runs: Iterable[ReplayRun]) -> Iterator[ReplayedFrame]:
         """The frames, in the order of the runs."""
         for run in runs:
             decode = run.topic.decode
@@ -124,7 +124,7 @@ class Frames:
                 if why:
                     self.withheld[why] += 1
                 else:
-                    yield Frame(run.time_ns, frame)
+                    yield ReplayedFrame(run.time_ns, frame)
 
     def _why_not(self, topic: Topic, frame: CanFrame) -> str:
         rules = self._rules

@@ -128,7 +128,7 @@ class Due(msgspec.Struct, Generic[T], frozen=True, gc=False):
     due_ns: int
 
 
-class Player(Generic[T]):
+class ReplayScheduler(Generic[T]):
     """Plays what a log holds, from its beginning or from a time in it, once or several times.
 
     Args:

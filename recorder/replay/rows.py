@@ -36,7 +36,7 @@ class By(Enum):
     PUBLISH = "publish"
 
 
-class Run(msgspec.Struct, frozen=True, gc=False):
+class ReplayRun(msgspec.Struct, frozen=True, gc=False):
     """One message of a log; of raw frames all that came in one batch.
 
     Attributes:
@@ -80,7 +80,7 @@ def once(rows: Iterable[Row], remembered: int = REMEMBERED) -> Iterator[Row]:
         yield row
 
 
-def runs(rows: Iterable[Row], by: By) -> Iterator[Run]:
+def runs(rows: Iterable[Row], by: By) -> Iterator[ReplayRun]:
     """The runs, each at the place of its first row."""
     pending: dict[Topic, list[Row]] = {}
     log_ns = -1
@@ -90,7 +90,7 @@ def runs(rows: Iterable[Row], by: By) -> Iterator[Run]:
         log_ns = row.log_ns
         topic = row.topic
         if topic.kind is not CanFrame:
-            yield Run(_time_ns(row, by), topic, [row])
+            yield ReplayRun(_time_ns(row, by), topic, [row])
             continue
         batch = pending.get(topic)
         if batch and (batch[0].sequence != row.sequence or len(batch) >= BATCH_MAX_FRAMES):
@@ -103,14 +103,16 @@ def runs(rows: Iterable[Row], by: By) -> Iterator[Run]:
     yield from _released(pending, by)
 
 
-def frames(rows: Iterable[Row]) -> Iterator[Run]:
+def frames(rows: Iterable[Row]) -> Iterator[ReplayRun]:
     """A run for each row: frames one by one, each at the time at which it was on the bus."""
-    return (Run(row.publish_ns, row.topic, [row]) for row in rows)
+    return (ReplayRun(row.publish_ns, row.topic, [row]) for row in rows)
 
 
-def in_order(found: Iterable[Run], horizon_ns: int = HORIZON_NS, limit: int = SORTED_MAX) -> Iterator[Run]:
+def in_order(
+    found: Iterable[ReplayRun], horizon_ns: int = HORIZON_NS, limit: int = SORTED_MAX
+) -> Iterator[ReplayRun]:
     """The runs sorted by their times, as far as they are not more than the horizon out of it."""
-    waiting: list[tuple[int, int, Run]] = []
+    waiting: list[tuple[int, int, ReplayRun]] = []
     for number, run in enumerate(found):
         heappush(waiting, (run.time_ns, number, run))
         while waiting[0][2].rows[0].log_ns + horizon_ns <= run.rows[0].log_ns or len(waiting) > limit:
@@ -119,15 +121,15 @@ def in_order(found: Iterable[Run], horizon_ns: int = HORIZON_NS, limit: int = SO
         yield heappop(waiting)[2]
 
 
-def _released(pending: dict[Topic, list[Row]], by: By) -> Iterator[Run]:
+def _released(pending: dict[Topic, list[Row]], by: By) -> Iterator[ReplayRun]:
     for batch in pending.values():
         yield _run(batch, by)
     pending.clear()
 
 
-def _run(batch: list[Row], by: By) -> Run:
+def _run(batch: list[Row], by: By) -> ReplayRun:
     # A batch was published when its last frame had come.
-    return Run(max(_time_ns(row, by) for row in batch), batch[0].topic, batch)
+    return ReplayRun(max(_time_ns(row, by) for row in batch), batch[0].topic, batch)
 
 
 def _time_ns(row: Row, by: By) -> int:

@@ -8,7 +8,7 @@ from typing import Final, Protocol, TypeVar
 
 import msgspec
 
-from recorder.replay.replay import Player, Timed
+from recorder.replay.replay import ReplayScheduler, Timed
 from schemas.exit_codes import ExitCode
 
 ATTEND_NS: Final = 20_000_000
@@ -93,7 +93,7 @@ class Desk(Protocol):
 
 
 def play(
-    player: Player[T],
+    player: ReplayScheduler[T],
     outlet: Outlet[T],
     clock: Clock,
     desk: Desk,
@@ -140,7 +140,7 @@ def play(
     return outlet.attend()
 
 
-def _obey(player: Player[T], orders: list[Order], clock: Clock) -> bool:
+def _obey(player: ReplayScheduler[T], orders: list[Order], clock: Clock) -> bool:
     """Do what was asked for. False if that is to end."""
     for order in orders:
         now_ns = clock.monotonic_ns()

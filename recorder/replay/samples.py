@@ -16,7 +16,7 @@ import msgspec
 from recorder.encoding.routes import RAW_CHUNK
 from recorder.reading.faults import Faults
 from recorder.reading.topics import UNREADABLE, Topic
-from recorder.replay.rows import Run
+from recorder.replay.rows import ReplayRun
 from schemas import codec, keys
 from schemas.can_word import BITRATE_SWITCH, ERROR, ERROR_STATE_INDICATOR, EXTENDED, FD, REMOTE
 from schemas.messages import CanFrame, CanFrames, Message, RawSample
@@ -38,7 +38,7 @@ Wants = Callable[[str], bool]
 """Whether a key of the log is wanted."""
 
 
-class Sample(msgspec.Struct, frozen=True):
+class ReplaySample(msgspec.Struct, frozen=True):
     """A sample to be published again.
 
     Attributes:
@@ -147,7 +147,7 @@ class Samples:
         self._known: dict[Topic, tuple[str | None, Subject | None]] = {}
         self.withheld = 0
 
-    def of(self, runs: Iterable[Run]) -> Iterator[Sample]:
+    def of(self, runs: Iterable[ReplayRun]) -> Iterator[ReplaySample]:
         """The samples, in the order of the runs."""
         for run in runs:
             try:
@@ -158,7 +158,7 @@ class Samples:
             if sample is not None:
                 yield sample
 
-    def _sample(self, run: Run) -> Sample | None:
+    def _sample(self, run: ReplayRun) -> ReplaySample | None:
         topic = run.topic
         decode = topic.decode
         if decode is None:
@@ -176,16 +176,16 @@ class Samples:
             message = batch([decode(row.data) for row in run.rows], run.rows[0].sequence)
         else:
             message = decode(run.rows[0].data)
-        return Sample(run.time_ns, key, subject.encoding, subject, message)
+        return ReplaySample(run.time_ns, key, subject.encoding, subject, message)
 
-    def _raw(self, time_ns: int, raw: RawSample) -> Sample | None:
+    def _raw(self, time_ns: int, raw: RawSample) -> ReplaySample | None:
         if not self._wants(raw.key):
             return None
         key = self._new_key(raw.key)
         if key is None:
             self.withheld += 1
             return None
-        return Sample(
+        return ReplaySample(
             time_ns,
             key,
             raw.encoding,

@@ -13,7 +13,7 @@ from typing import Any, Final
 import zenoh
 
 from recorder.replay.run import Halt
-from recorder.replay.samples import Sample, overlap, root_of_token
+from recorder.replay.samples import ReplaySample, overlap, root_of_token
 from recorder.zenoh.session import local_port, open_session, said_of
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
@@ -107,7 +107,7 @@ class ZenohOutlet:
                 self._gateways.add(str(reply.ok.key_expr))
         return self._refusal()
 
-    def send(self, item: Sample, shift_ns: int) -> None:
+    def send(self, item: ReplaySample, shift_ns: int) -> None:
         """Publish a sample, with the quality of service of its subject. Never raises."""
         try:
             if item.is_delete:

@@ -10,7 +10,7 @@ from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Progress
 from recorder.review.info import CUT_NAME
-from recorder.review.joining.joining import Joined, Wanted, join
+from recorder.review.joining.joining import Joined, JoinRange, join
 
 
 def cut(
@@ -45,4 +45,4 @@ def cut(
     def is_wanted(topic: str) -> bool:
         return not topics or any(fnmatchcase(topic, pattern) for pattern in topics)
 
-    return join(logs, path, Wanted(is_wanted, from_ns, to_ns), (CUT_NAME, about), faults, progress)
+    return join(logs, path, JoinRange(is_wanted, from_ns, to_ns), (CUT_NAME, about), faults, progress)

@@ -27,7 +27,7 @@ CUT_NAME: Final = "cruiser.cut"
 """The metadata record of a part of a log: which time and topics it is, and of which files."""
 
 
-class Source(Enum):
+class LogSourceInfo(Enum):
     """How a file was looked at."""
 
     SUMMARY = "summary"
@@ -83,7 +83,7 @@ class LogInfo(msgspec.Struct, frozen=True):
     bytes: int
     whole: bool
     is_being_written: bool
-    source: Source
+    source: LogSourceInfo
     faults: list[str]
     fault_count: int
     messages: int
@@ -152,9 +152,9 @@ def total(infos: Sequence[LogInfo]) -> SetInfo:
 
 def _read(stream: BinaryIO, size: int, path: str, progress: Progress) -> LogInfo:
     is_written = is_being_written(stream)
-    source, contents = Source.SUMMARY, read_contents(stream)
+    source, contents = LogSourceInfo.SUMMARY, read_contents(stream)
     if contents is None:
-        source = Source.RECORDS
+        source = LogSourceInfo.RECORDS
         contents = walk_contents(stream, size, progress, is_being_written=is_written)
     else:
         progress(size)

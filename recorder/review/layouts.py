@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from recorder.layouts.charts import Robot
+from recorder.layouts.charts import RobotKeys
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.survey import survey
@@ -13,7 +13,7 @@ from schemas import keys
 from schemas.subjects import RECORDER_CHUNK
 
 
-def robots_of(logs: Sequence[LogFile], faults: Faults) -> list[Robot]:
+def robots_of(logs: Sequence[LogFile], faults: Faults) -> list[RobotKeys]:
     """The robots of logs, by their keys.
 
     Args:
@@ -23,11 +23,11 @@ def robots_of(logs: Sequence[LogFile], faults: Faults) -> list[Robot]:
     return robots_in(survey(logs, faults).topics.values())
 
 
-def robots_in(topics: Iterable[Topic]) -> list[Robot]:
+def robots_in(topics: Iterable[Topic]) -> list[RobotKeys]:
     """The robots that these topics are of; of several CAN buses the first by name."""
     buses: dict[str, set[str]] = {}
     for topic in topics:
         parts = keys.parse(topic.name)
         if parts is not None and parts.robot and RECORDER_CHUNK not in topic.name.split("/"):
             buses.setdefault(f"{parts.root}/{parts.robot}", set()).add(parts.bus)
-    return [Robot(key, min(found - {""}, default="")) for key, found in sorted(buses.items())]
+    return [RobotKeys(key, min(found - {""}, default="")) for key, found in sorted(buses.items())]

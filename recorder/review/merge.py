@@ -9,7 +9,7 @@ from typing import Final
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Progress
-from recorder.review.joining.joining import Joined, Wanted, join
+from recorder.review.joining.joining import Joined, JoinRange, join
 
 MERGED_NAME: Final = "cruiser.merged"
 """The metadata record with the names of the files that a merged one is made of."""
@@ -28,4 +28,4 @@ def merge(logs: Sequence[LogFile], path: Path, faults: Faults, progress: Progres
         CommandError: the file is there already, or cannot be written.
     """
     about = {"files": ",".join(log.path.name for log in logs)}
-    return join(logs, path, Wanted(), (MERGED_NAME, about), faults, progress)
+    return join(logs, path, JoinRange(), (MERGED_NAME, about), faults, progress)

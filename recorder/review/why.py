@@ -28,7 +28,7 @@ from recorder.review.reasoning.hindrance import PLAIN, cures, hinders, hindrance
 from recorder.review.reasoning.moment import arbiter, headline, motion
 from recorder.review.reasoning.request_evidence import describe_command, refused_lately
 from recorder.review.reasoning.scene import BEFORE_NS, Heard, Scene, Stage, is_other_run
-from recorder.review.reasoning.silence import Silence, last_silence, next_silence
+from recorder.review.reasoning.silence import GatewaySilence, last_silence, next_silence
 from recorder.review.reasoning.stopping import actions
 from recorder.review.reasoning.story import Story
 from recorder.review.timeline.clock import NEAR_NS
@@ -235,7 +235,7 @@ class _Answer:
             chain=_once(links),
         )
 
-    def _silence(self) -> Silence | None:
+    def _silence(self) -> GatewaySilence | None:
         """That of the gateway at the moment or soon after it; or before it, if nothing since tells more."""
         if self._state is not None and self._state.state is not ArbiterState.STANDBY:
             return next_silence(self._now, SOON_NS)
@@ -271,7 +271,7 @@ class _Answer:
             yield Link(Step.CAUSE, f"{text}: nothing of before holds any more", after[0].time_ns)
         yield from silences.guard_links(after)
 
-    def _headline(self, silence: Silence | None, death: Entry | None) -> str:
+    def _headline(self, silence: GatewaySilence | None, death: Entry | None) -> str:
         now, state = self._now, self._state
         latched = [] if state is None else state.latched
         said = headline(now, state, self._focus, self._story.newest_latch(latched, now.at_ns))

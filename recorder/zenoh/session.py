@@ -17,7 +17,7 @@ from schemas.zenoh_link import (
     ANY_LOCAL_PORT,
     PROTOCOLS,
     Json,
-    Said,
+    ZenohChoice,
     allows,
     finds_router,
     is_loopback,
@@ -65,7 +65,7 @@ def _open(config: zenoh.Config, listen: Sequence[str]) -> zenoh.Session:
         raise CommandError(f"cannot join Zenoh{on}: {reason(str(error))}", ExitCode.UNREACHABLE) from error
 
 
-def said_of(settings: ZenohSettings) -> Said:
+def said_of(settings: ZenohSettings) -> ZenohChoice:
     """What is said of a session; it connects to this machine's gateway where nothing is.
 
     Raises:

@@ -34,7 +34,7 @@ from recorder.record.robot_log import LogContext, LogPlan, RobotLog
 from recorder.review.columns.tables import TIME_TYPE
 from recorder.review.export.dataset import export_dataset
 from recorder.review.export.manifest import read_manifest
-from recorder.review.export.one_log import Wanted
+from recorder.review.export.one_log import ExportRange
 from recorder.review.export.parts import COMPRESSION, COMPRESSION_LEVEL
 from schemas import keys
 from schemas.settings import TICK_NS
@@ -111,7 +111,7 @@ def _apply(file: McapFile, context: LogContext) -> None:
 def export_ours(log: Path, directory: Path) -> int:
     """Our export. Returns the rows."""
     faults = Faults()
-    done = export_dataset(find_logs([log], faults), directory, Wanted(), faults)
+    done = export_dataset(find_logs([log], faults), directory, ExportRange(), faults)
     assert not faults
     return done.rows
 

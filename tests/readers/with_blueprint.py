@@ -17,7 +17,7 @@ def main(log: str, blueprint: str) -> None:
 
     from recorder.layouts import charts, rerun_blueprint  # noqa: PLC0415
 
-    robot = charts.Robot("fleet/cruiser-1", "can0")
+    robot = charts.RobotKeys("fleet/cruiser-1", "can0")
     rerun_blueprint.save_blueprint(robot, "cruiser-1", Path(blueprint))
     structs: dict[tuple[str, str], Any] = {}
     for chunk in McapReader(log, decoders=["protobuf"]).stream():

@@ -123,9 +123,9 @@ def _csv(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Seq
 
 
 def _wanted(arguments: argparse.Namespace, asked: Asked) -> Any:  # noqa: ANN401 - of a module that is imported late
-    from recorder.review.export.one_log import Wanted  # noqa: PLC0415 - its libraries are an extra
+    from recorder.review.export.one_log import ExportRange  # noqa: PLC0415 - its libraries are an extra
 
-    return Wanted(arguments.topic, asked.from_ns, -1 if asked.to_ns >= END_OF_TIME_NS else asked.to_ns)
+    return ExportRange(arguments.topic, asked.from_ns, -1 if asked.to_ns >= END_OF_TIME_NS else asked.to_ns)
 
 
 def _frames(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:

@@ -12,7 +12,7 @@ import msgspec
 from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
 from recorder.reading.times import in_words
 from recorder.record.accounting import KeyReport
-from recorder.review.info import LogInfo, SetInfo, Source, read_info, total
+from recorder.review.info import LogInfo, LogSourceInfo, SetInfo, read_info, total
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings
@@ -74,7 +74,7 @@ def _of_all(info: SetInfo) -> Iterator[str]:
 def _of_one(info: LogInfo) -> Iterator[str]:
     state = "whole" if info.whole else "being written" if info.is_being_written else "NOT WHOLE"
     yield f"{info.path}: {state}, {info.bytes} bytes, {info.messages} messages"
-    if info.source is Source.RECORDS:
+    if info.source is LogSourceInfo.RECORDS:
         yield "  it has no end that tells what it holds: read record by record"
     yield from (f"  fault: {fault}" for fault in info.faults)
     if info.fault_count > len(info.faults):

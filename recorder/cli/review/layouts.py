@@ -13,7 +13,7 @@ import msgspec
 
 from recorder.cli.review.asking import add_logs, end_with, find
 from recorder.layouts.attached import layouts
-from recorder.layouts.charts import Robot
+from recorder.layouts.charts import RobotKeys
 from recorder.review.layouts import robots_of
 from schemas.exit_codes import CommandError
 from schemas.printable import plain
@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, _stopped: Callable[[
     return end_with(asked.faults)
 
 
-def _write(robot: Robot, name: str, directory: Path) -> list[Written]:
+def _write(robot: RobotKeys, name: str, directory: Path) -> list[Written]:
     paths = []
     for layout in layouts(robot):
         path = directory / f"{name}.{layout.name}"
@@ -83,7 +83,7 @@ def _write(robot: Robot, name: str, directory: Path) -> list[Written]:
     return [Written(robot.key, str(path)) for path in paths]
 
 
-def _name_of(robot: Robot, robots: Sequence[Robot]) -> str:
+def _name_of(robot: RobotKeys, robots: Sequence[RobotKeys]) -> str:
     """Begins the files' names. Robots of one name under several roots are called by their root too."""
     name = robot.key.rpartition("/")[2]
     is_only = sum(other.key.rpartition("/")[2] == name for other in robots) == 1

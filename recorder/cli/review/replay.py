@@ -18,16 +18,16 @@ from recorder.cli.review.asking import Asked, add_logs, add_period, end_with, fi
 from recorder.reading.faults import Faults
 from recorder.reading.rows import Row, Selection, read_rows
 from recorder.reading.topics import Topic
-from recorder.replay.can import CanOutlet, Place, is_virtual
-from recorder.replay.desk import Clock, Desk
+from recorder.replay.can import CanOutlet, CanPlace, is_virtual
+from recorder.replay.desk import KeyboardDesk, TerminalClock
 from recorder.replay.frames import DANGER, Frames, Rules, buses_of, holds_frames, refusal
-from recorder.replay.replay import AS_FAST_AS_POSSIBLE, FOR_EVER, Pace, Player, Timed
+from recorder.replay.replay import AS_FAST_AS_POSSIBLE, FOR_EVER, Pace, ReplayScheduler, Timed
 from recorder.replay.rows import By, frames, in_order, once, runs, topics_of
 from recorder.replay.run import Halt, Outlet, play
 from recorder.replay.samples import (
     DEFAULT_ROOT,
     KeyMap,
-    Sample,
+    ReplaySample,
     Samples,
     Wants,
     may_hold,
@@ -194,7 +194,7 @@ def _to_zenoh(
     samples = Samples(KeyMap(root, roots), wants, asked.faults)
     by = By(arguments.time or By.LOG)
 
-    def read(rows: Iterator[Row]) -> Iterator[Sample]:
+    def read(rows: Iterator[Row]) -> Iterator[ReplaySample]:
         found = runs(rows, by)
         return samples.of(in_order(found) if by is By.PUBLISH else found)
 
@@ -245,7 +245,7 @@ def _meet(outlet: ZenohOutlet, settings: Settings, timeout_s: float, stopped: Ca
 def _to_bus(
     arguments: argparse.Namespace, _settings: Settings, asked: Asked, wants: Wants, stopped: Callable[[], bool]
 ) -> tuple[Replayed, Halt | None]:
-    place = Place(arguments.interface, arguments.channel, arguments.bitrate, arguments.fd)
+    place = CanPlace(arguments.interface, arguments.channel, arguments.bitrate, arguments.fd)
     virtual = is_virtual(place)
     why = refusal(place.interface, is_virtual=virtual, is_forced=arguments.force_real_bus)
     if why:
@@ -279,7 +279,7 @@ def _player(
     asked: Asked,
     wants: Callable[[Topic], bool],
     make: Callable[[Iterator[Row]], Iterator[T]],
-) -> Player[T]:
+) -> ReplayScheduler[T]:
     faults = [asked.faults]
 
     def read(from_ns: int | None) -> Iterator[T]:
@@ -288,11 +288,11 @@ def _player(
         rows = read_rows(asked.logs, selection, faults.pop() if faults else Faults())
         return make(once(rows) if len(asked.logs) > 1 else rows)
 
-    return Player(read, Pace(arguments.speed, round(arguments.longest_pause * 1e9)), arguments.loop)
+    return ReplayScheduler(read, Pace(arguments.speed, round(arguments.longest_pause * 1e9)), arguments.loop)
 
 
 def _play(
-    player: Player[T],
+    player: ReplayScheduler[T],
     outlet: Outlet[T],
     where: str,
     stopped: Callable[[], bool],
@@ -301,8 +301,8 @@ def _play(
     is_now: bool = False,
 ) -> tuple[Replayed, Halt | None]:
     begun_s = time.monotonic()
-    with Desk(takes_keys=takes_keys) as desk:
-        halt = play(player, outlet, Clock(), desk, stopped, is_now=is_now)
+    with KeyboardDesk(takes_keys=takes_keys) as desk:
+        halt = play(player, outlet, TerminalClock(), desk, stopped, is_now=is_now)
     late = player.lateness
     ended = "end" if player.is_ended else "stopped"
     replayed = Replayed(

@@ -15,7 +15,14 @@ import msgspec
 from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
 from recorder.reading.configurations import CONFIGURATION
 from recorder.reading.times import in_words
-from recorder.review.rerun.counterfactual import Journey, StopMade, StopMoved, Verdict, WhatIfResult, what_if_logs
+from recorder.review.rerun.counterfactual import (
+    CounterfactualVerdict,
+    Journey,
+    StopMade,
+    StopMoved,
+    WhatIfResult,
+    what_if_logs,
+)
 from recorder.review.rerun.parallel import rerun_side_by_side
 from recorder.review.rerun.player import RerunResult
 from schemas.command_rules import COMMAND_RULES, rules_notice
@@ -212,6 +219,6 @@ def _moved(moved: StopMoved) -> str:
     return f"{abs(seconds):.2f} s {'later' if seconds > 0 else 'sooner'}"
 
 
-def _verdict(verdict: Verdict) -> str:
+def _verdict(verdict: CounterfactualVerdict) -> str:
     text = verdict.verdict if verdict.reason == "none" else f"{verdict.verdict} ({verdict.reason})"
     return f"{text}, bound by {' and '.join(verdict.bound_by)}" if verdict.bound_by else text

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, Protocol
 
-from recorder.backfill.runs import Line
+from recorder.backfill.runs import SequenceLine
 from recorder.encoding.key_counters import SEQUENCE_SPAN, KeyCounters
 from recorder.encoding.protobuf_schema import schema_name
 from schemas.messages import CanFrame, GatewayInfo, RawSample
@@ -77,7 +77,7 @@ class _InTimeCount:
     """Of messages that a recorder may have asked for later: only their publish time tells their place then."""
 
     def __init__(self) -> None:
-        self._line = Line()
+        self._line = SequenceLine()
 
     def take(self, sequences: Sequence[int], publish_ns: Sequence[int], _log_ns: Sequence[int]) -> None:
         take = self._line.take

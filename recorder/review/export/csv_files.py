@@ -21,7 +21,7 @@ from recorder.review.columns.tables import Columns
 from recorder.review.export.cells import cells
 from recorder.review.export.known_rows import KnownRows, overlapping
 from recorder.review.export.manifest import described
-from recorder.review.export.one_log import Wanted
+from recorder.review.export.one_log import ExportRange
 from schemas.exit_codes import CommandError
 from schemas.printable import plain
 
@@ -40,7 +40,7 @@ class CsvFile(msgspec.Struct, frozen=True):
 def export_csv(
     logs: Sequence[LogFile],
     directory: Path,
-    wanted: Wanted,
+    wanted: ExportRange,
     faults: Faults,
     progress: Progress = lambda _: None,
 ) -> list[CsvFile]:

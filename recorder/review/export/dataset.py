@@ -34,14 +34,14 @@ from recorder.review.export.manifest import (
     sha256_of,
     write_manifest,
 )
-from recorder.review.export.one_log import Outcome, Task, Wanted, export_log
+from recorder.review.export.one_log import ExportOutcome, ExportRange, ExportTask, export_log
 from schemas import keys
 from schemas.exit_codes import CommandError
 from schemas.printable import plain
 
 _STAGING_PREFIX: Final = ".export-"
 
-Runner = Callable[[Sequence[Task], Progress], Iterable[Outcome]]
+Runner = Callable[[Sequence[ExportTask], Progress], Iterable[ExportOutcome]]
 """Does all tasks, and gives their outcomes in the same order."""
 
 
@@ -65,7 +65,7 @@ class Exported(msgspec.Struct, frozen=True):
         return sum(part.rows for part in self.files)
 
 
-def one_after_the_other(tasks: Sequence[Task], progress: Progress) -> Iterator[Outcome]:
+def one_after_the_other(tasks: Sequence[ExportTask], progress: Progress) -> Iterator[ExportOutcome]:
     """A runner: in this process."""
     for task in tasks:
         yield export_log(task, progress)
@@ -74,7 +74,7 @@ def one_after_the_other(tasks: Sequence[Task], progress: Progress) -> Iterator[O
 def export_dataset(
     logs: Sequence[LogFile],
     directory: Path,
-    wanted: Wanted,
+    wanted: ExportRange,
     faults: Faults,
     *,
     is_adding: bool = False,
@@ -110,7 +110,7 @@ def export_dataset(
 def _export(
     logs: Sequence[LogFile],
     directory: Path,
-    wanted: Wanted,
+    wanted: ExportRange,
     faults: Faults,
     before: Manifest,
     run: Runner,
@@ -124,10 +124,10 @@ def _export(
             new.setdefault(hashes[log], log)
     staging = Path(tempfile.mkdtemp(prefix=_STAGING_PREFIX, dir=directory)).absolute()
     try:
-        tasks: list[Task] = []
+        tasks: list[ExportTask] = []
         for sha256, log in new.items():
             earlier = overlapping(log, [one.log for one in tasks])
-            tasks.append(Task(log, sha256, earlier, staging, wanted))
+            tasks.append(ExportTask(log, sha256, earlier, staging, wanted))
         outcomes = list(run(tasks, progress))
         files = [_move(staging, directory, part) for outcome in outcomes for part in outcome.parts]
         schemas = dict(before.schemas)

@@ -16,7 +16,7 @@ from recorder.review.export.manifest import Column, Input, Part
 from recorder.review.export.parts import Parts
 
 
-class Wanted(msgspec.Struct, frozen=True):
+class ExportRange(msgspec.Struct, frozen=True):
     """What is wanted of the logs.
 
     Attributes:
@@ -35,7 +35,7 @@ class Wanted(msgspec.Struct, frozen=True):
         return Selection(wants_of(self.topics), self.from_ns, END_OF_TIME_NS if self.to_ns < 0 else self.to_ns)
 
 
-class Task(msgspec.Struct, frozen=True):
+class ExportTask(msgspec.Struct, frozen=True):
     """A log to be exported.
 
     Attributes:
@@ -50,10 +50,10 @@ class Task(msgspec.Struct, frozen=True):
     sha256: str
     earlier: list[LogFile]
     directory: Path
-    wanted: Wanted
+    wanted: ExportRange
 
 
-class Outcome(msgspec.Struct, frozen=True):
+class ExportOutcome(msgspec.Struct, frozen=True):
     """What became of a log."""
 
     input: Input
@@ -61,7 +61,7 @@ class Outcome(msgspec.Struct, frozen=True):
     schemas: dict[str, list[Column]]
 
 
-def export_log(task: Task, progress: Progress = lambda _: None) -> Outcome:
+def export_log(task: ExportTask, progress: Progress = lambda _: None) -> ExportOutcome:
     """Write the parts of a log.
 
     Raises:
@@ -81,7 +81,7 @@ def export_log(task: Task, progress: Progress = lambda _: None) -> Outcome:
         parts.close()
     finally:
         parts.abandon()
-    return Outcome(
+    return ExportOutcome(
         input=Input(
             path=str(task.log.path),
             bytes=task.log.bytes,

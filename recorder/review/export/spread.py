@@ -14,7 +14,7 @@ import msgspec
 
 from recorder.reading.rows import Progress
 from recorder.review.export.dataset import Runner
-from recorder.review.export.one_log import Outcome, Task, export_log
+from recorder.review.export.one_log import ExportOutcome, ExportTask, export_log
 from schemas.exit_codes import CommandError
 
 QUIET: Final = {
@@ -49,7 +49,7 @@ def daft_runner(address: str = LOCAL) -> Runner:
         _connect(daft, address)
     do_task = daft.func(task_to_outcome, return_dtype=daft.DataType.string(), use_process=True)
 
-    def run(tasks: Sequence[Task], progress: Progress) -> Iterator[Outcome]:
+    def run(tasks: Sequence[ExportTask], progress: Progress) -> Iterator[ExportOutcome]:
         if not tasks:
             return
         names = ["number", "task"]
@@ -57,7 +57,7 @@ def daft_runner(address: str = LOCAL) -> Runner:
         # One task a partition, or all of them would go to one worker.
         frame = daft.from_pydict(columns).into_batches(1)
         frame = frame.select(daft.col("number"), do_task(daft.col("task")).alias("outcome"))
-        outcomes: dict[int, Outcome] = {}
+        outcomes: dict[int, ExportOutcome] = {}
         for row in frame.iter_rows():
             outcome = decode_outcome(row["outcome"])
             outcomes[row["number"]] = outcome
@@ -72,19 +72,19 @@ def task_to_outcome(task: str) -> str:
     return msgspec.json.encode(export_log(decode_task(task)), enc_hook=str).decode()
 
 
-def encode_task(task: Task) -> str:
+def encode_task(task: ExportTask) -> str:
     """A task as JSON."""
     return msgspec.json.encode(task, enc_hook=str).decode()
 
 
-def decode_task(text: str) -> Task:
+def decode_task(text: str) -> ExportTask:
     """The task that a JSON text is."""
-    return msgspec.json.decode(text, type=Task, dec_hook=_path)
+    return msgspec.json.decode(text, type=ExportTask, dec_hook=_path)
 
 
-def decode_outcome(text: str) -> Outcome:
+def decode_outcome(text: str) -> ExportOutcome:
     """The outcome that a JSON text is."""
-    return msgspec.json.decode(text, type=Outcome)
+    return msgspec.json.decode(text, type=ExportOutcome)
 
 
 def _path(_kind: type, text: Any) -> Path:  # noqa: ANN401 - whatever stands in the JSON

@@ -23,7 +23,7 @@ from recorder.record.accounting import COMPLETENESS_NAME, KeyReport, total
 from recorder.record.robots import METADATA_NAME
 from recorder.review.joining.duplicates import LATE_MAX, RECENT_MAX, Recent
 from recorder.review.joining.ordered import in_order
-from recorder.review.joining.source import Row, Source
+from recorder.review.joining.source import JoinSource, Row
 from schemas.exit_codes import CommandError
 from schemas.messages import CanFrame
 from schemas.subjects import SUBJECTS
@@ -39,7 +39,7 @@ _LATE: Final = frozenset(subject.schema_name for subject in SUBJECTS if subject.
 """Schemas of what a recorder may ask for later."""
 
 
-class Wanted(msgspec.Struct, frozen=True):
+class JoinRange(msgspec.Struct, frozen=True):
     """What goes into the new file.
 
     Attributes:
@@ -76,7 +76,7 @@ class Joined(msgspec.Struct, frozen=True):
 def join(
     logs: Sequence[LogFile],
     path: Path,
-    wanted: Wanted,
+    wanted: JoinRange,
     about: tuple[str, dict[str, str]],
     faults: Faults,
     progress: Progress = lambda _: None,
@@ -99,7 +99,7 @@ def join(
         sources = []
         for log in logs:
             try:
-                sources.append(Source(log, joining.choose, faults))
+                sources.append(JoinSource(log, joining.choose, faults))
             except OSError as error:
                 faults.add(f"{log.path}: {error.strerror or error}")
         profiles = {source.profile for source in sources}
@@ -126,7 +126,7 @@ def join(
 class _Joining:
     """Gives channels their ids, and messages their place in the new file."""
 
-    def __init__(self, wanted: Wanted) -> None:
+    def __init__(self, wanted: JoinRange) -> None:
         self._wanted = wanted
         self._file: McapFile | None = None
         self._ids: dict[tuple[str, str, str, bytes, str, tuple[tuple[str, str], ...]], int] = {}
@@ -208,7 +208,7 @@ class _Joining:
             self._file.write_chunk(chunk)
 
 
-def _copy_metadata(file: McapFile, sources: Sequence[Source], about: tuple[str, dict[str, str]]) -> None:
+def _copy_metadata(file: McapFile, sources: Sequence[JoinSource], about: tuple[str, dict[str, str]]) -> None:
     """All records once; and of those of which the last one of a file counts, one that is true of all files."""
     seen: set[tuple[str, tuple[tuple[str, str], ...]]] = set()
     last: dict[str, list[dict[str, str]]] = {METADATA_NAME: [], COMPLETENESS_NAME: []}
@@ -246,7 +246,7 @@ def _one_completeness(several: Sequence[dict[str, str]]) -> dict[str, str]:
     return {topic: msgspec.json.encode(total(of_topic)).decode() for topic, of_topic in sorted(reports.items())}
 
 
-def _copy_attachments(file: McapFile, sources: Sequence[Source]) -> None:
+def _copy_attachments(file: McapFile, sources: Sequence[JoinSource]) -> None:
     """Each once, by name, type and content."""
     seen: set[tuple[str, str, int, int]] = set()
     for one in _attachments(sources):
@@ -256,6 +256,6 @@ def _copy_attachments(file: McapFile, sources: Sequence[Source]) -> None:
             file.add_attachment(one.name, one.media_type, one.data, one.log_time, one.create_time)
 
 
-def _attachments(sources: Sequence[Source]) -> Iterator[records.Attachment]:
+def _attachments(sources: Sequence[JoinSource]) -> Iterator[records.Attachment]:
     for source in sources:
         yield from source.read_attachments()

@@ -12,7 +12,7 @@ from typing import Final
 
 from recorder.reading.faults import Faults
 from recorder.reading.rows import END_OF_TIME_NS, Progress
-from recorder.review.joining.source import Row, Source
+from recorder.review.joining.source import JoinSource, Row
 
 HELD_BYTES_MAX: Final = 96_000_000
 """So many bytes of messages are held at most. Where more overlap, the order is given up, and that is told."""
@@ -33,7 +33,7 @@ class _Held:
 
 
 def in_order(
-    sources: Sequence[Source], from_ns: int, to_ns: int, faults: Faults, progress: Progress = lambda _: None
+    sources: Sequence[JoinSource], from_ns: int, to_ns: int, faults: Faults, progress: Progress = lambda _: None
 ) -> Iterator[Row]:
     """The wanted messages of a time.
 
@@ -89,7 +89,7 @@ def _end(held: _Held, until_ns: int) -> int:
     return end
 
 
-def _chunks(source: Source, number: int, from_ns: int, to_ns: int) -> Iterator[tuple[int, int, int]]:
+def _chunks(source: JoinSource, number: int, from_ns: int, to_ns: int) -> Iterator[tuple[int, int, int]]:
     """Beginning, source and number of each chunk that may hold messages of this time, by their beginnings."""
     for chunk in sorted(range(len(source.starts)), key=source.starts.__getitem__):
         if source.starts[chunk] < to_ns and source.ends[chunk] >= from_ns:

@@ -39,7 +39,7 @@ Choose = Callable[[LogChannel], int | None]
 Kind = TypeVar("Kind", records.Header, records.Metadata, records.Attachment)
 
 
-class Source:
+class JoinSource:
     """A log. Its file is open only while it is read: there may be more of them than files that may be open.
 
     Args:

@@ -15,7 +15,7 @@ from recorder.review.timeline.clock import NEAR_NS
 from schemas.decisions import ArbiterState, SafetyState
 
 
-class Ending(msgspec.Struct, frozen=True):
+class RunEnding(msgspec.Struct, frozen=True):
     """What a log tells of the ends of runs.
 
     Attributes:
@@ -27,7 +27,7 @@ class Ending(msgspec.Struct, frozen=True):
     last: Heard[SafetyState] | None = None
 
 
-def ending(robot: str, logs: Sequence[LogFile], from_ns: int, faults: Faults, progress: Progress) -> Ending:
+def ending(robot: str, logs: Sequence[LogFile], from_ns: int, faults: Faults, progress: Progress) -> RunEnding:
     """How the runs ended from a time on.
 
     Args:
@@ -49,7 +49,7 @@ def ending(robot: str, logs: Sequence[LogFile], from_ns: int, faults: Faults, pr
         if last is not None and is_other_run(last.said, one.said) and last.said.state is not ArbiterState.STANDBY:
             died = last
         last = one
-    return Ending(died, last)
+    return RunEnding(died, last)
 
 
 def _heard(row: Row, faults: Faults) -> Heard[SafetyState] | None:

@@ -12,7 +12,7 @@ from recorder.review.reasoning.signals import (
     BY_IDENTIFIER,
     IDENTIFIERS,
     WHEELS,
-    Frame,
+    DecodedFrame,
     signals,
     silence_ns,
 )
@@ -67,8 +67,8 @@ def mode(scene: Scene, value: int) -> list[Link]:
 
 def _turned(scene: Scene, signal: str, value: int, word: str) -> list[Link]:
     """The first of the last frames of the body that have this value."""
-    first: Frame | None = None
-    other: Frame | None = None
+    first: DecodedFrame | None = None
+    other: DecodedFrame | None = None
     for frame in reversed(scene.frames_before(BODY)):
         if not frame.is_whole:
             continue
@@ -162,7 +162,7 @@ def _last_frame(scene: Scene, name: str) -> Link:
     return evidence(text, last.time_ns, bytes=last.data.hex(), **data)
 
 
-def _waited(frame: Frame) -> str:
+def _waited(frame: DecodedFrame) -> str:
     """How much sooner the bus had it than the arbiter, to be put behind its time."""
     return f" (the bus had it {span(frame.waited_ns)} earlier)" if frame.waited_ns >= WAITED_NS else ""
 
@@ -176,7 +176,7 @@ def _waiting(scene: Scene, name: str) -> str:
     return f"; {came}, which the arbiter had not been given"
 
 
-def _last_new(whole: Sequence[Frame]) -> Frame:
+def _last_new(whole: Sequence[DecodedFrame]) -> DecodedFrame:
     """The last one that did not only repeat the counter of the one before."""
     at = len(whole) - 1
     while at and whole[at].alive_counter == whole[at - 1].alive_counter:
@@ -220,7 +220,7 @@ def _faults(scene: Scene, name: str) -> Iterable[Link]:
     yield from absurd(scene, name)
 
 
-def _alive_faults(frames: Iterable[Frame]) -> int:
+def _alive_faults(frames: Iterable[DecodedFrame]) -> int:
     """The fault count after these frames."""
     faults, expected = 0, None
     for frame in frames:

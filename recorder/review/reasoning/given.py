@@ -11,7 +11,7 @@ from typing import Any, Final
 import msgspec
 
 from recorder.reading.topics import UNREADABLE
-from recorder.review.reasoning.signals import Frame
+from recorder.review.reasoning.signals import DecodedFrame
 from schemas.can_word import ERROR, EXTENDED, IDENTIFIER_MASK, REMOTE
 from schemas.decisions import Journal
 from schemas.journal import Kind
@@ -25,7 +25,7 @@ _TICK: Final = Kind.TICK.value
 _DECODER: Final = msgspec.msgpack.Decoder(list[tuple[Any, ...]])
 
 
-class Given(msgspec.Struct, frozen=True):
+class GivenInputs(msgspec.Struct, frozen=True):
     """What the arbiter was given up to a tick. Times are nanoseconds since 1970, by the clock of the moment.
 
     Attributes:
@@ -34,10 +34,10 @@ class Given(msgspec.Struct, frozen=True):
     """
 
     from_ns: int
-    frames: dict[int, list[Frame]]
+    frames: dict[int, list[DecodedFrame]]
 
 
-def given_until(at_ns: int, journals: Sequence[Journal], shift_ns: int) -> Given | None:
+def given_until(at_ns: int, journals: Sequence[Journal], shift_ns: int) -> GivenInputs | None:
     """The frames that the arbiter was given before the last tick up to a moment.
 
     Args:
@@ -70,7 +70,7 @@ def given_until(at_ns: int, journals: Sequence[Journal], shift_ns: int) -> Given
             if at_ns - shift_ns - wall_ns > SAFETY_STATE_PERIOD_NS + TICK_NS:
                 return None
             offset_ns = wall_ns + shift_ns - now_ns
-            return Given(from_ns + offset_ns, _frames(inputs, offset_ns, shift_ns))
+            return GivenInputs(from_ns + offset_ns, _frames(inputs, offset_ns, shift_ns))
         case _:
             return None
 
@@ -93,8 +93,8 @@ def _up_to_tick(inputs: list[tuple[Any, ...]], wall_ns: int) -> list[tuple[Any, 
     return []
 
 
-def _frames(inputs: Sequence[tuple[Any, ...]], offset_ns: int, shift_ns: int) -> dict[int, list[Frame]]:
-    frames: dict[int, list[Frame]] = {}
+def _frames(inputs: Sequence[tuple[Any, ...]], offset_ns: int, shift_ns: int) -> dict[int, list[DecodedFrame]]:
+    frames: dict[int, list[DecodedFrame]] = {}
     for one in inputs:
         match one:
             case (kind, int(now_ns), [int(word), bytes(data), int(wall_ns), *_]) if kind == _FRAME:
@@ -102,5 +102,5 @@ def _frames(inputs: Sequence[tuple[Any, ...]], offset_ns: int, shift_ns: int) ->
                     given_ns = now_ns + offset_ns
                     bus_ns = wall_ns + shift_ns if wall_ns else given_ns
                     identifier = word & IDENTIFIER_MASK
-                    frames.setdefault(identifier, []).append(Frame(given_ns, identifier, data, bus_ns))
+                    frames.setdefault(identifier, []).append(DecodedFrame(given_ns, identifier, data, bus_ns))
     return frames

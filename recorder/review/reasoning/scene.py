@@ -15,8 +15,8 @@ from recorder.reading.log_file import LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Row, Selection, read_rows
 from recorder.reading.topics import UNREADABLE
 from recorder.review.reasoning.chain import before
-from recorder.review.reasoning.given import Given, given_until
-from recorder.review.reasoning.signals import Frame
+from recorder.review.reasoning.given import GivenInputs, given_until
+from recorder.review.reasoning.signals import DecodedFrame
 from recorder.review.timeline.clock import FAR_NS, NEAR_NS
 from schemas import keys
 from schemas.configuration import TomlSource, merge
@@ -117,9 +117,9 @@ class Scene:
         self.at_ns = at_ns
         self.what = "that moment"
         self.limits = limits
-        self.frames: dict[int, tuple[deque[Frame], deque[Frame]]] = {}
-        self.sent: dict[int, tuple[deque[Frame], deque[Frame]]] = {}
-        self.waiting: dict[int, list[Frame]] = {}
+        self.frames: dict[int, tuple[deque[DecodedFrame], deque[DecodedFrame]]] = {}
+        self.sent: dict[int, tuple[deque[DecodedFrame], deque[DecodedFrame]]] = {}
+        self.waiting: dict[int, list[DecodedFrame]] = {}
         self.is_journaled = False
         self.received = 0
         self.gaps: list[RecordGap] = []
@@ -173,7 +173,7 @@ class Scene:
         if given is not None:
             self._give(given)
 
-    def _give(self, given: Given) -> None:
+    def _give(self, given: GivenInputs) -> None:
         """Put the arbiter's view of the frames before the moment into the place of the bus's."""
         self.is_journaled = True
         if not self.frames:
@@ -251,7 +251,7 @@ class Scene:
         engaged = (one for one in self.after(SafetyEvent) if one.said.kind is EventKind.ENGAGED)
         return next((one.time_ns for one in engaged), self._run_ns[1])
 
-    def frames_before(self, identifier: int) -> Sequence[Frame]:
+    def frames_before(self, identifier: int) -> Sequence[DecodedFrame]:
         """Frames that the arbiter was given up to the moment, in their order; see ``frames``."""
         return self.frames.get(identifier, _NONE)[0]
 
@@ -286,7 +286,7 @@ class Scene:
             if len(of) >= FRAMES_KEPT:
                 return
             pair = of[raw.identifier] = deque(maxlen=FRAMES_KEPT), deque(maxlen=FRAMES_KEPT)
-        frame = Frame(time_ns, raw.identifier, raw.data)
+        frame = DecodedFrame(time_ns, raw.identifier, raw.data)
         if is_behind and len(pair[1]) == FRAMES_KEPT:
             return
         if not pair[is_behind] or pair[is_behind][-1] != frame:
@@ -305,7 +305,7 @@ _STALL_NS: Final = 2_000_000_000
 
 _TICKS_NEAR: Final = 500
 
-_NONE: Final[tuple[deque[Frame], deque[Frame]]] = deque(), deque()
+_NONE: Final[tuple[deque[DecodedFrame], deque[DecodedFrame]]] = deque(), deque()
 
 _WANTED: Final = frozenset(
     {

@@ -17,7 +17,7 @@ from schemas.settings import SILENCE_MIN_NS, SILENCE_PERIODS
 FRAME_BYTES: Final = 8
 
 
-class Frame(msgspec.Struct, frozen=True):
+class DecodedFrame(msgspec.Struct, frozen=True):
     """A raw frame with an extended identifier. Times are nanoseconds since 1970.
 
     Attributes:
@@ -84,7 +84,7 @@ def _database(variant: Variant) -> Database:
     return database
 
 
-def signals(frame: Frame, variant: Variant = Variant.COARSE) -> dict[str, Any]:
+def signals(frame: DecodedFrame, variant: Variant = Variant.COARSE) -> dict[str, Any]:
     """A frame's signals by name, scaled, whatever its checksum is; empty if it is none of the DBC."""
     if frame.identifier not in BY_IDENTIFIER or len(frame.data) != FRAME_BYTES:
         return {}

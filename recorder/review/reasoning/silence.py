@@ -20,7 +20,7 @@ _FRESH_NS: Final = 500_000_000
 """Feedback that is older is no longer what the robot did."""
 
 
-class Silence(msgspec.Struct, frozen=True):
+class GatewaySilence(msgspec.Struct, frozen=True):
     """A gateway that fell silent, and another one.
 
     It is dated by the last state of its arbiter, as in ``events`` and ``report``. That state names its run; what
@@ -69,33 +69,33 @@ class Silence(msgspec.Struct, frozen=True):
         return f"{self.was.said.state.value}, {motion}"
 
 
-def last_silence(now: Scene) -> Silence | None:
+def last_silence(now: Scene) -> GatewaySilence | None:
     """The last one that began before the moment; None if none is in these seconds."""
     return next((one for one in reversed(_silences(now)) if one.heard_ns < now.at_ns), None)
 
 
-def next_silence(now: Scene, within_ns: int) -> Silence | None:
+def next_silence(now: Scene, within_ns: int) -> GatewaySilence | None:
     """The first one that begins at the moment or so soon after it, of a gateway that was not standing by."""
     soon = (one for one in _silences(now) if now.at_ns <= one.heard_ns <= now.at_ns + within_ns)
     return next((one for one in soon if one.was_active), None)
 
 
-def _silences(now: Scene) -> list[Silence]:
+def _silences(now: Scene) -> list[GatewaySilence]:
     """All of these seconds."""
     states = now.all(SafetyState)
     return [_silence(now, was, then) for was, then in pairwise(states) if is_other_run(was.said, then.said)]
 
 
-def _silence(now: Scene, was: Heard[SafetyState], then: Heard[SafetyState]) -> Silence:
+def _silence(now: Scene, was: Heard[SafetyState], then: Heard[SafetyState]) -> GatewaySilence:
     drive = now.last(Drive, was.time_ns)
     is_known = drive is not None and drive.time_ns > was.time_ns - _FRESH_NS
     speed_mps = drive.said.speed_mps if drive is not None and is_known else None
     ends = (one.said for one in now.all(SafetyEvent) if one.said.kind is EventKind.GATEWAY)
     is_told = any(is_same_run(one.tick, was.said.tick) for one in ends) and was.said.state is ArbiterState.STANDBY
-    return Silence(was, then, speed_mps, next(now.after(Drive, then.time_ns), None), is_told)
+    return GatewaySilence(was, then, speed_mps, next(now.after(Drive, then.time_ns), None), is_told)
 
 
-def in_a_sentence(silence: Silence, at_ns: int) -> str:
+def in_a_sentence(silence: GatewaySilence, at_ns: int) -> str:
     """For a headline."""
     fell, began = before(silence.heard_ns, at_ns), before(silence.then.time_ns, at_ns)
     return f"The gateway {silence.fell} {fell}, {silence.left}; another began {began}."
@@ -121,7 +121,7 @@ def _words(entry: Entry) -> str:
     return entry.text.partition(f"{TEXTS[Reason.GUARD].means}; ")[2] or entry.text
 
 
-def links(silence: Silence, guard: Sequence[Link]) -> Iterator[Link]:
+def links(silence: GatewaySilence, guard: Sequence[Link]) -> Iterator[Link]:
     """The silence, its end, and what is known of the robot in between.
 
     Args:

@@ -11,7 +11,7 @@ from recorder.reading.log_file import LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection, read_rows
 from recorder.review.reasoning.scene import Scene
 from recorder.review.timeline.clock import NEAR_NS
-from recorder.review.timeline.entries import STOPS, Entry, EntryKind, Source
+from recorder.review.timeline.entries import STOPS, Entry, EntryKind, EntrySource
 from recorder.review.timeline.timeline import Question, Timeline, read_events
 from schemas.decisions import SafetyEvent, Severity, is_same_run
 from schemas.reasons import Reason
@@ -71,7 +71,7 @@ class Story:
 
         None if a stop of the scene is not where the story has it: then the story's times are not to be believed.
         """
-        told_ns = {one.tick: one.time_ns for one in self._entries if one.source is Source.EVENT}
+        told_ns = {one.tick: one.time_ns for one in self._entries if one.source is EntrySource.EVENT}
         both = [one for one in scene.all(SafetyEvent) if one.said.tick in told_ns]
         if any(abs(told_ns[one.said.tick] - one.time_ns) > NEAR_NS for one in both):
             return None
@@ -102,7 +102,7 @@ def _stops(entry: Entry) -> bool:
 
 
 def _is_death(entry: Entry) -> bool:
-    is_seen = entry.kind is EntryKind.GATEWAY and entry.source is Source.RECORDER
+    is_seen = entry.kind is EntryKind.GATEWAY and entry.source is EntrySource.RECORDER
     return is_seen and entry.severity is Severity.ERROR
 
 

@@ -25,7 +25,7 @@ from recorder.review.report.series import Series
 from recorder.review.report.spans import Spans
 from recorder.review.report.versions import Versions
 from recorder.review.timeline.clock import RobotClock
-from recorder.review.timeline.ending import SILENT_NS, Ending
+from recorder.review.timeline.ending import SILENT_NS, LogEnding
 from recorder.review.timeline.repeats import Repeats
 from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState, Verdict
 from schemas.messages import GatewayHealth, Message, Mode, RobotState
@@ -133,7 +133,7 @@ class Account:
         if len(self._unwritten) < REFUSALS_MAX or (topic, reason) in self._unwritten:
             self._unwritten[topic, reason] += count
 
-    def end(self, found: Ending) -> None:
+    def end(self, found: LogEnding) -> None:
         """The logs end in the middle of a drive, or after the gateway fell silent. The timeline says so, too."""
         if found.is_silent:
             self.happenings.add_outage(Outage(found.entry.time_ns, None, found.is_commanding))

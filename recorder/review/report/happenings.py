@@ -13,7 +13,7 @@ import msgspec
 
 from recorder.review.report.findings import Moment, Outage, Silence
 from recorder.review.report.odometry import Place
-from recorder.review.timeline.entries import Entry, EntryKind, Source
+from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
 from schemas.decisions import Severity
 from schemas.reasons import Reason
 
@@ -68,7 +68,7 @@ class Happenings:
             self.stops[entry.reason.value] += 1
         elif entry.kind is EntryKind.LATCH and entry.reason is Reason.GUARD:
             self._take_guard_stop(entry)
-        elif entry.kind is EntryKind.GAP and entry.source is Source.LOG and entry.last_ns > entry.time_ns:
+        elif entry.kind is EntryKind.GAP and entry.source is EntrySource.LOG and entry.last_ns > entry.time_ns:
             self._take_silence(entry)
         elif _is_restart(entry):
             self._take_restart(entry)
@@ -149,7 +149,7 @@ class Happenings:
 def _is_restart(entry: Entry) -> bool:
     """Another gateway, and the one before was not told to end."""
     is_grave = entry.severity is not Severity.INFO
-    return entry.kind is EntryKind.GATEWAY and is_grave and entry.source is not Source.RECORDER
+    return entry.kind is EntryKind.GATEWAY and is_grave and entry.source is not EntrySource.RECORDER
 
 
 def _is_pause(outage: Outage, pauses: Sequence[tuple[int, int]]) -> bool:

@@ -31,7 +31,7 @@ Key = tuple[str, Hashable]
 """The subject, and what tells its message from every other."""
 
 
-class Said(msgspec.Struct, frozen=True, gc=False):
+class RecordedOutput(msgspec.Struct, frozen=True, gc=False):
     """A record: its publish time in nanoseconds since 1970, and its bytes."""
 
     time_ns: int
@@ -83,12 +83,12 @@ class Comparison:
         self.given_up = 0
         self.begins_ns: int | None = None
         self.ends_ns = 0
-        self._recorded: OrderedDict[Key, Said] = OrderedDict()
-        self._again: OrderedDict[Key, Said] = OrderedDict()
+        self._recorded: OrderedDict[Key, RecordedOutput] = OrderedDict()
+        self._again: OrderedDict[Key, RecordedOutput] = OrderedDict()
         self._newest: dict[str, int] = {}
         self._compared: OrderedDict[Key, None] = OrderedDict()
 
-    def record(self, key: Key, said: Said) -> None:
+    def record(self, key: Key, said: RecordedOutput) -> None:
         """A message of the log."""
         if not self._holds(said.time_ns):
             return
@@ -98,7 +98,7 @@ class Comparison:
         elif said.time_ns > self.ends_ns or not self._is_repeated(key):
             self._wait(self._recorded, key, said)
 
-    def say_again(self, key: Key, said: Said) -> None:
+    def say_again(self, key: Key, said: RecordedOutput) -> None:
         """A message that comes out of the inputs."""
         if self.begins_ns is None:
             self.begins_ns = said.time_ns
@@ -113,7 +113,7 @@ class Comparison:
         else:
             self._wait(self._again, key, said)
 
-    def end(self) -> dict[Key, Said]:
+    def end(self) -> dict[Key, RecordedOutput]:
         """Nothing more comes out. Returns what was recorded later than that: it belongs to what follows.
 
         What was recorded before the first message that came out again belongs to nothing.
@@ -122,7 +122,7 @@ class Comparison:
         last_ns = self.ends_ns - BATCH_NS
         self.unrecorded.update(key[0] for key, said in self._again.items() if said.time_ns <= last_ns)
         self._again.clear()
-        later: dict[Key, Said] = {}
+        later: dict[Key, RecordedOutput] = {}
         begins_ns = self.begins_ns or 0
         for key, said in self._recorded.items():
             if said.time_ns > self.ends_ns - BATCH_NS:
@@ -140,7 +140,7 @@ class Comparison:
             return key[1] <= self._newest.get(key[0], -1)
         return key in self._compared
 
-    def _compare(self, key: Key, recorded: Said, again: Said) -> None:
+    def _compare(self, key: Key, recorded: RecordedOutput, again: RecordedOutput) -> None:
         subject = key[0]
         if not isinstance(key[1], int):
             self._compared[key] = None
@@ -165,7 +165,7 @@ class Comparison:
         if len(self.differences) < DIFFERENCES_TOLD:
             self.differences.append(difference)
 
-    def _wait(self, waiting: OrderedDict[Key, Said], key: Key, said: Said) -> None:
+    def _wait(self, waiting: OrderedDict[Key, RecordedOutput], key: Key, said: RecordedOutput) -> None:
         waiting[key] = said
         if len(waiting) > WAITING_MAX:
             waiting.popitem(last=False)
@@ -173,7 +173,9 @@ class Comparison:
             self.given_up += self.begins_ns is not None
 
 
-def _counterpart(waiting: OrderedDict[Key, Said], key: Key, said: Said) -> Said | None:
+def _counterpart(
+    waiting: OrderedDict[Key, RecordedOutput], key: Key, said: RecordedOutput
+) -> RecordedOutput | None:
     """The other side of a message, if it waits. One of another run, with the same sequence, is none."""
     other = waiting.get(key)
     if other is None or abs(other.time_ns - said.time_ns) > SAME_RUN_NS:

@@ -18,7 +18,7 @@ from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Progress
 from recorder.reading.survey import survey
 from recorder.reading.topics import UNREADABLE
-from recorder.review.rerun.player import NO_CONFIGURATION, Player, SampleAgain, installed
+from recorder.review.rerun.player import NO_CONFIGURATION, RerunPlayer, SampleAgain, installed
 from schemas import codec
 from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Decision, EventKind, Journal, SafetyEvent
@@ -73,7 +73,7 @@ class StopsCompared(msgspec.Struct, frozen=True):
     moved: list[StopMoved]
 
 
-class Verdict(msgspec.Struct, frozen=True):
+class CounterfactualVerdict(msgspec.Struct, frozen=True):
     """What became of a request: the verdict, its reason, and the limits that changed what was asked."""
 
     verdict: str
@@ -90,8 +90,8 @@ class DecisionChange(msgspec.Struct):
 
     operator: str
     request: str
-    recorded: Verdict
-    other: Verdict
+    recorded: CounterfactualVerdict
+    other: CounterfactualVerdict
     count: int
     first_ns: int
     last_ns: int
@@ -162,12 +162,12 @@ def what_if_logs(
     run_both = what_if or installed("what_if")
     found = survey(logs, faults)
     for robot in found.robots:
-        player = Player(robot, logs, configurations_of(robot, logs, found, faults), faults, progress)
+        player = RerunPlayer(robot, logs, configurations_of(robot, logs, found, faults), faults, progress)
         while player.next_part():
             yield _what_if(player, run_both, settings_of)
 
 
-def _what_if(player: Player, run_both: WhatIf, settings_of: Callable[[str], Settings]) -> WhatIfResult:
+def _what_if(player: RerunPlayer, run_both: WhatIf, settings_of: Callable[[str], Settings]) -> WhatIfResult:
     text = player.configuration()
     pair = _Pair()
     changed: dict[str, tuple[object, object]] = {}
@@ -320,7 +320,7 @@ class _Pair:
 _TAKEN: Final = frozenset({"state", "safety/decision", "safety/event"})
 
 
-def _verdict(decision: Decision) -> Verdict:
-    return Verdict(
+def _verdict(decision: Decision) -> CounterfactualVerdict:
+    return CounterfactualVerdict(
         decision.verdict.value, decision.reason.value, tuple(bound.value for bound in decision.bound_by)
     )

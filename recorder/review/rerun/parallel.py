@@ -24,7 +24,7 @@ from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Progress, Selection, read_rows
 from recorder.reading.survey import Survey, survey
 from recorder.review.rerun.comparison import DIFFERENCES_TOLD
-from recorder.review.rerun.player import BROKEN_OFF, Player, RerunResult, installed, rerun_logs, rerun_parts
+from recorder.review.rerun.player import BROKEN_OFF, RerunPlayer, RerunResult, installed, rerun_logs, rerun_parts
 from recorder.review.rerun.segments import WHOLE, Plan, Rests, Stretch, plan
 from recorder.review.rerun.tapes import JOURNAL
 from schemas.exit_codes import CommandError
@@ -39,7 +39,7 @@ LOOK_S: Final = 0.1
 """So often it looks whether it is to stop."""
 
 
-class Task(msgspec.Struct, frozen=True):
+class RerunTask(msgspec.Struct, frozen=True):
     """What one process does at a time."""
 
     robot: str
@@ -48,7 +48,7 @@ class Task(msgspec.Struct, frozen=True):
     stretch: Stretch
 
 
-class Outcome(msgspec.Struct, frozen=True):
+class RerunOutcome(msgspec.Struct, frozen=True):
     """What came of it."""
 
     results: list[RerunResult]
@@ -102,16 +102,16 @@ def rerun_in(
 class _Begun(msgspec.Struct, frozen=True):
     """A robot whose stretches are being run again."""
 
-    task: Task
+    task: RerunTask
     plan: Plan
-    futures: list[Future[Outcome]]
+    futures: list[Future[RerunOutcome]]
 
 
-def _task(robot: str, logs: Sequence[LogFile], found: Survey, faults: Faults) -> Task:
-    return Task(robot, list(logs), configurations_of(robot, logs, found, faults), WHOLE)
+def _task(robot: str, logs: Sequence[LogFile], found: Survey, faults: Faults) -> RerunTask:
+    return RerunTask(robot, list(logs), configurations_of(robot, logs, found, faults), WHOLE)
 
 
-def _begin(pool: Executor, whole: Task, length_ns: int, faults: Faults, progress: Progress) -> _Begun:
+def _begin(pool: Executor, whole: RerunTask, length_ns: int, faults: Faults, progress: Progress) -> _Begun:
     rests: Rests = installed("rests")
     selection = Selection(lambda topic: topic.robot == whole.robot and topic.subject == JOURNAL)
     planned = plan(read_rows(whole.logs, selection, faults, progress), rests, length_ns, faults)
@@ -133,7 +133,7 @@ def _gather(pool: Executor, begun: _Begun, faults: Faults, progress: Callable[[f
     return results
 
 
-def outcome_of(future: Future[Outcome], progress: Callable[[float], None]) -> Outcome:
+def outcome_of(future: Future[RerunOutcome], progress: Callable[[float], None]) -> RerunOutcome:
     """What came of a task, when it is over; meanwhile it tells the progress that there is none.
 
     Raises:
@@ -196,11 +196,11 @@ def _joined(before: RerunResult, behind: RerunResult) -> RerunResult:
     )
 
 
-def run_task(task: Task) -> Outcome:
+def run_task(task: RerunTask) -> RerunOutcome:
     """A stretch of a robot's time, run again in this process."""
     faults = Faults()
-    player = Player(task.robot, task.logs, task.configurations, faults, _look, task.stretch)
-    return Outcome(list(rerun_parts(player)), faults)
+    player = RerunPlayer(task.robot, task.logs, task.configurations, faults, _look, task.stretch)
+    return RerunOutcome(list(rerun_parts(player)), faults)
 
 
 @contextmanager

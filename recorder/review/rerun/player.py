@@ -19,7 +19,7 @@ from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Progress, Row, Selection, read_rows
 from recorder.reading.survey import survey
 from recorder.reading.topics import UNREADABLE, typed_decoder
-from recorder.review.rerun.comparison import Comparison, Difference, Key, Said
+from recorder.review.rerun.comparison import Comparison, Difference, Key, RecordedOutput
 from recorder.review.rerun.segments import WHOLE, Stretch
 from recorder.review.rerun.tapes import JOURNAL, PartEnd, Tape
 from schemas import codec
@@ -123,12 +123,12 @@ def rerun_logs(
     found = survey(logs, faults)
     for robot in found.robots:
         configurations = configurations_of(robot, logs, found, faults)
-        player = Player(robot, logs, configurations, faults, progress)
+        player = RerunPlayer(robot, logs, configurations, faults, progress)
         yield from rerun_parts(player, rerun, settings_of)
 
 
 def rerun_parts(
-    player: Player, rerun: Rerun | None = None, settings_of: Callable[[str], Settings] | None = None
+    player: RerunPlayer, rerun: Rerun | None = None, settings_of: Callable[[str], Settings] | None = None
 ) -> Iterator[RerunResult]:
     """Every run that a player plays, run again; arguments as of ``rerun_logs``."""
     again = rerun or installed("rerun")
@@ -136,7 +136,7 @@ def rerun_parts(
         yield _rerun(player, again, settings_of or settings_from)
 
 
-def _rerun(player: Player, again: Rerun, settings_of: Callable[[str], Settings]) -> RerunResult:
+def _rerun(player: RerunPlayer, again: Rerun, settings_of: Callable[[str], Settings]) -> RerunResult:
     text = player.configuration()
     if text is None:
         return player.skip(NO_CONFIGURATION)
@@ -152,7 +152,7 @@ def _rerun(player: Player, again: Rerun, settings_of: Callable[[str], Settings])
     return player.result(start_ns)
 
 
-class Player:
+class RerunPlayer:
     """The runs of one robot, one after the other.
 
     Args:
@@ -250,7 +250,7 @@ class Player:
         except UNREADABLE as error:
             self._faults.add(f"{row.topic.name}: a record that cannot be read: {error}")
             return
-        self.comparison.record(key, Said(row.publish_ns, row.data))
+        self.comparison.record(key, RecordedOutput(row.publish_ns, row.data))
 
 
 def key_of(subject: str, sequence: int, time_ns: int, data: bytes) -> Key:
@@ -274,11 +274,11 @@ _IDENTIFIER_TAG: Final = b"\x1d"
 """...and the field 3, of 4: what has a fixed width comes first, see ``recorder.encoding.transcode``."""
 
 
-def records_of(sample: SampleAgain) -> Iterator[tuple[Key, Said]]:
+def records_of(sample: SampleAgain) -> Iterator[tuple[Key, RecordedOutput]]:
     """The records that a recorder would write of a sample."""
     message: Any = codec.decode(BY_NAME[sample.subject], sample.payload)
     for time_ns, data in _ROUTES[sample.subject].transcode(message):
-        yield key_of(sample.subject, message.sequence, time_ns, data), Said(time_ns, data)
+        yield key_of(sample.subject, message.sequence, time_ns, data), RecordedOutput(time_ns, data)
 
 
 _ROUTES: Final = {name: Route(0, BY_NAME[name], "") for name in COMPARED}

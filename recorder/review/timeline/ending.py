@@ -7,7 +7,7 @@ from typing import Final
 
 import msgspec
 
-from recorder.review.timeline.entries import Entry, EntryKind, Source
+from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
 from recorder.review.timeline.robot_track import RobotTrack
 from schemas.decisions import Severity
 
@@ -15,7 +15,7 @@ SILENT_NS: Final = 1_000_000_000
 """The arbiter's state comes 20 times a second; without it for so long, what happened meanwhile is not known."""
 
 
-class Ending(msgspec.Struct, frozen=True):
+class LogEnding(msgspec.Struct, frozen=True):
     """How it ends.
 
     Attributes:
@@ -29,7 +29,7 @@ class Ending(msgspec.Struct, frozen=True):
     is_commanding: bool
 
 
-def ending(robot: RobotTrack, spans: Sequence[tuple[int, int]], to_ns: int) -> Ending | None:
+def ending(robot: RobotTrack, spans: Sequence[tuple[int, int]], to_ns: int) -> LogEnding | None:
     """What is to be told of the end; None if nothing is.
 
     Args:
@@ -56,7 +56,7 @@ def ending(robot: RobotTrack, spans: Sequence[tuple[int, int]], to_ns: int) -> E
         robot=robot.name,
         kind=EntryKind.GAP,
         severity=Severity.ERROR if is_silent and robot.is_active else Severity.WARNING,
-        source=Source.LOG,
+        source=EntrySource.LOG,
         text=text,
     )
-    return Ending(entry, is_silent, robot.is_active)
+    return LogEnding(entry, is_silent, robot.is_active)

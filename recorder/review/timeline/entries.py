@@ -39,7 +39,7 @@ STOPS: Final = frozenset({EntryKind.STOP, EntryKind.TAKEOVER, EntryKind.GUARD})
 """Entries with which the robot is commanded no longer."""
 
 
-class Source(Enum):
+class EntrySource(Enum):
     """What of the log an entry was read from.
 
     ``state``: no message says so; it was derived from two states of the arbiter, one after the other.
@@ -77,7 +77,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     robot: str
     kind: EntryKind
     severity: Severity
-    source: Source
+    source: EntrySource
     text: str
     count: Count = 1
     reason: Reason = Reason.NONE
@@ -90,7 +90,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def is_derived(self) -> bool:
         """No message says so."""
-        return self.source is Source.STATE
+        return self.source is EntrySource.STATE
 
     @property
     def tells_of_guard(self) -> bool:

@@ -13,7 +13,7 @@ IDS_KEPT: Final = 50_000
 PIECES_MAX: Final = 1000
 
 
-class Hole(msgspec.Struct, frozen=True):
+class SequenceHole(msgspec.Struct, frozen=True):
     """Samples that are not in the log.
 
     Attributes:
@@ -38,7 +38,7 @@ class Sequences:
 
     def __init__(self) -> None:
         self._pieces: list[_Piece] = []
-        self._told: list[Hole] = []
+        self._told: list[SequenceHole] = []
 
     def add(self, sequence: int, time_ns: int) -> None:
         """A sample is there."""
@@ -58,7 +58,7 @@ class Sequences:
             self._told.append(_hole(pieces[0], pieces[1]))
             del pieces[0]
 
-    def holes(self) -> list[Hole]:
+    def holes(self) -> list[SequenceHole]:
         """What is missing between the first and the last one."""
         return self._told + [_hole(*pair) for pair in zip(self._pieces, self._pieces[1:], strict=False)]
 
@@ -68,8 +68,8 @@ class Sequences:
             self._pieces[at - 1].last, self._pieces[at - 1].last_ns = behind.last, behind.last_ns
 
 
-def _hole(before: _Piece, behind: _Piece) -> Hole:
-    return Hole(behind.first - before.last - 1, before.last_ns, behind.first_ns)
+def _hole(before: _Piece, behind: _Piece) -> SequenceHole:
+    return SequenceHole(behind.first - before.last - 1, before.last_ns, behind.first_ns)
 
 
 class Repeats:

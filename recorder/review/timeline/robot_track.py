@@ -8,7 +8,7 @@ from typing import Final
 
 from recorder.reading.rows import Row
 from recorder.review.timeline.clock import RobotClock
-from recorder.review.timeline.entries import Entry, EntryKind, Source
+from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
 from recorder.review.timeline.repeats import Sequences
 from recorder.review.timeline.state_changes import EventTicks
 from schemas.decisions import ArbiterState, SafetyState, Severity, is_same_run
@@ -105,7 +105,7 @@ class RobotTrack:
                 robot=self.name,
                 kind=EntryKind.GAP,
                 severity=Severity.WARNING,
-                source=Source.LOG,
+                source=EntrySource.LOG,
                 count=hole.count,
                 text=f"{hole.count} samples of {topic} are not in the log",
             )

@@ -12,7 +12,7 @@ from typing import Final
 
 import msgspec
 
-from recorder.review.timeline.entries import Entry, EntryKind, Source
+from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
 from schemas.decisions import COMMANDING, ArbiterState, SafetyState, Severity
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import SAFETY_STATE_PERIOD_NS
@@ -112,7 +112,7 @@ def entry_of(change: Change, robot: str, time_ns: int, holder: str) -> Entry:
         robot=robot,
         kind=change.kind,
         severity=change.severity,
-        source=Source.STATE,
+        source=EntrySource.STATE,
         text=change.text,
         reason=change.reason,
         operator=change.operator,

@@ -16,8 +16,8 @@ from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile, logs_of
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Row, Selection, read_rows
 from recorder.reading.topics import UNREADABLE, Topic
-from recorder.review.timeline.ending import SILENT_NS, Ending, ending
-from recorder.review.timeline.entries import OF_EVENT, Entry, EntryKind, Source
+from recorder.review.timeline.ending import SILENT_NS, LogEnding, ending
+from recorder.review.timeline.entries import OF_EVENT, Entry, EntryKind, EntrySource
 from recorder.review.timeline.health_changes import risen
 from recorder.review.timeline.repeats import IDS_KEPT, Repeats
 from recorder.review.timeline.robot_track import RobotTrack
@@ -151,7 +151,7 @@ class Timeline:
         while len(self._held) > HELD_MAX:
             yield from self._next()
 
-    def endings(self, logs: Sequence[LogFile], to_ns: int) -> Iterator[Ending]:
+    def endings(self, logs: Sequence[LogFile], to_ns: int) -> Iterator[LogEnding]:
         """No more rows come: how the logs of each robot end; ``end`` tells so, too.
 
         Args:
@@ -206,7 +206,7 @@ class Timeline:
                 robot=robot.name,
                 kind=kind,
                 severity=event.severity,
-                source=Source.EVENT,
+                source=EntrySource.EVENT,
                 text=event.text,
                 reason=event.reason,
                 operator=event.operator,
@@ -232,7 +232,7 @@ class Timeline:
             robot=robot.name,
             kind=EntryKind.REFUSAL if is_refused else EntryKind.REQUEST,
             severity=Severity.INFO if expected else Severity.WARNING,
-            source=Source.DECISION,
+            source=EntrySource.DECISION,
             text=text,
             reason=decision.reason,
             operator=decision.operator,
@@ -249,7 +249,7 @@ class Timeline:
         said = robot.clock.hear(state.tick, row.publish_ns, row.log_ns)
         time_ns = robot.place(row, state.tick)
         if said:
-            self._hold(_plain(robot.name, EntryKind.CLOCK, Severity.WARNING, time_ns, said, Source.LOG))
+            self._hold(_plain(robot.name, EntryKind.CLOCK, Severity.WARNING, time_ns, said, EntrySource.LOG))
         if was is not None and is_other_run:
             self._take_other_run(robot, time_ns)
         elif was is not None:
@@ -268,7 +268,7 @@ class Timeline:
         silent_ns = time_ns - robot.state_ns
         if silent_ns > SILENT_NS and not robot.is_ended:
             text = f"nothing of the arbiter for {silent_ns / 1e9:.1f} s: the gateway fell silent, {left}"
-            silence = _plain(robot.name, EntryKind.GAP, severity, robot.state_ns, text, Source.LOG)
+            silence = _plain(robot.name, EntryKind.GAP, severity, robot.state_ns, text, EntrySource.LOG)
             self._hold(msgspec.structs.replace(silence, last_ns=time_ns))
         text = "the gateway began anew: nothing of before holds any more"
         text += f"; the one before was {left}" if active else ""
@@ -286,7 +286,7 @@ class Timeline:
         ticks = state.tick - was.tick
         why = f"{missed} samples are missing" if missed else f"the gateway made {ticks} ticks meanwhile"
         text = f"nothing of the arbiter for {silent_ns / 1e9:.1f} s: {why}"
-        entry = _plain(robot.name, EntryKind.GAP, Severity.WARNING, was_ns, text, Source.LOG)
+        entry = _plain(robot.name, EntryKind.GAP, Severity.WARNING, was_ns, text, EntrySource.LOG)
         self._hold(msgspec.structs.replace(entry, last_ns=time_ns, count=max(1, missed)))
 
     def _take_health(self, robot: RobotTrack, row: Row, health: GatewayHealth) -> None:
@@ -297,14 +297,16 @@ class Timeline:
             was = None
             if robot.state is None:
                 text = f"the gateway began anew, {health.uptime_s:.1f} s ago"
-                self._hold(_plain(robot.name, EntryKind.GATEWAY, Severity.WARNING, time_ns, text, Source.HEALTH))
+                self._hold(
+                    _plain(robot.name, EntryKind.GATEWAY, Severity.WARNING, time_ns, text, EntrySource.HEALTH)
+                )
         for one in risen(was, health):
             if one.what == "controller" and robot.state is not None:
                 continue  # An event says so.
             is_dated = was is None or one.is_end
             text = one.text if is_dated else f"{one.text} (after this time, as the next gateway/health says)"
             began_ns = time_ns if is_dated else was_ns
-            entry = _plain(robot.name, one.kind, one.severity, began_ns, text, Source.HEALTH)
+            entry = _plain(robot.name, one.kind, one.severity, began_ns, text, EntrySource.HEALTH)
             entry = msgspec.structs.replace(entry, last_ns=time_ns, count=one.count)
             if one.severity is Severity.INFO and one.count == 1 and not one.about:
                 self._hold(entry)
@@ -313,7 +315,7 @@ class Timeline:
 
     def _take_recorder_event(self, _robot: RobotTrack, row: Row, event: RecorderEvent) -> None:
         kind = EntryKind.GATEWAY if event.kind is RecorderEventKind.GATEWAY else EntryKind.RECORDER
-        by = _plain(event.robot, kind, event.severity, row.publish_ns, event.text, Source.RECORDER)
+        by = _plain(event.robot, kind, event.severity, row.publish_ns, event.text, EntrySource.RECORDER)
         self._hold(msgspec.structs.replace(by, operator=event.operator))
 
     def _take_gap(self, _robot: RobotTrack, _row: Row, gap: RecordGap) -> None:
@@ -324,7 +326,7 @@ class Timeline:
         if parts is not None:
             of_root = f"{parts.root}/{parts.robot}"
             robot = of_root if of_root in self._robots else parts.robot
-        entry = _plain(robot, EntryKind.GAP, Severity.WARNING, gap.first_ns, text, Source.RECORDER)
+        entry = _plain(robot, EntryKind.GAP, Severity.WARNING, gap.first_ns, text, EntrySource.RECORDER)
         self._hold(msgspec.structs.replace(entry, last_ns=max(gap.first_ns, gap.last_ns), count=gap.count))
 
 
@@ -347,7 +349,12 @@ _TAKES: Final[dict[type[msgspec.Struct] | None, Callable[[Timeline, RobotTrack, 
 
 
 def _plain(
-    robot: str, kind: EntryKind, severity: Severity, time_ns: int, text: str, source: Source = Source.STATE
+    robot: str,
+    kind: EntryKind,
+    severity: Severity,
+    time_ns: int,
+    text: str,
+    source: EntrySource = EntrySource.STATE,
 ) -> Entry:
     """An entry that nobody did and that has no reason of the arbiter's."""
     return Entry(

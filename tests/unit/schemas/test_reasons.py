@@ -75,7 +75,7 @@ def test_where_a_cure_sends_someone_there_is_something() -> None:
     assert named <= BY_NAME.keys()
 
 
-@pytest.mark.parametrize("beside", NO_STOP)
+@pytest.mark.parametrize("beside", sorted(NO_STOP, key=str))
 def test_a_stop_that_would_be_refused_is_no_cure(beside: Reason) -> None:
     """The remote control has a moving robot, or the bus is gone: 'cruiser stop' is not offered."""
     assert "cruiser stop" in of_a_robot(Reason.MOVING, [Reason.MOVING, Reason.NO_LEASE]).cure

@@ -11,8 +11,8 @@ from typing import Any
 import can
 import pytest
 
-from recorder.replay.can import FAILURES_MAX, CanOutlet, Place, is_virtual
-from recorder.replay.frames import Frame
+from recorder.replay.can import FAILURES_MAX, CanOutlet, CanPlace, is_virtual
+from recorder.replay.frames import ReplayedFrame
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import CanFrame
 from tests.support.recorder_fakes import WALL_NS
@@ -47,9 +47,9 @@ def test_a_virtual_bus_gets_the_frames_in_their_order() -> None:
         can_frame(0x123, data=b"", is_extended=False, is_remote=True),
         can_frame(0x456, data=bytes(64), is_fd=True),
     ]
-    with bus("order") as other, closing(CanOutlet(Place("virtual", "order", is_fd=True))) as outlet:
+    with bus("order") as other, closing(CanOutlet(CanPlace("virtual", "order", is_fd=True))) as outlet:
         for frame in frames:
-            outlet.send(Frame(WALL_NS, frame), 0)
+            outlet.send(ReplayedFrame(WALL_NS, frame), 0)
         assert [as_frame(message) for message in iter(lambda: other.recv(0), None)] == frames
         assert (outlet.sent, outlet.failed) == (len(frames), 0)
 
@@ -57,18 +57,18 @@ def test_a_virtual_bus_gets_the_frames_in_their_order() -> None:
 def test_nothing_is_sent_after_the_end() -> None:
     """There is no periodic task that outlives the replay."""
     with bus("end") as other:
-        outlet = CanOutlet(Place("virtual", "end"))
-        outlet.send(Frame(WALL_NS, can_frame()), 0)
+        outlet = CanOutlet(CanPlace("virtual", "end"))
+        outlet.send(ReplayedFrame(WALL_NS, can_frame()), 0)
         outlet.close()
         assert other.recv(0) is not None
         assert other.recv(0.2) is None
-        outlet.send(Frame(WALL_NS, can_frame()), 0)
+        outlet.send(ReplayedFrame(WALL_NS, can_frame()), 0)
         assert outlet.failed == 1
 
 
 def test_what_others_send_does_not_pile_up() -> None:
     """Nobody here reads it."""
-    with bus("pile") as other, closing(CanOutlet(Place("virtual", "pile"))) as outlet:
+    with bus("pile") as other, closing(CanOutlet(CanPlace("virtual", "pile"))) as outlet:
         for _ in range(50):
             other.send(can.Message(arbitration_id=1))
         assert outlet.attend() is None
@@ -96,11 +96,11 @@ def test_a_bus_that_takes_nothing_is_lost() -> None:
             del timeout
             return None, False
 
-    outlet = CanOutlet(Place("virtual", "broken"))
+    outlet = CanOutlet(CanPlace("virtual", "broken"))
     outlet.close()
     broken = Broken()
     outlet._bus = broken
-    frame = Frame(WALL_NS, can_frame())
+    frame = ReplayedFrame(WALL_NS, can_frame())
     for _ in range(FAILURES_MAX - 1):
         outlet.send(frame, 0)
     broken.refuses = False
@@ -119,12 +119,12 @@ def test_a_bus_that_takes_nothing_is_lost() -> None:
 
 def test_a_frame_that_is_none_says_nothing_of_the_bus() -> None:
     """A log may hold anything; the bus goes on."""
-    with bus("none") as other, closing(CanOutlet(Place("virtual", "none"))) as outlet:
+    with bus("none") as other, closing(CanOutlet(CanPlace("virtual", "none"))) as outlet:
         for _ in range(2 * FAILURES_MAX):
-            outlet.send(Frame(WALL_NS, can_frame(0x1FFFFFFF, is_extended=False)), 0)
-        outlet.send(Frame(WALL_NS, can_frame(data=bytes(9))), 0)
+            outlet.send(ReplayedFrame(WALL_NS, can_frame(0x1FFFFFFF, is_extended=False)), 0)
+        outlet.send(ReplayedFrame(WALL_NS, can_frame(data=bytes(9))), 0)
         assert outlet.attend() is None
-        outlet.send(Frame(WALL_NS, can_frame()), 0)
+        outlet.send(ReplayedFrame(WALL_NS, can_frame()), 0)
         assert (outlet.sent, outlet.failed) == (1, 2 * FAILURES_MAX + 1)
         assert other.recv(0) is not None
 
@@ -132,14 +132,14 @@ def test_a_frame_that_is_none_says_nothing_of_the_bus() -> None:
 def test_the_simulators_server_is_known_and_passes_frames_on() -> None:
     """It is asked what it is, before anything is sent; then another client gets what was sent."""
     with served() as simulator, simulator.bus() as other:
-        place = Place("socketcand", f"{simulator.host}:{simulator.port}")
+        place = CanPlace("socketcand", f"{simulator.host}:{simulator.port}")
         assert is_virtual(place)
         with closing(CanOutlet(place)) as outlet:
             deadline_s = time.monotonic() + 20
             found = None
             while found is None:
                 # A client is on the bus a moment after it has joined.
-                outlet.send(Frame(WALL_NS, can_frame(0x555, is_extended=False)), 0)
+                outlet.send(ReplayedFrame(WALL_NS, can_frame(0x555, is_extended=False)), 0)
                 outlet.attend()
                 message = other.recv(0.01)
                 if message is not None and message.arbitration_id == 0x555:
@@ -173,13 +173,13 @@ def server(answer: Callable[[bytes], bytes], greeting: bytes = b"< hi >") -> Ite
 def test_another_server_of_this_machine_may_serve_a_real_bus(answer: bytes) -> None:
     """A socketcand daemon knows no faults, and says so; whatever else is answered is no proof either."""
     with server(lambda _: answer) as address:
-        assert not is_virtual(Place("socketcand", address))
+        assert not is_virtual(CanPlace("socketcand", address))
 
 
 def test_a_server_elsewhere_is_not_asked() -> None:
     """Whatever it would say: it is not this machine."""
-    assert not is_virtual(Place("socketcand", "192.0.2.1:29536"))
-    assert not is_virtual(Place("socketcand", "example.invalid:29536"))
+    assert not is_virtual(CanPlace("socketcand", "192.0.2.1:29536"))
+    assert not is_virtual(CanPlace("socketcand", "example.invalid:29536"))
 
 
 def test_a_server_that_is_not_there_is_unreachable() -> None:
@@ -187,11 +187,11 @@ def test_a_server_that_is_not_there_is_unreachable() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         address = f"127.0.0.1:{listener.getsockname()[1]}"
     with pytest.raises(CommandError) as caught:
-        is_virtual(Place("socketcand", address))
+        is_virtual(CanPlace("socketcand", address))
     assert caught.value.code is ExitCode.UNREACHABLE
     for channel in ("nowhere", "127.0.0.1:0", "127.0.0.1:99999", ":"):
         with pytest.raises(CommandError) as caught:
-            is_virtual(Place("socketcand", channel))
+            is_virtual(CanPlace("socketcand", channel))
         assert caught.value.code is ExitCode.USAGE
 
 
@@ -204,23 +204,23 @@ def test_what_is_not_known_is_real(tmp_path: Path, interface: str, channel: str)
     """A name is not enough: the device has to be one that no hardware is behind."""
     for name in ("vcan0", "eth0"):
         (tmp_path / name).mkdir()
-    assert not is_virtual(Place(interface, channel), tmp_path)
+    assert not is_virtual(CanPlace(interface, channel), tmp_path)
 
 
 def test_a_vcan_interface_is_virtual(tmp_path: Path) -> None:
     """And so is python-can's own."""
     (tmp_path / "vcan0").mkdir()
-    assert is_virtual(Place("socketcan", "vcan0"), tmp_path)
-    assert is_virtual(Place("virtual", "anything"), tmp_path)
+    assert is_virtual(CanPlace("socketcan", "vcan0"), tmp_path)
+    assert is_virtual(CanPlace("virtual", "anything"), tmp_path)
 
 
 def test_a_bus_that_cannot_be_opened_is_one_line() -> None:
     """An interface that python-can does not have is a mistake; one that is not there is unreachable."""
     with pytest.raises(CommandError) as caught:
-        CanOutlet(Place("teapot", "0"))
+        CanOutlet(CanPlace("teapot", "0"))
     assert caught.value.code is ExitCode.USAGE
     with pytest.raises(CommandError) as caught:
-        CanOutlet(Place("socketcan", "vcan-none"))
+        CanOutlet(CanPlace("socketcan", "vcan-none"))
     assert caught.value.code is ExitCode.UNREACHABLE
     assert "\n" not in str(caught.value)
 
@@ -235,9 +235,9 @@ def test_the_settings_of_a_place_reach_python_can(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr("recorder.replay.can.can.Bus", fake)
     for place in (
-        Place("pcan", "PCAN_USBBUS1", 500_000, is_fd=True),
-        Place("vector", "0"),
-        Place("socketcand", "127.0.0.1:29536/vcan3"),
+        CanPlace("pcan", "PCAN_USBBUS1", 500_000, is_fd=True),
+        CanPlace("vector", "0"),
+        CanPlace("socketcand", "127.0.0.1:29536/vcan3"),
     ):
         with pytest.raises(CommandError):
             CanOutlet(place)

@@ -6,7 +6,7 @@ from contextlib import closing, contextmanager
 import pytest
 import zenoh
 
-from recorder.replay.samples import Sample
+from recorder.replay.samples import ReplaySample
 from recorder.replay.zenoh import ZenohOutlet, key_checked
 from schemas import codec, keys
 from schemas.decisions import SafetyEvent, SafetyState
@@ -26,10 +26,10 @@ def never() -> bool:
     return False
 
 
-def gear_sample(number: int) -> Sample:
+def gear_sample(number: int) -> ReplaySample:
     """A gear message to be replayed."""
     time_ns = WALL_NS + number * STEP_NS
-    return Sample(time_ns, "replay/cruiser-1/chassis/gear", GEAR.encoding, GEAR, gear(number, time_ns))
+    return ReplaySample(time_ns, "replay/cruiser-1/chassis/gear", GEAR.encoding, GEAR, gear(number, time_ns))
 
 
 @contextmanager
@@ -93,7 +93,7 @@ def test_the_quality_of_service_is_that_of_the_subject(peer: tuple[Peer, str]) -
             assert outlet.wait_for_subscriber(20, never)
             for kind in (Gear, SafetyEvent, CanFrames, SafetyState):
                 subject = BY_TYPE[kind]
-                outlet.send(Sample(0, f"replay/{kind.__name__}", subject.encoding, subject, gear(1)), 0)
+                outlet.send(ReplaySample(0, f"replay/{kind.__name__}", subject.encoding, subject, gear(1)), 0)
         found = received(subscriber, 4)
         assert {str(sample.key_expr): sample.priority for sample in found} == {
             "replay/Gear": zenoh.Priority.DATA,
@@ -111,8 +111,10 @@ def test_a_sample_that_was_kept_is_sent_as_it_was(peer: tuple[Peer, str]) -> Non
     subscriber = subscribe(one)
     with outlet_at(endpoint) as outlet:
         assert outlet.wait_for_subscriber(20, never)
-        outlet.send(Sample(0, "replay/x", "text/plain", raw=b"\0hello", attachment=b"with this"), 10 * SECOND)
-        outlet.send(Sample(0, "replay/x", "zenoh/bytes", is_delete=True), 0)
+        outlet.send(
+            ReplaySample(0, "replay/x", "text/plain", raw=b"\0hello", attachment=b"with this"), 10 * SECOND
+        )
+        outlet.send(ReplaySample(0, "replay/x", "zenoh/bytes", is_delete=True), 0)
         kept, gone = received(subscriber, 2)
     assert kept.payload.to_bytes() == b"\0hello"
     assert str(kept.encoding) == "text/plain"
@@ -136,7 +138,7 @@ def test_a_key_that_zenoh_does_not_take_is_counted(peer: tuple[Peer, str]) -> No
     """And ends nothing."""
     _, endpoint = peer
     with outlet_at(endpoint) as outlet:
-        outlet.send(Sample(0, "replay//x", "text/plain", raw=b""), 0)
+        outlet.send(ReplaySample(0, "replay//x", "text/plain", raw=b""), 0)
         outlet.send(gear_sample(0), 0)
         assert (outlet.sent, outlet.failed) == (1, 1)
 

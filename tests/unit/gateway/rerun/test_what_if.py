@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 import msgspec
 import pytest
 
-from gateway.rerun.what_if import Said, what_if
+from gateway.rerun.what_if import GivenOutput, what_if
 from schemas import codec
 from schemas.decisions import Decision, EventKind, Journal, SafetyEvent, Verdict
 from schemas.messages import Message, Mode, RobotState, Variant
@@ -79,7 +79,7 @@ def test_with_the_same_settings_both_runs_are_the_same() -> None:
     """Every sample, whatever happens in between."""
     day = Day(1, Variant.FINE, ticks=1500)
     day.live()
-    pairs: tuple[list[Said], list[Said]] = ([], [])
+    pairs: tuple[list[GivenOutput], list[GivenOutput]] = ([], [])
     for one in what_if(day.rig.settings, day.rig.settings, journals(day.core)):
         pairs[one.is_other].append(one)
     assert len(pairs[0]) > 1000

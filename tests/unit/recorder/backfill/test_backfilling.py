@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Sequence
+from functools import partial
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -9,9 +10,9 @@ from hypothesis import strategies as st
 from recorder.backfill import answers
 from recorder.backfill.answers import Conversation, read_piece
 from recorder.backfill.backfilling import Backfilling
-from recorder.backfill.excerpt import PIECE_NAME, Message
+from recorder.backfill.excerpt import PIECE_NAME, LoggedBytes
 from recorder.backfill.filling import Filled, Filling
-from recorder.backfill.questions import Question
+from recorder.backfill.questions import BackfillQuestion
 from recorder.mcap.chunk import ChunkBuilder
 from recorder.mcap.writer import McapFile
 from schemas.recording import Backfill, BackfillPiece
@@ -68,7 +69,7 @@ class Depot:
         chart = map_of(data)
         self.filling.hold(chart.channels, chart.messages(io.BytesIO(data)))
 
-    def _write(self, message: Message, recorder: str) -> None:
+    def _write(self, message: LoggedBytes, recorder: str) -> None:
         self.senders.append(recorder)
         self.written.append(
             Row(message.publish_ns, message.channel.topic, message.sequence, message.log_ns, message.data)
@@ -230,7 +231,9 @@ def test_what_the_own_recorder_does_not_record_is_not_brought_by_a_cut() -> None
     taken = [
         one.topic
         for one in (row(40, 4000, GEAR), row(0, 4000, CAMERA))
-        if filling.take(Message(map_of(log_of([one])).channels[1], one.sequence, one.log_ns, one.publish_ns, b""))
+        if filling.take(
+            LoggedBytes(map_of(log_of([one])).channels[1], one.sequence, one.log_ns, one.publish_ns, b"")
+        )
     ]
     assert taken == [GEAR]
 
@@ -283,7 +286,7 @@ def test_a_piece_of_another_place_is_none() -> None:
 def test_requests_grow_while_all_goes_well_and_shrink_when_pieces_are_lost() -> None:
     """A thin link is not asked for more than it carries."""
     rows = [row(number, number * 100, data=bytes(2000)) for number in range(5000)]
-    question = Question(GEAR, START_NS, START_NS + 500 * SECOND)
+    question = BackfillQuestion(GEAR, START_NS, START_NS + 500 * SECOND)
 
     def sizes(recorder: Recorder) -> list[int]:
         messages = [one for answer in Conversation(recorder.ask, question).answers() for one in answer.messages]
@@ -305,17 +308,22 @@ def test_an_answer_that_gets_no_further_ends() -> None:
             return [BackfillPiece(True, "no time", b"", 0, request.from_ns, True)]  # noqa: FBT003 - as it comes
 
     stuck = Stuck(log_of(rows))
-    conversation = Conversation(stuck.ask, Question(GEAR, START_NS, START_NS + SECOND))
+    conversation = Conversation(stuck.ask, BackfillQuestion(GEAR, START_NS, START_NS + SECOND))
     assert [answer.messages for answer in conversation.answers()] == [[]] * answers.TRIES
     assert not conversation.is_over
     assert conversation.details == ["no time"]
+
+
+def _only(piece: BackfillPiece, _request: object) -> list[BackfillPiece]:
+    return [piece]
 
 
 def test_next_ns_that_goes_back_or_beyond_is_not_believed() -> None:
     """Nothing is taken for answered that was not asked for."""
     for next_ns in (START_NS - 1, START_NS + 2 * SECOND):
         piece = BackfillPiece(True, "", b"", 0, next_ns, True)  # noqa: FBT003 - as it comes
-        conversation = Conversation(lambda _, piece=piece: [piece], Question(GEAR, START_NS, START_NS + SECOND))  # type: ignore[misc] # mypy cannot infer a lambda with a default
+        question = BackfillQuestion(GEAR, START_NS, START_NS + SECOND)
+        conversation = Conversation(partial(_only, piece), question)
         assert list(conversation.answers()) == []
         assert conversation.answered_ns == START_NS
 
@@ -323,7 +331,7 @@ def test_next_ns_that_goes_back_or_beyond_is_not_believed() -> None:
 def test_a_refusal_answers_nothing() -> None:
     """Whatever else it says."""
     piece = BackfillPiece(False, "busy", b"", 0, START_NS + SECOND, True)  # noqa: FBT003 - as it comes
-    conversation = Conversation(lambda _: [piece], Question(GEAR, START_NS, START_NS + SECOND))
+    conversation = Conversation(lambda _: [piece], BackfillQuestion(GEAR, START_NS, START_NS + SECOND))
     assert list(conversation.answers()) == []
     assert (conversation.is_over, conversation.details) == (False, ["busy"])
 
@@ -346,5 +354,7 @@ def test_a_message_of_an_unknown_channel_makes_a_piece_none() -> None:
 
 def test_a_stop_ends_the_questions() -> None:
     """At the next piece."""
-    conversation = Conversation(Recorder(log_of(gear_rows(20))).ask, Question(GEAR, START_NS, START_NS + SECOND))
+    conversation = Conversation(
+        Recorder(log_of(gear_rows(20))).ask, BackfillQuestion(GEAR, START_NS, START_NS + SECOND)
+    )
     assert list(conversation.answers(lambda: True)) == []

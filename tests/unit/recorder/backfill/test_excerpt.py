@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 from recorder.backfill import excerpt as module
-from recorder.backfill.excerpt import PIECE_NAME, Excerpt, LogCopy, Message
+from recorder.backfill.excerpt import PIECE_NAME, Excerpt, LogCopy, LoggedBytes
 from recorder.encoding.protobuf_schema import descriptor_set
 from recorder.mcap.chunk import ChunkBuilder
 from recorder.mcap.log_map import LogMap
@@ -223,7 +223,7 @@ def test_an_instant_without_end_takes_no_more_time_than_any_other(monkeypatch: p
     logs = copies(log_of(rows, 1000), log_of(rows[:700]))
     sorts = 0
 
-    def earliest(found: list[Message], end: module.Place) -> tuple[list[Message], module.Place, int]:
+    def earliest(found: list[LoggedBytes], end: module.Place) -> tuple[list[LoggedBytes], module.Place, int]:
         nonlocal sorts
         sorts += len(found)
         return was(found, end)

@@ -1,9 +1,9 @@
 """Which messages are wanted."""
 
-from recorder.backfill.excerpt import Message
+from recorder.backfill.excerpt import LoggedBytes
 from recorder.backfill.filling import Filling
 from recorder.backfill.holes import Hole, HoleKind
-from recorder.backfill.questions import Question
+from recorder.backfill.questions import BackfillQuestion
 from recorder.mcap.reader import LoggedMessage
 from tests.support.backfill_logs import GEAR, ROBOT, RX, SECOND, channel_of
 
@@ -12,9 +12,9 @@ LONG = Hole(GEAR, HoleKind.SEQUENCE, 100 * SECOND, 150 * SECOND, 48, (10, 100 * 
 CUT = Hole(f"{ROBOT}/**", HoleKind.SILENCE, 120 * SECOND, 130 * SECOND, None)
 
 
-def message(at_s: float, sequence: int = 1, topic: str = GEAR, data: bytes = b"") -> Message:
+def message(at_s: float, sequence: int = 1, topic: str = GEAR, data: bytes = b"") -> LoggedBytes:
     """A message that was answered."""
-    return Message(channel_of(topic, 1), sequence, 7, round(at_s * SECOND), data)
+    return LoggedBytes(channel_of(topic, 1), sequence, 7, round(at_s * SECOND), data)
 
 
 def test_only_what_lies_in_a_hole_is_wanted() -> None:
@@ -54,7 +54,7 @@ def test_a_hole_is_open_until_it_is_answered_and_nothing_is_known_to_be_missing(
     filling = Filling([SHORT, LONG, CUT])
     assert filling.open_holes == [SHORT, LONG, CUT]
     filling.take(message(1))
-    filling.give_up(Question(GEAR, 110 * SECOND, 111 * SECOND))
+    filling.give_up(BackfillQuestion(GEAR, 110 * SECOND, 111 * SECOND))
     filling.end_round()
     assert [one.is_answered for one in filling.results()] == [True, False, True]
     assert [one.is_whole for one in filling.results()] == [True, False, True]

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.backfill.holes import Hole, HoleKind
-from recorder.backfill.questions import WIDEN_NS, Question, questions
+from recorder.backfill.questions import WIDEN_NS, BackfillQuestion, questions
 from tests.support.backfill_logs import CAMERA, GEAR, HEALTH, ROBOT, RX, SECOND, UNTIMED
 
 ALL = f"{ROBOT}/**"
@@ -72,8 +72,8 @@ def test_robots_are_asked_for_apart() -> None:
 
 def test_a_question_for_a_robot_covers_its_topics() -> None:
     """And those of no robot whose name begins the same."""
-    question = Question(ALL, 0, 1)
+    question = BackfillQuestion(ALL, 0, 1)
     assert question.covers(GEAR)
     assert question.covers(ALL)
     assert not question.covers("fleet/cruiser-11/state")
-    assert not Question(GEAR, 0, 1).covers(ALL)
+    assert not BackfillQuestion(GEAR, 0, 1).covers(ALL)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.backfill import runs
-from recorder.backfill.runs import Cover, Line
+from recorder.backfill.runs import Cover, SequenceLine
 from recorder.encoding.key_counters import SEQUENCE_SPAN
 from tests.support.backfill_logs import UNTIMED
 
@@ -16,7 +16,7 @@ SECOND = 1_000_000_000
 
 def gaps_of(messages: list[tuple[int, int]]) -> list[tuple[int, int, int | None]]:
     """The gaps: the sequences around each, and what is missing."""
-    line = Line()
+    line = SequenceLine()
     for sequence, publish_ns in messages:
         line.take(sequence, publish_ns)
     return [(before.last, after.first, missing) for before, after, missing in line.gaps()]
@@ -48,7 +48,7 @@ def test_the_frames_of_a_batch_share_its_sequence() -> None:
 
 def test_messages_that_follow_each_other_are_one_run() -> None:
     """While they come: memory grows with the gaps alone."""
-    frames, woven = Line(), Line()
+    frames, woven = SequenceLine(), SequenceLine()
     for number in range(300):
         frames.take(number // 3, number)
         woven.take(number, number)
@@ -91,7 +91,7 @@ def test_what_was_asked_for_later_is_in_its_place() -> None:
 def test_runs_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """What has come together meanwhile is one run."""
     monkeypatch.setattr(runs, "RUNS_MAX", 64)
-    line, cover = Line(), Cover(1)
+    line, cover = SequenceLine(), Cover(1)
     most = 0
     for number in (*range(0, 6400, 2), *range(1, 6400, 2)):
         line.take(number, number)

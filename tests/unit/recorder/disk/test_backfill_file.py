@@ -7,7 +7,7 @@ import pytest
 from mcap.reader import make_reader
 
 from recorder.backfill.backfilling import BACKFILLED_FROM
-from recorder.backfill.excerpt import Message
+from recorder.backfill.excerpt import LoggedBytes
 from recorder.cli.review.info import describe
 from recorder.disk.backfill_file import BACKFILL_NAME, BackfillFile, BackfillFiles
 from recorder.disk.leftovers import RecoveryOutcome, recover
@@ -22,10 +22,10 @@ ABOUT = {"recorders": "robot"}
 NAME = "cruiser-1-20270115T080000Z.backfill.mcap"
 
 
-def message(one: Row, schema_data: bytes | None = None) -> Message:
+def message(one: Row, schema_data: bytes | None = None) -> LoggedBytes:
     """A message of a piece."""
     channel = channel_of(one.topic, 77, schema_data)
-    return Message(channel, one.sequence, one.log_ns, one.publish_ns, one.data)
+    return LoggedBytes(channel, one.sequence, one.log_ns, one.publish_ns, one.data)
 
 
 def written(directory: Path, rows: list[Row]) -> BackfillFiles:

@@ -9,14 +9,14 @@ import pytest
 
 from recorder.encoding.protobuf_schema import message_class
 from recorder.layouts.attached import layouts
-from recorder.layouts.charts import Robot
+from recorder.layouts.charts import RobotKeys
 from recorder.record.actions import DeclareChannel
 from schemas.decisions import EventKind
 from schemas.keys import parse
 from tests.support.layout_topics import logged_topics
 from tests.support.recorder_fakes import Log, safety_event, sample_of
 
-ROBOT = Robot("fleet/cruiser-1", "can0")
+ROBOT = RobotKeys("fleet/cruiser-1", "can0")
 
 CONFIGURATIONS = {
     "Plot": foxglove.layouts.PlotConfig,
@@ -30,7 +30,7 @@ CONFIGURATIONS = {
 PATH = re.compile(r'"(?P<topic>[^"]+)"(?P<fields>(\.\w+)*)(\[:\])?(\.@negative)?')
 
 
-def layout(robot: Robot = ROBOT) -> dict[str, Any]:
+def layout(robot: RobotKeys = ROBOT) -> dict[str, Any]:
     """As a viewer reads it."""
     found: dict[str, Any] = json.loads(layouts(robot)[0].data)
     return found
@@ -95,14 +95,14 @@ def test_events_are_listed() -> None:
 @pytest.mark.parametrize("bus", ["", 'a"b', "a/b"])
 def test_a_bus_that_is_not_known_is_can0(bus: str) -> None:
     """So is a name that is none, which a gateway could make up."""
-    assert [path for path in paths(layout(Robot("fleet/cruiser-1", bus))) if "/can/" in path] == [
+    assert [path for path in paths(layout(RobotKeys("fleet/cruiser-1", bus))) if "/can/" in path] == [
         '"fleet/cruiser-1/can/can0/rx"'
     ]
 
 
 def test_a_point_in_a_root_does_not_end_the_topic() -> None:
     """It is quoted."""
-    found = paths(layout(Robot("v1.fleet/cruiser-1", "vcan0.100")))
+    found = paths(layout(RobotKeys("v1.fleet/cruiser-1", "vcan0.100")))
     topics = {match["topic"] for match in map(PATH.fullmatch, found) if match is not None}
     assert len(topics) == 4
     assert all(parse(topic) is not None for topic in topics)

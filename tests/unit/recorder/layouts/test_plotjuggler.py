@@ -7,13 +7,13 @@ from msgspec import inspect
 
 from recorder.encoding.protobuf_schema import fields, optional_part
 from recorder.layouts.attached import layouts
-from recorder.layouts.charts import Robot
+from recorder.layouts.charts import RobotKeys
 from tests.support.layout_topics import logged_topics
 
 NUMBERS = (inspect.IntType, inspect.FloatType, inspect.BoolType)
 
 
-def layout(robot: Robot) -> Element:
+def layout(robot: RobotKeys) -> Element:
     """As PlotJuggler reads it."""
     return fromstring(layouts(robot)[1].data)  # noqa: S314 - our own words
 
@@ -22,7 +22,7 @@ def layout(robot: Robot) -> Element:
 def test_each_curve_is_a_number_of_a_topic_that_a_recorder_writes(key: str) -> None:
     """Its name is topic and field, as PlotJuggler's parser of protobuf joins them; it plots numbers alone."""
     topics = logged_topics(key)
-    curves = [curve.attrib["name"] for curve in layout(Robot(key)).iter("curve")]
+    curves = [curve.attrib["name"] for curve in layout(RobotKeys(key)).iter("curve")]
     assert len(curves) > 12
     for curve in curves:
         topic, _, field = curve.rpartition("/")
@@ -33,7 +33,7 @@ def test_each_curve_is_a_number_of_a_topic_that_a_recorder_writes(key: str) -> N
 
 def test_it_is_built_as_plotjuggler_builds_it() -> None:
     """root, tabbed_widget, Tab, Container, DockSplitter, DockArea, plot, curve; as many areas as it says."""
-    root = layout(Robot("fleet/cruiser-1"))
+    root = layout(RobotKeys("fleet/cruiser-1"))
     assert root.tag == "root"
     (tabs,) = root.findall("tabbed_widget")
     assert tabs.attrib == {"parent": "main_window", "name": "Main Window"}

@@ -16,7 +16,7 @@ from recorder.mcap import framing
 from recorder.mcap.channel import LogChannel
 from recorder.mcap.chunk import ChunkBuilder
 from recorder.mcap.framing import MAGIC
-from recorder.mcap.recovery import Survey, copy_good, survey
+from recorder.mcap.recovery import FileSurvey, copy_good, survey
 from recorder.mcap.writer import McapFile
 from recorder.review.check import check_stream
 from schemas.messages import Gear
@@ -41,7 +41,7 @@ def others(data: bytes) -> list[object]:
     return metadata + [(one.name, one.media_type, one.data) for one in reader.iter_attachments()]
 
 
-def repaired(data: bytes) -> tuple[Survey, bytes]:
+def repaired(data: bytes) -> tuple[FileSurvey, bytes]:
     """What recovery makes of a file."""
     found = survey(BytesIO(data), len(data))
     if found.fault_count or not found.end:

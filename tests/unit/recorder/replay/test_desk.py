@@ -11,7 +11,7 @@ from typing import TextIO
 
 import pytest
 
-from recorder.replay.desk import Clock, Desk, orders_of
+from recorder.replay.desk import KeyboardDesk, TerminalClock, orders_of
 from recorder.replay.run import Order
 from tests.support.recorder_fakes import WALL_NS, wait_until
 
@@ -46,7 +46,7 @@ def test_a_terminal_is_read_and_written_and_left_as_it_was() -> None:
     """Keys come without Enter, the line shows where the replay is, Ctrl-C stays a signal."""
     with terminal() as (person, stream):
         before = termios.tcgetattr(stream)
-        with Desk(takes_keys=True, read_from=stream, write_to=stream) as desk:
+        with KeyboardDesk(takes_keys=True, read_from=stream, write_to=stream) as desk:
             inside = termios.tcgetattr(stream)
             assert not inside[3] & (termios.ICANON | termios.ECHO)
             assert inside[3] & termios.ISIG
@@ -72,7 +72,7 @@ def test_a_terminal_is_read_and_written_and_left_as_it_was() -> None:
 def test_where_there_is_no_terminal_nothing_is_read_or_shown() -> None:
     """Input may be a pipe that means something to somebody else."""
     out = io.StringIO()
-    with Desk(takes_keys=True, read_from=io.StringIO("q"), write_to=out) as desk:
+    with KeyboardDesk(takes_keys=True, read_from=io.StringIO("q"), write_to=out) as desk:
         desk.show(WALL_NS, is_paused=False)
         assert desk.orders() == []
     assert out.getvalue() == ""
@@ -82,14 +82,14 @@ def test_a_replay_that_takes_no_keys_reads_none() -> None:
     """To a real bus nobody steps about in a drive."""
     with terminal() as (person, stream):
         os.write(person, b"q")
-        with Desk(takes_keys=False, read_from=stream, write_to=stream) as desk:
+        with KeyboardDesk(takes_keys=False, read_from=stream, write_to=stream) as desk:
             assert desk.orders() == []
 
 
 def test_a_terminal_that_has_gone_ends_the_replay() -> None:
     """Nobody is watching any more."""
     with terminal() as (_, stream):
-        desk = Desk(takes_keys=True, read_from=stream, write_to=stream)
+        desk = KeyboardDesk(takes_keys=True, read_from=stream, write_to=stream)
         desk._in = os.open(os.devnull, os.O_WRONLY)
         try:
             assert desk.orders() in ([], [Order.QUIT])
@@ -99,7 +99,7 @@ def test_a_terminal_that_has_gone_ends_the_replay() -> None:
 
 def test_the_clocks_are_the_machines() -> None:
     """The one goes on while somebody waits, the other knows the year."""
-    clock = Clock()
+    clock = TerminalClock()
     begun_ns = clock.monotonic_ns()
     clock.sleep(1_000_000)
     clock.sleep(-5)

@@ -15,7 +15,7 @@ from recorder.replay.replay import (
     Due,
     Lateness,
     Pace,
-    Player,
+    ReplayScheduler,
 )
 from tests.support.recorder_fakes import MS, SECOND, WALL_NS
 
@@ -118,7 +118,7 @@ class Tape:
         return (Mark(time) for time in self.times if time >= (from_ns or 0))
 
 
-def taken(player: Player[Mark], now_ns: int) -> list[int]:
+def taken(player: ReplayScheduler[Mark], now_ns: int) -> list[int]:
     """All that is due, as offsets into the log."""
     found = []
     while (due := player.take(now_ns)) is not None:
@@ -126,9 +126,9 @@ def taken(player: Player[Mark], now_ns: int) -> list[int]:
     return found
 
 
-def started(tape: Tape, speed: float = 1, loops: int = 1) -> Player[Mark]:
+def started(tape: Tape, speed: float = 1, loops: int = 1) -> ReplayScheduler[Mark]:
     """A player that plays since the time 0."""
-    player = Player(tape.read, Pace(speed, FOR_NO_PAUSE), loops)
+    player = ReplayScheduler(tape.read, Pace(speed, FOR_NO_PAUSE), loops)
     player.start(0)
     return player
 

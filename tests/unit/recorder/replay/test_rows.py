@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from recorder.reading.rows import Row
 from recorder.reading.topics import Topic
-from recorder.replay.rows import By, Run, frames, in_order, once, runs, topics_of
+from recorder.replay.rows import By, ReplayRun, frames, in_order, once, runs, topics_of
 from schemas.messages import CanFrame, RawSample
 from schemas.settings import BATCH_MAX_FRAMES
 from tests.support.recorder_fakes import MS, SECOND, WALL_NS
@@ -115,7 +115,7 @@ def test_what_is_very_late_comes_late() -> None:
     assert 300 < found.index(late) <= 501
     held: list[int] = []
 
-    def counted() -> Iterator[Run]:
+    def counted() -> Iterator[ReplayRun]:
         for number, run in enumerate(frames(rows)):
             held.append(number)
             yield run
@@ -140,5 +140,5 @@ def test_other_messages_are_runs_of_their_own() -> None:
     other = Row(RAW, 0, WALL_NS + 50 * MS, WALL_NS, b"")
     found = list(runs([frame_row(1, 1, 40), other, frame_row(2, 2, 60)], By.LOG))
     assert [run.topic for run in found] == [RX, RAW, RX]
-    assert isinstance(found[1], Run)
+    assert isinstance(found[1], ReplayRun)
     assert RX.kind is CanFrame

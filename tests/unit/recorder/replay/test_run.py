@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import msgspec
 
-from recorder.replay.replay import FOR_EVER, Pace, Player
+from recorder.replay.replay import FOR_EVER, Pace, ReplayScheduler
 from recorder.replay.run import ATTEND_NS, Halt, Order, play
 from tests.support.recorder_fakes import MS, SECOND, WALL_NS
 from tests.support.replaying import HALT, FakeClock, FakeDesk, FakeOutlet
@@ -25,7 +25,7 @@ class Rig:
         self.count = round(length_s * 10)
         self.reading_ns = 0
         """How long it takes to find the beginning."""
-        self.player = Player(self._read, Pace(speed, 10**18), loops)
+        self.player = ReplayScheduler(self._read, Pace(speed, 10**18), loops)
         self.stops_at_ns = 10**18
 
     def _read(self, from_ns: int | None) -> Iterator[Mark]:

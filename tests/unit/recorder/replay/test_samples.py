@@ -11,10 +11,10 @@ from recorder.encoding.protobuf_schema import LOGGED
 from recorder.encoding.transcode import compile_encoder
 from recorder.reading.faults import Faults
 from recorder.reading.rows import Row
-from recorder.replay.rows import By, Run, runs, topics_of
+from recorder.replay.rows import By, ReplayRun, runs, topics_of
 from recorder.replay.samples import (
     KeyMap,
-    Sample,
+    ReplaySample,
     Samples,
     batch,
     may_hold,
@@ -37,7 +37,7 @@ def every_key(_key: str) -> bool:
     return True
 
 
-def replayed(path: Path, root: str = "replay") -> tuple[list[Sample], Samples]:
+def replayed(path: Path, root: str = "replay") -> tuple[list[ReplaySample], Samples]:
     """All samples of a log."""
     found = Samples(KeyMap(root, roots_of(topics_of(logs_of(path)))), every_key, Faults())
     return list(found.of(runs(rows_of(path), By.LOG))), found
@@ -83,7 +83,7 @@ def test_every_message_comes_back_as_it_was(subject: Subject, data: st.DataObjec
     of = topic(key, subject.type)
     row = Row(of, message.sequence, WALL_NS, WALL_NS, compile_encoder(subject.type)(message))
     faults = Faults()
-    (found,) = Samples(KeyMap("replay", ["fleet"]), every_key, faults).of([Run(WALL_NS, of, [row])])
+    (found,) = Samples(KeyMap("replay", ["fleet"]), every_key, faults).of([ReplayRun(WALL_NS, of, [row])])
     assert found.encoding == subject.encoding
     assert codec.decode(subject, found.payload()) == message
     assert not faults
@@ -116,7 +116,7 @@ def test_a_command_is_never_published() -> None:
         "fleet/@recorder/bench/@cmd/operator-1/stop",
     ]
     rows = [raw_row(of, RawSample(0, key, "", b"", b"", "")) for key in commands]
-    assert list(samples.of(Run(WALL_NS, of, [row]) for row in rows)) == []
+    assert list(samples.of(ReplayRun(WALL_NS, of, [row]) for row in rows)) == []
     assert samples.withheld == len(commands)
 
 
@@ -179,7 +179,7 @@ def test_what_never_was_a_sample_is_passed_over() -> None:
     assert may_hold(topic(key_of(Gear), Gear), every_key)
     samples = Samples(KeyMap("replay", []), every_key, Faults())
     wrong = topic("fleet/cruiser-1/state", Gear)
-    assert list(samples.of([Run(WALL_NS, wrong, [Row(wrong, 0, WALL_NS, WALL_NS, b"")])])) == []
+    assert list(samples.of([ReplayRun(WALL_NS, wrong, [Row(wrong, 0, WALL_NS, WALL_NS, b"")])])) == []
 
 
 def test_broken_samples_are_published_as_they_were(tmp_path: Path) -> None:
@@ -205,7 +205,9 @@ def test_only_wanted_keys_are_published() -> None:
     assert may_hold(topic("wanted/x/@raw", RawSample), wants)
     samples = Samples(KeyMap("replay", []), wants, Faults())
     rows = [raw_row(shared, RawSample(0, key, "", b"", b"", "")) for key in ("wanted/x", "other")]
-    assert [one.key for one in samples.of(Run(WALL_NS, shared, [row]) for row in rows)] == ["replay/wanted/x"]
+    assert [one.key for one in samples.of(ReplayRun(WALL_NS, shared, [row]) for row in rows)] == [
+        "replay/wanted/x"
+    ]
     assert samples.withheld == 0
 
 
@@ -218,7 +220,7 @@ def test_all_receive_times_move_together() -> None:
     assert (later.time_ns, later.sequence, later.data) == (WALL_NS + 6 * MS, 3, one.data)
     assert shifted(gear(1), -(2**63)).time_ns == 0
     assert shifted(gear(1), 2**63).time_ns == 2**63 - 1
-    sample = Sample(WALL_NS, "replay/x", "", raw=b"as it was")
+    sample = ReplaySample(WALL_NS, "replay/x", "", raw=b"as it was")
     assert sample.payload(MS) == b"as it was"
 
 
@@ -232,7 +234,7 @@ def test_bytes_that_are_no_message_are_a_fault(kind: type[msgspec.Struct], data:
     of = topic(name, kind)
     faults = Faults()
     row = Row(of, 0, WALL_NS, WALL_NS, data)
-    found = list(Samples(KeyMap("replay", ["fleet"]), every_key, faults).of([Run(WALL_NS, of, [row])]))
+    found = list(Samples(KeyMap("replay", ["fleet"]), every_key, faults).of([ReplayRun(WALL_NS, of, [row])]))
     assert len(found) + faults.count <= 1
     for one in found:
         one.payload()

@@ -12,7 +12,7 @@ from recorder.encoding.protobuf_schema import descriptor_set, schema_name
 from recorder.mcap.channel import LogChannel
 from recorder.record.accounting import COMPLETENESS_NAME, KeyReport
 from recorder.record.incidents import INCIDENT_NAME
-from recorder.review.info import LogInfo, SetInfo, Source, read_info, total
+from recorder.review.info import LogInfo, LogSourceInfo, SetInfo, read_info, total
 from schemas.exit_codes import CommandError
 from schemas.messages import Gear
 from tests.support.made_logs import NO_INDEXES, foreign_log, gear_message, gears, own_log
@@ -43,7 +43,7 @@ def info_of(path: Path, data: bytes) -> LogInfo:
 def test_a_whole_log_tells_all_of_itself(path: Path) -> None:
     """Channels, schemas, counts, robots, variant, versions, attachments."""
     found = info_of(path, small_log())
-    assert (found.whole, found.source, found.faults) == (True, Source.SUMMARY, [])
+    assert (found.whole, found.source, found.faults) == (True, LogSourceInfo.SUMMARY, [])
     assert found.messages == 12
     assert {channel.topic: (channel.schema, channel.messages) for channel in found.channels} == {
         "fleet/cruiser-1/can/can0/rx": ("cruiser.CanFrame", 5),
@@ -125,14 +125,14 @@ def test_an_end_that_is_damaged_is_not_believed(path: Path) -> None:
         damaged = bytearray(data)
         damaged[place] ^= 0x10
         found = info_of(path, bytes(damaged))
-        assert (found.source, found.messages) == (Source.RECORDS, 12)
+        assert (found.source, found.messages) == (LogSourceInfo.RECORDS, 12)
 
 
 def test_a_part_tells_the_same_as_the_whole(path: Path) -> None:
     """But for what its end would have said."""
     whole = info_of(path, own_log([gears(0, 5, 100), gears(5, 5, 200)], metadata=[("m", {"a": "b"})]))
     part = info_of(path, path.read_bytes()[:-400])
-    assert (part.source, part.whole) == (Source.RECORDS, False)
+    assert (part.source, part.whole) == (LogSourceInfo.RECORDS, False)
     assert (part.channels, part.metadata, part.start_ns, part.end_ns) == (
         whole.channels,
         whole.metadata,
@@ -146,7 +146,7 @@ def test_no_chunk_of_a_whole_log_is_read(path: Path) -> None:
     data = bytearray(own_log([gears(0, 5, 100), gears(5, 5, 200)]))
     data[data.index(b"zstd") + 20] ^= 0xFF
     found = info_of(path, bytes(data))
-    assert (found.whole, found.source, found.messages) == (True, Source.SUMMARY, 10)
+    assert (found.whole, found.source, found.messages) == (True, LogSourceInfo.SUMMARY, 10)
 
 
 def test_each_channel_has_its_own_times(path: Path) -> None:
@@ -160,7 +160,7 @@ def test_each_channel_has_its_own_times(path: Path) -> None:
         [gear_message(4, 40), gear_message(5, 60, 2)],
     ]
     found = info_of(path, own_log(chunks, channels))
-    assert found.source is Source.SUMMARY
+    assert found.source is LogSourceInfo.SUMMARY
     assert [(one.messages, one.first_ns, one.last_ns) for one in found.channels] == [
         (3, 10, 40),
         (2, 20, 60),
@@ -178,7 +178,7 @@ def test_each_channel_has_its_own_times(path: Path) -> None:
 def test_chunks_that_are_not_in_order_are_gone_through(path: Path) -> None:
     """The first one of a channel is then not the earliest."""
     found = info_of(path, own_log([gears(0, 5, 500), gears(5, 5, 100)]))
-    assert found.source is Source.RECORDS
+    assert found.source is LogSourceInfo.RECORDS
     assert (found.channels[0].first_ns, found.channels[0].last_ns) == (100, 540)
 
 

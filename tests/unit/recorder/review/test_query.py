@@ -13,7 +13,7 @@ from recorder.review.columns.reader import ColumnReader
 from recorder.review.export.cells import objects
 from recorder.review.export.dataset import export_dataset
 from recorder.review.export.manifest import read_manifest
-from recorder.review.export.one_log import Wanted
+from recorder.review.export.one_log import ExportRange
 from recorder.review.query import Source, answer, told
 from recorder.review.querying.dataset_source import DatasetSource
 from recorder.review.querying.log_source import LogSource
@@ -43,7 +43,7 @@ def over_dataset(tmp_path: Path) -> DatasetSource:
     """The same as a dataset, in a directory whose name would be a pattern."""
     faults = Faults()
     directory = tmp_path / "it's [a] set"
-    export_dataset(find_logs(logs_in(tmp_path), faults), directory, Wanted(), faults)
+    export_dataset(find_logs(logs_in(tmp_path), faults), directory, ExportRange(), faults)
     manifest = read_manifest(directory)
     assert manifest is not None
     return DatasetSource(directory, manifest)
@@ -220,7 +220,7 @@ def test_own_subjects_have_their_names_before_others(tmp_path: Path) -> None:
     other = LogChannel(1, "fleet/a/chassis/gear", "s", b"", "jsonschema", "json")
     logs = [write(tmp_path, "1", log_of([other], [[(1, b'{"x": 1}')]])), write(tmp_path, "2", drive(count=3))]
     directory = tmp_path / "set"
-    export_dataset(find_logs(logs, Faults()), directory, Wanted(), Faults())
+    export_dataset(find_logs(logs, Faults()), directory, ExportRange(), Faults())
     manifest = read_manifest(directory)
     assert manifest is not None
     for source in (
@@ -241,7 +241,7 @@ def test_of_others_alone_our_names_stay_free(tmp_path: Path) -> None:
         [write(tmp_path, "1", log_of([LogChannel(1, "/state", "s", b"", "jsonschema", "json")], [[(1, b"{}")]]))],
         Faults(),
     )
-    export_dataset(logs, tmp_path / "set", Wanted(), Faults())
+    export_dataset(logs, tmp_path / "set", ExportRange(), Faults())
     manifest = read_manifest(tmp_path / "set")
     assert manifest is not None
     for source in (LogSource(logs, Selection(), Faults()), DatasetSource(tmp_path / "set", manifest)):
@@ -253,7 +253,7 @@ def test_robots_of_one_name_are_told_apart(tmp_path: Path) -> None:
     """By their roots, in a dataset as over the logs."""
     data = [drive(count=3), drive(count=4).replace(b"fleet/cruiser-1", b"depot/cruiser-1")]
     found = find_logs([write(tmp_path, str(place), one) for place, one in enumerate(data)], Faults())
-    export_dataset(found, tmp_path / "set", Wanted(), Faults())
+    export_dataset(found, tmp_path / "set", ExportRange(), Faults())
     manifest = read_manifest(tmp_path / "set")
     assert manifest is not None
     for source in (LogSource(found, Selection(), Faults()), DatasetSource(tmp_path / "set", manifest)):
@@ -267,14 +267,14 @@ def test_a_robot_that_is_added_is_called_as_before_or_refused(tmp_path: Path) ->
     """Whatever was exported first."""
     data = [drive(count=3), drive(count=4).replace(b"fleet/cruiser-1", b"depot/cruiser-1"), drive(count=5)]
     paths = [write(tmp_path, str(place), one) for place, one in enumerate(data)]
-    export_dataset(find_logs(paths[:2], Faults()), tmp_path / "both", Wanted(), Faults())
-    export_dataset(find_logs(paths[2:], Faults()), tmp_path / "both", Wanted(), Faults(), is_adding=True)
+    export_dataset(find_logs(paths[:2], Faults()), tmp_path / "both", ExportRange(), Faults())
+    export_dataset(find_logs(paths[2:], Faults()), tmp_path / "both", ExportRange(), Faults(), is_adding=True)
     manifest = read_manifest(tmp_path / "both")
     assert manifest is not None
     assert {part.robot for part in manifest.files} - {""} == {"depot/cruiser-1", "fleet/cruiser-1"}
-    export_dataset(find_logs(paths[:1], Faults()), tmp_path / "one", Wanted(), Faults())
+    export_dataset(find_logs(paths[:1], Faults()), tmp_path / "one", ExportRange(), Faults())
     with pytest.raises(CommandError, match="holds fleet/cruiser-1 by its name alone"):
-        export_dataset(find_logs(paths[1:2], Faults()), tmp_path / "one", Wanted(), Faults(), is_adding=True)
+        export_dataset(find_logs(paths[1:2], Faults()), tmp_path / "one", ExportRange(), Faults(), is_adding=True)
 
 
 def test_a_statement_that_would_take_days_can_be_stopped(source: Source) -> None:

@@ -21,8 +21,8 @@ from gateway.sim.faults import FaultTextError, parse
 from recorder.cli.review import command as review
 from recorder.cli.review import replay
 from recorder.cli.review.asking import find
-from recorder.replay.can import Place
-from recorder.replay.frames import Frame
+from recorder.replay.can import CanPlace
+from recorder.replay.frames import ReplayedFrame
 from recorder.replay.rows import By, runs
 from schemas import codec, keys
 from schemas.can_word import EXTENDED
@@ -310,7 +310,7 @@ def test_numbers_that_are_none_are_a_mistake(log: str, words: list[str]) -> None
 def test_a_bus_that_is_not_virtual_is_refused(log: str, channel: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Before it is opened; the text says what would happen."""
 
-    def opened(_place: Place) -> None:
+    def opened(_place: CanPlace) -> None:
         raise AssertionError("it was opened")
 
     monkeypatch.setattr(replay, "CanOutlet", opened)
@@ -325,13 +325,13 @@ def test_a_bus_that_is_not_virtual_is_refused(log: str, channel: str, monkeypatc
 class Collector:
     """A bus that collects what is sent to it."""
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, place: CanPlace) -> None:
         self.place = place
         self.sent = self.failed = 0
         self.identifiers: list[int] = []
         COLLECTED.append(self)
 
-    def send(self, item: Frame, _shift_ns: int) -> None:
+    def send(self, item: ReplayedFrame, _shift_ns: int) -> None:
         self.identifiers.append(item.frame.identifier)
         self.sent += 1
 

@@ -10,7 +10,7 @@ from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
 from recorder.review.export.dataset import export_dataset
 from recorder.review.export.manifest import read_manifest
-from recorder.review.export.one_log import Task, Wanted
+from recorder.review.export.one_log import ExportRange, ExportTask
 from recorder.review.export.spread import decode_task, encode_task
 from tests.support.drives import drive, write
 
@@ -23,7 +23,7 @@ def refuse(self, address):
     raise OSError("no network")
 socket.socket.connect = refuse
 from recorder.review.export.dataset import export_dataset
-from recorder.review.export.one_log import Wanted
+from recorder.review.export.one_log import ExportRange
 from recorder.review.export.spread import daft_runner
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
@@ -31,7 +31,7 @@ if __name__ == "__main__":
     faults = Faults()
     read = []
     logs = find_logs([Path(sys.argv[1])], faults)
-    export_dataset(logs, Path(sys.argv[2]), Wanted(), faults, run=daft_runner(), progress=read.append)
+    export_dataset(logs, Path(sys.argv[2]), ExportRange(), faults, run=daft_runner(), progress=read.append)
     assert sum(read) == sum(log.bytes for log in logs), read
     from daft import scarf_telemetry
     assert scarf_telemetry._track_on_scarf("daft-import")[0] is None
@@ -48,7 +48,7 @@ def test_daft_makes_the_same_dataset(tmp_path: Path) -> None:
     write(logs, "2", drive(first=10))
     write(logs, "3", drive("cruiser-3")[:-100])
     faults = Faults()
-    export_dataset(find_logs([logs], faults), tmp_path / "here", Wanted(), faults)
+    export_dataset(find_logs([logs], faults), tmp_path / "here", ExportRange(), faults)
     out = subprocess.run(
         [sys.executable, "-W", "error", "-c", BY_DAFT, str(logs), str(tmp_path / "daft")],
         capture_output=True,
@@ -67,7 +67,7 @@ def test_daft_makes_the_same_dataset(tmp_path: Path) -> None:
 def test_a_task_goes_as_json(tmp_path: Path) -> None:
     """To another process or machine."""
     logs = find_logs([write(tmp_path, "1", drive())], Faults())
-    task = Task(logs[0], "ab", logs, tmp_path, Wanted(["*"], 5))
+    task = ExportTask(logs[0], "ab", logs, tmp_path, ExportRange(["*"], 5))
     assert decode_task(encode_task(task)) == task
 
 

@@ -24,7 +24,7 @@ from recorder.reading.logs import find_logs
 from recorder.reading.topics import typed_decoder
 from recorder.review.rerun import parallel as side_by_side_module
 from recorder.review.rerun.parallel import (
-    Task,
+    RerunTask,
     join,
     outcome_of,
     processes,
@@ -63,7 +63,7 @@ class Here(Executor):
     """Does each task at once, in this process; counts them."""
 
     def __init__(self) -> None:
-        self.tasks: list[Task] = []
+        self.tasks: list[RerunTask] = []
 
     def submit(self, act: Callable[..., Any], /, *words: Any, **_: Any) -> Future[Any]:  # noqa: ANN401 - as of an Executor
         self.tasks.append(words[0])
@@ -73,7 +73,7 @@ class Here(Executor):
         return future
 
 
-def side_by_side(path: Path) -> tuple[list[RerunResult], set[str], list[Task]]:
+def side_by_side(path: Path) -> tuple[list[RerunResult], set[str], list[RerunTask]]:
     """What the stretches give together, what they found to be wrong, and what was done."""
     faults = Faults()
     pool = Here()
@@ -219,7 +219,7 @@ def test_whoever_stops_it_does_not_wait(tmp_path: Path) -> None:
     """What runs ends in the midst of its reading, what waits is not begun."""
     path = changed(tmp_path / NAME, Change(1).nothing)
     faults = Faults()
-    task = Task("cruiser-1", find_logs([path], faults), Configurations([], []), WHOLE)
+    task = RerunTask("cruiser-1", find_logs([path], faults), Configurations([], []), WHOLE)
     with processes(1) as pool:
         futures = [pool.submit(run_task, task) for _ in range(8)]
         wait_until(futures[0].running)

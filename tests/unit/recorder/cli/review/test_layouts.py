@@ -9,7 +9,7 @@ import pytest
 
 from recorder.cli.review import command as review
 from recorder.layouts.attached import layouts
-from recorder.layouts.charts import Robot
+from recorder.layouts.charts import RobotKeys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
 from tests.support.recorder_fakes import FakeSample, Log, batch, gear, info, sample_of, small_log
@@ -40,7 +40,7 @@ def test_layouts_of_each_robot_are_written(log: Path, tmp_path: Path, capsys: py
     """The same that a recorder attaches, with the bus that the log's topics name; what is missing is told."""
     out = tmp_path / "new" / "layouts"
     assert run(log, "-o", out) == ExitCode.OK
-    expected = {f"cruiser-1.{one.name}": one.data for one in layouts(Robot("fleet/cruiser-1", "can0"))}
+    expected = {f"cruiser-1.{one.name}": one.data for one in layouts(RobotKeys("fleet/cruiser-1", "can0"))}
     assert {path.name: path.read_bytes() for path in out.iterdir()} == expected
     said = capsys.readouterr()
     assert said.out.count("fleet/cruiser-1: ") == 2

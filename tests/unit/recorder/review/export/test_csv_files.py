@@ -10,7 +10,7 @@ from recorder.reading.logs import find_logs
 from recorder.reading.topic_names import file_name
 from recorder.review.export import csv_files
 from recorder.review.export.csv_files import CsvFile, export_csv
-from recorder.review.export.one_log import Wanted
+from recorder.review.export.one_log import ExportRange
 from schemas.exit_codes import CommandError
 from tests.support.drives import drive, write
 
@@ -18,7 +18,7 @@ from tests.support.drives import drive, write
 def export(logs: list[Path], out: Path) -> list[CsvFile]:
     """Export files."""
     faults = Faults()
-    done = export_csv(find_logs(logs, faults), out, Wanted(), faults)
+    done = export_csv(find_logs(logs, faults), out, ExportRange(), faults)
     assert not faults, faults.told
     return done
 
@@ -89,17 +89,17 @@ def test_of_an_export_that_is_broken_off_nothing_is_left(tmp_path: Path) -> None
 
     logs = find_logs([write(tmp_path, "1", drive())], Faults())
     with pytest.raises(KeyboardInterrupt):
-        export_csv(logs, tmp_path / "out", Wanted(), Faults(), stop)
+        export_csv(logs, tmp_path / "out", ExportRange(), Faults(), stop)
     assert list((tmp_path / "out").iterdir()) == []
 
 
 def test_what_another_export_is_writing_stays(tmp_path: Path) -> None:
     """It is named, and not taken for a part of this one."""
     logs = find_logs([write(tmp_path, "1", drive())], Faults())
-    [*_, one] = export_csv(logs, tmp_path / "first", Wanted(), Faults())
+    [*_, one] = export_csv(logs, tmp_path / "first", ExportRange(), Faults())
     part = tmp_path / "out" / f"{Path(one.path).name}.part"
     part.parent.mkdir()
     part.write_text("theirs")
     with pytest.raises(CommandError, match="part is there already"):
-        export_csv(logs, part.parent, Wanted(), Faults())
+        export_csv(logs, part.parent, ExportRange(), Faults())
     assert [(path, path.read_text()) for path in part.parent.iterdir()] == [(part, "theirs")]

@@ -19,7 +19,7 @@ from recorder.reading.rows import Progress
 from recorder.review.export import partitions, parts
 from recorder.review.export.dataset import Exported, Runner, export_dataset, one_after_the_other
 from recorder.review.export.manifest import MANIFEST_NAME, Manifest, read_manifest, sha256_of
-from recorder.review.export.one_log import Outcome, Task, Wanted
+from recorder.review.export.one_log import ExportOutcome, ExportRange, ExportTask
 from schemas.exit_codes import CommandError
 from schemas.messages import Gear
 from tests.support.drives import FRAMES, drive, write
@@ -31,7 +31,7 @@ def export(
     logs: Sequence[Path],
     out: Path,
     faults: Faults | None = None,
-    wanted: Wanted | None = None,
+    wanted: ExportRange | None = None,
     run: Runner = one_after_the_other,
     *,
     is_adding: bool = False,
@@ -39,7 +39,7 @@ def export(
     """Export files."""
     taken = Faults() if faults is None else faults
     found = find_logs(logs, taken, with_covered=True)
-    done = export_dataset(found, out, wanted or Wanted(), taken, is_adding=is_adding, run=run)
+    done = export_dataset(found, out, wanted or ExportRange(), taken, is_adding=is_adding, run=run)
     if faults is None:
         assert not taken, taken.told
     return done
@@ -164,7 +164,7 @@ def test_two_robots_never_say_the_same(tmp_path: Path) -> None:
 class FailingRunner:
     """Does the first task, and then the disk is full."""
 
-    def __call__(self, tasks: Sequence[Task], progress: Progress) -> Iterator[Outcome]:
+    def __call__(self, tasks: Sequence[ExportTask], progress: Progress) -> Iterator[ExportOutcome]:
         yield from one_after_the_other(tasks[:1], progress)
         raise OSError(28, "No space left on device")
 
@@ -204,7 +204,7 @@ def test_two_exports_do_not_write_at_once(tmp_path: Path) -> None:
     """The second one is told so."""
     log = write(tmp_path, "log", drive())
 
-    def run(tasks: Sequence[Task], progress: Progress) -> Iterator[Outcome]:
+    def run(tasks: Sequence[ExportTask], progress: Progress) -> Iterator[ExportOutcome]:
         with pytest.raises(CommandError, match="another export writes"):
             export([log], tmp_path / "out", is_adding=True)
         yield from one_after_the_other(tasks, progress)
@@ -254,8 +254,8 @@ def test_a_file_that_is_ended_goes_on_in_another_part(
 def test_topics_are_chosen_by_any_of_their_names(tmp_path: Path, pattern: str) -> None:
     """The key, what follows the robot in it, or the table."""
     log = write(tmp_path, "log", drive())
-    assert export([log], tmp_path / "out", wanted=Wanted([pattern])).rows == 20
-    span = Wanted([pattern], WALL_NS + 50_000_000, WALL_NS + 100_000_000)
+    assert export([log], tmp_path / "out", wanted=ExportRange([pattern])).rows == 20
+    span = ExportRange([pattern], WALL_NS + 50_000_000, WALL_NS + 100_000_000)
     assert export([log], tmp_path / "span", wanted=span).rows == 5
 
 

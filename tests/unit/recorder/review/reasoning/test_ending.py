@@ -4,7 +4,7 @@ from pathlib import Path
 
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
-from recorder.review.reasoning.ending import Ending, ending
+from recorder.review.reasoning.ending import RunEnding, ending
 from schemas.decisions import ArbiterState
 from tests.support.recorder_fakes import MS, SECOND
 from tests.support.rig_log import ROBOT, RecordedRig
@@ -20,7 +20,7 @@ def _next(rig: RecordedRig, run: int, seconds: float = 1.0) -> None:
     rig.keeping.kept += other.keeping.kept
 
 
-def _ending(path: Path, rig: RecordedRig, from_ns: int = 0) -> Ending:
+def _ending(path: Path, rig: RecordedRig, from_ns: int = 0) -> RunEnding:
     path.write_bytes(rig.log())
     faults = Faults()
     found = ending(ROBOT, find_logs([path], faults), from_ns, faults, lambda _: None)
@@ -64,4 +64,4 @@ def test_a_log_without_states_tells_of_no_end(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     path.write_bytes(rig.log(without=("safety/state",)))
     faults = Faults()
-    assert ending(ROBOT, find_logs([path], faults), 0, faults, lambda _: None) == Ending()
+    assert ending(ROBOT, find_logs([path], faults), 0, faults, lambda _: None) == RunEnding()

@@ -7,7 +7,7 @@ import pytest
 from recorder.review.reasoning.chain import Step
 from recorder.review.reasoning.frame_evidence import mode
 from recorder.review.reasoning.scene import Limits, Scene
-from recorder.review.reasoning.signals import BODY, Frame
+from recorder.review.reasoning.signals import BODY, DecodedFrame
 from tests.support.recorder_fakes import MS, WALL_NS
 
 AUTO, REMOTE = bytes.fromhex("013f30000000909e"), bytes.fromhex("013f30000001707f")
@@ -18,7 +18,7 @@ def test_what_the_arbiter_last_said_may_just_be_over(over_ms: int, step: Step) -
     """It says so every 50 ms: the frame that showed it is found, though a newer one says otherwise."""
     scene = Scene("cruiser-1", WALL_NS, 0, Limits())
     heard = ((300, AUTO), (200, REMOTE), (over_ms, AUTO))
-    scene.frames[BODY] = deque(Frame(WALL_NS - ms * MS, BODY, data) for ms, data in heard), deque()
+    scene.frames[BODY] = deque(DecodedFrame(WALL_NS - ms * MS, BODY, data) for ms, data in heard), deque()
     scene.settle()
     (link,) = mode(scene, 1)
     assert link.step is step

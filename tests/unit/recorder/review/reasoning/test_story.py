@@ -1,7 +1,7 @@
 """What the arbiter has told of one robot."""
 
 from recorder.review.reasoning.story import Story
-from recorder.review.timeline.entries import Entry, EntryKind, Source
+from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
 from schemas.decisions import RUN_TICKS, Severity
 from schemas.reasons import Reason
 
@@ -13,7 +13,7 @@ def _entry(kind: EntryKind, time_ns: int, text: str, *, tick: int, reason: Reaso
         robot="cruiser-1",
         kind=kind,
         severity=Severity.INFO,
-        source=Source.EVENT,
+        source=EntrySource.EVENT,
         text=text,
         reason=reason,
         tick=tick,

@@ -8,7 +8,7 @@ import pytest
 from recorder.review.report.findings import Outage
 from recorder.review.report.happenings import ERRORS_MAX, MOMENTS_MAX, OUTAGES_MAX, SILENCES_MAX, Happenings
 from recorder.review.report.odometry import Place
-from recorder.review.timeline.entries import Entry, EntryKind, Source
+from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
 from schemas.decisions import Severity
 from schemas.reasons import Reason
 from tests.support.recorder_fakes import SECOND, WALL_NS
@@ -25,7 +25,7 @@ def entry(at_s: float, kind: EntryKind, **fields: object) -> Entry:
         robot="cruiser-1",
         kind=kind,
         severity=Severity.WARNING,
-        source=Source.LOG,
+        source=EntrySource.LOG,
         text=kind.value,
     )
     return msgspec.structs.replace(plain, **fields)
@@ -50,8 +50,8 @@ def test_the_silence_before_a_restart_is_its_own() -> None:
         silence(1, 3),
         silence(5, 9, severity=Severity.ERROR),
         silence(6, 7),
-        entry(9, EntryKind.GATEWAY, severity=Severity.ERROR, source=Source.STATE),
-        entry(20, EntryKind.GATEWAY, source=Source.HEALTH),
+        entry(9, EntryKind.GATEWAY, severity=Severity.ERROR, source=EntrySource.STATE),
+        entry(20, EntryKind.GATEWAY, source=EntrySource.HEALTH),
     )
     assert found.outages == [
         Outage(WALL_NS + 5 * SECOND, WALL_NS + 9 * SECOND, is_commanding=True),
@@ -64,14 +64,14 @@ def test_the_silence_before_a_restart_is_its_own() -> None:
 
 def test_another_variant_is_no_other_gateway() -> None:
     """It is told, and no more."""
-    found = happened(entry(1, EntryKind.GATEWAY, severity=Severity.INFO, source=Source.HEALTH))
+    found = happened(entry(1, EntryKind.GATEWAY, severity=Severity.INFO, source=EntrySource.HEALTH))
     assert found.outages == []
     assert found.counts == {"gateway": 1}
 
 
 def test_what_the_recorder_could_not_keep_is_no_silence() -> None:
     """The recorder's own account tells it."""
-    assert happened(silence(1, 2, source=Source.RECORDER)).silences == []
+    assert happened(silence(1, 2, source=EntrySource.RECORDER)).silences == []
 
 
 def test_refusals_and_requests_have_a_table_of_their_own() -> None:

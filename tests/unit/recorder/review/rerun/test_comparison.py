@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from recorder.encoding.transcode import compile_encoder
 from recorder.reading.topics import typed_decoder
 from recorder.review.rerun import comparison as comparison_module
-from recorder.review.rerun.comparison import BATCH_NS, SAME_RUN_NS, Comparison, Said
+from recorder.review.rerun.comparison import BATCH_NS, SAME_RUN_NS, Comparison, RecordedOutput
 from schemas.decisions import EventKind, SafetyEvent, Severity
 from schemas.reasons import Reason
 
@@ -17,12 +17,12 @@ SUBJECT = "safety/event"
 ENCODE = compile_encoder(SafetyEvent)
 
 
-def event(number: int, text: str = "") -> Said:
+def event(number: int, text: str = "") -> RecordedOutput:
     """The record of an event."""
     message = SafetyEvent(
         number, number % 2**32, 7, Severity.INFO, EventKind.LEASE, Reason.NONE, operator="operator-1", text=text
     )
-    return Said(number, ENCODE(message))
+    return RecordedOutput(number, ENCODE(message))
 
 
 def compared() -> Comparison:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.rerun.what_if import Said
+from gateway.rerun.what_if import GivenOutput
 from gateway.telemetry.sample import Sample
 from recorder.reading.configurations import settings_from
 from recorder.reading.faults import Faults
@@ -134,15 +134,15 @@ def test_a_longer_deadman_stops_later(tmp_path: Path) -> None:
     ] == [("deadman", 0.25)]
 
 
-def both(messages: Callable[[bool], list[Message]]) -> Callable[..., Iterator[Said]]:
+def both(messages: Callable[[bool], list[Message]]) -> Callable[..., Iterator[GivenOutput]]:
     """Two runs that say these."""
 
-    def run(_settings: Settings, _other: Settings, journals: Iterable[Journal]) -> Iterator[Said]:
+    def run(_settings: Settings, _other: Settings, journals: Iterable[Journal]) -> Iterator[GivenOutput]:
         for _ in journals:
             pass
         for is_other in (False, True):
             for message in messages(is_other):
-                yield Said(Sample(BY_TYPE[type(message)].name, encode(message)), is_other)
+                yield GivenOutput(Sample(BY_TYPE[type(message)].name, encode(message)), is_other)
 
     return run
 

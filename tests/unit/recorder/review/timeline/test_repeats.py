@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.review.timeline import repeats
-from recorder.review.timeline.repeats import Hole, Repeats, Sequences
+from recorder.review.timeline.repeats import Repeats, SequenceHole, Sequences
 
 
 @given(there=st.sets(st.integers(0, 60), min_size=1), chance=st.randoms())
@@ -31,7 +31,7 @@ def test_holes_without_end_take_no_memory_without_end() -> None:
         sequences.add(sequence, sequence)
     holes = sequences.holes()
     assert len(holes) == repeats.PIECES_MAX + 9
-    assert holes[0] == Hole(1, 0, 2)
+    assert holes[0] == SequenceHole(1, 0, 2)
 
 
 def test_a_sample_is_new_once() -> None:

@@ -4,7 +4,7 @@ import msgspec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.review.timeline.entries import Entry, EntryKind, Source
+from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
 from recorder.review.timeline.spells import LATE_NS, NAMES_MAX, SPELL_NS, SPELLS_MAX, Spells
 from schemas.decisions import Severity
 
@@ -17,7 +17,7 @@ def entry(time_ns: int, count: int = 1) -> Entry:
         robot="cruiser-1",
         kind=EntryKind.REFUSAL,
         severity=Severity.INFO,
-        source=Source.DECISION,
+        source=EntrySource.DECISION,
         text=str(time_ns),
         count=count,
     )

@@ -13,7 +13,7 @@ from recorder.reading.logs import find_logs
 from recorder.reading.rows import Selection, read_rows
 from recorder.review.reasoning.signals import BY_IDENTIFIER
 from recorder.review.timeline import timeline as events
-from recorder.review.timeline.entries import Entry, EntryKind, Source
+from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
 from recorder.review.timeline.timeline import Question, read_events
 from schemas.decisions import (
     ArbiterState,
@@ -106,7 +106,7 @@ def log_of(said: Iterable[tuple[int, Message]]) -> bytes:
 def test_every_event_of_the_arbiter_is_told_once_in_its_order(scenario: Scenario, path: Path) -> None:
     """With its own time, operator, reason and text."""
     rig = acted(scenario)
-    entries = [entry for entry in told(path, rig.log()) if entry.source is Source.EVENT]
+    entries = [entry for entry in told(path, rig.log()) if entry.source is EntrySource.EVENT]
     assert [(one.time_ns, one.tick, one.reason, one.operator, one.text) for one in entries] == [
         (one.time_ns, one.tick, one.reason, one.operator, one.text) for one in rig.events
     ]
@@ -313,7 +313,7 @@ def test_a_gateway_that_only_listens_has_faults_and_no_more(path: Path) -> None:
     """They are in its health."""
     safety = ("safety/event", "safety/state", "safety/decision", "journal")
     entries = told(path, recorded(scenarios.one_silent_frame, *safety))
-    assert {one.source for one in entries} == {Source.HEALTH}
+    assert {one.source for one in entries} == {EntrySource.HEALTH}
     assert f"faults of frames: silence{AFTER}" in {one.text for one in entries}
 
 
@@ -324,7 +324,7 @@ def test_one_outage_begins_once_and_ends_once(path: Path) -> None:
     rig.run(3.0)
     rig.corrupt = lambda frame: frame
     rig.rest_after(5.0)
-    entries = [one for one in told(path, rig.log()) if one.source is Source.HEALTH]
+    entries = [one for one in told(path, rig.log()) if one.source is EntrySource.HEALTH]
     faults = [(one.count, one.text.partition(": ")[2]) for one in entries if "silen" in one.text]
     assert faults == [(10, f"silent{AFTER}"), (10, "no longer at fault (silence)")]
     assert sum(one.count for one in entries if "should have come" in one.text) == 1890
@@ -338,7 +338,7 @@ def test_a_fault_stands_before_what_it_causes(path: Path) -> None:
     """The health that tells of it comes later: it began behind the health before."""
     entries = told(path, recorded(scenarios.one_silent_frame))
     (stop,) = (one for one in entries if one.kind is EntryKind.STOP)
-    faults = [one for one in entries if one.source is Source.HEALTH and "should have come" not in one.text]
+    faults = [one for one in entries if one.source is EntrySource.HEALTH and "should have come" not in one.text]
     assert faults
     for one in faults:
         assert one.time_ns <= stop.time_ns <= one.last_ns
@@ -454,4 +454,4 @@ def test_a_gateway_that_a_recorder_saw_die_is_told_of_its_robot(path: Path) -> N
     gone = RecorderEvent(WALL_NS, 0, Severity.ERROR, RecorderEventKind.GATEWAY, ROBOT, "", "", "the gateway died")
     log.add_own("fleet/@recorder/bench/event", gone, 0)
     (entry,) = (one for one in told(path, log.close()) if one.kind is EntryKind.GATEWAY)
-    assert (entry.robot, entry.severity, entry.source) == (ROBOT, Severity.ERROR, Source.RECORDER)
+    assert (entry.robot, entry.severity, entry.source) == (ROBOT, Severity.ERROR, EntrySource.RECORDER)
