@@ -89,7 +89,7 @@ def test_only_one_room_knows_how_mcap_is_framed() -> None:
 
 
 SAID_TWICE = {"Drive", "Light"}
-"""What the chassis reports, and what an operator asks for: both stand in the names of schemas that clients know."""
+"""A report of the chassis, and a request: both stand in the names of schemas that clients know."""
 
 
 def test_no_public_class_has_the_name_of_another() -> None:
