@@ -1,6 +1,7 @@
 """What holds for every test."""
 
 import os
+import signal
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +13,9 @@ from tests.support.recorder_fakes import small_log
 
 settings.register_profile("patient", deadline=None)  # How long an example takes says how busy the machine is.
 settings.load_profile("patient")
+
+# Started in the background of a shell, this process ignores Ctrl-C, and so would all that a test starts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(autouse=True)
