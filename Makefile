@@ -16,9 +16,10 @@ help:  ## this list
 demo: $(DEMO)  ## chassis, gateway, recorder and two operators, for half a minute
 	$(BIN)/cruiser demo --seconds 30 --out demo-log
 
-# Many tests wait for processes, so one more runs than there are processors.
+# Many tests wait for processes, so one more runs than there are processors. Those of the system come first, file by
+# file: beside tests that only reckon, their processes would come too late.
 test: $(STAMP)  ## the whole test suite
-	$(BIN)/python -m pytest --numprocesses $$(( $$(nproc) + 1 )) --dist worksteal
+	$(BIN)/python -m pytest --numprocesses $$(( $$(nproc) + 1 )) --dist loadfile --no-loadscope-reorder
 
 test-unit: $(STAMP)  ## what needs no process and no socket: two minutes
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/unit
