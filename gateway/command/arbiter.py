@@ -182,9 +182,8 @@ class Arbiter:
 
     def _act(self, chassis: ChassisState, now_ns: int, late_ns: int) -> Actuation | None:
         engagement, output, setpoint = self.engagement, self.output, self.setpoint
-        was_told = (
-            output.actuation is not None
-        )  # That it reads auto confirms nothing before the enables were sent.
+        # That it reads auto confirms nothing before the enables were sent.
+        was_told = output.actuation is not None
         if engagement.state is ArbiterState.ENGAGING and was_told and chassis.mode is Mode.AUTO:
             self.link.fresh_ns = now_ns
             engagement.confirm(self.leases.held.operator if self.leases.held is not None else "")
