@@ -90,7 +90,7 @@ def _probe(host: str, port: int) -> None:
 
 
 def _is_library_missing(error: Exception) -> bool:
-    """Whether the vendor's library could not be loaded: waiting for the bus is then in vain.
+    """Report whether the vendor's library could not be loaded: waiting for the bus is then in vain.
 
     ctypes, and python-can's pcan, say so with an OSError that has no number, as no system call failed. Its kvaser
     goes on without the library, and stumbles over the first name from it.

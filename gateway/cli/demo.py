@@ -143,7 +143,7 @@ def _fresh(directory: Path) -> Path:
 
 
 def _is_held_up(problem: CommandError) -> bool:
-    """Whether a busy machine explains the problem, so that another attempt may succeed."""
+    """Report whether a busy machine explains the problem, so that another attempt may succeed."""
     return problem.reason in HELD_UP if isinstance(problem, RobotError) else isinstance(problem, Unreachable)
 
 

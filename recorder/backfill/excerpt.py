@@ -245,7 +245,7 @@ class _Piece:
         self._channels: dict[str, LogChannel] = {}
 
     def fits(self, message: LoggedBytes) -> bool:
-        """Whether it may hold the message too. A schema of another version than its own does not fit."""
+        """Report whether it may hold the message too. A schema of another version than its own does not fit."""
         if not self._messages:
             return True
         same = self._channels.get(message.channel.schema_name)

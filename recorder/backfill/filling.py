@@ -40,7 +40,7 @@ class Filled(msgspec.Struct, frozen=True):
 
     @property
     def is_whole(self) -> bool:
-        """Whether nothing more is known to be missing."""
+        """True if nothing more is known to be missing."""
         return self.is_answered and not self.still_missing
 
 

@@ -70,7 +70,7 @@ class Hole(msgspec.Struct, frozen=True):
 
     @property
     def is_robots(self) -> bool:
-        """Whether it is one of all that a robot says."""
+        """True if it is one of all that a robot says."""
         return self.kind is HoleKind.SILENCE
 
 

@@ -28,7 +28,7 @@ class BackfillQuestion(msgspec.Struct, frozen=True):
     to_ns: int
 
     def covers(self, topic: str) -> bool:
-        """Whether it asks for a topic, or for a hole of all that a robot says."""
+        """Report whether it asks for a topic, or for a hole of all that a robot says."""
         return topic == self.key or (
             self.key.endswith(ANY_TOPIC) and topic.startswith(self.key.removesuffix("**"))
         )

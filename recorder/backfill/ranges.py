@@ -39,6 +39,6 @@ def without(ranges: list[Range], taken: list[Range]) -> list[Range]:
 
 
 def overlaps(ranges: list[Range], from_ns: int, to_ns: int) -> bool:
-    """Whether any of merged ranges and this one have a time in common."""
+    """Report whether any of merged ranges and this one have a time in common."""
     place = bisect_left(ranges, to_ns, key=lambda one: one[0])
     return place > 0 and ranges[place - 1][1] > from_ns

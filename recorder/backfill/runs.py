@@ -61,7 +61,7 @@ class SequenceRun:
 
 
 def _is_free(runs: list[SequenceRun], run: SequenceRun, publish_ns: int) -> bool:
-    """Whether no other run begins between the end of this one and that time: then it cannot go on there."""
+    """Report whether no other run begins between the end of this one and that time: then it cannot go on there."""
     return not any(run.last_ns < other.first_ns < publish_ns for other in runs)
 
 

@@ -22,5 +22,5 @@ class LogChannel(msgspec.Struct, frozen=True):
 
     @property
     def has_schema(self) -> bool:
-        """Whether there is one, were it empty."""
+        """True if there is one, were it empty."""
         return bool(self.schema_name or self.schema_data or self.schema_encoding)

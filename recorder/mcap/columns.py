@@ -74,7 +74,7 @@ class Messages(msgspec.Struct, frozen=True):
     backwards: int
 
     def is_indexed(self, index: Mapping[int, array[int]]) -> bool:
-        """Whether message indexes, log times and offsets in turns, say what is there; in any order."""
+        """Report whether message indexes, log times and offsets in turns, say what is there; in any order."""
         named = sorted(channel_id for channel_id, entries in index.items() if entries)
         if named != [one.channel_id for one in self.by_channel]:
             return False

@@ -138,7 +138,7 @@ class Scanner:
             offset = self.next_piece(offset) if isinstance(found, Fault) else found.end
 
     def is_closed(self, data_end: int) -> bool:
-        """Whether the file, whose data ends there, has a proper summary and footer and then ends."""
+        """Report whether the file, whose data ends there, has a proper summary and footer and then ends."""
         start = self._size - len(MAGIC) - FOOTER.size
         behind = data_end + RECORD_HEADER.size + 4
         if start < behind or self._size - behind > RECORD_MAX:

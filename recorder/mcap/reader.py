@@ -100,7 +100,7 @@ Walked = Around | LoggedMessage
 
 
 def is_mcap(stream: BinaryIO) -> bool:
-    """Whether a file begins as MCAP does."""
+    """Report whether a file begins as MCAP does."""
     stream.seek(0)
     return stream.read(len(MAGIC)) == MAGIC
 

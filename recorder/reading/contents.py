@@ -125,7 +125,7 @@ def walk_contents(
 
 
 def tells_all(summary: LogSummary, statistics: records.Statistics) -> bool:
-    """Whether it repeats every schema and channel, and holds every index."""
+    """Report whether it repeats every schema and channel, and holds every index."""
     return (
         len(summary.schemas) >= statistics.schema_count
         and len(summary.channels) >= statistics.channel_count

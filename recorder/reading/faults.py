@@ -41,5 +41,5 @@ class Faults:
             self.add(detail)
 
     def __bool__(self) -> bool:
-        """Whether there are any."""
+        """Report whether there are any."""
         return self.count > 0

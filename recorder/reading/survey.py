@@ -57,7 +57,7 @@ def survey(logs: Sequence[LogFile], faults: Faults) -> Survey:
 
 
 def _by_summary(stream: BinaryIO, log: LogFile, found: Survey) -> bool:
-    """Whether the file's end told all."""
+    """Report whether the file's end told all."""
     summary = read_summary(stream)
     if summary is None:
         return False

@@ -58,7 +58,7 @@ class CanPlace(msgspec.Struct, frozen=True):
 
 
 def is_virtual(place: CanPlace, devices: Path = VIRTUAL_DEVICES) -> bool:
-    """Whether it is certain that no robot is on the bus.
+    """Report whether it is certain that no robot is on the bus.
 
     A socketcand server of this machine may well serve a real bus, so it is asked what it is.
     """

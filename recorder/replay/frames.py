@@ -75,12 +75,12 @@ def refusal(interface: str, *, is_virtual: bool, is_forced: bool) -> str:
 
 
 def is_command(frame: CanFrame) -> bool:
-    """Whether it is a frame that a chassis of this family obeys."""
+    """Report whether it is a frame that a chassis of this family obeys."""
     return frame.is_extended and frame.identifier & COMMAND_MASK == COMMAND_IDENTIFIER
 
 
 def holds_frames(topic: Topic, wants: Wants, *, with_sent: bool) -> bool:
-    """Whether a topic holds raw frames that are wanted: those received, and with the others those sent."""
+    """Report whether a topic holds raw frames that are wanted: those received, and with the others those sent."""
     parts = keys.parse(topic.name)
     if parts is None or topic.kind is not CanFrame or parts.subject.type is not CanFrames:
         return False

@@ -63,7 +63,7 @@ class Pace:
 
     @property
     def is_paced(self) -> bool:
-        """Whether anything has a due time at all."""
+        """True if anything has a due time at all."""
         return self._speed > 0
 
     def start(self, now_ns: int) -> None:
@@ -162,12 +162,12 @@ class ReplayScheduler(Generic[T]):
 
     @property
     def is_paused(self) -> bool:
-        """Whether it stands still."""
+        """True if it stands still."""
         return self._paused_ns is not None
 
     @property
     def is_paced(self) -> bool:
-        """Whether anything has a due time at all."""
+        """True if anything has a due time at all."""
         return self._pace.is_paced
 
     @property

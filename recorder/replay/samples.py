@@ -109,7 +109,7 @@ def roots_of(topics: Iterable[Topic]) -> list[str]:
 
 
 def overlap(one: str, other: str) -> bool:
-    """Whether one of two roots is the other, or begins it: what is under the longer is then under both."""
+    """Report whether one of two roots is the other, or begins it: what is under the longer is then under both."""
     shorter, longer = sorted((f"{one}/", f"{other}/"), key=len)
     return longer.startswith(shorter)
 
@@ -120,7 +120,7 @@ def root_of_token(key: str) -> str:
 
 
 def may_hold(topic: Topic, wants: Wants) -> bool:
-    """Whether samples of wanted keys may be in a topic."""
+    """Report whether samples of wanted keys may be in a topic."""
     if topic.kind is RawSample:
         # Its samples tell their keys; only of a broken one of a known key the topic does too.
         key = topic.name.removesuffix(_RAW_ENDING)

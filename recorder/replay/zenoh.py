@@ -73,7 +73,7 @@ class ZenohOutlet:
 
     @property
     def is_connected(self) -> bool:
-        """Whether any Zenoh node is connected."""
+        """True if any Zenoh node is connected."""
         info = self._session.info
         return bool(info.peers_zid() or info.routers_zid())
 

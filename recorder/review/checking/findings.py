@@ -73,7 +73,7 @@ class Findings:
         self._add(About.DATA, what, topic, count, None, time_ns)
 
     def has(self, about: About) -> bool:
-        """Whether there is any of this kind; those that are not told are about the file."""
+        """Report whether there is any of this kind; those that are not told are about the file."""
         return any(one.about is about for one in self._by_kind.values()) or (
             about is About.FILE and self.untold > 0
         )

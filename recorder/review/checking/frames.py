@@ -63,7 +63,7 @@ class _Form(msgspec.Struct, frozen=True):
     counts: bool
 
     def fits(self, joined: bytes, count: int) -> bool:
-        """Whether so many records, one behind the other, are of this form."""
+        """Report whether so many records, one behind the other, are of this form."""
         length = self.length
         return len(joined) == length * count and all(
             joined[at::length].count(byte) == count for at, byte in self.same
@@ -213,5 +213,5 @@ def _form(record: bytes) -> _Form | None:
 
 
 def _may_count(frame: CanFrame) -> bool:
-    """Whether it can be a feedback frame by all but its identifier."""
+    """Report whether it can be a feedback frame by all but its identifier."""
     return frame.is_extended and not frame.is_remote and not frame.is_error and len(frame.data) == FRAME_BYTES

@@ -99,7 +99,7 @@ class _Layout(msgspec.Struct, frozen=True):
     bounds: list[tuple[int, int]]
 
     def fits(self, datas: list[bytes]) -> bool:
-        """Whether all of these are such records; one may be a good record and fit all the same not."""
+        """Report whether all of these are such records; one may be a good record and fit all the same not."""
         length, count = self.length, len(datas)
         joined = b"".join(datas)
         return (

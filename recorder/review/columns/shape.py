@@ -247,7 +247,7 @@ def message_of(field: Field) -> Shape:
 
 
 def _is_map(field: Any) -> bool:  # noqa: ANN401
-    """Whether it is a map, which in protobuf is a repeated message of key and value."""
+    """Report whether it is a map, which in protobuf is a repeated message of key and value."""
     return bool(field.type == _F.TYPE_MESSAGE and field.message_type.GetOptions().map_entry)
 
 

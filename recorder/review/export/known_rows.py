@@ -36,7 +36,7 @@ _Key = tuple[str, str, str]
 
 
 def may_repeat(topic: Topic) -> bool:
-    """Whether messages of the topic may be in another log."""
+    """Report whether messages of the topic may be in another log."""
     return f"/{RECORDER_CHUNK}/" not in f"/{topic.name}"
 
 

@@ -65,7 +65,7 @@ class FramesOf(msgspec.Struct, frozen=True):
 
 
 def is_frames(topic: Topic) -> bool:
-    """Whether the topic holds raw frames of a robot."""
+    """Report whether the topic holds raw frames of a robot."""
     return topic.kind is CanFrame and topic.subject in _SUBJECTS
 
 

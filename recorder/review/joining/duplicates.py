@@ -27,7 +27,7 @@ class Recent:
         self._older: set[int] = set()
 
     def is_new(self, channel_id: int, sequence: int, publish_ns: int, data: bytes) -> bool:
-        """Whether no such message came by before; it is remembered."""
+        """Report whether no such message came by before; it is remembered."""
         # One number takes less memory than a tuple of four.
         identity = ((hash(data) << 16 | channel_id) << 64 | publish_ns) << 32 | sequence
         if identity in self._newer or identity in self._older:

@@ -125,7 +125,7 @@ class JoinSource:
                 self._take(one)
 
     def _look_at_summary(self, stream: BinaryIO) -> bool:
-        """Whether the end of the file told all."""
+        """Report whether the end of the file told all."""
         summary = read_summary(stream)
         statistics = None if summary is None else summary.statistics
         if summary is None or statistics is None or not tells_all(summary, statistics):

@@ -45,7 +45,7 @@ class DatasetSource:
             self._parts.setdefault(names[key], []).append(part)
 
     def _is_like(self, part: Part) -> bool:
-        """Whether a table is of a subject of ours, as another version had it: it has fields in common."""
+        """Report whether a table is of a subject of ours, as another version had it: it has fields in common."""
         own = own_columns().get(part.table)
         names = {column.name for column in self._manifest.schemas.get(part.columns, [])}
         return own is not None and bool(names & set(own.schema.names[len(HEAD) :]))

@@ -166,7 +166,7 @@ def size(count: int) -> str:
 
 
 def is_lossy(report: KeyReport) -> bool:
-    """Whether anything of a topic was lost, before or behind the recorder."""
+    """Report whether anything of a topic was lost, before or behind the recorder."""
     return bool(report.lost or report.lost_bus or report.lost_source)
 
 

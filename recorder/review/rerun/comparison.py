@@ -135,7 +135,7 @@ class Comparison:
         return later
 
     def _is_repeated(self, key: Key) -> bool:
-        """Whether it is a second copy of what was compared already: the sequence has passed it."""
+        """Report whether it is a second copy of what was compared already: the sequence has passed it."""
         if isinstance(key[1], int):
             return key[1] <= self._newest.get(key[0], -1)
         return key in self._compared

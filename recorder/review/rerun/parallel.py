@@ -176,7 +176,7 @@ def join(planned: Plan, found: Sequence[Sequence[RerunResult]]) -> list[RerunRes
 
 
 def _reaches(before: RerunResult, behind: RerunResult, cut_ns: int) -> bool:
-    """Whether both are of the same run, and one goes on to the cut from which on the other is compared."""
+    """Report whether both are of the same run, and one goes on to the cut from which on the other is compared."""
     return (
         before.run == behind.run
         and BROKEN_OFF not in before.detail + behind.detail

@@ -53,11 +53,11 @@ class Stretch(msgspec.Struct, frozen=True):
     log_to_ns: int = END_OF_TIME_NS
 
     def holds(self, time_ns: int) -> bool:
-        """Whether what was published then is compared in it."""
+        """Report whether what was published then is compared in it."""
         return self.from_ns <= time_ns < self.to_ns
 
     def needs(self, row: Row) -> bool:
-        """Whether a row is a journal that is needed, or something else that is compared."""
+        """Report whether a row is a journal that is needed, or something else that is compared."""
         if row.topic.subject == JOURNAL:
             return self.inputs_from_ns <= row.publish_ns <= self.inputs_to_ns
         return self.holds(row.publish_ns)

@@ -63,7 +63,7 @@ class Question(msgspec.Struct, frozen=True):
     kinds: frozenset[EntryKind] = frozenset()
 
     def takes(self, entry: Entry) -> bool:
-        """Whether this one is wanted."""
+        """Report whether this one is wanted."""
         return (
             entry.time_ns < self.to_ns
             and entry.last_ns >= self.from_ns
