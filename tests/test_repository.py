@@ -105,7 +105,9 @@ def test_make_help_lists_every_target() -> None:
     makefile = (ROOT / "Makefile").read_text("utf-8")
     phony = re.search(r"^\.PHONY: (.*)$", makefile, flags=re.MULTILINE)
     assert phony
-    done = subprocess.run(["make", "-f", ROOT / "Makefile"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        ["make", "--no-print-directory", "-f", ROOT / "Makefile"], capture_output=True, text=True, check=True
+    )
     assert sorted(line.split()[0] for line in done.stdout.splitlines()) == sorted(phony[1].split())
 
 
