@@ -58,7 +58,7 @@ REST_PERIOD_NS: Final = 60_000_000_000
 """So often the journal says what a gateway at rest is remembered by..."""
 
 REST_LOOK_NS: Final = 1_000_000_000
-"""...and so often it looks whether the gateway is at kept."""
+"""...and so often it looks whether the gateway is at rest."""
 
 RX, TX = "can/{bus}/rx", "can/{bus}/tx"
 _SUBJECT: Final = {subject.type: subject.name for subject in SUBJECTS}
@@ -253,7 +253,7 @@ class Core:
             self.command.arbiter.outbox.add_event(Severity.WARNING, EventKind.FAULT, Reason.NONE, words)
 
     def shut_down(self, now_ns: int) -> None:
-        """The gateway is to end: bring the robot to kept. ``is_at_rest`` says when that is done."""
+        """The gateway is to end: bring the robot to rest. ``is_at_rest`` says when that is done."""
         if self.command is not None and self._journal is not None:
             self._journal.add((Kind.SHUT_DOWN, now_ns))
             self.command.arbiter.engagement.shut_down(now_ns)
