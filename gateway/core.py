@@ -55,10 +55,10 @@ from schemas.subjects import SUBJECTS
 CONFIGURED_VARIANT: Final = {"auto": Variant.UNKNOWN, "coarse": Variant.COARSE, "fine": Variant.FINE}
 
 REST_PERIOD_NS: Final = 60_000_000_000
-"""So often the journal says what a gateway at rest is remembered by..."""
+"""Period at which the journal says what a gateway at rest is remembered by."""
 
 REST_LOOK_NS: Final = 1_000_000_000
-"""...and so often it looks whether the gateway is at rest."""
+"""Period at which the core looks whether the gateway is at rest."""
 
 RX, TX = "can/{bus}/rx", "can/{bus}/tx"
 _SUBJECT: Final = {subject.type: subject.name for subject in SUBJECTS}

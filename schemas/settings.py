@@ -26,16 +26,16 @@ TICK_NS: Final = 10_000_000
 """The loop's tick and the chassis's command period, 10 ms."""
 
 LATE_NS: Final = 50_000_000
-"""A tick that begins later than this is told in the log..."""
+"""A tick that begins later than this is reported in the log."""
 
 LATE_TOLD_NS: Final = 1_000_000_000
-"""...no more often than this: a loop that is always late must not push all else out of the history."""
+"""Shortest time between two such reports: a loop that is always late must not fill the history."""
 
 SILENCE_PERIODS: Final = 10
-"""A feedback frame is silent after this many of its periods without a valid one..."""
+"""A feedback frame is silent after this many of its periods without a valid one."""
 
 SILENCE_MIN_NS: Final = 100_000_000
-"""...but not before 100 ms. Both are below the 160 ms at which a 4-bit counter of a 10 ms frame aliases."""
+"""No feedback frame is silent sooner. Both are below the 160 ms at which the counter of a 10 ms frame aliases."""
 
 CHECKSUM_FAULTS: Final = 5
 """This many checksum faults of one identifier within CHECKSUM_WINDOW_NS are a failure of that frame.
@@ -92,19 +92,19 @@ ENGAGE_TIMEOUT_NS: Final = 1_000_000_000
 """The chassis reads auto within this time of the first five enables, or engaging has failed."""
 
 HOLD_NS: Final = 1_000_000_000
-"""A stop holds the robot for 1 s behind the parking brake, after it was last seen to move..."""
+"""A stop holds the robot for 1 s behind the parking brake, after it was last seen to move."""
 
 DISABLE_NS: Final = 500_000_000
-"""...then sends disabled frames for 0.5 s, then nothing."""
+"""After the hold a stop sends disabled frames for 0.5 s, then nothing."""
 
 REST_TIMEOUT_NS: Final = 10_000_000_000
 """A gateway that is told to end waits this long for the robot to come to rest; the longest stop takes 7 s."""
 
 NOT_SLOWING_NS: Final = 300_000_000
-"""A robot that is not seen to slow down for this long, while it is being stopped, gets its parking brake..."""
+"""A robot that is not seen to slow down for this long, while it is being stopped, gets its parking brake."""
 
 SLOWING_MPS: Final = 0.02
-"""...and it slows down if it is slower by this than it was."""
+"""A robot slows down if it is slower by this than it was."""
 
 BRAKE_UNSEEN_NS: Final = 3_000_000_000
 """A stop that gets no word of the parking brake waits this long before it goes on."""
@@ -128,13 +128,13 @@ LOOP_LATE_STOP_NS: Final = 100_000_000
 """A tick that begins later than this stops the robot."""
 
 IMPLAUSIBLE_MPS: Final = 0.3
-"""Speeds that differ by more than this..."""
+"""Speeds do not fit each other that differ by more than this, and by more than ``IMPLAUSIBLE_RATIO``."""
 
 IMPLAUSIBLE_RATIO: Final = 1.5
-"""...and by more than this factor..."""
+"""Factor beyond which speeds do not fit each other, where they differ by ``IMPLAUSIBLE_MPS`` too."""
 
 IMPLAUSIBLE_NS: Final = 300_000_000
-"""...for 300 ms do not fit each other."""
+"""Time for which speeds must differ so, 300 ms."""
 
 REFERENCE_DECELERATION_MPS2: Final = 0.8
 """A commanded speed that falls is held against the measured one no faster than this: the chassis lags."""
@@ -143,28 +143,28 @@ DRIVE_LAG_S: Final = 0.4
 """The chassis follows a falling command with no more lag than this (chosen: the manual says nothing)."""
 
 ROLLING_MPS: Final = 0.1
-"""A robot that is faster than this, the standstill bound and a noisy bit of the coarse scale..."""
+"""A robot that is faster than this, the standstill bound and a noisy bit of the coarse scale, is rolling."""
 
 ROLLING_NS: Final = 100_000_000
-"""...for this long while it is told to stand, or against what it is told, is rolling..."""
+"""Time for which it must be so fast while it is told to stand, or against what it is told."""
 
 CREEPING_NS: Final = 1_000_000_000
-"""...and so is one that is over the standstill bound alone for this long, or whose pulses count."""
+"""A robot is rolling too that is over the standstill bound alone for this long, or whose pulses count."""
 
 OVERSPEED_MPS: Final = 0.3
-"""A measured speed that is over the limit in force by this..."""
+"""A measured speed is too fast that is over the limit in force by this."""
 
 OVERSPEED_NS: Final = 300_000_000
-"""...for this long is too fast."""
+"""Time for which a speed must be over the limit, 300 ms."""
 
 STEERING_DEVIATION_DEG: Final = 5.0
-"""A measured steering angle that is off what was told by more than this..."""
+"""A measured steering angle does not follow that is off what was told by more than this."""
 
 STEERING_DEVIATION_NS: Final = 300_000_000
-"""...for this long does not follow..."""
+"""Time for which an angle must be off, 300 ms."""
 
 STEERING_FOLLOWS_DEGPS: Final = 30.0
-"""...where a chassis that turns its wheels at this rate still does."""
+"""Rate of turning the wheels at which a chassis still follows."""
 
 FROZEN_BODY_M: Final = 3.0
 """The mileage counts whole metres: after this way without a change, the body frame is frozen."""
@@ -173,10 +173,10 @@ BUMPER_CLEAR_NS: Final = 300_000_000
 """A bumper is released once it has read clear for this long: contacts bounce."""
 
 PULSES_MOVING_FRAMES: Final = 16
-"""Wheel pulses that count the same way in so many frames in a row, 800 ms..."""
+"""Wheel pulses that count the same way in so many frames in a row, 800 ms, tell that the robot moves."""
 
 PULSES_STEADY: Final = 0.9
-"""...and in the second half of them no less than this share of the first, tell that the robot moves."""
+"""Share of the first half of these pulses that the second half must reach."""
 
 SEND_FAILURES: Final = 5
 """This many ticks in a row whose frames the bus did not take are a failure."""
@@ -223,10 +223,10 @@ SEQUENCE_STEP_MAX: Final = 1000
 holds at 50 Hz, so that no loss on the way reaches it, and nobody can use up the numbers."""
 
 SAFETY_STATE_PERIOD_NS: Final = 50_000_000
-"""`safety/state` is published every 50 ms, and on change..."""
+"""`safety/state` is published every 50 ms, and on change."""
 
 SAFETY_STATE_ENGAGED_PERIOD_NS: Final = 20_000_000
-"""...and every 20 ms while the robot is engaged: each half of this period is age."""
+"""`safety/state` is published every 20 ms while the robot is engaged: each half of this period is age."""
 
 DEADMAN_MAX_S: Final = 1.0
 """No engagement has a longer deadman."""

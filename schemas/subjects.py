@@ -101,10 +101,10 @@ JOURNAL_KEPT_BYTES: Final = 16_000_000
 """The last ten minutes at the nominal load of a bus, the last minute at a saturated one."""
 
 KEPT_FIRST: Final = "first"
-"""A query ``{key}?first=N`` on what is kept gives the samples from sequence N on, or from the oldest..."""
+"""A query ``{key}?first=N`` on what is kept gives the samples from sequence N on, or from the oldest."""
 
 KEPT_PIECE: Final = 16
-"""...so many at most, each as a reply of its own. Nothing is replied without N."""
+"""Samples that such a query gives at most, each as a reply of its own. Nothing is replied without N."""
 
 _FEEDBACK: Final = Qos(Priority.DATA)
 

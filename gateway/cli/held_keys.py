@@ -19,10 +19,10 @@ REPEAT_NS: Final = 200_000_000
 """A key that repeats comes again within this time; slow keyboards take 90 ms."""
 
 BEGIN_NS: Final = 800_000_000
-"""...but for the first time, for which keyboards wait for up to 660 ms..."""
+"""A key that is held begins to repeat within this time; keyboards wait for up to 660 ms."""
 
 BEGIN_MIN_NS: Final = 150_000_000
-"""...and for no less than this."""
+"""No keyboard begins to repeat sooner."""
 
 BURST_STROKES: Final = 6
 """As many strokes of one key in one read have waited somewhere: the fastest keyboards take 15 ms for each."""

@@ -11,10 +11,10 @@ from math import inf
 from typing import Final
 
 CONFIRM_NS: Final = 150_000_000
-"""What is believed was said for so long..."""
+"""Time over which a robot must say the same to be believed."""
 
 CONFIRM_SAMPLES: Final = 3
-"""...and in so many samples: anyone can put a false one between the robot's own."""
+"""Samples in which it must say so: anyone can put a false one between the robot's own."""
 
 
 class Evidence:

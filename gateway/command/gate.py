@@ -33,10 +33,10 @@ BURST_MAX_FRAMES: Final = 8
 """The five and one of each other frame."""
 
 RATE_FRAMES: Final = 12
-"""At most this many frames of one identifier..."""
+"""Frames of one identifier that pass at most in ``RATE_WINDOW_NS``; 10 are nominal."""
 
 RATE_WINDOW_NS: Final = 100_000_000
-"""...in 100 ms; 10 is nominal."""
+"""Window of the rate limit, 100 ms."""
 
 FORGET_NS: Final = 200_000_000
 """After a pause the next burst is not held against the one before."""

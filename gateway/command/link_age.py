@@ -21,13 +21,13 @@ MEAN_NS: Final = 1_000_000_000
 """The age that bounds the speed is the mean of so long: no deadman lasts longer."""
 
 QUANTILES_NS: Final = 10_000_000_000
-"""The median and the 99th percentile are of so long..."""
+"""Time over which the median and the 99th percentile are taken."""
 
 RANK_NS: Final = 200_000_000
-"""...and are found anew this often, for sorting takes time in the loop..."""
+"""Period at which both are found anew: sorting takes time in the loop."""
 
 KEPT: Final = 500
-"""...of so many commands at most, 50 a second."""
+"""Commands that they are taken of at most, 50 a second."""
 
 REFUSED_AS: Final = {
     Reason.TOO_OLD: "too old",

@@ -17,10 +17,10 @@ from recorder.mcap.writer import MESSAGE_ENCODING, SCHEMA_ENCODING
 from schemas.recording import Backfill, BackfillPiece
 
 FIRST_BYTES: Final = 1_000_000
-"""The first request asks for so much, each further one for twice as much..."""
+"""Bytes that the first request asks for; each further one asks for twice as much."""
 
 MOST_BYTES: Final = 16_000_000
-"""...up to this; after a piece that got lost, for half as much: what does not fit on the link is dropped."""
+"""Bytes of the largest request. After a lost piece half as much is asked for: the link may drop more."""
 
 LEAST_BYTES: Final = 65_536
 

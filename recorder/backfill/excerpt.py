@@ -38,10 +38,10 @@ OBJECT_BYTES: Final = 250
 """About what a message costs in memory besides its data."""
 
 SLICE_NS: Final = 10_000_000_000
-"""The first slice..."""
+"""Length of the first slice."""
 
 SLICE_MAX_NS: Final = 600_000_000_000
-"""...and the longest: slices grow where there is little, and shrink to what can be held."""
+"""Length of the longest slice: they grow where there is little, and shrink to what can be held."""
 
 LOOK_EVERY: Final = 5000
 """Messages of a chunk between two looks at the time that is left."""

@@ -28,10 +28,10 @@ from recorder.mcap.proof import ProvenRecord, Scanner
 from recorder.mcap.writer import MESSAGE_ENCODING, SCHEMA_ENCODING
 
 EARLY_NS: Final = 60_000_000_000
-"""A message is logged at most so long before its publish time: recorder and source differ in their clocks..."""
+"""A message is logged at most so long before its publish time: recorder and source differ in their clocks."""
 
 LATE_NS: Final = 600_000_000_000
-"""...and at most so long after it: what a recorder asked a gateway for later stands among what came by itself.
+"""A message is logged at most so long after its publish time: a recorder may have asked for it later.
 
 A gateway keeps ten minutes of its journal at the bus's nominal load. A decision or an event of an idle robot may
 be older when it is asked for, and is then not found by its time.

@@ -18,10 +18,10 @@ FOR_EVER: Final = 0
 """The number of loops that never ends."""
 
 SET_BACK_NS: Final = 1_000_000_000
-"""Who is further behind than this in the log's time is late, or the clock was set back..."""
+"""Who is further behind than this in the log's time is late, or the clock was set back."""
 
 SET_BACK_AFTER: Final = 100
-"""...which so many in a row tell."""
+"""Messages in a row that are further behind before the clock counts as set back."""
 
 SLIP_NS: Final = 1_000_000_000
 """Who stood still for longer (Ctrl-Z, a machine that slept) goes on from there: nothing comes in a burst."""

@@ -23,10 +23,10 @@ from schemas.printable import plain
 JSON_HELP: Final = "print JSON"
 
 BUDGET_S: Final = 30.0
-"""What takes longer than this..."""
+"""Time after which any reading is given up."""
 
 BUDGET_S_PER_BYTE: Final = 1e-6
-"""...and a second for each megabyte of log is given up."""
+"""Time added to ``BUDGET_S`` for each byte of the logs: a second a megabyte."""
 
 
 class Asked(msgspec.Struct):

@@ -18,10 +18,10 @@ from recorder.review.export.manifest import Column, Part, described
 from recorder.review.export.partitions import bounds_ns, by_date, directory_of
 
 GROUP_BYTES: Final = 8_000_000
-"""A row group is written when its columns have so many bytes..."""
+"""Bytes of columns at which a row group is written."""
 
 HELD_BYTES: Final = 32_000_000
-"""...and the largest one when all together have so many."""
+"""Bytes of all columns held at which the largest row group is written."""
 
 GROUPS_MAX: Final = 32
 """A file of so many row groups is ended, and goes on in another part: what it says of them is held until then."""

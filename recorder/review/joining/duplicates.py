@@ -9,9 +9,10 @@ from __future__ import annotations
 from typing import Final
 
 RECENT_MAX: Final = 400_000
-"""Between so many and twice as many messages are remembered, and of those that may come late as many again..."""
+"""Messages that are remembered at least; at most twice as many."""
+
 LATE_MAX: Final = 100_000
-"""...as this: an hour of a robot's decisions, events and journal."""
+"""As many of those that may come late: an hour of a robot's decisions, events and journal."""
 
 
 class Recent:

@@ -268,10 +268,10 @@ def key_of(subject: str, sequence: int, time_ns: int, data: bytes) -> Key:
 
 
 _TIME_TAG: Final = b"\x09"
-"""A record of a frame begins with the field 1, of 8 bytes..."""
+"""A record of a frame begins with the field 1, of 8 bytes."""
 
 _IDENTIFIER_TAG: Final = b"\x1d"
-"""...and the field 3, of 4: what has a fixed width comes first, see ``recorder.encoding.transcode``."""
+"""The field 3, of 4 bytes, follows: fixed widths come first, see ``recorder.encoding.transcode``."""
 
 
 def records_of(sample: SampleAgain) -> Iterator[tuple[Key, RecordedOutput]]:

@@ -27,10 +27,10 @@ BEHIND_NS: Final = 1_500_000_000
 """The inputs that are needed behind the end of a stretch, so that all that belongs in it has come out."""
 
 EARLY_NS: Final = 5_000_000_000
-"""A record is received no sooner than the soonest journal was, less this..."""
+"""A record is received no sooner than this before the soonest journal."""
 
 LATE_NS: Final = 30_000_000_000
-"""...and no later than the latest one, and this."""
+"""A record is received no later than this after the latest journal."""
 
 Rests = Callable[[Journal], list[int]]
 """When the gateway was at rest, of what a journal message holds, in nanoseconds since 1970."""

@@ -16,13 +16,13 @@ NEAR_NS: Final = 1_000_000_000
 """Clocks that differ by no more agree."""
 
 FAR_NS: Final = 60_000_000_000
-"""No sample is under way for so long: clocks that differ by more do so from the first sample on..."""
+"""No sample is under way for so long: clocks that differ by more do so from the first sample on."""
 
 _SURE_AFTER: Final = 5
-"""...and one that is behind by less, if so many say so..."""
+"""Samples that must agree before a clock counts as behind by less than ``FAR_NS``."""
 
 SETTLE_NS: Final = 3_000_000_000
-"""...and were received over so long: what waited for the link or for the recorder comes in one burst."""
+"""Time over which they must be received: what waited for the link or the recorder comes in one burst."""
 
 _TICKS_NEAR: Final = 500
 """Over so many ticks, 5 s, the tick tells time: later ones may have been late."""
