@@ -8,6 +8,7 @@
 - ``can_word``  the words that describe a CAN frame; ``dbc_files`` the DBC files' names and text
 - ``settings``  every setting and limit, with unit and bounds; ``configuration`` merges its sources, with
   ``setting_table`` and ``toml_text`` behind it
+- ``docstrings`` the texts of docstrings, which documents and JSON Schemas repeat
 - ``snake_case`` a field's name from the DBC's
 - ``printable`` text from outside, made safe for a terminal
 - ``zenoh_link`` the Zenoh session settings that every process shares

@@ -19,6 +19,7 @@ import msgspec
 
 from schemas import json_schema, keys
 from schemas.dbc_files import DBC_FILES, dbc_text, signal_comments
+from schemas.docstrings import summary
 from schemas.messages import UNIT_KEYWORD, Message
 from schemas.reasons import TEXTS
 from schemas.requests import Leased
@@ -247,7 +248,7 @@ def _enumerations(names: Iterable[str]) -> list[str]:
     for kind in sorted(kinds, key=lambda kind: kind.__name__):
         if issubclass(kind, Enum):
             values = ", ".join(f"`{member.value}`" for member in kind)
-            blocks += [f"### {kind.__name__}", json_schema.summary(kind), f"Values: {values}."]
+            blocks += [f"### {kind.__name__}", summary(kind), f"Values: {values}."]
     return blocks
 
 

@@ -8,9 +8,7 @@ turned into JSON text.
 from __future__ import annotations
 
 import argparse
-import inspect
 import json
-import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,6 +17,7 @@ from typing import Any, Final
 import msgspec
 
 from schemas.decisions import Reply
+from schemas.docstrings import attribute_texts, plain_text, summary
 from schemas.messages import UNIT_KEYWORD, Message
 from schemas.recording import BackfillPiece, RecorderReply
 from schemas.requests import Request
@@ -83,21 +82,6 @@ def robot_schema_texts() -> dict[str, str]:
     return {name: schema_text(name) for name in names}
 
 
-def attribute_texts(kind: type) -> dict[str, str]:
-    """What the docstrings of a class and of its bases say of each field."""
-    texts: dict[str, str] = {}
-    for base in reversed(kind.__mro__):
-        _, _, section = inspect.cleandoc(base.__doc__ or "").partition("Attributes:\n")
-        for match in re.finditer(r"^ {4}(\w+): (.*(?:\n {5,}.*)*)", section, re.MULTILINE):
-            texts[match[1]] = " ".join(match[2].split())
-    return texts
-
-
-def summary(kind: type) -> str:
-    """What the docstring of a class says before it comes to the fields."""
-    return _plain(inspect.cleandoc(kind.__doc__ or "").partition("\n\nAttributes:")[0])
-
-
 def classes(kind: type[msgspec.Struct]) -> list[type]:
     """The class and every class within its fields, enumerations too."""
     found: list[type] = []
@@ -149,7 +133,7 @@ def _property(part: Mapping[str, Any], about: str) -> Schema:
     bare, unit, inner_about = _unwrapped(part)
     head: Schema = {}
     if about or inner_about:
-        head["description"] = _plain(" ".join(filter(None, (_sentence(about), inner_about))))
+        head["description"] = plain_text(" ".join(filter(None, (_sentence(about), inner_about))))
     if unit:
         head[UNIT_KEYWORD] = unit
     return head | bare
@@ -174,10 +158,6 @@ def _unwrapped(part: Mapping[str, Any]) -> tuple[Schema, str, str]:
 def _sentence(text: str) -> str:
     """A docstring's half sentence as a whole one."""
     return text[:1].upper() + text[1:] if text else ""
-
-
-def _plain(text: str) -> str:
-    return " ".join(text.replace("``", "").split())
 
 
 def files() -> dict[str, str]:

@@ -42,91 +42,48 @@ INCIDENT_EVENTS: Final[tuple[EventKindName, ...]] = ("stop", "stopped", "latch",
 
 
 class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The recorder."""
+    """The recorder.
 
-    name: Annotated[
-        str,
-        Meta(
-            pattern="^[a-z0-9-]*$",
-            description="the recorder's chunk of its keys; if empty, the host's name",
-        ),
-    ] = ""
-    keys: Annotated[
-        list[str], Meta(description="key expressions to record; if empty, everything under the root")
-    ] = []
-    directory: Annotated[str, Meta(min_length=1, description="where the logs go")] = "."
-    per_robot: Annotated[bool, Meta(description="a log for each robot; else one for all")] = True
-    standby: Annotated[bool, Meta(description="write nothing but incidents until `cruiser record start`")] = False
-    flush_s: Annotated[
-        float, Meta(ge=0.05, le=10, description="s; at most this much of the log is not yet on the disk")
-    ] = 0.5
-    chunk_bytes: Annotated[
-        int, Meta(ge=1024, le=16_777_216, description="bytes of a chunk before compression")
-    ] = 1_048_576
-    rotate_bytes: Annotated[
-        int,
-        Meta(ge=0, description="bytes; a log that has reached this size is ended, and another begun; 0 is never"),
-    ] = 0
-    rotate_s: Annotated[
-        float, Meta(ge=0, le=2_678_400, description="s; so is one that was begun so long ago; 0 is never")
-    ] = 0.0
-    queue_bytes: Annotated[
-        int,
-        Meta(
-            ge=1_000_000,
-            le=16_000_000_000,
-            description="bytes of samples that may wait to be recorded; beyond it the oldest go, and are counted",
-        ),
-    ] = 64_000_000
-    sample_max_bytes: Annotated[
-        int,
-        Meta(ge=1024, le=1_000_000_000, description="bytes; a larger sample is not recorded, but counted"),
-    ] = 16_000_000
-    budget_bytes: Annotated[
-        int,
-        Meta(
-            ge=0,
-            description="bytes that the directory's logs may take; beyond it the oldest go of the robot that "
-            "takes most; 0 is no limit",
-        ),
-    ] = 0
-    floor_bytes: Annotated[
-        int,
-        Meta(
-            ge=0,
-            description="bytes that stay free on the file system, or a tenth of it; below it the oldest logs go",
-        ),
-    ] = 200_000_000
-    known_robots: Annotated[
-        list[Annotated[str, Meta(pattern=f"^{ROBOT_PATTERN}$")]],
-        Meta(
-            description="names of the robots that are known, besides those that `recorder.keys` names; all others "
-            "then share one robot's part of the budget"
-        ),
-    ] = []
-    keep_s: Annotated[
-        float,
-        Meta(
-            ge=0,
-            le=2_678_400,
-            description="s; so much of a known robot's newest logs goes only when nothing else is left to go",
-        ),
-    ] = 7200.0
-    incident_events: Annotated[
-        list[EventKindName],
-        Meta(description="kinds of `safety/event`, of severity warning or error, that make an incident"),
-    ] = msgspec.field(default_factory=lambda: [*INCIDENT_EVENTS])
-    incident_before_s: Annotated[
-        float, Meta(ge=0, le=300, description="s before an incident that its log holds")
-    ] = 30.0
-    incident_after_s: Annotated[
-        float, Meta(ge=0, le=300, description="s after an incident that its log holds")
-    ] = 30.0
-    incident_ring_bytes: Annotated[
-        int,
-        Meta(
-            ge=0,
-            le=16_000_000_000,
-            description="bytes of messages held in memory for an incident, of all robots together",
-        ),
-    ] = 64_000_000
+    Attributes:
+        name: the recorder's chunk of its keys; if empty, the host's name
+        keys: key expressions to record; if empty, everything under the root
+        directory: where the logs go
+        per_robot: a log for each robot; else one for all
+        standby: write nothing but incidents until `cruiser record start`
+        flush_s: s; at most this much of the log is not yet on the disk
+        chunk_bytes: bytes of a chunk before compression
+        rotate_bytes: bytes; a log that has reached this size is ended, and another begun; 0 is never
+        rotate_s: s; so is one that was begun so long ago; 0 is never
+        queue_bytes: bytes of samples that may wait to be recorded; beyond it the oldest go, and are counted
+        sample_max_bytes: bytes; a larger sample is not recorded, but counted
+        budget_bytes: bytes that the directory's logs may take; beyond it the oldest go of the robot that takes
+            most; 0 is no limit
+        floor_bytes: bytes that stay free on the file system, or a tenth of it; below it the oldest logs go
+        known_robots: names of the robots that are known, besides those that `recorder.keys` names; all others then
+            share one robot's part of the budget
+        keep_s: s; so much of a known robot's newest logs goes only when nothing else is left to go
+        incident_events: kinds of `safety/event`, of severity warning or error, that make an incident
+        incident_before_s: s before an incident that its log holds
+        incident_after_s: s after an incident that its log holds
+        incident_ring_bytes: bytes of messages held in memory for an incident, of all robots together
+    """
+
+    name: Annotated[str, Meta(pattern="^[a-z0-9-]*$")] = ""
+    keys: list[str] = []
+    directory: Annotated[str, Meta(min_length=1)] = "."
+    per_robot: bool = True
+    standby: bool = False
+    flush_s: Annotated[float, Meta(ge=0.05, le=10)] = 0.5
+    chunk_bytes: Annotated[int, Meta(ge=1024, le=16_777_216)] = 1_048_576
+    rotate_bytes: Annotated[int, Meta(ge=0)] = 0
+    rotate_s: Annotated[float, Meta(ge=0, le=2_678_400)] = 0.0
+    queue_bytes: Annotated[int, Meta(ge=1_000_000, le=16_000_000_000)] = 64_000_000
+    sample_max_bytes: Annotated[int, Meta(ge=1024, le=1_000_000_000)] = 16_000_000
+    budget_bytes: Annotated[int, Meta(ge=0)] = 0
+    floor_bytes: Annotated[int, Meta(ge=0)] = 200_000_000
+    known_robots: list[Annotated[str, Meta(pattern=f"^{ROBOT_PATTERN}$")]] = []
+    keep_s: Annotated[float, Meta(ge=0, le=2_678_400)] = 7200.0
+    incident_events: list[EventKindName] = msgspec.field(default_factory=lambda: [*INCIDENT_EVENTS])
+    incident_before_s: Annotated[float, Meta(ge=0, le=300)] = 30.0
+    incident_after_s: Annotated[float, Meta(ge=0, le=300)] = 30.0
+    incident_ring_bytes: Annotated[int, Meta(ge=0, le=16_000_000_000)] = 64_000_000

@@ -10,6 +10,7 @@ from typing import Any, Final
 import msgspec
 from msgspec import inspect
 
+from schemas.docstrings import attribute_texts
 from schemas.settings import Settings
 
 VARIABLE_PREFIX: Final = "CRUISER_"
@@ -97,19 +98,17 @@ def _table() -> dict[str, Setting]:
     start = Settings()
     table = {}
     for section in msgspec.structs.fields(Settings):
+        abouts = attribute_texts(section.type)
         for field in msgspec.structs.fields(section.type):
             if field.name == GIVEN:
                 continue
-            info = inspect.type_info(field.type)
-            if not isinstance(info, inspect.Metadata):
-                raise TypeError(f"{section.name}.{field.name} has no description")
             setting = Setting(
                 section=section.name,
                 name=field.name,
                 annotation=field.type,
-                kind=info.type,
+                kind=inspect.type_info(field.type),
                 start=getattr(getattr(start, section.name), field.name),
-                about=str((info.extra_json_schema or {}).get("description", "")),
+                about=abouts.get(field.name, ""),
             )
             table[setting.key] = setting
     return table

@@ -3,8 +3,8 @@
 What bounds the work of one module alone (the timeout of a port, the length of a queue, how often a view is drawn)
 is a named constant at the top of that module, and what the virtual chassis can do in ``gateway.sim.parameters``.
 The recorder's are in ``recorder_settings``.
-``configuration`` fills these classes from a TOML file, the environment and flags; the table in
-``docs/configuration.md`` is generated from here.
+``configuration`` fills these classes from a TOML file, the environment and flags. The table in
+``docs/configuration.md`` is generated from here: the docstrings say what each setting is.
 """
 
 from __future__ import annotations
@@ -275,54 +275,37 @@ HALT_YIELD_NS: Final = 15_000_000_000
 
 
 class RobotSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Which robot this is."""
+    """Which robot this is.
 
-    root: Annotated[str, Meta(pattern=f"^{keys.ROOT_PATTERN}$", description="first chunks of every key")] = "fleet"
-    name: Annotated[str, Meta(pattern=f"^{keys.ROBOT_PATTERN}$", description="the robot's chunk of the key")] = (
-        "cruiser-1"
-    )
+    Attributes:
+        root: first chunks of every key
+        name: the robot's chunk of the key
+    """
+
+    root: Annotated[str, Meta(pattern=f"^{keys.ROOT_PATTERN}$")] = "fleet"
+    name: Annotated[str, Meta(pattern=f"^{keys.ROBOT_PATTERN}$")] = "cruiser-1"
 
 
 class CanSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The CAN bus, through python-can."""
+    """The CAN bus, through python-can.
 
-    interface: Annotated[
-        str, Meta(min_length=1, description="python-can interface: socketcan, socketcand, pcan, slcan, ...")
-    ] = "socketcan"
-    channel: Annotated[
-        str,
-        Meta(
-            min_length=1,
-            description="the interface's channel; for socketcand HOST:PORT or HOST:PORT/BUS",
-        ),
-    ] = "can0"
-    bitrate: Annotated[
-        int,
-        Meta(
-            ge=0,
-            le=1_000_000,
-            description="bit/s, for interfaces that set it; 0 leaves it alone. The manual gives none; "
-            "500000 is common for this family",
-        ),
-    ] = 0
-    bus: Annotated[
-        str,
-        Meta(
-            pattern=f"^{keys.BUS_PATTERN}$",
-            max_length=BUS_MAX_LENGTH,
-            description="the bus's name in keys: can/{bus}/rx",
-        ),
-    ] = "can0"
-    raw_frames: Annotated[
-        bool,
-        Meta(
-            description="receive all frames of the bus, and publish them and those sent as they are; else only "
-            "the chassis's own are asked for, and none is published raw"
-        ),
-    ] = True
-    options: Annotated[
-        dict[str, str | int | float | bool], Meta(description="further arguments of the python-can interface")
-    ] = {}
+    Attributes:
+        interface: python-can interface: socketcan, socketcand, pcan, slcan, ...
+        channel: the interface's channel; for socketcand HOST:PORT or HOST:PORT/BUS
+        bitrate: bit/s, for interfaces that set it; 0 leaves it alone. The manual gives none; 500000 is common for
+            this family
+        bus: the bus's name in keys: can/{bus}/rx
+        raw_frames: receive all frames of the bus, and publish them and those sent as they are; else only the
+            chassis's own are asked for, and none is published raw
+        options: further arguments of the python-can interface
+    """
+
+    interface: Annotated[str, Meta(min_length=1)] = "socketcan"
+    channel: Annotated[str, Meta(min_length=1)] = "can0"
+    bitrate: Annotated[int, Meta(ge=0, le=1_000_000)] = 0
+    bus: Annotated[str, Meta(pattern=f"^{keys.BUS_PATTERN}$", max_length=BUS_MAX_LENGTH)] = "can0"
+    raw_frames: bool = True
+    options: dict[str, str | int | float | bool] = {}
 
 
 NEEDED_FEEDBACK: Final = (
@@ -335,152 +318,124 @@ NEEDED_FEEDBACK: Final = (
 )
 """Feedback that the arbiter decides by: `chassis.required_feedback` may name more, and not less."""
 
+FeedbackName = Literal[
+    "Auto_GearFeedBack",
+    "Auto_SteeringFeedBack",
+    "Auto_DriveFeedBack",
+    "Auto_BrakingFeedBack",
+    "Auto_ParkingFeedBack",
+    "Auto_WheelSpdFeedback",
+    "Auto_WheelPulseFeedback",
+    "Auto_MileageAndBodyFeedback",
+    "Auto_LightFeedback",
+    "Auto_SpeakerFeedback",
+]
+
 
 class ChassisSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The chassis."""
+    """The chassis.
 
-    variant: Annotated[
-        Literal["auto", "coarse", "fine"],
-        Meta(description="firmware variant; auto waits for evidence at standstill"),
-    ] = "auto"
-    required_feedback: Annotated[
-        list[
-            Literal[
-                "Auto_GearFeedBack",
-                "Auto_SteeringFeedBack",
-                "Auto_DriveFeedBack",
-                "Auto_BrakingFeedBack",
-                "Auto_ParkingFeedBack",
-                "Auto_WheelSpdFeedback",
-                "Auto_WheelPulseFeedback",
-                "Auto_MileageAndBodyFeedback",
-                "Auto_LightFeedback",
-                "Auto_SpeakerFeedback",
-            ]
-        ],
-        Meta(
-            description="feedback frames without which the robot is not commanded; braking (reserved, says the "
-            "manual), wheel pulses, lamps and horn may be left out or added, the others are always needed"
-        ),
-    ] = msgspec.field(default_factory=lambda: [*NEEDED_FEEDBACK, "Auto_WheelPulseFeedback"])
+    Attributes:
+        variant: firmware variant; auto waits for evidence at standstill
+        required_feedback: feedback frames without which the robot is not commanded; braking (reserved, says the
+            manual), wheel pulses, lamps and horn may be left out or added, the others are always needed
+    """
+
+    variant: Literal["auto", "coarse", "fine"] = "auto"
+    required_feedback: list[FeedbackName] = msgspec.field(
+        default_factory=lambda: [*NEEDED_FEEDBACK, "Auto_WheelPulseFeedback"]
+    )
 
 
 class ZenohSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The Zenoh session."""
+    """The Zenoh session.
 
-    mode: Annotated[
-        Literal["peer", "client"],
-        Meta(
-            description="mode of the session; unless it is said, commands and recorders that find a router become "
-            "its clients: it passes nothing between peers"
-        ),
-    ] = "peer"
-    connect: Annotated[
-        list[str],
-        Meta(description=f"endpoints to connect to; if empty, {DEFAULT_ENDPOINT} for all but the gateway"),
-    ] = []
-    listen: Annotated[
-        list[str],
-        Meta(
-            description="endpoints to listen on; if empty, a gateway that connects elsewhere listens on nothing, "
-            f"another on {DEFAULT_ENDPOINT}, or on a free port of 127.0.0.1 if a Zenoh node is there"
-        ),
-    ] = []
-    command_listen: Annotated[
-        list[str],
-        Meta(
-            description="endpoints on which the gateway listens for commands; if empty, the addresses that it "
-            "listens on for all else, each one port on"
-        ),
-    ] = []
-    config: Annotated[
-        str,
-        Meta(
-            description="a Zenoh configuration file (JSON5); what it says holds, unless a setting of this table "
-            "is given too"
-        ),
-    ] = ""
-    lease_ms: Annotated[
-        int, Meta(ge=200, le=60_000, description="a link without a sign of life for this long is lost")
-    ] = 1000
+    Attributes:
+        mode: mode of the session; unless it is said, commands and recorders that find a router become its clients:
+            it passes nothing between peers
+        connect: endpoints to connect to; if empty, tcp/127.0.0.1:7447 for all but the gateway
+        listen: endpoints to listen on; if empty, a gateway that connects elsewhere listens on nothing, another on
+            tcp/127.0.0.1:7447, or on a free port of 127.0.0.1 if a Zenoh node is there
+        command_listen: endpoints on which the gateway listens for commands; if empty, the addresses that it
+            listens on for all else, each one port on
+        config: a Zenoh configuration file (JSON5); what it says holds, unless a setting of this table is given too
+        lease_ms: a link without a sign of life for this long is lost
+        given: no setting: the names of those that a source gave, which may also be their start values
+    """
+
+    mode: Literal["peer", "client"] = "peer"
+    connect: list[str] = []
+    listen: list[str] = []
+    command_listen: list[str] = []
+    config: str = ""
+    lease_ms: Annotated[int, Meta(ge=200, le=60_000)] = 1000
     given: frozenset[str] = frozenset()
-    """No setting: the names of those that a source gave, which may also be their start values."""
 
 
 class GatewaySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The edge process."""
+    """The edge process.
 
-    listen_only: Annotated[bool, Meta(description="send nothing on the bus, whatever is asked")] = False
-    accept_unguarded: Annotated[
-        bool, Meta(description="engage although no guard process can watch on this interface")
-    ] = False
-    wait_for_bus: Annotated[
-        bool, Meta(description="start although the bus is not there, and wait for it; else that is an error")
-    ] = False
-    realtime_priority: Annotated[
-        int, Meta(ge=0, le=99, description="SCHED_FIFO priority of the loop, where the system allows it; 0 is off")
-    ] = 10
-    state_dir: Annotated[
-        str,
-        Meta(
-            description="directory of the note that keeps a stop by the guard latched across a restart; auto: "
-            "$STATE_DIRECTORY, which systemd sets, else $XDG_STATE_HOME/cruiser, else ~/.local/state/cruiser; "
-            "empty: no note is kept"
-        ),
-    ] = "auto"
+    Attributes:
+        listen_only: send nothing on the bus, whatever is asked
+        accept_unguarded: engage although no guard process can watch on this interface
+        wait_for_bus: start although the bus is not there, and wait for it; else that is an error
+        realtime_priority: SCHED_FIFO priority of the loop, where the system allows it; 0 is off
+        state_dir: directory of the note that keeps a stop by the guard latched across a restart; auto:
+            $STATE_DIRECTORY, which systemd sets, else $XDG_STATE_HOME/cruiser, else ~/.local/state/cruiser; empty:
+            no note is kept
+    """
+
+    listen_only: bool = False
+    accept_unguarded: bool = False
+    wait_for_bus: bool = False
+    realtime_priority: Annotated[int, Meta(ge=0, le=99)] = 10
+    state_dir: str = "auto"
 
 
 class CommandSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The safety arbiter. At run time its limits scale down, never up."""
+    """The safety arbiter. At run time its limits scale down, never up.
 
-    lease_s: Annotated[float, Meta(ge=0.5, le=10, description="s; a lease that is not renewed expires")] = 2.0
-    deadman_s: Annotated[
-        float, Meta(ge=0.05, le=0.5, description="s; without an acceptable drive command for this long: a stop")
-    ] = 0.3
-    max_age_s: Annotated[
-        float, Meta(ge=0.1, le=1.0, description="s; a drive command that may be older, by its echo, is refused")
-    ] = 1.0
-    travel_delay_m: Annotated[
-        float,
-        Meta(
-            ge=0.2,
-            le=5.0,
-            description="m; farthest it drives before it can react to its operator: its speed is at most this "
-            "over the age of the commands and the deadman",
-        ),
-    ] = 1.0
-    speed_limit_mps: Annotated[
-        float, Meta(ge=0.05, le=SPEED_TOP_MPS, description="m/s; highest speed, either way")
-    ] = SPEED_TOP_MPS
-    speed_limit_without_realtime_mps: Annotated[
-        float,
-        Meta(
-            ge=0.05,
-            le=SPEED_TOP_MPS,
-            description="m/s; highest speed of a gateway that no guard watches or that has no real-time priority",
-        ),
-    ] = 1.0
-    acceleration_mps2: Annotated[float, Meta(ge=0.1, le=1.5, description="m/s2; most it speeds up")] = 0.8
-    deceleration_mps2: Annotated[
-        float, Meta(ge=0.3, le=2.0, description="m/s2; how it slows down, and stops in a controlled way")
-    ] = 1.2
-    emergency_deceleration_mps2: Annotated[
-        float, Meta(ge=0.5, le=3.0, description="m/s2; how it stops at once")
-    ] = 2.0
-    steering_limit_deg: Annotated[
-        float, Meta(ge=1, le=STEERING_TOP_DEG, description="deg; furthest steering angle")
-    ] = STEERING_TOP_DEG
-    steering_rate_degps: Annotated[float, Meta(ge=5, le=60, description="deg/s; fastest change of it")] = 60.0
-    lateral_acceleration_mps2: Annotated[
-        float, Meta(ge=0.2, le=3.0, description="m/s2; v^2 tan(angle) / wheelbase; speed is reduced to keep it")
-    ] = 1.5
+    Attributes:
+        lease_s: s; a lease that is not renewed expires
+        deadman_s: s; without an acceptable drive command for this long: a stop
+        max_age_s: s; a drive command that may be older, by its echo, is refused
+        travel_delay_m: m; farthest it drives before it can react to its operator: its speed is at most this over
+            the age of the commands and the deadman
+        speed_limit_mps: m/s; highest speed, either way
+        speed_limit_without_realtime_mps: m/s; highest speed of a gateway that no guard watches or that has no
+            real-time priority
+        acceleration_mps2: m/s2; most it speeds up
+        deceleration_mps2: m/s2; how it slows down, and stops in a controlled way
+        emergency_deceleration_mps2: m/s2; how it stops at once
+        steering_limit_deg: deg; furthest steering angle
+        steering_rate_degps: deg/s; fastest change of it
+        lateral_acceleration_mps2: m/s2; v^2 tan(angle) / wheelbase; speed is reduced to keep it
+    """
+
+    lease_s: Annotated[float, Meta(ge=0.5, le=10)] = 2.0
+    deadman_s: Annotated[float, Meta(ge=0.05, le=0.5)] = 0.3
+    max_age_s: Annotated[float, Meta(ge=0.1, le=1.0)] = 1.0
+    travel_delay_m: Annotated[float, Meta(ge=0.2, le=5.0)] = 1.0
+    speed_limit_mps: Annotated[float, Meta(ge=0.05, le=SPEED_TOP_MPS)] = SPEED_TOP_MPS
+    speed_limit_without_realtime_mps: Annotated[float, Meta(ge=0.05, le=SPEED_TOP_MPS)] = 1.0
+    acceleration_mps2: Annotated[float, Meta(ge=0.1, le=1.5)] = 0.8
+    deceleration_mps2: Annotated[float, Meta(ge=0.3, le=2.0)] = 1.2
+    emergency_deceleration_mps2: Annotated[float, Meta(ge=0.5, le=3.0)] = 2.0
+    steering_limit_deg: Annotated[float, Meta(ge=1, le=STEERING_TOP_DEG)] = STEERING_TOP_DEG
+    steering_rate_degps: Annotated[float, Meta(ge=5, le=60)] = 60.0
+    lateral_acceleration_mps2: Annotated[float, Meta(ge=0.2, le=3.0)] = 1.5
 
 
 class SimSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The virtual chassis."""
+    """The virtual chassis.
 
-    listen: Annotated[str, Meta(description="HOST:PORT of the socketcand server")] = "127.0.0.1:29536"
-    variant: Annotated[Literal["coarse", "fine"], Meta(description="firmware variant it plays")] = "coarse"
+    Attributes:
+        listen: HOST:PORT of the socketcand server
+        variant: firmware variant it plays
+    """
+
+    listen: str = "127.0.0.1:29536"
+    variant: Literal["coarse", "fine"] = "coarse"
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -1,6 +1,7 @@
 import pytest
 
 from schemas.setting_table import CONFIG_VARIABLE, SETTINGS, Setting
+from schemas.settings import DEFAULT_ENDPOINT
 
 
 @pytest.mark.parametrize("setting", SETTINGS.values(), ids=SETTINGS)
@@ -17,3 +18,9 @@ def test_each_setting_has_a_variable_of_its_own() -> None:
     variables = [setting.variable for setting in SETTINGS.values()]
     assert len(set(variables)) == len(variables)
     assert CONFIG_VARIABLE not in variables
+
+
+def test_the_default_endpoint_is_named_where_nothing_is_given() -> None:
+    """A docstring cannot hold a constant: its text names the endpoint itself."""
+    for name in ("connect", "listen"):
+        assert DEFAULT_ENDPOINT in SETTINGS[f"zenoh.{name}"].about
