@@ -6,6 +6,7 @@ import argparse
 import math
 import re
 from collections.abc import Callable
+from typing import Final
 
 from schemas.keys import OPERATOR_PATTERN, ROBOT_PATTERN
 
@@ -55,34 +56,16 @@ def ending_after(
     return lambda: stopped() or clock_s() >= end_s
 
 
-def robot_name(text: str) -> str:
-    """A robot on the command line.
+def _name_of(what: str, pattern: str, form: str) -> Callable[[str], str]:
+    def read(text: str) -> str:
+        if re.fullmatch(pattern, text) is None:
+            raise argparse.ArgumentTypeError(f"{text!a} cannot be {what}: {form} is {pattern}")
+        return text
 
-    Raises:
-        argparse.ArgumentTypeError: it cannot be a robot's name.
-    """
-    if re.fullmatch(ROBOT_PATTERN, text) is None:
-        raise argparse.ArgumentTypeError(f"{text!a} cannot be a robot: its name is {ROBOT_PATTERN}")
-    return text
+    return read
 
 
-def operator_name(text: str) -> str:
-    """An operator on the command line.
-
-    Raises:
-        argparse.ArgumentTypeError: it cannot be an operator's name.
-    """
-    if re.fullmatch(OPERATOR_PATTERN, text) is None:
-        raise argparse.ArgumentTypeError(f"{text!a} cannot be an operator: the name is {OPERATOR_PATTERN}")
-    return text
-
-
-def recorder_name(text: str) -> str:
-    """A recorder on the command line.
-
-    Raises:
-        argparse.ArgumentTypeError: it cannot be a recorder's name.
-    """
-    if re.fullmatch(ROBOT_PATTERN, text) is None:
-        raise argparse.ArgumentTypeError(f"{text!a} cannot be a recorder: its name is {ROBOT_PATTERN}")
-    return text
+robot_name: Final = _name_of("a robot", ROBOT_PATTERN, "its name")
+operator_name: Final = _name_of("an operator", OPERATOR_PATTERN, "the name")
+recorder_name: Final = _name_of("a recorder", ROBOT_PATTERN, "its name")
+"""Readers of a name on the command line. They raise argparse.ArgumentTypeError where it is not of its form."""

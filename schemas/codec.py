@@ -7,13 +7,13 @@ and ignores fields that it does not know, so that a newer sender is still unders
 from __future__ import annotations
 
 from math import isfinite
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 
 from schemas.messages import Message
 from schemas.requests import Request
-from schemas.subjects import ALL_SUBJECTS, COMMANDS, RECORDER_COMMANDS, Subject, Verb
+from schemas.subjects import ALL_SUBJECTS, ALL_VERBS, Subject, Verb
 
 
 class PayloadFault(msgspec.Struct, frozen=True):
@@ -39,12 +39,10 @@ def decode(subject: Subject, payload: bytes) -> Message | PayloadFault:
         return PayloadFault(str(error))
 
 
-_REQUEST_DECODERS: Final = {
-    verb.request: msgspec.msgpack.Decoder(verb.request) for verb in (*COMMANDS, *RECORDER_COMMANDS)
-}
+_REQUEST_DECODERS: Final = {verb.request: msgspec.msgpack.Decoder(verb.request) for verb in ALL_VERBS}
 
 
-def decode_request(verb: Verb, payload: bytes) -> Request | PayloadFault:
+def decode_request(verb: Verb[Any], payload: bytes) -> Request | PayloadFault:
     """The typed request of a payload, or what is wrong with it. Every number in it is finite."""
     try:
         # A verb that needs nothing may be sent with no payload at all.

@@ -193,12 +193,17 @@ def request_tables() -> str:
         own = {name: part for name, part in schema["properties"].items() if name not in lease}
         if own:
             blocks.append(field_table(own, {}))
-    blocks.append("## Replies")
-    for name in dict.fromkeys(command.reply_schema_name for command in COMMANDS):
+    blocks += ["## Replies", *_replies(COMMANDS)]
+    return "\n\n".join([*blocks, *_enumerations(command.schema_name for command in COMMANDS)])
+
+
+def _replies(commands: Iterable[Verb[Any]]) -> list[str]:
+    blocks: list[str] = []
+    for name in dict.fromkeys(command.reply_schema_name for command in commands):
         schema = json_schema.schema(name)
         blocks += [f"### {json_schema.KINDS[name].__name__}", schema["description"]]
         blocks.append(field_table(schema["properties"], {}))
-    return "\n\n".join([*blocks, *_enumerations(command.schema_name for command in COMMANDS)])
+    return blocks
 
 
 def recorder_command_tables() -> str:
@@ -216,11 +221,7 @@ def recorder_command_tables() -> str:
         schema = json_schema.schema(one.schema_name)
         if schema["properties"]:
             blocks += [f"### {one.verb}", schema["description"], field_table(schema["properties"], {})]
-    for name in dict.fromkeys(one.reply_schema_name for one in RECORDER_COMMANDS):
-        schema = json_schema.schema(name)
-        blocks += [f"### {json_schema.KINDS[name].__name__}", schema["description"]]
-        blocks.append(field_table(schema["properties"], {}))
-    return "\n\n".join(blocks)
+    return "\n\n".join([*blocks, *_replies(RECORDER_COMMANDS)])
 
 
 def reason_table() -> str:
@@ -310,15 +311,17 @@ def _written(value: object) -> str:
     return json.dumps(value).strip('"')
 
 
-def _request_fields(command: Verb) -> str:
+def _request_fields(command: Verb[Any]) -> str:
     """The fields of a request in one line, those in brackets that may be left out."""
     schema = json_schema.schema(command.schema_name)
-    fields = {
-        name: f"`{name}` {part.get(UNIT_KEYWORD) or re.sub(_DETAILS, '', _type_words(part))}"
-        for name, part in schema["properties"].items()
-    }
     required = schema["required"]
-    return ", ".join(words if name in required else f"[{words}]" for name, words in fields.items()) or "nothing"
+    return (
+        ", ".join(
+            _in_a_word(name, part) if name in required else f"[{_in_a_word(name, part)}]"
+            for name, part in schema["properties"].items()
+        )
+        or "nothing"
+    )
 
 
 def _field_list(subject: Subject) -> str:
@@ -327,10 +330,11 @@ def _field_list(subject: Subject) -> str:
     fields = {name: part for name, part in properties.items() if name not in _COMMON_FIELDS}
     if len(fields) > FIELDS_LISTED:
         return f"{len(fields)} fields, in [messages.md](messages.md#{subject.type.__name__.lower()})"
-    return ", ".join(
-        f"`{name}` {part.get(UNIT_KEYWORD) or re.sub(_DETAILS, '', _type_words(part))}"
-        for name, part in fields.items()
-    )
+    return ", ".join(_in_a_word(name, part) for name, part in fields.items())
+
+
+def _in_a_word(name: str, part: dict[str, Any]) -> str:
+    return f"`{name}` {part.get(UNIT_KEYWORD) or re.sub(_DETAILS, '', _type_words(part))}"
 
 
 def _type_words(part: dict[str, Any]) -> str:

@@ -21,7 +21,7 @@ from schemas.docstrings import attribute_texts, plain_text, summary
 from schemas.messages import UNIT_KEYWORD, Message
 from schemas.recording import BackfillPiece, RecorderReply
 from schemas.requests import Request
-from schemas.subjects import ALL_SUBJECTS, COMMANDS, RECORDER_COMMANDS, SUBJECTS
+from schemas.subjects import ALL_SUBJECTS, ALL_VERBS, COMMANDS, SUBJECTS
 
 DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 DIRECTORY: Final = Path(__file__).parent / "json"
@@ -40,9 +40,8 @@ _BYTES: Final[Schema] = {
 
 KINDS: Final[dict[str, Kind]] = (
     {subject.schema_name: subject.type for subject in ALL_SUBJECTS}
-    | {command.schema_name: command.request for command in (*COMMANDS, *RECORDER_COMMANDS)}
-    | {command.reply_schema_name: command.reply for command in COMMANDS}
-    | {command.reply_schema_name: command.reply for command in RECORDER_COMMANDS}
+    | {verb.schema_name: verb.request for verb in ALL_VERBS}
+    | {verb.reply_schema_name: verb.reply for verb in ALL_VERBS}
 )
 """Every class that goes over Zenoh, by its schema's name."""
 

@@ -47,14 +47,18 @@ def build(root: str, robot: str, subject: Subject, bus: str = "") -> str:
     Raises:
         ValueError: a part is not of its form, or the bus is missing or not wanted.
     """
-    for text, pattern, what in ((root, ROOT_PATTERN, "root"), (robot, ROBOT_PATTERN, "robot")):
-        if re.fullmatch(pattern, text) is None:
-            raise ValueError(f"{what} {text!r} is not of the form {pattern}")
+    _check("root", root, ROOT_PATTERN)
+    _check("robot", robot, ROBOT_PATTERN)
     if ("{bus}" in subject.name) != bool(bus):
         raise ValueError(f"subject {subject.name!r} and bus {bus!r} do not fit")
-    if bus and re.fullmatch(BUS_PATTERN, bus) is None:
-        raise ValueError(f"bus {bus!r} is not of the form {BUS_PATTERN}")
+    if bus:
+        _check("bus", bus, BUS_PATTERN)
     return f"{root}/{robot}/{subject.name.format(bus=bus)}"
+
+
+def _check(what: str, text: str, pattern: str) -> None:
+    if re.fullmatch(pattern, text) is None:
+        raise ValueError(f"{what} {text!r} is not of the form {pattern}")
 
 
 def _compile(subject: Subject) -> re.Pattern[str]:
@@ -100,9 +104,9 @@ def of_recorder(root: str, recorder: str, rest: str = "") -> str:
     Raises:
         ValueError: a part is not of its form.
     """
-    for text, pattern, what in ((root, ROOT_PATTERN, "root"), (recorder, ROBOT_PATTERN, "recorder")):
-        if re.fullmatch(pattern, text) is None and (text != ALL or what == "root"):
-            raise ValueError(f"{what} {text!r} is not of the form {pattern}")
+    _check("root", root, ROOT_PATTERN)
+    if recorder != ALL:
+        _check("recorder", recorder, ROBOT_PATTERN)
     return "/".join(filter(None, (root, RECORDER_CHUNK, recorder, rest)))
 
 
@@ -112,8 +116,8 @@ def recorder_command(root: str, recorder: str, operator: str, verb: str) -> str:
     Raises:
         ValueError: a part is not of its form.
     """
-    if re.fullmatch(OPERATOR_PATTERN, operator) is None and operator != ALL:
-        raise ValueError(f"operator {operator!r} is not of the form {OPERATOR_PATTERN}")
+    if operator != ALL:
+        _check("operator", operator, OPERATOR_PATTERN)
     return of_recorder(root, recorder, f"{COMMAND_CHUNK}/{operator}/{verb}")
 
 
@@ -142,13 +146,11 @@ def command(root: str, robot: str, operator: str, verb: str) -> str:
     Raises:
         ValueError: a part is not of its form.
     """
-    for text, pattern, what in (
-        (root, ROOT_PATTERN, "root"),
-        (robot, ROBOT_PATTERN, "robot"),
-        (operator, OPERATOR_PATTERN, "operator"),
-    ):
-        if re.fullmatch(pattern, text) is None and (text != ALL or what == "root"):
-            raise ValueError(f"{what} {text!r} is not of the form {pattern}")
+    _check("root", root, ROOT_PATTERN)
+    if robot != ALL:
+        _check("robot", robot, ROBOT_PATTERN)
+    if operator != ALL:
+        _check("operator", operator, OPERATOR_PATTERN)
     return f"{root}/{robot}/{COMMAND_CHUNK}/{operator}/{verb}"
 
 

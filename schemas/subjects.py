@@ -6,7 +6,7 @@ Nothing else in the tree says how a subject is sent. The key table of docs/messa
 from __future__ import annotations
 
 from enum import Enum
-from typing import Final
+from typing import Any, Final, Generic, TypeVar
 
 import msgspec
 
@@ -228,40 +228,35 @@ BY_TYPE: Final = {subject.type: subject for subject in reversed(ALL_SUBJECTS)}
 """A type's first subject: frames are received before they are sent."""
 
 
-class Verb(msgspec.Struct, frozen=True):
-    """What can be asked, of a robot or of a recorder.
+ReplyType = TypeVar("ReplyType", bound=decisions.Reply | recording.RecorderReply | recording.BackfillPiece)
+
+
+class Verb(msgspec.Struct, Generic[ReplyType], frozen=True):
+    """What can be asked, of a robot or of a recorder: a row of a command table.
 
     Attributes:
         verb: the last chunk of the key ``{root}/{robot}/@cmd/{operator}/{verb}``.
         request: the class of its payload.
+        reply: the class of the reply to a query.
+        about: what it does, for people.
+        asking: how it is sent.
     """
 
     verb: str
     request: type[requests.Request]
-
-    @property
-    def encoding(self) -> str:
-        """The Zenoh encoding of the request."""
-        return f"application/msgpack;{self.schema_name}/{self.request.version}"
+    reply: type[ReplyType]
+    about: str
+    asking: Asking = Asking.QUERY
 
     @property
     def schema_name(self) -> str:
         """The request's schema: ``cruiser.request.Drive``."""
         return f"{SCHEMA_PREFIX}.request.{self.request.__name__}"
 
-
-class Command(Verb, frozen=True):
-    """A verb of a robot: a row of the command table.
-
-    Attributes:
-        reply: the class of the reply to a query.
-        about: what it does, for people.
-        asking: how it is sent.
-    """
-
-    reply: type[decisions.Reply]
-    about: str
-    asking: Asking = Asking.QUERY
+    @property
+    def encoding(self) -> str:
+        """The Zenoh encoding of the request."""
+        return f"application/msgpack;{self.schema_name}/{self.request.version}"
 
     @property
     def reply_schema_name(self) -> str:
@@ -274,22 +269,11 @@ class Command(Verb, frozen=True):
         return f"application/msgpack;{self.reply_schema_name}/{self.reply.version}"
 
 
-class RecorderCommand(Verb, frozen=True):
-    """A verb of a recorder, always a query. See ``Command``."""
+Command = Verb[decisions.Reply]
+"""A verb of a robot."""
 
-    reply: type[recording.RecorderReply | recording.BackfillPiece]
-    about: str
-
-    @property
-    def reply_schema_name(self) -> str:
-        """The reply's schema: ``cruiser.RecorderReply``."""
-        return f"{SCHEMA_PREFIX}.{self.reply.__name__}"
-
-    @property
-    def reply_encoding(self) -> str:
-        """The Zenoh encoding of the reply."""
-        return f"application/msgpack;{self.reply_schema_name}/{self.reply.version}"
-
+RecorderCommand = Verb[recording.RecorderReply | recording.BackfillPiece]
+"""A verb of a recorder, always a query."""
 
 COMMAND_CHUNK: Final = "@cmd"
 """A verbatim chunk of Zenoh: no wildcard reaches a command by accident."""
@@ -334,5 +318,7 @@ RECORDER_COMMANDS: Final[tuple[RecorderCommand, ...]] = (
         "backfill", recording.Backfill, recording.BackfillPiece, "what the logs hold of a key, in several replies"
     ),
 )
+
+ALL_VERBS: Final[tuple[Verb[Any], ...]] = (*COMMANDS, *RECORDER_COMMANDS)
 
 RECORDER_BY_VERB: Final = {command.verb: command for command in RECORDER_COMMANDS}
