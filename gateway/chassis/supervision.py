@@ -149,7 +149,6 @@ class FrameSupervisor:
 
     __slots__ = (
         "_counter",
-        "_last_ns",
         "_rounds",
         "_silence_ns",
         "_valid_ns",
@@ -167,7 +166,6 @@ class FrameSupervisor:
         self._counter = 0
         self._valid_ns = 0
         self._silence_ns = silence_ns(period_ns)
-        self._last_ns = 0
         self.alive = AliveCounter()
         self.period = Period(period_ns)
         self.checksums = FaultWindow(settings.CHECKSUM_FAULTS, settings.CHECKSUM_WINDOW_NS)
@@ -180,21 +178,6 @@ class FrameSupervisor:
     def lost(self) -> int:
         """Frames missed since the start, by the alive counter; how often it went round unseen is judged later."""
         return self.alive.lost + self._rounds.lost
-
-    @property
-    def is_seen(self) -> bool:
-        """A valid frame has come since the start."""
-        return self.valid > 0
-
-    def is_fresh(self, now_ns: int) -> bool:
-        """Seen, and not overdue at this very time, whether or not a tick has yet found it so."""
-        return not self.is_silent and now_ns <= self.overdue_ns
-
-    def age_ns(self, now_ns: int) -> int | None:
-        """Return the age of the last frame that said something new; None before the first."""
-        if not self.is_seen:
-            return None
-        return now_ns - (self._last_ns if self.is_silent else self.overdue_ns - self._silence_ns)
 
     def failures(self, now_ns: int) -> list[str]:
         """Return the names of what is beyond its threshold now."""
@@ -229,7 +212,6 @@ class FrameSupervisor:
         if now_ns <= self.overdue_ns:
             return None
         self.is_silent = True
-        self._last_ns = self.overdue_ns - self._silence_ns
         self.overdue_ns = NEVER_NS
         if not self.alive.repeats:
             self.alive.forget()
@@ -237,7 +219,7 @@ class FrameSupervisor:
         return FaultKind.SILENCE
 
     def _follow(self, alive_counter: int, elapsed_ns: int, now_ns: int) -> None:
-        if self.is_seen:
+        if self.valid:
             steps = (alive_counter - self._counter) % COUNTER_SPAN
             if elapsed_ns >= self._rounds.window_ns:
                 steps = steps or COUNTER_SPAN

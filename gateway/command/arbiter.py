@@ -131,8 +131,7 @@ class Arbiter:
 
     def _stop_for_causes(self, chassis: ChassisState, now_ns: int, late_ns: int) -> None:
         engagement, hits = self.engagement, self.monitor.hits
-        for notice in self._notices.look(chassis, now_ns, late_ns):
-            self.outbox.add_event(notice.severity, notice.kind, notice.reason, notice.text)
+        self.outbox.add_events(self._notices.look(chassis, now_ns, late_ns))
         for bumper in hits:
             engagement.latch(bumper, "", now_ns)
         if engagement.state is ArbiterState.STANDBY:

@@ -21,9 +21,9 @@ from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
 from gateway.command.actuation import Actuation
 from gateway.command.auxiliary import AuxiliaryFrame
+from schemas.alive_counter import COUNTER_SPAN
 from schemas.messages import Variant
 
-COUNTER_MODULO: Final = 16
 _HAIR: Final = 1e-6
 """Of a bit, so that a value that is a whole number of bits is not taken for the one below."""
 
@@ -72,13 +72,13 @@ class FrameMaker:
     def restore(self, sent: Mapping[int, int]) -> None:
         """These counters, by identifier, were sent last."""
         for can_id, counter in sent.items():
-            self.counters[self._names[can_id]] = (counter + 1) % COUNTER_MODULO
+            self.counters[self._names[can_id]] = (counter + 1) % COUNTER_SPAN
 
     def sent(self, frames: list[Frame]) -> None:
         """These were sent: their counters advance."""
         for frame in frames:
             name = self._names[frame.can_id]
-            self.counters[name] = (self.counters[name] + 1) % COUNTER_MODULO
+            self.counters[name] = (self.counters[name] + 1) % COUNTER_SPAN
 
 
 def _toward_zero(value: float, scale: float) -> float:

@@ -6,23 +6,13 @@ A late loop, a CAN controller in trouble, another computer's commands, a guard's
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 from gateway.command.chassis_state import ChassisState
+from gateway.command.outcome import Event
 from schemas.decisions import GUARD_STOP_ENDED, EventKind, Severity
 from schemas.messages import ControllerState
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import COMMANDER_QUIET_NS, LATE_NS, LATE_TOLD_NS
-
-
-class Notice(NamedTuple):
-    """An event before it is published."""
-
-    severity: Severity
-    reason: Reason
-    text: str
-    kind: EventKind = EventKind.FAULT
-
 
 _GRAVITY = {
     ControllerState.WARNING: Severity.WARNING,
@@ -41,15 +31,18 @@ class Notices:
         self._is_realtime = False
         self._commander_ns: int | None = None
 
-    def look(self, chassis: ChassisState, now_ns: int, late_ns: int) -> Iterator[Notice]:
+    def look(self, chassis: ChassisState, now_ns: int, late_ns: int) -> Iterator[Event]:
         """Yield what is new at this tick, which began so late."""
         if late_ns > LATE_NS and now_ns - self._late_told_ns >= LATE_TOLD_NS:
             self._late_told_ns = now_ns
-            yield Notice(Severity.WARNING, Reason.LOOP_LATE, f"the loop was {late_ns / 1e6:.0f} ms late")
+            yield Event(
+                Severity.WARNING, EventKind.FAULT, Reason.LOOP_LATE, f"the loop was {late_ns / 1e6:.0f} ms late"
+            )
         before, self._controller = self._controller, chassis.controller
         if self._controller is not before:
-            yield Notice(
+            yield Event(
                 _GRAVITY.get(self._controller, Severity.INFO),
+                EventKind.FAULT,
                 Reason.BUS_OFF if self._controller is ControllerState.BUS_OFF else Reason.BUS_ERRORS,
                 f"the CAN controller: {before.value} before, {self._controller.value} now",
             )
@@ -57,12 +50,14 @@ class Notices:
         if received_ns is not None:
             self._commander_ns = received_ns
             if last_ns is None or received_ns - last_ns > COMMANDER_QUIET_NS:
-                yield Notice(Severity.WARNING, Reason.OTHER_COMMANDER, TEXTS[Reason.OTHER_COMMANDER].means)
+                yield Event(
+                    Severity.WARNING, EventKind.FAULT, Reason.OTHER_COMMANDER, TEXTS[Reason.OTHER_COMMANDER].means
+                )
         was_realtime, self._is_realtime = self._is_realtime, chassis.realtime
         if was_realtime and not chassis.realtime:
-            yield Notice(Severity.WARNING, Reason.NO_REALTIME, TEXTS[Reason.NO_REALTIME].means)
+            yield Event(Severity.WARNING, EventKind.FAULT, Reason.NO_REALTIME, TEXTS[Reason.NO_REALTIME].means)
         if not chassis.guard_sends and chassis.guard_says != self._guard_says:
             self._guard_says = chassis.guard_says
             if chassis.guard_says:
                 text = f"{GUARD_STOP_ENDED}{chassis.guard_says}"
-                yield Notice(Severity.WARNING, Reason.GUARD, text, EventKind.GUARD)
+                yield Event(Severity.WARNING, EventKind.GUARD, Reason.GUARD, text)

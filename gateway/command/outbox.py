@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from gateway.command.outcome import Event
 from gateway.command.request import RawRequest, Ruling, VerbAnswer
 from schemas.decisions import EventKind, Severity
@@ -27,6 +29,10 @@ class Outbox:
     ) -> None:
         """Report to people."""
         self._events.append(Event(severity, kind, reason, text, operator))
+
+    def add_events(self, events: Iterable[Event]) -> None:
+        """Report these to people."""
+        self._events += events
 
     def answer(self, request: RawRequest, ruling: Ruling) -> None:
         """Answer a query, now or, if its ruling is pending, by ``settle``."""

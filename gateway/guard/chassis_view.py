@@ -10,7 +10,7 @@ from gateway.chassis.cruiser.variant import StandstillEvidence
 from gateway.chassis.decode import Signals, check, compile_signals
 from gateway.chassis.frame import Frame
 from gateway.chassis.supervision import silence_ns
-from gateway.command.frames import COUNTER_MODULO
+from schemas.alive_counter import COUNTER_SPAN
 from schemas.cruiser import TURNING_RAW_MIN
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.settings import GUARD_SILENT_NS, REMOTE_FRAMES, STANDSTILL_MPS, STANDSTILL_TICKS, TICK_NS
@@ -48,7 +48,7 @@ class ChassisView:
         command = self._commands.get(frame.can_id)
         if command is not None:
             if check(frame) is None:
-                self.next_counters[command] = ((frame.data[6] >> 4) + 1) % COUNTER_MODULO
+                self.next_counters[command] = ((frame.data[6] >> 4) + 1) % COUNTER_SPAN
                 if command in MOTION_FRAMES:
                     self.commander_ns = now_ns
             return

@@ -20,12 +20,13 @@ from gateway.chassis.cruiser.frames import (
 from gateway.chassis.frame import Frame
 from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.auxiliary import AuxiliaryFrame
-from gateway.command.frames import COUNTER_MODULO, FrameMaker
+from gateway.command.frames import FrameMaker
 from gateway.command.gate import Gate
 from gateway.command.limits import MotionLimits
 from gateway.command.stop import StopFeedback, StopSequence
 from gateway.guard.beat import StopOutcome
 from gateway.guard.chassis_view import ChassisView
+from schemas.alive_counter import COUNTER_SPAN
 from schemas.cruiser import SPEED_TOP_MPS, STEERING_TOP_DEG
 from schemas.decisions import StopPhase
 from schemas.messages import GearPosition, Mode, Variant
@@ -286,6 +287,6 @@ def _clamped(value: float, low: float, high: float) -> float:
 
 def _further(known: int, heard: int | None) -> int:
     """The counter to go on with: the one that was heard if it is a little ahead, else the one that is known."""
-    if heard is not None and (heard - known) % COUNTER_MODULO <= _HEARD_AHEAD_MAX:
+    if heard is not None and (heard - known) % COUNTER_SPAN <= _HEARD_AHEAD_MAX:
         return heard
     return known

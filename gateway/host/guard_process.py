@@ -10,13 +10,13 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
-from typing import Final, Protocol
+from typing import Final
 
 import msgspec
 
 from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.flow import CommandFlow
-from gateway.guard.beat import Beat, Cause, GuardStatus, GuardView
+from gateway.guard.beat import Beat, GuardStatus, GuardView
 from gateway.host.heartbeat import Heartbeat
 from schemas.messages import Variant
 from schemas.settings import GUARD_HANGS_TICKS, GUARD_RESTART_NS, GUARD_SILENT_NS, Settings
@@ -30,37 +30,12 @@ END_TIMEOUT_S: Final = 1.0
 """A guard at rest ends well within this time."""
 
 
-class GuardLink(Protocol):
-    """The guard, as the loop sees it. Nothing here blocks, but for ``close``.
+class NoGuard:
+    """No guard can watch here.
 
     Attributes:
-        why_not: why no guard can watch, for people; empty if one was started.
+        why_not: why, for people.
     """
-
-    why_not: str
-
-    def look(self) -> GuardView:
-        """How it is now."""
-        ...
-
-    @property
-    def cause(self) -> Cause:
-        """Of the last one, or of the one under way."""
-        ...
-
-    def beat(self, now_ns: int, command: CommandFlow) -> None:
-        """The loop lives, and has sent what it had to."""
-        ...
-
-    def close(self) -> None:
-        """The gateway ends. A guard that has nothing to do ends with it; one that stops the robot goes on."""
-        ...
-
-
-class NoGuard:
-    """No guard can watch here."""
-
-    cause: Final = Cause.NONE
 
     def __init__(self, why_not: str) -> None:
         self.why_not = why_not
@@ -117,12 +92,6 @@ class GuardProcess:
             stops=self._stops_before + status.stops,
             says=status.says,
         )
-
-    @property
-    def cause(self) -> Cause:
-        """Of the last one, or of the one under way."""
-        status = self._memory.read_status()
-        return Cause.NONE if status is None else status.cause
 
     def beat(self, now_ns: int, command: CommandFlow) -> None:
         """The loop lives, and has sent what it had to."""
@@ -233,11 +202,15 @@ class GuardProcess:
         self._memory.write_beat(self._newest)
 
 
+GuardLink = GuardProcess | NoGuard
+"""The gateway's side of the guard. Nothing of it blocks, but for ``close``."""
+
+
 def _is_alive(status: GuardStatus) -> bool:
     return time.monotonic_ns() - status.now_ns <= GUARD_SILENT_NS
 
 
-def start_guard(settings: Settings) -> GuardProcess | NoGuard:
+def start_guard(settings: Settings) -> GuardLink:
     """Start the guard; it watches some time later. Where none can be, the link says why, and never watches."""
     if settings.gateway.listen_only:
         return NoGuard("the gateway only listens")

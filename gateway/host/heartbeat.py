@@ -10,58 +10,56 @@ import fcntl
 import mmap
 import os
 import struct
-from typing import Any, Final, Self
+from typing import Final, Generic, Self, TypeVar
 from zlib import crc32
 
-from gateway.command.actuation import Actuation
-from gateway.guard.beat import Beat, Cause, GuardStatus, StopOutcome
-from schemas.messages import GearPosition, Variant
+import msgspec
+
+from gateway.guard.beat import Beat, GuardStatus
+
+Kind = TypeVar("Kind")
 
 SIZE_BYTES: Final = 4096
 _BEATS_AT: Final = 0
 _STATUS_AT: Final = 2048
 
-_BEAT: Final = struct.Struct("<2q4?B?Bdd?8s")
-_STATUS: Final = struct.Struct("<q2?Q2B")
-_NUMBER: Final = struct.Struct("<Q")
+_HEAD: Final = struct.Struct("<QH")
+"""The number of the write, and the length of its content."""
+
 _CHECKSUM: Final = struct.Struct("<I")
 
-_VARIANTS: Final = tuple(Variant)
-_GEARS: Final = tuple(GearPosition)
-_CAUSES: Final = tuple(Cause)
-_OUTCOMES: Final = tuple(StopOutcome)
-_VARIANT_CODES: Final = {variant: code for code, variant in enumerate(_VARIANTS)}
-_GEAR_CODES: Final = {gear: code for code, gear in enumerate(_GEARS)}
-_CAUSE_CODES: Final = {cause: code for code, cause in enumerate(_CAUSES)}
-_OUTCOME_CODES: Final = {outcome: code for code, outcome in enumerate(_OUTCOMES)}
+_ENCODER: Final = msgspec.msgpack.Encoder()
 
 
-class _Record:
-    """A value with one writer, in two slots."""
+class _Record(Generic[Kind]):
+    """A value with one writer, in two slots, as MessagePack."""
 
-    def __init__(self, memory: mmap.mmap, at: int, body: struct.Struct) -> None:
+    def __init__(self, memory: mmap.mmap, at: int, kind: type[Kind]) -> None:
         self._memory = memory
-        self._body = body
-        self._bytes = _NUMBER.size + body.size
+        self._decoder = msgspec.msgpack.Decoder(kind)
         self._slots = (at, at + SIZE_BYTES // 4)
         self._number = 0
 
-    def write(self, *values: Any) -> None:  # noqa: ANN401 - what struct packs
+    def write(self, value: Kind) -> None:
         """Make this the newest value."""
         self._number += 1
-        content = _NUMBER.pack(self._number) + self._body.pack(*values)
+        content = _ENCODER.encode(value)
+        content = _HEAD.pack(self._number, len(content)) + content
         at = self._slots[self._number & 1]
-        self._memory[at : at + self._bytes + _CHECKSUM.size] = content + _CHECKSUM.pack(crc32(content))
+        self._memory[at : at + len(content) + _CHECKSUM.size] = content + _CHECKSUM.pack(crc32(content))
 
-    def read(self) -> tuple[Any, ...] | None:
+    def read(self) -> Kind | None:
         """The newest whole value; None before the first."""
         newest, content = 0, b""
         for at in self._slots:
-            slot = self._memory[at : at + self._bytes + _CHECKSUM.size]
-            (number,) = _NUMBER.unpack_from(slot)
-            if number > newest and _CHECKSUM.unpack_from(slot, self._bytes)[0] == crc32(slot[: self._bytes]):
-                newest, content = number, slot
-        return self._body.unpack_from(content, _NUMBER.size) if content else None
+            number, length = _HEAD.unpack_from(self._memory, at)
+            end = at + _HEAD.size + length
+            if number <= newest or end + _CHECKSUM.size > SIZE_BYTES:
+                continue
+            found = self._memory[at:end]
+            if _CHECKSUM.unpack_from(self._memory, end)[0] == crc32(found):
+                newest, content = number, found
+        return self._decoder.decode(content[_HEAD.size :]) if content else None
 
 
 class Heartbeat:
@@ -74,8 +72,8 @@ class Heartbeat:
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor
         self._memory = mmap.mmap(descriptor, SIZE_BYTES)
-        self._beats = _Record(self._memory, _BEATS_AT, _BEAT)
-        self._status = _Record(self._memory, _STATUS_AT, _STATUS)
+        self._beats = _Record(self._memory, _BEATS_AT, Beat)
+        self._status = _Record(self._memory, _STATUS_AT, GuardStatus)
 
     @classmethod
     def create(cls) -> Self:
@@ -96,43 +94,16 @@ class Heartbeat:
 
     def write_beat(self, beat: Beat) -> None:
         """The loop lives."""
-        last = beat.last
-        self._beats.write(
-            beat.now_ns,
-            beat.told_ns,
-            beat.is_active,
-            beat.is_left,
-            beat.is_mute,
-            beat.is_closing,
-            _VARIANT_CODES[beat.variant],
-            last.enabled,
-            _GEAR_CODES[last.gear],
-            last.speed_mps,
-            last.angle_deg,
-            last.parking,
-            beat.counters,
-        )
+        self._beats.write(beat)
 
     def read_beat(self) -> Beat | None:
         """The loop's newest beat; None before the first."""
-        values = self._beats.read()
-        if values is None:
-            return None
-        now_ns, told_ns, active, left, mute, closing, variant = values[:7]
-        enabled, gear, speed, angle, parking, counters = values[7:]
-        last = Actuation(enabled, _GEARS[gear], speed, angle, parking)
-        return Beat(now_ns, told_ns, active, left, mute, closing, _VARIANTS[variant], last, counters)
+        return self._beats.read()
 
     def write_status(self, status: GuardStatus) -> None:
         """The guard lives."""
-        cause = _CAUSE_CODES[status.cause]
-        outcome = _OUTCOME_CODES[status.outcome]
-        self._status.write(status.now_ns, status.is_ready, status.is_sending, status.stops, cause, outcome)
+        self._status.write(status)
 
     def read_status(self) -> GuardStatus | None:
         """The guard's newest status; None before the first."""
-        values = self._status.read()
-        if values is None:
-            return None
-        now_ns, is_ready, is_sending, stops, cause, outcome = values
-        return GuardStatus(now_ns, is_ready, is_sending, stops, _CAUSES[cause], _OUTCOMES[outcome])
+        return self._status.read()

@@ -141,22 +141,12 @@ def give(core: Core, one: Input) -> TickEffects | list[Sample]:
     act = _GIVE.get(kind)
     if act is None:
         raise BrokenJournalError(f"kind {kind!r} of an input is not known")
-    return act(core, *arguments)
+    return act(core, *arguments) or []
 
 
 def _frame(core: Core, now_ns: int, frame: list[Any]) -> list[Sample]:
     sample = core.receive_frame(Frame(*frame), now_ns)
     return [] if sample is None else [sample]
-
-
-def _request(core: Core, now_ns: int, *request: Any) -> list[Sample]:  # noqa: ANN401 - as the journal holds it
-    core.receive_request(RawRequest(*request), now_ns)
-    return []
-
-
-def _links(core: Core, now_ns: int, *told: Any) -> list[Sample]:  # noqa: ANN401 - as the journal holds them
-    core.update_links(_as_links(told), now_ns)
-    return []
 
 
 _NOT_YET_TOLD: Final = {"realtime": True}
@@ -172,33 +162,14 @@ def _tick(core: Core, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes 
     return core.tick(now_ns, wall_ns, late_ns, challenge or now_ns.to_bytes(CHALLENGE_BYTES))
 
 
-def _sent(core: Core, now_ns: int, count: int, wall_ns: int) -> list[Sample]:
-    return core.sent(count, now_ns, wall_ns)
-
-
-def _guard_stop(core: Core, now_ns: int, words: str) -> list[Sample]:
-    core.latch_guard_stop(words, now_ns)
-    return []
-
-
-def _warning(core: Core, now_ns: int, words: str) -> list[Sample]:
-    core.warn(words, now_ns)
-    return []
-
-
-def _shut_down(core: Core, now_ns: int) -> list[Sample]:
-    core.shut_down(now_ns)
-    return []
-
-
-_GIVE: Final[dict[int, Callable[..., TickEffects | list[Sample]]]] = {
+_GIVE: Final[dict[int, Callable[..., TickEffects | list[Sample] | None]]] = {
     Kind.FRAME: _frame,
-    Kind.REQUEST: _request,
-    Kind.LINKS: _links,
+    Kind.REQUEST: lambda core, now_ns, *request: core.receive_request(RawRequest(*request), now_ns),
+    Kind.LINKS: lambda core, now_ns, *told: core.update_links(_as_links(told), now_ns),
     Kind.TICK: _tick,
-    Kind.SENT: _sent,
-    Kind.SHUT_DOWN: _shut_down,
-    Kind.REST: lambda *_: [],
-    Kind.GUARD_STOP: _guard_stop,
-    Kind.WARNING: _warning,
+    Kind.SENT: lambda core, now_ns, count, wall_ns: core.sent(count, now_ns, wall_ns),
+    Kind.SHUT_DOWN: lambda core, now_ns: core.shut_down(now_ns),
+    Kind.REST: lambda *_: None,
+    Kind.GUARD_STOP: lambda core, now_ns, words: core.latch_guard_stop(words, now_ns),
+    Kind.WARNING: lambda core, now_ns, words: core.warn(words, now_ns),
 }

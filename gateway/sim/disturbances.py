@@ -20,11 +20,9 @@ from gateway.sim.faults import (
     Firmware,
     Foreign,
     MessageFault,
-    Radio,
     Reboot,
-    Scale,
     Sticks,
-    Switch,
+    Toggle,
     is_end,
 )
 from gateway.sim.parameters import BOUNCE_NS, REBOOT_NS, Conditions
@@ -124,7 +122,7 @@ class Disturbances:
     @property
     def remote(self) -> bool:
         """The remote control's SA switch is on remote."""
-        return ("switch", "") in self._active
+        return ("remote", "") in self._active
 
     @property
     def sticks(self) -> Sticks:
@@ -135,7 +133,7 @@ class Disturbances:
     @property
     def wrong_scale(self) -> bool:
         """Drive command and feedback have the other variant's scale."""
-        return ("scale", "") in self._active
+        return ("wrong_scale", "") in self._active
 
     @property
     def firmware(self) -> Variant | None:
@@ -156,7 +154,7 @@ class Disturbances:
 
     def transmitter_lost_for_ns(self, now_ns: int) -> int:
         """How long the remote control has been lost; 0 if it is not."""
-        active = self._active.get(("radio", ""))
+        active = self._active.get(("lost", ""))
         return now_ns - active.since_ns if active is not None else 0
 
     def _begin(self, line: FaultLine, now_ns: int) -> None:
@@ -182,7 +180,9 @@ class Disturbances:
                 return [("foreign", can_id & (EXTENDED | IDENTIFIER_MASK)) for can_id in can_ids]
             case Bumper(sides):
                 return [("bumper", side) for side in sides]
-            case Switch() | Radio() | Sticks() | Scale() | Firmware() | Reboot():
+            case Toggle(name):
+                return [(name, "")]
+            case Sticks() | Firmware() | Reboot():
                 return [(type(fault).__name__.lower(), "")]
             case Condition(field):
                 return [("condition", field)]

@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from enum import Enum
-from typing import Final
+from typing import Final, Literal
 
 import msgspec
 
@@ -101,16 +101,16 @@ class Bumper(msgspec.Struct, frozen=True):
     bounces: bool = False
 
 
-class Switch(msgspec.Struct, frozen=True):
-    """The remote control's SA switch: on remote, or on command control."""
+class Toggle(msgspec.Struct, frozen=True):
+    """Something holds, or holds no more.
 
-    remote: bool
+    Attributes:
+        name: ``remote``: the remote control's SA switch is on remote, not on command control. ``lost``: its radio
+            link is. ``wrong_scale``: the drive command and feedback have the other variant's scale.
+    """
 
-
-class Radio(msgspec.Struct, frozen=True):
-    """The remote control's radio link."""
-
-    lost: bool
+    name: Literal["remote", "lost", "wrong_scale"]
+    on: bool
 
 
 class Sticks(msgspec.Struct, frozen=True):
@@ -118,12 +118,6 @@ class Sticks(msgspec.Struct, frozen=True):
 
     speed_mps: float
     angle_deg: float
-
-
-class Scale(msgspec.Struct, frozen=True):
-    """The drive command and feedback have the other variant's scale."""
-
-    wrong: bool
 
 
 class Firmware(msgspec.Struct, frozen=True):
@@ -151,15 +145,13 @@ class Clear(msgspec.Struct, frozen=True):
     """Everything is as it was at the start."""
 
 
-Fault = MessageFault | Foreign | Bumper | Switch | Radio | Sticks | Scale | Firmware | Condition | Reboot | Clear
+Fault = MessageFault | Foreign | Bumper | Toggle | Sticks | Firmware | Condition | Reboot | Clear
 
 
 def is_end(fault: Fault) -> bool:
     """True for what ends a fault instead of beginning one."""
     match fault:
-        case MessageFault(ended=True) | Foreign(ended=True) | Bumper(hit=False, bounces=False):
-            return True
-        case Switch(remote=False) | Radio(lost=False) | Scale(wrong=False):
+        case MessageFault(ended=True) | Foreign(ended=True) | Bumper(hit=False, bounces=False) | Toggle(on=False):
             return True
         case _:
             return False
@@ -370,9 +362,7 @@ def _bumper(words: _Words) -> _Parsed:
 
 def _transmitter(words: _Words) -> _Parsed:
     word = _choice(words, "remote", "command", "lost", "found")
-    if word in {"remote", "command"}:
-        return Switch(word == "remote"), 0
-    return Radio(word == "lost"), 0
+    return Toggle("remote" if word in {"remote", "command"} else "lost", word in {"remote", "lost"}), 0
 
 
 def _sticks(words: _Words) -> _Parsed:
@@ -399,7 +389,7 @@ _PARSERS: Final[dict[str, Callable[[_Words], _Parsed]]] = {
     "bumper": _bumper,
     "transmitter": _transmitter,
     "sticks": _sticks,
-    "scale": lambda words: (Scale(_choice(words, "wrong", "right") == "wrong"), 0),
+    "scale": lambda words: (Toggle("wrong_scale", _choice(words, "wrong", "right") == "wrong"), 0),
     "variant": lambda words: (Firmware(Variant(_choice(words, "coarse", "fine"))), 0),
     "slope": _condition("slope_deg"),
     "payload": _condition("payload_kg"),

@@ -11,7 +11,6 @@ import socket
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from types import TracebackType
 from typing import Final, Self
 
 import msgspec
@@ -282,7 +281,33 @@ def receive(try_recv: Callable[[], zenoh.Sample | None], waiting: int) -> Iterat
     yield Missed()
 
 
-class RobotListener:
+class SessionOwner:
+    """Owns a session: leaves Zenoh with ``close``, or at the end of a ``with``."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+
+    def connected(self) -> bool:
+        """Is any Zenoh node connected directly? A peer's session is open although none is."""
+        info = self._session.info
+        return bool(info.peers_zid() or info.routers_zid())
+
+    def links(self) -> frozenset[str]:
+        """The connections to other nodes."""
+        return links_of(self._session)
+
+    def close(self) -> None:
+        """Leave Zenoh."""
+        close_session(self._session)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_raised: object) -> None:
+        self.close()
+
+
+class RobotListener(SessionOwner):
     """Receives ``state``, ``safety/state``, ``gateway/health`` and liveliness tokens of one robot, or of all."""
 
     def __init__(self, session: zenoh.Session, robot: RobotSettings, name: str = "") -> None:
@@ -293,7 +318,7 @@ class RobotListener:
             robot: where the root is.
             name: the robot; empty for all of them.
         """
-        self._session = session
+        super().__init__(session)
         chunk = name or "*"
         # Without history: Zenoh's threads would hand out the last health of a gateway that hangs, for ever.
         self._samples = tuple(
@@ -316,15 +341,6 @@ class RobotListener:
         """
         return cls(open_towards_robots(settings.zenoh), settings.robot, name)
 
-    def connected(self) -> bool:
-        """Is any Zenoh node connected directly? A peer's session is open although none is."""
-        info = self._session.info
-        return bool(info.peers_zid() or info.routers_zid())
-
-    def links(self) -> frozenset[str]:
-        """The connections to other nodes."""
-        return links_of(self._session)
-
     def call_roll(self, timeout_s: float) -> PendingQuery:
         """Ask for the liveliness tokens; the robots that have one are heard by ``drain`` as well."""
         return call_roll(self._session, self._roll, timeout_s)
@@ -337,15 +353,3 @@ class RobotListener:
             yield TokenChange(str(token.key_expr), present=token.kind == zenoh.SampleKind.PUT)
         for subscriber in self._samples:
             yield from receive(subscriber.try_recv, SAMPLES_WAITING)
-
-    def close(self) -> None:
-        """Leave Zenoh."""
-        close_session(self._session)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Iterator
-from types import TracebackType
 from typing import Any, Final, Self
 
 import zenoh
@@ -18,9 +17,9 @@ from zenoh import ext
 from gateway.telemetry.received import Missed, Received
 from gateway.zenoh.client import (
     PendingQuery,
+    SessionOwner,
     call_roll,
     close_session,
-    links_of,
     open_towards_robots,
     receive,
 )
@@ -47,7 +46,7 @@ POLL_S: Final = 0.002
 """How often a reply is looked for."""
 
 
-class CommandPort:
+class CommandPort(SessionOwner):
     """Sends an operator's commands to one robot, or to all. Owns its session."""
 
     def __init__(self, session: zenoh.Session, root: str, robot: str, operator: str) -> None:
@@ -56,7 +55,7 @@ class CommandPort:
         Raises:
             ValueError: a part of the keys is not of its form.
         """
-        self._session = session
+        super().__init__(session)
         self._keys = {verb: keys.command(root, robot, operator, verb) for verb in BY_VERB}
         self._roll = keys.liveliness(root, robot)
         self._qos: dict[str, Any] = {
@@ -82,15 +81,6 @@ class CommandPort:
         except ValueError as error:
             close_session(session)
             raise CommandError(str(error), ExitCode.USAGE) from error
-
-    def connected(self) -> bool:
-        """Is any Zenoh node connected directly?"""
-        info = self._session.info
-        return bool(info.peers_zid() or info.routers_zid())
-
-    def links(self) -> frozenset[str]:
-        """The connections to other nodes."""
-        return links_of(self._session)
 
     def reaches(self) -> bool:
         """Is somebody there who answers commands to this robot? Of a port to all robots Zenoh does not say."""
@@ -149,20 +139,8 @@ class CommandPort:
         """Ask for the liveliness tokens of the robots that are connected."""
         return call_roll(self._session, self._roll, timeout_s)
 
-    def close(self) -> None:
-        """Leave Zenoh."""
-        close_session(self._session)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-
-class SafetyListener:
+class SafetyListener(SessionOwner):
     """Hears what a robot's arbiter says, the robot's state and its gateway's health. Owns its session."""
 
     def __init__(self, session: zenoh.Session, root: str, robot: str) -> None:
@@ -171,7 +149,7 @@ class SafetyListener:
         Raises:
             ValueError: a part of the keys is not of its form.
         """
-        self._session = session
+        super().__init__(session)
         state, event, chassis, health = (
             keys.build(root, robot, BY_NAME[name])
             for name in ("safety/state", "safety/event", "state", "gateway/health")
@@ -211,7 +189,3 @@ class SafetyListener:
             yield from receive(self._events.try_recv, EVENTS_WAITING)
         except zenoh.ZError as error:
             log.debug("Zenoh is closed: %s", error)
-
-    def close(self) -> None:
-        """Leave Zenoh."""
-        close_session(self._session)

@@ -10,11 +10,12 @@ import msgspec
 
 from gateway.client.drive_stream import PERIOD_S, DriveEnd, DriveStream, SetPoint
 from gateway.client.reply import encode_request
-from gateway.sim.links import LinkProfile, LossyLink
+from gateway.sim.links import LinkProfile
 from schemas.decisions import ArbiterState, EventKind, LeaseReply, Reply, SafetyState
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Engage, Renew, Request, Unpark
 from tests.support.loop_rig import LoopRig
+from tests.support.lossy_link import LossyLink
 
 NAME = "far"
 PERIOD_NS = round(PERIOD_S * 1e9)

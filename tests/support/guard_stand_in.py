@@ -88,7 +88,7 @@ class StandIn:
                 ("watching", guard.look().is_watching),
                 ("sending", guard.look().is_sending),
                 ("stops", guard.look().stops),
-                ("cause", guard.cause.name),
+                ("cause", guard.look().says.partition("; ")[0]),
                 ("says", guard.look().says),
             ):
                 if said.get(name) != value:

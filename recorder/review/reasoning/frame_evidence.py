@@ -16,6 +16,7 @@ from recorder.review.reasoning.signals import (
     signals,
     silence_ns,
 )
+from schemas.alive_counter import COUNTER_SPAN
 from schemas.cruiser import SPEED_PLAUSIBLE_MPS, STEERING_PLAUSIBLE_DEG
 from schemas.decisions import SafetyState
 from schemas.messages import Body, Drive, Mode, RobotState, Steering, Variant, WheelSpeed
@@ -46,7 +47,6 @@ _ABSURD: Final = {
     "RearLeftSpeed": SPEED_PLAUSIBLE_MPS,
     "RearRightSpeed": SPEED_PLAUSIBLE_MPS,
 }
-_COUNTER_MODULO: Final = 16
 WAITED_NS: Final = 1_000_000
 """To read a frame takes less; one that waited for longer is told to have waited."""
 
@@ -227,7 +227,7 @@ def _alive_faults(frames: Iterable[DecodedFrame]) -> int:
         if frame.is_whole:
             right = expected is None or frame.alive_counter == expected
             faults = max(0, faults - 1) if right else min(faults + 1, ALIVE_FAULTS)
-            expected = (frame.alive_counter + 1) % _COUNTER_MODULO
+            expected = (frame.alive_counter + 1) % COUNTER_SPAN
     return faults
 
 

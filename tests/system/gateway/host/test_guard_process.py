@@ -14,7 +14,7 @@ import pytest
 from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.flow import CommandFlow
 from gateway.command.frames import FrameMaker
-from gateway.guard.beat import Cause
+from gateway.guard.beat import Cause, GuardView
 from gateway.host.guard_process import GuardProcess, NoGuard, start_guard
 from gateway.host.stop_note import StopNote
 from schemas.messages import Mode, Variant
@@ -69,7 +69,7 @@ def test_a_stopped_gateway_that_comes_back_keeps_silent_and_learns_of_the_stop()
         wait_stopped(running)
         running.wait_says("stops 1")
         running.wait_says("sending False")
-        running.wait_says(f"cause {Cause.LATE.name}")
+        running.wait_says(f"cause {Cause.LATE.value}")
         running.wait_says(f"says {Cause.LATE.value}")
         running.wait_says(f"says {Cause.LATE.value}; the robot stands")
         # What was under way when it was stopped may have gone out; after that there is nothing of the gateway's.
@@ -87,7 +87,7 @@ def test_a_gateway_whose_gate_refuses_everything_is_stopped_for() -> None:
         running.drive()
         running.send_signal(signal.SIGUSR1)
         wait_stopped(running)
-        running.wait_says(f"cause {Cause.MUTE.name}")
+        running.wait_says(f"cause {Cause.MUTE.value}")
 
 
 def test_nothing_is_sent_while_the_loop_lives_and_signals_do_not_end_the_guard() -> None:
@@ -173,12 +173,7 @@ def test_where_no_guard_can_be_the_link_says_why(settings: Settings, says: str) 
     assert says in link.why_not
     link.beat(1, CommandFlow(settings, 1))
     link.close()
-    assert (link.look().is_watching, link.look().is_sending, link.look().stops, link.cause) == (
-        False,
-        False,
-        0,
-        Cause.NONE,
-    )
+    assert link.look() == GuardView()
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])

@@ -199,36 +199,3 @@ def test_a_frame_that_repeats_its_counter_becomes_overdue() -> None:
     assert supervisor.is_silent
     supervisor.receive(4, 120 * MS)
     assert not supervisor.is_silent
-
-
-def test_freshness_does_not_wait_for_the_tick() -> None:
-    """A frame is fresh up to its limit and not a nanosecond longer, also before a tick declares the silence."""
-    supervisor = FrameSupervisor(10 * MS)
-    assert not supervisor.is_fresh(0)
-    assert not supervisor.is_seen
-    supervisor.receive(3, 50 * MS)
-    assert supervisor.is_seen
-    assert supervisor.is_fresh(150 * MS)
-    assert not supervisor.is_silent
-    assert not supervisor.is_fresh(150 * MS + 1)
-    supervisor.tick(150 * MS + 1)
-    assert not supervisor.is_fresh(150 * MS)
-    supervisor.receive(4, 200 * MS)
-    assert supervisor.is_fresh(200 * MS)
-
-
-def test_age_is_that_of_the_last_frame_that_said_something_new() -> None:
-    """A repeated counter does not make a value younger, nor does the declaration of its silence."""
-    supervisor = FrameSupervisor(10 * MS)
-    assert supervisor.age_ns(7 * MS) is None
-    supervisor.receive(3, 10 * MS)
-    assert supervisor.age_ns(10 * MS) == 0
-    supervisor.receive(3, 20 * MS)
-    assert supervisor.age_ns(30 * MS) == 20 * MS
-    supervisor.tick(500 * MS)
-    assert supervisor.is_silent
-    assert supervisor.age_ns(500 * MS) == 490 * MS
-    supervisor.receive(3, 510 * MS)
-    assert supervisor.age_ns(510 * MS) == 500 * MS
-    supervisor.receive(4, 520 * MS)
-    assert supervisor.age_ns(525 * MS) == 5 * MS

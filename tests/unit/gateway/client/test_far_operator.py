@@ -2,11 +2,12 @@
 
 import pytest
 
-from gateway.sim.links import FAR, LINKS, LinkProfile, LossyLink
+from gateway.sim.links import FAR, LINKS, LinkProfile
 from schemas.decisions import ArbiterState
 from schemas.reasons import TEXTS, Reason
 from tests.support.far_operator import FarOperator, trip
 from tests.support.loop_rig import LoopRig
+from tests.support.lossy_link import LossyLink
 
 
 def test_over_200_ms_one_way_it_hardly_ever_stops() -> None:

@@ -1,7 +1,8 @@
 """What is told although it stops nothing."""
 
 from gateway.command.chassis_state import ChassisState
-from gateway.command.notices import Notice, Notices
+from gateway.command.notices import Notices
+from gateway.command.outcome import Event
 from schemas.decisions import EventKind, Severity
 from schemas.messages import ControllerState
 from schemas.reasons import Reason
@@ -15,7 +16,7 @@ def test_a_late_loop_is_told_once_a_second() -> None:
     notices = Notices()
     assert list(notices.look(ChassisState(), 0, 50 * MS)) == []
     assert list(notices.look(ChassisState(), 1, 51 * MS)) == [
-        Notice(Severity.WARNING, Reason.LOOP_LATE, "the loop was 51 ms late")
+        Event(Severity.WARNING, EventKind.FAULT, Reason.LOOP_LATE, "the loop was 51 ms late")
     ]
     assert list(notices.look(ChassisState(), LATE_TOLD_NS, 80 * MS)) == []
     assert len(list(notices.look(ChassisState(), LATE_TOLD_NS + 1, 80 * MS))) == 1
@@ -50,7 +51,9 @@ def test_another_computers_commands_are_told_once_until_they_have_ceased_for_a_s
         for notice in notices.look(ChassisState(commander_ns=heard_ns), at_ns, 0)
     ]  # fmt: skip
     text = "another computer commands the chassis on the bus"
-    assert told == [(at_ns, Notice(Severity.WARNING, Reason.OTHER_COMMANDER, text)) for at_ns in (10, 60)]
+    assert told == [
+        (at_ns, Event(Severity.WARNING, EventKind.FAULT, Reason.OTHER_COMMANDER, text)) for at_ns in (10, 60)
+    ]
 
 
 def test_the_end_of_the_guards_stop_is_told_with_its_words() -> None:
@@ -60,7 +63,7 @@ def test_the_end_of_the_guards_stop_is_told_with_its_words() -> None:
     assert list(notices.look(ChassisState(guard_sends=True, guard_stops=1, guard_says=cause), 0, 0)) == []
     ended = ChassisState(guard_stops=1, guard_says=f"{cause}; the robot stands")
     text = f"the guard's stop has ended: {cause}; the robot stands"
-    assert list(notices.look(ended, 1, 0)) == [Notice(Severity.WARNING, Reason.GUARD, text, EventKind.GUARD)]
+    assert list(notices.look(ended, 1, 0)) == [Event(Severity.WARNING, EventKind.GUARD, Reason.GUARD, text)]
     assert list(notices.look(ended, 2, 0)) == []
     assert list(notices.look(ChassisState(), 3, 0)) == [], "another guard has begun, and says nothing yet"
 
