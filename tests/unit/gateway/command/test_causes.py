@@ -188,29 +188,6 @@ def test_another_commander_is_heard_for_a_tenth_of_a_second(age_ms: int | None, 
     assert (Reason.OTHER_COMMANDER in monitor.faults(TOLD, LIMIT_MPS, 0, 500 * MS)) is heard
 
 
-@pytest.mark.parametrize(
-    ("changes", "reasons"),
-    [
-        ({}, []),
-        ({"missing": ("Auto_GearFeedBack",)}, [Reason.FEEDBACK_MISSING]),
-        ({"faulty": ("Auto_GearFeedBack",)}, [Reason.FEEDBACK_FAULTY]),
-        ({"variant": Variant.UNKNOWN}, [Reason.VARIANT_UNKNOWN]),
-        ({"confirmed": False}, [Reason.VARIANT_UNKNOWN]),
-    ],
-)
-def test_the_chassis_speaks_against_it(changes: dict[str, object], reasons: list[Reason]) -> None:
-    """Rows 'feedback silence', 'checksum faults', 'engage: variant confirmed'."""
-    monitor = monitoring(but(**changes))
-    assert monitor.chassis_faults() == reasons
-    assert found(monitor) == reasons
-
-
-@pytest.mark.parametrize(("late_ns", "stops"), [(100 * MS, False), (100 * MS + 1, True)])
-def test_a_late_loop_stops(late_ns: int, stops: bool) -> None:  # noqa: FBT001
-    """Row 'loop late: over 100 ms: stop'."""
-    assert found(monitoring(STANDING), late_ns=late_ns) == ([Reason.LOOP_LATE] if stops else [])
-
-
 @pytest.mark.parametrize(("failures", "stops"), [(4, False), (5, True)])
 def test_frames_that_the_bus_does_not_take_stop(failures: int, stops: bool) -> None:  # noqa: FBT001
     """Five ticks in a row."""

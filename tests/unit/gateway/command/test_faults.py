@@ -9,7 +9,6 @@ import pytest
 from gateway.chassis.cruiser.frames import MOTION_FRAMES
 from gateway.chassis.cruiser.layout import load
 from gateway.chassis.decode import check
-from gateway.chassis.faults import FaultKind
 from gateway.chassis.frame import ERROR, FD, Frame
 from gateway.command.actuation import Actuation
 from gateway.command.frames import FrameMaker
@@ -17,7 +16,7 @@ from gateway.guard.beat import Cause
 from gateway.sim.model import VirtualChassis
 from gateway.telemetry.health import Links
 from schemas.decisions import ArbiterState, Bound, EventKind, StopPhase
-from schemas.messages import Mode, Variant
+from schemas.messages import Variant
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import ChassisSettings
 from tests.support.can_strategies import VARIANTS, with_checksum
@@ -75,15 +74,6 @@ def assert_stop_order(rig: LoopRig, begun_ns: int) -> None:
 
 
 # The bytes.
-
-
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_every_single_flipped_bit_is_refused(variant: Variant) -> None:
-    """All 640 of ten frames: the checksum sees each."""
-    for name, frame in zip(STANDING, Feedback(variant).all(), strict=True):
-        for bit in range(64):
-            wrong = Frame(frame.can_id, flipped(frame.data, bit))
-            assert check(wrong) is FaultKind.CHECKSUM, (name, bit)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -249,13 +239,6 @@ def test_a_counter_that_stands_or_jumps_stops_the_robot(name: str, step: int) ->
     operator.drive(1.0, seconds=0.06)
     assert not rig.says.engaged
     assert rig.says.stop_reason in {Reason.FEEDBACK_FAULTY, Reason.FEEDBACK_MISSING}
-
-
-def test_a_counter_that_wraps_is_no_fault() -> None:
-    """15, then 0, for as long as one likes."""
-    rig, operator = driving()
-    operator.drive(1.0, seconds=4)
-    assert rig.says.engaged
 
 
 @pytest.mark.parametrize("name", FAST)
@@ -516,23 +499,6 @@ def test_a_stop_that_cannot_be_carried_out_says_so(disturb: str, reason: Reason)
     assert rig.says.latched == [Reason.REMOTE_STOP]
 
 
-def test_a_robot_that_the_hand_transmitter_gives_back_does_not_move() -> None:
-    """The chassis still has our last command and would obey it: it is stopped before it has any speed."""
-    rig, operator = driving(2.0)
-    rig.fault("transmitter remote")
-    operator.drive(2.0, seconds=0.1)
-    rig.run(4)
-    assert rig.speed_mps == 0
-    rig.fault("transmitter command")
-    fastest_mps = 0.0
-    for _ in range(300):
-        operator.drive(2.0)
-        fastest_mps = max(fastest_mps, abs(rig.speed_mps))
-    assert fastest_mps < 0.08
-    assert rig.speed_mps == 0
-    assert rig.chassis.state.mode is Mode.STOP
-
-
 @pytest.mark.parametrize("speed_mps", [1.0, -1.0])
 @pytest.mark.parametrize("side", ["front", "rear", "both"])
 def test_a_bumper_stops_the_robot_and_latches(side: str, speed_mps: float) -> None:
@@ -615,14 +581,6 @@ def test_a_robot_that_stands_is_held_by_its_parking_brake_and_goes_on_by_a_drive
     assert rig.speed_mps == pytest.approx(-0.5, abs=0.05)
 
 
-def test_a_bumper_that_is_pressed_at_the_start_latches() -> None:
-    """Nobody has to have driven."""
-    rig = LoopRig()
-    rig.fault("bumper rear on")
-    rig.run(0.6)
-    assert rig.says.latched == [Reason.REAR_BUMPER]
-
-
 @pytest.mark.parametrize(("side", "toward_mps"), [("front", 0.5), ("rear", -0.5)])
 def test_after_a_reset_only_motion_away_from_the_hit_side(side: str, toward_mps: float) -> None:
     """Row 'bumper: after a deliberate reset only motion away from the hit side until clear'; then a hit is new."""
@@ -644,42 +602,6 @@ def test_after_a_reset_only_motion_away_from_the_hit_side(side: str, toward_mps:
     rig.fault(f"bumper {side} on")
     operator.drive(toward_mps, seconds=0.06)
     assert rig.says.state is ArbiterState.STOPPING
-
-
-@pytest.mark.parametrize("hit_ms", [0, 10, 20])
-def test_a_reset_does_not_clear_a_hit_that_its_sender_has_not_seen(hit_ms: int) -> None:
-    """Of the other bumper, or of the same one once more, in the tick of the reset or right before."""
-    for other in (True, False):
-        rig, operator = ready()
-        rig.fault("bumper front on for 100ms")
-        rig.run(1)
-        operator.take_lease()
-        rig.fault(f"bumper {'rear' if other else 'front'} on for 100ms")
-        rig.tick(4 + hit_ms // 10)
-        assert operator.reason("reset") in {Reason.REAR_BUMPER, Reason.FRONT_BUMPER, Reason.NONE}
-        rig.tick(5)
-        assert (Reason.REAR_BUMPER if other else Reason.FRONT_BUMPER) in rig.says.latched
-
-
-def test_a_reset_names_what_its_sender_saw() -> None:
-    """With a challenge it never clears what came later, however long ago, and is refused when it is old itself."""
-    rig, operator = ready()
-    rig.put("anyone", "stop", b"")
-    rig.run(1)
-    operator.take_lease()
-    seen = rig.says.challenge
-    rig.run(0.5)
-    rig.put("anyone", "stop", b"")
-    rig.run(0.55)
-    assert operator.reason("reset", challenge=seen) is Reason.TOO_OLD
-    assert operator.reason("reset", challenge=bytes(8)) is Reason.CHALLENGE_UNKNOWN
-    rig.run(0.6)
-    seen = rig.says.challenge
-    rig.run(0.1)
-    assert operator.reason("reset", challenge=seen) is Reason.NONE
-    rig.put("anyone", "stop", b"")
-    rig.run(0.6)
-    assert rig.says.latched == [Reason.REMOTE_STOP]
 
 
 def test_the_other_bumper_still_stops_a_robot_that_backs_away() -> None:
@@ -767,31 +689,22 @@ def test_another_computer_on_the_bus_stops_the_robot() -> None:
     assert rig.says.stop_reason is Reason.OTHER_COMMANDER
 
 
-def test_a_robot_found_moving_is_stopped() -> None:
-    """Row 'found at start: a chassis in auto, moving, and nobody sending: the stop sequence, an event'."""
-    rig, _ = driving(1.0)
-    chassis = rig.chassis
-    found = LoopRig(now_ns=rig.now_ns)
-    found.chassis = chassis
-    found.run(1)
-    assert found.event_reasons(EventKind.STOP) == [Reason.FOUND_MOVING]
-    found.run(6)
-    assert found.speed_mps == 0
-    assert found.says.state is ArbiterState.STANDBY
-
-
-@pytest.mark.parametrize("missing", ["Auto_DriveFeedBack", "Auto_WheelSpdFeedback", "Auto_MileageAndBodyFeedback"])
+@pytest.mark.parametrize(
+    "missing", ["", "Auto_DriveFeedBack", "Auto_WheelSpdFeedback", "Auto_MileageAndBodyFeedback"]
+)
 @pytest.mark.parametrize("speed_mps", [1.0, -1.0])
 def test_a_robot_found_moving_is_stopped_whatever_frame_is_missing(missing: str, speed_mps: float) -> None:
-    """Row 'found at start: moving by drive, wheels or pulses': also with no mode at hand."""
+    """Row 'found at start: moving by drive, wheels or pulses, and nobody sending': also with no mode at hand."""
     rig, _ = driving(speed_mps)
     found = LoopRig(now_ns=rig.now_ns)
     found.chassis = rig.chassis
-    found.fault(f"silence {missing}")
+    if missing:
+        found.fault(f"silence {missing}")
     found.run(1.3)
     assert found.event_reasons(EventKind.STOP)[:1] == [Reason.FOUND_MOVING]
     found.run(8)
     assert found.speed_mps == 0
+    assert found.says.state is ArbiterState.STANDBY
 
 
 def test_a_robot_that_another_computer_drives_is_left_alone() -> None:
@@ -919,16 +832,6 @@ def test_a_command_that_was_made_today_for_a_tick_of_tomorrow_is_refused() -> No
     assert rig.says.target_speed_mps == 0.5
 
 
-def test_this_mornings_commands_are_refused() -> None:
-    """A capture of this very lease: its sequence does not rise."""
-    rig, operator = driving()
-    payload = operator.drive_payload(1.0)
-    for expected in (Reason.NONE, Reason.SEQUENCE):
-        rig.put(operator.name, "drive", payload)
-        rig.tick()
-        assert rig.ruled() is expected
-
-
 @pytest.mark.parametrize("step_ns", [-YEAR_NS, YEAR_NS, 3600 * 10**9, -3600 * 10**9])
 def test_clocks_do_not_matter(step_ns: int) -> None:
     """A sender whose clock is a year off is served, and a wall clock that steps by an hour changes nothing."""
@@ -938,34 +841,6 @@ def test_clocks_do_not_matter(step_ns: int) -> None:
     assert rig.says.engaged
     assert rig.ruled() is Reason.NONE
     assert rig.speed_mps == pytest.approx(1.0, abs=0.02)
-
-
-def test_two_operators_and_one_robot() -> None:
-    """Row 'lease: exclusive', and row 'take': the second is refused, then takes it; the first is told."""
-    rig, first = driving()
-    second = Operator(rig, "second")
-    assert second.take_lease() is Reason.LEASE_HELD
-    second.lease = first.lease
-    rig.put("second", "drive", second.drive_payload(2.0))
-    rig.tick()
-    assert rig.ruled() is Reason.NO_LEASE
-    assert second.take_lease("take") is Reason.MOVING
-    assert second.take_lease("take", role="program", override=True) is Reason.ROLE_TOO_LOW
-    assert second.take_lease("take", override=True) is Reason.NONE
-    assert rig.says.state is ArbiterState.STOPPING
-    assert rig.says.stop_reason is Reason.LEASE_TAKEN
-    first.drive(1.0)
-    assert rig.ruled() is Reason.LEASE_TAKEN
-    told = [event for event in rig.events if event.reason is Reason.LEASE_TAKEN and event.operator == "first"]
-    assert [event.kind for event in told] == [EventKind.LEASE]
-    rig.run(1.9)
-    second.reason("renew")
-    rig.run(1.9)
-    second.reason("renew")
-    rig.until(lambda: rig.says.state is ArbiterState.STANDBY)
-    second.engage()
-    second.drive(0.5, seconds=2)
-    assert rig.speed_mps == pytest.approx(0.5, abs=0.05)
 
 
 @pytest.mark.parametrize("operator", ["first", "anyone", ""])
@@ -1003,7 +878,7 @@ def test_a_controller_that_leaves_the_bus_stops_the_robot() -> None:
 # The loop.
 
 
-@pytest.mark.parametrize(("late_ms", "stops"), [(40, False), (100, False), (101, True), (400, True)])
+@pytest.mark.parametrize(("late_ms", "stops"), [(50, False), (51, False), (100, False), (101, True), (400, True)])
 def test_a_late_loop(late_ms: int, stops: bool) -> None:  # noqa: FBT001 - a parameter
     """Row 'loop late by over 50 ms: event; over 100 ms: stop'."""
     rig, operator = driving()
@@ -1016,16 +891,7 @@ def test_a_late_loop(late_ms: int, stops: bool) -> None:  # noqa: FBT001 - a par
     assert rig.says.engaged is not stops
     if stops:
         assert rig.says.stop_reason in {Reason.LOOP_LATE, Reason.FEEDBACK_MISSING}
-
-
-def test_a_loop_that_is_always_late_says_so_once_a_second() -> None:
-    """Its events must not push all others out of the history."""
-    rig, _ = driving()
-    rig.late_ns = 60 * MS
-    begun_ns = rig.now_ns
-    while rig.now_ns - begun_ns < 2.5e9:
-        rig.tick()
-    assert rig.event_reasons(EventKind.FAULT).count(Reason.LOOP_LATE) == 3
+        assert any(event.text.endswith(f"by {late_ms} ms") for event in rig.events if event.kind is EventKind.STOP)
 
 
 def test_a_late_stop_tells_zero_speed_before_neutral() -> None:
@@ -1041,18 +907,6 @@ def test_a_late_stop_tells_zero_speed_before_neutral() -> None:
     rig.late_ns = 0
     assert rig.told["Auto_GearCmd"]["TargetGear"] == "drive"
     assert rig.says.stop_reason is Reason.LOOP_LATE
-
-
-def test_the_guard_stops_in_our_place() -> None:
-    """While it sends, we are silent; and it latches."""
-    rig, operator = driving()
-    rig.links = msgspec.structs.replace(GUARDED, guard_sends=True)
-    operator.drive(1.0)
-    assert rig.says.state is ArbiterState.STANDBY
-    assert rig.says.latched == [Reason.GUARD]
-    assert not rig.told
-    assert operator.reason("reset") is Reason.GUARD
-    assert operator.reason("engage") is Reason.GUARD
 
 
 def test_the_guards_words_are_in_the_events_and_in_the_latch() -> None:
@@ -1150,14 +1004,3 @@ def test_without_a_guard_nothing_is_engaged_and_what_is_engaged_stops() -> None:
     rig.run(6)
     operator.take_lease()
     assert operator.reason("engage") is Reason.UNGUARDED
-
-
-def test_a_gateway_that_ends_stops_the_robot_first() -> None:
-    """And engages it no more."""
-    rig, operator = driving()
-    rig.core.shut_down(rig.now_ns)
-    operator.drive(1.0)
-    assert_stops(rig, Reason.SHUTDOWN)
-    assert rig.core.is_at_rest
-    operator.take_lease()
-    assert operator.reason("engage") is Reason.SHUTDOWN

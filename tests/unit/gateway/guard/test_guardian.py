@@ -34,6 +34,13 @@ from tests.support.guard_rig import BURST, DRIVING, MS, GuardRig, S
 A_STOP_S = 8.0
 
 
+def driven(variant: Variant = Variant.COARSE) -> GuardRig:
+    """A robot that the gateway drives at 1 m/s."""
+    rig = GuardRig(variant)
+    rig.drive()
+    return rig
+
+
 def kill(rig: GuardRig) -> None:
     """The process ends."""
     rig.parent_lives = False
@@ -67,8 +74,7 @@ def no_speed(frames: Iterable[Frame]) -> bool:
 @pytest.mark.parametrize("end", ENDS)
 def test_however_the_gateway_fails_the_robot_comes_to_rest(end: str, variant: Variant) -> None:
     """Ramp in gear, parking brake, neutral, hold, disabled frames, silence; then the guard says what it did."""
-    rig = GuardRig(variant)
-    rig.drive()
+    rig = driven(variant)
     assert rig.chassis.state.speed_mps > 0.9
     assert rig.sent == []
     fail, cause = ENDS[end]
@@ -89,8 +95,7 @@ def test_however_the_gateway_fails_the_robot_comes_to_rest(end: str, variant: Va
 
 def test_the_order_of_the_stop() -> None:
     """Row 'stop': the speed falls in gear, then the parking brake; neutral comes with the end of the enables."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.parent_lives = False
     rig.run(A_STOP_S)
     decoder = FrameDecoder(load(Variant.COARSE))
@@ -135,8 +140,7 @@ def test_the_counters_go_on(heard: str) -> None:
 
 def test_a_gateway_that_died_between_the_frames_and_the_heartbeat_repeats_no_counter() -> None:
     """Two frames of a burst went out, the heartbeat did not: their counters go on from the bus."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     burst = rig.maker.make(DRIVING, [], Variant.COARSE)
     for frame in burst[:2]:
         rig.guardian.receive(frame, rig.now_ns)
@@ -148,8 +152,7 @@ def test_a_gateway_that_died_between_the_frames_and_the_heartbeat_repeats_no_cou
 
 def test_a_frame_that_the_bus_did_not_take_costs_no_counter() -> None:
     """A full transmit buffer takes two of five: the next burst repeats the counters of the three."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.parent_lives, rig.takes = False, 2
     first = rig.poll()
     rig.takes = BURST
@@ -161,8 +164,7 @@ def test_a_frame_that_the_bus_did_not_take_costs_no_counter() -> None:
 
 def test_a_stop_that_nobody_heard_does_not_go_on() -> None:
     """The bus takes nothing for a second: the ramp goes on from the speed that the chassis was last told."""
-    rig = GuardRig(Variant.FINE)
-    rig.drive()
+    rig = driven(Variant.FINE)
     rig.parent_lives = False
     rig.run(0.1)
     drive = load(Variant.FINE).messages["Auto_DriveCmd"].can_id
@@ -183,16 +185,14 @@ def test_a_stop_that_nobody_heard_does_not_go_on() -> None:
 
 def test_a_gateway_that_is_gone_is_noticed_at_the_next_look() -> None:
     """No waiting for the heartbeat to age."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.parent_lives = False
     assert len(rig.poll()) == BURST
 
 
 def test_a_late_heartbeat_is_stopped_for_within_100_ms_and_not_before_its_limit() -> None:
     """The first look comes right when the heartbeat is late, and the stop with the second, 5 ms after it."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.loop_lives = False
     assert rig.beat is not None
     beat_ns = rig.beat.now_ns
@@ -204,8 +204,7 @@ def test_a_late_heartbeat_is_stopped_for_within_100_ms_and_not_before_its_limit(
 
 def test_one_late_look_is_not_enough() -> None:
     """A machine that stood still as a whole: the loop beats before the second look, and nothing is sent."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.now_ns += 300 * MS
     rig.loop_lives = False
     rig.poll()
@@ -230,8 +229,7 @@ def test_a_gateway_that_tells_the_chassis_nothing_is_let_go() -> None:
 
 def test_a_guard_outlives_its_gateway_until_the_stop_is_done() -> None:
     """And then it leaves."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.parent_lives = False
     while rig.poll() or rig.guardian.is_sending:
         assert not rig.guardian.is_ended
@@ -242,8 +240,7 @@ def test_a_guard_outlives_its_gateway_until_the_stop_is_done() -> None:
 
 def test_a_loop_that_comes_back_finds_the_stop_carried_through_and_is_watched_again() -> None:
     """Nobody sends beside the guard; later the loop drives again and fails again, and is stopped for again."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.loop_lives = False
     rig.run(0.2)
     # Counted from its beginning: a loop that was away for all of it still learns of it.
@@ -263,8 +260,7 @@ def test_a_loop_that_comes_back_finds_the_stop_carried_through_and_is_watched_ag
 @pytest.mark.parametrize("end", ["stalled", "mute"])
 def test_one_failure_is_stopped_for_once(end: str) -> None:
     """A loop that stays late or mute after the stop is not stopped for again, and again."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     ENDS[end][0](rig)
     rig.run(3 * A_STOP_S)
     assert rig.guardian.stops == 1
@@ -297,8 +293,7 @@ def taken_over_during(rig: GuardRig) -> None:
 @pytest.mark.parametrize("take_over", [taken_over_before, taken_over_and_left, taken_over_during])
 def test_the_hand_transmitter_has_the_robot(take_over: Callable[[GuardRig], None]) -> None:
     """Not one frame more, for minutes. Given back, the robot obeys no old command, and is parked."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     take_over(rig)
     sent = len(rig.sent)
     rig.run(1)
@@ -326,8 +321,7 @@ def test_the_hand_transmitter_has_the_robot(take_over: Callable[[GuardRig], None
 
 def test_a_robot_that_is_given_back_unbraked_and_reads_stop_is_parked() -> None:
     """Nothing else holds it: zero speed and the parking brake, and nothing old."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     taken_over_during(rig)
     rig.run(1)
     sent = len(rig.sent)
@@ -343,8 +337,7 @@ def test_a_robot_that_is_given_back_unbraked_and_reads_stop_is_parked() -> None:
 
 def test_a_robot_that_coasts_in_mode_stop_is_told_the_parking_brake() -> None:
     """Row 'a robot in mode stop that is seen to move: enables, zero speed, parking brake', by the guard too."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.loop_lives = rig.parent_lives = False
     body = load(Variant.COARSE).messages["Auto_MileageAndBodyFeedback"].can_id
     encoder = Encoder(load(Variant.COARSE))
@@ -367,8 +360,7 @@ def test_a_robot_that_coasts_in_mode_stop_is_told_the_parking_brake() -> None:
 @pytest.mark.parametrize("moves", [True, False])
 def test_a_guard_that_is_not_obeyed_says_so_and_leaves_the_parking_brake_told(*, moves: bool) -> None:
     """Row 'stop: neutral only behind an applied parking brake': in gear to the end, and no word of a full bus."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.parent_lives = False
     parking = load(Variant.COARSE).messages["Auto_ParkingFeedBack"].can_id
     drive = load(Variant.COARSE).messages["Auto_DriveFeedBack"].can_id
@@ -394,8 +386,7 @@ def test_a_guard_that_is_not_obeyed_says_so_and_leaves_the_parking_brake_told(*,
 
 def test_a_robot_that_is_given_back_to_another_computer_is_left_to_it() -> None:
     """A new gateway has commanded it meanwhile: its last command is not ours any more."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     taken_over_during(rig)
     rig.run(1)
     sent = len(rig.sent)
@@ -408,8 +399,7 @@ def test_a_robot_that_is_given_back_to_another_computer_is_left_to_it() -> None:
 
 def test_a_chassis_that_is_switched_off_under_the_hand_transmitter_is_waited_for_no_longer() -> None:
     """For as long as the chassis is heard, and no bus for half a minute after."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     taken_over_during(rig)
     rig.run(2 * GUARD_GIVES_UP_NS / S)
     rig.fault("silence all")
@@ -422,8 +412,7 @@ def test_a_chassis_that_is_switched_off_under_the_hand_transmitter_is_waited_for
 
 def test_a_gateway_that_ended_the_command_and_goes_leaves_nothing_to_wait_for() -> None:
     """Disabled frames were the last: under the remote control or not, the guard leaves with it."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.told = AT_REST
     rig.run(0.5)
     rig.fault("transmitter remote")
@@ -454,8 +443,7 @@ def test_a_robot_that_was_left_and_is_commanded_by_others_is_not_waited_for(hear
 
 def left_under_the_transmitter() -> GuardRig:
     """Driven at 1 m/s, then taken over; the gateway has given way, and lives."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.fault("transmitter remote")
     rig.run(0.1)
     rig.told = None
@@ -487,8 +475,7 @@ def test_a_gateway_that_hangs_while_the_hand_transmitter_has_the_robot_is_stoppe
 
 def test_what_the_guard_has_ended_itself_is_not_left_any_more() -> None:
     """The gateway was paused, comes back, gives way, and goes: nothing more is sent, for the stop was complete."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.loop_lives = False
     rig.run(A_STOP_S)
     sent = len(rig.sent)
@@ -545,8 +532,7 @@ def test_a_robot_that_was_left_and_reads_stop_is_told_nothing_old_any_more() -> 
 
 def test_a_mute_loop_does_not_make_what_it_told_long_ago_new() -> None:
     """Both ways to the bus were lost; others stopped the robot; the guard's is back, and sees nothing yet."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.mute, rig.bus_up = True, False
     rig.fault("silence all")
     rig.run(10)
@@ -573,8 +559,7 @@ def test_a_beat_of_a_dead_gateway_does_not_arm_the_guard_again() -> None:
 
 def test_feedback_that_falls_silent_does_not_end_the_stop() -> None:
     """Standstill cannot be seen, so the brake phase lasts its time; the rest follows, and the guard says so."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.fault("silence all")
     rig.run(0.3)
     rig.parent_lives = False
@@ -586,8 +571,7 @@ def test_feedback_that_falls_silent_does_not_end_the_stop() -> None:
 
 def test_a_bus_that_comes_back_in_time_is_used() -> None:
     """Gone with the gateway for 2 s: the stop begins when it is there again."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.parent_lives = rig.bus_up = False
     rig.run(2)
     assert rig.sent == []
@@ -624,8 +608,7 @@ def moved(rig: GuardRig, seconds: float) -> float:
 @pytest.mark.parametrize("lost_after_s", [0.0, 0.2])
 def test_a_bus_that_comes_back_late_finds_a_robot_that_others_stopped(lost_after_s: float) -> None:
     """It reads stop: no ramp from the old speed, before the guard has begun or in the middle."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.parent_lives, rig.bus_up = False, lost_after_s > 0
     rig.run(lost_after_s)
     rig.bus_up = False
@@ -669,8 +652,7 @@ def test_a_stop_begins_no_faster_than_the_robot_is_seen_to_be() -> None:
 
 def test_a_robot_that_is_given_back_rolling_is_told_zero_speed_at_once() -> None:
     """No ramp: who held the transmitter drove it, not we."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     taken_over_during(rig)
     sent = len(rig.sent)
     rig.fault("sticks 0.6 0")
@@ -684,8 +666,7 @@ def test_a_robot_that_is_given_back_rolling_is_told_zero_speed_at_once() -> None
 
 def test_what_is_not_seen_is_waited_for_a_little_and_then_taken_for_a_parked_robot() -> None:
     """The bus is back and nothing is heard on it: after 100 ms zero speed, and the parking brake stays applied."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.parent_lives = rig.bus_up = False
     rig.run(1)
     rig.chassis._commands.clear()
@@ -705,8 +686,7 @@ def test_what_is_not_seen_is_waited_for_a_little_and_then_taken_for_a_parked_rob
 
 def test_a_late_stop_is_not_begun_beside_another_computer() -> None:
     """Who commands the chassis by now may have come to stop it; when it ends, the robot is looked at again."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.parent_lives = rig.bus_up = False
     rig.run(1)
     rig.bus_up = True
@@ -724,8 +704,7 @@ def test_a_late_stop_is_not_begun_beside_another_computer() -> None:
 @pytest.mark.parametrize("how", ["lost", "full"])
 def test_a_guard_without_a_bus_gives_up_at_last(lost_after_s: float, how: str) -> None:
     """Before or in the middle of its stop; it says so, and leaves."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.parent_lives = False
     rig.bus_up = how == "full" or lost_after_s > 0
     rig.takes = BURST if lost_after_s else 0
@@ -740,8 +719,7 @@ def test_a_guard_without_a_bus_gives_up_at_last(lost_after_s: float, how: str) -
 
 def test_a_signal_is_ignored_while_the_chassis_is_told_something() -> None:
     """A supervisor that ends every process at once must not take the guard from a robot that drives."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.guardian.ask_to_end()
     rig.run(0.1)
     assert not rig.guardian.is_ended
@@ -758,8 +736,7 @@ def test_a_signal_is_ignored_while_the_chassis_is_told_something() -> None:
 @pytest.mark.parametrize("does", ["drives", "stands by"])
 def test_a_guard_that_stood_still_itself_gives_the_robot_back(does: str) -> None:
     """Meanwhile the loop counted on it no more, and drives, or has brought it to rest: two must not send."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.loop_lives = False
     rig.run(0.2)
     rig.loop_lives = True
@@ -777,8 +754,7 @@ def test_a_guard_that_stood_still_itself_gives_the_robot_back(does: str) -> None
 
 def test_a_guard_that_stood_still_beside_a_dead_gateway_goes_on_from_what_it_sees() -> None:
     """Others have brought the robot to rest meanwhile: no ramp from where the guard was."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.parent_lives = False
     rig.run(0.2)
     for _ in range(1200):
@@ -792,8 +768,7 @@ def test_a_guard_that_stood_still_beside_a_dead_gateway_goes_on_from_what_it_see
 
 def test_lamps_horn_and_odometer_are_ended_with_the_robot() -> None:
     """The chassis keeps them for ever too, and nobody else is left to end them."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     on = [
         AuxiliaryFrame("Auto_SpeakerCmd", {"Horn": True}),
         AuxiliaryFrame("Auto_LightCmd", {"Headlamp": True, "LeftIndicator": True, "RightIndicator": True}),
@@ -814,8 +789,7 @@ def test_lamps_horn_and_odometer_are_ended_with_the_robot() -> None:
 
 def test_an_unknown_variant_is_told_zero_speed_only() -> None:
     """The gate lets nothing else through, so there is no ramp; not seen to slow, it gets its parking brake."""
-    rig = GuardRig()
-    rig.drive()
+    rig = driven()
     rig.told_variant = Variant.UNKNOWN
     rig.run(0.01)
     rig.parent_lives = False
