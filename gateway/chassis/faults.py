@@ -21,7 +21,7 @@ class FaultKind(Enum):
     UNDEFINED_VALUE = "undefined_value"
     """A value that the value table does not name. The message is published and says ``undefined``."""
     IMPLAUSIBLE = "implausible"
-    """A value that this chassis cannot have, by the table in ``plausibility``. The frame is not published."""
+    """A value that this chassis cannot have, by its table of plausible ones. The frame is not published."""
     VARIANT_CONTRADICTED = "variant_contradicted"
     """A standstill wheel speed frame of the other firmware variant."""
     ALIVE_REPEATED = "alive_repeated"

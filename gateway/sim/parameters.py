@@ -2,7 +2,7 @@
 
 What the manual states is cited. What it leaves open is marked *chosen*: plausible for 116 kg on four wheels, and
 nothing outside the simulation may rest on it. The wheelbase, which the gateway needs too, is in
-``schemas.settings``.
+``schemas.cruiser``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
 """From message to sample: what a frame says, the whole robot in one message, the gateway's health.
 
-``heard`` is the same at the other end: samples as they arrive there.
+``received`` is the same at the other end: samples as they arrive there.
 """

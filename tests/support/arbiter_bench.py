@@ -6,7 +6,7 @@ from gateway.command.arbiter import Arbiter
 from gateway.command.chassis_state import ChassisState
 from gateway.command.outcome import Event, TickOutcome
 from gateway.command.request import RawRequest, Ruling
-from schemas.decisions import EventKind
+from schemas.decisions import ArbiterState, EventKind
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
 from schemas.requests import CHALLENGE_BYTES
 from schemas.settings import CommandSettings, GatewaySettings, Settings
@@ -144,3 +144,11 @@ class Bench:
     def told(self, kind: EventKind) -> list[Event]:
         """The events of a kind."""
         return [event for event in self.events if event.kind is kind]
+
+
+def engaged(**command: float) -> Bench:
+    """An engaged robot, under these settings."""
+    bench = Bench(CommandSettings(**command))
+    bench.engage()
+    assert bench.arbiter.state is ArbiterState.ENGAGED
+    return bench

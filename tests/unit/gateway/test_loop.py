@@ -439,6 +439,16 @@ class Commanded:
         said = [sample for sample in self.zenoh.samples if sample.subject == "safety/state"]
         return msgspec.msgpack.decode(said[-1].payload)[field] if said else None
 
+    def event_texts(self) -> list[str]:
+        """The texts of all events."""
+        events = [sample.payload for sample in self.zenoh.samples if sample.subject == "safety/event"]
+        return [msgspec.msgpack.decode(event)["text"] for event in events]
+
+    def health(self) -> Iterator[bool]:
+        """Wait for the first health."""
+        while not self.zenoh.of("gateway/health"):
+            yield False
+
     def ticks(self) -> list[list[str]]:
         """What was done in each tick, in its order."""
         ticks: list[list[str]] = []
@@ -633,8 +643,7 @@ def test_a_stop_by_the_guard_is_noted_until_it_is_reset() -> None:
 
     commanded.run(script)
     assert commanded.note.latched == [False, True, False]
-    events = [sample.payload for sample in commanded.zenoh.samples if sample.subject == "safety/event"]
-    assert any(msgspec.msgpack.decode(event)["text"].endswith(commanded.guard.says) for event in events)
+    assert any(text.endswith(commanded.guard.says) for text in commanded.event_texts())
 
 
 @pytest.mark.parametrize("is_stopping", [True, False])
@@ -657,8 +666,7 @@ def test_the_guard_of_a_dead_gateway_is_no_other_computer(*, is_stopping: bool) 
             yield False
 
     commanded.run(script)
-    events = [sample.payload for sample in commanded.zenoh.samples if sample.subject == "safety/event"]
-    texts = [msgspec.msgpack.decode(event)["text"] for event in events]
+    texts = commanded.event_texts()
     assert "the guard's stop has ended: the robot stands; 180 frames sent" in texts
     assert (TEXTS[Reason.OTHER_COMMANDER].means in texts) is not is_stopping
 
@@ -678,8 +686,7 @@ def test_real_time_priority_is_in_health_and_sets_the_speed_limit() -> None:
         one.is_realtime = False
         while one.says("speed_limit_mps") != 1.0:
             yield False
-        while not one.zenoh.of("gateway/health"):
-            yield False
+        yield from one.health()
 
     commanded.run(script)
     health = commanded.zenoh.of("gateway/health")[-1]
@@ -716,8 +723,7 @@ def test_the_inbox_is_told_who_holds_the_lease_and_its_drops_are_in_health() -> 
     def script(one: Commanded) -> Iterator[bool]:
         one.inbox.drops = 17
         yield from one.engage()
-        while not one.zenoh.of("gateway/health"):
-            yield False
+        yield from one.health()
 
     commanded.run(script)
     holders = commanded.inbox.holders

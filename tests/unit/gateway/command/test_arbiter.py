@@ -9,15 +9,7 @@ from gateway.command.request import Ruling
 from schemas.decisions import ArbiterState, EventKind, Severity, StopPhase
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
-from schemas.settings import CommandSettings
-from tests.support.arbiter_bench import MS, Bench
-
-
-def engaged(**command: float) -> Bench:
-    """An engaged robot."""
-    bench = Bench(CommandSettings(**command))
-    bench.engage()
-    return bench
+from tests.support.arbiter_bench import MS, Bench, engaged
 
 
 def test_standing_by_is_silent() -> None:

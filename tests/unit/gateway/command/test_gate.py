@@ -1,20 +1,18 @@
 """The last gate before the bus: default deny."""
 
-from random import Random
-
 import msgspec
 import pytest
 
 from gateway.chassis.cruiser.gate_table import MOTION, USED_BITS
 from gateway.chassis.cruiser.layout import load
-from gateway.chassis.frame import ERROR, EXTENDED, FD, REMOTE, Frame
+from gateway.chassis.frame import FD, Frame
 from gateway.command import gate as gate_module
 from gateway.command.actuation import Actuation
 from gateway.command.auxiliary import AuxiliaryFrame
 from gateway.command.frames import FrameMaker
 from gateway.command.gate import Gate, GateFault
 from schemas.messages import GearPosition, Variant
-from tests.support.can_strategies import VARIANTS, with_checksum
+from tests.support.can_strategies import with_checksum
 
 MS = 1_000_000
 REST = Actuation(enabled=True)
@@ -49,14 +47,6 @@ class Bench:
         self.gate.sent(frames, self.now_ns)
         self.maker.sent(frames)
         return ""
-
-    def raw(self, index: int, byte: int, value: int, actuation: Actuation = REST) -> str:
-        """Offer a burst in which one byte of one frame is this."""
-        frames = self.burst(actuation)
-        data = bytearray(frames[index].data)
-        data[byte] = value
-        frames[index] = Frame(frames[index].can_id, with_checksum(bytes(data)))
-        return self.offer(frames)
 
 
 def test_out_of_silence_only_a_stop_begins_with_a_speed() -> None:
@@ -94,31 +84,6 @@ def test_five_frames_and_what_else_is_asked_for_are_admitted() -> None:
         assert bench.offer(bench.burst()) == ""
 
 
-def _wrong_ids() -> list[int]:
-    own = list(USED_BITS)
-    neighbours = [can_id ^ 1 << bit for can_id in own for bit in range(32)]
-    standard = list(range(0x800))
-    random = Random(1)  # noqa: S311 - any numbers will do, and always the same
-    extended = [random.getrandbits(29) | EXTENDED for _ in range(20_000)]
-    feedback = [message.can_id for message in load(Variant.COARSE).feedback]
-    flagged = [can_id | flag for can_id in own for flag in (REMOTE, ERROR)]
-    return [
-        can_id for can_id in {*neighbours, *standard, *extended, *feedback, *flagged} if can_id not in USED_BITS
-    ]
-
-
-def test_every_other_identifier_is_refused() -> None:
-    """Each one-bit neighbour of our eight, all standard ones, the feedback's, remote and error, 20,000 others."""
-    bench = Bench()
-    frames = bench.burst()
-    wrong = _wrong_ids()
-    assert len(wrong) > 22_000
-    for can_id in wrong:
-        stranger = Frame(can_id, bytes(8))
-        for offered in ([stranger], [*frames, stranger], [stranger, *frames[1:]]):
-            assert bench.gate.admit(offered, Variant.COARSE, 0) == GateFault(can_id, "this identifier is not sent")
-
-
 @pytest.mark.parametrize("length", range(65))
 def test_every_length_but_eight_is_refused(length: int) -> None:
     """For each of the eight identifiers."""
@@ -138,18 +103,6 @@ def test_only_classic_data_frames_pass(wrong: dict[str, int]) -> None:
     frames = bench.burst()
     frames[0] = msgspec.structs.replace(frames[0], **wrong)
     assert bench.offer(frames) == "a command frame is a classic one of 8 bytes"
-
-
-def test_every_flipped_bit_is_refused() -> None:
-    """Of all eight frames."""
-    bench = Bench()
-    frames = bench.burst(REST, EXTRAS)
-    for index, frame in enumerate(frames):
-        for bit in range(64):
-            data = (int.from_bytes(frame.data, "little") ^ 1 << bit).to_bytes(8, "little")
-            offered = [*frames[:index], Frame(frame.can_id, data), *frames[index + 1 :]]
-            fault = bench.gate.admit(offered, Variant.COARSE, 0)
-            assert fault == GateFault(frame.can_id, "the checksum is wrong")
 
 
 def test_every_bit_without_a_meaning_is_refused() -> None:
@@ -199,38 +152,29 @@ def test_counters_count_what_was_sent_of_a_burst() -> None:
     assert bench.gate.admit(bench.burst(), Variant.COARSE, 0) is None
 
 
-@pytest.mark.parametrize(
-    ("raw", "passes"), [(0, False), (1, False), (5, False), (6, False), (7, False), (3, True)]
-)
-def test_only_three_gears_are_commanded(raw: int, passes: bool) -> None:  # noqa: FBT001
-    """Contradiction 7 of the protocol notes: park is never commanded."""
-    assert Bench().raw(1, 1, raw) == ("" if passes else "this gear is not commanded")
+STILL = msgspec.structs.replace(DRIVING, speed_mps=0.0)
 
 
 @pytest.mark.parametrize(
-    ("raw", "passes"), [(1501, False), (1502, True), (2594, True), (2595, False), (4095, False)]
+    ("index", "actuation", "raw", "why"),
+    [
+        (0, STILL, 55, ""),
+        (0, STILL, 56, "the speed is beyond what this variant may be told"),
+        (1, REST, 3, ""),
+        *[(1, REST, gear, "this gear is not commanded") for gear in (0, 1, 5, 6, 7)],
+        (2, REST, 1501, "the angle is beyond 24 deg"),
+        (2, REST, 1502, ""),
+        (2, REST, 2594, ""),
+        (2, REST, 2595, "the angle is beyond 24 deg"),
+    ],
 )
-def test_the_angle_ends_at_24_deg(raw: int, passes: bool) -> None:  # noqa: FBT001
-    """1502 is -23.99 deg and 2594 is 24.00 deg; one bit more is refused."""
+def test_values_end_where_the_manual_says(index: int, actuation: Actuation, raw: int, why: str) -> None:
+    """2.222 m/s, three gears (contradiction 7 of the protocol notes: park is never commanded), 24 deg."""
     bench = Bench()
-    frames = bench.burst()
-    data = frames[2].data[:1] + raw.to_bytes(2, "little") + frames[2].data[3:]
-    frames[2] = Frame(frames[2].can_id, with_checksum(data))
-    assert bench.offer(frames) == ("" if passes else "the angle is beyond 24 deg")
-
-
-@pytest.mark.parametrize(("variant", "most"), [(Variant.COARSE, 55), (Variant.FINE, 2222), (Variant.UNKNOWN, 0)])
-def test_the_speed_ends_where_its_variant_ends(variant: Variant, most: int) -> None:
-    """2.222 m/s in either scale: every raw speed of 16 bits."""
-    bench = Bench(variant)
-    frames = bench.burst(msgspec.structs.replace(DRIVING, speed_mps=0.0))
-    for raw in range(0x1_0000):
-        if raw > most + 300 and raw % 37:
-            continue
-        data = frames[0].data[:1] + raw.to_bytes(2, "little") + frames[0].data[3:]
-        offered = [Frame(frames[0].can_id, with_checksum(data)), *frames[1:]]
-        fault = bench.gate.admit(offered, variant, 0, stopping=True)
-        assert (fault is None) is (raw <= most)
+    frames = bench.burst(actuation)
+    word = int.from_bytes(frames[index].data, "little") & ~(0xFFFF << 8) | raw << 8
+    frames[index] = Frame(frames[index].can_id, with_checksum(word.to_bytes(8, "little")))
+    assert bench.offer(frames) == why
 
 
 def test_each_combination_of_enables() -> None:
@@ -357,14 +301,3 @@ def test_a_burst_cut_short_is_not_what_the_next_is_held_against() -> None:
     bench.maker.sent(cut)
     assert bench.offer(bench.burst(msgspec.structs.replace(REST, angle_deg=1.2))) == "the angle changes too fast"
     assert sorted(tuple(USED_BITS)[:5]) == sorted(MOTION)
-
-
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_the_hardest_settings_pass(variant: Variant) -> None:
-    """1.5 m/s2 and 60 deg/s, the most that settings allow, up and back."""
-    bench = Bench(variant)
-    for tick in range(300):
-        speed_mps = max(0.0, min(2.222, 0.015 * tick, 0.015 * (300 - tick)))
-        angle_deg = max(-24.0, min(24.0, -24 + 0.6 * tick))
-        actuation = msgspec.structs.replace(DRIVING, speed_mps=speed_mps, angle_deg=angle_deg)
-        assert bench.offer(bench.burst(actuation)) == "", tick

@@ -13,17 +13,9 @@ from schemas.messages import GearPosition, Mode, Variant
 from schemas.reasons import Reason
 from schemas.settings import CommandSettings
 from schemas.subjects import COMMANDS, Asking
-from tests.support.arbiter_bench import MS, Bench
+from tests.support.arbiter_bench import MS, Bench, engaged
 
 LEASED = [command for command in COMMANDS if command.verb not in {"acquire", "take", "stop"}]
-
-
-def engaged(**command: float) -> Bench:
-    """An engaged robot."""
-    bench = Bench(CommandSettings(**command))
-    bench.engage()
-    assert bench.arbiter.state is ArbiterState.ENGAGED
-    return bench
 
 
 def stopped(bench: Bench) -> None:
