@@ -16,5 +16,5 @@
 
 ``cruiser-coarse.dbc`` and ``cruiser-fine.dbc`` are the one source of the chassis's bits, scales, units and
 cycle times. ``json/`` holds a JSON Schema for each of them; ``json_schema`` generates it, and ``documents`` the
-tables of ``docs/`` (``make generate``; ``gateway.documents`` adds those of the arbiter).
+tables of ``docs/`` (``make generate``, by ``gateway.documents``, which adds those of the arbiter).
 """

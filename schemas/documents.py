@@ -1,7 +1,7 @@
-"""The generated parts of README.md and docs/*.md: ``python -m schemas.documents`` rewrites them.
+"""The generated parts of README.md and docs/*.md that are made from the tables of this package.
 
 A part stands between ``<!-- generated: NAME -->`` and ``<!-- end -->``; the text around it is written by hand.
-Parts that are made from the gateway's tables are left to ``gateway.documents``, which rewrites these too.
+``python -m gateway.documents`` rewrites them, together with those of the gateway's own tables.
 """
 
 from __future__ import annotations
@@ -66,25 +66,22 @@ class UnknownPartError(Exception):
     """A document asks for a part that is not generated."""
 
 
-def rewrite(text: str, parts: Mapping[str, Part] | None = None) -> str:
+def rewrite(text: str, parts: Mapping[str, Part]) -> str:
     """The document with every generated part current; one without markers is returned as it is.
 
     Args:
         text: the document.
-        parts: the parts by their names; those of this module if not given. One from elsewhere stays as it is.
+        parts: the parts by their names.
 
     Raises:
         UnknownPartError: a marker names no part.
     """
-    known = PARTS if parts is None else parts
 
     def replace(match: re.Match[str]) -> str:
         name = match[1]
-        if name in known:
-            return f"<!-- generated: {name} -->\n\n{known[name]()}\n\n<!-- end -->"
-        if name in FROM_ELSEWHERE:
-            return match[0]
-        raise UnknownPartError(f"there is no generated part {name!r}; there are {', '.join(known)}")
+        if name not in parts:
+            raise UnknownPartError(f"there is no generated part {name!r}; there are {', '.join(parts)}")
+        return f"<!-- generated: {name} -->\n\n{parts[name]()}\n\n<!-- end -->"
 
     return _PART.sub(replace, text)
 
@@ -393,11 +390,8 @@ PARTS: Final[dict[str, Part]] = {
     "recorder-commands": recorder_command_tables,
 }
 
-FROM_ELSEWHERE: Final = frozenset({"bus-frames", "bus-rules", "states", "stops"})
-"""Parts that only ``gateway.documents`` can make."""
 
-
-def main(words: Sequence[str] | None = None, parts: Mapping[str, Part] | None = None) -> int:
+def main(words: Sequence[str] | None, parts: Mapping[str, Part]) -> int:
     """Rewrites the documents, or with ``--check`` only says which ones are not current."""
     parser = argparse.ArgumentParser(description="Rewrite the generated parts of README.md and docs/*.md.")
     parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if a document is not current")
@@ -420,7 +414,3 @@ def main(words: Sequence[str] | None = None, parts: Mapping[str, Part] | None = 
                 path.write_text(current, encoding="utf-8")
             sys.stderr.write(f"{'stale' if arguments.check else 'wrote'} {path}\n")
     return int(bool(stale)) if arguments.check else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

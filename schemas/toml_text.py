@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
 from collections.abc import Mapping
@@ -16,15 +17,6 @@ _MAX_STATEMENT_LINES: Final = 1000
 """A statement that is longer than this is not taken apart: each further line costs another try."""
 
 _BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
-_SHORT_ESCAPES: Final = {
-    "\b": r"\b",
-    "\t": r"\t",
-    "\n": r"\n",
-    "\f": r"\f",
-    "\r": r"\r",
-    '"': r"\"",
-    "\\": r"\\",
-}
 
 
 def lines_of_keys(text: str) -> dict[Path, int]:
@@ -117,13 +109,5 @@ def write_key(name: str) -> str:
 
 
 def write_string(text: str) -> str:
-    """A basic string: quotes, backslashes and control characters are escaped, all else stands as it is."""
-    return '"' + "".join(_escape(character) for character in text) + '"'
-
-
-def _escape(character: str) -> str:
-    if character in _SHORT_ESCAPES:
-        return _SHORT_ESCAPES[character]
-    if character < " " or character == "\x7f":
-        return f"\\u{ord(character):04X}"
-    return character
+    """A basic string: as in JSON, but for DEL, which TOML wants escaped too. All else stands as it is."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", r"\u007F")

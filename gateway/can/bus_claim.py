@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import hashlib
 import socket
-from types import TracebackType
 from typing import Final, Self
 
 from gateway.can.open_bus import describe
@@ -35,7 +34,5 @@ class BusClaim:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_raised: object) -> None:
         self._socket.close()
