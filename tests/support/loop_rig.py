@@ -51,6 +51,7 @@ class LoopRig:
         corrupt: what becomes of a feedback frame on its way; None is lost.
         wall_ns: the wall clock.
         late_ns: how late the next tick begins.
+        samples: all that was published in the last tick.
         state, events, decided, replies: what was published and replied.
         published: the challenges that were published, the newest last.
         bursts: all motion frames that went out, read by the DBC: the time, and the signals by frame.
@@ -84,6 +85,7 @@ class LoopRig:
         self.wall_ns = WALL_NS
         self.late_ns = 0
         self.chassis_hears = True
+        self.samples: list[Sample] = []
         self.state: SafetyState | None = None
         self.published: list[bytes] = []
         self.events: list[SafetyEvent] = []
@@ -182,7 +184,8 @@ class LoopRig:
             kind = BY_VERB[reply.verb].reply if reply.verb in BY_VERB else decisions.Reply
             assert reply.handle not in self.replies, "a query has one reply"
             self.replies[reply.handle] = msgspec.msgpack.decode(reply.payload, type=kind)
-        for sample in [*due.samples, *self.core.sent(len(taken), self.now_ns, self.wall_ns)]:
+        self.samples = [*due.samples, *self.core.sent(len(taken), self.now_ns, self.wall_ns)]
+        for sample in self.samples:
             if sample.subject.startswith("safety/"):
                 self._read(sample)
         self._witness(due.frames, taken)

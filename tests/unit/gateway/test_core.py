@@ -16,7 +16,6 @@ from gateway.core import Core
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas import codec
-from schemas.decisions import Decision, Verdict
 from schemas.messages import (
     CanFrames,
     ControllerState,
@@ -30,11 +29,12 @@ from schemas.messages import (
     RobotState,
     Variant,
 )
+from schemas.reasons import Reason
 from schemas.settings import REST_TIMEOUT_NS, CanSettings, ChassisSettings, GatewaySettings, Settings
 from schemas.subjects import BY_NAME
 from tests.support.can_strategies import VARIANTS, frames
 from tests.support.frames import CHALLENGE, MS, STANDING, WALL_NS, Feedback
-from tests.support.sim_rig import Rig
+from tests.support.loop_rig import LoopRig, Operator, ready
 
 UP = Links(bus_up=True)
 
@@ -416,70 +416,6 @@ def test_each_failure_is_told_of_its_own_frame() -> None:
     assert rows["Auto_DriveFeedBack"].failures == ["silence"]
 
 
-class Bench:
-    """A core beside the simulated chassis, tick by tick, with a bus that takes so many frames of each tick."""
-
-    def __init__(self) -> None:
-        self.core = Core(Settings(), "1.2.3", 0, run=7)
-        self.core.update_links(Links(bus_up=True, guarded=True), 0)
-        self.rig = Rig()
-        self.takes = 100
-        self.offered: list[Frame] = []
-        self.taken: list[tuple[int, bytes, int]] = []
-        self.samples: list[Sample] = []
-        self.decided: list[Sample] = []
-        self.replies: dict[int, bool] = {}
-        self._handle = 0
-
-    def tick(self, count: int = 1) -> None:
-        """So many times 10 ms."""
-        for _ in range(count):
-            for frame in self.rig.run(0.01):
-                self.core.receive_frame(frame, self.rig.now_ns)
-            now_ns, wall_ns = self.rig.now_ns, WALL_NS + self.rig.now_ns
-            due = self.core.tick(now_ns, wall_ns, 0, CHALLENGE)
-            self.offered = due.frames
-            self.samples += due.samples
-            for frame in due.frames[: self.takes]:
-                self.rig.chassis.receive(frame, now_ns)
-                # A microsecond later.
-                self.taken.append((frame.can_id, frame.data, wall_ns + 1000))
-            self.decided = self.core.sent(len(due.frames[: self.takes]), now_ns, wall_ns + 1000)
-            for reply in due.replies:
-                assert reply.handle not in self.replies
-                self.replies[reply.handle] = msgspec.msgpack.decode(reply.payload)["ok"]
-
-    def ask(self, verb: str, **fields: object) -> int:
-        """A query of first's comes in."""
-        self._handle += 1
-        payload = msgspec.msgpack.encode(fields)
-        self.core.receive_request(RawRequest(self._handle, verb, "first", payload, len(payload)), self.rig.now_ns)
-        return self._handle
-
-    def engage(self) -> int:
-        """First takes the lease and engages; returns the lease."""
-        self.tick(60)
-        self.ask("acquire")
-        self.tick()
-        assert self.core.command is not None
-        lease = self.core.command.arbiter.leases.held
-        assert lease is not None
-        handle = self.ask("engage", lease=lease.id, challenge=CHALLENGE)
-        self.tick(30)
-        assert self.replies[handle], "it is engaged"
-        return lease.id
-
-    def sent_frames(self) -> list[tuple[int, bytes, int]]:
-        """What can/{bus}/tx has published."""
-        frames: list[tuple[int, bytes, int]] = []
-        for sample in self.samples:
-            if sample.subject == "can/{bus}/tx":
-                batch = read(sample)
-                assert isinstance(batch, CanFrames)
-                frames += zip(batch.can_id, batch.data, batch.frame_time_ns, strict=True)
-        return frames
-
-
 def test_a_listening_gateway_has_no_command_flow() -> None:
     """It judges nothing, offers no frame, publishes neither decisions nor a journal, and is always at rest."""
     made = Core(Settings(gateway=GatewaySettings(listen_only=True)), "1.2.3", 0)
@@ -497,55 +433,6 @@ def test_a_listening_gateway_has_no_command_flow() -> None:
     assert made.lease_holder == ""
     made.shut_down(0)
     assert made.is_at_rest
-
-
-def test_a_request_is_judged_at_the_tick_and_told_of_when_the_frames_are_sent() -> None:
-    """Until then nothing has become of it; its reply comes with the tick, its decision with ``sent``."""
-    bench = Bench()
-    bench.tick(60)
-    handle = bench.ask("acquire")
-    assert bench.core.lease_holder == ""
-    bench.samples.clear()
-    bench.tick()
-    assert bench.replies == {handle: True}
-    assert bench.core.lease_holder == "first"
-    assert "safety/decision" not in {sample.subject for sample in bench.samples}
-    decision = read(bench.decided[0])
-    assert isinstance(decision, Decision)
-    assert (len(bench.decided), decision.request, decision.verdict) == (1, "acquire", Verdict.ACCEPTED)
-    assert (decision.operator, decision.frames_sent) == ("first", 0)
-    bench.tick()
-    assert bench.decided == []
-
-
-@pytest.mark.parametrize("takes", [0, 3, 5])
-def test_a_decision_says_how_many_frames_the_bus_took(takes: int) -> None:
-    """What was asked for is one thing, what went out is another."""
-    bench = Bench()
-    lease = bench.engage()
-    bench.takes = takes
-    bench.ask("renew", lease=lease)
-    bench.tick()
-    assert len(bench.offered) == 5
-    decision = read(bench.decided[0])
-    assert isinstance(decision, Decision)
-    assert decision.frames_sent == takes
-
-
-def test_what_was_sent_is_published_and_what_was_not_is_not() -> None:
-    """Every frame that the bus took, in its order and with the time at which it did; none that it did not take."""
-    bench = Bench()
-    lease = bench.engage()
-    for number in range(60):
-        bench.takes = (100, 2, 100, 0, 4)[number % 5]
-        bench.ask("renew", lease=lease)
-        bench.tick()
-    bench.takes = 100
-    bench.tick(10)
-    published = bench.sent_frames()
-    assert len(published) > 200
-    assert published == bench.taken[: len(published)]
-    assert len(bench.taken) - len(published) <= 25, "the rest is in the batch to come"
 
 
 def test_raw_frames_may_be_left_out() -> None:
@@ -579,14 +466,6 @@ def test_error_frames_tell_the_state_of_the_controller_until_the_bus_is_lost() -
     assert health.controller is ControllerState.UNKNOWN
 
 
-def test_a_standing_gateway_publishes_no_batch_of_sent_frames() -> None:
-    """There are none."""
-    bench = Bench()
-    bench.tick(100)
-    assert "can/{bus}/tx" not in {sample.subject for sample in bench.samples}
-    assert bench.core.is_at_rest
-
-
 @pytest.mark.parametrize(
     ("guard_sends", "spoilt", "is_other"), [(False, False, True), (True, False, False), (False, True, False)]
 )
@@ -601,20 +480,62 @@ def test_whose_command_frames_are_another_computers(*, guard_sends: bool, spoilt
     assert made.command.arbiter.monitor.chassis.commander_ns == (7 if is_other else None)
 
 
+@pytest.mark.parametrize("takes", [0, 3, 5])
+def test_a_decision_says_how_many_frames_the_bus_took(takes: int) -> None:
+    """What was asked for is one thing, what went out is another."""
+    rig, operator = ready()
+    operator.engage()
+    rig.takes = takes
+    operator.reason("renew")
+    assert (rig.decided[-1].request, rig.decided[-1].frames_sent) == ("renew", takes)
+
+
+class Wire(LoopRig):
+    """Notes what went out and when, and what is published of it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.went_out: list[tuple[int, bytes, int]] = []
+        self.published_frames: list[tuple[int, bytes, int]] = []
+
+    def tick(self, count: int = 1) -> None:
+        for _ in range(count):
+            sent = len(self.out)
+            super().tick()
+            self.went_out += [(frame.can_id, frame.data, self.wall_ns) for frame in self.out[sent:]]
+            for sample in self.samples:
+                if sample.subject == "can/{bus}/tx":
+                    batch = read(sample)
+                    assert isinstance(batch, CanFrames)
+                    self.published_frames += zip(batch.can_id, batch.data, batch.frame_time_ns, strict=True)
+
+
+def test_what_was_sent_is_published_and_what_was_not_is_not() -> None:
+    """Every frame that the bus took, in its order and with the time at which it did; none that it did not take."""
+    rig = Wire()
+    rig.run(0.6)
+    assert rig.published_frames == [], "nothing is sent while it stands by"
+    operator = Operator(rig)
+    operator.engage()
+    for number in range(60):
+        rig.takes = (None, 2, None, 0, 4)[number % 5]
+        operator.reason("renew")
+    rig.takes = None
+    rig.tick(10)
+    assert len(rig.published_frames) > 200
+    assert rig.published_frames == rig.went_out[: len(rig.published_frames)]
+    assert len(rig.went_out) - len(rig.published_frames) <= 25, "the rest is in the batch to come"
+
+
 def test_an_end_brings_the_robot_to_rest_first() -> None:
     """It stops, it holds, it disables, and then it is at rest; it cannot be engaged again."""
-    bench = Bench()
-    lease = bench.engage()
-    assert not bench.core.is_at_rest
-    bench.core.shut_down(bench.rig.now_ns)
-    begun_ns = bench.rig.now_ns
-    while not bench.core.is_at_rest:
-        bench.tick()
-        assert bench.rig.now_ns - begun_ns <= REST_TIMEOUT_NS
-    assert not bench.offered
-    assert bench.rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "stop"
-    handle = bench.ask("engage", lease=lease, challenge=CHALLENGE)
-    bench.ask("renew", lease=lease)
-    bench.tick()
-    assert bench.replies[handle] is False
-    assert bench.core.is_at_rest
+    rig, operator = ready()
+    operator.engage()
+    assert not rig.core.is_at_rest
+    rig.core.shut_down(rig.now_ns)
+    rig.until(lambda: rig.core.is_at_rest, REST_TIMEOUT_NS / 1e9)
+    assert not rig.told
+    assert rig.chassis.state.mode is Mode.STOP
+    operator.take_lease()
+    assert operator.reason("engage") is Reason.SHUTDOWN
+    assert rig.core.is_at_rest
