@@ -214,10 +214,12 @@ def test_of_too_many_replies_the_newest_are_dropped_and_counted(watcher: zenoh.S
     """What waits is bounded, however slow the links are."""
     node, _ = open_node(settings("r-1"))
     wait_until(lambda: bool(watcher.info.peers_zid()))
-    asked = watcher.get("fleet/r-1/gateway/info", timeout=20)
+    asked: list[object] = []
     queries: list[zenoh.Query] = []
 
     def take() -> None:
+        # Asked again until it arrives: a node is connected before its queryables are known.
+        asked.append(watcher.get("fleet/r-1/gateway/info", timeout=20))
         query = node._queries.try_recv()
         queries.extend([] if query is None else [query])
 
@@ -227,7 +229,7 @@ def test_of_too_many_replies_the_newest_are_dropped_and_counted(watcher: zenoh.S
         node.replier.send(queries[0], "fleet/r-1/gateway/info", [b""], "")
     assert (node.replier.waiting, node.replier.drops) == (zenoh_node.REPLIES_WAITING, 3)
     node.close()
-    del asked
+    asked.clear()
 
 
 def test_what_is_kept_is_given_piece_by_piece(watcher: zenoh.Session) -> None:
