@@ -21,8 +21,9 @@ from recorder.backfill.holes import HoleFinder, HoleKind
 from recorder.disk.backfill_file import BackfillFiles
 from recorder.disk.log_directory import safe_name
 from recorder.disk.own_logs import OwnLogs
-from recorder.zenoh.backfill_source import BackfillSource, key_matches
+from recorder.zenoh.recorder_client import RecorderClient
 from recorder.zenoh.remote_control import host_name
+from recorder.zenoh.session import key_matches
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, operator_name, recorder_name, robot_name, seconds
 from schemas.exit_codes import CommandError, ExitCode
@@ -146,10 +147,10 @@ def _ask(
     operator = arguments.operator or login_operator()
     library = f"cruiser-gateway {version('cruiser-gateway')}"
     with (
-        closing(BackfillSource(settings.zenoh, settings.robot.root, operator, stopped)) as source,
+        closing(RecorderClient(settings.zenoh, settings.robot.root, operator, stopped)) as client,
         closing(BackfillFiles(library)) as files,
     ):
-        there = source.recorders(arguments.recorder or keys.ALL, arguments.timeout)
+        there = client.recorders(arguments.recorder or keys.ALL, arguments.timeout)
         directory = cache(logs.directory)
 
         def write(message: LoggedBytes, recorder: str) -> None:
@@ -160,7 +161,7 @@ def _ask(
         def learn() -> None:
             OwnLogs(files.parts()).each(filling.hold)
 
-        backfilling = Backfilling(source.ask, filling, topics, write, learn)
+        backfilling = Backfilling(client.backfill, filling, topics, write, learn)
         recorders = backfilling.run(_others(there, settings), stopped)
         if not recorders and not stopped():
             raise CommandError(f"{plain(', '.join(there))} did not answer", ExitCode.UNREACHABLE)

@@ -33,8 +33,8 @@ from recorder.record.recorder import Recorder, RecorderPlan
 from recorder.record.retention import DiskLimits
 from recorder.record.robot_log import LogPlan
 from recorder.zenoh.backfill_server import BackfillServer
-from recorder.zenoh.backfill_source import key_matches
 from recorder.zenoh.remote_control import RemoteControl
+from recorder.zenoh.session import key_matches
 from recorder.zenoh.source import RING_SAMPLE_BYTES, ZenohSource
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Final, Protocol
+from typing import Final
 
 import msgspec
 
@@ -28,28 +28,20 @@ REPLY_NS: Final = 2_000_000_000
 """The longest wait of a reply for the disk; one that ends so says so."""
 
 
-class OperatorRequest(Protocol):
-    """A request, and how to answer it."""
+class OperatorRequest(msgspec.Struct, frozen=True):
+    """A request, and how to answer it.
 
-    @property
-    def operator(self) -> str:
-        """Who asks."""
-        ...
+    Attributes:
+        operator: who asks.
+        request: what is asked, or what is wrong with the payload.
+        reply: sends a reply; several may follow each other.
+        done: says that no more will come; whoever answers must call it.
+    """
 
-    @property
-    def request(self) -> Request | PayloadFault:
-        """The request, or the fault of its payload."""
-        ...
-
-    @property
-    def reply(self) -> Callable[[RecorderReply | BackfillPiece], None]:
-        """Sends a reply."""
-        ...
-
-    @property
-    def done(self) -> Callable[[], None]:
-        """Says that no more will come."""
-        ...
+    operator: str
+    request: Request | PayloadFault
+    reply: Callable[[RecorderReply | BackfillPiece], None]
+    done: Callable[[], None]
 
 
 class _Pending(msgspec.Struct):

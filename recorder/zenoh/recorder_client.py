@@ -1,27 +1,50 @@
-"""Asks recorders over Zenoh."""
+"""Asks recorders over Zenoh for what operators order, and for what their logs hold.
+
+No Python of ours runs on Zenoh's threads.
+"""
 
 from __future__ import annotations
 
+import logging
 import re
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 import msgspec
 import zenoh
 
 from recorder.zenoh.session import open_session
-from schemas import keys
-from schemas.recording import RecorderReply
+from schemas import codec, keys
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.recording import Backfill, BackfillPiece, RecorderReply
 from schemas.requests import Request
 from schemas.settings import ZenohSettings
 from schemas.subjects import RECORDER_BY_VERB, RECORDER_CHUNK
+from schemas.zenoh_link import reason
+
+log = logging.getLogger(__name__)
 
 REPLIES_WAITING: Final = 256
+"""More than a request for a backfill brings: a piece that found no room would hold up Zenoh's own thread."""
 
 LONGEST_S: Final = 86_400.0
 """Zenoh waits no longer than a day."""
 
-_DECODER = msgspec.msgpack.Decoder(RecorderReply)
+BACKFILL_TIMEOUT_S: Final = 180.0
+"""A request for a backfill may wait for five others of 30 s each."""
+
+LOOK_S: Final = 0.3
+"""How long one query waits for recorders to be found; then it is asked again."""
+
+PAUSE_S: Final = 0.5
+"""Before a backfill is asked for again that was refused, or that nobody answered: the link may come back."""
+
+POLL_S: Final = 0.002
+"""How often a reply is looked for."""
+
+_REPLY: Final = msgspec.msgpack.Decoder(RecorderReply)
+_PIECE: Final = msgspec.msgpack.Decoder(BackfillPiece)
 
 
 class RecorderClient:
@@ -31,14 +54,18 @@ class RecorderClient:
         settings: of the session.
         root: the first chunks of the recorders' keys.
         operator: who asks.
+        stopped: give up waiting.
 
     Raises:
         CommandError: the session cannot be opened.
     """
 
-    def __init__(self, settings: ZenohSettings, root: str, operator: str) -> None:
+    def __init__(
+        self, settings: ZenohSettings, root: str, operator: str, stopped: Callable[[], bool] = lambda: False
+    ) -> None:
         self._root = root
         self._operator = operator
+        self._stopped = stopped
         self._name = re.compile(rf"{re.escape(root)}/{RECORDER_CHUNK}/({keys.ROBOT_PATTERN})/.+")
         self._session = open_session(settings)
 
@@ -53,29 +80,100 @@ class RecorderClient:
             request: what is asked.
             timeout_s: how long to wait for replies.
         """
-        row = RECORDER_BY_VERB[verb]
-        replies: Any = self._session.get(
-            keys.recorder_command(self._root, recorder, self._operator, verb),
-            zenoh.handlers.FifoChannel(REPLIES_WAITING),
-            payload=msgspec.msgpack.encode(request),
-            encoding=row.encoding,
+        for sample in self._query(
+            recorder,
+            verb,
+            request,
             target=zenoh.QueryTarget.ALL,
-            consolidation=zenoh.ConsolidationMode.NONE,
             # The replies have it too: a recorder must not wait for the link to a client that does not read.
             congestion_control=zenoh.CongestionControl.DROP,
             timeout=min(timeout_s, LONGEST_S),
-        )
-        for reply in replies:
-            if reply.ok is None:
-                continue
-            name = self._name.fullmatch(str(reply.ok.key_expr))
+        ):
+            name = self._name.fullmatch(str(sample.key_expr))
             if name is None:
                 continue  # Whoever answered so is no recorder of ours...
             try:
-                yield name[1], _DECODER.decode(reply.ok.payload.to_bytes())
+                yield name[1], _REPLY.decode(sample.payload.to_bytes())
             except msgspec.MsgspecError:
                 continue  # ...nor who says what none says.
+
+    def recorders(self, name: str, timeout_s: float) -> list[str]:
+        """The recorders that are there, as soon as there are any; of that name alone unless it is ALL.
+
+        Raises:
+            CommandError: there is none.
+        """
+        key = keys.of_recorder(self._root, name)
+        end_s = time.monotonic() + timeout_s
+        while not self._stopped():
+            handler: Any = zenoh.handlers.FifoChannel(REPLIES_WAITING)
+            replies = self._session.liveliness().get(key, handler, timeout=LOOK_S)
+            found = {str(sample.key_expr).rpartition("/")[2] for sample in self._samples(replies)}
+            if found:
+                return sorted(found)
+            if time.monotonic() >= end_s:
+                break
+        whom = "no recorder answers" if name == keys.ALL else f"recorder {name} does not answer"
+        raise CommandError(whom, ExitCode.UNREACHABLE)
+
+    def backfill(self, recorder: str, request: Backfill) -> Iterator[BackfillPiece]:
+        """The pieces of an answer, as they come; fewer if the link fails.
+
+        Raises:
+            CommandError: the session is closed.
+        """
+        is_answered = False
+        for sample in self._query(
+            recorder,
+            "backfill",
+            request,
+            target=zenoh.QueryTarget.BEST_MATCHING,
+            # The present goes first on a thin link.
+            priority=zenoh.Priority.BACKGROUND,
+            timeout=BACKFILL_TIMEOUT_S,
+        ):
+            if str(sample.key_expr) != self._key(recorder, "backfill"):
+                continue
+            try:
+                piece = _PIECE.decode(sample.payload.to_bytes())
+            except msgspec.MsgspecError as error:
+                log.debug("a piece cannot be read: %s", error)
+                return
+            is_answered = piece.ok
+            yield piece
+        if not is_answered and not self._stopped():
+            time.sleep(PAUSE_S)
 
     def close(self) -> None:
         """Leave Zenoh."""
         self._session.close()
+
+    def _key(self, recorder: str, verb: str) -> str:
+        return keys.recorder_command(self._root, recorder, self._operator, verb)
+
+    def _query(self, recorder: str, verb: str, request: Request | Backfill, **how: Any) -> Iterator[zenoh.Sample]:  # noqa: ANN401 - the options of Zenoh's get
+        try:
+            replies: Any = self._session.get(
+                self._key(recorder, verb),
+                zenoh.handlers.FifoChannel(REPLIES_WAITING),
+                payload=codec.encode(request),
+                encoding=RECORDER_BY_VERB[verb].encoding,
+                # Several replies may have one key, and all of them count.
+                consolidation=zenoh.ConsolidationMode.NONE,
+                **how,
+            )
+        except zenoh.ZError as error:
+            raise CommandError(f"cannot ask: {reason(str(error))}", ExitCode.UNREACHABLE) from error
+        return self._samples(replies)
+
+    def _samples(self, replies: Any) -> Iterator[zenoh.Sample]:  # noqa: ANN401 - Zenoh's handlers have no common type
+        """What comes, until nothing more will."""
+        try:
+            while not self._stopped():
+                reply = replies.try_recv()
+                if reply is None:
+                    time.sleep(POLL_S)
+                elif reply.ok is not None:
+                    yield reply.ok
+        except zenoh.ZError:
+            return  # Zenoh's way to say that the query has ended.

@@ -20,6 +20,7 @@ from typing import Any, Final
 import msgspec
 import zenoh
 
+from recorder.record.orders import OperatorRequest
 from recorder.zenoh.session import listen_beside, open_session
 from schemas import codec, keys
 from schemas.codec import PayloadFault
@@ -28,7 +29,7 @@ from schemas.printable import plain
 from schemas.recording import BackfillPiece, RecorderReply
 from schemas.requests import Request
 from schemas.settings import Settings
-from schemas.subjects import RECORDER_BY_VERB, RECORDER_SUBJECTS, RecorderCommand
+from schemas.subjects import RECORDER_BY_VERB, RECORDER_SUBJECTS
 
 log = logging.getLogger(__name__)
 
@@ -52,23 +53,6 @@ NAMESAKES_PAUSE_S: Final = 0.05
 """Pause between two queries for other recorders at the start."""
 
 NAMESAKES_MAX: Final = 100
-
-
-class ZenohRequest(msgspec.Struct, frozen=True):
-    """A request, and how to answer it.
-
-    Attributes:
-        verb: its row of the table of verbs.
-        request: what is asked, or what is wrong with the payload.
-        reply: sends a reply; several may follow each other.
-        done: says that no more will come; the caller must say so.
-    """
-
-    verb: RecorderCommand
-    operator: str
-    request: Request | PayloadFault
-    reply: Callable[[RecorderReply | BackfillPiece], None]
-    done: Callable[[], None]
 
 
 class RemoteControl:
@@ -115,7 +99,7 @@ class RemoteControl:
         except zenoh.ZError as error:
             log.debug("Zenoh does not take it: %s", error)
 
-    def drain(self) -> Iterator[ZenohRequest]:
+    def drain(self) -> Iterator[OperatorRequest]:
         """The requests that have come in."""
         self._loop_thread = threading.get_ident()
         for _ in range(REQUESTS_PER_PASS):
@@ -133,7 +117,7 @@ class RemoteControl:
         self._replier.shutdown(cancel_futures=True)
         self._session.close()
 
-    def _asked(self, query: zenoh.Query) -> ZenohRequest | None:
+    def _asked(self, query: zenoh.Query) -> OperatorRequest | None:
         operator, name = keys.parse_command(str(query.key_expr))
         verb = RECORDER_BY_VERB.get(name)
         if verb is None or not operator:
@@ -158,7 +142,7 @@ class RemoteControl:
         def reply(answer: RecorderReply | BackfillPiece) -> None:
             self._off_the_loop(partial(send, answer))
 
-        return ZenohRequest(verb, operator, request, reply, partial(self._off_the_loop, query.drop))
+        return OperatorRequest(operator, request, reply, partial(self._off_the_loop, query.drop))
 
     def _off_the_loop(self, work: Callable[[], None]) -> None:
         """Do what may wait for somebody's link: where the loop asks for it, on a thread that may."""

@@ -1,4 +1,4 @@
-"""Opens Zenoh sessions as the settings say."""
+"""Opens Zenoh sessions as the settings say, and matches keys as Zenoh does."""
 
 from __future__ import annotations
 
@@ -63,6 +63,14 @@ def _open(config: zenoh.Config, listen: Sequence[str]) -> zenoh.Session:
     except zenoh.ZError as error:
         on = f", listening on {', '.join(listen)}" if listen else ""
         raise CommandError(f"cannot join Zenoh{on}: {reason(str(error))}", ExitCode.UNREACHABLE) from error
+
+
+def key_matches(expression: str, topic: str) -> bool:
+    """True if a Zenoh key expression matches a topic. False of what is no key expression."""
+    try:
+        return zenoh.KeyExpr.autocanonize(expression).includes(zenoh.KeyExpr(topic))
+    except zenoh.ZError:
+        return expression == topic
 
 
 def said_of(settings: ZenohSettings) -> ZenohChoice:

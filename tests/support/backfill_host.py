@@ -10,7 +10,7 @@ import msgspec
 import zenoh
 
 from recorder.zenoh.backfill_server import BackfillServer
-from recorder.zenoh.backfill_source import key_matches
+from recorder.zenoh.session import key_matches
 from schemas import codec, keys
 from schemas.recording import Backfill, BackfillPiece
 from schemas.settings import ZenohSettings

@@ -15,6 +15,7 @@ from recorder.encoding.received_sample import ReceivedSample
 from recorder.mcap.writer import McapFile
 from recorder.record.actions import Action, CloseLog, DeclareChannel, LogAction, OpenLog, Publish, WriteChunk
 from recorder.record.notices import Ended, Lost, Notice, Opened
+from recorder.record.orders import OperatorRequest
 from recorder.record.recorder import RecorderPlan
 from recorder.record.robot_log import LogContext, LogPlan, RobotLog
 from schemas import codec, keys
@@ -335,10 +336,8 @@ class FakeSource:
 class FakeAsked:
     """A request that remembers what it was told."""
 
-    operator = "operator-1"
-
     def __init__(self, request: Request | PayloadFault) -> None:
-        self.request = request
+        self.asked = OperatorRequest("operator-1", request, self.reply, self.done)
         self.replies: list[RecorderReply | BackfillPiece] = []
         self.is_done = False
 

@@ -26,6 +26,7 @@ from recorder.record.actions import Action
 from recorder.record.health import HealthReport
 from recorder.record.inbox import SampleInbox
 from recorder.record.notices import Deleted, DiskRoom, Notice
+from recorder.record.orders import OperatorRequest
 from recorder.record.recorder import Recorder
 from recorder.record.robot_log import CONTINUED_NAME, LogPlan
 from recorder.review.check import check_log
@@ -296,10 +297,10 @@ class FakeControl:
     def is_served(self) -> bool:
         return all(asked.is_done for asked in self.asked)
 
-    def drain(self) -> list[FakeAsked]:
+    def drain(self) -> list[OperatorRequest]:
         if self._sent < len(self.asked) and all(asked.is_done for asked in self.asked[: self._sent]):
             self._sent += 1
-            return [self.asked[self._sent - 1]]
+            return [self.asked[self._sent - 1].asked]
         return []
 
     def publish(self, message: Message) -> None:
@@ -324,7 +325,7 @@ def test_operators_are_obeyed_and_told(tmp_path: Path) -> None:
     one.obey(control, backfill)
     recorded = one.run(lambda: control.is_served)
     status, mark, split, stop, start = (asked.answer for asked in control.asked[:-1])
-    assert backfills == [control.asked[-1]]
+    assert backfills == [control.asked[-1].asked]
     assert [answer.health.state for answer in (status, stop, start)] == [
         RecorderState.RECORDING,
         RecorderState.STOPPED,

@@ -12,8 +12,9 @@ import msgspec
 import pytest
 import zenoh
 
+from recorder.record.orders import OperatorRequest
 from recorder.zenoh import remote_control
-from recorder.zenoh.remote_control import RemoteControl, ZenohRequest, host_name
+from recorder.zenoh.remote_control import RemoteControl, host_name
 from recorder.zenoh.session import open_session
 from schemas import codec, keys
 from schemas.codec import PayloadFault
@@ -95,18 +96,18 @@ class Pair:
     def __init__(self, control: RemoteControl, client: Client) -> None:
         self.control = control
         self.client = client
-        self.asked: list[ZenohRequest] = []
+        self.asked: list[OperatorRequest] = []
         wait_until(lambda: bool(self.take("status")))
 
     def key(self, verb: str, operator: str = "operator-1", recorder: str = "bench") -> str:
         return f"fleet/@recorder/{recorder}/@cmd/{operator}/{verb}"
 
-    def take(self, verb: str, payload: bytes | None = b"", operator: str = "operator-1") -> list[ZenohRequest]:
+    def take(self, verb: str, payload: bytes | None = b"", operator: str = "operator-1") -> list[OperatorRequest]:
         """Send a request; what comes in of it, or of those before it."""
         self.client.ask(self.key(verb, operator), payload)
         return list(self.control.drain())
 
-    def next(self) -> ZenohRequest:
+    def next(self) -> OperatorRequest:
         """The next request that comes in."""
 
         def has_come() -> bool:
@@ -165,7 +166,7 @@ def test_a_request_comes_in_with_who_asks(pair: Pair, verb: str, payload: bytes 
     """Typed, as the table of verbs has it."""
     pair.client.ask(pair.key(verb), payload)
     asked = pair.next()
-    assert (asked.verb, asked.operator, asked.request) == (RECORDER_BY_VERB[verb], "operator-1", request_)
+    assert (asked.operator, asked.request) == ("operator-1", request_)
     asked.done()
 
 

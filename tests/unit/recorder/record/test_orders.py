@@ -36,7 +36,7 @@ class Desk:
 
     def ask(self, request: Request | PayloadFault) -> FakeAsked:
         asked = FakeAsked(request)
-        self.writer.apply(self.orders.obey(asked, self.now_ns, WALL_NS))
+        self.writer.apply(self.orders.obey(asked.asked, self.now_ns, WALL_NS))
         return asked
 
     def notice(self, only: Callable[[str], bool] = lambda _: True) -> None:
@@ -168,7 +168,7 @@ def test_a_backfill_is_handed_on() -> None:
     """It is answered where it takes its time."""
     desk = Desk()
     asked = desk.ask(BACKFILL)
-    assert desk.backfills == [asked]
+    assert desk.backfills == [asked.asked]
     assert not asked.replies
     assert not asked.is_done
 
@@ -214,6 +214,6 @@ def test_the_files_are_ended_by_what_is_returned() -> None:
     desk = Desk()
     desk.receive("a")
     desk.notice()
-    actions = desk.orders.obey(FakeAsked(Split()), 0, WALL_NS)
+    actions = desk.orders.obey(FakeAsked(Split()).asked, 0, WALL_NS)
     assert actions[-1] == CloseLog("a")
     desk.writer.apply(actions)
