@@ -6,7 +6,6 @@ import argparse
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
-from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -21,6 +20,7 @@ from recorder.backfill.holes import HoleFinder, HoleKind
 from recorder.disk.backfill_file import BackfillFiles
 from recorder.disk.log_directory import safe_name
 from recorder.disk.own_logs import OwnLogs
+from recorder.reading.times import in_words
 from recorder.zenoh.recorder_client import RecorderClient
 from recorder.zenoh.remote_control import host_name
 from recorder.zenoh.session import key_matches
@@ -222,7 +222,7 @@ def describe(result: Backfilled) -> str:
 def _describe_hole(hole: Filled) -> str:
     length_s = (hole.to_ns - hole.from_ns) / 1e9
     missing = "an unknown number" if hole.missing is None else str(hole.missing)
-    text = f"{hole.topic}  {_time(hole.from_ns)}  {length_s:.3f} s  {_WHY[hole.kind]}: {missing} missing"
+    text = f"{hole.topic}  {in_words(hole.from_ns)}  {length_s:.3f} s  {_WHY[hole.kind]}: {missing} missing"
     still = "nothing known" if hole.still_missing is None else str(hole.still_missing)
     return f"{text}, {hole.filled} messages filled, {still} still missing"
 
@@ -233,12 +233,3 @@ _WHY: Final = {
     HoleKind.DROPPED: "dropped by the recorder",
     HoleKind.SILENCE: "silence",
 }
-
-
-def _time(time_ns: int) -> str:
-    """A time for people; MCAP's times reach further than the calendar's."""
-    try:
-        whole = datetime.fromtimestamp(time_ns // 1_000_000_000, UTC)
-    except (ValueError, OverflowError, OSError):
-        return f"{time_ns} ns"
-    return f"{whole:%Y-%m-%d %H:%M:%S}.{time_ns % 1_000_000_000 // 1_000_000:03d} UTC"

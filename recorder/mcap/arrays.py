@@ -128,7 +128,7 @@ def proven_places(content: Bytes, size: int, chunks: Sequence[Indexed]) -> dict[
 
 def walked_places(block: MessageBlock) -> tuple[dict[int, Places], list[Declared | Fault]]:
     """The places of the messages of each channel, record by record; and all else that is there."""
-    index, others = block.index()
+    index, others = block.read_index()
     content = np.frombuffer(block.content + bytes(PADDING), np.uint8)
     found = {}
     for channel, entries in index.items():

@@ -107,8 +107,8 @@ class MessageBlock(msgspec.Struct, frozen=True):
         except BROKEN as error:
             yield self._fault(error)
 
-    def index(self) -> tuple[Index, list[Declared | Fault]]:
-        """Where the messages are, and all else that is there; a Fault is the last."""
+    def read_index(self) -> tuple[Index, list[Declared | Fault]]:
+        """Where the messages are, record by record, and all else that is there; a Fault is the last."""
         index, declared, error = _index_of(self.content)
         return index, [*declared, *([] if error is None else [self._fault(error)])]
 
@@ -208,6 +208,13 @@ class PackedChunk(msgspec.Struct, frozen=True):
     def messages(self) -> Iterator[LoggedMessage | Declared | Fault]:
         """The records one by one; a Fault is the last, and the only one of a chunk that cannot be unpacked."""
         return messages_at(self.stream, self.offset, self.length)
+
+    def read_index(self) -> tuple[Index, list[Declared | Fault]]:
+        """As ``MessageBlock.read_index``, whatever the message indexes say."""
+        try:
+            return self.unpack().read_index()
+        except DamagedError as error:
+            return {}, [Fault(self.offset, f"a chunk cannot be read: {error}")]
 
     def described(self) -> IndexedChunk:
         """The chunk as the summary's index should describe it; of a chunk that can be unpacked."""

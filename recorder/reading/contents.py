@@ -6,9 +6,7 @@ that does not tell all, record by record, with a look into those chunks alone th
 
 from __future__ import annotations
 
-from array import array
 from collections import Counter
-from collections.abc import Mapping
 from typing import BinaryIO, TypeVar
 
 import msgspec
@@ -18,11 +16,10 @@ from recorder.mcap.reader import (
     DamagedError,
     End,
     Fault,
-    LoggedMessage,
+    Index,
     MessageBlock,
     PackedChunk,
     Piece,
-    Walked,
     read_pieces,
     record_at,
 )
@@ -169,13 +166,16 @@ def _record(stream: BinaryIO, offset: int, kind: type[Kind]) -> Kind | None:
         return None
 
 
-def _take(contents: Contents, piece: Piece | Walked) -> None:
+def _take(contents: Contents, piece: Piece) -> None:
     match piece:
         case PackedChunk() if piece.index is not None and piece.index.keys() <= contents.channels.keys():
             _count(contents, piece.index, piece.offset)
         case PackedChunk() | MessageBlock():
             # Others declare channels within chunks.
-            _take_messages(contents, piece)
+            index, others = piece.read_index()
+            for one in others:
+                _take(contents, one)
+            _count(contents, index, piece.offset)
         case records.Schema():
             contents.schemas.setdefault(piece.id, piece)
         case records.Channel():
@@ -193,17 +193,7 @@ def _take(contents: Contents, piece: Piece | Walked) -> None:
             pass
 
 
-def _take_messages(contents: Contents, piece: PackedChunk | MessageBlock) -> None:
-    index: dict[int, array[int]] = {}
-    for found in piece.messages():
-        if isinstance(found, LoggedMessage):
-            index.setdefault(found.channel_id, array("Q")).extend((found.log_ns, 0))
-        else:
-            _take(contents, found)
-    _count(contents, index, piece.offset)
-
-
-def _count(contents: Contents, index: Mapping[int, array[int]], offset: int) -> None:
+def _count(contents: Contents, index: Index, offset: int) -> None:
     """Takes messages by their index: log times and offsets in turns."""
     for channel_id, entries in index.items():
         if not entries:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from typing import BinaryIO, Final
+from typing import Final
 
 from mcap import records
 
-from recorder.mcap.reader import DamagedError, Fault, LoggedMessage, MessageBlock, PackedChunk, read_pieces
+from recorder.mcap.reader import DamagedError, Fault, Index, MessageBlock, PackedChunk, read_pieces
 from recorder.mcap.summary_reader import read_summary
-from recorder.reading.declared import Declared
 from recorder.reading.log_file import LogFile
+from recorder.reading.topics import Declared
 
 Window = tuple[int, int]
 """From the first to the last log time, in nanoseconds since 1970."""
@@ -67,13 +67,23 @@ def _times_in(log: LogFile, windows: Sequence[Window]) -> list[Times]:
     declared = Declared()
     with suppress(OSError), log.path.open("rb") as stream:
         declared.take_summary(read_summary(stream))
-        for (start_ns, end_ns), channel_id, times in _times(stream, log.bytes, windows, declared):
-            for (first_ns, last_ns), of_window in zip(windows, found, strict=True):
-                if start_ns <= last_ns and first_ns <= end_ns:
-                    is_all = first_ns <= start_ns and end_ns <= last_ns
-                    inside = times if is_all else [one for one in times if first_ns <= one <= last_ns]
-                    of_window.setdefault(channel_id, array("Q")).extend(inside)
+        for piece in read_pieces(stream, log.bytes, is_verifying=False):
+            if isinstance(piece, records.Schema | records.Channel):
+                declared.take(piece)
+            elif isinstance(piece, PackedChunk | MessageBlock):
+                for channel_id, entries in _index(piece, windows, declared).items():
+                    _add_inside(found, windows, channel_id, entries[::2])
     return [_by_topic(of_window, declared) for of_window in found]
+
+
+def _add_inside(
+    found: list[dict[int, array[int]]], windows: Sequence[Window], channel_id: int, times: array[int]
+) -> None:
+    start_ns, end_ns = min(times, default=0), max(times, default=0)
+    for (first_ns, last_ns), of_window in zip(windows, found, strict=True):
+        is_all = first_ns <= start_ns and end_ns <= last_ns
+        inside = times if is_all else [one for one in times if first_ns <= one <= last_ns]
+        of_window.setdefault(channel_id, array("Q")).extend(inside)
 
 
 def _by_topic(found: dict[int, array[int]], declared: Declared) -> Times:
@@ -85,33 +95,18 @@ def _by_topic(found: dict[int, array[int]], declared: Declared) -> Times:
     return {topic: array("Q", sorted(unsorted)) for topic, unsorted in times.items()}
 
 
-def _times(
-    stream: BinaryIO, size: int, windows: Sequence[Window], declared: Declared
-) -> Iterator[tuple[Window, int, Sequence[int]]]:
-    """Within which times, channel id, and log times of messages; chunks that lie in no window are passed over."""
-    for piece in read_pieces(stream, size, is_verifying=False):
-        if isinstance(piece, PackedChunk):
-            if any(piece.start_ns <= last_ns and first_ns <= piece.end_ns for first_ns, last_ns in windows):
-                yield from _of_chunk(piece, declared)
-        elif isinstance(piece, MessageBlock):
-            yield from _one_by_one(piece, declared)
-        elif isinstance(piece, records.Schema | records.Channel):
-            declared.take(piece)
-
-
-def _of_chunk(chunk: PackedChunk, declared: Declared) -> Iterator[tuple[Window, int, Sequence[int]]]:
-    with suppress(DamagedError):
-        block = chunk.unpack()
-        if chunk.index is None or not chunk.index.keys() <= declared.topics.keys():
-            yield from _one_by_one(block, declared)
-            return
-        within = chunk.start_ns, chunk.end_ns
-        yield from ((within, channel_id, entries[::2]) for channel_id, entries in chunk.index.items())
-
-
-def _one_by_one(block: MessageBlock, declared: Declared) -> Iterator[tuple[Window, int, Sequence[int]]]:
-    for one in block.messages():
-        if isinstance(one, LoggedMessage):
-            yield (one.log_ns, one.log_ns), one.channel_id, (one.log_ns,)
-        elif not isinstance(one, Fault):
+def _index(piece: PackedChunk | MessageBlock, windows: Sequence[Window], declared: Declared) -> Index:
+    """Where the messages of a piece are; none of a chunk that lies in no window, or is damaged."""
+    if isinstance(piece, PackedChunk):
+        if not any(piece.start_ns <= last_ns and first_ns <= piece.end_ns for first_ns, last_ns in windows):
+            return {}
+        if piece.index is not None and piece.index.keys() <= declared.topics.keys():
+            with suppress(DamagedError):
+                piece.unpack()
+                return piece.index
+            return {}
+    index, others = piece.read_index()
+    for one in others:
+        if not isinstance(one, Fault):
             declared.take(one)
+    return index

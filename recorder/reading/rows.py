@@ -16,10 +16,9 @@ from mcap import records
 
 from recorder.mcap.reader import DamagedError, Fault, Index, LoggedMessage, MessageBlock, PackedChunk, read_pieces
 from recorder.mcap.summary_reader import read_summary
-from recorder.reading.declared import Declared
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
-from recorder.reading.topics import Topic
+from recorder.reading.topics import Declared, Topic
 
 END_OF_TIME_NS: Final = 2**64
 """Later than every log time."""

@@ -11,11 +11,10 @@ from mcap import records
 
 from recorder.mcap.reader import DamagedError, record_at
 from recorder.mcap.summary_reader import read_summary
-from recorder.reading.declared import Declared
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import LogReader, Selection, no_topic
-from recorder.reading.topics import Topic
+from recorder.reading.topics import Declared, Topic
 
 
 class Survey(msgspec.Struct):

@@ -22,6 +22,7 @@ from msgspec import inspect
 from recorder.encoding.foxglove_log import LOG_CHUNK
 from recorder.encoding.protobuf_schema import LOGGED, fields, message_class, optional_part, schema_name
 from recorder.encoding.routes import RAW_CHUNK
+from recorder.mcap.summary_reader import LogSummary
 from schemas import keys
 
 UNREADABLE: Final = (DecodeError, ValueError, TypeError, KeyError, IndexError, RecursionError)
@@ -92,6 +93,40 @@ def topic_of(
         subject="" if parts is None else parts.subject.name,
         decode=decode,
     )
+
+
+class Declared:
+    """The topics of one log, as far as its records have declared them; each channel counts once.
+
+    Args:
+        namesakes: names that robots under several roots have.
+
+    Attributes:
+        topics: by channel id.
+    """
+
+    def __init__(self, namesakes: frozenset[str] = frozenset()) -> None:
+        self.topics: dict[int, Topic] = {}
+        self._schemas: dict[int, records.Schema] = {}
+        self._namesakes = namesakes
+
+    def take(self, record: records.Schema | records.Channel) -> list[tuple[int, Topic]]:
+        """The channel id and the topic, if it is new."""
+        if isinstance(record, records.Schema):
+            self._schemas.setdefault(record.id, record)
+            return []
+        if record.id in self.topics:
+            return []
+        topic = topic_of(record, self._schemas.get(record.schema_id), self._namesakes)
+        self.topics[record.id] = topic
+        return [(record.id, topic)]
+
+    def take_summary(self, summary: LogSummary | None) -> list[tuple[int, Topic]]:
+        """Those that the summary repeats. Other people's recorders declare channels within chunks only."""
+        if summary is None:
+            return []
+        found: list[records.Schema | records.Channel] = [*summary.schemas.values(), *summary.channels.values()]
+        return [new for one in found for new in self.take(one)]
 
 
 def key_of(topic: str) -> tuple[str, str]:

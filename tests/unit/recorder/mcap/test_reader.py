@@ -70,7 +70,7 @@ def test_a_chunk_tells_what_is_in_it_before_it_is_unpacked() -> None:
     for number, chunk in enumerate(chunks(LOG), start=1):
         assert (chunk.start_ns, chunk.end_ns) == (100 * number, 100 * number + 20)
         block = chunk.unpack()
-        assert chunk.index == block.index()[0]
+        assert chunk.index == block.read_index()[0]
         assert chunk.places == {1: chunk.offset + chunk.length}
         assert LOG[chunk.places[1]] == 7
         assert [MESSAGE_HEADER.unpack_from(block.content, start)[3] for start in chunk.index[1][1::2]] == [

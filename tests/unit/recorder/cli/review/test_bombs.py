@@ -42,7 +42,7 @@ def test_zeros_are_no_records() -> None:
     """Nine of them would look like one, and a chunk holds millions."""
     zeros = MessageBlock(7, bytes(1_000_000))
     assert list(zeros.messages()) == [Fault(7, NO_RECORD)]
-    assert zeros.index() == ({}, [Fault(7, NO_RECORD)])
+    assert zeros.read_index() == ({}, [Fault(7, NO_RECORD)])
     with pytest.raises(DamagedError, match=NO_RECORD):
         zeros.columns()
 
