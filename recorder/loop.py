@@ -14,14 +14,15 @@ from typing import Final, Protocol
 
 import msgspec
 
-from recorder.disk.keeper import DiskKeeper
+from recorder.disk.keeper import DiskKeeper, DiskUse
+from recorder.disk.leftovers import LeftoverThread
 from recorder.disk.log_writer import LogWriter
 from recorder.encoding.received_sample import ReceivedSample
 from recorder.record.accounting import KeyReport, total
 from recorder.record.actions import Action, LogAction, Publish, Query
 from recorder.record.health import HealthReport, Vitals
 from recorder.record.inbox import SampleInbox
-from recorder.record.notices import DiskBack, Notice
+from recorder.record.notices import DiskBack
 from recorder.record.orders import OperatorRequest, Orders
 from recorder.record.recorder import Recorder
 from schemas.messages import Message
@@ -140,10 +141,6 @@ class Recorded(msgspec.Struct, frozen=True):
     unfinished: int = 0
 
 
-def _nothing() -> None:
-    """Nothing is to be done."""
-
-
 class RecorderLoop:
     """Runs a recorder.
 
@@ -153,6 +150,8 @@ class RecorderLoop:
         writer: where files are written; it is closed at the end.
         inbox: where samples wait.
         health: makes the report of each second.
+        keeper: says what room the disk has.
+        leftovers: recovers what a fault of the disk left, when the disk takes the logs again.
     """
 
     def __init__(
@@ -162,6 +161,8 @@ class RecorderLoop:
         writer: LogWriter,
         inbox: SampleInbox,
         health: HealthReport,
+        keeper: DiskKeeper | None = None,
+        leftovers: LeftoverThread | None = None,
     ) -> None:
         self._recorder = recorder
         self._source = source
@@ -172,27 +173,14 @@ class RecorderLoop:
         self._ticked_ns = self._link_seen_ns = 0
         self._control: Control | None = None
         self._orders: Orders | None = None
-        self._keeper: DiskKeeper | None = None
-        self._notices: list[Callable[[], Iterable[Notice]]] = [writer.notices]
-        self._act_when_back: Callable[[], None] = _nothing
+        self._keeper = keeper
+        self._leftovers = leftovers
+        self._reporters = [one for one in (writer, keeper, leftovers) if one is not None]
 
     def obey(self, control: Control, backfill: Callable[[OperatorRequest], None]) -> None:
         """Obey operators, and publish events, gaps and health."""
         self._control = control
         self._orders = Orders(self._recorder, self._health_now, backfill)
-
-    def add_notices(self, notices: Callable[[], Iterable[Notice]]) -> None:
-        """Have these notices reach the recorder, too."""
-        self._notices.append(notices)
-
-    def when_back(self, act: Callable[[], None]) -> None:
-        """Set what is called each time that the disk takes the logs again. It must not wait for the disk."""
-        self._act_when_back = act
-
-    def watch(self, keeper: DiskKeeper) -> None:
-        """Stop and resume as the disk has room."""
-        self._keeper = keeper
-        self._notices.append(keeper.notices)
 
     def run(self, stopped: Callable[[], bool], rolls: Callable[[], bool] = lambda: False) -> Recorded:
         """Record until stopped, whatever the disk does. A new file begins each time ``rolls()`` is true."""
@@ -265,12 +253,12 @@ class RecorderLoop:
                 self._recorder.drop(key, GapReason.QUEUE, time.monotonic_ns(), received_ns)
 
     def _receive_notices(self, now_ns: int, wall_ns: int) -> None:
-        for notices in self._notices:
-            for notice in notices():
+        for reporter in self._reporters:
+            for notice in reporter.notices():
                 if self._orders is not None:
                     self._orders.receive_notice(notice)
-                if isinstance(notice, DiskBack):
-                    self._act_when_back()
+                if isinstance(notice, DiskBack) and self._leftovers is not None:
+                    self._leftovers.look_again()
                 self._apply(self._recorder.receive_notice(notice, now_ns, wall_ns))
 
     def _obey(self, control: Control, now_ns: int, wall_ns: int) -> None:
@@ -279,23 +267,23 @@ class RecorderLoop:
                 self._apply(self._orders.obey(asked, now_ns, wall_ns))
             self._orders.tick(now_ns)
         if self._health.is_due(now_ns):
-            control.publish(self._health.next(self._recorder, self._vitals(), now_ns, wall_ns))
+            cpu_ns = time.process_time_ns()
+            control.publish(self._health.next(self._recorder, self._vitals(), cpu_ns, now_ns, wall_ns))
 
     def _health_now(self) -> RecorderHealth:
         return self._health.now(self._recorder, self._vitals(), time.monotonic_ns(), time.time_ns())
 
     def _vitals(self) -> Vitals:
-        use = self._keeper.use if self._keeper is not None else None
+        use = DiskUse() if self._keeper is None else self._keeper.use
         return Vitals(
             files=len(self._writer.sizes),
             files_ended=self._writer.files,
             ended_bytes=self._writer.bytes,
             queue_bytes=self._inbox.bytes,
             disk_queue_bytes=self._writer.waiting_bytes,
-            disk_free_bytes=use.free if use else 0,
-            disk_used_bytes=use.used if use else 0,
-            incident_bytes=use.incidents if use else 0,
-            cpu_ns=time.process_time_ns(),
+            disk_free_bytes=use.free,
+            disk_used_bytes=use.used,
+            incident_bytes=use.incidents,
         )
 
     def _watch_link(self) -> None:

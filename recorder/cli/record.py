@@ -163,13 +163,11 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
             writer,
             SampleInbox(recorder.queue_bytes),
             HealthReport(control.name, release, time.monotonic_ns()),
+            keeper,
+            leftovers,
         )
-        loop.watch(keeper)
-        loop.add_notices(leftovers.notices)
-        loop.when_back(leftovers.look_again)
-        loop.obey(
-            control, partial(_answer_backfill, stack.enter_context(closing(BackfillServer(path, key_matches))))
-        )
+        server = stack.enter_context(closing(BackfillServer(path, key_matches)))
+        loop.obey(control, partial(_answer_backfill, server))
         recorded = loop.run(ending_after(stopped, arguments.seconds, time.monotonic), rolls)
     leftovers.wait(LEFTOVERS_S)
     if not recorded.is_hung:

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
-from datetime import UTC, datetime
 from io import FileIO
 from pathlib import Path
 from typing import Final
 
 from recorder.backfill.backfilling import BACKFILLED_FROM
 from recorder.backfill.excerpt import LoggedBytes
-from recorder.disk.log_directory import PART_SUFFIX, SUFFIX, free_path, lock
-from recorder.disk.part_file import sync_directory
+from recorder.disk.log_directory import PART_SUFFIX, SUFFIX, free_path, lock, start_in_name
+from recorder.disk.part_file import clear_errors, sync_directory
 from recorder.mcap.channel import LogChannel
 from recorder.mcap.chunk import ChunkBuilder
 from recorder.mcap.writer import McapFile
-from schemas.exit_codes import CommandError
-from schemas.printable import plain
 
 BACKFILL_NAME: Final = "cruiser.backfill"
 """The metadata record that says where the messages are from, and what is missing still."""
@@ -41,8 +36,8 @@ class BackfillFile:
     """
 
     def __init__(self, directory: Path, name: str, start_ns: int, library: str) -> None:
-        stem = f"{name}-{_stamp(start_ns)}{INFIX}"
-        with _clear_errors(directory):
+        stem = f"{name}-{start_in_name(start_ns)}{INFIX}"
+        with clear_errors(directory):
             self.path = free_path(directory, stem, SUFFIX)
             self.part = self.path.with_name(self.path.name.removesuffix(SUFFIX) + PART_SUFFIX)
             self._stream = FileIO(self.part, "xb")
@@ -63,7 +58,7 @@ class BackfillFile:
         channel = message.channel
         key = channel.topic, channel.schema_name, recorder
         number = self._ids.get(key)
-        with _clear_errors(self.part):
+        with clear_errors(self.part):
             if number is None:
                 number = self._ids[key] = len(self._ids) + 1
                 self._schemas[channel.schema_name] = channel.schema_data
@@ -83,13 +78,13 @@ class BackfillFile:
         """Have all that was written be in the file."""
         chunk = self._chunk.seal()
         if chunk is not None:
-            with _clear_errors(self.part):
+            with clear_errors(self.part):
                 self._mcap.write_chunk(chunk)
 
     def finish(self, about: dict[str, str]) -> Path:
         """Make it whole, on the disk, and give it its name."""
         self.flush()
-        with _clear_errors(self.part):
+        with clear_errors(self.part):
             self._mcap.add_metadata(BACKFILL_NAME, about)
             self._mcap.finish()
             os.fsync(self._stream.fileno())
@@ -139,19 +134,3 @@ class BackfillFiles:
         for files in self._files.values():
             for file in files:
                 file.close()
-
-
-def _stamp(time_ns: int) -> str:
-    """A time in a file's name; MCAP's times reach further than the calendar's."""
-    try:
-        return datetime.fromtimestamp(time_ns // 1_000_000_000, UTC).strftime("%Y%m%dT%H%M%SZ")
-    except (ValueError, OverflowError, OSError):
-        return str(time_ns)
-
-
-@contextmanager
-def _clear_errors(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise CommandError(f"cannot write {plain(str(path))}: {error.strerror or error}") from error

@@ -84,18 +84,17 @@ def recover(path: Path, library: str, *, set_aside: bool = False) -> Recovery:
         library: who writes, for the header of a copy.
         set_aside: rename a file of which nothing can be read, so that nobody tries it again.
     """
+    name = str(path)
     try:
         with path.open("r+b") as stream:
             if not lock(stream.fileno()):
-                return Recovery(str(path), RecoveryOutcome.BUSY, str(path), detail="a recorder is writing it")
+                return Recovery(name, RecoveryOutcome.BUSY, name, detail="a recorder is writing it")
             # Its writer may have renamed it before the lock was ours.
             if not os.path.samestat(path.stat(), os.fstat(stream.fileno())):
-                return Recovery(
-                    str(path), RecoveryOutcome.BUSY, str(path), detail="a recorder has just written it"
-                )
+                return Recovery(name, RecoveryOutcome.BUSY, name, detail="a recorder has just written it")
             return _recover(path, stream, library, set_aside=set_aside)
     except OSError as error:
-        return Recovery(str(path), RecoveryOutcome.FAILED, str(path), detail=error.strerror or str(error))
+        return Recovery(name, RecoveryOutcome.FAILED, name, detail=error.strerror or str(error))
 
 
 def _recover(path: Path, stream: BinaryIO, library: str, *, set_aside: bool) -> Recovery:
@@ -115,16 +114,10 @@ def _recover(path: Path, stream: BinaryIO, library: str, *, set_aside: bool) -> 
         _finish(stream, found)
     os.fsync(stream.fileno())
     result = _rename(path, SUFFIX) if path.name.endswith(PART_SUFFIX) else path
-    outcome = (
-        RecoveryOutcome.WHOLE
-        if found.is_whole
-        else RecoveryOutcome.DAMAGED
-        if kept_rest
-        else RecoveryOutcome.RECOVERED
-    )
+    whole_now = RecoveryOutcome.DAMAGED if kept_rest else RecoveryOutcome.RECOVERED
     return Recovery(
         str(path),
-        outcome,
+        RecoveryOutcome.WHOLE if found.is_whole else whole_now,
         str(result),
         messages=found.messages,
         chunks=found.chunks,

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Final
 
 from recorder.disk.part_file import PartFile, clear_errors, sync_directory
+from recorder.record.retention import START_FORMAT
 from schemas.exit_codes import CommandError
 
 SUFFIX: Final = ".mcap"
@@ -60,8 +61,7 @@ class LogDirectory:
         Raises:
             CommandError: the file cannot be made.
         """
-        start = datetime.fromtimestamp(wall_ns // 1_000_000_000, UTC).strftime("%Y%m%dT%H%M%SZ")
-        stem = f"{safe_name(name)}-{start}{INCIDENT_SUFFIX if is_incident else ''}"
+        stem = f"{safe_name(name)}-{start_in_name(wall_ns)}{INCIDENT_SUFFIX if is_incident else ''}"
         with clear_errors(self._path):
             self._make_again()
             part, path, stream = self._create(stem)
@@ -109,6 +109,11 @@ class LogDirectory:
 def safe_name(text: str) -> str:
     """The text as the beginning of a file's name on any system; no command takes such a name for an option."""
     return re.sub(r"^-|[^A-Za-z0-9._-]+", "_", text.lstrip("."))[:STEM_MAX] or "log"
+
+
+def start_in_name(wall_ns: int) -> str:
+    """A time since 1970 as a file's name has it, in UTC."""
+    return datetime.fromtimestamp(wall_ns // 1_000_000_000, UTC).strftime(START_FORMAT)
 
 
 def _namesakes(stem: str) -> Iterator[str]:

@@ -91,6 +91,7 @@ class LogWriter:
         self._unkept_max = int(UNKEPT_SHARE * queue_bytes)
         self._queue = LogQueue(queue_bytes)
         self._unkept_bytes = 0
+        # Its lock is entered again where the writing thread, which holds it, looks through the files.
         self._changed = threading.Condition()
         self._is_closing = False
         self._chains: dict[str, _Chain] = {}
@@ -130,21 +131,22 @@ class LogWriter:
 
         A log that is not here waits for the disk to begin its file: to end it already would only add to it.
         """
-        with self._changed:
-            chains = list(self._chains.values())
-        return {chain.name: file.size for chain in chains if (file := chain.file) is not None and chain.is_begun}
+        return {chain.name: file.size for chain, file in self._files() if chain.is_begun}
 
     @property
     def parts(self) -> frozenset[str]:
         """The names of the files that are being written, as they are now."""
-        with self._changed:
-            chains = list(self._chains.values())
-        return frozenset(file.path.name for chain in chains if (file := chain.file) is not None)
+        return frozenset(file.path.name for _, file in self._files())
 
     @property
     def unfinished(self) -> int:
         """Files with messages that could not be made whole, nor recovered since. Asks the disk."""
         return sum(path.exists() for path in self._left)
+
+    def _files(self) -> list[tuple[_Chain, PartFile]]:
+        """The files that are being written; on any thread."""
+        with self._changed:
+            return [(chain, file) for chain in self._chains.values() if (file := chain.file) is not None]
 
     def notices(self) -> Iterable[Notice]:
         """Return the notices since the last call."""
@@ -259,7 +261,7 @@ class LogWriter:
         """True if more may be written before the disk has kept some. Where it may not, asks for syncs."""
         if self._unkept_bytes < self._unkept_max:
             return True
-        files = [file for chain in self._chains.values() if (file := chain.file) is not None and file.unkept_bytes]
+        files = [file for _, file in self._files() if file.unkept_bytes]
         for file in files:
             file.release()
         self._unkept_bytes = sum(file.unkept_bytes for file in files)
@@ -358,8 +360,7 @@ class LogWriter:
         ending, self._ending = self._ending, {}
         with ThreadPoolExecutor(SYNC_THREADS, "log end") as pool:
             errors = list(pool.map(self._end_file, ending.values()))
-        files = [file for chain in self._chains.values() if (file := chain.file) is not None]
-        self._unkept_bytes = sum(file.unkept_bytes for file in files)
+        self._unkept_bytes = sum(file.unkept_bytes for _, file in self._files())
         for action, error in zip(ending.values(), errors, strict=True):
             self._settle(self._chains[action.log], action, error)
 
@@ -382,10 +383,9 @@ class LogWriter:
         self._pause_s = min(max(2 * self._pause_s, RETRY_MIN_S), RETRY_MAX_S)
 
     def _enter_fault(self, detail: str) -> None:
-        for chain in self._chains.values():
-            if chain.file is not None:
-                # What it has kept until now says nothing of what is to come.
-                chain.file.has_synced = False
+        for _, file in self._files():
+            # What it has kept until now says nothing of what is to come.
+            file.has_synced = False
         if not self._is_faulty:
             self._is_faulty = True
             self._notices.append(DiskFault(detail))

@@ -180,16 +180,11 @@ def is_no_opcode(opcode: int) -> bool:
     return opcode == 0 or max(Opcode) < opcode < CHECK_OPCODE
 
 
-def is_readable(opcode: int) -> bool:
-    """True of records that ``parse`` knows."""
-    return opcode in _PARSERS
-
-
 def parse(opcode: int, body: bytes) -> Any:  # noqa: ANN401 - by the opcode
     """The mcap package's record of this opcode.
 
     Args:
-        opcode: one that is readable.
+        opcode: one of those that have a parser here.
         body: the record without opcode and length.
 
     Raises:

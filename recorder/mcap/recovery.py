@@ -169,7 +169,7 @@ class _Rebuild:
             self.summary.add_schema(parsed)
         elif isinstance(parsed, records.Channel) and parsed.id not in self._channels:
             self._channels.add(parsed.id)
-            self.summary.add_channel(parsed)
+            self.summary.add_channels([encode(parsed)])
 
     def _take_message(self, piece: ProvenRecord) -> None:
         _, _, channel_id, _, log_ns, _ = MESSAGE_HEADER.unpack_from(piece.raw)

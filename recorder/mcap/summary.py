@@ -27,18 +27,6 @@ _SUMMARY_ORDER: Final = (
 )
 
 
-class _Group:
-    """Records of one kind that the summary will hold."""
-
-    def __init__(self) -> None:
-        self.encoded = bytearray()
-        self.count = 0
-
-    def add(self, record: records.McapRecord) -> None:
-        self.encoded += encode(record)
-        self.count += 1
-
-
 class Summary:
     """Gathers what the end of a file says of its data."""
 
@@ -46,7 +34,9 @@ class Summary:
         self._counts: Counter[int] = Counter()
         self._start_ns: int | None = None
         self._end_ns = 0
-        self._groups = {opcode: _Group() for opcode in _SUMMARY_ORDER}
+        # The records that the summary will hold, by kind, and how many of each there are.
+        self._encoded = {opcode: bytearray() for opcode in _SUMMARY_ORDER}
+        self._records: Counter[int] = Counter()
 
     @property
     def messages(self) -> int:
@@ -56,21 +46,15 @@ class Summary:
     @property
     def chunks(self) -> int:
         """Chunks in the file."""
-        return self._groups[Opcode.CHUNK_INDEX].count
+        return self._records[Opcode.CHUNK_INDEX]
 
     def add_schema(self, schema: records.Schema) -> None:
         """A schema, the first of its id."""
-        self._groups[Opcode.SCHEMA].add(schema)
-
-    def add_channel(self, channel: records.Channel) -> None:
-        """A channel, the first of its id."""
-        self._groups[Opcode.CHANNEL].add(channel)
+        self._add(Opcode.SCHEMA, encode(schema))
 
     def add_channels(self, encoded: Sequence[bytes]) -> None:
         """Channels, each the first of its id, as they stand in the data."""
-        group = self._groups[Opcode.CHANNEL]
-        group.encoded += b"".join(encoded)
-        group.count += len(encoded)
+        self._add(Opcode.CHANNEL, *encoded)
 
     def add_messages(self, counts: Mapping[int, int], start_ns: int, end_ns: int) -> None:
         """So many messages of each channel, of these log times."""
@@ -88,19 +72,18 @@ class Summary:
         if index:
             counts = {channel_id: len(entries) // 2 for channel_id, entries in index.items()}
             self.add_messages(counts, chunk.message_start_time, chunk.message_end_time)
-        self._groups[Opcode.CHUNK_INDEX].add(
-            records.ChunkIndex(
-                chunk_length=length,
-                chunk_start_offset=offset,
-                compression=chunk.compression,
-                compressed_size=len(chunk.data),
-                message_end_time=chunk.message_end_time,
-                message_index_length=end - offset - length,
-                message_index_offsets=places,
-                message_start_time=chunk.message_start_time,
-                uncompressed_size=chunk.uncompressed_size,
-            )
+        found = records.ChunkIndex(
+            chunk_length=length,
+            chunk_start_offset=offset,
+            compression=chunk.compression,
+            compressed_size=len(chunk.data),
+            message_end_time=chunk.message_end_time,
+            message_index_length=end - offset - length,
+            message_index_offsets=places,
+            message_start_time=chunk.message_start_time,
+            uncompressed_size=chunk.uncompressed_size,
         )
+        self._add(Opcode.CHUNK_INDEX, encode(found))
 
     def add_attachment(self, attachment: records.Attachment, offset: int, length: int) -> None:
         """An attachment at this offset of the file."""
@@ -113,27 +96,26 @@ class Summary:
             name=attachment.name,
             media_type=attachment.media_type,
         )
-        self._groups[Opcode.ATTACHMENT_INDEX].add(index)
+        self._add(Opcode.ATTACHMENT_INDEX, encode(index))
 
     def add_metadata(self, metadata: records.Metadata, offset: int, length: int) -> None:
         """A metadata record at this offset of the file."""
         index = records.MetadataIndex(offset=offset, length=length, name=metadata.name)
-        self._groups[Opcode.METADATA_INDEX].add(index)
+        self._add(Opcode.METADATA_INDEX, encode(index))
 
     def ending(self, data_size: int, data_crc: int) -> bytes:
         """What makes a file whole whose data has this size and CRC: data end, summary and footer."""
         data_end = encode(records.DataEnd(data_crc))
         start = data_size + len(data_end)
-        self._groups[Opcode.STATISTICS] = _Group()
-        self._groups[Opcode.STATISTICS].add(self._statistics())
+        self._encoded[Opcode.STATISTICS] = bytearray(encode(self._statistics()))
         summary, offsets = bytearray(), bytearray()
-        for opcode, group in self._groups.items():
-            if group.count:
+        for opcode, group in self._encoded.items():
+            if group:
                 offset = records.SummaryOffset(
-                    group_opcode=opcode, group_start=start + len(summary), group_length=len(group.encoded)
+                    group_opcode=opcode, group_start=start + len(summary), group_length=len(group)
                 )
                 offsets += encode(offset)
-                summary += group.encoded
+                summary += group
         offset_start = start + len(summary)
         summary += offsets
         # The summary's checksum covers the footer too, up to the checksum itself.
@@ -142,15 +124,19 @@ class Summary:
         crc = zlib.crc32(footer, zlib.crc32(summary))
         return data_end + bytes(summary) + footer + crc.to_bytes(4, "little") + MAGIC
 
+    def _add(self, opcode: Opcode, *encoded: bytes) -> None:
+        self._encoded[opcode] += b"".join(encoded)
+        self._records[opcode] += len(encoded)
+
     def _statistics(self) -> records.Statistics:
         return records.Statistics(
-            attachment_count=self._groups[Opcode.ATTACHMENT_INDEX].count,
-            channel_count=self._groups[Opcode.CHANNEL].count,
+            attachment_count=self._records[Opcode.ATTACHMENT_INDEX],
+            channel_count=self._records[Opcode.CHANNEL],
             channel_message_counts=dict(self._counts),
             chunk_count=self.chunks,
             message_count=self.messages,
             message_end_time=self._end_ns,
             message_start_time=self._start_ns or 0,
-            metadata_count=self._groups[Opcode.METADATA_INDEX].count,
-            schema_count=self._groups[Opcode.SCHEMA].count,
+            metadata_count=self._records[Opcode.METADATA_INDEX],
+            schema_count=self._records[Opcode.SCHEMA],
         )

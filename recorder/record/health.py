@@ -15,7 +15,7 @@ SECOND_NS: Final = 1_000_000_000
 
 
 class Vitals(msgspec.Struct, frozen=True):
-    """Figures from the disk, the inbox and the loop; see ``RecorderHealth``."""
+    """Figures from the disk and the inbox, which ``RecorderHealth`` has under the same names."""
 
     files: int = 0
     files_ended: int = 0
@@ -25,7 +25,6 @@ class Vitals(msgspec.Struct, frozen=True):
     disk_free_bytes: int = 0
     disk_used_bytes: int = 0
     incident_bytes: int = 0
-    cpu_ns: int = 0
 
 
 class HealthReport:
@@ -50,14 +49,14 @@ class HealthReport:
         """A second has passed."""
         return now_ns - self._last_ns >= SECOND_NS
 
-    def next(self, recorder: Recorder, vitals: Vitals, now_ns: int, wall_ns: int) -> RecorderHealth:
-        """The health of the second that has passed."""
+    def next(self, recorder: Recorder, vitals: Vitals, cpu_ns: int, now_ns: int, wall_ns: int) -> RecorderHealth:
+        """The health of the second that has passed; ``cpu_ns`` is what the process has used by now."""
         span_ns = max(1, now_ns - self._last_ns)
-        self._cpu_percent = max(0, vitals.cpu_ns - self._cpu_ns) * 100 / span_ns
+        self._cpu_percent = max(0, cpu_ns - self._cpu_ns) * 100 / span_ns
         self._sequence = (self._sequence + 1) % SEQUENCE_SPAN
         health = self.now(recorder, vitals, now_ns, wall_ns)
         self._received_per_s = max(0, health.received - self._received) * SECOND_NS / span_ns
-        self._received, self._cpu_ns, self._last_ns = health.received, vitals.cpu_ns, now_ns
+        self._received, self._cpu_ns, self._last_ns = health.received, cpu_ns, now_ns
         return msgspec.structs.replace(health, received_per_s=self._received_per_s)
 
     def now(self, recorder: Recorder, vitals: Vitals, now_ns: int, wall_ns: int) -> RecorderHealth:
@@ -82,9 +81,6 @@ class HealthReport:
             uptime_s=(now_ns - self._started_ns) / SECOND_NS,
             state=recorder.state,
             state_since_s=(now_ns - self._state_since_ns) / SECOND_NS,
-            files=vitals.files,
-            files_ended=vitals.files_ended,
-            ended_bytes=vitals.ended_bytes,
             robots=recorder.robots,
             keys=keys,
             received=received,
@@ -92,12 +88,8 @@ class HealthReport:
             written=max(0, messages),
             missed=missed,
             dropped={reason.value: count for reason, count in sorted(lost.items(), key=lambda one: one[0].value)},
-            queue_bytes=vitals.queue_bytes,
-            disk_queue_bytes=vitals.disk_queue_bytes,
             ring_bytes=recorder.ring_bytes,
             incidents=recorder.incidents,
-            disk_free_bytes=vitals.disk_free_bytes,
-            disk_used_bytes=vitals.disk_used_bytes,
-            incident_bytes=vitals.incident_bytes,
             cpu_percent=self._cpu_percent,
+            **msgspec.structs.asdict(vitals),
         )

@@ -136,7 +136,7 @@ class Recorder:
     @property
     def robots(self) -> int:
         """Robots of which a sample has come."""
-        return sum(log.robots for log in self._logs.values())
+        return sum(len(log.robots) for log in self._logs.values())
 
     @property
     def files(self) -> dict[str, str]:
@@ -349,7 +349,7 @@ class Recorder:
     def _is_of(self, log: RobotLog, robot: str) -> bool:
         if not robot or log.name == robot:
             return True
-        return not self._plan.per_robot and log.knows(robot)
+        return not self._plan.per_robot and robot in log.robots
 
     def _receive_room(self, room: DiskRoom, now_ns: int, wall_ns: int) -> None:
         had_room, self._has_room = self._has_room, room.has_room

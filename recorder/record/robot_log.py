@@ -147,7 +147,7 @@ class RobotLog:
         self._chunk = ChunkBuilder(plan.chunk_bytes)
         self.channels = Channels(self._declare)
         self.incidents = Incidents(plan.name, plan.before_ns, plan.after_ns)
-        self._robots = Robots(plan.name, plan.version)
+        self.robots = Robots(plan.name, plan.version)
         self._backlog = Backlog()
         self._account = FileAccount()
         self._fast_keys: list[str] = []
@@ -179,15 +179,6 @@ class RobotLog:
         self._at_risk_since_ns: int | None = None
         # Half for what comes together, half for the ticks, the write and the sync.
         self._patience_ns = plan.flush_ns // 2
-
-    @property
-    def robots(self) -> int:
-        """Robots of which a sample has come."""
-        return len(self._robots)
-
-    def knows(self, robot: str) -> bool:
-        """True if a sample of this robot has come."""
-        return robot in self._robots
 
     # Samples
 
@@ -250,7 +241,7 @@ class RobotLog:
         elif route.counts_sequence:
             is_restart = not route.counters.count_sequence(message.sequence)
             if is_restart:
-                self._robots.see_restart(route.robot, now_ns)
+                self.robots.see_restart(route.robot, now_ns)
             if route.is_kept:
                 self._backlog.receive(sample.key, message.sequence, now_ns, is_restart=is_restart)
         if route.is_watched:
@@ -296,7 +287,7 @@ class RobotLog:
             route.counters.dropped = max(route.counters.dropped, message.dropped)
         elif isinstance(message, GatewayInfo):
             if len(sample.payload) <= INFO_MAX_BYTES:
-                self._apply_all(self._robots.receive_info(route.robot, message, log_ns))
+                self._apply_all(self.robots.receive_info(route.robot, message, log_ns))
         elif isinstance(message, GatewayHealth):
             self._count_bus(sample.key, message)
         elif isinstance(message, SafetyEvent):
@@ -324,16 +315,16 @@ class RobotLog:
             return self.channels.declare(key, None, "")
         if not parts.robot:
             return self.channels.declare(key, parts.subject, "")
-        robot = self._robots.see(parts.root, parts.robot, now_ns)
+        robot = self.robots.see(parts.root, parts.robot, now_ns)
         self._backlog.see(parts.root, parts.robot, now_ns)
-        quota = ChannelQuota.TABLE if self._robots.has_quota(robot, parts.bus) else ChannelQuota.OTHER
+        quota = ChannelQuota.TABLE if self.robots.has_quota(robot, parts.bus) else ChannelQuota.OTHER
         return self.channels.declare(key, parts.subject, robot, quota)
 
     # Chunks and files
 
     def tick(self, now_ns: int, file_bytes: int = 0) -> None:
         """Do what is due: queries, handing the chunk over to the disk, ending a file of this size, an incident."""
-        self._context.actions += self._robots.queries(now_ns)
+        self._context.actions += self.robots.queries(now_ns)
         self._context.actions += self._backlog.queries(now_ns)
         if self._at_risk_since_ns is None and len(self._chunk):
             # What took the fast path since the last tick.
@@ -390,7 +381,7 @@ class RobotLog:
 
     def ask_last(self, now_ns: int) -> None:
         """Query what is worth asking once more before ``close``."""
-        self._context.actions += self._robots.last_queries()
+        self._context.actions += self.robots.last_queries()
         self._context.actions += self._backlog.last_queries(now_ns)
 
     def close(self, now_ns: int) -> None:
@@ -398,7 +389,7 @@ class RobotLog:
         self.hand_over(now_ns)
         if not self.is_open:
             return
-        self._apply_all(self._robots.describe())
+        self._apply_all(self.robots.describe())
         reports = self._account.end_file(self.channels.counts)
         completeness = {topic: msgspec.json.encode(report).decode() for topic, report in reports.items()}
         self._apply(WriteMetadata(self.name, COMPLETENESS_NAME, completeness))
@@ -432,7 +423,7 @@ class RobotLog:
         self._files += 1
         self._opened_ns = self._received_ns = now_ns
         self._apply(OpenLog(self.name, self.name, log_ns))
-        self._apply_all(self._robots.describe())
+        self._apply_all(self.robots.describe())
         if self._files > 1:
             continued = {"file": str(self._files), "because": self._ended_by}
             self._apply(WriteMetadata(self.name, CONTINUED_NAME, continued))
@@ -479,7 +470,7 @@ class RobotLog:
     def begin_incident(self, because: str, now_ns: int, wall_ns: int) -> None:
         """Keep what came before, and what comes."""
         # Where no file has been begun yet, the robots have not been described.
-        self._apply_all(self._robots.describe())
+        self._apply_all(self.robots.describe())
         actions = self.incidents.begin(now_ns, wall_ns, because, self.file if self.is_open else "")
         if actions:
             self._is_incident_announced = False

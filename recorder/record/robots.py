@@ -43,7 +43,7 @@ class _Robot:
 
 
 class Robots:
-    """The robots of a log, up to ROBOT_LIMIT: anybody on the network can make up names.
+    """The robots of a log, from their first samples on, up to ROBOT_LIMIT: anybody can make up names.
 
     Args:
         log: the log's name.

@@ -109,6 +109,8 @@ def rows(rounds: int, seconds: float, sustain_s: float) -> list[Row]:
         ("  that is", load, ""),
         ("  CPU", f"{held.run.cpu_share * 100:.0f} % of a core", "under 100 %"),
     ]
+    if not sustain_s:
+        return table
     robots = max(1, round(held.robots * SUSTAIN_SHARE))
     long = run(OURS, robots, round(sustain_s * TICKS_PER_S), is_paced=True)
     late = long.rss_bytes[len(long.rss_bytes) // 2 :]
@@ -168,7 +170,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=ROUNDS, help="of the comparison (default 3)")
     parser.add_argument("--seconds", type=float, default=HELD_S, help="of each load of robots (default 10)")
-    parser.add_argument("--sustain-s", type=float, default=20.0, help="of the long run (default 20)")
+    parser.add_argument("--sustain-s", type=float, default=20.0, help="of the long run (default 20; 0 leaves it out)")
     arguments = parser.parse_args()
     print_table(rows(arguments.rounds, arguments.seconds, arguments.sustain_s))
 

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from io import BytesIO, FileIO
 from itertools import count, pairwise, takewhile
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import msgspec
 import pytest
@@ -13,6 +15,7 @@ from mcap.reader import make_reader
 
 from recorder import loop as loop_module
 from recorder.disk import log_directory, log_writer
+from recorder.disk.keeper import DiskUse
 from recorder.disk.leftovers import recover_leftovers
 from recorder.disk.log_directory import LogDirectory
 from recorder.disk.log_writer import LogWriter
@@ -65,12 +68,16 @@ INFO_KEY = key_of(GatewayInfo)
 
 
 def recorder(
-    source: FakeSource, directory: Path, plan: LogPlan = PLAN, queue_bytes: int = 64_000_000
+    source: FakeSource,
+    directory: Path,
+    plan: LogPlan = PLAN,
+    queue_bytes: int = 64_000_000,
+    **more: Any,  # noqa: ANN401 - the loop's own arguments
 ) -> RecorderLoop:
     """A recorder of what a source brings."""
     pure = Recorder(msgspec.structs.replace(RECORDER_PLAN, log=plan))
     writer = LogWriter(LogDirectory(directory), "test")
-    return RecorderLoop(pure, source, writer, SampleInbox(queue_bytes), HealthReport("bench", "1", 0))
+    return RecorderLoop(pure, source, writer, SampleInbox(queue_bytes), HealthReport("bench", "1", 0), **more)
 
 
 def record(source: FakeSource, directory: Path, plan: LogPlan = PLAN) -> Recorded:
@@ -316,12 +323,12 @@ def test_operators_are_obeyed_and_told(tmp_path: Path) -> None:
     backfills = []
     # Each pass brings some, so that there is a file to end.
     source = FakeSource(sample_of(gear(number)) for number in range(10**9))
-    one = recorder(source, tmp_path, queue_bytes=1_000_000)
 
     def backfill(asked: object) -> None:
         backfills.append(asked)
         control.asked[-1].done()
 
+    one = recorder(source, tmp_path, queue_bytes=1_000_000)
     one.obey(control, backfill)
     recorded = one.run(lambda: control.is_served)
     status, mark, split, stop, start = (asked.answer for asked in control.asked[:-1])
@@ -361,9 +368,10 @@ def test_notices_of_others_are_taken(tmp_path: Path) -> None:
     """A full disk ends the logs, and is told; an incident is written all the same."""
     control = FakeControl()
     source = FakeSource(sample_of(gear(number)) for number in range(100))
-    one = recorder(source, tmp_path, msgspec.structs.replace(PLAN, alarms=frozenset({EventKind.STOP})))
     notices: list[Notice] = [DiskRoom(has_room=False, has_incident_room=True), Deleted("old.mcap", 7)]
-    one.add_notices(lambda: [notices.pop(0)] if notices else [])
+    keeper = SimpleNamespace(notices=lambda: [notices.pop(0)] if notices else [], use=DiskUse())
+    plan = msgspec.structs.replace(PLAN, alarms=frozenset({EventKind.STOP}))
+    one = recorder(source, tmp_path, plan, keeper=keeper)
     one.obey(control, lambda _: None)
     one._step()
     late = [sample_of(safety_event(EventKind.STOP)), *(sample_of(gear(number)) for number in range(100, 200))]

@@ -101,12 +101,12 @@ def test_rates_are_those_of_the_last_second() -> None:
     for _ in range(10):
         recorder.drop(key_of(Gear, "a"), GapReason.QUEUE, START_NS, WALL_NS)
     cpu_ns = SECOND // 4
-    first = health.next(recorder, Vitals(cpu_ns=cpu_ns), START_NS + 2 * SECOND, WALL_NS)
+    first = health.next(recorder, Vitals(), cpu_ns, START_NS + 2 * SECOND, WALL_NS)
     assert (first.received_per_s, first.cpu_percent) == (20.0, 12.5)
     receive(recorder, 40, 41)
-    between = health.now(recorder, Vitals(cpu_ns=10 * SECOND), START_NS + 3 * SECOND - 1, WALL_NS)
+    between = health.now(recorder, Vitals(), START_NS + 3 * SECOND - 1, WALL_NS)
     assert (between.received, between.received_per_s, between.cpu_percent) == (42, 20.0, 12.5)
-    second = health.next(recorder, Vitals(cpu_ns=cpu_ns), START_NS + 3 * SECOND, WALL_NS)
+    second = health.next(recorder, Vitals(), cpu_ns, START_NS + 3 * SECOND, WALL_NS)
     assert (second.received_per_s, second.cpu_percent) == (2.0, 0.0)
 
 
@@ -115,14 +115,14 @@ def test_it_is_due_each_second_and_numbered() -> None:
     recorder, health = Recorder(RECORDER_PLAN), report()
     assert not health.is_due(START_NS + SECOND - 1)
     assert health.is_due(START_NS + SECOND)
-    first = health.next(recorder, VITALS, START_NS + SECOND, WALL_NS)
+    first = health.next(recorder, VITALS, 0, START_NS + SECOND, WALL_NS)
     assert not health.is_due(START_NS + 2 * SECOND - 1)
     between = health.now(recorder, VITALS, START_NS + SECOND, WALL_NS)
-    second = health.next(recorder, VITALS, START_NS + 2 * SECOND, WALL_NS)
+    second = health.next(recorder, VITALS, 0, START_NS + 2 * SECOND, WALL_NS)
     assert between.sequence == first.sequence
     assert second.sequence == first.sequence + 1
     health._sequence = SEQUENCE_SPAN - 1
-    assert health.next(recorder, VITALS, START_NS + 3 * SECOND, WALL_NS).sequence == 0
+    assert health.next(recorder, VITALS, 0, START_NS + 3 * SECOND, WALL_NS).sequence == 0
 
 
 def test_it_says_since_when_it_does_what_it_does() -> None:
