@@ -170,7 +170,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=ROUNDS, help="of the comparison (default 3)")
     parser.add_argument("--seconds", type=float, default=HELD_S, help="of each load of robots (default 10)")
-    parser.add_argument("--sustain-s", type=float, default=20.0, help="of the long run (default 20; 0 leaves it out)")
+    parser.add_argument("--sustain-s", type=float, default=20.0, help="of the long run (default 20; 0: none)")
     arguments = parser.parse_args()
     print_table(rows(arguments.rounds, arguments.seconds, arguments.sustain_s))
 

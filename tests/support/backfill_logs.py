@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 
 import msgspec
@@ -13,11 +14,11 @@ from recorder.backfill.excerpt import Excerpt, LogCopy
 from recorder.backfill.holes import HoleFinder
 from recorder.encoding.protobuf_schema import descriptor_set, message_class, schema_name
 from recorder.mcap.channel import LogChannel
-from recorder.mcap.chunk import ChunkBuilder
 from recorder.mcap.log_map import LogMap
 from recorder.mcap.writer import McapFile
 from schemas.messages import CanFrame, GatewayHealth, GatewayInfo, Gear, RawSample
 from schemas.recording import Backfill, BackfillPiece, RecordGap
+from tests.support.made_logs import sealed
 
 ROBOT = "fleet/cruiser-1"
 GEAR, RX, HEALTH = f"{ROBOT}/chassis/gear", f"{ROBOT}/can/can0/rx", f"{ROBOT}/gateway/health"
@@ -85,24 +86,18 @@ def log_of(
     stream = BytesIO()
     file = McapFile(stream, "test")
     ids: dict[str, int] = {}
-    builder = ChunkBuilder()
-    for number, one in enumerate(rows, start=1):
-        if one.topic not in ids:
-            ids[one.topic] = len(ids) + 1
-            file.add_channel(channel_of(one.topic, ids[one.topic], schema_data))
-        builder.add(ids[one.topic], one.sequence, one.log_ns, one.publish_ns, one.data)
-        if number % chunk_messages == 0:
-            _write(file, builder)
-    _write(file, builder)
+    left = iter(rows)
+    while some := list(islice(left, chunk_messages)):
+        for one in some:
+            if one.topic not in ids:
+                ids[one.topic] = len(ids) + 1
+                file.add_channel(channel_of(one.topic, ids[one.topic], schema_data))
+        file.write_chunk(
+            sealed((ids[one.topic], one.sequence, one.log_ns, one.publish_ns, one.data) for one in some)
+        )
     if is_finished:
         file.finish()
     return stream.getvalue()
-
-
-def _write(file: McapFile, builder: ChunkBuilder) -> None:
-    chunk = builder.seal()
-    if chunk is not None:
-        file.write_chunk(chunk)
 
 
 def rows_in(data: bytes) -> list[Row]:

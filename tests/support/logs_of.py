@@ -11,7 +11,6 @@ import pyarrow as pa
 from recorder.encoding.protobuf_schema import descriptor_set, schema_name
 from recorder.encoding.transcode import compile_encoder
 from recorder.mcap.channel import LogChannel
-from recorder.mcap.chunk import ChunkBuilder
 from recorder.mcap.writer import McapFile
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
@@ -19,6 +18,7 @@ from recorder.reading.rows import Selection
 from recorder.reading.topics import typed_decoder
 from recorder.review.columns.reader import Batch, ColumnReader, Sift
 from recorder.review.export.cells import values
+from tests.support.made_logs import sealed
 from tests.support.recorder_fakes import WALL_NS, Disk
 
 
@@ -35,13 +35,9 @@ def log_of(channels: Sequence[LogChannel], chunks: Sequence[Sequence[tuple[int, 
         file.add_channel(channel)
     number = 0
     for messages in chunks:
-        builder = ChunkBuilder()
-        for channel_id, data in messages:
-            builder.add(channel_id, number, WALL_NS + number, WALL_NS - number, data)
-            number += 1
-        chunk = builder.seal()
-        assert chunk is not None
-        file.write_chunk(chunk)
+        rows = enumerate(messages, start=number)
+        file.write_chunk(sealed((one[0], at, WALL_NS + at, WALL_NS - at, one[1]) for at, one in rows))
+        number += len(messages)
     file.finish()
     return disk.getvalue()
 

@@ -12,6 +12,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 from recorder.encoding.protobuf_schema import descriptor_set, schema_name
 from recorder.encoding.transcode import compile_encoder
 from recorder.mcap.channel import LogChannel
+from recorder.mcap.chunk import Chunk as PackedMessages
 from recorder.mcap.chunk import ChunkBuilder
 from recorder.mcap.framing import encode
 from recorder.mcap.writer import McapFile
@@ -36,6 +37,16 @@ def gears(first: int, count: int, start_ns: int, step_ns: int = 10) -> Chunk:
     return [gear_message(first + number, start_ns + number * step_ns) for number in range(count)]
 
 
+def sealed(messages: Iterable[tuple[int, int, int, int, bytes]]) -> PackedMessages:
+    """A chunk to be written: channel, sequence, log time, publish time and data of each message."""
+    builder = ChunkBuilder()
+    for message in messages:
+        builder.add(*message)
+    chunk = builder.seal()
+    assert chunk is not None
+    return chunk
+
+
 def own_log(
     chunks: Iterable[Chunk],
     channels: Iterable[LogChannel] = (GEAR_CHANNEL,),
@@ -52,12 +63,7 @@ def own_log(
     for name, data in attachments:
         file.add_attachment(name, "text/plain", data, 5)
     for messages in chunks:
-        builder = ChunkBuilder()
-        for channel_id, sequence, log_ns, data in messages:
-            builder.add(channel_id, sequence, log_ns, log_ns, data)
-        chunk = builder.seal()
-        assert chunk is not None
-        file.write_chunk(chunk)
+        file.write_chunk(sealed((one[0], one[1], one[2], one[2], one[3]) for one in messages))
     file.finish()
     return disk.getvalue()
 

@@ -13,7 +13,6 @@ from recorder.backfill.backfilling import Backfilling
 from recorder.backfill.excerpt import PIECE_NAME, LoggedBytes
 from recorder.backfill.filling import Filled, Filling
 from recorder.backfill.questions import BackfillQuestion
-from recorder.mcap.chunk import ChunkBuilder
 from recorder.mcap.writer import McapFile
 from schemas.recording import Backfill, BackfillPiece
 from tests.support.backfill_logs import (
@@ -35,6 +34,7 @@ from tests.support.backfill_logs import (
     map_of,
     row,
 )
+from tests.support.made_logs import sealed
 
 
 class Depot:
@@ -341,12 +341,8 @@ def test_a_message_of_an_unknown_channel_makes_a_piece_none() -> None:
     (piece,) = pieces_of([])  # an empty one, to begin with
     stream = io.BytesIO()
     file = McapFile(stream, "test")
-    builder = ChunkBuilder()
-    builder.add(9, 0, START_NS, START_NS, b"")
-    chunk = builder.seal()
-    assert chunk is not None
     file.add_metadata(PIECE_NAME, {"number": "0", "from_ns": str(START_NS)})
-    file.write_chunk(chunk)
+    file.write_chunk(sealed([(9, 0, START_NS, START_NS, b"")]))
     file.finish()
     changed = BackfillPiece(True, "", stream.getvalue(), 1, piece.next_ns, True)  # noqa: FBT003 - as it comes
     assert read_piece(changed, 0, START_NS) is None

@@ -24,13 +24,13 @@ from recorder.disk.log_directory import LogDirectory, lock, safe_name
 from recorder.disk.part_file import PartFile, Prologue
 from recorder.encoding.protobuf_schema import descriptor_set
 from recorder.mcap.channel import LogChannel
-from recorder.mcap.chunk import Chunk, ChunkBuilder
 from recorder.reading.topic_names import file_name
 from recorder.record.actions import CloseLog, DeclareChannel, SyncLog, WriteChunk
 from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas.exit_codes import CommandError
 from schemas.messages import Gear
+from tests.support.made_logs import Read, sealed
 from tests.support.recorder_fakes import WALL_NS, logs_in, wait_until
 
 CHANNEL = LogChannel(1, "t", "cruiser.Gear", descriptor_set(Gear))
@@ -39,11 +39,7 @@ STEM = "cruiser-1-20270115T080000Z"
 
 def chunk(number: int, data: bytes = b"") -> WriteChunk:
     """A chunk of one message."""
-    builder = ChunkBuilder()
-    builder.add(1, number, number, number, data)
-    sealed = builder.seal()
-    assert isinstance(sealed, Chunk)
-    return WriteChunk("x", sealed)
+    return WriteChunk("x", sealed([(1, number, number, number, data)]))
 
 
 def opened(path: Path) -> PartFile:
@@ -55,8 +51,7 @@ def opened(path: Path) -> PartFile:
 
 def sequences(path: Path) -> list[int]:
     """The messages of a file that may be partial."""
-    reader = make_reader(BytesIO(path.read_bytes()), validate_crcs=True)
-    return [message.sequence for _, _, message in reader.iter_messages()]
+    return [sequence for _, sequence, *_ in Read(path).messages]
 
 
 def test_a_log_is_a_part_until_it_is_whole(tmp_path: Path) -> None:

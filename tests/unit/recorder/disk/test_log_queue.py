@@ -4,7 +4,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.disk.log_queue import LogQueue
-from recorder.mcap.chunk import ChunkBuilder
 from recorder.record.actions import (
     ACTION_BYTES,
     CloseLog,
@@ -15,16 +14,13 @@ from recorder.record.actions import (
     WriteChunk,
     WriteMetadata,
 )
+from tests.support.made_logs import sealed
 from tests.support.recorder_fakes import WALL_NS
 
 
 def chunk(size: int) -> WriteChunk:
     """A chunk that takes so many bytes with its message's header."""
-    builder = ChunkBuilder()
-    builder.add(1, 0, WALL_NS, WALL_NS, bytes(max(0, size - 31)))
-    sealed = builder.seal()
-    assert sealed is not None
-    return WriteChunk("x", sealed)
+    return WriteChunk("x", sealed([(1, 0, WALL_NS, WALL_NS, bytes(max(0, size - 31)))]))
 
 
 def queue_of(limit_bytes: int, *actions: LogAction) -> LogQueue:

@@ -8,12 +8,11 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from functools import partial
-from io import BytesIO, FileIO
+from io import FileIO
 from pathlib import Path
 
 import msgspec
 import pytest
-from mcap.reader import make_reader
 
 from recorder.disk import log_directory, log_writer, part_file
 from recorder.disk.leftovers import RecoveryOutcome, recover
@@ -21,7 +20,6 @@ from recorder.disk.log_directory import LogDirectory
 from recorder.disk.log_writer import LogWriter
 from recorder.encoding.protobuf_schema import descriptor_set
 from recorder.mcap.channel import LogChannel
-from recorder.mcap.chunk import ChunkBuilder
 from recorder.record.actions import (
     CloseLog,
     DeclareChannel,
@@ -34,6 +32,7 @@ from recorder.record.actions import (
 )
 from recorder.record.notices import DiskBack, DiskFault, Ended, Lost, Opened
 from schemas.messages import Gear
+from tests.support.made_logs import Read, sealed
 from tests.support.recorder_fakes import SECOND, WALL_NS, logs_in, wait_until
 
 STEM = "x-20270115T080000Z"
@@ -75,11 +74,7 @@ def _disk(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def chunk(number: int, size: int = 100, at_ns: int = WALL_NS) -> WriteChunk:
     """A chunk of one message."""
-    builder = ChunkBuilder()
-    builder.add(1, number, at_ns, at_ns, os.urandom(size))
-    sealed = builder.seal()
-    assert sealed is not None
-    return WriteChunk("x", sealed)
+    return WriteChunk("x", sealed([(1, number, at_ns, at_ns, os.urandom(size))]))
 
 
 def on_log(actions: Iterable[LogAction], log: str = "x") -> list[LogAction]:
@@ -89,14 +84,13 @@ def on_log(actions: Iterable[LogAction], log: str = "x") -> list[LogAction]:
 
 def sequences(path: Path) -> list[int]:
     """The messages of a whole file."""
-    reader = make_reader(BytesIO(path.read_bytes()), validate_crcs=True)
-    return [message.sequence for _, _, message in reader.iter_messages()]
+    return [sequence for _, sequence, *_ in Read(path).messages]
 
 
 def names(path: Path) -> list[str]:
     """The metadata and attachments of a file, by name."""
-    reader = make_reader(BytesIO(path.read_bytes()), validate_crcs=True)
-    return [one.name for one in reader.iter_metadata()] + [one.name for one in reader.iter_attachments()]
+    found = Read(path)
+    return [one.name for one in found.metadata] + [one.name for one in found.attachments]
 
 
 def test_actions_become_a_file(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A file piece by piece."""
+"""A file piece by piece, and message by message, in any state."""
 
 from io import BytesIO
 from typing import Any
@@ -14,11 +14,14 @@ from recorder.mcap.reader import (
     DamagedError,
     End,
     Fault,
+    LoggedMessage,
     MessageBlock,
     PackedChunk,
     Piece,
     SummaryStart,
+    Walked,
     read_pieces,
+    walk,
 )
 from tests.support.made_logs import foreign_log, gears, own_log
 
@@ -41,6 +44,11 @@ class CountingStream(BytesIO):
 def pieces(data: bytes, **given: Any) -> list[Piece]:  # noqa: ANN401 - the reader's own arguments
     """All pieces of a file with this content."""
     return list(read_pieces(BytesIO(data), len(data), **given))
+
+
+def walked(data: bytes) -> list[Walked]:
+    """All that a walk over the file brings."""
+    return list(walk(BytesIO(data), len(data)))
 
 
 def chunks(data: bytes) -> list[PackedChunk]:
@@ -80,9 +88,7 @@ def test_a_chunk_tells_what_is_in_it_before_it_is_unpacked() -> None:
 
 def test_what_is_not_unpacked_is_not_read() -> None:
     """Of a large chunk only the head is."""
-    data = own_log([[(1, number, number, bytes(range(256)) * 400) for number in range(20)]])
     big = foreign_log([1], data=b'"' + b"x" * 1_000_000 + b'"', compression=CompressionType.NONE)
-    assert len(data) > 0
     stream = CountingStream(big)
     assert any(isinstance(piece, PackedChunk) for piece in read_pieces(stream, len(big), is_verifying=False))
     assert stream.count < 100_000
@@ -129,20 +135,79 @@ def test_a_compression_that_nobody_knows_is_told_when_it_is_unpacked(name: bytes
         assert [type(one) for one in chunk.messages()] == [Fault]
 
 
+def test_a_cut_is_a_fault_wherever_it_is() -> None:
+    """At every byte: what is before the cut is read, then the fault says so, and nothing raises."""
+    messages = 0
+    for size in range(len(MAGIC), len(LOG)):
+        found = walked(LOG[:size])
+        last = found[-1]
+        assert isinstance(last, Fault)
+        assert last.cuts
+        count = sum(isinstance(one, LoggedMessage) for one in found)
+        assert count >= messages, "a longer file holds no less"
+        messages = count
+    assert messages == 12
+
+
+def test_every_flipped_byte_is_noticed() -> None:
+    """No damage goes unseen: the checksums cover the whole file."""
+    for place in range(len(MAGIC), len(LOG)):
+        damaged = bytearray(LOG)
+        damaged[place] ^= 1 << place % 8
+        assert any(isinstance(one, Fault) for one in walked(bytes(damaged))), place
+
+
 @given(st.binary(max_size=300), st.integers(0, 10_000), st.booleans())
 def test_nothing_that_a_file_may_hold_raises(noise: bytes, place: int, is_verifying: bool) -> None:  # noqa: FBT001 - a parameter
     """Noise in place of a file's bytes, or of the file."""
     place = len(MAGIC) + place % (len(LOG) - len(MAGIC))
     for data in (LOG[:place] + noise + LOG[place + len(noise) :], MAGIC + noise):
-        last = pieces(data, is_verifying=is_verifying)[-1]
-        assert isinstance(last, End | Fault)
+        assert isinstance(pieces(data, is_verifying=is_verifying)[-1], End | Fault)
+        assert isinstance(walked(data)[-1], End | Fault)
 
 
-@given(st.integers(len(MAGIC), len(LOG) - 1))
-def test_a_cut_leaves_what_was_before_it(size: int) -> None:
-    """Every chunk that is there in full, with the fault as the last piece."""
-    found = pieces(LOG[:size])
-    whole = [chunk.offset for chunk in chunks(LOG) if chunk.offset + chunk.length <= size]
-    assert [piece.offset for piece in found if isinstance(piece, PackedChunk)] == whole
-    assert isinstance(found[-1], Fault)
-    assert found[-1].cuts
+def test_a_damaged_chunk_costs_its_own_messages_only() -> None:
+    """The schema and the channel are outside of the chunks."""
+    second = chunks(LOG)[1]
+    damaged = bytearray(LOG)
+    damaged[second.offset + 60] ^= 0xFF
+    found = walked(bytes(damaged))
+    assert [one.sequence for one in found if isinstance(one, LoggedMessage)] == [3, 4, 5, *range(9, 15)]
+    faults = [one for one in found if isinstance(one, Fault)]
+    assert faults[0].offset == second.offset
+    assert not faults[0].cuts
+    assert isinstance(found[-1], End)
+
+
+def test_bytes_behind_the_end_are_a_fault() -> None:
+    """As when a file was written over a longer one."""
+    found = walked(LOG + b"more")
+    assert [type(one) for one in found[-2:]] == [Fault, End]
+
+
+@pytest.mark.parametrize("compression", CompressionType)
+@pytest.mark.parametrize("chunked", [True, False])
+def test_files_of_others_are_read(compression: CompressionType, chunked: bool) -> None:  # noqa: FBT001 - a parameter
+    """Those of the mcap package's writer, in every compression, with and without chunks and checksums."""
+    for enable_crcs in (True, False):
+        data = foreign_log(
+            range(3),
+            compression=compression,
+            use_chunking=chunked,
+            enable_crcs=enable_crcs,
+            enable_data_crcs=enable_crcs,
+        )
+        found = walked(data)
+        assert [one.sequence for one in found if isinstance(one, LoggedMessage)] == [0, 1, 2]
+        assert isinstance(found[-1], End)
+        assert not [one for one in found if isinstance(one, Fault)]
+
+
+def test_a_wrong_channel_of_an_unfinished_log_is_a_fault() -> None:
+    """Its check tells; MCAP's own checksum of the data stands at the end that the log does not have."""
+    part = LOG[: chunks(LOG)[2].offset].replace(b"chassis/gear", b"chassis/fear")
+    faults = [one for one in walked(part) if isinstance(one, Fault)]
+    assert [fault.detail for fault in faults] == [
+        "the check of the record before is wrong",
+        "the file ends without a footer",
+    ]

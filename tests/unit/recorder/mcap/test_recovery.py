@@ -14,12 +14,11 @@ from mcap.writer import CompressionType, Writer
 from recorder.encoding.protobuf_schema import descriptor_set
 from recorder.mcap import framing
 from recorder.mcap.channel import LogChannel
-from recorder.mcap.chunk import ChunkBuilder
-from recorder.mcap.framing import MAGIC
 from recorder.mcap.recovery import FileSurvey, copy_good, survey
 from recorder.mcap.writer import McapFile
 from recorder.review.check import check_stream
 from schemas.messages import Gear
+from tests.support.made_logs import sealed
 from tests.support.recorder_fakes import small_log
 
 Row = tuple[str, str, bytes, int, int, int, bytes]
@@ -59,12 +58,12 @@ def chunks_of(count: int, each: int = 3) -> tuple[bytes, list[int]]:
         file.add_channel(LogChannel(number, f"t/{number}", "cruiser.Gear", descriptor_set(Gear)))
     ends = []
     for number in range(count):
-        builder = ChunkBuilder()
-        for one in range(each):
-            builder.add(1 + one % 2, number * each + one, 1000 + number, 2000 + one, bytes([number, one]) * 20)
-        chunk = builder.seal()
-        assert chunk is not None
-        file.write_chunk(chunk)
+        file.write_chunk(
+            sealed(
+                (1 + one % 2, number * each + one, 1000 + number, 2000 + one, bytes([number, one]) * 20)
+                for one in range(each)
+            )
+        )
         ends.append(file.size)
     file.finish()
     return stream.getvalue(), ends
@@ -105,12 +104,6 @@ def test_a_recovered_log_says_what_it_holds(size: int) -> None:
     assert [one for one in others(result) if one not in OTHERS] == []
     assert survey(BytesIO(result), len(result)).is_whole
     assert check_stream(BytesIO(result), len(result), "x").whole
-
-
-def _past_magic(data: bytes) -> BytesIO:
-    stream = BytesIO(data)
-    assert stream.read(len(MAGIC)) == MAGIC
-    return stream
 
 
 def test_a_recovery_that_was_broken_off_is_done_again() -> None:

@@ -17,10 +17,10 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from recorder.encoding.protobuf_schema import descriptor_set
 from recorder.mcap.channel import LogChannel
-from recorder.mcap.chunk import ChunkBuilder
 from recorder.mcap.framing import MAGIC, MESSAGE_HEADER
 from recorder.mcap.writer import McapFile
 from schemas.messages import CanFrame, Gear, GearPosition, RawSample
+from tests.support.made_logs import sealed
 from tests.support.recorder_fakes import MS, WALL_NS, Disk, small_log
 
 RECORD_HEADER = struct.Struct("<BQ")
@@ -41,12 +41,8 @@ def write(chunks: list[list[tuple[int, int, int, int, bytes]]], disk: Disk | Non
     for channel in CHANNELS:
         file.add_channel(channel)
     for messages in chunks:
-        builder = ChunkBuilder()
-        for message in messages:
-            builder.add(*message)
-        chunk = builder.seal()
-        if chunk is not None:
-            file.write_chunk(chunk)
+        if messages:
+            file.write_chunk(sealed(messages))
     file.finish()
     return disk.getvalue()
 
@@ -235,11 +231,7 @@ def test_after_a_full_disk_the_file_is_cut_back_to_whole_records(data: st.DataOb
         for channel in CHANNELS:
             file.add_channel(channel)
         for messages in chunks:
-            builder = ChunkBuilder()
-            builder.add(*messages[0])
-            chunk = builder.seal()
-            assert chunk is not None
-            file.write_chunk(chunk)
+            file.write_chunk(sealed(messages))
             written += 1
         file.finish()
     except OSError:

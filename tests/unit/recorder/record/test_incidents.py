@@ -3,10 +3,11 @@
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from recorder.mcap.chunk import Chunk, ChunkBuilder
+from recorder.mcap.chunk import Chunk
 from recorder.record.actions import CloseLog, LogAction, OpenLog, SyncLog, WriteChunk, WriteMetadata
 from recorder.record.incidents import INCIDENT_NAME, Incidents, trim_rings
 from schemas.recorder_settings import INCIDENT_MAX_NS
+from tests.support.made_logs import sealed
 from tests.support.recorder_fakes import SECOND, WALL_NS
 
 BEFORE_NS = 10 * SECOND
@@ -21,11 +22,7 @@ def incidents_of(name: str = "a", before_ns: int = BEFORE_NS, after_ns: int = AF
 
 def chunk(number: int, size: int = 10) -> Chunk:
     """A chunk of one message."""
-    builder = ChunkBuilder()
-    builder.add(1, number, number, number, bytes(size))
-    sealed = builder.seal()
-    assert sealed is not None
-    return sealed
+    return sealed([(1, number, number, number, bytes(size))])
 
 
 def chunks(actions: list[LogAction]) -> list[Chunk]:
