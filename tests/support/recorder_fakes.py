@@ -1,14 +1,19 @@
 """Samples, disks that fail on demand, and sources that need no Zenoh."""
 
 import errno
+import os
+import stat
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
+from functools import partial
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
 
 import msgspec
+import pytest
 
 from recorder.disk.part_file import Prologue
 from recorder.encoding.received_sample import ReceivedSample
@@ -162,6 +167,28 @@ class Disk(BytesIO):
             if not data:
                 raise OSError(errno.ENOSPC, "No space left on device")
         return super().write(data)
+
+
+class SlowDisk:
+    """Syncs of files that wait, and may then fail, on demand; those of directories do not."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.goes_on = threading.Event()
+        self.goes_on.set()
+        self.fails = False
+        self.asked: list[int] = []
+        """The length of the file at each sync."""
+        for name in ("fdatasync", "fsync"):
+            monkeypatch.setattr(os, name, partial(self._sync, getattr(os, name)))
+
+    def _sync(self, how: Callable[[int], None], descriptor: int) -> None:
+        status = os.fstat(descriptor)
+        if stat.S_ISREG(status.st_mode):
+            self.asked.append(status.st_size)
+            assert self.goes_on.wait(60)
+            if self.fails:
+                raise OSError(errno.EIO, os.strerror(errno.EIO))
+        how(descriptor)
 
 
 class Log:

@@ -31,7 +31,7 @@ from recorder.review.info import read_info
 from schemas.exit_codes import CommandError
 from schemas.messages import Gear
 from tests.support.made_logs import Read, sealed
-from tests.support.recorder_fakes import WALL_NS, logs_in, wait_until
+from tests.support.recorder_fakes import WALL_NS, SlowDisk, logs_in, wait_until
 
 CHANNEL = LogChannel(1, "t", "cruiser.Gear", descriptor_set(Gear))
 STEM = "cruiser-1-20270115T080000Z"
@@ -232,12 +232,8 @@ def test_a_log_that_was_removed_is_not_written_in_silence(tmp_path: Path) -> Non
     assert not log.is_kept
 
 
-def test_a_failed_sync_is_told_by_the_next_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_sync_is_told_by_the_next_write(tmp_path: Path, disk: SlowDisk) -> None:
     """The writer does not wait for the disk. The file is cut back to what was kept, and can be made whole."""
-
-    def fail(_descriptor: int) -> None:
-        raise OSError(errno.EIO, "Input/output error")
-
     log = opened(tmp_path)
     log.write(chunk(1))
     log.write(SyncLog("x"))
@@ -249,7 +245,7 @@ def test_a_failed_sync_is_told_by_the_next_write(tmp_path: Path, monkeypatch: py
     wait_until(is_kept)
     kept_size = log.kept_size
     log.write(chunk(2))
-    monkeypatch.setattr(os, "fdatasync", fail)
+    disk.fails = True
 
     def is_told() -> bool:
         try:
@@ -261,54 +257,39 @@ def test_a_failed_sync_is_told_by_the_next_write(tmp_path: Path, monkeypatch: py
     wait_until(is_told)
     assert log.is_doubtful
     log.salvage()
+    disk.fails = False
     part = tmp_path / f"{STEM}.mcap.part"
     assert part.stat().st_size == kept_size < log.size
     assert recover(part, "test").outcome is RecoveryOutcome.RECOVERED
     assert sequences(tmp_path / f"{STEM}.mcap") == [1]
 
 
-def test_a_slow_sync_holds_up_no_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_sync_holds_up_no_write(tmp_path: Path, disk: SlowDisk) -> None:
     """What is written meanwhile is in the file, safe from a kill; of however many syncs one goes on."""
-    goes_on = threading.Event()
-    started: list[int] = []
-
-    def hang(descriptor: int) -> None:
-        started.append(descriptor)
-        assert goes_on.wait(30)
-
-    monkeypatch.setattr(os, "fdatasync", hang)
+    disk.goes_on.clear()
     log = opened(tmp_path)
     for number in range(1, 6):
         log.write(chunk(number))
         log.write(SyncLog("x"))
-    wait_until(lambda: bool(started))
+    wait_until(lambda: bool(disk.asked))
     assert read_info(log.path).messages == 5
-    goes_on.set()
+    disk.goes_on.set()
     log.write(CloseLog("x"))
-    assert len(started) <= 2
+    assert len(disk.asked) <= 3, "two, and that of the end"
     assert sequences(log.path) == [1, 2, 3, 4, 5]
 
 
-def test_what_is_written_during_a_sync_is_kept_by_the_next_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_written_during_a_sync_is_kept_by_the_next_one(tmp_path: Path, disk: SlowDisk) -> None:
     """Though nothing more is written: a silence does not leave the last of it to a power cut."""
-    asked: list[int] = []
-    goes_on = threading.Event()
-
-    def hang(descriptor: int) -> None:
-        asked.append(os.fstat(descriptor).st_size)
-        assert goes_on.wait(30)
-
-    monkeypatch.setattr(os, "fdatasync", hang)
+    disk.goes_on.clear()
     log = opened(tmp_path)
     for number in range(1, 5):
         log.write(chunk(number))
         log.write(SyncLog("x"))
-        wait_until(lambda: bool(asked))
-    goes_on.set()
+        wait_until(lambda: bool(disk.asked))
+    disk.goes_on.set()
     wait_until(lambda: log.kept_size == log.size)
-    assert asked[-1] == log.size
+    assert disk.asked[-1] == log.size
     log.salvage()
 
 

@@ -7,7 +7,6 @@ import stat
 import threading
 import time
 from collections.abc import Callable, Iterable
-from functools import partial
 from io import FileIO
 from pathlib import Path
 
@@ -33,7 +32,7 @@ from recorder.record.actions import (
 from recorder.record.notices import DiskBack, DiskFault, Ended, Lost, Opened
 from schemas.messages import Gear
 from tests.support.made_logs import Read, sealed
-from tests.support.recorder_fakes import SECOND, WALL_NS, logs_in, wait_until
+from tests.support.recorder_fakes import SECOND, WALL_NS, SlowDisk, logs_in, wait_until
 
 STEM = "x-20270115T080000Z"
 BEGIN: list[LogAction] = [
@@ -72,6 +71,12 @@ def _disk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(FaultyFile, "room", 10**9)
 
 
+@pytest.fixture
+def writer(tmp_path: Path) -> LogWriter:
+    """A writer of logs in a directory of their own."""
+    return LogWriter(LogDirectory(tmp_path), "test")
+
+
 def chunk(number: int, size: int = 100, at_ns: int = WALL_NS) -> WriteChunk:
     """A chunk of one message."""
     return WriteChunk("x", sealed([(1, number, at_ns, at_ns, os.urandom(size))]))
@@ -93,9 +98,8 @@ def names(path: Path) -> list[str]:
     return [one.name for one in found.metadata] + [one.name for one in found.attachments]
 
 
-def test_actions_become_a_file(tmp_path: Path) -> None:
+def test_actions_become_a_file(tmp_path: Path, writer: LogWriter) -> None:
     """In order; the result says what was written."""
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1), SyncLog("x")]))
     writer.submit(on_log([chunk(2), CloseLog("x")]))
     writer.close()
@@ -104,9 +108,8 @@ def test_actions_become_a_file(tmp_path: Path) -> None:
     assert (writer.path, writer.files, writer.bytes, writer.lost) == (str(path), 1, path.stat().st_size, 0)
 
 
-def test_the_next_file_repeats_what_lasts(tmp_path: Path) -> None:
+def test_the_next_file_repeats_what_lasts(tmp_path: Path, writer: LogWriter) -> None:
     """So that it can be read alone; no message is in both."""
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1), CloseLog("x"), OpenLog("x", "x", WALL_NS), chunk(2), CloseLog("x")]))
     writer.close()
     first, second = tmp_path / f"{STEM}.mcap", tmp_path / f"{STEM}-2.mcap"
@@ -115,9 +118,8 @@ def test_the_next_file_repeats_what_lasts(tmp_path: Path) -> None:
     assert names(second) == ["cruiser", "a.dbc"]
 
 
-def test_the_size_is_that_of_the_file_that_is_asked_for(tmp_path: Path) -> None:
+def test_the_size_is_that_of_the_file_that_is_asked_for(writer: LogWriter) -> None:
     """A file that is still waiting to be begun has none, whatever the one before came to."""
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1)]))
     wait_until(lambda: writer.sizes.get("x", 0) > 100)
     writer._chains["x"].submitted += 1
@@ -126,9 +128,8 @@ def test_the_size_is_that_of_the_file_that_is_asked_for(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO])
-def test_after_a_fault_the_log_goes_on_in_another_file(tmp_path: Path, error: int) -> None:
+def test_after_a_fault_the_log_goes_on_in_another_file(tmp_path: Path, error: int, writer: LogWriter) -> None:
     """The chunk that failed is the first of it; nothing is lost or doubled."""
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1)]))
     wait_until(lambda: bool(writer.sizes) and not writer._queue)
     FaultyFile.error = error
@@ -168,9 +169,8 @@ def test_while_the_disk_takes_nothing_memory_is_bounded_and_losses_are_counted(t
     assert (kinds[:2], kinds[-1]) == ([DiskFault, Opened], Ended)
 
 
-def test_the_disk_is_said_to_be_back_when_it_has_kept_something(tmp_path: Path) -> None:
+def test_the_disk_is_said_to_be_back_when_it_has_kept_something(tmp_path: Path, writer: LogWriter) -> None:
     """Once: who is told of a fault is told of its end."""
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     FaultyFile.error = errno.EIO
     writer.submit(on_log([*BEGIN, chunk(1)]))
     wait_until(lambda: writer._is_faulty)
@@ -190,6 +190,7 @@ def test_the_disk_is_said_to_be_back_when_it_has_kept_something(tmp_path: Path) 
 def test_what_the_disk_fails_to_keep_is_written_again(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
+    writer: LogWriter,
     ends: bool,  # noqa: FBT001 - parametrized
 ) -> None:
     """Into the next file; the one before is cut back to what was kept. Nothing is lost or there twice."""
@@ -203,7 +204,6 @@ def test_what_the_disk_fails_to_keep_is_written_again(
 
     monkeypatch.setattr(os, "fdatasync", lambda descriptor: sync(descriptor, keep[0]))
     monkeypatch.setattr(os, "fsync", lambda descriptor: sync(descriptor, keep[1]))
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1), SyncLog("x")]))
 
     def is_kept() -> bool:
@@ -230,9 +230,8 @@ def test_what_the_disk_fails_to_keep_is_written_again(
     assert writer.lost == 0
 
 
-def test_several_logs_are_written_at_once(tmp_path: Path) -> None:
+def test_several_logs_are_written_at_once(tmp_path: Path, writer: LogWriter) -> None:
     """Each into files of its own, with its own prologue; an incident is called one."""
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1)]))
     writer.submit(on_log([OpenLog("y", "y", WALL_NS, is_incident=True), *BEGIN[1:], chunk(2)], "y!"))
     writer.submit(on_log([chunk(3)]))
@@ -268,9 +267,8 @@ def test_a_directory_that_vanishes_is_made_again(tmp_path: Path) -> None:
     assert writer.lost == 0
 
 
-def test_the_end_does_not_wait_for_a_disk_that_takes_nothing(tmp_path: Path) -> None:
+def test_the_end_does_not_wait_for_a_disk_that_takes_nothing(tmp_path: Path, writer: LogWriter) -> None:
     """What waits is lost, and counted."""
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     FaultyFile.error = errno.EIO
     writer.submit(on_log([*BEGIN, *(chunk(number) for number in range(20)), CloseLog("x")]))
     writer.close()
@@ -278,12 +276,13 @@ def test_the_end_does_not_wait_for_a_disk_that_takes_nothing(tmp_path: Path) -> 
     assert logs_in(tmp_path) == []
 
 
-def test_who_submits_never_waits_for_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_submits_never_waits_for_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writer: LogWriter
+) -> None:
     """Neither for a sync nor for a write."""
     goes_on = threading.Event()
     write = FaultyFile.write
     monkeypatch.setattr(FaultyFile, "write", lambda file, data: goes_on.wait(30) and write(file, data))
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     for number in range(50):
         writer.submit(on_log([*(BEGIN if not number else []), chunk(number), SyncLog("x")]))
     assert not goes_on.is_set()
@@ -293,9 +292,10 @@ def test_who_submits_never_waits_for_the_disk(tmp_path: Path, monkeypatch: pytes
     assert sequences(tmp_path / f"{STEM}.mcap") == list(range(50))
 
 
-def test_a_fault_of_our_own_is_raised_where_the_loop_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fault_of_our_own_is_raised_where_the_loop_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writer: LogWriter
+) -> None:
     """A thread that dies in silence would be a recorder that records nothing; the file is ended."""
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1)]))
     wait_until(lambda: not writer._queue)
     monkeypatch.setattr(writer, "_apply", lambda _: 1 / 0)
@@ -326,9 +326,8 @@ def test_of_an_incident_whose_file_waits_too_the_loss_is_no_logs(tmp_path: Path)
     assert sequences(tmp_path / f"{STEM}.incident.mcap")[-1] == 99
 
 
-def test_the_newest_log_is_told_and_no_incident(tmp_path: Path) -> None:
+def test_the_newest_log_is_told_and_no_incident(tmp_path: Path, writer: LogWriter) -> None:
     """Not even the second incident of one second."""
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1), CloseLog("x")]))
     for number in (2, 3):
         opening = OpenLog("x", "x", WALL_NS, is_incident=True)
@@ -352,9 +351,8 @@ def test_a_chunk_larger_than_the_queue_costs_no_others(tmp_path: Path) -> None:
     assert sequences(tmp_path / f"{STEM}.mcap") == [*range(10), 11]
 
 
-def test_a_file_that_takes_no_channel_is_neither_left_nor_told(tmp_path: Path) -> None:
+def test_a_file_that_takes_no_channel_is_neither_left_nor_told(tmp_path: Path, writer: LogWriter) -> None:
     """The header fits and what follows does not: who waits for an ended file does not wait for that one."""
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1)]))
     wait_until(lambda: bool(writer.sizes) and not writer._queue)
     FaultyFile.room = FaultyFile.written + 500
@@ -368,9 +366,8 @@ def test_a_file_that_takes_no_channel_is_neither_left_nor_told(tmp_path: Path) -
     assert [type(one) for one in told] == [Opened, Ended] * (len(told) // 2)
 
 
-def test_an_incident_begins_with_what_its_log_has_declared(tmp_path: Path) -> None:
+def test_an_incident_begins_with_what_its_log_has_declared(tmp_path: Path, writer: LogWriter) -> None:
     """Whether a file of the log is open or not; and with nothing of the incident before it."""
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log(BEGIN[1:], "y"))
     for number in range(2):
         about = WriteMetadata("x", f"incident {number}", {}, lasts=True)
@@ -383,26 +380,6 @@ def test_an_incident_begins_with_what_its_log_has_declared(tmp_path: Path) -> No
     assert (sequences(first), sequences(second)) == ([0], [1])
 
 
-class SlowDisk:
-    """Syncs of files that wait, and may then fail, on demand; those of directories do not."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.goes_on = threading.Event()
-        self.goes_on.set()
-        self.fails = False
-        self.asked = 0
-        for name in ("fdatasync", "fsync"):
-            monkeypatch.setattr(os, name, partial(self._sync, getattr(os, name)))
-
-    def _sync(self, how: Callable[[int], None], descriptor: int) -> None:
-        if stat.S_ISREG(os.fstat(descriptor).st_mode):
-            self.asked += 1
-            assert self.goes_on.wait(60)
-            if self.fails:
-                raise OSError(errno.EIO, os.strerror(errno.EIO))
-        how(descriptor)
-
-
 def all_sequences(directory: Path) -> list[int]:
     """The messages of all files, those that are parts made whole."""
     for path in directory.glob("*.part"):
@@ -410,11 +387,8 @@ def all_sequences(directory: Path) -> list[int]:
     return sorted(number for path in directory.glob("*.mcap") for number in sequences(path))
 
 
-def test_a_disk_that_hangs_and_then_fails_loses_nothing_untold(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_hangs_and_then_fails_loses_nothing_untold(tmp_path: Path, disk: SlowDisk) -> None:
     """What it has taken and may not keep is held; when that is too much no more is written, and waits."""
-    disk = SlowDisk(monkeypatch)
     writer = LogWriter(LogDirectory(tmp_path), "test", queue_bytes=20_000)
     writer.submit(on_log([*BEGIN, chunk(0), SyncLog("x")]))
     wait_until(lambda: writer._chains["x"].file is not None and writer._chains["x"].file.kept_size > 0)
@@ -436,16 +410,13 @@ def test_a_disk_that_hangs_and_then_fails_loses_nothing_untold(
     assert sum(one.counts[1] for one in writer.notices() if isinstance(one, Lost)) == writer.lost
 
 
-def test_what_may_be_written_again_is_bounded_over_all_logs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_may_be_written_again_is_bounded_over_all_logs(tmp_path: Path, disk: SlowDisk) -> None:
     """However many there are. When the disk gets on, so do they, though nobody asks it to keep anything."""
-    disk = SlowDisk(monkeypatch)
     disk.goes_on.clear()
     writer = LogWriter(LogDirectory(tmp_path), "test", queue_bytes=40_000)
     for log in range(30):
         writer.submit(on_log([OpenLog(f"x{log}", f"x{log}", WALL_NS), BEGIN[-1], chunk(log, 1000)], f"x{log}"))
-    wait_until(lambda: disk.asked > 0)
+    wait_until(lambda: bool(disk.asked))
     assert 20_000 <= writer._unkept_bytes < 20_000 + 1500
     disk.goes_on.set()
     wait_until(lambda: not writer._queue)
@@ -456,14 +427,12 @@ def test_what_may_be_written_again_is_bounded_over_all_logs(
     assert all_sequences(tmp_path) == list(range(30))
 
 
-def test_a_sync_that_fails_before_a_silence_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sync_that_fails_before_a_silence_is_seen(tmp_path: Path, writer: LogWriter, disk: SlowDisk) -> None:
     """What it did not keep is written again, and kept, though nothing more comes."""
-    disk = SlowDisk(monkeypatch)
     disk.goes_on.clear()
     disk.fails = True
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1), SyncLog("x")]))
-    wait_until(lambda: disk.asked > 0 and not writer._queue)
+    wait_until(lambda: bool(disk.asked) and not writer._queue)
     disk.goes_on.set()
     wait_until(lambda: writer._is_faulty)
     disk.fails = False
@@ -480,11 +449,10 @@ def test_a_sync_that_fails_before_a_silence_is_seen(tmp_path: Path, monkeypatch:
 
 
 def test_a_file_begun_after_a_fault_is_called_by_what_is_in_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writer: LogWriter
 ) -> None:
     """Its first message, and not the beginning of the file before; so many faults use up no names."""
     monkeypatch.setattr(log_directory, "NAMESAKES_MAX", 2)
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log(BEGIN))
     for number in range(5):
         writer.submit(on_log([chunk(1000 * number, at_ns=WALL_NS + (2 * number + 1) * SECOND)]))
@@ -500,9 +468,10 @@ def test_a_file_begun_after_a_fault_is_called_by_what_is_in_it(
     assert logs_in(tmp_path) == [f"x-20270115T0800{second:02}Z.mcap" for second in (0, 2, 4, 6, 8, 10)]
 
 
-def test_the_end_waits_for_a_slow_disk_that_gets_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_end_waits_for_a_slow_disk_that_gets_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writer: LogWriter
+) -> None:
     """Each sync takes its time, and all of them far more than what the end waits for one that does nothing."""
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     for log in range(60):
         writer.submit(on_log([OpenLog(f"x{log}", f"x{log}", WALL_NS), BEGIN[-1], chunk(log)], f"x{log}"))
     wait_until(lambda: not writer._queue)
@@ -522,13 +491,12 @@ def test_the_end_waits_for_a_slow_disk_that_gets_on(tmp_path: Path, monkeypatch:
 
 
 def test_at_the_end_all_is_written_before_files_are_ended_several_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writer: LogWriter
 ) -> None:
     """A disk takes several syncs in about the time of one; what is written by then a kill does not take."""
     goes_on = threading.Event()
     write = FaultyFile.write
     monkeypatch.setattr(FaultyFile, "write", lambda file, data: goes_on.wait(30) and write(file, data))
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     for log in range(4):
         opening = OpenLog("x", f"x{log}", WALL_NS)
         writer.submit(on_log([opening, BEGIN[-1], chunk(log), CloseLog("x")], f"x{log}"))
@@ -552,10 +520,9 @@ def test_at_the_end_all_is_written_before_files_are_ended_several_at_once(
 
 
 def test_at_the_end_what_the_disk_fails_to_keep_is_written_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writer: LogWriter, disk: SlowDisk
 ) -> None:
     """Of each log, and of the file before the last one too."""
-    disk = SlowDisk(monkeypatch)
     fails = iter([True] * 3)
     write_end = part_file.PartFile._sync_all
 
@@ -563,7 +530,6 @@ def test_at_the_end_what_the_disk_fails_to_keep_is_written_again(
         disk.fails = next(fails, False)
         write_end(file)
 
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     monkeypatch.setattr(part_file.PartFile, "_sync_all", sync_all)
     with writer._changed:
         writer._is_closing = True
@@ -593,10 +559,10 @@ def test_however_much_is_lost_none_of_it_is_forgotten(tmp_path: Path, monkeypatc
     writer.close()
 
 
-def test_what_a_fault_of_our_own_leaves_unkept_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_fault_of_our_own_leaves_unkept_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writer: LogWriter, disk: SlowDisk
+) -> None:
     """The disk fails as well: nobody writes it again any more."""
-    disk = SlowDisk(monkeypatch)
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1), chunk(2)]))
     wait_until(lambda: not writer._queue and writer._unkept_bytes > 200)
     disk.fails = True
@@ -607,9 +573,8 @@ def test_what_a_fault_of_our_own_leaves_unkept_is_counted(tmp_path: Path, monkey
     assert (writer.lost, logs_in(tmp_path)) == (2, [])
 
 
-def test_an_incident_is_called_by_what_it_is_about_after_a_fault_too(tmp_path: Path) -> None:
+def test_an_incident_is_called_by_what_it_is_about_after_a_fault_too(tmp_path: Path, writer: LogWriter) -> None:
     """Its first messages came long before."""
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     FaultyFile.error = errno.ENOSPC
     opening = OpenLog("x", "x", WALL_NS, is_incident=True)
     writer.submit(on_log([opening, BEGIN[-1], chunk(1, at_ns=WALL_NS - 30 * SECOND)], "x!"))
@@ -620,9 +585,8 @@ def test_an_incident_is_called_by_what_it_is_about_after_a_fault_too(tmp_path: P
     assert logs_in(tmp_path) == [f"{STEM}.incident.mcap"]
 
 
-def test_a_file_that_could_not_be_made_whole_is_counted_until_it_is(tmp_path: Path) -> None:
+def test_a_file_that_could_not_be_made_whole_is_counted_until_it_is(tmp_path: Path, writer: LogWriter) -> None:
     """Without room for its end it is a part, which somebody may recover later."""
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1)]))
     wait_until(lambda: bool(writer.sizes) and not writer._queue)
     FaultyFile.error = errno.ENOSPC
@@ -634,14 +598,13 @@ def test_a_file_that_could_not_be_made_whole_is_counted_until_it_is(tmp_path: Pa
 
 
 def test_the_end_does_not_wait_for_a_disk_that_does_not_answer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch, writer: LogWriter
 ) -> None:
     """It says so, and what still waits is counted as lost: silence must not look like success."""
     goes_on = threading.Event()
     write = FaultyFile.write
     monkeypatch.setattr(FaultyFile, "write", lambda file, data: goes_on.wait(30) and write(file, data))
     monkeypatch.setattr(log_writer, "END_S", 0.05)
-    writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, *(chunk(number) for number in range(20)), CloseLog("x")]))
     writer.close()
     assert (writer.is_hung, writer.lost) == (True, 20)
