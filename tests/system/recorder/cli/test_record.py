@@ -84,9 +84,8 @@ def test_a_signal_ends_in_a_whole_file(tmp_path: Path, number: int) -> None:
 
 def all_written(directory: Path, sent: int) -> bool:
     """Are all gear messages and frames in the log, which is still being written?"""
-    (part,) = directory.iterdir()
-    found = counts(read_info(part))
-    return (found.get(key_of(Gear)), found.get(key_of(CanFrames))) == (sent, 2 * sent)
+    found = [counts(one) for one in readable(directory)]
+    return [(one.get(key_of(Gear)), one.get(key_of(CanFrames))) for one in found] == [(sent, 2 * sent)]
 
 
 def test_a_killed_recorder_leaves_all_but_the_last_moment(tmp_path: Path) -> None:
@@ -295,6 +294,7 @@ def test_a_hangup_begins_a_new_file(tmp_path: Path) -> None:
             wait_until(partial(has_gear, tmp_path))
             process.signal(signal.SIGHUP)
             wait_until(partial(is_rolled, files))
+        wait_until(lambda: sum(counts(one).get(key_of(Gear), 0) for one in readable(tmp_path)) == sent)
         code, out, _ = process.end()
     assert code == ExitCode.OK
     assert json.loads(out)["files"] == 3
