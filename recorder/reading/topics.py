@@ -183,10 +183,16 @@ def _converted(value: str, name: str, field: inspect.Type, names: dict[str, Any]
 
 def foreign_decoder(name: str, descriptors: bytes) -> Decode | None:
     """By the descriptor set that the log holds; None if that is of no use."""
+    found = foreign_class(name, descriptors)
+    return None if found is None else found.FromString
+
+
+def foreign_class(name: str, descriptors: bytes) -> Any:  # noqa: ANN401 - protobuf makes the class at run time
+    """The protobuf package's class by the descriptor set that the log holds; None if that is of no use."""
     pool = DescriptorPool()
     try:
         for file in FileDescriptorSet.FromString(descriptors).file:
             pool.Add(file)
-        return GetMessageClass(pool.FindMessageTypeByName(name)).FromString
+        return GetMessageClass(pool.FindMessageTypeByName(name))
     except UNREADABLE:
         return None

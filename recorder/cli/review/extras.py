@@ -8,7 +8,7 @@ from typing import Final
 
 from schemas.exit_codes import CommandError
 
-_LIBRARIES: Final = {"daft", "duckdb", "numpy", "pyarrow", "ray"}
+_LIBRARIES: Final = {"daft", "duckdb", "numpy", "ptars", "pyarrow", "ray"}
 
 
 @contextmanager

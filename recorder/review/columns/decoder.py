@@ -1,43 +1,27 @@
-"""The messages of one channel to the record batch of its table."""
+"""The messages of one channel to the record batch of its table.
+
+ptars, which is Rust, reads many protobuf messages at once. It knows the fields under names of their own: of
+``google.protobuf.Timestamp`` and others that it knows by name it would make times, which hold less.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection
 from typing import Any, Final
 
-import msgspec
 import numpy as np
 import pyarrow as pa
+from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorProto
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
+from ptars import HandlerPool
 
-from recorder.mcap.arrays import Bytes, Numbers, Places
-from recorder.review.columns import arrays, parsed
-from recorder.review.columns.layout import Layout, find_layout
-from recorder.review.columns.shape import INT64_MAX, Shape
-from recorder.review.columns.tables import HEAD, TIME_TYPE, Columns, shown
+from recorder.mcap.arrays import Bytes, Places
+from recorder.review.columns.shape import Field
+from recorder.review.columns.tables import HEAD, TIME_MAX_NS, TIME_TYPE, Columns
 
-WORTH_A_LAYOUT: Final = 12
-"""So many messages at least: for fewer the protobuf package is as fast."""
-
-LAYOUTS_MAX: Final = 8
-"""Layouts that are tried of one length; what fits none goes to the protobuf package."""
-
-_LENGTHS_MAX: Final = 1000
-"""Lengths whose layouts are remembered."""
-
-_WORD: Final = 8
-
-
-class _Pattern(msgspec.Struct, frozen=True):
-    """A layout, and a message of it to compare others with, padding included."""
-
-    layout: Layout
-    example: NDArray[np.uint64]
-    mask: NDArray[np.uint64]
-
-
-_Part = tuple[Numbers, list[pa.Array]]
-"""Which messages, and their columns."""
+_MAP_ENTRY: Final = ("key", "value")
 
 
 class Decoder:
@@ -56,172 +40,128 @@ class Decoder:
         self.columns = columns
         self.broken = 0
         names = columns.schema.names
-        is_wanted = [wanted is None or name in wanted for name in names]
-        self.schema = pa.schema([field for field, wants in zip(columns.schema, is_wanted, strict=True) if wants])
-        self._wants_head = is_wanted[: len(HEAD)]
-        self._wants_data = any(is_wanted[len(HEAD) :])
-        self._shape: Shape | None = None
-        self._read: Callable[[bytes], Any] = bytes
-        if columns.shape is not None and columns.read is not None:
-            self._read = columns.read
-            kept = [number for number, wants in zip(columns.kept, is_wanted[len(HEAD) :], strict=True) if wants]
-            self._shape = msgspec.structs.replace(
-                columns.shape, fields=tuple(columns.shape.fields[number] for number in kept)
-            )
-        self._patterns: dict[int, list[_Pattern]] = {}
+        places = [place for place, name in enumerate(names) if wanted is None or name in wanted]
+        self.schema = pa.schema([columns.schema.field(place) for place in places])
+        self._head = [place for place in places if place < len(HEAD)]
+        self._behind = [place - len(HEAD) for place in places if place >= len(HEAD)]
+        self._handler: Any = None if columns.fields is None else _handler(columns.fields)
 
     def batch(self, content: Bytes, places: Places) -> pa.RecordBatch:
         """The messages at these places. Those that cannot be read are left out and counted.
 
         Args:
             content: records of messages, and padding behind.
-            places: proven, in the order of the file.
+            places: proven, in the order of the file; one at least.
         """
-        if self._shape is None:
-            rows, found = self._bytes(content, places)
-        else:
-            rows, found = self._fields(self._shape, content, places)
-        if rows is not None:
-            self.broken += len(places.offsets) - len(rows)
-            places = places.only(rows)
-        return pa.RecordBatch.from_arrays([*self._head(content, places), *found], schema=self.schema)
+        messages = _messages(content, places)
+        found = self._read(messages)
+        if found is None:
+            rows = [row for row, one in enumerate(messages) if self._reads(one)]
+            self.broken += len(messages) - len(rows)
+            places = places.only(np.array(rows, np.int64))
+            found = self._read(messages.take(pa.array(rows, pa.int64()))) or []
+        head = [
+            _times(places.log_ns(content)),
+            _times(places.publish_ns(content)),
+            pa.array(places.sequences(content).astype(np.int64)),
+        ]
+        return pa.RecordBatch.from_arrays([*(head[place] for place in self._head), *found], schema=self.schema)
 
-    def _head(self, content: Bytes, places: Places) -> list[pa.Array]:
-        found = []
-        if self._wants_head[0]:
-            found.append(times(places.log_ns(content)))
-        if self._wants_head[1]:
-            found.append(times(places.publish_ns(content)))
-        if self._wants_head[2]:
-            found.append(arrays.bare_array(pa.int64(), places.sequences(content).astype(np.int64)))
-        return found
-
-    def _bytes(self, content: Bytes, places: Places) -> tuple[Numbers | None, list[pa.Array]]:
-        """The one column of a topic that is not protobuf."""
-        if not self._wants_data:
-            return None, []
-        values = pa.array(message_bytes(content, places), pa.binary())
-        if self.schema.field(len(self.schema) - 1).type == pa.binary():
-            return None, [values]
+    def _read(self, messages: pa.Array) -> list[pa.Array] | None:
+        """The wanted columns behind the head; None if one of the messages cannot be read."""
+        fields = self.columns.fields
         try:
-            return None, [values.cast(pa.string())]
-        except pa.ArrowInvalid:
-            texts = [_text_of(value) for value in values.to_pylist()]
-            rows = np.array([row for row, text in enumerate(texts) if text is not None], np.int64)
-            return rows, [pa.array([text for text in texts if text is not None], pa.string())]
+            if fields is None:
+                texts = messages.cast(self.columns.schema.field(len(HEAD)).type)
+                return [texts for _ in self._behind]
+            batch = self._handler.array_to_record_batch(messages)
+            return [_shown(fields[place], batch.column(place)) for place in self._behind]
+        except ValueError:
+            return None
+        except BaseException as error:
+            # What Rust calls a panic, which pyo3 does not let anybody import.
+            if type(error).__name__ != "PanicException":
+                raise
+            return None
 
-    def _fields(self, shape: Shape, content: Bytes, places: Places) -> tuple[Numbers | None, list[pa.Array]]:
-        """The columns of a shape, and which messages they are of; None is all."""
-        parts = self._parts(shape, content, places)
-        if len(parts) == 1 and len(parts[0][0]) == len(places.offsets):
-            return None, [shown(field, one) for field, one in zip(shape.fields, parts[0][1], strict=True)]
-        rows = np.concatenate([part[0] for part in parts])
-        order = np.argsort(rows)
-        taken = pa.array(order)
-        found = []
-        for number, field in enumerate(shape.fields):
-            joined = pa.concat_arrays([part[1][number] for part in parts])
-            found.append(shown(field, joined.take(taken)))
-        return rows[order], found
-
-    def _parts(self, shape: Shape, content: Bytes, places: Places) -> list[_Part]:
-        parts: list[_Part] = []
-        left: list[Numbers] = []
-        for length, group in _groups(places.lengths):
-            remaining = group
-            if shape.is_simple and (len(group) >= WORTH_A_LAYOUT or length in self._patterns):
-                found, remaining = self._alike(shape, content, places.offsets, group, length)
-                parts += found
-            if len(remaining):
-                left.append(remaining)
-        if left or not parts:
-            rows = np.sort(np.concatenate(left)) if left else np.empty(0, np.int64)
-            messages = message_bytes(content, places.only(rows))
-            found_arrays, broken = parsed.columns(shape, self._read, messages)
-            parts.append((np.delete(rows, broken), found_arrays))
-        return parts
-
-    def _alike(
-        self, shape: Shape, content: Bytes, offsets: Numbers, group: Numbers, length: int
-    ) -> tuple[list[_Part], Numbers]:
-        """The columns of messages of one length, layout by layout, and those that fit none."""
-        width = -(-length // _WORD) * _WORD
-        records: NDArray[np.void] = np.ndarray((len(content) - width + 1,), f"V{width}", content, 0, (1,))
-        matrix = records[offsets[group]].view(np.uint64).reshape(len(group), width // _WORD)
-        if len(self._patterns) > _LENGTHS_MAX:
-            self._patterns.clear()
-        patterns = self._patterns.setdefault(length, [])
-        parts: list[_Part] = []
-        tried = 0
-        while len(group) and tried < LAYOUTS_MAX:
-            if tried == len(patterns):
-                if tried and len(group) < WORTH_A_LAYOUT:
-                    break
-                pattern = _pattern(shape, matrix[0], length)
-                if pattern is None:
-                    break
-                patterns.append(pattern)
-            pattern = patterns[tried]
-            tried += 1
-            differs = _differences(matrix, pattern)
-            if not differs.any():
-                alike, matrix_alike, group_left = group, matrix, group[:0]
-            else:
-                same = ~differs
-                alike, matrix_alike, group_left = group[same], matrix[same], group[differs]
-                matrix = matrix[differs]
-            if len(alike):
-                rows = matrix_alike.view(np.uint8)[:, :length]
-                parts.append((alike, arrays.columns(shape, pattern.layout.places, rows)))
-            group = group_left
-        return parts, group
+    def _reads(self, message: pa.Scalar) -> bool:
+        """Report whether one message can be read."""
+        try:
+            if self.columns.read is not None:
+                self.columns.read(message.as_py())
+        except (DecodeError, RecursionError):
+            return False
+        return self._read(pa.array([message.as_py()], pa.binary())) is not None
 
 
-def times(numbers: NDArray[np.unsignedinteger]) -> pa.Array:
+def _messages(content: Bytes, places: Places) -> pa.Array:
+    """The data of each message: every other piece of the content, cut where one begins and where it ends."""
+    cuts = np.empty(2 * len(places.offsets), np.int32)
+    cuts[0::2], cuts[1::2] = places.offsets, places.offsets + places.lengths
+    pieces = pa.Array.from_buffers(
+        pa.binary(), len(cuts) - 1, [None, pa.py_buffer(cuts), pa.py_buffer(content)], null_count=0
+    )
+    return pieces.take(pa.array(np.arange(0, len(cuts), 2)))
+
+
+def _times(numbers: NDArray[np.unsignedinteger]) -> pa.Array:
     """Nanoseconds since 1970 as Arrow has them: those beyond what it can hold are the last that it can."""
-    return arrays.bare_array(TIME_TYPE, np.minimum(numbers, np.uint64(INT64_MAX)))
+    return pa.array(np.minimum(numbers, np.uint64(TIME_MAX_NS)).astype(np.int64)).view(TIME_TYPE)
 
 
-def message_bytes(content: Bytes, places: Places) -> list[bytes]:
-    """The data of each message."""
-    view = memoryview(content.data)
-    ends = (places.offsets + places.lengths).tolist()
-    return [bytes(view[start:end]) for start, end in zip(places.offsets.tolist(), ends, strict=True)]
+def _shown(field: Field, read: pa.Array) -> pa.Array:
+    """A column as it was read in the type that it is shown in.
+
+    Raises:
+        ValueError: a number is beyond its bounds.
+    """
+    if field.is_map:
+        key, value = field.within or ()
+        return pa.MapArray.from_arrays(read.offsets, _shown(key, read.keys), _shown(value, read.items))
+    if field.is_repeated:
+        values = _values(field, read.values, field.type.value_type)
+        return pa.ListArray.from_arrays(read.offsets, values, type=field.type)
+    return _values(field, read, field.type)
 
 
-def _text_of(value: bytes) -> str | None:
-    try:
-        return value.decode()
-    except UnicodeDecodeError:
-        return None
+def _values(field: Field, read: pa.Array, kind: pa.DataType) -> pa.Array:
+    if field.names is not None:
+        return field.names.named(read, kind)
+    if field.within is None:
+        return read.cast(kind)
+    children = [_shown(one, read.field(place)) for place, one in enumerate(field.within)]
+    absent = read.is_null() if read.null_count else None
+    return pa.StructArray.from_arrays(children, fields=list(kind), mask=absent)
 
 
-def _groups(lengths: Numbers) -> Sequence[tuple[int, Numbers]]:
-    """Which messages have each length."""
-    if not len(lengths):
-        return []
-    if lengths.min() == lengths.max():
-        return [(int(lengths[0]), np.arange(len(lengths)))]
-    unique, which = np.unique(lengths, return_inverse=True)
-    order = np.argsort(which, kind="stable")
-    starts = np.searchsorted(which[order], np.arange(len(unique) + 1))
-    return [
-        (int(length), order[start:end]) for length, start, end in zip(unique, starts[:-1], starts[1:], strict=True)
-    ]
+def _handler(fields: tuple[Field, ...]) -> Any:  # noqa: ANN401 - of a class without a name
+    """What reads messages of these fields."""
+    file = FileDescriptorProto(name="columns.proto", syntax="proto3")
+    _declare(file.message_type.add(name="Columns"), fields, ".Columns")
+    pool = DescriptorPool()
+    pool.Add(file)
+    return HandlerPool([pool.FindFileByName(file.name)]).get_for_message(pool.FindMessageTypeByName("Columns"))
 
 
-def _pattern(shape: Shape, message: NDArray[np.uint64], length: int) -> _Pattern | None:
-    data = message.tobytes()
-    layout = find_layout(shape, data[:length])
-    if layout is None:
-        return None
-    mask = layout.mask.ljust(len(data), b"\0")
-    return _Pattern(layout, message.copy(), np.frombuffer(mask, np.uint64))
-
-
-def _differences(matrix: NDArray[np.uint64], pattern: _Pattern) -> NDArray[np.bool_]:
-    """Which messages are not of the pattern."""
-    differs: Any = np.zeros(len(matrix), np.uint64)
-    for place in np.flatnonzero(pattern.mask):
-        differs |= (matrix[:, place] ^ pattern.example[place]) & pattern.mask[place]
-    return np.asarray(differs != 0)
+def _declare(message: DescriptorProto, fields: tuple[Field, ...], path: str) -> None:
+    """Give a class its fields, each message within it a class of its own."""
+    groups: dict[str, int] = {}
+    for place, field in enumerate(fields):
+        one = message.field.add(
+            name=_MAP_ENTRY[place] if message.options.map_entry else f"f{place}",
+            number=field.number,
+            type=field.wire_type,
+            label=FieldDescriptorProto.LABEL_REPEATED
+            if field.is_repeated
+            else FieldDescriptorProto.LABEL_OPTIONAL,
+        )
+        if field.within is not None:
+            nested = message.nested_type.add(name=f"F{place}Entry")
+            nested.options.map_entry = field.is_map
+            one.type_name = f"{path}.{nested.name}"
+            _declare(nested, field.within, one.type_name)
+        if field.oneof:
+            if field.oneof not in groups:
+                groups[field.oneof] = len(groups)
+                message.oneof_decl.add(name=f"o{groups[field.oneof]}")
+            one.oneof_index = groups[field.oneof]

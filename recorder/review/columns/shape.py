@@ -23,53 +23,25 @@ from numpy.typing import NDArray
 from recorder.encoding.protobuf_schema import fields, message_class, optional_part
 from schemas.messages import UNIT_KEYWORD
 
-VARINT, FIXED64, LENGTH, FIXED32 = 0, 1, 2, 5
-"""Protobuf's wire types."""
-
-INT64_MAX: Final = 2**63 - 1
-
-
-class Form(msgspec.Struct, frozen=True):
-    """How a kind of number stands in a message.
-
-    Attributes:
-        wire: the wire type.
-        raw: the numpy type of its bytes, if they are of fixed width; of a varint that of its value.
-        arrow: the type of its column.
-        is_zigzag: the sign of a varint is its lowest bit.
-    """
-
-    wire: int
-    raw: str
-    arrow: pa.DataType
-    is_zigzag: bool = False
-
-    @property
-    def is_text(self) -> bool:
-        """It is text, and not bytes."""
-        return bool(self.arrow == pa.string())
-
-
 _F: Final = FieldDescriptor
-FORMS: Final[Mapping[int, Form]] = {
-    _F.TYPE_DOUBLE: Form(FIXED64, "<f8", pa.float64()),
-    _F.TYPE_FLOAT: Form(FIXED32, "<f4", pa.float32()),
-    _F.TYPE_FIXED64: Form(FIXED64, "<u8", pa.uint64()),
-    _F.TYPE_SFIXED64: Form(FIXED64, "<i8", pa.int64()),
-    _F.TYPE_FIXED32: Form(FIXED32, "<u4", pa.int64()),
-    _F.TYPE_SFIXED32: Form(FIXED32, "<i4", pa.int32()),
-    _F.TYPE_INT32: Form(VARINT, "<i4", pa.int32()),
-    _F.TYPE_INT64: Form(VARINT, "<i8", pa.int64()),
-    _F.TYPE_UINT32: Form(VARINT, "<u4", pa.int64()),
-    _F.TYPE_UINT64: Form(VARINT, "<u8", pa.uint64()),
-    _F.TYPE_SINT32: Form(VARINT, "<i4", pa.int32(), is_zigzag=True),
-    _F.TYPE_SINT64: Form(VARINT, "<i8", pa.int64(), is_zigzag=True),
-    _F.TYPE_BOOL: Form(VARINT, "?", pa.bool_()),
-    _F.TYPE_ENUM: Form(VARINT, "<i4", pa.int32()),
-    _F.TYPE_STRING: Form(LENGTH, "", pa.string()),
-    _F.TYPE_BYTES: Form(LENGTH, "", pa.binary()),
+_TYPES: Final[Mapping[int, pa.DataType]] = {
+    _F.TYPE_DOUBLE: pa.float64(),
+    _F.TYPE_FLOAT: pa.float32(),
+    _F.TYPE_FIXED64: pa.uint64(),
+    _F.TYPE_SFIXED64: pa.int64(),
+    _F.TYPE_FIXED32: pa.int64(),
+    _F.TYPE_SFIXED32: pa.int32(),
+    _F.TYPE_INT32: pa.int32(),
+    _F.TYPE_INT64: pa.int64(),
+    _F.TYPE_UINT32: pa.int64(),
+    _F.TYPE_UINT64: pa.uint64(),
+    _F.TYPE_SINT32: pa.int32(),
+    _F.TYPE_SINT64: pa.int64(),
+    _F.TYPE_BOOL: pa.bool_(),
+    _F.TYPE_STRING: pa.string(),
+    _F.TYPE_BYTES: pa.binary(),
 }
-"""By the descriptor's type of field."""
+"""The Arrow type of a column, by the descriptor's type of field."""
 
 NAMES_TYPE: Final = pa.dictionary(pa.int32(), pa.string())
 
@@ -80,73 +52,55 @@ class EnumNames:
     def __init__(self, names: Mapping[int, str]) -> None:
         self._names = list(names.values())
         self._places = {number: place for place, number in enumerate(names)}
+        self._first = next(iter(names))
         # Where a number is its own place, as in all classes of ours, nothing has to be looked up.
         self._dense = len(names) if list(names) == list(range(len(names))) else 0
 
-    def place(self, number: int) -> int:
-        """The place of a number's name."""
+    def named(self, numbers: pa.Array, kind: pa.DataType) -> pa.Array:
+        """The names of numbers, as a dictionary array or as one of texts."""
+        places = self._places_of(numbers.fill_null(self._first).to_numpy())
+        indices = pa.array(places, pa.int32(), mask=np.asarray(numbers.is_null()) if numbers.null_count else None)
+        names = pa.array(self._names, pa.string())
+        return pa.DictionaryArray.from_arrays(indices, names) if kind == NAMES_TYPE else names.take(indices)
+
+    def _places_of(self, numbers: NDArray[np.int32]) -> NDArray[np.int32]:
+        if not len(numbers) or (self._dense and numbers.min() >= 0 and numbers.max() < self._dense):
+            return numbers
+        unique, which = np.unique(numbers, return_inverse=True)
+        return np.array([self._place(int(number)) for number in unique], np.int32)[which]
+
+    def _place(self, number: int) -> int:
         place = self._places.get(number)
         if place is None:
             place = self._places[number] = len(self._names)
             self._names.append(str(number))
         return place
 
-    def places(self, numbers: NDArray[np.int32]) -> NDArray[np.int32]:
-        """The same of many."""
-        if not len(numbers) or (self._dense and numbers.min() >= 0 and numbers.max() < self._dense):
-            return numbers
-        unique, which = np.unique(numbers, return_inverse=True)
-        return np.array([self.place(int(number)) for number in unique], np.int32)[which]
-
-    def named(self, places: pa.Array) -> pa.Array:
-        """An array of places as one of names, which has each name once."""
-        return pa.DictionaryArray.from_arrays(places, pa.array(self._names, pa.string()))
-
-    def spelled(self, places: pa.Array) -> pa.Array:
-        """An array of places as one of texts."""
-        return pa.array(self._names, pa.string()).take(places)
-
 
 class Field(msgspec.Struct, frozen=True, eq=False):
     """A field.
 
     Attributes:
-        form: None for a message.
-        is_bounded: a number that is unsigned in protobuf and never beyond int64.
-        has_presence: it is null where it is absent, else it has its default.
-        oneof: the name of the group of which a message holds one at most; empty if there is none.
+        wire_type: how it is read, a descriptor's type of field: an enumeration as a number, and a message within
+            itself as bytes.
+        oneof: the group of which a message holds one at most, itself alone if it may be absent in any other way;
+            empty for a number or text that has its default where it is absent.
         names: of an enumeration.
-        within: the fields of a message; None if it is none, or one within itself, which is kept as bytes.
-        stored: the column's type while it is put together: an enumeration is its places.
-        shown: the column's type.
+        within: the fields of a message; None if it is none.
+        type: the column's type.
         unit: by the schema; empty if there is none.
     """
 
     name: str
     number: int
-    form: Form | None
+    wire_type: int
     is_repeated: bool
     is_map: bool
-    is_bounded: bool
-    has_presence: bool
     oneof: str
     names: EnumNames | None
-    within: Shape | None
-    stored: pa.DataType
-    shown: pa.DataType
+    within: tuple[Field, ...] | None
+    type: pa.DataType
     unit: str
-
-
-class Shape(msgspec.Struct, frozen=True, eq=False):
-    """The fields of a class, in their order.
-
-    Attributes:
-        is_simple: nothing in it is repeated but numbers and text, so that a layout can say where it is.
-    """
-
-    fields: tuple[Field, ...]
-    by_number: dict[int, Field]
-    is_simple: bool
 
 
 class Known(msgspec.Struct, frozen=True):
@@ -162,100 +116,62 @@ class Known(msgspec.Struct, frozen=True):
 
 
 # Descriptors are of one class where protobuf is in Python, and of another where it is in C.
-def shape_of(descriptor: Any, known: Known | None = None, outer: tuple[str, ...] = ()) -> Shape:  # noqa: ANN401
-    """The shape of a class; ``known`` if it is ours."""
+def fields_of(descriptor: Any, known: Known | None = None, outer: tuple[str, ...] = ()) -> tuple[Field, ...]:  # noqa: ANN401
+    """The fields of a class, in their order; ``known`` if it is ours.
+
+    Raises:
+        TypeError: it has a field of a kind that nobody writes any more: a group.
+    """
     outer = (*outer, descriptor.full_name)
-    found = tuple(_field(field, known, outer) for field in descriptor.fields)
-    is_simple = all(
-        not field.is_map
-        and not (field.form is None and (field.is_repeated or field.within is None or not field.within.is_simple))
-        for field in found
-    )
-    return Shape(found, {field.number: field for field in found}, is_simple)
+    return tuple(_field(field, known, outer) for field in descriptor.fields)
 
 
-def own_shape(kind: type[msgspec.Struct]) -> tuple[Any, Shape]:
-    """The protobuf package's class of a class of ours, and a shape of its own: names that are met stay in it."""
-    read, known = _own(kind)
-    return read, shape_of(read.DESCRIPTOR, known)
-
-
-@cache
-def _own(kind: type[msgspec.Struct]) -> tuple[Any, Known]:
-    return message_class(kind), _known(kind)
+def own_fields(kind: type[msgspec.Struct]) -> tuple[Field, ...]:
+    """The fields of a class of ours, of their own each time: names that are met stay in them."""
+    return fields_of(message_class(kind).DESCRIPTOR, _known(kind))
 
 
 def _field(field: Any, known: Known | None, outer: tuple[str, ...]) -> Field:  # noqa: ANN401
     names = within = None
-    form = FORMS.get(field.type)
-    is_map = _is_map(field)
-    is_bounded = known is not None and field.type == _F.TYPE_FIXED64
-    stored: pa.DataType
-    if form is None:
-        if field.message_type.full_name not in outer:
-            within = shape_of(field.message_type, known, outer)
-            stored = _message_type(within, is_map=is_map, is_shown=False)
-            shown = _message_type(within, is_map=is_map, is_shown=True)
-        else:
-            stored = shown = pa.binary()
+    wire_type = field.type
+    is_map = wire_type == _F.TYPE_MESSAGE and bool(field.message_type.GetOptions().map_entry)
+    kind: pa.DataType
+    if wire_type == _F.TYPE_MESSAGE and field.message_type.full_name not in outer:
+        within = fields_of(field.message_type, known, outer)
+        kind = (
+            pa.map_(*[one.type for one in within])
+            if is_map
+            else pa.struct([(one.name, one.type) for one in within])
+        )
+    elif wire_type == _F.TYPE_MESSAGE:
+        wire_type, kind = _F.TYPE_BYTES, pa.binary()
+    elif wire_type == _F.TYPE_ENUM:
+        wire_type, names = _F.TYPE_INT32, _enum_names(field.enum_type, known)
+        # Some readers, DuckDB among them, know no dictionaries within lists.
+        kind = NAMES_TYPE if len(outer) == 1 and not field.is_repeated else pa.string()
+    elif wire_type not in _TYPES:
+        raise TypeError(f"{field.name} is a group")
+    elif known is not None and wire_type == _F.TYPE_FIXED64:
+        kind = pa.int64()
     else:
-        stored = shown = pa.int64() if is_bounded else form.arrow
-        if field.type == _F.TYPE_ENUM:
-            names = _enum_names(field.enum_type, known)
-            is_top = len(outer) == 1 and not field.is_repeated
-            # Some readers, DuckDB among them, know no dictionaries within lists.
-            shown = NAMES_TYPE if is_top else pa.string()
-    if field.is_repeated and not is_map:
-        stored, shown = pa.list_(stored), pa.list_(shown)
+        kind = _TYPES[wire_type]
+    oneof = ""
+    if field.containing_oneof is not None:
+        oneof = field.containing_oneof.name
+    elif field.has_presence and within is None:
+        oneof = f"{field.name} alone"
     return Field(
         name=field.name,
         number=field.number,
-        form=form,
+        wire_type=wire_type,
         is_repeated=field.is_repeated,
         is_map=is_map,
-        is_bounded=is_bounded,
-        has_presence=field.has_presence,
-        oneof="" if field.containing_oneof is None else field.containing_oneof.name,
+        oneof=oneof,
         names=names,
         within=within,
-        stored=stored,
-        shown=shown,
+        type=pa.list_(kind) if field.is_repeated and not is_map else kind,
         unit="" if known is None else known.units.get((field.containing_type.name, field.name), ""),
     )
-
-
-def form_of(field: Field) -> Form:
-    """How a field's numbers or text stand in a message.
-
-    Raises:
-        TypeError: it is a message.
-    """
-    if field.form is None:
-        raise TypeError(f"{field.name} is a message")
-    return field.form
-
-
-def message_of(field: Field) -> Shape:
-    """The shape of a field that is a message.
-
-    Raises:
-        TypeError: it is none.
-    """
-    if field.within is None:
-        raise TypeError(f"{field.name} is no message")
-    return field.within
-
-
-def _is_map(field: Any) -> bool:  # noqa: ANN401
-    """Report whether it is a map, which in protobuf is a repeated message of key and value."""
-    return bool(field.type == _F.TYPE_MESSAGE and field.message_type.GetOptions().map_entry)
-
-
-def _message_type(within: Shape, *, is_map: bool, is_shown: bool) -> pa.DataType:
-    if is_map:
-        key, value = (one.shown if is_shown else one.stored for one in within.fields)
-        return pa.map_(key, value)
-    return pa.struct([(one.name, one.shown if is_shown else one.stored) for one in within.fields])
 
 
 def _enum_names(enum: Any, known: Known | None) -> EnumNames:  # noqa: ANN401
@@ -265,6 +181,7 @@ def _enum_names(enum: Any, known: Known | None) -> EnumNames:  # noqa: ANN401
     return EnumNames({number: value.name for number, value in enum.values_by_number.items()})
 
 
+@cache
 def _known(kind: type[msgspec.Struct]) -> Known:
     values = {one.__name__: [str(member.value) for member in one] for one in _enums(kind)}
     definitions = msgspec.json.schema(kind)["$defs"]

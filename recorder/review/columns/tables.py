@@ -11,15 +11,16 @@ from typing import Any, Final
 
 import msgspec
 import pyarrow as pa
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from google.protobuf.descriptor_pool import DescriptorPool
-from google.protobuf.message_factory import GetMessageClass
 
+from recorder.encoding.protobuf_schema import message_class
 from recorder.reading.topic_names import place_of, table_of
-from recorder.reading.topics import UNREADABLE, Topic
-from recorder.review.columns.shape import Field, Shape, message_of, own_shape, shape_of
+from recorder.reading.topics import Topic, foreign_class
+from recorder.review.columns.shape import Field, fields_of, own_fields
 
 TIME_TYPE: Final = pa.timestamp("ns", "UTC")
+TIME_MAX_NS: Final = 2**63 - 1
+"""The last time that Arrow can hold."""
+
 LOG_TIME, PUBLISH_TIME, SEQUENCE, ROBOT, TOPIC = "log_time", "publish_time", "sequence", "robot", "topic"
 
 HEAD: Final = (
@@ -48,8 +49,7 @@ class Columns(msgspec.Struct, frozen=True, eq=False):
         robot: the robot's name; empty if it is no robot's.
         schema: of the record batches; a field with a unit has it as metadata.
         read: a message's bytes to one of the protobuf package; None if it is no protobuf.
-        shape: of such a message.
-        kept: which of the shape's fields are columns.
+        fields: of such a message, those that are columns.
     """
 
     topic: Topic
@@ -58,49 +58,22 @@ class Columns(msgspec.Struct, frozen=True, eq=False):
     robot: str
     schema: pa.Schema
     read: Callable[[bytes], Any] | None
-    shape: Shape | None
-    kept: tuple[int, ...]
+    fields: tuple[Field, ...] | None
 
 
 def columns_of(topic: Topic) -> Columns:
     """The columns of a topic."""
     place, robot = place_of(topic)
-    read, shape = _shape(topic)
-    fields = list(HEAD)
-    kept: tuple[int, ...] = ()
-    if shape is not None:
-        # The sequence of a message of ours is that of its record.
-        kept = tuple(
-            number
-            for number, field in enumerate(shape.fields)
-            if not (topic.kind is not None and field.name == SEQUENCE)
-        )
+    columns = list(HEAD)
+    read, fields = _protobuf(topic)
+    if fields is not None:
         taken = set(RESERVED)
-        fields += [_column(shape.fields[number], taken) for number in kept]
+        columns += [_column(field, taken) for field in fields]
     elif topic.encoding == "json":
-        fields.append(pa.field("json", pa.string()))
+        columns.append(pa.field("json", pa.string()))
     else:
-        fields.append(pa.field("data", pa.binary()))
-    return Columns(topic, table_of(topic), place, robot, pa.schema(fields), read, shape, kept)
-
-
-def shown(field: Field, stored: pa.Array) -> pa.Array:
-    """A column of the type that it is shown in: the places of an enumeration become its names."""
-    return stored if stored.type == field.shown else _shown(field, stored, field.shown)
-
-
-def _shown(field: Field, stored: pa.Array, kind: pa.DataType) -> pa.Array:
-    if field.is_map:
-        # Only the values can be anything else than what they are.
-        value = message_of(field).fields[1]
-        return pa.MapArray.from_arrays(stored.offsets, stored.keys, shown(value, stored.items))
-    if pa.types.is_list(stored.type):
-        return pa.ListArray.from_arrays(stored.offsets, _shown(field, stored.values, kind.value_type))
-    if field.names is not None:
-        return field.names.named(stored) if pa.types.is_dictionary(kind) else field.names.spelled(stored)
-    children = [shown(one, stored.field(place)) for place, one in enumerate(message_of(field).fields)]
-    absent = stored.is_null() if stored.null_count else None
-    return pa.StructArray.from_arrays(children, fields=list(kind), mask=absent)
+        columns.append(pa.field("data", pa.binary()))
+    return Columns(topic, table_of(topic), place, robot, pa.schema(columns), read, fields)
 
 
 def _column(field: Field, taken: set[str]) -> pa.Field:
@@ -109,26 +82,20 @@ def _column(field: Field, taken: set[str]) -> pa.Field:
     while name.lower() in taken:
         name = FIELD_PREFIX + name
     taken.add(name.lower())
-    return pa.field(name, field.shown, metadata={UNIT_KEY: field.unit.encode()} if field.unit else None)
+    return pa.field(name, field.type, metadata={UNIT_KEY: field.unit.encode()} if field.unit else None)
 
 
-def _shape(topic: Topic) -> tuple[Callable[[bytes], Any] | None, Shape | None]:
+def _protobuf(topic: Topic) -> tuple[Callable[[bytes], Any] | None, tuple[Field, ...] | None]:
+    """How a message is read, and its fields; None twice where nobody here can read it."""
     if topic.kind is not None:
-        read, shape = own_shape(topic.kind)
-        return read.FromString, shape
-    if topic.encoding != "protobuf":
+        # The sequence of a message of ours is that of its record.
+        fields = tuple(field for field in own_fields(topic.kind) if field.name != SEQUENCE)
+        return message_class(topic.kind).FromString, fields
+    found = foreign_class(topic.schema, topic.schema_data) if topic.encoding == "protobuf" else None
+    if found is None:
         return None, None
-    pool = DescriptorPool()
     try:
-        files = FileDescriptorSet.FromString(topic.schema_data).file
-        for file in files:
-            pool.Add(file)
-        descriptor = pool.FindMessageTypeByName(topic.schema)
-        shape = shape_of(descriptor)
-        if not shape.fields:
-            return None, None
-        # Other dialects have defaults of their own, and groups.
-        is_simple = shape.is_simple and all(file.syntax == "proto3" for file in files)
-        return GetMessageClass(descriptor).FromString, msgspec.structs.replace(shape, is_simple=is_simple)
-    except UNREADABLE:
+        foreign = fields_of(found.DESCRIPTOR)
+    except TypeError:
         return None, None
+    return (found.FromString, foreign) if foreign else (None, None)

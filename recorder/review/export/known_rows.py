@@ -20,8 +20,7 @@ from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Selection
 from recorder.reading.topics import Topic
 from recorder.review.columns.reader import Heads, read_batches
-from recorder.review.columns.shape import INT64_MAX
-from recorder.review.columns.tables import LOG_TIME, PUBLISH_TIME, SEQUENCE
+from recorder.review.columns.tables import LOG_TIME, PUBLISH_TIME, SEQUENCE, TIME_MAX_NS
 from schemas.messages import RawSample
 from schemas.subjects import RECORDER_CHUNK
 
@@ -118,7 +117,7 @@ def _hashes(topic: Topic, log_ns: NDArray[Any], publish_ns: NDArray[Any], sequen
     mixed = np.zeros(len(log_ns), np.uint64)
     for numbers in (publish_ns, sequence) if is_ours else (publish_ns, sequence, log_ns):
         # Later times than Arrow's are all the same there.
-        mixed ^= np.minimum(numbers.astype(np.uint64), np.uint64(INT64_MAX))
+        mixed ^= np.minimum(numbers.astype(np.uint64), np.uint64(TIME_MAX_NS))
         for _ in range(2):
             mixed ^= mixed >> np.uint64(32)
             mixed *= np.uint64(0xD6E8FEB86659FD93)
