@@ -129,21 +129,16 @@ def _wanted(arguments: argparse.Namespace, asked: Asked) -> Any:  # noqa: ANN401
 
 
 def _frames(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:
-    from recorder.reading.topic_names import file_name, wants_of  # noqa: PLC0415
-    from recorder.review.export.frame_files import FrameFile, FrameFormat  # noqa: PLC0415 - python-can takes a while
-    from recorder.review.export.raw_frames import FrameSink, read_frames, write_frames  # noqa: PLC0415
+    from recorder.reading.topic_names import wants_of  # noqa: PLC0415
+    from recorder.review.export.frame_files import FrameFormat, write_frames  # noqa: PLC0415 - python-can takes a while
+    from recorder.review.export.raw_frames import read_frames  # noqa: PLC0415
 
-    form = FrameFormat[arguments.format.upper()]
     out: Path = arguments.out
-
-    def sink_of(robot: str) -> tuple[str, FrameSink]:
-        path = out / f"{file_name(robot)}.{form.value}"
-        return str(path), FrameFile(path, form)
-
     selection = Selection(wants_of(arguments.topic), asked.from_ns, asked.to_ns)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        return write_frames(read_frames(asked.logs, selection, asked.faults, progress), sink_of)
+        frames = read_frames(asked.logs, selection, asked.faults, progress)
+        return write_frames(frames, out, FrameFormat[arguments.format.upper()])
     except OSError as error:
         raise CommandError(f"cannot write {plain(str(out))}: {error.strerror or error}") from error
 

@@ -1,4 +1,4 @@
-"""Files of raw frames for the tools of CAN, by python-can's writers: candump log, ASC, BLF.
+"""Files of raw frames for the tools of CAN, one a robot, by python-can's writers: candump log, ASC, BLF.
 
 Not every format says everything: a candump log knows no class of an error frame and no length of a remote frame,
 ASC neither the class nor the direction of an error frame. Times are to the microsecond.
@@ -7,7 +7,7 @@ ASC neither the class nor the direction of an error frame. Times are to the micr
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from datetime import datetime
 from enum import Enum
@@ -15,8 +15,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import can
+import msgspec
 
 from recorder.disk.new_file import give_name
+from recorder.reading.topic_names import file_name
 from recorder.review.export.raw_frames import LoggedFrame
 from schemas.exit_codes import CommandError
 from schemas.messages import CanFrame
@@ -44,6 +46,47 @@ _WRITERS: Final[dict[FrameFormat, Callable[[Path], Any]]] = {
 }
 
 
+class FramesOf(msgspec.Struct, frozen=True):
+    """What was written of a robot.
+
+    Attributes:
+        late: frames that came after later ones had been written.
+    """
+
+    robot: str
+    path: str
+    frames: int
+    late: int
+
+
+def write_frames(frames: Iterable[LoggedFrame], directory: Path, form: FrameFormat) -> list[FramesOf]:
+    """Write frames, each robot's to a file of its own.
+
+    Args:
+        frames: in the order of time.
+        directory: where the files go.
+        form: their format.
+
+    Raises:
+        CommandError: one of the files is there already, or cannot be begun.
+        OSError: the disk does not take one; nothing is left of any.
+    """
+    files: dict[str, FrameFile] = {}
+    try:
+        for logged in frames:
+            if logged.robot not in files:
+                path = directory / f"{file_name(logged.robot)}.{form.value}"
+                files[logged.robot] = FrameFile(path, form)
+            files[logged.robot].write(logged)
+        for file in files.values():
+            file.close()
+    except BaseException:
+        for file in files.values():
+            file.discard()
+        raise
+    return [FramesOf(robot, str(file.path), file.frames, file.late) for robot, file in files.items()]
+
+
 class FrameFile:
     """One file of the frames of one robot.
 
@@ -56,13 +99,16 @@ class FrameFile:
 
     Attributes:
         channels: the number of each bus, from 0; the file's own begin at 1. ``can0`` is 0 if nobody else is.
+        frames: that were written...
+        late: ...and those of them that came after later ones.
     """
 
     def __init__(self, path: Path, form: FrameFormat) -> None:
-        self._path = path
+        self.path = path
         self._form = form
         self.channels: dict[str, int] = {}
-        self._is_begun = False
+        self.frames = self.late = 0
+        self._last_ns = 0
         self._part = path.with_name(f"{path.name}.part")
         if path.exists() or self._part.exists():
             there = path if path.exists() else self._part
@@ -80,8 +126,11 @@ class FrameFile:
             OSError: the disk does not take it.
         """
         frame = logged.frame
-        if not self._is_begun:
+        if not self.frames:
             self._begin(frame.time_ns)
+        self.frames += 1
+        self.late += frame.time_ns < self._last_ns
+        self._last_ns = max(self._last_ns, frame.time_ns)
         channel = self._channel(frame.bus)
         self._writer(_message(frame, channel, is_sent=logged.is_sent))
 
@@ -92,7 +141,7 @@ class FrameFile:
             OSError: the disk does not take it.
         """
         self._writer.stop()
-        give_name(self._part, self._path)
+        give_name(self._part, self.path)
 
     def discard(self) -> None:
         """Leave nothing of what is not whole."""
@@ -103,7 +152,6 @@ class FrameFile:
             self._part.unlink(missing_ok=True)
 
     def _begin(self, time_ns: int) -> None:
-        self._is_begun = True
         if self._form is FrameFormat.ASC:
             self._date(time_ns)
             # All times count from the file's beginning, which python-can tells to the millisecond, and 5 of them

@@ -34,9 +34,9 @@ Hashes = NDArray[np.uint64]
 _Key = tuple[str, str, str]
 
 
-def may_repeat(topic: Topic) -> bool:
+def may_repeat(topic: str) -> bool:
     """Report whether messages of the topic may be in another log."""
-    return f"/{RECORDER_CHUNK}/" not in f"/{topic.name}"
+    return f"/{RECORDER_CHUNK}/" not in f"/{topic}"
 
 
 def overlapping(log: LogFile, earlier: Sequence[LogFile]) -> list[LogFile]:
@@ -93,7 +93,7 @@ class KnownRows:
 
 def _rows_of(log: LogFile, earlier: Sequence[LogFile], selection: Selection) -> Iterator[tuple[_Key, Hashes]]:
     near = Selection(
-        wants=lambda topic: may_repeat(topic) and selection.wants(topic),
+        wants=lambda topic: may_repeat(topic.name) and selection.wants(topic),
         from_ns=max(0, log.start_ns - SLACK_NS),
         to_ns=log.end_ns + SLACK_NS,
     )
@@ -134,6 +134,4 @@ def _topic_names(log: LogFile) -> set[str] | None:
         return None
     if summary is None:
         return None
-    return {
-        channel.topic for channel in summary.channels.values() if f"/{RECORDER_CHUNK}/" not in f"/{channel.topic}"
-    }
+    return {channel.topic for channel in summary.channels.values() if may_repeat(channel.topic)}

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from heapq import heappop, heappush
-from typing import Final, Protocol
+from typing import Final
 
 import msgspec
 
@@ -33,35 +33,6 @@ class LoggedFrame(msgspec.Struct, frozen=True, gc=False):
     robot: str
     is_sent: bool
     frame: CanFrame
-
-
-class FrameSink(Protocol):
-    """Takes the frames of one robot."""
-
-    def write(self, logged: LoggedFrame) -> None:
-        """The next frame."""
-        ...
-
-    def close(self) -> None:
-        """End the file: it is whole."""
-        ...
-
-    def discard(self) -> None:
-        """Leave nothing of it."""
-        ...
-
-
-class FramesOf(msgspec.Struct, frozen=True):
-    """What was written of a robot.
-
-    Attributes:
-        late: frames that came after later ones had been written.
-    """
-
-    robot: str
-    path: str
-    frames: int
-    late: int
 
 
 def is_frames(topic: Topic) -> bool:
@@ -94,36 +65,6 @@ def read_frames(
     yield from order.rest()
     for name, count in broken.items():
         faults.add(f"{count} messages of {name} cannot be read")
-
-
-def write_frames(frames: Iterator[LoggedFrame], sink_of: Callable[[str], tuple[str, FrameSink]]) -> list[FramesOf]:
-    """Write frames, each robot's to a sink of its own.
-
-    Args:
-        frames: in the order of time.
-        sink_of: of a robot the path and the sink.
-    """
-    sinks: dict[str, tuple[str, FrameSink]] = {}
-    counts: dict[str, int] = {}
-    late: dict[str, int] = {}
-    last_ns: dict[str, int] = {}
-    try:
-        for logged in frames:
-            robot, time_ns = logged.robot, logged.frame.time_ns
-            if robot not in sinks:
-                sinks[robot] = sink_of(robot)
-                counts[robot] = late[robot] = last_ns[robot] = 0
-            counts[robot] += 1
-            late[robot] += time_ns < last_ns[robot]
-            last_ns[robot] = max(last_ns[robot], time_ns)
-            sinks[robot][1].write(logged)
-        for _, sink in sinks.values():
-            sink.close()
-    except BaseException:
-        for _, sink in sinks.values():
-            sink.discard()
-        raise
-    return [FramesOf(robot, path, counts[robot], late[robot]) for robot, (path, _) in sinks.items()]
 
 
 class _Order:

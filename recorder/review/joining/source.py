@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from operator import itemgetter
 from typing import BinaryIO, Final, TypeVar
@@ -99,15 +99,15 @@ class JoinSource:
 
     def read_metadata(self) -> Iterator[records.Metadata]:
         """The metadata records that can be read."""
-        for one in self.metadata:
-            record = self._read_at(one, records.Metadata) if isinstance(one, int) else one
-            if record is not None:
-                yield record
+        return self._each(self.metadata, records.Metadata)
 
     def read_attachments(self) -> Iterator[records.Attachment]:
         """The attachments that can be read."""
-        for one in self.attachments:
-            record = self._read_at(one, records.Attachment) if isinstance(one, int) else one
+        return self._each(self.attachments, records.Attachment)
+
+    def _each(self, places: Sequence[int | Kind], kind: type[Kind]) -> Iterator[Kind]:
+        for one in places:
+            record = self._read_at(one, kind) if isinstance(one, int) else one
             if record is not None:
                 yield record
 

@@ -10,15 +10,7 @@ import pyarrow as pa
 
 from recorder.review.columns.tables import HEAD, ROBOT, TOPIC
 from recorder.review.export.manifest import Manifest, Part, described
-from recorder.review.querying.tables import (
-    WHOSE,
-    ColumnInfo,
-    TableInfo,
-    column_info,
-    free_name,
-    own_columns,
-    type_name,
-)
+from recorder.review.querying.tables import WHOSE, TableInfo, free_name, own_columns, shown
 
 
 class DatasetSource:
@@ -62,13 +54,7 @@ class DatasetSource:
             TableInfo(
                 name,
                 sorted({part.topic for part in parts}),
-                [
-                    *map(column_info, WHOSE),
-                    *(
-                        ColumnInfo(one.name, type_name(one.type), one.unit)
-                        for one in self._manifest.schemas.get(parts[0].columns, [])
-                    ),
-                ],
+                shown([*described(pa.schema(WHOSE))[1], *self._manifest.schemas.get(parts[0].columns, [])]),
             )
             for name, parts in sorted(self._parts.items())
         ]

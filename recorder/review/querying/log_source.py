@@ -18,7 +18,7 @@ from recorder.review.columns.reader import read_batches
 from recorder.review.columns.tables import LOG_TIME, ROBOT, TOPIC, Columns, columns_of
 from recorder.review.export.known_rows import KnownRows, overlapping
 from recorder.review.export.manifest import described
-from recorder.review.querying.tables import WHOSE, TableInfo, column_info, free_name, own_columns
+from recorder.review.querying.tables import WHOSE, TableInfo, free_name, own_columns, shown
 
 
 class Table(msgspec.Struct, eq=False):
@@ -104,7 +104,7 @@ class LogSource:
             TableInfo(
                 table.name,
                 sorted(set().union(*table.topics.values())),
-                [column_info(field) for field in table.schema],
+                shown(described(table.schema)[1]),
             )
             for table in self._tables
             if table.topics

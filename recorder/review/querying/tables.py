@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from functools import cache
 from typing import Final
 
@@ -13,26 +13,14 @@ from mcap import records
 from recorder.encoding.protobuf_schema import descriptor_set, schema_name
 from recorder.encoding.routes import Route
 from recorder.reading.topics import topic_of
-from recorder.review.columns.tables import ROBOT, TOPIC, UNIT_KEY, Columns, columns_of
+from recorder.review.columns.tables import ROBOT, TOPIC, Columns, columns_of
+from recorder.review.export.manifest import Column
 from schemas import keys
 from schemas.messages import RawSample
 from schemas.subjects import RECORDER_SUBJECTS, SUBJECTS
 
 WHOSE: Final = (pa.field(ROBOT, pa.string()), pa.field(TOPIC, pa.string()))
 """The first columns of each table."""
-
-
-class ColumnInfo(msgspec.Struct, frozen=True):
-    """A column of a table.
-
-    Attributes:
-        type: by Arrow's name.
-        unit: empty if there is none.
-    """
-
-    name: str
-    type: str
-    unit: str
 
 
 class TableInfo(msgspec.Struct, frozen=True):
@@ -44,7 +32,7 @@ class TableInfo(msgspec.Struct, frozen=True):
 
     name: str
     topics: list[str]
-    columns: list[ColumnInfo]
+    columns: list[Column]
 
 
 @cache
@@ -73,12 +61,9 @@ def free_name(name: str, taken: Collection[str]) -> str:
     return free
 
 
-def column_info(field: pa.Field) -> ColumnInfo:
-    """What is told of a column."""
-    unit = (field.metadata or {}).get(UNIT_KEY, b"").decode()
-    return ColumnInfo(field.name, type_name(str(field.type)), unit)
-
-
-def type_name(text: str) -> str:
-    """A type by Arrow's name; that of an enumeration is a text all the same."""
-    return "string" if text.startswith("dictionary<") else text
+def shown(columns: Sequence[Column]) -> list[Column]:
+    """Columns as a person is told of them: an enumeration is a text all the same."""
+    return [
+        msgspec.structs.replace(one, type="string") if one.type.startswith("dictionary<") else one
+        for one in columns
+    ]

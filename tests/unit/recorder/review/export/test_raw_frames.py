@@ -1,5 +1,6 @@
 """Raw frames of logs in the order of time."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -8,29 +9,12 @@ from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
 from recorder.reading.rows import Selection
 from recorder.review.export import raw_frames
-from recorder.review.export.raw_frames import LoggedFrame, read_frames, write_frames
+from recorder.review.export.frame_files import FrameFormat, write_frames
+from recorder.review.export.raw_frames import LoggedFrame, read_frames
 from schemas import codec
 from schemas.messages import CanFrames
 from tests.support.drives import FRAMES, drive, write
 from tests.support.recorder_fakes import MS, SECOND, WALL_NS, FakeSample, Log, batch, feedback
-
-
-class FakeFile:
-    """A sink that keeps what it gets."""
-
-    def __init__(self) -> None:
-        self.frames: list[LoggedFrame] = []
-        self.is_closed = False
-
-    def write(self, logged: LoggedFrame) -> None:
-        assert not self.is_closed
-        self.frames.append(logged)
-
-    def close(self) -> None:
-        self.is_closed = True
-
-    def discard(self) -> None:
-        self.frames.clear()
 
 
 def read(paths: list[Path]) -> list[LoggedFrame]:
@@ -80,19 +64,32 @@ def test_a_frame_that_two_logs_hold_is_written_once(tmp_path: Path) -> None:
 
 def test_each_robot_has_a_file(tmp_path: Path) -> None:
     """All are ended, and what was out of order is counted."""
-    files: dict[str, FakeFile] = {}
-
-    def sink_of(robot: str) -> tuple[str, FakeFile]:
-        files[robot] = FakeFile()
-        return f"{robot}.x", files[robot]
-
     found = read([write(tmp_path, "1", drive()), write(tmp_path, "2", drive("cruiser-2", first=3))])
-    done = write_frames(iter([*found, found[0]]), sink_of)
-    assert {one.robot: (one.path, one.frames, one.late) for one in done} == {
-        "cruiser-1": ("cruiser-1.x", FRAMES + 1, 1),
-        "cruiser-2": ("cruiser-2.x", FRAMES, 0),
+    done = write_frames([*found, found[0]], tmp_path, FrameFormat.CANDUMP)
+    paths = {robot: tmp_path / f"{robot}.log" for robot in ("cruiser-1", "cruiser-2")}
+    assert {one.robot: (Path(one.path), one.frames, one.late) for one in done} == {
+        "cruiser-1": (paths["cruiser-1"], FRAMES + 1, 1),
+        "cruiser-2": (paths["cruiser-2"], FRAMES, 0),
     }
-    assert all(file.is_closed for file in files.values())
+    assert {robot: len(path.read_text().splitlines()) for robot, path in paths.items()} == {
+        "cruiser-1": FRAMES + 1,
+        "cruiser-2": FRAMES,
+    }
+
+
+def test_frames_that_break_off_leave_no_file(tmp_path: Path) -> None:
+    """Neither of the robot that was being written, nor of one before."""
+
+    def frames() -> Iterator[LoggedFrame]:
+        yield from found
+        raise OSError(28, "No space left on device")
+
+    found = read([write(tmp_path, "1", drive()), write(tmp_path, "2", drive("cruiser-2"))])
+    out = tmp_path / "out"
+    out.mkdir()
+    with pytest.raises(OSError, match="No space left"):
+        write_frames(frames(), out, FrameFormat.CANDUMP)
+    assert not list(out.iterdir())
 
 
 @pytest.mark.parametrize(("name", "value"), [("HORIZON_NS", 0), ("HELD_MAX", 3)])
