@@ -117,7 +117,9 @@ def _objects(rows: Iterable[Any], stopped: Callable[[], bool]) -> Iterator[dict[
 
 
 def _print_csv(rows: Any, stopped: Callable[[], bool]) -> None:  # noqa: ANN401 - Arrow has no annotations
-    from recorder.review.export.cells import csv_text  # noqa: PLC0415 - as above
+    from pyarrow import RecordBatch  # noqa: PLC0415 - as above
+
+    from recorder.review.export.cells import csv_text  # noqa: PLC0415
 
     is_first = True
     for batch in rows:
@@ -126,7 +128,7 @@ def _print_csv(rows: Any, stopped: Callable[[], bool]) -> None:  # noqa: ANN401 
         _write_csv(csv_text(batch, with_header=is_first))
         is_first = False
     if is_first:
-        _write_csv(csv_text(rows.schema.empty_table(), with_header=True))
+        _write_csv(csv_text(RecordBatch.from_pylist([], schema=rows.schema), with_header=True))
 
 
 def _write_csv(text: str) -> None:

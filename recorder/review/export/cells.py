@@ -10,14 +10,10 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 import msgspec
-import numpy as np
 import pyarrow as pa
 from pyarrow import csv
 
 _types: Final = pa.types
-
-_HEX: Final = np.frombuffer(b"".join(b"%02x" % byte for byte in range(256)), np.uint16)
-"""Of each byte its two digits."""
 
 
 def cells(rows: pa.RecordBatch) -> pa.RecordBatch:
@@ -61,24 +57,13 @@ def _cells(array: pa.Array) -> pa.Array:
     if _types.is_dictionary(kind):
         return _cells(array.dictionary_decode())
     if _is_bytes(kind):
-        return hexadecimal(array.cast(pa.binary()))
+        return pa.array([None if one is None else one.hex() for one in array.to_pylist()], pa.string())
     if _types.is_nested(kind):
         texts = [None if one is None else msgspec.json.encode(one).decode() for one in values(array)]
         return pa.array(texts, pa.string())
     if _types.is_boolean(kind) or _types.is_integer(kind) or _types.is_floating(kind) or _types.is_string(kind):
         return array
     return pa.array(_texts(array), pa.string())
-
-
-def hexadecimal(array: pa.Array) -> pa.Array:
-    """Bytes as digits."""
-    array = pa.concat_arrays([array]) if array.offset else array
-    valid, offsets, data = array.buffers()
-    digits = _HEX[np.frombuffer(data, np.uint8)] if data is not None else np.empty(0, np.uint16)
-    doubled = np.frombuffer(offsets, np.int32)[: len(array) + 1] * np.int32(2)
-    return pa.Array.from_buffers(
-        pa.string(), len(array), [valid, pa.py_buffer(doubled), pa.py_buffer(digits)], array.null_count
-    )
 
 
 def _texts(array: pa.Array) -> list[str | None]:
@@ -111,15 +96,8 @@ def _entry(pair: tuple[Any, Any]) -> tuple[str, Any]:
     return key if isinstance(key, str) else str(key), value
 
 
-def csv_text(rows: pa.RecordBatch | pa.Table, *, with_header: bool) -> str:
+def csv_text(rows: pa.RecordBatch, *, with_header: bool) -> str:
     """Rows as lines of CSV."""
     sink = pa.BufferOutputStream()
-    batches = rows.to_batches() if isinstance(rows, pa.Table) else [rows]
-    shown = [cells(batch) for batch in batches]
-    if not shown:
-        shown = [
-            pa.RecordBatch.from_pylist([], schema=pa.schema([(name, pa.string()) for name in rows.schema.names]))
-        ]
-    for number, batch in enumerate(shown):
-        csv.write_csv(batch, sink, csv.WriteOptions(include_header=with_header and number == 0))
+    csv.write_csv(cells(rows), sink, csv.WriteOptions(include_header=with_header))
     return bytes(sink.getvalue()).decode()

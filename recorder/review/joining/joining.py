@@ -21,7 +21,6 @@ from recorder.reading.log_file import LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Progress
 from recorder.record.accounting import COMPLETENESS_NAME, KeyReport, total
 from recorder.record.robots import METADATA_NAME
-from recorder.review.joining.duplicates import LATE_MAX, RECENT_MAX, Recent
 from recorder.review.joining.ordered import in_order
 from recorder.review.joining.source import JoinSource, Row
 from schemas.exit_codes import CommandError
@@ -32,6 +31,18 @@ CHUNK_BYTES: Final = 1 << 20
 
 CHANNELS_MAX: Final = 2**16 - 1
 """MCAP's channel ids have 16 bits, and 0 is left out."""
+
+RECENT_MAX: Final = 400_000
+"""Messages that are remembered at least; at most twice as many.
+
+What two recorders heard, or a log and its incident, has nearly the same log time in both.
+"""
+
+LATE_MAX: Final = 100_000
+"""As many of those that may come late: an hour of a robot's decisions, events and journal.
+
+What a recorder asked for later may be minutes behind, but there is little of it: it is remembered by itself.
+"""
 
 _LATE: Final = frozenset(subject.schema_name for subject in SUBJECTS if subject.qos.kept_bytes) - {
     schema_name(CanFrame)
@@ -121,6 +132,30 @@ def join(
         start_ns=joining.start_ns,
         end_ns=joining.end_ns,
     )
+
+
+class Recent:
+    """Messages that came by before, in memory that does not grow with the logs.
+
+    Args:
+        limit: so many at least, twice as many at most.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._newer: set[int] = set()
+        self._older: set[int] = set()
+
+    def is_new(self, channel_id: int, sequence: int, publish_ns: int, data: bytes) -> bool:
+        """Report whether no such message came by before; it is remembered."""
+        # One number takes less memory than a tuple of four.
+        identity = ((hash(data) << 16 | channel_id) << 64 | publish_ns) << 32 | sequence
+        if identity in self._newer or identity in self._older:
+            return False
+        self._newer.add(identity)
+        if len(self._newer) >= self._limit:
+            self._newer, self._older = set(), self._newer
+        return True
 
 
 class _Joining:

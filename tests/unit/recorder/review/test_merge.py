@@ -20,8 +20,7 @@ from recorder.record.robots import METADATA_NAME
 from recorder.review.check import check_log
 from recorder.review.info import read_info
 from recorder.review.joining import ordered
-from recorder.review.joining.duplicates import Recent
-from recorder.review.joining.joining import Joined
+from recorder.review.joining.joining import Joined, Recent
 from recorder.review.merge import MERGED_NAME, merge
 from schemas.exit_codes import CommandError
 from schemas.messages import Drive, Gear
