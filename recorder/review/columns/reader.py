@@ -24,16 +24,8 @@ BATCH_BYTES: Final = 4_000_000
 """So much is unpacked at once: enough that the work on a batch is more than that around it."""
 
 
-class Heads(msgspec.Struct, frozen=True):
-    """What the records of messages begin with. Times are nanoseconds since 1970."""
-
-    log_ns: NDArray[np.uint64]
-    publish_ns: NDArray[np.uint64]
-    sequence: NDArray[np.uint32]
-
-
-Sift = Callable[[Topic, Heads], NDArray[np.bool_] | None]
-"""Says which messages of a topic are to be read; None is all."""
+Sift = Callable[[Topic, NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint32]], NDArray[np.bool_] | None]
+"""Says by log times, publish times and sequences which messages of a topic are to be read; None is all."""
 
 
 class Batch(msgspec.Struct, frozen=True, eq=False):
@@ -169,7 +161,8 @@ class ColumnReader(BlockReader):
             is_within = (log_ns >= np.uint64(min(first, END_OF_TIME_NS - 1))) & (log_ns <= np.uint64(max(last, 0)))
             places = places.only(is_within & (last >= first))
         if sift is not None:
-            is_new = sift(decoder.columns.topic, _heads(content, places))
+            log_ns, publish_ns = places.log_ns(content), places.publish_ns(content)
+            is_new = sift(decoder.columns.topic, log_ns, publish_ns, places.sequences(content))
             places = places if is_new is None else places.only(is_new)
         if len(places.offsets):
             batch = decoder.batch(content, places)
@@ -204,7 +197,3 @@ class ColumnReader(BlockReader):
             if channel not in self.topics:
                 self.fault(f"{len(places.offsets)} messages of channel {channel}, which the file does not hold")
         return found
-
-
-def _heads(content: Bytes, places: Places) -> Heads:
-    return Heads(places.log_ns(content), places.publish_ns(content), places.sequences(content))

@@ -19,7 +19,7 @@ from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Selection
 from recorder.reading.topics import Topic
-from recorder.review.columns.reader import Heads, read_batches
+from recorder.review.columns.reader import read_batches
 from recorder.review.columns.tables import LOG_TIME, PUBLISH_TIME, SEQUENCE, TIME_MAX_NS
 from schemas.messages import RawSample
 from schemas.subjects import RECORDER_CHUNK
@@ -68,12 +68,18 @@ class KnownRows:
         self.is_full = False
         self._known = self._read(log, earlier, selection)
 
-    def sift(self, topic: Topic, heads: Heads) -> NDArray[np.bool_] | None:
+    def sift(
+        self,
+        topic: Topic,
+        log_ns: NDArray[np.uint64],
+        publish_ns: NDArray[np.uint64],
+        sequence: NDArray[np.uint32],
+    ) -> NDArray[np.bool_] | None:
         """Which messages are new; None is all. See ``reader.Sift``."""
         known = self._known.get(_key(topic))
         if known is None:
             return None
-        hashes = _hashes(topic, heads.log_ns, heads.publish_ns, heads.sequence)
+        hashes = _hashes(topic, log_ns, publish_ns, sequence)
         places = np.minimum(np.searchsorted(known, hashes), len(known) - 1)
         is_new: NDArray[np.bool_] = known[places] != hashes
         self.repeats += len(is_new) - int(is_new.sum())

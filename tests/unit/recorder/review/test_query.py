@@ -33,26 +33,28 @@ def logs_in(tmp_path: Path) -> list[Path]:
     ]
 
 
-def over_logs(tmp_path: Path) -> LogSource:
-    """The tables of those logs."""
+def over(logs: list[Path]) -> LogSource:
+    """The tables of logs."""
     faults = Faults()
-    return LogSource(find_logs(logs_in(tmp_path), faults), Selection(), faults)
+    return LogSource(find_logs(logs, faults), Selection(), faults)
 
 
-def over_dataset(tmp_path: Path) -> DatasetSource:
+def exported(logs: list[Path]) -> DatasetSource:
     """The same as a dataset, in a directory whose name would be a pattern."""
-    faults = Faults()
-    directory = tmp_path / "it's [a] set"
-    export_dataset(find_logs(logs_in(tmp_path), faults), directory, ExportRange(), faults)
+    directory = logs[0].parent / "it's [a] set"
+    export_dataset(find_logs(logs, Faults()), directory, ExportRange(), Faults())
     manifest = read_manifest(directory)
     assert manifest is not None
     return DatasetSource(directory, manifest)
 
 
-@pytest.fixture(scope="module", params=[over_logs, over_dataset])
+BOTH = (over, exported)
+
+
+@pytest.fixture(scope="module", params=BOTH)
 def source(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Source:
     """Both kinds; nobody changes them."""
-    made: Source = request.param(tmp_path_factory.mktemp("logs"))
+    made: Source = request.param(logs_in(tmp_path_factory.mktemp("logs")))
     return made
 
 
@@ -98,7 +100,7 @@ def test_subjects_are_tables(source: Source, sql: str, expected: list[dict[str, 
 
 def test_a_whole_row_is_the_same_from_both(tmp_path: Path) -> None:
     """Column by column, also of nested ones."""
-    of_logs, of_dataset = over_logs(tmp_path), over_dataset(tmp_path)
+    of_logs, of_dataset = (make(logs_in(tmp_path)) for make in BOTH)
     for table in of_logs.tables:
         rows = sorted(map(repr, ask(of_logs, f"FROM {table.name}")))
         assert rows
@@ -157,7 +159,7 @@ def test_only_the_columns_that_are_asked_for_are_made(tmp_path: Path, monkeypatc
         unpatched(*arguments, **named)
 
     monkeypatch.setattr(ColumnReader, "__init__", spy)
-    source = LogSource(find_logs([write(tmp_path, "1", drive())], Faults()), Selection(), Faults())
+    source = over([write(tmp_path, "1", drive())])
     ask(source, "SELECT gear_position FROM chassis_gear WHERE active")
     assert asked
     assert all(columns <= {"gear_position", "active", "log_time"} for columns in asked)
@@ -203,7 +205,7 @@ def test_others_topics_are_tables_too(tmp_path: Path) -> None:
         write(tmp_path, "1", log_of([channel(ALL_SCHEMA)], [[(1, data)]])),
         write(tmp_path, "2", log_of([channel(b"", "s", "cdr", "ros2msg")], [[(1, b"x")]])[:-30]),
     ]
-    source = LogSource(find_logs(logs, Faults()), Selection(), Faults())
+    source = over(logs)
     assert ask(source, "SELECT f_int32 FROM t") == [{"f_int32": 5}]
     assert ask(source, "SELECT data FROM t_2") == [{"data": "eA=="}]
 
@@ -219,14 +221,8 @@ def test_own_subjects_have_their_names_before_others(tmp_path: Path) -> None:
     """Whatever somebody else writes under a key of ours."""
     other = LogChannel(1, "fleet/a/chassis/gear", "s", b"", "jsonschema", "json")
     logs = [write(tmp_path, "1", log_of([other], [[(1, b'{"x": 1}')]])), write(tmp_path, "2", drive(count=3))]
-    directory = tmp_path / "set"
-    export_dataset(find_logs(logs, Faults()), directory, ExportRange(), Faults())
-    manifest = read_manifest(directory)
-    assert manifest is not None
-    for source in (
-        LogSource(find_logs(logs, Faults()), Selection(), Faults()),
-        DatasetSource(directory, manifest),
-    ):
+    for make in BOTH:
+        source = make(logs)
         assert ask(source, "SELECT robot, count(*) AS n FROM chassis_gear GROUP BY ALL") == [
             {"robot": "cruiser-1", "n": 3}
         ]
@@ -237,14 +233,10 @@ def test_own_subjects_have_their_names_before_others(tmp_path: Path) -> None:
 
 def test_of_others_alone_our_names_stay_free(tmp_path: Path) -> None:
     """Over the logs and in a dataset: a table of ours without a row is not theirs."""
-    logs = find_logs(
-        [write(tmp_path, "1", log_of([LogChannel(1, "/state", "s", b"", "jsonschema", "json")], [[(1, b"{}")]]))],
-        Faults(),
-    )
-    export_dataset(logs, tmp_path / "set", ExportRange(), Faults())
-    manifest = read_manifest(tmp_path / "set")
-    assert manifest is not None
-    for source in (LogSource(logs, Selection(), Faults()), DatasetSource(tmp_path / "set", manifest)):
+    other = LogChannel(1, "/state", "s", b"", "jsonschema", "json")
+    logs = [write(tmp_path, "1", log_of([other], [[(1, b"{}")]]))]
+    for make in BOTH:
+        source = make(logs)
         assert ask(source, "SELECT speed_mps FROM state") == []
         assert ask(source, "SELECT json FROM state_2") == [{"json": "{}"}]
 
@@ -252,11 +244,9 @@ def test_of_others_alone_our_names_stay_free(tmp_path: Path) -> None:
 def test_robots_of_one_name_are_told_apart(tmp_path: Path) -> None:
     """By their roots, in a dataset as over the logs."""
     data = [drive(count=3), drive(count=4).replace(b"fleet/cruiser-1", b"depot/cruiser-1")]
-    found = find_logs([write(tmp_path, str(place), one) for place, one in enumerate(data)], Faults())
-    export_dataset(found, tmp_path / "set", ExportRange(), Faults())
-    manifest = read_manifest(tmp_path / "set")
-    assert manifest is not None
-    for source in (LogSource(found, Selection(), Faults()), DatasetSource(tmp_path / "set", manifest)):
+    logs = [write(tmp_path, str(place), one) for place, one in enumerate(data)]
+    for make in BOTH:
+        source = make(logs)
         assert ask(source, "SELECT robot, count(*) AS n FROM chassis_gear GROUP BY robot ORDER BY robot") == [
             {"robot": "depot/cruiser-1", "n": 4},
             {"robot": "fleet/cruiser-1", "n": 3},

@@ -169,9 +169,11 @@ def test_only_what_is_wanted_is_read() -> None:
 def test_a_sift_says_by_the_heads_what_is_read() -> None:
     """Log time, publish time and sequence are known before a message is read."""
     data = log_of([channel_of(Gear)], [[(1, encoded(gear(number))) for number in range(40)]])
-    found = batches_of(data, None, None, lambda _, heads: np.asarray(heads.sequence % 10 == 3))
+    found = batches_of(
+        data, None, None, lambda _topic, _log_ns, _publish_ns, sequence: np.asarray(sequence % 10 == 3)
+    )
     assert [row["sequence"] for row in rows_of(found)] == [3, 13, 23, 33]
-    assert not batches_of(data, None, None, lambda _, heads: heads.log_ns < 0)
+    assert not batches_of(data, None, None, lambda _topic, log_ns, _publish_ns, _sequence: log_ns < 0)
 
 
 def test_frames_with_other_lengths_stand_in_their_places() -> None:
