@@ -119,7 +119,7 @@ def inputs_of(journal: Journal) -> list[Input]:
     """
     try:
         return _DECODER.decode(journal.inputs)
-    except msgspec.MsgspecError as error:
+    except (ValueError, RecursionError) as error:  # Not UTF-8, or nested too deeply, as msgspec raises it too.
         raise BrokenJournalError(f"inputs {journal.first} on cannot be read: {error}") from error
 
 

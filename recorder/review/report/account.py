@@ -19,18 +19,19 @@ from recorder.review.report.findings import (
     RobotSummary,
     Unwritten,
 )
-from recorder.review.report.happenings import Happenings
+from recorder.review.report.happenings import CLOCKS_APART_NS, Happenings
 from recorder.review.report.odometry import GAP_NS, Path
 from recorder.review.report.series import Series
 from recorder.review.report.spans import Spans
 from recorder.review.report.versions import Versions
 from recorder.review.timeline.clock import RobotClock
 from recorder.review.timeline.ending import SILENT_NS, LogEnding
+from recorder.review.timeline.entries import Entry
 from recorder.review.timeline.repeats import Repeats
 from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState, Verdict
 from schemas.messages import GatewayHealth, Message, Mode, RobotState
 
-HAND_TRANSMITTER: Final = "the hand transmitter"
+REMOTE_CONTROL: Final = "the remote control (RC)"
 
 REFUSALS_MAX: Final = 200
 DRIVERS_MAX: Final = 200
@@ -68,11 +69,14 @@ class Account:
         name: what it is to be called.
         key: what its keys begin with.
         versions: of its gateways, as far as they are known before.
+        begins_ns: its logs, or the period that is asked about, begin then. A recorder may have asked a gateway for
+            what was before; it is left out.
     """
 
-    def __init__(self, name: str, key: str, versions: Versions | None = None) -> None:
+    def __init__(self, name: str, key: str, versions: Versions | None = None, begins_ns: int = 0) -> None:
         self.name = name
         self.key = key
+        self._begins_ns = begins_ns - CLOCKS_APART_NS
         self.versions = Versions() if versions is None else versions
         self.happenings = Happenings()
         self._start_ns, self._end_ns = 2**64, 0
@@ -104,6 +108,8 @@ class Account:
         if not seen.is_new(message.time_ns, message.sequence):
             return False
         time_ns = self._place(message, publish_ns, log_ns)
+        if time_ns < self._begins_ns:
+            return True
         self._start_ns, self._end_ns = min(self._start_ns, time_ns), max(self._end_ns, time_ns)
         match message:
             case RobotState():
@@ -127,6 +133,11 @@ class Account:
             tick = message.tick
         time_ns = self._clock.place(publish_ns, log_ns, tick)
         return time_ns if abs(time_ns - log_ns) < CLOCK_TRUST_NS else log_ns
+
+    def take_entry(self, entry: Entry) -> None:
+        """The next entry of the timeline that is about this robot."""
+        if entry.last_ns >= self._begins_ns:
+            self.happenings.take(entry)
 
     def lose(self, topic: str, reason: str, count: int) -> None:
         """The recorder says that it could not keep so many messages."""
@@ -219,7 +230,7 @@ class Account:
         self._bands["mode"].add(time_ns, "" if state.mode is Mode.UNDEFINED else state.mode.value)
         span_ns = time_ns - self._state_ns
         self._state_ns = time_ns
-        driver = HAND_TRANSMITTER if state.mode is Mode.REMOTE else self._held_by
+        driver = REMOTE_CONTROL if state.mode is Mode.REMOTE else self._held_by
         if not driver:
             return
         if driver not in self._driven and len(self._driven) >= DRIVERS_MAX:

@@ -8,7 +8,7 @@ from typing import Any, Final
 import msgspec
 
 from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile
+from recorder.reading.log_file import LogFile, logs_of
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Row, Selection, read_rows
 from recorder.reading.topics import UNREADABLE, Topic
 from recorder.review.report.account import TAKEN, Account
@@ -52,7 +52,7 @@ def read_report(
     """
     versions: dict[str, Versions] = {}
     margins = [read_margins(log, versions) for log in logs]
-    fleet = _Fleet(Question(from_ns, to_ns), versions, faults)
+    fleet = _Fleet(logs, Question(from_ns, to_ns), versions, faults)
     # The states before tell whether the first one is of another gateway.
     selection = Selection(_is_wanted, max(0, from_ns - BEFORE_NS), to_ns)
     for row in read_rows(logs, selection, faults, progress):
@@ -69,7 +69,7 @@ def read_report(
         files=[_reported(log, margin) for log, margin in zip(logs, margins, strict=True)],
         from_ns=from_ns,
         to_ns=None if to_ns == END_OF_TIME_NS else to_ns,
-        robots=sorted(fleet.end(logs, margins), key=lambda one: one.summary.name),
+        robots=sorted(fleet.end(margins), key=lambda one: one.summary.name),
         more_robots=len(fleet.others),
         faults=faults.told,
         fault_count=faults.count,
@@ -81,6 +81,7 @@ class _Fleet:
     """The robots of a report.
 
     Args:
+        logs: that are read.
         asked: the period that is asked about.
         versions: what is known of the robots' gateways, by their keys.
         faults: takes what cannot be read.
@@ -89,8 +90,11 @@ class _Fleet:
         others: keys of robots for which there was no room.
     """
 
-    def __init__(self, asked: Question, versions: dict[str, Versions], faults: Faults) -> None:
+    def __init__(
+        self, logs: Sequence[LogFile], asked: Question, versions: dict[str, Versions], faults: Faults
+    ) -> None:
         self.others: set[str] = set()
+        self._logs = logs
         self._asked = asked
         self._versions = versions
         self._accounts: dict[str, Account] = {}
@@ -119,9 +123,9 @@ class _Fleet:
         self._timeline.take(row, message)
         self._note(self._timeline.tell())
 
-    def end(self, logs: Sequence[LogFile], margins: Sequence[Margins]) -> list[RobotReport]:
+    def end(self, margins: Sequence[Margins]) -> list[RobotReport]:
         """No more rows come: all robots of which something is known."""
-        for ending in self._timeline.endings(logs, self._asked.to_ns):
+        for ending in self._timeline.endings(self._logs, self._asked.to_ns):
             if self._asked.takes(ending.entry):
                 for account in self._named(ending.entry.robot):
                     account.end(ending)
@@ -130,7 +134,7 @@ class _Fleet:
         found = []
         for key, account in self._accounts.items():
             root, _, robot = key.rpartition("/")
-            account.set_apart([(log.start_ns, log.end_ns) for log in logs if (root, robot) in log.robots])
+            account.set_apart([(log.start_ns, log.end_ns) for log in self._logs if (root, robot) in log.robots])
             found.append(account.sum_up(*of_robot(key, margins), asked.from_ns, asked.to_ns))
         return [one for one in found if one is not None]
 
@@ -138,7 +142,10 @@ class _Fleet:
         key = _robot_key(topic)
         account = self._accounts.get(key)
         if account is None and len(self._accounts) < ROBOTS_MAX:
-            account = self._accounts[key] = Account(topic.robot, key, versions_of(key, self._versions))
+            begins_ns = min((log.start_ns for log in logs_of(key, self._logs)), default=0)
+            account = self._accounts[key] = Account(
+                topic.robot, key, versions_of(key, self._versions), max(self._asked.from_ns, begins_ns)
+            )
         elif account is None and len(self.others) < OTHERS_MAX:
             self.others.add(key)
         return account
@@ -157,7 +164,7 @@ class _Fleet:
     def _note(self, entries: Iterable[Entry]) -> None:
         for entry in filter(self._asked.takes, entries):
             for account in self._named(entry.robot):
-                account.happenings.take(entry)
+                account.take_entry(entry)
 
     def _named(self, robot: str) -> list[Account]:
         """Whose entry it is; everybody's where it is about all."""

@@ -6,7 +6,7 @@ import pytest
 from gateway.chassis.frame import EXTENDED, FD, REMOTE, Frame
 from gateway.command.request import RawRequest
 from gateway.core import Core
-from gateway.journal import Input, JournalGapError, JournalWriter, reach, read
+from gateway.journal import BrokenJournalError, Input, JournalGapError, JournalWriter, reach, read
 from gateway.telemetry.health import Links
 from schemas import codec
 from schemas.decisions import Journal
@@ -50,6 +50,17 @@ def test_batches_are_numbered_and_nothing_is_published_without_inputs() -> None:
     assert (first.run, first.sequence, first.first, first.count) == (7, 0, 0, 2)
     assert (second.run, second.sequence, second.first, second.count) == (7, 1, 2, 3)
     assert JournalWriter(7).take(WALL_NS) is None
+
+
+DAMAGED = {"empty": b"", "no opcode": b"\x91\xc1", "no UTF-8": b"\x91\x91\xa1\xff", "deep": b"\x91" * 10_000}
+
+
+@pytest.mark.parametrize("inputs", DAMAGED.values(), ids=DAMAGED)
+def test_a_damaged_journal_is_refused(inputs: bytes) -> None:
+    """No MessagePack, a text that is not UTF-8, or one list within the other without end."""
+    (journal,) = journals([2])
+    with pytest.raises(BrokenJournalError, match="inputs 0 on cannot be read"):
+        list(read([msgspec.structs.replace(journal, inputs=inputs)]))
 
 
 @pytest.mark.parametrize("missing", [0, 1, 2])

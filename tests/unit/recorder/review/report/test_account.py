@@ -11,9 +11,9 @@ from recorder.reading.rows import END_OF_TIME_NS, Row
 from recorder.reading.topics import Topic
 from recorder.review.report.account import (
     DRIVERS_MAX,
-    HAND_TRANSMITTER,
     OTHERS,
     REFUSALS_MAX,
+    REMOTE_CONTROL,
     Account,
 )
 from recorder.review.report.findings import RobotCharts, RobotReport, RobotSummary
@@ -53,7 +53,7 @@ def account_of(
     for ending in timeline.endings(logs, to_ns):
         account.end(ending)
     for entry in timeline.end():
-        account.happenings.take(entry)
+        account.take_entry(entry)
     account.set_apart(spans)
     return account
 
@@ -97,14 +97,14 @@ def test_a_drive_in_figures() -> None:
 
 
 def test_who_drives_is_told_by_mode_and_lease() -> None:
-    """The hand transmitter in remote; the holder of the lease while engaged; nobody else."""
+    """The remote control in remote; the holder of the lease while engaged; nobody else."""
     messages: list[Message] = [state(0)]
     for number in range(1, 61):
         engaged = ArbiterState.ENGAGED if number <= 20 else ArbiterState.STANDBY
         mode = Mode.REMOTE if number > 40 else Mode.AUTO
         messages += [arbiter(number, state=engaged), state(number, mode=mode)]
     seconds = {driver.name: driver.seconds for driver in summary_of(*messages).drivers}
-    assert seconds == {"operator-1": pytest.approx(1.0), HAND_TRANSMITTER: pytest.approx(1.0)}
+    assert seconds == {"operator-1": pytest.approx(1.0), REMOTE_CONTROL: pytest.approx(1.0)}
 
 
 def test_what_is_there_twice_counts_once() -> None:

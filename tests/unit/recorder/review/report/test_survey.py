@@ -22,6 +22,7 @@ from tests.support.report_drive import (
     drive,
     event,
     gateway,
+    refusal,
     report_of,
     restart,
     state,
@@ -164,6 +165,22 @@ def test_what_comes_again_much_later_is_told_once(tmp_path: Path) -> None:
     (tmp_path / "b.mcap").write_bytes(log.close())
     (robot,) = report_of(first, tmp_path / "b.mcap").robots
     assert robot.summary.stops == {"front_bumper": 600}
+
+
+def test_what_was_before_the_beginning_of_the_log_is_not_in_the_report(tmp_path: Path) -> None:
+    """A recorder asks a gateway for what it did not hear, and gets the stops and requests of an hour ago too."""
+    log = Log()
+    for number in range(100):
+        log.receive(sample_of(state(number)), wall_ns=WALL_NS + number * PERIOD_NS)
+    before = {"sequence": 49, "tick": 1}
+    for message in (event(-72_000, **before), refusal(-72_000, **before), event(50), refusal(50)):
+        log.receive(sample_of(message), wall_ns=WALL_NS + 100 * PERIOD_NS)
+    path = tmp_path / "a.mcap"
+    path.write_bytes(log.close())
+    (robot,) = report_of(path).robots
+    assert robot.summary.start_ns == WALL_NS
+    assert (robot.summary.stops, robot.summary.refused) == ({"front_bumper": 1}, 1)
+    assert [moment.time_ns for moment in robot.charts.moments] == [WALL_NS + 50 * PERIOD_NS]
 
 
 def test_stops_are_told_where_their_events_are_lost(tmp_path: Path) -> None:
