@@ -1,6 +1,7 @@
 """The charts of a robot, as plotly wants them: plain dictionaries, which a test holds to plotly's own rules.
 
-Texts from the log are escaped: plotly reads tags in them. The colours of light and dark are set by ``page.js``.
+Their layouts stand in ``charts.json``; ``page.js`` sets the colours of light and dark. Texts from the log are
+escaped: plotly reads tags in them.
 """
 
 from __future__ import annotations
@@ -8,7 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from html import escape
+from importlib.resources import files
 from typing import Any, Final
+
+import msgspec
 
 from recorder.review.report.findings import Moment, RobotCharts
 from recorder.review.report.odometry import Place
@@ -57,26 +61,22 @@ MARKS: Final = {
 
 ON_MAP: Final = frozenset({"stop", "latch", "fault", "guard", "takeover", "gateway", "gap"})
 
-BAND_ROWS: Final = ("lease", "arbiter", "mode", "events")
-"""From the bottom to the top."""
-
 STOP_LINES_MAX: Final = 40
 """More lines across the charts would hide them: then there are none."""
 
-SPEED_LINES: Final = (
-    ("speed_limit_mps", "limit", GREY, "dot"),
-    ("target_speed_mps", "asked for", ORANGE, "dash"),
-    ("output_speed_mps", "told to the chassis", GREEN, "solid"),
-    ("speed_mps", "measured", BLUE, "solid"),
+LINES: Final = (
+    ("y", "m/s", "speed_limit_mps", "limit", GREY, "dot"),
+    ("y", "m/s", "target_speed_mps", "asked for", ORANGE, "dash"),
+    ("y", "m/s", "output_speed_mps", "told to the chassis", GREEN, "solid"),
+    ("y", "m/s", "speed_mps", "measured", BLUE, "solid"),
+    ("y2", "deg", "steering_limit_deg", "limit", GREY, "dot"),
+    ("y2", "deg", "target_angle_deg", "asked for", ORANGE, "dash"),
+    ("y2", "deg", "output_angle_deg", "told to the chassis", GREEN, "solid"),
+    ("y2", "deg", "angle_deg", "measured", BLUE, "solid"),
 )
-ANGLE_LINES: Final = (
-    ("steering_limit_deg", "limit", GREY, "dot"),
-    ("target_angle_deg", "asked for", ORANGE, "dash"),
-    ("output_angle_deg", "told to the chassis", GREEN, "solid"),
-    ("angle_deg", "measured", BLUE, "solid"),
-)
+"""Axis, unit, name in the charts, name in the legend, colour and dashes of each line."""
 
-_AXIS_FONT: Final = {"size": 12}
+_LAYOUTS: Final[dict[str, Figure]] = msgspec.json.decode((files(__package__) / "charts.json").read_bytes())
 
 
 def shown(text: str) -> str:
@@ -93,80 +93,26 @@ def clock(time_ns: int) -> str:
 
 
 def over_time(charts: RobotCharts) -> Figure:
-    """Speed, angle, bands and events over one time axis."""
-    data = [
-        *_lines(charts, SPEED_LINES, "y", "m/s", is_named=True),
-        *_lines(charts, ANGLE_LINES, "y2", "deg", is_named=False),
-        *_bands(charts),
-        *_event_rows(charts.moments),
+    """Speed, angle, bands and events over one time axis; stops and outages of the gateway across all of it."""
+    stops = [(moment.time_ns, moment.time_ns) for moment in charts.moments if moment.kind == "stop"]
+    shaded = {"type": "rect", "fillcolor": RED, "opacity": 0.15, "line": {"width": 0}}
+    dotted = {"type": "line", "line": {"color": RED, "width": 1, "dash": "dot"}}
+    shapes = [
+        {
+            "xref": "x",
+            "yref": "paper",
+            "x0": _ms(from_ns),
+            "x1": _ms(to_ns),
+            "y0": 0,
+            "y1": 1,
+            **look,
+            "layer": "below",
+        }
+        for spans, look in ((charts.outages, shaded), (stops, dotted))
+        for from_ns, to_ns in (spans if len(spans) <= STOP_LINES_MAX else [])
     ]
-    return {
-        "data": data,
-        "layout": {
-            "autosize": True,
-            "margin": {"l": 58, "r": 12, "t": 36, "b": 44},
-            "hovermode": "x unified",
-            "hoversubplots": "axis",
-            "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0, "font": _AXIS_FONT},
-            "legend2": {
-                "orientation": "h",
-                "y": -0.11,
-                "yanchor": "top",
-                "x": 0,
-                "font": _AXIS_FONT,
-                "itemsizing": "constant",
-            },
-            "barmode": "overlay",
-            "bargap": 0.35,
-            "uniformtext": {"minsize": 10, "mode": "hide"},
-            "xaxis": {
-                "type": "date",
-                "anchor": "y3",
-                "tickangle": 0,
-                "title": {"text": "time, UTC", "font": _AXIS_FONT},
-                "showspikes": True,
-                "spikemode": "across",
-                "spikesnap": "cursor",
-                "spikethickness": 1,
-                "spikedash": "solid",
-                "hoverformat": "%Y-%m-%d %H:%M:%S.%L",
-            },
-            "yaxis": _axis("speed, m/s", (0.68, 1.0)),
-            "yaxis2": _axis("angle, deg", (0.34, 0.62)),
-            "yaxis3": {
-                **_axis("", (0.0, 0.28)),
-                "type": "category",
-                "categoryorder": "array",
-                "categoryarray": list(BAND_ROWS),
-                "range": [-0.5, len(BAND_ROWS) - 0.5],
-                "fixedrange": True,
-                "zeroline": False,
-            },
-            "shapes": [
-                *(
-                    _across(
-                        from_ns, to_ns, {"type": "rect", "fillcolor": RED, "opacity": 0.15, "line": {"width": 0}}
-                    )
-                    for from_ns, to_ns in outages(charts)
-                ),
-                *(
-                    _across(stop_ns, stop_ns, {"type": "line", "line": {"color": RED, "width": 1, "dash": "dot"}})
-                    for stop_ns in stop_lines(charts)
-                ),
-            ],
-        },
-    }
-
-
-def stop_lines(charts: RobotCharts) -> list[int]:
-    """When to draw a line across the charts."""
-    stops = [moment.time_ns for moment in charts.moments if moment.kind == "stop"]
-    return stops if len(stops) <= STOP_LINES_MAX else []
-
-
-def outages(charts: RobotCharts) -> list[tuple[int, int]]:
-    """From when to when to shade the charts, because the gateway was silent and another one began."""
-    return charts.outages if len(charts.outages) <= STOP_LINES_MAX else []
+    data = [*_lines(charts), *_bands(charts), *_events(charts.moments)]
+    return {"data": data, "layout": {**_LAYOUTS["time"], "shapes": shapes}}
 
 
 def on_map(charts: RobotCharts) -> Figure:
@@ -183,53 +129,38 @@ def on_map(charts: RobotCharts) -> Figure:
         x.append(round(place.x_m, 3))
         y.append(round(place.y_m, 3))
         text.append(clock(place.time_ns))
-    data: list[Figure] = [
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "name": "path",
-            "x": x,
-            "y": y,
-            "text": text,
-            "hovertemplate": "%{text}<br>x %{x:.2f} m, y %{y:.2f} m<extra></extra>",
-            "line": {"color": BLUE, "width": 3},
-        }
-    ]
-    if places:
-        data += [_end(places[0], "begin", "circle", GREEN), _end(places[-1], "end", "circle-open", GREEN)]
-    for kind in sorted({moment.kind for moment in charts.moments} & ON_MAP):
-        data.append(_on_path(kind, [moment for moment in charts.moments if moment.kind == kind]))
-    data.append(
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "name": "here",
-            "x": [],
-            "y": [],
-            "showlegend": False,
-            "hoverinfo": "skip",
-            "marker": {"symbol": "circle-cross-open", "size": 18, "color": ORANGE, "line": {"width": 2}},
-        }
-    )
-    return {
-        "data": data,
-        "layout": {
-            "autosize": True,
-            "margin": {"l": 58, "r": 12, "t": 36, "b": 44},
-            "hovermode": "closest",
-            "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0, "font": _AXIS_FONT},
-            "xaxis": {
-                "title": {"text": "x, m: forward as it stood at first", "font": _AXIS_FONT},
-                "zeroline": True,
-            },
-            "yaxis": {
-                "title": {"text": "y, m: left", "font": _AXIS_FONT},
-                "scaleanchor": "x",
-                "scaleratio": 1,
-                "zeroline": True,
-            },
-        },
+    path = {
+        "type": "scatter",
+        "mode": "lines",
+        "name": "path",
+        "x": x,
+        "y": y,
+        "text": text,
+        "hovertemplate": "%{text}<br>x %{x:.2f} m, y %{y:.2f} m<extra></extra>",
+        "line": {"color": BLUE, "width": 3},
     }
+    ends = (
+        [
+            _marks(
+                name,
+                [round(place.x_m, 3)],
+                [round(place.y_m, 3)],
+                {"symbol": symbol, "color": GREEN, "size": 13, "line": {"width": 2, "color": GREEN}},
+                hovertemplate=f"{name} {clock(place.time_ns)}<extra></extra>",
+            )
+            for name, symbol, place in (("begin", "circle", places[0]), ("end", "circle-open", places[-1]))
+        ]
+        if places
+        else []
+    )
+    events = []
+    for kind in sorted({moment.kind for moment in charts.moments} & ON_MAP):
+        known = [one for one in charts.moments if one.kind == kind and one.x_m is not None and one.y_m is not None]
+        x_m, y_m = ([round(getattr(one, axis), 3) for one in known] for axis in ("x_m", "y_m"))
+        events.append(_marks_of(kind, known, x_m, y_m))
+    mark = {"symbol": "circle-cross-open", "size": 18, "color": ORANGE, "line": {"width": 2}}
+    here = _marks("here", [], [], mark, showlegend=False, hoverinfo="skip")
+    return {"data": [path, *ends, *events, here], "layout": _LAYOUTS["map"]}
 
 
 def placed(places: Sequence[Place]) -> dict[str, list[float]]:
@@ -260,61 +191,39 @@ def hover_text(moment: Moment) -> str:
     return "<br>".join(parts)
 
 
-def _across(from_ns: int, to_ns: int, look: Figure) -> Figure:
-    """A shape across all charts."""
-    place = {"xref": "x", "yref": "paper", "x0": _ms(from_ns), "x1": _ms(to_ns), "y0": 0, "y1": 1}
-    return {**place, **look, "layer": "below"}
-
-
 def _ms(time_ns: int) -> float:
     return round(time_ns / 1e6, 1)
 
 
-def _axis(title: str, domain: tuple[float, float]) -> Figure:
-    return {
-        "title": {"text": title, "font": _AXIS_FONT},
-        "domain": list(domain),
-        "rangemode": "tozero",
-        "showspikes": False,
-    }
-
-
-def _lines(
-    charts: RobotCharts, about: Sequence[tuple[str, str, str, str]], axis: str, unit: str, *, is_named: bool
-) -> list[Figure]:
-    """One of each; a limit holds to both sides of an angle."""
+def _lines(charts: RobotCharts) -> list[Figure]:
+    """One trace for each of LINES, named in the legend once; a limit holds to both sides of an angle."""
     found: list[Figure] = []
-    for line, name, colour, dash in about:
+    for axis, unit, line, name, colour, dash in LINES:
         points = charts.lines.get(line, [])
         is_measured = name == "measured"
+        shape = "linear" if is_measured else "hv"
         trace: Figure = {
             "type": "scatter",
             "mode": "lines",
             "name": name,
             "legendgroup": name,
-            "showlegend": is_named,
+            "showlegend": axis == "y",
             "xaxis": "x",
             "yaxis": axis,
             "x": [None if point is None else _ms(point[0]) for point in points],
             "y": [None if point is None else round(point[1], 4) for point in points],
             "connectgaps": False,
-            "line": {
-                "color": colour,
-                "dash": dash,
-                "width": 2 if is_measured else 1.5,
-                "shape": "linear" if is_measured else "hv",
-            },
-            "hovertemplate": f"%{{y:.2f}} {unit}",
+            "line": {"color": colour, "dash": dash, "width": 2 if is_measured else 1.5, "shape": shape},
         }
-        found.append(trace)
+        found.append({**trace, "hovertemplate": f"%{{y:.2f}} {unit}"})
         if line == "steering_limit_deg":
-            below = {key: value for key, value in trace.items() if key != "hovertemplate"}
             right = [None if value is None else -value for value in trace["y"]]
-            found.append({**below, "y": right, "showlegend": False, "hoverinfo": "skip"})
+            found.append({**trace, "y": right, "showlegend": False, "hoverinfo": "skip"})
     return found
 
 
 def _bands(charts: RobotCharts) -> list[Figure]:
+    """One trace for each value of each band."""
     found = []
     for row, spans in charts.bands.items():
         colours = band_colours(span.value for span in spans)
@@ -330,7 +239,7 @@ def _bands(charts: RobotCharts) -> list[Figure]:
                     "yaxis": "y3",
                     "y": [row] * len(of_value),
                     "base": [_ms(span.start_ns) for span in of_value],
-                    "x": [round((span.end_ns - span.start_ns) / 1e6, 1) for span in of_value],
+                    "x": [_ms(span.end_ns - span.start_ns) for span in of_value],
                     "text": [shown(value)] * len(of_value),
                     "textposition": "inside",
                     "insidetextanchor": "middle",
@@ -345,57 +254,27 @@ def _bands(charts: RobotCharts) -> list[Figure]:
     return found
 
 
-def _event_rows(moments: Sequence[Moment]) -> list[Figure]:
+def _events(moments: Sequence[Moment]) -> list[Figure]:
+    """One trace for each kind of event, in the row of the events."""
     found = []
     for kind in dict.fromkeys(moment.kind for moment in moments):
         of_kind = [moment for moment in moments if moment.kind == kind]
-        found.append(
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "name": kind,
-                "legend": "legend2",
-                "showlegend": True,
-                "xaxis": "x",
-                "yaxis": "y3",
-                "x": [_ms(moment.time_ns) for moment in of_kind],
-                "y": ["events"] * len(of_kind),
-                "text": [hover_text(moment) for moment in of_kind],
-                "hovertemplate": "%{text}<extra></extra>",
-                "marker": _mark(kind),
-            }
-        )
+        x = [_ms(moment.time_ns) for moment in of_kind]
+        place = {"legend": "legend2", "showlegend": True, "xaxis": "x", "yaxis": "y3"}
+        found.append(_marks_of(kind, of_kind, x, ["events"] * len(of_kind), **place))
     return found
 
 
-def _on_path(kind: str, moments: Sequence[Moment]) -> Figure:
-    known = [moment for moment in moments if moment.x_m is not None and moment.y_m is not None]
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "name": kind,
-        "x": [round(moment.x_m or 0.0, 3) for moment in known],
-        "y": [round(moment.y_m or 0.0, 3) for moment in known],
-        "text": [hover_text(moment) for moment in known],
-        "hovertemplate": "%{text}<extra></extra>",
-        "marker": _mark(kind),
-    }
-
-
-def _mark(kind: str) -> Figure:
-    """A latch comes with a stop, and is drawn around it."""
+def _marks_of(
+    kind: str, moments: Sequence[Moment], x: Sequence[float], y: Sequence[float | str], **more: object
+) -> Figure:
+    """Events of a kind. A latch comes with a stop, and is drawn around it."""
     symbol, colour = MARKS.get(kind, ("circle", GREY))
     size = 18 if kind == "latch" else 11
-    return {"symbol": symbol, "color": colour, "size": size, "line": {"width": 2, "color": colour}}
+    mark = {"symbol": symbol, "color": colour, "size": size, "line": {"width": 2, "color": colour}}
+    text = [hover_text(moment) for moment in moments]
+    return _marks(kind, x, y, mark, text=text, hovertemplate="%{text}<extra></extra>", **more)
 
 
-def _end(place: Place, name: str, symbol: str, colour: str) -> Figure:
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "name": name,
-        "x": [round(place.x_m, 3)],
-        "y": [round(place.y_m, 3)],
-        "hovertemplate": f"{name} {clock(place.time_ns)}<extra></extra>",
-        "marker": {"symbol": symbol, "color": colour, "size": 13, "line": {"width": 2, "color": colour}},
-    }
+def _marks(name: str, x: Sequence[float], y: Sequence[float | str], mark: Figure, **more: object) -> Figure:
+    return {"type": "scatter", "mode": "markers", "name": name, "x": x, "y": y, "marker": mark, **more}

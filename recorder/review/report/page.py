@@ -11,6 +11,7 @@ from base64 import b64encode
 from collections.abc import Iterable, Iterator, Sequence
 from html import escape
 from importlib.resources import files
+from string import Template
 from typing import Any, Final
 
 import msgspec
@@ -39,9 +40,6 @@ MOMENTS_SHOWN: Final = 300
 """Rows of the table of events; the chart has all."""
 
 _LOSS_HEADS: Final = ("sent", "received", "written", "bus", "source", "link", "queue", "size", "full", "disk")
-_FOOT: Final = (
-    "Times are those of the robot's clock, in UTC. The path is reckoned from speed and steering angle, and drifts."
-)
 _RANKS: Final = {"error": -2, "warning": -1}
 _GATEWAY: Final = "cruiser-gateway"
 _OTHER_FACTS: Final = ("bus", "recorder_version")
@@ -51,48 +49,37 @@ _OPENED: Final = 15
 """A longer table is folded."""
 
 
+_Row = tuple[str | int | None, ...]
+"""The cells of a table's row: texts, numbers, and None for a number that is not known."""
+
+
 def page(report: Report, plotly_js: str) -> str:
-    """The page.
+    """The page, which is ``page.html`` filled in.
 
     Args:
         report: what it says.
         plotly_js: the library that draws; it is part of the page.
     """
-    here = files("recorder.review.report")
-    scripts = [plotly_js, (here / "page.js").read_text()]
+    here = files(__package__)
+    script = (here / "page.js").read_text()
     charts = [
         {"map": on_map(robot.charts), "time": over_time(robot.charts), "places": placed(robot.charts.places)}
         for robot in report.robots
     ]
-    policy = f"default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src {_hashes(scripts)}"
-    names = ", ".join(robot.summary.name for robot in report.robots)
-    return "\n".join(
-        [
-            "<!doctype html>",
-            '<html lang="en">',
-            "<head>",
-            '<meta charset="utf-8">',
-            f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            '<meta name="referrer" content="no-referrer">',
-            '<link rel="icon" href="data:,">',
-            f"<title>Report of {text(names)}</title>",
-            f"<style>{(here / 'page.css').read_text()}</style>",
-            "</head>",
-            "<body>",
-            *_head(report),
-            "<main>",
-            '<noscript><p class="note">The charts need JavaScript; all else is here without.</p></noscript>',
-            *(line for number, robot in enumerate(report.robots) for line in _robot(number, robot, report)),
-            *_files(report),
-            "</main>",
-            f"<footer><p>Made by cruiser-gateway {text(report.version)}. {_FOOT}</p></footer>",
-            f'<script type="application/json" id="charts">{safe_json(charts)}</script>',
-            *(f"<script>{script}</script>" for script in scripts),
-            "</body>",
-            "</html>",
-            "",
-        ]
+    robots = (line for number, robot in enumerate(report.robots) for line in _robot(number, robot, report))
+    hashes = (b64encode(hashlib.sha256(one.encode()).digest()).decode() for one in (plotly_js, script))
+    allowed = " ".join(f"'sha256-{one}'" for one in hashes)
+    return Template((here / "page.html").read_text()).substitute(
+        policy=f"default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src {allowed}",
+        names=text(", ".join(robot.summary.name for robot in report.robots)),
+        style=(here / "page.css").read_text(),
+        head="\n".join(_head(report)),
+        robots="\n".join(robots),
+        files="\n".join(_files(report)),
+        version=text(report.version),
+        charts=safe_json(charts),
+        plotly=plotly_js,
+        script=script,
     )
 
 
@@ -109,15 +96,9 @@ def safe_json(value: Any) -> str:  # noqa: ANN401 - whatever JSON can hold
     return encoded
 
 
-def _hashes(scripts: Iterable[str]) -> str:
-    return " ".join(f"'sha256-{b64encode(hashlib.sha256(one.encode()).digest()).decode()}'" for one in scripts)
-
-
 def _head(report: Report) -> Iterator[str]:
     starts = [robot.summary.start_ns for robot in report.robots]
     ends = [robot.summary.end_ns for robot in report.robots]
-    yield "<header>"
-    yield "<h1>Drive report</h1>"
     yield (
         f'<p class="lead">{text(in_words(min(starts)))} to {text(in_words(max(ends)))}, '
         f"{_counted(len(report.files), 'file')}, {text(size(sum(file.bytes for file in report.files)))}</p>"
@@ -132,7 +113,6 @@ def _head(report: Report) -> Iterator[str]:
             for number, robot in enumerate(report.robots)
         )
         yield f"<nav aria-label='Robots'><p>{links}</p></nav>"
-    yield "</header>"
 
 
 def _robot(number: int, robot: RobotReport, report: Report) -> Iterator[str]:
@@ -215,40 +195,27 @@ def _moments(robot: RobotReport) -> Iterator[str]:
         worst = sorted(range(len(moments)), key=lambda number: _RANKS.get(moments[number].severity, 0))
         moments = [moments[number] for number in sorted(worst[:MOMENTS_SHOWN])]
     rows = [
-        (
-            moment.severity,
-            (
-                clock(moment.time_ns),
-                moment.kind,
-                "" if moment.reason == "none" else moment.reason,
-                who(moment),
-                moment_words(moment),
-            ),
-        )
-        for moment in moments
+        (clock(one.time_ns), one.kind, "" if one.reason == "none" else one.reason, who(one), moment_words(one))
+        for one in moments
     ]
     left_out = len(robot.charts.moments) - len(rows) + robot.charts.more_moments
     caption = "What a person should know; in parentheses, who held the lease" + (
         f"; {left_out} of less weight, or later, are left out" if left_out else ""
     )
-    yield from _folded(
-        caption, len(rows), _table(caption, ("time, UTC", "what", "reason", "operator", "text"), rows)
-    )
+    head = ("time, UTC", "what", "reason", "operator", "text")
+    yield from _folded(caption, _table(caption, head, rows, [one.severity for one in moments]), rows)
 
 
 def _refusals(summary: RobotSummary) -> Iterator[str]:
     rows = [
-        (
-            "",
-            (str(one.count), one.request, one.operator, one.reason, reason_words(one.reason), clock(one.first_ns)),
-        )
+        (one.count, one.request, one.operator, one.reason, reason_words(one.reason), clock(one.first_ns))
         for one in summary.refusals
     ]
     caption = "Refused requests by verb, operator and reason" + (
         f"; {summary.other_refusals} of further kinds" if summary.other_refusals else ""
     )
     head = ("count", "request", "operator", "reason", "in words", "first")
-    yield from _folded(caption, len(rows), _table(caption, head, rows, numbers={0}))
+    yield from _folded(caption, _table(caption, head, rows), rows)
 
 
 def _completeness(summary: RobotSummary) -> Iterator[str]:
@@ -258,37 +225,27 @@ def _completeness(summary: RobotSummary) -> Iterator[str]:
     elif not lossy:
         yield f"<p>{_counted(len(summary.completeness), 'topic')}, nothing lost.</p>"
     if summary.unwritten:
-        unwritten = [("", (one.topic, one.reason, str(one.count))) for one in summary.unwritten]
-        yield from _table("Reached the recorder, and is not in the log", ("topic", "why", "count"), unwritten, {2})
+        unwritten = [(one.topic, one.reason, one.count) for one in summary.unwritten]
+        yield from _table("Reached the recorder, and is not in the log", ("topic", "why", "count"), unwritten)
     if summary.completeness:
-        shown = lossy or summary.completeness
         rows = [
-            (
-                "",
-                (
-                    topic.removeprefix(f"{summary.key}/"),
-                    *("-" if value is None else str(value) for value in msgspec.structs.astuple(one)),
-                ),
-            )
-            for topic, one in shown.items()
+            (topic.removeprefix(f"{summary.key}/"), *msgspec.structs.astuple(one))
+            for topic, one in (lossy or summary.completeness).items()
         ]
         caption = "Samples of each topic on their way from the source into the log, and where they were lost"
-        table = _table(caption, ("topic", *_LOSS_HEADS), rows, numbers=set(range(1, 11)))
-        yield from _folded("All topics" if not lossy else caption, 0 if lossy else _OPENED + 1, table)
+        table = _table(caption, ("topic", *_LOSS_HEADS), rows)
+        yield from table if lossy else _folded("All topics", table)
 
 
 def _in_force(summary: RobotSummary) -> Iterator[str]:
     if summary.in_force:
         rows = [
             (
-                "changed" if one.changes else "",
-                (
-                    in_words(one.since_ns),
-                    one.variant,
-                    one.configuration_sha256[:12] or "not told",
-                    one.versions.get(_GATEWAY, "not told"),
-                    "; ".join([*one.changes, *one.settings]),
-                ),
+                in_words(one.since_ns),
+                one.variant,
+                one.configuration_sha256[:12] or "not told",
+                one.versions.get(_GATEWAY, "not told"),
+                "; ".join([*one.changes, *one.settings]),
             )
             for one in summary.in_force
         ]
@@ -298,7 +255,8 @@ def _in_force(summary: RobotSummary) -> Iterator[str]:
             else ""
         )
         head = ("since", "variant", "configuration", "version", "what is otherwise")
-        yield from _folded(caption, len(rows), _table(caption, head, rows))
+        kinds = ["changed" if one.changes else "" for one in summary.in_force]
+        yield from _folded(caption, _table(caption, head, rows, kinds), rows)
     facts = {name: value for name, value in summary.facts.items() if name in _OTHER_FACTS}
     if summary.in_force:
         first = summary.in_force[0].versions
@@ -317,16 +275,7 @@ def _state(file: ReportedFile) -> str:
 
 def _files(report: Report) -> Iterator[str]:
     rows = [
-        (
-            "",
-            (
-                file.name,
-                size(file.bytes),
-                in_words(file.start_ns),
-                in_words(file.end_ns),
-                _state(file),
-            ),
-        )
+        (file.name, size(file.bytes), in_words(file.start_ns), in_words(file.end_ns), _state(file))
         for file in report.files
     ]
     yield '<section aria-labelledby="files"><h2 id="files">Files</h2><div class="card">'
@@ -340,9 +289,9 @@ def _files(report: Report) -> Iterator[str]:
     yield "</div></section>"
 
 
-def _folded(title: str, rows: int, table: Iterable[str]) -> Iterator[str]:
-    """A long table is folded."""
-    if rows <= _OPENED:
+def _folded(title: str, table: Iterable[str], rows: Sequence[_Row] | None = None) -> Iterator[str]:
+    """The table, below a title to be opened if these rows of it are many; without rows in any case."""
+    if rows is not None and len(rows) <= _OPENED:
         yield from table
         return
     yield f"<details><summary>{text(title)}</summary>"
@@ -351,24 +300,21 @@ def _folded(title: str, rows: int, table: Iterable[str]) -> Iterator[str]:
 
 
 def _table(
-    caption: str,
-    head: Sequence[str],
-    rows: Iterable[tuple[str, Sequence[str]]],
-    numbers: Iterable[int] = (),
+    caption: str, head: Sequence[str], rows: Sequence[_Row], kinds: Sequence[str] | None = None
 ) -> Iterator[str]:
-    """A table; each row has a class and its cells, and the columns ``numbers`` hold numbers."""
-    right = set(numbers)
+    """A table; a column is of numbers if the first row has one there. Each row may have a class."""
     heads = "".join(
-        f'<th scope="col"{" class=number" if index in right else ""}>{text(name)}</th>'
-        for index, name in enumerate(head)
+        f'<th scope="col"{_look(one)}>{text(name)}</th>' for name, one in zip(head, rows[0], strict=True)
     )
     yield f'<div class="scroll"><table><caption>{text(caption)}</caption><thead><tr>{heads}</tr></thead><tbody>'
-    for kind, cells in rows:
-        written = "".join(
-            f"<td{' class=number' if index in right else ''}>{text(cell)}</td>" for index, cell in enumerate(cells)
-        )
+    for kind, cells in zip(kinds or [""] * len(rows), rows, strict=True):
+        written = "".join(f"<td{_look(one)}>{'-' if one is None else text(one)}</td>" for one in cells)
         yield f'<tr class="{text(kind)}">{written}</tr>'
     yield "</tbody></table></div>"
+
+
+def _look(cell: str | int | None) -> str:
+    return "" if isinstance(cell, str) else " class=number"
 
 
 def _counted(count: int, noun: str) -> str:

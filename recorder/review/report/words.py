@@ -61,7 +61,7 @@ def headline(robot: RobotSummary) -> str:
     said = [f"It {how_far}, and was {f'stopped {times(stops)}' if stops else 'not stopped'}."]
     outages = [one for one in robot.outages if not one.is_between_logs]
     if len(outages) == 1 and not robot.more_outages:
-        said.append(f"Its gateway {_outage(outages[0])}.")
+        said.append(f"Its gateway {_outage(outages[0], is_dated=False)}.")
     elif outages:
         worst = sum(one.is_commanding for one in outages)
         said.append(
@@ -78,7 +78,7 @@ def headline(robot: RobotSummary) -> str:
 
 def gateway_lines(robot: RobotSummary) -> list[str]:
     """What befell its gateway, and what was otherwise afterwards; nothing if there is nothing to say."""
-    said = [_outage_at(one) for one in robot.outages]
+    said = [_outage_line(one) for one in robot.outages]
     if robot.more_outages:
         said.append(f"and so on, {robot.more_outages} times more")
     for before, now in pairwise(robot.in_force):
@@ -103,30 +103,26 @@ def who(moment: Moment) -> str:
     return moment.operator or (f"({moment.holder})" if moment.holder else "")
 
 
-def _outage(outage: Outage) -> str:
-    """For a headline."""
+def _outage(outage: Outage, *, is_dated: bool) -> str:
+    """What befell the gateway: for a headline, or with when."""
     commanding = " while it commanded the robot" if outage.is_commanding else ""
+    since = f" at {in_words(outage.heard_ns)}{commanding}" if is_dated else commanding
     if outage.began_ns is None:
-        return f"fell silent{commanding}, and was not heard again until the end"
+        return f"fell silent{since}, and was not heard again until the end"
+    if outage.began_ns <= outage.heard_ns:
+        return f"began anew{since}"
+    later = f" {duration((outage.began_ns - outage.heard_ns) / 1e9)} later" if is_dated else ""
+    return f"fell silent{since}, and began anew{later}"
+
+
+def _outage_line(outage: Outage) -> str:
+    if outage.began_ns is None or not outage.is_between_logs:
+        return f"it {_outage(outage, is_dated=True)}"
+    commanding = " while it commanded the robot" if outage.is_commanding else ""
     return (
-        f"fell silent{commanding}, and began anew"
-        if outage.began_ns > outage.heard_ns
-        else f"began anew{commanding}"
+        f"a log ends at {in_words(outage.heard_ns)}{commanding}, and the next one, "
+        f"at {in_words(outage.began_ns)}, is of another"
     )
-
-
-def _outage_at(outage: Outage) -> str:
-    heard, commanding = in_words(outage.heard_ns), " while it commanded the robot" if outage.is_commanding else ""
-    if outage.began_ns is None:
-        return f"it fell silent at {heard}{commanding}, and was not heard again until the end"
-    if outage.is_between_logs:
-        return (
-            f"a log ends at {heard}{commanding}, and the next one, at {in_words(outage.began_ns)}, is of another"
-        )
-    if outage.began_ns == outage.heard_ns:
-        return f"it began anew at {heard}{commanding}"
-    later = duration((outage.began_ns - outage.heard_ns) / 1e9)
-    return f"it fell silent at {heard}{commanding}, and began anew {later} later"
 
 
 def _is_reconfigured(before: InForce, now: InForce) -> bool:

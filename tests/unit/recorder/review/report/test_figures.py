@@ -7,7 +7,6 @@ import plotly.graph_objects
 import pytest
 
 from recorder.review.report.figures import (
-    BAND_ROWS,
     COLOURS,
     MARKS,
     ON_MAP,
@@ -16,7 +15,6 @@ from recorder.review.report.figures import (
     clock,
     hover_text,
     on_map,
-    outages,
     over_time,
     placed,
     shown,
@@ -117,8 +115,9 @@ def test_too_many_outages_are_marks_alone(tmp_path: Path) -> None:
     """As too many stops are."""
     charts = charts_of(tmp_path)
     spans = [(WALL_NS + number, WALL_NS + number + 1) for number in range(STOP_LINES_MAX + 1)]
-    assert outages(msgspec.structs.replace(charts, outages=spans)) == []
-    assert outages(msgspec.structs.replace(charts, outages=spans[1:])) == spans[1:]
+    for drawn, expected in ((spans, 0), (spans[1:], STOP_LINES_MAX)):
+        shapes = over_time(msgspec.structs.replace(charts, outages=drawn))["layout"]["shapes"]
+        assert [shape["type"] for shape in shapes].count("rect") == expected
 
 
 def test_who_held_the_lease_is_told_where_nobody_did_it(tmp_path: Path) -> None:
@@ -167,7 +166,9 @@ def test_every_state_and_event_has_a_look_of_its_own() -> None:
 def test_bands_have_rows(tmp_path: Path) -> None:
     """A band that had none would be drawn above all others."""
     charts = charts_of(tmp_path, state(101, mode=Mode.STOP))
-    assert set(charts.bands) | {"events"} == set(BAND_ROWS)
+    axis = over_time(charts)["layout"]["yaxis3"]
+    assert set(charts.bands) | {"events"} == set(axis["categoryarray"])
+    assert axis["range"] == [-0.5, len(axis["categoryarray"]) - 0.5]
 
 
 @pytest.mark.parametrize("time_ns", [0, WALL_NS, 2**64])

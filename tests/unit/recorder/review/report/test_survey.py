@@ -172,8 +172,8 @@ def test_what_was_before_the_beginning_of_the_log_is_not_in_the_report(tmp_path:
     log = Log()
     for number in range(100):
         log.receive(sample_of(state(number)), wall_ns=WALL_NS + number * PERIOD_NS)
-    before = {"sequence": 49, "tick": 1}
-    for message in (event(-72_000, **before), refusal(-72_000, **before), event(50), refusal(50)):
+    before = [one(-72_000, sequence=49, tick=1) for one in (event, refusal)]
+    for message in (*before, event(50), refusal(50)):
         log.receive(sample_of(message), wall_ns=WALL_NS + 100 * PERIOD_NS)
     path = tmp_path / "a.mcap"
     path.write_bytes(log.close())
