@@ -19,7 +19,6 @@ from recorder.reading.log_file import LogFile, logs_of
 from recorder.reading.rows import END_OF_TIME_NS, Progress
 from recorder.reading.survey import Survey
 from recorder.reading.times import in_words
-from recorder.review.reasoning import ending as endings
 from recorder.review.reasoning import silence as silences
 from recorder.review.reasoning import story as stories
 from recorder.review.reasoning.chain import Link, Step, before, missing, span
@@ -106,57 +105,22 @@ def explain(
         if story.last_stop() is None:
             story = stories.derived(robot, logs, faults, progress)
         stop = story.last_stop()
-        ended = endings.ending(robot, logs, 0 if stop is None else stop.time_ns - NEAR_NS, faults, progress)
+        ended = stories.endings(robot, logs, 0 if stop is None else stop.time_ns - NEAR_NS, faults, progress)
         last = ended.last
         at_ns = max(
             (one.time_ns for one in (stop, ended.died, story.death(END_OF_TIME_NS)) if one is not None),
             default=_period(robot, logs)[1],
         )
-    now = _scene(stage, story, at_ns)
-    state = _state(now)
-    focus = _focus(story, state, now)
-    if _is_untold(focus, state) or story.off_ns(now) is None:
-        story = stories.derived(robot, logs, faults, progress)
-        now = _scene(stage, story, at_ns)
-        state = _state(now)
-        focus = _focus(story, state, now)
-    answer = _Answer(stage, story, now, state, focus)
-    beyond = _beyond(robot, logs, at_ns) if state is None and answer.death is None else None
-    return beyond or answer.explanation(last)
+    answer = _Answer(stage, story, at_ns)
+    if not answer.is_told:
+        answer = _Answer(stage, stories.derived(robot, logs, faults, progress), at_ns)
+    return answer.beyond(*_period(robot, logs)) or answer.explanation(last)
 
 
 def _period(robot: str, logs: Sequence[LogFile]) -> tuple[int, int]:
     """The first and the last log time of the files that hold a robot, of all where none says so; 0 if none is."""
     of = logs_of(robot, logs)
     return min((log.start_ns for log in of), default=0), max((log.end_ns for log in of), default=0)
-
-
-def _beyond(robot: str, logs: Sequence[LogFile], at_ns: int) -> Explanation | None:
-    """What there is to say of a moment that the logs do not hold; None if they do."""
-    start_ns, end_ns = _period(robot, logs)
-    if start_ns - STALE_NS <= at_ns <= end_ns + STALE_NS or not end_ns:
-        return None
-    ends = (
-        f"ends {span(at_ns - end_ns)} before it" if at_ns > end_ns else f"begins {span(start_ns - at_ns)} after it"
-    )
-    return Explanation(
-        robot=robot,
-        at_ns=at_ns,
-        state=None,
-        reason=Reason.NONE,
-        stop_ns=None,
-        silent_ns=None,
-        headline=f"The log does not hold that moment: it {ends}.",
-        chain=[missing(f"the log goes from {in_words(start_ns)} to {in_words(end_ns)}")],
-    )
-
-
-def _scene(stage: Stage, story: Story, at_ns: int) -> Scene:
-    """What was around a moment, with the story's times."""
-    shift_ns = stage.shift(at_ns) or 0
-    scene = stage.scene(at_ns, shift_ns)
-    off_ns = story.off_ns(scene)
-    return stage.scene(at_ns, shift_ns + off_ns) if off_ns else scene
 
 
 def _state(now: Scene) -> SafetyState | None:
@@ -190,79 +154,110 @@ def _focus(story: Story, state: SafetyState | None, now: Scene) -> Entry | None:
     return stop if silence is None or silence.was_stopping else None
 
 
-def _is_untold(focus: Entry | None, state: SafetyState | None) -> bool:
-    """The state tells of a stop, and the events do not."""
-    if state is None or state.state in COMMANDING or state.stop_reason is Reason.NONE:
-        return False
-    return focus is None or focus.reason is not state.stop_reason
-
-
 class _Answer:
-    """Puts the links together."""
+    """Puts the links together.
 
-    def __init__(
-        self, stage: Stage, story: Story, now: Scene, state: SafetyState | None, focus: Entry | None
-    ) -> None:
+    Args:
+        stage: the robot's logs.
+        story: its events.
+        at_ns: the moment.
+    """
+
+    def __init__(self, stage: Stage, story: Story, at_ns: int) -> None:
         self._stage = stage
         self._story = story
-        self._now = now
-        self._state = state
-        self._focus = focus
+        self._now = self._scene(at_ns)
+        self._state = _state(self._now)
+        self._focus = _focus(story, self._state, self._now)
+        self._silence = self._silence_of_gateway()
+        self._death = self._death_of_gateway()
+
+    @property
+    def is_told(self) -> bool:
+        """The events tell of the stop that the state tells of, if it does; and their times can be believed."""
+        state, focus = self._state, self._focus
+        if self._story.off_ns(self._now) is None:
+            return False
+        if state is None or state.state in COMMANDING or state.stop_reason is Reason.NONE:
+            return True
+        return focus is not None and focus.reason is state.stop_reason
+
+    def beyond(self, start_ns: int, end_ns: int) -> Explanation | None:
+        """What there is to say of a moment that the logs, from one log time to another, do not hold; else None."""
+        at_ns = self._now.at_ns
+        is_held = start_ns - STALE_NS <= at_ns <= end_ns + STALE_NS or not end_ns
+        if is_held or self._state is not None or self._death is not None:
+            return None
+        ends = (
+            f"ends {span(at_ns - end_ns)} before it"
+            if at_ns > end_ns
+            else f"begins {span(start_ns - at_ns)} after it"
+        )
+        return Explanation(
+            robot=self._now.robot,
+            at_ns=at_ns,
+            state=None,
+            reason=Reason.NONE,
+            stop_ns=None,
+            silent_ns=None,
+            headline=f"The log does not hold that moment: it {ends}.",
+            chain=[missing(f"the log goes from {in_words(start_ns)} to {in_words(end_ns)}")],
+        )
 
     def explanation(self, last: Heard[SafetyState] | None) -> Explanation:
         """The answer; with the last state of the logs, if no moment was asked about."""
-        now, state, focus = self._now, self._state, self._focus
-        silence, death = self._silence(), self.death
+        now, state, focus, silence, death = self._now, self._state, self._focus, self._silence, self._death
         links = [*motion(now), *arbiter(now, state), *self._command()]
         if silence is not None:
             after = self._story.next_run(silence.heard_ns, silence.was.said.tick)
             links += silences.links(silence, silences.guard_links(after) if silence.was_active else [])
         elif death is not None:
-            links += self._death(death)
+            links += self._what_followed(death)
         if focus is not None:
             links += self._stop(focus)
-        links += self._blocked({Reason.NONE if focus is None else focus.reason})
+        reason = Reason.NONE if focus is None else focus.reason
+        links += self._blocked(reason)
         links += _lacks(now)
-        links += self._untold(is_told=silence is not None or death is not None, last=last)
+        links += self._untold(last)
         return Explanation(
             robot=now.robot,
             at_ns=now.at_ns,
             state=None if state is None else state.state,
-            reason=Reason.NONE if focus is None else focus.reason,
+            reason=reason,
             stop_ns=None if focus is None else focus.time_ns,
             silent_ns=silence.heard_ns if silence is not None else None if death is None else death.time_ns,
-            headline=self._headline(silence, death),
+            headline=self._headline(),
             chain=_once(links),
         )
 
-    def _silence(self) -> GatewaySilence | None:
+    @property
+    def _is_active(self) -> bool:
+        """The arbiter is at work at the moment, as far as the log tells."""
+        return self._state is not None and self._state.state is not ArbiterState.STANDBY
+
+    def _silence_of_gateway(self) -> GatewaySilence | None:
         """That of the gateway at the moment or soon after it; or before it, if nothing since tells more."""
-        if self._state is not None and self._state.state is not ArbiterState.STANDBY:
+        if self._is_active:
             return next_silence(self._now, SOON_NS)
         silence, last = last_silence(self._now), self._now.last(SafetyState)
-        if (
-            self._state is None
-            and silence is not None
-            and last is not None
-            and last.time_ns >= silence.then.time_ns
-        ):
+        if self._state is not None:
+            return None if self._focus is not None else silence
+        if silence is not None and last is not None and last.time_ns >= silence.then.time_ns:
             return None  # The gateway that began then has been heard, and its own end is not told.
-        return None if self._state is not None and self._focus is not None else silence
+        return silence
 
-    @property
-    def death(self) -> Entry | None:
+    def _death_of_gateway(self) -> Entry | None:
         """That of the gateway of the moment, seen by a recorder; or soon after it, if it was at work."""
-        is_at_work = self._state is not None and self._state.state is not ArbiterState.STANDBY
-        if self._state is not None and not is_at_work:
+        if self._state is not None and not self._is_active:
             return None
-        death = self._story.death(self._now.at_ns + (SOON_NS if is_at_work else 0))
+        death = self._story.death(self._now.at_ns + (SOON_NS if self._is_active else 0))
         last = self._now.last(SafetyState)
         if death is None or self._now.at_ns - death.time_ns > BEFORE_NS:
             return None
         return death if last is None or last.time_ns <= death.time_ns + STALE_NS else None
 
-    def _death(self, death: Entry) -> Iterator[Link]:
-        """One that a recorder saw; and of what came behind it, as far as another gateway tells."""
+    def _what_followed(self, death: Entry) -> Iterator[Link]:
+        """The death that a recorder saw; and what came behind it, as far as another gateway tells."""
         yield Link(Step.CAUSE, death.text, death.time_ns)
         last = self._now.last(SafetyState)
         after = self._story.next_run(death.time_ns, None if last is None else last.said.tick)
@@ -271,8 +266,8 @@ class _Answer:
             yield Link(Step.CAUSE, f"{text}: nothing of before holds any more", after[0].time_ns)
         yield from silences.guard_links(after)
 
-    def _headline(self, silence: GatewaySilence | None, death: Entry | None) -> str:
-        now, state = self._now, self._state
+    def _headline(self) -> str:
+        now, state, silence, death = self._now, self._state, self._silence, self._death
         latched = [] if state is None else state.latched
         said = headline(now, state, self._focus, self._story.newest_latch(latched, now.at_ns))
         if silence is not None:
@@ -283,17 +278,17 @@ class _Answer:
             return said
         return told if state is None else f"{said} {told}"
 
-    def _untold(self, *, is_told: bool, last: Heard[SafetyState] | None) -> Iterator[Link]:
+    def _untold(self, last: Heard[SafetyState] | None) -> Iterator[Link]:
         """What was before the moment, or came after it, and is not told of; the end of a gateway is told."""
-        at_ns, state, focus = self._now.at_ns, self._state, self._focus
-        if state is None and focus is None and not is_told:
+        at_ns, focus = self._now.at_ns, self._focus
+        has_ended = self._silence is not None or self._death is not None
+        if self._state is None and focus is None and not has_ended:
             stop = self._story.stop_before(at_ns)
             if stop is not None:
                 yield missing(
                     f"the last stop in the log was {before(stop.time_ns, at_ns)}; what was since is not told"
                 )
-        is_active = state is not None and state.state is not ArbiterState.STANDBY
-        if is_active and not is_told:
+        if self._is_active and not has_ended:
             heard_ns = max(one.time_ns for one in self._now.all(SafetyState))
             if heard_ns < at_ns + SOON_NS:
                 text = f"the arbiter's states end {before(heard_ns, at_ns)}, and none follows for seconds"
@@ -309,14 +304,14 @@ class _Answer:
         if self._state is None:
             return []
         found = refused_lately(self._now)
-        if self._state.state is not ArbiterState.STANDBY:
+        if self._is_active:
             found = describe_command(self._now) + found
         return [msgspec.structs.replace(link, step=_COMMANDS[link.step]) for link in found]
 
     def _stop(self, focus: Entry) -> Iterator[Link]:
         """The stop: cause, evidence, what was done, what is latched, the cure."""
         is_taken = focus.reason is Reason.HAND_TRANSMITTER
-        scene = self._scene(focus.time_ns, "the takeover" if is_taken else "the stop")
+        scene = self._beside(focus.time_ns, "the takeover" if is_taken else "the stop")
         by = f", by {focus.operator}" if focus.operator and focus.operator not in focus.text else ""
         derived = "; no event says so, two states of the arbiter do" if focus.is_derived else ""
         yield Link(Step.CAUSE, f"{focus.text}{by}{derived}", focus.time_ns, {"reason": focus.reason.value})
@@ -350,12 +345,12 @@ class _Answer:
             text += f"; {reset.operator or 'somebody'} reset it {span(reset.time_ns - entry.time_ns)} later"
         return Link(Step.LATCH, text, entry.time_ns, {"reason": reason.value})
 
-    def _blocked(self, told: set[Reason]) -> Iterator[Link]:
+    def _blocked(self, told: Reason) -> Iterator[Link]:
         """What besides kept the robot where it was, or from being engaged, at the moment itself."""
         state = self._state
         if state is None:
             return
-        blocked_by = [reason for reason in state.blocked_by if reason not in told]
+        blocked_by = [reason for reason in state.blocked_by if reason is not told]
         if state.state is ArbiterState.ENGAGED:
             blocked_by = [reason for reason in blocked_by if hinders(reason, self._now, state)]
         for number, reason in enumerate(blocked_by):
@@ -367,16 +362,22 @@ class _Answer:
                 yield self._latch(reason)
             latch = self._story.last_latch(reason, self._now.at_ns) if number < LATCHES_SHOWN else None
             if is_latched and latch is not None:
-                yield from EVIDENCE[reason](Clue(self._scene(latch.time_ns, "the latch"), latch.text))
+                yield from EVIDENCE[reason](Clue(self._beside(latch.time_ns, "the latch"), latch.text))
             elif not is_latched:
                 yield from EVIDENCE[reason](Clue(self._now))
         for reason in blocked_by:
             yield from cures(reason, self._now.robot, blocked_by, is_reset=reason not in state.latched)
 
-    def _scene(self, at_ns: int, what: str) -> Scene:
-        scene = self._now
-        if at_ns != self._now.at_ns:
-            scene = _scene(self._stage, self._story, at_ns)
+    def _scene(self, at_ns: int) -> Scene:
+        """What was around a moment, with the story's times."""
+        shift_ns = self._stage.shift(at_ns)
+        scene = self._stage.scene(at_ns, shift_ns)
+        off_ns = self._story.off_ns(scene)
+        return self._stage.scene(at_ns, shift_ns + off_ns) if off_ns else scene
+
+    def _beside(self, at_ns: int, what: str) -> Scene:
+        """What was around another moment; and what that is, in words."""
+        scene = self._now if at_ns == self._now.at_ns else self._scene(at_ns)
         scene.what = what
         return scene
 

@@ -80,6 +80,15 @@ class RecordedRig(LoopRig):
         return self.recorder_ns + self.now_ns
 
     @classmethod
+    def beginning(cls, at_ns: int, run: int) -> "RecordedRig":
+        """A robot whose gateway begins at this time of the recorder's."""
+        rig = cls(run=run)
+        later_ns = at_ns - rig.at_ns
+        rig.wall_ns += later_ns
+        rig.recorder_ns += later_ns
+        return rig
+
+    @classmethod
     def ready(
         cls, variant: Variant = Variant.COARSE, command: CommandSettings | None = None, *, run: int = 7
     ) -> tuple["RecordedRig", Operator]:
@@ -138,8 +147,13 @@ class RecordedRig(LoopRig):
 def ask(path: Path, data: bytes, at_ns: int | None = None, robot: str = ROBOT) -> Explanation:
     """Why, of a log with this content."""
     path.write_bytes(data)
+    return ask_of([path], at_ns, robot)
+
+
+def ask_of(paths: Sequence[Path], at_ns: int | None = None, robot: str = ROBOT) -> Explanation:
+    """Why, of the logs there."""
     faults = Faults()
-    logs = find_logs([path], faults)
+    logs = find_logs(paths, faults)
     explanation = explain(robot, logs, survey(logs, faults), at_ns, faults)
     assert not faults, faults.told
     return explanation

@@ -333,8 +333,8 @@ class Stage:
         self._configurations = configurations
         self._faults = faults
 
-    def shift(self, at_ns: int) -> int | None:
-        """What is to be added to the robot's clock around a log time; None if nothing was heard then."""
+    def shift(self, at_ns: int) -> int:
+        """What is to be added to the robot's clock around a log time; 0 if nothing was heard then."""
         around = Selection(
             lambda topic: topic.robot == self.robot and topic.kind in {SafetyState, RobotState},
             max(0, at_ns - 2_000_000_000),
@@ -342,17 +342,17 @@ class Stage:
         )
         off_ns = [row.log_ns - row.publish_ns for row in read_rows(self._logs, around, self._faults)]
         if not off_ns:
-            return None
+            return 0
         middle_ns = round(median(off_ns))
         if NEAR_NS < middle_ns <= FAR_NS:
             # They may have waited for the recorder: what came the soonest is nearest to the truth.
             middle_ns = min(off_ns)
         return middle_ns if abs(middle_ns) > NEAR_NS else 0
 
-    def scene(self, at_ns: int, shift_ns: int, *, before_ns: int = BEFORE_NS, after_ns: int = AFTER_NS) -> Scene:
+    def scene(self, at_ns: int, shift_ns: int) -> Scene:
         """What was around a moment."""
         scene = Scene(self.robot, at_ns, shift_ns, self._limits(at_ns))
-        from_ns, to_ns = max(0, at_ns - before_ns), at_ns + after_ns
+        from_ns, to_ns = max(0, at_ns - BEFORE_NS), at_ns + AFTER_NS
         window = Selection(
             lambda topic: (topic.robot == self.robot and topic.kind in _WANTED) or topic.kind is RecordGap,
             from_ns,

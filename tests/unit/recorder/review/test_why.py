@@ -9,13 +9,11 @@ import pytest
 
 from gateway.chassis.frame import Frame
 from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile
 from recorder.reading.logs import find_logs
-from recorder.reading.survey import survey
 from recorder.review.reasoning.chain import Step
-from recorder.review.timeline.entries import STOPS, EntryKind
+from recorder.review.timeline.entries import STOPS, Entry, EntryKind
 from recorder.review.timeline.timeline import Question, read_events
-from recorder.review.why import Explanation, explain
+from recorder.review.why import Explanation
 from schemas.decisions import ArbiterState, Severity
 from schemas.messages import Variant
 from schemas.reasons import TEXTS, Reason, cure_of
@@ -25,7 +23,7 @@ from tests.support.log_scenarios import SCENARIOS, Scenario, acted, recorded
 from tests.support.loop_rig import GUARDED, WALL_NS, Operator
 from tests.support.recorded_day import COMMAND, RUN, STARTED_NS, Day
 from tests.support.recorder_fakes import MS, SECOND, Log, gear, sample_of
-from tests.support.rig_log import ROBOT, RecordedRig, ask, texts
+from tests.support.rig_log import ROBOT, RecordedRig, ask, ask_of, texts
 
 HOUR_NS = 3600 * SECOND
 DAY_TICKS = 2500
@@ -37,6 +35,12 @@ NORMAL = {Reason.DEADMAN, Reason.LEASE_TAKEN, Reason.LEASE_RELEASED, Reason.DISE
 def path(tmp_path: Path) -> Path:
     """Where a test's log goes."""
     return tmp_path / "log.mcap"
+
+
+def _entries(path: Path, *kinds: EntryKind) -> list[Entry]:
+    """What ``events`` tells of these kinds."""
+    faults = Faults()
+    return list(read_events(find_logs([path], faults), Question(kinds=frozenset(kinds)), faults))
 
 
 def data_of(explanation: Explanation, step: Step, name: str) -> object:
@@ -171,10 +175,7 @@ def test_another_latch_than_that_of_the_stop_has_evidence_of_its_own(path: Path)
 
 def _another(dead_ns: int, later_s: float = 3, note: str = "", ended: str = "") -> RecordedRig:
     """A gateway that begins so long after another one died, and finds this note of its guard."""
-    rig = RecordedRig(run=2)
-    later_ns = dead_ns + round(later_s * SECOND) - rig.at_ns
-    rig.wall_ns += later_ns
-    rig.recorder_ns += later_ns
+    rig = RecordedRig.beginning(dead_ns + round(later_s * SECOND), run=2)
     if note:
         rig.core.latch_guard_stop(note, rig.now_ns)
     rig.run(1)
@@ -189,7 +190,7 @@ NOTE = "2026-11-22T06:00:00.000+00:00 guard: the gateway is gone, last heartbeat
 
 def _dead_gateway(
     tmp_path: Path, later_s: float = 3, note: str = "", ended: str = "", recorder_says: str = ""
-) -> tuple[list[LogFile], int]:
+) -> int:
     """A stop, an engagement, and a gateway that dies while the robot drives; another begins 3 s later.
 
     Args:
@@ -200,7 +201,7 @@ def _dead_gateway(
         recorder_says: of the death.
 
     Returns:
-        the logs, and when the one was last heard.
+        when the one was last heard.
     """
     rig, _ = RecordedRig.driving(run=1)
     rig.rest_after(1.0)
@@ -213,22 +214,20 @@ def _dead_gateway(
     said = RecorderEvent(dead_ns + MS, 0, Severity.ERROR, event, ROBOT, "", "", recorder_says)
     (tmp_path / "one.mcap").write_bytes(rig.log(recorder_says=[said] if recorder_says else []))
     (tmp_path / "two.mcap").write_bytes(_another(dead_ns, later_s, note, ended).log())
-    return find_logs([tmp_path], Faults()), dead_ns
+    return dead_ns
 
 
 def test_a_gateway_that_died_is_told_and_no_stop_of_before(tmp_path: Path) -> None:
     """Between the two gateways, and after the next has begun: the old stop was cured, and is no answer."""
-    logs, dead_ns = _dead_gateway(tmp_path)
-    faults = Faults()
-    found = survey(logs, faults)
-    between = explain(ROBOT, logs, found, dead_ns + SECOND, faults)
+    dead_ns = _dead_gateway(tmp_path)
+    between = ask_of([tmp_path], dead_ns + SECOND)
     assert between.is_answered
     assert (between.state, between.reason, between.stop_ns) == (None, Reason.NONE, None)
     assert abs((between.silent_ns or 0) - dead_ns) <= 60 * MS
     assert "The gateway fell silent 1.0" in between.headline
     assert "before that moment, engaged, at 0.60 m/s; another began 2.0" in between.headline
     assert "deadman" not in texts(between, Step.CAUSE)
-    after = explain(ROBOT, logs, found, dead_ns + 3500 * MS, faults)
+    after = ask_of([tmp_path], dead_ns + 3500 * MS)
     assert (after.state, after.reason, after.stop_ns) == (ArbiterState.STANDBY, Reason.NONE, None)
     assert after.headline.startswith("It was not engaged: nobody holds the lease")
     assert "The gateway fell silent 3.5" in after.headline
@@ -243,11 +242,8 @@ def test_what_the_guard_of_a_dead_gateway_did_is_told_by_the_next(
     """In the guard's own words, soon or late: those of its note, and those that came later; and that one began."""
     ended = "the robot stands; 180 frames sent"
     gone = "the gateway died, or the link to it: its token is gone, and it was engaged, and told 0.60 m/s"
-    logs, dead_ns = _dead_gateway(tmp_path, later_s, NOTE, ended, gone)
-    faults = Faults()
-    explanation = explain(
-        ROBOT, logs, survey(logs, faults), None if after_ns is None else dead_ns + after_ns, faults
-    )
+    dead_ns = _dead_gateway(tmp_path, later_s, NOTE, ended, gone)
+    explanation = ask_of([tmp_path], None if after_ns is None else dead_ns + after_ns)
     assert abs((explanation.silent_ns or 0) - dead_ns) <= 60 * MS, explanation.headline
     did = texts(explanation, Step.ACTION)
     assert f"the next gateway says of the guard: {NOTE}" in did
@@ -256,23 +252,18 @@ def test_what_the_guard_of_a_dead_gateway_did_is_told_by_the_next(
     assert "what it did then is not in the log" not in texts(explanation, Step.MISSING)
 
 
-def _killed_again_and_again(tmp_path: Path) -> tuple[list[LogFile], list[int]]:
+def _killed_again_and_again(tmp_path: Path) -> list[int]:
     """Three gateways that are killed 6 s apart while the robot drives; after the last one the log ends.
 
     Each says what the chassis does for 400 ms before its arbiter says anything, as a gateway does that starts.
 
     Returns:
-        the logs, and when each of them was last heard.
+        when each of them was last heard.
     """
     deaths: list[int] = []
     for run in (1, 2, 3):
-        rig = RecordedRig(run=run)
-        began_ns = rig.at_ns
-        if deaths:
-            later_ns = deaths[-1] + 300 * MS - rig.at_ns
-            rig.wall_ns += later_ns
-            rig.recorder_ns += later_ns
-            began_ns = rig.at_ns
+        began_ns = deaths[-1] + 300 * MS if deaths else WALL_NS
+        rig = RecordedRig.beginning(began_ns, run)
         rig.run(1.5)
         operator = Operator(rig, "operator-1")
         operator.engage()
@@ -284,26 +275,23 @@ def _killed_again_and_again(tmp_path: Path) -> tuple[list[LogFile], list[int]]:
             if sample.subject != "safety/state" or at_ns > began_ns + 400 * MS
         ]
         (tmp_path / f"{run}.mcap").write_bytes(rig.log())
-    return find_logs([tmp_path], Faults()), deaths
+    return deaths
 
 
 def test_a_death_is_dated_as_in_events_whatever_the_next_gateway_says_first(tmp_path: Path) -> None:
     """What it says before its arbiter does is no sign of life of the dead one; the newest death is the answer."""
-    logs, (*deaths, last_ns) = _killed_again_and_again(tmp_path)
-    faults = Faults()
-    found = survey(logs, faults)
-    entries = list(read_events(logs, Question(kinds=frozenset({EntryKind.GATEWAY})), faults))
+    *deaths, last_ns = _killed_again_and_again(tmp_path)
+    entries = _entries(tmp_path, EntryKind.GATEWAY)
     assert len(entries) == len(deaths)
     for dead_ns in deaths:
         for after_ns in (100 * MS, 600 * MS, SECOND):
-            explanation = explain(ROBOT, logs, found, dead_ns + after_ns, faults)
+            explanation = ask_of([tmp_path], dead_ns + after_ns)
             heard_ns = explanation.silent_ns or 0
             assert dead_ns - 60 * MS <= heard_ns <= dead_ns, (after_ns, explanation.headline)
-
             assert "at 0.60 m/s; another began" in explanation.headline
-    latest = explain(ROBOT, logs, found, None, faults)
+    latest = ask_of([tmp_path])
     assert abs((latest.silent_ns or 0) - deaths[-1]) <= 60 * MS
-    behind = explain(ROBOT, logs, found, last_ns + SECOND, faults)
+    behind = ask_of([tmp_path], last_ns + SECOND)
     assert behind.silent_ns is None, "the death of another gateway, 7 s before, is no answer"
     assert behind.headline.startswith("The log does not hold that moment")
 
@@ -336,14 +324,12 @@ def test_a_stop_of_long_ago_is_no_answer_where_no_state_is(path: Path) -> None:
 
 def test_of_a_stop_and_a_death_the_later_one_is_explained(tmp_path: Path) -> None:
     """Without a moment: the gateway that died while the robot drove, and not the stop that was cured before it."""
-    logs, dead_ns = _dead_gateway(tmp_path)
-    faults = Faults()
-    found = survey(logs, faults)
-    explanation = explain(ROBOT, logs, found, None, faults)
+    dead_ns = _dead_gateway(tmp_path)
+    explanation = ask_of([tmp_path])
     assert abs(explanation.at_ns - dead_ns) <= 60 * MS
     assert (explanation.reason, explanation.silent_ns is None) == (Reason.NONE, False)
     assert explanation.headline.startswith("It was engaged and moved, at 0.60 m/s. The gateway fell silent")
-    alone = explain(ROBOT, logs[:1], found, None, faults)
+    alone = ask_of([tmp_path / "one.mcap"])
     assert alone.reason is Reason.DEADMAN
     assert "it was engaged again" in texts(alone, Step.MISSING)
     assert "what came then is not told" in texts(alone, Step.MISSING)
@@ -352,10 +338,7 @@ def test_of_a_stop_and_a_death_the_later_one_is_explained(tmp_path: Path) -> Non
 def test_a_stop_behind_a_death_is_the_last_thing(tmp_path: Path) -> None:
     """The gateway that came after the dead one has stopped the robot since."""
     first, _ = RecordedRig.driving(run=1)
-    second = RecordedRig(run=2)
-    later_ns = first.at_ns + 3 * SECOND - second.at_ns
-    second.wall_ns += later_ns
-    second.recorder_ns += later_ns
+    second = RecordedRig.beginning(first.at_ns + 3 * SECOND, run=2)
     second.run(0.6)
     operator = Operator(second, "operator-2")
     operator.engage()
@@ -365,25 +348,21 @@ def test_a_stop_behind_a_death_is_the_last_thing(tmp_path: Path) -> None:
     second.rest()
     (tmp_path / "one.mcap").write_bytes(first.log())
     (tmp_path / "two.mcap").write_bytes(second.log())
-    faults = Faults()
-    logs = find_logs([tmp_path], faults)
-    assert explain(ROBOT, logs, survey(logs, faults), None, faults).reason is Reason.REMOTE_STOP
+    assert ask_of([tmp_path]).reason is Reason.REMOTE_STOP
 
 
 @pytest.mark.parametrize(("before_ns", "words"), [(400 * MS, "4"), (60 * MS, "")])
 def test_a_death_right_after_the_moment_is_told(before_ns: int, words: str, tmp_path: Path) -> None:
     """As a stop would be; with the guard that watched, and what the next gateway found."""
-    logs, dead_ns = _dead_gateway(tmp_path)
-    faults = Faults()
-    explanation = explain(ROBOT, logs, survey(logs, faults), dead_ns - before_ns, faults)
+    dead_ns = _dead_gateway(tmp_path)
+    explanation = ask_of([tmp_path], dead_ns - before_ns)
     assert explanation.state is ArbiterState.ENGAGED
     assert f"m/s. The gateway fell silent {words}" in explanation.headline
     assert "after that moment, engaged, at 0.60 m/s; another began 3." in explanation.headline
     assert "a guard watched the gateway" in texts(explanation, Step.MISSING)
     assert "what it did then is not in the log" in texts(explanation, Step.MISSING)
     assert "its first drive feedback, 3." in texts(explanation, Step.EVIDENCE)
-    long_before = explain(ROBOT, logs, survey(logs, faults), dead_ns - 1200 * MS, faults)
-    assert "silent" not in long_before.headline
+    assert "silent" not in ask_of([tmp_path], dead_ns - 1200 * MS).headline
 
 
 def test_a_recording_that_ends_at_work_is_said_to_end(path: Path) -> None:
@@ -401,12 +380,9 @@ def test_a_stop_of_another_run_is_no_answer(tmp_path: Path) -> None:
     rig.rest_after(1.0)
     (tmp_path / "one.mcap").write_bytes(rig.log())
     (tmp_path / "two.mcap").write_bytes(_another(rig.at_ns).log())
-    faults = Faults()
-    logs = find_logs([tmp_path], faults)
-    found = survey(logs, faults)
-    assert explain(ROBOT, logs, found, rig.at_ns, faults).reason is Reason.DEADMAN
+    assert ask_of([tmp_path], rig.at_ns).reason is Reason.DEADMAN
     for later_ns in (SECOND, 3500 * MS):
-        explanation = explain(ROBOT, logs, found, rig.at_ns + later_ns, faults)
+        explanation = ask_of([tmp_path], rig.at_ns + later_ns)
         assert (explanation.reason, explanation.stop_ns) == (Reason.NONE, None)
         assert "standby, standing; another began" in explanation.headline
 
@@ -515,13 +491,10 @@ def _day() -> bytes:
 def test_what_was_said_at_another_time_is_none_of_the_moment_s(path: Path) -> None:
     """A decision that is told after the clock was set back by hours may bear any time, and is none of before."""
     path.write_bytes(_day())
-    faults = Faults()
-    logs = find_logs([path], faults)
-    found = survey(logs, faults)
-    engaged = list(read_events(logs, Question(kinds=frozenset({EntryKind.ENGAGED})), faults))
+    engaged = _entries(path, EntryKind.ENGAGED)
     assert len(engaged) == 3
     for one in engaged:
-        chain = explain(ROBOT, logs, found, one.time_ns + 5 * MS, faults).chain
+        chain = ask_of([path], one.time_ns + 5 * MS).chain
         far_ns = [abs((link.time_ns or one.time_ns) - one.time_ns) for link in chain if link.step is Step.COMMAND]
         assert max(far_ns, default=0) < 15 * SECOND
 
@@ -529,16 +502,12 @@ def test_what_was_said_at_another_time_is_none_of_the_moment_s(path: Path) -> No
 def test_of_a_day_in_which_everything_happens_every_stop_is_explained(path: Path) -> None:
     """Each by its own reason, although the robot's clock is set by hours in between."""
     path.write_bytes(_day())
-    faults = Faults()
-    logs = find_logs([path], faults)
-    kinds = frozenset({*STOPS, EntryKind.CLOCK})
-    entries = list(read_events(logs, Question(kinds=kinds), faults))
+    entries = _entries(path, *STOPS, EntryKind.CLOCK)
     assert EntryKind.CLOCK in {one.kind for one in entries}
     stops = [one for one in entries if one.reason is not Reason.NONE]
     assert len({one.reason for one in stops}) > 3
-    found = survey(logs, faults)
     for stop in stops:
-        explanation = explain(ROBOT, logs, found, stop.time_ns, faults)
+        explanation = ask_of([path], stop.time_ns)
         assert explanation.reason is stop.reason, explanation.headline
         assert abs((explanation.stop_ns or 0) - stop.time_ns) <= 20 * MS
 
@@ -690,10 +659,7 @@ def test_a_log_of_gears_alone_says_that_it_knows_nothing(path: Path) -> None:
     """No exception, and no claim."""
     log = Log()
     log.receive(*(sample_of(gear(number)) for number in range(5)))
-    path.write_bytes(log.close())
-    faults = Faults()
-    logs = find_logs([path], faults)
-    explanation = explain(ROBOT, logs, survey(logs, faults), None, faults)
+    explanation = ask(path, log.close())
     assert not explanation.is_answered
     assert {link.step for link in explanation.chain} == {Step.MISSING}
 

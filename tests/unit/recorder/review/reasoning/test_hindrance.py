@@ -98,10 +98,7 @@ def test_a_reset_of_nothing_resets_no_latch(tmp_path: Path) -> None:
     """That of the next gateway, which does not know of the latch, is none of it."""
     rig, _ = _remotely_stopped()
     latched_ns = rig.at_ns
-    second = RecordedRig(run=2)
-    later_ns = rig.at_ns + 1000 * MS - second.at_ns
-    second.wall_ns += later_ns
-    second.recorder_ns += later_ns
+    second = RecordedRig.beginning(rig.at_ns + 1000 * MS, run=2)
     second.run(0.6)
     operator = Operator(second, "operator-2")
     assert operator.take_lease() is Reason.NONE

@@ -169,10 +169,7 @@ def test_a_new_engagement_has_no_command_yet(tmp_path: Path) -> None:
 def test_of_another_run_nothing_is_told_as_of_this_one(tmp_path: Path) -> None:
     """A gateway that has just begun knows no scale yet, whatever the one before it took it for."""
     first, _ = RecordedRig.driving(run=1)
-    second = RecordedRig(run=2)
-    later_ns = first.at_ns + 3 * SECOND - second.at_ns
-    second.wall_ns += later_ns
-    second.recorder_ns += later_ns
+    second = RecordedRig.beginning(first.at_ns + 3 * SECOND, run=2)
     begun_ns = second.at_ns
     second.run(1.0)
     # It has not told what it makes of the robot yet.
