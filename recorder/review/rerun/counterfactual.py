@@ -207,10 +207,10 @@ def _what_if(player: RerunPlayer, run_both: WhatIf, settings_of: Callable[[str],
 def _changed(settings: Settings, other: Settings) -> dict[str, tuple[object, object]]:
     """What the arbiter goes by; which bus or network it was on makes no difference here."""
     return {
-        f"{section}.{name}": (getattr(getattr(settings, section), name), getattr(getattr(other, section), name))
+        f"{section}.{name}": (was, tried)
         for section in ("command", "chassis", "gateway")
         for name in getattr(settings, section).__struct_fields__
-        if getattr(getattr(settings, section), name) != getattr(getattr(other, section), name)
+        if (was := getattr(getattr(settings, section), name)) != (tried := getattr(getattr(other, section), name))
     }
 
 
@@ -262,10 +262,8 @@ class _Side:
         if mean_mps > STANDSTILL_MPS:
             self.journey.moving_s += passed_s
 
-    def take_event(self, event: SafetyEvent) -> None:
-        if event.kind is EventKind.STOP:
-            stop = StopMade(event.time_ns, event.reason.value, event.operator, event.text)
-            self.journey.stops.append(stop)
+    def take_stop(self, event: SafetyEvent) -> None:
+        self.journey.stops.append(StopMade(event.time_ns, event.reason.value, event.operator, event.text))
 
 
 class _Pair:
@@ -288,8 +286,8 @@ class _Pair:
                 self.start_ns = self.start_ns or message.time_ns
                 self.end_ns = message.time_ns
                 side.take_state(message)
-            case SafetyEvent():
-                side.take_event(message)
+            case SafetyEvent() if message.kind is EventKind.STOP:
+                side.take_stop(message)
             case Decision():
                 self._take_decision(message, is_other=said.is_other)
             case _:

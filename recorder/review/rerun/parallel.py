@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import signal
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -22,7 +22,7 @@ from recorder.reading.configurations import Configurations, configurations_of
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Progress, Selection, read_rows
-from recorder.reading.survey import Survey, survey
+from recorder.reading.survey import survey
 from recorder.review.rerun.comparison import DIFFERENCES_TOLD
 from recorder.review.rerun.player import BROKEN_OFF, RerunPlayer, RerunResult, installed, rerun_logs, rerun_parts
 from recorder.review.rerun.segments import WHOLE, Plan, Rests, Stretch, plan
@@ -93,47 +93,34 @@ def rerun_in(
     """The same in processes that are there; a stretch is at least so long."""
     found = survey(logs, faults)
     size = sum(log.bytes for log in logs)
-    # All are begun before the first is waited for.
-    tasks = [_task(robot, logs, found, faults) for robot in found.robots]
-    for begun in [_begin(pool, task, length_ns, faults, lambda _: progress(0)) for task in tasks]:
-        yield from _gather(pool, begun, faults, lambda part: progress(int(size * part)))
-
-
-class _Begun(msgspec.Struct, frozen=True):
-    """A robot whose stretches are being run again."""
-
-    task: RerunTask
-    plan: Plan
-    futures: list[Future[RerunOutcome]]
-
-
-def _task(robot: str, logs: Sequence[LogFile], found: Survey, faults: Faults) -> RerunTask:
-    return RerunTask(robot, list(logs), configurations_of(robot, logs, found, faults), WHOLE)
-
-
-def _begin(pool: Executor, whole: RerunTask, length_ns: int, faults: Faults, progress: Progress) -> _Begun:
     rests: Rests = installed("rests")
-    selection = Selection(lambda topic: topic.robot == whole.robot and topic.subject == JOURNAL)
-    planned = plan(read_rows(whole.logs, selection, faults, progress), rests, length_ns, faults)
-    tasks = [msgspec.structs.replace(whole, stretch=stretch) for stretch in planned.stretches]
-    return _Begun(whole, planned, [pool.submit(run_task, task) for task in tasks])
+    begun: list[tuple[RerunTask, Plan, list[Future[RerunOutcome]]]] = []
+    # All are begun before the first is waited for.
+    for robot in found.robots:
+        whole = RerunTask(robot, list(logs), configurations_of(robot, logs, found, faults), WHOLE)
+        selection = _journals_of(robot)
+        planned = plan(read_rows(logs, selection, faults, lambda _: progress(0)), rests, length_ns, faults)
+        tasks = [msgspec.structs.replace(whole, stretch=stretch) for stretch in planned.stretches]
+        begun.append((whole, planned, [pool.submit(run_task, task) for task in tasks]))
+    for whole, planned, futures in begun:
+        outcomes = []
+        for future in futures:
+            outcomes.append(outcome_of(future, progress))
+            progress(size // len(futures))
+        results = join(planned, [outcome.results for outcome in outcomes])
+        if results is None:
+            outcomes = [outcome_of(pool.submit(run_task, whole), progress)]
+            results = outcomes[0].results
+        for outcome in outcomes:
+            faults.add_all(outcome.faults)
+        yield from results
 
 
-def _gather(pool: Executor, begun: _Begun, faults: Faults, progress: Callable[[float], None]) -> list[RerunResult]:
-    outcomes = []
-    for future in begun.futures:
-        outcomes.append(outcome_of(future, progress))
-        progress(1 / len(begun.futures))
-    results = join(begun.plan, [outcome.results for outcome in outcomes])
-    if results is None:
-        outcomes = [outcome_of(pool.submit(run_task, begun.task), progress)]
-        results = outcomes[0].results
-    for outcome in outcomes:
-        faults.add_all(outcome.faults)
-    return results
+def _journals_of(robot: str) -> Selection:
+    return Selection(lambda topic: topic.robot == robot and topic.subject == JOURNAL)
 
 
-def outcome_of(future: Future[RerunOutcome], progress: Callable[[float], None]) -> RerunOutcome:
+def outcome_of(future: Future[RerunOutcome], progress: Progress) -> RerunOutcome:
     """What came of a task, when it is over; meanwhile it tells the progress that there is none.
 
     Raises:

@@ -21,7 +21,7 @@ from recorder.reading.survey import survey
 from recorder.reading.topics import UNREADABLE, typed_decoder
 from recorder.review.rerun.comparison import Comparison, Difference, Key, RecordedOutput
 from recorder.review.rerun.segments import WHOLE, Stretch
-from recorder.review.rerun.tapes import JOURNAL, PartEnd, Tape
+from recorder.review.rerun.tapes import JOURNAL, Tape
 from schemas import codec
 from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Journal
@@ -186,7 +186,6 @@ class RerunPlayer:
         )
         rows = filter(stretch.needs, read_rows(logs, selection, faults, progress))
         self._tape = Tape(rows, self._record, faults)
-        self._end = PartEnd(0, 0, 0, "")
         self._rules = COMMAND_RULES
         self._faults = faults
 
@@ -196,7 +195,7 @@ class RerunPlayer:
 
     def journals(self) -> Iterator[Journal]:
         """Those of the part, in their order."""
-        for journal in self._tape.journals(self._take_end):
+        for journal in self._tape.journals():
             self._rules = journal.rules
             yield journal
 
@@ -206,23 +205,26 @@ class RerunPlayer:
 
     def break_off(self, error: Exception) -> None:
         """The journal cannot be used from here on: this part ends."""
-        self._end = self._tape.break_off(f"{BROKEN_OFF}: {error!r}"[:DETAIL_MAX])
-        self._faults.add(f"{self._robot}: run {self._end.run}: {self._end.detail}")
+        self._tape.break_off(f"{BROKEN_OFF}: {error!r}"[:DETAIL_MAX])
+        self._faults.add(f"{self._robot}: run {self._tape.end.run}: {self._tape.end.detail}")
 
     def skip(self, detail: str) -> RerunResult:
         """The run is not run again."""
         for _ in self.journals():
             pass
-        self._end = msgspec.structs.replace(self._end, inputs=0, detail=detail)
-        return self.result(0)
+        return msgspec.structs.replace(self._result(0), inputs=0, detail=detail)
 
     def result(self, start_ns: int) -> RerunResult:
         """How the run came out; what was recorded behind its end is kept for the next one."""
+        result = self._result(start_ns)
+        if start_ns:
+            return result
+        why = NO_REST if self._rules == COMMAND_RULES else OTHER_RULES
+        return msgspec.structs.replace(result, detail="; ".join(filter(None, (result.detail, why))))
+
+    def _result(self, start_ns: int) -> RerunResult:
         comparison, self.comparison = self.comparison, Comparison(_decode, self._stretch.holds)
-        end = self._end
-        if not start_ns and not end.detail.endswith(NO_CONFIGURATION):
-            why = NO_REST if self._rules == COMMAND_RULES else OTHER_RULES
-            end = msgspec.structs.replace(end, detail="; ".join(filter(None, (end.detail, why))))
+        end = self._tape.end
         for key, said in comparison.end().items():
             self.comparison.record(key, said)
         return RerunResult(
@@ -240,9 +242,6 @@ class RerunPlayer:
             given_up=comparison.given_up,
             rules=self._rules,
         )
-
-    def _take_end(self, end: PartEnd) -> None:
-        self._end = end
 
     def _record(self, row: Row) -> None:
         try:

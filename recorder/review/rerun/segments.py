@@ -110,7 +110,7 @@ def plan(rows: Iterator[Row], rests: Rests, length_ns: int, faults: Faults) -> P
     while tape.next_part():
         places: list[int] = []
         part_ns = None
-        for journal in tape.journals(parts.append):
+        for journal in tape.journals():
             is_steady = is_steady and journal.time_ns >= newest_ns
             newest_ns = journal.time_ns
             part_ns = newest_ns if part_ns is None else part_ns
@@ -119,6 +119,7 @@ def plan(rows: Iterator[Row], rests: Rests, length_ns: int, faults: Faults) -> P
                 places += rests(journal)
             except UNREADABLE:
                 is_steady = False
+        parts.append(tape.end)
         for place_ns in places:
             cut_ns = place_ns + SETTLED_NS
             is_inside = (part_ns or 0) + BEFORE_NS < place_ns and cut_ns + BEHIND_NS < newest_ns

@@ -43,6 +43,9 @@ class PartEnd(msgspec.Struct, frozen=True):
 class Tape:
     """Plays the rows of one robot: its journals part by part, everything else to whoever takes it.
 
+    Attributes:
+        end: how far the part goes that was played last.
+
     Args:
         rows: of one robot, by log time.
         take: takes each row that is no journal, in its place between the journals.
@@ -60,8 +63,7 @@ class Tape:
         self._next: Journal | None = None
         """The first of the run that follows."""
         self._past: set[int] = set()
-        self._first = 0
-        """The place of the first input of the part."""
+        self.end = PartEnd(0, 0, 0, "")
 
     def next_part(self) -> bool:
         """Goes on to the beginning of the next part; False if there is none."""
@@ -83,15 +85,16 @@ class Tape:
         """When the first journal of the part that has come was published; 0 if none has."""
         return self._held[min(self._held)].time_ns if self._held else 0
 
-    def journals(self, ended: Callable[[PartEnd], None]) -> Iterator[Journal]:
-        """The journals of the part that has come, in their order; at the end it is told how far they go."""
+    def journals(self) -> Iterator[Journal]:
+        """The journals of the part that has come, in their order; at the end ``end`` tells how far they go."""
         run = self._run
         if run is None:
             return
         # A part behind a gap has waited for what is missing; a run's beginning may still come.
         while not self._reached and 0 not in self._held and self._waits():
             pass
-        first = expected = self._first = 0 if 0 in self._held else min(self._held)
+        first = expected = 0 if 0 in self._held else min(self._held)
+        self.end = PartEnd(run, first, 0, "")
         before, self._reached, is_over = self._reached, max(self._reached, first), False
         while not is_over:
             while (due := self._held.pop(expected, None)) is not None:
@@ -100,12 +103,12 @@ class Tape:
             is_over = not self._waits()
         gaps = [(before, first), *([(expected, min(self._held))] if self._held else [])]
         missing = [f"inputs {begin} to {end - 1} are missing" for begin, end in gaps if begin < end]
-        ended(PartEnd(run, first, expected - first, "; ".join(missing)))
+        self.end = PartEnd(run, first, expected - first, "; ".join(missing))
 
-    def break_off(self, detail: str) -> PartEnd:
+    def break_off(self, detail: str) -> None:
         """What was played last cannot be used, and ends the part; another one begins behind it."""
-        run = -1 if self._run is None else self._run
-        return PartEnd(run, self._first, max(self._reached - self._first, 0), detail)
+        inputs = max(self._reached - self.end.first, 0)
+        self.end = msgspec.structs.replace(self.end, inputs=inputs, detail=detail)
 
     def _waits(self) -> bool:
         """Takes one more journal of the run; False if it has no more, or too many wait already."""

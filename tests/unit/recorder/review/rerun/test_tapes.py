@@ -51,11 +51,10 @@ def state(number: int) -> Row:
 def played(rows: list[Row]) -> Iterator[tuple[list[int], PartEnd, list[int]]]:
     """Of each run the places of its journals, how far it goes, and what was taken meanwhile."""
     taken: list[int] = []
-    ends: list[PartEnd] = []
     tape = Tape(iter(rows), lambda row: taken.append(row.sequence), Faults())
     while tape.next_part():
-        firsts = [one.first for one in tape.journals(ends.append)]
-        yield firsts, ends[-1], list(taken)
+        firsts = [one.first for one in tape.journals()]
+        yield firsts, tape.end, list(taken)
         taken.clear()
 
 
@@ -135,5 +134,5 @@ def test_a_journal_that_cannot_be_read_is_a_fault() -> None:
     tape = Tape(iter([journal(7, 0), broken, journal(7, 2)]), lambda _: None, faults)
     assert tape.next_part()
     assert tape.next_time_ns == 7000
-    assert len(list(tape.journals(lambda _: None))) == 2
+    assert len(list(tape.journals())) == 2
     assert faults.count == 1
