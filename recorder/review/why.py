@@ -21,15 +21,15 @@ from recorder.reading.survey import Survey
 from recorder.reading.times import in_words
 from recorder.review.reasoning import silence as silences
 from recorder.review.reasoning import story as stories
+from recorder.review.reasoning.blockers import PLAIN, blocked_words, blocks, cures
 from recorder.review.reasoning.chain import Link, Step, before, missing, span
 from recorder.review.reasoning.evidence import EVIDENCE, Clue
-from recorder.review.reasoning.hindrance import PLAIN, cures, hinders, hindrance
 from recorder.review.reasoning.moment import arbiter, headline, motion
 from recorder.review.reasoning.request_evidence import describe_command, refused_lately
-from recorder.review.reasoning.scene import BEFORE_NS, Heard, Scene, Stage, is_other_run
 from recorder.review.reasoning.silence import GatewaySilence, last_silence, next_silence
 from recorder.review.reasoning.stopping import actions
 from recorder.review.reasoning.story import Story
+from recorder.review.reasoning.window import BEFORE_NS, EvidenceWindow, Heard, WindowReader, is_other_run
 from recorder.review.timeline.clock import NEAR_NS
 from recorder.review.timeline.entries import Entry
 from schemas.decisions import COMMANDING, ArbiterState, SafetyState, is_same_run
@@ -98,7 +98,7 @@ def explain(
         faults: takes what cannot be read.
         progress: is told of bytes that were read.
     """
-    stage = Stage(robot, logs, attached(robot, found), faults)
+    reader = WindowReader(robot, logs, attached(robot, found), faults)
     story = stories.told(robot, logs, faults, progress)
     last: Heard[SafetyState] | None = None
     if at_ns is None:
@@ -111,9 +111,9 @@ def explain(
             (one.time_ns for one in (stop, ended.died, story.death(END_OF_TIME_NS)) if one is not None),
             default=_period(robot, logs)[1],
         )
-    answer = _Answer(stage, story, at_ns)
+    answer = _Answer(reader, story, at_ns)
     if not answer.is_told:
-        answer = _Answer(stage, stories.derived(robot, logs, faults, progress), at_ns)
+        answer = _Answer(reader, stories.derived(robot, logs, faults, progress), at_ns)
     return answer.beyond(*_period(robot, logs)) or answer.explanation(last)
 
 
@@ -123,7 +123,7 @@ def _period(robot: str, logs: Sequence[LogFile]) -> tuple[int, int]:
     return min((log.start_ns for log in of), default=0), max((log.end_ns for log in of), default=0)
 
 
-def _state(now: Scene) -> SafetyState | None:
+def _state(now: EvidenceWindow) -> SafetyState | None:
     """The arbiter's at the moment; None if there is none, or if its gateway had fallen silent."""
     heard, silence = now.last(SafetyState), last_silence(now)
     if heard is None or now.at_ns - heard.time_ns > STALE_NS:
@@ -131,7 +131,7 @@ def _state(now: Scene) -> SafetyState | None:
     return None if silence is not None and silence.then.time_ns > now.at_ns else heard.said
 
 
-def _focus(story: Story, state: SafetyState | None, now: Scene) -> Entry | None:
+def _focus(story: Story, state: SafetyState | None, now: EvidenceWindow) -> Entry | None:
     """The stop that is asked about.
 
     None but one that was not followed by an engagement or by another run of the gateway: those ended it.
@@ -158,15 +158,15 @@ class _Answer:
     """Puts the links together.
 
     Args:
-        stage: the robot's logs.
+        reader: the robot's logs.
         story: its events.
         at_ns: the moment.
     """
 
-    def __init__(self, stage: Stage, story: Story, at_ns: int) -> None:
-        self._stage = stage
+    def __init__(self, reader: WindowReader, story: Story, at_ns: int) -> None:
+        self._reader = reader
         self._story = story
-        self._now = self._scene(at_ns)
+        self._now = self._window(at_ns)
         self._state = _state(self._now)
         self._focus = _focus(story, self._state, self._now)
         self._silence = self._silence_of_gateway()
@@ -311,21 +311,21 @@ class _Answer:
     def _stop(self, focus: Entry) -> Iterator[Link]:
         """The stop: cause, evidence, what was done, what is latched, the cure."""
         is_taken = focus.reason is Reason.HAND_TRANSMITTER
-        scene = self._beside(focus.time_ns, "the takeover" if is_taken else "the stop")
+        window = self._beside(focus.time_ns, "the takeover" if is_taken else "the stop")
         by = f", by {focus.operator}" if focus.operator and focus.operator not in focus.text else ""
         derived = "; no event says so, two states of the arbiter do" if focus.is_derived else ""
         yield Link(Step.CAUSE, f"{focus.text}{by}{derived}", focus.time_ns, {"reason": focus.reason.value})
-        yield from EVIDENCE[focus.reason](Clue(scene, focus.text))
-        yield from actions(scene, focus.reason)
-        yield from self._latches(scene, focus)
+        yield from EVIDENCE[focus.reason](Clue(window, focus.text))
+        yield from actions(window, focus.reason)
+        yield from self._latches(window, focus)
         latched = [] if self._state is None else self._state.latched
         is_past = self._state is not None and focus.tick is not None and self._state.tick >= focus.tick
-        yield from cures(focus.reason, scene.robot, is_reset=is_past and focus.reason not in latched)
-        yield from _lacks(scene)
+        yield from cures(focus.reason, window.robot, is_reset=is_past and focus.reason not in latched)
+        yield from _lacks(window)
 
-    def _latches(self, scene: Scene, focus: Entry) -> Iterator[Link]:
+    def _latches(self, window: EvidenceWindow, focus: Entry) -> Iterator[Link]:
         latched = list(self._state.latched) if self._state is not None else []
-        behind = next((one.said for one in scene.after(SafetyState, focus.time_ns - 1)), None)
+        behind = next((one.said for one in window.after(SafetyState, focus.time_ns - 1)), None)
         for reason in dict.fromkeys([*latched, *([] if behind is None else behind.latched)]):
             yield self._latch(reason, focus)
 
@@ -352,11 +352,11 @@ class _Answer:
             return
         blocked_by = [reason for reason in state.blocked_by if reason is not told]
         if state.state is ArbiterState.ENGAGED:
-            blocked_by = [reason for reason in blocked_by if hinders(reason, self._now, state)]
+            blocked_by = [reason for reason in blocked_by if blocks(reason, self._now, state)]
         for number, reason in enumerate(blocked_by):
             if reason in PLAIN:
                 continue
-            yield Link(Step.CAUSE, hindrance(reason, state), None, {"reason": reason.value})
+            yield Link(Step.CAUSE, blocked_words(reason, state), None, {"reason": reason.value})
             is_latched = reason in state.latched
             if is_latched:
                 yield self._latch(reason)
@@ -368,34 +368,34 @@ class _Answer:
         for reason in blocked_by:
             yield from cures(reason, self._now.robot, blocked_by, is_reset=reason not in state.latched)
 
-    def _scene(self, at_ns: int) -> Scene:
+    def _window(self, at_ns: int) -> EvidenceWindow:
         """What was around a moment, with the story's times."""
-        shift_ns = self._stage.shift(at_ns)
-        scene = self._stage.scene(at_ns, shift_ns)
-        off_ns = self._story.off_ns(scene)
-        return self._stage.scene(at_ns, shift_ns + off_ns) if off_ns else scene
+        shift_ns = self._reader.shift(at_ns)
+        window = self._reader.window(at_ns, shift_ns)
+        off_ns = self._story.off_ns(window)
+        return self._reader.window(at_ns, shift_ns + off_ns) if off_ns else window
 
-    def _beside(self, at_ns: int, what: str) -> Scene:
+    def _beside(self, at_ns: int, what: str) -> EvidenceWindow:
         """What was around another moment; and what that is, in words."""
-        scene = self._now if at_ns == self._now.at_ns else self._scene(at_ns)
-        scene.what = what
-        return scene
+        window = self._now if at_ns == self._now.at_ns else self._window(at_ns)
+        window.what = what
+        return window
 
 
 _COMMANDS: Final = {Step.EVIDENCE: Step.COMMAND, Step.MISSING: Step.MISSING}
 
 
-def _lacks(scene: Scene) -> Iterator[Link]:
+def _lacks(window: EvidenceWindow) -> Iterator[Link]:
     """What of this time is not in the log, as the recorder and the arbiter's states tell."""
-    states = [one for one in scene.all(SafetyState) if one.time_ns > scene.at_ns - LOOKED_AT_NS]
+    states = [one for one in window.all(SafetyState) if one.time_ns > window.at_ns - LOOKED_AT_NS]
     for was, now in pairwise(states):
         if is_other_run(was.said, now.said):
             continue
-        if was.time_ns < scene.at_ns and now.time_ns - was.time_ns > STALE_NS:
-            hole = f"{span(now.time_ns - was.time_ns)}, from {scene.ago(was.time_ns)} on"
+        if was.time_ns < window.at_ns and now.time_ns - was.time_ns > STALE_NS:
+            hole = f"{span(now.time_ns - was.time_ns)}, from {window.ago(was.time_ns)} on"
             text = f"no state of the arbiter is in the log for {hole}: what it was asked and did then may be lost"
             yield missing(text)
-    for gap in scene.gaps:
+    for gap in window.gaps:
         text = (
             f"{gap.count} messages of {gap.key} reached the recorder and are not in the log ({gap.reason.value})"
         )

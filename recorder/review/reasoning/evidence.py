@@ -9,8 +9,8 @@ import msgspec
 
 from recorder.review.reasoning import frame_evidence, gateway_evidence, request_evidence
 from recorder.review.reasoning.chain import Link, missing
-from recorder.review.reasoning.scene import Scene
 from recorder.review.reasoning.signals import IDENTIFIERS
+from recorder.review.reasoning.window import EvidenceWindow
 from schemas.reasons import Reason
 
 
@@ -18,11 +18,11 @@ class Clue(msgspec.Struct, frozen=True):
     """Where to look.
 
     Attributes:
-        scene: around the moment at which the reason arose.
+        window: around the moment at which the reason arose.
         detail: what the arbiter itself said of it; may be empty.
     """
 
-    scene: Scene
+    window: EvidenceWindow
     detail: str = ""
 
     @property
@@ -40,32 +40,32 @@ def _nothing(_clue: Clue) -> list[Link]:
 
 def _gate(clue: Clue) -> list[Link]:
     said = [] if clue.detail else [missing("which frame the gate refused, and why, is not in the log")]
-    return said + gateway_evidence.unsent(clue.scene)
+    return said + gateway_evidence.unsent(clue.window)
 
 
 def _guard(clue: Clue) -> list[Link]:
-    return gateway_evidence.pause(clue.scene) + frame_evidence.commanders(clue.scene, 500_000_000)
+    return gateway_evidence.pause(clue.window) + frame_evidence.commanders(clue.window, 500_000_000)
 
 
 def _found_moving(clue: Clue) -> list[Link]:
-    return gateway_evidence.stray(clue.scene) + frame_evidence.mode(clue.scene, 0)
+    return gateway_evidence.stray(clue.window) + frame_evidence.mode(clue.window, 0)
 
 
 def _not_confirmed(clue: Clue) -> list[Link]:
-    mode = [link for value in (2, 1) for link in frame_evidence.mode(clue.scene, value) if link.time_ns]
-    return request_evidence.not_confirmed(clue.scene) + mode
+    mode = [link for value in (2, 1) for link in frame_evidence.mode(clue.window, value) if link.time_ns]
+    return request_evidence.not_confirmed(clue.window) + mode
 
 
 def _faulty(clue: Clue) -> list[Link]:
-    return frame_evidence.faulty(clue.scene, clue.names)
+    return frame_evidence.faulty(clue.window, clue.names)
 
 
 def _of_request(reason: Reason) -> Finder:
-    return lambda clue: request_evidence.refused(clue.scene, reason)
+    return lambda clue: request_evidence.refused(clue.window, reason)
 
 
 def _asked(*verbs: str) -> Finder:
-    return lambda clue: request_evidence.asked(clue.scene, *verbs)
+    return lambda clue: request_evidence.asked(clue.window, *verbs)
 
 
 EVIDENCE: Final[dict[Reason, Finder]] = {
@@ -95,36 +95,36 @@ EVIDENCE: Final[dict[Reason, Finder]] = {
     },
     Reason.LEASE_TAKEN: _asked("take"),
     Reason.LEASE_RELEASED: _asked("release"),
-    Reason.LEASE_EXPIRED: lambda clue: request_evidence.lease_expired(clue.scene),
-    Reason.DEADMAN: lambda clue: request_evidence.deadman(clue.scene, clue.detail),
+    Reason.LEASE_EXPIRED: lambda clue: request_evidence.lease_expired(clue.window),
+    Reason.DEADMAN: lambda clue: request_evidence.deadman(clue.window, clue.detail),
     Reason.NOT_CONFIRMED: _not_confirmed,
     Reason.DISENGAGED: _asked("disengage"),
-    Reason.BUS_DOWN: lambda clue: gateway_evidence.bus(clue.scene),
-    Reason.BUS_OFF: lambda clue: gateway_evidence.controller(clue.scene),
-    Reason.BUS_ERRORS: lambda clue: gateway_evidence.controller(clue.scene),
-    Reason.FEEDBACK_MISSING: lambda clue: frame_evidence.silence(clue.scene, clue.names),
+    Reason.BUS_DOWN: lambda clue: gateway_evidence.bus(clue.window),
+    Reason.BUS_OFF: lambda clue: gateway_evidence.controller(clue.window),
+    Reason.BUS_ERRORS: lambda clue: gateway_evidence.controller(clue.window),
+    Reason.FEEDBACK_MISSING: lambda clue: frame_evidence.silence(clue.window, clue.names),
     Reason.FEEDBACK_FAULTY: _faulty,
-    Reason.FEEDBACK_LATE: lambda clue: gateway_evidence.load(clue.scene),
-    Reason.VARIANT_UNKNOWN: lambda clue: frame_evidence.variant(clue.scene),
-    Reason.HAND_TRANSMITTER: lambda clue: frame_evidence.mode(clue.scene, 1),
-    Reason.MODE_NOT_AUTO: lambda clue: frame_evidence.mode(clue.scene, 2),
-    Reason.FRONT_BUMPER: lambda clue: frame_evidence.bumper(clue.scene, "FrontBumper", "front_bumper"),
-    Reason.REAR_BUMPER: lambda clue: frame_evidence.bumper(clue.scene, "RearBumper", "rear_bumper"),
-    Reason.IMPLAUSIBLE_SPEED: lambda clue: frame_evidence.speeds(clue.scene),
-    Reason.ROLLING: lambda clue: frame_evidence.speeds(clue.scene, frame_evidence.ROLLING),
-    Reason.OVERSPEED: lambda clue: frame_evidence.speeds(clue.scene, frame_evidence.OVERSPEED),
-    Reason.STEERING: lambda clue: frame_evidence.steering(clue.scene),
-    Reason.FEEDBACK_FROZEN: lambda clue: frame_evidence.mileage(clue.scene),
+    Reason.FEEDBACK_LATE: lambda clue: gateway_evidence.load(clue.window),
+    Reason.VARIANT_UNKNOWN: lambda clue: frame_evidence.variant(clue.window),
+    Reason.HAND_TRANSMITTER: lambda clue: frame_evidence.mode(clue.window, 1),
+    Reason.MODE_NOT_AUTO: lambda clue: frame_evidence.mode(clue.window, 2),
+    Reason.FRONT_BUMPER: lambda clue: frame_evidence.bumper(clue.window, "FrontBumper", "front_bumper"),
+    Reason.REAR_BUMPER: lambda clue: frame_evidence.bumper(clue.window, "RearBumper", "rear_bumper"),
+    Reason.IMPLAUSIBLE_SPEED: lambda clue: frame_evidence.speeds(clue.window),
+    Reason.ROLLING: lambda clue: frame_evidence.speeds(clue.window, frame_evidence.ROLLING),
+    Reason.OVERSPEED: lambda clue: frame_evidence.speeds(clue.window, frame_evidence.OVERSPEED),
+    Reason.STEERING: lambda clue: frame_evidence.steering(clue.window),
+    Reason.FEEDBACK_FROZEN: lambda clue: frame_evidence.mileage(clue.window),
     Reason.FOUND_MOVING: _found_moving,
-    Reason.OTHER_COMMANDER: lambda clue: frame_evidence.commanders(clue.scene),
+    Reason.OTHER_COMMANDER: lambda clue: frame_evidence.commanders(clue.window),
     Reason.REMOTE_STOP: _asked("stop"),
-    Reason.LOOP_LATE: lambda clue: gateway_evidence.lateness(clue.scene),
-    Reason.SEND_FAILED: lambda clue: gateway_evidence.unsent(clue.scene),
+    Reason.LOOP_LATE: lambda clue: gateway_evidence.lateness(clue.window),
+    Reason.SEND_FAILED: lambda clue: gateway_evidence.unsent(clue.window),
     Reason.GATE: _gate,
     Reason.GUARD: _guard,
-    Reason.UNGUARDED: lambda clue: gateway_evidence.guard_watch(clue.scene),
-    Reason.NO_REALTIME: lambda clue: gateway_evidence.load(clue.scene),
-    Reason.SHUTDOWN: lambda clue: gateway_evidence.ending(clue.scene),
+    Reason.UNGUARDED: lambda clue: gateway_evidence.guard_watch(clue.window),
+    Reason.NO_REALTIME: lambda clue: gateway_evidence.load(clue.window),
+    Reason.SHUTDOWN: lambda clue: gateway_evidence.ending(clue.window),
     Reason.LINK_TOO_SLOW: _of_request(Reason.LINK_TOO_SLOW),
 }
 """A test holds that none is missing."""

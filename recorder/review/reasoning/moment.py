@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
+from recorder.review.reasoning.blockers import is_told, kept_by
 from recorder.review.reasoning.chain import Link, Step, before, missing, mps, span, zero
-from recorder.review.reasoning.hindrance import is_told, kept_by
 from recorder.review.reasoning.request_evidence import last_command
-from recorder.review.reasoning.scene import Heard, Said, Scene
+from recorder.review.reasoning.window import EvidenceWindow, Heard, Said
 from recorder.review.timeline.entries import Entry, EntryKind
 from schemas.decisions import COMMANDING, ArbiterState, Bound, Decision, SafetyState, StopPhase
 from schemas.messages import Body, Drive, Gear, GearPosition, Parking, ParkingStatus, RobotState, Steering
@@ -24,7 +24,7 @@ _STILL_MPS: Final = 0.005
 _WAYS: Final = {GearPosition.REVERSE: "backward", GearPosition.DRIVE: "forward"}
 
 
-def motion(now: Scene) -> Iterator[Link]:
+def motion(now: EvidenceWindow) -> Iterator[Link]:
     """What the robot did, by its feedback."""
     drive, steering = _fresh(now, Drive), _fresh(now, Steering)
     gear, body, parking = _fresh(now, Gear), _fresh(now, Body), _fresh(now, Parking)
@@ -62,7 +62,7 @@ def _stood(speed_mps: float) -> str:
     return "stood" if speed_mps < _STILL_MPS else f"hardly moved, at {speed_mps:.2f} m/s"
 
 
-def _thin_motion(now: Scene) -> Iterator[Link]:
+def _thin_motion(now: EvidenceWindow) -> Iterator[Link]:
     """By the robot's state, where its frames are not in the log."""
     state = _fresh(now, RobotState)
     if state is None:
@@ -79,7 +79,7 @@ def _thin_motion(now: Scene) -> Iterator[Link]:
     yield Link(Step.MOTION, text, state.time_ns, {"speed_mps": said.speed_mps, "angle_deg": said.angle_deg})
 
 
-def arbiter(now: Scene, state: SafetyState | None) -> Iterator[Link]:
+def arbiter(now: EvidenceWindow, state: SafetyState | None) -> Iterator[Link]:
     """What the arbiter did, and for whom."""
     if state is None:
         last = now.last(SafetyState)
@@ -114,7 +114,7 @@ def arbiter(now: Scene, state: SafetyState | None) -> Iterator[Link]:
         yield from _bounds(now, state)
 
 
-def _bounds(now: Scene, state: SafetyState) -> Iterator[Link]:
+def _bounds(now: EvidenceWindow, state: SafetyState) -> Iterator[Link]:
     """What made of the command something else."""
     last = last_command(now)
     if last is not None:
@@ -152,7 +152,9 @@ def _mps(said: Decision) -> str:
     return f"{abs(said.requested_speed_mps or 0.0):.2f} m/s"
 
 
-def headline(now: Scene, state: SafetyState | None, focus: Entry | None, latch: Entry | None = None) -> str:
+def headline(
+    now: EvidenceWindow, state: SafetyState | None, focus: Entry | None, latch: Entry | None = None
+) -> str:
     """The answer in one sentence.
 
     Args:
@@ -177,7 +179,7 @@ def headline(now: Scene, state: SafetyState | None, focus: Entry | None, latch: 
             return f"{_engaged(now, state)}{_soon(now, focus)}."
 
 
-def _soon(now: Scene, focus: Entry | None) -> str:
+def _soon(now: EvidenceWindow, focus: Entry | None) -> str:
     """The stop that came right after the moment."""
     if focus is None:
         return ""
@@ -185,7 +187,7 @@ def _soon(now: Scene, focus: Entry | None) -> str:
     return f"; {span(focus.time_ns - now.at_ns)} later {what}: {_why(focus)}"
 
 
-def _standby(now: Scene, state: SafetyState, focus: Entry | None, latch: Entry | None) -> str:
+def _standby(now: EvidenceWindow, state: SafetyState, focus: Entry | None, latch: Entry | None) -> str:
     """Nobody commanded it."""
     if focus is None:
         return f"It was not engaged: {_in_words(state.blocked_by)}."
@@ -205,7 +207,7 @@ def _why(focus: Entry) -> str:
     return focus.text.partition(": ")[2] or focus.text
 
 
-def _engaged(now: Scene, state: SafetyState) -> str:
+def _engaged(now: EvidenceWindow, state: SafetyState) -> str:
     """What an engaged robot did."""
     speed_mps = _speed_mps(now)
     if speed_mps is not None and speed_mps >= STANDSTILL_MPS:
@@ -225,7 +227,7 @@ def _engaged(now: Scene, state: SafetyState) -> str:
     return f"It was engaged and {did}: {last.said.operator} asked for zero speed"
 
 
-def _speed_mps(now: Scene) -> float | None:
+def _speed_mps(now: EvidenceWindow) -> float | None:
     """By its feedback, or by the robot's state; None if neither is there."""
     drive, state = _fresh(now, Drive), _fresh(now, RobotState)
     if drive is not None:
@@ -237,6 +239,6 @@ def _in_words(reasons: Sequence[Reason]) -> str:
     return "; ".join(OF_A_ROBOT[reason].means for reason in reasons) or "nothing blocked it"
 
 
-def _fresh(now: Scene, kind: type[Said]) -> Heard[Said] | None:
+def _fresh(now: EvidenceWindow, kind: type[Said]) -> Heard[Said] | None:
     heard = now.last(kind)
     return heard if heard is not None and now.at_ns - heard.time_ns <= FRESH_NS else None

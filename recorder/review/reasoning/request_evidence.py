@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from recorder.review.reasoning.chain import Link, count, evidence, missing, mps, span, zero
-from recorder.review.reasoning.scene import Heard, Scene
+from recorder.review.reasoning.window import EvidenceWindow, Heard
 from schemas.decisions import Decision, EventKind, SafetyEvent, SafetyState, Verdict
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import ENGAGE_TIMEOUT_NS, TICK_NS
@@ -30,26 +30,26 @@ _LEFT: Final = frozenset({EventKind.STOPPED, EventKind.TAKEOVER, EventKind.GUARD
 Test = Callable[[Decision], bool]
 
 
-def deadman(scene: Scene, detail: str = "") -> list[Link]:
+def deadman(window: EvidenceWindow, detail: str = "") -> list[Link]:
     """The last acceptable drive command, its age, and what came after it.
 
     Args:
-        scene: around the stop.
+        window: around the stop.
         detail: what the arbiter said of it. A decision is told some time after its tick has begun, from which the
             arbiter counts: its own figure is the right one.
     """
-    if not scene.during(Decision):
+    if not window.during(Decision):
         return [missing("no decision of these seconds is in the log, so which commands came is not known")]
-    last = _last(scene, _is_obeyed)
-    engaged = next((one for one in scene.until(SafetyEvent) if one.said.kind is EventKind.ENGAGED), None)
-    limit_ns, origin = round(scene.limits.command.deadman_s * _NS_PER_S), scene.limits.origin
-    state = scene.last(SafetyState)
+    last = _last(window, _is_obeyed)
+    engaged = next((one for one in window.until(SafetyEvent) if one.said.kind is EventKind.ENGAGED), None)
+    limit_ns, origin = round(window.limits.command.deadman_s * _NS_PER_S), window.limits.origin
+    state = window.last(SafetyState)
     if state is not None and state.said.deadman_s * _NS_PER_S > limit_ns:
         limit_ns, origin = round(state.said.deadman_s * _NS_PER_S), "as engage asked for"
     limit = f"the limit is {span(limit_ns)} ({origin})"
     if last is not None and (engaged is None or last.time_ns >= engaged.time_ns):
         said = last.said
-        age_ns = scene.at_ns - last.time_ns
+        age_ns = window.at_ns - last.time_ns
         counted = _COUNTED.search(detail)
         counted_ms = None if counted is None else float(counted[1])
         by_arbiter = ""
@@ -57,37 +57,37 @@ def deadman(scene: Scene, detail: str = "") -> list[Link]:
             by_arbiter = f", {span(counted_ms * 1e6)} as the arbiter counts"
         text = (
             f"the last acceptable drive command was seq {said.request_sequence} of {_who(said)}, judged in tick "
-            f"{said.tick}, {scene.ago(last.time_ns)}{by_arbiter}: {_asked(said)}; {limit}"
+            f"{said.tick}, {window.ago(last.time_ns)}{by_arbiter}: {_asked(said)}; {limit}"
         )
         numbers = {**_numbers(said), "silent_ms": age_ns / 1e6, "counted_ms": counted_ms}
-        return [evidence(text, last.time_ns, **numbers, limit_ms=limit_ns / 1e6), *_since(scene, last.time_ns)]
+        return [evidence(text, last.time_ns, **numbers, limit_ms=limit_ns / 1e6), *_since(window, last.time_ns)]
     if engaged is not None:
-        text = f"no drive command was accepted since it was engaged, {scene.ago(engaged.time_ns)}; {limit}"
+        text = f"no drive command was accepted since it was engaged, {window.ago(engaged.time_ns)}; {limit}"
         link = evidence(text, engaged.time_ns, limit_ms=limit_ns / 1e6)
-        return [link, *_since(scene, engaged.time_ns)]
-    return [missing(f"no acceptable drive command before this is in the log; {limit}"), *_since(scene, 0)]
+        return [link, *_since(window, engaged.time_ns)]
+    return [missing(f"no acceptable drive command before this is in the log; {limit}"), *_since(window, 0)]
 
 
-def _since(scene: Scene, from_ns: int) -> list[Link]:
+def _since(window: EvidenceWindow, from_ns: int) -> list[Link]:
     """The drive commands that were refused since then, by reason; or that none came."""
     refused: dict[Reason, list[Heard[Decision]]] = {}
-    for one in scene.during(Decision):
-        if from_ns < one.time_ns <= scene.at_ns and one.said.request == "drive" and not _is_accepted(one.said):
+    for one in window.during(Decision):
+        if from_ns < one.time_ns <= window.at_ns and one.said.request == "drive" and not _is_accepted(one.said):
             refused.setdefault(one.said.reason, []).append(one)
-    found = [_refusals(scene, heard) for heard in refused.values()]
-    if not found and not scene.lacks_decisions:
+    found = [_refusals(window, heard) for heard in refused.values()]
+    if not found and not window.lacks_decisions:
         found = [evidence("no drive command at all came after it, neither good nor bad")]
-    return found + _holes(scene)
+    return found + _holes(window)
 
 
-def _refusals(scene: Scene, heard: Sequence[Heard[Decision]]) -> Link:
+def _refusals(window: EvidenceWindow, heard: Sequence[Heard[Decision]]) -> Link:
     last = heard[-1]
     said = last.said
     verb = said.request or "nameless"
-    text = f"one {verb} request of {_who(said)} was refused {scene.ago(last.time_ns)}"
+    text = f"one {verb} request of {_who(said)} was refused {window.ago(last.time_ns)}"
     if len(heard) > 1:
         text = f"{len(heard)} {verb} requests of {_who(said)} were refused, the first "
-        text += f"{span(last.time_ns - heard[0].time_ns)} before the last, which was {scene.ago(last.time_ns)}"
+        text += f"{span(last.time_ns - heard[0].time_ns)} before the last, which was {window.ago(last.time_ns)}"
     text += f": {said.detail or TEXTS[said.reason].means}"
     if said.request_sequence is not None:
         text += f" (seq {said.request_sequence}" + (
@@ -96,92 +96,92 @@ def _refusals(scene: Scene, heard: Sequence[Heard[Decision]]) -> Link:
     return evidence(text, last.time_ns, **_numbers(said), count=len(heard), reason=said.reason.value)
 
 
-def refused(scene: Scene, reason: Reason) -> list[Link]:
+def refused(window: EvidenceWindow, reason: Reason) -> list[Link]:
     """The requests that were refused for this reason lately; nothing if none was."""
     by_who: dict[tuple[str, str], list[Heard[Decision]]] = {}
-    for one in scene.during(Decision):
-        if one.time_ns <= scene.at_ns and one.said.reason is reason:
+    for one in window.during(Decision):
+        if one.time_ns <= window.at_ns and one.said.reason is reason:
             by_who.setdefault((one.said.operator, one.said.request), []).append(one)
-    return [_refusals(scene, heard) for heard in by_who.values()]
+    return [_refusals(window, heard) for heard in by_who.values()]
 
 
-def refused_lately(scene: Scene) -> list[Link]:
+def refused_lately(window: EvidenceWindow) -> list[Link]:
     """All that was refused right before the moment."""
     alike: dict[tuple[str, str, Reason], list[Heard[Decision]]] = {}
-    for one in scene.all(Decision):
-        if scene.at_ns - LATELY_NS < one.time_ns <= scene.at_ns and not _is_accepted(one.said):
+    for one in window.all(Decision):
+        if window.at_ns - LATELY_NS < one.time_ns <= window.at_ns and not _is_accepted(one.said):
             alike.setdefault((one.said.operator, one.said.request, one.said.reason), []).append(one)
-    return [_refusals(scene, heard) for heard in alike.values()]
+    return [_refusals(window, heard) for heard in alike.values()]
 
 
-def lease_expired(scene: Scene) -> list[Link]:
+def lease_expired(window: EvidenceWindow) -> list[Link]:
     """The last sign of the lease's holder, and its age."""
-    limit_ns = round(scene.limits.command.lease_s * _NS_PER_S)
-    limit = f"a lease lasts {span(limit_ns)} ({scene.limits.origin})"
-    last = _last(scene, _is_renewing)
+    limit_ns = round(window.limits.command.lease_s * _NS_PER_S)
+    limit = f"a lease lasts {span(limit_ns)} ({window.limits.origin})"
+    last = _last(window, _is_renewing)
     if last is None:
-        return [missing(f"no request that keeps the lease is in the log before this; {limit}"), *_holes(scene)]
+        return [missing(f"no request that keeps the lease is in the log before this; {limit}"), *_holes(window)]
     said = last.said
     text = f"the last request that kept the lease was {said.request!a} of {_who(said)}, ".replace("'", "")
-    text += f"{scene.ago(last.time_ns)}; {limit}"
-    silent_ms = (scene.at_ns - last.time_ns) / 1e6
+    text += f"{window.ago(last.time_ns)}; {limit}"
+    silent_ms = (window.at_ns - last.time_ns) / 1e6
     return [
         evidence(text, last.time_ns, **_numbers(said), silent_ms=silent_ms, limit_ms=limit_ns / 1e6),
-        *_holes(scene),
+        *_holes(window),
     ]
 
 
-def asked(scene: Scene, *verbs: str) -> list[Link]:
+def asked(window: EvidenceWindow, *verbs: str) -> list[Link]:
     """The accepted request that did it."""
-    last = _last(scene, lambda said: said.request in verbs and _is_accepted(said), later_ns=3 * TICK_NS)
+    last = _last(window, lambda said: said.request in verbs and _is_accepted(said), later_ns=3 * TICK_NS)
     if last is None:
         words = " or ".join(verbs)
-        return [missing(f"the request itself ({words}) is not in the log"), *_holes(scene)]
+        return [missing(f"the request itself ({words}) is not in the log"), *_holes(window)]
     said = last.said
     text = f"the request was {said.request}, of {_who(said)}, judged in tick {said.tick}"
-    text += f", {scene.ago(last.time_ns)}" if abs(last.time_ns - scene.at_ns) > TICK_NS else ""
+    text += f", {window.ago(last.time_ns)}" if abs(last.time_ns - window.at_ns) > TICK_NS else ""
     others = [
         one
-        for one in scene.during(Decision)
-        if one.said.request in verbs and _is_accepted(one.said) and last.time_ns < one.time_ns < scene.over_ns
+        for one in window.during(Decision)
+        if one.said.request in verbs and _is_accepted(one.said) and last.time_ns < one.time_ns < window.over_ns
     ]
     text += f"; {count(len(others), 'more came', 'more came')} after it" if others else ""
     return [evidence(text, last.time_ns, **_numbers(said))]
 
 
-def not_confirmed(scene: Scene) -> list[Link]:
+def not_confirmed(window: EvidenceWindow) -> list[Link]:
     """When it was asked to engage, and how long the chassis was given."""
-    last = _last(scene, lambda said: said.request in {"engage", "clear_odometer"} and _is_accepted(said))
+    last = _last(window, lambda said: said.request in {"engage", "clear_odometer"} and _is_accepted(said))
     limit = f"it has {span(ENGAGE_TIMEOUT_NS)}"
     if last is None:
         return [missing(f"the request that the chassis was to confirm is not in the log; {limit}")]
-    text = f"the request was {last.said.request}, of {_who(last.said)}, {scene.ago(last.time_ns)}; {limit}"
-    age_ms = (scene.at_ns - last.time_ns) / 1e6
+    text = f"the request was {last.said.request}, of {_who(last.said)}, {window.ago(last.time_ns)}; {limit}"
+    age_ms = (window.at_ns - last.time_ns) / 1e6
     return [evidence(text, last.time_ns, **_numbers(last.said), age_ms=age_ms, limit_ms=ENGAGE_TIMEOUT_NS / 1e6)]
 
 
-def last_command(scene: Scene) -> Heard[Decision] | None:
+def last_command(window: EvidenceWindow) -> Heard[Decision] | None:
     """The last acceptable drive command to a robot that is engaged: one of before it was is none any more."""
-    left = _left_or_engaged(scene)
-    last = _last(scene, _is_obeyed)
+    left = _left_or_engaged(window)
+    last = _last(window, _is_obeyed)
     return None if last is None or (left is not None and last.said.tick <= left.said.tick) else last
 
 
-def describe_command(scene: Scene) -> list[Link]:
+def describe_command(window: EvidenceWindow) -> list[Link]:
     """What was commanded at the moment, by whom, and what bound it."""
-    last = last_command(scene)
+    last = last_command(window)
     if last is None:
-        left = _left_or_engaged(scene)
+        left = _left_or_engaged(window)
         if left is None:
             text = "no acceptable drive command is in the log in the seconds before"
         elif left.said.kind is EventKind.ENGAGED:
-            text = f"no drive command was accepted since it was engaged, {scene.ago(left.time_ns)}"
+            text = f"no drive command was accepted since it was engaged, {window.ago(left.time_ns)}"
         else:
             return []
-        return [evidence(text), *_holes(scene)]
+        return [evidence(text), *_holes(window)]
     said = last.said
     text = f"the last acceptable drive command, seq {said.request_sequence} of {_who(said)}, came "
-    text += f"{scene.ago(last.time_ns)} and asked for {_asked(said)}; "
+    text += f"{window.ago(last.time_ns)} and asked for {_asked(said)}; "
     if said.frames_sent:
         text += f"the chassis was told {mps(said.output_speed_mps)}, {zero(said.output_angle_deg):.1f} deg"
     else:
@@ -191,18 +191,18 @@ def describe_command(scene: Scene) -> list[Link]:
     return [evidence(text, last.time_ns, **_numbers(said), bound_by=[bound.value for bound in said.bound_by])]
 
 
-def _left_or_engaged(scene: Scene) -> Heard[SafetyEvent] | None:
+def _left_or_engaged(window: EvidenceWindow) -> Heard[SafetyEvent] | None:
     """With what the last drive commands began, or ended, to count."""
-    for one in scene.until(SafetyEvent):
+    for one in window.until(SafetyEvent):
         # That a guard is there, or is gone, has no reason.
         if one.said.kind is EventKind.ENGAGED or (one.said.kind in _LEFT and one.said.reason is not Reason.NONE):
             return one
     return None
 
 
-def _last(scene: Scene, test: Test, later_ns: int = 0) -> Heard[Decision] | None:
+def _last(window: EvidenceWindow, test: Test, later_ns: int = 0) -> Heard[Decision] | None:
     """The last decision of this sort; one of the moment's own tick is told a bit later than the event."""
-    return next((one for one in scene.until(Decision, scene.at_ns + later_ns) if test(one.said)), None)
+    return next((one for one in window.until(Decision, window.at_ns + later_ns) if test(one.said)), None)
 
 
 def _is_accepted(said: Decision) -> bool:
@@ -242,8 +242,8 @@ def _numbers(said: Decision) -> dict[str, object]:
     }
 
 
-def _holes(scene: Scene) -> list[Link]:
-    lacks = scene.lacks_decisions
+def _holes(window: EvidenceWindow) -> list[Link]:
+    lacks = window.lacks_decisions
     return (
         [missing(f"{count(lacks, 'decision')} of these seconds are not in the log; a request may be among them")]
         if lacks

@@ -9,7 +9,7 @@ from typing import Final
 import msgspec
 
 from recorder.review.reasoning.chain import Link, Step, before, evidence, missing, span
-from recorder.review.reasoning.scene import Heard, Scene, is_other_run
+from recorder.review.reasoning.window import EvidenceWindow, Heard, is_other_run
 from recorder.review.timeline.entries import Entry, EntryKind
 from schemas.decisions import ArbiterState, EventKind, SafetyEvent, SafetyState, is_same_run
 from schemas.messages import Drive
@@ -69,24 +69,24 @@ class GatewaySilence(msgspec.Struct, frozen=True):
         return f"{self.was.said.state.value}, {motion}"
 
 
-def last_silence(now: Scene) -> GatewaySilence | None:
+def last_silence(now: EvidenceWindow) -> GatewaySilence | None:
     """The last one that began before the moment; None if none is in these seconds."""
     return next((one for one in reversed(_silences(now)) if one.heard_ns < now.at_ns), None)
 
 
-def next_silence(now: Scene, within_ns: int) -> GatewaySilence | None:
+def next_silence(now: EvidenceWindow, within_ns: int) -> GatewaySilence | None:
     """The first one that begins at the moment or so soon after it, of a gateway that was not standing by."""
     soon = (one for one in _silences(now) if now.at_ns <= one.heard_ns <= now.at_ns + within_ns)
     return next((one for one in soon if one.was_active), None)
 
 
-def _silences(now: Scene) -> list[GatewaySilence]:
+def _silences(now: EvidenceWindow) -> list[GatewaySilence]:
     """All of these seconds."""
     states = now.all(SafetyState)
     return [_silence(now, was, then) for was, then in pairwise(states) if is_other_run(was.said, then.said)]
 
 
-def _silence(now: Scene, was: Heard[SafetyState], then: Heard[SafetyState]) -> GatewaySilence:
+def _silence(now: EvidenceWindow, was: Heard[SafetyState], then: Heard[SafetyState]) -> GatewaySilence:
     drive = now.last(Drive, was.time_ns)
     is_known = drive is not None and drive.time_ns > was.time_ns - _FRESH_NS
     speed_mps = drive.said.speed_mps if drive is not None and is_known else None

@@ -7,7 +7,7 @@ from itertools import pairwise, takewhile
 from typing import Final
 
 from recorder.review.reasoning.chain import Link, Step, missing, span
-from recorder.review.reasoning.scene import Heard, Scene
+from recorder.review.reasoning.window import EvidenceWindow, Heard
 from schemas.decisions import ArbiterState, EventKind, SafetyEvent, SafetyState, StopPhase
 from schemas.messages import Drive
 from schemas.reasons import Reason
@@ -30,31 +30,31 @@ _UNSEEN_NS: Final = 150_000_000
 _STANDS_NS: Final = STANDSTILL_TICKS * TICK_NS
 
 
-def actions(scene: Scene, reason: Reason) -> list[Link]:
+def actions(window: EvidenceWindow, reason: Reason) -> list[Link]:
     """What became of the robot from the moment of the stop on, which was begun for this reason."""
-    over_ns = scene.over_ns
-    states = list(scene.after(SafetyState, scene.at_ns - 1))
+    over_ns = window.over_ns
+    states = list(window.after(SafetyState, window.at_ns - 1))
     stopping = list(takewhile(lambda one: one.said.state is ArbiterState.STOPPING, states))
     found: list[Link] = []
     if stopping:
-        found += _ramp(scene, stopping)
-        found += _phases(scene, stopping)
+        found += _ramp(window, stopping)
+        found += _phases(window, stopping)
     elif states and states[0].said.state is ArbiterState.STANDBY:
         text = "the gateway sent nothing more: who has the chassis, or its last command, moves it on"
         found.append(Link(Step.ACTION, text, states[0].time_ns))
     else:
         found.append(missing("the arbiter's states after this are not in the log, so what it did cannot be told"))
-    found += _standstill(scene, over_ns, is_doubtful=reason in _DOUBTFUL)
-    ended = next((one for one in scene.after(SafetyEvent) if one.said.kind is EventKind.STOPPED), None)
+    found += _standstill(window, over_ns, is_doubtful=reason in _DOUBTFUL)
+    ended = next((one for one in window.after(SafetyEvent) if one.said.kind is EventKind.STOPPED), None)
     if ended is not None and ended.time_ns < over_ns:
-        text = f"{ended.said.text}, after {span(ended.time_ns - scene.at_ns)}"
-        found.append(Link(Step.ACTION, text, ended.time_ns, {"after_s": (ended.time_ns - scene.at_ns) / 1e9}))
+        text = f"{ended.said.text}, after {span(ended.time_ns - window.at_ns)}"
+        found.append(Link(Step.ACTION, text, ended.time_ns, {"after_s": (ended.time_ns - window.at_ns) / 1e9}))
     return found
 
 
-def _ramp(scene: Scene, stopping: Sequence[Heard[SafetyState]]) -> Iterator[Link]:
+def _ramp(window: EvidenceWindow, stopping: Sequence[Heard[SafetyState]]) -> Iterator[Link]:
     """How the commanded speed came down."""
-    was = next((one for one in scene.until(SafetyState) if one.time_ns < scene.at_ns), None)
+    was = next((one for one in window.until(SafetyState) if one.time_ns < window.at_ns), None)
     from_mps = 0.0 if was is None else was.said.output_speed_mps
     first = stopping[0]
     zero = next((one for one in stopping if not one.said.output_speed_mps), None)
@@ -76,7 +76,7 @@ def _ramp(scene: Scene, stopping: Sequence[Heard[SafetyState]]) -> Iterator[Link
         ):
             if slope_mps2 is not None and abs(slope_mps2 - limit_mps2) < 0.15:
                 which = f", the {name} deceleration,"
-        took_ns = zero.time_ns - scene.at_ns
+        took_ns = zero.time_ns - window.at_ns
         if took_ns <= 2 * TICK_NS:
             text = f"the commanded speed went from {from_mps:.2f} m/s to zero at once"
         elif slope_mps2 is None:
@@ -85,7 +85,7 @@ def _ramp(scene: Scene, stopping: Sequence[Heard[SafetyState]]) -> Iterator[Link
             text = f"the commanded speed went from {from_mps:.2f} m/s to zero at {slope_mps2:.1f} m/s2{which}"
             text += f" in {span(took_ns)}"
         data = {"from_mps": from_mps, "deceleration_mps2": slope_mps2, "took_s": took_ns / 1e9}
-        yield Link(Step.ACTION, text, scene.at_ns, data)
+        yield Link(Step.ACTION, text, window.at_ns, data)
 
 
 def _slope_mps2(stopping: Sequence[Heard[SafetyState]]) -> float | None:
@@ -97,7 +97,7 @@ def _slope_mps2(stopping: Sequence[Heard[SafetyState]]) -> float | None:
     return fallen_mps / ((ramp[-1].said.tick - ramp[0].said.tick) * TICK_NS / 1e9)
 
 
-def _phases(scene: Scene, stopping: Sequence[Heard[SafetyState]]) -> Iterator[Link]:
+def _phases(window: EvidenceWindow, stopping: Sequence[Heard[SafetyState]]) -> Iterator[Link]:
     """When each phase of the stop began."""
     begun: dict[StopPhase, Heard[SafetyState]] = {}
     for one in stopping:
@@ -106,19 +106,19 @@ def _phases(scene: Scene, stopping: Sequence[Heard[SafetyState]]) -> Iterator[Li
     for phase, words in _PHASES.items():
         if phase in begun:
             one = begun[phase]
-            after_ns = one.time_ns - scene.at_ns
+            after_ns = one.time_ns - window.at_ns
             parts.append(f"{words} {f'after {span(after_ns)}' if after_ns > TICK_NS else 'at once'}")
     if parts:
-        data = {f"{phase.value}_after_s": (one.time_ns - scene.at_ns) / 1e9 for phase, one in begun.items()}
+        data = {f"{phase.value}_after_s": (one.time_ns - window.at_ns) / 1e9 for phase, one in begun.items()}
         yield Link(Step.ACTION, ", ".join(parts), next(iter(begun.values())).time_ns, data)
 
 
-def _standstill(scene: Scene, over_ns: int, *, is_doubtful: bool) -> Iterator[Link]:
+def _standstill(window: EvidenceWindow, over_ns: int, *, is_doubtful: bool) -> Iterator[Link]:
     """When the chassis stood, and how far it came until then, by its drive feedback until this was over."""
-    before = scene.last(Drive)
+    before = window.last(Drive)
     way = [
         *([before] if before is not None else []),
-        *takewhile(lambda one: one.time_ns < over_ns, scene.after(Drive)),
+        *takewhile(lambda one: one.time_ns < over_ns, window.after(Drive)),
     ]
     if len(way) < 2:
         yield missing("no drive feedback of this time is in the log, so when it stood cannot be told")
@@ -135,16 +135,16 @@ def _standstill(scene: Scene, over_ns: int, *, is_doubtful: bool) -> Iterator[Li
             stood = now
         if stood is not None and now.time_ns - stood.time_ns >= _STANDS_NS:
             break
-        begin_ns = max(was.time_ns, scene.at_ns)
+        begin_ns = max(was.time_ns, window.at_ns)
         unseen_ns = max(unseen_ns, now.time_ns - was.time_ns)
         metres += (was.said.speed_mps + now.said.speed_mps) / 2 * max(0, now.time_ns - begin_ns) / 1e9
     if stood is None:
         last = way[-1]
-        ago = scene.ago(last.time_ns)
+        ago = window.ago(last.time_ns)
         text = f"the last drive feedback looked at, {ago}, still said {last.said.speed_mps:.2f} m/s"
         yield Link(Step.ACTION, text, last.time_ns)
         return
-    took_ns = stood.time_ns - scene.at_ns
+    took_ns = stood.time_ns - window.at_ns
     text = f"the robot, at {way[0].said.speed_mps:.2f} m/s, was seen to stand after {span(took_ns)}"
     is_known = unseen_ns <= _UNSEEN_NS and not is_doubtful
     if is_known:

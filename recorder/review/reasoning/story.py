@@ -12,7 +12,7 @@ from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Row, Selection, read_rows
 from recorder.reading.topics import UNREADABLE
-from recorder.review.reasoning.scene import Heard, Scene, is_other_run
+from recorder.review.reasoning.window import EvidenceWindow, Heard, is_other_run
 from recorder.review.timeline.clock import NEAR_NS
 from recorder.review.timeline.entries import STOPS, Entry, EntryKind, EntrySource
 from recorder.review.timeline.timeline import Question, Timeline, read_events
@@ -69,16 +69,16 @@ class Story:
         """When this was last latched."""
         return next((one for one in self._before(until_ns, {EntryKind.LATCH}) if one.reason is reason), None)
 
-    def off_ns(self, scene: Scene) -> int | None:
-        """By how much the scene's times are before the story's, by the ticks of its events.
+    def off_ns(self, window: EvidenceWindow) -> int | None:
+        """By how much the window's times are before the story's, by the ticks of its events.
 
-        None if a stop of the scene is not where the story has it: then the story's times are not to be believed.
+        None if a stop of the window is not where the story has it: then the story's times are not to be believed.
         """
         told_ns = {one.tick: one.time_ns for one in self._entries if one.source is EntrySource.EVENT}
-        both = [one for one in scene.all(SafetyEvent) if one.said.tick in told_ns]
+        both = [one for one in window.all(SafetyEvent) if one.said.tick in told_ns]
         if any(abs(told_ns[one.said.tick] - one.time_ns) > NEAR_NS for one in both):
             return None
-        nearest = min(both, key=lambda one: abs(one.time_ns - scene.at_ns), default=None)
+        nearest = min(both, key=lambda one: abs(one.time_ns - window.at_ns), default=None)
         return 0 if nearest is None else told_ns[nearest.said.tick] - nearest.time_ns
 
     def next_engaged(self, after_ns: int) -> Entry | None:

@@ -4,7 +4,7 @@
 - ``spans``       what was so from when to when
 - ``odometry``    the path, from speed and steering angle
 - ``account``     all of one robot, from its rows
-- ``happenings``  what happened to it, from the entries of the timeline
+- ``event_log``   what happened to it, from the entries of the timeline
 - ``versions``    which gateways it had, and what was otherwise
 - ``margins``     what a log says besides its messages
 - ``findings``    what the report says, as data

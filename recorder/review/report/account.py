@@ -10,6 +10,7 @@ from typing import Final
 import msgspec
 
 from recorder.record.accounting import KeyReport
+from recorder.review.report.event_log import CLOCKS_APART_NS, EventLog
 from recorder.review.report.findings import (
     Driver,
     Outage,
@@ -19,7 +20,6 @@ from recorder.review.report.findings import (
     RobotSummary,
     Unwritten,
 )
-from recorder.review.report.happenings import CLOCKS_APART_NS, Happenings
 from recorder.review.report.odometry import GAP_NS, Path
 from recorder.review.report.series import Series
 from recorder.review.report.spans import Spans
@@ -78,7 +78,7 @@ class Account:
         self.key = key
         self._begins_ns = begins_ns - CLOCKS_APART_NS
         self.versions = Versions() if versions is None else versions
-        self.happenings = Happenings()
+        self.event_log = EventLog()
         self._start_ns, self._end_ns = 2**64, 0
         self._clock = RobotClock()
         self._path = Path()
@@ -137,7 +137,7 @@ class Account:
     def take_entry(self, entry: Entry) -> None:
         """The next entry of the timeline that is about this robot."""
         if entry.last_ns >= self._begins_ns:
-            self.happenings.take(entry)
+            self.event_log.take(entry)
 
     def lose(self, topic: str, reason: str, count: int) -> None:
         """The recorder says that it could not keep so many messages."""
@@ -147,7 +147,7 @@ class Account:
     def end(self, found: LogEnding) -> None:
         """The logs end in the middle of a drive, or after the gateway fell silent. The timeline says so, too."""
         if found.is_silent:
-            self.happenings.add_outage(Outage(found.entry.time_ns, None, found.is_commanding))
+            self.event_log.add_outage(Outage(found.entry.time_ns, None, found.is_commanding))
         else:
             self._ends_commanding = True
 
@@ -157,7 +157,7 @@ class Account:
         Args:
             spans: first and last log time of each of this robot's logs.
         """
-        self.happenings.set_apart(_pauses(spans))
+        self.event_log.set_apart(_pauses(spans))
 
     def sum_up(
         self, completeness: dict[str, KeyReport], facts: dict[str, str], from_ns: int = 0, to_ns: int = 2**64
@@ -172,7 +172,7 @@ class Account:
         """
         if not self._end_ns:
             return None
-        happened = self.happenings
+        happened = self.event_log
         path = self._path
         drivers = [Driver(name, seconds, metres) for name, (seconds, metres) in self._driven.items()]
         refusals = [Refusal(*about, *counted) for about, counted in self._refusals.items()]
@@ -218,9 +218,9 @@ class Account:
             lines={name: series.points() for name, series in self._lines.items()},
             bands={name: spans.spans() for name, spans in self._bands.items()},
             places=places,
-            moments=self.happenings.moments(ordered, self._start_ns, self._end_ns),
-            more_moments=self.happenings.more_moments,
-            outages=[(one.heard_ns, one.began_ns) for one in self.happenings.outages if one.began_ns is not None],
+            moments=self.event_log.moments(ordered, self._start_ns, self._end_ns),
+            more_moments=self.event_log.more_moments,
+            outages=[(one.heard_ns, one.began_ns) for one in self.event_log.outages if one.began_ns is not None],
         )
 
     def _take_state(self, state: RobotState, time_ns: int) -> None:

@@ -4,7 +4,7 @@ import pytest
 
 from recorder.review.reasoning.chain import Step
 from recorder.review.reasoning.evidence import EVIDENCE, Clue
-from recorder.review.reasoning.scene import Limits, Scene
+from recorder.review.reasoning.window import EvidenceWindow, Limits
 from schemas.reasons import Reason
 from tests.support.recorder_fakes import WALL_NS
 
@@ -18,15 +18,15 @@ def test_every_reason_has_a_row() -> None:
 @pytest.mark.parametrize("reason", Reason, ids=lambda one: one.value)
 def test_of_an_empty_log_nothing_is_claimed(reason: Reason) -> None:
     """Whatever the reason: no exception, and no evidence."""
-    scene = Scene("cruiser-1", WALL_NS, 0, Limits())
-    scene.settle()
-    links = EVIDENCE[reason](Clue(scene, "Auto_GearFeedBack"))
+    window = EvidenceWindow("cruiser-1", WALL_NS, 0, Limits())
+    window.settle()
+    links = EVIDENCE[reason](Clue(window, "Auto_GearFeedBack"))
     assert {link.step for link in links} <= {Step.MISSING}
     assert all(link.text for link in links)
 
 
 def test_the_frames_that_a_detail_names_are_found() -> None:
     """In the order of the DBC."""
-    scene = Scene("cruiser-1", WALL_NS, 0, Limits())
-    clue = Clue(scene, "stopping: feedback of the chassis is missing; Auto_DriveFeedBack, Auto_GearFeedBack")
+    window = EvidenceWindow("cruiser-1", WALL_NS, 0, Limits())
+    clue = Clue(window, "stopping: feedback of the chassis is missing; Auto_DriveFeedBack, Auto_GearFeedBack")
     assert clue.names == ["Auto_GearFeedBack", "Auto_DriveFeedBack"]

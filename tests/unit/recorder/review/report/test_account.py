@@ -16,8 +16,8 @@ from recorder.review.report.account import (
     REMOTE_CONTROL,
     Account,
 )
+from recorder.review.report.event_log import MOMENTS_MAX
 from recorder.review.report.findings import RobotCharts, RobotReport, RobotSummary
-from recorder.review.report.happenings import MOMENTS_MAX
 from recorder.review.timeline.timeline import Timeline
 from schemas.decisions import ArbiterState, EventKind, Verdict
 from schemas.messages import Message, Mode
@@ -33,13 +33,13 @@ def row_of(message: Message, log_ns: int) -> Row:
     return Row(topic, message.sequence, log_ns, message.time_ns, b"")
 
 
-def account_of(
+def report_of(
     *messages: Message,
     off_ns: int = 0,
     late: Sequence[tuple[int, Message]] = (),
     spans: Sequence[tuple[int, int]] = (),
     to_ns: int = END_OF_TIME_NS,
-) -> Account:
+) -> RobotReport:
     """Of messages that were received when they were sent, by a clock that is so much ahead; then of late ones.
 
     They stand in logs that go from and to these times, read up to ``to_ns``.
@@ -55,12 +55,7 @@ def account_of(
     for entry in timeline.end():
         account.take_entry(entry)
     account.set_apart(spans)
-    return account
-
-
-def report_of(*messages: Message, off_ns: int = 0) -> RobotReport:
-    """What the account sums up to."""
-    report = account_of(*messages, off_ns=off_ns).sum_up({}, {})
+    report = account.sum_up({}, {})
     assert report is not None
     return report
 
@@ -70,9 +65,9 @@ def summary_of(*messages: Message) -> RobotSummary:
     return report_of(*messages).summary
 
 
-def charts_of(*messages: Message, off_ns: int = 0) -> RobotCharts:
+def charts_of(*messages: Message) -> RobotCharts:
     """Over time."""
-    return report_of(*messages, off_ns=off_ns).charts
+    return report_of(*messages).charts
 
 
 def test_a_drive_in_figures() -> None:
@@ -156,8 +151,7 @@ def test_what_was_asked_for_later_stands_where_it_happened() -> None:
     """By the robot's time, though it was received long after."""
     late = event(20)
     drive_on = (one for number in range(100) for one in (state(number), arbiter(number)))
-    report = account_of(*drive_on, late=[(late.time_ns + 60 * SECOND, late)]).sum_up({}, {})
-    assert report is not None
+    report = report_of(*drive_on, late=[(late.time_ns + 60 * SECOND, late)])
     assert [moment.time_ns for moment in report.charts.moments] == [late.time_ns]
     assert report.summary.end_ns < WALL_NS + 10 * SECOND
 
@@ -209,11 +203,9 @@ def test_a_robot_that_said_nothing_is_no_report() -> None:
 @pytest.mark.parametrize("engaged", [ArbiterState.ENGAGED, ArbiterState.STOPPING, ArbiterState.STANDBY])
 def test_a_log_that_ends_in_the_middle_of_a_drive_says_so(engaged: ArbiterState) -> None:
     """What came after is not known; in standby there is nothing to say."""
-    account = account_of(
+    report = report_of(
         *(arbiter(number, state=engaged) for number in range(5)), spans=[(WALL_NS, WALL_NS + 5 * PERIOD_NS)]
     )
-    report = account.sum_up({}, {})
-    assert report is not None
     assert report.summary.ends_commanding is (engaged is not ArbiterState.STANDBY)
     texts = [moment.text for moment in report.charts.moments]
     assert texts == ([f"the log ends here: {engaged.value}, and told 1.00 m/s"] * report.summary.ends_commanding)
@@ -221,13 +213,11 @@ def test_a_log_that_ends_in_the_middle_of_a_drive_says_so(engaged: ArbiterState)
 
 def test_a_period_that_ends_in_the_middle_of_a_drive_is_no_end_of_the_log() -> None:
     """The log goes on."""
-    account = account_of(
+    report = report_of(
         *(arbiter(number) for number in range(5)),
         spans=[(WALL_NS, WALL_NS + 60 * SECOND)],
         to_ns=WALL_NS + 5 * PERIOD_NS,
     )
-    report = account.sum_up({}, {})
-    assert report is not None
     assert not report.summary.ends_commanding
     assert report.summary.outages == []
 
@@ -235,9 +225,7 @@ def test_a_period_that_ends_in_the_middle_of_a_drive_is_no_end_of_the_log() -> N
 def test_a_period_that_ends_in_a_pause_of_the_recorder_accuses_no_gateway() -> None:
     """Nobody was there to hear it: the log ends, as far as is known, and another one begins behind the period."""
     spans = [(WALL_NS, WALL_NS + 5 * PERIOD_NS), (WALL_NS + 60 * SECOND, WALL_NS + 90 * SECOND)]
-    account = account_of(*(arbiter(number) for number in range(5)), spans=spans, to_ns=WALL_NS + 30 * SECOND)
-    report = account.sum_up({}, {})
-    assert report is not None
+    report = report_of(*(arbiter(number) for number in range(5)), spans=spans, to_ns=WALL_NS + 30 * SECOND)
     assert report.summary.outages == []
     (moment,) = report.charts.moments
     assert moment.text == "the log ends here: engaged, and told 1.00 m/s"
@@ -247,11 +235,9 @@ def test_a_period_that_ends_in_a_pause_of_the_recorder_accuses_no_gateway() -> N
 def test_a_gateway_of_which_nothing_comes_any_more_fell_silent(is_commanding: bool) -> None:  # noqa: FBT001 - a case
     """The log goes on without it; that matters more if it commanded the robot."""
     engaged = ArbiterState.ENGAGED if is_commanding else ArbiterState.STANDBY
-    account = account_of(
+    report = report_of(
         *(arbiter(number, state=engaged) for number in range(5)), spans=[(WALL_NS, WALL_NS + 60 * SECOND)]
     )
-    report = account.sum_up({}, {})
-    assert report is not None
     (outage,) = report.summary.outages
     assert (outage.heard_ns, outage.began_ns) == (WALL_NS + 4 * PERIOD_NS, None)
     assert outage.is_commanding is is_commanding
@@ -268,9 +254,7 @@ def test_between_two_logs_nobody_knows_whether_a_gateway_was_silent() -> None:
         ([(WALL_NS, WALL_NS + 15 * SECOND), (WALL_NS + 13 * SECOND, WALL_NS + 15 * SECOND)], False),
         ([(WALL_NS, WALL_NS + 11 * SECOND), (WALL_NS + 11 * SECOND + 1, WALL_NS + 15 * SECOND)], False),
     ):
-        account = account_of(*restart(), spans=spans)
-        report = account.sum_up({}, {})
-        assert report is not None
+        report = report_of(*restart(), spans=spans)
         (outage,) = report.summary.outages
         assert outage.is_between_logs is is_between
         assert outage.is_commanding

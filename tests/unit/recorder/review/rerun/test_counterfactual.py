@@ -22,15 +22,15 @@ from recorder.review.rerun.counterfactual import (
     what_if_logs,
 )
 from schemas.codec import encode
-from schemas.decisions import Decision, EventKind, Journal, SafetyEvent, Severity, Verdict
-from schemas.messages import Message, RobotState, Variant
+from schemas.decisions import EventKind, Journal, SafetyEvent, Severity, Verdict
+from schemas.messages import Message, Variant
 from schemas.reasons import Reason
 from schemas.settings import Settings
 from schemas.subjects import BY_TYPE
 from tests.support.loop_rig import Operator
 from tests.support.recorded_day import Day, recorded
-
-SECOND = 1_000_000_000
+from tests.support.recorder_fakes import SECOND, WALL_NS
+from tests.support.report_drive import PERIOD_NS, refusal, state
 
 
 @pytest.fixture(scope="module")
@@ -159,13 +159,18 @@ def test_decisions_are_paired_by_their_place_and_counted_by_kind(log: Path) -> N
 
     def messages(is_other: bool) -> list[Message]:  # noqa: FBT001 - the two runs
         return [
-            decision(number, Verdict.REFUSED if is_other and number % 2 else Verdict.ACCEPTED)
+            refusal(number, verdict=Verdict.REFUSED if is_other and number % 2 else Verdict.ACCEPTED)
             for number in range(10)
         ]
 
     result = result_of(log, messages)
     [change] = result.changes
-    assert (result.decisions, change.count, change.first_ns, change.last_ns) == (10, 5, 1, 9)
+    assert (result.decisions, change.count, change.first_ns, change.last_ns) == (
+        10,
+        5,
+        WALL_NS + PERIOD_NS,
+        WALL_NS + 9 * PERIOD_NS,
+    )
     assert (change.recorded.verdict, change.other.verdict) == ("accepted", "refused")
 
 
@@ -173,13 +178,7 @@ def test_over_a_gap_nothing_is_known_of_the_way(log: Path) -> None:
     """Neither distance nor time is made up."""
 
     def messages(is_other: bool) -> list[Message]:  # noqa: FBT001 - the two runs
-        gap_ns = 60 * SECOND if is_other else SECOND // 20
-        return [
-            state(0, 1.0),
-            state(SECOND // 20, 1.0),
-            state(SECOND // 20 + gap_ns, None),
-            state(90 * SECOND, 1.0),
-        ]
+        return [state(0), state(1), state(1201 if is_other else 2, speed_mps=None), state(1800)]
 
     result = result_of(log, messages)
     assert result.recorded.distance_m == result.other.distance_m == pytest.approx(0.05)
@@ -199,35 +198,3 @@ def test_only_stops_count_as_stops(log: Path) -> None:
     result = result_of(log, messages)
     assert len(result.stops_avoided) == 1
     assert result.stops_added == []
-
-
-def decision(number: int, verdict: Verdict) -> Decision:
-    """A decision on a drive command."""
-    return Decision(
-        time_ns=number,
-        sequence=number,
-        tick=1,
-        request="drive",
-        operator="operator-1",
-        lease=1,
-        request_sequence=number,
-        age_ms=1.0,
-        verdict=verdict,
-        reason=Reason.NONE,
-        detail="",
-        bound_by=[],
-        requested_speed_mps=1.0,
-        requested_angle_deg=0.0,
-        output_speed_mps=1.0,
-        output_angle_deg=0.0,
-        frames_sent=5,
-    )
-
-
-def state(time_ns: int, speed_mps: float | None) -> RobotState:
-    """A robot at this speed."""
-    values: dict[str, object] = dict.fromkeys(RobotState.__struct_fields__)
-    values |= {"time_ns": time_ns, "sequence": 0, "bus_up": True, "variant": Variant.COARSE.value, "silent": []}
-    values |= dict.fromkeys(("mode", "gear_position", "braking_status", "parking_status"), "undefined")
-    values["speed_mps"] = speed_mps
-    return msgspec.convert(values, RobotState)

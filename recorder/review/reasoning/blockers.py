@@ -7,7 +7,7 @@ from typing import Final
 
 from recorder.review.reasoning.chain import Link, Step
 from recorder.review.reasoning.request_evidence import last_command
-from recorder.review.reasoning.scene import Scene
+from recorder.review.reasoning.window import EvidenceWindow
 from schemas.decisions import ArbiterState, Bound, SafetyState
 from schemas.reasons import OF_A_ROBOT, RESET, Reason, cure_of, of_a_robot
 
@@ -26,7 +26,7 @@ def is_told(state: SafetyState) -> bool:
     return bool(round(state.output_speed_mps, 2))
 
 
-def kept_by(now: Scene, state: SafetyState) -> list[Reason]:
+def kept_by(now: EvidenceWindow, state: SafetyState) -> list[Reason]:
     """What kept an engaged robot from moving; nothing if it was told to.
 
     A pressed bumper forbids one direction alone: it counts if that one was asked for.
@@ -38,7 +38,7 @@ def kept_by(now: Scene, state: SafetyState) -> list[Reason]:
     return [reason for reason in state.blocked_by if reason not in _FORBIDS or is_bound]
 
 
-def hinders(reason: Reason, now: Scene, state: SafetyState) -> bool:
+def blocks(reason: Reason, now: EvidenceWindow, state: SafetyState) -> bool:
     """Something that blocks is in the way; a pressed bumper is not if the robot goes away from it."""
     if state.state is not ArbiterState.ENGAGED:
         return True
@@ -47,7 +47,7 @@ def hinders(reason: Reason, now: Scene, state: SafetyState) -> bool:
     return reason in kept_by(now, state)
 
 
-def hindrance(reason: Reason, state: SafetyState) -> str:
+def blocked_words(reason: Reason, state: SafetyState) -> str:
     """What a reason that blocks means for a robot in this state."""
     means = OF_A_ROBOT[reason].means
     match state.state:

@@ -5,8 +5,8 @@ from datetime import UTC, datetime
 import msgspec
 import pytest
 
+from recorder.review.report.event_log import ERRORS_MAX, MOMENTS_MAX, OUTAGES_MAX, SILENCES_MAX, EventLog
 from recorder.review.report.findings import Outage
-from recorder.review.report.happenings import ERRORS_MAX, MOMENTS_MAX, OUTAGES_MAX, SILENCES_MAX, Happenings
 from recorder.review.report.odometry import Place
 from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
 from schemas.decisions import Severity
@@ -36,9 +36,9 @@ def silence(from_s: float, to_s: float, **fields: object) -> Entry:
     return entry(from_s, EntryKind.GAP, last_ns=WALL_NS + round(to_s * SECOND), **fields)
 
 
-def happened(*entries: Entry) -> Happenings:
+def happened(*entries: Entry) -> EventLog:
     """All of them."""
-    found = Happenings()
+    found = EventLog()
     for one in entries:
         found.take(one)
     return found

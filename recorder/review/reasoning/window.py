@@ -57,13 +57,13 @@ LATER_NS: Final = 900_000_000_000
 """Decisions that a recorder asked for later are looked for so far behind."""
 
 KEPT: Final = 5_000
-"""Messages of each class that are kept of a scene; the oldest go first."""
+"""Messages of each class that are kept of a window; the oldest go first."""
 
 FRAMES_KEPT: Final = 500
 """Frames of each identifier that are kept up to the moment, 5 s of the most frequent; and behind it."""
 
 _LINK_NS: Final = 1_500_000_000
-"""What is published in a window is received within it and this much later."""
+"""What is published in these seconds is received within it and this much later."""
 
 Said = TypeVar("Said", bound=Message)
 
@@ -96,7 +96,7 @@ def is_other_run(one: SafetyState, other: SafetyState) -> bool:
     return not is_same_run(one.tick, other.tick)
 
 
-class Scene:
+class EvidenceWindow:
     """What the log holds of a robot around a moment. Times are nanoseconds since 1970, as those of the moment.
 
     Attributes:
@@ -315,8 +315,8 @@ _WANTED: Final = frozenset(
 )  # fmt: skip
 
 
-class Stage:
-    """A robot's logs, of which scenes are read.
+class WindowReader:
+    """A robot's logs, of which windows are read.
 
     Args:
         robot: its name.
@@ -349,33 +349,33 @@ class Stage:
             middle_ns = min(off_ns)
         return middle_ns if abs(middle_ns) > NEAR_NS else 0
 
-    def scene(self, at_ns: int, shift_ns: int) -> Scene:
+    def window(self, at_ns: int, shift_ns: int) -> EvidenceWindow:
         """What was around a moment."""
-        scene = Scene(self.robot, at_ns, shift_ns, self._limits(at_ns))
+        window = EvidenceWindow(self.robot, at_ns, shift_ns, self._limits(at_ns))
         from_ns, to_ns = max(0, at_ns - BEFORE_NS), at_ns + AFTER_NS
-        window = Selection(
+        around = Selection(
             lambda topic: (topic.robot == self.robot and topic.kind in _WANTED) or topic.kind is RecordGap,
             from_ns,
             to_ns + _LINK_NS,
         )
-        self._read(scene, window)
-        if scene.lacks_decisions or not scene.all(Decision):
+        self._read(window, around)
+        if window.lacks_decisions or not window.all(Decision):
             later = Selection(
                 lambda topic: topic.robot == self.robot and topic.kind in {Decision, SafetyEvent},
                 to_ns + _LINK_NS,
                 to_ns + LATER_NS,
             )
-            self._read(scene, later, until_ns=to_ns)
-        scene.gaps = [gap for gap in scene.gaps if gap.first_ns < to_ns and gap.last_ns >= from_ns]
-        scene.settle()
-        return scene
+            self._read(window, later, until_ns=to_ns)
+        window.gaps = [gap for gap in window.gaps if gap.first_ns < to_ns and gap.last_ns >= from_ns]
+        window.settle()
+        return window
 
-    def _read(self, scene: Scene, selection: Selection, until_ns: int | None = None) -> None:
+    def _read(self, window: EvidenceWindow, selection: Selection, until_ns: int | None = None) -> None:
         for row in read_rows(self._logs, selection, self._faults):
             if until_ns is not None and row.publish_ns >= until_ns:
                 continue
             try:
-                scene.take(row)
+                window.take(row)
             except UNREADABLE as error:
                 self._faults.add(f"{row.topic.name}: a message that cannot be read: {error}")
 

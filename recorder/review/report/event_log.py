@@ -39,7 +39,7 @@ _NOTED: Final = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}\+00:00")
 _IN_OTHER_TABLES: Final = frozenset({EntryKind.REFUSAL, EntryKind.REQUEST})
 
 
-class Happenings:
+class EventLog:
     """Gathers entries, which come in the order of their time, as far as that can be told.
 
     Attributes:
