@@ -1,19 +1,12 @@
-"""Turns a log into answers. Each question has a function here, and a command in ``recorder.cli.review``.
+"""Questions that a log answers: each is a function here, and a command in ``recorder.cli.review``.
 
-The base:
-
-- ``logs``, ``summary``, ``survey``  which files, and what their ends and heads tell
-- ``pieces``, ``walk``, ``rows``     a file piece by piece; every message; the wanted ones of many files
-- ``topics``, ``times``, ``faults``  how messages are read; times as people write them; what could not be read
-
-The questions:
-
-- ``info``, ``check``    what a log holds, as it says itself; whether that is true
-- ``merge``, ``cut``     several logs in one (``joining``); a part of a log
-- ``events``, ``why``    what happened (``timeline``); why the robot stopped or stood (``reasoning``)
-- ``rerun``, ``what_if`` the recorded run again (``runs``, ``comparison``), and with other settings
+- ``info``, ``check``    what a log holds, as it says itself; whether that is true (``checking``)
+- ``merge``, ``cut``     several logs in one; a part of a log (``joining``)
+- ``timeline``, ``why``  what happened; why the robot stopped or stood (``reasoning``)
+- ``rerun``              the recorded run again, with its settings or with others
 - ``report``             a drive on one page
-- ``export``, ``query``  Parquet, CSV and raw frames; SQL; both on ``columns``
-- ``replay``             when to publish what again
+- ``export``, ``query``  Parquet, CSV and raw frames; SQL (``querying``); both on ``columns``
 - ``layouts``            the robots of logs, for ``recorder.layouts``
+
+``recorder.reading`` finds the files and reads them.
 """

@@ -1,4 +1,4 @@
-"""Whether a log is what it says, and what it lacks: every byte, every checksum, every message.
+"""The check of a log, whether it is what it says, and what it lacks: every byte, every checksum, every message.
 
 In one pass, in memory that does not grow with the log but for 16 bytes a chunk and what each gap takes.
 """
@@ -33,11 +33,11 @@ from recorder.review.checking.proofs import faults_of_schema
 from recorder.review.checking.structure import Structure
 
 WAITING_BYTES_MAX: Final = 16_000_000
-"""When all messages that wait to be judged are so large together, they are judged."""
+"""Size at which the messages that wait are judged together."""
 
 
 class LogCheck(msgspec.Struct, frozen=True):
-    """What was found out about a log.
+    """The result of checking a log.
 
     Attributes:
         whole: nothing is wrong with the file itself.

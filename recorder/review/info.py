@@ -1,4 +1,4 @@
-"""What a log holds, as its end and its recorder tell: no chunk of a whole log is unpacked.
+"""The contents of a log, as its end and its recorder tell: no chunk of a whole log is unpacked.
 
 A file without such an end (a part, a damaged one, or one of somebody who writes none) is gone through record by
 record, by the heads of its chunks. Whether all of it is true, and nothing missing, is another question: ``check``.
@@ -28,7 +28,7 @@ CUT_NAME: Final = "cruiser.cut"
 
 
 class LogSourceInfo(Enum):
-    """How a file was looked at."""
+    """The part of a file that was read."""
 
     SUMMARY = "summary"
     RECORDS = "records"
@@ -121,7 +121,7 @@ class SetInfo(msgspec.Struct, frozen=True):
 
 
 def read_info(path: Path, progress: Progress = lambda _: None) -> LogInfo:
-    """What a log holds.
+    """Read what a log holds.
 
     Args:
         path: the file.

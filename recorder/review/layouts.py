@@ -1,4 +1,4 @@
-"""Whose layouts a log is opened with: its robots, as its topics name them."""
+"""The robots of a log, as its topics name them, for the layouts that it is opened with."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ _BESIDES: Final = ("LINE ", "Candidate functions:", "Please try installing")
 _WRONG_SQL: Final = (duckdb.ProgrammingError, duckdb.NotSupportedError, duckdb.DataError)
 
 LOOK_S: Final = 0.1
-"""So often it is looked whether to stop, while DuckDB is at work."""
+"""Interval at which a stop is looked for while DuckDB is at work."""
 
 Source = LogSource | DatasetSource
 
@@ -96,7 +96,7 @@ def _batches(rows: pa.RecordBatchReader, run: Callable[..., Any]) -> Iterator[pa
 
 @contextmanager
 def told() -> Generator[None, None, None]:
-    """What DuckDB says is wrong becomes one line."""
+    """Turn an error of DuckDB into one line."""
     try:
         yield
     except duckdb.PermissionException as error:
@@ -143,7 +143,7 @@ def _names_in(connection: duckdb.DuckDBPyConnection, sql: str) -> set[str]:
 
 
 def _one_line(text: str) -> str:
-    """What DuckDB says, without its drawing of the statement, and without its advice to go to the network."""
+    """DuckDB's message without its drawing of the statement, and without its advice to go to the network."""
     lines = []
     for line in map(str.strip, text.splitlines()):
         if line.startswith(_BESIDES):

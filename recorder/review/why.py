@@ -1,4 +1,4 @@
-"""Why did the robot stop, or not move? From frames and requests to the decision, in sentences, with the numbers.
+"""The reason of a stop, or of standing: from frames and requests to the decision, in sentences, with the numbers.
 
 The moment is looked at first: what the robot did, what the arbiter did, what was commanded. Then the stop that
 was under way or had been before it: its cause, what shows it, what was done, what is latched, what would cure it.
@@ -87,7 +87,7 @@ def explain(
     faults: Faults,
     progress: Progress = lambda _: None,
 ) -> Explanation:
-    """Why the robot stopped, or did not move.
+    """Explain why the robot stopped, or did not move.
 
     Args:
         robot: its name.
@@ -183,7 +183,7 @@ class _Answer:
         return focus is not None and focus.reason is state.stop_reason
 
     def beyond(self, start_ns: int, end_ns: int) -> Explanation | None:
-        """What there is to say of a moment that the logs, from one log time to another, do not hold; else None."""
+        """The answer for a moment outside of the logs, which go from one log time to another; else None."""
         at_ns = self._now.at_ns
         is_held = start_ns - STALE_NS <= at_ns <= end_ns + STALE_NS or not end_ns
         if is_held or self._state is not None or self._death is not None:
@@ -236,7 +236,7 @@ class _Answer:
         return self._state is not None and self._state.state is not ArbiterState.STANDBY
 
     def _silence_of_gateway(self) -> GatewaySilence | None:
-        """That of the gateway at the moment or soon after it; or before it, if nothing since tells more."""
+        """The gateway's silence at the moment or soon after it; or before it, if nothing since tells more."""
         if self._is_active:
             return next_silence(self._now, SOON_NS)
         silence, last = last_silence(self._now), self._now.last(SafetyState)
@@ -247,7 +247,7 @@ class _Answer:
         return silence
 
     def _death_of_gateway(self) -> Entry | None:
-        """That of the gateway of the moment, seen by a recorder; or soon after it, if it was at work."""
+        """The gateway's death before the moment, as a recorder saw it; or soon after it, if it was at work."""
         if self._state is not None and not self._is_active:
             return None
         death = self._story.death(self._now.at_ns + (SOON_NS if self._is_active else 0))
@@ -279,7 +279,7 @@ class _Answer:
         return told if state is None else f"{said} {told}"
 
     def _untold(self, last: Heard[SafetyState] | None) -> Iterator[Link]:
-        """What was before the moment, or came after it, and is not told of; the end of a gateway is told."""
+        """Links for what the log does not tell of the time before the moment and after it."""
         at_ns, focus = self._now.at_ns, self._focus
         has_ended = self._silence is not None or self._death is not None
         if self._state is None and focus is None and not has_ended:
@@ -346,7 +346,7 @@ class _Answer:
         return Link(Step.LATCH, text, entry.time_ns, {"reason": reason.value})
 
     def _blocked(self, told: Reason) -> Iterator[Link]:
-        """What besides kept the robot where it was, or from being engaged, at the moment itself."""
+        """Links for all else that kept the robot from moving, or from being engaged, at the moment itself."""
         state = self._state
         if state is None:
             return
@@ -369,14 +369,14 @@ class _Answer:
             yield from cures(reason, self._now.robot, blocked_by, is_reset=reason not in state.latched)
 
     def _window(self, at_ns: int) -> EvidenceWindow:
-        """What was around a moment, with the story's times."""
+        """The window around a moment, with the story's times."""
         shift_ns = self._reader.shift(at_ns)
         window = self._reader.window(at_ns, shift_ns)
         off_ns = self._story.off_ns(window)
         return self._reader.window(at_ns, shift_ns + off_ns) if off_ns else window
 
     def _beside(self, at_ns: int, what: str) -> EvidenceWindow:
-        """What was around another moment; and what that is, in words."""
+        """The window around another moment, which these words name."""
         window = self._now if at_ns == self._now.at_ns else self._window(at_ns)
         window.what = what
         return window
@@ -386,7 +386,7 @@ _COMMANDS: Final = {Step.EVIDENCE: Step.COMMAND, Step.MISSING: Step.MISSING}
 
 
 def _lacks(window: EvidenceWindow) -> Iterator[Link]:
-    """What of this time is not in the log, as the recorder and the arbiter's states tell."""
+    """Links for parts of this time that are not in the log, by the recorder and the arbiter's states."""
     states = [one for one in window.all(SafetyState) if one.time_ns > window.at_ns - LOOKED_AT_NS]
     for was, now in pairwise(states):
         if is_other_run(was.said, now.said):

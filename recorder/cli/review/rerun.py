@@ -23,7 +23,7 @@ from recorder.review.rerun.counterfactual import (
     WhatIfResult,
     what_if_logs,
 )
-from recorder.review.rerun.parallel import rerun_side_by_side
+from recorder.review.rerun.parallel import rerun_in_parallel
 from recorder.review.rerun.player import RerunResult
 from schemas.command_rules import COMMAND_RULES, rules_notice
 from schemas.configuration import TomlSource, merge
@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
         results: Iterator[RerunResult | WhatIfResult] = (
             what_if_logs(asked.logs, settings_of, asked.faults, progress=progress)
             if changes or text is not None
-            else rerun_side_by_side(asked.logs, asked.faults, arguments.jobs, progress=progress)
+            else rerun_in_parallel(asked.logs, asked.faults, arguments.jobs, progress=progress)
         )
         worst = ExitCode.OK
         runs = 0

@@ -1,4 +1,4 @@
-"""What is known of one channel while a log is checked.
+"""The state of one channel while a log is checked.
 
 Messages wait until many of them can be judged at once: most of what that costs does not depend on how many.
 """
@@ -24,7 +24,7 @@ from schemas.messages import CanFrame
 from schemas.recording import RecordGap
 
 WAITING_MAX: Final = 1024
-"""So many messages of a channel wait at most, but for the rest of their chunk."""
+"""Messages of a channel that wait at most, but for the rest of their chunk."""
 
 _CAN_FRAME: Final = schema_name(CanFrame)
 _RECORD_GAP: Final = schema_name(RecordGap)
@@ -164,7 +164,7 @@ class Channel:
                 yield from (start + place for place in proof(self._datas[start:end] if anew else self._datas))
 
     def _tell_gaps(self) -> None:
-        """What the recorder says that it could not write."""
+        """Add what the recorder says that it could not write."""
         for data in self._datas:
             try:
                 gap: RecordGap = typed_decoder(RecordGap)(data)

@@ -1,4 +1,4 @@
-"""What ``check`` finds: gathered by what it is, so that the answer does not grow with the damage."""
+"""The findings of ``check``, gathered by kind, so that the answer does not grow with the damage."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Final
 import msgspec
 
 FINDINGS_MAX: Final = 500
-"""So many different ones of a file are told; further ones are only counted."""
+"""Different findings of a file that are told; further ones are only counted."""
 
 
 class About(Enum):
-    """What a finding is about."""
+    """The subject of a finding."""
 
     FILE = "file"
     DATA = "data"
@@ -58,7 +58,7 @@ class Findings:
 
     @property
     def told(self) -> list[Finding]:
-        """Those about the file first, by their places; then those about the data."""
+        """The findings about the file first, by their places; then those about the data."""
         return sorted(
             self._by_kind.values(),
             key=lambda one: (one.about is About.DATA, one.offset or 0, one.topic, one.time_ns or 0),

@@ -1,4 +1,4 @@
-"""Whether messages are what their schema says.
+"""The proof that messages are what their schema says.
 
 Most of ours have but fields of fixed width, so all bytes but the values themselves are known beforehand: they are
 held against many messages at once. Where that leaves a doubt, and for all other messages, each is decoded.
@@ -27,7 +27,7 @@ _OURS: Final = {
     **{schema_name(kind): (kind, descriptor_set(kind)) for kind in LOGGED},
     SCHEMA_NAME: (None, SCHEMA_DATA),
 }
-"""What this version writes: class, if it is one of ours, and schema."""
+"""Schemas that this version writes: class, if it is one of ours, and schema."""
 
 _NUMBERS: Final = frozenset("IiQqd")
 _VARINT_BOUND: Final = 0x80
@@ -36,7 +36,7 @@ ANY_JSON: Final = msgspec.json.Decoder(msgspec.Raw).decode
 
 
 def faults_of_schema(schema: records.Schema) -> list[str]:
-    """What is wrong with a schema: it cannot be read, or is another than this version writes under that name."""
+    """The faults of a schema: it cannot be read, or is another than this version writes under that name."""
     faults = []
     if schema.encoding == "protobuf" and foreign_decoder(schema.name, schema.data) is None:
         faults.append(f"the schema {schema.name} cannot be read")

@@ -1,4 +1,4 @@
-"""Whether what a file says of itself is true: heads of chunks, message indexes, statistics, and its summary.
+"""The check of what a file says of itself: heads of chunks, message indexes, statistics, and its summary.
 
 Of each chunk two numbers are kept until the summary is reached: 16 bytes, some 10 MB of a log of 10 GB.
 """
@@ -44,7 +44,7 @@ class Structure:
         self._own: set[int] = set()
 
     def take_schema(self, schema: records.Schema, *, is_repeated: bool = False) -> bool:
-        """A schema of the data, or the summary's. Whether it is the first of its id."""
+        """Take a schema of the data, or of the summary; report whether it is the first of its id."""
         before = self._schemas.get(schema.id)
         if is_repeated:
             if before is None or vars(before) != vars(schema):
@@ -58,7 +58,7 @@ class Structure:
         return before is None
 
     def take_channel(self, channel: records.Channel, *, is_repeated: bool = False) -> bool:
-        """A channel of the data, or the summary's. Whether it is the first of its id."""
+        """Take a channel of the data, or of the summary; report whether it is the first of its id."""
         before = self._channels.get(channel.id)
         if is_repeated:
             if before is None or vars(before) != vars(channel):
@@ -128,7 +128,7 @@ class Structure:
         self._digests.append(0)
 
     def compare_statistics(self, statistics: records.Statistics) -> None:
-        """What the summary counts."""
+        """Compare the counts of the summary."""
         counted = {
             "messages": (statistics.message_count, self.messages.total()),
             "schemas": (statistics.schema_count, len(self._schemas)),
@@ -198,7 +198,7 @@ class Structure:
 def _facts(
     record: records.Attachment | records.AttachmentIndex | records.Metadata | records.MetadataIndex,
 ) -> tuple[object, ...]:
-    """What a record and its index have in common."""
+    """The fields that a record and its index have in common."""
     match record:
         case records.Attachment():
             size = len(record.data)

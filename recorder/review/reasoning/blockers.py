@@ -1,4 +1,4 @@
-"""What is in the way of a robot at a moment: of its motion, or of its being engaged; and what would cure it."""
+"""Reasons that keep a robot from moving, or from being engaged, at a moment; and what would cure them."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from schemas.decisions import ArbiterState, Bound, SafetyState
 from schemas.reasons import OF_A_ROBOT, RESET, Reason, cure_of, of_a_robot
 
 PLAIN: Final = frozenset({Reason.STOPPING, Reason.NOT_ENGAGED, Reason.ENGAGING, Reason.NO_LEASE})
-"""What blocks a robot that nobody has engaged: there is nothing to show but that nobody has."""
+"""Reasons that block a robot that nobody has engaged: there is nothing to show but that nobody has."""
 
 _PASSING: Final = frozenset({Reason.STOPPING, Reason.ENGAGING, Reason.GEAR_SHIFTING})
-"""What ends by itself."""
+"""Reasons that end by themselves."""
 
 _FORBIDS: Final = {Reason.FRONT_BUMPER: (1, "forward"), Reason.REAR_BUMPER: (-1, "backward")}
 """The sign of the speeds that a pressed bumper forbids to an engaged robot, and their direction in words."""
@@ -27,7 +27,7 @@ def is_told(state: SafetyState) -> bool:
 
 
 def kept_by(now: EvidenceWindow, state: SafetyState) -> list[Reason]:
-    """What kept an engaged robot from moving; nothing if it was told to.
+    """The reasons that kept an engaged robot from moving; none if it was told to.
 
     A pressed bumper forbids one direction alone: it counts if that one was asked for.
     """
@@ -39,7 +39,7 @@ def kept_by(now: EvidenceWindow, state: SafetyState) -> list[Reason]:
 
 
 def blocks(reason: Reason, now: EvidenceWindow, state: SafetyState) -> bool:
-    """Something that blocks is in the way; a pressed bumper is not if the robot goes away from it."""
+    """Report whether a reason is in the way; a pressed bumper is not if the robot goes away from it."""
     if state.state is not ArbiterState.ENGAGED:
         return True
     if reason in _FORBIDS:
@@ -48,7 +48,7 @@ def blocks(reason: Reason, now: EvidenceWindow, state: SafetyState) -> bool:
 
 
 def blocked_words(reason: Reason, state: SafetyState) -> str:
-    """What a reason that blocks means for a robot in this state."""
+    """The meaning of a reason that blocks for a robot in this state."""
     means = OF_A_ROBOT[reason].means
     match state.state:
         case ArbiterState.ENGAGED if reason in _FORBIDS:
@@ -62,7 +62,7 @@ def blocked_words(reason: Reason, state: SafetyState) -> str:
 
 
 def cures(reason: Reason, robot: str, beside: Collection[Reason] = (), *, is_reset: bool) -> Iterator[Link]:
-    """What would cure it: of what is latched no more, what is left to do after the reset.
+    """The cure of a reason: of one that is latched no more, what is left to do after the reset.
 
     Args:
         reason: that of a stop, or one that blocks.

@@ -11,7 +11,7 @@ from schemas.messages import TimeNs
 
 
 class Step(Enum):
-    """What a link is: what was, why, what was done about it, and what the log does not tell."""
+    """The kind of a link: what was, why, what was done about it, and what the log does not tell."""
 
     MOTION = "motion"
     ARBITER = "arbiter"
@@ -40,12 +40,12 @@ class Link(msgspec.Struct, frozen=True):
 
 
 def evidence(text: str, time_ns: int | None = None, **data: object) -> Link:
-    """What the log shows."""
+    """Make a link of what the log shows."""
     return Link(Step.EVIDENCE, text, time_ns, data)
 
 
 def missing(text: str) -> Link:
-    """What the log does not show."""
+    """Make a link of what the log does not show."""
     return Link(Step.MISSING, text)
 
 

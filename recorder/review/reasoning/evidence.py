@@ -1,4 +1,4 @@
-"""What the log shows for each reason: one table, a row a reason."""
+"""The evidence for each reason: one table, a row a reason."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from schemas.reasons import Reason
 
 
 class Clue(msgspec.Struct, frozen=True):
-    """Where to look.
+    """The place to look for evidence.
 
     Attributes:
         window: around the moment at which the reason arose.

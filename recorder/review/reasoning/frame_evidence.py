@@ -1,4 +1,4 @@
-"""What the raw frames of the chassis show: bumpers, modes, silence, checksums, counters, values, other senders."""
+"""Evidence from raw frames of the chassis: bumpers, modes, silence, checksums, counters, values, other senders."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ WAITED_NS: Final = 1_000_000
 """To read a frame takes less; one that waited for longer is told to have waited."""
 
 _TOLD_NS: Final = SAFETY_STATE_PERIOD_NS + TICK_NS
-"""What the arbiter says is so may be over since, for so long: it says so again after its period."""
+"""Age at which a state of the arbiter may be out of date: it is repeated after its period."""
 
 
 def bumper(window: EvidenceWindow, signal: str, field: str) -> list[Link]:
@@ -163,7 +163,7 @@ def _last_frame(window: EvidenceWindow, name: str) -> Link:
 
 
 def _waited(frame: DecodedFrame) -> str:
-    """How much sooner the bus had it than the arbiter, to be put behind its time."""
+    """The time between the bus and the arbiter in words, to be put behind the frame's time."""
     return f" (the bus had it {span(frame.waited_ns)} earlier)" if frame.waited_ns >= WAITED_NS else ""
 
 

@@ -1,4 +1,4 @@
-"""What the gateway tells of itself: its loop, its guard, the bus and its way to it."""
+"""Evidence from what the gateway tells of itself: its loop, its guard, the bus and its way to it."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def bus(window: EvidenceWindow) -> list[Link]:
 
 
 def controller(window: EvidenceWindow) -> list[Link]:
-    """What the CAN controller said, as the events and the health tell."""
+    """The state of the CAN controller, by the events and the health."""
     found = [
         evidence(f"{one.said.text}, {window.ago(one.time_ns)}", one.time_ns)
         for one in window.during(SafetyEvent)
@@ -64,7 +64,7 @@ def _health(window: EvidenceWindow, tells: Callable[[GatewayHealth], bool]) -> H
 
 
 def load(window: EvidenceWindow) -> list[Link]:
-    """How many frames there were, and how busy the gateway was."""
+    """The rate of frames, and the load of the gateway."""
     found = []
     if window.has_frames:
         text = f"{count(window.received, 'frame')} are in the log of the second before; "
@@ -92,7 +92,7 @@ def load(window: EvidenceWindow) -> list[Link]:
 
 
 def lateness(window: EvidenceWindow) -> list[Link]:
-    """How late the loop was, and how busy."""
+    """The lateness of the loop, and its load."""
     found = []
     health = next(iter(window.after(GatewayHealth)), None) or window.last(GatewayHealth)
     if health is not None:
@@ -114,7 +114,7 @@ def lateness(window: EvidenceWindow) -> list[Link]:
 
 
 def pause(window: EvidenceWindow) -> list[Link]:
-    """How long the arbiter said nothing right before."""
+    """A pause in the arbiter's states right before."""
     states = window.during(SafetyState)
     for was, now in zip(reversed(states[:-1]), reversed(states[1:]), strict=True):
         if was.time_ns > window.at_ns or now.time_ns < window.at_ns - 2 * 10**9:
@@ -195,7 +195,7 @@ def stray(window: EvidenceWindow) -> list[Link]:
 
 
 def ending(window: EvidenceWindow) -> list[Link]:
-    """When the gateway last said something."""
+    """The last state of the arbiter."""
     last = window.during(SafetyState)[-1:]
     if not last:
         return [missing("what the gateway said around its end is not in the log")]

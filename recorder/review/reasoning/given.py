@@ -1,4 +1,4 @@
-"""When the arbiter was given the frames by which it decided, as the journal tells.
+"""The times at which the arbiter was given the frames by which it decided, by the journal.
 
 A busy machine reads frames later than the bus had them. The arbiter judges their age by when it was given them.
 """
@@ -18,7 +18,7 @@ from schemas.journal import Kind
 from schemas.settings import SAFETY_STATE_PERIOD_NS, TICK_NS
 
 REACH_NS: Final = 5_000_000_000
-"""So much of the journal before a moment is read."""
+"""Length of the journal that is read before a moment."""
 
 _FRAME: Final = Kind.FRAME.value
 _TICK: Final = Kind.TICK.value
@@ -26,7 +26,9 @@ _DECODER: Final = msgspec.msgpack.Decoder(list[tuple[Any, ...]])
 
 
 class GivenInputs(msgspec.Struct, frozen=True):
-    """What the arbiter was given up to a tick. Times are nanoseconds since 1970, by the clock of the moment.
+    """The frames that the arbiter was given up to a tick.
+
+    Times are nanoseconds since 1970, by the clock of the moment.
 
     Attributes:
         from_ns: from here on the journal is there without a gap.
@@ -76,7 +78,7 @@ def given_until(at_ns: int, journals: Sequence[Journal], shift_ns: int) -> Given
 
 
 def _reaches_back(inputs: Sequence[tuple[Any, ...]]) -> bool:
-    """These are enough of the journal; or so damaged that nothing is told by them."""
+    """Report whether these inputs are enough; or so damaged that nothing is told by them."""
     match inputs:
         case [(_, int(from_ns), *_), *_, (_, int(now_ns), *_)]:
             return now_ns - from_ns >= REACH_NS

@@ -19,13 +19,13 @@ FRESH_NS: Final = 500_000_000
 """Feedback that is older is no longer what the robot does; the slowest frame comes every 50 ms."""
 
 _STILL_MPS: Final = 0.005
-"""What would be shown as 0.00 m/s."""
+"""Speeds below this are shown as 0.00 m/s."""
 
 _WAYS: Final = {GearPosition.REVERSE: "backward", GearPosition.DRIVE: "forward"}
 
 
 def motion(now: EvidenceWindow) -> Iterator[Link]:
-    """What the robot did, by its feedback."""
+    """The motion of the robot, by its feedback."""
     drive, steering = _fresh(now, Drive), _fresh(now, Steering)
     gear, body, parking = _fresh(now, Gear), _fresh(now, Body), _fresh(now, Parking)
     if drive is None:
@@ -58,7 +58,7 @@ def motion(now: EvidenceWindow) -> Iterator[Link]:
 
 
 def _stood(speed_mps: float) -> str:
-    """What a robot did that counts as standing; it may still roll, or begin to."""
+    """Words for a robot that counts as standing; it may still roll, or begin to."""
     return "stood" if speed_mps < _STILL_MPS else f"hardly moved, at {speed_mps:.2f} m/s"
 
 
@@ -80,7 +80,7 @@ def _thin_motion(now: EvidenceWindow) -> Iterator[Link]:
 
 
 def arbiter(now: EvidenceWindow, state: SafetyState | None) -> Iterator[Link]:
-    """What the arbiter did, and for whom."""
+    """The state of the arbiter, and the holder of the lease."""
     if state is None:
         last = now.last(SafetyState)
         behind = next((one for one in now.all(SafetyState) if one.time_ns > now.at_ns), None)
@@ -115,7 +115,7 @@ def arbiter(now: EvidenceWindow, state: SafetyState | None) -> Iterator[Link]:
 
 
 def _bounds(now: EvidenceWindow, state: SafetyState) -> Iterator[Link]:
-    """What made of the command something else."""
+    """The limits that changed the command."""
     last = last_command(now)
     if last is not None:
         for bound in last.said.bound_by:
@@ -145,7 +145,7 @@ _BOUNDS: Final[dict[Bound, Callable[[SafetyState, Decision], str]]] = {
     Bound.GEAR: lambda *_: "the gear was not in yet",
     Bound.PARKING: lambda *_: "the parking brake was applied: no speed is told until unpark",
 }
-"""What each bound means, with the limit in force; a test holds that none is missing."""
+"""The meaning of each bound, with the limit in force; a test holds that none is missing."""
 
 
 def _mps(said: Decision) -> str:
@@ -208,7 +208,7 @@ def _why(focus: Entry) -> str:
 
 
 def _engaged(now: EvidenceWindow, state: SafetyState) -> str:
-    """What an engaged robot did."""
+    """The motion of an engaged robot in words."""
     speed_mps = _speed_mps(now)
     if speed_mps is not None and speed_mps >= STANDSTILL_MPS:
         return f"It was engaged and moved, at {speed_mps:.2f} m/s"

@@ -1,4 +1,4 @@
-"""What the requests show: the last acceptable command, who asked to stop, what was refused, and the numbers."""
+"""Evidence from requests: the last acceptable command, who asked to stop, what was refused, and the numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from schemas.settings import ENGAGE_TIMEOUT_NS, TICK_NS
 _NS_PER_S: Final = 1e9
 
 _FRESH: Final = frozenset({Reason.NONE, Reason.NOT_ENGAGED, Reason.ENGAGING, Reason.STOPPING})
-"""What becomes of a drive command that is fresh and its holder's: it keeps the lease, obeyed or not."""
+"""Outcomes of a drive command that is fresh and its holder's: it keeps the lease, obeyed or not."""
 
 _RENEWING: Final = frozenset({"acquire", "take", "renew", "engage", "reset"})
 """Requests that keep the lease, once accepted."""
@@ -150,7 +150,7 @@ def asked(window: EvidenceWindow, *verbs: str) -> list[Link]:
 
 
 def not_confirmed(window: EvidenceWindow) -> list[Link]:
-    """When it was asked to engage, and how long the chassis was given."""
+    """The request to engage, and the time that the chassis was given."""
     last = _last(window, lambda said: said.request in {"engage", "clear_odometer"} and _is_accepted(said))
     limit = f"it has {span(ENGAGE_TIMEOUT_NS)}"
     if last is None:
@@ -168,7 +168,7 @@ def last_command(window: EvidenceWindow) -> Heard[Decision] | None:
 
 
 def describe_command(window: EvidenceWindow) -> list[Link]:
-    """What was commanded at the moment, by whom, and what bound it."""
+    """The command at the moment, its operator, and what bound it."""
     last = last_command(window)
     if last is None:
         left = _left_or_engaged(window)

@@ -1,4 +1,4 @@
-"""What a raw frame of the chassis says, by the DBC."""
+"""The signals of a raw frame of the chassis, by the DBC."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class DecodedFrame(msgspec.Struct, frozen=True):
 
     @property
     def waited_ns(self) -> int:
-        """How long it waited between the bus and the arbiter; 0 where that is not known."""
+        """The time between the bus and the arbiter; 0 where that is not known."""
         return 0 if self.bus_ns is None else max(0, self.time_ns - self.bus_ns)
 
     @property
@@ -43,7 +43,7 @@ class DecodedFrame(msgspec.Struct, frozen=True):
 
     @property
     def checksum(self) -> int:
-        """What byte 7 should be: the XOR of those before."""
+        """The right value of byte 7: the XOR of those before."""
         found = 0
         for byte in self.data[:7]:
             found ^= byte
@@ -73,7 +73,7 @@ WHEELS: Final = IDENTIFIERS["Auto_WheelSpdFeedback"]
 
 
 def silence_ns(name: str) -> int:
-    """How long a feedback frame may stay away before it counts as silent."""
+    """The time without a feedback frame after which it counts as silent."""
     return max(SILENCE_PERIODS * BY_IDENTIFIER[IDENTIFIERS[name]].period_ns, SILENCE_MIN_NS)
 
 

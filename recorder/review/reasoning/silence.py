@@ -42,7 +42,7 @@ class GatewaySilence(msgspec.Struct, frozen=True):
 
     @property
     def heard_ns(self) -> int:
-        """When the one was heard last."""
+        """The time of the one's last state."""
         return self.was.time_ns
 
     @property
@@ -57,12 +57,12 @@ class GatewaySilence(msgspec.Struct, frozen=True):
 
     @property
     def fell(self) -> str:
-        """What became of the one."""
+        """The end of the one in words."""
         return "ended, as it was told to" if self.was_told else "fell silent"
 
     @property
     def left(self) -> str:
-        """What the gateway and the robot did when it was last heard."""
+        """The state of the gateway and of the robot in its last message, in words."""
         if self.speed_mps is None:
             return f"{self.was.said.state.value}, at a speed that is not in the log"
         motion = "standing" if self.speed_mps < STANDSTILL_MPS else f"at {self.speed_mps:.2f} m/s"
@@ -102,7 +102,7 @@ def in_a_sentence(silence: GatewaySilence, at_ns: int) -> str:
 
 
 def guard_links(after: Sequence[Entry]) -> list[Link]:
-    """What the guard of a gateway that died did, in its own words.
+    """The actions of the guard of a gateway that died, in its own words.
 
     Args:
         after: what the next gateway said.
@@ -117,7 +117,7 @@ def guard_links(after: Sequence[Entry]) -> list[Link]:
 
 
 def _words(entry: Entry) -> str:
-    """Those of the guard, with their times; where none were kept, those of the gateway."""
+    """The guard's words, with their times; where none were kept, those of the gateway."""
     return entry.text.partition(f"{TEXTS[Reason.GUARD].means}; ")[2] or entry.text
 
 

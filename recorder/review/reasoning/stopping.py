@@ -1,4 +1,4 @@
-"""What was done to stop, as the arbiter's states and the chassis's feedback show it."""
+"""The course of a stop, by the arbiter's states and the chassis's feedback."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _STANDS_NS: Final = STANDSTILL_TICKS * TICK_NS
 
 
 def actions(window: EvidenceWindow, reason: Reason) -> list[Link]:
-    """What became of the robot from the moment of the stop on, which was begun for this reason."""
+    """The course of a stop that began at the moment, for this reason."""
     over_ns = window.over_ns
     states = list(window.after(SafetyState, window.at_ns - 1))
     stopping = list(takewhile(lambda one: one.said.state is ArbiterState.STOPPING, states))
@@ -53,7 +53,7 @@ def actions(window: EvidenceWindow, reason: Reason) -> list[Link]:
 
 
 def _ramp(window: EvidenceWindow, stopping: Sequence[Heard[SafetyState]]) -> Iterator[Link]:
-    """How the commanded speed came down."""
+    """The ramp of the commanded speed."""
     was = next((one for one in window.until(SafetyState) if one.time_ns < window.at_ns), None)
     from_mps = 0.0 if was is None else was.said.output_speed_mps
     first = stopping[0]
@@ -89,7 +89,7 @@ def _ramp(window: EvidenceWindow, stopping: Sequence[Heard[SafetyState]]) -> Ite
 
 
 def _slope_mps2(stopping: Sequence[Heard[SafetyState]]) -> float | None:
-    """How fast the commanded speed fell, from states in the ramp; None if there are not two."""
+    """The deceleration of the commanded speed, from states in the ramp; None if there are not two."""
     ramp = [one for one in stopping if one.said.output_speed_mps]
     if len(ramp) < 2 or ramp[-1].said.tick <= ramp[0].said.tick:
         return None
@@ -98,7 +98,7 @@ def _slope_mps2(stopping: Sequence[Heard[SafetyState]]) -> float | None:
 
 
 def _phases(window: EvidenceWindow, stopping: Sequence[Heard[SafetyState]]) -> Iterator[Link]:
-    """When each phase of the stop began."""
+    """The beginning of each phase of the stop."""
     begun: dict[StopPhase, Heard[SafetyState]] = {}
     for one in stopping:
         begun.setdefault(one.said.stop_phase, one)
@@ -114,7 +114,7 @@ def _phases(window: EvidenceWindow, stopping: Sequence[Heard[SafetyState]]) -> I
 
 
 def _standstill(window: EvidenceWindow, over_ns: int, *, is_doubtful: bool) -> Iterator[Link]:
-    """When the chassis stood, and how far it came until then, by its drive feedback until this was over."""
+    """The standstill of the chassis, and its way until then, by its drive feedback until this was over."""
     before = window.last(Drive)
     way = [
         *([before] if before is not None else []),
@@ -160,7 +160,7 @@ def _standstill(window: EvidenceWindow, over_ns: int, *, is_doubtful: bool) -> I
 
 
 def _moved_again(way: Sequence[Heard[Drive]], stood: Heard[Drive]) -> str:
-    """That it did not stay where it stood, in words; empty if it did."""
+    """Words for a robot that did not stay where it stood; empty if it did."""
     moving = [one for one in way if one.time_ns > stood.time_ns and one.said.speed_mps >= STANDSTILL_MPS]
     if not moving:
         return ""

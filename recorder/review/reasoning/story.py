@@ -1,4 +1,4 @@
-"""What the arbiter has told of one robot over all of a log: its stops and latches, and how its runs ended."""
+"""The events of one robot over all of a log: its stops and latches, and how the runs of its gateways ended."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Story:
         return last if last is not None and _is_death(last) else None
 
     def next_run(self, after_ns: int, tick: int | None) -> list[Entry]:
-        """What the gateway said that came after one that died, whose last tick was this, as far as it is known."""
+        """The entries of the gateway that followed one that died, whose last tick was this, if it is known."""
         behind = [
             (one, one.tick)
             for one in self._entries
@@ -62,11 +62,11 @@ class Story:
         return max(latches, key=lambda entry: entry.time_ns, default=None)
 
     def next_stop(self, from_ns: int) -> Entry | None:
-        """The first one from a time on."""
+        """The first stop from a time on."""
         return next((one for one in self._entries if one.time_ns >= from_ns and _stops(one)), None)
 
     def last_latch(self, reason: Reason, until_ns: int) -> Entry | None:
-        """When this was last latched."""
+        """The last latch for this reason up to a time."""
         return next((one for one in self._before(until_ns, {EntryKind.LATCH}) if one.reason is reason), None)
 
     def off_ns(self, window: EvidenceWindow) -> int | None:
@@ -137,7 +137,7 @@ def derived(robot: str, logs: Sequence[LogFile], faults: Faults, progress: Progr
 
 
 class RunEnding(msgspec.Struct, frozen=True):
-    """What a log tells of the ends of runs.
+    """The ends of runs in a log.
 
     Attributes:
         died: the last state of the last gateway that did not stand by at its end; None if there is none.
@@ -149,7 +149,7 @@ class RunEnding(msgspec.Struct, frozen=True):
 
 
 def endings(robot: str, logs: Sequence[LogFile], from_ns: int, faults: Faults, progress: Progress) -> RunEnding:
-    """How the runs ended from a time on.
+    """Read how the runs of a robot's gateways ended from a time on: one that ends at work has died.
 
     Args:
         robot: its name.

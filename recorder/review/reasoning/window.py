@@ -48,13 +48,13 @@ from schemas.recording import RecordGap
 from schemas.settings import TICK_NS, CommandSettings
 
 BEFORE_NS: Final = 12_000_000_000
-"""So much before a moment is looked at: the longest lease, and a bit."""
+"""Length of the window before its moment: the longest lease, and a bit."""
 
 AFTER_NS: Final = 9_000_000_000
-"""And so much behind it: the longest stop takes 7 s, and a hold and the silence follow."""
+"""Length of the window behind its moment: the longest stop takes 7 s, and a hold and the silence follow."""
 
 LATER_NS: Final = 900_000_000_000
-"""Decisions that a recorder asked for later are looked for so far behind."""
+"""Time behind the moment in which decisions are looked for that a recorder asked for later."""
 
 KEPT: Final = 5_000
 """Messages of each class that are kept of a window; the oldest go first."""
@@ -63,7 +63,7 @@ FRAMES_KEPT: Final = 500
 """Frames of each identifier that are kept up to the moment, 5 s of the most frequent; and behind it."""
 
 _LINK_NS: Final = 1_500_000_000
-"""What is published in these seconds is received within it and this much later."""
+"""Longest usual time between publication and receipt."""
 
 Said = TypeVar("Said", bound=Message)
 
@@ -87,7 +87,7 @@ class Limits(msgspec.Struct, frozen=True):
 
     @property
     def origin(self) -> str:
-        """Where a limit comes from, to be put behind it."""
+        """The origin of a limit in words, to be put behind it."""
         return "by its configuration" if self.is_known else "the start value; the log holds no configuration"
 
 
@@ -97,7 +97,7 @@ def is_other_run(one: SafetyState, other: SafetyState) -> bool:
 
 
 class EvidenceWindow:
-    """What the log holds of a robot around a moment. Times are nanoseconds since 1970, as those of the moment.
+    """The messages of a robot around a moment. Times are nanoseconds since 1970, as those of the moment.
 
     Attributes:
         at_ns: the moment.
@@ -189,7 +189,7 @@ class EvidenceWindow:
             self.frames[identifier] = deque(older + had, maxlen=FRAMES_KEPT), behind
 
     def _run(self) -> tuple[int, int]:
-        """When the gateway of the moment began, and when the next one did."""
+        """The times at which the gateway of the moment began, and the next one did."""
         from_ns, to_ns = 0, END_OF_TIME_NS
         for was, then in pairwise(self.all(SafetyState)):
             if is_other_run(was.said, then.said):
@@ -220,7 +220,7 @@ class EvidenceWindow:
         return self._said.get(kind, [])
 
     def during(self, kind: type[Said]) -> Sequence[Heard[Said]]:
-        """The same, but of what a gateway says only that of the run of the moment: what another said is past."""
+        """The messages of a class, by time; what a gateway says of itself, of the run of the moment alone."""
         return self._during.get(kind) or (() if kind in _OF_A_GATEWAY else self.all(kind))
 
     def last(self, kind: type[Said], at_ns: int | None = None) -> Heard[Said] | None:
@@ -229,18 +229,18 @@ class EvidenceWindow:
         return next((one for one in reversed(self.during(kind)) if one.time_ns <= until_ns), None)
 
     def after(self, kind: type[Said], at_ns: int | None = None) -> Iterator[Heard[Said]]:
-        """Those behind a time."""
+        """The messages of a class behind a time, that of the moment if none is given."""
         from_ns = self.at_ns if at_ns is None else at_ns
         return (one for one in self.during(kind) if one.time_ns > from_ns)
 
     def until(self, kind: type[Said], at_ns: int | None = None) -> Iterator[Heard[Said]]:
-        """Those up to a time, the last one first."""
+        """The messages of a class up to a time, that of the moment if none is given; the last one first."""
         until_ns = self.at_ns if at_ns is None else at_ns
         return (one for one in reversed(self.during(kind)) if one.time_ns <= until_ns)
 
     @property
     def over_ns(self) -> int:
-        """When what was at the moment was over: the next engagement, the next stop, or the end of the run."""
+        """The end of what was at the moment: the next engagement, the next stop, or the end of the run."""
         has_begun = has_rested = False
         for one in self.after(SafetyState, self.at_ns - 1):
             state = one.said.state
@@ -298,7 +298,7 @@ _ASKED_LATER: Final[frozenset[type[Message]]] = frozenset({Decision, SafetyEvent
 _OF_A_GATEWAY: Final[frozenset[type[Message]]] = frozenset(
     {Decision, SafetyEvent, SafetyState, GatewayHealth, RobotState, Journal}
 )
-"""What a gateway says of itself and of what it made of the chassis; the others are what the chassis says."""
+"""Classes in which a gateway describes itself and the chassis; the others are the chassis's own feedback."""
 
 _STALL_NS: Final = 2_000_000_000
 """No link delays a sample that it delivers for longer; it would be cut."""
@@ -334,7 +334,7 @@ class WindowReader:
         self._faults = faults
 
     def shift(self, at_ns: int) -> int:
-        """What is to be added to the robot's clock around a log time; 0 if nothing was heard then."""
+        """The offset to add to the robot's clock around a log time; 0 if nothing was received then."""
         around = Selection(
             lambda topic: topic.robot == self.robot and topic.kind in {SafetyState, RobotState},
             max(0, at_ns - 2_000_000_000),
@@ -350,7 +350,7 @@ class WindowReader:
         return middle_ns if abs(middle_ns) > NEAR_NS else 0
 
     def window(self, at_ns: int, shift_ns: int) -> EvidenceWindow:
-        """What was around a moment."""
+        """Read the window around a moment."""
         window = EvidenceWindow(self.robot, at_ns, shift_ns, self._limits(at_ns))
         from_ns, to_ns = max(0, at_ns - BEFORE_NS), at_ns + AFTER_NS
         around = Selection(

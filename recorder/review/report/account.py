@@ -53,13 +53,13 @@ LINES: Final = (
     "output_angle_deg",
     "steering_limit_deg",
 )
-"""What is drawn over time. Those of ``state`` were measured, those of ``safety/state`` were asked for or told."""
+"""Values that are drawn over time: measured ones of ``state``, commanded ones of ``safety/state``."""
 
 TARGETS: Final = frozenset({"target_speed_mps", "target_angle_deg"})
-"""What was asked for. It stands in the state until something else is; it holds while the arbiter is engaged."""
+"""Commanded values. The state repeats them until others come; they hold while the arbiter is engaged."""
 
 BANDS: Final = ("mode", "arbiter", "lease")
-"""Who commands the chassis; where the arbiter is; who holds the lease."""
+"""The chassis's mode, the arbiter's state, and the holder of the lease."""
 
 
 class Account:
@@ -86,7 +86,7 @@ class Account:
         self._bands = {band: Spans(GAP_NS) for band in BANDS}
         self._seen: dict[type[Message], Repeats] = {}
         self._held_by = ""
-        """Who drives the robot over Zenoh at present."""
+        """The operator who drives the robot over Zenoh at present."""
         self._state_ns = 0
         self._driven: dict[str, list[float]] = {}
         self._ends_commanding = False
@@ -162,7 +162,7 @@ class Account:
     def sum_up(
         self, completeness: dict[str, KeyReport], facts: dict[str, str], from_ns: int = 0, to_ns: int = 2**64
     ) -> RobotReport | None:
-        """What has been found; None if nothing came.
+        """Sum up what has been found; None if nothing came.
 
         Args:
             completeness: the recorder's account of this robot's topics.
@@ -289,7 +289,7 @@ class Account:
 TAKEN: Final[frozenset[type[msgspec.Struct]]] = frozenset(
     {RobotState, SafetyState, SafetyEvent, Decision, GatewayHealth}
 )
-"""What an account is made of."""
+"""Classes of messages that an account is made of."""
 
 
 def _pauses(spans: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:

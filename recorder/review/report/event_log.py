@@ -1,4 +1,4 @@
-"""What happened to one robot, from the entries of the timeline, in memory that does not grow with them."""
+"""The events of one robot, from the entries of the timeline, in memory that does not grow with them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from schemas.reasons import Reason
 
 MOMENTS_MAX: Final = 2000
 ERRORS_MAX: Final = 500
-"""So many more, if they are errors: a thousand leases must not hide a gateway that died."""
+"""Errors that are kept beyond these: a thousand leases must not hide a gateway that died."""
 
 OUTAGES_MAX: Final = 200
 SILENCES_MAX: Final = 200
@@ -34,7 +34,7 @@ CLOCKS_APART_NS: Final = 2_000_000_000
 """The robot's clock and the recorder's may differ by so much, and the log times are the recorder's."""
 
 _NOTED: Final = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}\+00:00")
-"""When the guard began to stop, as its note says."""
+"""The time at which the guard began to stop, in its note."""
 
 _IN_OTHER_TABLES: Final = frozenset({EntryKind.REFUSAL, EntryKind.REQUEST})
 
@@ -81,7 +81,7 @@ class EventLog:
         ]
 
     def moments(self, places: Sequence[Place], start_ns: int, end_ns: int) -> list[Moment]:
-        """What is to be shown, by time.
+        """The events to be shown, by time.
 
         Args:
             places: the path, by time.
@@ -101,7 +101,7 @@ class EventLog:
 
     @property
     def more_moments(self) -> int:
-        """Those for which there was no room."""
+        """Number of events for which there was no room."""
         return self.counts.total() - len(self._entries)
 
     def _keep(self, entry: Entry) -> None:

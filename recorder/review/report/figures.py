@@ -180,7 +180,7 @@ def band_colours(values: Iterable[str]) -> dict[str, str]:
 
 
 def hover_text(moment: Moment) -> str:
-    """What is to be known of an event, in plotly's lines."""
+    """An event in words, in plotly's lines."""
     parts = [f"<b>{shown(moment.kind)}</b> {clock(moment.time_ns)}", shown(moment_words(moment))]
     if moment.reason != "none":
         parts.append(f"reason: {shown(reason_words(moment.reason))}")

@@ -1,4 +1,4 @@
-"""What a report says, as data. Times are nanoseconds since 1970, by the robot's own clock."""
+"""The content of a report, as data. Times are nanoseconds since 1970, by the robot's own clock."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class InForce(msgspec.Struct, frozen=True):
 
 
 class Driver(msgspec.Struct, frozen=True):
-    """Who had the robot, for how long, and how far it went."""
+    """An operator who drove the robot, for how long, and how far it went."""
 
     name: str
     seconds: float

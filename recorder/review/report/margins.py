@@ -1,4 +1,4 @@
-"""What a log says besides its messages: of which robots it is, and what its recorder received and lost."""
+"""The metadata of a log: of which robots it is, and what its recorder received and lost."""
 
 from __future__ import annotations
 
@@ -86,12 +86,12 @@ def of_robot(key: str, margins: Sequence[Margins]) -> tuple[dict[str, KeyReport]
 
 
 def versions_of(key: str, versions: Mapping[str, Versions]) -> Versions | None:
-    """What logs say of a robot's gateways; None if they say nothing."""
+    """The gateways of a robot, as metadata describe them; None if they do not."""
     return versions.get(key, versions.get(_name_of(key)))
 
 
 def _by_name(metadata: Facts) -> Iterator[tuple[str, Facts]]:
-    """What the robots are called in a log, and what its metadata say of each."""
+    """The names of the robots in a log, and what its metadata say of each."""
     version = {"recorder_version": metadata["recorder_version"]} if "recorder_version" in metadata else {}
     names = metadata.get("robots", "").split(",")[:ROBOTS_MAX]
     for name in filter(None, names):

@@ -32,7 +32,7 @@ _FIRST_TURN_RAD: Final = radians(2)
 
 
 class Place(msgspec.Struct, frozen=True):
-    """Where the robot was.
+    """A position of the robot.
 
     Attributes:
         x_m: forward, as it stood at first; ``y_m`` left.

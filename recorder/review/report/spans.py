@@ -1,4 +1,4 @@
-"""What was so from when to when: the bands of a chart."""
+"""The bands of a chart: values, and from when to when each held."""
 
 from __future__ import annotations
 

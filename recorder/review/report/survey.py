@@ -25,7 +25,7 @@ ROBOTS_MAX: Final = 30
 OTHERS_MAX: Final = 5000
 
 REMEMBERED: Final = 256
-"""What recorders say is known again, if it comes a second time, among so many."""
+"""Messages of recorders that are known again when they come a second time."""
 
 _OF_ROBOTS: Final = TAKEN | {GatewayInfo}
 _OF_RECORDERS: Final = frozenset({RecordGap, RecorderEvent})
@@ -40,7 +40,7 @@ def read_report(
     *,
     version: str = "",
 ) -> Report:
-    """What logs say of the robots in them, in one pass and in memory that does not grow with them.
+    """Read what logs say of their robots, in one pass and in memory that does not grow with them.
 
     Args:
         logs: as ``find_logs`` gives them.
@@ -167,7 +167,7 @@ class _Fleet:
                 account.take_entry(entry)
 
     def _named(self, robot: str) -> list[Account]:
-        """Whose entry it is; everybody's where it is about all."""
+        """The accounts of the robot of this name; all where it has none."""
         accounts = list(self._accounts.values())
         known = [one for one in accounts if robot in {"", one.name, one.key}]
         # A recorder calls by its root only the second robot of a name.

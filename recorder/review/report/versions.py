@@ -1,4 +1,4 @@
-"""Which gateways a robot had, one after the other: variant, configuration and packages."""
+"""The gateways of a robot, one after the other: variant, configuration and packages."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _PACKAGE: Final = "versions."
 
 
 class _Told(msgspec.Struct):
-    """What a gateway told; ``heard_ns`` is the log time of that, None if only the metadata have it."""
+    """A gateway's own description; ``heard_ns`` is its log time, None if only the metadata have it."""
 
     started_ns: int
     heard_ns: int | None
@@ -65,7 +65,7 @@ class Versions:
         self._add(_Told(info.started_ns, log_ns, info.variant.value, sha256, dict(info.versions)))
 
     def read(self, facts: Mapping[str, str]) -> None:
-        """What a recorder's metadata say of the robot."""
+        """Add what a recorder's metadata say of the robot."""
         with suppress(ValueError):
             started_ns = int(facts.get("started_ns", ""))
             packages = {
@@ -76,7 +76,7 @@ class Versions:
                 self._add(_Told(started_ns, None, variant, sha256, packages))
 
     def join(self, other: Versions) -> None:
-        """What another one has gathered of the same robot from metadata."""
+        """Add what another one has gathered of the same robot from metadata."""
         for of_start in other._starts.values():
             for told in of_start:
                 self._add(told)

@@ -22,7 +22,7 @@ SHOWN: Final = 8
 """Kinds that are told in one line; tables tell all."""
 
 Line = tuple[str, str]
-"""What it is about, and what is to be said."""
+"""A subject, and what is to be said of it."""
 
 _WORDS: Final = {reason.value: text.means for reason, text in TEXTS.items()}
 
@@ -77,7 +77,7 @@ def headline(robot: RobotSummary) -> str:
 
 
 def gateway_lines(robot: RobotSummary) -> list[str]:
-    """What befell its gateway, and what was otherwise afterwards; nothing if there is nothing to say."""
+    """Outages of its gateway, and the differences afterwards; nothing if there is nothing to say."""
     said = [_outage_line(one) for one in robot.outages]
     if robot.more_outages:
         said.append(f"and so on, {robot.more_outages} times more")
@@ -91,7 +91,7 @@ def gateway_lines(robot: RobotSummary) -> list[str]:
 
 
 def moment_words(moment: Moment) -> str:
-    """What happened, and how often. What is missing says itself how much of it is."""
+    """The text of an event, and how often it occurred; a gap says itself how much is missing."""
     if moment.count <= 1 or moment.kind == EntryKind.GAP.value:
         return moment.text
     lasted_s = (moment.last_ns - moment.time_ns) / 1e9
@@ -99,12 +99,12 @@ def moment_words(moment: Moment) -> str:
 
 
 def who(moment: Moment) -> str:
-    """Who did it, or in parentheses who held the lease then."""
+    """The operator who did it, or in parentheses the holder of the lease."""
     return moment.operator or (f"({moment.holder})" if moment.holder else "")
 
 
 def _outage(outage: Outage, *, is_dated: bool) -> str:
-    """What befell the gateway: for a headline, or with when."""
+    """An outage in words: for a headline, or with its times."""
     commanding = " while it commanded the robot" if outage.is_commanding else ""
     since = f" at {in_words(outage.heard_ns)}{commanding}" if is_dated else commanding
     if outage.began_ns is None:
@@ -135,7 +135,7 @@ def reason_words(reason: str) -> str:
 
 
 def times(count: int) -> str:
-    """How often."""
+    """A number of times in words."""
     return {1: "once", 2: "twice"}.get(count, f"{count} times")
 
 
@@ -236,7 +236,7 @@ def _missing(robot: RobotSummary, files: Iterable[ReportedFile]) -> list[str]:
 
 
 def _versions(robot: RobotSummary) -> str:
-    """Those of the first gateway, and what was otherwise in the others."""
+    """Versions of the first gateway, and the changes in the others."""
     recorder = robot.facts.get("recorder_version")
     said = [f"recorder {recorder}"] if recorder else []
     if not robot.in_force:

@@ -1,4 +1,4 @@
-"""What was recorded of a run, against what the same inputs give again: byte for byte.
+"""The comparison of what was recorded with what the same inputs give again, byte for byte.
 
 Either side may be ahead of the other. What both have is compared and forgotten, so memory holds no more than their
 distance.
@@ -13,19 +13,19 @@ from typing import Any, Final
 import msgspec
 
 DIFFERENCES_TOLD: Final = 1000
-"""So many are told one by one; the rest are only counted."""
+"""Differences that are told one by one; the rest are only counted."""
 
 WAITING_MAX: Final = 200_000
 """Records and samples that wait for their counterpart; beyond it the oldest are given up, and counted."""
 
 COPIES_MAX: Final = 100_000
-"""So many messages without a sequence are remembered once they are compared: two recorders write each of them."""
+"""Compared messages without a sequence that are remembered: two recorders write each of them."""
 
 SAME_RUN_NS: Final = 10_000_000_000
 """The two sides of a message have the same time. Where they do not by far, a sequence has begun anew."""
 
 BATCH_NS: Final = 100_000_000
-"""What a gateway says in batches comes out so much later at most: the end of a run may be missing from them."""
+"""Longest delay of what a gateway says in batches: the end of a run may be missing from them."""
 
 Key = tuple[str, Hashable]
 """The subject, and what tells its message from every other."""

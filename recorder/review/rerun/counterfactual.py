@@ -37,7 +37,7 @@ STATE_GAP_S: Final = 1.0
 
 
 class SaidOnce(Protocol):
-    """What one of the two runs says."""
+    """A sample of one of the two runs."""
 
     @property
     def sample(self) -> SampleAgain: ...  # noqa: D102 - the class says it
@@ -74,7 +74,7 @@ class StopsCompared(msgspec.Struct, frozen=True):
 
 
 class CounterfactualVerdict(msgspec.Struct, frozen=True):
-    """What became of a request: the verdict, its reason, and the limits that changed what was asked."""
+    """The outcome of a request: the verdict, its reason, and the limits that changed what was asked."""
 
     verdict: str
     reason: str
@@ -98,7 +98,7 @@ class DecisionChange(msgspec.Struct):
 
 
 class Journey(msgspec.Struct):
-    """How a robot got on.
+    """The way of a robot.
 
     Attributes:
         distance_m: driven in either direction, by its speed feedback.
@@ -205,7 +205,7 @@ def _what_if(player: RerunPlayer, run_both: WhatIf, settings_of: Callable[[str],
 
 
 def _changed(settings: Settings, other: Settings) -> dict[str, tuple[object, object]]:
-    """What the arbiter goes by; which bus or network it was on makes no difference here."""
+    """The settings of the arbiter that differ; bus and network make no difference here."""
     return {
         f"{section}.{name}": (was, tried)
         for section in ("command", "chassis", "gateway")
@@ -215,7 +215,7 @@ def _changed(settings: Settings, other: Settings) -> dict[str, tuple[object, obj
 
 
 def compared(recorded: Sequence[StopMade], other: Sequence[StopMade]) -> StopsCompared:
-    """Which stops of either run are those of the other: of the same reason, and near in time."""
+    """Pair the stops of the two runs: those of the same reason, and near in time."""
     by_reason: dict[str, deque[StopMade]] = {}
     for stop in sorted(other, key=_time):
         by_reason.setdefault(stop.reason, deque()).append(stop)
@@ -239,7 +239,7 @@ def _time(stop: StopMade) -> int:
 
 
 class _Side:
-    """What one of the runs says."""
+    """One of the two runs."""
 
     def __init__(self) -> None:
         self.journey = Journey()

@@ -1,6 +1,6 @@
-"""Logs run again by several processes: robot beside robot, and of each one stretch beside another.
+"""Logs run again by several processes: robot beside robot, and of each one segment beside another.
 
-The answer is the same as one process gives. Where the stretches of a robot do not fit together, it is run again in
+The answer is the same as one process gives. Where the segments of a robot do not fit together, it is run again in
 one piece.
 """
 
@@ -25,42 +25,42 @@ from recorder.reading.rows import Progress, Selection, read_rows
 from recorder.reading.survey import survey
 from recorder.review.rerun.comparison import DIFFERENCES_TOLD
 from recorder.review.rerun.player import BROKEN_OFF, RerunPlayer, RerunResult, installed, rerun_logs, rerun_parts
-from recorder.review.rerun.segments import WHOLE, Plan, Rests, Stretch, plan
+from recorder.review.rerun.segments import WHOLE, Plan, Rests, RunSegment, plan
 from recorder.review.rerun.tapes import JOURNAL
 from schemas.exit_codes import CommandError
 
-STRETCH_NS: Final = 120_000_000_000
-"""A stretch is at least so long: the seconds before and behind it are run twice."""
+SEGMENT_NS: Final = 120_000_000_000
+"""A segment is at least so long: the seconds before and behind it are run twice."""
 
-STRETCHES_PER_JOB: Final = 8
-"""So that no process waits long for the last one."""
+SEGMENTS_PER_JOB: Final = 8
+"""Enough that no process waits long for the last one."""
 
 LOOK_S: Final = 0.1
-"""So often it looks whether it is to stop."""
+"""Interval at which a process looks for a stop."""
 
 
 class RerunTask(msgspec.Struct, frozen=True):
-    """What one process does at a time."""
+    """The unit of work of one process."""
 
     robot: str
     logs: list[LogFile]
     configurations: Configurations
-    stretch: Stretch
+    segment: RunSegment
 
 
 class RerunOutcome(msgspec.Struct, frozen=True):
-    """What came of it."""
+    """The result of a task."""
 
     results: list[RerunResult]
     faults: Faults
 
 
-def rerun_side_by_side(
+def rerun_in_parallel(
     logs: Sequence[LogFile],
     faults: Faults,
     jobs: int,
     *,
-    stretch_ns: int = STRETCH_NS,
+    segment_ns: int = SEGMENT_NS,
     progress: Progress = lambda _: None,
 ) -> Iterator[RerunResult]:
     """Every run of every robot, run again by what is installed, with the settings it had.
@@ -71,7 +71,7 @@ def rerun_side_by_side(
         logs: in the order of their beginnings.
         faults: takes what cannot be read.
         jobs: so many processes run at once.
-        stretch_ns: the least length of a stretch.
+        segment_ns: the least length of a segment.
         progress: is told of bytes, as they are done.
 
     Raises:
@@ -79,18 +79,18 @@ def rerun_side_by_side(
     """
     found = survey(logs, faults)
     span_ns = max(log.end_ns for log in logs) - min((log.start_ns for log in logs if log.end_ns), default=0)
-    if jobs < 2 or (len(found.robots) < 2 and span_ns < 2 * stretch_ns):
+    if jobs < 2 or (len(found.robots) < 2 and span_ns < 2 * segment_ns):
         yield from rerun_logs(logs, faults, progress=progress)
         return
     with processes(jobs) as pool:
-        length_ns = max(stretch_ns, span_ns // (jobs * STRETCHES_PER_JOB))
+        length_ns = max(segment_ns, span_ns // (jobs * SEGMENTS_PER_JOB))
         yield from rerun_in(pool, logs, faults, length_ns, progress)
 
 
 def rerun_in(
     pool: Executor, logs: Sequence[LogFile], faults: Faults, length_ns: int, progress: Progress = lambda _: None
 ) -> Iterator[RerunResult]:
-    """The same in processes that are there; a stretch is at least so long."""
+    """The same in processes that are there; a segment is at least so long."""
     found = survey(logs, faults)
     size = sum(log.bytes for log in logs)
     rests: Rests = installed("rests")
@@ -100,7 +100,7 @@ def rerun_in(
         whole = RerunTask(robot, list(logs), configurations_of(robot, logs, found, faults), WHOLE)
         selection = _journals_of(robot)
         planned = plan(read_rows(logs, selection, faults, lambda _: progress(0)), rests, length_ns, faults)
-        tasks = [msgspec.structs.replace(whole, stretch=stretch) for stretch in planned.stretches]
+        tasks = [msgspec.structs.replace(whole, segment=segment) for segment in planned.segments]
         begun.append((whole, planned, [pool.submit(run_task, task) for task in tasks]))
     for whole, planned, futures in begun:
         outcomes = []
@@ -121,7 +121,7 @@ def _journals_of(robot: str) -> Selection:
 
 
 def outcome_of(future: Future[RerunOutcome], progress: Progress) -> RerunOutcome:
-    """What came of a task, when it is over; meanwhile it tells the progress that there is none.
+    """Wait for the result of a task; the progress is called meanwhile, with no bytes.
 
     Raises:
         CommandError: its process was killed.
@@ -137,21 +137,21 @@ def outcome_of(future: Future[RerunOutcome], progress: Progress) -> RerunOutcome
 
 
 def join(planned: Plan, found: Sequence[Sequence[RerunResult]]) -> list[RerunResult] | None:
-    """What the stretches gave, as one; None if they do not fit together.
+    """Join the results of the segments; None if they do not fit together.
 
     Args:
-        planned: the stretches, and the parts of runs that must come of them.
-        found: the results of each stretch.
+        planned: the segments, and the parts of runs that must come of them.
+        found: the results of each segment.
     """
     whole: list[RerunResult] = []
     cut: set[int] = set()
-    for stretch, results in zip(planned.stretches, found, strict=True):
-        if stretch.from_ns:
-            if not (whole and results and _reaches(whole[-1], results[0], stretch.from_ns)):
+    for segment, results in zip(planned.segments, found, strict=True):
+        if segment.from_ns:
+            if not (whole and results and _reaches(whole[-1], results[0], segment.from_ns)):
                 return None
             whole[-1] = _joined(whole[-1], results[0])
             cut.add(len(whole) - 1)
-        whole += results[1:] if stretch.from_ns else results
+        whole += results[1:] if segment.from_ns else results
     if not cut:
         return whole
     if [(one.run, one.first) for one in whole] != [(part.run, part.first) for part in planned.parts]:
@@ -184,9 +184,9 @@ def _joined(before: RerunResult, behind: RerunResult) -> RerunResult:
 
 
 def run_task(task: RerunTask) -> RerunOutcome:
-    """A stretch of a robot's time, run again in this process."""
+    """A segment of a robot's time, run again in this process."""
     faults = Faults()
-    player = RerunPlayer(task.robot, task.logs, task.configurations, faults, _look, task.stretch)
+    player = RerunPlayer(task.robot, task.logs, task.configurations, faults, _look, task.segment)
     return RerunOutcome(list(rerun_parts(player)), faults)
 
 

@@ -20,7 +20,7 @@ from recorder.reading.rows import Progress, Row, Selection, read_rows
 from recorder.reading.survey import survey
 from recorder.reading.topics import UNREADABLE, typed_decoder
 from recorder.review.rerun.comparison import Comparison, Difference, Key, RecordedOutput
-from recorder.review.rerun.segments import WHOLE, Stretch
+from recorder.review.rerun.segments import WHOLE, RunSegment
 from recorder.review.rerun.tapes import JOURNAL, Tape
 from schemas import codec
 from schemas.command_rules import COMMAND_RULES
@@ -39,7 +39,7 @@ COMPARED: Final = ("safety/decision", "safety/event", "safety/state", SENT)
 NO_CONFIGURATION: Final = "the log does not hold the robot's configuration"
 NO_REST: Final = "the gateway was never at rest in it, so there is no place to begin"
 OTHER_RULES: Final = "made under other rules, it can be run again from its first input alone"
-"""Why nothing was run again."""
+"""A reason for running nothing again: the log begins in the run, and its rules were others."""
 
 
 BROKEN_OFF: Final = "the inputs that follow cannot be run again"
@@ -49,7 +49,7 @@ DETAIL_MAX: Final = 300
 
 
 class SampleAgain(Protocol):
-    """What comes out again: the subject's name and the MessagePack payload."""
+    """A sample that comes out again: the subject's name and the MessagePack payload."""
 
     @property
     def subject(self) -> str: ...  # noqa: D102 - the class says it
@@ -93,7 +93,7 @@ class RerunResult(msgspec.Struct, frozen=True):
 
 
 def installed(name: str) -> Any:  # noqa: ANN401 - whatever is installed
-    """What is installed under this name in the group of entry points.
+    """Load the entry point of this name in the group.
 
     Raises:
         CommandError: nothing is.
@@ -161,7 +161,7 @@ class RerunPlayer:
         configurations: those of its runs.
         faults: takes what cannot be read.
         progress: is told of bytes that were read.
-        stretch: the part of its time that is played.
+        segment: the part of its time that is played.
 
     Attributes:
         comparison: of the run that has come.
@@ -174,27 +174,27 @@ class RerunPlayer:
         configurations: Configurations,
         faults: Faults,
         progress: Progress,
-        stretch: Stretch = WHOLE,
+        segment: RunSegment = WHOLE,
     ) -> None:
-        self.comparison = Comparison(_decode, stretch.holds)
+        self.comparison = Comparison(_decode, segment.holds)
         self._robot = robot
         self._configurations = configurations
-        self._stretch = stretch
+        self._segment = segment
         wanted = {JOURNAL, *COMPARED}
         selection = Selection(
-            lambda topic: topic.robot == robot and topic.subject in wanted, stretch.log_from_ns, stretch.log_to_ns
+            lambda topic: topic.robot == robot and topic.subject in wanted, segment.log_from_ns, segment.log_to_ns
         )
-        rows = filter(stretch.needs, read_rows(logs, selection, faults, progress))
+        rows = filter(segment.needs, read_rows(logs, selection, faults, progress))
         self._tape = Tape(rows, self._record, faults)
         self._rules = COMMAND_RULES
         self._faults = faults
 
     def next_part(self) -> bool:
-        """Goes on to the next run, or to the next part of one."""
+        """Advance to the next run, or to the next part of one."""
         return self._tape.next_part()
 
     def journals(self) -> Iterator[Journal]:
-        """Those of the part, in their order."""
+        """The journals of the part, in their order."""
         for journal in self._tape.journals():
             self._rules = journal.rules
             yield journal
@@ -215,7 +215,7 @@ class RerunPlayer:
         return msgspec.structs.replace(self._result(0), inputs=0, detail=detail)
 
     def result(self, start_ns: int) -> RerunResult:
-        """How the run came out; what was recorded behind its end is kept for the next one."""
+        """Sum up the run; what was recorded behind its end is kept for the next one."""
         result = self._result(start_ns)
         if start_ns:
             return result
@@ -223,7 +223,7 @@ class RerunPlayer:
         return msgspec.structs.replace(result, detail="; ".join(filter(None, (result.detail, why))))
 
     def _result(self, start_ns: int) -> RerunResult:
-        comparison, self.comparison = self.comparison, Comparison(_decode, self._stretch.holds)
+        comparison, self.comparison = self.comparison, Comparison(_decode, self._segment.holds)
         end = self._tape.end
         for key, said in comparison.end().items():
             self.comparison.record(key, said)
@@ -253,7 +253,7 @@ class RerunPlayer:
 
 
 def key_of(subject: str, sequence: int, time_ns: int, data: bytes) -> Key:
-    """What tells a record from every other of its subject, on either side.
+    """The key that tells a record from every other of its subject, on either side.
 
     It is the sequence; but batches of sent frames may be cut elsewhere when they come again, so of these it is
     time and identifier: each goes out once in a tick at most.

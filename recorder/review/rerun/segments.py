@@ -1,6 +1,6 @@
-"""Where a robot's runs can be cut, so that several processes run them again side by side. Pure.
+"""The places at which a robot's runs can be cut, so that several processes run them again in parallel. Pure.
 
-A run can be run again from any place where the gateway was at rest. A stretch goes from one such place to another.
+A run can be run again from any place where the gateway was at rest. A segment goes from one such place to another.
 Which messages belong in it is said by their times alone: a robot whose clock was ever set back is not cut.
 """
 
@@ -18,13 +18,13 @@ from recorder.review.rerun.tapes import JOURNAL, PartEnd, Tape
 from schemas.decisions import Journal
 
 SETTLED_NS: Final = 500_000_000
-"""So long after a place of rest it is cut: what is said in batches is then all of this side or of that."""
+"""Time between a place of rest and the cut: what is said in batches is then all of this side or of that."""
 
 BEFORE_NS: Final = 4_500_000_000
 """The inputs that are needed before a cut: a gateway looks back three seconds from where it was at rest."""
 
 BEHIND_NS: Final = 1_500_000_000
-"""The inputs that are needed behind the end of a stretch, so that all that belongs in it has come out."""
+"""The inputs that are needed behind the end of a segment, so that all that belongs in it has come out."""
 
 EARLY_NS: Final = 5_000_000_000
 """A record is received no sooner than this before the soonest journal."""
@@ -33,10 +33,10 @@ LATE_NS: Final = 30_000_000_000
 """A record is received no later than this after the latest journal."""
 
 Rests = Callable[[Journal], list[int]]
-"""When the gateway was at rest, of what a journal message holds, in nanoseconds since 1970."""
+"""A journal message to the times at which the gateway was at rest, in nanoseconds since 1970."""
 
 
-class Stretch(msgspec.Struct, frozen=True):
+class RunSegment(msgspec.Struct, frozen=True):
     """A part of a robot's time. Times are nanoseconds since 1970; by default it is all of it.
 
     Attributes:
@@ -63,23 +63,23 @@ class Stretch(msgspec.Struct, frozen=True):
         return self.holds(row.publish_ns)
 
 
-WHOLE: Final = Stretch()
+WHOLE: Final = RunSegment()
 
 
 class Plan(msgspec.Struct, frozen=True):
-    """How a robot's runs are run again.
+    """The plan by which a robot's runs are run again.
 
     Attributes:
         parts: the runs, and the parts of runs between gaps.
-        stretches: one behind the other; only one if there is nowhere to cut.
+        segments: one behind the other; only one if there is nowhere to cut.
     """
 
     parts: list[PartEnd]
-    stretches: list[Stretch]
+    segments: list[RunSegment]
 
 
 class _Lateness:
-    """How much later journals were received than published: the least and the most."""
+    """The least and the most time between publication and receipt of the journals."""
 
     def __init__(self) -> None:
         self.least_ns = END_OF_TIME_NS
@@ -94,12 +94,12 @@ class _Lateness:
 
 
 def plan(rows: Iterator[Row], rests: Rests, length_ns: int, faults: Faults) -> Plan:
-    """Looks through a robot's journals for places to cut.
+    """Look through a robot's journals for places to cut.
 
     Args:
         rows: of its journals, by log time.
         rests: finds the places of rest.
-        length_ns: a stretch is at least so long.
+        length_ns: a segment is at least so long.
         faults: takes what cannot be read.
     """
     lateness = _Lateness()
@@ -125,19 +125,19 @@ def plan(rows: Iterator[Row], rests: Rests, length_ns: int, faults: Faults) -> P
             is_inside = (part_ns or 0) + BEFORE_NS < place_ns and cut_ns + BEHIND_NS < newest_ns
             if is_inside and cut_ns - (cuts[-1] if cuts else begins_ns or 0) >= length_ns:
                 cuts.append(cut_ns)
-    return Plan(parts, _stretches(cuts, lateness) if is_steady else [WHOLE])
+    return Plan(parts, _segments(cuts, lateness) if is_steady else [WHOLE])
 
 
-def _stretches(cuts: list[int], lateness: _Lateness) -> list[Stretch]:
-    stretches = [WHOLE]
+def _segments(cuts: list[int], lateness: _Lateness) -> list[RunSegment]:
+    segments = [WHOLE]
     for cut_ns in cuts:
         first_ns, last_ns = cut_ns - BEFORE_NS, cut_ns + BEHIND_NS
-        stretches[-1] = msgspec.structs.replace(
-            stretches[-1],
+        segments[-1] = msgspec.structs.replace(
+            segments[-1],
             to_ns=cut_ns,
             inputs_to_ns=last_ns,
             log_to_ns=last_ns + lateness.most_ns + LATE_NS,
         )
         log_from_ns = max(0, first_ns + lateness.least_ns - EARLY_NS)
-        stretches.append(Stretch(from_ns=cut_ns, inputs_from_ns=first_ns, log_from_ns=log_from_ns))
-    return stretches
+        segments.append(RunSegment(from_ns=cut_ns, inputs_from_ns=first_ns, log_from_ns=log_from_ns))
+    return segments

@@ -25,7 +25,7 @@ HELD_MAX: Final = 600
 
 
 class PartEnd(msgspec.Struct, frozen=True):
-    """How far a part of a run goes.
+    """The extent of a part of a run.
 
     Attributes:
         run: the run's number.
@@ -66,7 +66,7 @@ class Tape:
         self.end = PartEnd(0, 0, 0, "")
 
     def next_part(self) -> bool:
-        """Goes on to the beginning of the next part; False if there is none."""
+        """Advance to the beginning of the next part; False if there is none."""
         if self._held:
             return True
         if self._run is not None:
@@ -82,7 +82,7 @@ class Tape:
 
     @property
     def next_time_ns(self) -> int:
-        """When the first journal of the part that has come was published; 0 if none has."""
+        """The publish time of the first journal of the part that has come; 0 if none has."""
         return self._held[min(self._held)].time_ns if self._held else 0
 
     def journals(self) -> Iterator[Journal]:
@@ -106,7 +106,7 @@ class Tape:
         self.end = PartEnd(run, first, expected - first, "; ".join(missing))
 
     def break_off(self, detail: str) -> None:
-        """What was played last cannot be used, and ends the part; another one begins behind it."""
+        """End the part: the journal played last cannot be used. Another part begins behind it."""
         inputs = max(self._reached - self.end.first, 0)
         self.end = msgspec.structs.replace(self.end, inputs=inputs, detail=detail)
 

@@ -22,18 +22,18 @@ from recorder.reading.configurations import Configurations
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
 from recorder.reading.topics import typed_decoder
-from recorder.review.rerun import parallel as side_by_side_module
+from recorder.review.rerun import parallel as parallel_module
 from recorder.review.rerun.parallel import (
     RerunTask,
     join,
     outcome_of,
     processes,
     rerun_in,
-    rerun_side_by_side,
+    rerun_in_parallel,
     run_task,
 )
 from recorder.review.rerun.player import RerunResult, rerun_logs
-from recorder.review.rerun.segments import WHOLE, Plan, Stretch
+from recorder.review.rerun.segments import WHOLE, Plan, RunSegment
 from recorder.review.rerun.tapes import PartEnd
 from schemas.decisions import Decision, Journal, Verdict
 from schemas.exit_codes import CommandError
@@ -73,8 +73,8 @@ class Here(Executor):
         return future
 
 
-def side_by_side(path: Path) -> tuple[list[RerunResult], set[str], list[RerunTask]]:
-    """What the stretches give together, what they found to be wrong, and what was done."""
+def in_parallel(path: Path) -> tuple[list[RerunResult], set[str], list[RerunTask]]:
+    """What the segments give together, what they found to be wrong, and what was done."""
     faults = Faults()
     pool = Here()
     results = list(rerun_in(pool, find_logs([path], faults), faults, LENGTH_NS))
@@ -170,24 +170,24 @@ def changed(path: Path, change: Callable[[str, Message], list[Message]]) -> Path
 def test_the_answer_is_the_one_that_a_single_process_gives(name: str, is_cut: bool, tmp_path: Path) -> None:  # noqa: FBT001 - a parameter
     """Whatever is in the log, with the same differences, counts and faults."""
     path = changed(tmp_path / NAME, getattr(Change(1), name))
-    results, faults, tasks = side_by_side(path)
+    results, faults, tasks = in_parallel(path)
     assert (results, faults) == alone(path)
-    # Where the stretches do not fit together all is done once more, in one piece.
+    # Where the segments do not fit together all is done once more, in one piece.
     assert len(tasks) > 2
-    assert (tasks[-1].stretch != WHOLE) == is_cut
+    assert (tasks[-1].segment != WHOLE) == is_cut
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_log_that_ends_in_a_drive_has_the_same_end(seed: int, tmp_path: Path) -> None:
     """To the last frame that came out of the inputs."""
     path = changed(tmp_path / NAME, Change(seed).ends)
-    results, _, tasks = side_by_side(path)
+    results, _, tasks = in_parallel(path)
     assert results == alone(path)[0]
     assert len(tasks) > 1
 
 
 def test_processes_do_it(tmp_path: Path) -> None:
-    """Two robots at a time, in stretches."""
+    """Two robots at a time, in segments."""
     for robot in ("a", "b"):
         (tmp_path / f"{robot}-20260102T030405Z.mcap").write_bytes(
             day_log().replace(b"cruiser-1", robot.encode() * 9)
@@ -195,7 +195,7 @@ def test_processes_do_it(tmp_path: Path) -> None:
     faults = Faults()
     logs = find_logs([tmp_path], faults)
     told: list[int] = []
-    results = list(rerun_side_by_side(logs, faults, 2, stretch_ns=LENGTH_NS, progress=told.append))
+    results = list(rerun_in_parallel(logs, faults, 2, segment_ns=LENGTH_NS, progress=told.append))
     assert results == alone(tmp_path)[0]
     assert [one.robot for one in results] == ["a" * 9, "b" * 9]
     assert sum(told) == pytest.approx(2 * sum(one.bytes for one in logs), rel=0.01)
@@ -203,10 +203,10 @@ def test_processes_do_it(tmp_path: Path) -> None:
 
 def test_a_short_log_of_one_robot_needs_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It would take longer."""
-    monkeypatch.setattr(side_by_side_module, "processes", None)
+    monkeypatch.setattr(parallel_module, "processes", None)
     path = changed(tmp_path / NAME, Change(1).nothing)
     faults = Faults()
-    assert list(rerun_side_by_side(find_logs([path], faults), faults, 2)) == alone(path)[0]
+    assert list(rerun_in_parallel(find_logs([path], faults), faults, 2)) == alone(path)[0]
 
 
 def test_a_process_that_is_killed_is_one_clear_error() -> None:
@@ -241,10 +241,10 @@ def result(run: int = 1, start_s: int = 0, end_s: int = 100, **more: Any) -> Rer
     )
 
 
-CUT = Plan([PartEnd(1, 0, 9, "")], [Stretch(to_ns=50 * SECOND), Stretch(from_ns=50 * SECOND)])
+CUT = Plan([PartEnd(1, 0, 9, "")], [RunSegment(to_ns=50 * SECOND), RunSegment(from_ns=50 * SECOND)])
 
 
-def test_stretches_that_fit_together_are_one_run() -> None:
+def test_segments_that_fit_together_are_one_run() -> None:
     """From the first one's begin to the last one's end, with all inputs; what overlaps counts once."""
     before, behind = result(start_s=1, end_s=52), result(start_s=48, first=7, detail="inputs 0 to 6 are missing")
     [joined] = join(CUT, [[before], [behind]]) or []
@@ -265,7 +265,7 @@ def test_stretches_that_fit_together_are_one_run() -> None:
         ([], [result(start_s=48)]),
     ],
 )
-def test_stretches_that_do_not_fit_are_not_put_together(
+def test_segments_that_do_not_fit_are_not_put_together(
     before: list[RerunResult], behind: list[RerunResult]
 ) -> None:
     """One ended too early or began too late, is of another run, or something came that was not looked for."""

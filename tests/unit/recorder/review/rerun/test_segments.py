@@ -54,7 +54,7 @@ def planned(rows: Iterator[Row]) -> Plan:
 
 def cuts_ms(found: Plan) -> list[int]:
     """Where it is cut."""
-    return [(one.from_ns - WALL_NS) // MS for one in found.stretches[1:]]
+    return [(one.from_ns - WALL_NS) // MS for one in found.segments[1:]]
 
 
 def test_it_is_cut_behind_places_of_rest() -> None:
@@ -67,13 +67,13 @@ def test_it_is_cut_behind_places_of_rest() -> None:
 @given(
     rests=st.sets(st.integers(0, 1199).map(lambda number: number * 50)), late_ms=st.integers(-3_600_000, 3_600_000)
 )
-def test_stretches_lie_behind_each_other_and_have_what_they_need(rests: set[int], late_ms: int) -> None:
+def test_segments_lie_behind_each_other_and_have_what_they_need(rests: set[int], late_ms: int) -> None:
     """Of their own every moment is in one, and what is needed around it is read."""
     rows = list(journals(list(range(0, 60_000, 50)), rests, late_ms=late_ms))
-    stretches = planned(iter(rows)).stretches
-    edges = [0, *(one.from_ns for one in stretches[1:]), END_OF_TIME_NS]
-    assert [(one.from_ns, one.to_ns) for one in stretches] == list(pairwise(edges))
-    for one in stretches:
+    segments = planned(iter(rows)).segments
+    edges = [0, *(one.from_ns for one in segments[1:]), END_OF_TIME_NS]
+    assert [(one.from_ns, one.to_ns) for one in segments] == list(pairwise(edges))
+    for one in segments:
         read = [row for row in rows if one.log_from_ns <= row.log_ns < one.log_to_ns and one.needs(row)]
         wanted = [row for row in rows if one.from_ns - BEFORE_NS <= row.publish_ns <= one.to_ns + BEHIND_NS]
         assert read == wanted
@@ -91,7 +91,7 @@ def test_a_run_is_not_cut_near_its_beginning_or_its_end() -> None:
 def test_a_robot_whose_clock_was_set_back_is_not_cut(back_ms: int) -> None:
     """Its times do not tell what belongs together."""
     before, behind = range(0, 30_000, 50), range(30_000 - back_ms - 50, 60_000, 50)
-    assert planned(journals([*before, *behind], {15_000, 45_000})).stretches == [WHOLE]
+    assert planned(journals([*before, *behind], {15_000, 45_000})).segments == [WHOLE]
 
 
 def test_a_journal_that_cannot_be_read_is_not_cut() -> None:
@@ -99,7 +99,7 @@ def test_a_journal_that_cannot_be_read_is_not_cut() -> None:
     rows = list(journals(list(range(0, 40_000, 50)), {15_000}))
     broken = Journal(rows[700].publish_ns, 700, run=1, first=700, count=1, inputs=b"bad")
     rows[700] = Row(TOPIC, 700, rows[700].log_ns, rows[700].publish_ns, ENCODE(broken))
-    assert planned(iter(rows)).stretches == [WHOLE]
+    assert planned(iter(rows)).segments == [WHOLE]
 
 
 def test_without_a_journal_there_is_nothing_to_cut() -> None:
