@@ -23,7 +23,7 @@ from recorder.review.reasoning import silence as silences
 from recorder.review.reasoning import story as stories
 from recorder.review.reasoning.blockers import PLAIN, blocked_words, blocks, cures
 from recorder.review.reasoning.chain import Link, Step, before, missing, span
-from recorder.review.reasoning.evidence import EVIDENCE, Clue
+from recorder.review.reasoning.evidence import EVIDENCE
 from recorder.review.reasoning.moment import arbiter, headline, motion
 from recorder.review.reasoning.request_evidence import describe_command, refused_lately
 from recorder.review.reasoning.silence import GatewaySilence, last_silence, next_silence
@@ -311,11 +311,11 @@ class _Answer:
     def _stop(self, focus: Entry) -> Iterator[Link]:
         """The stop: cause, evidence, what was done, what is latched, the cure."""
         is_taken = focus.reason is Reason.HAND_TRANSMITTER
-        window = self._beside(focus.time_ns, "the takeover" if is_taken else "the stop")
+        window = self._beside(focus.time_ns, "the takeover" if is_taken else "the stop", focus.text)
         by = f", by {focus.operator}" if focus.operator and focus.operator not in focus.text else ""
         derived = "; no event says so, two states of the arbiter do" if focus.is_derived else ""
         yield Link(Step.CAUSE, f"{focus.text}{by}{derived}", focus.time_ns, {"reason": focus.reason.value})
-        yield from EVIDENCE[focus.reason](Clue(window, focus.text))
+        yield from EVIDENCE[focus.reason](window)
         yield from actions(window, focus.reason)
         yield from self._latches(window, focus)
         latched = [] if self._state is None else self._state.latched
@@ -362,9 +362,9 @@ class _Answer:
                 yield self._latch(reason)
             latch = self._story.last_latch(reason, self._now.at_ns) if number < LATCHES_SHOWN else None
             if is_latched and latch is not None:
-                yield from EVIDENCE[reason](Clue(self._beside(latch.time_ns, "the latch"), latch.text))
+                yield from EVIDENCE[reason](self._beside(latch.time_ns, "the latch", latch.text))
             elif not is_latched:
-                yield from EVIDENCE[reason](Clue(self._now))
+                yield from EVIDENCE[reason](self._beside(self._now.at_ns, self._now.what))
         for reason in blocked_by:
             yield from cures(reason, self._now.robot, blocked_by, is_reset=reason not in state.latched)
 
@@ -375,10 +375,10 @@ class _Answer:
         off_ns = self._story.off_ns(window)
         return self._reader.window(at_ns, shift_ns + off_ns) if off_ns else window
 
-    def _beside(self, at_ns: int, what: str) -> EvidenceWindow:
-        """The window around another moment, which these words name."""
+    def _beside(self, at_ns: int, what: str, detail: str = "") -> EvidenceWindow:
+        """The window around another moment, which these words name, and of which the arbiter said this."""
         window = self._now if at_ns == self._now.at_ns else self._window(at_ns)
-        window.what = what
+        window.what, window.detail = what, detail
         return window
 
 

@@ -5,67 +5,43 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-import msgspec
-
 from recorder.review.reasoning import frame_evidence, gateway_evidence, request_evidence
 from recorder.review.reasoning.chain import Link, missing
-from recorder.review.reasoning.signals import IDENTIFIERS
 from recorder.review.reasoning.window import EvidenceWindow
 from schemas.reasons import Reason
 
-
-class Clue(msgspec.Struct, frozen=True):
-    """The place to look for evidence.
-
-    Attributes:
-        window: around the moment at which the reason arose.
-        detail: what the arbiter itself said of it; may be empty.
-    """
-
-    window: EvidenceWindow
-    detail: str = ""
-
-    @property
-    def names(self) -> list[str]:
-        """The feedback frames that the detail names."""
-        return [name for name in IDENTIFIERS if name in self.detail]
+Finder = Callable[[EvidenceWindow], list[Link]]
+"""The window around the moment at which a reason arose to links."""
 
 
-Finder = Callable[[Clue], list[Link]]
-
-
-def _nothing(_clue: Clue) -> list[Link]:
+def _nothing(_window: EvidenceWindow) -> list[Link]:
     return []
 
 
-def _gate(clue: Clue) -> list[Link]:
-    said = [] if clue.detail else [missing("which frame the gate refused, and why, is not in the log")]
-    return said + gateway_evidence.unsent(clue.window)
+def _gate(window: EvidenceWindow) -> list[Link]:
+    said = [] if window.detail else [missing("which frame the gate refused, and why, is not in the log")]
+    return said + gateway_evidence.unsent(window)
 
 
-def _guard(clue: Clue) -> list[Link]:
-    return gateway_evidence.pause(clue.window) + frame_evidence.commanders(clue.window, 500_000_000)
+def _guard(window: EvidenceWindow) -> list[Link]:
+    return gateway_evidence.pause(window) + frame_evidence.commanders(window, 500_000_000)
 
 
-def _found_moving(clue: Clue) -> list[Link]:
-    return gateway_evidence.stray(clue.window) + frame_evidence.mode(clue.window, 0)
+def _found_moving(window: EvidenceWindow) -> list[Link]:
+    return gateway_evidence.stray(window) + frame_evidence.mode(window, 0)
 
 
-def _not_confirmed(clue: Clue) -> list[Link]:
-    mode = [link for value in (2, 1) for link in frame_evidence.mode(clue.window, value) if link.time_ns]
-    return request_evidence.not_confirmed(clue.window) + mode
-
-
-def _faulty(clue: Clue) -> list[Link]:
-    return frame_evidence.faulty(clue.window, clue.names)
+def _not_confirmed(window: EvidenceWindow) -> list[Link]:
+    mode = [link for value in (2, 1) for link in frame_evidence.mode(window, value) if link.time_ns]
+    return request_evidence.not_confirmed(window) + mode
 
 
 def _of_request(reason: Reason) -> Finder:
-    return lambda clue: request_evidence.refused(clue.window, reason)
+    return lambda window: request_evidence.refused(window, reason)
 
 
 def _asked(*verbs: str) -> Finder:
-    return lambda clue: request_evidence.asked(clue.window, *verbs)
+    return lambda window: request_evidence.asked(window, *verbs)
 
 
 EVIDENCE: Final[dict[Reason, Finder]] = {
@@ -95,36 +71,36 @@ EVIDENCE: Final[dict[Reason, Finder]] = {
     },
     Reason.LEASE_TAKEN: _asked("take"),
     Reason.LEASE_RELEASED: _asked("release"),
-    Reason.LEASE_EXPIRED: lambda clue: request_evidence.lease_expired(clue.window),
-    Reason.DEADMAN: lambda clue: request_evidence.deadman(clue.window, clue.detail),
+    Reason.LEASE_EXPIRED: request_evidence.lease_expired,
+    Reason.DEADMAN: request_evidence.deadman,
     Reason.NOT_CONFIRMED: _not_confirmed,
     Reason.DISENGAGED: _asked("disengage"),
-    Reason.BUS_DOWN: lambda clue: gateway_evidence.bus(clue.window),
-    Reason.BUS_OFF: lambda clue: gateway_evidence.controller(clue.window),
-    Reason.BUS_ERRORS: lambda clue: gateway_evidence.controller(clue.window),
-    Reason.FEEDBACK_MISSING: lambda clue: frame_evidence.silence(clue.window, clue.names),
-    Reason.FEEDBACK_FAULTY: _faulty,
-    Reason.FEEDBACK_LATE: lambda clue: gateway_evidence.load(clue.window),
-    Reason.VARIANT_UNKNOWN: lambda clue: frame_evidence.variant(clue.window),
-    Reason.HAND_TRANSMITTER: lambda clue: frame_evidence.mode(clue.window, 1),
-    Reason.MODE_NOT_AUTO: lambda clue: frame_evidence.mode(clue.window, 2),
-    Reason.FRONT_BUMPER: lambda clue: frame_evidence.bumper(clue.window, "FrontBumper", "front_bumper"),
-    Reason.REAR_BUMPER: lambda clue: frame_evidence.bumper(clue.window, "RearBumper", "rear_bumper"),
-    Reason.IMPLAUSIBLE_SPEED: lambda clue: frame_evidence.speeds(clue.window),
-    Reason.ROLLING: lambda clue: frame_evidence.speeds(clue.window, frame_evidence.ROLLING),
-    Reason.OVERSPEED: lambda clue: frame_evidence.speeds(clue.window, frame_evidence.OVERSPEED),
-    Reason.STEERING: lambda clue: frame_evidence.steering(clue.window),
-    Reason.FEEDBACK_FROZEN: lambda clue: frame_evidence.mileage(clue.window),
+    Reason.BUS_DOWN: gateway_evidence.bus,
+    Reason.BUS_OFF: gateway_evidence.controller,
+    Reason.BUS_ERRORS: gateway_evidence.controller,
+    Reason.FEEDBACK_MISSING: frame_evidence.silence,
+    Reason.FEEDBACK_FAULTY: frame_evidence.faulty,
+    Reason.FEEDBACK_LATE: gateway_evidence.load,
+    Reason.VARIANT_UNKNOWN: frame_evidence.variant,
+    Reason.HAND_TRANSMITTER: lambda window: frame_evidence.mode(window, 1),
+    Reason.MODE_NOT_AUTO: lambda window: frame_evidence.mode(window, 2),
+    Reason.FRONT_BUMPER: lambda window: frame_evidence.bumper(window, "FrontBumper", "front_bumper"),
+    Reason.REAR_BUMPER: lambda window: frame_evidence.bumper(window, "RearBumper", "rear_bumper"),
+    Reason.IMPLAUSIBLE_SPEED: frame_evidence.speeds,
+    Reason.ROLLING: lambda window: frame_evidence.speeds(window, frame_evidence.ROLLING),
+    Reason.OVERSPEED: lambda window: frame_evidence.speeds(window, frame_evidence.OVERSPEED),
+    Reason.STEERING: frame_evidence.steering,
+    Reason.FEEDBACK_FROZEN: frame_evidence.mileage,
     Reason.FOUND_MOVING: _found_moving,
-    Reason.OTHER_COMMANDER: lambda clue: frame_evidence.commanders(clue.window),
+    Reason.OTHER_COMMANDER: frame_evidence.commanders,
     Reason.REMOTE_STOP: _asked("stop"),
-    Reason.LOOP_LATE: lambda clue: gateway_evidence.lateness(clue.window),
-    Reason.SEND_FAILED: lambda clue: gateway_evidence.unsent(clue.window),
+    Reason.LOOP_LATE: gateway_evidence.lateness,
+    Reason.SEND_FAILED: gateway_evidence.unsent,
     Reason.GATE: _gate,
     Reason.GUARD: _guard,
-    Reason.UNGUARDED: lambda clue: gateway_evidence.guard_watch(clue.window),
-    Reason.NO_REALTIME: lambda clue: gateway_evidence.load(clue.window),
-    Reason.SHUTDOWN: lambda clue: gateway_evidence.ending(clue.window),
+    Reason.UNGUARDED: gateway_evidence.guard_watch,
+    Reason.NO_REALTIME: gateway_evidence.load,
+    Reason.SHUTDOWN: gateway_evidence.ending,
     Reason.LINK_TOO_SLOW: _of_request(Reason.LINK_TOO_SLOW),
 }
 """A test holds that none is missing."""

@@ -112,11 +112,12 @@ def _body(window: EvidenceWindow, field: str, *, wanted: object) -> list[Link]:
     return [evidence(text, first.time_ns, signal=field, before_ms=(window.at_ns - first.time_ns) / 1e6)]
 
 
-def silence(window: EvidenceWindow, names: Sequence[str]) -> list[Link]:
+def silence(window: EvidenceWindow) -> list[Link]:
     """The last frame of each, and its age against the limit."""
+    names = window.named_frames
     if not names:
         state = window.last(RobotState)
-        names = state.said.silent if state is not None else ()
+        names = state.said.silent if state is not None else []
     if not names:
         return [missing("the log does not tell which feedback frames were missing")]
     if not window.has_frames:
@@ -184,11 +185,11 @@ def _last_new(whole: Sequence[DecodedFrame]) -> DecodedFrame:
     return whole[at]
 
 
-def faulty(window: EvidenceWindow, names: Sequence[str]) -> list[Link]:
+def faulty(window: EvidenceWindow) -> list[Link]:
     """Wrong checksums, counters that do not rise, values that cannot be."""
     if not window.has_frames:
         return [missing("no raw frames are in the log, so what was wrong with them cannot be shown")]
-    found = [link for name in names or IDENTIFIERS for link in _faults(window, name)]
+    found = [link for name in window.named_frames or IDENTIFIERS for link in _faults(window, name)]
     return found or [missing("the raw frames in the log show no such fault")]
 
 

@@ -30,13 +30,11 @@ _LEFT: Final = frozenset({EventKind.STOPPED, EventKind.TAKEOVER, EventKind.GUARD
 Test = Callable[[Decision], bool]
 
 
-def deadman(window: EvidenceWindow, detail: str = "") -> list[Link]:
+def deadman(window: EvidenceWindow) -> list[Link]:
     """The last acceptable drive command, its age, and what came after it.
 
-    Args:
-        window: around the stop.
-        detail: what the arbiter said of it. A decision is told some time after its tick has begun, from which the
-            arbiter counts: its own figure is the right one.
+    A decision is told some time after its tick has begun, from which the arbiter counts: its own figure, in the
+    detail, is the right one.
     """
     if not window.during(Decision):
         return [missing("no decision of these seconds is in the log, so which commands came is not known")]
@@ -50,7 +48,7 @@ def deadman(window: EvidenceWindow, detail: str = "") -> list[Link]:
     if last is not None and (engaged is None or last.time_ns >= engaged.time_ns):
         said = last.said
         age_ns = window.at_ns - last.time_ns
-        counted = _COUNTED.search(detail)
+        counted = _COUNTED.search(window.detail)
         counted_ms = None if counted is None else float(counted[1])
         by_arbiter = ""
         if counted_ms is not None and span(counted_ms * 1e6) != span(age_ns):

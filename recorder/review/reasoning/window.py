@@ -16,7 +16,7 @@ from recorder.reading.rows import END_OF_TIME_NS, Row, Selection, read_rows
 from recorder.reading.topics import UNREADABLE
 from recorder.review.reasoning.chain import before
 from recorder.review.reasoning.given import GivenInputs, given_until
-from recorder.review.reasoning.signals import DecodedFrame
+from recorder.review.reasoning.signals import IDENTIFIERS, DecodedFrame
 from recorder.review.timeline.clock import FAR_NS, NEAR_NS
 from schemas import keys
 from schemas.configuration import TomlSource, merge
@@ -102,6 +102,7 @@ class EvidenceWindow:
     Attributes:
         at_ns: the moment.
         what: it is, in words.
+        detail: what the arbiter itself said of it; may be empty.
         limits: the settings in force.
         frames: received ones by identifier, those before the moment and those behind it, each in their order. As
             far as the journal is in the log, those before are what the arbiter had been given.
@@ -116,6 +117,7 @@ class EvidenceWindow:
         self.robot = robot
         self.at_ns = at_ns
         self.what = "that moment"
+        self.detail = ""
         self.limits = limits
         self.frames: dict[int, tuple[deque[DecodedFrame], deque[DecodedFrame]]] = {}
         self.sent: dict[int, tuple[deque[DecodedFrame], deque[DecodedFrame]]] = {}
@@ -254,6 +256,11 @@ class EvidenceWindow:
     def frames_before(self, identifier: int) -> Sequence[DecodedFrame]:
         """Frames that the arbiter was given up to the moment, in their order; see ``frames``."""
         return self.frames.get(identifier, _NONE)[0]
+
+    @property
+    def named_frames(self) -> list[str]:
+        """The feedback frames that the detail names."""
+        return [name for name in IDENTIFIERS if name in self.detail]
 
     @property
     def has_frames(self) -> bool:

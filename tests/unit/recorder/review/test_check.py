@@ -553,8 +553,3 @@ def test_the_progress_comes_to_the_length_of_the_file(tmp_path: Path) -> None:
     check_log(saved(tmp_path / "log.mcap", LOG), told.append)
     assert sum(told) == len(LOG)
     assert min(told) >= 0
-
-
-def test_gear_channel_is_the_one_of_the_log() -> None:
-    """The tests' own channel is written as it is declared."""
-    assert check(LOG).channels[0].topic == GEAR_CHANNEL.topic

@@ -22,7 +22,7 @@ from tests.support import log_scenarios as scenarios
 from tests.support.log_scenarios import SCENARIOS, Scenario, acted, recorded
 from tests.support.loop_rig import GUARDED, WALL_NS, Operator
 from tests.support.recorded_day import COMMAND, RUN, STARTED_NS, Day
-from tests.support.recorder_fakes import MS, SECOND, Log, gear, sample_of
+from tests.support.recorder_fakes import MS, SECOND
 from tests.support.rig_log import ROBOT, RecordedRig, ask, ask_of, texts
 
 HOUR_NS = 3600 * SECOND
@@ -651,15 +651,6 @@ def test_a_moment_outside_of_the_log_is_said_to_be_one(off_ns: int, words: str, 
     explanation = ask(path, recorded(scenarios.deadman), WALL_NS + off_ns)
     assert explanation.headline.startswith(f"The log does not hold that moment: {words}")
     assert (explanation.state, explanation.reason, explanation.stop_ns) == (None, Reason.NONE, None)
-    assert not explanation.is_answered
-    assert {link.step for link in explanation.chain} == {Step.MISSING}
-
-
-def test_a_log_of_gears_alone_says_that_it_knows_nothing(path: Path) -> None:
-    """No exception, and no claim."""
-    log = Log()
-    log.receive(*(sample_of(gear(number)) for number in range(5)))
-    explanation = ask(path, log.close())
     assert not explanation.is_answered
     assert {link.step for link in explanation.chain} == {Step.MISSING}
 

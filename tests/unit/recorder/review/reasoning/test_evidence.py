@@ -3,7 +3,7 @@
 import pytest
 
 from recorder.review.reasoning.chain import Step
-from recorder.review.reasoning.evidence import EVIDENCE, Clue
+from recorder.review.reasoning.evidence import EVIDENCE
 from recorder.review.reasoning.window import EvidenceWindow, Limits
 from schemas.reasons import Reason
 from tests.support.recorder_fakes import WALL_NS
@@ -19,8 +19,9 @@ def test_every_reason_has_a_row() -> None:
 def test_of_an_empty_log_nothing_is_claimed(reason: Reason) -> None:
     """Whatever the reason: no exception, and no evidence."""
     window = EvidenceWindow("cruiser-1", WALL_NS, 0, Limits())
+    window.detail = "Auto_GearFeedBack"
     window.settle()
-    links = EVIDENCE[reason](Clue(window, "Auto_GearFeedBack"))
+    links = EVIDENCE[reason](window)
     assert {link.step for link in links} <= {Step.MISSING}
     assert all(link.text for link in links)
 
@@ -28,5 +29,5 @@ def test_of_an_empty_log_nothing_is_claimed(reason: Reason) -> None:
 def test_the_frames_that_a_detail_names_are_found() -> None:
     """In the order of the DBC."""
     window = EvidenceWindow("cruiser-1", WALL_NS, 0, Limits())
-    clue = Clue(window, "stopping: feedback of the chassis is missing; Auto_DriveFeedBack, Auto_GearFeedBack")
-    assert clue.names == ["Auto_GearFeedBack", "Auto_DriveFeedBack"]
+    window.detail = "stopping: feedback of the chassis is missing; Auto_DriveFeedBack, Auto_GearFeedBack"
+    assert window.named_frames == ["Auto_GearFeedBack", "Auto_DriveFeedBack"]
