@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from functools import cache
 from importlib.metadata import version
@@ -17,6 +16,7 @@ from recorder.backfill.backfilling import Backfilling
 from recorder.backfill.excerpt import LoggedBytes
 from recorder.backfill.filling import Filled, Filling
 from recorder.backfill.holes import HoleFinder, HoleKind
+from recorder.cli.show import show
 from recorder.disk.backfill_file import BackfillFiles
 from recorder.disk.log_directory import safe_name
 from recorder.disk.own_logs import OwnLogs
@@ -122,8 +122,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         unread=logs.faults,
         details=asked.details,
     )
-    text = msgspec.json.encode(result).decode() if arguments.json else describe(result)
-    sys.stdout.write(f"{text}\n")
+    show(result, describe(result), as_json=arguments.json)
     return int(_code(result, was_asked=not arguments.dry_run))
 
 
@@ -201,22 +200,20 @@ def _code(result: Backfilled, *, was_asked: bool) -> ExitCode:
     return ExitCode.OK if is_fine and not result.unread else ExitCode.PARTIAL
 
 
-def describe(result: Backfilled) -> str:
-    """The result for people."""
-    lines = [_describe_hole(hole) for hole in result.holes[:HOLES_SHOWN]]
+def describe(result: Backfilled) -> Iterator[str]:
+    """Yield the result as lines for people."""
+    yield from map(_describe_hole, result.holes[:HOLES_SHOWN])
     if len(result.holes) > HOLES_SHOWN:
-        lines.append(f"and {len(result.holes) - HOLES_SHOWN} more holes")
+        yield f"and {len(result.holes) - HOLES_SHOWN} more holes"
     still = sum(hole.still_missing or 0 for hole in result.holes)
     unanswered = sum(not hole.is_answered for hole in result.holes) if result.recorders else 0
     summary = f"{len(result.holes)} holes; {result.filled} messages filled, {still} samples still missing"
     if unanswered:
         summary += f", {unanswered} holes not wholly answered"
-    lines.append(summary)
-    lines += [f"not read: {text}" for text in result.unread]
-    lines += [f"the recorder says: {text}" for text in result.details]
-    lines += result.files
-    # A log's names come from anywhere, and may try to rule the terminal.
-    return "\n".join(map(plain, lines))
+    yield summary
+    yield from (f"not read: {text}" for text in result.unread)
+    yield from (f"the recorder says: {text}" for text in result.details)
+    yield from result.files
 
 
 def _describe_hole(hole: Filled) -> str:

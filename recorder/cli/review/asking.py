@@ -22,6 +22,9 @@ from schemas.printable import plain
 
 JSON_HELP: Final = "print JSON"
 
+_EXTRA: Final = {"daft", "duckdb", "numpy", "ptars", "pyarrow", "ray"}
+"""Libraries that the extra 'review' brings."""
+
 BUDGET_S: Final = 30.0
 """Time after which any reading is given up."""
 
@@ -143,6 +146,22 @@ def progress_bar(
             bar.advance(task, count)
 
         yield advance
+
+
+@contextmanager
+def needing_extra() -> Generator[None, None, None]:
+    """Surround an import of what the extra 'review' brings.
+
+    Raises:
+        CommandError: it is missing; one line says what to install.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        name = (error.name or "").partition(".")[0]
+        if name not in _EXTRA:
+            raise
+        raise CommandError(f"this needs {name}: pip install 'cruiser-gateway[review]'") from None
 
 
 def end_with(faults: Faults) -> int:

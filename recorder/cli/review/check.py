@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
-import msgspec
-
 from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
+from recorder.cli.show import show
 from recorder.reading.times import in_words
 from recorder.review.check import LogCheck, check_log
 from recorder.review.checking.findings import About, Finding
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
 from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser review check logs\n  cruiser review check --json logs/cruiser-1-20260102T030405Z.mcap"
@@ -51,19 +48,13 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
                 asked.faults.add(str(error))
                 continue
             is_sound = is_sound and found.is_sound
-            text = msgspec.json.encode(found).decode() if arguments.json else describe(found)
-            sys.stdout.write(f"{text}\n")
+            show(found, describe(found), as_json=arguments.json)
     code = end_with(asked.faults)
     return code if is_sound else int(ExitCode.FAILURE)
 
 
-def describe(found: LogCheck) -> str:
-    """What was found out about a log, for people."""
-    # A log's names come from anywhere, and may try to rule the terminal.
-    return "\n".join(map(plain, _lines(found)))
-
-
-def _lines(found: LogCheck) -> Iterator[str]:
+def describe(found: LogCheck) -> Iterator[str]:
+    """Yield the findings about a log as lines for people."""
     about_file = [one for one in found.findings if one.about is About.FILE]
     about_data = [one for one in found.findings if one.about is About.DATA]
     yield f"{found.path}: {found.messages} messages, {found.bytes} bytes"

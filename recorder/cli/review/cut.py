@@ -8,10 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-import msgspec
-
 from recorder.cli.review.asking import add_logs, add_period, end_with, find, progress_bar
 from recorder.cli.review.merge import describe
+from recorder.cli.show import show
 from recorder.review.cut import cut
 from schemas.settings import Settings
 
@@ -48,6 +47,5 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
         joined = cut(asked.logs, arguments.out, period, arguments.topics, asked.faults, progress)
     if arguments.topics and not joined.channels:
         sys.stderr.write("cruiser review: no topic is of these patterns\n")
-    text = msgspec.json.encode(joined).decode() if arguments.json else describe(joined)
-    sys.stdout.write(f"{text}\n")
+    show(joined, describe(joined), as_json=arguments.json)
     return end_with(asked.faults)

@@ -11,9 +11,8 @@ from typing import Any, Final
 
 import msgspec
 
-from recorder.cli.review.asking import Asked, add_logs, add_period, end_with, find, progress_bar
-from recorder.cli.review.extras import needing_extra
-from recorder.cli.review.stopping import heeding
+from recorder.cli.review.asking import Asked, add_logs, add_period, end_with, find, needing_extra, progress_bar
+from recorder.cli.show import show
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
@@ -71,13 +70,12 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
             ExitCode.USAGE,
         )
     asked = find(arguments)
-    with needing_extra("review"), progress_bar("exporting", asked.bytes) as progress:
-        written = _EXPORTS[arguments.format](arguments, asked, heeding(progress, stopped))
+    with needing_extra(), progress_bar("exporting", asked.bytes, stopped) as progress:
+        written = _EXPORTS[arguments.format](arguments, asked, progress)
     if not written:
         sys.stderr.write("cruiser review: there was nothing to write\n")
     for one in written:
-        text = msgspec.json.encode(one).decode() if arguments.json else plain(describe(one))
-        sys.stdout.write(f"{text}\n")
+        show(one, [describe(one)], as_json=arguments.json)
     return end_with(asked.faults)
 
 

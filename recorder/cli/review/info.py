@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Iterator
 from typing import Final
 
-import msgspec
-
 from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
+from recorder.cli.show import show
 from recorder.reading.times import in_words
 from recorder.record.accounting import KeyReport
 from recorder.review.info import LogInfo, LogSourceInfo, SetInfo, read_info, total
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
 from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser review info logs/cruiser-1-20260102T030405Z.mcap\n  cruiser review info logs"
@@ -50,18 +47,15 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     if len(infos) > 1:
         answers.append(total(infos))
     for answer in answers:
-        text = msgspec.json.encode(answer).decode() if arguments.json else describe(answer)
-        sys.stdout.write(f"{text}\n")
+        show(answer, describe(answer), as_json=arguments.json)
     code = end_with(asked.faults)
     is_fine = all(info.whole or (info.is_being_written and not info.faults) for info in infos)
     return code if is_fine else int(ExitCode.PARTIAL)
 
 
-def describe(info: LogInfo | SetInfo) -> str:
-    """A log, or several together, for people."""
-    lines = list(_of_all(info) if isinstance(info, SetInfo) else _of_one(info))
-    # A log's names come from anywhere, and may try to rule the terminal.
-    return "\n".join(map(plain, lines))
+def describe(info: LogInfo | SetInfo) -> Iterator[str]:
+    """Return lines for people about a log, or about several together."""
+    return _of_all(info) if isinstance(info, SetInfo) else _of_one(info)
 
 
 def _of_all(info: SetInfo) -> Iterator[str]:

@@ -12,6 +12,7 @@ from typing import Final
 import msgspec
 
 from recorder.cli.review.asking import add_logs, end_with, find
+from recorder.cli.show import show
 from recorder.layouts.attached import layouts
 from recorder.layouts.charts import RobotKeys
 from recorder.review.layouts import robots_of
@@ -59,8 +60,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, _stopped: Callable[[
     except OSError as error:
         raise CommandError(f"cannot write in {plain(str(arguments.out))}: {error.strerror or error}") from error
     for one in written:
-        text = msgspec.json.encode(one).decode() if arguments.json else f"{one.robot}: {one.path}"
-        sys.stdout.write(f"{plain(text)}\n")
+        show(one, [f"{one.robot}: {one.path}"], as_json=arguments.json)
     if not any(one.path.endswith(".rbl") for one in written):
         sys.stderr.write("cruiser review: no blueprint for rerun: pip install 'cruiser-gateway[rerun]'\n")
     return end_with(asked.faults)

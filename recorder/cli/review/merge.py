@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final
 
-import msgspec
-
 from recorder.cli.review.asking import add_logs, end_with, find, progress_bar
+from recorder.cli.show import show
 from recorder.reading.times import in_words
 from recorder.review.joining.joining import Joined
 from recorder.review.merge import merge
-from schemas.printable import plain
 from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser review merge robot-logs depot-logs -o all.mcap"
@@ -36,16 +33,14 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     asked = find(arguments)
     with progress_bar("merging", asked.bytes, stopped) as progress:
         joined = merge(asked.logs, arguments.out, asked.faults, progress)
-    text = msgspec.json.encode(joined).decode() if arguments.json else describe(joined)
-    sys.stdout.write(f"{text}\n")
+    show(joined, describe(joined), as_json=arguments.json)
     return end_with(asked.faults)
 
 
-def describe(joined: Joined) -> str:
-    """A new file, for people."""
-    lines = [f"{joined.path}: {joined.messages} messages on {joined.channels} channels, {joined.bytes} bytes"]
+def describe(joined: Joined) -> Iterator[str]:
+    """Yield lines for people about a new file."""
+    yield f"{joined.path}: {joined.messages} messages on {joined.channels} channels, {joined.bytes} bytes"
     if joined.start_ns is not None and joined.end_ns is not None:
-        lines.append(f"  {in_words(joined.start_ns)} to {in_words(joined.end_ns)}")
+        yield f"  {in_words(joined.start_ns)} to {in_words(joined.end_ns)}"
     if len(joined.sources) > 1:
-        lines.append(f"  of {len(joined.sources)} files; {joined.duplicates} messages were in them more than once")
-    return "\n".join(map(plain, lines))
+        yield f"  of {len(joined.sources)} files; {joined.duplicates} messages were in them more than once"

@@ -12,9 +12,8 @@ from typing import Any, Final
 
 import msgspec
 
-from recorder.cli.review.asking import JSON_HELP, add_period, end_with, find, progress_bar, table
-from recorder.cli.review.extras import needing_extra
-from recorder.cli.review.stopping import heeding
+from recorder.cli.review.asking import JSON_HELP, add_period, end_with, find, needing_extra, progress_bar, table
+from recorder.cli.show import show
 from recorder.reading.rows import Selection
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
@@ -59,7 +58,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     if not logs:
         raise CommandError("give a statement, and then a log or a dataset", ExitCode.USAGE)
     arguments.logs = [Path(log) for log in logs]
-    with needing_extra("review"):
+    with needing_extra():
         from recorder.review import query  # noqa: PLC0415 - its libraries are an extra
         from recorder.review.export.manifest import read_manifest  # noqa: PLC0415
         from recorder.review.querying import dataset_source, log_source  # noqa: PLC0415
@@ -76,8 +75,8 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
         return int(ExitCode.OK)
     asked = find(arguments)
     selection = Selection(from_ns=asked.from_ns, to_ns=asked.to_ns)
-    with progress_bar("reading", asked.bytes, prints=True, is_bounded=False) as progress:
-        source = log_source.LogSource(asked.logs, selection, asked.faults, heeding(progress, stopped))
+    with progress_bar("reading", asked.bytes, stopped, prints=True, is_bounded=False) as progress:
+        source = log_source.LogSource(asked.logs, selection, asked.faults, progress)
         try:
             _ask(query, source, sql, arguments, stopped)
         except CommandError:
@@ -92,7 +91,8 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
 
 def _ask(query: Any, source: Any, sql: str, arguments: argparse.Namespace, stopped: Callable[[], bool]) -> None:  # noqa: ANN401 - a module that is imported late
     if arguments.tables:
-        _show_tables(source.tables, is_json=arguments.json)
+        for one in source.tables:
+            show(one, _columns(one), as_json=arguments.json)
         return
     allowed: bool = arguments.allow_files
     with query.answer(source, sql, stopped, may_use_files=allowed) as rows, query.told():
@@ -158,12 +158,7 @@ def _cell(value: Any) -> str:  # noqa: ANN401 - whatever SQL gives
     return text if len(text) <= CELL_MAX else f"{text[: CELL_MAX - 3]}..."
 
 
-def _show_tables(tables: list[Any], *, is_json: bool) -> None:
-    if is_json:
-        for one in tables:
-            sys.stdout.write(msgspec.json.encode(one).decode() + "\n")
-        return
-    for one in tables:
-        sys.stdout.write(f"{plain(one.name)}: {plain(', '.join(one.topics))}\n")
-        rows = [[plain(column.name), plain(column.type), plain(column.unit)] for column in one.columns]
-        sys.stdout.write("\n".join(table(("column", "type", "unit"), rows, words=3)) + "\n")
+def _columns(one: Any) -> Iterator[str]:  # noqa: ANN401 - a class of a module that is imported late
+    yield f"{one.name}: {', '.join(one.topics)}"
+    rows = [[plain(column.name), plain(column.type), plain(column.unit)] for column in one.columns]
+    yield from table(("column", "type", "unit"), rows, words=3)

@@ -9,8 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
-import msgspec
-
+from recorder.cli.show import show
 from recorder.disk.leftovers import Recovery, RecoveryOutcome, recover
 from recorder.disk.log_directory import PART_SUFFIX
 from schemas.exit_codes import ExitCode
@@ -50,8 +49,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
             break
         recovery = recover(path, library)
         outcomes.add(recovery.outcome)
-        text = msgspec.json.encode(recovery).decode() if arguments.json else describe_recovery(recovery)
-        sys.stdout.write(f"{text}\n")
+        show(recovery, describe(recovery), as_json=arguments.json)
     if outcomes <= _FINE:
         return int(ExitCode.OK)
     return int(ExitCode.PARTIAL if outcomes & {*_FINE, RecoveryOutcome.DAMAGED} else ExitCode.FAILURE)
@@ -65,15 +63,14 @@ def _leftovers(paths: Sequence[Path]) -> Iterator[Path]:
         yield from found
 
 
-def describe_recovery(recovery: Recovery) -> str:
-    """What became of a log, for people."""
+def describe(recovery: Recovery) -> Iterator[str]:
+    """Yield lines for people about what became of a log."""
     if recovery.outcome in {RecoveryOutcome.NOTHING, RecoveryOutcome.BUSY, RecoveryOutcome.FAILED}:
-        lines = [f"{recovery.path}: not recovered: {recovery.detail or 'nothing in it can be read'}"]
+        yield f"{recovery.path}: not recovered: {recovery.detail or 'nothing in it can be read'}"
     else:
-        lines = [f"{recovery.result}: {recovery.outcome.value}, {recovery.messages} messages"]
-    lines += [f"  fault: {fault}" for fault in recovery.faults]
+        yield f"{recovery.result}: {recovery.outcome.value}, {recovery.messages} messages"
+    yield from (f"  fault: {fault}" for fault in recovery.faults)
     if recovery.fault_count > len(recovery.faults):
-        lines.append(f"  and {recovery.fault_count - len(recovery.faults)} more faults")
+        yield f"  and {recovery.fault_count - len(recovery.faults)} more faults"
     if recovery.kept is not None:
-        lines.append(f"  the rest is kept in {recovery.kept}")
-    return "\n".join(map(plain, lines))
+        yield f"  the rest is kept in {recovery.kept}"

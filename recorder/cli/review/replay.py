@@ -15,6 +15,7 @@ from typing import Final, TypeVar
 import msgspec
 
 from recorder.cli.review.asking import Asked, add_logs, add_period, end_with, find
+from recorder.cli.show import show
 from recorder.reading.faults import Faults
 from recorder.reading.rows import Row, Selection, read_rows
 from recorder.reading.topics import Topic
@@ -172,8 +173,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     asked = find(arguments)
     replay = _to_zenoh if arguments.interface is None else _to_bus
     replayed, halt = replay(arguments, settings, asked, wants, stopped)
-    text = msgspec.json.encode(replayed).decode() if arguments.json else describe(replayed)
-    sys.stdout.write(f"{text}\n")
+    show(replayed, describe(replayed), as_json=arguments.json)
     sys.stdout.flush()
     code = end_with(asked.faults)
     if halt is not None:
@@ -323,27 +323,26 @@ def _play(
     return replayed, halt
 
 
-def describe(replayed: Replayed) -> str:
-    """What became of a replay, for people."""
+def describe(replayed: Replayed) -> Iterator[str]:
+    """Yield lines for people about what became of a replay."""
     rate = replayed.sent / replayed.took_s if replayed.took_s else 0
-    lines = [f"{replayed.to}: {replayed.sent} sent in {replayed.took_s:.1f} s, {rate:.0f}/s"]
+    yield f"{replayed.to}: {replayed.sent} sent in {replayed.took_s:.1f} s, {rate:.0f}/s"
     if replayed.failed:
-        lines.append(f"  {replayed.failed} were not taken")
-    lines += [f"  {count} withheld: {why}" for why, count in replayed.withheld.items()]
+        yield f"  {replayed.failed} were not taken"
+    yield from (f"  {count} withheld: {why}" for why, count in replayed.withheld.items())
     if replayed.lateness_max_ms:
-        lines.append(
+        yield (
             f"  lateness: median {replayed.lateness_p50_ms:.1f} ms, p99 {replayed.lateness_p99_ms:.1f} ms, "
             f"at most {replayed.lateness_max_ms:.1f} ms"
         )
     if replayed.slipped_s:
-        lines.append(f"  it fell {replayed.slipped_s:.1f} s behind")
+        yield f"  it fell {replayed.slipped_s:.1f} s behind"
     if replayed.pauses_cut:
-        lines.append(f"  {replayed.pauses_cut} pauses of the log were shortened")
+        yield f"  {replayed.pauses_cut} pauses of the log were shortened"
     if replayed.was_alone:
-        lines.append("  for a while no Zenoh node was connected, and what was sent then is lost")
+        yield "  for a while no Zenoh node was connected, and what was sent then is lost"
     if replayed.loops > 1:
-        lines.append(f"  {replayed.loops} times")
-    return "\n".join(map(plain, lines))
+        yield f"  {replayed.loops} times"
 
 
 def _check_flags(arguments: argparse.Namespace) -> None:

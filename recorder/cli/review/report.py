@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
@@ -13,6 +12,7 @@ from typing import Any, Final
 import msgspec
 
 from recorder.cli.review.asking import add_logs, add_period, end_with, find, progress_bar
+from recorder.cli.show import show
 from recorder.review.report.findings import Report
 from recorder.review.report.page import page
 from recorder.review.report.survey import read_report
@@ -61,31 +61,26 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
         raise CommandError("there is no state, decision or event of a robot in these logs, so nothing to report")
     if out is not None:
         _write(out, page(report, plotly).encode())
-    if arguments.json:
-        sys.stdout.write(f"{summary_json(report)}\n")
-    else:
-        sys.stdout.write(f"{describe(report)}\n")
-        if out is not None:
-            sys.stdout.write(f"written: {plain(str(out))}\n")
+    show(summary(report), describe(report, out), as_json=arguments.json)
     return end_with(asked.faults)
 
 
-def summary_json(report: Report) -> str:
-    """All but what is drawn."""
+def summary(report: Report) -> dict[str, Any]:
+    """Return all of a report but what is drawn."""
     fields: dict[str, Any] = msgspec.structs.asdict(report)
     fields["robots"] = [
         {**msgspec.structs.asdict(robot.summary), "moments": robot.charts.moments} for robot in report.robots
     ]
-    return msgspec.json.encode(fields).decode()
+    return fields
 
 
-def describe(report: Report) -> str:
-    """The summaries, for a terminal."""
-    lines = []
+def describe(report: Report, out: Path | None) -> Iterator[str]:
+    """Yield the summaries as lines for people, and where the page was written."""
     for robot in report.robots:
-        lines.append(f"{robot.summary.name}: {headline(robot.summary)}")
-        lines += [f"  {name.ljust(16)} {said}" for name, said in summary_lines(robot.summary, report)]
-    return "\n".join(map(plain, lines))
+        yield f"{robot.summary.name}: {headline(robot.summary)}"
+        yield from (f"  {name.ljust(16)} {said}" for name, said in summary_lines(robot.summary, report))
+    if out is not None:
+        yield f"written: {out}"
 
 
 def _plotly() -> str:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-import msgspec
-
 from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
+from recorder.cli.show import show
 from recorder.reading.configurations import CONFIGURATION
 from recorder.reading.times import in_words
 from recorder.review.rerun.counterfactual import (
@@ -87,8 +85,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
         for result in results:
             runs += 1
             worst = max(worst, _outcome(result), key=_GRAVITY.index)
-            shown = msgspec.json.encode(result).decode() if arguments.json else _describe(result)
-            sys.stdout.write(f"{shown}\n")
+            show(result, describe(result), as_json=arguments.json)
             if stopped():
                 break
     ending = ExitCode(end_with(asked.faults))
@@ -104,10 +101,6 @@ def _outcome(result: RerunResult | WhatIfResult) -> ExitCode:
     if result.rules != COMMAND_RULES or (isinstance(result, RerunResult) and result.difference_count):
         return ExitCode.FAILURE
     return ExitCode.PARTIAL if result.detail else ExitCode.OK
-
-
-def _describe(result: RerunResult | WhatIfResult) -> str:
-    return describe(result) if isinstance(result, RerunResult) else describe_what_if(result)
 
 
 def _jobs(text: str) -> int:
@@ -142,56 +135,52 @@ def _settings_of(text: str | None, path: Path | None, changes: dict[str, object]
     return settings_of
 
 
-def describe(result: RerunResult) -> str:
-    """A run that was run again, for people."""
-    lines = _heads(result)
+def describe(result: RerunResult | WhatIfResult) -> Iterator[str]:
+    """Yield lines for people about a run; above them what to expect, if it was made under other rules."""
+    if notice := rules_notice(result.rules):
+        yield f"{result.robot}, run {result.run}: {notice}"
+    yield _head(result)
+    yield from _of_rerun(result) if isinstance(result, RerunResult) else _of_what_if(result)
+
+
+def _of_rerun(result: RerunResult) -> Iterator[str]:
     if result.start_ns:
         same = ", ".join(f"{count} {subject}" for subject, count in result.same.items())
-        lines.append(f"  the same, byte for byte: {same or 'nothing'}")
+        yield f"  the same, byte for byte: {same or 'nothing'}"
         if result.unrecorded:
             lost = ", ".join(f"{count} {subject}" for subject, count in result.unrecorded.items())
-            lines.append(f"  not in the log, so not compared: {lost}")
+            yield f"  not in the log, so not compared: {lost}"
         if result.given_up:
-            lines.append(f"  {result.given_up} messages found no counterpart in time, and were not compared")
-        lines.append(f"  different: {result.difference_count}")
+            yield f"  {result.given_up} messages found no counterpart in time, and were not compared"
+        yield f"  different: {result.difference_count}"
     for difference in result.differences[:TOLD]:
-        lines.append(f"    {in_words(difference.time_ns)} {difference.subject}: {difference.what}")
-        lines += [f"      {name}: {was!r}, now {now!r}" for name, (was, now) in difference.fields.items()]
+        yield f"    {in_words(difference.time_ns)} {difference.subject}: {difference.what}"
+        yield from (f"      {name}: {was!r}, now {now!r}" for name, (was, now) in difference.fields.items())
         if difference.message is not None:
-            lines.append(f"      {difference.message!r}")
+            yield f"      {difference.message!r}"
     if result.difference_count > TOLD:
-        lines.append(f"    and {result.difference_count - TOLD} more")
-    return "\n".join(map(plain, lines))
+        yield f"    and {result.difference_count - TOLD} more"
 
 
-def describe_what_if(result: WhatIfResult) -> str:
-    """A run, and what it would have been, for people."""
-    lines = _heads(result)
-    lines += [f"  {name}: {was}, tried {tried}" for name, (was, tried) in result.settings.items()]
+def _of_what_if(result: WhatIfResult) -> Iterator[str]:
+    yield from (f"  {name}: {was}, tried {tried}" for name, (was, tried) in result.settings.items())
     if not result.settings:
-        lines.append("  the settings tried are those of the run")
-    lines += table(
+        yield "  the settings tried are those of the run"
+    yield from table(
         ("", "distance/m", "moving/s", "top speed/mps", "stops"),
         [_journey("as recorded", result.recorded), _journey("as it would have been", result.other)],
         words=1,
     )
-    lines += [f"  stop avoided: {_stop(stop)}" for stop in result.stops_avoided]
-    lines += [f"  stop added: {_stop(stop)}" for stop in result.stops_added]
-    lines += [f"  stop {_moved(one)}: {_stop(one.stop)}" for one in result.stops_moved]
+    yield from (f"  stop avoided: {_stop(stop)}" for stop in result.stops_avoided)
+    yield from (f"  stop added: {_stop(stop)}" for stop in result.stops_added)
+    yield from (f"  stop {_moved(one)}: {_stop(one.stop)}" for one in result.stops_moved)
     changed = sum(change.count for change in result.changes)
-    lines.append(f"  {changed} of {result.decisions} decisions would have been others")
-    lines += [
+    yield f"  {changed} of {result.decisions} decisions would have been others"
+    yield from (
         f"    {change.count} x {change.request} of {change.operator}: {_verdict(change.recorded)}, then "
         f"{_verdict(change.other)}, from {in_words(change.first_ns)} to {in_words(change.last_ns)}"
         for change in sorted(result.changes, key=lambda one: one.first_ns)
-    ]
-    return "\n".join(map(plain, lines))
-
-
-def _heads(result: RerunResult | WhatIfResult) -> list[str]:
-    """The line of a run; above it what to expect, if it was made under other rules."""
-    notice = rules_notice(result.rules)
-    return [*([f"{result.robot}, run {result.run}: {notice}"] if notice else []), _head(result)]
+    )
 
 
 def _head(result: RerunResult | WhatIfResult) -> str:

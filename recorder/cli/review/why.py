@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Iterator
 from textwrap import wrap
 from typing import Any, Final
@@ -11,6 +10,7 @@ from typing import Any, Final
 import msgspec
 
 from recorder.cli.review.asking import Asked, add_logs, end_with, find, progress_bar
+from recorder.cli.show import show
 from recorder.reading.faults import Faults
 from recorder.reading.survey import survey
 from recorder.reading.times import FORMS, in_words, time_of
@@ -50,10 +50,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     robot = _robot(arguments.robot, found.robots, asked.faults)
     with progress_bar("why", asked.bytes, stopped) as progress:
         explanation = explain(robot, asked.logs, found, at_ns, asked.faults, progress)
-    if arguments.json:
-        sys.stdout.write(f"{msgspec.json.encode(record_of(explanation, asked.start_ns)).decode()}\n")
-    else:
-        sys.stdout.writelines(f"{line}\n" for line in describe(explanation, asked))
+    show(record_of(explanation, asked.start_ns), describe(explanation, asked), as_json=arguments.json)
     code = end_with(asked.faults)
     return code if code or explanation.is_answered else int(ExitCode.FAILURE)
 
@@ -103,15 +100,13 @@ def record_of(explanation: Explanation, start_ns: int) -> dict[str, Any]:
 def describe(explanation: Explanation, asked: Asked) -> Iterator[str]:
     """The explanation for people."""
     at_ns = explanation.at_ns
-    yield plain(
-        f"{explanation.robot} at {(at_ns - asked.start_ns) / 1e9:.3f} s, {in_words(at_ns)}: {explanation.headline}"
-    )
+    since_s = (at_ns - asked.start_ns) / 1e9
+    yield f"{explanation.robot} at {since_s:.3f} s, {in_words(at_ns)}: {explanation.headline}"
     yield ""
     for link in explanation.chain:
         when = "" if link.time_ns is None else f"{(link.time_ns - at_ns) / 1e9:+.3f} s"
         clock = "" if link.time_ns is None else in_words(link.time_ns).split(" ")[-2]
         head = f"  {when:>12}  {clock:12}  {link.step.value:8}  "
-        # A log's names come from anywhere, and may try to rule the terminal.
         lines = wrap(plain(_sentence(link.text)), _WIDTH - 12) or [""]
         yield f"{head}{lines[0]}"
         yield from (f"{'':{len(head)}}{line}" for line in lines[1:])

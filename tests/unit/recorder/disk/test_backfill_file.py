@@ -112,7 +112,7 @@ def test_each_message_is_marked_with_the_recorder_that_sent_it(tmp_path: Path) -
     assert marked == {one.sequence: "robot", two.sequence: "stranger", three.sequence: "robot"}
     info = read_info(path)
     assert [(one.topic, one.backfilled_from) for one in info.channels] == [(GEAR, "robot"), (GEAR, "stranger")]
-    assert "  backfilled from recorder robot, stranger" in describe(info).splitlines()
+    assert "  backfilled from recorder robot, stranger" in describe(info)
 
 
 def test_the_latest_time_is_a_name_too(tmp_path: Path) -> None:

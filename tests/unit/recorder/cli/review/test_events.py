@@ -1,23 +1,14 @@
 """``cruiser review events``."""
 
-import argparse
 import json
 from pathlib import Path
 
 import pytest
 
-from recorder.cli.review import command as review
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.settings import Settings
 from tests.support import log_scenarios as scenarios
 from tests.support.log_scenarios import acted, recorded
-
-
-def run(*words: object) -> int:
-    """The command's exit code."""
-    parser = argparse.ArgumentParser()
-    review.add_arguments(parser)
-    return review.run(parser.parse_args([str(word) for word in words]), Settings(), lambda: False)
+from tests.support.review_command import run
 
 
 @pytest.fixture
@@ -45,30 +36,11 @@ def test_json_is_an_object_a_line(log: Path, capsys: pytest.CaptureFixture[str])
     """With the documented fields."""
     assert run("events", log, "--json") == ExitCode.OK
     records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert {frozenset(record) for record in records} == {
-        frozenset(
-            [
-                "time",
-                "since_s",
-                "time_ns",
-                "last_ns",
-                "robot",
-                "kind",
-                "severity",
-                "source",
-                "text",
-                "count",
-                "reason",
-                "operator",
-                "holder",
-                "request",
-                "tick",
-                "is_late",
-                "cause",
-                "derived",
-            ]
-        )
-    }
+    fields = (
+        "time since_s time_ns last_ns robot kind severity source text count reason operator holder request tick "
+        "is_late cause derived"
+    )
+    assert {frozenset(record) for record in records} == {frozenset(fields.split())}
     (stop,) = (record for record in records if record["kind"] == "stop")
     event = next(one for one in acted(scenarios.stale_commands).events if one.reason.value == "deadman")
     assert stop["time_ns"] == event.time_ns

@@ -1,25 +1,19 @@
 """``cruiser review export``."""
 
-import argparse
 import json
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from recorder.cli.review import command as review
 from recorder.review.export.manifest import read_manifest
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.settings import Settings
+from tests.support import review_command
 from tests.support.drives import FRAMES, drive, write
 from tests.support.recorder_fakes import small_log
 
-
-def run(*words: str | Path, is_stopped: bool = False) -> int:
-    """The command's exit code."""
-    parser = argparse.ArgumentParser()
-    review.add_arguments(parser)
-    return review.run(parser.parse_args(["export", *map(str, words)]), Settings(), lambda: is_stopped)
+run = partial(review_command.run, "export")
 
 
 def test_an_export_that_is_stopped_leaves_nothing(tmp_path: Path) -> None:

@@ -1,25 +1,19 @@
 """``cruiser review layouts``."""
 
-import argparse
 import json
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from recorder.cli.review import command as review
 from recorder.layouts.attached import layouts
 from recorder.layouts.charts import RobotKeys
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.settings import Settings
+from tests.support import review_command
 from tests.support.recorder_fakes import FakeSample, Log, batch, gear, info, sample_of, small_log
 
-
-def run(*words: object) -> int:
-    """The command's exit code."""
-    parser = argparse.ArgumentParser()
-    review.add_arguments(parser)
-    return review.run(parser.parse_args(["layouts", *map(str, words)]), Settings(), lambda: False)
+run = partial(review_command.run, "layouts")
 
 
 @pytest.fixture(autouse=True)

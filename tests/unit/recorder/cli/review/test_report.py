@@ -1,35 +1,26 @@
 """``cruiser review report``."""
 
-import argparse
 import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from recorder.cli.review import command as review
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.settings import Settings
+from tests.support import review_command
 from tests.support.recorder_fakes import Log, gear, sample_of, small_log
 from tests.support.report_drive import drive, restart, write_log
 
-Asking = Callable[..., int]
 
-
-@pytest.fixture
-def ask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Asking:
-    """Asks for a report, in a directory of its own."""
+@pytest.fixture(autouse=True)
+def _in_a_directory_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    return run
 
 
-def run(*words: object) -> int:
+def ask(*words: object) -> int:
     """The command's exit code; a fault is told as the command would."""
-    parser = argparse.ArgumentParser()
-    review.add_arguments(parser)
     try:
-        return review.run(parser.parse_args(["report", *map(str, words)]), Settings(), lambda: False)
+        return review_command.run("report", *words)
     except CommandError as error:
         sys.stderr.write(f"cruiser: {error}\n")
         return int(error.code)
@@ -41,9 +32,7 @@ def log(tmp_path: Path) -> Path:
     return write_log(tmp_path / "a.mcap", drive(60))
 
 
-def test_a_page_is_written_whole(
-    ask: Asking, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_page_is_written_whole(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Nothing else beside; the summary on stdout."""
     assert ask(log, "-o", "r.html") == ExitCode.OK
     assert (tmp_path / "r.html").read_text().startswith("<!doctype html>")
@@ -55,7 +44,7 @@ def test_a_page_is_written_whole(
 
 
 def test_a_gateway_that_died_is_told_on_the_terminal_and_as_json(
-    ask: Asking, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """In the first line of the robot, and with its times."""
     path = write_log(tmp_path / "a.mcap", restart(60, 40))
@@ -71,9 +60,7 @@ def test_a_gateway_that_died_is_told_on_the_terminal_and_as_json(
     assert robot["in_force"][0]["variant"] == "coarse"
 
 
-def test_json_alone_writes_no_file(
-    ask: Asking, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_alone_writes_no_file(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The summary with its events; nothing that is only drawn."""
     assert ask(log, "--json") == ExitCode.OK
     (robot,) = json.loads(capsys.readouterr().out)["robots"]
@@ -83,14 +70,14 @@ def test_json_alone_writes_no_file(
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
 
 
-def test_without_a_name_it_is_report_html(ask: Asking, log: Path, tmp_path: Path) -> None:
+def test_without_a_name_it_is_report_html(log: Path, tmp_path: Path) -> None:
     """In the directory at hand; one that is there is replaced."""
     (tmp_path / "report.html").write_text("old")
     assert ask(log.parent) == ExitCode.OK
     assert "Drive report" in (tmp_path / "report.html").read_text()
 
 
-def test_a_period(ask: Asking, log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_period(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Times count from the log's beginning."""
     assert ask(log, "--json", "--from", "1", "--to", "2") == ExitCode.OK
     (robot,) = json.loads(capsys.readouterr().out)["robots"]
@@ -98,7 +85,7 @@ def test_a_period(ask: Asking, log: Path, capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_a_damaged_log_gives_a_report_of_what_can_be_read(
-    ask: Asking, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """And exit code 3; what is wrong is told on stderr and in the report."""
     log.write_bytes(log.read_bytes()[:-200])
@@ -109,7 +96,7 @@ def test_a_damaged_log_gives_a_report_of_what_can_be_read(
 
 @pytest.mark.parametrize("content", [b"", b"no log", small_log()[:40]])
 def test_what_is_no_log_is_a_clear_line(
-    ask: Asking, tmp_path: Path, content: bytes, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, content: bytes, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Nothing is written."""
     path = tmp_path / "b.mcap"
@@ -120,7 +107,7 @@ def test_what_is_no_log_is_a_clear_line(
 
 
 def test_a_log_of_no_robots_state_has_nothing_to_report(
-    ask: Asking, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As somebody else's is."""
     log = Log()
@@ -130,16 +117,14 @@ def test_a_log_of_no_robots_state_has_nothing_to_report(
     assert "nothing to report" in capsys.readouterr().err
 
 
-def test_a_file_of_another_kind_is_a_matter_of_usage(
-    ask: Asking, log: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_of_another_kind_is_a_matter_of_usage(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Before anything is read."""
     assert ask(log, "-o", "r.pdf") == ExitCode.USAGE
     assert ".html" in capsys.readouterr().err
 
 
 def test_where_nothing_can_be_written_it_says_so(
-    ask: Asking, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """And leaves nothing half done behind."""
     assert ask(log, "-o", tmp_path / "nowhere" / "r.html") == ExitCode.FAILURE
@@ -147,7 +132,6 @@ def test_where_nothing_can_be_written_it_says_so(
 
 
 def test_a_missing_library_is_named_with_what_installs_it(
-    ask: Asking,
     log: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

@@ -1,20 +1,19 @@
 """``cruiser review rerun``."""
 
-import argparse
 import json
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import msgspec
 import pytest
 
-from recorder.cli.review import rerun
 from recorder.review.rerun.player import OTHER_RULES
 from schemas.command_rules import rules_notice
 from schemas.decisions import Journal
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import Variant
-from schemas.settings import Settings
+from tests.support import review_command
 from tests.support.loop_rig import Operator
 from tests.support.recorded_day import RUN, Day, recorded, restful_day, under_rules_1
 from tests.support.recorder_fakes import small_log
@@ -40,11 +39,7 @@ def log(day: Day, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def run(*words: object) -> int:
-    """The command's exit code."""
-    parser = argparse.ArgumentParser()
-    rerun.add_arguments(parser)
-    return rerun.run(parser.parse_args(list(map(str, words))), Settings(), lambda: False)
+run = partial(review_command.run, "rerun")
 
 
 def test_the_same_decisions_are_exit_code_0(log: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,6 +1,5 @@
 """``cruiser review why``."""
 
-import argparse
 import json
 import random
 from pathlib import Path
@@ -8,19 +7,11 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer
 
-from recorder.cli.review import command as review
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.settings import Settings
 from tests.support import log_scenarios as scenarios
 from tests.support.log_scenarios import acted, recorded
 from tests.support.recorder_fakes import small_log
-
-
-def run(*words: object) -> int:
-    """The command's exit code."""
-    parser = argparse.ArgumentParser()
-    review.add_arguments(parser)
-    return review.run(parser.parse_args([str(word) for word in words]), Settings(), lambda: False)
+from tests.support.review_command import run
 
 
 @pytest.fixture
@@ -39,18 +30,7 @@ def test_the_last_stop_is_explained(log: Path, capsys: pytest.CaptureFixture[str
         "cruiser-1 at 2.028 s, 2023-11-14 22:13:22.040 UTC: It was being stopped: the front bumper was hit."
     )
     (cause,) = (line for line in lines if line.split()[3:4] == ["cause"])
-    assert cause.split() == [
-        "+0.000",
-        "s",
-        "22:13:22.040",
-        "cause",
-        "Stopping:",
-        "the",
-        "front",
-        "bumper",
-        "was",
-        "hit.",
-    ]
+    assert " ".join(cause.split()) == "+0.000 s 22:13:22.040 cause Stopping: the front bumper was hit."
     assert any("Frame 0x18C4D9EF Auto_MileageAndBodyFeedback" in line for line in lines)
 
 
