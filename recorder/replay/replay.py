@@ -5,7 +5,7 @@ Every due time is counted from one anchor, so that nothing adds up: a replay of 
 
 from __future__ import annotations
 
-from array import array
+from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Final, Generic, Protocol, TypeVar
 
@@ -27,7 +27,7 @@ SLIP_NS: Final = 1_000_000_000
 """Who stood still for longer (Ctrl-Z, a machine that slept) goes on from there: nothing comes in a burst."""
 
 _BUCKET_NS: Final = 100_000
-_BUCKETS: Final = 20_000
+_LAST_BUCKET: Final = 20_000
 
 
 class Timed(Protocol):
@@ -99,25 +99,22 @@ class Lateness:
     """How late things went out, in buckets of 0.1 ms; the last one holds all that is later than 2 s."""
 
     def __init__(self) -> None:
-        self._buckets = array("Q", bytes(8 * (_BUCKETS + 1)))
-        self._count = 0
+        self._buckets: Counter[int] = Counter()
         self.max_ns = 0
 
     def add(self, late_ns: int) -> None:
         """One that was so late."""
         late_ns = max(0, late_ns)
-        self._buckets[min(late_ns // _BUCKET_NS, _BUCKETS)] += 1
-        self._count += 1
+        self._buckets[min(late_ns // _BUCKET_NS, _LAST_BUCKET)] += 1
         self.max_ns = max(self.max_ns, late_ns)
 
     def quantile_ns(self, part: float) -> int:
         """This part of them was no later; 0 if there were none."""
-        wanted = part * self._count
-        seen = 0
-        for number, count in enumerate(self._buckets):
-            seen += count
-            if count and seen >= wanted:
-                return self.max_ns if number == _BUCKETS else min((number + 1) * _BUCKET_NS, self.max_ns)
+        left = part * self._buckets.total()
+        for number in sorted(self._buckets):
+            left -= self._buckets[number]
+            if left <= 0:
+                return self.max_ns if number == _LAST_BUCKET else min((number + 1) * _BUCKET_NS, self.max_ns)
         return 0
 
 

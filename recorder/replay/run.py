@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
-from enum import Enum
 from typing import Final, Protocol, TypeVar
 
 import msgspec
 
+from recorder.replay.controls import Order, ReplayControls
 from recorder.replay.replay import ReplayScheduler, Timed
 from schemas.exit_codes import ExitCode
 
@@ -55,48 +56,27 @@ class Outlet(Protocol[T_contra]):
         ...
 
 
-class Clock(Protocol):
-    """The clocks, and waiting."""
+class ReplayClock:
+    """The machine's clocks, and waiting."""
 
     def monotonic_ns(self) -> int:
-        """For due times."""
-        ...
+        """Return the time for due times."""
+        return time.monotonic_ns()
 
     def wall_ns(self) -> int:
-        """Since 1970."""
-        ...
+        """Return the time since 1970."""
+        return time.time_ns()
 
     def sleep(self, duration_ns: int) -> None:
         """Wait."""
-        ...
-
-
-class Order(Enum):
-    """What a person at the keyboard wants."""
-
-    PAUSE = "pause"
-    BACK = "back"
-    ON = "on"
-    QUIT = "quit"
-
-
-class Desk(Protocol):
-    """Whoever watches, and may interfere."""
-
-    def orders(self) -> list[Order]:
-        """What was asked for since the last call."""
-        ...
-
-    def show(self, time_ns: int | None, *, is_paused: bool) -> None:
-        """Where the replay is, in the log's time."""
-        ...
+        time.sleep(duration_ns / 1e9)
 
 
 def play(
     player: ReplayScheduler[T],
     outlet: Outlet[T],
-    clock: Clock,
-    desk: Desk,
+    clock: ReplayClock,
+    controls: ReplayControls,
     stopped: Callable[[], bool],
     *,
     is_now: bool = False,
@@ -107,7 +87,7 @@ def play(
         player: what is played.
         outlet: where to.
         clock: the time.
-        desk: shows where it is, and may interfere.
+        controls: show where it is, and may interfere.
         stopped: end it.
         is_now: every time stamp is moved by what lies between the log's time and the present.
 
@@ -126,9 +106,9 @@ def play(
             halt = outlet.attend()
             if halt is not None:
                 return halt
-            if not _obey(player, desk.orders(), clock):
+            if not _obey(player, controls.orders(), clock):
                 return None
-            desk.show(player.time_ns, is_paused=player.is_paused)
+            controls.show(player.time_ns, is_paused=player.is_paused)
             now_ns = clock.monotonic_ns()
         due = player.take(now_ns)
         if due is not None:
@@ -140,7 +120,7 @@ def play(
     return outlet.attend()
 
 
-def _obey(player: ReplayScheduler[T], orders: list[Order], clock: Clock) -> bool:
+def _obey(player: ReplayScheduler[T], orders: list[Order], clock: ReplayClock) -> bool:
     """Do what was asked for. False if that is to end."""
     for order in orders:
         now_ns = clock.monotonic_ns()

@@ -15,7 +15,8 @@ from recorder.reading.log_file import LogFile
 from recorder.reading.logs import find_logs
 from recorder.reading.rows import Row, Selection, read_rows
 from recorder.reading.topics import Topic, topic_of
-from recorder.replay.run import Halt, Order
+from recorder.replay.controls import Order, ReplayControls
+from recorder.replay.run import Halt, ReplayClock
 from schemas.exit_codes import ExitCode
 from schemas.messages import CanFrame, RawSample
 from tests.support.recorder_fakes import (
@@ -121,7 +122,7 @@ def raw_row(of: Topic, raw: RawSample) -> Row:
     return Row(of, 0, WALL_NS, WALL_NS, _RAW(raw))
 
 
-class FakeClock:
+class FakeClock(ReplayClock):
     """Time passes while somebody waits, and while the outlet works."""
 
     def __init__(self) -> None:
@@ -168,7 +169,7 @@ class FakeOutlet(Generic[T]):
         """Nothing to give back."""
 
 
-class FakeDesk:
+class FakeControls(ReplayControls):
     """Gives orders at its times; remembers what it was shown."""
 
     def __init__(self, clock: FakeClock, *orders: tuple[int, Order]) -> None:

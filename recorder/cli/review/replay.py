@@ -20,11 +20,11 @@ from recorder.reading.faults import Faults
 from recorder.reading.rows import Row, Selection, read_rows
 from recorder.reading.topics import Topic
 from recorder.replay.can import CanOutlet, CanPlace, is_virtual
-from recorder.replay.desk import KeyboardDesk, TerminalClock
+from recorder.replay.controls import ReplayControls
 from recorder.replay.frames import DANGER, Frames, Rules, buses_of, holds_frames, refusal
 from recorder.replay.replay import AS_FAST_AS_POSSIBLE, FOR_EVER, Pace, ReplayScheduler, Timed
 from recorder.replay.rows import By, frames, in_order, once, runs, topics_of
-from recorder.replay.run import Halt, Outlet, play
+from recorder.replay.run import Halt, Outlet, ReplayClock, play
 from recorder.replay.samples import (
     DEFAULT_ROOT,
     KeyMap,
@@ -301,8 +301,8 @@ def _play(
     is_now: bool = False,
 ) -> tuple[Replayed, Halt | None]:
     begun_s = time.monotonic()
-    with KeyboardDesk(takes_keys=takes_keys) as desk:
-        halt = play(player, outlet, TerminalClock(), desk, stopped, is_now=is_now)
+    with ReplayControls(takes_keys=takes_keys) as controls:
+        halt = play(player, outlet, ReplayClock(), controls, stopped, is_now=is_now)
     late = player.lateness
     ended = "end" if player.is_ended else "stopped"
     replayed = Replayed(

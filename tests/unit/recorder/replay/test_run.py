@@ -4,10 +4,11 @@ from collections.abc import Iterator
 
 import msgspec
 
+from recorder.replay.controls import Order
 from recorder.replay.replay import FOR_EVER, Pace, ReplayScheduler
-from recorder.replay.run import ATTEND_NS, Halt, Order, play
+from recorder.replay.run import ATTEND_NS, Halt, play
 from tests.support.recorder_fakes import MS, SECOND, WALL_NS
-from tests.support.replaying import HALT, FakeClock, FakeDesk, FakeOutlet
+from tests.support.replaying import HALT, FakeClock, FakeControls, FakeOutlet
 
 
 class Mark(msgspec.Struct, frozen=True):
@@ -15,13 +16,13 @@ class Mark(msgspec.Struct, frozen=True):
 
 
 class Rig:
-    """A log of so many seconds with a mark every 0.1 s, a clock, an outlet and a desk."""
+    """A log of so many seconds with a mark every 0.1 s, a clock, an outlet and controls."""
 
     def __init__(self, length_s: float = 1, speed: float = 1, loops: int = 1) -> None:
         self.clock = FakeClock()
         self.begun_ns = self.clock.now_ns
         self.outlet: FakeOutlet[Mark] = FakeOutlet(self.clock)
-        self.desk = FakeDesk(self.clock)
+        self.controls = FakeControls(self.clock)
         self.count = round(length_s * 10)
         self.reading_ns = 0
         """How long it takes to find the beginning."""
@@ -36,13 +37,13 @@ class Rig:
     def order(self, *orders: tuple[float, Order]) -> None:
         """Orders at seconds since the beginning."""
         timed = [(self.begun_ns + round(at_s * SECOND), order) for at_s, order in orders]
-        self.desk = FakeDesk(self.clock, *timed)
+        self.controls = FakeControls(self.clock, *timed)
 
     def play(self, *, is_now: bool = False) -> Halt | None:
         def stopped() -> bool:
             return self.clock.now_ns >= self.stops_at_ns
 
-        return play(self.player, self.outlet, self.clock, self.desk, stopped, is_now=is_now)
+        return play(self.player, self.outlet, self.clock, self.controls, stopped, is_now=is_now)
 
     @property
     def sent(self) -> list[tuple[int, int]]:
@@ -135,7 +136,7 @@ def test_a_person_can_make_it_stand_still() -> None:
     before, after = rig.sent[:3], rig.sent[3:]
     assert before == [(0, 0), (100, 100), (200, 200)]
     assert all(at_ms == time_ms + 5000 for at_ms, time_ms in after)
-    assert (WALL_NS + 200 * MS, True) in rig.desk.shown
+    assert (WALL_NS + 200 * MS, True) in rig.controls.shown
 
 
 def test_arrows_go_ten_seconds() -> None:

@@ -1,65 +1,45 @@
-"""Whoever watches a replay at a terminal: keys that interfere, and a line that shows where it is."""
+"""The keys of a terminal that pause, seek and end a replay, and a line that shows where it is."""
 
 from __future__ import annotations
 
 import os
+import re
 import select
 import sys
 import termios
 import time
+import tty
 from contextlib import suppress
+from enum import Enum
 from types import TracebackType
 from typing import Any, Final, Self, TextIO
 
 from recorder.reading.times import in_words
-from recorder.replay.run import Order
-
-ORDERS: Final = {b" ": Order.PAUSE, b"q": Order.QUIT, b"\x1b[C": Order.ON, b"\x1b[D": Order.BACK}
-"""What the keys send: space, q, the arrows to the right and to the left."""
-
-APPLICATION_ARROWS: Final = (b"\x1bO", b"\x1b[")
-"""Some terminals send arrows so; it means the same."""
 
 SHOW_S: Final = 0.1
 
-_LOCAL_FLAGS: Final = 3
-_CHARACTERS: Final = 6
+_KEY: Final = re.compile(rb"[ q]|\x1b[\[O][CD]")
+"""Space, q, the arrows to the right and to the left in either of the two forms that terminals send."""
+
 _READ_BYTES: Final = 64
 _CLEAR: Final = "\r\x1b[K"
 
 
+class Order(Enum):
+    """What a person at the keyboard wants, by the last byte of the key."""
+
+    PAUSE = b" "
+    QUIT = b"q"
+    ON = b"C"
+    BACK = b"D"
+
+
 def orders_of(typed: bytes) -> list[Order]:
-    """What typed bytes ask for. A key that means nothing is passed over."""
-    typed = typed.replace(*APPLICATION_ARROWS)
-    orders = []
-    while typed:
-        for keys, order in ORDERS.items():
-            if typed.startswith(keys):
-                orders.append(order)
-                typed = typed[len(keys) :]
-                break
-        else:
-            typed = typed[1:]
-    return orders
+    """Return what typed bytes ask for. A key that means nothing is passed over."""
+    return [Order(key[-1:]) for key in _KEY.findall(typed)]
 
 
-class TerminalClock:
-    """The machine's clocks."""
-
-    def monotonic_ns(self) -> int:
-        """For due times."""
-        return time.monotonic_ns()
-
-    def wall_ns(self) -> int:
-        """Since 1970."""
-        return time.time_ns()
-
-    def sleep(self, duration_ns: int) -> None:
-        """Wait."""
-        time.sleep(max(0, duration_ns) / 1e9)
-
-
-class KeyboardDesk:
+class ReplayControls:
     """The terminal while the block runs, as it was afterwards. Where there is none, nothing is read or shown.
 
     Args:
@@ -79,11 +59,7 @@ class KeyboardDesk:
     def __enter__(self) -> Self:
         if self.takes_keys:
             self._saved = termios.tcgetattr(self._in)
-            changed = termios.tcgetattr(self._in)
-            # Ctrl-C stays a signal.
-            changed[_LOCAL_FLAGS] &= ~(termios.ICANON | termios.ECHO)
-            changed[_CHARACTERS][termios.VMIN], changed[_CHARACTERS][termios.VTIME] = 0, 0
-            termios.tcsetattr(self._in, termios.TCSADRAIN, changed)
+            tty.setcbreak(self._in, termios.TCSADRAIN)  # Ctrl-C stays a signal.
         return self
 
     def __exit__(
@@ -97,18 +73,16 @@ class KeyboardDesk:
                 termios.tcsetattr(self._in, termios.TCSAFLUSH, self._saved)
 
     def orders(self) -> list[Order]:
-        """What was typed since the last call."""
-        if not self.takes_keys:
-            return []
+        """Return what was typed since the last call."""
         try:
-            if not select.select([self._in], [], [], 0)[0]:
+            if not self.takes_keys or not select.select([self._in], [], [], 0)[0]:
                 return []
             return orders_of(os.read(self._in, _READ_BYTES))
         except OSError:
             return [Order.QUIT]
 
     def show(self, time_ns: int | None, *, is_paused: bool) -> None:
-        """Where the replay is."""
+        """Show where the replay is, in the log's time."""
         now_s = time.monotonic()
         if not self._shows or time_ns is None or now_s - self._shown_s < SHOW_S:
             return

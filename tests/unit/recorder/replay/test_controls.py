@@ -3,7 +3,6 @@
 import io
 import os
 import pty
-import sys
 import termios
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,8 +10,7 @@ from typing import TextIO
 
 import pytest
 
-from recorder.replay.desk import KeyboardDesk, TerminalClock, orders_of
-from recorder.replay.run import Order
+from recorder.replay.controls import Order, ReplayControls, orders_of
 from tests.support.recorder_fakes import WALL_NS, wait_until
 
 
@@ -46,23 +44,23 @@ def test_a_terminal_is_read_and_written_and_left_as_it_was() -> None:
     """Keys come without Enter, the line shows where the replay is, Ctrl-C stays a signal."""
     with terminal() as (person, stream):
         before = termios.tcgetattr(stream)
-        with KeyboardDesk(takes_keys=True, read_from=stream, write_to=stream) as desk:
+        with ReplayControls(takes_keys=True, read_from=stream, write_to=stream) as controls:
             inside = termios.tcgetattr(stream)
             assert not inside[3] & (termios.ICANON | termios.ECHO)
             assert inside[3] & termios.ISIG
-            assert desk.orders() == []
+            assert controls.orders() == []
             os.write(person, b" q")
             found: list[Order] = []
 
             def came() -> bool:
-                found.extend(desk.orders())
+                found.extend(controls.orders())
                 return len(found) >= 2
 
             wait_until(came)
             assert found == [Order.PAUSE, Order.QUIT]
-            desk.show(None, is_paused=False)
-            desk.show(WALL_NS, is_paused=True)
-            desk.show(WALL_NS, is_paused=False)
+            controls.show(None, is_paused=False)
+            controls.show(WALL_NS, is_paused=True)
+            controls.show(WALL_NS, is_paused=False)
         shown = os.read(person, 1000)
         assert b"2027-01-15 08:00:00.000 UTC  paused" in shown
         assert shown.count(b"UTC") == 1
@@ -72,9 +70,9 @@ def test_a_terminal_is_read_and_written_and_left_as_it_was() -> None:
 def test_where_there_is_no_terminal_nothing_is_read_or_shown() -> None:
     """Input may be a pipe that means something to somebody else."""
     out = io.StringIO()
-    with KeyboardDesk(takes_keys=True, read_from=io.StringIO("q"), write_to=out) as desk:
-        desk.show(WALL_NS, is_paused=False)
-        assert desk.orders() == []
+    with ReplayControls(takes_keys=True, read_from=io.StringIO("q"), write_to=out) as controls:
+        controls.show(WALL_NS, is_paused=False)
+        assert controls.orders() == []
     assert out.getvalue() == ""
 
 
@@ -82,27 +80,17 @@ def test_a_replay_that_takes_no_keys_reads_none() -> None:
     """To a real bus nobody steps about in a drive."""
     with terminal() as (person, stream):
         os.write(person, b"q")
-        with KeyboardDesk(takes_keys=False, read_from=stream, write_to=stream) as desk:
-            assert desk.orders() == []
+        with ReplayControls(takes_keys=False, read_from=stream, write_to=stream) as controls:
+            assert controls.orders() == []
 
 
 def test_a_terminal_that_has_gone_ends_the_replay() -> None:
     """Nobody is watching any more."""
     with terminal() as (_, stream):
-        desk = KeyboardDesk(takes_keys=True, read_from=stream, write_to=stream)
-        desk._in = os.open(os.devnull, os.O_WRONLY)
+        controls = ReplayControls(takes_keys=True, read_from=stream, write_to=stream)
+        # What cannot be read is always ready, and fails.
+        controls._in = os.open(os.devnull, os.O_WRONLY)
         try:
-            assert desk.orders() in ([], [Order.QUIT])
+            assert controls.orders() == [Order.QUIT]
         finally:
-            os.close(desk._in)
-
-
-def test_the_clocks_are_the_machines() -> None:
-    """The one goes on while somebody waits, the other knows the year."""
-    clock = TerminalClock()
-    begun_ns = clock.monotonic_ns()
-    clock.sleep(1_000_000)
-    clock.sleep(-5)
-    assert clock.monotonic_ns() >= begun_ns + 1_000_000
-    assert clock.wall_ns() > WALL_NS // 2
-    assert sys.stdin is not None
+            os.close(controls._in)
