@@ -12,8 +12,10 @@ import msgspec
 
 from gateway.client import view
 from gateway.client.fleet import Fleet, RobotStatus
+from gateway.client.roll import RollCall
 from gateway.telemetry.received import TokenChange
-from gateway.zenoh.client import PendingQuery, RobotListener, place
+from gateway.zenoh.client import RobotListener, place
+from schemas import keys
 from schemas.arguments import add_zenoh_arguments, seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
@@ -24,9 +26,6 @@ EXAMPLE = """\
 
 POLL_S: Final = 0.02
 """How often what has arrived is taken from Zenoh."""
-
-SETTLE_S: Final = 0.7
-"""When nothing new was heard for this long, nobody else is expected: nodes find each other by gossip in less."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,8 +49,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     """
     where = place(settings.zenoh)
     with RobotListener.open(settings) as listener:
-        search = _Search(listener, Fleet(settings.robot.root), time.monotonic() + arguments.timeout)
-        reports = search.run(stopped)
+        search = _Search(listener, settings.robot.root)
+        reports = search.run(time.monotonic() + arguments.timeout, stopped)
     if not search.linked:
         text = f"no Zenoh node answered within {arguments.timeout:g} s at {where}"
         raise CommandError(text, ExitCode.UNREACHABLE)
@@ -76,51 +75,35 @@ class _Search:
 
     Attributes:
         linked: a Zenoh node is connected.
-        is_complete: everybody who is connected has been asked which robots are there, and has answered.
     """
 
-    def __init__(self, listener: RobotListener, fleet: Fleet, deadline_s: float) -> None:
+    def __init__(self, listener: RobotListener, root: str) -> None:
         self.linked = False
-        self.is_complete = False
         self._listener = listener
-        self._fleet = fleet
-        self._deadline_s = deadline_s
-        self._settled_s = 0.0
-        self._links: frozenset[str] = frozenset()
-        self._roll: PendingQuery | None = None
-        self._known: set[str] = set()
+        self._root = root
+        self._fleet = Fleet(root)
+        self._roll = RollCall(listener, root)
 
-    def run(self, stopped: Callable[[], bool]) -> list[RobotStatus]:
-        """Every robot's report."""
-        while not stopped() and time.monotonic() < self._deadline_s and not self._step(time.monotonic_ns()):
+    @property
+    def is_complete(self) -> bool:
+        """Everybody who is connected has been asked which robots are there, and has answered."""
+        return self._roll.is_answered
+
+    def run(self, deadline_s: float, stopped: Callable[[], bool]) -> list[RobotStatus]:
+        """Return every robot's report."""
+        while not stopped() and (now_s := time.monotonic()) < deadline_s and not self._step(now_s):
             time.sleep(POLL_S)
-        now_ns = time.monotonic_ns()
+        return self._reports(time.monotonic_ns())
+
+    def _reports(self, now_ns: int) -> list[RobotStatus]:
         return [self._fleet.report(robot, now_ns) for robot in self._fleet.robots(now_ns)]
 
-    def _step(self, now_ns: int) -> bool:
-        """Take in what has arrived. Is there nothing more to wait for?"""
-        for heard in self._listener.drain():
-            self._fleet.hear(heard, now_ns)
-        robots = set(self._fleet.robots(now_ns))
-        links = self._listener.links()
-        if robots != self._known or links != self._links:
-            self._known = robots
-            self._settled_s = time.monotonic() + SETTLE_S
-        if links != self._links:
-            # A link that is lost ends the question too, and one that is new was not asked.
-            self._links, self._roll, self.is_complete = links, None, False
-        silent = any(self._fleet.report(robot, now_ns).health is None for robot in robots)
-        if self.is_complete and not silent and time.monotonic() >= self._settled_s:
-            return True
-        if links:
-            self.linked = True
-            self._call_roll(now_ns)
-        return False
-
-    def _call_roll(self, now_ns: int) -> None:
-        """Ask who is there. On a busy network the answer takes longer than robots follow each other."""
-        if self._roll is None:
-            self._roll = self._listener.call_roll(max(self._deadline_s - time.monotonic(), POLL_S))
-        for received in self._roll.poll():
-            self._fleet.hear(TokenChange(received.key, present=True), now_ns)
-        self.is_complete = self._roll.is_over and not self._roll.timed_out
+    def _step(self, now_s: float) -> bool:
+        """Take what has arrived. Return whether nothing more is to be waited for."""
+        now_ns = time.monotonic_ns()
+        for arrival in self._listener.drain():
+            self._fleet.hear(arrival, now_ns)
+        for robot in self._roll.step(now_s):
+            self._fleet.hear(TokenChange(keys.liveliness(self._root, robot), present=True), now_ns)
+        self.linked = self.linked or bool(self._listener.links())
+        return self._roll.is_complete(now_s) and all(report.health for report in self._reports(now_ns))

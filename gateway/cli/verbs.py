@@ -12,7 +12,7 @@ import msgspec
 
 from gateway.cli.engaged import POLL_S, engaged
 from gateway.cli.operator_arguments import add_robot_arguments, connect, lease_number
-from gateway.client.reply import BY_REQUEST
+from gateway.client.payloads import BY_REQUEST
 from gateway.client.robot import Lease, Robot
 from schemas.arguments import ending_after, seconds
 from schemas.exit_codes import ExitCode

@@ -9,8 +9,9 @@ from typing import Final
 
 import msgspec
 
+from gateway.client.payloads import read_sample
 from gateway.telemetry.received import Arrival, Missed, Received
-from schemas import codec, keys
+from schemas import keys
 from schemas.codec import PayloadFault
 from schemas.decisions import SafetyState
 from schemas.messages import GatewayHealth, RobotState
@@ -120,15 +121,12 @@ class Fleet:
         return known
 
     def _receive(self, received: Received, now_ns: int) -> None:
-        parts = keys.parse(received.key)
-        if parts is None or parts.root != self._root:
+        sample = read_sample(received)
+        if sample is None or sample[0].root != self._root:
             return
+        parts, message = sample
         known = self._robot(parts.robot, now_ns)
-        if received.encoding != parts.subject.encoding:
-            known.unreadable = f"{parts.subject.name} is {received.encoding}, not {parts.subject.encoding}"
-            return
-        message = codec.decode(parts.subject, received.payload)
-        known.unreadable = f"{parts.subject.name}: {message.detail}" if isinstance(message, PayloadFault) else ""
+        known.unreadable = message.detail if isinstance(message, PayloadFault) else ""
         match message:
             case RobotState():
                 known.state, known.state_ns = message, now_ns

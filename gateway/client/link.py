@@ -12,13 +12,12 @@ from typing import Final
 import msgspec
 
 from gateway.client.drive_stream import PERIOD_S, SILENT_NS, DriveStream
+from gateway.client.payloads import BY_REQUEST, CONTRADICTION, contradict, encode_request, read_reply, read_sample
 from gateway.client.refusal import Unreachable, refused
 from gateway.client.remote_stop import Seen
-from gateway.client.reply import BY_REQUEST, CONTRADICTION, contradict, encode_request, read_reply
 from gateway.telemetry.received import Missed, Received
 from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort, SafetyListener
-from schemas import codec, keys
 from schemas.codec import PayloadFault
 from schemas.decisions import Reply, SafetyEvent, SafetyState
 from schemas.exit_codes import CommandError
@@ -202,13 +201,8 @@ class RobotLink:
             self.heard.notify_all()
 
     def _hear(self, received: Received, now_ns: int) -> None:
-        parts = keys.parse(received.key)
-        if parts is None:
-            return
-        if received.encoding != parts.subject.encoding:
-            self.unreadable = f"{parts.subject.name} is {received.encoding}, not {parts.subject.encoding}"
-            return
-        message = codec.decode(parts.subject, received.payload)
+        sample = read_sample(received)
+        message = None if sample is None else sample[1]
         match message:
             case SafetyState():
                 self._state, self._state_ns = message, now_ns
@@ -222,8 +216,8 @@ class RobotLink:
                 self._keep((now_ns, self.robot, message))
             case GatewayHealth():
                 self._health = message
-            case PayloadFault():
-                self.unreadable = f"{parts.subject.name}: {message.detail}"
+            case PayloadFault(detail):
+                self.unreadable = detail
 
     def _keep(self, seen: Seen) -> None:
         if len(self._seen) >= SEEN_KEPT:

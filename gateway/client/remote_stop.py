@@ -16,11 +16,12 @@ from typing import Final
 import msgspec
 
 from gateway.client.evidence import Evidence
-from gateway.client.reply import CONTRADICTION, contradict, read_reply
+from gateway.client.payloads import CONTRADICTION, contradict, read_reply, read_sample
+from gateway.client.roll import RollCall
 from gateway.telemetry.received import Arrival, Missed, Received
 from gateway.zenoh.client import PendingQuery, RobotListener
 from gateway.zenoh.operator import CommandPort
-from schemas import codec, keys
+from schemas import keys
 from schemas.codec import PayloadFault
 from schemas.decisions import Reply, SafetyState
 from schemas.messages import RobotState
@@ -38,15 +39,6 @@ AT_LEAST_S: Final = 0.3
 
 ASK_S: Final = 0.25
 """A query without any answer is put again after this time."""
-
-ROLL_S: Final = 0.5
-"""How often it is asked who is connected, where all robots are to stop."""
-
-ROLL_TIMEOUT_S: Final = 5.0
-"""So long an answer to that is waited for, before it is asked anew."""
-
-SETTLE_S: Final = 1.0
-"""When no other robot was heard of for this long, none is expected: nodes find each other by gossip in less."""
 
 POLL_S: Final = 0.005
 
@@ -105,12 +97,9 @@ def _read(heard: Iterable[Arrival]) -> Iterator[Seen | Missed]:
         now_ns = time.monotonic_ns()
         if isinstance(one, Missed):
             yield one
-        parts = keys.parse(one.key) if isinstance(one, Received) else None
-        if parts is None or not isinstance(one, Received) or one.encoding != parts.subject.encoding:
-            continue
-        message = codec.decode(parts.subject, one.payload)
-        if isinstance(message, SafetyState | RobotState):
-            yield now_ns, parts.robot, message
+        sample = read_sample(one) if isinstance(one, Received) else None
+        if sample is not None and isinstance(sample[1], SafetyState | RobotState):
+            yield now_ns, sample[0].robot, sample[1]
 
 
 def stop(
@@ -192,17 +181,13 @@ class _Stopping:
         self._contradicted: set[str] = set()
         self._robot = robot
         self._robot_of = re.compile(rf"{re.escape(root)}/({keys.ROBOT_PATTERN})/.*")
-        self._root = root
         self._answers: dict[str, Reply | str] = {}
         self._expected = set() if robot == keys.ALL else {robot}
         self._questions: list[tuple[int, PendingQuery]] = []
         self._asked = 0
-        self._links: frozenset[str] = frozenset()
-        self._roll: PendingQuery | None = None
-        self._has_answer = False
-        self._changed_s = float("-inf")
+        self._roll = RollCall(port, root) if robot == keys.ALL else None
         self._is_counted = robot != keys.ALL
-        self._put_s = self._ask_s = self._roll_s = float("-inf")
+        self._put_s = self._ask_s = float("-inf")
         self._linked = False
 
     @property
@@ -228,8 +213,9 @@ class _Stopping:
             self._ask_s = now_s
             self._asked += 1
             self._questions = [*(one for one in self._questions if not one[1].is_over), (self._asked, self._ask())]
-        if self._robot == keys.ALL:
-            self._count(now_s)
+        if self._roll is not None:
+            self._expected |= self._roll.step(now_s)
+            self._is_counted = self._roll.is_complete(now_s)
         for number, question in self._questions:
             for received in question.poll():
                 self._hear(received, number)
@@ -239,27 +225,6 @@ class _Stopping:
             else:
                 now_ns, name, message = seen
                 self._sights[name].see(message, now_ns)
-
-    def _count(self, now_s: float) -> None:
-        """Ask again and again who is connected, until that was answered and no other robot appears."""
-        links = self._port.links()
-        if links != self._links:
-            # A link that is lost ends the question too, and one that is new was not asked.
-            self._links, self._roll, self._has_answer, self._changed_s = links, None, False, now_s
-        if self._roll is not None and self._roll.is_over:
-            self._has_answer = not self._roll.timed_out
-            self._roll = None
-        if self._roll is None and links and now_s - self._roll_s >= ROLL_S:
-            self._roll_s = now_s
-            self._roll = self._port.call_roll(ROLL_TIMEOUT_S)
-        known = len(self._expected)
-        if self._roll is not None:
-            names = (keys.robot_of_liveliness(self._root, received.key) for received in self._roll.poll())
-            self._expected.update(name for name in names if name is not None)
-        if len(self._expected) > known:
-            # A peer answers from what it was told so far: while it is told of others, that is not all.
-            self._changed_s = now_s
-        self._is_counted = self._has_answer and now_s - self._changed_s >= SETTLE_S
 
     def report(self) -> StopReport:
         """Who answered, and who did not."""

@@ -1,40 +1,88 @@
-"""Which robots are connected, for who named one that is not."""
+"""Finds out which robots are connected."""
 
 from __future__ import annotations
 
 import time
 from typing import Final
 
+from gateway.zenoh.client import PendingQuery, RobotListener
 from gateway.zenoh.operator import CommandPort
 from schemas import keys
 from schemas.operator_name import login_operator
 from schemas.settings import Settings
 
-ROLL_S: Final = 1.0
-"""How long robots are looked for: nodes find each other by gossip in less."""
+REPEAT_S: Final = 0.5
+"""How often it is asked who is connected."""
+
+TIMEOUT_S: Final = 5.0
+"""So long an answer to that is waited for, before it is asked anew."""
+
+SETTLE_S: Final = 1.0
+"""When no other robot was heard of for this long, none is expected: nodes find each other by gossip in less."""
 
 NAMES_SHOWN: Final = 10
 
 POLL_S: Final = 0.02
 
 
+class RollCall:
+    """Asks again and again who is connected. On a busy network robots answer later than they follow each other.
+
+    Attributes:
+        robots: those that answered.
+        is_answered: everybody who is linked has answered.
+    """
+
+    def __init__(self, port: CommandPort | RobotListener, root: str) -> None:
+        self.robots: set[str] = set()
+        self.is_answered = False
+        self._port = port
+        self._root = root
+        self._links: frozenset[str] = frozenset()
+        self._query: PendingQuery | None = None
+        self._asked_s = self._changed_s = float("-inf")
+
+    def step(self, now_s: float) -> set[str]:
+        """Ask when it is time to. Return the robots that answered since the last step."""
+        links = self._port.links()
+        if links != self._links:
+            # A link that is lost ends the query too, and one that is new was not asked.
+            self._links, self._query, self.is_answered, self._changed_s = links, None, False, now_s
+        if self._query is not None and self._query.is_over:
+            self.is_answered = not self._query.timed_out
+            self._query = None
+        if self._query is None and links and now_s - self._asked_s >= REPEAT_S:
+            self._asked_s = now_s
+            self._query = self._port.call_roll(TIMEOUT_S)
+        if self._query is None:
+            return set()
+        names = {keys.robot_of_liveliness(self._root, received.key) for received in self._query.poll()}
+        answered = {name for name in names if name is not None}
+        if not answered <= self.robots:
+            # A peer answers from what it was told so far: while it is told of others, that is not all.
+            self._changed_s = now_s
+        self.robots |= answered
+        return answered
+
+    def is_complete(self, now_s: float) -> bool:
+        """Report whether everybody has answered, and no other robot has appeared for a while."""
+        return self.is_answered and now_s - self._changed_s >= SETTLE_S
+
+
 def who_is_there(settings: Settings, robot: str) -> str:
-    """The end of a message that this robot was not found: those that are connected. Empty if it is one of them.
+    """Return the end of a message that this robot was not found: those that are, or '' if it is one of them.
 
     Raises:
         CommandError: an endpoint is not of its form.
     """
-    there: set[str] = set()
-    deadline_s = time.monotonic() + ROLL_S
+    deadline_s = time.monotonic() + SETTLE_S
     with CommandPort.open(settings, keys.ALL, login_operator()) as port:
-        while time.monotonic() < deadline_s:
-            question = port.call_roll(max(POLL_S, deadline_s - time.monotonic()))
-            while not question.is_over and time.monotonic() < deadline_s:
-                found = (keys.robot_of_liveliness(settings.robot.root, one.key) for one in question.poll())
-                there.update(name for name in found if name)
-                time.sleep(POLL_S)
-        if robot in there or not port.connected():
+        roll = RollCall(port, settings.robot.root)
+        while (now_s := time.monotonic()) < deadline_s:
+            roll.step(now_s)
+            time.sleep(POLL_S)
+        if robot in roll.robots or not port.connected():
             return ""
-    names = sorted(there)
+    names = sorted(roll.robots)
     more = f" and {len(names) - NAMES_SHOWN} more" if len(names) > NAMES_SHOWN else ""
     return f"; connected: {', '.join(names[:NAMES_SHOWN])}{more}" if names else "; no robot is connected"

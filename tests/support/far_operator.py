@@ -9,7 +9,7 @@ from statistics import median
 import msgspec
 
 from gateway.client.drive_stream import PERIOD_S, DriveEnd, DriveStream, SetPoint
-from gateway.client.reply import encode_request
+from gateway.client.payloads import encode_request
 from gateway.sim.links import LinkProfile
 from schemas.decisions import ArbiterState, EventKind, LeaseReply, Reply, SafetyState
 from schemas.reasons import Reason

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.client.reply import BY_REQUEST, encode_request, read_reply
+from gateway.client.payloads import BY_REQUEST, encode_request, read_reply
 from gateway.telemetry.received import Received
 from schemas.codec import PayloadFault, decode_request
 from schemas.decisions import LeaseReply, Reply

@@ -1,4 +1,4 @@
-"""Requests and replies by the command table, and what is wrong with those that cannot be read. Pure."""
+"""The bytes of requests, replies and samples, and what is wrong with those that cannot be read. Pure."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from typing import Final
 import msgspec
 
 from gateway.telemetry.received import Received
+from schemas import codec, keys
 from schemas.codec import PayloadFault
 from schemas.decisions import LeaseReply, Reply
+from schemas.messages import Message
 from schemas.subjects import COMMANDS, Command
 
 BY_REQUEST: Final = {command.request: command for command in COMMANDS}
@@ -41,3 +43,17 @@ def read_reply(command: Command, received: Received) -> Reply | PayloadFault:
         return _DECODERS[command.reply].decode(received.payload)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         return PayloadFault(f"the reply cannot be read: {error}")
+
+
+def read_sample(received: Received) -> tuple[keys.KeyParts, Message | PayloadFault] | None:
+    """Return the parts of a sample's key and its message, or what is wrong with it; None if it is no robot's."""
+    parts = keys.parse(received.key)
+    if parts is None:
+        return None
+    subject = parts.subject
+    if received.encoding != subject.encoding:
+        return parts, PayloadFault(f"{subject.name} is {received.encoding}, not {subject.encoding}")
+    message = codec.decode(subject, received.payload)
+    if isinstance(message, PayloadFault):
+        return parts, PayloadFault(f"{subject.name}: {message.detail}")
+    return parts, message
