@@ -2,6 +2,5 @@
 
 - ``foxglove.json``, ``plotjuggler.xml``  files as Foxglove, Lichtblick and PlotJuggler save them
 - ``attached``    these for a robot, as a recorder attaches them to each log
-- ``charts``      the lines that are worth seeing
 - ``rerun_blueprint``  a blueprint for rerun; it needs rerun's own package
 """

@@ -13,7 +13,6 @@ from typing import Final
 
 import msgspec
 
-from recorder.layouts.charts import RobotKeys
 from schemas import keys
 
 _KEY: Final = "fleet/cruiser-1/"
@@ -29,6 +28,18 @@ _TEMPLATES: Final = {
 
 COUNT: Final = len(_FILES)
 """So many does ``layouts`` make."""
+
+
+class RobotKeys(msgspec.Struct, frozen=True):
+    """Whose log it is.
+
+    Attributes:
+        key: what its keys begin with: root and name.
+        bus: the CAN bus's name; empty if it is not known.
+    """
+
+    key: str
+    bus: str = ""
 
 
 class ViewerLayout(msgspec.Struct, frozen=True):

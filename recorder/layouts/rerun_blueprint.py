@@ -1,4 +1,4 @@
-"""A blueprint for rerun.
+"""A blueprint for rerun: the panels of the layout for Foxglove, and the switches, which that one has no chart for.
 
 It can only be made with rerun's own package, which is large; so no recorder attaches it, and it is made from a
 log when it is wanted. It tells by a selector which field of a message is the number or the state to draw; that is
@@ -7,21 +7,64 @@ younger than most of rerun, and may change with it.
 
 from __future__ import annotations
 
+import json
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
 import rerun
 import rerun.blueprint as blueprints
 from msgspec import inspect
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
 from recorder.encoding.protobuf_schema import fields, schema_name
-from recorder.layouts.charts import ANGLE, LATENESS, SPEED, STATES, SWITCHES, Chart, ChartLine, RobotKeys
+from recorder.layouts.attached import RobotKeys, layouts
+from schemas import keys
 
 NAME: Final = "layout.rerun.rbl"
 
+PANELS: Final = {
+    "speed": "Plot!speed",
+    "angle": "Plot!angle",
+    "lateness": "Plot!lateness",
+    "states": "StateTransitions!states",
+}
+"""Views of the blueprint, and the panels of Foxglove's layout that they show."""
+
+_PATH: Final = re.compile(r'"([^"]+)"\.(\w+)')
+"""A message path of Foxglove: topic and field, as they are. One with ``@negative`` mirrors another."""
+
 _SCALARS: Final = "Scalars:scalars"
 _STATE: Final = "StateChange:state"
+
+
+class ChartLine(msgspec.Struct, frozen=True):
+    """A field of a topic over time."""
+
+    topic: str
+    field: str
+    label: str
+    colour: str = ""
+
+
+def chart_lines(robot: RobotKeys) -> dict[str, list[ChartLine]]:
+    """Return the lines of each view of a robot's log."""
+    panels = json.loads(layouts(robot)[0].data)["configById"]
+    return {view: _lines(panels[panel]) for view, panel in PANELS.items()} | {
+        "switches": [
+            ChartLine(f"{robot.key}/safety/state", "engaged", "engaged", "#199e70"),
+            ChartLine(f"{robot.key}/state", "front_bumper", "front bumper", "#e0524d"),
+            ChartLine(f"{robot.key}/state", "rear_bumper", "rear bumper", "#e08a1e"),
+            ChartLine(f"{robot.key}/safety/state", "parking", "parking brake asked for", "#8a8f98"),
+        ]
+    }
+
+
+def _lines(panel: dict[str, Any]) -> list[ChartLine]:
+    matches = ((path, _PATH.fullmatch(path["value"])) for path in panel["paths"])
+    return [ChartLine(one[1], one[2], path["label"], path.get("color", "")) for path, one in matches if one]
 
 
 def save_blueprint(robot: RobotKeys, application: str, path: Path) -> None:
@@ -32,14 +75,17 @@ def save_blueprint(robot: RobotKeys, application: str, path: Path) -> None:
         application: the name under which rerun opens the log: blueprints are kept by it.
         path: where to.
     """
+    lines = chart_lines(robot)
     rows = blueprints.Vertical(
-        *(_plot(chart, robot) for chart in (SPEED, ANGLE, SWITCHES)),
-        _states(robot),
+        _plot("speed, m/s", lines["speed"]),
+        _plot("steering angle, deg", lines["angle"]),
+        _plot("engaged, bumpers, parking brake asked for", lines["switches"]),
+        _states(lines["states"]),
         row_shares=[2.5, 2.5, 1.5, 3.5],
     )
     texts = blueprints.Vertical(
-        blueprints.TextLogView(origin=f"/{robot.events}", name="events"),
-        _plot(LATENESS, robot),
+        blueprints.TextLogView(origin=f"/{robot.key}/safety/event/log", name="events"),
+        _plot("tick lateness, ms", lines["lateness"]),
         row_shares=[3, 1],
     )
     layout = blueprints.Horizontal(rows, texts, column_shares=[3, 2])
@@ -48,32 +94,35 @@ def save_blueprint(robot: RobotKeys, application: str, path: Path) -> None:
     made.save(application, path)
 
 
-def _plot(chart: Chart, robot: RobotKeys) -> blueprints.TimeSeriesView:
+def _plot(title: str, lines: Sequence[ChartLine]) -> blueprints.TimeSeriesView:
     """Several lines of one topic are several visualisers of it."""
     overrides: dict[str, list[Any]] = {}
-    for line in chart.lines:
+    for line in lines:
         series = rerun.SeriesLines(names=line.label, colors=int(f"{line.colour[1:]}ff", 16))
         drawn = series.visualizer(mappings=[mapping_of(line, _SCALARS)])
-        overrides.setdefault(f"/{robot.topic(line.kind)}", []).append(drawn)
-    return blueprints.TimeSeriesView(origin="/", contents=list(overrides), name=chart.title, overrides=overrides)
+        overrides.setdefault(f"/{line.topic}", []).append(drawn)
+    return blueprints.TimeSeriesView(origin="/", contents=list(overrides), name=title, overrides=overrides)
 
 
-def _states(robot: RobotKeys) -> blueprints.StateTimelineView:
+def _states(lines: Sequence[ChartLine]) -> blueprints.StateTimelineView:
     overrides: dict[str, list[Any]] = {}
-    for line in STATES:
+    for line in lines:
         drawn = rerun.StateChange.from_fields().visualizer(mappings=[mapping_of(line, _STATE)])
-        overrides.setdefault(f"/{robot.topic(line.kind)}", []).append(drawn)
+        overrides.setdefault(f"/{line.topic}", []).append(drawn)
     return blueprints.StateTimelineView(origin="/", contents=list(overrides), name="states", overrides=overrides)
 
 
 def mapping_of(line: ChartLine, target: str) -> VisualizerComponentMapping:
-    """Where a visualiser finds what it draws; ``target`` is the name by which it asks for that."""
+    """Return where a visualiser finds what it draws; ``target`` is the name by which it asks for that."""
+    parts = keys.parse(line.topic)
+    if parts is None:
+        raise AssertionError(f"the layout has a path to {line.topic}, which is no topic of a robot")
+    kind = parts.subject.type
     # Of an enumeration rerun makes a struct with its name and its number.
-    kinds = {name: kind for name, _, kind in fields(line.kind)}
-    is_enum = isinstance(kinds[line.field], inspect.EnumType)
+    is_enum = any(name == line.field and isinstance(one, inspect.EnumType) for name, _, one in fields(kind))
     return VisualizerComponentMapping(
         target,
         ComponentSourceKind.SourceComponent,
-        source_component=f"{schema_name(line.kind)}:message",
+        source_component=f"{schema_name(kind)}:message",
         selector=f".{line.field}{'.name' if is_enum else ''}",
     )

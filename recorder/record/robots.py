@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from recorder.layouts.attached import layouts
-from recorder.layouts.charts import RobotKeys
+from recorder.layouts.attached import RobotKeys, layouts
 from recorder.record.actions import LogAction, Query, WriteAttachment, WriteMetadata
 from schemas import keys
 from schemas.messages import GatewayInfo, Variant

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from recorder.layouts.charts import RobotKeys
+from recorder.layouts.attached import RobotKeys
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.survey import survey

@@ -142,6 +142,6 @@ def test_rerun_draws_what_the_blueprint_names(log: Path, tmp_path: Path) -> None
         [python, script, project, packages, log, blueprint], capture_output=True, text=True, check=True
     )
     lines = [json.loads(line) for line in done.stdout.splitlines()]
-    assert len(lines) > 15
-    assert [(kind, field) for kind, field, drawn in lines if drawn not in DRAWN] == []
+    assert len(lines) == 21
+    assert [(topic, field) for topic, field, drawn in lines if drawn not in DRAWN] == []
     subprocess.run([python.with_name("rerun"), "rrd", "verify", blueprint], check=True, capture_output=True)

@@ -15,23 +15,23 @@ def main(log: str, blueprint: str) -> None:
     """Write the blueprint, and print for each line of each chart whether rerun finds it."""
     from rerun.chunk import McapReader  # noqa: PLC0415 - the paths are set below
 
-    from recorder.layouts import charts, rerun_blueprint  # noqa: PLC0415
+    from recorder.layouts import rerun_blueprint  # noqa: PLC0415
+    from recorder.layouts.attached import RobotKeys  # noqa: PLC0415
 
-    robot = charts.RobotKeys("fleet/cruiser-1", "can0")
+    robot = RobotKeys("fleet/cruiser-1", "can0")
     rerun_blueprint.save_blueprint(robot, "cruiser-1", Path(blueprint))
     structs: dict[tuple[str, str], Any] = {}
     for chunk in McapReader(log, decoders=["protobuf"]).stream():
         for field in chunk.to_record_batch().schema:
             if field.name.endswith(":message"):
                 structs[chunk.entity_path, field.name] = field.type.value_type
-    shown = (charts.SPEED, charts.ANGLE, charts.SWITCHES, charts.LATENESS)
-    for line in [*(line for chart in shown for line in chart.lines), *charts.STATES]:
+    for line in (line for lines in rerun_blueprint.chart_lines(robot).values() for line in lines):
         mapping = rerun_blueprint.mapping_of(line, "")
-        kind = structs.get((f"/{robot.topic(line.kind)}", mapping.source_component))
+        kind = structs.get((f"/{line.topic}", mapping.source_component))
         for name in str(mapping.selector).split(".")[1:]:
             index = kind.get_field_index(name) if kind is not None else -1
             kind = kind.field(index).type if kind is not None and index >= 0 else None
-        print(json.dumps([line.kind.__name__, line.field, None if kind is None else str(kind)]))
+        print(json.dumps([line.topic, line.field, None if kind is None else str(kind)]))
 
 
 if __name__ == "__main__":

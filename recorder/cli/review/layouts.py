@@ -13,8 +13,7 @@ import msgspec
 
 from recorder.cli.review.asking import add_logs, end_with, find
 from recorder.cli.show import show
-from recorder.layouts.attached import layouts
-from recorder.layouts.charts import RobotKeys
+from recorder.layouts.attached import RobotKeys, layouts
 from recorder.review.layouts import robots_of
 from schemas.exit_codes import CommandError
 from schemas.printable import plain

@@ -1,7 +1,6 @@
 """The layouts that a recorder attaches to each log."""
 
-from recorder.layouts.attached import COUNT, layouts
-from recorder.layouts.charts import RobotKeys
+from recorder.layouts.attached import COUNT, RobotKeys, layouts
 
 LARGEST_BYTES = 16_000
 """All of them: each file of a recording repeats them."""

@@ -8,8 +8,7 @@ import foxglove.layouts
 import pytest
 
 from recorder.encoding.protobuf_schema import message_class
-from recorder.layouts.attached import layouts
-from recorder.layouts.charts import RobotKeys
+from recorder.layouts.attached import RobotKeys, layouts
 from recorder.record.actions import DeclareChannel
 from schemas.decisions import EventKind
 from schemas.keys import parse

@@ -6,8 +6,7 @@ import pytest
 from msgspec import inspect
 
 from recorder.encoding.protobuf_schema import fields, optional_part
-from recorder.layouts.attached import layouts
-from recorder.layouts.charts import RobotKeys
+from recorder.layouts.attached import RobotKeys, layouts
 from tests.support.layout_topics import logged_topics
 
 NUMBERS = (inspect.IntType, inspect.FloatType, inspect.BoolType)

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from recorder.layouts.attached import layouts
-from recorder.layouts.charts import RobotKeys
+from recorder.layouts.attached import RobotKeys, layouts
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support import review_command
 from tests.support.recorder_fakes import FakeSample, Log, batch, gear, info, sample_of, small_log
