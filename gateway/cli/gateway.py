@@ -104,7 +104,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         closing.callback(bus.close)
         mode = "listen-only" if inbox is None else "commands through the arbiter"
         sys.stderr.write(f"gateway: {settings.robot.name} {place}, bus {describe(settings.can)}, {mode}\n")
-        sys.stderr.flush()
         if inbox is not None and closing.enter_context(BusClaim(settings.can)).is_shared:
             log.warning("%s", _shared(settings))
         if node.warning and core.command is None:

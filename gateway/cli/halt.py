@@ -237,4 +237,3 @@ class HaltSequence:
 
 def _say(line: str) -> None:
     sys.stderr.write(f"halt: {line}\n")
-    sys.stderr.flush()

@@ -1,8 +1,13 @@
 """Finds the command, reads the configuration, runs it, and turns every expected failure into one clear line.
 
-Each command is a module, or an object in one, with ``EXAMPLE``, ``add_arguments`` and ``run``. It is imported only
-when it is asked for, so that ``cruiser --help`` answers at once. This table alone names commands of
-both the gateway and the recorder; it does so by name, and neither package imports the other.
+Each command is a module, or an object in one, with
+
+- ``EXAMPLE``, for its help;
+- ``add_arguments(parser)``, which declares its flags. A ``dest`` with a dot, ``can.channel``, sets that setting;
+- ``run(arguments, settings, stopped)``, which returns the exit code. SIGINT and SIGTERM make ``stopped()`` true.
+
+It is imported only when it is asked for, so that ``cruiser --help`` answers at once. This table alone names
+commands of both the gateway and the recorder; it does so by name, and neither package imports the other.
 """
 
 from __future__ import annotations
@@ -14,13 +19,9 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from importlib import import_module
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Final, Protocol, cast
-
-if TYPE_CHECKING:
-    from schemas.settings import Settings
+from typing import Final
 
 COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "demo": ("gateway.cli.demo", "chassis, gateway and recorder together, then a summary"),
@@ -48,25 +49,6 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
 
 TAKE_HANGUPS: Final = frozenset({"record"})
 """Commands to which SIGHUP says something: until they hear it, it says nothing. The others it ends."""
-
-Stopped = Callable[[], bool]
-
-
-class CliCommand(Protocol):
-    """A command: a module, or an object in one."""
-
-    @property
-    def EXAMPLE(self) -> str:  # noqa: N802 - a constant of the module
-        """Examples for its help."""
-        ...
-
-    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declare the command's flags. A ``dest`` with a dot, ``can.channel``, sets that setting."""
-        ...
-
-    def run(self, arguments: argparse.Namespace, settings: Settings, stopped: Stopped) -> int:
-        """Do it. ``stopped()`` turns true at SIGINT or SIGTERM. Returns the exit code."""
-        ...
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -134,11 +116,13 @@ def _run(name: str, words: list[str]) -> int:
     place, about = COMMANDS[name]
     if name in TAKE_HANGUPS and signal.getsignal(signal.SIGHUP) == signal.SIG_DFL:
         signal.signal(signal.SIGHUP, _not_yet)
-    command = _find(place)
     # Imported late for the same reason as the commands: they cost more than the help itself.
+    from pkgutil import resolve_name  # noqa: PLC0415
+
     from gateway.cli.configuration_file import load_settings  # noqa: PLC0415
     from schemas.exit_codes import CommandError  # noqa: PLC0415
 
+    command = resolve_name(place)
     parser = argparse.ArgumentParser(
         prog=f"cruiser {name}",
         description=about[0].upper() + about[1:] + ".",
@@ -162,7 +146,7 @@ def _run(name: str, words: list[str]) -> int:
     flags = {key: value for key, value in vars(arguments).items() if "." in key and value is not None}
     try:
         settings = load_settings(arguments.config, os.environ, flags)
-        return command.run(arguments, settings, _stop_on_signals())
+        return int(command.run(arguments, settings, _stop_on_signals()))
     except CommandError as error:
         sys.stderr.write(f"cruiser {name}: {error}\n")
         return int(error.code)
@@ -170,17 +154,11 @@ def _run(name: str, words: list[str]) -> int:
         return 128 + signal.SIGINT
 
 
-def _find(place: str) -> CliCommand:
-    module, _, name = place.partition(":")
-    found = import_module(module)
-    return cast("CliCommand", getattr(found, name) if name else found)
-
-
 def _not_yet(_number: int, _frame: FrameType | None) -> None:
     """Takes a signal before there is anything to do about it."""
 
 
-def _stop_on_signals() -> Stopped:
+def _stop_on_signals() -> Callable[[], bool]:
     """A flag that SIGINT and SIGTERM raise; a second signal ends the process the usual way."""
     raised = threading.Event()
 

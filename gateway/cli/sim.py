@@ -193,4 +193,3 @@ def _bounded(text: str, low: float, high: float) -> float:
 
 def _say(text: str) -> None:
     sys.stderr.write(f"sim: {text}\n")
-    sys.stderr.flush()

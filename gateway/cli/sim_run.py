@@ -11,6 +11,7 @@ import msgspec
 
 from gateway.can.can_bus import Bus, BusFull
 from gateway.chassis.frame import ERROR, Frame
+from gateway.cli.typed_lines import TypedLines
 from gateway.sim.faults import FaultTextError, parse
 from gateway.sim.model import VirtualChassis
 
@@ -49,14 +50,6 @@ class SimBus(Protocol):
 
     def send(self, frames: Iterable[Frame], now_ns: int) -> None:
         """Puts frames on the bus."""
-
-
-class Lines(Protocol):
-    """Where lines are typed."""
-
-    def read(self) -> list[str]:
-        """Those that are complete by now."""
-        ...
 
 
 class SimClock:
@@ -126,7 +119,7 @@ def live(
     stopped: Callable[[], bool],
     *,
     clock: SimClock,
-    lines: Lines,
+    lines: TypedLines,
     answer: Callable[[str], None],
     seconds: float | None = None,
 ) -> SimSummary:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import select
 import termios
+import tty
 from contextlib import suppress
 from types import TracebackType
 from typing import Any, Final, Self
@@ -12,9 +13,6 @@ from typing import Any, Final, Self
 from gateway.cli.keyboard import ASK, BEGIN, END
 
 _READ_BYTES: Final = 1024
-_LOCAL_FLAGS: Final = 3
-_INPUT_FLAGS: Final = 0
-_CHARACTERS: Final = 6
 
 
 class Terminal:
@@ -29,9 +27,9 @@ class Terminal:
         self._saved = termios.tcgetattr(self._in)
         changed = termios.tcgetattr(self._in)
         # Ctrl-C is a key like the others: it stops the robot first. Ctrl-S shall not hold up what is drawn.
-        changed[_LOCAL_FLAGS] &= ~(termios.ICANON | termios.ECHO | termios.ISIG | termios.IEXTEN)
-        changed[_INPUT_FLAGS] &= ~(termios.IXON | termios.ICRNL)
-        changed[_CHARACTERS][termios.VMIN], changed[_CHARACTERS][termios.VTIME] = 0, 0
+        changed[tty.LFLAG] &= ~(termios.ICANON | termios.ECHO | termios.ISIG | termios.IEXTEN)
+        changed[tty.IFLAG] &= ~(termios.IXON | termios.ICRNL)
+        changed[tty.CC][termios.VMIN], changed[tty.CC][termios.VTIME] = 0, 0
         termios.tcsetattr(self._in, termios.TCSADRAIN, changed)
         self._write(BEGIN)
         return self

@@ -83,7 +83,6 @@ class VerbCommand(msgspec.Struct, frozen=True):
 
 def _keep(lease: Lease, stopped: Callable[[], bool]) -> None:
     sys.stderr.write(f"done; lease {lease.number} keeps the robot engaged; Ctrl-C ends it\n")
-    sys.stderr.flush()
     while not stopped():
         lease.check()
         time.sleep(POLL_S)

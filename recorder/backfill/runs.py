@@ -12,6 +12,7 @@ from itertools import pairwise
 from operator import attrgetter
 from typing import Final
 
+from recorder.backfill.ranges import merged
 from recorder.encoding.key_counters import RESTART_STEP, SEQUENCE_SPAN
 
 OPEN_RUNS: Final = 4
@@ -131,10 +132,4 @@ class Cover:
             yield before[1], after[0]
 
     def _join(self) -> None:
-        joined: list[list[int]] = []
-        for first, last in sorted(self._spans):
-            if joined and first <= joined[-1][1] + self._silence_ns:
-                joined[-1][1] = max(joined[-1][1], last)
-            else:
-                joined.append([first, last])
-        self._spans = joined
+        self._spans = list(map(list, merged(((first, last) for first, last in self._spans), self._silence_ns)))

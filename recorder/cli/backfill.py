@@ -109,29 +109,23 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     holes = [hole for hole in finder.holes() if arguments.robot in {None, robots.get(_prefix(hole.topic, robots))}]
     expressions = settings.recorder.keys or [f"{settings.robot.root}/**"]
     filling = Filling(holes, lambda topic: any(key_matches(expression, topic) for expression in expressions))
-    asked = _Asked([], [], [])
+    recorders: list[str] = []
+    files: list[Path] = []
+    details: list[str] = []
     if holes and not arguments.dry_run:
         logs.each(filling.hold)
-        asked = _ask(arguments, settings, stopped, logs, finder.topics, filling)
+        recorders, files, details = _ask(arguments, settings, stopped, logs, finder.topics, filling)
     result = Backfilled(
-        recorders=asked.recorders,
+        recorders=recorders,
         holes=filling.results(),
         asked=filling.asked,
         filled=filling.written,
-        files=list(map(str, asked.files)),
+        files=list(map(str, files)),
         unread=logs.faults,
-        details=asked.details,
+        details=details,
     )
     show(result, describe(result), as_json=arguments.json)
     return int(_code(result, was_asked=not arguments.dry_run))
-
-
-class _Asked(msgspec.Struct, frozen=True):
-    """Who answered, what was written, and what they said besides."""
-
-    recorders: list[str]
-    files: list[Path]
-    details: list[str]
 
 
 def _ask(
@@ -141,8 +135,8 @@ def _ask(
     logs: OwnLogs,
     topics: Mapping[str, set[str]],
     filling: Filling,
-) -> _Asked:
-    """Ask the other recorders, and write what is missing."""
+) -> tuple[list[str], list[Path], list[str]]:
+    """Ask the other recorders, and write what is missing. Return who answered, the files, their other words."""
     operator = arguments.operator or login_operator()
     library = f"cruiser-gateway {version('cruiser-gateway')}"
     with (
@@ -164,7 +158,7 @@ def _ask(
         recorders = backfilling.run(_others(there, settings), stopped)
         if not recorders and not stopped():
             raise CommandError(f"{plain(', '.join(there))} did not answer", ExitCode.UNREACHABLE)
-        return _Asked(recorders, files.finish(_about(recorders, filling)), backfilling.details)
+        return recorders, files.finish(_about(recorders, filling)), backfilling.details
 
 
 def _others(names: Sequence[str], settings: Settings) -> list[str]:

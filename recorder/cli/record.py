@@ -154,7 +154,6 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
             f"record: waiting for samples of {', '.join(expressions)} into {recorder.directory}; "
             f"listens on {', '.join([*source.listen, *control.listen]) or 'nothing'}\n"
         )
-        sys.stderr.flush()
         leftovers = LeftoverThread(path, library)
         plan = recorder_plan(settings, control.name, expressions, release)
         loop = RecorderLoop(
@@ -177,7 +176,6 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
     if recorded.is_hung:
         # Threads that wait for the disk would keep the process for ever.
         sys.stdout.flush()
-        sys.stderr.flush()
         os._exit(code)
     return code
 

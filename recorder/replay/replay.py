@@ -134,6 +134,7 @@ class ReplayScheduler(Generic[T]):
         loops: how often; FOR_EVER does not end.
 
     Attributes:
+        pace: as it was given.
         lateness: of what was handed out, if it is paced.
         slipped_ns: by how much the whole has been put off, as it could not keep up: see SLIP_NS.
         time_ns: the log's time of what was handed out last; None before.
@@ -144,7 +145,7 @@ class ReplayScheduler(Generic[T]):
 
     def __init__(self, read: Callable[[int | None], Iterator[T]], pace: Pace, loops: int = 1) -> None:
         self._read = read
-        self._pace = pace
+        self.pace = pace
         self._loops = loops
         self._items: Iterator[T] = iter(())
         self._next: Due[T] | None = None
@@ -163,16 +164,6 @@ class ReplayScheduler(Generic[T]):
         return self._paused_ns is not None
 
     @property
-    def is_paced(self) -> bool:
-        """True if anything has a due time at all."""
-        return self._pace.is_paced
-
-    @property
-    def pauses_cut(self) -> int:
-        """Pauses of the log that were cut."""
-        return self._pace.cut
-
-    @property
     def next_ns(self) -> int | None:
         """When the next one is due; None if that is not known: at the end, or while it is paused."""
         return None if self._next is None or self.is_paused else self._next.due_ns
@@ -186,12 +177,12 @@ class ReplayScheduler(Generic[T]):
         due = self._next
         if due is None or self.is_paused or due.due_ns > now_ns:
             return None
-        if self._pace.is_paced:
+        if self.pace.is_paced:
             late_ns = now_ns - due.due_ns
             self.lateness.add(late_ns)
             if late_ns > SLIP_NS:
                 due = Due(due.item, now_ns)
-                self._pace.delay(late_ns)
+                self.pace.delay(late_ns)
                 self.slipped_ns += late_ns
         self.time_ns = due.item.time_ns
         self._last_due_ns = due.due_ns
@@ -213,7 +204,7 @@ class ReplayScheduler(Generic[T]):
 
     def hold(self, duration_ns: int) -> None:
         """All that is not due yet is due so much later."""
-        self._pace.delay(duration_ns)
+        self.pace.delay(duration_ns)
         if self._next is not None:
             self._next = Due(self._next.item, self._next.due_ns + duration_ns)
 
@@ -228,7 +219,7 @@ class ReplayScheduler(Generic[T]):
     def _begin(self, from_ns: int | None, now_ns: int) -> None:
         self._items = self._read(from_ns)
         self._last_due_ns = now_ns
-        self._pace.start(now_ns)
+        self.pace.start(now_ns)
         self._advance()
 
     def _advance(self) -> None:
@@ -238,7 +229,7 @@ class ReplayScheduler(Generic[T]):
             self._has_played = False
             self._items = self._read(None)
             # Not from now on: what was late does not make the next round late too.
-            self._pace.start(self._last_due_ns)
+            self.pace.start(self._last_due_ns)
             item = next(self._items, None)
-        self._next = None if item is None else Due(item, self._pace.due_ns(item.time_ns))
+        self._next = None if item is None else Due(item, self.pace.due_ns(item.time_ns))
         self.is_ended = item is None

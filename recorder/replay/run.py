@@ -112,7 +112,7 @@ def play(
             now_ns = clock.monotonic_ns()
         due = player.take(now_ns)
         if due is not None:
-            present_ns = epoch_ns + (due.due_ns if player.is_paced else now_ns)
+            present_ns = epoch_ns + (due.due_ns if player.pace.is_paced else now_ns)
             outlet.send(due.item, present_ns - due.item.time_ns if is_now else 0)
             continue
         next_ns = player.next_ns

@@ -11,18 +11,11 @@ import can
 from gateway.can.socketcand_server import SocketcandServer
 from gateway.chassis.cruiser.layout import load
 from gateway.cli.sim_run import SimClock, SimSummary, live
+from gateway.cli.typed_lines import TypedLines
 from gateway.sim.model import VirtualChassis
 from schemas.messages import Variant
 
 DEADLINE_S = 20.0
-
-
-class NoLines:
-    """Nobody types."""
-
-    def read(self) -> list[str]:
-        """Nothing."""
-        return []
 
 
 class Served:
@@ -45,7 +38,7 @@ class Served:
     def serve(self) -> None:
         """Runs until ``stop`` is set."""
         self.summary = live(
-            self.chassis, self.server, self.stop.is_set, clock=SimClock(), lines=NoLines(), answer=print
+            self.chassis, self.server, self.stop.is_set, clock=SimClock(), lines=TypedLines(-1), answer=print
         )
 
     @contextmanager

@@ -1,7 +1,7 @@
 """``cruiser review``: finds the question, and asks it.
 
-Each question is a module with ``EXAMPLE``, ``DESCRIPTION``, ``add_arguments`` and ``run``. Some stand on large
-libraries, so it is imported only when it is asked for.
+Each question is a module with ``EXAMPLE``, ``DESCRIPTION``, ``add_arguments`` and ``run``, as commands have them.
+Some stand on large libraries, so it is imported only when it is asked for.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from importlib import import_module
-from typing import Any, Final, Protocol, cast
+from typing import Any, Final
 
 from schemas.settings import Settings
 
@@ -33,21 +33,6 @@ QUESTIONS: Final[dict[str, tuple[str, str]]] = {
 """Name of the question, its module, and its line in the help."""
 
 
-class QuestionModule(Protocol):
-    """What a question's module offers."""
-
-    EXAMPLE: str
-    DESCRIPTION: str
-
-    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declare the question's flags."""
-        ...
-
-    def run(self, arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-        """Answer it. Returns the exit code."""
-        ...
-
-
 class _QuestionParser(argparse.ArgumentParser):
     """A question's parser, which learns its flags when it is used."""
 
@@ -60,7 +45,7 @@ class _QuestionParser(argparse.ArgumentParser):
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
         if not self._is_ready:
-            module = cast("QuestionModule", import_module(self._module))
+            module = import_module(self._module)
             self.description = module.DESCRIPTION
             self.epilog = f"example:\n{module.EXAMPLE}"
             module.add_arguments(self)
@@ -79,5 +64,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Answer."""
-    module = cast("QuestionModule", import_module(QUESTIONS[arguments.question][0]))
-    return module.run(arguments, settings, stopped)
+    module = import_module(QUESTIONS[arguments.question][0])
+    return int(module.run(arguments, settings, stopped))

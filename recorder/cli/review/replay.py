@@ -202,7 +202,7 @@ def _to_zenoh(
     if not any(may_hold(topic, wants) for topic in topics_of(asked.logs)):
         raise CommandError(NOTHING)
     player = _player(arguments, asked, lambda topic: may_hold(topic, wants), read)
-    with closing(ZenohOutlet(settings.zenoh, root, waits=not player.is_paced)) as outlet:
+    with closing(ZenohOutlet(settings.zenoh, root, waits=not player.pace.is_paced)) as outlet:
         _meet(outlet, settings, arguments.timeout, stopped)
         if not outlet.wait_for_subscriber(arguments.timeout, stopped) and not stopped():
             _tell(f"nobody subscribes to {root}/** yet")
@@ -316,7 +316,7 @@ def _play(
         lateness_p99_ms=late.quantile_ns(0.99) / 1e6,
         lateness_max_ms=late.max_ns / 1e6,
         slipped_s=player.slipped_ns / 1e9,
-        pauses_cut=player.pauses_cut,
+        pauses_cut=player.pace.cut,
         was_alone=False,
         ended=ended if halt is None else halt.detail,
     )
@@ -369,7 +369,6 @@ _OF_ZENOH: Final = ("root", "force", "time", "now")
 
 def _tell(text: str) -> None:
     sys.stderr.write(f"replay: {plain(text)}\n")
-    sys.stderr.flush()
 
 
 def _speed(text: str) -> float:

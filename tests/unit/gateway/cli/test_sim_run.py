@@ -8,6 +8,7 @@ from gateway.can.can_bus import BusLost
 from gateway.chassis.cruiser.layout import load
 from gateway.chassis.frame import ERROR, Frame
 from gateway.cli.sim_run import CanBusLink, Inject, SimClock, SimSummary, live
+from gateway.cli.typed_lines import TypedLines
 from gateway.sim.model import VirtualChassis
 from schemas.messages import Variant
 from tests.support.sim_rig import MS, Rig, S
@@ -58,7 +59,7 @@ class FakeLink:
         self.sent += [(now_ns, frame) for frame in frames]
 
 
-class FakeLines:
+class FakeLines(TypedLines):
     """Lines that have been typed."""
 
     def __init__(self, *lines: str) -> None:
@@ -217,10 +218,3 @@ def test_a_lost_bus_ends_the_run() -> None:
     bus.lost = True
     with pytest.raises(BusLost):
         live(bench.chassis, CanBusLink(bus), lambda: False, clock=bench.clock, lines=bench.lines, answer=print)
-
-
-def test_the_clock_is_the_machines() -> None:
-    """Both clocks run forward."""
-    clock = SimClock()
-    assert clock.monotonic_ns() <= clock.monotonic_ns()
-    assert clock.wall_ns() > WALL_NS
