@@ -33,18 +33,21 @@ def repeating_w() -> HeldKeys:
     return keys
 
 
-def test_without_releases_a_single_stroke_moves_nothing() -> None:
-    """A tap may be a mistake, and nobody would tell its end."""
+@pytest.mark.parametrize(
+    "reads",
+    [
+        pytest.param([(0, 1)], id="a tap may be a mistake, and nobody would tell its end"),
+        pytest.param([(0, 50)], id="pasted text is read at one time"),
+        pytest.param([(0, 1), (BEGIN_MIN_NS - 1, 1)], id="no keyboard repeats as soon as two taps"),
+        pytest.param([(0, 1), (BEGIN_NS + 1, 1)], id="what comes long after is a new stroke"),
+    ],
+)
+def test_without_releases_strokes_that_are_no_repetition_move_nothing(reads: list[tuple[int, int]]) -> None:
+    """Each read has a time and a number of strokes."""
     keys = HeldKeys()
-    keys.hear([Stroke("w")], START_NS)
-    assert keys.wish(START_NS) == NOTHING
-
-
-def test_a_piece_of_pasted_text_moves_nothing() -> None:
-    """Strokes that are read at one time are no repetition."""
-    keys = HeldKeys()
-    keys.hear([Stroke("w")] * 50, START_NS)
-    assert keys.wish(START_NS) == NOTHING
+    for after_ns, strokes in reads:
+        keys.hear([Stroke("w")] * strokes, START_NS + after_ns)
+        assert keys.wish(START_NS + after_ns) == NOTHING
 
 
 def test_a_key_that_repeats_moves_until_shortly_after_its_last_repetition() -> None:
@@ -82,14 +85,6 @@ def test_another_key_stops_until_it_repeats_itself() -> None:
     assert keys.wish(START_NS + 10 * MS) == NOTHING
     keys.hear([Stroke("u")], START_NS + 300 * MS)
     assert keys.wish(START_NS + 300 * MS) == Wish(1, 1)
-
-
-def test_two_strokes_that_are_far_apart_are_no_repetition() -> None:
-    """What came long after is a new stroke."""
-    keys = HeldKeys()
-    keys.hear([Stroke("w")], START_NS)
-    keys.hear([Stroke("w")], START_NS + BEGIN_NS + 1)
-    assert keys.wish(START_NS + BEGIN_NS + 1) == NOTHING
 
 
 @pytest.mark.parametrize("event", [Stroke(""), Stroke("space"), Stroke("h"), Stroke("a"), Focus(has=False)])
@@ -130,14 +125,6 @@ def test_a_burst_ends_motion() -> None:
     keys = repeating_w()
     keys.hear([Stroke("w")] * BURST_STROKES, START_NS + REPEAT_NS - 1)
     assert keys.wish(START_NS + REPEAT_NS - 1) == NOTHING
-
-
-def test_two_taps_in_a_row_move_nothing() -> None:
-    """No keyboard repeats as soon as that."""
-    keys = HeldKeys()
-    keys.hear([Stroke("w")], START_NS)
-    keys.hear([Stroke("w")], START_NS + BEGIN_MIN_NS - 1)
-    assert keys.wish(START_NS + BEGIN_MIN_NS - 1) == NOTHING
 
 
 def test_with_releases_a_key_moves_at_once_and_stops_on_its_release() -> None:

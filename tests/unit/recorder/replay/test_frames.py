@@ -57,20 +57,19 @@ def test_no_command_reaches_a_real_bus(identifier: int) -> None:
     assert withheld == {"command frames, to a bus that is not virtual": 2}
 
 
-def test_nothing_that_a_gateway_sent_reaches_a_real_bus() -> None:
-    """Whatever its identifier is."""
-    assert sent(REAL, (TX, can_frame(DRIVE_FEEDBACK)), (TX, can_frame(0x7FF, is_extended=False)))[0] == []
-
-
-def test_feedback_reaches_a_real_bus_that_is_forced() -> None:
-    """That is what the first of the two flags is for."""
-    assert sent(REAL, (RX, can_frame(DRIVE_FEEDBACK)))[0] == [can_frame(DRIVE_FEEDBACK)]
-
-
-def test_the_second_flag_lets_commands_out() -> None:
-    """It says so by its name."""
-    rules = Rules(is_virtual=False, takes_commands=True)
-    assert sent(rules, (TX, can_frame(DRIVE_COMMAND)))[0] == [can_frame(DRIVE_COMMAND)]
+@pytest.mark.parametrize(
+    ("takes_commands", "of", "frame", "is_sent"),
+    [
+        pytest.param(False, RX, can_frame(DRIVE_FEEDBACK), True, id="feedback, to a real bus that is forced"),
+        pytest.param(False, TX, can_frame(DRIVE_FEEDBACK), False, id="what a gateway sent"),
+        pytest.param(False, TX, can_frame(0x7FF, is_extended=False), False, id="whatever its identifier is"),
+        pytest.param(True, TX, can_frame(DRIVE_COMMAND), True, id="the second flag lets commands out"),
+    ],
+)
+def test_what_reaches_a_real_bus(*, takes_commands: bool, of: Topic, frame: CanFrame, is_sent: bool) -> None:
+    """By the direction in which it went, and the flags."""
+    rules = Rules(is_virtual=False, takes_commands=takes_commands)
+    assert sent(rules, (of, frame))[0] == [frame] * is_sent
 
 
 def test_a_virtual_bus_takes_all_that_can_be_sent() -> None:

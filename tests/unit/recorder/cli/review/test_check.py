@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.exit_codes import ExitCode
 from tests.support.made_logs import GEAR_CHANNEL, foreign_log, gear_message, gears, own_log, saved
 from tests.support.review_command import run
 
@@ -51,18 +51,6 @@ def test_json_is_an_object_a_line(whole: Path, cut: Path, capsys: pytest.Capture
     assert found["whole.mcap"]["findings"] == []
     assert {one["about"] for one in found["cut.mcap.part"]["findings"]} == {"file"}
     assert found["cut.mcap.part"]["messages"] == 12
-
-
-def test_a_file_that_cannot_be_read_among_others_is_partial(
-    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Exit code 3; the rest is checked."""
-    assert run("check", str(whole), str(saved(tmp_path / "x.mcap", b"hello, hello"))) == ExitCode.PARTIAL
-    captured = capsys.readouterr()
-    assert "nothing is wrong with it" in captured.out
-    assert "is no MCAP file" in captured.err
-    with pytest.raises(CommandError, match="is no MCAP file"):
-        run("check", str(tmp_path / "x.mcap"))
 
 
 def test_what_cannot_be_judged_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

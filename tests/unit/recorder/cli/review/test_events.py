@@ -72,20 +72,3 @@ def test_what_is_derived_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[s
     path.write_bytes(recorded(scenarios.deadman, "safety/event"))
     assert run("events", path, "--kind", "stop") == ExitCode.OK
     assert "[derived]" in capsys.readouterr().out
-
-
-def test_a_log_that_is_cut_off_is_told_as_far_as_it_goes(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Exit code 3, and why on stderr."""
-    log.write_bytes(log.read_bytes()[:-200])
-    assert run("events", log) == ExitCode.PARTIAL
-    shown = capsys.readouterr()
-    assert "deadman" in shown.out
-    assert "cut off" in shown.err
-
-
-def test_what_is_no_log_is_a_clear_line(tmp_path: Path) -> None:
-    """And no traceback."""
-    path = tmp_path / "log.mcap"
-    path.write_bytes(b"hello")
-    with pytest.raises(CommandError, match="no MCAP file"):
-        run("events", path)

@@ -69,16 +69,6 @@ def test_one_file_that_is_none_is_an_error(tmp_path: Path) -> None:
     assert caught.value.code == ExitCode.FAILURE
 
 
-def test_of_several_files_the_readable_are_shown(
-    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The others are named on stderr; part of the input could be read."""
-    assert run("info", str(tmp_path / "none.mcap"), str(whole)) == ExitCode.PARTIAL
-    captured = capsys.readouterr()
-    assert "whole.mcap: whole" in captured.out
-    assert "none.mcap: No such file" in captured.err
-
-
 def test_a_logs_names_do_not_reach_the_terminal_as_commands(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -65,13 +65,6 @@ def test_robots_of_one_name_under_two_roots_have_files_of_their_own(tmp_path: Pa
     ]
 
 
-def test_a_log_that_was_cut_off_has_layouts_all_the_same(log: Path, tmp_path: Path) -> None:
-    """By the topics that can be read; exit code 3."""
-    log.write_bytes(log.read_bytes()[:-300])
-    assert run(log, "-o", tmp_path / "out") == ExitCode.PARTIAL
-    assert (tmp_path / "out" / "cruiser-1.layout.foxglove.json").exists()
-
-
 def test_a_log_of_no_robot_has_none(tmp_path: Path) -> None:
     """A clear line."""
     log = Log()

@@ -24,17 +24,6 @@ def test_logs_are_merged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         run("merge", str(tmp_path / "in"), "-o", str(out))
 
 
-def test_what_cannot_be_read_is_told_and_the_rest_is_merged(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Exit code 3."""
-    part = saved(tmp_path / "a.mcap.part", own_log([gears(0, 3, 10)])[:-20])
-    assert run("merge", "--json", str(part), "-o", str(tmp_path / "out.mcap")) == ExitCode.PARTIAL
-    captured = capsys.readouterr()
-    assert json.loads(captured.out)["messages"] == 3
-    assert "cut off" in captured.err
-
-
 def test_a_part_is_cut(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A time and topics, as people write them."""
     second = 1_000_000_000

@@ -8,7 +8,7 @@ import pytest
 
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support import review_command
-from tests.support.recorder_fakes import Log, gear, sample_of, small_log
+from tests.support.recorder_fakes import Log, gear, sample_of
 from tests.support.report_drive import drive, restart, write_log
 
 
@@ -92,18 +92,6 @@ def test_a_damaged_log_gives_a_report_of_what_can_be_read(
     assert ask(log, "-o", "r.html") == ExitCode.PARTIAL
     assert "What could not be read" in (tmp_path / "r.html").read_text()
     assert "a.mcap" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("content", [b"", b"no log", small_log()[:40]])
-def test_what_is_no_log_is_a_clear_line(
-    tmp_path: Path, content: bytes, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Nothing is written."""
-    path = tmp_path / "b.mcap"
-    path.write_bytes(content)
-    assert ask(path) == ExitCode.FAILURE
-    assert capsys.readouterr().err.startswith("cruiser")
-    assert [path.name for path in tmp_path.iterdir()] == ["b.mcap"]
 
 
 def test_a_log_of_no_robots_state_has_nothing_to_report(

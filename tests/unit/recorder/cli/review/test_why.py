@@ -115,15 +115,6 @@ def test_a_whole_log_without_a_robot_is_a_failure(log: Path, capsys: pytest.Capt
     assert capsys.readouterr().err == ""
 
 
-def test_a_log_that_is_cut_off_is_answered_as_far_as_it_goes(
-    log: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Exit code 3."""
-    log.write_bytes(log.read_bytes()[:-200])
-    assert run("why", log) == ExitCode.PARTIAL
-    assert "the front bumper was hit" in capsys.readouterr().out
-
-
 def test_damage_never_raises(log: Path) -> None:
     """Bytes flipped anywhere: an answer, or one clear line."""
     data = log.read_bytes()

@@ -1,4 +1,4 @@
-"""Logs that were made to keep a reader busy, and logs that are only not finished yet."""
+"""Every question, to logs that are cut off, none, not finished yet, or made to keep a reader busy."""
 
 import fcntl
 import json
@@ -13,7 +13,9 @@ from recorder.mcap.framing import MAGIC, encode
 from recorder.mcap.pieces import NO_RECORD, Fault, MessageBlock
 from recorder.mcap.reader import DamagedError
 from schemas.exit_codes import CommandError, ExitCode
+from tests.support import log_scenarios
 from tests.support.made_logs import gears, own_log, saved
+from tests.support.recorder_fakes import small_log
 from tests.support.review_command import run
 
 QUESTIONS = ("info", "check", "events")
@@ -36,6 +38,56 @@ def bomb(chunks: int, size: int) -> bytes:
         uncompressed_size=size,
     )
     return MAGIC + encode(records.Header(profile="", library="x")) + chunks * encode(chunk)
+
+
+@pytest.mark.parametrize(
+    ("question", "said"),
+    [
+        ("info", "NOT WHOLE"),
+        ("events", "the front bumper was hit"),
+        ("why", "the front bumper was hit"),
+        ("report", "written: out.html"),
+        ("layouts", "cruiser-1.layout.foxglove.json"),
+        ("export", "rows in"),
+        ("merge", "messages on"),
+        ("cut", "messages on"),
+    ],
+)
+def test_a_log_that_is_cut_off_is_answered_as_far_as_it_goes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, question: str, said: str
+) -> None:
+    """Exit code 3, and why."""
+    path = saved(tmp_path / "log.mcap", log_scenarios.recorded(log_scenarios.front_bumper)[:-200])
+    monkeypatch.chdir(tmp_path)
+    assert run(question, path, *WRITE.get(question, ())) == ExitCode.PARTIAL
+    shown = capsys.readouterr()
+    assert said in shown.out
+    assert "cut off" in shown.out + shown.err
+
+
+@pytest.mark.parametrize("question", [*QUESTIONS, "why", "layouts", *WRITE])
+def test_what_is_no_log_is_a_clear_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, question: str) -> None:
+    """No traceback, and nothing is written."""
+    monkeypatch.chdir(tmp_path)
+    for content, said in ((b"", "is empty"), (b"hello, hello", "is no MCAP file")):
+        path = saved(tmp_path / "log.mcap", content)
+        with pytest.raises(CommandError, match=said) as caught:
+            run(question, path, *WRITE.get(question, ()))
+        assert caught.value.code == ExitCode.FAILURE
+        assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("question", QUESTIONS)
+def test_of_several_files_the_readable_are_answered(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], question: str
+) -> None:
+    """The others are named on stderr, and the exit code is 3."""
+    good, bad = saved(tmp_path / "a.mcap", small_log()), saved(tmp_path / "b.mcap", b"hello, hello")
+    assert run(question, good, bad, tmp_path / "none.mcap") == ExitCode.PARTIAL
+    shown = capsys.readouterr()
+    assert shown.out
+    assert "b.mcap is no MCAP file" in shown.err
+    assert "none.mcap: No such file" in shown.err
 
 
 def test_zeros_are_no_records() -> None:
