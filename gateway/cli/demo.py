@@ -97,7 +97,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     info, check = _review("info", path), _review("check", path)
     summary = {
         "path": str(path),
-        "incidents": [str(path.with_name(file)) for file in _incident_files(info)],
+        "incidents": [str(path.with_name(one["file"])) for one in info["incidents"]],
         "seconds": info["duration_s"],
         "frames": sum(row["frames"] for row in check["frames"]),
         "messages": info["messages"],
@@ -150,11 +150,6 @@ def _is_held_up(problem: CommandError) -> bool:
 def _load() -> str:
     """How busy the machine is, in words."""
     return f"its load is {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors"
-
-
-def _incident_files(info: dict[str, Any]) -> list[str]:
-    """The files that keep what came before and after each incident, as the log names them."""
-    return [one["file"] for one in info["incidents"]]
 
 
 def _seconds(text: str) -> float:

@@ -75,22 +75,15 @@ class DemoDrive:
     """Drives the robot once through everything that the arbiter is for.
 
     Args:
-        settings: where the robot is.
-        endpoint: HOST:PORT of its gateway.
-        type_line: disturbs the virtual chassis.
+        settings: of the robot and of Zenoh.
+        endpoint: the gateway's, as HOST:PORT.
+        type_line: types a line into the virtual chassis.
+        link: the first operator's.
     """
 
     def __init__(
         self, settings: Settings, endpoint: str, type_line: Callable[[str], None], link: LinkProfile
     ) -> None:
-        """Nothing was done yet.
-
-        Args:
-            settings: of the robot and of Zenoh.
-            endpoint: the gateway's, as HOST:PORT.
-            type_line: types a line into the virtual chassis.
-            link: what the first operator's link is like.
-        """
         self._link = link
         self._settings = settings
         self._endpoint = endpoint

@@ -32,8 +32,8 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     add_operator_arguments(parser)
 
 
-def add_role_argument(parser: argparse.ArgumentParser) -> None:
-    """In which role the lease is wanted."""
+def add_take_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags that ``wanted_lease`` reads: the role, and whether to take the lease from its holder."""
     parser.add_argument(
         "--role",
         type=Role,
@@ -42,11 +42,6 @@ def add_role_argument(parser: argparse.ArgumentParser) -> None:
         metavar="ROLE",
         help=f"{', '.join(role.value for role in Role)} (operator); a higher or equal one may take the lease",
     )
-
-
-def add_take_arguments(parser: argparse.ArgumentParser) -> None:
-    """Whether the lease may be taken from its holder."""
-    add_role_argument(parser)
     parser.add_argument("--take", action="store_true", help="take the lease from whoever holds it")
     parser.add_argument(
         "--override", action="store_true", help="take it although the robot moves; it is stopped first"

@@ -87,7 +87,6 @@ class Filling:
         self._robots = {prefix: _Holes(same) for prefix, same in robots.items()}
         self._held: set[Identity] = set()
         self._recent: set[Identity] = set()
-        self._answered: set[int] = set()
         self._unanswered: list[BackfillQuestion] = []
         self.asked = 0
         """Messages that were answered; ``written`` of them were missing."""
@@ -123,11 +122,7 @@ class Filling:
     @property
     def open_holes(self) -> list[Hole]:
         """What to ask a recorder for: it may know of what nobody could count."""
-        return [
-            tally.hole
-            for number, tally in enumerate(self._tallies)
-            if number not in self._answered or tally.still_missing != 0
-        ]
+        return [one.hole for one in self._tallies if not one.is_answered or one.still_missing != 0]
 
     def give_up(self, question: BackfillQuestion) -> None:
         """The recorder that is being asked did not answer this."""
@@ -135,13 +130,9 @@ class Filling:
 
     def end_round(self) -> None:
         """The recorder was asked for all that was open."""
-        for number, tally in enumerate(self._tallies):
-            hole = tally.hole
-            if not any(
-                question.covers(hole.topic) and question.from_ns < hole.to_ns and question.to_ns > hole.from_ns
-                for question in self._unanswered
-            ):
-                self._answered.add(number)
+        for tally in self._tallies:
+            if not any(question.asks_for(tally.hole) for question in self._unanswered):
+                tally.is_answered = True
         self._unanswered.clear()
         self._recent.clear()
 
@@ -156,9 +147,9 @@ class Filling:
                 missing=tally.hole.missing,
                 filled=tally.filled,
                 still_missing=tally.still_missing,
-                is_answered=number in self._answered,
+                is_answered=tally.is_answered,
             )
-            for number, tally in enumerate(self._tallies)
+            for tally in self._tallies
         ]
 
     def _holes_at(self, topic: str, publish_ns: int) -> list[HoleTally]:

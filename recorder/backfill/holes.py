@@ -200,11 +200,12 @@ def _between(topic: str, line: SequenceLine) -> Iterator[Hole]:
 
 
 class HoleTally:
-    """What a hole has been filled with."""
+    """The messages that have filled a hole, and whether somebody answered for all of it."""
 
     def __init__(self, hole: Hole) -> None:
         self.hole = hole
         self.filled = 0
+        self.is_answered = False
         self._line = SequenceLine()
         for place in (hole.before, hole.after):
             if place is not None:

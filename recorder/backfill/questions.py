@@ -33,6 +33,10 @@ class BackfillQuestion(msgspec.Struct, frozen=True):
             self.key.endswith(ANY_TOPIC) and topic.startswith(self.key.removesuffix("**"))
         )
 
+    def asks_for(self, hole: Hole) -> bool:
+        """Report whether it asks for a part of a hole."""
+        return self.covers(hole.topic) and self.from_ns < hole.to_ns and self.to_ns > hole.from_ns
+
 
 def questions(holes: Iterable[Hole], topics: Mapping[str, set[str]]) -> list[BackfillQuestion]:
     """The questions that bring what is missing, in the order of time.

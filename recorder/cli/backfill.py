@@ -12,7 +12,7 @@ from typing import Final
 
 import msgspec
 
-from recorder.backfill.backfilling import Backfilling
+from recorder.backfill.backfilling import fill_holes
 from recorder.backfill.excerpt import LoggedBytes
 from recorder.backfill.filling import Filled, Filling
 from recorder.backfill.holes import HoleFinder, HoleKind
@@ -30,6 +30,8 @@ from schemas.exit_codes import CommandError, ExitCode
 from schemas.operator_name import login_operator
 from schemas.printable import plain
 from schemas.settings import Settings
+
+ABOUT: Final = "find what own logs lack, and fetch it from other recorders that have it"
 
 EXAMPLE: Final = "  cruiser record backfill --connect tcp/10.0.0.5:7447 logs"
 
@@ -66,6 +68,8 @@ class Backfilled(msgspec.Struct, frozen=True):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
+    parser.epilog = f"example:\n{EXAMPLE}"
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument(
         "logs", nargs="+", type=Path, metavar="LOG_OR_DIRECTORY", help="logs with holes; of a directory all logs"
     )
@@ -154,11 +158,11 @@ def _ask(
         def learn() -> None:
             OwnLogs(files.parts()).each(filling.hold)
 
-        backfilling = Backfilling(client.backfill, filling, topics, write, learn)
-        recorders = backfilling.run(_others(there, settings), stopped)
+        others = _others(there, settings)
+        recorders, details = fill_holes(filling, topics, others, client.backfill, write, learn, stopped)
         if not recorders and not stopped():
             raise CommandError(f"{plain(', '.join(there))} did not answer", ExitCode.UNREACHABLE)
-        return recorders, files.finish(_about(recorders, filling)), backfilling.details
+        return recorders, files.finish(_about(recorders, filling)), details
 
 
 def _others(names: Sequence[str], settings: Settings) -> list[str]:

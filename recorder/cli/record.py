@@ -61,8 +61,6 @@ COLLECT_AFTER: Final = (100_000, 50, 100)
 FILES_APART: Final = 100
 """Files and links that may be open besides the logs."""
 
-BACKFILL_ABOUT: Final = "find what own logs lack, and fetch it from other recorders that have it"
-
 CHUNK_MIN_BYTES: Final = 16_384
 """However small the files are to be, chunks are not made smaller for it than this."""
 
@@ -98,7 +96,7 @@ def _add_actions(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(
         dest="action", metavar="ACTION", title="of a recorder that is running, here or elsewhere"
     )
-    for action, about in remote.ABOUT.items():
+    for action, about in {**remote.ABOUT, "backfill": backfill.ABOUT}.items():
         one = actions.add_parser(
             action,
             help=about,
@@ -106,17 +104,10 @@ def _add_actions(parser: argparse.ArgumentParser) -> None:
             # What stands before the action is not to be forgotten.
             argument_default=argparse.SUPPRESS,
         )
-        remote.add_arguments(one, action)
-    backfill.add_arguments(
-        actions.add_parser(
-            "backfill",
-            help=BACKFILL_ABOUT,
-            description=f"{BACKFILL_ABOUT[0].upper()}{BACKFILL_ABOUT[1:]}.",
-            epilog=f"example:\n{backfill.EXAMPLE}",
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-            argument_default=argparse.SUPPRESS,
-        )
-    )
+        if action == "backfill":
+            backfill.add_arguments(one)
+        else:
+            remote.add_arguments(one, action)
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:

@@ -93,10 +93,8 @@ def _find(client: RecorderClient, arguments: argparse.Namespace, stopped: Callab
             return found
         if time.monotonic() > end_s:
             break
-    whom = f"recorder {arguments.recorder}" if arguments.recorder else "no recorder"
-    raise CommandError(
-        f"{whom} does not answer" if arguments.recorder else f"{whom} answers", ExitCode.UNREACHABLE
-    )
+    name = arguments.recorder
+    raise CommandError(f"recorder {name} does not answer" if name else "no recorder answers", ExitCode.UNREACHABLE)
 
 
 def _only(found: Replies) -> str:

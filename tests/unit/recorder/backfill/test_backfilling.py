@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from recorder.backfill import answers
 from recorder.backfill.answers import Conversation, read_piece
-from recorder.backfill.backfilling import Backfilling
+from recorder.backfill.backfilling import fill_holes
 from recorder.backfill.excerpt import PIECE_NAME, LoggedBytes
 from recorder.backfill.filling import Filled, Filling
 from recorder.backfill.questions import BackfillQuestion
@@ -58,11 +58,15 @@ class Depot:
         def ask(name: str, request: Backfill) -> list[BackfillPiece]:
             return list(recorders[name].ask(request))
 
-        backfilling = Backfilling(
-            ask, self.filling, self._topics, self._write, lambda: self._hold(log_of(self.written))
+        self.answered, self.details = fill_holes(
+            self.filling,
+            self._topics,
+            list(recorders),
+            ask,
+            self._write,
+            lambda: self._hold(log_of(self.written)),
+            bool,
         )
-        self.answered = backfilling.run(list(recorders), bool)
-        self.details = backfilling.details
         return self.filling.results()
 
     def _hold(self, data: bytes) -> None:
