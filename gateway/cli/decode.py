@@ -38,7 +38,7 @@ MAX_LINE_BYTES: Final = 1024
 """The longest line that is looked at; candump's own, a CAN FD frame with its text, has under 400."""
 
 POLL_S: Final = 0.2
-"""How soon a signal ends the wait for more input."""
+"""The wait for more input ends so soon after a signal."""
 
 _STANDARD_INPUT: Final = 0
 _READ_BYTES: Final = 65_536
@@ -83,7 +83,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def describe(decoder: FrameDecoder, raw: bytes, number: int) -> dict[str, Any] | None:
-    """What a line says, ready for JSON; None for an empty line. Any bytes will do."""
+    """Return the contents of a line, ready for JSON; None for an empty line. Any bytes will do."""
     if not raw.strip():
         return None
     text = raw.decode("latin-1")

@@ -148,7 +148,7 @@ def _is_held_up(problem: CommandError) -> bool:
 
 
 def _load() -> str:
-    """How busy the machine is, in words."""
+    """Return the load of the machine, in words."""
     return f"its load is {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors"
 
 
@@ -236,7 +236,7 @@ def _drive(
 
 
 def _review(question: str, path: Path) -> dict[str, Any]:
-    """What a question to the log is answered; that something is wrong or missing is an answer too."""
+    """Return the answer to a question about the log; that something is wrong or missing is an answer too."""
     command = [sys.executable, "-m", "gateway", "review", question, "--json", str(path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603 - our own command
     if not done.stdout:

@@ -49,18 +49,18 @@ HELD_UP: Final = frozenset(
         Reason.STOPPING,
     }
 )
-"""Why a robot is stopped, or not engaged, whose processes do not get the processor in time."""
+"""Reasons for which a robot is stopped, or not engaged, whose processes do not get the processor in time."""
 
 RETRY_S: Final = 0.5
 RECOVERY_S: Final = 60.0
 """For so long a robot that a busy machine stopped is engaged again and again."""
 
 FIXED_S: Final = 17.0
-"""What stops, the reset and the stalled link take, however long the demo is."""
+"""The time of the stops, the reset and the stalled link, however long the demo is."""
 
 
 class TimelineEntry(msgspec.Struct, frozen=True):
-    """What happened, and when, since the demo began.
+    """An event of the demo, and its time since the beginning.
 
     Attributes:
         who: the robot, or who did it.

@@ -37,7 +37,7 @@ ANGLE_DEG: Final = 15.0
 SPEED_STEP_MPS: Final = 0.1
 
 KEY_S: Final = 0.02
-"""How often keys are looked at, and the set point renewed."""
+"""The period in which keys are read, and the set point renewed."""
 
 KEY_HOLD_S: Final = 0.3
 """A terminal that takes no output, and holds us up, does not keep the robot moving for longer."""
@@ -45,10 +45,10 @@ KEY_HOLD_S: Final = 0.3
 DRAW_S: Final = 0.1
 
 ASK_S: Final = 0.1
-"""How often a terminal that tells releases is asked whether it is there."""
+"""The period in which a terminal that reports releases is asked whether it is there."""
 
 SCRIPT_S: Final = 0.05
-"""How often a script's set point is renewed."""
+"""The period in which a script's set point is renewed."""
 
 _LEAVE: Final = frozenset({"q", "x", "ctrl-c"})
 
@@ -131,7 +131,7 @@ def _by_script(robot: Robot, lease: Lease, arguments: argparse.Namespace, stoppe
 
 
 def _bounds(arguments: argparse.Namespace, state: SafetyState) -> Iterator[str]:
-    """What the limits in force make of a script's speed and angle."""
+    """Yield a line for each of a script's speed and angle that the limits in force reduce."""
     wanted = (
         (arguments.speed, state.speed_limit_mps, "m/s"),
         (arguments.angle or 0.0, state.steering_limit_deg, "deg"),

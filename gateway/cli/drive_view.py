@@ -1,4 +1,4 @@
-"""What a person who drives sees. Pure."""
+"""The view of a person who drives. Pure."""
 
 from __future__ import annotations
 

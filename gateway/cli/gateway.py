@@ -149,7 +149,7 @@ def _stop_unguarded(core: Core, bus: ReconnectingBus, guard: GuardLink, settings
 
 
 def _recall_guard_stop(core: Core, settings: Settings) -> StopNote:
-    """What the guard did before this start stays latched. Returns the note that says so."""
+    """Latch a stop by the guard from before this start. Returns the note that holds it."""
     note = StopNote.of(settings)
     why_not = note.why_not()
     if core.command is not None and why_not:

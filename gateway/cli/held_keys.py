@@ -32,7 +32,7 @@ ANSWER_NS: Final = 400_000_000
 
 
 class Wish(msgspec.Struct, frozen=True):
-    """What is asked for, as fractions of the chosen speed and angle. Forward and left are positive."""
+    """The motion asked for, as fractions of the chosen speed and angle. Forward and left are positive."""
 
     forward: int = 0
     left: int = 0
@@ -99,7 +99,7 @@ class HeldKeys:
         return others
 
     def wish(self, now_ns: int) -> Wish:
-        """What is asked for now."""
+        """Return the motion asked for now."""
         if self.tells_releases:
             if now_ns - self._answered_ns > ANSWER_NS:
                 self._held.clear()

@@ -1,4 +1,4 @@
-"""What a terminal sends: keys, releases of keys where it tells them, the focus. Pure: bytes in, events out.
+"""Decodes the bytes of a terminal: keys, releases of keys where it reports them, the focus. Pure.
 
 Every terminal sends characters and arrow keys, and repeats those that are held. Some also speak the kitty keyboard
 protocol, which tells each press, repetition and release; and most report whether their window has the focus.
@@ -37,7 +37,7 @@ _LOCKS_AND_SHIFT: Final = 0b1100_0001
 
 
 class Action(Enum):
-    """What became of a key."""
+    """The kind of a stroke."""
 
     PRESS = "press"
     REPEAT = "repeat"

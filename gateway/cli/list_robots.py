@@ -25,7 +25,7 @@ EXAMPLE = """\
   cruiser list --json --connect tcp/10.0.0.5:7447 | jq -r .robot"""
 
 POLL_S: Final = 0.02
-"""How often what has arrived is taken from Zenoh."""
+"""The period in which arrivals are taken from Zenoh."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

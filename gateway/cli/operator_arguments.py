@@ -1,4 +1,4 @@
-"""What the command lines of an operator's commands share."""
+"""The flags that an operator's commands share."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from schemas.settings import Settings
 
 
 def add_operator_arguments(parser: argparse.ArgumentParser) -> None:
-    """Who commands, and where the robots are."""
+    """Declare the flags for who commands, and where the robots are."""
     parser.add_argument("--operator", type=operator_name, metavar="NAME", help="who commands (the login name)")
     parser.add_argument(
         "--timeout",
@@ -27,7 +27,7 @@ def add_operator_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
-    """Which robot, besides."""
+    """Declare the robot, and the flags of an operator."""
     parser.add_argument("robot", type=robot_name, metavar="ROBOT", help="the robot")
     add_operator_arguments(parser)
 

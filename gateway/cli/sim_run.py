@@ -23,7 +23,7 @@ _MAX_WAIT_NS: Final = 50_000_000
 """A signal to stop is seen after this time at the latest."""
 
 _TYPED_PERIOD_NS: Final = 100_000_000
-"""How often typed lines are looked for."""
+"""The period in which typed lines are read."""
 
 _STALL_NS: Final = 500_000_000
 """Later than this, the process was stopped rather than late: the time is left out of the chassis's life.
@@ -65,7 +65,7 @@ class SimClock:
 
 
 class SimSummary(msgspec.Struct):
-    """What a run came to."""
+    """The counts of a run."""
 
     sent: int = 0
     received: int = 0

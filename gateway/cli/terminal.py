@@ -43,7 +43,7 @@ class Terminal:
             termios.tcsetattr(self._in, termios.TCSAFLUSH, self._saved)
 
     def read(self, timeout_s: float) -> bytes | None:
-        """What was typed; nothing if nothing was in time; None once the terminal has gone."""
+        """Return the typed bytes; none if nothing was typed in time; None once the terminal has gone."""
         try:
             if not select.select([self._in], [], [], timeout_s)[0]:
                 return b""

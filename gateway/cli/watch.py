@@ -29,13 +29,13 @@ EXAMPLE = """\
   cruiser watch --connect tcp/10.0.0.5:7447 --json | jq .state.speed_mps"""
 
 POLL_S: Final = 0.02
-"""How often what has arrived is taken from Zenoh."""
+"""The period in which arrivals are taken from Zenoh."""
 
 REFRESH_S: Final = 0.1
-"""How often the terminal is drawn."""
+"""The period in which the terminal is drawn."""
 
 LINE_S: Final = 1.0
-"""How often a line is written for each robot when there is no terminal."""
+"""The period in which a line is written for each robot when there is no terminal."""
 
 Show = Callable[[list[RobotStatus]], None]
 

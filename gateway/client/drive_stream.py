@@ -47,7 +47,7 @@ ROUNDING: Final = 1e-6
 
 
 class SetPoint(msgspec.Struct, frozen=True):
-    """What the robot shall do: a signed speed, and one way to say how it turns."""
+    """The motion to ask for: a signed speed, and one of angle, curvature and yaw rate."""
 
     speed_mps: float = 0.0
     angle_deg: float | None = None
@@ -69,7 +69,7 @@ class SetPoint(msgspec.Struct, frozen=True):
 
 
 class DriveEnd(msgspec.Struct, frozen=True):
-    """Why the robot no longer obeys.
+    """The reason for which the robot no longer obeys.
 
     Attributes:
         lease_lost: the lease is gone too; else the robot can be engaged again.
@@ -81,7 +81,7 @@ class DriveEnd(msgspec.Struct, frozen=True):
 
 
 class DriveStream:
-    """What one holder of a lease sends.
+    """The drive commands of one holder of a lease.
 
     A single state ends nothing: it may be forged. What the robot itself says it goes on saying, and a forged state
     stands between others that contradict it.
@@ -148,7 +148,7 @@ class DriveStream:
         self._set_point = None
 
     def aim(self, set_point: SetPoint, hold_s: float, now_ns: int) -> None:
-        """What to ask for from now on.
+        """Set the motion to ask for from now on.
 
         Raises:
             ValueError: the set point cannot be, or it would hold for too long.
@@ -209,7 +209,7 @@ class DriveStream:
         return drive
 
     def take_note(self) -> str:
-        """What the program should know, once; empty if there is nothing."""
+        """Return a note for the program, once; empty if there is none."""
         note, self._note = self._note, ""
         return note
 

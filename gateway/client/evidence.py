@@ -1,4 +1,4 @@
-"""When what a robot says is believed: anyone on its network can forge a sample. Pure.
+"""Decides when samples of a robot are believed: anyone on its network can forge one. Pure.
 
 A robot that is not so says otherwise many times a second. Whoever reads must see all of that: a sample that is
 lost may be the one that contradicts. Samples may be read late and many at once. Each has the time when it is read:

@@ -1,4 +1,4 @@
-"""What is known of each robot, and how old it is. Pure: what is heard goes in, reports come out.
+"""The newest of each robot, and its age. Pure: samples go in, reports come out.
 
 A report never gives an old value as a present one: a state or a health that is too old is not in it.
 """
@@ -51,7 +51,7 @@ class RobotStatus(msgspec.Struct, frozen=True):
 
 
 class _Known:
-    """What was last heard of a robot."""
+    """The last samples of a robot."""
 
     def __init__(self) -> None:
         self.connected = False

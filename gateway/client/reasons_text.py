@@ -1,4 +1,4 @@
-"""Why a robot does not move, in words. Pure."""
+"""The reasons for which a robot does not move, in words. Pure."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def reason_line(reason: Reason, robot: str, beside: Collection[Reason] = ()) -> 
 
 
 def state_line(state: SafetyState) -> str:
-    """What the arbiter does, and for whom."""
+    """Return the arbiter's state, and its operator."""
     words = [state.state.value]
     if state.stop_phase is not StopPhase.IDLE:
         words.append(f"{state.stop_phase.value}, because of {_stop(state)}")
@@ -34,7 +34,7 @@ def state_line(state: SafetyState) -> str:
 
 
 def last_stop(state: SafetyState) -> str:
-    """Why a robot that is not commanded was stopped; empty if it is commanded again, or never was stopped."""
+    """Return the reason of a robot's last stop; empty if it is commanded again, or never was stopped."""
     return "" if state.state in COMMANDING or state.stop_reason is Reason.NONE else _stop(state)
 
 
@@ -49,7 +49,7 @@ def _stop(state: SafetyState) -> str:
 
 
 def link_line(state: SafetyState) -> str:
-    """How old the commands are that drive the robot, and what that costs; empty while it obeys none."""
+    """Return the age of the commands that drive the robot, and its cost; empty while it obeys none."""
     if state.link_age_s is None or state.travel_speed_limit_mps is None:
         return ""
     words = [f"commands {_ms(state.link_age_s)} old"]
@@ -66,7 +66,7 @@ def _ms(time_s: float) -> str:
 
 
 def holder_line(state: SafetyState) -> str:
-    """Who holds the lease."""
+    """Return the holder of the lease."""
     if not state.lease_holder:
         return "nobody holds the lease"
     holder = plain(state.lease_holder)

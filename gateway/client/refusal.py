@@ -1,4 +1,4 @@
-"""What an operator may be told instead of success, as exceptions that carry the reason and what would cure it.
+"""Exceptions in place of success, which carry the reason and what would cure it.
 
 Each is a ``CommandError`` too: a command that meets one ends with its line and its exit code.
 """

@@ -44,7 +44,7 @@ POLL_S: Final = 0.005
 
 
 class StopReport(msgspec.Struct, frozen=True):
-    """What became of a remote stop.
+    """The outcome of a remote stop.
 
     Attributes:
         stopped: the robots that answered that they stop, and are seen to stand, latched.
@@ -64,7 +64,7 @@ class StopReport(msgspec.Struct, frozen=True):
 
 
 Seen = tuple[int, str, SafetyState | RobotState]
-"""When a sample was read, monotonic, in ns; the robot's name; what it published."""
+"""The time at which a sample was read, monotonic, in ns; the robot's name; its message."""
 
 Look = Callable[[], Iterable[Seen | Missed]]
 """All that robots have published since the last call, and where some of it may be missing."""
@@ -136,7 +136,7 @@ def stop(
 
 
 class _Sight:
-    """What a robot shows of itself: that it is latched, and that it stands."""
+    """The evidence that a robot is latched, and that it stands."""
 
     def __init__(self) -> None:
         self._latch, self._stand = Evidence(), Evidence()
@@ -159,7 +159,7 @@ class _Sight:
 
     @property
     def doubt(self) -> str:
-        """Why it is not known to have stopped; empty if it is."""
+        """The reason for which it is not known to have stopped; empty if it is."""
         if not self._latch.is_enough:
             return "its safety/state says so too briefly" if self._says else "its safety/state does not say so"
         if self._speed_mps is None:
@@ -227,7 +227,7 @@ class _Stopping:
                 self._sights[name].see(message, now_ns)
 
     def report(self) -> StopReport:
-        """Who answered, and who did not."""
+        """Return who answered, and who did not."""
         stopped: list[str] = []
         refused: dict[str, str] = {}
         unconfirmed: dict[str, str] = {}

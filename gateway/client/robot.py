@@ -127,7 +127,7 @@ class Robot:
 
     @property
     def link_age_s(self) -> float | None:
-        """How old drive commands are when the robot obeys them, the mean of a second; None while it obeys none.
+        """The age of drive commands when the robot obeys them, the mean of a second; None while it obeys none.
 
         Raises:
             Unreachable: it was not heard for a second.

@@ -12,13 +12,13 @@ from schemas.operator_name import login_operator
 from schemas.settings import Settings
 
 REPEAT_S: Final = 0.5
-"""How often it is asked who is connected."""
+"""The period in which it is asked who is connected."""
 
 TIMEOUT_S: Final = 5.0
 """So long an answer to that is waited for, before it is asked anew."""
 
 SETTLE_S: Final = 1.0
-"""When no other robot was heard of for this long, none is expected: nodes find each other by gossip in less."""
+"""The time after which no other robot is expected: nodes find each other by gossip in less."""
 
 NAMES_SHOWN: Final = 10
 

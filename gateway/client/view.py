@@ -35,7 +35,7 @@ class Fact(msgspec.Struct, frozen=True):
 
 
 def alarm(report: RobotStatus) -> str:
-    """Why nothing of the robot's state can be shown; empty if it can."""
+    """Return why nothing of the robot's state can be shown; empty if it can."""
     if report.state is not None:
         return ""
     reasons = []
@@ -54,7 +54,7 @@ def alarm(report: RobotStatus) -> str:
 
 
 def state_facts(state: RobotState) -> list[Fact]:
-    """What the robot does."""
+    """Return the facts of a robot's state."""
     hit = [side for side, on in (("front", state.front_bumper), ("rear", state.rear_bumper)) if on]
     lamps = (
         ("headlamp", state.headlamp),
@@ -79,7 +79,7 @@ def state_facts(state: RobotState) -> list[Fact]:
 
 
 def health_facts(health: GatewayHealth) -> list[Fact]:
-    """How the gateway is."""
+    """Return the facts of a gateway's health."""
     lost = sum(frame.lost for frame in health.feedback)
     faults = ", ".join(f"{plain(kind)} {count}" for kind, count in sorted(health.faults.items()) if count)
     bus = f"{plain(health.bus)} {'up' if health.bus_up else 'DOWN'}"
@@ -109,7 +109,7 @@ def line(report: RobotStatus) -> str:
 
 
 def safety_facts(report: RobotStatus) -> list[Fact]:
-    """What the arbiter does: for whom, what is latched, why it does not move, its limit, the commands' age."""
+    """Return the arbiter's facts: operator, latches, blockers, last stop, limit, the commands' age."""
     safety = report.safety
     if report.state is None or safety is None:
         return []

@@ -32,7 +32,7 @@ Ask = Callable[[Backfill], Iterable[BackfillPiece]]
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """What has been answered of a question.
+    """A part of the answer to a question.
 
     Attributes:
         messages: of one piece.

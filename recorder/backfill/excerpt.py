@@ -1,4 +1,4 @@
-"""What logs hold of some topics and a publish time, in pieces: the side of a backfill that is asked.
+"""Answers a backfill: the messages of some topics and a publish time out of logs, in pieces.
 
 Messages stand in a log in the order of their receipt, and what was asked for later stands late, so the order of
 publish times is made here: of a slice of time the messages are gathered out of all logs, and sorted. Only the
@@ -49,7 +49,7 @@ LOOK_EVERY: Final = 5000
 _LIBRARY: Final = "cruiser backfill"
 
 Place = tuple[int, int, str, bytes]
-"""Where a message stands among all: publish time, sequence, topic and data. Those of one instant have an order."""
+"""The place of a message in the order of all: publish time, sequence, topic and data."""
 
 
 class LogCopy(msgspec.Struct, frozen=True):
@@ -186,7 +186,7 @@ class Excerpt:
         return _earliest(found, end)
 
     def _read(self, log: LogCopy, from_ns: int, to_ns: int) -> Iterator[LoggedBytes | None]:
-        """What a log has of a slice; None when the time is over."""
+        """Yield the messages that a log has of a slice; None when the time is over."""
         numbers = log.chart.near(from_ns, to_ns)
         if not numbers:
             return

@@ -20,7 +20,7 @@ Identity = tuple[str, int, int, int]
 
 
 class Filled(msgspec.Struct, frozen=True):
-    """What became of a hole.
+    """The outcome for one hole.
 
     Attributes:
         missing: samples that were, or messages; None where nobody knew.
@@ -121,7 +121,7 @@ class Filling:
 
     @property
     def open_holes(self) -> list[Hole]:
-        """What to ask a recorder for: it may know of what nobody could count."""
+        """The holes to ask a recorder for: it may know of what nobody could count."""
         return [one.hole for one in self._tallies if not one.is_answered or one.still_missing != 0]
 
     def give_up(self, question: BackfillQuestion) -> None:
@@ -137,7 +137,7 @@ class Filling:
         self._recent.clear()
 
     def results(self) -> list[Filled]:
-        """What became of each hole."""
+        """Return the outcome for each hole."""
         return [
             Filled(
                 topic=tally.hole.topic,

@@ -1,4 +1,4 @@
-"""What one's own logs lack: per topic, the publish times between which messages are missing. Pure."""
+"""Finds the holes of one's own logs: per topic, the publish times between which messages are missing. Pure."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Place = tuple[int, int]
 
 
 class HoleKind(Enum):
-    """How it is known that something is missing."""
+    """The evidence that something is missing."""
 
     SEQUENCE = "sequence"
     """Sequences are missing."""
@@ -75,7 +75,7 @@ class Hole(msgspec.Struct, frozen=True):
 
 
 class _Dropped(msgspec.Struct, frozen=True):
-    """What a RecordGap says that matters here."""
+    """The part of a RecordGap that matters here."""
 
     key: str
     first_ns: int
@@ -124,7 +124,7 @@ class HoleFinder:
                 self._take_gap(one.data)
 
     def holes(self) -> list[Hole]:
-        """What is missing, by robot and time."""
+        """Return the holes, by time and topic."""
         found = [hole for name, topic in self._topics.items() for hole in _between(name, topic.line)]
         found = list(self._with_dropped(found))
         found += self._silences(found)

@@ -1,4 +1,4 @@
-"""How to ask another recorder for what is missing: in few requests, and for little that is there already. Pure."""
+"""Makes questions of holes: few, and for little that is there already. Pure."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SHARE: Final = 0.5
 
 
 class BackfillQuestion(msgspec.Struct, frozen=True):
-    """What to ask for: a topic or all that a robot says, and a publish time."""
+    """A question to a recorder: a topic or all that a robot says, and a publish time."""
 
     key: str
     from_ns: int

@@ -20,7 +20,7 @@ def merged(ranges: Iterable[Range], near_ns: int = 0) -> list[Range]:
 
 
 def without(ranges: list[Range], taken: list[Range]) -> list[Range]:
-    """What is left of merged ranges outside of other merged ones."""
+    """Return the parts of merged ranges that lie outside of other merged ones."""
     left: list[Range] = []
     place = 0
     for from_ns, to_ns in ranges:

@@ -1,4 +1,4 @@
-"""What of a topic is there without a gap, by its sequence: runs, and the holes between them. Pure.
+"""Joins the messages of a topic to runs without a gap, by their sequence, and counts what lies between. Pure.
 
 Messages may come in any order: what was asked for later stands behind what came by itself, and the same may be in
 several logs. So each message only lengthens a run of messages that follow each other, and the runs are put in the
@@ -87,7 +87,7 @@ class SequenceLine:
         self._runs.append(SequenceRun(sequence, publish_ns))
 
     def runs(self) -> list[SequenceRun]:
-        """What is there, in the order of time. This takes the line apart no further than it was."""
+        """Return the runs, in the order of time."""
         joined: list[SequenceRun] = []
         for run in sorted(self._runs, key=attrgetter("first_ns", "first")):
             if not joined or not joined[-1].join(run):
@@ -104,7 +104,7 @@ class SequenceLine:
 
 
 class Cover:
-    """When there was any message at all."""
+    """The times at which there was any message at all."""
 
     def __init__(self, silence_ns: int) -> None:
         self._silence_ns = silence_ns

@@ -36,7 +36,7 @@ ABOUT: Final = "find what own logs lack, and fetch it from other recorders that 
 EXAMPLE: Final = "  cruiser record backfill --connect tcp/10.0.0.5:7447 logs"
 
 TIMEOUT_S: Final = 3.0
-"""How long to look for a recorder."""
+"""The time for which recorders are looked for."""
 
 HOLES_SHOWN: Final = 200
 """Holes that are told to people one by one; the rest are only counted."""
@@ -46,7 +46,7 @@ OTHERS_NAME: Final = "fleet"
 
 
 class Backfilled(msgspec.Struct, frozen=True):
-    """What a backfill has come to.
+    """The result of a backfill.
 
     Attributes:
         recorders: that answered.
@@ -172,7 +172,7 @@ def _others(names: Sequence[str], settings: Settings) -> list[str]:
 
 
 def _prefix(topic: str, prefixes: Iterable[str]) -> str:
-    """How the keys of the topic's robot begin; empty if it is no known robot's."""
+    """Return the beginning of the keys of a topic's robot; empty if it is no known robot's."""
     return next((prefix for prefix in prefixes if topic.startswith(f"{prefix}/")), "")
 
 

@@ -47,7 +47,7 @@ from schemas.settings import Settings
 EXAMPLE: Final = "  cruiser record -k 'fleet/cruiser-1/**' -o logs"
 
 LEFTOVERS_S: Final = 5.0
-"""How long the end waits for the recovery of logs that an earlier recorder left; the next start goes on."""
+"""The end waits so long for the recovery of logs that an earlier recorder left; the next start resumes it."""
 
 FLEET_NAME: Final = "fleet"
 """Begins the name of a log that may hold several robots, or what is no robot's."""
@@ -68,7 +68,7 @@ BUDGET_FILES: Final = 20
 """A file is ended at this part of the budget."""
 
 BUDGET_RINGS: Final = 4
-"""What is held for incidents is no more than this part of the budget: an incident begins with all of it."""
+"""The ring for incidents is at most this part of the budget: an incident begins with all of it."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -177,7 +177,7 @@ def _answer_backfill(server: BackfillServer, asked: OperatorRequest) -> None:
 
 
 def recorder_plan(settings: Settings, name: str, expressions: Sequence[str], release: str) -> RecorderPlan:
-    """What the settings say is to be recorded."""
+    """Return the plan that the settings ask for."""
     recorder = settings.recorder
     # What is being written cannot be deleted: within a budget no file may be large.
     budget_part = recorder.budget_bytes // BUDGET_FILES
@@ -225,7 +225,7 @@ def allow_many_files() -> int:
 
 
 def hangups() -> Callable[[], bool]:
-    """Whether SIGHUP has come since the last call: it begins a new file, as services take it."""
+    """Return a function that reports whether SIGHUP came since its last call: it begins a new file."""
     came = False
 
     def handle(_number: int, _frame: FrameType | None) -> None:
@@ -242,7 +242,7 @@ def hangups() -> Callable[[], bool]:
 
 
 def log_name(root: str, expressions: Sequence[str]) -> str:
-    """How the log's name begins: with the robot, if the expressions can match but one."""
+    """Return the beginning of the log's name: the robot, if the expressions can match but one."""
     robots = _robots_in(root, expressions)
     return (robots.pop() or FLEET_NAME) if len(robots) == 1 else FLEET_NAME
 

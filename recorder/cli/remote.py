@@ -34,10 +34,10 @@ ABOUT: Final = {
 }
 
 TIMEOUT_S: Final = 3.0
-"""How long to look for a recorder, and to wait for its reply."""
+"""The time for which a recorder is looked for, and its reply waited for."""
 
 LOOK_S: Final = 0.3
-"""How long one query waits for recorders to be found; then it is asked again."""
+"""One query waits so long for recorders to be found; then it is asked again."""
 
 _REQUESTS: Final[dict[str, Request]] = {
     "status": Status(),

@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 
 SOCKETCAND: Final = "socketcand"
 VIRTUAL_DEVICES: Final = Path("/sys/devices/virtual/net")
-"""Where Linux has the network devices that no hardware is behind."""
+"""Linux's directory of the network devices that no hardware is behind."""
 
 VCAN: Final = re.compile(r"vcan[A-Za-z0-9_-]*")
 
@@ -42,7 +42,7 @@ DRAINED: Final = 1000
 
 
 class CanPlace(msgspec.Struct, frozen=True):
-    """Where a bus is.
+    """The place of a bus.
 
     Attributes:
         interface: of python-can.

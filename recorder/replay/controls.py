@@ -26,7 +26,7 @@ _CLEAR: Final = "\r\x1b[K"
 
 
 class Order(Enum):
-    """What a person at the keyboard wants, by the last byte of the key."""
+    """An order of a person at the keyboard, by the last byte of the key."""
 
     PAUSE = b" "
     QUIT = b"q"

@@ -27,17 +27,17 @@ NEVER: Final = frozenset({"udp_multicast"})
 
 COMMAND_MASK: Final = 0x1FFF_00FF
 COMMAND_IDENTIFIER: Final = 0x18C4_00D0
-"""What a decision unit sends to a chassis of this family, whatever the function in the second byte is."""
+"""Identifiers of the commands to a chassis of this family, whatever the function in the second byte is."""
 
 DANGER: Final = (
     "a chassis obeys the last command for ever: a command frame that is replayed drives it, and goes on driving "
     "it when the replay has ended; feedback frames make whoever listens there believe a robot that is not there"
 )
-"""What a replay does to a real bus."""
+"""The danger of a replay to a real bus."""
 
 
 class Rules(msgspec.Struct, frozen=True):
-    """What may be sent.
+    """The rules by which frames are sent or withheld.
 
     Attributes:
         is_virtual: no chassis of flesh and blood is on the bus.
@@ -62,7 +62,7 @@ class ReplayedFrame(msgspec.Struct, frozen=True, gc=False):
 
 
 def refusal(interface: str, *, is_virtual: bool, is_forced: bool) -> str:
-    """Why nothing may be sent there; empty if something may."""
+    """Return why nothing may be sent there; empty if something may."""
     if interface in NEVER:
         return f"{interface} reaches whoever listens on the network: a log is never replayed there"
     if is_virtual or is_forced:

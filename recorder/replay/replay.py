@@ -1,4 +1,4 @@
-"""When what a log holds is due again: a scheduler. Pure: the time is an argument, what is due comes out.
+"""Schedules the contents of a log again. Pure: the time is an argument, and what is due comes out.
 
 Every due time is counted from one anchor, so that nothing adds up: a replay of ten hours is as long as the log.
 """
@@ -18,20 +18,20 @@ FOR_EVER: Final = 0
 """The number of loops that never ends."""
 
 SET_BACK_NS: Final = 1_000_000_000
-"""Who is further behind than this in the log's time is late, or the clock was set back."""
+"""A message that is further behind in the log's time is late, or the clock was set back."""
 
 SET_BACK_AFTER: Final = 100
 """Messages in a row that are further behind before the clock counts as set back."""
 
 SLIP_NS: Final = 1_000_000_000
-"""Who stood still for longer (Ctrl-Z, a machine that slept) goes on from there: nothing comes in a burst."""
+"""A process that stood still for longer (Ctrl-Z, a machine that slept) resumes from there, without a burst."""
 
 _BUCKET_NS: Final = 100_000
 _LAST_BUCKET: Final = 20_000
 
 
 class Timed(Protocol):
-    """What is replayed."""
+    """An item of a replay."""
 
     @property
     def time_ns(self) -> int:
@@ -67,7 +67,7 @@ class Pace:
         return self._speed > 0
 
     def start(self, now_ns: int) -> None:
-        """What comes next is due now."""
+        """Make the next item due now."""
         self._anchor_ns = now_ns
         self._is_anchored = False
 
@@ -76,7 +76,7 @@ class Pace:
         self._anchor_ns += duration_ns
 
     def due_ns(self, time_ns: int) -> int:
-        """When what has this time in the log is due. To be asked in the order of the log, once for each."""
+        """Return the due time of a log time. To be called in the order of the log, once for each item."""
         if not self._is_anchored:
             self._is_anchored = True
             self._anchor_time_ns = self._latest_ns = time_ns
@@ -96,7 +96,7 @@ class Pace:
 
 
 class Lateness:
-    """How late things went out, in buckets of 0.1 ms; the last one holds all that is later than 2 s."""
+    """The lateness of items, in buckets of 0.1 ms; the last one holds all that is later than 2 s."""
 
     def __init__(self) -> None:
         self._buckets: Counter[int] = Counter()
@@ -119,7 +119,7 @@ class Lateness:
 
 
 class Due(msgspec.Struct, Generic[T], frozen=True, gc=False):
-    """What is due, and when it was."""
+    """An item that is due, and its due time."""
 
     item: T
     due_ns: int
@@ -165,7 +165,7 @@ class ReplayScheduler(Generic[T]):
 
     @property
     def next_ns(self) -> int | None:
-        """When the next one is due; None if that is not known: at the end, or while it is paused."""
+        """The due time of the next item; None at the end, and while it is paused."""
         return None if self._next is None or self.is_paused else self._next.due_ns
 
     def start(self, now_ns: int) -> None:

@@ -23,7 +23,7 @@ REMEMBERED: Final = 200_000
 """Rows that are compared with those of other files: some four minutes of a robot. Twice as many are held."""
 
 HORIZON_NS: Final = 2_000_000_000
-"""What reached the recorder so much later than others is not sorted in among them any more."""
+"""A row that reached the recorder so much later than others is not sorted in among them any more."""
 
 SORTED_MAX: Final = 100_000
 """Rows that are held for sorting, whatever their times say."""

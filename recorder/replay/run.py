@@ -13,27 +13,27 @@ from recorder.replay.replay import ReplayScheduler, Timed
 from schemas.exit_codes import ExitCode
 
 ATTEND_NS: Final = 20_000_000
-"""How often the outlet, the keyboard and the progress line are looked after."""
+"""The period in which the outlet, the keyboard and the progress line are looked after."""
 
 MIN_SLEEP_NS: Final = 1_000
 """Looking after things may have taken until the next look."""
 
 SEEK_NS: Final = 10_000_000_000
-"""How far an arrow key goes, in the log's time."""
+"""The step of an arrow key, in the log's time."""
 
 T_contra = TypeVar("T_contra", bound=Timed, contravariant=True)
 T = TypeVar("T", bound=Timed)
 
 
 class Halt(msgspec.Struct, frozen=True):
-    """Why a replay cannot go on."""
+    """The reason for which a replay cannot continue."""
 
     detail: str
     code: ExitCode
 
 
 class Outlet(Protocol[T_contra]):
-    """Where a log is replayed to.
+    """The destination of a replay.
 
     Attributes:
         sent: what was handed over...

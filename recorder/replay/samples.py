@@ -1,4 +1,4 @@
-"""What a log holds, as the Zenoh samples that it was made from. Pure: rows in, samples out.
+"""Turns the rows of a log into the Zenoh samples that it was made from. Pure.
 
 A record of ours becomes its typed message and that its MessagePack payload, a RawSample the payload that it kept,
 frames of one batch a batch. What never was a Zenoh sample (other makers' channels, lines for viewers) is passed
@@ -23,7 +23,7 @@ from schemas.messages import CanFrame, CanFrames, Message, RawSample
 from schemas.subjects import COMMAND_CHUNK, Subject
 
 DEFAULT_ROOT: Final = "replay"
-"""Where a log is replayed to. Nobody takes it for a robot's."""
+"""The root of a replay, which nobody takes for a robot's."""
 
 _PLAIN: Final = re.compile(r"[^/*$?#]+(/[^/*$?#]+)*")
 """A key that names one thing: a log may hold anything, and a wildcard would reach many."""
@@ -32,10 +32,10 @@ _RAW_ENDING: Final = f"/{RAW_CHUNK}"
 _LAST_NS: Final = 2**63 - 1
 
 DELETED: Final = "deleted"
-"""Why the recorder keeps a sample as it was that says that its key was deleted."""
+"""The reason with which the recorder keeps a sample that deletes its key."""
 
 Wants = Callable[[str], bool]
-"""Whether a key of the log is wanted."""
+"""Reports whether a key of the log is wanted."""
 
 
 class ReplaySample(msgspec.Struct, frozen=True):

@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 TOKENS_WAITING: Final = 10_000
 
 TOKEN_TIMEOUT_S: Final = 1.0
-"""How long the start asks for gateways."""
+"""The start asks for gateways for so long."""
 
 POLL_S: Final = 0.02
 

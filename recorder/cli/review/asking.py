@@ -1,4 +1,4 @@
-"""What the questions have in common: which logs and which time they are about, and how an answer is shown."""
+"""The common part of all questions: which logs and which time they are about, and the progress of an answer."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ BUDGET_S_PER_BYTE: Final = 1e-6
 
 
 class Asked(msgspec.Struct):
-    """What a question is about.
+    """The subject of a question.
 
     Attributes:
         logs: the files, by their beginning.

@@ -83,7 +83,7 @@ def describe(found: LogCheck) -> Iterator[str]:
 
 
 def _alike(findings: Sequence[Finding]) -> Iterator[str]:
-    """What is wrong, each once: a stall is found on every topic."""
+    """Yield each kind of finding once: a stall is found on every topic."""
     by_what: dict[str, list[Finding]] = {}
     for one in findings:
         # Of raw frames the name stands before it.

@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
 
 
 def describe(one: Any) -> str:  # noqa: ANN401 - of modules that are imported late
-    """What was written, for people."""
+    """Return a line for people about a file or a dataset that was written."""
     about = msgspec.to_builtins(one)
     if "frames" in about:
         late = f", {about['late']} of them out of order" if about["late"] else ""

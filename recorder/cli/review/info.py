@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
-    """What can be read of a broken file is shown all the same."""
+    """Show all logs; of a broken file the part that can be read."""
     asked = find(arguments)
     infos: list[LogInfo] = []
     with progress_bar("looking", asked.bytes, stopped, prints=True) as progress:
@@ -100,7 +100,7 @@ def _of_one(info: LogInfo) -> Iterator[str]:
 
 
 def _completeness(info: LogInfo) -> Iterator[str]:
-    """What its recorder says of it."""
+    """Yield the recorder's own account of its losses."""
     if not info.completeness:
         yield "  its recorder does not say what it lost"
         return

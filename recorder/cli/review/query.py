@@ -36,7 +36,7 @@ SHOWN_MAX: Final = 1000
 CELL_MAX: Final = 60
 
 _CONTROLS: Final = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
-"""What rules a terminal, or the direction of its text."""
+"""Characters that rule a terminal, or the direction of its text."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

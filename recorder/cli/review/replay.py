@@ -70,7 +70,7 @@ T = TypeVar("T", bound=Timed)
 
 
 class Replayed(msgspec.Struct, frozen=True):
-    """What became of a replay.
+    """The outcome of a replay.
 
     Attributes:
         to: where it went.
