@@ -243,11 +243,7 @@ class RobotLink:
         if self._release is not None and now_ns < self._renew_ns:
             return
         self._renew_ns = now_ns + self._renew_every_ns
-        request = encode_request(Release(lease=stream.lease))
-        try:
-            self._release = self.commands.begin("release", request, self._renew_every_ns / _S)
-        except CommandError as error:
-            log.debug("%s: release: %s", self.robot, error)
+        self._release = self._begin(Release(lease=stream.lease)) or self._release
 
     def _renew(self, stream: DriveStream, now_ns: int) -> None:
         """Renew the lease by a query, whose replies are looked at in later rounds: the stream never waits."""
@@ -262,8 +258,12 @@ class RobotLink:
         if not is_due or stream.is_lost:
             return
         self._renew_ns = now_ns + self._renew_every_ns
-        request = encode_request(Renew(lease=stream.lease))
+        self._renewal = self._begin(Renew(lease=stream.lease)) or self._renewal
+
+    def _begin(self, request: Release | Renew) -> PendingQuery | None:
+        verb = BY_REQUEST[type(request)].verb
         try:
-            self._renewal = self.commands.begin("renew", request, self._renew_every_ns / _S)
+            return self.commands.begin(verb, encode_request(request), self._renew_every_ns / _S)
         except CommandError as error:
-            log.debug("%s: renew: %s", self.robot, error)
+            log.debug("%s: %s: %s", self.robot, verb, error)
+            return None

@@ -105,30 +105,30 @@ def _as_json(entries: Iterable[Entry], asked: Asked) -> Iterator[str]:
 
 
 _HEAD: Final = ("since/s", "time (UTC)", "robot", "severity", "kind", "cause", "operator", "what")
-_WIDTHS: Final = (10, 12, 10, 8, 8, 16, 16)
+_ROW: Final = "{:>10}  {:12}  {:10}  {:8}  {:8}  {:16}  {:16}  {}"
+"""Columns of fixed width, since nothing waits for the last entry."""
 
 
 def _as_table(entries: Iterable[Entry], asked: Asked) -> Iterator[str]:
-    """Columns of fixed width, since nothing waits for the last entry."""
-    yield _line(_HEAD)
+    yield _ROW.format(*_HEAD)
     day = ""
     for entry in entries:
         date, _, time = in_words(entry.time_ns).removesuffix(" UTC").partition(" ")
         if date != day:
-            yield f"{'':>{_WIDTHS[0]}}  {date}"
+            yield f"{'':10}  {date}"
             day = date
-        yield _line(
-            (
-                f"{(entry.time_ns - asked.start_ns) / 1e9:.3f}",
-                time,
-                entry.robot or "-",
-                entry.severity.value,
-                entry.kind.value,
-                "-" if entry.reason is Reason.NONE else entry.reason.value,
-                entry.operator or (f"({entry.holder})" if entry.holder and not entry.request else "-"),
-                _what(entry),
-            )
+        row = _ROW.format(
+            f"{(entry.time_ns - asked.start_ns) / 1e9:.3f}",
+            time,
+            entry.robot or "-",
+            entry.severity.value,
+            entry.kind.value,
+            "-" if entry.reason is Reason.NONE else entry.reason.value,
+            entry.operator or (f"({entry.holder})" if entry.holder and not entry.request else "-"),
+            _what(entry),
         )
+        # A log's names come from anywhere, and may try to rule the terminal.
+        yield plain(row)
 
 
 def _what(entry: Entry) -> str:
@@ -141,15 +141,3 @@ def _what(entry: Entry) -> str:
     if entry.is_late:
         notes.append("out of order")
     return entry.text + (f" [{', '.join(notes)}]" if notes else "")
-
-
-def _line(cells: tuple[str, ...]) -> str:
-    first, *words, what = cells
-    widths = _WIDTHS[1:]
-    shown = [
-        f"{first:>{_WIDTHS[0]}}",
-        *(f"{cell:{width}}" for cell, width in zip(words, widths, strict=True)),
-        what,
-    ]
-    # A log's names come from anywhere, and may try to rule the terminal.
-    return plain("  ".join(shown))
