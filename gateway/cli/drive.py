@@ -172,7 +172,7 @@ class _Keys:
                 self._hear(terminal.read(KEY_S))
                 self._move()
                 now_s = time.monotonic()
-                if now_s >= ask_s and self._keys.tells_releases:
+                if now_s >= ask_s and self._keys.reports_releases:
                     ask_s = now_s + ASK_S
                     terminal.ask()
                 if now_s >= draw_s:
@@ -185,7 +185,7 @@ class _Keys:
             self._is_leaving = True
             return
         events = self._decoder.feed(data) if data else self._decoder.settle()
-        for key in self._keys.hear(events, time.monotonic_ns()):
+        for key in self._keys.receive(events, time.monotonic_ns()):
             self._press(key)
 
     def _press(self, key: str) -> None:
@@ -237,7 +237,7 @@ class _Keys:
             speed_mps=self._speed_mps,
             angle_deg=self._angle_deg,
             wish=self._wish(),
-            tells_releases=self._keys.tells_releases,
+            reports_releases=self._keys.reports_releases,
             message=self._message,
         )
 

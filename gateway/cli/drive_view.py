@@ -22,7 +22,7 @@ class Cockpit(msgspec.Struct, frozen=True):
         lease: its number.
         speed_mps, angle_deg: what a held key asks for.
         wish: the keys that are held.
-        tells_releases: the terminal does.
+        reports_releases: the terminal does.
         message: what was last said to the person.
     """
 
@@ -32,7 +32,7 @@ class Cockpit(msgspec.Struct, frozen=True):
     speed_mps: float
     angle_deg: float
     wish: Wish
-    tells_releases: bool
+    reports_releases: bool
     message: str
 
 
@@ -69,7 +69,7 @@ def _speeds(cockpit: Cockpit) -> str:
 
 
 def _keys(cockpit: Cockpit) -> list[str]:
-    how = "hold to move" if cockpit.tells_releases else "hold to move: it begins when the key repeats"
+    how = "hold to move" if cockpit.reports_releases else "hold to move: it begins when the key repeats"
     limit_mps = cockpit.sighting.state.speed_limit_mps
     bound = f", of which the limit leaves {limit_mps:.2f}" if cockpit.speed_mps > limit_mps else ""
     return [

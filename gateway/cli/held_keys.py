@@ -62,11 +62,11 @@ class HeldKeys:
     """The keys that are held.
 
     Attributes:
-        tells_releases: the terminal does, so keys may be held together.
+        reports_releases: the terminal does, so keys may be held together.
     """
 
     def __init__(self) -> None:
-        self.tells_releases = False
+        self.reports_releases = False
         self._held: list[str] = []
         self._answered_ns = 0
         self._last = ""
@@ -74,14 +74,14 @@ class HeldKeys:
         self._is_press = False
         self._until_ns = 0
 
-    def hear(self, events: Iterable[Heard], now_ns: int) -> list[str]:
+    def receive(self, events: Iterable[Heard], now_ns: int) -> list[str]:
         """Take in what the terminal sent at one time. Returns the other keys that were pressed."""
         others: list[str] = []
         pressed, strokes = "", 0
         for event in events:
             match event:
-                case Flags(tells_releases):
-                    self._hear_flags(tells_releases, now_ns)
+                case Flags(reports_releases):
+                    self._receive_flags(reports_releases, now_ns)
                 case Stroke(key) if key in BINDINGS:
                     if event.action is not Action.RELEASE:
                         strokes = strokes + 1 if key == pressed else 1
@@ -94,13 +94,13 @@ class HeldKeys:
                     pressed = ""
                     if isinstance(event, Stroke) and event.action is Action.PRESS:
                         others.append(event.key)
-        if pressed and not self.tells_releases:
+        if pressed and not self.reports_releases:
             self._repeat(pressed, strokes, now_ns)
         return others
 
     def wish(self, now_ns: int) -> Wish:
         """Return the motion asked for now."""
-        if self.tells_releases:
+        if self.reports_releases:
             if now_ns - self._answered_ns > ANSWER_NS:
                 self._held.clear()
             return _together(self._held)
@@ -112,16 +112,16 @@ class HeldKeys:
         self._last = ""
         self._until_ns = 0
 
-    def _hear_flags(self, tells_releases: bool, now_ns: int) -> None:  # noqa: FBT001 - a field of the event
-        if tells_releases is not self.tells_releases:
+    def _receive_flags(self, reports_releases: bool, now_ns: int) -> None:  # noqa: FBT001 - a field of the event
+        if reports_releases is not self.reports_releases:
             self.release_all()
-        self.tells_releases, self._answered_ns = tells_releases, now_ns
+        self.reports_releases, self._answered_ns = reports_releases, now_ns
 
     def _hold(self, stroke: Stroke) -> None:
         """In a terminal that tells releases. A repetition holds nothing: what was let go must be pressed again."""
         if stroke.action is Action.RELEASE and stroke.key in self._held:
             self._held.remove(stroke.key)
-        if stroke.action is Action.PRESS and self.tells_releases and stroke.key not in self._held:
+        if stroke.action is Action.PRESS and self.reports_releases and stroke.key not in self._held:
             self._held.append(stroke.key)
 
     def _repeat(self, key: str, strokes: int, now_ns: int) -> None:

@@ -60,7 +60,7 @@ class Focus(msgspec.Struct, frozen=True):
 class Flags(msgspec.Struct, frozen=True):
     """The terminal says what it tells of its keys."""
 
-    tells_releases: bool
+    reports_releases: bool
 
 
 Heard = Stroke | Focus | Flags

@@ -102,8 +102,8 @@ class _Search:
         """Take what has arrived. Return whether nothing more is to be waited for."""
         now_ns = time.monotonic_ns()
         for arrival in self._listener.drain():
-            self._fleet.hear(arrival, now_ns)
+            self._fleet.receive(arrival, now_ns)
         for robot in self._roll.step(now_s):
-            self._fleet.hear(TokenChange(keys.liveliness(self._root, robot), present=True), now_ns)
+            self._fleet.receive(TokenChange(keys.liveliness(self._root, robot), present=True), now_ns)
         self.linked = self.linked or bool(self._listener.links())
         return self._roll.is_complete(now_s) and all(report.health for report in self._reports(now_ns))

@@ -121,7 +121,7 @@ class _Watching:
         now_ns = time.monotonic_ns()
         self._fleet.link(connected=self._listener.connected())
         for heard in self._listener.drain():
-            self._fleet.hear(heard, now_ns)
+            self._fleet.receive(heard, now_ns)
 
 
 def _live(watching: _Watching, console: Console, end_s: float, stopped: Callable[[], bool]) -> None:

@@ -73,10 +73,10 @@ class Fleet:
         self._known: dict[str, _Known] = {}
         self._linked = True
 
-    def hear(self, heard: Arrival, now_ns: int) -> None:
+    def receive(self, heard: Arrival, now_ns: int) -> None:
         """Take in a sample or a change of a token. What is no robot's is ignored."""
         if isinstance(heard, Received):
-            self._receive(heard, now_ns)
+            self._receive_sample(heard, now_ns)
             return
         if isinstance(heard, Missed):
             return  # A newer sample comes soon.
@@ -120,7 +120,7 @@ class Fleet:
         known.heard_ns = now_ns
         return known
 
-    def _receive(self, received: Received, now_ns: int) -> None:
+    def _receive_sample(self, received: Received, now_ns: int) -> None:
         sample = read_sample(received)
         if sample is None or sample[0].root != self._root:
             return

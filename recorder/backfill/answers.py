@@ -112,7 +112,7 @@ def read_piece(piece: BackfillPiece, number: int, from_ns: int) -> list[LoggedBy
         return [] if piece.is_last and not number and not piece.messages else None
     reader = _PieceReader()
     for walked in walk(BytesIO(piece.mcap), len(piece.mcap)):
-        if not reader.take(walked):
+        if not reader.add(walked):
             return None
     expected = {"number": str(number), "from_ns": str(from_ns)}
     is_next = reader.about == expected and len(reader.messages) == piece.messages
@@ -126,8 +126,8 @@ class _PieceReader:
         self._schemas: dict[int, records.Schema] = {}
         self._channels: dict[int, LogChannel] = {}
 
-    def take(self, walked: Walked) -> bool:
-        """Take a record; False if nothing of the piece can be believed."""
+    def add(self, walked: Walked) -> bool:
+        """Add a record. Return False if nothing of the piece can be believed."""
         match walked:
             case LoggedMessage():
                 channel = self._channels.get(walked.channel_id)

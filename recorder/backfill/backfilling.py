@@ -66,5 +66,5 @@ def fill_holes(
 
 def _missing(conversation: Conversation, filling: Filling, stopped: Callable[[], bool]) -> Iterator[LoggedBytes]:
     for answer in conversation.answers(stopped):
-        yield from filter(filling.take, answer.messages)
+        yield from filter(filling.add, answer.messages)
         filling.settle(answer.next_ns)

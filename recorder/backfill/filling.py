@@ -99,8 +99,8 @@ class Filling:
             if self._holes_at(topic, one.publish_ns):
                 self._held.add((topic, one.sequence, one.publish_ns, zlib.crc32(one.data)))
 
-    def take(self, message: LoggedBytes) -> bool:
-        """A message was answered. True if it is missing, and is to be written."""
+    def add(self, message: LoggedBytes) -> bool:
+        """Add a message that was answered. Return True if it is missing, and is to be written."""
         self.asked += 1
         topic = message.channel.topic
         tallies = self._holes_at(topic, message.publish_ns)
@@ -111,7 +111,7 @@ class Filling:
             return False
         self._recent.add(identity)
         for tally in tallies:
-            tally.take(message.sequence, message.publish_ns)
+            tally.add(message.sequence, message.publish_ns)
         self.written += 1
         return True
 

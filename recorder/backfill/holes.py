@@ -91,16 +91,16 @@ class _Topic:
         self.lag_ns: int | None = None
         """From publishing to receipt, at least: it tells the two clocks apart."""
 
-    def take(self, sequence: int, log_ns: int, publish_ns: int) -> None:
-        self.line.take(sequence, publish_ns)
-        self.cover.take(publish_ns)
+    def add(self, sequence: int, log_ns: int, publish_ns: int) -> None:
+        self.line.add(sequence, publish_ns)
+        self.cover.add(publish_ns)
         lag_ns = log_ns - publish_ns
         if self.lag_ns is None or lag_ns < self.lag_ns:
             self.lag_ns = lag_ns
 
 
 class HoleFinder:
-    """Takes the messages of all logs there are, in any order of the logs.
+    """Finds the holes in the messages of all logs there are, added in any order of the logs.
 
     Attributes:
         topics: what each robot was heard to say, by the beginning of its keys.
@@ -112,16 +112,16 @@ class HoleFinder:
         self._covers: dict[str, Cover] = {}
         self._gaps: list[_Dropped] = []
 
-    def take(self, channels: dict[int, LogChannel], messages: Iterable[LoggedMessage]) -> None:
-        """Take the messages of one log."""
+    def add(self, channels: dict[int, LogChannel], messages: Iterable[LoggedMessage]) -> None:
+        """Add the messages of one log."""
         known = {number: self._topic(channel) for number, channel in channels.items()}
         gaps = {number for number, channel in channels.items() if channel.schema_name == _GAP}
         for one in messages:
             topic = known[one.channel_id]
             if topic is not None:
-                topic.take(one.sequence, one.log_ns, one.publish_ns)
+                topic.add(one.sequence, one.log_ns, one.publish_ns)
             elif one.channel_id in gaps:
-                self._take_gap(one.data)
+                self._add_gap(one.data)
 
     def holes(self) -> list[Hole]:
         """Return the holes, by time and topic."""
@@ -145,7 +145,7 @@ class HoleFinder:
             self._topics[channel.topic] = _Topic(prefix, cover)
         return self._topics[channel.topic]
 
-    def _take_gap(self, data: bytes) -> None:
+    def _add_gap(self, data: bytes) -> None:
         try:
             gap = _GapMessage.FromString(data)
         except DecodeError:
@@ -209,13 +209,13 @@ class HoleTally:
         self._line = SequenceLine()
         for place in (hole.before, hole.after):
             if place is not None:
-                self._line.take(*place)
+                self._line.add(*place)
 
-    def take(self, sequence: int, publish_ns: int) -> None:
-        """A message that was missing is there."""
+    def add(self, sequence: int, publish_ns: int) -> None:
+        """Add a message that was missing."""
         self.filled += 1
         if self.hole.before is not None:
-            self._line.take(sequence, publish_ns)
+            self._line.add(sequence, publish_ns)
 
     @property
     def still_missing(self) -> int | None:

@@ -34,8 +34,8 @@ class SequenceRun:
         self.first = self.last = sequence
         self.first_ns = self.last_ns = publish_ns
 
-    def take(self, sequence: int, publish_ns: int) -> bool:
-        """Take a message that goes on from here; False if it does not."""
+    def add(self, sequence: int, publish_ns: int) -> bool:
+        """Add a message that follows the last one. Return False if it does not follow."""
         if sequence != self.last + 1 and (sequence != self.last or publish_ns > self.last_ns + BATCH_NS):
             return False
         self.last = sequence
@@ -46,7 +46,7 @@ class SequenceRun:
         return True
 
     def join(self, other: SequenceRun) -> bool:
-        """Take in a run that begins no earlier; False if it neither goes on from here nor is a part of this."""
+        """Add a run that begins no earlier. Return False if it neither follows this one nor is a part of it."""
         length, begins, ends = (
             (sequence - self.first) % SEQUENCE_SPAN for sequence in (self.last, other.first, other.last)
         )
@@ -73,13 +73,13 @@ class SequenceLine:
         self._runs: list[SequenceRun] = []
         self._limit = RUNS_MAX
 
-    def take(self, sequence: int, publish_ns: int) -> None:
-        """A message is there."""
-        if self._runs and self._runs[-1].take(sequence, publish_ns):
+    def add(self, sequence: int, publish_ns: int) -> None:
+        """Add a message that is there."""
+        if self._runs and self._runs[-1].add(sequence, publish_ns):
             return
         recent = self._runs[-OPEN_RUNS:]
         for run in reversed(recent[:-1]):
-            if _is_free(recent, run, publish_ns) and run.take(sequence, publish_ns):
+            if _is_free(recent, run, publish_ns) and run.add(sequence, publish_ns):
                 return
         if len(self._runs) >= self._limit:
             self._runs = self.runs()
@@ -111,8 +111,8 @@ class Cover:
         self._spans: list[list[int]] = []
         self._limit = RUNS_MAX
 
-    def take(self, publish_ns: int) -> None:
-        """A message is there."""
+    def add(self, publish_ns: int) -> None:
+        """Add a message that is there."""
         for span in reversed(self._spans[-OPEN_RUNS:]):
             if span[0] - self._silence_ns <= publish_ns <= span[1] + self._silence_ns:
                 if publish_ns > span[1]:

@@ -108,7 +108,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if not logs.paths:
         raise CommandError(f"there is no log to fill: {plain('; '.join(logs.unread) or str(arguments.logs[0]))}")
     finder = HoleFinder()
-    logs.each(finder.take)
+    logs.each(finder.add)
     robots = {prefix: prefix.rpartition("/")[2] for prefix in finder.topics}
     holes = [hole for hole in finder.holes() if arguments.robot in {None, robots.get(_prefix(hole.topic, robots))}]
     expressions = settings.recorder.keys or [f"{settings.robot.root}/**"]

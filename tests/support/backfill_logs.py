@@ -147,7 +147,7 @@ def found_in(*logs: bytes) -> HoleFinder:
     finder = HoleFinder()
     for data in logs:
         chart = map_of(data)
-        finder.take(chart.channels, chart.messages(BytesIO(data)))
+        finder.add(chart.channels, chart.messages(BytesIO(data)))
     return finder
 
 

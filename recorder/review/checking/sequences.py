@@ -80,9 +80,9 @@ class _InTimeCount:
         self._line = SequenceLine()
 
     def take(self, sequences: Sequence[int], publish_ns: Sequence[int], _log_ns: Sequence[int]) -> None:
-        take = self._line.take
+        add = self._line.add
         for sequence, time_ns in zip(sequences, publish_ns, strict=True):
-            take(sequence, time_ns)
+            add(sequence, time_ns)
 
     def missed(self) -> tuple[int, int | None]:
         gaps = [(before.last_ns, step) for before, _, step in self._line.gaps() if step]

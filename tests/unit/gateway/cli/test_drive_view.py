@@ -14,17 +14,17 @@ COCKPIT = Cockpit(
     speed_mps=0.4,
     angle_deg=15.0,
     wish=NOTHING,
-    tells_releases=False,
+    reports_releases=False,
     message="",
 )
 OTHER_KEYS = {"+", "-", "g", "r", "x", "q"}
 """What these do: tests/system/gateway/client/test_drive_by_keys.py."""
 
 
-@pytest.mark.parametrize("tells_releases", [True, False])
-def test_the_keys_that_are_shown_exist_and_all_of_them_are_shown(tells_releases: bool) -> None:  # noqa: FBT001
+@pytest.mark.parametrize("reports_releases", [True, False])
+def test_the_keys_that_are_shown_exist_and_all_of_them_are_shown(reports_releases: bool) -> None:  # noqa: FBT001
     """Whoever drives by what is shown is not surprised."""
-    cockpit = msgspec.structs.replace(COCKPIT, tells_releases=tells_releases)
+    cockpit = msgspec.structs.replace(COCKPIT, reports_releases=reports_releases)
     shown = drawn(panel(cockpit)).split("hold to move", 1)[1]
     letters = {word.strip(",;:") for word in shown.split() if len(word.strip(",;:")) == 1} - {"│", "╰", "a"}
     named = {key for key in BINDINGS if len(key) == 1} | OTHER_KEYS

@@ -27,7 +27,7 @@ def fleet_that_heard(*heard: Received | TokenChange) -> Fleet:
     """A fleet that heard all this at the start."""
     fleet = Fleet(ROOT)
     for one in heard:
-        fleet.hear(one, START_NS)
+        fleet.receive(one, START_NS)
     return fleet
 
 
@@ -81,8 +81,8 @@ def test_robots_are_kept_apart() -> None:
     other = msgspec.structs.replace(STATE, speed_mps=2.0)
     fleet = fleet_that_heard(sample(STATE), sample(other, "cruiser-2"), token("cruiser-3"))
     elsewhere = Received(f"else/{ROOT}/cruiser-4/state", BY_NAME["state"].encoding, codec.encode(STATE))
-    fleet.hear(elsewhere, START_NS)
-    fleet.hear(TokenChange("else/cruiser-5/gateway", present=True), START_NS)
+    fleet.receive(elsewhere, START_NS)
+    fleet.receive(TokenChange("else/cruiser-5/gateway", present=True), START_NS)
     assert fleet.robots(START_NS) == ["cruiser-1", "cruiser-2", "cruiser-3"]
     assert fleet.report("cruiser-2", START_NS).state == other
 
@@ -92,11 +92,11 @@ def test_what_cannot_be_read_is_said_until_something_can() -> None:
     encoding = BY_NAME["state"].encoding
     fleet = fleet_that_heard(Received(f"{ROOT}/cruiser-1/state", encoding, b"\xc1"))
     assert "state" in fleet.report("cruiser-1", START_NS).unreadable
-    fleet.hear(sample(STATE, encoding=f"{encoding}99"), START_NS)
+    fleet.receive(sample(STATE, encoding=f"{encoding}99"), START_NS)
     report = fleet.report("cruiser-1", START_NS)
     assert report.state is None
     assert f"{encoding}99" in report.unreadable
-    fleet.hear(sample(STATE), START_NS)
+    fleet.receive(sample(STATE), START_NS)
     assert fleet.report("cruiser-1", START_NS).unreadable == ""
 
 

@@ -235,7 +235,7 @@ def test_what_the_own_recorder_does_not_record_is_not_brought_by_a_cut() -> None
     taken = [
         one.topic
         for one in (row(40, 4000, GEAR), row(0, 4000, CAMERA))
-        if filling.take(
+        if filling.add(
             LoggedBytes(map_of(log_of([one])).channels[1], one.sequence, one.log_ns, one.publish_ns, b"")
         )
     ]

@@ -162,19 +162,19 @@ def test_a_hole_is_filled_by_what_was_missing() -> None:
     """In any order, and each message but once."""
     one = tally()
     assert (one.filled, one.still_missing) == (0, 3)
-    one.take(13, 400)
-    one.take(11, 200)
+    one.add(13, 400)
+    one.add(11, 200)
     assert (one.filled, one.still_missing) == (2, 1)
-    one.take(12, 300)
+    one.add(12, 300)
     assert (one.filled, one.still_missing) == (3, 0)
 
 
 def test_a_restart_within_a_gap_left_fewer_than_it_seemed() -> None:
     """The old gateway's last, and the new one's first."""
     one = tally(missing=3)
-    one.take(11, 150)
+    one.add(11, 150)
     for sequence in range(14):
-        one.take(sequence, 200 + sequence)
+        one.add(sequence, 200 + sequence)
     assert one.still_missing == 0
 
 
@@ -182,9 +182,9 @@ def test_nobody_knows_what_a_restart_lost_until_something_of_it_is_there() -> No
     """Then its own gaps tell."""
     one = tally(missing=None, after=(0, 500))
     assert one.still_missing is None
-    one.take(11, 200)
+    one.add(11, 200)
     assert one.still_missing is None
-    one.take(13, 400)
+    one.add(13, 400)
     assert one.still_missing == 1
 
 
@@ -192,7 +192,7 @@ def test_nobody_knows_what_a_restart_lost_until_something_of_it_is_there() -> No
 def test_of_dropped_messages_the_count_is_all_that_is_known(missing: int | None, expected: int | None) -> None:
     """It is the recorder's, of samples or of messages."""
     one = tally(missing=missing, before=None, after=None)
-    one.take(0, 1)
+    one.add(0, 1)
     assert one.still_missing == expected
 
 

@@ -18,7 +18,7 @@ def gaps_of(messages: list[tuple[int, int]]) -> list[tuple[int, int, int | None]
     """The gaps: the sequences around each, and what is missing."""
     line = SequenceLine()
     for sequence, publish_ns in messages:
-        line.take(sequence, publish_ns)
+        line.add(sequence, publish_ns)
     return [(before.last, after.first, missing) for before, after, missing in line.gaps()]
 
 
@@ -50,9 +50,9 @@ def test_messages_that_follow_each_other_are_one_run() -> None:
     """While they come: memory grows with the gaps alone."""
     frames, woven = SequenceLine(), SequenceLine()
     for number in range(300):
-        frames.take(number // 3, number)
-        woven.take(number, number)
-        woven.take(1000 + number, 10_000 + number)
+        frames.add(number // 3, number)
+        woven.add(number, number)
+        woven.add(1000 + number, 10_000 + number)
     assert len(frames._runs) == 1
     assert len(woven._runs) == 2
 
@@ -94,8 +94,8 @@ def test_runs_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
     line, cover = SequenceLine(), Cover(1)
     most = 0
     for number in (*range(0, 6400, 2), *range(1, 6400, 2)):
-        line.take(number, number)
-        cover.take(4 * number)
+        line.add(number, number)
+        cover.add(4 * number)
         most = max(most, len(line._runs))
     assert most < 6000
     assert [(run.first, run.last) for run in line.runs()] == [(0, 6399)]
@@ -108,7 +108,7 @@ def test_a_silence_is_longer_than_it_has_to_be(times: list[int]) -> None:
     """Whatever the order in which the messages come."""
     cover = Cover(10)
     for time in times:
-        cover.take(time)
+        cover.add(time)
     ordered = sorted(times)
     expected = [(one, other) for one, other in itertools.pairwise(ordered) if other - one > 10]
     assert list(cover.silences()) == expected
