@@ -101,7 +101,8 @@ class Child:
             out = self._process.stdout.read() if self._process.stdout else ""
         except subprocess.TimeoutExpired as error:
             raise CommandError(f"{self._name} does not stop") from error
-        if self._process.returncode != ExitCode.OK:
+        # What a recorder dropped on a busy machine is in its result, and no reason to have none.
+        if self._process.returncode not in {ExitCode.OK, ExitCode.PARTIAL}:
             self.check()
         return out
 

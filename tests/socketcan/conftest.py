@@ -8,13 +8,13 @@ import pytest
 from tests.socketcan.can_utils import Candump
 from tests.socketcan.commands import FILTER, WHEEL_SPEEDS
 from tests.socketcan.interface import Vcan
+from tests.support.busy import PATIENT_DEADMAN_S
 
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gateways that wait for their operator as long as their settings allow: processes may be late here."""
-    monkeypatch.setenv("CRUISER_COMMAND_DEADMAN_S", "0.5")
-    monkeypatch.setenv("CRUISER_COMMAND_MAX_AGE_S", "1.0")
+    monkeypatch.setenv("CRUISER_COMMAND_DEADMAN_S", str(PATIENT_DEADMAN_S))
 
 
 @pytest.fixture

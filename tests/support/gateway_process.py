@@ -81,10 +81,10 @@ def gateway(address: str, endpoint: str, *words: str) -> Iterator[Running]:
         yield running
 
 
-def run(words: Sequence[str]) -> subprocess.CompletedProcess[str]:
+def run(words: Sequence[str], timeout_s: float = 100) -> subprocess.CompletedProcess[str]:
     """Run a command to its end."""
     return subprocess.run(
-        [sys.executable, "-m", "gateway", *words], capture_output=True, text=True, check=False, timeout=100
+        [sys.executable, "-m", "gateway", *words], capture_output=True, text=True, check=False, timeout=timeout_s
     )
 
 

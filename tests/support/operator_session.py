@@ -12,8 +12,8 @@ import zenoh
 
 from gateway.client.robot import Robot
 from gateway.zenoh.client import open_session
-from schemas.reasons import Reason
 from schemas.settings import Settings, ZenohSettings
+from tests.support.holding import hold
 
 HANG = signal.SIGUSR1
 HANG_S = 600
@@ -33,13 +33,10 @@ def main(endpoint: str, operator: str) -> None:
     session = open_session(ZenohSettings(mode="client"), [endpoint], [])
     token = session.liveliness().declare_token(token_key(operator))
     with Robot.connect("cruiser-1", operator, settings, 30) as robot, robot.lease() as lease:
-        robot.wait_for(lambda state: state.blocked_by == [Reason.NOT_ENGAGED], 30)
-        lease.engage()
-        lease.unpark()
         is_told = False
         while isinstance(token, zenoh.LivelinessToken):
-            lease.drive(SPEED_MPS)
-            if not is_told and robot.state().state.output_speed_mps >= SPEED_MPS:
+            hold(robot, lease, SPEED_MPS)
+            if not is_told and robot.wait_for(lambda state: state.output_speed_mps >= SPEED_MPS, 0):
                 is_told = True
                 sys.stdout.write("driving\n")
                 sys.stdout.flush()

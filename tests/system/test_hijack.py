@@ -17,7 +17,7 @@ import pytest
 import zenoh
 from mcap.reader import make_reader
 
-from gateway.client.refusal import LeaseLost, RobotError
+from gateway.client.refusal import LeaseLost
 from gateway.client.robot import Lease, Robot
 from gateway.zenoh.client import close_session, open_session
 from schemas import keys
@@ -28,6 +28,7 @@ from schemas.settings import Settings, ZenohSettings
 from schemas.subjects import BY_NAME
 from tests.support.fake_gateway import ROOT, free_endpoint
 from tests.support.gateway_process import Running, chassis, gateway
+from tests.support.holding import hold
 from tests.support.waiting import wait_until
 
 ROBOT, HOLDER = "cruiser-1", "holder"
@@ -104,32 +105,6 @@ class Neighbour:
         self.session.put(keys.command(ROOT, ROBOT, HOLDER, "drive"), payload)
 
 
-STARVED = {
-    Reason.DEADMAN,
-    Reason.GUARD,
-    Reason.FEEDBACK_MISSING,
-    Reason.FEEDBACK_LATE,
-    Reason.LOOP_LATE,
-    Reason.UNGUARDED,
-    Reason.NOT_CONFIRMED,
-}
-"""What stops a robot on a machine with other work; no neighbour does it, and the holder engages again."""
-
-
-def hold(robot: Robot, lease: Lease) -> None:
-    """The holder drives, and engages again where the machine was too busy for it."""
-    try:
-        if not lease.is_engaged:
-            robot.wait_for(lambda state: set(state.blocked_by) <= {Reason.NOT_ENGAGED, Reason.GUARD}, 30)
-            lease.reset()
-            lease.engage(deadman_s=1.0)
-            lease.unpark()
-        lease.drive(SPEED_MPS)
-    except RobotError as error:
-        if isinstance(error, LeaseLost) or error.reason not in {*STARVED, Reason.NOT_ENGAGED}:
-            raise
-
-
 def integers(value: Any) -> Iterator[int]:  # noqa: ANN401 - whatever MessagePack holds
     """All whole numbers in it."""
     match value:
@@ -170,13 +145,13 @@ def test_nobody_drives_under_the_holders_name_by_what_is_published_and_recorded(
     ):
         neighbour = Neighbour(endpoint)
         settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
-        with Robot.connect(ROBOT, HOLDER, settings) as robot, robot.lease() as lease:
+        with Robot.connect(ROBOT, HOLDER, settings, 30) as robot, robot.lease() as lease:
             tried: set[int] = set()
             refused: list[Decision] = []
 
             def hijack() -> None:
                 neighbour.listen()
-                hold(robot, lease)
+                hold(robot, lease, SPEED_MPS)
                 accepted = [one.request_sequence for one in neighbour.decisions() if one.request_sequence]
                 for number in neighbour.numbers() - tried if accepted else ():
                     tried.add(number)
@@ -210,8 +185,8 @@ def driving() -> Iterator[tuple[Neighbour, Robot, Lease]]:
     settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
     with chassis() as (_, address), gateway(address, endpoint):
         neighbour = Neighbour(endpoint)
-        with Robot.connect(ROBOT, HOLDER, settings) as robot, robot.lease() as lease:
-            hold(robot, lease)
+        with Robot.connect(ROBOT, HOLDER, settings, 30) as robot, robot.lease() as lease:
+            hold(robot, lease, SPEED_MPS)
             wait_until(lambda: bool(neighbour.of("safety/state")), neighbour.listen)
             yield neighbour, robot, lease
         close_session(neighbour.session)
@@ -224,7 +199,7 @@ def test_a_holder_whose_lease_somebody_else_uses_loses_it_and_the_robot_stops() 
 
         def both() -> None:
             neighbour.listen()
-            hold(robot, lease)
+            hold(robot, lease, SPEED_MPS)
             neighbour.drive(number, (neighbour.state()["accepted_seq"] or 0) + 3)
 
         with pytest.raises(LeaseLost, match="did not send"):
@@ -244,7 +219,7 @@ def test_a_jump_of_the_sequence_locks_nobody_out() -> None:
 
         def both() -> None:
             neighbour.listen()
-            hold(robot, lease)
+            hold(robot, lease, SPEED_MPS)
             neighbour.drive(lease.number, 2**53 - 1)
 
         def refused() -> list[Decision]:
@@ -272,7 +247,7 @@ def test_a_forged_state_a_second_takes_the_robot_from_nobody(forged: dict[str, o
 
         def drive() -> None:
             neighbour.listen()
-            hold(robot, lease)
+            hold(robot, lease, SPEED_MPS)
 
         def forge() -> None:
             drive()

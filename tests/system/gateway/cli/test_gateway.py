@@ -15,7 +15,6 @@ import zenoh
 
 from gateway.chassis.cruiser.layout import load
 from gateway.cli.gateway import run as run_gateway
-from gateway.client.refusal import RobotError
 from gateway.client.robot import Robot
 from gateway.command.actuation import Actuation
 from gateway.core import Core
@@ -33,6 +32,7 @@ from schemas.subjects import BY_VERB, COMMANDS, SUBJECTS, Pattern
 from tests.support.fake_gateway import free_endpoint
 from tests.support.gateway_process import chassis, gateway, run
 from tests.support.guard_watched import listening
+from tests.support.holding import is_done
 from tests.support.waiting import wait_until
 
 
@@ -272,8 +272,9 @@ def test_an_endpoint_that_is_taken_is_one_clear_line() -> None:
         endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
         done = run(["gateway", "--interface", "socketcand", "--channel", address, "--listen", endpoint])
     assert done.returncode == 4
-    assert len(done.stderr.splitlines()) == 1
-    assert "Address already in use" in done.stderr
+    # On a busy machine another says that the guard is still at work.
+    (line,) = [line for line in done.stderr.splitlines() if "WARNING gateway.host.guard_process" not in line]
+    assert "Address already in use" in line
 
 
 @pytest.mark.parametrize(
@@ -431,7 +432,8 @@ def test_a_stop_by_the_guard_is_latched_until_a_reset_whatever_is_restarted() ->
             running.stop(signal.SIGKILL)
         # The gateway's stderr has ended, and so has its guard, which has it too.
         words = [line for line in running.said if line.startswith("guard: ")]
-        assert "guard: the gateway is gone" in words[0]
+        # On a busy machine it may have seen no sign of life even before that.
+        assert words[0].startswith("guard: the gateway")
         for is_reset in (False, True):
             with gateway(address, endpoint) as running, Robot.connect("cruiser-1", "first", settings, 30) as robot:
                 assert robot.wait_for(lambda state: state.latched == [Reason.GUARD], 30)
@@ -471,15 +473,6 @@ def test_the_guard_of_a_dead_gateway_is_no_other_computer_to_the_next() -> None:
             )
             assert [one for one in events if one.reason is Reason.OTHER_COMMANDER] == []
             assert after.stop() == 0
-
-
-def is_done(act: Callable[[], object]) -> bool:
-    """It is accepted. On a busy machine a robot may be refused for a moment."""
-    try:
-        act()
-    except RobotError:
-        return False
-    return True
 
 
 def guard_latch(robot: Robot) -> SafetyEvent:

@@ -44,9 +44,10 @@ class Driver:
         self._master, slave = pty.openpty()
         self._slave = os.dup(slave)
         self.settings = termios.tcgetattr(slave)
-        words = ["drive", "cruiser-1", "--operator", "first", "--speed", "0.5", "--connect", endpoint]
+        # A process that gets no processor in time shall not end the drive.
+        words = ["drive", "cruiser-1", "--operator", "first", "--speed", "0.5", "--deadman", "1"]
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "gateway", *words],
+            [sys.executable, "-m", "gateway", *words, "--connect", endpoint],
             stdin=slave,
             stdout=slave,
             stderr=slave,

@@ -1,7 +1,6 @@
 import argparse
 import json
 import re
-import time
 from collections.abc import Callable
 
 import msgspec
@@ -58,41 +57,19 @@ def test_drive_for_a_script_drives_and_leaves_the_robot_at_rest(capsys: Capture)
     assert re.fullmatch(r"  commands \d+ ms old .*, deadman 900 ms, .* at most [\d.]+ m/s by that", link)
 
 
-def test_a_deadman_longer_than_a_second_is_a_usage_error(capsys: Capture) -> None:
-    """Told before anything is asked of the robot."""
-    with pytest.raises(SystemExit) as caught:
-        run(drive, "tcp/127.0.0.1:1", "cruiser-1", "--speed", "0.2", "--seconds", "1", "--deadman", "1.5")
-    assert caught.value.code == ExitCode.USAGE
-    assert "longer than a deadman may be, 1 s" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "why"),
-    [
-        (("--speed", "9"), "9 m/s is more than the chassis can do, 2.222 m/s"),
-        (("--speed", "-2.3"), "-2.3 m/s is more than the chassis can do, 2.222 m/s"),
-        (("--speed", "1", "--angle", "30"), "30 deg is more than the chassis can do, 24 deg"),
-    ],
-)
-def test_what_the_chassis_cannot_do_is_a_usage_error(words: tuple[str, ...], why: str, capsys: Capture) -> None:
-    """Told before anything is asked of the robot."""
-    with pytest.raises(SystemExit) as caught:
-        run(drive, "tcp/127.0.0.1:1", "cruiser-1", "--seconds", "1", *words)
-    assert caught.value.code == ExitCode.USAGE
-    assert why in capsys.readouterr().err
-
-
 def test_drive_says_what_the_limits_leave_of_what_is_asked(capsys: Capture) -> None:
     """A script that asks for more than the limits in force learns what it gets."""
     limits = Settings(command=CommandSettings(speed_limit_mps=0.25, steering_limit_deg=10.0))
     with FakeRobot(settings=limits) as fake:
-        words = ("cruiser-1", "--speed", "-2", "--angle", "15", "--seconds", "0.2")
-        assert run(drive, fake.listen, *words) == 0
+        moves = lambda: abs(fake.speed_mps) >= 0.2  # noqa: E731 - it reads as a condition
+        words = ("cruiser-1", "--speed", "-2", "--angle", "15", "--seconds", "100")
+        assert run(drive, fake.listen, *words, until=moves) == 0
         assert capsys.readouterr().err == (
             "cruiser-1: of -2 m/s the limit in force leaves -0.25 m/s\n"
             "cruiser-1: of 15 deg the limit in force leaves 10 deg\n"
         )
-        assert run(drive, fake.listen, "cruiser-1", "--speed", "0.2", "--angle", "-9", "--seconds", "0.2") == 0
+        words = ("cruiser-1", "--speed", "0.2", "--angle", "-9", "--seconds", "100")
+        assert run(drive, fake.listen, *words, until=moves) == 0
         assert capsys.readouterr().err == ""
 
 
@@ -116,14 +93,6 @@ def test_drive_says_why_the_robot_stopped() -> None:
         with pytest.raises(CommandError, match="front_bumper") as caught:
             run(drive, fake.listen, "cruiser-1", "--speed", "1", "--seconds", "100", until=hit)
         assert caught.value.code is ExitCode.FAILURE
-
-
-@pytest.mark.parametrize("words", [["--seconds", "1"], ["--speed", "1"], []])
-def test_drive_without_a_terminal_wants_speed_and_seconds(words: list[str]) -> None:
-    """It is a usage error before anything is connected."""
-    with pytest.raises(CommandError) as caught:
-        run(drive, free_endpoint(), "cruiser-1", *words)
-    assert caught.value.code is ExitCode.USAGE
 
 
 @pytest.mark.parametrize("verb", ACTIONS)
@@ -165,11 +134,11 @@ def test_stop_and_reset(capsys: Capture) -> None:
         assert Reason.REMOTE_STOP in fake.flow.arbiter.latches.details
         with pytest.raises(CommandError, match="remote_stop"):
             run(PARK, fake.listen, "cruiser-1")
-        wait_until(lambda: time.monotonic_ns() - fake.flow.arbiter.latches.newest_ns > RESET_MIN_NS)
+        wait_until(lambda: fake.now_ns - fake.flow.arbiter.latches.newest_ns > RESET_MIN_NS)
         assert run(reset, fake.listen, "cruiser-1") == 0
         assert not fake.flow.arbiter.latches.details
         assert run(reset, fake.listen, "cruiser-1") == 0
-        fake.flow.arbiter.engagement.latch(Reason.GUARD, "", time.monotonic_ns() - RESET_MIN_NS)
+        fake.flow.arbiter.engagement.latch(Reason.GUARD, "", fake.now_ns - RESET_MIN_NS)
         assert run(reset, fake.listen, "cruiser-1", "--json") == 0
         assert run(reset, fake.listen, "cruiser-1", "--json") == 0
     lines = capsys.readouterr().out.splitlines()
@@ -301,23 +270,3 @@ def test_lease_shows_the_holder_and_can_be_held(capsys: Capture) -> None:
             assert run(lease, fake.listen, "cruiser-1", "--take", "--seconds", "0.2") == 0
             with pytest.raises(CommandError, match="is lost"):
                 held.engage()
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["Cruiser"],
-        ["*"],
-        ["cruiser-1", "--operator", "a/b"],
-        ["cruiser-1", "--lease", "-1"],
-        ["a", "--lease", "x"],
-    ],
-)
-def test_what_cannot_be_a_name_or_a_lease_is_a_usage_error(words: list[str], capsys: Capture) -> None:
-    """The parser says so."""
-    parser = argparse.ArgumentParser()
-    PARK.add_arguments(parser)
-    with pytest.raises(SystemExit) as caught:
-        parser.parse_args(words)
-    assert caught.value.code == ExitCode.USAGE
-    assert "error: argument" in capsys.readouterr().err

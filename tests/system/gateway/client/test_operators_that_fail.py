@@ -23,7 +23,8 @@ from tests.support.busy import burning
 from tests.support.fake_gateway import free_endpoint
 from tests.support.gateway_process import chassis, gateway
 from tests.support.guard_watched import COMMANDS, Listener
-from tests.support.waiting import wait_until
+from tests.support.holding import STARVED, is_done
+from tests.support.waiting import DEADLINE_S, wait_until
 
 
 class Scene:
@@ -56,7 +57,7 @@ class Scene:
 
     def wait_at_rest(self) -> None:
         """Wait until nothing is told to a chassis that stands, out of auto."""
-        wait_until(lambda: self.second.state().state.state is ArbiterState.STANDBY)
+        assert self.second.wait_for(lambda state: state.state is ArbiterState.STANDBY, DEADLINE_S)
         wait_until(lambda: self.listener.stands() and self.listener.mode() is Mode.STOP)
 
     def _end_program(self) -> None:
@@ -78,7 +79,7 @@ def test_the_robot_of_an_operator_who_fails_comes_to_rest(number: signal.Signals
     """Row 'deadman'. It stays so when a stopped program goes on, and the lease is free after its time."""
     with driven() as scene:
         scene.program.send_signal(number)
-        wait_until(lambda: scene.has_heard(EventKind.STOP, Reason.DEADMAN))
+        wait_until(lambda: scene.has_heard(EventKind.STOP, *STARVED))
         scene.wait_at_rest()
         wait_until(lambda: scene.has_heard(EventKind.LEASE, Reason.LEASE_EXPIRED))
         if number == signal.SIGSTOP:
@@ -104,7 +105,7 @@ def test_a_liveliness_token_is_no_sign_that_anybody_drives() -> None:
         session = open_session(ZenohSettings(mode="client"), [scene.endpoint], [])
         try:
             scene.program.send_signal(operator_program.HANG)
-            wait_until(lambda: scene.has_heard(EventKind.STOP, Reason.DEADMAN))
+            wait_until(lambda: scene.has_heard(EventKind.STOP, *STARVED))
             # A session that was just opened hears of them a little later.
             wait_until(lambda: tokens(session) == [operator_program.token_key("first")])
             scene.wait_at_rest()
@@ -116,8 +117,8 @@ def test_a_machine_that_is_too_busy_drives_or_stops_and_never_jumps() -> None:
     """Whatever the scheduler does: whole bursts, each counter goes on, no speed rises by more than is allowed."""
     with driven() as scene, burning():
         begun = len(scene.listener.bursts)
-        wait_until(lambda: len(scene.listener.bursts) > begun + 200 or not scene.second.state().state.engaged)
-        scene.second.stop(30)
+        wait_until(lambda: len(scene.listener.bursts) > begun + 200 or scene.has_heard(EventKind.STOP, *STARVED))
+        wait_until(lambda: is_done(lambda: scene.second.stop(10)))
         scene.wait_at_rest()
     frames = [frame for burst in scene.listener.bursts for frame in burst.frames]
     for can_id in COMMANDS:

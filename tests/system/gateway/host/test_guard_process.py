@@ -12,13 +12,12 @@ from typing import Any
 import pytest
 
 from gateway.command.actuation import AT_REST, Actuation
-from gateway.command.flow import CommandFlow
 from gateway.command.frames import FrameMaker
-from gateway.guard.beat import Cause, GuardView
+from gateway.guard.beat import Cause
 from gateway.host.guard_process import GuardProcess, NoGuard, start_guard
 from gateway.host.stop_note import StopNote
 from schemas.messages import Mode, Variant
-from schemas.settings import GUARD_HANGS_TICKS, GUARD_RESTART_NS, CanSettings, GatewaySettings, Settings
+from schemas.settings import GUARD_HANGS_TICKS, GUARD_RESTART_NS, CanSettings, Settings
 from tests.support.gateway_process import chassis
 from tests.support.guard_watched import Watched, watched
 from tests.support.waiting import wait_until
@@ -35,7 +34,6 @@ def wait_stopped(running: Watched) -> None:
 def test_a_killed_gateway_is_stopped_for() -> None:
     """A kill -9: whole bursts in their order, counters that go on, the robot rests, the guard says so and goes."""
     with watched() as running:
-        running.drive()
         running.send_signal(signal.SIGKILL)
         wait_stopped(running)
         running.wait_guard_gone()
@@ -60,7 +58,6 @@ def test_a_killed_gateway_is_stopped_for() -> None:
 def test_a_stopped_gateway_that_comes_back_keeps_silent_and_learns_of_the_stop() -> None:
     """SIGSTOP, and SIGCONT in the middle: the guard carries its stop through, and watches again."""
     with watched() as running:
-        running.drive()
         running.send_signal(signal.SIGSTOP)
         wait_until(lambda: len(running.listener.by_guard()) > 20)
         by_gateway = [burst for burst in running.listener.bursts if not burst.is_by_guard]
@@ -84,7 +81,6 @@ def test_a_stopped_gateway_that_comes_back_keeps_silent_and_learns_of_the_stop()
 def test_a_gateway_whose_gate_refuses_everything_is_stopped_for() -> None:
     """It beats in time, and says that it cannot send."""
     with watched() as running:
-        running.drive()
         running.send_signal(signal.SIGUSR1)
         wait_stopped(running)
         running.wait_says(f"cause {Cause.MUTE.value}")
@@ -93,7 +89,6 @@ def test_a_gateway_whose_gate_refuses_everything_is_stopped_for() -> None:
 def test_nothing_is_sent_while_the_loop_lives_and_signals_do_not_end_the_guard() -> None:
     """Not while it drives, and not when it ends in good order; the guard leaves with it, without a word."""
     with watched() as running:
-        running.drive()
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             os.kill(running.guard, number)
         count = len(running.listener.bursts)
@@ -124,7 +119,6 @@ def test_a_guard_that_is_gone_or_hangs_does_not_watch() -> None:
     """The gateway sees it, and no stop of its is waited for."""
     for number in (signal.SIGKILL, signal.SIGSTOP):
         with watched() as running:
-            running.drive()
             os.kill(running.guard, number)
             running.wait_says("watching False")
             os.kill(running.guard, signal.SIGKILL)
@@ -133,7 +127,6 @@ def test_a_guard_that_is_gone_or_hangs_does_not_watch() -> None:
 def test_the_guard_has_a_bus_of_its_own_and_nothing_of_the_gateway() -> None:
     """No socket is shared, and Zenoh is not even loaded."""
     with watched() as running:
-        running.drive()
 
         def sockets(process: int) -> set[str]:
             links = [str(link.readlink()) for link in Path(f"/proc/{process}/fd").iterdir()]
@@ -157,23 +150,6 @@ def test_a_guard_whose_gateway_never_beat_leaves_with_it() -> None:
         assert not link.look().is_sending
         link.close()
         assert link._process.returncode == 0
-
-
-@pytest.mark.parametrize(
-    ("settings", "says"),
-    [
-        (Settings(can=CanSettings(interface="virtual")), "virtual"),
-        (Settings(can=CanSettings(interface="pcan")), "pcan"),
-        (Settings(gateway=GatewaySettings(listen_only=True)), "only listens"),
-    ],
-)
-def test_where_no_guard_can_be_the_link_says_why(settings: Settings, says: str) -> None:
-    """An interface that is not known to be shared has no guard, nor has a gateway that sends nothing."""
-    link = start_guard(settings)
-    assert says in link.why_not
-    link.beat(1, CommandFlow(settings, 1))
-    link.close()
-    assert link.look() == GuardView()
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])

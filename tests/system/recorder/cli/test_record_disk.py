@@ -13,10 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from recorder.cli import record
 from recorder.disk.keeper import read_entries
-from recorder.loop import Recorded
-from recorder.record.accounting import KeyReport
 from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas.decisions import EventKind, SafetyEvent, Severity
@@ -268,17 +265,6 @@ def test_of_a_directory_that_is_moved_the_logs_become_whole_where_they_are(
     files = [*logs.iterdir(), *elsewhere.iterdir()]
     assert {path.suffix for path in files} == {".mcap"}
     assert all(read_info(path).whole for path in files)
-
-
-@pytest.mark.parametrize(("unfinished", "code"), [(0, ExitCode.OK), (1, ExitCode.PARTIAL)])
-def test_that_a_file_is_not_whole_is_no_success(
-    capsys: pytest.CaptureFixture[str], unfinished: int, code: ExitCode
-) -> None:
-    """Though nothing of it is lost: somebody has to recover it."""
-    keys = {"fleet/cruiser-1/key": KeyReport(received=1, written=1)}
-    recorded = Recorded("a.mcap", 1, 1, 0, 0, 0, 0, 0, 0, 100, 1, 0, keys, unfinished=unfinished)
-    assert record._report(recorded, as_json=False) == code
-    assert ("1 files are not whole" in capsys.readouterr().err) == bool(unfinished)
 
 
 def remount(disk: Path, mode: str) -> None:

@@ -16,7 +16,7 @@ from gateway.can.socketcan import RECEIVE_BUFFER_BYTES, SEND_BUFFER_BYTES, Socke
 from gateway.chassis.frame import BITRATE_SWITCH, ERROR, ERROR_STATE_INDICATOR, EXTENDED, FD, REMOTE, Frame
 from schemas.settings import CanSettings
 from tests.support.can_strategies import frames
-from tests.system.gateway.can.test_can_bus import consistent
+from tests.unit.gateway.can.test_can_bus import consistent
 
 SO_RCVBUFFORCE = 33
 SO_TIMESTAMPNS = 35

@@ -1,0 +1,44 @@
+"""An operator on a machine with other work, which may rightly stop the robot at any time."""
+
+from collections.abc import Callable
+
+from gateway.client.refusal import LeaseLost, RobotError, Unreachable
+from gateway.client.robot import Lease, Robot
+from schemas.reasons import Reason
+from schemas.settings import DEADMAN_MAX_S
+
+STARVED = {
+    Reason.DEADMAN,
+    Reason.GUARD,
+    Reason.FEEDBACK_MISSING,
+    Reason.FEEDBACK_LATE,
+    Reason.LOOP_LATE,
+    Reason.UNGUARDED,
+    Reason.NOT_CONFIRMED,
+}
+"""What stops a robot on a machine with other work; no other operator does it, and the holder engages again."""
+
+
+def hold(robot: Robot, lease: Lease, speed_mps: float) -> None:
+    """Drive, and engage again where the machine was too busy for it."""
+    try:
+        if not lease.is_engaged:
+            robot.wait_for(lambda state: set(state.blocked_by) <= {Reason.NOT_ENGAGED, Reason.GUARD}, 30)
+            lease.reset()
+            lease.engage(deadman_s=DEADMAN_MAX_S)
+            lease.unpark()
+        lease.drive(speed_mps)
+    except RobotError as error:
+        if isinstance(error, LeaseLost) or error.reason not in {*STARVED, Reason.NOT_ENGAGED}:
+            raise
+    except Unreachable:
+        return  # For a moment; else whoever waits gives up.
+
+
+def is_done(act: Callable[[], object]) -> bool:
+    """Try it. On a busy machine a robot may refuse, or be out of reach, for a moment."""
+    try:
+        act()
+    except (RobotError, Unreachable):
+        return False
+    return True

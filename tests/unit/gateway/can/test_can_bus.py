@@ -1,0 +1,116 @@
+"""Frames to python-can's messages and back, and what becomes of its errors."""
+
+import time
+
+import can
+import pytest
+from hypothesis import given
+
+from gateway.can.can_bus import (
+    BusFull,
+    BusLost,
+    CanBus,
+    to_frame,
+    to_message,
+)
+from gateway.chassis.frame import ERROR, EXTENDED, REMOTE, Frame
+from tests.support.can_strategies import frames
+
+
+def consistent(frame: Frame) -> Frame:
+    """The frame as a driver can deliver it: no remote FD frames, no remote data, 11 bits if standard."""
+    can_id = frame.can_id if frame.can_id & EXTENDED else frame.can_id & ~0x1FFF_F800
+    remote = bool(can_id & REMOTE) and not can_id & ERROR
+    can_id = can_id if remote else can_id & ~REMOTE
+    fd_flags = 0 if remote or can_id & ERROR else frame.fd_flags
+    data = b"" if remote else frame.data[: 64 if fd_flags else 8]
+    return Frame(can_id, data, frame.wall_ns, fd_flags, frame.remote_length if remote else 0)
+
+
+@given(frame=frames.map(consistent))
+def test_a_frame_survives_the_way_through_python_can(frame: Frame) -> None:
+    """Identifier, kind, data, FD flags and length are the same after python-can's message as before."""
+    back = to_frame(to_message(frame), frame.wall_ns)
+    assert (back.can_id, back.data, back.fd_flags, back.length) == (
+        frame.can_id,
+        frame.data,
+        frame.fd_flags,
+        frame.length,
+    )
+    assert abs(back.wall_ns - frame.wall_ns) < 2000
+
+
+class StampedBus(can.BusABC):
+    """A driver that stamps its frames as told."""
+
+    def __init__(self, timestamps: list[float]) -> None:
+        super().__init__(channel="stamped")
+        self.timestamps = timestamps
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        raise can.CanOperationError(f"{msg} {timeout}")
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        return can.Message(timestamp=self.timestamps.pop(0)), timeout is None
+
+
+@pytest.mark.parametrize("start_s", [0.0, 12.5, 1e12, float("nan"), float("inf"), -1e300])
+def test_a_clock_that_does_not_keep_epoch_time_is_not_believed(start_s: float) -> None:
+    """Interfaces that count from their own start would put frames into 1970 or the far future."""
+    bus = CanBus(StampedBus([start_s, start_s + 1, time.time()]))
+    for _ in range(3):
+        frame = bus.receive(1)
+        assert frame is not None
+        assert abs(frame.wall_ns - time.time_ns()) < 10**10
+    bus.close()
+
+
+def test_frames_that_waited_keep_their_times() -> None:
+    """Once the interface's clock is known to keep epoch time, a frame that comes late is old, not new."""
+    now_s = time.time()
+    bus = CanBus(StampedBus([now_s, now_s - 20, now_s - 19.99]))
+    times_ns = [frame.wall_ns for _ in range(3) if (frame := bus.receive(1)) is not None]
+    assert times_ns == pytest.approx([now_s * 1e9, (now_s - 20) * 1e9, (now_s - 19.99) * 1e9], abs=1000)
+    bus.close()
+
+
+FRAME = Frame(EXTENDED | 0x18C4D1EF, bytes(8))
+
+
+class FailingDriver(can.BusABC):
+    """A driver that can neither send nor receive, and says so with this error."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__(channel="none")
+        self.error = error
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        del msg, timeout
+        raise self.error
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        del timeout
+        raise self.error
+
+
+def test_a_frame_that_the_driver_does_not_take_is_full_and_a_failing_receive_is_a_loss() -> None:
+    """A full transmit buffer and a lost cable look alike to who sends; ``receive`` tells them apart."""
+    bus = CanBus(FailingDriver(can.CanOperationError("Transmit buffer full\nTraceback ...")))
+    try:
+        with pytest.raises(BusFull, match=r"^Transmit buffer full$"):
+            bus.send(FRAME)
+        with pytest.raises(BusLost, match=r"^Transmit buffer full$"):
+            bus.receive(0)
+    finally:
+        bus.close()
+
+
+@pytest.mark.parametrize("error", [OSError("Network is down"), ValueError("fd -1"), can.CanError("gone")])
+def test_sending_on_a_closed_bus_is_a_loss(error: Exception) -> None:
+    """python-can's own errors do not leave the port."""
+    bus = CanBus(FailingDriver(error))
+    try:
+        with pytest.raises(BusLost, match=str(error)):
+            bus.send(FRAME)
+    finally:
+        bus.close()

@@ -1,0 +1,123 @@
+"""``cruiser record`` before it records: its flags, its name, its plan, and SIGHUP."""
+
+import argparse
+import os
+import signal
+from collections.abc import Iterator
+from importlib import import_module
+from types import ModuleType
+
+import pytest
+
+from gateway.cli import main
+from recorder.cli import record, remote
+from recorder.loop import Recorded
+from recorder.record.accounting import KeyReport
+from schemas.exit_codes import ExitCode
+from schemas.recorder_settings import RecorderSettings
+from schemas.settings import Settings
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "inf", "nan", "soon"])
+def test_a_time_must_be_a_time(seconds: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit code 2."""
+    parser = argparse.ArgumentParser()
+    record.add_arguments(parser)
+    with pytest.raises(SystemExit) as caught:
+        parser.parse_args([f"--seconds={seconds}"])
+    assert caught.value.code == ExitCode.USAGE
+    assert "--seconds" in capsys.readouterr().err
+
+
+def test_flags_set_settings() -> None:
+    """By their dotted names; a flag that is not given sets nothing."""
+    parser = argparse.ArgumentParser()
+    record.add_arguments(parser)
+    given = vars(parser.parse_args(["-k", "a", "b", "-k", "c", "-o", "d", "--connect", "e", "--connect", "f"]))
+    assert given["recorder.keys"] == ["a", "b", "c"]
+    assert given["recorder.directory"] == "d"
+    assert given["zenoh.connect"] == ["e", "f"]
+    assert not {key for key, value in vars(parser.parse_args([])).items() if "." in key and value is not None}
+
+
+@pytest.mark.parametrize(("budget", "ring"), [(0, 9000), (40_000, 9000), (20_000, 5000)])
+def test_an_incident_does_not_begin_with_more_than_a_part_of_the_budget(budget: int, ring: int) -> None:
+    """Else a single one might leave no room for the logs, for ever."""
+    settings = Settings(recorder=RecorderSettings(budget_bytes=budget, incident_ring_bytes=9000))
+    assert record.recorder_plan(settings, "depot", ["fleet/**"], "1").ring_bytes == ring
+
+
+@pytest.mark.parametrize(
+    ("expressions", "name"),
+    [
+        (["fleet/cruiser-1/**"], "cruiser-1"),
+        (["fleet/cruiser-1/state", "fleet/cruiser-1/chassis/*"], "cruiser-1"),
+        (["fleet/cruiser-1"], "cruiser-1"),
+        (["fleet/cruiser-1/**", "fleet/cruiser-2/**"], "fleet"),
+        (["fleet/**"], "fleet"),
+        (["fleet/*/state"], "fleet"),
+        (["fleet/cr$*/state"], "fleet"),
+        (["other/cruiser-1/**"], "fleet"),
+    ],
+)
+def test_a_logs_name_begins_with_its_robot(expressions: list[str], name: str) -> None:
+    """If the key expressions can match but one robot; else it is the fleet's."""
+    assert record.log_name("fleet", expressions) == name
+
+
+class ReachedError(Exception):
+    """The recorder has come so far."""
+
+
+@pytest.fixture
+def hangup() -> Iterator[None]:
+    """SIGHUP ends the process, until somebody takes it."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("hangup")
+def test_a_hangup_ends_no_recorder_that_is_only_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is taken before anything is opened, and before the rest of the program is even there."""
+
+    def connect(*_: object) -> None:
+        assert callable(signal.getsignal(signal.SIGHUP))
+        raise ReachedError
+
+    def import_late(name: str) -> ModuleType:
+        assert callable(signal.getsignal(signal.SIGHUP))
+        os.kill(os.getpid(), signal.SIGHUP)
+        return import_module(name)
+
+    monkeypatch.setattr(record, "ZenohSource", connect)
+    monkeypatch.setattr(main, "import_module", import_late)
+    with pytest.raises(ReachedError):
+        main.main(["record"])
+
+
+@pytest.mark.usefixtures("hangup")
+@pytest.mark.parametrize("before", [signal.SIG_DFL, signal.SIG_IGN])
+def test_a_hangup_ends_who_only_asks_a_recorder(monkeypatch: pytest.MonkeyPatch, before: signal.Handlers) -> None:
+    """As it ends any other command, unless nohup began it."""
+    signal.signal(signal.SIGHUP, before)
+    found: list[object] = []
+
+    def ask(*_: object) -> int:
+        found.append(signal.getsignal(signal.SIGHUP))
+        return 0
+
+    monkeypatch.setattr(remote, "run", ask)
+    assert main.main(["record", "status"]) == 0
+    assert found == [before]
+
+
+@pytest.mark.parametrize(("unfinished", "code"), [(0, ExitCode.OK), (1, ExitCode.PARTIAL)])
+def test_that_a_file_is_not_whole_is_no_success(
+    capsys: pytest.CaptureFixture[str], unfinished: int, code: ExitCode
+) -> None:
+    """Though nothing of it is lost: somebody has to recover it."""
+    keys = {"fleet/cruiser-1/key": KeyReport(received=1, written=1)}
+    recorded = Recorded("a.mcap", 1, 1, 0, 0, 0, 0, 0, 0, 100, 1, 0, keys, unfinished=unfinished)
+    assert record._report(recorded, as_json=False) == code
+    assert ("1 files are not whole" in capsys.readouterr().err) == bool(unfinished)
