@@ -153,43 +153,11 @@ def test_an_error_is_one_line_and_a_code(
     assert errors.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    "flags",
-    [
-        ["--rate-multiplier", "1000"],
-        ["--seconds", "0"],
-        ["--seconds", "x"],
-        ["--variant", "medium"],
-        ["--slope", "-31"],
-        ["--payload", "x"],
-        ["--pedal-gain", "nan"],
-        ["--stop-mode", "x"],
-    ],
-)
-def test_a_flag_out_of_bounds_is_a_usage_error(flags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    """Argparse says which."""
-    with pytest.raises(SystemExit) as error:
-        in_process("sim", *flags)
-    assert error.value.code == ExitCode.USAGE
-    assert flags[0] in capsys.readouterr().err
-
-
 def test_an_occupied_port_is_unreachable(running: Served, capsys: pytest.CaptureFixture[str]) -> None:
     """The line names the address and the reason."""
     address = f"{running.host}:{running.port}"
     assert in_process("sim", "--listen", address) == ExitCode.UNREACHABLE
     assert capsys.readouterr().err == f"cruiser sim: cannot listen on {address}: Address already in use\n"
-
-
-@pytest.mark.parametrize("command", ["sim", "fault"])
-def test_the_help_shows_an_example_and_the_grammar(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Whoever asks sees every fault."""
-    with pytest.raises(SystemExit) as error:
-        in_process(command, "--help")
-    assert error.value.code == 0
-    shown = capsys.readouterr().out
-    assert "example:" in shown
-    assert "bumper front|rear|both on|off" in shown
 
 
 def test_fault_disturbs_a_running_chassis(running: Served, capsys: pytest.CaptureFixture[str]) -> None:
@@ -200,12 +168,6 @@ def test_fault_disturbs_a_running_chassis(running: Served, capsys: pytest.Captur
     assert capsys.readouterr().out == "ok: transmitter remote\nok: sticks -0.5 -10\n"
     with running.bus() as bus:
         receive(bus, lambda message: message.arbitration_id == 0x18C4D1EF and message.data[1] == 2)
-
-
-def test_a_wrong_fault_is_a_usage_error_without_a_chassis(capsys: pytest.CaptureFixture[str]) -> None:
-    """The words are judged before anybody is called."""
-    assert in_process("fault", "--sim", "127.0.0.1:9", "bumpr") == ExitCode.USAGE
-    assert capsys.readouterr().err == "cruiser fault: there is no fault 'bumpr'; did you mean 'bumper'?\n"
 
 
 def test_no_chassis_is_unreachable(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,14 +1,10 @@
 import argparse
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import pytest
 
-from gateway.cli import watch as watch_command
 from gateway.cli.watch import add_arguments, run
-from gateway.client.fleet import Fleet, RobotStatus
-from gateway.telemetry.received import Arrival
-from gateway.zenoh.client import RobotListener
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import RobotState
 from schemas.settings import RobotSettings, Settings, ZenohSettings
@@ -24,35 +20,6 @@ def watch(endpoint: str, *words: str, stopped: Callable[[], bool], root: str = "
     add_arguments(parser)
     settings = Settings(robot=RobotSettings(root=root), zenoh=ZenohSettings(connect=[endpoint]))
     return run(parser.parse_args(list(words)), settings, stopped)
-
-
-class FakeClock:
-    """Time that passes by sleeping alone, and at the will of the test."""
-
-    def __init__(self) -> None:
-        self.now_s = 0.0
-
-    def monotonic(self) -> float:
-        return self.now_s
-
-    def monotonic_ns(self) -> int:
-        return int(self.now_s * 1e9)
-
-    def sleep(self, duration_s: float) -> None:
-        self.now_s += duration_s
-
-
-class SilentListener(RobotListener):
-    """A listener that hears nothing."""
-
-    def __init__(self) -> None:
-        pass
-
-    def connected(self) -> bool:
-        return True
-
-    def drain(self) -> Iterator[Arrival]:
-        return iter(())
 
 
 class Output:
@@ -148,22 +115,6 @@ def test_a_terminal_gets_a_live_view(
     assert shown in output()
     # It was drawn on the terminal's other screen, which is left at the end.
     assert output.text.index("\x1b[?1049h") < output.text.index("+1.25 m/s") < output.text.index("\x1b[?1049l")
-
-
-def test_a_pause_is_one_line_not_many(monkeypatch: pytest.MonkeyPatch) -> None:
-    """After Ctrl-Z and fg a minute later one line says how it is now; then they come each second again."""
-    clock = FakeClock()
-    monkeypatch.setattr(watch_command, "time", clock)
-    shown_s: list[float] = []
-
-    def show(_reports: list[RobotStatus]) -> None:
-        shown_s.append(round(clock.now_s, 1))
-        if len(shown_s) == 2:
-            clock.now_s += 60.3
-
-    watching = watch_command._Watching(SilentListener(), Fleet("fleet"), "")
-    watching.show(show, 1.0, 70.0, lambda: False)
-    assert shown_s == [0.2, 1.2, 61.5, 62.2, 63.2, 64.2, 65.2, 66.2, 67.2, 68.2, 69.2]
 
 
 def test_it_ends_after_the_seconds_it_was_given(capsys: Capture) -> None:

@@ -1,4 +1,3 @@
-import json
 from pathlib import Path
 from typing import Any
 
@@ -12,19 +11,14 @@ from gateway.zenoh.client import (
     SAMPLES_WAITING,
     PendingQuery,
     RobotListener,
-    _configuration,
     call_roll,
     client_endpoints,
     close_session,
-    lease_in_force_ms,
     open_session,
-    place,
-    said_of,
 )
 from schemas import codec
-from schemas.configuration import merge
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.settings import DEFAULT_ENDPOINT, RobotSettings, Settings, ZenohSettings
+from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME
 from tests.support.fake_gateway import HEALTH, STATE, FakeGateway, free_endpoint
 from tests.support.waiting import wait_until
@@ -42,53 +36,6 @@ def settings_for(*endpoints: str) -> Settings:
     return Settings(zenoh=ZenohSettings(connect=list(endpoints)))
 
 
-def test_multicast_is_off_and_nothing_listens_unless_asked() -> None:
-    """A session neither scouts by multicast nor listens on any interface by itself."""
-    config = _configuration(ZenohSettings(), ["tcp/127.0.0.1:7447"], [])
-    assert json.loads(config.get_json("scouting/multicast/enabled")) is False
-    assert json.loads(config.get_json("listen/endpoints")) == []
-
-
-def test_a_zenoh_file_that_says_nothing_of_it_changes_neither(tmp_path: Path) -> None:
-    """Multicast stays off unless a Zenoh file asks for it; a command listens on nothing, whatever it says."""
-    file = tmp_path / "zenoh.json5"
-    file.write_text("{ transport: { link: { tx: { keep_alive: 5 } } } }")
-    config = _configuration(ZenohSettings(config=str(file)), [], [])
-    assert json.loads(config.get_json("scouting/multicast/enabled")) is False
-    assert json.loads(config.get_json("listen/endpoints")) == []
-    file.write_text(
-        "{ scouting: { multicast: { enabled: true } }, listen: { endpoints: ['tcp/127.0.0.1:7500'] },"
-        " connect: { endpoints: ['tcp/127.0.0.1:7501'] } }"
-    )
-    config = _configuration(ZenohSettings(config=str(file)), [], [])
-    assert json.loads(config.get_json("scouting/multicast/enabled")) is True
-    assert json.loads(config.get_json("listen/endpoints")) == []
-    assert json.loads(config.get_json("connect/endpoints")) == ["tcp/127.0.0.1:7501"]
-    config = _configuration(ZenohSettings(config=str(file)), ["tcp/127.0.0.1:7502"], [])
-    assert json.loads(config.get_json("connect/endpoints")) == ["tcp/127.0.0.1:7502"]
-
-
-def test_what_a_zenoh_file_says_holds_unless_a_setting_is_given(tmp_path: Path) -> None:
-    """Mode, lease and what is no setting of ours are the file's; a given setting wins, as its start value too."""
-    file = tmp_path / "zenoh.json5"
-    file.write_text(
-        "{ mode: 'client', timestamping: { enabled: false },"
-        " transport: { link: { tx: { lease: 3000, queue: { size: { data: 4 } } } } } }"
-    )
-    others = ("timestamping/enabled", "transport/link/tx/queue/size/data")
-
-    def in_force_with(flags: dict[str, object]) -> list[object]:
-        settings = merge(None, {"CRUISER_ZENOH_CONFIG": str(file)}, flags).zenoh
-        config = _configuration(settings, [], [])
-        read = [json.loads(config.get_json(path)) for path in others]
-        return [said_of(settings).mode, lease_in_force_ms(settings), *read]
-
-    assert in_force_with({}) == ["client", 3000, False, 4]
-    assert in_force_with({"zenoh.mode": "peer", "zenoh.lease_ms": 1000}) == ["peer", 1000, False, 4]
-    file.write_text("{}")
-    assert in_force_with({}) == ["peer", 1000, True, 8]
-
-
 def test_a_client_by_its_zenoh_file_finds_somebody_or_fails(tmp_path: Path) -> None:
     """Who waits and who does not is a matter of the mode, whoever says it."""
     file = tmp_path / "zenoh.json5"
@@ -96,18 +43,6 @@ def test_a_client_by_its_zenoh_file_finds_somebody_or_fails(tmp_path: Path) -> N
     with pytest.raises(CommandError, match="cannot open Zenoh") as caught:
         close_session(open_session(ZenohSettings(config=str(file)), [free_endpoint()], []))
     assert caught.value.code is ExitCode.UNREACHABLE
-
-
-def test_a_command_connects_to_this_machine_unless_told_otherwise(tmp_path: Path) -> None:
-    """The settings say where to connect, else the Zenoh file, else it is the gateway's own start endpoint."""
-    assert client_endpoints(ZenohSettings()) == [DEFAULT_ENDPOINT]
-    assert client_endpoints(ZenohSettings(connect=["tcp/127.0.0.1:1"])) == ["tcp/127.0.0.1:1"]
-    file = tmp_path / "zenoh.json5"
-    file.write_text("{ connect: { endpoints: ['tcp/127.0.0.1:7501'] } }")
-    assert client_endpoints(ZenohSettings(config=str(file))) == ["tcp/127.0.0.1:7501"]
-    assert place(ZenohSettings(config=str(file))) == "tcp/127.0.0.1:7501"
-    file.write_text("{}")
-    assert client_endpoints(ZenohSettings(config=str(file))) == [DEFAULT_ENDPOINT]
 
 
 @pytest.mark.parametrize(

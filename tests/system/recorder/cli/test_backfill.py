@@ -194,10 +194,3 @@ def test_a_logs_names_do_not_reach_the_terminal_as_commands(
     write(tmp_path / "a\x1b[2J.mcap", b"no log")
     assert run(endpoint, "--dry-run", str(tmp_path)) == ExitCode.PARTIAL
     assert "\x1b" not in capsys.readouterr().out
-
-
-def test_ones_own_recorder_is_not_asked() -> None:
-    """Its logs have the same holes; unless it is the only one, by whatever name."""
-    settings = Settings(recorder=RecorderSettings(name="depot"))
-    assert backfill._others(["depot", "robot"], settings) == ["robot"]
-    assert backfill._others(["depot"], settings) == ["depot"]

@@ -10,14 +10,12 @@ from pathlib import Path
 import pytest
 
 from recorder.cli import record
-from recorder.cli.remote import describe
 from recorder.record.incidents import INCIDENT_NAME
 from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas.exit_codes import ExitCode
-from schemas.recording import RecorderEventKind, RecorderReply, RecorderState
+from schemas.recording import RecorderEventKind, RecorderState
 from tests.support.answering import a_reply, answering
-from tests.support.health_of import health
 from tests.support.recorder_fakes import gear, logs_in, sample_of, wait_until
 from tests.support.recorder_process import Told, ask, heard, link, recording, whole
 from tests.support.zenoh_peer import Peer, free_endpoint
@@ -204,31 +202,6 @@ def test_a_recorder_that_says_no_more_is_told(peer: Peer, endpoint: str) -> None
     assert answer == (ExitCode.UNREACHABLE, "", "cruiser record: recorder depot does not answer\n")
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["dance"],
-        ["status", "Depot"],
-        ["status", "depot/x"],
-        ["status", "\x1b[2J"],
-        ["status", "depot", "other"],
-        ["mark", "--robot", "*"],
-        ["stop", "--operator", "a b"],
-        ["stop", "--timeout", "0"],
-        ["stop", "--timeout", "nan"],
-        ["split", "--text", "x"],
-    ],
-)
-def test_wrong_words_are_a_usage_error(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    """Exit code 2, before anybody is asked."""
-    parser = argparse.ArgumentParser()
-    record.add_arguments(parser)
-    with pytest.raises(SystemExit) as caught:
-        parser.parse_args(words)
-    assert caught.value.code == ExitCode.USAGE
-    assert "\x1b" not in capsys.readouterr().err
-
-
 def test_words_before_an_action_hold(endpoint: str) -> None:
     """As if they stood behind it."""
     parser = argparse.ArgumentParser()
@@ -271,12 +244,3 @@ def test_two_that_share_a_name_are_both_shown(peer: Peer, endpoint: str) -> None
     with answering(peer, "depot", a_reply("here"), a_reply("and here")):
         code, out, err = ask("stop", "--connect", endpoint, "--timeout", "2")
     assert (code, out, err) == (ExitCode.OK, "depot: here\ndepot: and here\n", "")
-
-
-def test_a_reply_reads_like_a_sentence() -> None:
-    """A refusal is one; the figures of a status have their units."""
-    reply = RecorderReply(ok=False, detail="why", files=["a.mcap"], health=health(RecorderState.FULL))
-    assert describe("depot", "split", reply) == "depot: refused: why\n  a.mcap"
-    text = describe("depot", "status", reply)
-    assert "0.0 MB of logs, 0.0 MB of them incidents, 0.0 MB free" in text
-    assert "for 1 s, up 2 s, version 1" in text

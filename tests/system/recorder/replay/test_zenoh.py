@@ -7,10 +7,10 @@ import pytest
 import zenoh
 
 from recorder.replay.samples import ReplaySample
-from recorder.replay.zenoh import ZenohOutlet, key_checked
+from recorder.replay.zenoh import ZenohOutlet
 from schemas import codec, keys
 from schemas.decisions import SafetyEvent, SafetyState
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.exit_codes import ExitCode
 from schemas.messages import CanFrames, Gear
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_TYPE
@@ -215,11 +215,3 @@ def test_nobody_is_waited_for_in_vain() -> None:
     with closing(ZenohOutlet(ZenohSettings(connect=[free_endpoint()]), "replay", waits=False)) as outlet:
         assert not outlet.wait_for_link(0.05, never)
         assert not outlet.wait_for_link(None, lambda: True)
-
-
-def test_a_key_expression_is_checked_before_anything_is_sent() -> None:
-    """And brought into Zenoh's form."""
-    assert key_checked("fleet/**/**") == "fleet/**"
-    with pytest.raises(CommandError, match="no key expression") as caught:
-        key_checked("fleet//x")
-    assert caught.value.code is ExitCode.USAGE

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from recorder.zenoh.recorder_client import RecorderClient
-from recorder.zenoh.session import key_matches
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.keys import ALL
 from schemas.recording import Backfill
@@ -77,22 +76,3 @@ def test_a_stop_ends_the_waiting(endpoint: str) -> None:
         with pytest.raises(CommandError):
             client.recorders(ALL, 1e6)
         assert list(client.backfill("robot", REQUEST)) == []
-
-
-@pytest.mark.parametrize(
-    ("expression", "topic", "expected"),
-    [
-        ("fleet/**", GEAR, True),
-        ("fleet/*/chassis/*", GEAR, True),
-        (GEAR, GEAR, True),
-        ("fleet/cruiser-2/**", GEAR, False),
-        ("fleet/**", "fleet/@recorder/depot/health", False),
-        ("no//key", GEAR, False),
-        ("@more", "@more", True),
-        ("", GEAR, False),
-        ("fleet/**", "no//key", False),
-    ],
-)
-def test_keys_match_as_they_do_in_zenoh(expression: str, topic: str, expected: bool) -> None:  # noqa: FBT001 - pytest gives it
-    """What is no key expression matches nothing but itself."""
-    assert key_matches(expression, topic) == expected

@@ -7,7 +7,6 @@ import pytest
 
 from recorder.zenoh.recorder_client import RecorderClient
 from schemas import keys
-from schemas.exit_codes import CommandError, ExitCode
 from schemas.recording import Mark, RecorderReply, Status
 from schemas.settings import ZenohSettings
 from tests.support.answering import a_reply, answering
@@ -101,10 +100,3 @@ def test_a_time_longer_than_zenoh_knows_is_a_long_time(both: Both) -> None:
     with answering(both.peer, "depot", a_reply()):
         wait_until(lambda: both.names() == ["depot"])
         assert [name for name, _ in both.client.ask("depot", "status", Status(), 1e300)] == ["depot"]
-
-
-def test_a_wrong_endpoint_is_a_usage_error() -> None:
-    """In one line."""
-    with pytest.raises(CommandError, match="wrong Zenoh settings") as caught:
-        RecorderClient(ZenohSettings(connect=["nonsense"]), "fleet", "operator-1")
-    assert caught.value.code == ExitCode.USAGE

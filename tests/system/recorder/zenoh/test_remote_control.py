@@ -1,7 +1,5 @@
 """The recorder's own keys, on a real Zenoh on the loopback."""
 
-import re
-import socket
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
@@ -14,9 +12,9 @@ import zenoh
 
 from recorder.record.orders import OperatorRequest
 from recorder.zenoh import remote_control
-from recorder.zenoh.remote_control import RemoteControl, host_name
+from recorder.zenoh.remote_control import RemoteControl
 from recorder.zenoh.session import open_session
-from schemas import codec, keys
+from schemas import codec
 from schemas.codec import PayloadFault
 from schemas.decisions import Severity
 from schemas.recorder_settings import RecorderSettings
@@ -359,20 +357,3 @@ def test_recorders_of_one_name_are_told_apart(
         again = stack.enter_context(closing(RemoteControl(settings(endpoint))))
         assert again.name == "bench"
     assert "a recorder bench is there already; this one is bench-2" in caplog.text
-
-
-@pytest.mark.parametrize(
-    ("host", "name"),
-    [
-        ("cruiser-7", "cruiser-7"),
-        ("Depot_PC.example.org", "depot-pc"),
-        ("--", "recorder"),
-        ("", "recorder"),
-        ("r\N{LATIN SMALL LETTER O WITH DIAERESIS}ver/2", "r-ver-2"),
-    ],
-)
-def test_a_recorder_is_called_like_its_host(monkeypatch: pytest.MonkeyPatch, host: str, name: str) -> None:
-    """As far as that can be a chunk of a key."""
-    monkeypatch.setattr(socket, "gethostname", lambda: host)
-    assert host_name() == name
-    assert re.fullmatch(keys.ROBOT_PATTERN, host_name())

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from recorder.cli.review.asking import progress_bar
 from tests.support.recorder_fakes import small_log
 
 CRUISER = Path(sys.executable).with_name("cruiser")
@@ -31,13 +30,3 @@ def test_a_terminal_for_errors_takes_nothing_of_the_answer(tmp_path: Path, quest
         os.close(terminal)
     assert expected
     assert out.read_bytes() == expected
-
-
-def test_whoever_is_told_to_stop_stops_reading() -> None:
-    """At the next bytes that are read."""
-    asked_to = [False, True]
-    with progress_bar("reading", 100, lambda: asked_to.pop(0)) as progress:
-        progress(1)
-        with pytest.raises(KeyboardInterrupt):
-            progress(1)
-    assert not asked_to

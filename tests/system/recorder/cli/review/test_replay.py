@@ -20,10 +20,8 @@ from gateway.can.socketcand_server import SocketcandServer
 from gateway.sim.faults import FaultTextError, parse
 from recorder.cli.review import command as review
 from recorder.cli.review import replay
-from recorder.cli.review.asking import find
 from recorder.replay.can import CanPlace
 from recorder.replay.frames import ReplayedFrame
-from recorder.replay.rows import By, runs
 from schemas import codec, keys
 from schemas.can_word import EXTENDED
 from schemas.exit_codes import CommandError, ExitCode
@@ -549,19 +547,3 @@ def test_what_was_sent_to_nobody_is_told(log: str, capsys: pytest.CaptureFixture
 
         assert run(log, "--loop", "forever", endpoint=endpoint, stopped=stopped) == ExitCode.PARTIAL
     assert "no Zenoh node was connected" in capsys.readouterr().out
-
-
-def test_a_seek_stays_within_the_time_that_was_asked_for(log: str) -> None:
-    """On it goes where it is told, and back no further than --from."""
-    parser = argparse.ArgumentParser()
-    review.add_arguments(parser)
-    arguments = parser.parse_args(["replay", log, "--from", "0.1", "--to", "0.3"])
-    player = replay._player(arguments, find(arguments), lambda _: True, lambda rows: runs(rows, By.LOG))
-    player.start(0)
-    found = []
-    for offset_ms in (200, 0, 1000):
-        player.seek(WALL_NS + offset_ms * MS, 0)
-        due = player.take(0)
-        found.append(None if due is None else (due.item.time_ns - WALL_NS) // MS)
-    assert found == [200, 100, None]
-    assert player.is_ended

@@ -1,0 +1,12 @@
+import pytest
+
+from recorder.zenoh.recorder_client import RecorderClient
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import ZenohSettings
+
+
+def test_a_wrong_endpoint_is_a_usage_error() -> None:
+    """In one line."""
+    with pytest.raises(CommandError, match="wrong Zenoh settings") as caught:
+        RecorderClient(ZenohSettings(connect=["nonsense"]), "fleet", "operator-1")
+    assert caught.value.code == ExitCode.USAGE
