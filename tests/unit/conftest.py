@@ -1,11 +1,14 @@
 """What holds for a unit test: it starts no process and opens no connection."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
 
 import pytest
+import zenoh
 
-REFUSED = {"subprocess.Popen", "os.fork", "os.posix_spawn", "socket.bind", "socket.connect"}
+REFUSED = {"subprocess.Popen", "os.fork", "os.posix_spawn", "socket.bind", "socket.connect", "zenoh.open"}
 
 _is_unit_test = False
 
@@ -16,12 +19,25 @@ def _audit(event: str, _arguments: object) -> None:
 
 
 sys.addaudithook(_audit)
+_zenoh_open = zenoh.open
 
 
-@pytest.fixture(autouse=True)
-def _no_process_and_no_socket() -> Iterator[None]:
-    """An audit hook cannot be removed, so it only looks while a unit test runs."""
+def _audited_open(*arguments: Any, **options: Any) -> zenoh.Session:  # noqa: ANN401 - as Zenoh's own
+    """Open a session: of what Zenoh's own threads do the interpreter knows nothing."""
+    sys.audit("zenoh.open")
+    return _zenoh_open(*arguments, **options)
+
+
+zenoh.open = _audited_open
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """An audit hook cannot be removed, so it only looks while a unit test runs, or a fixture for it."""
     global _is_unit_test  # noqa: PLW0603 - the hook is the interpreter's, not a fixture's
-    _is_unit_test = True
-    yield
-    _is_unit_test = False
+    # Here pytest asks the conftest files of all directories.
+    _is_unit_test = item.path.is_relative_to(Path(__file__).parent)
+    try:
+        return (yield)
+    finally:
+        _is_unit_test = False
