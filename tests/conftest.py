@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from tests.support.recorder_fakes import small_log
+from tests.support.logs import small_log
 
 settings.register_profile("patient", deadline=None)  # How long an example takes says how busy the machine is.
 settings.load_profile("patient")

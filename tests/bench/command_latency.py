@@ -238,7 +238,7 @@ def stop_under_way_us(driver: Driver, witness: Witness, random: Random) -> float
 
 def measure_ticks_us(count: int) -> list[float]:
     """Processor time of the command flow's ``tick`` and ``sent``, in this process and in simulated time."""
-    from tests.support.loop_rig import ready  # noqa: PLC0415 - the rig of the tests
+    from tests.support.rigs.gateway import ready  # noqa: PLC0415 - the rig of the tests
 
     rig, operator = ready()
     operator.engage()

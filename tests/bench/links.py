@@ -17,7 +17,7 @@ import msgspec
 from gateway.sim.links import FAR, LINKS, LinkProfile
 from schemas.settings import DEADMAN_MAX_S, CommandSettings
 from tests.bench.loads import Row, print_table
-from tests.support.far_operator import Trip, trip
+from tests.support.rigs.far_operator import Trip, trip
 
 SECONDS: Final = 60.0
 TOP_MPS: Final = 2.2

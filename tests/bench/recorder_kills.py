@@ -23,8 +23,9 @@ from recorder.disk.leftovers import RecoveryOutcome, recover
 from recorder.review.check import check_log
 from schemas.messages import Gear
 from tests.bench.processes import quantile, start
-from tests.support.recorder_fakes import gear, key_of, sample_of, wait_until
-from tests.support.zenoh_peer import Peer, free_endpoint
+from tests.support.fakes.peer import Peer, free_endpoint
+from tests.support.messages import gear, key_of, sample_of
+from tests.support.waiting import wait_until
 
 PERIOD_S = 0.002
 ALIVE_S = (0.6, 1.8)

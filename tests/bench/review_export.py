@@ -41,7 +41,7 @@ from schemas.settings import TICK_NS
 from schemas.subjects import BY_NAME
 from tests.bench.recorder_load import _SEQUENCE_KEY, _STAMP, _TIME_KEY, BUS, ROOT, SLOTS, make_script
 from tests.support.frames import WALL_NS
-from tests.support.recorder_fakes import FakeSample
+from tests.support.messages import FakeSample
 
 MESSAGES: Final = 500_000
 ROUNDS: Final = 5

@@ -30,8 +30,8 @@ from recorder.reading.rows import Row as LogRow
 from recorder.reading.rows import Selection, read_rows
 from schemas.messages import Variant
 from tests.bench.loads import Row, print_table
-from tests.support.loop_rig import Operator
-from tests.support.recorded_day import Day, recorded
+from tests.support.rigs.day import Day
+from tests.support.rigs.gateway import Operator
 
 MEGABYTES: Final = 1000
 MINUTES: Final = 10
@@ -152,14 +152,14 @@ def drive(times: int, pause_s: float) -> bytes:
             operator.drive(1.0, 10.0 * (-1) ** (step // 9), 1.0)
         operator.ask("disengage")
         rig.run(pause_s)
-    return recorded(day, LAG_NS)
+    return day.rig.log(lag_ns=LAG_NS)
 
 
 def standing(minutes: float) -> bytes:
     """The log of a robot that nobody commands."""
     day = Day(1, Variant.FINE, ticks=0)
     day.rig.run(60 * minutes)
-    return recorded(day, LAG_NS)
+    return day.rig.log(lag_ns=LAG_NS)
 
 
 DRIVES: Final = {"driven": driven, "driven every other minute": alternating, "standing by": standing}
@@ -191,7 +191,7 @@ def _minute() -> list[LogRow]:
     day.live()
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "minute.mcap"
-        path.write_bytes(recorded(day))
+        path.write_bytes(day.rig.log())
         return list(read_rows([look_at(path)], Selection(), Faults()))
 
 

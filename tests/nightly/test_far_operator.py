@@ -3,7 +3,7 @@
 import pytest
 
 from gateway.sim.links import FAR
-from tests.support.far_operator import trip
+from tests.support.rigs.far_operator import trip
 
 
 def test_over_200_ms_one_way_it_hardly_ever_stops() -> None:

@@ -28,15 +28,8 @@ from schemas.decisions import EventKind
 from schemas.messages import CanFrames
 from schemas.subjects import BY_NAME
 from tests.bench.recorder_load import make_script
-from tests.support.recorder_fakes import (
-    RECORDER_PLAN,
-    WALL_NS,
-    FakeSample,
-    FakeSource,
-    info,
-    safety_event,
-    sample_of,
-)
+from tests.support.fakes.recording import RECORDER_PLAN, FakeSource
+from tests.support.messages import WALL_NS, FakeSample, info, safety_event, sample_of
 
 TICKS = 200
 

@@ -8,7 +8,7 @@ import pytest
 from tests.socketcan.can_utils import Candump
 from tests.socketcan.commands import FILTER, WHEEL_SPEEDS
 from tests.socketcan.interface import Vcan
-from tests.support.busy import PATIENT_DEADMAN_S
+from tests.support.processes.busy import PATIENT_DEADMAN_S
 
 
 @pytest.fixture(autouse=True)

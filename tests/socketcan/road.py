@@ -13,7 +13,7 @@ from schemas.decisions import ArbiterState
 from schemas.reasons import Reason
 from schemas.settings import Settings, ZenohSettings
 from tests.socketcan.turns import CHASSIS, PEER, come_as_usual, come_first
-from tests.support.gateway_process import Running
+from tests.support.processes.gateway import Running
 from tests.support.waiting import wait_until
 
 CONNECT_S: Final = 30.0

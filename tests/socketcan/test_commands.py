@@ -8,7 +8,7 @@ from tests.socketcan import commands
 from tests.socketcan.can_utils import Candump
 from tests.socketcan.interface import Vcan
 from tests.socketcan.road import chassis, driving, gateway, operator, wait_engageable, wait_standing_by
-from tests.support.fake_gateway import free_endpoint
+from tests.support.fakes.peer import free_endpoint
 from tests.support.waiting import wait_until
 
 FINE_RAW_PER_MPS = 1000

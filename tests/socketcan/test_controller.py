@@ -14,7 +14,7 @@ from tests.socketcan.can_utils import Candump, send
 from tests.socketcan.hearing import hearing
 from tests.socketcan.interface import Vcan
 from tests.socketcan.road import chassis, driving, gateway, operator, wait_standing_by
-from tests.support.fake_gateway import free_endpoint
+from tests.support.fakes.peer import free_endpoint
 from tests.support.waiting import wait_until
 
 SPEED_MPS: Final = 0.5

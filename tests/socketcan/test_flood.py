@@ -10,8 +10,8 @@ from tests.socketcan.can_utils import send
 from tests.socketcan.hearing import Hearing, hearing
 from tests.socketcan.interface import Vcan
 from tests.socketcan.road import gateway
-from tests.support.fake_gateway import free_endpoint
-from tests.support.gateway_process import Running
+from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.gateway import Running
 
 FLOOD: Final = 20_000
 """More than its buffer holds."""

@@ -19,8 +19,8 @@ from tests.socketcan.can_utils import Candump, Dumped
 from tests.socketcan.hearing import Hearing, hearing
 from tests.socketcan.interface import Vcan
 from tests.socketcan.road import chassis, driving, gateway, operator, wait_engageable
-from tests.support.fake_gateway import free_endpoint
-from tests.support.gateway_process import run
+from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.gateway import run
 from tests.support.waiting import wait_until
 
 SPEED_MPS: Final = 0.5

@@ -14,8 +14,8 @@ from tests.socketcan.can_utils import Candump, send
 from tests.socketcan.hearing import hearing
 from tests.socketcan.interface import Vcan
 from tests.socketcan.road import chassis, gateway
-from tests.support.fake_gateway import free_endpoint
-from tests.support.gateway_process import Running
+from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.gateway import Running
 from tests.support.waiting import wait_until
 
 FOREIGN: Final = 500

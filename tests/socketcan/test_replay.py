@@ -19,7 +19,7 @@ from schemas.subjects import SUBJECTS
 from tests.socketcan.can_utils import Candump, play, write_log
 from tests.socketcan.interface import Vcan
 from tests.socketcan.road import gateway
-from tests.support.fake_gateway import free_endpoint
+from tests.support.fakes.peer import free_endpoint
 from tests.support.waiting import wait_until
 
 ROBOT: Final = "fleet/cruiser-1/"

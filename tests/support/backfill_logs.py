@@ -3,7 +3,6 @@
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from io import BytesIO
-from itertools import islice
 from pathlib import Path
 
 import msgspec
@@ -15,10 +14,9 @@ from recorder.backfill.holes import HoleFinder
 from recorder.encoding.protobuf_schema import descriptor_set, message_class, schema_name
 from recorder.mcap.channel import LogChannel
 from recorder.mcap.log_map import LogMap
-from recorder.mcap.writer import McapFile
 from schemas.messages import CanFrame, GatewayHealth, GatewayInfo, Gear, RawSample
 from schemas.recording import Backfill, BackfillPiece, RecordGap
-from tests.support.made_logs import sealed
+from tests.support.logs import mcap_log
 
 ROBOT = "fleet/cruiser-1"
 GEAR, RX, HEALTH = f"{ROBOT}/chassis/gear", f"{ROBOT}/can/can0/rx", f"{ROBOT}/gateway/health"
@@ -83,21 +81,14 @@ def log_of(
     schema_data: bytes | None = None,
 ) -> bytes:
     """A log in the order in which the messages are given."""
-    stream = BytesIO()
-    file = McapFile(stream, "test")
-    ids: dict[str, int] = {}
-    left = iter(rows)
-    while some := list(islice(left, chunk_messages)):
-        for one in some:
-            if one.topic not in ids:
-                ids[one.topic] = len(ids) + 1
-                file.add_channel(channel_of(one.topic, ids[one.topic], schema_data))
-        file.write_chunk(
-            sealed((ids[one.topic], one.sequence, one.log_ns, one.publish_ns, one.data) for one in some)
-        )
-    if is_finished:
-        file.finish()
-    return stream.getvalue()
+    found = list(rows)
+    numbers = {topic: number for number, topic in enumerate(dict.fromkeys(one.topic for one in found), start=1)}
+    messages = [(numbers[one.topic], one.sequence, one.log_ns, one.publish_ns, one.data) for one in found]
+    return mcap_log(
+        [channel_of(topic, number, schema_data) for topic, number in numbers.items()],
+        [messages[at : at + chunk_messages] for at in range(0, len(messages), chunk_messages)],
+        is_finished=is_finished,
+    )
 
 
 def rows_in(data: bytes) -> list[Row]:

@@ -1,28 +1,42 @@
-"""Logs of small drives as files."""
+"""Made-up drives, as messages, as samples and as logs; each is used where its figures are looked at."""
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Final
 
+import msgspec
+
+from recorder.encoding.received_sample import ReceivedSample
 from recorder.record.robot_log import LogPlan
-from schemas.decisions import EventKind
-from schemas.messages import CanFrames
-from tests.support.recorder_fakes import (
+from schemas.decisions import ArbiterState, EventKind
+from schemas.messages import CanFrames, Message
+from tests.support.logs import Log
+from tests.support.messages import (
     MS,
+    ROOT,
     SECOND,
     WALL_NS,
     FakeSample,
-    Log,
+    arbiter,
     batch,
+    event,
     feedback,
     gear,
     info,
+    refusal,
     safety_event,
     sample_of,
+    state,
 )
+
+STEP_NS = 10 * MS
+"""Between the messages of ``drive``."""
+
 
 FRAMES = 5
 
 
-def drive(robot: str = "cruiser-1", first: int = 0, count: int = 20, late_ns: int = 0) -> bytes:
+def drive_log(robot: str = "cruiser-1", first: int = 0, count: int = 20, late_ns: int = 0) -> bytes:
     """A whole log: gears, raw frames, an event, a strange key, and what the gateway says of itself.
 
     Args:
@@ -49,8 +63,65 @@ def frames(sequence: int) -> CanFrames:
     return batch(sequence, [(start_ns + number * 1_000_001, feedback(number)) for number in range(FRAMES)])
 
 
-def write(directory: Path, name: str, data: bytes) -> Path:
-    """A file."""
-    path = directory / f"{name}.mcap"
-    path.write_bytes(data)
+def drive_samples(count: int = 20, root: str = "fleet", robot: str = "cruiser-1") -> list[ReceivedSample]:
+    """The samples of a robot: gears, with two frames each, and who it is; and somebody else."""
+    found: list[ReceivedSample] = [sample_of(info(), robot, root)]
+    for number in range(count):
+        time_ns = WALL_NS + number * STEP_NS
+        frames = [(time_ns - 3 * MS, feedback(2 * number)), (time_ns - MS, feedback(2 * number + 1))]
+        found += [
+            sample_of(gear(number, time_ns), robot, root),
+            sample_of(batch(number, frames), robot, root),
+        ]
+    return [*found, FakeSample(f"{root}/elsewhere", "text/plain", b"hello", attachment=b"with this")]
+
+
+def write_samples(path: Path, samples: Sequence[ReceivedSample], offset_ns: int = 0) -> Path:
+    """A log of samples, each received a step after the one before."""
+    log = Log()
+    for number, sample in enumerate(samples):
+        log.receive(sample, now_ns=number * STEP_NS, wall_ns=WALL_NS + offset_ns + number * STEP_NS)
+    path.write_bytes(log.close())
     return path
+
+
+HOSTILE: Final = (
+    "</script><script>document.body.dataset.owned=1</script><img src=http://evil.test/x> <b>&amp; $x^2$ \u202e"
+)
+"""What must be shown as it is, and do nothing."""
+
+
+def drive_messages(periods: int = 200) -> list[Message]:
+    """A drive of so many periods, which a bumper ends."""
+    found: list[Message] = []
+    for number in range(periods):
+        found += [state(number, angle_deg=10.0), arbiter(number)]
+    return [*found, refusal(periods - 1), event(periods - 1)]
+
+
+def restart(periods: int = 200, silent: int = 60) -> list[Message]:
+    """A drive of so many periods; its gateway dies, and another one stands by from so many periods later on."""
+    found: list[Message] = [one for number in range(periods) for one in (state(number), arbiter(number))]
+    for number in range(periods + silent, periods + silent + 40):
+        other = arbiter(number, sequence=number - periods - silent, state=ArbiterState.STANDBY, lease_holder="")
+        found += [state(number, speed_mps=0.0), msgspec.structs.replace(other, tick=10**12 + 5 * number)]
+    return found
+
+
+def write_messages(
+    path: Path, messages: Iterable[Message], robots: Iterable[str] = ("cruiser-1",), root: str = ROOT
+) -> Path:
+    """A log in which each of these robots says all of these messages, received when they were sent."""
+    log = Log()
+    for robot in robots:
+        log.receive(sample_of(info(), robot, root))
+    for message in messages:
+        for robot in robots:
+            log.receive(sample_of(message, robot, root), wall_ns=message.time_ns)
+    path.write_bytes(log.close())
+    return path
+
+
+def undecodable(robot: str = "cruiser-1") -> FakeSample:
+    """A sample of a key of ours that is no message."""
+    return FakeSample(f"fleet/{robot}/state", "text/plain", b"?")

@@ -11,15 +11,17 @@ def nothing() -> None:
     """Do nothing between two looks."""
 
 
-def wait_until(condition: Callable[[], bool], act: Callable[[], None] = nothing) -> None:
+def wait_until(
+    condition: Callable[[], object], act: Callable[[], None] = nothing, *, deadline_s: float = DEADLINE_S
+) -> None:
     """Look, act, and look again until the condition holds.
 
     Raises:
         TimeoutError: it never does.
     """
-    deadline_s = time.monotonic() + DEADLINE_S
+    end_s = time.monotonic() + deadline_s
     while not condition():
-        if time.monotonic() > deadline_s:
+        if time.monotonic() > end_s:
             raise TimeoutError(f"{condition} never came true")
         act()
         time.sleep(0.01)

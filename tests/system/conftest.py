@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.support.busy import PATIENT_DEADMAN_S
+from tests.support.processes.busy import PATIENT_DEADMAN_S
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.fake_robot import FakeRobot
+from tests.support.fakes.robot import FakeRobot
 from tests.support.review_command import run
-from tests.support.rig_log import RecordedRig
+from tests.support.rigs.recorded import RecordedRig
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 TESTED = {"commands_client.py", "dataset.ipynb", "drive.py", "subscribe.py"}

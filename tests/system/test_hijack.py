@@ -26,9 +26,10 @@ from schemas.journal import Kind
 from schemas.reasons import Reason
 from schemas.settings import Settings, ZenohSettings
 from schemas.subjects import BY_NAME
-from tests.support.fake_gateway import ROOT, free_endpoint
-from tests.support.gateway_process import Running, chassis, gateway
-from tests.support.holding import hold
+from tests.support.fakes.peer import free_endpoint
+from tests.support.messages import ROOT
+from tests.support.processes.gateway import Running, chassis, gateway
+from tests.support.processes.holding import hold
 from tests.support.waiting import wait_until
 
 ROBOT, HOLDER = "cruiser-1", "holder"

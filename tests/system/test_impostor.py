@@ -15,8 +15,9 @@ from schemas.exit_codes import ExitCode
 from schemas.reasons import Reason
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_VERB
-from tests.support.fake_gateway import ROOT, free_endpoint
-from tests.support.gateway_process import chassis, gateway, run, wait_for_chassis
+from tests.support.fakes.peer import free_endpoint
+from tests.support.messages import ROOT
+from tests.support.processes.gateway import chassis, gateway, run, wait_for_chassis
 from tests.support.waiting import wait_until
 
 ROBOT = "cruiser-1"

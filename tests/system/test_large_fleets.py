@@ -6,8 +6,8 @@ import subprocess
 import sys
 
 from schemas.exit_codes import ExitCode
-from tests.support.busy import burning
-from tests.support.fake_fleet import LEASE_MS, FakeFleet
+from tests.support.fakes.fleet import LEASE_MS, FakeFleet
+from tests.support.processes.busy import burning
 
 ENDS_S = 100
 """Far beyond any timeout that is given here: what is still running then hangs."""

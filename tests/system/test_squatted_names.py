@@ -11,8 +11,8 @@ import zenoh
 from gateway.zenoh.client import close_session, open_session
 from schemas.exit_codes import ExitCode
 from schemas.settings import ZenohSettings
-from tests.support.fake_gateway import free_endpoint
-from tests.support.gateway_process import chassis, gateway, run
+from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.gateway import chassis, gateway, run
 from tests.support.waiting import wait_until
 
 

@@ -19,8 +19,8 @@ from schemas.decisions import Decision, Journal, SafetyEvent
 from schemas.messages import Message
 from schemas.reasons import Reason
 from schemas.subjects import BY_NAME
-from tests.support.fake_gateway import free_endpoint
-from tests.support.gateway_process import Running, chassis, gateway
+from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.gateway import Running, chassis, gateway
 from tests.support.waiting import wait_until
 from tests.unit.gateway.rerun.test_rerun import ReadBack
 

@@ -32,9 +32,9 @@ from schemas.messages import (
 from schemas.reasons import Reason
 from schemas.settings import REST_TIMEOUT_NS, CanSettings, ChassisSettings, GatewaySettings, Settings
 from schemas.subjects import BY_NAME
-from tests.support.can_strategies import VARIANTS, frames
 from tests.support.frames import CHALLENGE, MS, STANDING, WALL_NS, Feedback
-from tests.support.loop_rig import LoopRig, Operator, ready
+from tests.support.rigs.gateway import GatewayRig, Operator, ready
+from tests.support.strategies import VARIANTS, frames
 
 UP = Links(bus_up=True)
 
@@ -490,7 +490,7 @@ def test_a_decision_says_how_many_frames_the_bus_took(takes: int) -> None:
     assert (rig.decided[-1].request, rig.decided[-1].frames_sent) == ("renew", takes)
 
 
-class Wire(LoopRig):
+class Wire(GatewayRig):
     """Notes what went out and when, and what is published of it."""
 
     def __init__(self) -> None:

@@ -9,11 +9,8 @@ from gateway.command.snapshot import QUIET_NS
 from gateway.journal import inputs_of
 from gateway.rerun.rerun import WARM_UP_NS, rerun, run_again, run_of
 from gateway.telemetry.sample import Sample
-from schemas import codec
-from schemas.decisions import Journal
 from schemas.journal import Kind
-from schemas.subjects import BY_NAME
-from tests.support.recorded_day import Day, RestfulDay, restful_day
+from tests.support.rigs.day import RestfulDay, restful_day
 
 SAFETY = ("safety/decision", "safety/event", "safety/state")
 
@@ -22,12 +19,6 @@ SAFETY = ("safety/decision", "safety/event", "safety/state")
 def day() -> RestfulDay:
     """Such a day, with a place of rest wherever there is one."""
     return restful_day(1)
-
-
-def journals_of(day: Day) -> list[Journal]:
-    """The day's journal."""
-    found = (codec.decode(BY_NAME["journal"], one.payload) for one in day.core.samples if one.subject == "journal")
-    return [journal for journal in found if isinstance(journal, Journal)]
 
 
 def safety(samples: list[Sample]) -> list[Sample]:
@@ -42,8 +33,8 @@ def offered(bursts: list[list[Frame]]) -> list[list[Frame]]:
 
 def test_from_any_place_of_rest_on_all_comes_out_the_same(day: RestfulDay) -> None:
     """Decisions, events and states byte for byte, with their sequences, and every frame with its counter."""
-    journals = journals_of(day)
-    bursts, said = offered(day.core.offered), safety(day.core.samples)
+    journals = day.rig.journals
+    bursts, said = offered(day.rig.offered), safety([sample for _, sample in day.rig.recorded])
     starts = [number for number in range(1, len(journals)) if number % 61 == 0]
     lengths = set()
     for start in Random(1).sample(starts, 5):  # noqa: S311 - the same ones each time
@@ -66,7 +57,7 @@ def test_from_any_place_of_rest_on_all_comes_out_the_same(day: RestfulDay) -> No
 
 def test_the_places_are_told_from_seconds_of_quiet_on(day: RestfulDay) -> None:
     """There are some after each drive, and none while anybody asks anything."""
-    inputs = [one for journal in journals_of(day) for one in inputs_of(journal)]
+    inputs = [one for journal in day.rig.journals for one in inputs_of(journal)]
     asked_ns = 0
     places = 0
     for one in inputs:
@@ -80,7 +71,7 @@ def test_the_places_are_told_from_seconds_of_quiet_on(day: RestfulDay) -> None:
 
 def test_without_such_a_place_there_is_nothing_to_run(day: RestfulDay) -> None:
     """Nor with one that comes before enough was seen."""
-    journals = journals_of(day)
+    journals = day.rig.journals
     resting = [any(one[0] == Kind.REST for one in inputs_of(journal)) for journal in journals]
     first = resting.index(True)
     seconds = len([j for j in journals if j.time_ns < journals[first].time_ns])

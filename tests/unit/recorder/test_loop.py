@@ -49,20 +49,9 @@ from schemas.recording import (
     StopRecording,
 )
 from schemas.requests import Request
-from tests.support.recorder_fakes import (
-    PLAN,
-    RECORDER_PLAN,
-    WALL_NS,
-    FakeAsked,
-    FakeSample,
-    FakeSource,
-    gear,
-    info,
-    key_of,
-    logs_in,
-    safety_event,
-    sample_of,
-)
+from tests.support.fakes.recording import RECORDER_PLAN, FakeAsked, FakeSource
+from tests.support.logs import PLAN, logs_in
+from tests.support.messages import WALL_NS, FakeSample, gear, info, key_of, safety_event, sample_of
 
 INFO_KEY = key_of(GatewayInfo)
 

@@ -10,7 +10,7 @@ from schemas.codec import PayloadFault, decode, decode_request, encode
 from schemas.messages import Gear, GearPosition, Message
 from schemas.requests import Acquire, Drive, Request, Role
 from schemas.subjects import BY_TYPE, BY_VERB, COMMANDS, SUBJECTS, Command, Subject
-from tests.support.random_messages import ANYTHING, commands_and_requests, subjects_and_messages
+from tests.support.strategies import ANYTHING, commands_and_requests, subjects_and_messages
 
 GEAR = Gear(time_ns=1, sequence=2, alive_counter=3, active=True, gear_position=GearPosition.DRIVE)
 

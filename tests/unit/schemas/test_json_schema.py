@@ -14,7 +14,7 @@ from schemas.codec import PayloadFault, decode_request, encode
 from schemas.json_schema import KINDS
 from schemas.requests import Request
 from schemas.subjects import COMMANDS, SUBJECTS, Command
-from tests.support.random_messages import ANYTHING, any_of, commands_and_requests
+from tests.support.strategies import ANYTHING, any_of, commands_and_requests
 
 UNIT_SUFFIXES = {
     "_ns": "ns",

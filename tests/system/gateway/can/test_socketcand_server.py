@@ -21,7 +21,8 @@ from gateway.chassis.cruiser.layout import load
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import EXTENDED, Frame
 from schemas.messages import Mode, Variant
-from tests.support.sim_served import DEADLINE_S, Served, receive, served, wait_until
+from tests.support.processes.simulator import DEADLINE_S, Served, receive, served
+from tests.support.waiting import wait_until
 
 FRAME = Frame(0x18C4D1EF | EXTENDED, bytes(8), 1_000_000_000)
 LINE = b"< frame 18C4D1EF 1.000000 0000000000000000 >"

@@ -17,7 +17,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from gateway.cli.child import Child
 from gateway.cli.demo import describe
-from tests.support.gateway_process import run
+from tests.support.processes.gateway import run
 from tests.support.waiting import wait_until
 
 TIMEOUT_S = 400

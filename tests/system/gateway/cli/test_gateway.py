@@ -29,10 +29,10 @@ from schemas.messages import GearPosition, Mode, Variant
 from schemas.reasons import Reason
 from schemas.settings import CanSettings, Settings, ZenohSettings
 from schemas.subjects import BY_VERB, COMMANDS, SUBJECTS, Pattern
-from tests.support.fake_gateway import free_endpoint
-from tests.support.gateway_process import chassis, gateway, run
-from tests.support.guard_watched import listening
-from tests.support.holding import is_done
+from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.gateway import chassis, gateway, run
+from tests.support.processes.guard import listening
+from tests.support.processes.holding import is_done
 from tests.support.waiting import wait_until
 
 

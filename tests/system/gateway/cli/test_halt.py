@@ -16,8 +16,8 @@ from gateway.command.frames import FrameMaker
 from gateway.host.stop_note import StopNote
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.settings import CanSettings, Settings
-from tests.support.gateway_process import Running, chassis, run
-from tests.support.guard_watched import COMMANDS, Listener, listening, watched
+from tests.support.processes.gateway import Running, chassis, run
+from tests.support.processes.guard import COMMANDS, Listener, listening, watched
 from tests.support.waiting import wait_until
 
 DRIVING = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=0.8, parking=False)

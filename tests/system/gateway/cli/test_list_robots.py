@@ -8,9 +8,11 @@ from gateway.cli.list_robots import add_arguments, run
 from gateway.zenoh.client import PendingQuery, RobotListener
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import RobotSettings, Settings, ZenohSettings
-from tests.support.fake_fleet import FakeFleet
-from tests.support.fake_gateway import HEALTH, FakeGateway, free_endpoint
-from tests.support.tcp_proxy import TcpProxy
+from tests.support.fakes.fleet import FakeFleet
+from tests.support.fakes.gateway import FakeGateway
+from tests.support.fakes.peer import free_endpoint
+from tests.support.messages import HEALTH
+from tests.support.processes.tcp_proxy import TcpProxy
 from tests.support.waiting import StopWhen, nothing
 
 Capture = pytest.CaptureFixture[str]

@@ -13,10 +13,10 @@ from gateway.zenoh.client import close_session, open_session
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import GatewayInfo
 from schemas.settings import ZenohSettings
-from tests.support.certificates import Authority
-from tests.support.fake_gateway import free_endpoint
-from tests.support.gateway_process import Running, chassis, gateway, run, wait_for_chassis
-from tests.support.listening import listening
+from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.certificates import Authority
+from tests.support.processes.gateway import Running, chassis, gateway, run, wait_for_chassis
+from tests.support.processes.listening import listening
 from tests.support.waiting import wait_until
 
 EVERY = ("tcp/127.0.0.1:{}", "tcp/0.0.0.0:{}", "tcp/[::]:{}")

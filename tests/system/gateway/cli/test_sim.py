@@ -18,8 +18,8 @@ from gateway.chassis.frame import IDENTIFIER_MASK
 from gateway.cli.main import main
 from schemas.exit_codes import ExitCode
 from schemas.messages import Variant
-from tests.support.sim_rig import ENABLES
-from tests.support.sim_served import DEADLINE_S, Served, receive, served
+from tests.support.processes.simulator import DEADLINE_S, Served, receive, served
+from tests.support.rigs.chassis import ENABLES
 
 CRUISER = Path(sys.executable).with_name("cruiser")
 BODY = 0x18C4D9EF

@@ -8,7 +8,9 @@ from gateway.cli.watch import add_arguments, run
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import RobotState
 from schemas.settings import RobotSettings, Settings, ZenohSettings
-from tests.support.fake_gateway import HEALTH, STATE, FakeGateway, free_endpoint
+from tests.support.fakes.gateway import FakeGateway
+from tests.support.fakes.peer import free_endpoint
+from tests.support.messages import HEALTH, STATE
 from tests.support.waiting import StopWhen
 
 Capture = pytest.CaptureFixture[str]

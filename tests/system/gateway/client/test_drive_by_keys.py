@@ -20,7 +20,7 @@ from gateway.cli.keyboard import ASK
 from schemas.decisions import ArbiterState
 from schemas.messages import Mode
 from schemas.reasons import Reason
-from tests.support.fake_robot import FakeRobot
+from tests.support.fakes.robot import FakeRobot
 from tests.support.waiting import wait_until
 
 FIRST_REPEAT_S = LET_GO_S = 0.4

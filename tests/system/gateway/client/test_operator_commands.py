@@ -14,8 +14,9 @@ from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import Mode
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import RESET_MIN_NS, CommandSettings, Settings, ZenohSettings
-from tests.support.fake_gateway import HEALTH, free_endpoint
-from tests.support.fake_robot import FakeRobot
+from tests.support.fakes.peer import free_endpoint
+from tests.support.fakes.robot import FakeRobot
+from tests.support.messages import HEALTH
 from tests.support.waiting import StopWhen, wait_until
 
 Capture = pytest.CaptureFixture[str]

@@ -18,12 +18,12 @@ from schemas.decisions import ArbiterState, EventKind, SafetyEvent
 from schemas.messages import Mode, Variant
 from schemas.reasons import Reason
 from schemas.settings import CanSettings, Settings, ZenohSettings
-from tests.support import operator_session as operator_program
-from tests.support.busy import burning
-from tests.support.fake_gateway import free_endpoint
-from tests.support.gateway_process import chassis, gateway
-from tests.support.guard_watched import COMMANDS, Listener
-from tests.support.holding import STARVED, is_done
+from tests.support.fakes.peer import free_endpoint
+from tests.support.processes import operator_session as operator_program
+from tests.support.processes.busy import burning
+from tests.support.processes.gateway import chassis, gateway
+from tests.support.processes.guard import COMMANDS, Listener
+from tests.support.processes.holding import STARVED, is_done
 from tests.support.waiting import DEADLINE_S, wait_until
 
 

@@ -12,10 +12,11 @@ from schemas import keys
 from schemas.exit_codes import ExitCode
 from schemas.reasons import Reason
 from schemas.settings import Settings, ZenohSettings
-from tests.support.fake_fleet import FakeFleet
-from tests.support.fake_gateway import ROOT, free_endpoint
-from tests.support.fake_robot import FakeRobot
-from tests.support.tcp_proxy import TcpProxy
+from tests.support.fakes.fleet import FakeFleet
+from tests.support.fakes.peer import free_endpoint
+from tests.support.fakes.robot import FakeRobot
+from tests.support.messages import ROOT
+from tests.support.processes.tcp_proxy import TcpProxy
 from tests.support.waiting import wait_until
 
 

@@ -13,8 +13,10 @@ from schemas.messages import Mode
 from schemas.reasons import TEXTS, Reason, cure_of
 from schemas.requests import Light, Role
 from schemas.settings import Settings, ZenohSettings
-from tests.support.fake_gateway import STATE, FakeGateway, free_endpoint
-from tests.support.fake_robot import FakeRobot
+from tests.support.fakes.gateway import FakeGateway
+from tests.support.fakes.peer import free_endpoint
+from tests.support.fakes.robot import FakeRobot
+from tests.support.messages import STATE
 from tests.support.waiting import nothing, wait_until
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from gateway.can.relay import Relay
 from schemas.decisions import ArbiterState
-from tests.support.fake_robot import FakeRobot
+from tests.support.fakes.robot import FakeRobot
 from tests.support.waiting import wait_until
 
 PAGE = Path(__file__).parents[4] / "docs" / "commands.md"

@@ -18,8 +18,8 @@ from gateway.host.guard_process import GuardProcess, NoGuard, start_guard
 from gateway.host.stop_note import StopNote
 from schemas.messages import Mode, Variant
 from schemas.settings import GUARD_HANGS_TICKS, GUARD_RESTART_NS, CanSettings, Settings
-from tests.support.gateway_process import chassis
-from tests.support.guard_watched import Watched, watched
+from tests.support.processes.gateway import chassis
+from tests.support.processes.guard import Watched, watched
 from tests.support.waiting import wait_until
 
 FIVE = ["Auto_DriveCmd", "Auto_GearCmd", "Auto_SteeringCmd", "Auto_BrakingCmd", "Auto_ParkingCmd"]

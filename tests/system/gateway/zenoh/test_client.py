@@ -20,7 +20,9 @@ from schemas import codec
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME
-from tests.support.fake_gateway import HEALTH, STATE, FakeGateway, free_endpoint
+from tests.support.fakes.gateway import FakeGateway
+from tests.support.fakes.peer import free_endpoint
+from tests.support.messages import HEALTH, STATE
 from tests.support.waiting import wait_until
 
 HEALTH_SAMPLE = Received(

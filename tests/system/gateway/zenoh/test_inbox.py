@@ -33,7 +33,7 @@ from schemas.settings import (
     ZenohSettings,
 )
 from schemas.subjects import BY_VERB
-from tests.support.fake_gateway import free_endpoint
+from tests.support.fakes.peer import free_endpoint
 from tests.support.waiting import wait_until
 
 ROBOT = "fleet/cruiser-1/@cmd/"

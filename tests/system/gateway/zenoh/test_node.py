@@ -16,8 +16,8 @@ from gateway.zenoh.node import ZenohNode, open_node
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import KEPT_PIECE
-from tests.support.fake_gateway import free_endpoint
-from tests.support.tcp_proxy import TcpProxy
+from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.tcp_proxy import TcpProxy
 from tests.support.waiting import wait_until
 
 BIG_REPLIES: Final = 16

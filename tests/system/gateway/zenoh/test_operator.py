@@ -9,9 +9,11 @@ from schemas import codec, keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME
-from tests.support.fake_fleet import FakeFleet
-from tests.support.fake_gateway import STATE, FakeGateway, free_endpoint
-from tests.support.fake_robot import FakeRobot
+from tests.support.fakes.fleet import FakeFleet
+from tests.support.fakes.gateway import FakeGateway
+from tests.support.fakes.peer import free_endpoint
+from tests.support.fakes.robot import FakeRobot
+from tests.support.messages import STATE
 from tests.support.waiting import wait_until
 
 VOLLEYS, VOLLEY = 40, 5

@@ -13,7 +13,6 @@ from recorder.cli import backfill
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.recorder_settings import RecorderSettings
 from schemas.settings import Settings, ZenohSettings
-from tests.support.backfill_host import BackfillHost
 from tests.support.backfill_logs import (
     CAMERA,
     GEAR,
@@ -27,7 +26,8 @@ from tests.support.backfill_logs import (
     rows_in,
     write,
 )
-from tests.support.zenoh_peer import free_endpoint
+from tests.support.fakes.peer import free_endpoint
+from tests.support.fakes.recorders import BackfillHost
 
 ROWS = sorted(
     [

@@ -15,21 +15,11 @@ from recorder.review.info import read_info
 from schemas.exit_codes import ExitCode
 from schemas.messages import CanFrames, Gear
 from tests.bench import recorder_kills
-from tests.support.recorder_fakes import (
-    MS,
-    FakeSample,
-    batch,
-    feedback,
-    gear,
-    info,
-    key_of,
-    logs_in,
-    sample_of,
-    small_log,
-    wait_until,
-)
-from tests.support.recorder_process import CRUISER, counts, heard, link, readable, recording, whole
-from tests.support.zenoh_peer import Peer, free_endpoint
+from tests.support.fakes.peer import Peer, free_endpoint
+from tests.support.logs import logs_in, small_log
+from tests.support.messages import MS, FakeSample, batch, feedback, gear, info, key_of, sample_of
+from tests.support.processes.recorder import CRUISER, counts, heard, link, readable, recording, whole
+from tests.support.waiting import wait_until
 
 FLUSH_S = 0.5
 

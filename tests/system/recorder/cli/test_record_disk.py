@@ -21,9 +21,11 @@ from schemas.exit_codes import ExitCode
 from schemas.messages import Gear
 from schemas.reasons import Reason
 from schemas.recording import GapReason, RecorderEventKind, RecorderState
-from tests.support.recorder_fakes import FakeSample, gear, key_of, logs_in, sample_of, wait_until
-from tests.support.recorder_process import Told, ask, counts, heard, link, recording, sequences, whole
-from tests.support.zenoh_peer import Peer, free_endpoint
+from tests.support.fakes.peer import Peer, free_endpoint
+from tests.support.logs import logs_in
+from tests.support.messages import FakeSample, gear, key_of, sample_of
+from tests.support.processes.recorder import Told, ask, counts, heard, link, recording, sequences, whole
+from tests.support.waiting import wait_until
 
 
 @pytest.fixture
@@ -54,7 +56,7 @@ def fill_until(peer: Peer, condition: Callable[[], object]) -> None:
         time.sleep(0.01)
         return bool(condition())
 
-    wait_until(is_so, 60)
+    wait_until(is_so, deadline_s=60)
 
 
 def make_incident(peer: Peer, directory: Path) -> Path:
@@ -126,7 +128,7 @@ def test_made_up_robots_do_not_push_out_what_a_known_robot_said_last(
         process.signal(signal.SIGHUP)
         wait_until(lambda: bool(whole(tmp_path)))
         (last,) = whole(tmp_path)
-        wait_until(has_flooded, 60)
+        wait_until(has_flooded, deadline_s=60)
         process.end()
     deleted = [event.file for event in told.events(RecorderEventKind.DELETED)]
     assert last.name.startswith("cruiser-1")
@@ -157,7 +159,7 @@ def test_some_of_the_disk_stays_free(
                 peer.put(FakeSample("fleet/cruiser-1/large", "zenoh/bytes", os.urandom(20_000)))
             return len(told.events(RecorderEventKind.DELETED)) >= 3
 
-        wait_until(has_deleted, 60)
+        wait_until(has_deleted, deadline_s=60)
         wait_until(lambda: told.wait_for_health().disk_free_bytes >= 1_600_000)
         assert told.wait_for_health().state is RecorderState.RECORDING
         code, _, err = process.end()

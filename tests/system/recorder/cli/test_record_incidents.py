@@ -20,8 +20,10 @@ from schemas.exit_codes import ExitCode
 from schemas.messages import Gear
 from schemas.reasons import Reason
 from schemas.recording import RecorderEventKind
-from tests.support.recorder_fakes import SAFETY_STATE, gear, key_of, logs_in, sample_of, wait_until
-from tests.support.recorder_process import (
+from tests.support.fakes.peer import Peer, free_endpoint
+from tests.support.logs import logs_in
+from tests.support.messages import STANDBY, gear, key_of, sample_of
+from tests.support.processes.recorder import (
     Process,
     Told,
     ask,
@@ -33,7 +35,7 @@ from tests.support.recorder_process import (
     sequences,
     whole,
 )
-from tests.support.zenoh_peer import Peer, free_endpoint
+from tests.support.waiting import wait_until
 
 HOSTILE = "a wheel \x1b[2J\x07\nis off"
 
@@ -291,7 +293,7 @@ def test_the_death_of_a_gateway_at_work_keeps_what_came_before(endpoint: str, tm
             def is_heard() -> bool:
                 nonlocal sent
                 said = msgspec.structs.replace(
-                    SAFETY_STATE,
+                    STANDBY,
                     time_ns=time.time_ns(),
                     sequence=sent,
                     state=ArbiterState.ENGAGED,

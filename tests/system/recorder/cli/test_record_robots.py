@@ -16,9 +16,11 @@ from recorder.review.info import LogInfo, read_info
 from schemas.exit_codes import ExitCode
 from schemas.messages import CanFrames, Gear
 from schemas.recording import GapReason
-from tests.support.recorder_fakes import FakeSample, gear, key_of, logs_in, sample_of, wait_until
-from tests.support.recorder_process import CRUISER, Told, counts, recording, sequences, whole
-from tests.support.zenoh_peer import Peer, free_endpoint
+from tests.support.fakes.peer import Peer, free_endpoint
+from tests.support.logs import logs_in
+from tests.support.messages import FakeSample, gear, key_of, sample_of
+from tests.support.processes.recorder import CRUISER, Told, counts, recording, sequences, whole
+from tests.support.waiting import wait_until
 
 
 @pytest.fixture

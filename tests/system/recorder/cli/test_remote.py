@@ -15,10 +15,12 @@ from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas.exit_codes import ExitCode
 from schemas.recording import RecorderEventKind, RecorderState
-from tests.support.answering import a_reply, answering
-from tests.support.recorder_fakes import gear, logs_in, sample_of, wait_until
-from tests.support.recorder_process import Told, ask, heard, link, recording, whole
-from tests.support.zenoh_peer import Peer, free_endpoint
+from tests.support.fakes.peer import Peer, free_endpoint
+from tests.support.fakes.recorders import a_reply, answering
+from tests.support.logs import logs_in
+from tests.support.messages import gear, sample_of
+from tests.support.processes.recorder import Told, ask, heard, link, recording, whole
+from tests.support.waiting import wait_until
 
 HOSTILE = "\x1b[2J\x9b31m\x07\nhost: recording\r\u202e"
 

@@ -11,9 +11,8 @@ import pytest
 from recorder.replay.can import CanOutlet, CanPlace, is_virtual
 from recorder.replay.frames import ReplayedFrame
 from schemas.exit_codes import CommandError, ExitCode
-from tests.support.recorder_fakes import WALL_NS
-from tests.support.replaying import can_frame
-from tests.support.sim_served import served
+from tests.support.messages import WALL_NS, can_frame
+from tests.support.processes.simulator import served
 
 
 def test_the_simulators_server_is_known_and_passes_frames_on() -> None:

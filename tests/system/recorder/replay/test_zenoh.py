@@ -14,9 +14,10 @@ from schemas.exit_codes import ExitCode
 from schemas.messages import CanFrames, Gear
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_TYPE
-from tests.support.recorder_fakes import SECOND, WALL_NS, gear, wait_until
-from tests.support.replaying import STEP_NS
-from tests.support.zenoh_peer import Peer, free_endpoint
+from tests.support.drives import STEP_NS
+from tests.support.fakes.peer import Peer, free_endpoint
+from tests.support.messages import SECOND, WALL_NS, gear
+from tests.support.waiting import wait_until
 
 GEAR = BY_TYPE[Gear]
 

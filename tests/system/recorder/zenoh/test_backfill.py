@@ -11,9 +11,9 @@ from schemas.exit_codes import CommandError, ExitCode
 from schemas.keys import ALL
 from schemas.recording import Backfill
 from schemas.settings import ZenohSettings
-from tests.support.backfill_host import BackfillHost
 from tests.support.backfill_logs import GEAR, SECOND, START_NS, gear_rows, log_of, row, rows_of, write
-from tests.support.zenoh_peer import free_endpoint
+from tests.support.fakes.peer import free_endpoint
+from tests.support.fakes.recorders import BackfillHost
 
 WAIT_S = 20.0
 REQUEST = Backfill("fleet/cruiser-1/**", START_NS, START_NS + 3600 * SECOND)

@@ -9,9 +9,9 @@ from recorder.zenoh.recorder_client import RecorderClient
 from schemas import keys
 from schemas.recording import Mark, RecorderReply, Status
 from schemas.settings import ZenohSettings
-from tests.support.answering import a_reply, answering
-from tests.support.recorder_fakes import wait_until
-from tests.support.zenoh_peer import Peer, free_endpoint
+from tests.support.fakes.peer import Peer, free_endpoint
+from tests.support.fakes.recorders import a_reply, answering
+from tests.support.waiting import wait_until
 
 ANSWER_S = 0.5
 

@@ -30,9 +30,9 @@ from schemas.recording import (
 from schemas.requests import Request
 from schemas.settings import Settings, ZenohSettings
 from schemas.subjects import BY_TYPE, RECORDER_BY_VERB
-from tests.support.health_of import health
-from tests.support.recorder_fakes import WALL_NS, wait_until
-from tests.support.zenoh_peer import Peer, free_endpoint
+from tests.support.fakes.peer import Peer, free_endpoint
+from tests.support.messages import WALL_NS, recorder_health
+from tests.support.waiting import wait_until
 
 EVENT = RecorderEvent(
     time_ns=WALL_NS,
@@ -46,7 +46,7 @@ EVENT = RecorderEvent(
 )
 
 
-A_REPLY = RecorderReply(ok=True, detail="", files=[], health=health())
+A_REPLY = RecorderReply(ok=True, detail="", files=[], health=recorder_health())
 
 
 def settings(endpoint: str, name: str = "bench") -> Settings:
@@ -213,7 +213,7 @@ def test_a_reply_says_whose_it_is_although_all_were_asked(pair: Pair) -> None:
     replies = pair.client.ask(pair.key("status", recorder="*"))
     asked = pair.next()
     for detail in ("first", "second"):
-        asked.reply(RecorderReply(ok=True, detail=detail, files=[], health=health()))
+        asked.reply(RecorderReply(ok=True, detail=detail, files=[], health=recorder_health()))
     asked.done()
     received = [reply.ok for reply in replies if reply.ok is not None]
     assert {str(one.key_expr) for one in received} == {"fleet/@recorder/bench/@cmd/operator-1/status"}
@@ -241,9 +241,9 @@ def test_who_has_gone_meanwhile_is_no_fault(pair: Pair) -> None:
     asked = pair.next()
     pair.client.close()
     for _ in range(3):
-        asked.reply(RecorderReply(ok=True, detail="", files=[], health=health()))
+        asked.reply(RecorderReply(ok=True, detail="", files=[], health=recorder_health()))
     asked.done()
-    asked.reply(RecorderReply(ok=True, detail="", files=[], health=health()))
+    asked.reply(RecorderReply(ok=True, detail="", files=[], health=recorder_health()))
     asked.done()
 
 
@@ -324,7 +324,7 @@ def test_what_the_recorder_says_of_itself_is_on_its_keys(pair: Pair) -> None:
     received: dict[str, zenoh.Sample] = {}
 
     def has_all() -> bool:
-        for message in (EVENT, health()):
+        for message in (EVENT, recorder_health()):
             pair.control.publish(message)
         while (sample := subscriber.try_recv()) is not None:
             received[str(sample.key_expr)] = sample

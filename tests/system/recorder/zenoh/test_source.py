@@ -14,8 +14,9 @@ from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_VERB
-from tests.support.recorder_fakes import FakeSample, gear, info, sample_of, wait_until
-from tests.support.zenoh_peer import Peer, free_endpoint
+from tests.support.fakes.peer import Peer, free_endpoint
+from tests.support.messages import FakeSample, gear, info, sample_of
+from tests.support.waiting import wait_until
 
 SAMPLE = sample_of(gear(1))
 

@@ -14,7 +14,7 @@ from gateway.can.can_bus import (
     to_message,
 )
 from gateway.chassis.frame import ERROR, EXTENDED, REMOTE, Frame
-from tests.support.can_strategies import frames
+from tests.support.strategies import frames
 
 
 def consistent(frame: Frame) -> Frame:

@@ -15,7 +15,7 @@ from gateway.can.open_bus import open_bus
 from gateway.can.socketcan import RECEIVE_BUFFER_BYTES, SEND_BUFFER_BYTES, SocketCanBus, check_up
 from gateway.chassis.frame import BITRATE_SWITCH, ERROR, ERROR_STATE_INDICATOR, EXTENDED, FD, REMOTE, Frame
 from schemas.settings import CanSettings
-from tests.support.can_strategies import frames
+from tests.support.strategies import frames
 from tests.unit.gateway.can.test_can_bus import consistent
 
 SO_RCVBUFFORCE = 33

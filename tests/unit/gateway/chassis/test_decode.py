@@ -23,7 +23,7 @@ from schemas.cruiser import SPEED_PLAUSIBLE_MPS, STEERING_PLAUSIBLE_DEG
 from schemas.dbc_files import dbc_text
 from schemas.messages import Variant
 from tests.support import SUPPORT
-from tests.support.can_strategies import (
+from tests.support.strategies import (
     FEEDBACK,
     LAYOUTS,
     VARIANTS,

@@ -11,7 +11,7 @@ from gateway.chassis.decode import Decoded
 from gateway.chassis.encode import Encoder
 from gateway.chassis.layout import MessageLayout, SignalLayout
 from schemas.messages import Variant
-from tests.support.can_strategies import LAYOUTS, VARIANTS, identify
+from tests.support.strategies import LAYOUTS, VARIANTS, identify
 from tests.unit.gateway.chassis.test_decode import DECODERS, reference
 
 

@@ -9,7 +9,7 @@ from gateway.chassis.supervision import AliveCounter, FaultWindow, FrameSupervis
 from recorder.review.checking.alive import AliveCount
 from schemas.can_word import EXTENDED
 from schemas.dbc_files import DbcFrame
-from tests.support.recorder_fakes import GEAR_FEEDBACK, feedback
+from tests.support.messages import GEAR_FEEDBACK, feedback
 
 MS = 1_000_000
 GEAR = DbcFrame(EXTENDED | GEAR_FEEDBACK, "Auto_GearFeedBack", "Chassis", 10 * MS)

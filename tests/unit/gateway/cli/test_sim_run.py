@@ -11,7 +11,7 @@ from gateway.cli.sim_run import CanBusLink, Inject, SimClock, SimSummary, live
 from gateway.cli.typed_lines import TypedLines
 from gateway.sim.model import VirtualChassis
 from schemas.messages import Variant
-from tests.support.sim_rig import MS, Rig, S
+from tests.support.rigs.chassis import MS, ChassisRig, S
 
 WALL_NS = 1_700_000_000 * S
 
@@ -133,7 +133,7 @@ def test_a_stopped_process_does_not_flood_the_bus() -> None:
 def test_commands_reach_the_chassis() -> None:
     """What others put on the bus is heard and counted."""
     bench = Bench()
-    rig = Rig()
+    rig = ChassisRig()
     bench.link.incoming = [rig.encoder.encode("Auto_SpeakerCmd", {"Horn": True}, 0)]
     assert bench.run(seconds=0.1).received == 1
     assert bench.link.sent[-1][1].data[0] == 1, "the horn's feedback"

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from gateway.client.drive_stream import BEGAN_ANEW, HOLD_MAX_S, STALE_NS, DriveEnd, DriveStream, SetPoint
 from schemas.decisions import RUN_TICKS, ArbiterState, SafetyState, StopPhase
 from schemas.reasons import TEXTS, Reason
-from tests.support.fake_gateway import STANDBY
+from tests.support.messages import STANDBY
 
 START_NS = 10**12
 MS = 1_000_000

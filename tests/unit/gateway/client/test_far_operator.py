@@ -5,9 +5,9 @@ import pytest
 from gateway.sim.links import FAR, LINKS, LinkProfile
 from schemas.decisions import ArbiterState
 from schemas.reasons import TEXTS, Reason
-from tests.support.far_operator import FarOperator, trip
-from tests.support.loop_rig import LoopRig
 from tests.support.lossy_link import LossyLink
+from tests.support.rigs.far_operator import FarOperator, trip
+from tests.support.rigs.gateway import GatewayRig
 
 
 def test_over_200_ms_one_way_it_hardly_ever_stops() -> None:
@@ -30,7 +30,7 @@ def test_every_link_of_the_table_can_be_driven_over(profile: LinkProfile) -> Non
 
 def test_a_link_that_is_too_slow_is_not_engaged_over() -> None:
     """It is refused before anything moves, and again and again."""
-    rig = LoopRig()
+    rig = GatewayRig()
     operator = FarOperator(rig, LossyLink(LinkProfile("moon", 0.6), 1), 0.5)
     operator.run(20)
     engages = [one for one in rig.decided if one.request == "engage"]
@@ -42,7 +42,7 @@ def test_a_link_that_is_too_slow_is_not_engaged_over() -> None:
 
 def test_a_link_that_becomes_too_slow_stops_the_robot_and_the_library_says_why() -> None:
     """An age that jumps: the commands come, and are refused; that is told from a stream that has ended."""
-    rig, link = LoopRig(), LossyLink(LinkProfile("LAN", 0.001), 1)
+    rig, link = GatewayRig(), LossyLink(LinkProfile("LAN", 0.001), 1)
     operator = FarOperator(rig, link, 0.5)
     operator.run(5)
     assert rig.says.engaged

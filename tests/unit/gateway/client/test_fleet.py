@@ -7,7 +7,7 @@ from gateway.telemetry.received import Received, TokenChange
 from schemas import codec, keys
 from schemas.messages import Message
 from schemas.subjects import BY_NAME, BY_TYPE, SUBJECTS
-from tests.support.fake_gateway import HEALTH, ROOT, STATE
+from tests.support.messages import HEALTH, ROOT, STATE
 
 START_NS = 10**12
 

@@ -10,7 +10,7 @@ from schemas import codec, keys
 from schemas.decisions import SafetyState
 from schemas.messages import RobotState
 from schemas.subjects import BY_TYPE
-from tests.support.fake_gateway import ROOT, STANDBY, STATE
+from tests.support.messages import ROOT, STANDBY, STATE
 from tests.support.waiting import wait_until
 
 MOVES = msgspec.structs.replace(STATE, speed_mps=0.5)

@@ -8,8 +8,8 @@ from schemas import keys
 from schemas.decisions import SafetyState
 from schemas.messages import RobotState
 from schemas.reasons import Reason
-from tests.support.fake_fleet import STOPS
-from tests.support.fake_gateway import ROOT, STANDBY, STATE
+from tests.support.fakes.fleet import STOPS
+from tests.support.messages import ROOT, STANDBY, STATE
 
 LATCHED = msgspec.structs.replace(STANDBY, latched=[Reason.REMOTE_STOP])
 MOVES = msgspec.structs.replace(STATE, speed_mps=0.3, rear_left_speed_mps=0.3, rear_right_speed_mps=0.3)

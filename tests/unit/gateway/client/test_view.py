@@ -11,8 +11,8 @@ from gateway.client.fleet import RobotStatus
 from schemas.decisions import ArbiterState, SafetyState
 from schemas.messages import GatewayHealth, Mode, RobotState, Variant
 from schemas.reasons import Reason
-from tests.support.fake_gateway import HEALTH, STATE
-from tests.support.random_messages import TEXTS, message_of
+from tests.support.messages import HEALTH, STATE
+from tests.support.strategies import TEXTS, message_of
 from tests.unit.gateway.client.test_drive_stream import ENGAGED
 
 FRESH = RobotStatus(

@@ -9,19 +9,19 @@ from gateway.command.request import Ruling
 from schemas.decisions import ArbiterState, EventKind, Severity, StopPhase
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
-from tests.support.arbiter_bench import MS, Bench, engaged
+from tests.support.rigs.arbiter import MS, ArbiterRig, engaged
 
 
 def test_standing_by_is_silent() -> None:
     """Row 'standing by: silent on the bus'."""
-    bench = Bench()
+    bench = ArbiterRig()
     for _ in range(50):
         assert bench.tick().actuation is None
 
 
 def test_engaging_gives_five_enables_with_zero_speed_until_it_reads_auto() -> None:
     """Row 'engage: then five enables with zero speed, and mode must read auto'; the reply comes then."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.changes = {"angle_deg": 7.0, "mode": Mode.STOP}
     bench.ask("acquire")
     assert bench.ask("engage").is_pending
@@ -41,7 +41,7 @@ def test_engaging_gives_five_enables_with_zero_speed_until_it_reads_auto() -> No
 
 def test_what_failed_before_does_not_count_after_engaging() -> None:
     """The bus takes our frames again, or we shall see."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.arbiter.monitor.send_failures = 9
     bench.ask("acquire")
     bench.ask("engage")
@@ -51,7 +51,7 @@ def test_what_failed_before_does_not_count_after_engaging() -> None:
 
 def test_a_chassis_that_reads_auto_already_confirms_nothing() -> None:
     """By somebody's old enables: first ours have to be sent."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.changes = {"mode": Mode.AUTO}
     bench.ask("acquire")
     bench.ask("engage")
@@ -62,7 +62,7 @@ def test_a_chassis_that_reads_auto_already_confirms_nothing() -> None:
 
 def test_a_chassis_that_does_not_read_auto_in_a_second_is_not_engaged() -> None:
     """Row 'engage: mode must read auto within 1 s'."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.changes = {"mode": Mode.STOP}
     bench.ask("acquire")
     bench.ask("engage")
@@ -75,7 +75,7 @@ def test_a_chassis_that_does_not_read_auto_in_a_second_is_not_engaged() -> None:
 
 def test_a_bench_told_nothing_yet_stops_by_what_is_seen() -> None:
     """Engage and stop in one tick: the sequence begins at rest."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     bench.changes = {"mode": Mode.STOP}
     bench.ask("engage")
@@ -159,7 +159,7 @@ def test_a_horn_that_was_cut_off_does_not_sound_again() -> None:
 
 def test_unguarded_is_accepted_where_the_settings_say_so() -> None:
     """Else it refuses to engage."""
-    bench = Bench(accept_unguarded=True)
+    bench = ArbiterRig(accept_unguarded=True)
     bench.changes = {"guarded": False}
     bench.engage()
     assert bench.arbiter.state is ArbiterState.ENGAGED
@@ -269,7 +269,7 @@ def test_an_unguarded_gateway_that_comes_back_stops_from_what_is_seen(
     slowest_mps: float | None, first_mps: float
 ) -> None:
     """Row 'loop late over 100 ms: stop': never from a speed above the one that the robot has now."""
-    bench = Bench(accept_unguarded=True)
+    bench = ArbiterRig(accept_unguarded=True)
     bench.changes = {"guarded": False}
     bench.engage()
     bench.drive_for(150, 1.0)
@@ -297,7 +297,7 @@ def test_a_chassis_that_the_guard_left_to_the_hand_transmitter_is_stopped_when_i
 
 def test_nothing_is_released_that_is_not_seen() -> None:
     """A remote stop, standing by, with no feedback at all: the parking brake is asked for from the first frame."""
-    bench = Bench()
+    bench = ArbiterRig()
     blind = {"mode": Mode.UNDEFINED, "gear": GearPosition.UNDEFINED, "speed_mps": None, "fastest_wheel_mps": None}
     bench.changes = blind | {"missing": ("all",)}
     bench.ask("stop")
@@ -350,7 +350,7 @@ def test_a_robot_that_is_given_back_is_not_told_a_speed_above_what_it_was_left_o
 
 def test_who_waits_is_told_when_the_output_ceases() -> None:
     """And when it stops."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.changes = {"mode": Mode.STOP}
     bench.ask("acquire")
     bench.ask("engage")
@@ -367,7 +367,7 @@ def test_who_waits_is_told_when_the_output_ceases() -> None:
 
 def test_where_nobody_waits_nobody_is_told() -> None:
     """A result that nobody asked for."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.arbiter.outbox.settle("engage", Ruling())
     assert bench.tick().answers == []
 
@@ -439,7 +439,7 @@ def test_a_robot_found_moving_is_stopped_from_what_is_seen(
     seen: dict[str, object], gear: GearPosition, speed_mps: float, angle_deg: float
 ) -> None:
     """Row 'found at start: in auto, moving, nobody sending: the stop sequence, an event'."""
-    bench = Bench()
+    bench = ArbiterRig()
     moving = {"mode": Mode.AUTO, "turns": True, "speed_mps": 1.0, "wheel_speed_mps": 1.0, "angle_deg": 30.0}
     released = {"brake": ParkingStatus.RELEASED}
     bench.changes = moving | released | {"fastest_wheel_mps": 2.6 if seen.get("speed_mps") else 1.0} | seen
@@ -461,7 +461,7 @@ def test_a_robot_found_moving_is_stopped_from_what_is_seen(
 @pytest.mark.parametrize(("ticks", "parks"), [(10, True), (99, False)])
 def test_a_mode_that_flickers_parks_a_robot_that_moves(ticks: int, *, parks: bool) -> None:
     """A stop out of standing by that follows another one within a second: no ramp begins over and over again."""
-    bench = Bench()
+    bench = ArbiterRig()
     moving = {"gear": GearPosition.DRIVE, "brake": ParkingStatus.RELEASED, "turns": True, "angle_deg": 0.0}
     moving |= {"speed_mps": 1.0, "wheel_speed_mps": 1.0, "fastest_wheel_mps": 1.0}
     bench.changes = moving | {"mode": Mode.AUTO}
@@ -521,7 +521,7 @@ COASTING = {"mode": Mode.STOP, "gear": GearPosition.DRIVE, "brake": ParkingStatu
 )
 def test_a_remote_stop_while_standing_by(changes: dict[str, object], *, is_told: bool) -> None:
     """Row 'stop': latched always; sent where the chassis may obey an old command, or coasts in mode stop."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.changes = changes
     bench.tick()
     bench.ask("stop", "anyone")
@@ -556,7 +556,7 @@ def test_the_reply_to_a_stop_says_what_the_robot_does(
     changes: dict[str, object], reason: Reason, detail: str
 ) -> None:
     """Row 'a stop that cannot be carried out: the reply says so with reason and what the robot does now'."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.changes = changes
     bench.tick()
     ruling = bench.ask("stop", "anyone")
@@ -595,7 +595,7 @@ def test_what_the_robot_does_of_itself_stops_it_and_is_latched(
     changes: dict[str, object], reason: Reason, ticks: int
 ) -> None:
     """Rows 'rolling', 'measured speed over the limit in force' (a lowered one) and 'steering'."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     bench.ask("engage", speed_limit_mps=0.5)
     bench.tick(count=2)
@@ -641,7 +641,7 @@ def test_a_graver_cause_during_a_stop_latches() -> None:
 
 def test_a_bumper_latches_in_every_state() -> None:
     """Row 'bumper: latched'."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.changes = {"rear_bumper": True}
     bench.tick(count=3)
     assert [*bench.arbiter.latches.details] == [Reason.REAR_BUMPER]
@@ -658,7 +658,7 @@ def test_shutting_down() -> None:
     bench.tick()
     told = [(event.kind, event.severity) for event in bench.events if event.reason is Reason.SHUTDOWN]
     assert told == [(EventKind.GATEWAY, Severity.INFO), (EventKind.STOP, Severity.INFO)]
-    idle = Bench()
+    idle = ArbiterRig()
     idle.changes = {"mode": Mode.AUTO}
     idle.tick()
     idle.arbiter.engagement.shut_down(idle.now_ns)
@@ -707,6 +707,6 @@ def test_in_place_of_a_refused_burst_zero_speed_and_the_parking_brake_are_told(*
 
 def test_a_run_is_told_by_its_number() -> None:
     """Ticks and leases of another run fit none of this one; those of the same run are the same."""
-    one, same = Bench(), Bench()
+    one, same = ArbiterRig(), ArbiterRig()
     assert one.arbiter.tick_number == same.arbiter.tick_number
     assert one.ask("acquire") == same.ask("acquire")

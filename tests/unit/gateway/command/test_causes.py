@@ -9,8 +9,8 @@ from gateway.command.chassis_monitor import ChassisMonitor
 from gateway.command.chassis_state import ChassisState
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.reasons import Reason
-from tests.support.arbiter_bench import MS
-from tests.support.arbiter_bench import STANDING as IN_STOP
+from tests.support.rigs.arbiter import MS
+from tests.support.rigs.arbiter import STANDING as IN_STOP
 
 TOLD = Actuation(enabled=True, gear=GearPosition.DRIVE, parking=False)
 LIMIT_MPS = 2.222

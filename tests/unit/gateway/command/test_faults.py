@@ -19,9 +19,9 @@ from schemas.decisions import ArbiterState, Bound, EventKind, StopPhase
 from schemas.messages import Variant
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import ChassisSettings
-from tests.support.can_strategies import VARIANTS, with_checksum
 from tests.support.frames import STANDING, Feedback
-from tests.support.loop_rig import GUARDED, MS, LoopRig, Operator, driving, ready
+from tests.support.rigs.gateway import GUARDED, MS, GatewayRig, Operator, driving, ready
+from tests.support.strategies import VARIANTS, with_checksum
 
 YEAR_NS = 365 * 24 * 3600 * 10**9
 REQUIRED = ChassisSettings().required_feedback
@@ -45,7 +45,7 @@ def silent_pairs() -> Iterator[tuple[int, int]]:
             yield first, second
 
 
-def assert_stops(rig: LoopRig, reason: Reason, within_s: float = 0.4) -> None:
+def assert_stops(rig: GatewayRig, reason: Reason, within_s: float = 0.4) -> None:
     """The robot is stopped for this reason, by the whole sequence, and stands by at the end."""
     rig.until(lambda: rig.says.state is not ArbiterState.ENGAGED, within_s)
     assert rig.says.stop_reason is reason, rig.says
@@ -55,7 +55,7 @@ def assert_stops(rig: LoopRig, reason: Reason, within_s: float = 0.4) -> None:
     assert_stop_order(rig, begun_ns)
 
 
-def assert_stop_order(rig: LoopRig, begun_ns: int) -> None:
+def assert_stop_order(rig: GatewayRig, begun_ns: int) -> None:
     """Zero speed in gear, parking brake, neutral, disabled: in this order, and nothing is ever taken back."""
     reached = 0
     for at_ns, burst in rig.bursts:
@@ -177,7 +177,7 @@ def test_frames_of_a_wrong_length_are_silence(length: int) -> None:
 @pytest.mark.parametrize("name", STANDING)
 def test_what_is_engaged_without_each_message(name: str) -> None:
     """Row 'engage: every feedback that chassis.required_feedback names': not what the manual calls reserved."""
-    rig = LoopRig()
+    rig = GatewayRig()
     rig.fault(f"silence {name}")
     rig.run(1)
     operator = Operator(rig)
@@ -337,7 +337,7 @@ def test_a_stop_that_was_held_up_does_not_go_on_from_the_old_speed() -> None:
     assert rig.says.state is ArbiterState.STANDBY
 
 
-def stopped_and_parked() -> LoopRig:
+def stopped_and_parked() -> GatewayRig:
     """In the hold of a stop: it stands, and the parking brake is applied."""
     rig, _ = driving(1.0)
     rig.put("anyone", "stop", b"")
@@ -696,7 +696,7 @@ def test_another_computer_on_the_bus_stops_the_robot() -> None:
 def test_a_robot_found_moving_is_stopped_whatever_frame_is_missing(missing: str, speed_mps: float) -> None:
     """Row 'found at start: moving by drive, wheels or pulses, and nobody sending': also with no mode at hand."""
     rig, _ = driving(speed_mps)
-    found = LoopRig(now_ns=rig.now_ns)
+    found = GatewayRig(now_ns=rig.now_ns)
     found.chassis = rig.chassis
     if missing:
         found.fault(f"silence {missing}")
@@ -710,7 +710,7 @@ def test_a_robot_found_moving_is_stopped_whatever_frame_is_missing(missing: str,
 def test_a_robot_that_another_computer_drives_is_left_alone() -> None:
     """Row 'standing by: silent on the bus (another computer may own it)'."""
     rig, _ = driving(1.0)
-    found = LoopRig(now_ns=rig.now_ns)
+    found = GatewayRig(now_ns=rig.now_ns)
     found.chassis = rig.chassis
     found.fault("foreign 18C4D3D0 every 50ms")
     found.run(2)
@@ -806,7 +806,7 @@ def test_yesterdays_commands_are_refused() -> None:
     """A capture of another run: neither its lease nor its challenges are of this one."""
     yesterday, first = driving()
     lease, challenge = first.lease, yesterday.says.challenge
-    rig = LoopRig(run=8)
+    rig = GatewayRig(run=8)
     rig.run(0.6)
     today = Operator(rig)
     today.engage()
@@ -928,7 +928,7 @@ def test_the_guards_words_are_in_the_events_and_in_the_latch() -> None:
 
 def test_a_stop_of_the_guards_before_the_start_is_latched_until_a_reset() -> None:
     """Row 'the guard has stopped the robot: latched, also across a restart of the gateway'."""
-    rig = LoopRig()
+    rig = GatewayRig()
     rig.core.latch_guard_stop("yesterday guard: the gateway is gone", rig.now_ns)
     rig.run(0.6)
     operator = Operator(rig)

@@ -11,14 +11,14 @@ from schemas.decisions import ArbiterState, Decision, Reply, SafetyState, StopPh
 from schemas.messages import Mode, Variant
 from schemas.reasons import Reason
 from schemas.settings import MUTE_FAILURES, CommandSettings, Settings
-from tests.support.arbiter_bench import MS, STANDING
 from tests.support.frames import CHALLENGE
-from tests.support.loop_rig import LoopRig, driving, ready
+from tests.support.rigs.arbiter import MS, STANDING
+from tests.support.rigs.gateway import GatewayRig, driving, ready
 
 WALL_NS = 1_700_000_000_000_000_000
 
 
-def flow(rig: LoopRig) -> CommandFlow:
+def flow(rig: GatewayRig) -> CommandFlow:
     """The rig's command flow."""
     assert rig.core.command is not None
     return rig.core.command

@@ -12,7 +12,7 @@ from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.auxiliary import AuxiliaryFrame
 from gateway.command.frames import FrameMaker
 from schemas.messages import GearPosition, Variant
-from tests.support.can_strategies import VARIANTS
+from tests.support.strategies import VARIANTS
 
 FULL = Actuation(True, GearPosition.REVERSE, 2.222, -24.0, parking=False)  # noqa: FBT003
 

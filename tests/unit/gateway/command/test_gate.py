@@ -12,7 +12,7 @@ from gateway.command.auxiliary import AuxiliaryFrame
 from gateway.command.frames import FrameMaker
 from gateway.command.gate import Gate, GateFault
 from schemas.messages import GearPosition, Variant
-from tests.support.can_strategies import with_checksum
+from tests.support.strategies import with_checksum
 
 MS = 1_000_000
 REST = Actuation(enabled=True)

@@ -12,7 +12,7 @@ from gateway.sim.parameters import Conditions
 from schemas.decisions import ArbiterState, EventKind
 from schemas.messages import Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
-from tests.support.loop_rig import LoopRig, Operator, driving
+from tests.support.rigs.gateway import GatewayRig, Operator, driving
 
 SLOPES = (-20.0, -8.0, 3.0, 8.0, 15.0, 20.0)
 PAYLOADS = (0.0, 100.0)
@@ -24,7 +24,7 @@ STOP_MAX_M = 0.30
 """Row 'slopes': roll-back at release, and from the moment of any stop."""
 
 
-class Hill(LoopRig):
+class Hill(GatewayRig):
     """A robot on a slope, and how far it has rolled back.
 
     Attributes:
@@ -166,7 +166,7 @@ def test_a_slope_that_changes_is_borne() -> None:
 
 def test_a_stop_that_was_barred_is_carried_out_when_the_remote_control_gives_the_robot_back() -> None:
     """Row 'stop, the remote stop': with parking brake; latched meanwhile, and told as soon as it can be."""
-    rig = LoopRig()
+    rig = GatewayRig()
     rig.run(0.6)
     rig.fault("transmitter remote")
     rig.fault("sticks 0.5 0")

@@ -9,7 +9,7 @@ from gateway.telemetry.health import Links
 from schemas.decisions import ArbiterState
 from schemas.messages import Mode, Variant
 from schemas.reasons import Reason
-from tests.support.loop_rig import LoopRig, Operator
+from tests.support.rigs.gateway import GatewayRig, Operator
 
 FEEDBACK = (
     "Auto_GearFeedBack",
@@ -30,7 +30,7 @@ class Machine(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.rig = LoopRig()
+        self.rig = GatewayRig()
         self.rig.run(0.6)
         self.people = [Operator(self.rig, "first"), Operator(self.rig, "second")]
         self.driver: Operator | None = None
@@ -200,7 +200,7 @@ class FineMachine(Machine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.rig = LoopRig(Variant.FINE)
+        self.rig = GatewayRig(Variant.FINE)
         self.rig.run(0.6)
         self.people = [Operator(self.rig, "first"), Operator(self.rig, "second")]
 

@@ -9,7 +9,7 @@ from schemas.decisions import ArbiterState, Bound, EventKind, LeaseReply, Reply,
 from schemas.messages import SEQUENCE_MAX, GearPosition, Mode
 from schemas.reasons import TEXTS, Reason
 from schemas.requests import Role
-from tests.support.arbiter_bench import MS, Bench
+from tests.support.rigs.arbiter import MS, ArbiterRig
 
 WALL_NS = 1_700_000_000_000_000_000
 
@@ -18,7 +18,7 @@ class Told:
     """A bench and its reporter."""
 
     def __init__(self) -> None:
-        self.bench = Bench()
+        self.bench = ArbiterRig()
         self.reporter = Reporter(self.bench.arbiter)
 
     def state(self) -> SafetyState | None:

@@ -9,17 +9,17 @@ from gateway.command.flow import CommandFlow
 from gateway.command.snapshot import QUIET_NS, Snapshot, is_at_rest, restore, snapshot
 from schemas.messages import Variant
 from schemas.reasons import Reason
-from tests.support.loop_rig import GUARDED, LoopRig, Operator, ready
+from tests.support.rigs.gateway import GUARDED, GatewayRig, Operator, ready
 
 
-def flow_of(rig: LoopRig) -> CommandFlow:
+def flow_of(rig: GatewayRig) -> CommandFlow:
     """The rig's."""
     flow = rig.core.command
     assert flow is not None
     return flow
 
 
-def rested() -> LoopRig:
+def rested() -> GatewayRig:
     """A robot that was driven by two operators, one after the other, and that nobody wants any more."""
     rig, operator = ready()
     operator.engage()
@@ -67,42 +67,42 @@ def test_the_next_lease_has_the_number_that_it_would_have_had() -> None:
     assert given.id == operator.lease
 
 
-def _hold_lease(rig: LoopRig) -> None:
+def _hold_lease(rig: GatewayRig) -> None:
     Operator(rig, "third").take_lease()
 
 
-def _ask_in_vain(rig: LoopRig) -> None:
+def _ask_in_vain(rig: GatewayRig) -> None:
     rig.put("stranger", "drive", b"")
     rig.tick()
 
 
-def _stop(rig: LoopRig) -> None:
+def _stop(rig: GatewayRig) -> None:
     rig.put("stranger", "stop", b"")
     rig.run(7)
 
 
-def _press(rig: LoopRig) -> None:
+def _press(rig: GatewayRig) -> None:
     rig.fault("bumper front on")
     rig.run(7)
 
 
-def _lose_feedback(rig: LoopRig) -> None:
+def _lose_feedback(rig: GatewayRig) -> None:
     rig.fault("silence Auto_GearFeedBack")
     rig.run(1)
 
 
-def _lose_bus(rig: LoopRig) -> None:
+def _lose_bus(rig: GatewayRig) -> None:
     rig.links = msgspec.structs.replace(GUARDED, bus_up=False, bus_losses=1)
     rig.run(1)
 
 
-def _move(rig: LoopRig) -> None:
+def _move(rig: GatewayRig) -> None:
     rig.fault("transmitter remote")
     rig.fault("sticks 0.5 0")
     rig.run(3)
 
 
-def _close(rig: LoopRig) -> None:
+def _close(rig: GatewayRig) -> None:
     rig.core.shut_down(rig.now_ns)
     rig.tick()
 
@@ -110,7 +110,7 @@ def _close(rig: LoopRig) -> None:
 @pytest.mark.parametrize(
     "disturb", [_hold_lease, _ask_in_vain, _stop, _press, _lose_feedback, _lose_bus, _move, _close]
 )
-def test_whatever_goes_on_is_no_rest(disturb: Callable[[LoopRig], None]) -> None:
+def test_whatever_goes_on_is_no_rest(disturb: Callable[[GatewayRig], None]) -> None:
     """Each of them would have to be remembered too."""
     rig = rested()
     assert is_at_rest(flow_of(rig), rig.now_ns)
@@ -120,7 +120,7 @@ def test_whatever_goes_on_is_no_rest(disturb: Callable[[LoopRig], None]) -> None
 
 def test_before_the_variant_is_known_there_is_no_rest() -> None:
     """Who begins there could not know it either."""
-    rig = LoopRig(Variant.COARSE)
+    rig = GatewayRig(Variant.COARSE)
     rig.fault("silence Auto_WheelSpdFeedback")
     rig.run(QUIET_NS / 1e9 + 1)
     assert not is_at_rest(flow_of(rig), rig.now_ns)

@@ -13,12 +13,12 @@ from schemas.messages import GearPosition, Mode, Variant
 from schemas.reasons import Reason
 from schemas.settings import CommandSettings
 from schemas.subjects import COMMANDS, Asking
-from tests.support.arbiter_bench import MS, Bench, engaged
+from tests.support.rigs.arbiter import MS, ArbiterRig, engaged
 
 LEASED = [command for command in COMMANDS if command.verb not in {"acquire", "take", "stop"}]
 
 
-def stopped(bench: Bench) -> None:
+def stopped(bench: ArbiterRig) -> None:
     """Let a stop that is under way end; the lease is kept."""
     for _ in range(6):
         bench.ask("renew")
@@ -32,7 +32,7 @@ def stopped(bench: Bench) -> None:
 def test_a_verb_is_asked_for_in_its_own_way(command: object) -> None:
     """A query where it is one, a put where it is one; stop either way."""
     assert isinstance(command, type(COMMANDS[0]))
-    bench = Bench()
+    bench = ArbiterRig()
     wrong = 0 if command.asking is Asking.QUERY else 1
     ruling = bench.send(command.verb, b"\x80", handle=wrong)
     if command.verb == "stop":
@@ -44,7 +44,7 @@ def test_a_verb_is_asked_for_in_its_own_way(command: object) -> None:
 
 def test_what_is_no_verb_is_refused() -> None:
     """And repeated in no more than 32 plain characters."""
-    ruling = Bench().send("ä" * 99, b"")
+    ruling = ArbiterRig().send("ä" * 99, b"")
     assert ruling.reason is Reason.UNKNOWN_VERB
     assert len(ruling.detail) < 32 * 4 + 14
 
@@ -54,7 +54,7 @@ def test_what_is_no_verb_is_refused() -> None:
 )
 def test_no_request_is_larger_than_a_kilobyte(size: int, reason: Reason) -> None:
     """It is not even read."""
-    assert Bench().send("acquire", b"\x80", size=size).reason is reason
+    assert ArbiterRig().send("acquire", b"\x80", size=size).reason is reason
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_no_request_is_larger_than_a_kilobyte(size: int, reason: Reason) -> None
 )
 def test_bytes_that_are_no_request_are_refused(payload: bytes) -> None:
     """With why, in no more than 200 characters; and nothing is changed."""
-    bench = Bench()
+    bench = ArbiterRig()
     ruling = bench.send("acquire", payload)
     assert ruling.reason is Reason.MALFORMED
     assert 0 < len(ruling.detail) <= 200
@@ -88,7 +88,7 @@ def test_numbers_that_are_none_are_refused(number: float) -> None:
 
 def test_an_operator_without_a_name_may_only_stop() -> None:
     """The router binds the chunk to a certificate; one that is not of its form is nobody."""
-    bench = Bench()
+    bench = ArbiterRig()
     assert bench.send("acquire", b"\x80", "").reason is Reason.MALFORMED
     assert bench.send("stop", b"", "").reason is Reason.NONE
     assert bench.told(EventKind.LATCH)[0].text.endswith("by an unnamed operator")
@@ -121,7 +121,7 @@ def test_every_other_verb_wants_the_lease_in_force(command: object) -> None:
 )
 def test_no_bytes_raise_or_move(verb: str, payload: bytes, put: bool) -> None:  # noqa: FBT001
     """Any bytes on any command key get a typed refusal, and change nothing."""
-    bench = Bench()
+    bench = ArbiterRig()
     ruling = bench.send(verb, payload, handle=0 if put else 1)
     assert isinstance(ruling.reason, Reason)
     assert bench.arbiter.state is ArbiterState.STANDBY
@@ -132,7 +132,7 @@ def test_no_bytes_raise_or_move(verb: str, payload: bytes, put: bool) -> None:  
 
 def test_acquire_gives_a_lease_of_two_seconds() -> None:
     """Row 'lease: 2 s'; who comes second is told who holds it and for how long."""
-    bench = Bench()
+    bench = ArbiterRig()
     ruling = bench.ask("acquire")
     assert (ruling.reason, ruling.expires_ns) == (Reason.NONE, 2_000 * MS)
     assert bench.told(EventKind.LEASE)[0].text == "first has acquired the lease as operator"
@@ -144,7 +144,7 @@ def test_acquire_gives_a_lease_of_two_seconds() -> None:
 
 def test_renew_and_drive_keep_it() -> None:
     """Row 'lease: renewed by drive or renew'; drive in any state, if it is fresh."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     bench.tick(count=150)
     assert bench.ask("renew").expires_ns == 2_000 * MS
@@ -199,7 +199,7 @@ def test_take_wants_a_standing_robot_or_an_override() -> None:
 
 def test_take_of_a_standing_robot_in_standby() -> None:
     """Nothing is stopped that is not told anything; what nobody holds is acquired."""
-    bench = Bench()
+    bench = ArbiterRig()
     assert bench.ask("take", "second", role="program").reason is Reason.NONE
     assert bench.told(EventKind.LEASE)[-1].text == "second has acquired the lease as program"
     assert bench.ask("take", "first").reason is Reason.NONE
@@ -209,7 +209,7 @@ def test_take_of_a_standing_robot_in_standby() -> None:
 @pytest.mark.parametrize(("verb", "reason"), [("take", Reason.LEASE_TAKEN), ("release", Reason.LEASE_RELEASED)])
 def test_a_lease_that_ends_while_it_is_being_engaged_stops_that(verb: str, reason: Reason) -> None:
     """Nobody would drive it."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.changes = {"mode": Mode.STOP}
     bench.ask("acquire")
     bench.ask("engage")
@@ -240,7 +240,7 @@ def test_a_lease_that_ends_while_it_is_being_engaged_stops_that(verb: str, reaso
 )
 def test_engage_wants_all_of_the_table(changes: dict[str, object], reason: Reason) -> None:
     """Row 'engage: lease held, every feedback seen and fresh, variant confirmed, mode not remote, no latch'."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     bench.changes = changes
     bench.tick()
@@ -253,7 +253,7 @@ def test_engage_wants_all_of_the_table(changes: dict[str, object], reason: Reaso
 
 def test_engage_tells_every_blocker() -> None:
     """The gravest first."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     bench.ask("stop", "second")
     bench.changes = {"mode": Mode.REMOTE, "faulty": ("Auto_GearFeedBack",), "speed_mps": 1.0}
@@ -273,7 +273,7 @@ def test_engage_tells_every_blocker() -> None:
 )
 def test_engage_is_refused_over_a_link_that_is_too_slow(ticks_ago: int, reason: Reason, detail: str) -> None:
     """Row 'command age, by echo', before anything moves: with the age; and a forged challenge has none."""
-    bench = Bench(CommandSettings(lease_s=10.0))
+    bench = ArbiterRig(CommandSettings(lease_s=10.0))
     bench.tick(count=200)
     bench.ask("acquire")
     ruling = bench.ask("engage", challenge=bench.challenge(ticks_ago))
@@ -294,7 +294,7 @@ def test_engage_is_refused_over_a_link_that_is_too_slow(ticks_ago: int, reason: 
 )
 def test_engage_wants_the_command_to_be_zero(speed_mps: float, ticks: int, reason: Reason) -> None:
     """Row 'engage: command zero': what was asked in the last 300 ms. The stream may run before."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     bench.drive(speed_mps)
     bench.tick(count=ticks)
@@ -304,7 +304,7 @@ def test_engage_wants_the_command_to_be_zero(speed_mps: float, ticks: int, reaso
 @pytest.mark.parametrize(("limit_mps", "in_force_mps"), [(0.5, 0.5), (9.0, 2.222), (None, 2.222)])
 def test_engage_may_lower_the_speed_limit(limit_mps: float | None, in_force_mps: float) -> None:
     """Limits scale down, never up, at run time."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     assert bench.ask("engage", speed_limit_mps=limit_mps).is_pending
     assert bench.arbiter.setpoint.limits.speed_mps == in_force_mps
@@ -313,14 +313,14 @@ def test_engage_may_lower_the_speed_limit(limit_mps: float | None, in_force_mps:
 @pytest.mark.parametrize("limit_mps", [0.0, -1.0])
 def test_a_speed_limit_is_above_zero(limit_mps: float) -> None:
     """Or the request means something else."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     assert bench.ask("engage", speed_limit_mps=limit_mps).reason is Reason.MALFORMED
 
 
 def test_engage_in_every_other_state_is_refused() -> None:
     """With its own reason."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     bench.changes = {"mode": Mode.STOP}
     bench.ask("engage")
@@ -377,7 +377,7 @@ def test_reset_clears_what_is_latched() -> None:
 )
 def test_reset_wants_the_cause_gone(changes: dict[str, object], reason: Reason) -> None:
     """And a robot that is seen to stand."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     bench.ask("stop")
     bench.tick(count=60)
@@ -389,7 +389,7 @@ def test_reset_wants_the_cause_gone(changes: dict[str, object], reason: Reason) 
 
 def test_reset_wants_the_command_to_be_zero() -> None:
     """Nobody may ask it to move meanwhile."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     bench.ask("stop")
     bench.tick(count=60)
@@ -402,7 +402,7 @@ def test_reset_wants_the_command_to_be_zero() -> None:
 @pytest.mark.parametrize(("ticks", "reason"), [(48, Reason.REMOTE_STOP), (49, Reason.NONE)])
 def test_a_reset_that_comes_at_once_was_not_meant_for_this_latch(ticks: int, reason: Reason) -> None:
     """It may have been on its way when the stop came: half a second."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     bench.ask("stop")
     bench.tick(count=ticks)
@@ -415,7 +415,7 @@ def test_a_reset_that_comes_at_once_was_not_meant_for_this_latch(ticks: int, rea
 )
 def test_a_reset_is_as_old_as_the_challenge_that_it_echoes(seen_ticks_ago: int, reason: Reason) -> None:
     """Row 'command age, by echo' for it too: 1 s."""
-    bench = Bench(CommandSettings(lease_s=10.0))
+    bench = ArbiterRig(CommandSettings(lease_s=10.0))
     bench.ask("acquire")
     bench.ask("stop")
     bench.tick(count=200)
@@ -431,7 +431,7 @@ def test_a_reset_with_a_challenge_clears_nothing_that_was_latched_after_it(
     more_ticks: int, reason: Reason
 ) -> None:
     """Though it is young enough: the newest cause is named. The bench publishes a challenge one tick later."""
-    bench = Bench(CommandSettings(max_age_s=1.0))
+    bench = ArbiterRig(CommandSettings(max_age_s=1.0))
     bench.ask("acquire")
     bench.ask("stop")
     bench.tick(count=60)
@@ -440,7 +440,7 @@ def test_a_reset_with_a_challenge_clears_nothing_that_was_latched_after_it(
 
 def test_a_reset_with_a_challenge_and_nothing_latched_is_served() -> None:
     """There is nothing that it has not seen."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     bench.tick(count=60)
     assert bench.ask("reset", challenge=bench.challenge(20)).reason is Reason.NONE
@@ -448,7 +448,7 @@ def test_a_reset_with_a_challenge_and_nothing_latched_is_served() -> None:
 
 def test_a_second_hit_of_a_latched_bumper_counts_anew() -> None:
     """A reset right after it is refused; while it is only held down it ages."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     bench.changes = {"front_bumper": True}
     bench.tick(count=60)
@@ -463,7 +463,7 @@ def test_a_second_hit_of_a_latched_bumper_counts_anew() -> None:
 
 def test_a_second_stop_is_not_wiped_by_a_reset_of_its_tick() -> None:
     """Whoever resets has not seen it: stop always wins."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     bench.ask("stop")
     bench.tick(count=60)
@@ -481,7 +481,7 @@ def test_a_second_stop_is_not_wiped_by_a_reset_of_its_tick() -> None:
 
 def test_a_reset_keeps_the_lease() -> None:
     """Its holder is there."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     bench.tick(count=150)
     assert bench.ask("reset").reason is Reason.NONE
@@ -494,7 +494,7 @@ def test_a_reset_keeps_the_lease() -> None:
 
 def test_park_and_unpark() -> None:
     """Row 'rolling: park is accepted at any speed while the command is zero'; unpark at zero command too."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     assert bench.ask("park").reason is bench.ask("unpark").reason is Reason.NOT_ENGAGED
     bench.ask("engage")
@@ -516,7 +516,7 @@ def test_park_and_unpark() -> None:
 
 def test_lamps_and_horn_are_the_engaged_robots() -> None:
     """Frames go out only together with the five."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     assert bench.ask("light", left=True).reason is bench.ask("horn", on=True).reason is Reason.NOT_ENGAGED
     bench.ask("engage")
@@ -527,7 +527,7 @@ def test_lamps_and_horn_are_the_engaged_robots() -> None:
 
 def test_the_odometer_is_cleared_at_standstill_and_told_when_it_is() -> None:
     """The reply comes later; a second request meanwhile is refused."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     assert bench.ask("clear_odometer").reason is Reason.NOT_ENGAGED
     bench.ask("engage")
@@ -597,7 +597,7 @@ def test_a_sequence_cannot_be_used_up() -> None:
 
 def test_zero_is_a_sequence_number_and_each_lease_begins_anew() -> None:
     """'Within a lease'."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     assert bench.drive(seq=0).reason is Reason.NOT_ENGAGED
     assert bench.drive(seq=0).reason is Reason.SEQUENCE
@@ -636,7 +636,7 @@ def test_the_deadman_tells_what_was_refused_before_it() -> None:
 @pytest.mark.parametrize(("asked_s", "ticks"), [(None, 31), (0.1, 31), (0.8, 81), (1.0, 101)])
 def test_an_engagement_has_the_deadman_that_it_asked_for(asked_s: float | None, ticks: int) -> None:
     """Row 'deadman: engage may ask for up to 1 s'; the configured one is the least."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     bench.ask("engage", deadman_s=asked_s)
     bench.tick(count=2)
@@ -650,7 +650,7 @@ def test_an_engagement_has_the_deadman_that_it_asked_for(asked_s: float | None, 
 @pytest.mark.parametrize("deadman_s", [0.0, 0.04, 1.01, -1.0])
 def test_a_deadman_beyond_its_bounds_is_malformed(deadman_s: float) -> None:
     """Longer than 1 s is none."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     assert bench.ask("engage", deadman_s=deadman_s).reason is Reason.MALFORMED
 
@@ -693,7 +693,7 @@ def test_what_is_no_bend_is_malformed() -> None:
 
 def test_drive_while_it_is_not_engaged() -> None:
     """Each state has its reason; zero is welcome while it is being engaged."""
-    bench = Bench()
+    bench = ArbiterRig()
     bench.ask("acquire")
     assert bench.drive(1.0).reason is Reason.NOT_ENGAGED
     bench.tick(count=31)

@@ -29,7 +29,7 @@ from schemas.settings import (
     TICK_NS,
     CommandSettings,
 )
-from tests.support.guard_rig import BURST, DRIVING, MS, GuardRig, S
+from tests.support.rigs.guard import BURST, DRIVING, MS, GuardRig, S
 
 A_STOP_S = 8.0
 

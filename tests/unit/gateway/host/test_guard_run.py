@@ -12,7 +12,7 @@ from gateway.host.guard_run import run
 from schemas.messages import Mode, Variant
 from schemas.settings import CommandSettings
 from tests.support.frames import Feedback
-from tests.support.guard_rig import DRIVING
+from tests.support.rigs.guard import DRIVING
 
 
 class World:

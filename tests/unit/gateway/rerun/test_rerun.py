@@ -24,8 +24,8 @@ from schemas.messages import Message, Variant
 from schemas.reasons import Reason
 from schemas.settings import Settings
 from schemas.subjects import BY_NAME
-from tests.support.loop_rig import Operator
-from tests.support.recorded_day import STARTED_NS, Day, recorded
+from tests.support.rigs.day import STARTED_NS, Day
+from tests.support.rigs.gateway import Operator
 
 SAFETY: dict[str, type[Message]] = {
     "safety/decision": Decision,
@@ -81,7 +81,7 @@ def test_a_recorded_minute_run_again_comes_out_the_same(seed: int, variant: Vari
     """From the log alone: every decision, event and state byte for byte, and every frame offered and sent."""
     day = Day(seed, variant)
     day.live()
-    log = ReadBack(recorded(day))
+    log = ReadBack(day.rig.log())
     offered: list[list[Frame]] = []
     samples: list[Sample] = []
     for frames, published in log.run_again():
@@ -98,9 +98,9 @@ def test_a_recorded_minute_run_again_comes_out_the_same(seed: int, variant: Vari
         assert again == lived[: len(again)], name
     assert frames_of(samples) == log.sent
     bursts = [frames for frames in offered if frames]
-    assert bursts == [frames for frames in day.core.offered if frames]
+    assert bursts == [frames for frames in day.rig.offered if frames]
     chassis = [sample for sample in samples if sample.subject.startswith("chassis/")]
-    assert chassis == [s for s in day.core.samples if s.subject.startswith("chassis/")][: len(chassis)]
+    assert chassis == [s for _, s in day.rig.recorded if s.subject.startswith("chassis/")][: len(chassis)]
 
 
 def test_the_minute_is_worth_running_again() -> None:
@@ -123,7 +123,7 @@ def test_a_log_that_misses_a_batch_is_refused() -> None:
     """Nothing that looks like a run comes out of it."""
     day = Day(3, Variant.COARSE)
     day.rig.run(2)
-    log = ReadBack(recorded(day))
+    log = ReadBack(day.rig.log())
     del log.journals[20]
     with pytest.raises(JournalGapError):
         list(log.run_again())
@@ -131,8 +131,8 @@ def test_a_log_that_misses_a_batch_is_refused() -> None:
 
 def the_event_again(day: Day) -> SafetyEvent:
     """The one event of this day, which is the same when the day is run again."""
-    again = [s.payload for _, samples in ReadBack(recorded(day)).run_again() for s in samples if is_event(s)]
-    assert again == [s.payload for s in day.core.samples if is_event(s)]
+    again = [s.payload for _, samples in ReadBack(day.rig.log()).run_again() for s in samples if is_event(s)]
+    assert again == [s.payload for _, s in day.rig.recorded if is_event(s)]
     (event,) = (codec.decode(BY_NAME["safety/event"], payload) for payload in again)
     assert isinstance(event, SafetyEvent)
     return event
@@ -184,18 +184,18 @@ def test_another_run_number_gives_other_leases() -> None:
     day.rig.run(1)
     Operator(day.rig).take_lease()
     day.rig.run(1)
-    log = ReadBack(recorded(day))
+    log = ReadBack(day.rig.log())
     log.journals = [msgspec.structs.replace(journal, run=1) for journal in log.journals]
     again = [s.payload for _, samples in log.run_again() for s in samples if s.subject == "safety/decision"]
     assert again
-    assert again != [s.payload for s in day.core.samples if s.subject == "safety/decision"]
+    assert again != [s.payload for _, s in day.rig.recorded if s.subject == "safety/decision"]
 
 
 def test_a_run_may_come_bit_by_bit() -> None:
     """The same comes out of journals that are read one after the other, and at last what is still in batches."""
     day = Day(3, Variant.COARSE)
     day.rig.run(1)
-    log = ReadBack(recorded(day))
+    log = ReadBack(day.rig.log())
     samples = [sample for _, published in log.run_again() for sample in published]
     again = list(rerun(log.settings, iter(log.journals)))
     assert again[: len(samples)] == samples
@@ -207,7 +207,7 @@ def test_a_gap_is_noticed_wherever_a_run_is_run_again() -> None:
     """Bit by bit too: what comes before it has come out, and nothing that looks like a run comes after."""
     day = Day(3, Variant.COARSE)
     day.rig.run(2)
-    log = ReadBack(recorded(day))
+    log = ReadBack(day.rig.log())
     del log.journals[20]
     with pytest.raises(JournalGapError, match="are missing"):
         list(rerun(log.settings, log.journals))

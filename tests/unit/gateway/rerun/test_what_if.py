@@ -12,24 +12,13 @@ from schemas.messages import Message, Mode, RobotState, Variant
 from schemas.reasons import Reason
 from schemas.settings import CommandSettings, Settings
 from schemas.subjects import BY_NAME
-from tests.support.loop_rig import LoopRig, Operator
-from tests.support.recorded_day import Day, Kept
+from tests.support.rigs.day import Day
+from tests.support.rigs.gateway import GatewayRig, Operator
 
 Recorded = tuple[Settings, list[Journal]]
 
 
-def journals(core: Kept) -> list[Journal]:
-    """The journal of all that a core was given."""
-    found = []
-    for sample in core.samples:
-        if sample.subject == "journal":
-            journal = codec.decode(BY_NAME["journal"], sample.payload)
-            assert isinstance(journal, Journal)
-            found.append(journal)
-    return found
-
-
-def drive_out(act: Callable[[LoopRig, Operator], None] = lambda _rig, _operator: None) -> Recorded:
+def drive_out(act: Callable[[GatewayRig, Operator], None] = lambda _rig, _operator: None) -> Recorded:
     """Somebody drives with 1.5 m/s, something happens, and the robot is brought to rest."""
     day = Day(1, Variant.COARSE, ticks=0)
     rig = day.rig
@@ -40,7 +29,7 @@ def drive_out(act: Callable[[LoopRig, Operator], None] = lambda _rig, _operator:
     act(rig, operator)
     operator.ask("disengage")
     rig.run(5)
-    return rig.settings, journals(day.core)
+    return rig.settings, day.rig.journals
 
 
 def other(settings: Settings, **command: object) -> Settings:
@@ -80,7 +69,7 @@ def test_with_the_same_settings_both_runs_are_the_same() -> None:
     day = Day(1, Variant.FINE, ticks=1500)
     day.live()
     pairs: tuple[list[GivenOutput], list[GivenOutput]] = ([], [])
-    for one in what_if(day.rig.settings, day.rig.settings, journals(day.core)):
+    for one in what_if(day.rig.settings, day.rig.settings, day.rig.journals):
         pairs[one.is_other].append(one)
     assert len(pairs[0]) > 1000
     assert [one.sample for one in pairs[0]] == [one.sample for one in pairs[1]]
@@ -105,7 +94,7 @@ def test_the_commands_are_still_good_for_the_other_arbiter() -> None:
 def test_a_shorter_deadman_adds_a_stop() -> None:
     """A pause that the recorded run bore; what is asked after the stop is refused."""
 
-    def pause(rig: LoopRig, operator: Operator) -> None:
+    def pause(rig: GatewayRig, operator: Operator) -> None:
         rig.run(0.2)
         operator.drive(1.5, 4.0, 0.5)
 
@@ -118,7 +107,7 @@ def test_a_shorter_deadman_adds_a_stop() -> None:
 def test_what_people_did_stays() -> None:
     """A bumper that was hit is hit, and latches."""
 
-    def hit(rig: LoopRig, _operator: Operator) -> None:
+    def hit(rig: GatewayRig, _operator: Operator) -> None:
         rig.fault("bumper front on for 500ms")
         rig.run(3)
 
@@ -130,7 +119,7 @@ def test_what_people_did_stays() -> None:
 def test_the_hand_transmitter_drives_as_recorded() -> None:
     """While it has the robot, the recorded speed is the speed."""
 
-    def take_over(rig: LoopRig, _operator: Operator) -> None:
+    def take_over(rig: GatewayRig, _operator: Operator) -> None:
         rig.fault("transmitter remote for 3s")
         rig.fault("sticks 0.8 5")
         rig.run(2.5)
@@ -167,7 +156,7 @@ NESTED = b"\x91" * 1000 + b"\x01"
 def test_whatever_somebody_asked_is_asked_of_both(payload: bytes) -> None:
     """A request is anybody's bytes, nested as deep as it may be."""
 
-    def ask(rig: LoopRig, _operator: Operator) -> None:
+    def ask(rig: GatewayRig, _operator: Operator) -> None:
         rig.put("stranger", "drive", payload)
         rig.run(0.1)
 

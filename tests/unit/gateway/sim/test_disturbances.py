@@ -9,7 +9,7 @@ from gateway.chassis.encode import checksum
 from gateway.chassis.faults import FaultKind, FrameFault
 from gateway.chassis.frame import ERROR, EXTENDED, REMOTE
 from gateway.sim.faults import ScheduledFault, parse_scheduled
-from tests.support.sim_rig import Rig, S
+from tests.support.rigs.chassis import ChassisRig, S
 
 GEAR = "Auto_GearFeedBack"
 DRIVE = "Auto_DriveFeedBack"
@@ -17,7 +17,7 @@ DRIVE = "Auto_DriveFeedBack"
 
 def test_a_bad_checksum_strikes_one_message() -> None:
     """All its frames are wrong, the others are right."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.fault(f"checksum {DRIVE}")
     frames = rig.run(1)
     kinds = {type(rig.decoder.decode(frame)) for frame in rig.named(DRIVE, frames)}
@@ -30,7 +30,7 @@ def test_a_bad_checksum_strikes_one_message() -> None:
 
 def test_a_stuck_counter_stands_still_and_runs_on() -> None:
     """The checksum stays right meanwhile; afterwards the counter goes on from where it stood."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.run(0.05)
     rig.fault(f"stuck {GEAR} for 5 frames")
     frames = rig.run(0.1)
@@ -40,7 +40,7 @@ def test_a_stuck_counter_stands_still_and_runs_on() -> None:
 
 def test_a_skipping_counter_rises_by_n() -> None:
     """By 2 unless told."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.fault(f"skip {GEAR} by 3")
     assert rig.counters(GEAR, rig.run(0.05)) == [0, 3, 6, 9, 12]
     rig.fault(f"skip {GEAR}")
@@ -49,7 +49,7 @@ def test_a_skipping_counter_rises_by_n() -> None:
 
 def test_a_silent_message_does_not_count() -> None:
     """Nothing is sent, so the counter goes on without a gap."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.run(0.05)
     rig.fault(f"silence {GEAR} for 2s")
     frames = rig.run(2)
@@ -60,7 +60,7 @@ def test_a_silent_message_does_not_count() -> None:
 
 def test_a_dropped_frame_leaves_a_gap() -> None:
     """It was sent and lost on the way: the counter goes on."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.fault(f"drop {GEAR} every 4")
     assert rig.counters(GEAR, rig.run(0.1)) == [0, 1, 2, 4, 5, 6, 8, 9]
     rig.fault(f"drop {GEAR} next 3")
@@ -69,7 +69,7 @@ def test_a_dropped_frame_leaves_a_gap() -> None:
 
 def test_a_frozen_message_counts_on() -> None:
     """Values as they were, counters and checksums as they should be; the other messages tell the truth."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.command("drive", 1.0)
     rig.run(2)
     rig.fault(f"freeze {DRIVE}")
@@ -87,7 +87,7 @@ def test_a_frozen_message_counts_on() -> None:
 
 def test_a_message_freezes_anew_each_time() -> None:
     """Frozen again, it keeps what it was then."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.command("drive", 1.0)
     rig.fault(f"freeze {DRIVE} for 10 frames")
     rig.run(0.1)
@@ -105,7 +105,7 @@ def test_a_bouncing_bumper_chatters_and_rests(hit: bool) -> None:  # noqa: FBT00
     """Contact comes and goes, each time alike, and ends as it was asked to."""
     seen = []
     for _ in range(2):
-        rig = Rig()
+        rig = ChassisRig()
         if not hit:
             rig.fault("bumper both on")
             rig.run(0.1)
@@ -124,7 +124,7 @@ def test_a_bouncing_bumper_chatters_and_rests(hit: bool) -> None:  # noqa: FBT00
 
 def test_all_means_every_message() -> None:
     """With all silent there is nothing on the bus."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.fault("silence all")
     assert rig.run(1) == []
     rig.fault("silence all off")
@@ -133,7 +133,7 @@ def test_all_means_every_message() -> None:
 
 def test_foreign_frames_are_on_the_bus() -> None:
     """Standard, extended, remote and error frames, as they were asked for, beside all the chassis's own."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.fault("foreign 123 every 20ms")
     rig.fault("foreign 18C4D6EF 0102 every 100ms")
     rig.fault("foreign 456 remote every 500ms")
@@ -151,14 +151,14 @@ def test_foreign_frames_are_on_the_bus() -> None:
 
 def test_a_siblings_battery_frames_come_each_second() -> None:
     """Standard identifiers 0x200 to 0x202."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.fault("foreign siblings")
     assert [frame.can_id for frame in rig.run(2.5) if frame.can_id < 0x800] == [0x200, 0x201, 0x202] * 3
 
 
 def test_clear_ends_everything() -> None:
     """After it the chassis is as at the start."""
-    rig = Rig()
+    rig = ChassisRig()
     for text in (
         "silence all",
         "checksum all",
@@ -197,7 +197,7 @@ def test_clear_ends_everything() -> None:
 )
 def test_a_fault_with_a_duration_ends_by_itself(text: str) -> None:
     """Nobody has to come back to end it."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.fault(text)
     rig.run(0.9)
     assert not rig.chassis._disturbances.quiet
@@ -207,7 +207,7 @@ def test_a_fault_with_a_duration_ends_by_itself(text: str) -> None:
 
 def test_the_later_fault_takes_the_place_of_the_earlier() -> None:
     """A new duration counts from its own beginning."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.fault("bumper front on for 1s")
     rig.run(0.5)
     rig.fault("bumper front on for 1s")
@@ -219,7 +219,7 @@ def test_the_later_fault_takes_the_place_of_the_earlier() -> None:
 
 def test_a_fault_waits_for_its_time() -> None:
     """Scheduled faults begin when they are due, in order, whatever the order of asking."""
-    rig = Rig()
+    rig = ChassisRig()
     for text in ("2s bumper front off", "1s bumper front on"):
         scheduled = parse_scheduled(text)
         assert isinstance(scheduled, ScheduledFault)

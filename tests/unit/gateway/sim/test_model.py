@@ -15,8 +15,8 @@ from gateway.sim.model import VirtualChassis
 from gateway.sim.parameters import Conditions, StopMode
 from schemas.messages import BrakingStatus, GearPosition, Mode, ParkingStatus, Variant
 from tests.support import SUPPORT
-from tests.support.can_strategies import frames as any_frames
-from tests.support.sim_rig import ENABLES, MS, Rig, S
+from tests.support.rigs.chassis import ENABLES, MS, ChassisRig, S
+from tests.support.strategies import frames as any_frames
 
 EXAMPLES = SUPPORT / "manual_examples.json"
 VARIANTS = pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
@@ -25,7 +25,7 @@ VARIANTS = pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
 @VARIANTS
 def test_a_second_has_630_valid_frames(variant: Variant) -> None:
     """Every feedback message comes at its period, with its counter running and its checksum right."""
-    rig = Rig(variant)
+    rig = ChassisRig(variant)
     frames = rig.run(1)
     assert len(frames) == 630
     decoded = [rig.decoder.decode(frame) for frame in frames]
@@ -40,7 +40,7 @@ def test_a_second_has_630_valid_frames(variant: Variant) -> None:
 @given(cuts=st.lists(st.integers(0, 300 * MS), max_size=20))
 def test_frames_do_not_depend_on_how_often_they_are_asked_for(cuts: list[int]) -> None:
     """Asked in one go or in slices, the chassis sends the same."""
-    whole, sliced = Rig(), Rig()
+    whole, sliced = ChassisRig(), ChassisRig()
     for rig in (whole, sliced):
         rig.command("drive", 1.0, 10.0)
         rig.fault("drop all every 3 for 20 frames")
@@ -66,7 +66,7 @@ def test_frames_carry_the_wall_time_they_are_given() -> None:
 
 def test_the_rate_can_be_raised_to_a_saturated_bus() -> None:
     """With a multiplier the frames come that many times as often, and the chassis moves no faster for it."""
-    nominal, fast = Rig(), Rig(rate_multiplier=11.905)
+    nominal, fast = ChassisRig(), ChassisRig(rate_multiplier=11.905)
     for rig in (nominal, fast):
         rig.command("drive", 1.0)
     assert len(nominal.run(2)) == 1260
@@ -76,7 +76,7 @@ def test_the_rate_can_be_raised_to_a_saturated_bus() -> None:
 
 def test_it_starts_standing_parked_and_stopped() -> None:
     """At power-up nobody has commanded anything."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.run(0.1)
     assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "stop"
     assert rig.seen["Auto_GearFeedBack"]["GearPosition"] == "park"
@@ -88,7 +88,7 @@ def test_it_starts_standing_parked_and_stopped() -> None:
 @pytest.mark.parametrize("missing", ENABLES)
 def test_auto_needs_all_five_enables(missing: str) -> None:
     """Any enable missing is stop mode, and a moving chassis stops."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.command("drive", 1.0)
     rig.run(2)
     assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "auto"
@@ -102,7 +102,7 @@ def test_auto_needs_all_five_enables(missing: str) -> None:
 @VARIANTS
 def test_it_reports_what_it_does(variant: Variant) -> None:
     """In auto mode the feedback shows gear, angle, speed, wheels and pulses."""
-    rig = Rig(variant)
+    rig = ChassisRig(variant)
     rig.command("reverse", 1.0, -10.0)
     rig.run(3)
     assert rig.seen["Auto_GearFeedBack"] | {"AliveCounter": 0, "Checksum": 0} == {
@@ -135,7 +135,7 @@ def test_it_answers_the_manuals_examples_as_the_manual_does(example: str) -> Non
         ]
         for role in ("command", "feedback")
     }
-    rig = Rig()
+    rig = ChassisRig()
     for frame in frames["command"]:
         rig.chassis.receive(frame, 0)
     sent = {frame.can_id: frame.data for frame in rig.run(1)}
@@ -146,7 +146,7 @@ def test_it_answers_the_manuals_examples_as_the_manual_does(example: str) -> Non
 
 def test_it_keeps_obeying_when_commands_cease() -> None:
     """The last command holds for ever: nobody else will stop the robot."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.command("drive", 1.0)
     rig.run(600)
     assert rig.speed_mps == 1.0
@@ -155,7 +155,7 @@ def test_it_keeps_obeying_when_commands_cease() -> None:
 
 def test_it_limits_itself() -> None:
     """It turns no further than 24 degrees and drives no faster than 8 km/h, whatever the frame says."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.command("drive", 40.0, 60.0)
     rig.run(5)
     assert rig.chassis.state.angle_deg == 24
@@ -165,7 +165,7 @@ def test_it_limits_itself() -> None:
 @pytest.mark.parametrize("gear", ["neutral", "park"])
 def test_without_a_driving_gear_it_stands(gear: str) -> None:
     """Direction comes from the gear alone; park is reserved and counts as neutral."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.command(gear, 1.0)
     rig.run(1)
     assert rig.speed_mps == 0
@@ -174,7 +174,7 @@ def test_without_a_driving_gear_it_stands(gear: str) -> None:
 
 def test_parked_reads_park_and_does_not_move() -> None:
     """The electromagnetic brake wins, the gear feedback shows P, and releasing it lets it go."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.command("drive", 1.0, park=True)
     rig.run(1)
     assert rig.seen["Auto_GearFeedBack"]["GearPosition"] == "park"
@@ -192,7 +192,7 @@ def test_parked_reads_park_and_does_not_move() -> None:
 )
 def test_the_brake_is_reported(pedal_percent: float, status: str) -> None:
     """Released, braking, fully braked, by the pedal."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.command("drive", 0.0, pedal_percent=pedal_percent)
     rig.run(0.1)
     assert rig.seen["Auto_BrakingFeedBack"]["BrakingStatus"] == status
@@ -200,7 +200,7 @@ def test_the_brake_is_reported(pedal_percent: float, status: str) -> None:
 
 def test_in_remote_the_hand_transmitter_drives() -> None:
     """Whatever CAN says; given back, the last command on CAN holds again."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.command("drive", 1.0)
     rig.run(2)
     rig.fault("transmitter remote")
@@ -223,7 +223,7 @@ def test_in_remote_the_hand_transmitter_drives() -> None:
 
 def test_sticks_let_go_stop_it() -> None:
     """A takeover with the sticks at rest brings it to a stand."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.command("drive", 2.0)
     rig.run(3)
     rig.fault("transmitter remote")
@@ -233,7 +233,7 @@ def test_sticks_let_go_stop_it() -> None:
 
 def test_losing_the_hand_transmitter_stops_it_after_three_seconds() -> None:
     """Only in remote mode; with the radio back, it drives on."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.fault("transmitter remote")
     rig.fault("sticks 1.0 0")
     rig.run(2)
@@ -250,7 +250,7 @@ def test_losing_the_hand_transmitter_stops_it_after_three_seconds() -> None:
 
 def test_in_auto_a_lost_transmitter_changes_nothing() -> None:
     """The manual promises nothing for it."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.command("drive", 1.0)
     rig.fault("transmitter lost")
     rig.run(10)
@@ -259,7 +259,7 @@ def test_in_auto_a_lost_transmitter_changes_nothing() -> None:
 
 def test_a_bumper_does_not_stop_it() -> None:
     """A hit is reported and nothing more."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.command("drive", 1.0)
     rig.run(2)
     rig.fault("bumper front on")
@@ -276,7 +276,7 @@ def test_a_bumper_does_not_stop_it() -> None:
 
 def test_mileage_is_cleared_by_bit_16_with_enable() -> None:
     """Neither the flag nor the enable alone clears it; once cleared it counts from zero."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.run(0.1)
     start_km = rig.seen["Auto_MileageAndBodyFeedback"]["TotalMileage"]
     rig.send("Auto_OdometerCmd", Enable=False, ClearMileage=True)
@@ -295,7 +295,7 @@ def test_mileage_is_cleared_by_bit_16_with_enable() -> None:
 
 def test_lamps_and_horn_are_the_upper_layers() -> None:
     """They follow their commands in any mode."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.send("Auto_LightCmd", Headlamp=True, LeftIndicator=True)
     rig.send("Auto_SpeakerCmd", Horn=True)
     rig.run(0.1)
@@ -306,7 +306,7 @@ def test_lamps_and_horn_are_the_upper_layers() -> None:
 
 def test_a_bad_command_frame_is_ignored() -> None:
     """Wrong checksum, wrong length, remote and feedback frames change nothing, and are counted."""
-    rig = Rig()
+    rig = ChassisRig()
     good = rig.encoder.encode("Auto_SpeakerCmd", {"Horn": True}, 0)
     for bad in (
         Frame(good.can_id, good.data[:7] + bytes([good.data[7] ^ 1])),
@@ -324,7 +324,7 @@ def test_a_bad_command_frame_is_ignored() -> None:
 @given(script=st.lists(any_frames, max_size=30))
 def test_no_frame_upsets_it(script: list[Frame]) -> None:
     """Whatever is on the bus, it goes on sending valid feedback."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.command("drive", 1.0)
     for frame in script:
         rig.chassis.receive(frame, rig.now_ns)
@@ -333,7 +333,7 @@ def test_no_frame_upsets_it(script: list[Frame]) -> None:
 
 def test_the_true_state_is_at_hand() -> None:
     """Tests and demonstrations can see the pose, and what no frame says."""
-    rig = Rig(Variant.FINE)
+    rig = ChassisRig(Variant.FINE)
     rig.command("drive", 1.0, pedal_percent=0.0)
     rig.run(5)
     state = rig.chassis.state
@@ -347,7 +347,7 @@ def test_the_true_state_is_at_hand() -> None:
 @VARIANTS
 def test_the_wrong_scale_shows_in_drive_and_not_in_the_wheels(variant: Variant) -> None:
     """Drive command and feedback have the other variant's scale; the wheels tell the truth."""
-    rig = Rig(variant)
+    rig = ChassisRig(variant)
     rig.command("drive", 1.0)
     rig.run(3)
     rig.fault("scale wrong")
@@ -365,7 +365,7 @@ def test_the_wrong_scale_shows_in_drive_and_not_in_the_wheels(variant: Variant) 
 
 def test_the_firmware_can_change() -> None:
     """A standing chassis of the other variant shows raw 32768 where the coarse one showed 200."""
-    rig = Rig()
+    rig = ChassisRig()
     assert rig.named("Auto_WheelSpdFeedback", rig.run(0.1))[-1].data[1:5] == bytes.fromhex("c800c800")
     rig.fault("variant fine for 1s")
     assert rig.named("Auto_WheelSpdFeedback", rig.run(0.1))[-1].data[1:5] == bytes.fromhex("00800080")
@@ -405,9 +405,9 @@ def test_mode_stop_may_coast(slope_deg: float, speed_mps: float) -> None:
     assert rig.speed_mps == pytest.approx(speed_mps, abs=0.01)
 
 
-def in_mode_stop(stop_mode: StopMode, slope_deg: float) -> Rig:
+def in_mode_stop(stop_mode: StopMode, slope_deg: float) -> ChassisRig:
     """A robot that loses an enable at 1 m/s."""
-    rig = Rig(conditions=Conditions(slope_deg=slope_deg, stop_mode=stop_mode))
+    rig = ChassisRig(conditions=Conditions(slope_deg=slope_deg, stop_mode=stop_mode))
     rig.command("drive", 1.0)
     rig.run(2)
     rig.send("Auto_GearCmd", Enable=False)
@@ -416,7 +416,7 @@ def in_mode_stop(stop_mode: StopMode, slope_deg: float) -> Rig:
 
 def test_mode_stop_keeps_the_parking_brake() -> None:
     """A request of just before goes on to take effect, however the chassis stops."""
-    rig = Rig(conditions=Conditions(stop_mode=StopMode.COASTS))
+    rig = ChassisRig(conditions=Conditions(stop_mode=StopMode.COASTS))
     rig.command("drive", 1.0)
     rig.run(2)
     rig.command("drive", 1.0, park=True)
@@ -430,7 +430,7 @@ def test_mode_stop_keeps_the_parking_brake() -> None:
 
 def test_the_parking_feedback_says_when_it_is_so() -> None:
     """Asked for, the brake applies and releases 50 ms later, and so do its status and the gear's P."""
-    rig = Rig()
+    rig = ChassisRig()
     for park, status, gear in ((False, "released", "drive"), (True, "applied", "park")):
         before = "applied" if status == "released" else "released"
         rig.run(0.2)
@@ -444,7 +444,7 @@ def test_the_parking_feedback_says_when_it_is_so() -> None:
 
 def test_the_ground_may_change_while_it_drives() -> None:
     """Slope, payload and strengths by fault; without them it is as it was at the start."""
-    rig = Rig(conditions=Conditions(slope_deg=3.0))
+    rig = ChassisRig(conditions=Conditions(slope_deg=3.0))
     rig.command("neutral")
     rig.fault("slope 0 for 1995ms")
     rig.run(1.99)
@@ -476,7 +476,7 @@ def test_the_ground_may_change_while_it_drives() -> None:
 @VARIANTS
 def test_it_may_roll_faster_than_its_frames_can_say(variant: Variant) -> None:
     """They show the most they have room for."""
-    rig = Rig(variant, conditions=Conditions(slope_deg=30.0))
+    rig = ChassisRig(variant, conditions=Conditions(slope_deg=30.0))
     rig.command("neutral")
     rig.run(30)
     layout = load(variant)
@@ -491,7 +491,7 @@ def test_it_may_roll_faster_than_its_frames_can_say(variant: Variant) -> None:
 
 def test_sticks_at_rest_hold_it_on_a_slope() -> None:
     """Also where the takeover finds it in neutral: it rolls no further than the next instant."""
-    rig = Rig(conditions=Conditions(slope_deg=20.0))
+    rig = ChassisRig(conditions=Conditions(slope_deg=20.0))
     rig.fault("transmitter remote")
     rig.run(5)
     assert rig.speed_mps == 0
@@ -500,7 +500,7 @@ def test_sticks_at_rest_hold_it_on_a_slope() -> None:
 
 def test_a_reboot_forgets_everything() -> None:
     """Two seconds without feedback and drive; then mode stop, and counters from 0."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.command("drive", 1.0)
     rig.send("Auto_SpeakerCmd", Horn=True)
     rig.run(2.005)
@@ -518,7 +518,7 @@ def test_a_reboot_forgets_everything() -> None:
 @pytest.mark.parametrize("missing", ENABLES)
 def test_after_a_reboot_all_five_enables_must_come_again(missing: str) -> None:
     """Those from before, and those that came meanwhile, count for nothing."""
-    rig = Rig()
+    rig = ChassisRig()
     rig.command("drive", 1.0)
     rig.run(2)
     rig.fault("reboot for 500ms")
@@ -538,7 +538,7 @@ def test_after_a_reboot_all_five_enables_must_come_again(missing: str) -> None:
 def test_a_reboot_leaves_the_parking_brake_as_it_is() -> None:
     """Applied it stays applied, and released it lets the robot roll."""
     for park in (True, False):
-        rig = Rig(conditions=Conditions(slope_deg=10.0))
+        rig = ChassisRig(conditions=Conditions(slope_deg=10.0))
         rig.command("drive", park=park)
         rig.run(1)
         rig.fault("reboot for 1s")

@@ -10,15 +10,15 @@ from gateway.chassis.encode import Encoder, checksum
 from gateway.chassis.frame import Frame
 from gateway.sim.stand_in import StandIn
 from schemas.messages import Variant
-from tests.support.can_strategies import frames as any_frames
-from tests.support.sim_rig import ENABLES, MS, Rig
+from tests.support.rigs.chassis import ENABLES, MS, ChassisRig
+from tests.support.strategies import frames as any_frames
 
 
 class Beside:
     """A chassis that is driven, and one that stands in for it and is told something else."""
 
     def __init__(self, variant: Variant = Variant.COARSE) -> None:
-        self.rig = Rig(variant)
+        self.rig = ChassisRig(variant)
         self.stand_in = StandIn(variant)
         self._encoder = Encoder(load(variant))
         self.recorded: dict[str, dict[str, object]] = {}

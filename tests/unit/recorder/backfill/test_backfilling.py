@@ -34,7 +34,7 @@ from tests.support.backfill_logs import (
     map_of,
     row,
 )
-from tests.support.made_logs import sealed
+from tests.support.logs import sealed
 
 
 class Depot:

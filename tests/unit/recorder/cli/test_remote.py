@@ -8,7 +8,7 @@ from recorder.cli import record
 from recorder.cli.remote import describe
 from schemas.exit_codes import ExitCode
 from schemas.recording import RecorderReply, RecorderState
-from tests.support.health_of import health
+from tests.support.messages import recorder_health
 
 
 @pytest.mark.parametrize(
@@ -38,7 +38,7 @@ def test_wrong_words_are_a_usage_error(words: list[str], capsys: pytest.CaptureF
 
 def test_a_reply_reads_like_a_sentence() -> None:
     """A refusal is one; the figures of a status have their units."""
-    reply = RecorderReply(ok=False, detail="why", files=["a.mcap"], health=health(RecorderState.FULL))
+    reply = RecorderReply(ok=False, detail="why", files=["a.mcap"], health=recorder_health(RecorderState.FULL))
     assert describe("depot", "split", reply) == "depot: refused: why\n  a.mcap"
     text = describe("depot", "status", reply)
     assert "0.0 MB of logs, 0.0 MB of them incidents, 0.0 MB free" in text

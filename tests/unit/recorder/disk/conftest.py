@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.support.recorder_fakes import SlowDisk
+from tests.support.fakes.recording import SlowDisk
 
 
 @pytest.fixture

@@ -15,7 +15,8 @@ from recorder.disk import keeper as disk_keeper
 from recorder.disk.keeper import DiskKeeper, read_entries
 from recorder.record.notices import Deleted, DiskRoom, Moved, Notice
 from recorder.record.retention import DiskLimits, LogEntry
-from tests.support.recorder_fakes import logs_in, wait_until
+from tests.support.logs import logs_in
+from tests.support.waiting import wait_until
 
 
 def log(directory: Path, start: int, size: int = 1000, kind: str = "", suffix: str = ".mcap") -> str:

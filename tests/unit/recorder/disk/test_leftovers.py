@@ -18,7 +18,8 @@ from recorder.disk.leftovers import LeftoverThread, Recovery, RecoveryOutcome, r
 from recorder.disk.log_directory import LogDirectory, lock
 from recorder.record.notices import Recovered
 from recorder.review.check import check_log
-from tests.support.recorder_fakes import WALL_NS, logs_in, small_log
+from tests.support.logs import logs_in, small_log
+from tests.support.messages import WALL_NS
 
 LOG = small_log()
 SUMMARY = LOG.rindex(b"\x0f\x04\x00\x00\x00\x00\x00\x00\x00")

@@ -30,8 +30,11 @@ from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas.exit_codes import CommandError
 from schemas.messages import Gear
-from tests.support.made_logs import Read, sealed
-from tests.support.recorder_fakes import WALL_NS, SlowDisk, logs_in, wait_until
+from tests.support.fakes.recording import SlowDisk
+from tests.support.logs import logs_in, sealed
+from tests.support.messages import WALL_NS
+from tests.support.reading import Read
+from tests.support.waiting import wait_until
 
 CHANNEL = LogChannel(1, "t", "cruiser.Gear", descriptor_set(Gear))
 STEM = "cruiser-1-20270115T080000Z"

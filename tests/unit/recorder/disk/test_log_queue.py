@@ -14,8 +14,8 @@ from recorder.record.actions import (
     WriteChunk,
     WriteMetadata,
 )
-from tests.support.made_logs import sealed
-from tests.support.recorder_fakes import WALL_NS
+from tests.support.logs import sealed
+from tests.support.messages import WALL_NS
 
 
 def chunk(size: int) -> WriteChunk:

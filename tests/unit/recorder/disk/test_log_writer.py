@@ -31,8 +31,11 @@ from recorder.record.actions import (
 )
 from recorder.record.notices import DiskBack, DiskFault, Ended, Lost, Opened
 from schemas.messages import Gear
-from tests.support.made_logs import Read, sealed
-from tests.support.recorder_fakes import SECOND, WALL_NS, SlowDisk, logs_in, wait_until
+from tests.support.fakes.recording import SlowDisk
+from tests.support.logs import logs_in, sealed
+from tests.support.messages import SECOND, WALL_NS
+from tests.support.reading import Read
+from tests.support.waiting import wait_until
 
 STEM = "x-20270115T080000Z"
 BEGIN: list[LogAction] = [

@@ -15,8 +15,8 @@ from schemas import codec
 from schemas.can_word import ERROR, EXTENDED, IDENTIFIER_MASK, REMOTE
 from schemas.messages import BUS_MAX_LENGTH, CanFrames
 from schemas.subjects import BY_TYPE
-from tests.support.random_messages import TEXTS, message_of
-from tests.support.recorder_fakes import WALL_NS, batch, feedback
+from tests.support.messages import WALL_NS, batch, feedback
+from tests.support.strategies import TEXTS, message_of
 
 CHANNEL = 300
 TIMES = st.integers(0, 2**63 - 1)

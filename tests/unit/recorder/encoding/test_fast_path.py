@@ -12,8 +12,8 @@ from recorder.mcap.chunk import Chunk, ChunkBuilder
 from schemas import codec
 from schemas.messages import Gear, Message, RobotState
 from schemas.subjects import SUBJECTS
-from tests.support.random_messages import message_of
-from tests.support.recorder_fakes import WALL_NS, gear
+from tests.support.messages import WALL_NS, gear
+from tests.support.strategies import message_of
 
 KINDS = [subject.type for subject in SUBJECTS]
 CHANNEL = 7

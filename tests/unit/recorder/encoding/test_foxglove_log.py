@@ -8,7 +8,8 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from schemas.decisions import EventKind, SafetyEvent, Severity
 from schemas.reasons import Reason
-from tests.support.recorder_fakes import WALL_NS, Log, sample_of
+from tests.support.logs import Log
+from tests.support.messages import WALL_NS, sample_of
 
 
 @pytest.mark.parametrize(("severity", "level"), [(Severity.INFO, 2), (Severity.WARNING, 3), (Severity.ERROR, 4)])

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from recorder.encoding.protobuf_schema import LOGGED, message_class
 from recorder.encoding.transcode import compile_encoder, compile_row_encoder, varint
 from schemas.messages import CanFrame, Gear, GearPosition, Message, RawSample, RobotState
-from tests.support.random_messages import message_of
+from tests.support.strategies import message_of
 
 CLASSES = {kind: message_class(kind) for kind in LOGGED}
 ENCODERS = {kind: compile_encoder(kind) for kind in LOGGED}

@@ -12,8 +12,8 @@ from recorder.layouts.attached import RobotKeys, layouts
 from recorder.record.actions import DeclareChannel
 from schemas.decisions import EventKind
 from schemas.keys import parse
-from tests.support.layout_topics import logged_topics
-from tests.support.recorder_fakes import Log, safety_event, sample_of
+from tests.support.logs import Log
+from tests.support.messages import logged_topics, safety_event, sample_of
 
 ROBOT = RobotKeys("fleet/cruiser-1", "can0")
 

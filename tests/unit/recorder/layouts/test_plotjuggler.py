@@ -7,7 +7,7 @@ from msgspec import inspect
 
 from recorder.encoding.protobuf_schema import fields, optional_part
 from recorder.layouts.attached import RobotKeys, layouts
-from tests.support.layout_topics import logged_topics
+from tests.support.messages import logged_topics
 
 NUMBERS = (inspect.IntType, inspect.FloatType, inspect.BoolType)
 

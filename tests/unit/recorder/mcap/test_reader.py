@@ -23,7 +23,7 @@ from recorder.mcap.reader import (
     read_pieces,
     walk,
 )
-from tests.support.made_logs import foreign_log, gears, own_log
+from tests.support.logs import foreign_log, gears, own_log
 
 LOG = own_log([gears(3 * number, 3, 100 * number) for number in range(1, 5)], metadata=[("m", {"a": "b"})])
 

@@ -18,8 +18,7 @@ from recorder.mcap.recovery import FileSurvey, copy_good, survey
 from recorder.mcap.writer import McapFile
 from recorder.review.check import check_stream
 from schemas.messages import Gear
-from tests.support.made_logs import sealed
-from tests.support.recorder_fakes import small_log
+from tests.support.logs import sealed, small_log
 
 Row = tuple[str, str, bytes, int, int, int, bytes]
 LOG = small_log()

@@ -20,8 +20,8 @@ from recorder.mcap.channel import LogChannel
 from recorder.mcap.framing import MAGIC, MESSAGE_HEADER
 from recorder.mcap.writer import McapFile
 from schemas.messages import CanFrame, Gear, GearPosition, RawSample
-from tests.support.made_logs import sealed
-from tests.support.recorder_fakes import MS, WALL_NS, Disk, small_log
+from tests.support.logs import Disk, sealed, small_log
+from tests.support.messages import MS, WALL_NS
 
 RECORD_HEADER = struct.Struct("<BQ")
 U64 = st.integers(0, 2**63 - 1)

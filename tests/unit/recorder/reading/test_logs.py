@@ -7,7 +7,7 @@ import pytest
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs, look_at
 from schemas.exit_codes import CommandError
-from tests.support.made_logs import foreign_log, gears, own_log, saved
+from tests.support.logs import foreign_log, gears, own_log, saved
 
 
 def log(start_ns: int, count: int = 10) -> bytes:

@@ -9,7 +9,7 @@ from recorder import read_log
 from recorder.reading.faults import Faults
 from schemas.exit_codes import CommandError
 from schemas.messages import Gear
-from tests.support.recorder_fakes import small_log
+from tests.support.logs import small_log
 
 
 @pytest.fixture

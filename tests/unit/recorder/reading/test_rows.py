@@ -17,7 +17,7 @@ from recorder.reading.log_file import LogFile
 from recorder.reading.logs import find_logs
 from recorder.reading.rows import END_OF_TIME_NS, LogReader, Row, Selection, read_rows
 from schemas.messages import Drive, Gear
-from tests.support.made_logs import GEAR_TOPIC, foreign_log, gears, own_log, saved
+from tests.support.logs import GEAR_TOPIC, foreign_log, gears, own_log, saved
 
 DRIVE_TOPIC = "fleet/cruiser-1/chassis/drive"
 CHANNELS = [

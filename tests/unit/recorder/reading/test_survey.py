@@ -8,7 +8,7 @@ from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
 from recorder.reading.survey import Survey, survey
 from recorder.record.robots import METADATA_NAME
-from tests.support.recorder_fakes import small_log
+from tests.support.logs import small_log
 
 
 def found_in(path: Path) -> tuple[Survey, Faults]:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from recorder.reading.times import in_words, time_of
 from schemas.exit_codes import CommandError, ExitCode
-from tests.support.recorder_fakes import MS, SECOND
+from tests.support.messages import MS, SECOND
 
 DAY = 24 * 3600 * SECOND
 START = 20_000 * DAY + 23 * 3600 * SECOND

@@ -14,8 +14,8 @@ from recorder.encoding.protobuf_schema import LOGGED, descriptor_set, fields, op
 from recorder.encoding.transcode import compile_encoder
 from recorder.reading.topics import UNREADABLE, Topic, topic_of, typed_decoder
 from schemas.messages import Gear
-from tests.support.made_logs import ENCODE_GEAR, GEAR_TOPIC
-from tests.support.recorder_fakes import gear
+from tests.support.logs import ENCODE_GEAR, GEAR_TOPIC
+from tests.support.messages import gear
 
 KINDS = [kind for kind in LOGGED if schema_name(kind) != "cruiser.CanFrames"]
 

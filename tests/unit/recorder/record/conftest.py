@@ -4,13 +4,13 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.support.recorder_bench import Bench, messages
+from tests.support.rigs.recorder import RecorderRig, messages
 
 
 @pytest.fixture
-def bench() -> Iterator[Bench]:
+def bench() -> Iterator[RecorderRig]:
     """A bench, of which every file is whole and readable in the end."""
-    one = Bench()
+    one = RecorderRig()
     yield one
     one.close()
     assert all(messages(file) is not None for files in one.writer.files.values() for file in files)

@@ -7,7 +7,7 @@ import pytest
 from recorder.record.actions import Query
 from recorder.record.backlog import ANSWER_NS, KEPT_SUBJECTS, TRIES, Backlog
 from schemas.subjects import KEPT_PIECE
-from tests.support.recorder_fakes import MS, SECOND
+from tests.support.messages import MS, SECOND
 
 JOURNAL = "fleet/cruiser-1/journal"
 EVENT = "fleet/cruiser-1/safety/event"

@@ -11,18 +11,8 @@ from schemas import codec
 from schemas.messages import Gear
 from schemas.recording import GapReason, RecorderHealth, RecorderState
 from schemas.subjects import BY_TYPE
-from tests.support.recorder_fakes import (
-    RECORDER_PLAN,
-    SECOND,
-    WALL_NS,
-    FakeSample,
-    MemoryWriter,
-    batch,
-    feedback,
-    gear,
-    key_of,
-    sample_of,
-)
+from tests.support.fakes.recording import RECORDER_PLAN, MemoryWriter
+from tests.support.messages import SECOND, WALL_NS, FakeSample, batch, feedback, gear, key_of, sample_of
 
 START_NS = 5 * SECOND
 VITALS = Vitals(

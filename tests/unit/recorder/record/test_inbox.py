@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from recorder.encoding.received_sample import ReceivedSample
 from recorder.record.inbox import SAMPLE_BYTES, SampleInbox
-from tests.support.recorder_fakes import FakeSample
+from tests.support.messages import FakeSample
 
 LIMIT_BYTES = 5000
 

@@ -7,8 +7,8 @@ from recorder.mcap.chunk import Chunk
 from recorder.record.actions import CloseLog, LogAction, OpenLog, SyncLog, WriteChunk, WriteMetadata
 from recorder.record.incidents import INCIDENT_NAME, Incidents, trim_rings
 from schemas.recorder_settings import INCIDENT_MAX_NS
-from tests.support.made_logs import sealed
-from tests.support.recorder_fakes import SECOND, WALL_NS
+from tests.support.logs import sealed
+from tests.support.messages import SECOND, WALL_NS
 
 BEFORE_NS = 10 * SECOND
 AFTER_NS = 5 * SECOND

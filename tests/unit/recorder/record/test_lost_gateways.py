@@ -7,28 +7,22 @@ from recorder.encoding.received_sample import ReceivedSample
 from schemas import keys
 from schemas.decisions import ArbiterState, EventKind, SafetyState, Severity
 from schemas.recording import RecorderEventKind
-from tests.support.recorder_bench import Bench, messages
-from tests.support.recorder_fakes import (
-    MS,
-    ROOT,
-    SAFETY_STATE,
-    SECOND,
-    key_of,
-    safety_event,
-    sample_of,
-)
+from tests.support.messages import MS, ROOT, SECOND, STANDBY, key_of, safety_event, sample_of
+from tests.support.rigs.recorder import RecorderRig, messages
 
 TOKEN = keys.liveliness(ROOT, "cruiser-1")
 
 
-def arbiter(bench: Bench, sequence: int, engaged: ArbiterState, *, run: int = 1) -> ReceivedSample:
+def arbiter(bench: RecorderRig, sequence: int, engaged: ArbiterState, *, run: int = 1) -> ReceivedSample:
     """A state that is published now, of one of several runs of the gateway."""
     tick = run * 10**10 + sequence
-    said = msgspec.structs.replace(SAFETY_STATE, sequence=sequence, tick=tick, state=engaged, output_speed_mps=0.6)
+    said = msgspec.structs.replace(STANDBY, sequence=sequence, tick=tick, state=engaged, output_speed_mps=0.6)
     return sample_of(msgspec.structs.replace(said, time_ns=bench.wall_ns))
 
 
-def drive(bench: Bench, engaged: ArbiterState = ArbiterState.ENGAGED, *, first: int = 0, run: int = 1) -> None:
+def drive(
+    bench: RecorderRig, engaged: ArbiterState = ArbiterState.ENGAGED, *, first: int = 0, run: int = 1
+) -> None:
     """Half a second of states."""
     for sequence in range(first, first + 10):
         bench.receive(arbiter(bench, sequence, engaged, run=run))
@@ -36,7 +30,7 @@ def drive(bench: Bench, engaged: ArbiterState = ArbiterState.ENGAGED, *, first: 
 
 
 @pytest.mark.parametrize("restart_ns", [None, 100 * MS, 2 * SECOND])
-def test_a_gateway_that_dies_at_work_is_an_incident(bench: Bench, restart_ns: int | None) -> None:
+def test_a_gateway_that_dies_at_work_is_an_incident(bench: RecorderRig, restart_ns: int | None) -> None:
     """Whether another one begins soon, late, or never; it is said, with what the dead one told the chassis."""
     drive(bench)
     dead_ns = bench.wall_ns
@@ -55,7 +49,7 @@ def test_a_gateway_that_dies_at_work_is_an_incident(bench: Bench, restart_ns: in
     assert min(held) < dead_ns, "what came before is kept"
 
 
-def test_a_gateway_that_stands_by_is_told_and_makes_no_incident(bench: Bench) -> None:
+def test_a_gateway_that_stands_by_is_told_and_makes_no_incident(bench: RecorderRig) -> None:
     """Nothing was told the chassis; links of robots that stand come and go all day."""
     drive(bench, ArbiterState.STANDBY)
     bench.recorder.lose_token(TOKEN, bench.now_ns)
@@ -65,7 +59,7 @@ def test_a_gateway_that_stands_by_is_told_and_makes_no_incident(bench: Bench) ->
     assert gone.severity is Severity.WARNING
 
 
-def test_a_gateway_that_was_told_to_end_has_not_died(bench: Bench) -> None:
+def test_a_gateway_that_was_told_to_end_has_not_died(bench: RecorderRig) -> None:
     """It says so, and is at rest; one that says so and goes silent in the midst of its stop has died."""
     for sequence, (engaged, incidents) in enumerate([(ArbiterState.STANDBY, 0), (ArbiterState.STOPPING, 1)]):
         drive(bench, engaged, first=10 * sequence)
@@ -76,7 +70,7 @@ def test_a_gateway_that_was_told_to_end_has_not_died(bench: Bench) -> None:
         assert bench.recorder.incidents == incidents
 
 
-def test_a_token_that_goes_while_the_states_go_on_tells_nothing(bench: Bench) -> None:
+def test_a_token_that_goes_while_the_states_go_on_tells_nothing(bench: RecorderRig) -> None:
     """Anybody may declare it and take it back. Nor does one of a robot that is not recorded."""
     drive(bench)
     bench.recorder.lose_token(TOKEN, bench.now_ns)
@@ -89,7 +83,7 @@ def test_a_token_that_goes_while_the_states_go_on_tells_nothing(bench: Bench) ->
     assert bench.events() == []
 
 
-def test_states_that_wait_for_a_busy_recorder_hide_no_death(bench: Bench) -> None:
+def test_states_that_wait_for_a_busy_recorder_hide_no_death(bench: RecorderRig) -> None:
     """They come in after the token is gone, and then no more."""
     drive(bench)
     bench.recorder.lose_token(TOKEN, bench.now_ns)

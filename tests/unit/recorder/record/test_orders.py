@@ -13,8 +13,8 @@ from recorder.record.recorder import Recorder
 from schemas.codec import PayloadFault
 from schemas.recording import Backfill, Mark, RecorderState, Split, Start, Status, StopRecording
 from schemas.requests import Request
-from tests.support.health_of import health
-from tests.support.recorder_fakes import RECORDER_PLAN, SECOND, WALL_NS, FakeAsked, MemoryWriter, gear, sample_of
+from tests.support.fakes.recording import RECORDER_PLAN, FakeAsked, MemoryWriter
+from tests.support.messages import SECOND, WALL_NS, gear, recorder_health, sample_of
 
 BACKFILL = Backfill("fleet/**", 0, 1)
 
@@ -26,7 +26,7 @@ class Desk:
         self.recorder = Recorder(RECORDER_PLAN)
         self.writer = MemoryWriter()
         self.backfills: list[OperatorRequest] = []
-        self.orders = Orders(self.recorder, lambda: health(self.recorder.state), self.backfills.append)
+        self.orders = Orders(self.recorder, lambda: recorder_health(self.recorder.state), self.backfills.append)
         self.now_ns = 0
 
     def receive(self, *robots: str) -> None:

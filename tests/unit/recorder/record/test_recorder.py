@@ -22,21 +22,21 @@ from schemas.decisions import EventKind
 from schemas.messages import GatewayInfo, Gear
 from schemas.recording import GapReason, RecorderEvent, RecorderState
 from schemas.subjects import BY_TYPE
-from tests.support.recorder_bench import EVENT_KEY, GEAR_KEY, OTHERS, OWN, PLAN, Bench, messages, metadata, times
-from tests.support.recorder_fakes import (
-    MS,
-    SECOND,
-    WALL_NS,
-    FakeSample,
-    gear,
-    info,
-    key_of,
-    safety_event,
-    sample_of,
+from tests.support.messages import MS, SECOND, WALL_NS, FakeSample, gear, info, key_of, safety_event, sample_of
+from tests.support.rigs.recorder import (
+    EVENT_KEY,
+    GEAR_KEY,
+    OTHERS,
+    OWN,
+    PLAN,
+    RecorderRig,
+    messages,
+    metadata,
+    times,
 )
 
 
-def test_each_robot_has_a_log_and_what_is_no_robots_another(bench: Bench) -> None:
+def test_each_robot_has_a_log_and_what_is_no_robots_another(bench: RecorderRig) -> None:
     """Robots of another root are no mere namesakes: their logs are their own."""
     bench.receive(sample_of(gear(0), "a"), sample_of(gear(0), "b"), sample_of(gear(0), "a", "site/hall"))
     bench.receive(FakeSample("anything", "x", b""), FakeSample("fleet/a/of/their/own", "x", b""))
@@ -50,7 +50,7 @@ def test_each_robot_has_a_log_and_what_is_no_robots_another(bench: Bench) -> Non
     }
 
 
-def test_robots_beyond_the_limit_share_a_log(monkeypatch: pytest.MonkeyPatch, bench: Bench) -> None:
+def test_robots_beyond_the_limit_share_a_log(monkeypatch: pytest.MonkeyPatch, bench: RecorderRig) -> None:
     """Anybody on the network can make up names."""
     bench.recorder = Recorder(msgspec.structs.replace(PLAN, log_limit=2))
     monkeypatch.setattr("recorder.record.recorder.OWNED_KEY_LIMIT", 4)
@@ -60,7 +60,7 @@ def test_robots_beyond_the_limit_share_a_log(monkeypatch: pytest.MonkeyPatch, be
     assert set(bench.logs()) == {"r-0", "r-1", "r-2", OTHERS}
 
 
-def test_a_known_robot_has_its_own_log_however_many_others_came_first(bench: Bench) -> None:
+def test_a_known_robot_has_its_own_log_however_many_others_came_first(bench: RecorderRig) -> None:
     """Made-up names must not push it into the log that strangers share."""
     plan = msgspec.structs.replace(PLAN, log_limit=2, known=frozenset({"cruiser-1"}))
     bench.recorder = Recorder(plan)
@@ -72,7 +72,7 @@ def test_a_known_robot_has_its_own_log_however_many_others_came_first(bench: Ben
 
 def test_one_log_for_all_if_that_is_wanted() -> None:
     """Whose ever the samples are; and a robot of it can be marked."""
-    bench = Bench(msgspec.structs.replace(PLAN, per_robot=False))
+    bench = RecorderRig(msgspec.structs.replace(PLAN, per_robot=False))
     bench.receive(sample_of(gear(0), "a"), sample_of(gear(0), "b"), FakeSample("x", "x", b""))
     assert set(bench.logs()) == {OTHERS}
     assert bench.mark("c") == {}
@@ -81,7 +81,7 @@ def test_one_log_for_all_if_that_is_wanted() -> None:
 
 def test_in_standby_nothing_is_written_but_incidents() -> None:
     """Until somebody starts it: then the next sample begins a file. What was before is in none, and no loss."""
-    bench = Bench(msgspec.structs.replace(PLAN, standby=True))
+    bench = RecorderRig(msgspec.structs.replace(PLAN, standby=True))
     assert bench.recorder.state is RecorderState.STOPPED
     bench.receive(sample_of(gear(0)))
     bench.run(SECOND)
@@ -99,7 +99,7 @@ def test_in_standby_nothing_is_written_but_incidents() -> None:
     assert bench.gaps() == []
 
 
-def test_a_robot_whose_first_sample_is_dropped_is_asked_all_the_same(bench: Bench) -> None:
+def test_a_robot_whose_first_sample_is_dropped_is_asked_all_the_same(bench: RecorderRig) -> None:
     """And its answer describes the log."""
     bench.recorder.drop(key_of(GatewayInfo), GapReason.QUEUE, 0, WALL_NS)
     assert list(bench.recorder._logs) == ["cruiser-1"]
@@ -112,7 +112,7 @@ def test_a_robot_whose_first_sample_is_dropped_is_asked_all_the_same(bench: Benc
     assert described[-1]["cruiser-1.variant"] == "coarse"
 
 
-def test_what_is_said_is_numbered_and_said_in_every_log_that_is_written(bench: Bench) -> None:
+def test_what_is_said_is_numbered_and_said_in_every_log_that_is_written(bench: RecorderRig) -> None:
     """A stop by the one who asked for it, what was deleted, and a disk that is full and is not any more."""
     bench.receive(sample_of(gear(0), "a"), sample_of(gear(0), "b"))
     bench.writer.apply(bench.recorder.receive_notice(Deleted("old.mcap", 5), 0, WALL_NS))
@@ -139,7 +139,7 @@ def test_what_is_said_is_numbered_and_said_in_every_log_that_is_written(bench: B
     assert bench.recorder.counts[f"{OWN}/event"].written == 4
 
 
-def test_a_file_says_why_the_one_before_it_ended(bench: Bench) -> None:
+def test_a_file_says_why_the_one_before_it_ended(bench: RecorderRig) -> None:
     """Whatever was asked for when none was being written."""
     bench.receive(sample_of(gear(0)))
     bench.notice()
@@ -163,7 +163,7 @@ def test_a_file_says_why_the_one_before_it_ended(bench: Bench) -> None:
     ],
 )
 def test_a_robot_that_turns_up_meanwhile_has_no_file(
-    bench: Bench, bring_about: Callable[[Bench], None], state: RecorderState
+    bench: RecorderRig, bring_about: Callable[[RecorderRig], None], state: RecorderState
 ) -> None:
     """Neither while it was stopped nor while the disk is full; what it declares is in the file that follows."""
     bring_about(bench)
@@ -179,7 +179,7 @@ def test_a_robot_that_turns_up_meanwhile_has_no_file(
     assert bench.recorder.files == {"cruiser-1": "cruiser-1-0.mcap"}
 
 
-def test_after_the_end_nothing_is_asked_for(bench: Bench) -> None:
+def test_after_the_end_nothing_is_asked_for(bench: RecorderRig) -> None:
     """Notices come after it, too; nobody would carry out what they cause."""
     bench.receive(sample_of(gear(0)))
     bench.mark()
@@ -200,7 +200,7 @@ def test_after_the_end_nothing_is_asked_for(bench: Bench) -> None:
 )
 def test_a_broken_payload_on_the_fast_path_is_kept_as_it_is(payload: bytes) -> None:
     """Text that is none, nesting without end: whatever decoding raises is no reason to stop."""
-    bench = Bench(msgspec.structs.replace(PLAN, sample_max_bytes=1_000_000))
+    bench = RecorderRig(msgspec.structs.replace(PLAN, sample_max_bytes=1_000_000))
     good = sample_of(gear(0))
     broken = FakeSample(good.key, good.encoding, payload)
     bench.receive(*(sample_of(gear(number)) for number in range(3)), broken, sample_of(gear(3)))
@@ -208,7 +208,7 @@ def test_a_broken_payload_on_the_fast_path_is_kept_as_it_is(payload: bytes) -> N
     assert (counts[GEAR_KEY].written, counts[f"{GEAR_KEY}/@raw"].written) == (4, 1)
 
 
-def test_files_do_not_become_many_however_often_it_is_asked_for(bench: Bench) -> None:
+def test_files_do_not_become_many_however_often_it_is_asked_for(bench: RecorderRig) -> None:
     """One a second of each log; what comes too soon is one later, and nothing waits for a file that is ended."""
     for number in range(300):
         bench.receive(sample_of(gear(number)))
@@ -226,7 +226,7 @@ def test_files_do_not_become_many_however_often_it_is_asked_for(bench: Bench) ->
 def test_a_file_that_the_disk_has_not_begun_is_not_ended_for_another() -> None:
     """While a disk hangs, what is to be begun does not pile up; when it goes on, the file is ended once."""
     plan = msgspec.structs.replace(PLAN, log=msgspec.structs.replace(PLAN.log, rotate_ns=2 * SECOND))
-    bench = Bench(plan)
+    bench = RecorderRig(plan)
     for number in range(200):
         bench.receive(sample_of(gear(number)))
         bench.writer.apply(bench.recorder.roll("signal", bench.now_ns))
@@ -239,7 +239,7 @@ def test_a_file_that_the_disk_has_not_begun_is_not_ended_for_another() -> None:
     bench.close()
 
 
-def test_a_key_that_is_a_lines_topic_is_another(bench: Bench) -> None:
+def test_a_key_that_is_a_lines_topic_is_another(bench: RecorderRig) -> None:
     """Whichever comes first: what anybody publishes there is decoded as what it is, and so are the events."""
     intruder = FakeSample(f"{EVENT_KEY}/{LOG_CHUNK}", "zenoh/bytes", b"\xff\xfe")
     reserved = FakeSample(f"{EVENT_KEY}/@log", "zenoh/bytes", b"\xff\xfe")
@@ -267,7 +267,7 @@ def test_a_key_that_is_a_lines_topic_is_another(bench: Bench) -> None:
         assert len(found[somebodys]) == 2
 
 
-def test_what_the_recorder_says_comes_back_and_is_recorded_once(bench: Bench) -> None:
+def test_what_the_recorder_says_comes_back_and_is_recorded_once(bench: RecorderRig) -> None:
     """Whoever records the recorders' keys gets its own, too; another recorder's are samples like any other."""
     bench.receive(sample_of(gear(0)))
     bench.mark()
@@ -284,7 +284,7 @@ def test_what_the_recorder_says_comes_back_and_is_recorded_once(bench: Bench) ->
 
 
 def test_keys_that_anybody_makes_up_take_nothing_from_the_tables(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
+    bench: RecorderRig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However many came before it, a safety event makes its incident."""
     monkeypatch.setitem(channels.LIMITS, channels.ChannelQuota.OTHER, 10)
@@ -295,7 +295,7 @@ def test_keys_that_anybody_makes_up_take_nothing_from_the_tables(
     assert bench.recorder.counts[f"{EVENT_KEY}/{LOG_CHUNK}"].written == 1
 
 
-def test_a_pass_ends_when_its_time_is_over(bench: Bench) -> None:
+def test_a_pass_ends_when_its_time_is_over(bench: RecorderRig) -> None:
     """What there was no time for is still there; at least one is recorded."""
     for is_late, taken in ((lambda: False, 7), (lambda: True, 1)):
         waiting = iter([FakeSample("fleet/cruiser-1/k", "x", b"")] * 7)
@@ -307,7 +307,7 @@ def test_a_pass_ends_when_its_time_is_over(bench: Bench) -> None:
 
 def test_large_payloads_do_not_take_the_quick_way() -> None:
     """What they hold besides the fields may take long to go through: the time is looked at after each."""
-    bench = Bench(msgspec.structs.replace(PLAN, sample_max_bytes=1_000_000))
+    bench = RecorderRig(msgspec.structs.replace(PLAN, sample_max_bytes=1_000_000))
     bench.receive(*(sample_of(gear(number)) for number in range(3)))
     large = msgspec.msgpack.encode({**msgspec.to_builtins(gear(3)), "more": bytes(QUICK_BYTES)})
     good = sample_of(gear(3))

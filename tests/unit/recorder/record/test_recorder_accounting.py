@@ -25,13 +25,12 @@ from schemas import keys
 from schemas.decisions import EventKind, SafetyEvent, Severity
 from schemas.messages import CanFrames, Gear
 from schemas.recording import GapReason
-from tests.support.recorder_bench import GEAR_KEY, OTHERS, OWN, PLAN, Bench, messages, metadata, times
-from tests.support.recorder_fakes import (
+from tests.support.fakes.recording import MemoryFile
+from tests.support.messages import (
     MS,
     SECOND,
     WALL_NS,
     FakeSample,
-    MemoryFile,
     batch,
     feedback,
     gear,
@@ -39,6 +38,7 @@ from tests.support.recorder_fakes import (
     safety_event,
     sample_of,
 )
+from tests.support.rigs.recorder import GEAR_KEY, OTHERS, OWN, PLAN, RecorderRig, messages, metadata, times
 
 
 class _Key:
@@ -72,7 +72,7 @@ class Machine(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.bench = Bench()
+        self.bench = RecorderRig()
         self.keys: dict[tuple[str, str], _Key] = {}
         self.windows: dict[str, list[_Window]] = {}
         self.was_stopped: Counter[str] = Counter()
@@ -259,7 +259,7 @@ TestRecording = Machine.TestCase
 
 def test_what_is_in_hand_at_the_end_is_accounted_for_too() -> None:
     """A recorder that ends while the disk is full has lost the last messages as well, and says so."""
-    bench = Bench()
+    bench = RecorderRig()
     bench.receive(sample_of(gear(0)))
     bench.room(has_room=False)
     bench.run(REPORT_LOSSES_NS)
@@ -272,7 +272,7 @@ def test_what_is_in_hand_at_the_end_is_accounted_for_too() -> None:
     assert times(bench.writer.files["cruiser-1!"][0]) == [0, SECOND]
 
 
-def test_a_loss_is_told_in_the_log_that_it_is_about(bench: Bench) -> None:
+def test_a_loss_is_told_in_the_log_that_it_is_about(bench: RecorderRig) -> None:
     """Also of a broken sample's topic, which is no key; once a second, all of a key together."""
     for robot in ("a", "b"):
         bench.receive(sample_of(gear(0), robot), FakeSample(key_of(Gear, robot), "text/plain", b""))
@@ -290,7 +290,7 @@ def test_a_loss_is_told_in_the_log_that_it_is_about(bench: Bench) -> None:
     assert f"{OWN}/gap" not in topics["b"]
 
 
-def test_what_the_disk_lost_of_an_incident_is_no_loss_of_the_log(bench: Bench) -> None:
+def test_what_the_disk_lost_of_an_incident_is_no_loss_of_the_log(bench: RecorderRig) -> None:
     """Nor is anything told of a log that nobody knows."""
     bench.receive(sample_of(gear(0)))
     for log in ("cruiser-1!", "nobody"):
@@ -299,7 +299,7 @@ def test_what_the_disk_lost_of_an_incident_is_no_loss_of_the_log(bench: Bench) -
     assert bench.recorder.counts[GEAR_KEY].lost_disk == 0
 
 
-def test_a_sample_that_is_too_large_is_counted_and_no_more(bench: Bench) -> None:
+def test_a_sample_that_is_too_large_is_counted_and_no_more(bench: RecorderRig) -> None:
     """One byte less is recorded."""
     bench.receive(FakeSample("x", "x", bytes(1000)), FakeSample("x", "x", bytes(1001)))
     bench.run(REPORT_LOSSES_NS)
@@ -324,7 +324,7 @@ Step = str | int
     ],
 )
 def test_a_file_counts_what_was_wanted_since_the_one_before_it(
-    bench: Bench, steps: list[Step], first: tuple[int, ...], second: tuple[int, ...]
+    bench: RecorderRig, steps: list[Step], first: tuple[int, ...], second: tuple[int, ...]
 ) -> None:
     """In whatever order a disk was full and somebody stopped it; what came while it was stopped is no loss."""
     sequence = 0
@@ -347,7 +347,9 @@ def test_a_file_counts_what_was_wanted_since_the_one_before_it(
     assert not any(one.lost_link for one in told)
 
 
-def test_the_gaps_of_a_long_full_disk_are_in_the_next_file(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_gaps_of_a_long_full_disk_are_in_the_next_file(
+    bench: RecorderRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Each is published in its second; in the file those of a key are one, so that it may last."""
     monkeypatch.setattr(robot_log, "PENDING_EVENTS_MAX", 10)
     monkeypatch.setattr(robot_log, "PENDING_GAPS_MAX", 3)
@@ -376,7 +378,7 @@ def test_the_gaps_of_a_long_full_disk_are_in_the_next_file(bench: Bench, monkeyp
 LONG_KEY: Final = f"fleet/cruiser-1/{'y' * keys.KEY_MAX_LENGTH}"
 
 
-def test_very_long_keys_are_kept_and_not_remembered(bench: Bench) -> None:
+def test_very_long_keys_are_kept_and_not_remembered(bench: RecorderRig) -> None:
     """Each with its sample, which is all; what is lost of them is counted without them."""
     monster = [FakeSample(f"{LONG_KEY}{number}", "x", b"") for number in range(20)]
     bench.receive(*monster)

@@ -10,8 +10,7 @@ from recorder.record.recorder import Recorder
 from schemas.decisions import EventKind, Severity
 from schemas.messages import CanFrames, GatewayInfo
 from schemas.recording import RecorderEventKind
-from tests.support.recorder_bench import EVENT_KEY, GEAR_KEY, PLAN, Bench, metadata, times
-from tests.support.recorder_fakes import (
+from tests.support.messages import (
     MS,
     SECOND,
     WALL_NS,
@@ -24,9 +23,10 @@ from tests.support.recorder_fakes import (
     safety_event,
     sample_of,
 )
+from tests.support.rigs.recorder import EVENT_KEY, GEAR_KEY, PLAN, RecorderRig, metadata, times
 
 
-def test_an_incident_of_no_time_holds_its_cause(bench: Bench) -> None:
+def test_an_incident_of_no_time_holds_its_cause(bench: RecorderRig) -> None:
     """Nothing before and nothing after, but the event."""
     plan = msgspec.structs.replace(PLAN, log=msgspec.structs.replace(PLAN.log, before_ns=0, after_ns=0))
     bench.recorder = Recorder(plan)
@@ -35,7 +35,7 @@ def test_an_incident_of_no_time_holds_its_cause(bench: Bench) -> None:
     assert times(bench.writer.files["cruiser-1!"][0], EVENT_KEY) == [0]
 
 
-def test_the_next_incident_is_of_its_own(bench: Bench) -> None:
+def test_the_next_incident_is_of_its_own(bench: RecorderRig) -> None:
     """It says when and why it was, and nothing of the one before; each channel is declared once."""
     bench.receive(sample_of(gear(0)))
     bench.notice()
@@ -63,7 +63,7 @@ def test_the_next_incident_is_of_its_own(bench: Bench) -> None:
     ]
 
 
-def test_a_new_incident_has_no_file_while_the_one_before_is_being_ended(bench: Bench) -> None:
+def test_a_new_incident_has_no_file_while_the_one_before_is_being_ended(bench: RecorderRig) -> None:
     """However late the disk is: nobody is told the name of the wrong file."""
     bench.receive(sample_of(gear(0)))
     bench.mark()
@@ -73,7 +73,7 @@ def test_a_new_incident_has_no_file_while_the_one_before_is_being_ended(bench: B
     assert bench.mark() == {"cruiser-1!": ""}
 
 
-def test_an_incident_does_not_name_a_log_that_was_ended(bench: Bench) -> None:
+def test_an_incident_does_not_name_a_log_that_was_ended(bench: RecorderRig) -> None:
     """Even if the disk has not done it yet."""
     bench.receive(sample_of(gear(0)))
     bench.notice()
@@ -84,7 +84,7 @@ def test_an_incident_does_not_name_a_log_that_was_ended(bench: Bench) -> None:
     assert [one["file"] for one in metadata(incident, INCIDENT_NAME)] == [""]
 
 
-def test_incident_and_log_find_each_other_however_late_the_disk_is(bench: Bench) -> None:
+def test_incident_and_log_find_each_other_however_late_the_disk_is(bench: RecorderRig) -> None:
     """A log that had not been opened, or that goes on in another file, is named as soon as it has a name."""
     bench.receive(sample_of(safety_event(EventKind.STOP)))
     bench.now_ns += SECOND
@@ -100,7 +100,7 @@ def test_incident_and_log_find_each_other_however_late_the_disk_is(bench: Bench)
     assert [metadata(log, INCIDENT_NAME) for log in logs] == [[about], [about]]
 
 
-def test_an_alarm_is_of_its_kind_and_of_now(bench: Bench) -> None:
+def test_an_alarm_is_of_its_kind_and_of_now(bench: RecorderRig) -> None:
     """What is merely said, what is not asked for, and what a gateway kept of long ago make no incident."""
     event = sample_of(safety_event(EventKind.STOP))
     bench.receive(sample_of(gear(0)), FakeSample(event.key, event.encoding, event.payload, is_reply=True))
@@ -111,7 +111,7 @@ def test_an_alarm_is_of_its_kind_and_of_now(bench: Bench) -> None:
     assert bench.recorder.incidents == 1
 
 
-def test_without_room_for_incidents_there_are_none(bench: Bench) -> None:
+def test_without_room_for_incidents_there_are_none(bench: RecorderRig) -> None:
     """Neither by an alarm nor by a mark; one that is being written ends with what was in hand, and it is told."""
     bench.receive(sample_of(gear(0)))
     bench.mark()
@@ -133,7 +133,7 @@ def test_without_room_for_incidents_there_are_none(bench: Bench) -> None:
     assert (cut.kind, cut.severity, cut.file) == (RecorderEventKind.INCIDENT, Severity.ERROR, incident.name)
 
 
-def test_the_rings_share_their_memory(bench: Bench) -> None:
+def test_the_rings_share_their_memory(bench: RecorderRig) -> None:
     """However much comes, from however many robots."""
     bench.recorder = Recorder(msgspec.structs.replace(PLAN, ring_bytes=10_000))
     for number in range(300):
@@ -143,7 +143,7 @@ def test_the_rings_share_their_memory(bench: Bench) -> None:
     assert bench.recorder.ring_bytes > 5000
 
 
-def test_an_incident_declares_what_its_log_did(bench: Bench) -> None:
+def test_an_incident_declares_what_its_log_did(bench: RecorderRig) -> None:
     """With its attachments, and what is known of the robot; also what is declared while it lasts."""
     bench.receive(sample_of(gear(0)), sample_of(info()))
     assert set(bench.mark("cruiser-1")) == {"cruiser-1!"}

@@ -43,15 +43,13 @@ from schemas.messages import CanFrames, FrameHealth, GatewayHealth, GatewayInfo,
 from schemas.recording import GapReason, RecordGap
 from schemas.snake_case import snake_case
 from schemas.subjects import BY_NAME, SUBJECTS, Subject
-from tests.support.random_messages import TEXTS, message_of, subjects_and_messages
-from tests.support.recorder_fakes import (
+from tests.support.logs import PLAN, Log
+from tests.support.messages import (
     GEAR_FEEDBACK,
     MS,
-    PLAN,
     SECOND,
     WALL_NS,
     FakeSample,
-    Log,
     batch,
     feedback,
     gear,
@@ -60,6 +58,7 @@ from tests.support.recorder_fakes import (
     safety_event,
     sample_of,
 )
+from tests.support.strategies import TEXTS, message_of, subjects_and_messages
 
 ENCODINGS = st.one_of(st.sampled_from([subject.encoding for subject in SUBJECTS]), TEXTS)
 KEYS = st.one_of(st.sampled_from([key_of(subject.type) for subject in SUBJECTS]), TEXTS)

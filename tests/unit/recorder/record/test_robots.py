@@ -9,7 +9,7 @@ from recorder.record import robots as robots_module
 from recorder.record.actions import LogAction, Query, WriteAttachment, WriteMetadata
 from recorder.record.robots import ASK_AGAIN_MAX_NS, ASK_AGAIN_NS, QUERIES_PER_TICK, Robots
 from schemas.messages import Variant
-from tests.support.recorder_fakes import SECOND, WALL_NS, info
+from tests.support.messages import SECOND, WALL_NS, info
 
 KEY = "fleet/cruiser-1/gateway/info"
 LAYOUTS = ["cruiser-1/layout.foxglove.json", "cruiser-1/layout.plotjuggler.xml"]

@@ -12,8 +12,7 @@ from recorder.replay.can import FAILURES_MAX, CanOutlet, CanPlace, is_virtual
 from recorder.replay.frames import ReplayedFrame
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import CanFrame
-from tests.support.recorder_fakes import WALL_NS
-from tests.support.replaying import can_frame
+from tests.support.messages import WALL_NS, can_frame
 
 
 def as_frame(message: can.Message) -> CanFrame:

@@ -11,7 +11,8 @@ from typing import TextIO
 import pytest
 
 from recorder.replay.controls import Order, ReplayControls, orders_of
-from tests.support.recorder_fakes import WALL_NS, wait_until
+from tests.support.messages import WALL_NS
+from tests.support.waiting import wait_until
 
 
 @contextmanager

@@ -18,8 +18,8 @@ from schemas.can_word import IDENTIFIER_MASK
 from schemas.dbc_files import dbc_text
 from schemas.dbc_files import frames as dbc_frames
 from schemas.messages import CanFrame, Gear, Variant
-from tests.support.recorder_fakes import WALL_NS
-from tests.support.replaying import can_frame, row_of, topic
+from tests.support.messages import WALL_NS, can_frame
+from tests.support.reading import row_of, topic
 
 RX = topic("fleet/cruiser-1/can/can0/rx")
 TX = topic("fleet/cruiser-1/can/can0/tx")

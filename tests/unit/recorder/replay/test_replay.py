@@ -17,7 +17,7 @@ from recorder.replay.replay import (
     Pace,
     ReplayScheduler,
 )
-from tests.support.recorder_fakes import MS, SECOND, WALL_NS
+from tests.support.messages import MS, SECOND, WALL_NS
 
 FOR_NO_PAUSE = 10**18
 BEGUN_NS = 5_000

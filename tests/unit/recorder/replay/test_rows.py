@@ -12,8 +12,9 @@ from recorder.reading.topics import Topic
 from recorder.replay.rows import By, ReplayRun, frames, in_order, once, runs, topics_of
 from schemas.messages import CanFrame, RawSample
 from schemas.settings import BATCH_MAX_FRAMES
-from tests.support.recorder_fakes import MS, SECOND, WALL_NS
-from tests.support.replaying import can_frame, drive, logs_of, row_of, rows_of, topic, write_log
+from tests.support.drives import drive_samples, write_samples
+from tests.support.messages import MS, SECOND, WALL_NS, can_frame
+from tests.support.reading import logs_of, row_of, rows_of, topic
 
 RX = topic("fleet/cruiser-1/can/can0/rx")
 TX = topic("fleet/cruiser-1/can/can0/tx")
@@ -27,9 +28,9 @@ def frame_row(number: int, sequence: int, log_ms: int, of: Topic = RX) -> Row:
 
 def test_an_incident_and_another_recorders_log_repeat_nothing(tmp_path: Path) -> None:
     """What two files hold comes once, whenever each recorder received it."""
-    samples = drive(10)
-    one = write_log(tmp_path / "one.mcap", samples)
-    two = write_log(tmp_path / "two.mcap", samples[5:], offset_ns=53 * MS)
+    samples = drive_samples(10)
+    one = write_samples(tmp_path / "one.mcap", samples)
+    two = write_samples(tmp_path / "two.mcap", samples[5:], offset_ns=53 * MS)
     alone = [(row.topic.name, row.sequence, row.data) for row in rows_of(one)]
     both = [(row.topic.name, row.sequence, row.data) for row in once(rows_of(one, two))]
     # What has no time of its own is not known again.
@@ -126,8 +127,8 @@ def test_what_is_very_late_comes_late() -> None:
 
 def test_the_topics_of_logs_are_known_before_their_messages(tmp_path: Path) -> None:
     """Of every file."""
-    one = write_log(tmp_path / "one.mcap", drive(2))
-    two = write_log(tmp_path / "two.mcap", drive(2, "other", "cruiser-2"))
+    one = write_samples(tmp_path / "one.mcap", drive_samples(2))
+    two = write_samples(tmp_path / "two.mcap", drive_samples(2, "other", "cruiser-2"))
     names = {found.name for found in topics_of(logs_of(one, two))}
     assert {"fleet/cruiser-1/chassis/gear", "other/cruiser-2/can/can0/rx", "fleet/elsewhere"} <= names
     cut = tmp_path / "cut.mcap.part"

@@ -7,8 +7,8 @@ import msgspec
 from recorder.replay.controls import Order
 from recorder.replay.replay import FOR_EVER, Pace, ReplayScheduler
 from recorder.replay.run import ATTEND_NS, Halt, play
-from tests.support.recorder_fakes import MS, SECOND, WALL_NS
-from tests.support.replaying import HALT, FakeClock, FakeControls, FakeOutlet
+from tests.support.fakes.replay import HALT, FakeClock, FakeControls, FakeOutlet
+from tests.support.messages import MS, SECOND, WALL_NS
 
 
 class Mark(msgspec.Struct, frozen=True):

@@ -27,9 +27,10 @@ from schemas import codec, keys
 from schemas.can_word import ERROR, EXTENDED, REMOTE
 from schemas.messages import CanFrames, Gear, RawSample
 from schemas.subjects import ALL_SUBJECTS, BY_TYPE, RECORDER_SUBJECTS, Subject
-from tests.support.random_messages import message_of
-from tests.support.recorder_fakes import MS, ROBOT, WALL_NS, FakeSample, gear, key_of, sample_of
-from tests.support.replaying import can_frame, drive, logs_of, raw_row, rows_of, topic, write_log
+from tests.support.drives import drive_samples, write_samples
+from tests.support.messages import MS, ROBOT, WALL_NS, FakeSample, can_frame, gear, key_of, sample_of
+from tests.support.reading import logs_of, raw_row, rows_of, topic
+from tests.support.strategies import message_of
 
 
 def every_key(_key: str) -> bool:
@@ -45,8 +46,8 @@ def replayed(path: Path, root: str = "replay") -> tuple[list[ReplaySample], Samp
 
 def test_the_payloads_are_those_that_were_recorded(tmp_path: Path) -> None:
     """Byte by byte, in their order, with their encoding and attachment, under the other root."""
-    samples = drive()
-    found, _ = replayed(write_log(tmp_path / "log.mcap", samples))
+    samples = drive_samples()
+    found, _ = replayed(write_samples(tmp_path / "log.mcap", samples))
     assert [one.key for one in found] == ["replay" + one.key.removeprefix("fleet") for one in samples]
     assert [one.encoding for one in found] == [one.encoding for one in samples]
     assert [one.attachment for one in found] == [one.attachment for one in samples]
@@ -186,7 +187,7 @@ def test_broken_samples_are_published_as_they_were(tmp_path: Path) -> None:
     """Under the key that they had, and those that say that a key is gone say so again."""
     broken = FakeSample(key_of(Gear), BY_TYPE[Gear].encoding, b"\xc1broken")
     gone = FakeSample("fleet/elsewhere", "zenoh/bytes", b"", deleted=True)
-    found, _ = replayed(write_log(tmp_path / "log.mcap", [sample_of(gear(0)), broken, gone]))
+    found, _ = replayed(write_samples(tmp_path / "log.mcap", [sample_of(gear(0)), broken, gone]))
     assert [(one.key, one.payload(), one.is_delete) for one in found[1:]] == [
         ("replay/cruiser-1/chassis/gear", broken.payload, False),
         ("replay/elsewhere", b"", True),

@@ -16,7 +16,8 @@ from recorder.review.querying.log_source import topics_of
 from recorder.review.report.survey import read_report
 from recorder.review.timeline.timeline import Question, read_events
 from recorder.review.why import explain
-from tests.support.rig_log import ROBOT, RecordedRig
+from tests.support.messages import ROBOT
+from tests.support.rigs.recorded import RecordedRig
 
 QUESTIONS: dict[str, Callable[[Sequence[LogFile], Faults], object]] = {
     "rows": lambda logs, faults: list(read_rows(logs, Selection(lambda _: True), faults)),

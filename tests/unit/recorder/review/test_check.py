@@ -24,28 +24,19 @@ from schemas.decisions import Journal
 from schemas.exit_codes import CommandError
 from schemas.messages import CanFrame, Gear
 from schemas.recording import GapReason, RecordGap
-from tests.support.made_logs import (
+from tests.support.logs import (
     ENCODE_GEAR,
     GEAR_CHANNEL,
     GEAR_TOPIC,
+    Log,
     foreign_log,
     gear_message,
     gears,
     own_log,
     saved,
-)
-from tests.support.recorder_fakes import (
-    MS,
-    SECOND,
-    WALL_NS,
-    FakeSample,
-    Log,
-    batch,
-    feedback,
-    gear,
-    sample_of,
     small_log,
 )
+from tests.support.messages import MS, SECOND, WALL_NS, FakeSample, batch, feedback, gear, sample_of
 
 LOG = own_log([gears(0, 5, 100), gears(5, 5, 200)], metadata=[("m", {"a": "b"})], attachments=[("n", b"abc")])
 

@@ -14,8 +14,8 @@ from recorder.review.cut import cut
 from recorder.review.info import CUT_NAME, read_info
 from recorder.review.joining.joining import Joined
 from schemas.messages import Drive, Gear
-from tests.support.made_logs import GEAR_TOPIC, Read, foreign_log, gears, own_log, saved
-from tests.support.recorder_fakes import small_log
+from tests.support.logs import GEAR_TOPIC, foreign_log, gears, own_log, saved, small_log
+from tests.support.reading import Read
 
 ALWAYS = (0, END_OF_TIME_NS)
 DRIVE_TOPIC = "fleet/cruiser-1/chassis/drive"

@@ -15,17 +15,8 @@ from recorder.record.incidents import INCIDENT_NAME
 from recorder.review.info import LogInfo, LogSourceInfo, SetInfo, read_info, total
 from schemas.exit_codes import CommandError
 from schemas.messages import Gear
-from tests.support.made_logs import NO_INDEXES, foreign_log, gear_message, gears, own_log
-from tests.support.recorder_fakes import (
-    MS,
-    SECOND,
-    WALL_NS,
-    Log,
-    gear,
-    info,
-    sample_of,
-    small_log,
-)
+from tests.support.logs import NO_INDEXES, Log, foreign_log, gear_message, gears, own_log, small_log
+from tests.support.messages import MS, SECOND, WALL_NS, gear, info, sample_of
 
 
 @pytest.fixture

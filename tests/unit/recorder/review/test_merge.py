@@ -24,16 +24,8 @@ from recorder.review.joining.joining import Joined, Recent
 from recorder.review.merge import MERGED_NAME, merge
 from schemas.exit_codes import CommandError
 from schemas.messages import Drive, Gear
-from tests.support.made_logs import (
-    GEAR_TOPIC,
-    Read,
-    foreign_log,
-    gear_message,
-    gears,
-    own_log,
-    saved,
-)
-from tests.support.recorder_fakes import small_log
+from tests.support.logs import GEAR_TOPIC, foreign_log, gear_message, gears, own_log, saved, small_log
+from tests.support.reading import Read
 
 
 def merged(directory: Path, *contents: bytes, faults: Faults | None = None) -> tuple[Joined, Read]:

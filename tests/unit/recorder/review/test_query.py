@@ -18,18 +18,18 @@ from recorder.review.query import Source, answer, told
 from recorder.review.querying.dataset_source import DatasetSource
 from recorder.review.querying.log_source import LogSource
 from schemas.exit_codes import CommandError, ExitCode
-from tests.support.drives import FRAMES, drive, write
-from tests.support.logs_of import log_of
-from tests.support.recorder_fakes import WALL_NS
+from tests.support.drives import FRAMES, drive_log
+from tests.support.logs import numbered_log, saved
+from tests.support.messages import WALL_NS
 from tests.unit.recorder.review.columns.test_tables import ALL, ALL_SCHEMA, channel
 
 
 def logs_in(tmp_path: Path) -> list[Path]:
     """Two robots; of the first a log that holds half of it again."""
     return [
-        write(tmp_path, "1", drive()),
-        write(tmp_path, "2", drive(first=10)),
-        write(tmp_path, "3", drive("cruiser-2", count=5)),
+        saved(tmp_path / "1.mcap", drive_log()),
+        saved(tmp_path / "2.mcap", drive_log(first=10)),
+        saved(tmp_path / "3.mcap", drive_log("cruiser-2", count=5)),
     ]
 
 
@@ -159,7 +159,7 @@ def test_only_the_columns_that_are_asked_for_are_made(tmp_path: Path, monkeypatc
         unpatched(*arguments, **named)
 
     monkeypatch.setattr(ColumnReader, "__init__", spy)
-    source = over([write(tmp_path, "1", drive())])
+    source = over([saved(tmp_path / "1.mcap", drive_log())])
     ask(source, "SELECT gear_position FROM chassis_gear WHERE active")
     assert asked
     assert all(columns <= {"gear_position", "active", "log_time"} for columns in asked)
@@ -182,8 +182,8 @@ def test_nothing_goes_to_the_network(source: Source, sql: str) -> None:
 
 def test_damage_is_told_once(tmp_path: Path) -> None:
     """However often a statement reads the table; what can be read is in the answer."""
-    data = drive(count=200)
-    log = write(tmp_path, "1", data[: len(data) - 3000])
+    data = drive_log(count=200)
+    log = saved(tmp_path / "1.mcap", data[: len(data) - 3000])
     faults = Faults()
     source = LogSource(find_logs([log], faults), Selection(), faults)
     rows = ask(source, "SELECT count(*) AS n FROM chassis_gear a, (SELECT 1 FROM chassis_gear LIMIT 1) b")
@@ -193,7 +193,7 @@ def test_damage_is_told_once(tmp_path: Path) -> None:
 
 def test_only_the_wanted_time_is_asked(tmp_path: Path) -> None:
     """By log time."""
-    logs = find_logs([write(tmp_path, "1", drive())], Faults())
+    logs = find_logs([saved(tmp_path / "1.mcap", drive_log())], Faults())
     source = LogSource(logs, Selection(from_ns=WALL_NS + 50_000_000, to_ns=WALL_NS + 60_000_000), Faults())
     assert ask(source, "SELECT sequence FROM chassis_gear") == [{"sequence": 5}]
 
@@ -202,8 +202,8 @@ def test_others_topics_are_tables_too(tmp_path: Path) -> None:
     """Of one name, but other columns: the second is numbered. Without a summary channels are found too."""
     data = ALL(f_int32=5).SerializeToString()
     logs = [
-        write(tmp_path, "1", log_of([channel(ALL_SCHEMA)], [[(1, data)]])),
-        write(tmp_path, "2", log_of([channel(b"", "s", "cdr", "ros2msg")], [[(1, b"x")]])[:-30]),
+        saved(tmp_path / "1.mcap", numbered_log([channel(ALL_SCHEMA)], [[(1, data)]])),
+        saved(tmp_path / "2.mcap", numbered_log([channel(b"", "s", "cdr", "ros2msg")], [[(1, b"x")]])[:-30]),
     ]
     source = over(logs)
     assert ask(source, "SELECT f_int32 FROM t") == [{"f_int32": 5}]
@@ -220,7 +220,10 @@ def test_own_subjects_have_their_tables_in_any_case(source: Source) -> None:
 def test_own_subjects_have_their_names_before_others(tmp_path: Path) -> None:
     """Whatever somebody else writes under a key of ours."""
     other = LogChannel(1, "fleet/a/chassis/gear", "s", b"", "jsonschema", "json")
-    logs = [write(tmp_path, "1", log_of([other], [[(1, b'{"x": 1}')]])), write(tmp_path, "2", drive(count=3))]
+    logs = [
+        saved(tmp_path / "1.mcap", numbered_log([other], [[(1, b'{"x": 1}')]])),
+        saved(tmp_path / "2.mcap", drive_log(count=3)),
+    ]
     for make in BOTH:
         source = make(logs)
         assert ask(source, "SELECT robot, count(*) AS n FROM chassis_gear GROUP BY ALL") == [
@@ -234,7 +237,7 @@ def test_own_subjects_have_their_names_before_others(tmp_path: Path) -> None:
 def test_of_others_alone_our_names_stay_free(tmp_path: Path) -> None:
     """Over the logs and in a dataset: a table of ours without a row is not theirs."""
     other = LogChannel(1, "/state", "s", b"", "jsonschema", "json")
-    logs = [write(tmp_path, "1", log_of([other], [[(1, b"{}")]]))]
+    logs = [saved(tmp_path / "1.mcap", numbered_log([other], [[(1, b"{}")]]))]
     for make in BOTH:
         source = make(logs)
         assert ask(source, "SELECT speed_mps FROM state") == []
@@ -243,8 +246,8 @@ def test_of_others_alone_our_names_stay_free(tmp_path: Path) -> None:
 
 def test_robots_of_one_name_are_told_apart(tmp_path: Path) -> None:
     """By their roots, in a dataset as over the logs."""
-    data = [drive(count=3), drive(count=4).replace(b"fleet/cruiser-1", b"depot/cruiser-1")]
-    logs = [write(tmp_path, str(place), one) for place, one in enumerate(data)]
+    data = [drive_log(count=3), drive_log(count=4).replace(b"fleet/cruiser-1", b"depot/cruiser-1")]
+    logs = [saved(tmp_path / f"{place}.mcap", one) for place, one in enumerate(data)]
     for make in BOTH:
         source = make(logs)
         assert ask(source, "SELECT robot, count(*) AS n FROM chassis_gear GROUP BY robot ORDER BY robot") == [
@@ -255,8 +258,12 @@ def test_robots_of_one_name_are_told_apart(tmp_path: Path) -> None:
 
 def test_a_robot_that_is_added_is_called_as_before_or_refused(tmp_path: Path) -> None:
     """Whatever was exported first."""
-    data = [drive(count=3), drive(count=4).replace(b"fleet/cruiser-1", b"depot/cruiser-1"), drive(count=5)]
-    paths = [write(tmp_path, str(place), one) for place, one in enumerate(data)]
+    data = [
+        drive_log(count=3),
+        drive_log(count=4).replace(b"fleet/cruiser-1", b"depot/cruiser-1"),
+        drive_log(count=5),
+    ]
+    paths = [saved(tmp_path / f"{place}.mcap", one) for place, one in enumerate(data)]
     export_dataset(find_logs(paths[:2], Faults()), tmp_path / "both", ExportRange(), Faults())
     export_dataset(find_logs(paths[2:], Faults()), tmp_path / "both", ExportRange(), Faults(), is_adding=True)
     manifest = read_manifest(tmp_path / "both")

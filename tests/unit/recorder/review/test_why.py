@@ -18,12 +18,12 @@ from schemas.decisions import ArbiterState, Severity
 from schemas.messages import Variant
 from schemas.reasons import TEXTS, Reason, cure_of
 from schemas.recording import RecorderEvent, RecorderEventKind
-from tests.support import log_scenarios as scenarios
-from tests.support.log_scenarios import SCENARIOS, Scenario, acted, recorded
-from tests.support.loop_rig import GUARDED, WALL_NS, Operator
-from tests.support.recorded_day import COMMAND, RUN, STARTED_NS, Day
-from tests.support.recorder_fakes import MS, SECOND
-from tests.support.rig_log import ROBOT, RecordedRig, ask, ask_of, texts
+from tests.support.messages import MS, ROBOT, SECOND
+from tests.support.rigs import scenarios
+from tests.support.rigs.day import Day
+from tests.support.rigs.gateway import GUARDED, WALL_NS, Operator
+from tests.support.rigs.recorded import RecordedRig, ask, ask_of, texts
+from tests.support.rigs.scenarios import SCENARIOS, Scenario, acted, recorded
 
 HOUR_NS = 3600 * SECOND
 DAY_TICKS = 2500
@@ -269,9 +269,9 @@ def _killed_again_and_again(tmp_path: Path) -> list[int]:
         operator.engage()
         operator.drive(0.6, 0.0, 4.0)
         deaths.append(rig.at_ns)
-        rig.keeping.kept = [
+        rig.recorded = [
             (at_ns, sample)
-            for at_ns, sample in rig.keeping.kept
+            for at_ns, sample in rig.recorded
             if sample.subject != "safety/state" or at_ns > began_ns + 400 * MS
         ]
         (tmp_path / f"{run}.mcap").write_bytes(rig.log())
@@ -402,10 +402,10 @@ def test_what_waited_for_the_recorder_is_where_it_was_said(path: Path) -> None:
     operator.drive(0.3, 0.0, 1.0)
     rig.rest_after(1.0)
     in_time = ask(path, rig.log(), at_ns)
-    kept = rig.keeping.kept
-    rig.keeping.kept = [(max(one_ns, at_ns + 500 * MS), sample) for one_ns, sample in kept]
+    kept = rig.recorded
+    rig.recorded = [(max(one_ns, at_ns + 500 * MS), sample) for one_ns, sample in kept]
     data = rig.log()
-    rig.keeping.kept = kept
+    rig.recorded = kept
     late = ask(path, data, at_ns)
     assert late.headline == in_time.headline
     for step in (Step.MOTION, Step.ARBITER, Step.COMMAND):
@@ -470,22 +470,12 @@ def test_a_robot_whose_clock_is_wrong_gets_the_same_answer(path: Path) -> None:
         assert abs(explanation.at_ns + ahead_ns - ask(path, rig.log()).at_ns) < 50 * MS
 
 
-class _Day(Day):
-    """A day whose robot sets its clock by hours, and whose recorder does not."""
-
-    def __init__(self, seed: int) -> None:
-        super().__init__(seed, Variant.COARSE, DAY_TICKS)
-        self.rig = self.recorded = RecordedRig(Variant.COARSE, COMMAND, run=RUN, now_ns=STARTED_NS)
-        self.core = self.rig.core  # type: ignore[assignment]
-        self._operators = [Operator(self.rig, name) for name in ("first", "berta")]
-
-
 @cache
 def _day() -> bytes:
-    """The log of such a day."""
-    day = _Day(6)
+    """The log of a day whose robot sets its clock by hours, and whose recorder does not."""
+    day = Day(6, Variant.COARSE, DAY_TICKS)
     day.live()
-    return day.recorded.log()
+    return day.rig.log()
 
 
 def test_what_was_said_at_another_time_is_none_of_the_moment_s(path: Path) -> None:

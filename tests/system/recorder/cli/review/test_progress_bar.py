@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.recorder_fakes import small_log
+from tests.support.logs import small_log
 
 CRUISER = Path(sys.executable).with_name("cruiser")
 

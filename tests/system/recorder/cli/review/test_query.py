@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from schemas.exit_codes import ExitCode
-from tests.support.drives import drive, write
+from tests.support.drives import drive_log
+from tests.support.logs import saved
 
 
 @pytest.mark.parametrize(
@@ -20,7 +21,7 @@ from tests.support.drives import drive, write
 )
 def test_a_statement_that_needs_not_all_ends_well(tmp_path: Path, sql: str, code: ExitCode) -> None:
     """As a process of its own: nothing reads on when it ends."""
-    log = write(tmp_path, "1", drive(count=20_000))
+    log = saved(tmp_path / "1.mcap", drive_log(count=20_000))
     cruiser = Path(sys.executable).with_name("cruiser")
     for _ in range(3):
         ended = subprocess.run([cruiser, "review", "query", sql, log], capture_output=True, check=False)

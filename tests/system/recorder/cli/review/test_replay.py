@@ -28,11 +28,13 @@ from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import CanFrames, Gear, Message
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import BY_TYPE
-from tests.support.gateway_process import Running
-from tests.support.recorder_fakes import MS, WALL_NS, batch, feedback, info, sample_of, wait_until
-from tests.support.recorder_process import CRUISER, counts, environment, readable, recording, whole
-from tests.support.replaying import can_frame, drive, rows_of, write_log
-from tests.support.zenoh_peer import Peer, free_endpoint
+from tests.support.drives import drive_samples, write_samples
+from tests.support.fakes.peer import Peer, free_endpoint
+from tests.support.messages import MS, WALL_NS, batch, can_frame, feedback, info, sample_of
+from tests.support.processes.gateway import Running
+from tests.support.processes.recorder import CRUISER, counts, environment, readable, recording, whole
+from tests.support.reading import rows_of
+from tests.support.waiting import wait_until
 
 
 def run(*words: str, endpoint: str = "", stopped: Callable[[], bool] = lambda: False) -> int:
@@ -46,7 +48,7 @@ def run(*words: str, endpoint: str = "", stopped: Callable[[], bool] = lambda: F
 @pytest.fixture
 def log(tmp_path: Path) -> str:
     """A log of a robot."""
-    return str(write_log(tmp_path / "drive.mcap", drive()))
+    return str(write_samples(tmp_path / "drive.mcap", drive_samples()))
 
 
 @pytest.fixture
@@ -83,7 +85,7 @@ def test_a_log_is_published_under_another_root(
     one, endpoint = peer
     heard = Heard(one)
     assert run(log, "--speed", "max", "--json", endpoint=endpoint) == ExitCode.OK
-    samples = drive()
+    samples = drive_samples()
     found: dict[str, list[bytes]] = {}
     # Between keys of different priority there is no order.
     for sample in heard.wait(len(samples)):
@@ -159,7 +161,7 @@ def test_time_stamps_can_be_those_of_the_present(peer: tuple[Peer, str], log: st
     heard = Heard(one)
     begun_ns = time.time_ns()
     assert run(log, "--now", "--speed", "2", endpoint=endpoint) == ExitCode.OK
-    found = heard.wait(len(drive()))
+    found = heard.wait(len(drive_samples()))
     ended_ns = time.time_ns()
     for sample in found:
         parts = keys.parse(str(sample.key_expr))
@@ -176,9 +178,9 @@ def test_time_stamps_can_be_those_of_the_present(peer: tuple[Peer, str], log: st
 def test_by_the_sources_time_late_messages_are_in_their_place(tmp_path: Path, peer: tuple[Peer, str]) -> None:
     """What a recorder was told late stands behind others in the log."""
     one, endpoint = peer
-    samples = drive(20)
+    samples = drive_samples(20)
     late = [*samples[:1], *samples[11:], *samples[1:11]]
-    path = write_log(tmp_path / "late.mcap", late)
+    path = write_samples(tmp_path / "late.mcap", late)
     words = [str(path), "--speed", "max", "--keys", "fleet/*/chassis/gear"]
     for by, is_sorted in (("log", False), ("publish", True)):
         heard = Heard(one, "replay/*/chassis/gear")
@@ -190,7 +192,7 @@ def test_by_the_sources_time_late_messages_are_in_their_place(tmp_path: Path, pe
 @pytest.mark.parametrize("root", ["fleet", "fleet/cruiser-1", "elsewhere/fleet"])
 def test_the_logs_own_root_is_refused(tmp_path: Path, root: str) -> None:
     """And that of the settings, whether or not a robot is there at present."""
-    path = write_log(tmp_path / "drive.mcap", drive(3, "elsewhere"))
+    path = write_samples(tmp_path / "drive.mcap", drive_samples(3, "elsewhere"))
     with pytest.raises(CommandError) as caught:
         run(str(path), "--root", root)
     assert caught.value.code is ExitCode.REFUSED
@@ -212,7 +214,7 @@ def test_the_logs_own_root_can_be_forced_unless_a_gateway_is_there(
     token.undeclare()
     wait_until(lambda: not list(one.session.liveliness().get("**/gateway", timeout=1)))
     assert run(*words, endpoint=endpoint) == ExitCode.OK
-    assert str(heard.wait(len(drive()))[1].key_expr) == "fleet/cruiser-1/chassis/gear"
+    assert str(heard.wait(len(drive_samples()))[1].key_expr) == "fleet/cruiser-1/chassis/gear"
 
 
 def test_a_gateway_that_turns_up_ends_the_replay(
@@ -354,7 +356,7 @@ def drive_with_commands(path: Path) -> str:
     own = msgspec.structs.replace(batch(0, [(WALL_NS + 2 * MS, feedback(0))]), can_id=[EXTENDED | COMMAND])
     sent = sample_of(own)
     sent = msgspec.structs.replace(sent, key="fleet/cruiser-1/can/can0/tx")  # type: ignore[type-var]
-    return str(write_log(path, [sample_of(info()), sample_of(heard), sent]))
+    return str(write_samples(path, [sample_of(info()), sample_of(heard), sent]))
 
 
 @pytest.mark.parametrize(
@@ -399,7 +401,7 @@ def test_frames_reach_a_virtual_bus_in_their_order(log: str, capsys: pytest.Capt
 
 def test_two_buses_do_not_become_one(tmp_path: Path) -> None:
     """One has to be chosen; the others' frames stay out."""
-    path = str(write_log(tmp_path / "two.mcap", [*drive(5), *drive(5, robot="cruiser-2")]))
+    path = str(write_samples(tmp_path / "two.mcap", [*drive_samples(5), *drive_samples(5, robot="cruiser-2")]))
     words = [path, "--interface", "virtual", "--channel", "two", "--speed", "max"]
     with pytest.raises(CommandError, match="several buses") as caught:
         run(*words)
@@ -513,7 +515,7 @@ def test_of_a_damaged_log_what_can_be_read_is_replayed(
 
 def test_the_settings_root_does_not_lead_a_replay_astray(tmp_path: Path) -> None:
     """A configuration made for robots says where those are, and so where no replay goes."""
-    path = write_log(tmp_path / "drive.mcap", drive(3, "elsewhere"))
+    path = write_samples(tmp_path / "drive.mcap", drive_samples(3, "elsewhere"))
     parser = argparse.ArgumentParser()
     review.add_arguments(parser)
     words = parser.parse_args(["replay", str(path), "--root", "site", "--timeout", "0.1"])
@@ -527,9 +529,9 @@ def test_what_was_recorded_of_a_replay_is_no_robots(tmp_path: Path, peer: tuple[
     """It can be replayed again, to where it was."""
     one, endpoint = peer
     heard = Heard(one)
-    path = write_log(tmp_path / "replayed.mcap", drive(3, "replay"))
+    path = write_samples(tmp_path / "replayed.mcap", drive_samples(3, "replay"))
     assert run(str(path), "--speed", "max", endpoint=endpoint) == ExitCode.OK
-    assert str(heard.wait(len(drive(3)))[1].key_expr).startswith("replay/cruiser-1/")
+    assert str(heard.wait(len(drive_samples(3)))[1].key_expr).startswith("replay/cruiser-1/")
 
 
 def test_what_was_sent_to_nobody_is_told(log: str, capsys: pytest.CaptureFixture[str]) -> None:

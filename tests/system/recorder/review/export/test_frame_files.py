@@ -8,7 +8,7 @@ import pytest
 
 from recorder.review.export.frame_files import FrameFile, FrameFormat
 from recorder.review.export.raw_frames import LoggedFrame
-from tests.support.replaying import can_frame
+from tests.support.messages import can_frame
 
 FRAMES = (
     can_frame(0x18C4D1EF),

@@ -9,7 +9,8 @@ from recorder.reading.logs import find_logs
 from recorder.review.export.dataset import export_dataset
 from recorder.review.export.manifest import read_manifest
 from recorder.review.export.one_log import ExportRange
-from tests.support.drives import drive, write
+from tests.support.drives import drive_log
+from tests.support.logs import saved
 
 BY_DAFT = """
 import socket, sys
@@ -41,9 +42,9 @@ def test_daft_makes_the_same_dataset(tmp_path: Path) -> None:
     """File by file, of logs that overlap and one that is damaged; no telemetry is sent."""
     logs = tmp_path / "logs"
     logs.mkdir()
-    write(logs, "1", drive())
-    write(logs, "2", drive(first=10))
-    write(logs, "3", drive("cruiser-3")[:-100])
+    saved(logs / "1.mcap", drive_log())
+    saved(logs / "2.mcap", drive_log(first=10))
+    saved(logs / "3.mcap", drive_log("cruiser-3")[:-100])
     faults = Faults()
     export_dataset(find_logs([logs], faults), tmp_path / "here", ExportRange(), faults)
     out = subprocess.run(

@@ -14,12 +14,9 @@ from plotly.offline import get_plotlyjs
 from recorder.review.report.figures import BLUE
 from recorder.review.report.findings import Report
 from recorder.review.report.page import page
-from tests.support.browser import Opened, browser, open_page, take_picture
-from tests.support.report_drive import (
-    HOSTILE,
-    report_of,
-    write_log,
-)
+from tests.support.drives import HOSTILE, write_messages
+from tests.support.processes.browser import Opened, browser, open_page, take_picture
+from tests.support.reading import report_of
 from tests.unit.recorder.review.report.test_page import Elements, hostile_drive
 
 in_browser = pytest.mark.skipif(browser() is None, reason="there is no Chromium")
@@ -45,7 +42,7 @@ POLICY: Final = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')
 def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
     """Of two robots, in which every text is an attack."""
     path = tmp_path_factory.mktemp("log") / "<b>a&b.mcap"
-    found = report_of(write_log(path, hostile_drive(), robots=["cruiser-1", "cruiser-2"]))
+    found = report_of(write_messages(path, hostile_drive(), robots=["cruiser-1", "cruiser-2"]))
     return msgspec.structs.replace(found, faults=[HOSTILE], fault_count=3)
 
 

@@ -17,7 +17,7 @@ from recorder.review.rerun.parallel import (
 )
 from recorder.review.rerun.segments import WHOLE
 from schemas.exit_codes import CommandError
-from tests.support.recorder_fakes import wait_until
+from tests.support.waiting import wait_until
 from tests.unit.recorder.review.rerun.test_parallel import LENGTH_NS, NAME, Change, alone, changed, day_log
 
 

@@ -8,7 +8,7 @@ from gateway.chassis.cruiser.variant import StandstillEvidence, VariantDetector
 from gateway.chassis.encode import Encoder
 from gateway.chassis.faults import FaultKind
 from schemas.messages import Variant
-from tests.support.can_strategies import VARIANTS, payloads
+from tests.support.strategies import VARIANTS, payloads
 
 COARSE_STANDING = bytes.fromhex("01c800c800000001")
 FINE_STANDING = bytes.fromhex("0100800080000001")

@@ -7,7 +7,8 @@ import pytest
 
 from recorder.cli.review.asking import Asked, add_logs, add_period, find
 from schemas.exit_codes import CommandError, ExitCode
-from tests.support.recorder_fakes import WALL_NS, small_log
+from tests.support.logs import small_log
+from tests.support.messages import WALL_NS
 
 
 def ask(*words: str) -> Asked:

@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from schemas.exit_codes import ExitCode
-from tests.support.made_logs import GEAR_CHANNEL, foreign_log, gear_message, gears, own_log, saved
+from tests.support.logs import GEAR_CHANNEL, foreign_log, gear_message, gears, own_log, saved
 from tests.support.review_command import run
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from schemas.exit_codes import CommandError, ExitCode
-from tests.support import log_scenarios as scenarios
-from tests.support.log_scenarios import acted, recorded
 from tests.support.review_command import run
+from tests.support.rigs import scenarios
+from tests.support.rigs.scenarios import acted, recorded
 
 
 @pytest.fixture

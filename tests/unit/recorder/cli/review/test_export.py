@@ -9,8 +9,8 @@ import pytest
 
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support import review_command
-from tests.support.drives import FRAMES, drive, write
-from tests.support.recorder_fakes import small_log
+from tests.support.drives import FRAMES, drive_log
+from tests.support.logs import saved, small_log
 
 run = partial(review_command.run, "export")
 
@@ -18,7 +18,7 @@ run = partial(review_command.run, "export")
 def test_an_export_that_is_stopped_leaves_nothing(tmp_path: Path) -> None:
     """Ctrl-C, once."""
     with pytest.raises(KeyboardInterrupt):
-        run("-o", tmp_path / "out", write(tmp_path, "1", drive()), is_stopped=True)
+        run("-o", tmp_path / "out", saved(tmp_path / "1.mcap", drive_log()), is_stopped=True)
     assert not list((tmp_path / "out").iterdir())
 
 
@@ -29,12 +29,12 @@ def test_what_is_not_installed_is_told(tmp_path: Path, monkeypatch: pytest.Monke
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(CommandError, match=r"this needs pyarrow: pip install 'cruiser-gateway\[review\]'"):
-        run("--format", form, "-o", tmp_path / "out", write(tmp_path, "1", drive()))
+        run("--format", form, "-o", tmp_path / "out", saved(tmp_path / "1.mcap", drive_log()))
 
 
 def test_a_dataset_is_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """One line says how much it is; exit code 0."""
-    log = write(tmp_path, "1", drive())
+    log = saved(tmp_path / "1.mcap", drive_log())
     assert run("-o", tmp_path / "out", log) == ExitCode.OK
     out = capsys.readouterr().out
     assert out.startswith(f"{tmp_path / 'out'}: 29 rows in 6 files, 0.")
@@ -46,7 +46,7 @@ def test_a_dataset_is_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 def test_a_place_on_a_network_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str) -> None:
     """A folder called ``s3:`` is not what was meant; where it is, there is ./s3:."""
     monkeypatch.chdir(tmp_path)
-    log = write(tmp_path, "1", drive())
+    log = saved(tmp_path / "1.mcap", drive_log())
     with pytest.raises(CommandError, match=r"s3:/bucket/logs is no directory: .*\(aws s3 sync") as caught:
         run("--format", form, "-o", "s3://bucket/logs", log)
     assert caught.value.code == ExitCode.USAGE
@@ -55,13 +55,21 @@ def test_a_place_on_a_network_is_refused(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_what_was_left_out_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What another log holds already."""
-    assert run("-o", tmp_path / "out", write(tmp_path, "1", drive()), write(tmp_path, "2", drive(count=10))) == 0
+    assert (
+        run(
+            "-o",
+            tmp_path / "out",
+            saved(tmp_path / "1.mcap", drive_log()),
+            saved(tmp_path / "2.mcap", drive_log(count=10)),
+        )
+        == 0
+    )
     assert "messages left out that were there already" in capsys.readouterr().out
 
 
 def test_json_says_all_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """For programs: inputs, files."""
-    assert run("--json", "-o", tmp_path / "out", write(tmp_path, "1", drive())) == ExitCode.OK
+    assert run("--json", "-o", tmp_path / "out", saved(tmp_path / "1.mcap", drive_log())) == ExitCode.OK
     done = json.loads(capsys.readouterr().out)
     assert done["inputs"][0]["rows"] == sum(part["rows"] for part in done["files"]) == 29
 
@@ -71,7 +79,7 @@ def test_raw_frames_are_one_file_a_robot(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], form: str, suffix: str
 ) -> None:
     """In each format; a file that is there is refused."""
-    logs = [write(tmp_path, "1", drive()), write(tmp_path, "2", drive("cruiser-2"))]
+    logs = [saved(tmp_path / "1.mcap", drive_log()), saved(tmp_path / "2.mcap", drive_log("cruiser-2"))]
     assert run("--format", form, "-o", tmp_path / "out", *logs) == ExitCode.OK
     out = capsys.readouterr().out
     assert f"cruiser-2.{suffix}: {FRAMES} frames\n" in out
@@ -82,7 +90,7 @@ def test_raw_frames_are_one_file_a_robot(
 
 def test_csv_is_one_file_a_topic(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Chosen topics alone."""
-    log = write(tmp_path, "1", drive())
+    log = saved(tmp_path / "1.mcap", drive_log())
     assert run("--format", "csv", "--topic", "chassis/*", "-o", tmp_path / "out", log) == ExitCode.OK
     assert capsys.readouterr().out == f"{tmp_path / 'out' / 'fleet.cruiser-1.chassis.gear.csv'}: 20 rows\n"
 
@@ -91,13 +99,13 @@ def test_csv_is_one_file_a_topic(tmp_path: Path, capsys: pytest.CaptureFixture[s
 def test_what_only_a_dataset_has_is_refused_elsewhere(tmp_path: Path, words: list[str]) -> None:
     """Exit code 2."""
     with pytest.raises(CommandError, match="--format parquet") as caught:
-        run("--format", "csv", *words, "-o", tmp_path / "out", write(tmp_path, "1", small_log()))
+        run("--format", "csv", *words, "-o", tmp_path / "out", saved(tmp_path / "1.mcap", small_log()))
     assert caught.value.code == ExitCode.USAGE
 
 
 def test_a_time_is_chosen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """From the log's beginning."""
-    log = write(tmp_path, "1", drive())
+    log = saved(tmp_path / "1.mcap", drive_log())
     words = ["--topic", "chassis_gear", "--from", "0.05", "--to", "0.1"]
     assert run(*words, "-o", tmp_path / "out", log) == ExitCode.OK
     assert ": 5 rows in 1 files" in capsys.readouterr().out

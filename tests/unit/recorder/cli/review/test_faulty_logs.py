@@ -13,10 +13,9 @@ from recorder.mcap.framing import MAGIC, encode
 from recorder.mcap.pieces import NO_RECORD, Fault, MessageBlock
 from recorder.mcap.reader import DamagedError
 from schemas.exit_codes import CommandError, ExitCode
-from tests.support import log_scenarios
-from tests.support.made_logs import gears, own_log, saved
-from tests.support.recorder_fakes import small_log
+from tests.support.logs import gears, own_log, saved, small_log
 from tests.support.review_command import run
+from tests.support.rigs import scenarios as log_scenarios
 
 QUESTIONS = ("info", "check", "events")
 WRITE = {

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from schemas.exit_codes import CommandError, ExitCode
-from tests.support.made_logs import foreign_log, gears, own_log, saved
-from tests.support.recorder_fakes import FakeSample, Log
+from tests.support.logs import Log, foreign_log, gears, own_log, saved
+from tests.support.messages import FakeSample
 from tests.support.review_command import run
 
 

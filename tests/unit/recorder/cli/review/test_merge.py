@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from schemas.exit_codes import CommandError, ExitCode
-from tests.support.made_logs import GEAR_TOPIC, Read, gears, own_log, saved
+from tests.support.logs import GEAR_TOPIC, gears, own_log, saved
+from tests.support.reading import Read
 from tests.support.review_command import run
 
 

@@ -10,7 +10,8 @@ from recorder.cli.review import command as review
 from recorder.cli.review import query
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
-from tests.support.drives import drive, write
+from tests.support.drives import drive_log
+from tests.support.logs import saved
 
 
 def run(question: str, *words: str | Path, is_stopped: bool = False) -> int:
@@ -23,13 +24,13 @@ def run(question: str, *words: str | Path, is_stopped: bool = False) -> int:
 def test_a_statement_that_is_stopped_is_interrupted(tmp_path: Path) -> None:
     """Ctrl-C, once, while it reads."""
     with pytest.raises(KeyboardInterrupt):
-        run("query", "SELECT count(*) FROM chassis_gear", write(tmp_path, "1", drive()), is_stopped=True)
+        run("query", "SELECT count(*) FROM chassis_gear", saved(tmp_path / "1.mcap", drive_log()), is_stopped=True)
 
 
 @pytest.fixture(params=["log", "dataset"])
 def asked(request: pytest.FixtureRequest, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
     """A log, or a dataset of it."""
-    log = write(tmp_path, "1", drive())
+    log = saved(tmp_path / "1.mcap", drive_log())
     if request.param == "log":
         return log
     assert run("export", "-o", tmp_path / "out", log) == ExitCode.OK
@@ -96,7 +97,7 @@ def test_a_statement_and_a_log_are_wanted(asked: Path) -> None:
 
 def test_of_a_dataset_the_statement_says_the_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """--from is of logs."""
-    assert run("export", "-o", tmp_path / "out", write(tmp_path, "1", drive())) == ExitCode.OK
+    assert run("export", "-o", tmp_path / "out", saved(tmp_path / "1.mcap", drive_log())) == ExitCode.OK
     with pytest.raises(CommandError, match="WHERE log_time"):
         run("query", "--from", "1", "SELECT 1", tmp_path / "out")
     capsys.readouterr()
@@ -104,7 +105,7 @@ def test_of_a_dataset_the_statement_says_the_time(tmp_path: Path, capsys: pytest
 
 def test_a_damaged_log_is_partial(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What can be read is in the answer; exit code 3."""
-    log = write(tmp_path, "1", drive(count=200)[:-200])
+    log = saved(tmp_path / "1.mcap", drive_log(count=200)[:-200])
     assert run("query", "SELECT count(*) AS n FROM chassis_gear", log) == ExitCode.PARTIAL
     captured = capsys.readouterr()
     assert "200" in captured.out
@@ -140,7 +141,7 @@ def test_files_are_out_of_reach_unless_they_are_allowed(asked: Path, tmp_path: P
 @pytest.mark.parametrize("explain", ["", "EXPLAIN ANALYZE "])
 def test_a_statement_does_not_write_into_the_dataset_that_it_reads(tmp_path: Path, explain: str) -> None:
     """DuckDB lets a statement write wherever it lets it read."""
-    run("export", "-o", tmp_path / "out", write(tmp_path, "1", drive()))
+    run("export", "-o", tmp_path / "out", saved(tmp_path / "1.mcap", drive_log()))
     manifest = tmp_path / "out" / "manifest.json"
     before = manifest.read_bytes()
     with pytest.raises(CommandError, match=r"not a SELECT.*--allow-files"):
@@ -150,7 +151,7 @@ def test_a_statement_does_not_write_into_the_dataset_that_it_reads(tmp_path: Pat
 
 def test_a_dataset_is_asked_alone(tmp_path: Path) -> None:
     """Beside logs it would be left out without a word."""
-    log = write(tmp_path, "1", drive())
+    log = saved(tmp_path / "1.mcap", drive_log())
     run("export", "-o", tmp_path / "out", log)
     with pytest.raises(CommandError, match="a dataset is asked alone") as caught:
         run("query", "SELECT 1", log, tmp_path / "out")
@@ -162,5 +163,5 @@ def test_of_a_damaged_log_a_wrong_statement_tells_the_damage_too(
 ) -> None:
     """A table may be missing because of it."""
     with pytest.raises(CommandError, match="does not exist"):
-        run("query", "SELECT * FROM odometry_of_others", write(tmp_path, "1", drive()[:400]))
+        run("query", "SELECT * FROM odometry_of_others", saved(tmp_path / "1.mcap", drive_log()[:400]))
     assert "the file is cut off" in capsys.readouterr().err

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from schemas.exit_codes import ExitCode
-from tests.support.recorder_fakes import small_log
+from tests.support.logs import small_log
 from tests.support.review_command import run
 
 

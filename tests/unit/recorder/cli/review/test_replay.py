@@ -7,14 +7,14 @@ from recorder.cli.review import command as review
 from recorder.cli.review import replay
 from recorder.cli.review.asking import find
 from recorder.replay.rows import By, runs
-from tests.support.recorder_fakes import MS, WALL_NS
-from tests.support.replaying import drive, write_log
+from tests.support.drives import drive_samples, write_samples
+from tests.support.messages import MS, WALL_NS
 
 
 @pytest.fixture
 def log(tmp_path: Path) -> str:
     """A log of a robot."""
-    return str(write_log(tmp_path / "drive.mcap", drive()))
+    return str(write_samples(tmp_path / "drive.mcap", drive_samples()))
 
 
 def test_a_seek_stays_within_the_time_that_was_asked_for(log: str) -> None:

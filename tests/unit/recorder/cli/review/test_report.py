@@ -8,8 +8,9 @@ import pytest
 
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support import review_command
-from tests.support.recorder_fakes import Log, gear, sample_of
-from tests.support.report_drive import drive, restart, write_log
+from tests.support.drives import drive_messages, restart, write_messages
+from tests.support.logs import Log
+from tests.support.messages import gear, sample_of
 
 
 @pytest.fixture(autouse=True)
@@ -29,7 +30,7 @@ def ask(*words: object) -> int:
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
     """A drive."""
-    return write_log(tmp_path / "a.mcap", drive(60))
+    return write_messages(tmp_path / "a.mcap", drive_messages(60))
 
 
 def test_a_page_is_written_whole(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -47,7 +48,7 @@ def test_a_gateway_that_died_is_told_on_the_terminal_and_as_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """In the first line of the robot, and with its times."""
-    path = write_log(tmp_path / "a.mcap", restart(60, 40))
+    path = write_messages(tmp_path / "a.mcap", restart(60, 40))
     assert ask(path) == ExitCode.OK
     said = capsys.readouterr().out
     assert "Its gateway fell silent while it commanded the robot, and began anew." in said.splitlines()[0]

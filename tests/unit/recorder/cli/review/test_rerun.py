@@ -14,9 +14,9 @@ from schemas.decisions import Journal
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import Variant
 from tests.support import review_command
-from tests.support.loop_rig import Operator
-from tests.support.recorded_day import RUN, Day, recorded, restful_day, under_rules_1
-from tests.support.recorder_fakes import small_log
+from tests.support.logs import small_log
+from tests.support.rigs.day import RUN, Day, restful_day, under_rules_1
+from tests.support.rigs.gateway import Operator
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def day() -> Day:
 def log(day: Day, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Its log."""
     path = tmp_path_factory.mktemp("logs") / "cruiser-1-20260102T030405Z.mcap"
-    path.write_bytes(recorded(day))
+    path.write_bytes(day.rig.log())
     return path
 
 
@@ -126,7 +126,7 @@ def test_a_run_under_other_rules_says_so_first_and_is_exit_code_1(
 ) -> None:
     """What has changed, above all differences; with other settings too."""
     path = tmp_path / "cruiser-1-20260102T030405Z.mcap"
-    path.write_bytes(recorded(day, journal=under_rules_1))
+    path.write_bytes(day.rig.log(journal=under_rules_1))
     assert run(path) == ExitCode.FAILURE
     notice, head, *rest = capsys.readouterr().out.splitlines()
     assert notice == f"cruiser-1, run {RUN}: {rules_notice(0)}"
@@ -144,7 +144,7 @@ def test_a_part_of_a_run_under_other_rules_has_no_place_to_begin(
     """What a gateway at rest is remembered by is another thing under each; so it says, and compares nothing."""
     path = tmp_path / "cruiser-1-20260102T030405Z.mcap"
     first = 3000
-    path.write_bytes(recorded(restful_day(1), journal=lambda one: _from(first, under_rules_1(one))))
+    path.write_bytes(restful_day(1).rig.log(journal=lambda one: _from(first, under_rules_1(one))))
     assert run(path) == ExitCode.FAILURE
     out = capsys.readouterr().out
     assert out.startswith(f"cruiser-1, run {RUN}: {rules_notice(0)}\n")

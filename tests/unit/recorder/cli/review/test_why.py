@@ -8,10 +8,10 @@ import pytest
 from mcap.writer import Writer
 
 from schemas.exit_codes import CommandError, ExitCode
-from tests.support import log_scenarios as scenarios
-from tests.support.log_scenarios import acted, recorded
-from tests.support.recorder_fakes import small_log
+from tests.support.logs import small_log
 from tests.support.review_command import run
+from tests.support.rigs import scenarios
+from tests.support.rigs.scenarios import acted, recorded
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from schemas.alive_counter import COUNTER_SPAN
 from schemas.can_word import EXTENDED
 from schemas.dbc_files import DBC_FILES, DbcFrame, dbc_text
 from schemas.messages import Variant
-from tests.support.recorder_fakes import GEAR_FEEDBACK, MS, feedback
+from tests.support.messages import GEAR_FEEDBACK, MS, feedback
 
 PERIOD_NS = 10 * MS
 GEAR = DbcFrame(EXTENDED | GEAR_FEEDBACK, "Auto_GearFeedBack", "Chassis", PERIOD_NS)

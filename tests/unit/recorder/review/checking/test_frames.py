@@ -8,7 +8,7 @@ from recorder.encoding.transcode import compile_encoder
 from recorder.review.checking.alive import AliveCount, feedback_frames
 from recorder.review.checking.frames import FrameCount
 from schemas.messages import CanFrame
-from tests.support.recorder_fakes import GEAR_FEEDBACK, MS, feedback
+from tests.support.messages import GEAR_FEEDBACK, MS, feedback
 
 ENCODE = compile_encoder(CanFrame)
 DRIVE_FEEDBACK = 0x18C4D3EF

@@ -19,17 +19,10 @@ from recorder.reading.faults import Faults
 from recorder.reading.rows import Selection
 from recorder.review.columns.tables import UNIT_KEY
 from schemas.messages import CanFrame, Drive, Gear, Message, RawSample
-from tests.support.logs_of import (
-    batches_of,
-    channel_of,
-    encoded,
-    fields_of,
-    log_of,
-    rows_of,
-    typed_row,
-)
-from tests.support.random_messages import message_of
-from tests.support.recorder_fakes import WALL_NS, gear, small_log
+from tests.support.columns import batches_of, fields_of, rows_of, typed_row
+from tests.support.logs import channel_of, encoded, numbered_log, small_log
+from tests.support.messages import WALL_NS, gear
+from tests.support.strategies import message_of
 
 KINDS = pytest.mark.parametrize("kind", LOGGED, ids=schema_name)
 
@@ -48,7 +41,7 @@ def test_columns_are_what_the_protobuf_package_reads(kind: type[msgspec.Struct],
     drawn = data.draw(st.lists(message_of(cast("type[Message]", kind)), min_size=1, max_size=4))
     messages = [encoded(message) for message in drawn]
     messages += [as_protobuf_writes(kind, one) for one in messages]
-    rows = rows_of(batches_of(log_of([channel_of(kind)], [[(1, one) for one in messages]])))
+    rows = rows_of(batches_of(numbered_log([channel_of(kind)], [[(1, one) for one in messages]])))
     assert [fields_of(row) for row in rows] == [typed_row(kind, one) for one in messages]
     assert [row["sequence"] for row in rows] == list(range(len(messages)))
 
@@ -56,7 +49,7 @@ def test_columns_are_what_the_protobuf_package_reads(kind: type[msgspec.Struct],
 def test_times_and_units_are_told() -> None:
     """Log and publish time to the nanosecond; the unit stands in the column's metadata."""
     (batch,) = batches_of(
-        log_of([channel_of(Drive)], [[(1, encoded(Drive(5, 0, 1, active=True, speed_mps=1.5)))]])
+        numbered_log([channel_of(Drive)], [[(1, encoded(Drive(5, 0, 1, active=True, speed_mps=1.5)))]])
     )
     assert [str(field.type) for field in list(batch.rows.schema)[:3]] == [
         "timestamp[ns, tz=UTC]",
@@ -74,13 +67,13 @@ def test_a_number_without_a_name_is_its_digits() -> None:
     position = data.index(b"\x28\x04") + 1
     newer = data[:position] + b"\x63" + data[position + 1 :]
     messages = [data] * 20 + [newer] * 20 + [data]
-    rows = rows_of(batches_of(log_of([channel_of(Gear)], [[(1, one) for one in messages]])))
+    rows = rows_of(batches_of(numbered_log([channel_of(Gear)], [[(1, one) for one in messages]])))
     assert [row["gear_position"] for row in rows] == ["drive"] * 20 + ["99"] * 20 + ["drive"]
 
 
 def test_an_enumeration_is_a_dictionary() -> None:
     """Of the values that the typed messages have."""
-    (batch,) = batches_of(log_of([channel_of(Gear)], [[(1, encoded(gear(0)))] * 20]))
+    (batch,) = batches_of(numbered_log([channel_of(Gear)], [[(1, encoded(gear(0)))] * 20]))
     assert pa.types.is_dictionary(batch.rows.column("gear_position").type)
 
 
@@ -91,13 +84,13 @@ def test_what_is_no_such_message_is_counted_and_left_out() -> None:
     assert beyond != good
     faults = Faults()
     messages = [(1, one) for one in [b"\x0f\xff", good, good, beyond]]
-    rows = rows_of(batches_of(log_of([channel_of(Gear)], [messages]), faults))
+    rows = rows_of(batches_of(numbered_log([channel_of(Gear)], [messages]), faults))
     assert [row["alive_counter"] for row in rows] == [7, 7]
     assert faults.told == ["log: 2 messages of t cannot be read"]
     raw = encoded(RawSample(0, "kkkk", "", b"", b"", ""))
     faults = Faults()
     messages = [(1, one) for one in [raw, raw.replace(b"kkkk", b"kk\xff\xff")]]
-    rows = rows_of(batches_of(log_of([channel_of(RawSample)], [messages]), faults))
+    rows = rows_of(batches_of(numbered_log([channel_of(RawSample)], [messages]), faults))
     assert [row["key"] for row in rows] == ["kkkk"]
     assert faults.told == ["log: 1 messages of t cannot be read"]
 
@@ -118,7 +111,7 @@ def wrong_indexes() -> dict[str, tuple[int, bytes]]:
 def test_a_wrong_index_is_a_fault_and_costs_nothing(wrong: str) -> None:
     """No message is lost, none is read wrongly."""
     messages = [(1, encoded(gear(number))) for number in range(10)]
-    data = bytearray(log_of([channel_of(Gear)], [messages, messages]))
+    data = bytearray(numbered_log([channel_of(Gear)], [messages, messages]))
     entry = struct.pack("<Q", WALL_NS + 1)
     place = data.index(entry + struct.pack("<Q", len(messages[0][1]) + MESSAGE_HEADER.size))
     shift, new = wrong_indexes()[wrong]
@@ -133,7 +126,7 @@ def test_a_wrong_index_is_a_fault_and_costs_nothing(wrong: str) -> None:
 def test_an_index_that_leaves_messages_out_is_wrong() -> None:
     """A chunk whose index knows nothing of one channel: its messages are read all the same."""
     messages = [(1 + number % 2, encoded(gear(number))) for number in range(40)]
-    data = log_of([channel_of(Gear, 1, "a"), channel_of(Gear, 2, "b")], [messages])
+    data = numbered_log([channel_of(Gear, 1, "a"), channel_of(Gear, 2, "b")], [messages])
     head = struct.pack("<BQHI", 7, 6 + 20 * 16, 2, 20 * 16)
     place = data.index(head)
     shorter = data[:place] + struct.pack("<BQ", 0x81, 6 + 20 * 16) + data[place + 9 :]
@@ -159,7 +152,7 @@ def test_what_only_looks_like_a_message_is_none() -> None:
 def test_only_what_is_wanted_is_read() -> None:
     """Topics and times."""
     messages = [(1 + number % 2, encoded(gear(number))) for number in range(40)]
-    data = log_of([channel_of(Gear, 1, "a"), channel_of(Gear, 2, "b")], [messages])
+    data = numbered_log([channel_of(Gear, 1, "a"), channel_of(Gear, 2, "b")], [messages])
     selection = Selection(lambda topic: topic.name == "b", WALL_NS + 10, WALL_NS + 20)
     assert [row["sequence"] for row in rows_of(batches_of(data, None, selection))] == [11, 13, 15, 17, 19]
     assert not batches_of(data, None, Selection(from_ns=5, to_ns=5))
@@ -168,7 +161,7 @@ def test_only_what_is_wanted_is_read() -> None:
 
 def test_a_sift_says_by_the_heads_what_is_read() -> None:
     """Log time, publish time and sequence are known before a message is read."""
-    data = log_of([channel_of(Gear)], [[(1, encoded(gear(number))) for number in range(40)]])
+    data = numbered_log([channel_of(Gear)], [[(1, encoded(gear(number))) for number in range(40)]])
     found = batches_of(
         data, None, None, lambda _topic, _log_ns, _publish_ns, sequence: np.asarray(sequence % 10 == 3)
     )
@@ -194,7 +187,7 @@ def test_frames_with_other_lengths_stand_in_their_places() -> None:
         )
         for number in range(300)
     ]
-    rows = rows_of(batches_of(log_of([channel_of(CanFrame)], [[(1, encoded(frame)) for frame in frames]])))
+    rows = rows_of(batches_of(numbered_log([channel_of(CanFrame)], [[(1, encoded(frame)) for frame in frames]])))
     assert [row["identifier"] for row in rows] == list(range(300))
     assert [row["is_fd"] for row in rows] == [frame.is_fd for frame in frames]
 

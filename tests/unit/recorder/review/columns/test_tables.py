@@ -20,7 +20,8 @@ from recorder.mcap.channel import LogChannel
 from recorder.reading.faults import Faults
 from recorder.reading.topics import Topic, topic_of
 from recorder.review.columns.tables import columns_of
-from tests.support.logs_of import batches_of, fields_of, log_of, rows_of
+from tests.support.columns import batches_of, fields_of, rows_of
+from tests.support.logs import numbered_log
 
 F = FieldDescriptorProto
 NUMBERS = {
@@ -132,7 +133,7 @@ def test_every_kind_of_field_of_others_is_read(drawn: list[Any]) -> None:
 
 def one_chunk(data: list[bytes]) -> bytes:
     """The log of these messages."""
-    return log_of([channel(ALL_SCHEMA)], [[(1, one) for one in data]])
+    return numbered_log([channel(ALL_SCHEMA)], [[(1, one) for one in data]])
 
 
 def wires() -> dict[str, bytes]:
@@ -205,7 +206,9 @@ def test_what_a_library_panics_at_cannot_be_read() -> None:
 def test_json_is_text() -> None:
     """As it stands in the log; what is no UTF-8 is counted."""
     faults = Faults()
-    log = log_of([channel(b"{}", "s", "json", "jsonschema")], [[(1, b'{"a": 1}'), (1, b"\xff"), (1, b"no json")]])
+    log = numbered_log(
+        [channel(b"{}", "s", "json", "jsonschema")], [[(1, b'{"a": 1}'), (1, b"\xff"), (1, b"no json")]]
+    )
     rows = rows_of(batches_of(log, faults))
     assert [row["json"] for row in rows] == ['{"a": 1}', "no json"]
     assert [row["sequence"] for row in rows] == [0, 2]
@@ -219,7 +222,7 @@ def test_json_is_text() -> None:
 )
 def test_what_nobody_can_read_is_bytes(one: LogChannel) -> None:
     """Of any encoding, and of protobuf whose schema is of no use."""
-    rows = rows_of(batches_of(log_of([one], [[(1, b"\x00abc")]])))
+    rows = rows_of(batches_of(numbered_log([one], [[(1, b"\x00abc")]])))
     assert [fields_of(row) for row in rows] == [{"data": "AGFiYw=="}]
 
 
@@ -265,5 +268,5 @@ def test_a_class_within_itself_is_kept_as_bytes() -> None:
     child.type_name = ".other.Tree"
     kind, schema = made(file, "other.Tree")
     data = kind(value=1, child={"value": 2}).SerializeToString()
-    rows = rows_of(batches_of(log_of([channel(schema, "other.Tree")], [[(1, data)]])))
+    rows = rows_of(batches_of(numbered_log([channel(schema, "other.Tree")], [[(1, data)]])))
     assert [fields_of(row) for row in rows] == [{"value": 1, "child": "CAI="}]

@@ -12,7 +12,8 @@ from recorder.review.export import csv_files
 from recorder.review.export.csv_files import CsvFile, export_csv
 from recorder.review.export.one_log import ExportRange
 from schemas.exit_codes import CommandError
-from tests.support.drives import drive, write
+from tests.support.drives import drive_log
+from tests.support.logs import saved
 
 
 def export(logs: list[Path], out: Path) -> list[CsvFile]:
@@ -31,7 +32,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 def test_one_file_a_topic(tmp_path: Path) -> None:
     """All logs' rows, once, under one head; names, times and enumerations as text."""
-    logs = [write(tmp_path, "1", drive()), write(tmp_path, "2", drive(first=10))]
+    logs = [saved(tmp_path / "1.mcap", drive_log()), saved(tmp_path / "2.mcap", drive_log(first=10))]
     done = export(logs, tmp_path / "out")
     assert {Path(file.path).name for file in done} >= {
         "fleet.cruiser-1.chassis.gear.csv",
@@ -47,7 +48,7 @@ def test_one_file_a_topic(tmp_path: Path) -> None:
 
 def test_bytes_are_digits_and_what_is_nested_is_json(tmp_path: Path) -> None:
     """Data of frames in hexadecimal; maps as objects."""
-    export([write(tmp_path, "1", drive())], tmp_path / "out")
+    export([saved(tmp_path / "1.mcap", drive_log())], tmp_path / "out")
     frame = rows(tmp_path / "out" / "fleet.cruiser-1.can.can0.rx.csv")[1]
     assert frame["data"] == "0104000000001015"
     info = rows(tmp_path / "out" / "fleet.cruiser-1.gateway.info.csv")[0]
@@ -56,7 +57,7 @@ def test_bytes_are_digits_and_what_is_nested_is_json(tmp_path: Path) -> None:
 
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
     """A file that is there is refused."""
-    log = write(tmp_path, "1", drive())
+    log = saved(tmp_path / "1.mcap", drive_log())
     export([log], tmp_path / "out")
     with pytest.raises(CommandError, match="is there already"):
         export([log], tmp_path / "out")
@@ -64,7 +65,7 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
 
 def test_few_files_are_open_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A file that is opened again goes on where it was."""
-    log = write(tmp_path, "1", drive(count=200))
+    log = saved(tmp_path / "1.mcap", drive_log(count=200))
     export([log], tmp_path / "all")
     monkeypatch.setattr(csv_files, "OPEN_MAX", 1)
     monkeypatch.setattr("recorder.review.columns.reader.BATCH_BYTES", 1)
@@ -87,7 +88,7 @@ def test_of_an_export_that_is_broken_off_nothing_is_left(tmp_path: Path) -> None
     def stop(_bytes: int) -> None:
         raise KeyboardInterrupt
 
-    logs = find_logs([write(tmp_path, "1", drive())], Faults())
+    logs = find_logs([saved(tmp_path / "1.mcap", drive_log())], Faults())
     with pytest.raises(KeyboardInterrupt):
         export_csv(logs, tmp_path / "out", ExportRange(), Faults(), stop)
     assert list((tmp_path / "out").iterdir()) == []
@@ -95,7 +96,7 @@ def test_of_an_export_that_is_broken_off_nothing_is_left(tmp_path: Path) -> None
 
 def test_what_another_export_is_writing_stays(tmp_path: Path) -> None:
     """It is named, and not taken for a part of this one."""
-    logs = find_logs([write(tmp_path, "1", drive())], Faults())
+    logs = find_logs([saved(tmp_path / "1.mcap", drive_log())], Faults())
     [*_, one] = export_csv(logs, tmp_path / "first", ExportRange(), Faults())
     part = tmp_path / "out" / f"{Path(one.path).name}.part"
     part.parent.mkdir()

@@ -22,9 +22,9 @@ from recorder.review.export.manifest import MANIFEST_NAME, Manifest, read_manife
 from recorder.review.export.one_log import ExportOutcome, ExportRange, ExportTask
 from schemas.exit_codes import CommandError
 from schemas.messages import Gear
-from tests.support.drives import FRAMES, drive, write
-from tests.support.logs_of import channel_of, encoded, log_of
-from tests.support.recorder_fakes import SECOND, WALL_NS, gear, small_log
+from tests.support.drives import FRAMES, drive_log
+from tests.support.logs import channel_of, encoded, numbered_log, saved, small_log
+from tests.support.messages import SECOND, WALL_NS, gear
 
 
 def export(
@@ -67,7 +67,7 @@ def contents(directory: Path) -> dict[str, bytes]:
 
 def test_every_message_is_a_row(tmp_path: Path) -> None:
     """Of every topic as many as the mcap package reads."""
-    log = write(tmp_path, "log", drive())
+    log = saved(tmp_path / "log.mcap", drive_log())
     done = export([log], tmp_path / "out")
     with log.open("rb") as stream:
         expected = Counter(channel.topic for _, channel, _ in make_reader(stream).iter_messages())
@@ -77,7 +77,10 @@ def test_every_message_is_a_row(tmp_path: Path) -> None:
 
 def test_others_read_it_as_hive_names_it(tmp_path: Path) -> None:
     """Topic, robot and day are directories, and come back as they were."""
-    export([write(tmp_path, "1", drive()), write(tmp_path, "2", drive("cruiser-2"))], tmp_path / "out")
+    export(
+        [saved(tmp_path / "1.mcap", drive_log()), saved(tmp_path / "2.mcap", drive_log("cruiser-2"))],
+        tmp_path / "out",
+    )
     directories = {
         str(path.parent.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("*.parquet")
     }
@@ -92,7 +95,7 @@ def test_others_read_it_as_hive_names_it(tmp_path: Path) -> None:
 
 def test_the_manifest_says_what_is_there(tmp_path: Path) -> None:
     """Inputs with their hashes, files with rows, times and columns, units, and who wrote it."""
-    log = write(tmp_path, "log", drive())
+    log = saved(tmp_path / "log.mcap", drive_log())
     export([log], tmp_path / "out")
     manifest = manifest_of(tmp_path / "out")
     (found,) = manifest.inputs
@@ -110,7 +113,7 @@ def test_the_manifest_says_what_is_there(tmp_path: Path) -> None:
 
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
     """A dataset is refused, and so is a directory that holds something else; both stay as they are."""
-    log = write(tmp_path, "log", drive())
+    log = saved(tmp_path / "log.mcap", drive_log())
     export([log], tmp_path / "out")
     before = contents(tmp_path / "out")
     with pytest.raises(CommandError, match="is a dataset already"):
@@ -126,10 +129,10 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
 
 def test_what_is_not_there_can_be_added(tmp_path: Path) -> None:
     """A log that is in it already adds nothing, whatever it is called."""
-    first, second = write(tmp_path, "1", drive()), write(tmp_path, "2", drive(first=20))
+    first, second = saved(tmp_path / "1.mcap", drive_log()), saved(tmp_path / "2.mcap", drive_log(first=20))
     export([first], tmp_path / "out")
     before = contents(tmp_path / "out")
-    again = write(tmp_path, "again", first.read_bytes())
+    again = saved(tmp_path / "again.mcap", first.read_bytes())
     done = export([again, second], tmp_path / "out", is_adding=True)
     assert done.known == [str(again)]
     assert rows_by_topic(tmp_path / "out")["fleet/cruiser-1/chassis/gear"] == 40
@@ -143,8 +146,8 @@ def test_what_is_not_there_can_be_added(tmp_path: Path) -> None:
 def test_what_two_logs_hold_is_there_once(tmp_path: Path) -> None:
     """An incident beside its log, another recorder that heard half of it later: topic, time and sequence tell."""
     logs = [
-        write(tmp_path, "log", drive(count=20)),
-        write(tmp_path, "heard-later", drive(first=10, count=20, late_ns=3 * SECOND)),
+        saved(tmp_path / "log.mcap", drive_log(count=20)),
+        saved(tmp_path / "heard-later.mcap", drive_log(first=10, count=20, late_ns=3 * SECOND)),
     ]
     done = export(logs, tmp_path / "out")
     counts = rows_by_topic(tmp_path / "out")
@@ -157,7 +160,7 @@ def test_what_two_logs_hold_is_there_once(tmp_path: Path) -> None:
 
 def test_two_robots_never_say_the_same(tmp_path: Path) -> None:
     """At one time, with one sequence: they are of two topics."""
-    logs = [write(tmp_path, "1", drive()), write(tmp_path, "2", drive("cruiser-2"))]
+    logs = [saved(tmp_path / "1.mcap", drive_log()), saved(tmp_path / "2.mcap", drive_log("cruiser-2"))]
     assert [one.repeats for one in export(logs, tmp_path / "out").inputs] == [0, 0]
 
 
@@ -171,7 +174,7 @@ class FailingRunner:
 
 def test_an_export_that_fails_leaves_the_dataset_as_it_was(tmp_path: Path) -> None:
     """Not a file more; and nothing at all where there was none."""
-    first, second = write(tmp_path, "1", drive()), write(tmp_path, "2", drive(first=20))
+    first, second = saved(tmp_path / "1.mcap", drive_log()), saved(tmp_path / "2.mcap", drive_log(first=20))
     with pytest.raises(CommandError, match="No space left"):
         export([first, second], tmp_path / "out", run=FailingRunner())
     assert contents(tmp_path / "out") == {}
@@ -184,7 +187,7 @@ def test_an_export_that_fails_leaves_the_dataset_as_it_was(tmp_path: Path) -> No
 
 def test_what_a_killed_export_left_is_in_nobodys_way(tmp_path: Path) -> None:
     """Its hidden directory, or a file that it had moved and not named: it is neither overwritten nor counted."""
-    log = write(tmp_path, "log", drive())
+    log = saved(tmp_path / "log.mcap", drive_log())
     export([log], tmp_path / "out")
     manifest = tmp_path / "out" / MANIFEST_NAME
     text = json.loads(manifest.read_text())
@@ -202,7 +205,7 @@ def test_what_a_killed_export_left_is_in_nobodys_way(tmp_path: Path) -> None:
 
 def test_two_exports_do_not_write_at_once(tmp_path: Path) -> None:
     """The second one is told so."""
-    log = write(tmp_path, "log", drive())
+    log = saved(tmp_path / "log.mcap", drive_log())
 
     def run(tasks: Sequence[ExportTask], progress: Progress) -> Iterator[ExportOutcome]:
         with pytest.raises(CommandError, match="another export writes"):
@@ -216,7 +219,7 @@ def test_a_day_is_a_directory(tmp_path: Path) -> None:
     """By the log times, in UTC."""
     until_midnight_ns = -WALL_NS % (24 * 3600 * SECOND)
     first = (until_midnight_ns - 50_000_000) // 10_000_000
-    export([write(tmp_path, "log", drive(first=first, count=10))], tmp_path / "out")
+    export([saved(tmp_path / "log.mcap", drive_log(first=first, count=10))], tmp_path / "out")
     gears = [part for part in manifest_of(tmp_path / "out").files if part.table == "chassis_gear"]
     assert {part.date: part.rows for part in gears} == {"2027-01-15": 5, "2027-01-16": 5}
 
@@ -226,7 +229,7 @@ def test_rows_are_written_as_they_come(tmp_path: Path, monkeypatch: pytest.Monke
     """In groups, in the order of the log; no more is held than the limits say."""
     monkeypatch.setattr(parts, limit, 1)
     monkeypatch.setattr("recorder.review.columns.reader.BATCH_BYTES", 1)
-    export([write(tmp_path, "log", drive(count=200))], tmp_path / "out")
+    export([saved(tmp_path / "log.mcap", drive_log(count=200))], tmp_path / "out")
     (gears,) = [part for part in manifest_of(tmp_path / "out").files if part.table == "chassis_gear"]
     file = pq.ParquetFile(tmp_path / "out" / gears.path)
     assert file.metadata.num_row_groups > 3
@@ -239,7 +242,9 @@ def test_a_file_that_is_ended_goes_on_in_another_part(
 ) -> None:
     """To make room for others, or because of its length: no row is lost."""
     chunk = [(1, encoded(gear(number))) for number in range(5)] + [(2, encoded(gear(9)))]
-    log = write(tmp_path, "log", log_of([channel_of(Gear, 1, "a"), channel_of(Gear, 2, "b")], [chunk] * 3))
+    log = saved(
+        tmp_path / "log.mcap", numbered_log([channel_of(Gear, 1, "a"), channel_of(Gear, 2, "b")], [chunk] * 3)
+    )
     export([log], tmp_path / "all")
     for one in ("GROUP_BYTES", limit):
         monkeypatch.setattr(parts, one, 1)
@@ -253,7 +258,7 @@ def test_a_file_that_is_ended_goes_on_in_another_part(
 @pytest.mark.parametrize("pattern", ["fleet/cruiser-1/chassis/gear", "chassis/*", "chassis_gear"])
 def test_topics_are_chosen_by_any_of_their_names(tmp_path: Path, pattern: str) -> None:
     """The key, what follows the robot in it, or the table."""
-    log = write(tmp_path, "log", drive())
+    log = saved(tmp_path / "log.mcap", drive_log())
     assert export([log], tmp_path / "out", wanted=ExportRange([pattern])).rows == 20
     span = ExportRange([pattern], WALL_NS + 50_000_000, WALL_NS + 100_000_000)
     assert export([log], tmp_path / "span", wanted=span).rows == 5
@@ -267,7 +272,7 @@ def test_damage_is_told_and_the_rest_is_there(tmp_path: Path) -> None:
         damaged = bytearray(data)
         damaged[dice.randrange(len(MAGIC), len(data))] ^= 1 << dice.randrange(8)
         end = len(damaged) if number % 2 else dice.randrange(len(MAGIC) + 1, len(damaged))
-        log = write(tmp_path, f"log{number}", bytes(damaged[:end]))
+        log = saved(tmp_path / f"{f'log{number}'}.mcap", bytes(damaged[:end]))
         faults = Faults()
         out = tmp_path / f"out{number}"
         done = export([log], out, faults)

@@ -13,8 +13,9 @@ from recorder.review.export.frame_files import FrameFormat, write_frames
 from recorder.review.export.raw_frames import LoggedFrame, read_frames
 from schemas import codec
 from schemas.messages import CanFrames
-from tests.support.drives import FRAMES, drive, write
-from tests.support.recorder_fakes import MS, SECOND, WALL_NS, FakeSample, Log, batch, feedback
+from tests.support.drives import FRAMES, drive_log
+from tests.support.logs import Log, saved
+from tests.support.messages import MS, SECOND, WALL_NS, FakeSample, batch, feedback
 
 
 def read(paths: list[Path]) -> list[LoggedFrame]:
@@ -42,7 +43,7 @@ CAN_FRAMES = f"application/msgpack;cruiser.CanFrames/{CanFrames.version}"
 
 def test_frames_of_both_ways_are_in_the_order_of_their_times(tmp_path: Path) -> None:
     """Batches come one after the other; their frames were mixed on the bus."""
-    found = read([write(tmp_path, "1", both_ways())])
+    found = read([saved(tmp_path / "1.mcap", both_ways())])
     times = [logged.frame.time_ns for logged in found]
     assert len(times) == 40
     assert times == sorted(times)
@@ -51,20 +52,22 @@ def test_frames_of_both_ways_are_in_the_order_of_their_times(tmp_path: Path) -> 
 
 def test_a_frame_that_two_logs_hold_is_written_once(tmp_path: Path) -> None:
     """Though in one log two frames may be the same in every bit."""
-    one = write(tmp_path, "1", drive())
-    assert len(read([one, write(tmp_path, "2", drive(first=0, count=5))])) == FRAMES
+    one = saved(tmp_path / "1.mcap", drive_log())
+    assert len(read([one, saved(tmp_path / "2.mcap", drive_log(first=0, count=5))])) == FRAMES
     log = Log()
     log.receive(
         FakeSample("fleet/cruiser-1/can/can0/rx", CAN_FRAMES, codec.encode(batch(0, [(WALL_NS, feedback(1))] * 2)))
     )
     twice = log.close()
-    assert len(read([write(tmp_path, "3", twice)])) == 2
-    assert len(read([write(tmp_path, "3", twice), write(tmp_path, "4", twice)])) == 2
+    assert len(read([saved(tmp_path / "3.mcap", twice)])) == 2
+    assert len(read([saved(tmp_path / "3.mcap", twice), saved(tmp_path / "4.mcap", twice)])) == 2
 
 
 def test_each_robot_has_a_file(tmp_path: Path) -> None:
     """All are ended, and what was out of order is counted."""
-    found = read([write(tmp_path, "1", drive()), write(tmp_path, "2", drive("cruiser-2", first=3))])
+    found = read(
+        [saved(tmp_path / "1.mcap", drive_log()), saved(tmp_path / "2.mcap", drive_log("cruiser-2", first=3))]
+    )
     done = write_frames([*found, found[0]], tmp_path, FrameFormat.CANDUMP)
     paths = {robot: tmp_path / f"{robot}.log" for robot in ("cruiser-1", "cruiser-2")}
     assert {one.robot: (Path(one.path), one.frames, one.late) for one in done} == {
@@ -84,7 +87,7 @@ def test_frames_that_break_off_leave_no_file(tmp_path: Path) -> None:
         yield from found
         raise OSError(28, "No space left on device")
 
-    found = read([write(tmp_path, "1", drive()), write(tmp_path, "2", drive("cruiser-2"))])
+    found = read([saved(tmp_path / "1.mcap", drive_log()), saved(tmp_path / "2.mcap", drive_log("cruiser-2"))])
     out = tmp_path / "out"
     out.mkdir()
     with pytest.raises(OSError, match="No space left"):
@@ -96,12 +99,12 @@ def test_frames_that_break_off_leave_no_file(tmp_path: Path) -> None:
 def test_no_more_wait_than_may(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, value: int) -> None:
     """However the times are, all frames come out."""
     monkeypatch.setattr(raw_frames, name, value)
-    assert len(read([write(tmp_path, "1", both_ways())])) == 40
+    assert len(read([saved(tmp_path / "1.mcap", both_ways())])) == 40
 
 
 def test_only_the_wanted_time_is_read(tmp_path: Path) -> None:
     """By log time, as everywhere."""
     faults = Faults()
-    logs = find_logs([write(tmp_path, "1", both_ways())], faults)
+    logs = find_logs([saved(tmp_path / "1.mcap", both_ways())], faults)
     selection = Selection(from_ns=WALL_NS + 100 * MS, to_ns=WALL_NS + SECOND)
     assert len(list(read_frames(logs, selection, faults))) == 30

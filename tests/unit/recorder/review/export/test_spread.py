@@ -7,12 +7,13 @@ from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
 from recorder.review.export.one_log import ExportRange, ExportTask
 from recorder.review.export.spread import decode_task, encode_task
-from tests.support.drives import drive, write
+from tests.support.drives import drive_log
+from tests.support.logs import saved
 
 
 def test_a_task_goes_as_json(tmp_path: Path) -> None:
     """To another process or machine."""
-    logs = find_logs([write(tmp_path, "1", drive())], Faults())
+    logs = find_logs([saved(tmp_path / "1.mcap", drive_log())], Faults())
     task = ExportTask(logs[0], "ab", logs, tmp_path, ExportRange(["*"], 5))
     assert decode_task(encode_task(task)) == task
 

@@ -8,9 +8,9 @@ from recorder.review.reasoning.chain import Step
 from recorder.review.why import Explanation
 from schemas.decisions import ArbiterState
 from schemas.reasons import Reason
-from tests.support.loop_rig import Operator
-from tests.support.recorder_fakes import MS
-from tests.support.rig_log import RecordedRig, ask, texts
+from tests.support.messages import MS
+from tests.support.rigs.gateway import Operator
+from tests.support.rigs.recorded import RecordedRig, ask, texts
 
 PRESSED = "it could not be driven forward: the front bumper was hit, and was pressed still"
 
@@ -104,7 +104,7 @@ def test_a_reset_of_nothing_resets_no_latch(tmp_path: Path) -> None:
     assert operator.take_lease() is Reason.NONE
     assert operator.reason("reset") is Reason.NONE
     second.run(0.3)
-    rig.keeping.kept += second.keeping.kept
+    rig.recorded += second.recorded
     explanation = ask(tmp_path / "log.mcap", rig.log(), latched_ns)
     assert explanation.state is ArbiterState.STANDBY
     assert "remote_stop, and no reset of it is in the log" in texts(explanation, Step.LATCH)

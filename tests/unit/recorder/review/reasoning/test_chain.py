@@ -3,7 +3,7 @@
 import pytest
 
 from recorder.review.reasoning.chain import before, count, mps, span, zero
-from tests.support.recorder_fakes import MS, SECOND
+from tests.support.messages import MS, SECOND
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from recorder.review.reasoning.chain import Step
 from recorder.review.reasoning.evidence import EVIDENCE
 from recorder.review.reasoning.window import EvidenceWindow, Limits
 from schemas.reasons import Reason
-from tests.support.recorder_fakes import WALL_NS
+from tests.support.messages import WALL_NS
 
 
 def test_every_reason_has_a_row() -> None:

@@ -8,7 +8,7 @@ from recorder.review.reasoning.chain import Step
 from recorder.review.reasoning.frame_evidence import mode
 from recorder.review.reasoning.signals import BODY, DecodedFrame
 from recorder.review.reasoning.window import EvidenceWindow, Limits
-from tests.support.recorder_fakes import MS, WALL_NS
+from tests.support.messages import MS, WALL_NS
 
 AUTO, REMOTE = bytes.fromhex("013f30000000909e"), bytes.fromhex("013f30000001707f")
 

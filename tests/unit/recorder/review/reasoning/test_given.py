@@ -10,7 +10,7 @@ from recorder.review.reasoning.given import given_until
 from schemas.can_word import ERROR, EXTENDED, REMOTE
 from schemas.decisions import Journal
 from schemas.journal import Kind
-from tests.support.recorder_fakes import GEAR_FEEDBACK, MS, SECOND, WALL_NS, feedback
+from tests.support.messages import GEAR_FEEDBACK, MS, SECOND, WALL_NS, feedback
 
 TICK_NS = 10 * MS
 START_NS = 77 * SECOND

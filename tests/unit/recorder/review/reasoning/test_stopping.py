@@ -10,11 +10,11 @@ from gateway.telemetry.sample import Sample
 from recorder.review.reasoning.chain import Step
 from schemas.decisions import ArbiterState
 from schemas.reasons import Reason
-from tests.support import log_scenarios as scenarios
-from tests.support.log_scenarios import acted
-from tests.support.loop_rig import Operator
-from tests.support.recorder_fakes import MS, SECOND
-from tests.support.rig_log import RecordedRig, ask, texts
+from tests.support.messages import MS, SECOND
+from tests.support.rigs import scenarios
+from tests.support.rigs.gateway import Operator
+from tests.support.rigs.recorded import RecordedRig, ask, texts
+from tests.support.rigs.scenarios import acted
 
 
 @cache
@@ -143,12 +143,12 @@ def _later_decisions(rig: RecordedRig, ns: int) -> bytes:
         payload = msgspec.msgpack.encode({**fields, "time_ns": fields["time_ns"] + ns})
         return msgspec.structs.replace(sample, payload=payload)
 
-    kept = rig.keeping.kept
-    rig.keeping.kept = [(at_ns, later(sample)) for at_ns, sample in kept]
+    kept = rig.recorded
+    rig.recorded = [(at_ns, later(sample)) for at_ns, sample in kept]
     try:
         return rig.log()
     finally:
-        rig.keeping.kept = kept
+        rig.recorded = kept
 
 
 def test_a_new_engagement_has_no_command_yet(tmp_path: Path) -> None:
@@ -173,7 +173,7 @@ def test_of_another_run_nothing_is_told_as_of_this_one(tmp_path: Path) -> None:
     begun_ns = second.at_ns
     second.run(1.0)
     # It has not told what it makes of the robot yet.
-    first.keeping.kept += [(at_ns, one) for at_ns, one in second.keeping.kept if one.subject != "state"]
+    first.recorded += [(at_ns, one) for at_ns, one in second.recorded if one.subject != "state"]
     explanation = ask(tmp_path / "log.mcap", first.log(), begun_ns + 15 * MS)
     assert explanation.state is ArbiterState.STANDBY
     assert "the firmware variant" in texts(explanation, Step.CAUSE)

@@ -8,8 +8,8 @@ from recorder.review.reasoning.story import RunEnding, Story, endings
 from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
 from schemas.decisions import RUN_TICKS, ArbiterState, Severity
 from schemas.reasons import Reason
-from tests.support.recorder_fakes import MS, SECOND
-from tests.support.rig_log import ROBOT, RecordedRig
+from tests.support.messages import MS, ROBOT, SECOND
+from tests.support.rigs.recorded import RecordedRig
 
 
 def _entry(kind: EntryKind, time_ns: int, text: str, *, tick: int, reason: Reason = Reason.NONE) -> Entry:
@@ -43,7 +43,7 @@ def _next(rig: RecordedRig, run: int, seconds: float = 1.0) -> None:
     """Another gateway begins a second after this one was last heard; its samples are put behind."""
     other = RecordedRig.beginning(rig.at_ns + SECOND, run)
     other.run(seconds)
-    rig.keeping.kept += other.keeping.kept
+    rig.recorded += other.recorded
 
 
 def _ending(path: Path, rig: RecordedRig, from_ns: int = 0) -> RunEnding:

@@ -22,8 +22,8 @@ from recorder.review.timeline.timeline import Timeline
 from schemas.decisions import ArbiterState, EventKind, Verdict
 from schemas.messages import Message, Mode
 from schemas.reasons import Reason
-from tests.support.recorder_fakes import SECOND, WALL_NS, key_of
-from tests.support.report_drive import PERIOD_NS, arbiter, drive, event, health, refusal, restart, state
+from tests.support.drives import drive_messages, restart
+from tests.support.messages import PERIOD_NS, SECOND, WALL_NS, arbiter, event, health, key_of, refusal, state
 
 
 def row_of(message: Message, log_ns: int) -> Row:
@@ -72,7 +72,7 @@ def charts_of(*messages: Message) -> RobotCharts:
 
 def test_a_drive_in_figures() -> None:
     """How far, how fast, how often stopped and why, who drove, what was refused."""
-    summary = summary_of(*drive(201))
+    summary = summary_of(*drive_messages(201))
     assert summary.distance_m == pytest.approx(10.0)
     assert [summary.moving_s, summary.known_s, summary.top_mps] == pytest.approx([10.0, 10.0, 1.0])
     assert (summary.start_ns, summary.end_ns) == (WALL_NS, WALL_NS + 200 * PERIOD_NS)
@@ -104,8 +104,8 @@ def test_who_drives_is_told_by_mode_and_lease() -> None:
 
 def test_what_is_there_twice_counts_once() -> None:
     """As in an incident beside its log."""
-    once = summary_of(*drive())
-    twice = summary_of(*(message for message in drive() for _ in range(2)))
+    once = summary_of(*drive_messages())
+    twice = summary_of(*(message for message in drive_messages() for _ in range(2)))
     assert twice == once
 
 
@@ -158,7 +158,7 @@ def test_what_was_asked_for_later_stands_where_it_happened() -> None:
 
 def test_a_clock_that_is_years_off_is_not_believed() -> None:
     """The time axis is the recorder's then, for all that is said, and has no hole of years."""
-    summary = report_of(*drive(), off_ns=50 * 365 * 24 * 3600 * SECOND).summary
+    summary = report_of(*drive_messages(), off_ns=50 * 365 * 24 * 3600 * SECOND).summary
     assert (summary.end_ns - summary.start_ns) == 199 * PERIOD_NS
     assert summary.gaps == 0
 

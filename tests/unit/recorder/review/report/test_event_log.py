@@ -11,7 +11,7 @@ from recorder.review.report.odometry import Place
 from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
 from schemas.decisions import Severity
 from schemas.reasons import Reason
-from tests.support.recorder_fakes import SECOND, WALL_NS
+from tests.support.messages import SECOND, WALL_NS
 
 HOUR_NS = 3600 * SECOND
 

@@ -24,24 +24,15 @@ from recorder.review.report.odometry import Place
 from recorder.review.timeline.entries import EntryKind
 from schemas.decisions import ArbiterState, EventKind
 from schemas.messages import Mode
-from tests.support.recorder_fakes import WALL_NS
-from tests.support.report_drive import (
-    HOSTILE,
-    PERIOD_NS,
-    arbiter,
-    drive,
-    event,
-    report_of,
-    restart,
-    state,
-    write_log,
-)
+from tests.support.drives import HOSTILE, drive_messages, restart, write_messages
+from tests.support.messages import PERIOD_NS, WALL_NS, arbiter, event, state
+from tests.support.reading import report_of
 
 
 def charts_of(tmp_path: Path, *more: object) -> RobotCharts:
     """Of a short drive, and what else is given."""
-    messages = [*drive(100), *more]
-    return report_of(write_log(tmp_path / "a.mcap", messages)).robots[0].charts  # type: ignore[arg-type]
+    messages = [*drive_messages(100), *more]
+    return report_of(write_messages(tmp_path / "a.mcap", messages)).robots[0].charts  # type: ignore[arg-type]
 
 
 def test_plotly_accepts_every_property(tmp_path: Path) -> None:
@@ -98,7 +89,7 @@ def test_every_kind_of_event_is_in_the_legend(tmp_path: Path) -> None:
 
 def test_a_gateway_that_died_is_shaded_and_marked(tmp_path: Path) -> None:
     """Until another one began; on the map too."""
-    (robot,) = report_of(write_log(tmp_path / "a.mcap", restart(100, 60))).robots
+    (robot,) = report_of(write_messages(tmp_path / "a.mcap", restart(100, 60))).robots
     figure = over_time(robot.charts)
     (shape,) = figure["layout"]["shapes"]
     assert (shape["type"], shape["x0"], shape["x1"]) == (
@@ -122,7 +113,7 @@ def test_too_many_outages_are_marks_alone(tmp_path: Path) -> None:
 
 def test_who_held_the_lease_is_told_where_nobody_did_it(tmp_path: Path) -> None:
     """A stop by the bumper is nobody's, and somebody drove."""
-    (robot,) = report_of(write_log(tmp_path / "a.mcap", drive(100))).robots
+    (robot,) = report_of(write_messages(tmp_path / "a.mcap", drive_messages(100))).robots
     stop = next(moment for moment in robot.charts.moments if moment.kind == "stop")
     assert "holder of the lease: operator-1" in hover_text(stop)
 

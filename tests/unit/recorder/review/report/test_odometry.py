@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.review.report.odometry import CLOCK_STEP_NS, GAP_NS, PLACES_MAX, Path
-from tests.support.recorder_fakes import MS, SECOND
+from tests.support.messages import MS, SECOND
 
 STEP_NS = 50 * MS
 

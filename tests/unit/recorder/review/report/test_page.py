@@ -16,24 +16,15 @@ from recorder.review.report.findings import Outage, Report
 from recorder.review.report.page import MOMENTS_SHOWN, page, safe_json, text
 from recorder.review.report.words import SHOWN
 from schemas.messages import Message
-from tests.support.report_drive import (
-    HOSTILE,
-    arbiter,
-    drive,
-    event,
-    gateway,
-    refusal,
-    report_of,
-    restart,
-    state,
-    write_log,
-)
+from tests.support.drives import HOSTILE, drive_messages, restart, write_messages
+from tests.support.messages import arbiter, event, gateway_info, refusal, state
+from tests.support.reading import report_of
 
 
 def hostile_drive() -> list[Message]:
     """A drive in which every text is an attack."""
     return [
-        *drive(200),
+        *drive_messages(200),
         *(
             message
             for number in range(200, 240)
@@ -48,7 +39,7 @@ def hostile_drive() -> list[Message]:
 def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
     """Of two robots, in which every text is an attack."""
     path = tmp_path_factory.mktemp("log") / "<b>a&b.mcap"
-    found = report_of(write_log(path, hostile_drive(), robots=["cruiser-1", "cruiser-2"]))
+    found = report_of(write_messages(path, hostile_drive(), robots=["cruiser-1", "cruiser-2"]))
     return msgspec.structs.replace(found, faults=[HOSTILE], fault_count=3)
 
 
@@ -113,15 +104,15 @@ def test_what_the_summary_says_is_on_the_page(report: Report) -> None:
 
 def test_a_gateway_that_died_stands_before_all_else(tmp_path: Path) -> None:
     """As a note, a figure, and among the events; each configuration is in a table, with since when."""
-    log = [gateway(0, "a = 1\n"), *restart(100, 60), gateway(160, "a = 2\n")]
-    html = page(report_of(write_log(tmp_path / "a.mcap", sorted(log, key=lambda one: one.time_ns))), "")
+    log = [gateway_info(0, "a = 1\n"), *restart(100, 60), gateway_info(160, "a = 2\n")]
+    html = page(report_of(write_messages(tmp_path / "a.mcap", sorted(log, key=lambda one: one.time_ns))), "")
     before, _, after = html.partition(">Summary<")
     assert '<p class="note">Gateway: it fell silent at 2027-01-15 08:00:04.950 UTC while it commanded' in before
     assert "Gateway: since 2027-01-15 08:00:08.000 UTC it has another configuration: a 2, 1 before.</p>" in before
     assert "<strong>1</strong><span>gateway outage</span>" in before
     assert '<tr class="error"><td>08:00:08.000</td><td>gateway</td>' in after
     for text_of_one in ("a = 1\n", "a = 2\n"):
-        assert f"<td>{gateway(0, text_of_one).configuration_sha256[:12]}</td>" in after
+        assert f"<td>{gateway_info(0, text_of_one).configuration_sha256[:12]}</td>" in after
 
 
 def test_errors_are_shown_however_many_events_there_are(report: Report) -> None:

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.review.report.series import BREAKS_MAX, Series
-from tests.support.recorder_fakes import MS, SECOND
+from tests.support.messages import MS, SECOND
 
 
 @given(

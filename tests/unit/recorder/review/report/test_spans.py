@@ -1,7 +1,7 @@
 """What was so from when to when."""
 
 from recorder.review.report.spans import MIXED, Span, Spans
-from tests.support.recorder_fakes import MS, SECOND
+from tests.support.messages import MS, SECOND
 
 
 def test_a_value_holds_until_another_comes() -> None:

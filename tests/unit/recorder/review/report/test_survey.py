@@ -15,27 +15,28 @@ from schemas.decisions import ArbiterState, Severity
 from schemas.exit_codes import CommandError
 from schemas.reasons import Reason
 from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, RecordGap
-from tests.support.recorder_fakes import SECOND, WALL_NS, Log, info, sample_of
-from tests.support.report_drive import (
+from tests.support.drives import drive_messages, restart, undecodable, write_messages
+from tests.support.logs import Log
+from tests.support.messages import (
     PERIOD_NS,
+    SECOND,
+    WALL_NS,
     arbiter,
-    drive,
     event,
-    gateway,
+    gateway_info,
+    info,
     refusal,
-    report_of,
-    restart,
+    sample_of,
     state,
-    undecodable,
-    write_log,
 )
+from tests.support.reading import report_of
 
 SEEDS = 60
 
 
 def test_a_log_of_a_drive(tmp_path: Path) -> None:
     """Its figures, its facts and the recorder's account of it."""
-    report = report_of(write_log(tmp_path / "a.mcap", drive(201)))
+    report = report_of(write_messages(tmp_path / "a.mcap", drive_messages(201)))
     (robot,) = report.robots
     assert robot.summary.distance_m == pytest.approx(10.0)
     assert robot.summary.facts["variant"] == "coarse"
@@ -47,7 +48,7 @@ def test_a_log_of_a_drive(tmp_path: Path) -> None:
 
 def test_several_robots_have_a_report_each(tmp_path: Path) -> None:
     """In the order of their names; no more than there is room for, and the others are counted."""
-    report = report_of(write_log(tmp_path / "a.mcap", drive(20), robots=["r-2", "r-1"]))
+    report = report_of(write_messages(tmp_path / "a.mcap", drive_messages(20), robots=["r-2", "r-1"]))
     assert [robot.summary.name for robot in report.robots] == ["r-1", "r-2"]
     assert all("fleet/r-1/" in topic for topic in report.robots[0].summary.completeness)
 
@@ -55,7 +56,7 @@ def test_several_robots_have_a_report_each(tmp_path: Path) -> None:
 def test_robots_beyond_the_limit_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Names can be made up without end."""
     monkeypatch.setattr(survey, "ROBOTS_MAX", 2)
-    report = report_of(write_log(tmp_path / "a.mcap", drive(3), robots=["r-1", "r-2", "r-3", "r-4"]))
+    report = report_of(write_messages(tmp_path / "a.mcap", drive_messages(3), robots=["r-1", "r-2", "r-3", "r-4"]))
     assert ([robot.summary.name for robot in report.robots], report.more_robots) == (["r-1", "r-2"], 2)
 
 
@@ -63,7 +64,7 @@ def test_robots_of_one_name_under_two_roots_are_told_apart(tmp_path: Path) -> No
     """Both are called by their roots too."""
     log = Log()
     for root in ("fleet", "depot"):
-        for message in drive(5):
+        for message in drive_messages(5):
             log.receive(sample_of(message, root=root), wall_ns=message.time_ns)
     path = tmp_path / "a.mcap"
     path.write_bytes(log.close())
@@ -78,8 +79,8 @@ def test_a_name_in_two_logs_is_two_robots(tmp_path: Path) -> None:
     paths = []
     for root in ("fleet", "depot"):
         log = Log()
-        log.receive(sample_of(gateway(0, f"[robot]\nroot = '{root}'\n"), root=root))
-        for message in drive(20):
+        log.receive(sample_of(gateway_info(0, f"[robot]\nroot = '{root}'\n"), root=root))
+        for message in drive_messages(20):
             log.receive(sample_of(message, root=root), wall_ns=message.time_ns)
         said = RecorderEvent(
             WALL_NS + 9, 0, Severity.WARNING, RecorderEventKind.FULL, "cruiser-1", "", "", f"of {root}"
@@ -88,7 +89,7 @@ def test_a_name_in_two_logs_is_two_robots(tmp_path: Path) -> None:
         paths.append(tmp_path / f"{root}.mcap")
         paths[-1].write_bytes(log.close())
     for one, root in zip(report_of(*paths).robots, ("depot", "fleet"), strict=True):
-        hash_of_its_own = gateway(0, f"[robot]\nroot = '{root}'\n").configuration_sha256
+        hash_of_its_own = gateway_info(0, f"[robot]\nroot = '{root}'\n").configuration_sha256
         assert one.summary.name == f"{root}/cruiser-1"
         assert [known.configuration_sha256 for known in one.summary.in_force] == [hash_of_its_own]
         assert one.summary.facts["configuration_sha256"] == hash_of_its_own
@@ -98,8 +99,8 @@ def test_a_name_in_two_logs_is_two_robots(tmp_path: Path) -> None:
 def died(path: Path) -> Path:
     """A log in which a gateway dies at 9.95 s, and another one with another configuration begins at 13 s."""
     log = Log()
-    told = {0: gateway(0, "[command]\nspeed_limit_mps = 2.222\n")}
-    told[260] = gateway(260, "[command]\nspeed_limit_mps = 0.6\n")
+    told = {0: gateway_info(0, "[command]\nspeed_limit_mps = 2.222\n")}
+    told[260] = gateway_info(260, "[command]\nspeed_limit_mps = 0.6\n")
     for message in restart(200, 60):
         number = (message.time_ns - WALL_NS) // PERIOD_NS
         if number in told:
@@ -158,7 +159,7 @@ def test_an_incident_beside_its_log_tells_nothing_twice(tmp_path: Path) -> None:
 def test_what_comes_again_much_later_is_told_once(tmp_path: Path) -> None:
     """As where a recorder asked for all events of a drive that another one has, too."""
     events = [event(number) for number in range(600)]
-    first = write_log(tmp_path / "a.mcap", [state(0), *events])
+    first = write_messages(tmp_path / "a.mcap", [state(0), *events])
     log = Log()
     for message in events:
         log.receive(sample_of(message), wall_ns=message.time_ns + 60 * SECOND)
@@ -186,16 +187,19 @@ def test_what_was_before_the_beginning_of_the_log_is_not_in_the_report(tmp_path:
 def test_stops_are_told_where_their_events_are_lost(tmp_path: Path) -> None:
     """Two states, one after the other, tell of them too."""
     stopping = [arbiter(number, state=ArbiterState.STOPPING, stop_reason=Reason.DEADMAN) for number in range(5, 9)]
-    path = write_log(tmp_path / "a.mcap", [*(arbiter(number) for number in range(5)), *stopping])
+    path = write_messages(tmp_path / "a.mcap", [*(arbiter(number) for number in range(5)), *stopping])
     (robot,) = report_of(path).robots
     assert robot.summary.stops == {"deadman": 1}
 
 
 def test_files_that_follow_each_other_are_one_drive(tmp_path: Path) -> None:
     """The path goes on, and the accounts add up."""
-    messages = drive(200)
+    messages = drive_messages(200)
     half = len(messages) // 2
-    paths = [write_log(tmp_path / "a.mcap", messages[:half]), write_log(tmp_path / "b.mcap", messages[half:])]
+    paths = [
+        write_messages(tmp_path / "a.mcap", messages[:half]),
+        write_messages(tmp_path / "b.mcap", messages[half:]),
+    ]
     (robot,) = report_of(*paths).robots
     assert robot.summary.distance_m == pytest.approx(199 * 0.05)
     assert robot.summary.gaps == 0
@@ -205,7 +209,7 @@ def test_files_that_follow_each_other_are_one_drive(tmp_path: Path) -> None:
 def test_the_period_that_is_asked_about(tmp_path: Path) -> None:
     """What is outside of it is not in the report."""
     faults = Faults()
-    logs = find_logs([write_log(tmp_path / "a.mcap", drive(200))], faults)
+    logs = find_logs([write_messages(tmp_path / "a.mcap", drive_messages(200))], faults)
     report = read_report(logs, WALL_NS + 2 * SECOND, WALL_NS + 4 * SECOND, faults)
     (robot,) = report.robots
     assert (robot.summary.start_ns, robot.summary.end_ns) == (
@@ -216,7 +220,7 @@ def test_the_period_that_is_asked_about(tmp_path: Path) -> None:
 
 def test_a_log_that_was_not_finished_has_no_account(tmp_path: Path) -> None:
     """What is in it is told all the same, and that it is cut off is a fault."""
-    whole = write_log(tmp_path / "a.mcap", drive(2000)).read_bytes()
+    whole = write_messages(tmp_path / "a.mcap", drive_messages(2000)).read_bytes()
     path = tmp_path / "b.mcap.part"
     path.write_bytes(whole[: len(whole) * 2 // 3])
     faults = Faults()
@@ -230,7 +234,7 @@ def test_a_log_that_was_not_finished_has_no_account(tmp_path: Path) -> None:
 def test_what_the_recorder_could_not_keep_is_told(tmp_path: Path) -> None:
     """By topic and reason."""
     log = Log(LogPlan(name="a", chunk_bytes=262_144, flush_ns=SECOND // 2, version="0.1.0"))
-    log.receive(sample_of(info()), *(sample_of(message) for message in drive(3)))
+    log.receive(sample_of(info()), *(sample_of(message) for message in drive_messages(3)))
     for reason in (GapReason.DISK, GapReason.QUEUE, GapReason.DISK):
         gap = RecordGap(WALL_NS, 0, "fleet/cruiser-1/state", reason, WALL_NS, WALL_NS, 5)
         log.add_own("fleet/@recorder/vm/gap", gap, 0)
@@ -244,7 +248,7 @@ def test_what_cannot_be_read_is_a_fault_or_nobodys(tmp_path: Path) -> None:
     """A sample that is no message of ours is no state of the robot's."""
     log = Log()
     log.receive(undecodable())
-    for message in drive(3):
+    for message in drive_messages(3):
         log.receive(sample_of(message), wall_ns=message.time_ns)
     path = tmp_path / "a.mcap"
     path.write_bytes(log.close())
@@ -253,7 +257,7 @@ def test_what_cannot_be_read_is_a_fault_or_nobodys(tmp_path: Path) -> None:
 
 def test_damage_anywhere_never_ends_in_an_exception(tmp_path: Path) -> None:
     """Bytes turned, cut off or doubled: a report or a clear line."""
-    whole = write_log(tmp_path / "a.mcap", drive(100)).read_bytes()
+    whole = write_messages(tmp_path / "a.mcap", drive_messages(100)).read_bytes()
     path = tmp_path / "b.mcap"
     read = 0
     for seed in range(SEEDS):

@@ -19,8 +19,9 @@ from recorder.review.report.words import (
     who,
 )
 from schemas.reasons import Reason
-from tests.support.recorder_fakes import SECOND, WALL_NS
-from tests.support.report_drive import drive, report_of, write_log
+from tests.support.drives import drive_messages, write_messages
+from tests.support.messages import SECOND, WALL_NS
+from tests.support.reading import report_of
 
 FIRST_S, SIXTH_S = "2027-01-15 08:00:01.000 UTC", "2027-01-15 08:00:06.000 UTC"
 
@@ -28,7 +29,7 @@ FIRST_S, SIXTH_S = "2027-01-15 08:00:01.000 UTC", "2027-01-15 08:00:06.000 UTC"
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
     """Of a short drive."""
-    return report_of(write_log(tmp_path_factory.mktemp("log") / "a.mcap", drive(201)))
+    return report_of(write_messages(tmp_path_factory.mktemp("log") / "a.mcap", drive_messages(201)))
 
 
 def said(report: Report, **changes: object) -> dict[str, str]:
@@ -216,6 +217,6 @@ def test_sizes_and_lengths() -> None:
 
 def test_the_words_of_a_real_log(tmp_path: Path) -> None:
     """A robot without events, refusals or lease."""
-    lines = said(report_of(write_log(tmp_path / "a.mcap", drive(3)[:1])))
+    lines = said(report_of(write_messages(tmp_path / "a.mcap", drive_messages(3)[:1])))
     assert (lines["Stopped"], lines["Driven by"]) == ("never", "nobody, as far as the log tells")
     assert lines["Refused"] == "nothing, of 0 requests"

@@ -27,10 +27,9 @@ from schemas.messages import Message, Variant
 from schemas.reasons import Reason
 from schemas.settings import Settings
 from schemas.subjects import BY_TYPE
-from tests.support.loop_rig import Operator
-from tests.support.recorded_day import Day, recorded
-from tests.support.recorder_fakes import SECOND, WALL_NS
-from tests.support.report_drive import PERIOD_NS, refusal, state
+from tests.support.messages import PERIOD_NS, SECOND, WALL_NS, refusal, state
+from tests.support.rigs.day import Day
+from tests.support.rigs.gateway import Operator
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +46,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     operator.ask("disengage")
     rig.run(4)
     path = tmp_path_factory.mktemp("logs") / "cruiser-1-20260102T030405Z.mcap"
-    path.write_bytes(recorded(day))
+    path.write_bytes(day.rig.log())
     return path
 
 
@@ -126,7 +125,7 @@ def test_a_longer_deadman_stops_later(tmp_path: Path) -> None:
     operator.drive(1.0, 0.0, 1.0)
     day.rig.run(6)
     path = tmp_path / "log.mcap"
-    path.write_bytes(recorded(day))
+    path.write_bytes(day.rig.log())
     result = tried(path, deadman_s=0.5)
     assert (result.stops_added, result.stops_avoided, result.changes) == ([], [], [])
     assert [

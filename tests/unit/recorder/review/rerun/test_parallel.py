@@ -31,8 +31,8 @@ from recorder.review.rerun.player import RerunResult, rerun_logs
 from recorder.review.rerun.segments import WHOLE, Plan, RunSegment
 from recorder.review.rerun.tapes import PartEnd
 from schemas.decisions import Decision, Journal, Verdict
-from tests.support.recorded_day import recorded, restful_day
-from tests.support.recorder_fakes import MS, SECOND
+from tests.support.messages import MS, SECOND
+from tests.support.rigs.day import restful_day
 
 LENGTH_NS: Final = 5 * SECOND
 DRIVEN_NS: Final = 1_700_000_050_000_000_000
@@ -43,7 +43,7 @@ NAME = "cruiser-1-20260102T030405Z.mcap"
 @cache
 def day_log() -> bytes:
     """A day in which the robot is now driven and now at rest."""
-    return recorded(restful_day(1, rounds=3), lag_ns=MS)
+    return restful_day(1, rounds=3).rig.log(lag_ns=MS)
 
 
 def alone(path: Path) -> tuple[list[RerunResult], set[str]]:

@@ -25,9 +25,10 @@ from schemas.journal import Kind
 from schemas.messages import Variant
 from schemas.settings import CommandSettings, Settings
 from schemas.subjects import BY_NAME
-from tests.support.loop_rig import Operator
-from tests.support.recorded_day import Day, recorded
-from tests.support.recorder_fakes import MS, SECOND, WALL_NS, FakeSample, Log, info, sample_of, small_log
+from tests.support.logs import Log, small_log
+from tests.support.messages import MS, SECOND, WALL_NS, FakeSample, info, sample_of
+from tests.support.rigs.day import Day
+from tests.support.rigs.gateway import Operator
 
 
 @cache
@@ -35,7 +36,7 @@ def day_log() -> bytes:
     """The log of some seconds in which much happens."""
     day = Day(1, Variant.COARSE, ticks=1500)
     day.live()
-    return recorded(day)
+    return day.rig.log()
 
 
 @pytest.fixture
@@ -144,7 +145,7 @@ def test_a_file_alone_is_run_again_from_where_the_gateway_was_at_rest(
     operator.drive(-0.5, 0.0, 2.0)
     rig.run(5)
     log = tmp_path / "cruiser-1-20260102T030405Z.mcap"
-    log.write_bytes(recorded(day))
+    log.write_bytes(day.rig.log())
     _, second = split(log, tmp_path / "halves")
     [result], _ = run_again(second)
     assert result.first > 0

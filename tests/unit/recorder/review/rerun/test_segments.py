@@ -13,7 +13,7 @@ from recorder.reading.rows import END_OF_TIME_NS, Row
 from recorder.reading.topics import Topic, typed_decoder
 from recorder.review.rerun.segments import BEFORE_NS, BEHIND_NS, WHOLE, Plan, plan
 from schemas.decisions import Journal
-from tests.support.recorder_fakes import MS, SECOND, WALL_NS
+from tests.support.messages import MS, SECOND, WALL_NS
 
 LENGTH_NS = 10 * SECOND
 TOPIC = Topic(

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from recorder.review.timeline.clock import FAR_NS, NEAR_NS, RobotClock
 from schemas.decisions import RUN_TICKS
 from schemas.settings import TICK_NS
-from tests.support.recorder_fakes import MS, SECOND, WALL_NS
+from tests.support.messages import MS, SECOND, WALL_NS
 
 TICK = 10**9
 HOUR_NS = 3600 * SECOND

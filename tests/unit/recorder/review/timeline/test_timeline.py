@@ -27,10 +27,11 @@ from schemas.decisions import (
 from schemas.messages import Message
 from schemas.reasons import Reason
 from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, RecordGap
-from tests.support import log_scenarios as scenarios
-from tests.support.log_scenarios import SCENARIOS, Scenario, acted, recorded
-from tests.support.recorder_fakes import MS, SAFETY_STATE, SECOND, WALL_NS, Log, gear, sample_of
-from tests.support.rig_log import ROBOT, RecordedRig
+from tests.support.logs import Log
+from tests.support.messages import MS, ROBOT, SECOND, STANDBY, WALL_NS, gear, sample_of
+from tests.support.rigs import scenarios
+from tests.support.rigs.recorded import RecordedRig
+from tests.support.rigs.scenarios import SCENARIOS, Scenario, acted, recorded
 
 TICK_NS = 10 * MS
 FIRST_TICK = 10**11
@@ -61,7 +62,7 @@ def at(tick: int, ahead_ns: int = 0) -> int:
 def state(tick: int, sequence: int, ahead_ns: int = 0, **changes: Any) -> SafetyState:  # noqa: ANN401 - any field
     """A state of the arbiter; standing by if nothing else is said."""
     said = msgspec.structs.replace(
-        SAFETY_STATE,
+        STANDBY,
         time_ns=at(tick, ahead_ns),
         sequence=sequence,
         tick=FIRST_TICK + tick,

@@ -14,7 +14,8 @@ from schemas.decisions import Reply
 from schemas.reasons import Reason
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_TYPE, BY_VERB
-from tests.support.fake_gateway import ROOT, STANDBY, STATE, free_endpoint
+from tests.support.fakes.peer import free_endpoint
+from tests.support.messages import ROOT, STANDBY, STATE
 
 STOP = BY_VERB["stop"]
 STOPS = msgspec.msgpack.encode(Reply(ok=True, reason=Reason.NONE, detail="", cure=""))

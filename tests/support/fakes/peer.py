@@ -3,6 +3,7 @@
 import json
 import socket
 import threading
+from contextlib import suppress
 from types import TracebackType
 from typing import Self
 
@@ -14,10 +15,14 @@ from schemas.zenoh_link import session_settings
 
 
 def free_endpoint() -> str:
-    """An endpoint that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    """A TCP endpoint of this machine that nobody listens on, nor on the port after it: a gateway takes both."""
+    while True:
+        with socket.socket() as probe, socket.socket() as after:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+            with suppress(OSError, OverflowError):
+                after.bind(("127.0.0.1", port + 1))
+                return f"tcp/127.0.0.1:{port}"
 
 
 class Peer:

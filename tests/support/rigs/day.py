@@ -1,4 +1,4 @@
-"""A minute in which everything happens, and its log."""
+"""A minute in which everything happens, in simulated time."""
 
 from collections.abc import Callable
 from functools import cache
@@ -8,20 +8,14 @@ import msgspec
 import pytest
 
 from gateway import core
-from gateway.chassis.frame import Frame
-from gateway.core import Core, TickEffects
 from gateway.journal import inputs_of
 from gateway.telemetry.health import Links
-from gateway.telemetry.sample import Sample
-from schemas import codec, keys
-from schemas.configuration import to_toml
-from schemas.decisions import Decision, Journal, SafetyEvent, SafetyState
+from schemas.decisions import Journal
 from schemas.journal import Kind
-from schemas.messages import GatewayInfo, Message, Variant
-from schemas.settings import CommandSettings, Settings
-from schemas.subjects import BY_NAME
-from tests.support.loop_rig import GUARDED, LoopRig, Operator
-from tests.support.recorder_fakes import WALL_NS, FakeSample, Log, info, sample_of
+from schemas.messages import Variant
+from schemas.settings import CommandSettings
+from tests.support.rigs.gateway import GUARDED, Operator
+from tests.support.rigs.recorded import RecordedRig
 
 MINUTE_TICKS = 6000
 QUIET_NS = 8_000_000_000
@@ -30,12 +24,6 @@ RUN = 2**53 - 1
 STARTED_NS = 123_456_789_012_345
 COMMAND = CommandSettings(speed_limit_mps=1.5, deadman_s=0.25, lease_s=1.5)
 """Not the start values: whoever runs the log again without its configuration gets something else."""
-
-SAFETY: dict[str, type[Message]] = {
-    "safety/decision": Decision,
-    "safety/event": SafetyEvent,
-    "safety/state": SafetyState,
-}
 
 FAULTS = (
     "silence Auto_GearFeedBack for 300ms",
@@ -54,38 +42,12 @@ FAULTS = (
 )
 
 
-class Kept(Core):
-    """A core that keeps what it returns."""
-
-    def __init__(self, settings: Settings) -> None:
-        super().__init__(settings, "1.2.3", STARTED_NS, RUN)
-        self.samples: list[Sample] = []
-        self.offered: list[list[Frame]] = []
-
-    def receive_frame(self, frame: Frame, now_ns: int) -> Sample | None:
-        sample = super().receive_frame(frame, now_ns)
-        self.samples += [] if sample is None else [sample]
-        return sample
-
-    def tick(self, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes) -> TickEffects:
-        due = super().tick(now_ns, wall_ns, late_ns, challenge)
-        self.samples += due.samples
-        self.offered.append(due.frames)
-        return due
-
-    def sent(self, count: int, now_ns: int, wall_ns: int) -> list[Sample]:
-        samples = super().sent(count, now_ns, wall_ns)
-        self.samples += samples
-        return samples
-
-
 class Day:
     """A minute in which everything happens: two operators at work, and what fails around them."""
 
     def __init__(self, seed: int, variant: Variant, ticks: int = MINUTE_TICKS) -> None:
         self._ends_ns = STARTED_NS + ticks * 10_000_000
-        self.rig = LoopRig(variant, COMMAND, now_ns=STARTED_NS, run=RUN)
-        self.core = self.rig.core = Kept(self.rig.settings)
+        self.rig = RecordedRig(variant, COMMAND, now_ns=STARTED_NS, run=RUN)
         self._random = Random(seed)  # noqa: S311 - the same minute each time
         self._operators = [Operator(self.rig, "first"), Operator(self.rig, "berta")]
 
@@ -110,14 +72,14 @@ class Day:
         self._heal()
         self.rig.run(1)
         self._drive()
-        self.core.shut_down(self.rig.now_ns)
-        self.rig.until(lambda: self.core.is_at_rest, 10)
+        self.rig.core.shut_down(self.rig.now_ns)
+        self.rig.until(lambda: self.rig.core.is_at_rest, 10)
         self.rig.run(1)
 
     def _drive(self) -> None:
         """Whatever it takes to be engaged, and then a random drive."""
         operator = self._random.choice(self._operators[:1] * 3 + self._operators)
-        if self.core.lease_holder != operator.name:
+        if self.rig.core.lease_holder != operator.name:
             operator.take_lease("take", override=True)
         if not self.rig.says.engaged:
             self.rig.run(2.5)
@@ -229,30 +191,3 @@ def under_rules_1(journal: Journal) -> Journal:
     kept = {Kind.TICK: 4, Kind.REQUEST: 7}
     inputs = [one[: kept.get(one[0])] for one in inputs_of(journal)]
     return msgspec.structs.replace(journal, rules=0, inputs=msgspec.msgpack.encode(inputs))
-
-
-def recorded(
-    day: Day, lag_ns: int | None = None, journal: Callable[[Journal], Journal] = lambda one: one
-) -> bytes:
-    """The log of a day, as the recorder writes it.
-
-    Args:
-        day: over.
-        lag_ns: so much later than its time each message is received; by default all are at the same time.
-        journal: what becomes of each message of the journal before it is recorded.
-    """
-    log = Log()
-    robot = day.rig.settings.robot
-    answer = msgspec.structs.replace(info(), configuration=to_toml(day.rig.settings))
-    for number, sample in enumerate(day.core.samples):
-        subject = BY_NAME[sample.subject]
-        key = keys.build(robot.root, robot.name, subject, "can0" if "{bus}" in subject.name else "")
-        message = codec.decode(subject, sample.payload)
-        assert isinstance(message, Message)
-        received_ns = WALL_NS if lag_ns is None else message.time_ns + lag_ns
-        payload = codec.encode(journal(message)) if isinstance(message, Journal) else sample.payload
-        log.receive(FakeSample(key, subject.encoding, payload), wall_ns=received_ns)
-        if number == 0:
-            assert isinstance(answer, GatewayInfo)
-            log.receive(sample_of(answer), wall_ns=received_ns)
-    return log.close()

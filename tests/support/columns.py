@@ -1,4 +1,4 @@
-"""Logs of chosen messages, and what the protobuf package makes of them."""
+"""The columns of a log, and what the protobuf package makes of the same messages."""
 
 from collections.abc import Sequence
 from io import BytesIO
@@ -6,40 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import pyarrow as pa
 
-from recorder.encoding.protobuf_schema import descriptor_set, schema_name
-from recorder.encoding.transcode import compile_encoder
-from recorder.mcap.channel import LogChannel
-from recorder.mcap.writer import McapFile
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Selection
 from recorder.reading.topics import typed_decoder
 from recorder.review.columns.reader import Batch, ColumnReader, Sift
 from recorder.review.export.cells import values
-from tests.support.made_logs import sealed
-from tests.support.recorder_fakes import WALL_NS, Disk
-
-
-def channel_of(kind: type[msgspec.Struct], channel_id: int = 1, topic: str = "t") -> LogChannel:
-    """A channel of messages of a class of ours."""
-    return LogChannel(channel_id, topic, schema_name(kind), descriptor_set(kind))
-
-
-def log_of(channels: Sequence[LogChannel], chunks: Sequence[Sequence[tuple[int, bytes]]]) -> bytes:
-    """A file of these chunks, whose messages are a channel and their data each; one a nanosecond."""
-    disk = Disk()
-    file = McapFile(disk, "test")
-    for channel in channels:
-        file.add_channel(channel)
-    number = 0
-    for messages in chunks:
-        rows = enumerate(messages, start=number)
-        file.write_chunk(sealed((one[0], at, WALL_NS + at, WALL_NS - at, one[1]) for at, one in rows))
-        number += len(messages)
-    file.finish()
-    return disk.getvalue()
 
 
 def batches_of(
@@ -65,11 +38,6 @@ def rows_of(batches: Sequence[Batch]) -> list[dict[str, Any]]:
     return rows
 
 
-def encoded(message: msgspec.Struct) -> bytes:
-    """A message as a recorder writes it."""
-    return compile_encoder(type(message))(message)
-
-
 def typed_row(kind: type[msgspec.Struct], data: bytes) -> dict[str, Any]:
     """The same message by the protobuf package and the typed class, as JSON; the sequence is the record's."""
     row: dict[str, Any] = msgspec.to_builtins(typed_decoder(kind)(data))
@@ -84,12 +52,3 @@ def typed_row(kind: type[msgspec.Struct], data: bytes) -> dict[str, Any]:
 def fields_of(row: dict[str, Any]) -> dict[str, Any]:
     """A row without what every table begins with."""
     return {name: value for name, value in row.items() if name not in {"log_time", "publish_time", "sequence"}}
-
-
-def write(path: Path, data: bytes) -> Path:
-    """A file with these bytes."""
-    path.write_bytes(data)
-    return path
-
-
-NS = pa.timestamp("ns", "UTC")

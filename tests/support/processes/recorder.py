@@ -18,8 +18,10 @@ from schemas import codec, keys
 from schemas.exit_codes import CommandError
 from schemas.messages import Message
 from schemas.recording import RecorderEvent, RecorderEventKind, RecorderHealth, RecordGap
-from tests.support.recorder_fakes import FakeSample, logs_in, wait_until
-from tests.support.zenoh_peer import Peer
+from tests.support.fakes.peer import Peer
+from tests.support.logs import logs_in
+from tests.support.messages import FakeSample
+from tests.support.waiting import wait_until
 
 CRUISER = str(Path(sys.executable).with_name("cruiser"))
 

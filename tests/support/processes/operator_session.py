@@ -1,6 +1,6 @@
 """An operator's program as a process of its own: drives at 0.6 m/s, and hangs when it is told to.
 
-Usage: python -m tests.support.operator_session ENDPOINT OPERATOR
+Usage: python -m tests.support.processes.operator_session ENDPOINT OPERATOR
 """
 
 import ctypes
@@ -13,7 +13,7 @@ import zenoh
 from gateway.client.robot import Robot
 from gateway.zenoh.client import open_session
 from schemas.settings import Settings, ZenohSettings
-from tests.support.holding import hold
+from tests.support.processes.holding import hold
 
 HANG = signal.SIGUSR1
 HANG_S = 600

@@ -68,14 +68,6 @@ def served() -> Iterator[Served]:
     assert not running.thread.is_alive()
 
 
-def wait_until(condition: Callable[[], object]) -> None:
-    """Waits for what has to come true."""
-    deadline_s = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline_s, "it never came true"
-        time.sleep(0.001)
-
-
 def receive(bus: can.BusABC, wanted: Callable[[can.Message], bool]) -> can.Message:
     """The first message that is wanted."""
     deadline_s = time.monotonic() + DEADLINE_S

@@ -8,8 +8,8 @@ import msgspec
 from gateway.telemetry.health import Links
 from schemas.reasons import Reason
 from schemas.settings import CommandSettings
-from tests.support.loop_rig import GUARDED, MS, Operator
-from tests.support.rig_log import RecordedRig
+from tests.support.rigs.gateway import GUARDED, MS, Operator
+from tests.support.rigs.recorded import RecordedRig
 
 BACK = msgspec.structs.replace(GUARDED, bus_losses=1)
 

@@ -20,7 +20,7 @@ from gateway.chassis.frame import Frame
 from gateway.guard.chassis_view import ChassisView
 from schemas.messages import Mode, Variant
 from schemas.settings import CanSettings
-from tests.support.gateway_process import chassis
+from tests.support.processes.gateway import chassis
 from tests.support.waiting import wait_until
 
 ATTEMPTS = 5
@@ -99,7 +99,7 @@ class Watched:
         self.address = address
         self.listener = listener
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.guard_stand_in", address, str(speed_mps)],
+            [sys.executable, "-m", "tests.support.processes.guard_stand_in", address, str(speed_mps)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

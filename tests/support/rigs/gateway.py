@@ -21,7 +21,7 @@ from gateway.sim.model import VirtualChassis
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas import codec, decisions
-from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState
+from schemas.decisions import ArbiterState, Decision, Journal, SafetyEvent, SafetyState
 from schemas.messages import Variant
 from schemas.reasons import Reason
 from schemas.requests import CHALLENGE_BYTES
@@ -42,7 +42,7 @@ def challenge_of(run: int, now_ns: int) -> bytes:
     return blake2b(b"%d %d" % (run, now_ns), digest_size=CHALLENGE_BYTES).digest()
 
 
-class LoopRig:
+class GatewayRig:
     """A gateway's core, a chassis, and time.
 
     Attributes:
@@ -59,6 +59,9 @@ class LoopRig:
         heard: the raw speeds of all drive frames that reached the chassis.
         faults: the words of the faults so far.
         chassis_hears: frames reach the chassis.
+        recorded: all that was published, each with the time of a recorder's clock, which nobody sets.
+        offered: the frames of each tick, before the bus took them.
+        recorder_ns: the recorder's time when the rig's is 0.
     """
 
     def __init__(
@@ -95,6 +98,9 @@ class LoopRig:
         self.out: list[Frame] = []
         self.heard: list[int] = []
         self.faults: list[str] = []
+        self.recorded: list[tuple[int, Sample]] = []
+        self.offered: list[list[Frame]] = []
+        self.recorder_ns = WALL_NS - now_ns
         self._decoder = FrameDecoder(load(variant))
         self._run = run
         self._requests: list[RawRequest] = []
@@ -107,6 +113,11 @@ class LoopRig:
         """The newest safety/state."""
         assert self.state is not None
         return self.state
+
+    @property
+    def at_ns(self) -> int:
+        """The time now of the recorder's clock."""
+        return self.recorder_ns + self.now_ns
 
     @property
     def speed_mps(self) -> float:
@@ -122,6 +133,12 @@ class LoopRig:
     def told_mps(self) -> float:
         """The speed that the chassis was told in the last tick, a magnitude."""
         return float(self.told["Auto_DriveCmd"]["TargetVelocity"]) if self.told else 0.0
+
+    @property
+    def journals(self) -> list[Journal]:
+        """The journal of all that the core was given."""
+        payloads = [sample.payload for _, sample in self.recorded if sample.subject == "journal"]
+        return [msgspec.msgpack.decode(payload, type=Journal) for payload in payloads]
 
     def fault(self, text: str) -> None:
         """A fault of the chassis, now."""
@@ -171,7 +188,9 @@ class LoopRig:
         for frame in self.chassis.advance(self.now_ns, self.wall_ns):
             arrived = self.corrupt(frame)
             if arrived is not None:
-                self.core.receive_frame(arrived, self.now_ns)
+                sample = self.core.receive_frame(arrived, self.now_ns)
+                if sample is not None:
+                    self.recorded.append((self.at_ns, sample))
         requests, self._requests = self._requests, []
         for request in requests:
             self.core.receive_request(request, self.now_ns)
@@ -184,8 +203,10 @@ class LoopRig:
             kind = BY_VERB[reply.verb].reply if reply.verb in BY_VERB else decisions.Reply
             assert reply.handle not in self.replies, "a query has one reply"
             self.replies[reply.handle] = msgspec.msgpack.decode(reply.payload, type=kind)
+        self.offered.append(due.frames)
         self.samples = [*due.samples, *self.core.sent(len(taken), self.now_ns, self.wall_ns)]
         for sample in self.samples:
+            self.recorded.append((self.at_ns, sample))
             if sample.subject.startswith("safety/"):
                 self._read(sample)
         self._witness(due.frames, taken)
@@ -302,7 +323,7 @@ class Operator:
         sequence: that of the last drive command.
     """
 
-    def __init__(self, rig: LoopRig, name: str = "first") -> None:
+    def __init__(self, rig: GatewayRig, name: str = "first") -> None:
         self.rig = rig
         self.name = name
         self.lease = 0
@@ -364,16 +385,16 @@ class Operator:
 
 def ready(
     variant: Variant = Variant.COARSE, command: CommandSettings | None = None, *, accept_unguarded: bool = False
-) -> tuple[LoopRig, Operator]:
+) -> tuple[GatewayRig, Operator]:
     """A robot that stands and that anybody may engage."""
-    rig = LoopRig(variant, command, accept_unguarded=accept_unguarded)
+    rig = GatewayRig(variant, command, accept_unguarded=accept_unguarded)
     rig.run(0.6)
     return rig, Operator(rig)
 
 
 def driving(
     speed_mps: float = 1.0, angle_deg: float = 0.0, variant: Variant = Variant.COARSE
-) -> tuple[LoopRig, Operator]:
+) -> tuple[GatewayRig, Operator]:
     """A robot that is being driven at this speed."""
     rig, operator = ready(variant)
     operator.engage()

@@ -15,7 +15,7 @@ S = 1_000_000_000
 ENABLES = ("Auto_GearCmd", "Auto_SteeringCmd", "Auto_DriveCmd", "Auto_BrakingCmd", "Auto_ParkingCmd")
 
 
-class Rig:
+class ChassisRig:
     """Holds the time, and the latest feedback of each name."""
 
     def __init__(

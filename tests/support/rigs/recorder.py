@@ -15,17 +15,8 @@ from schemas import keys
 from schemas.decisions import EventKind, SafetyEvent
 from schemas.messages import Gear
 from schemas.recording import RecorderEvent, RecordGap
-from tests.support.recorder_fakes import (
-    MS,
-    RECORDER_PLAN,
-    ROOT,
-    SECOND,
-    WALL_NS,
-    FakeSample,
-    MemoryFile,
-    MemoryWriter,
-    key_of,
-)
+from tests.support.fakes.recording import RECORDER_PLAN, MemoryFile, MemoryWriter
+from tests.support.messages import MS, ROOT, SECOND, WALL_NS, FakeSample, key_of
 
 OTHERS: Final = "others"
 """The name of the log for what is no robot's."""
@@ -48,7 +39,7 @@ EVENT_KEY = key_of(SafetyEvent)
 OWN = keys.of_recorder(ROOT, "bench")
 
 
-class Bench:
+class RecorderRig:
     """A recording, the writer that carries it out, and a clock."""
 
     def __init__(self, plan: RecorderPlan = PLAN) -> None:

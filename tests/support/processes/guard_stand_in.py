@@ -1,6 +1,6 @@
 """A stand-in for the gateway, to be killed, stopped and hung: it drives the chassis, beats, and starts the guard.
 
-Usage: python -m tests.support.guard_stand_in HOST:PORT SPEED_MPS
+Usage: python -m tests.support.processes.guard_stand_in HOST:PORT SPEED_MPS
 
 It says on stdout what happens, a line each. SIGUSR1: its gate refuses everything from now on. SIGUSR2: it
 disables the chassis, and then tells it nothing any more. SIGTERM: it ends as a gateway does. Each of its bursts

@@ -14,8 +14,8 @@ from gateway.sim.links import LinkProfile
 from schemas.decisions import ArbiterState, EventKind, LeaseReply, Reply, SafetyState
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Engage, Renew, Request, Unpark
-from tests.support.loop_rig import LoopRig
 from tests.support.lossy_link import LossyLink
+from tests.support.rigs.gateway import GatewayRig
 
 NAME = "far"
 PERIOD_NS = round(PERIOD_S * 1e9)
@@ -49,7 +49,7 @@ class FarOperator:
         endings: why the robot ceased to obey, in order.
     """
 
-    def __init__(self, rig: LoopRig, link: LossyLink, speed_mps: float, deadman_s: float | None = None) -> None:
+    def __init__(self, rig: GatewayRig, link: LossyLink, speed_mps: float, deadman_s: float | None = None) -> None:
         self.endings: list[DriveEnd] = []
         self._rig = rig
         self._link = link
@@ -149,7 +149,7 @@ class FarOperator:
 
 def trip(profile: LinkProfile, speed_mps: float, seconds: float, seed: int = 1) -> Trip:
     """Drive over a link for a time, and then cut it."""
-    rig, link = LoopRig(), LossyLink(profile, seed)
+    rig, link = GatewayRig(), LossyLink(profile, seed)
     operator = FarOperator(rig, link, speed_mps, profile.deadman_s)
     operator.run(10)
     begun, speeds_mps, good = len(rig.events), deque[float](), 0

@@ -37,7 +37,7 @@ def challenge_of(tick: int) -> bytes:
     return tick.to_bytes(CHALLENGE_BYTES)
 
 
-class Bench:
+class ArbiterRig:
     """Time, requests, and what the chassis shows.
 
     Attributes:
@@ -146,9 +146,9 @@ class Bench:
         return [event for event in self.events if event.kind is kind]
 
 
-def engaged(**command: float) -> Bench:
+def engaged(**command: float) -> ArbiterRig:
     """An engaged robot, under these settings."""
-    bench = Bench(CommandSettings(**command))
+    bench = ArbiterRig(CommandSettings(**command))
     bench.engage()
     assert bench.arbiter.state is ArbiterState.ENGAGED
     return bench

@@ -20,8 +20,9 @@ from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState
 from schemas.messages import GatewayHealth, GearPosition, Message, Mode, ParkingStatus, RobotState, Variant
 from schemas.settings import TICK_NS, CommandSettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME, BY_TYPE, BY_VERB
-from tests.support.busy import PATIENT_DEADMAN_S
-from tests.support.fake_gateway import HEALTH, ROOT, STATE, free_endpoint
+from tests.support.fakes.peer import free_endpoint
+from tests.support.messages import HEALTH, ROOT, STATE
+from tests.support.processes.busy import PATIENT_DEADMAN_S
 
 PATIENT = Settings(command=CommandSettings(deadman_s=PATIENT_DEADMAN_S))
 

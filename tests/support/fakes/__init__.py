@@ -1,0 +1,1 @@
+"""Stand-ins with knobs for failures, in memory and on Zenoh."""

@@ -1,0 +1,66 @@
+"""A gateway's voice on Zenoh without a gateway: state, health and token, as the subject table says."""
+
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any, Self
+
+from zenoh import ext
+
+from gateway.zenoh.client import close_session, open_session
+from schemas import codec, keys
+from schemas.messages import GatewayHealth, Message
+from schemas.settings import ZenohSettings
+from schemas.subjects import BY_TYPE
+from tests.support.fakes.peer import free_endpoint
+from tests.support.messages import ROOT
+
+
+@dataclass
+class FakeGateway:
+    """A gateway that says what it is told to say."""
+
+    robot: str
+    listen: str = field(default_factory=free_endpoint)
+    connect: str = ""
+    token: bool = True
+    caches_health: bool = False
+    """Zenoh keeps its last health and gives it to whoever asks for the history, whatever became of the gateway."""
+
+    def __enter__(self) -> Self:
+        connect = [self.connect] if self.connect else []
+        self._session = open_session(ZenohSettings(), connect, [self.listen])
+        if self.token:
+            # Zenoh takes a token back when nothing refers to it any more.
+            self._token = self._session.liveliness().declare_token(keys.liveliness(ROOT, self.robot))
+        if self.caches_health:
+            subject = BY_TYPE[GatewayHealth]
+            self._health = ext.declare_advanced_publisher(
+                self._session,
+                keys.build(ROOT, self.robot, subject),
+                encoding=subject.encoding,
+                cache=ext.CacheConfig(1),
+                publisher_detection=True,
+            )
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        close_session(self._session)
+
+    def say(self, message: Message, encoding: str = "") -> None:
+        """Publish a state or a health."""
+        if self.caches_health and isinstance(message, GatewayHealth):
+            self._health.put(codec.encode(message))
+            return
+        subject = BY_TYPE[type(message)]
+        key = keys.build(ROOT, self.robot, subject)
+        self._session.put(key, codec.encode(message), encoding=encoding or subject.encoding)
+
+    def say_raw(self, name: str, payload: bytes, encoding: str) -> None:
+        """Publish bytes under a subject's name."""
+        self._session.put(f"{ROOT}/{self.robot}/{name}", payload, encoding=encoding)
+
+    def peers(self) -> list[Any]:
+        """Who is connected."""
+        return list(self._session.info.peers_zid())

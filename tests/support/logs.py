@@ -1,0 +1,242 @@
+"""Makers of logs: as a recorder writes them, chunk by chunk, as others write them, and damaged ones."""
+
+import errno
+from collections.abc import Iterable
+from io import BytesIO
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from mcap import records
+from mcap.writer import CompressionType, IndexType, Writer
+
+from recorder.encoding.protobuf_schema import descriptor_set, schema_name
+from recorder.encoding.received_sample import ReceivedSample
+from recorder.encoding.transcode import compile_encoder
+from recorder.mcap.channel import LogChannel
+from recorder.mcap.chunk import Chunk as PackedMessages
+from recorder.mcap.chunk import ChunkBuilder
+from recorder.mcap.framing import encode
+from recorder.mcap.writer import McapFile
+from recorder.record.actions import Action, LogAction, OpenLog
+from recorder.record.notices import Opened
+from recorder.record.robot_log import LogContext, LogPlan, RobotLog
+from schemas.messages import Gear
+from schemas.recording import RecorderEvent, RecordGap
+from tests.support.messages import MS, SECOND, WALL_NS, FakeSample, batch, feedback, gear, info, sample_of
+
+PLAN = LogPlan(
+    name="cruiser-1",
+    chunk_bytes=262_144,
+    flush_ns=SECOND // 2,
+    version="0.1.0",
+    before_ns=30 * SECOND,
+    after_ns=30 * SECOND,
+)
+
+
+class Disk(BytesIO):
+    """A stream with so much room, which takes at most so many bytes in one write."""
+
+    def __init__(self, room: int | None = None, at_once: int | None = None) -> None:
+        super().__init__()
+        self.room = room
+        self.at_once = at_once
+
+    def write(self, data: memoryview | bytes, /) -> int:  # type: ignore[override]  # the fewer types the clearer
+        data = memoryview(data)[: self.at_once]
+        if self.room is not None:
+            data = data[: max(0, self.room - self.tell())]
+            if not data:
+                raise OSError(errno.ENOSPC, "No space left on device")
+        return super().write(data)
+
+
+class Log:
+    """One robot's log, written into memory. Remembers the actions on it."""
+
+    def __init__(self, plan: LogPlan = PLAN) -> None:
+        self.context = LogContext()
+        self.log = RobotLog(plan, self.context)
+        self.disk = Disk()
+        self.done: list[Action] = []
+        """All actions, those on incidents included."""
+        self._file: McapFile | None = None
+
+    def receive(self, *samples: ReceivedSample, now_ns: int = 0, wall_ns: int = WALL_NS) -> list[Action]:
+        for sample in samples:
+            self.log.receive_sample(sample, now_ns, wall_ns)
+        return self.apply()
+
+    def tick(self, now_ns: int, file_bytes: int = 0) -> list[Action]:
+        self.log.tick(now_ns, file_bytes)
+        return self.apply()
+
+    def add_own(self, topic: str, message: RecorderEvent | RecordGap, now_ns: int = 0) -> list[Action]:
+        self.log.add_own(topic, message, now_ns)
+        return self.apply()
+
+    def close(self, now_ns: int = 0) -> bytes:
+        """Close the log; the bytes of its file."""
+        self.log.close(now_ns)
+        self.apply()
+        return self.disk.getvalue()
+
+    def apply(self) -> list[Action]:
+        """Apply what the log has asked for since the last call, and return it."""
+        actions, self.context.actions = self.context.actions, []
+        self.done += actions
+        for action in actions:
+            if not isinstance(action, LogAction) or action.log != self.log.name:
+                continue
+            if isinstance(action, OpenLog):
+                assert self._file is None, "opened twice"
+                self._file = McapFile(self.disk, "test")
+                self.log.receive_opened(Opened(action.log, f"{action.name}.mcap"))
+            else:
+                assert self._file is not None, "written before it is open"
+                action.write_to(self._file)
+        return actions
+
+
+def small_log() -> bytes:
+    """A whole log of a few messages of each sort, with metadata and attachments."""
+    log = Log()
+    log.receive(*(sample_of(gear(number)) for number in range(5)))
+    log.receive(sample_of(batch(0, [(WALL_NS + number * 10 * MS, feedback(number)) for number in range(5)])))
+    log.tick(SECOND)
+    log.receive(FakeSample("fleet/elsewhere", "text/plain", b"hello"), sample_of(info()))
+    return log.close()
+
+
+def logs_in(directory: Path) -> list[str]:
+    """The names of the files in a directory."""
+    return sorted(path.name for path in directory.iterdir())
+
+
+def channel_of(kind: type[msgspec.Struct], channel_id: int = 1, topic: str = "t") -> LogChannel:
+    """A channel of messages of a class of ours."""
+    return LogChannel(channel_id, topic, schema_name(kind), descriptor_set(kind))
+
+
+def encoded(message: msgspec.Struct) -> bytes:
+    """A message as a recorder writes it."""
+    return compile_encoder(type(message))(message)
+
+
+GEAR_TOPIC = "fleet/cruiser-1/chassis/gear"
+GEAR_CHANNEL = LogChannel(1, GEAR_TOPIC, schema_name(Gear), descriptor_set(Gear))
+ENCODE_GEAR = compile_encoder(Gear)
+
+Chunk = list[tuple[int, int, int, bytes]]
+"""Messages of a chunk: channel, sequence, log time, data. They are published when they are logged."""
+
+
+def gear_message(sequence: int, log_ns: int, channel_id: int = 1) -> tuple[int, int, int, bytes]:
+    """A message of a chunk."""
+    return channel_id, sequence, log_ns, ENCODE_GEAR(gear(sequence, log_ns))
+
+
+def gears(first: int, count: int, start_ns: int, step_ns: int = 10) -> Chunk:
+    """A chunk of so many gear messages."""
+    return [gear_message(first + number, start_ns + number * step_ns) for number in range(count)]
+
+
+def sealed(messages: Iterable[tuple[int, int, int, int, bytes]]) -> PackedMessages:
+    """A chunk to be written: channel, sequence, log time, publish time and data of each message."""
+    builder = ChunkBuilder()
+    for message in messages:
+        builder.add(*message)
+    chunk = builder.seal()
+    assert chunk is not None
+    return chunk
+
+
+def mcap_log(
+    channels: Iterable[LogChannel],
+    chunks: Iterable[Iterable[tuple[int, int, int, int, bytes]]],
+    metadata: Iterable[tuple[str, dict[str, str]]] = (),
+    attachments: Iterable[tuple[str, bytes]] = (),
+    *,
+    is_finished: bool = True,
+    disk: Disk | None = None,
+) -> bytes:
+    """A log of chunks, whose messages are channel, sequence, log time, publish time and data."""
+    disk = disk or Disk()
+    file = McapFile(disk, "test")
+    for channel in channels:
+        file.add_channel(channel)
+    for name, entries in metadata:
+        file.add_metadata(name, entries)
+    for name, data in attachments:
+        file.add_attachment(name, "text/plain", data, 5)
+    for messages in chunks:
+        if made := list(messages):
+            file.write_chunk(sealed(made))
+    if is_finished:
+        file.finish()
+    return disk.getvalue()
+
+
+def own_log(
+    chunks: Iterable[Chunk],
+    channels: Iterable[LogChannel] = (GEAR_CHANNEL,),
+    metadata: Iterable[tuple[str, dict[str, str]]] = (),
+    attachments: Iterable[tuple[str, bytes]] = (),
+) -> bytes:
+    """A log of chunks whose messages are published when they are logged; of gears, if no channel is named."""
+    timed = ([(one, number, ns, ns, data) for one, number, ns, data in chunk] for chunk in chunks)
+    return mcap_log(channels, timed, metadata, attachments)
+
+
+def numbered_log(channels: Iterable[LogChannel], chunks: Iterable[Iterable[tuple[int, bytes]]]) -> bytes:
+    """A log of chunks whose messages are channel and data: one a nanosecond, published in the reverse order."""
+    numbers = count()
+    timed = (
+        [(one, n := next(numbers), WALL_NS + n, WALL_NS - n, data) for one, data in chunk] for chunk in chunks
+    )
+    return mcap_log(channels, timed)
+
+
+def foreign_log(
+    times: Iterable[int] = range(10),
+    *,
+    encoding: str = "json",
+    schema: tuple[str, str, bytes] | None = ("thing", "jsonschema", b"{}"),
+    data: bytes = b"{}",
+    topic: str = "/t",
+    compression: CompressionType = CompressionType.ZSTD,
+    profile: str = "",
+    **given: Any,  # noqa: ANN401 - the writer's own arguments
+) -> bytes:
+    """A file of the mcap package's writer: schemas and channels stand in its chunks."""
+    stream = BytesIO()
+    writer = Writer(stream, compression=compression, **given)
+    writer.start(profile)
+    schema_id = 0 if schema is None else writer.register_schema(*schema)
+    channel = writer.register_channel(topic, encoding, schema_id, {"who": "else"})
+    for number, time_ns in enumerate(times):
+        writer.add_message(channel, time_ns, data, time_ns, number)
+    writer.add_attachment(3, 4, "note", "text/plain", b"as it were")
+    writer.add_metadata("origin", {"by": "somebody"})
+    writer.finish()
+    return stream.getvalue()
+
+
+NO_INDEXES = IndexType.NONE
+
+
+def saved(path: Path, data: bytes) -> Path:
+    """The file with this content."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)
+    return path
+
+
+def with_record_replaced(data: bytes, before: records.McapRecord, after: records.McapRecord) -> bytes:
+    """The file with another record, of the same length, in the place of one."""
+    old, new = encode(before), encode(after)
+    assert len(old) == len(new)
+    assert data.count(old) == 1
+    return data.replace(old, new)

@@ -1,0 +1,76 @@
+"""What is in a log: as the mcap package reads it, as our own reader does, and as a report sums it up."""
+
+from pathlib import Path
+
+import msgspec
+from mcap import records
+from mcap.reader import make_reader
+
+from recorder.encoding.protobuf_schema import descriptor_set, schema_name
+from recorder.encoding.transcode import compile_encoder
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.logs import find_logs
+from recorder.reading.rows import END_OF_TIME_NS, Row, Selection, read_rows
+from recorder.reading.topics import Topic, topic_of
+from recorder.review.report.findings import Report
+from recorder.review.report.survey import read_report
+from schemas.messages import CanFrame, RawSample
+from tests.support.messages import WALL_NS
+
+
+class Read:
+    """What the mcap package reads of a file, every checksum verified."""
+
+    def __init__(self, path: Path) -> None:
+        with path.open("rb") as stream:
+            reader = make_reader(stream, validate_crcs=True)
+            summary = reader.get_summary()
+            assert summary is not None
+            assert summary.statistics is not None
+            self.statistics = summary.statistics
+            self.header = reader.get_header()
+            self.channels = list(summary.channels.values())
+            self.schemas = summary.schemas
+            self.metadata = list(reader.iter_metadata())
+            self.attachments = list(reader.iter_attachments())
+            self.messages = [
+                (channel.topic, message.sequence, message.log_time, message.publish_time, message.data)
+                for _, channel, message in reader.iter_messages(log_time_order=False)
+            ]
+
+
+def rows_of(*paths: Path) -> list[Row]:
+    """All rows of logs."""
+    return list(read_rows(logs_of(*paths), Selection(), Faults()))
+
+
+def logs_of(*paths: Path) -> list[LogFile]:
+    """The logs at these paths."""
+    return find_logs(paths, Faults())
+
+
+def topic(name: str, kind: type[msgspec.Struct] = CanFrame) -> Topic:
+    """The topic of one file; another call gives that of another file."""
+    channel = records.Channel(1, name, "protobuf", {}, 1)
+    return topic_of(channel, records.Schema(1, descriptor_set(kind), "protobuf", schema_name(kind)))
+
+
+_FRAME = compile_encoder(CanFrame)
+_RAW = compile_encoder(RawSample)
+
+
+def row_of(of: Topic, frame: CanFrame, sequence: int = 0, log_ns: int = WALL_NS) -> Row:
+    """A frame's row."""
+    return Row(of, sequence, log_ns, frame.time_ns, _FRAME(frame))
+
+
+def raw_row(of: Topic, raw: RawSample) -> Row:
+    """The row of a sample that was kept as it was."""
+    return Row(of, 0, WALL_NS, WALL_NS, _RAW(raw))
+
+
+def report_of(*paths: Path, faults: Faults | None = None) -> Report:
+    """The report of these logs."""
+    told = Faults() if faults is None else faults
+    return read_report(find_logs(paths, told), 0, END_OF_TIME_NS, told, version="0.1.0")

@@ -1,0 +1,1 @@
+"""Cores in simulated time: no process, no socket and no clock."""
