@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.commands import review
 from tests.support.fakes.robot import FakeRobot
-from tests.support.review_command import run
 from tests.support.rigs.recorded import RecordedRig
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
@@ -69,7 +69,7 @@ def test_the_notebook_says_how_far_the_robot_went(tmp_path: Path) -> None:
     operator.drive(1.0, 0.0, 3.0)
     rig.rest_after(0.5)
     (tmp_path / "drive.mcap").write_bytes(rig.log())
-    assert run("export", "-o", str(tmp_path / "dataset"), str(tmp_path / "drive.mcap")) == 0
+    assert review("export", "-o", str(tmp_path / "dataset"), str(tmp_path / "drive.mcap")) == 0
     notebook = json.loads((EXAMPLES / "dataset.ipynb").read_text("utf-8"))
     cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
     assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in cells)

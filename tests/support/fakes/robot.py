@@ -17,12 +17,13 @@ from gateway.command.request import RawRequest
 from gateway.zenoh.client import close_session, open_session
 from schemas import codec, keys
 from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState
-from schemas.messages import GatewayHealth, GearPosition, Message, Mode, ParkingStatus, RobotState, Variant
+from schemas.messages import GatewayHealth, GearPosition, Message, Mode, ParkingStatus, RobotState
 from schemas.settings import TICK_NS, CommandSettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME, BY_TYPE, BY_VERB
 from tests.support.fakes.peer import free_endpoint
 from tests.support.messages import HEALTH, ROOT, STATE
 from tests.support.processes.busy import PATIENT_DEADMAN_S
+from tests.support.rigs.arbiter import STANDING
 
 PATIENT = Settings(command=CommandSettings(deadman_s=PATIENT_DEADMAN_S))
 
@@ -172,10 +173,8 @@ class FakeRobot:
             self._mileage_km = 0.0
         obeys = told is not None and told.enabled
         parked = told is None or told.parking
-        return ChassisState(
-            bus_up=True,
-            variant=Variant.COARSE,
-            confirmed=True,
+        return msgspec.structs.replace(
+            STANDING,
             mode=self.mode or (Mode.AUTO if obeys else Mode.STOP),
             gear=GearPosition.PARK if parked else gear,
             brake=ParkingStatus.APPLIED if parked else ParkingStatus.RELEASED,
@@ -185,10 +184,7 @@ class FakeRobot:
             turns=bool(speed_mps),
             angle_deg=told.angle_deg if told is not None else 0.0,
             front_bumper=self.front_bumper,
-            rear_bumper=False,
             total_mileage_km=self._mileage_km,
-            guarded=True,
-            realtime=True,
         )
 
     def _chassis(self) -> RobotState:

@@ -185,12 +185,13 @@ class GatewayRig:
         return [event.reason for event in self.events if event.kind is kind]
 
     def _tick(self, late_ns: int) -> None:
+        at_ns = self.at_ns
         for frame in self.chassis.advance(self.now_ns, self.wall_ns):
             arrived = self.corrupt(frame)
             if arrived is not None:
                 sample = self.core.receive_frame(arrived, self.now_ns)
                 if sample is not None:
-                    self.recorded.append((self.at_ns, sample))
+                    self.recorded.append((at_ns, sample))
         requests, self._requests = self._requests, []
         for request in requests:
             self.core.receive_request(request, self.now_ns)
@@ -206,7 +207,7 @@ class GatewayRig:
         self.offered.append(due.frames)
         self.samples = [*due.samples, *self.core.sent(len(taken), self.now_ns, self.wall_ns)]
         for sample in self.samples:
-            self.recorded.append((self.at_ns, sample))
+            self.recorded.append((at_ns, sample))
             if sample.subject.startswith("safety/"):
                 self._read(sample)
         self._witness(due.frames, taken)

@@ -1,6 +1,5 @@
 """``cruiser record backfill``, against another recorder on a real Zenoh."""
 
-import argparse
 import json
 from collections.abc import Iterator
 from io import BytesIO
@@ -26,6 +25,7 @@ from tests.support.backfill_logs import (
     rows_in,
     write,
 )
+from tests.support.commands import run_command
 from tests.support.fakes.peer import free_endpoint
 from tests.support.fakes.recorders import BackfillHost
 
@@ -66,12 +66,10 @@ def host(endpoint: str, tmp_path: Path) -> Iterator[BackfillHost]:
 
 def run(endpoint: str, *words: str, recorder: RecorderSettings | None = None) -> int:
     """The command's exit code."""
-    parser = argparse.ArgumentParser()
-    backfill.add_arguments(parser)
     settings = Settings(
         zenoh=ZenohSettings(connect=[endpoint]), recorder=recorder or RecorderSettings(name="depot")
     )
-    return backfill.run(parser.parse_args(["--timeout", "20", *words]), settings, lambda: False)
+    return run_command(backfill, "--timeout", "20", *words, settings=settings)
 
 
 def filled(directory: Path) -> list[Row]:

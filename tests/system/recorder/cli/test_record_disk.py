@@ -11,19 +11,19 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from recorder.disk.keeper import read_entries
 from recorder.review.check import check_log
 from recorder.review.info import read_info
-from schemas.decisions import EventKind, SafetyEvent, Severity
+from schemas.decisions import EventKind, Severity
 from schemas.exit_codes import ExitCode
 from schemas.messages import Gear
-from schemas.reasons import Reason
 from schemas.recording import GapReason, RecorderEventKind, RecorderState
 from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.logs import logs_in
-from tests.support.messages import FakeSample, gear, key_of, sample_of
+from tests.support.messages import FakeSample, gear, key_of, safety_event, sample_of
 from tests.support.processes.recorder import Told, ask, counts, heard, link, recording, sequences, whole
 from tests.support.waiting import wait_until
 
@@ -61,16 +61,7 @@ def fill_until(peer: Peer, condition: Callable[[], object]) -> None:
 
 def make_incident(peer: Peer, directory: Path) -> Path:
     """Have the robot raise an alarm, and wait until its incident is whole."""
-    event = SafetyEvent(
-        time_ns=time.time_ns(),
-        sequence=0,
-        tick=1,
-        severity=Severity.ERROR,
-        kind=EventKind.FAULT,
-        reason=Reason.NONE,
-        operator="",
-        text="a wheel is off",
-    )
+    event = msgspec.structs.replace(safety_event(EventKind.FAULT, Severity.ERROR), time_ns=time.time_ns())
     peer.put(sample_of(event))
     wait_until(lambda: any(directory.glob("*.incident.mcap")))
     return next(directory.glob("*.incident.mcap"))

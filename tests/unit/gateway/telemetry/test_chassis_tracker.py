@@ -27,6 +27,7 @@ from schemas.settings import (
     Settings,
 )
 from tests.support.frames import CHALLENGE, MS, STANDING, Feedback
+from tests.support.rigs.arbiter import STANDING as OBEDIENT
 
 UP = Links(bus_up=True, bus_losses=2, guarded=True)
 PULSES = "Auto_WheelPulseFeedback"
@@ -72,23 +73,13 @@ class Eye:
         return self.tracker.state(self.links, self.controller, self.variant, self.commander_ns, at_ms * MS)
 
 
-STANDS = ChassisState(
-    bus_up=True,
+STANDS = msgspec.structs.replace(
+    OBEDIENT,
     bus_losses=2,
     controller=ControllerState.ACTIVE,
-    variant=Variant.COARSE,
-    mode=Mode.STOP,
-    gear=GearPosition.PARK,
-    brake=ParkingStatus.APPLIED,
-    speed_mps=0.0,
-    wheel_speed_mps=0.0,
-    fastest_wheel_mps=0.0,
-    turns=False,
-    angle_deg=0.0,
-    front_bumper=False,
-    rear_bumper=False,
+    confirmed=ChassisState().confirmed,
+    realtime=ChassisState().realtime,
     total_mileage_km=1.5,
-    guarded=True,
 )
 
 

@@ -28,6 +28,7 @@ from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import CanFrames, Gear, Message
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import BY_TYPE
+from tests.support.commands import run_command
 from tests.support.drives import drive_samples, write_samples
 from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.messages import MS, WALL_NS, batch, can_frame, feedback, info, sample_of
@@ -39,10 +40,8 @@ from tests.support.waiting import wait_until
 
 def run(*words: str, endpoint: str = "", stopped: Callable[[], bool] = lambda: False) -> int:
     """The command's exit code."""
-    parser = argparse.ArgumentParser()
-    review.add_arguments(parser)
     settings = Settings(zenoh=ZenohSettings(connect=[endpoint or free_endpoint()]))
-    return review.run(parser.parse_args(["replay", *words]), settings, stopped)
+    return run_command(review, "replay", *words, settings=settings, stopped=stopped)
 
 
 @pytest.fixture

@@ -7,13 +7,13 @@ import pytest
 from msgspec.structs import replace
 
 from schemas.exit_codes import ExitCode
+from tests.support.commands import review
 from tests.support.logs import GEAR_CHANNEL, foreign_log, gear_message, gears, own_log, saved
-from tests.support.review_command import run
 
 
 def test_a_sound_log_is_no_finding(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Exit code 0; and the frames that were counted."""
-    assert run("check", str(whole)) == ExitCode.OK
+    assert review("check", str(whole)) == ExitCode.OK
     out = capsys.readouterr().out
     assert "the file: nothing is wrong with it" in out
     assert "the data: nothing is missing" in out
@@ -23,7 +23,7 @@ def test_a_sound_log_is_no_finding(whole: Path, capsys: pytest.CaptureFixture[st
 def test_findings_are_told_by_what_they_are_about(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Exit code 1."""
     data = own_log([gears(0, 3, 10), gears(5, 3, 100)])
-    assert run("check", str(saved(tmp_path / "a.mcap", data[:-20]))) == ExitCode.FAILURE
+    assert review("check", str(saved(tmp_path / "a.mcap", data[:-20]))) == ExitCode.FAILURE
     out = capsys.readouterr().out
     about_file, about_data = out.split("  the data:")
     assert "the file is cut off within a record (1, first at byte" in about_file
@@ -37,7 +37,7 @@ def test_what_is_missing_everywhere_is_one_line(tmp_path: Path, capsys: pytest.C
         [[gear_message(sequence, at_ns, one) for one in range(1, 8)] for sequence, at_ns in ((0, 10), (5, 100))],
         channels,
     )
-    assert run("check", str(saved(tmp_path / "a.mcap", data))) == ExitCode.FAILURE
+    assert review("check", str(saved(tmp_path / "a.mcap", data))) == ExitCode.FAILURE
     (line,) = (one for one in capsys.readouterr().out.splitlines() if "samples missed" in one)
     assert line.strip().startswith("samples missed, by the sequence (28, first at 1970-")
     names = ", ".join(f"fleet/r-{one}/chassis/gear" for one in (1, 2, 3))
@@ -46,7 +46,7 @@ def test_what_is_missing_everywhere_is_one_line(tmp_path: Path, capsys: pytest.C
 
 def test_json_is_an_object_a_line(whole: Path, cut: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """For programs."""
-    assert run("check", "--json", str(whole), str(cut)) == ExitCode.FAILURE
+    assert review("check", "--json", str(whole), str(cut)) == ExitCode.FAILURE
     found = {Path(one["path"]).name: one for one in map(json.loads, capsys.readouterr().out.splitlines())}
     assert found["whole.mcap"]["findings"] == []
     assert {one["about"] for one in found["cut.mcap.part"]["findings"]} == {"file"}
@@ -56,7 +56,7 @@ def test_json_is_an_object_a_line(whole: Path, cut: Path, capsys: pytest.Capture
 def test_what_cannot_be_judged_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It is no finding."""
     data = foreign_log(encoding="cdr", schema=("p/msg/T", "ros2msg", b"int8 x"))
-    assert run("check", str(saved(tmp_path / "a.mcap", data))) == ExitCode.OK
+    assert review("check", str(saved(tmp_path / "a.mcap", data))) == ExitCode.OK
     assert "not read: messages of 1 channels" in capsys.readouterr().out
 
 
@@ -64,5 +64,5 @@ def test_incidents_are_checked_too(tmp_path: Path, capsys: pytest.CaptureFixture
     """Though all of them is in the logs."""
     for name in ("r-1.mcap", "r-2.incident.mcap"):
         saved(tmp_path / name, own_log([gears(0, 3, 10)]))
-    assert run("check", str(tmp_path)) == ExitCode.OK
+    assert review("check", str(tmp_path)) == ExitCode.OK
     assert "r-2.incident.mcap" in capsys.readouterr().out

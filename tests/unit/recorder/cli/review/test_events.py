@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from schemas.exit_codes import CommandError, ExitCode
-from tests.support.review_command import run
+from tests.support.commands import review
 from tests.support.rigs import scenarios
 from tests.support.rigs.scenarios import acted, recorded
 
@@ -21,7 +21,7 @@ def log(tmp_path: Path) -> Path:
 
 def test_a_table_for_people(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Time relative and absolute, severity, kind, cause, operator, and a sentence."""
-    assert run("events", log) == ExitCode.OK
+    assert review("events", log) == ExitCode.OK
     lines = capsys.readouterr().out.splitlines()
     assert lines[1].split() == ["2023-11-14"]
     (stop,) = (line for line in lines if "  stop  " in line)
@@ -34,7 +34,7 @@ def test_a_table_for_people(log: Path, capsys: pytest.CaptureFixture[str]) -> No
 
 def test_json_is_an_object_a_line(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """With the documented fields."""
-    assert run("events", log, "--json") == ExitCode.OK
+    assert review("events", log, "--json") == ExitCode.OK
     records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     fields = (
         "time since_s time_ns last_ns robot kind severity source text count reason operator holder request tick "
@@ -51,7 +51,8 @@ def test_json_is_an_object_a_line(log: Path, capsys: pytest.CaptureFixture[str])
 def test_time_and_kind_bound_what_is_told(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Each in its forms."""
     assert (
-        run("events", log, "--json", "--kind", "stop", "--kind", "refusal", "--from", "3.1", "--to", "3.35") == 0
+        review("events", log, "--json", "--kind", "stop", "--kind", "refusal", "--from", "3.1", "--to", "3.35")
+        == 0
     )
     kinds = [json.loads(line)["kind"] for line in capsys.readouterr().out.splitlines()]
     assert kinds == ["refusal", "stop"]
@@ -60,9 +61,9 @@ def test_time_and_kind_bound_what_is_told(log: Path, capsys: pytest.CaptureFixtu
 def test_a_robot_that_is_not_in_the_logs_is_refused(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """An empty table would say that nothing happened; the names are told."""
     with pytest.raises(CommandError, match="nothing of cruiser-9, but of cruiser-1") as refused:
-        run("events", log, "--robot", "cruiser-1", "--robot", "cruiser-9")
+        review("events", log, "--robot", "cruiser-1", "--robot", "cruiser-9")
     assert refused.value.code is ExitCode.USAGE
-    assert run("events", log, "--robot", "cruiser-1") == ExitCode.OK
+    assert review("events", log, "--robot", "cruiser-1") == ExitCode.OK
     assert "deadman" in capsys.readouterr().out
 
 
@@ -70,5 +71,5 @@ def test_what_is_derived_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[s
     """In the table too."""
     path = tmp_path / "log.mcap"
     path.write_bytes(recorded(scenarios.deadman, "safety/event"))
-    assert run("events", path, "--kind", "stop") == ExitCode.OK
+    assert review("events", path, "--kind", "stop") == ExitCode.OK
     assert "[derived]" in capsys.readouterr().out

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from schemas.exit_codes import CommandError, ExitCode
-from tests.support import review_command
+from tests.support.commands import review
 from tests.support.drives import FRAMES, drive_log
 from tests.support.logs import saved, small_log
 
-run = partial(review_command.run, "export")
+run = partial(review, "export")
 
 
 def test_an_export_that_is_stopped_leaves_nothing(tmp_path: Path) -> None:

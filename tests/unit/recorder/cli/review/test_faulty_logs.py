@@ -13,8 +13,8 @@ from recorder.mcap.framing import MAGIC, encode
 from recorder.mcap.pieces import NO_RECORD, Fault, MessageBlock
 from recorder.mcap.reader import DamagedError
 from schemas.exit_codes import CommandError, ExitCode
+from tests.support.commands import review
 from tests.support.logs import gears, own_log, saved, small_log
-from tests.support.review_command import run
 from tests.support.rigs import scenarios as log_scenarios
 
 QUESTIONS = ("info", "check", "events")
@@ -58,7 +58,7 @@ def test_a_log_that_is_cut_off_is_answered_as_far_as_it_goes(
     """Exit code 3, and why."""
     path = saved(tmp_path / "log.mcap", log_scenarios.recorded(log_scenarios.front_bumper)[:-200])
     monkeypatch.chdir(tmp_path)
-    assert run(question, path, *WRITE.get(question, ())) == ExitCode.PARTIAL
+    assert review(question, path, *WRITE.get(question, ())) == ExitCode.PARTIAL
     shown = capsys.readouterr()
     assert said in shown.out
     assert "cut off" in shown.out + shown.err
@@ -71,7 +71,7 @@ def test_what_is_no_log_is_a_clear_line(tmp_path: Path, monkeypatch: pytest.Monk
     for content, said in ((b"", "is empty"), (b"hello, hello", "is no MCAP file")):
         path = saved(tmp_path / "log.mcap", content)
         with pytest.raises(CommandError, match=said) as caught:
-            run(question, path, *WRITE.get(question, ()))
+            review(question, path, *WRITE.get(question, ()))
         assert caught.value.code == ExitCode.FAILURE
         assert list(tmp_path.iterdir()) == [path]
 
@@ -82,7 +82,7 @@ def test_of_several_files_the_readable_are_answered(
 ) -> None:
     """The others are named on stderr, and the exit code is 3."""
     good, bad = saved(tmp_path / "a.mcap", small_log()), saved(tmp_path / "b.mcap", b"hello, hello")
-    assert run(question, good, bad, tmp_path / "none.mcap") == ExitCode.PARTIAL
+    assert review(question, good, bad, tmp_path / "none.mcap") == ExitCode.PARTIAL
     shown = capsys.readouterr()
     assert shown.out
     assert "b.mcap is no MCAP file" in shown.err
@@ -103,7 +103,7 @@ def test_a_bomb_of_zeros_is_answered(tmp_path: Path, capsys: pytest.CaptureFixtu
     """As the damage that it is."""
     path = saved(tmp_path / "bomb.mcap", bomb(3, 1 << 26))
     assert path.stat().st_size < 20_000
-    assert run(question, str(path)) != ExitCode.OK
+    assert review(question, str(path)) != ExitCode.OK
     said = capsys.readouterr()
     assert NO_RECORD in said.out + said.err
 
@@ -118,7 +118,7 @@ def test_what_takes_too_long_is_given_up(
     path = saved(tmp_path / "slow.mcap", data[:-20])
     monkeypatch.chdir(tmp_path)
     try:
-        code = run(question, str(path), *WRITE.get(question, ()))
+        code = review(question, str(path), *WRITE.get(question, ()))
     except CommandError as error:
         code, said = error.code, str(error)
     else:
@@ -136,12 +136,12 @@ def test_a_log_that_is_being_written_is_no_fault(
     path = saved(tmp_path / "a.mcap.part", data[: data.index(encode(records.DataEnd(0))[:9])])
     with path.open("rb") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
-        assert run(question, str(path)) == ExitCode.OK
+        assert review(question, str(path)) == ExitCode.OK
         said = capsys.readouterr().out
         assert "being written" in said
         assert "NOT WHOLE" not in said
-        assert run(question, "--json", str(path)) == ExitCode.OK
+        assert review(question, "--json", str(path)) == ExitCode.OK
         found = json.loads(capsys.readouterr().out)
         assert (found["whole"], found["is_being_written"], found["messages"]) == (False, True, 6)
-    assert run(question, str(path)) != ExitCode.OK
+    assert review(question, str(path)) != ExitCode.OK
     assert "being written" not in capsys.readouterr().out

@@ -6,14 +6,14 @@ from pathlib import Path
 import pytest
 
 from schemas.exit_codes import CommandError, ExitCode
+from tests.support.commands import review
 from tests.support.logs import Log, foreign_log, gears, own_log, saved
 from tests.support.messages import FakeSample
-from tests.support.review_command import run
 
 
 def test_a_whole_log_is_described(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """For people, in lines; exit code 0."""
-    assert run("info", str(whole)) == ExitCode.OK
+    assert review("info", str(whole)) == ExitCode.OK
     out = capsys.readouterr().out
     assert f"{whole}: whole" in out
     assert "robot cruiser-1, variant coarse" in out
@@ -25,7 +25,7 @@ def test_what_was_lost_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str
     """As the recorder says itself."""
     account = {"fleet/x": json.dumps({"sent": 9, "received": 5, "written": 5, "lost_link": 4})}
     path = saved(tmp_path / "a.mcap", own_log([gears(0, 2, 5)], metadata=[("cruiser.completeness", account)]))
-    assert run("info", str(path)) == ExitCode.OK
+    assert review("info", str(path)) == ExitCode.OK
     words = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["fleet/x", "9", "5", "5", "-", "0", "4", "0", "0", "0", "0"] in words
 
@@ -34,7 +34,7 @@ def test_json_is_an_object_a_line_and_one_for_all(
     whole: Path, cut: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """For programs."""
-    assert run("info", "--json", str(whole), str(cut)) == ExitCode.PARTIAL
+    assert review("info", "--json", str(whole), str(cut)) == ExitCode.PARTIAL
     first, second, together = map(json.loads, capsys.readouterr().out.splitlines())
     by_name = {Path(one["path"]).name: one for one in (first, second)}
     assert {name: one["whole"] for name, one in by_name.items()} == {"whole.mcap": True, "cut.mcap.part": False}
@@ -44,7 +44,7 @@ def test_json_is_an_object_a_line_and_one_for_all(
 
 def test_a_partial_log_is_shown_as_far_as_it_goes(cut: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Exit code 3, what is wrong, and how it was read."""
-    assert run("info", str(cut)) == ExitCode.PARTIAL
+    assert review("info", str(cut)) == ExitCode.PARTIAL
     out = capsys.readouterr().out
     assert "NOT WHOLE" in out
     assert "read record by record" in out
@@ -55,7 +55,7 @@ def test_a_partial_log_is_shown_as_far_as_it_goes(cut: Path, capsys: pytest.Capt
 def test_a_directory_is_shown_with_a_total(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Each of its logs, then all together."""
     saved(whole.with_name("foreign.mcap"), foreign_log())
-    assert run("info", str(whole.parent)) == ExitCode.OK
+    assert review("info", str(whole.parent)) == ExitCode.OK
     out = capsys.readouterr().out
     assert "2 files, 2 of them whole" in out
     assert "22 messages" in out
@@ -65,7 +65,7 @@ def test_a_directory_is_shown_with_a_total(whole: Path, capsys: pytest.CaptureFi
 def test_one_file_that_is_none_is_an_error(tmp_path: Path) -> None:
     """Exit code 1, one line."""
     with pytest.raises(CommandError, match="No such file") as caught:
-        run("info", str(tmp_path / "none.mcap"))
+        review("info", str(tmp_path / "none.mcap"))
     assert caught.value.code == ExitCode.FAILURE
 
 
@@ -75,7 +75,7 @@ def test_a_logs_names_do_not_reach_the_terminal_as_commands(
     """A key may hold anything."""
     log = Log()
     log.receive(FakeSample("k/\x1b[2J\x07", "x", b""))
-    assert run("info", str(saved(tmp_path / "log.mcap", log.close()))) == ExitCode.OK
+    assert review("info", str(saved(tmp_path / "log.mcap", log.close()))) == ExitCode.OK
     assert "\x1b" not in capsys.readouterr().out
 
 
@@ -83,5 +83,5 @@ def test_a_log_of_absurd_times_is_described(tmp_path: Path, capsys: pytest.Captu
     """Times reach further than the calendar."""
     log = Log()
     log.receive(FakeSample("k", "x", b""), wall_ns=2**63 - 1)
-    assert run("info", str(saved(tmp_path / "log.mcap", log.close()))) == ExitCode.OK
+    assert review("info", str(saved(tmp_path / "log.mcap", log.close()))) == ExitCode.OK
     assert "2262-" in capsys.readouterr().out

@@ -9,11 +9,11 @@ import pytest
 
 from recorder.layouts.attached import RobotKeys, layouts
 from schemas.exit_codes import CommandError, ExitCode
-from tests.support import review_command
+from tests.support.commands import review
 from tests.support.logs import Log, small_log
 from tests.support.messages import FakeSample, batch, gear, info, sample_of
 
-run = partial(review_command.run, "layouts")
+run = partial(review, "layouts")
 
 
 @pytest.fixture(autouse=True)

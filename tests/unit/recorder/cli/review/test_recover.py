@@ -6,20 +6,20 @@ from pathlib import Path
 import pytest
 
 from schemas.exit_codes import ExitCode
+from tests.support.commands import review
 from tests.support.logs import small_log
-from tests.support.review_command import run
 
 
 def test_a_killed_recorders_log_is_recovered_by_hand(cut: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Exit code 0: all that was written is there."""
-    assert run("recover", str(cut)) == ExitCode.OK
+    assert review("recover", str(cut)) == ExitCode.OK
     assert capsys.readouterr().out == f"{cut.with_suffix('')}: recovered, 12 messages\n"
-    assert run("info", str(cut.with_suffix(""))) == ExitCode.OK
+    assert review("info", str(cut.with_suffix(""))) == ExitCode.OK
 
 
 def test_a_recovery_as_json(cut: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """An object a line."""
-    assert run("recover", "--json", str(cut)) == ExitCode.OK
+    assert review("recover", "--json", str(cut)) == ExitCode.OK
     found = json.loads(capsys.readouterr().out)
     assert (found["outcome"], found["messages"], found["kept"]) == ("recovered", 12, None)
     assert found["result"] == str(cut.with_suffix(""))
@@ -31,7 +31,7 @@ def test_a_damaged_log_is_a_partial_recovery(tmp_path: Path, capsys: pytest.Capt
     data = bytearray(small_log())
     data[data.index(b"\x04\x00\x00\x00zstd") + 30] ^= 4
     path.write_bytes(data)
-    assert run("recover", str(path)) == ExitCode.PARTIAL
+    assert review("recover", str(path)) == ExitCode.PARTIAL
     out = capsys.readouterr().out
     assert "damaged, 2 messages" in out
     assert "fault: byte" in out
@@ -44,20 +44,20 @@ def test_what_cannot_be_recovered_is_a_failure_and_among_others_a_part(
     """Exit code 1, and 3 where another file could be."""
     empty = tmp_path / "empty.mcap.part"
     empty.write_bytes(b"")
-    assert run("recover", str(empty), str(tmp_path / "none")) == ExitCode.FAILURE
+    assert review("recover", str(empty), str(tmp_path / "none")) == ExitCode.FAILURE
     out = capsys.readouterr().out
     assert "nothing in it can be read" in out
     assert "No such file" in out
-    assert run("recover", str(empty), str(cut)) == ExitCode.PARTIAL
+    assert review("recover", str(empty), str(cut)) == ExitCode.PARTIAL
 
 
 def test_of_a_directory_what_is_not_finished_is_recovered(cut: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Each part, and nothing else; where there is none it says so."""
     whole = cut.parent / "whole.mcap"
     whole.write_bytes(small_log())
-    assert run("recover", str(cut.parent)) == ExitCode.OK
+    assert review("recover", str(cut.parent)) == ExitCode.OK
     assert capsys.readouterr().out == f"{cut.with_suffix('')}: recovered, 12 messages\n"
-    assert run("recover", str(cut.parent)) == ExitCode.OK
+    assert review("recover", str(cut.parent)) == ExitCode.OK
     captured = capsys.readouterr()
     assert captured.out == ""
     assert "holds no log that is not finished" in captured.err

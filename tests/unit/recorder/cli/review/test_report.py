@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from schemas.exit_codes import CommandError, ExitCode
-from tests.support import review_command
+from tests.support.commands import review
 from tests.support.drives import drive_messages, restart, write_messages
 from tests.support.logs import Log
 from tests.support.messages import gear, sample_of
@@ -21,7 +21,7 @@ def _in_a_directory_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 def ask(*words: object) -> int:
     """The command's exit code; a fault is told as the command would."""
     try:
-        return review_command.run("report", *words)
+        return review("report", *words)
     except CommandError as error:
         sys.stderr.write(f"cruiser: {error}\n")
         return int(error.code)

@@ -13,7 +13,7 @@ from schemas.command_rules import rules_notice
 from schemas.decisions import Journal
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import Variant
-from tests.support import review_command
+from tests.support.commands import review
 from tests.support.logs import small_log
 from tests.support.rigs.day import RUN, Day, restful_day, under_rules_1
 from tests.support.rigs.gateway import Operator
@@ -39,7 +39,7 @@ def log(day: Day, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-run = partial(review_command.run, "rerun")
+run = partial(review, "rerun")
 
 
 def test_the_same_decisions_are_exit_code_0(log: Path, capsys: pytest.CaptureFixture[str]) -> None:

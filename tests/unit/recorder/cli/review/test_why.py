@@ -8,8 +8,8 @@ import pytest
 from mcap.writer import Writer
 
 from schemas.exit_codes import CommandError, ExitCode
+from tests.support.commands import review
 from tests.support.logs import small_log
-from tests.support.review_command import run
 from tests.support.rigs import scenarios
 from tests.support.rigs.scenarios import acted, recorded
 
@@ -24,7 +24,7 @@ def log(tmp_path: Path) -> Path:
 
 def test_the_last_stop_is_explained(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """One sentence first; then each link with its time, relative and absolute."""
-    assert run("why", log) == ExitCode.OK
+    assert review("why", log) == ExitCode.OK
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == (
         "cruiser-1 at 2.028 s, 2023-11-14 22:13:22.040 UTC: It was being stopped: the front bumper was hit."
@@ -39,7 +39,7 @@ def test_the_last_stop_is_explained(log: Path, capsys: pytest.CaptureFixture[str
 )
 def test_the_moment_has_every_form_of_a_time(form: str, log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Each is the same one: driving, and soon to be stopped."""
-    assert run("why", log, f"--at={form}", "--json") == ExitCode.OK
+    assert review("why", log, f"--at={form}", "--json") == ExitCode.OK
     answer = json.loads(capsys.readouterr().out)
     assert answer["since_s"] == pytest.approx(1.9, abs=0.1)
     assert answer["state"] == "engaged"
@@ -48,7 +48,7 @@ def test_the_moment_has_every_form_of_a_time(form: str, log: Path, capsys: pytes
 
 def test_json_holds_the_chain_as_data(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Each link with its step, its sentence, its times and its numbers."""
-    assert run("why", log, "--json") == ExitCode.OK
+    assert review("why", log, "--json") == ExitCode.OK
     answer = json.loads(capsys.readouterr().out)
     assert (answer["robot"], answer["reason"], answer["state"]) == ("cruiser-1", "front_bumper", "stopping")
     event = next(one for one in acted(scenarios.front_bumper).events if one.reason.value == "front_bumper")
@@ -63,11 +63,11 @@ def test_of_several_robots_one_is_to_be_named(tmp_path: Path, log: Path) -> None
     """The names are told."""
     (tmp_path / "other.mcap").write_bytes(acted(scenarios.deadman).log(robot="cruiser-2"))
     with pytest.raises(CommandError, match="one of cruiser-1, cruiser-2") as refused:
-        run("why", log, tmp_path / "other.mcap")
+        review("why", log, tmp_path / "other.mcap")
     assert refused.value.code is ExitCode.USAGE
-    assert run("why", log, tmp_path / "other.mcap", "--robot", "cruiser-2") == ExitCode.OK
+    assert review("why", log, tmp_path / "other.mcap", "--robot", "cruiser-2") == ExitCode.OK
     with pytest.raises(CommandError, match="nothing of cruiser-3"):
-        run("why", log, "--robot", "cruiser-3")
+        review("why", log, "--robot", "cruiser-3")
 
 
 def test_a_log_that_tells_nothing_of_the_arbiter_is_a_failure(
@@ -76,7 +76,7 @@ def test_a_log_that_tells_nothing_of_the_arbiter_is_a_failure(
     """Exit code 1, and it says so."""
     path = tmp_path / "log.mcap"
     path.write_bytes(small_log())
-    assert run("why", path) == ExitCode.FAILURE
+    assert review("why", path) == ExitCode.FAILURE
     assert "The log does not tell what the arbiter did then." in capsys.readouterr().out
 
 
@@ -85,7 +85,7 @@ def test_a_moment_that_the_log_does_not_hold_is_a_failure(
     at: str, log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Before it or behind it: exit code 1, and no reason, no stop."""
-    assert run("why", log, f"--at={at}", "--json") == ExitCode.FAILURE
+    assert review("why", log, f"--at={at}", "--json") == ExitCode.FAILURE
     answer = json.loads(capsys.readouterr().out)
     assert (answer["state"], answer["reason"], answer["stop_ns"]) == (None, "none", None)
     assert answer["headline"].startswith("The log does not hold that moment: it ")
@@ -98,7 +98,7 @@ def test_a_stub_says_that_it_is_one(size: int, fault: str, log: Path, capsys: py
     """Nothing of a robot is left of it, since it is cut off: both are said, and the exit code is 3."""
     log.write_bytes(log.read_bytes()[:size])
     with pytest.raises(CommandError, match="nothing of a robot") as refused:
-        run("why", log)
+        review("why", log)
     assert refused.value.code is ExitCode.PARTIAL
     assert fault in capsys.readouterr().err
 
@@ -110,7 +110,7 @@ def test_a_whole_log_without_a_robot_is_a_failure(log: Path, capsys: pytest.Capt
         writer.start()
         writer.finish()
     with pytest.raises(CommandError, match="nothing of a robot") as refused:
-        run("why", log)
+        review("why", log)
     assert refused.value.code is ExitCode.FAILURE
     assert capsys.readouterr().err == ""
 
@@ -124,4 +124,4 @@ def test_damage_never_raises(log: Path) -> None:
         for _ in range(chance.randrange(4)):
             damaged[chance.randrange(8, len(damaged))] ^= 1 << chance.randrange(8)
         log.write_bytes(damaged)
-        assert run("why", log) in {ExitCode.PARTIAL, ExitCode.OK, ExitCode.FAILURE}
+        assert review("why", log) in {ExitCode.PARTIAL, ExitCode.OK, ExitCode.FAILURE}

@@ -8,7 +8,7 @@ from recorder.encoding.transcode import compile_encoder
 from recorder.review.checking.alive import AliveCount, feedback_frames
 from recorder.review.checking.frames import FrameCount
 from schemas.messages import CanFrame
-from tests.support.messages import GEAR_FEEDBACK, MS, feedback
+from tests.support.messages import GEAR_FEEDBACK, MS, can_frame, feedback
 
 ENCODE = compile_encoder(CanFrame)
 DRIVE_FEEDBACK = 0x18C4D3EF
@@ -16,20 +16,8 @@ DRIVE_FEEDBACK = 0x18C4D3EF
 
 def frame(number: int, identifier: int = GEAR_FEEDBACK, data: bytes | None = None, bus: str = "can0") -> CanFrame:
     """A frame of so many periods after the first."""
-    data = feedback(number) if data is None else data
-    return CanFrame(
-        10 * MS * number,
-        bus,
-        identifier,
-        is_extended=True,
-        is_remote=False,
-        is_error=False,
-        is_fd=False,
-        bitrate_switch=False,
-        error_state_indicator=False,
-        dlc=len(data),
-        data=data,
-    )
+    made = can_frame(identifier, 10 * MS * number, feedback(number) if data is None else data)
+    return msgspec.structs.replace(made, bus=bus)
 
 
 def counts(*batches: list[CanFrame]) -> list[tuple[object, ...]]:

@@ -21,7 +21,7 @@ from recorder.review.columns.tables import UNIT_KEY
 from schemas.messages import CanFrame, Drive, Gear, Message, RawSample
 from tests.support.columns import batches_of, fields_of, rows_of, typed_row
 from tests.support.logs import channel_of, encoded, numbered_log, small_log
-from tests.support.messages import WALL_NS, gear
+from tests.support.messages import WALL_NS, can_frame, gear
 from tests.support.strategies import message_of
 
 KINDS = pytest.mark.parametrize("kind", LOGGED, ids=schema_name)
@@ -171,22 +171,7 @@ def test_a_sift_says_by_the_heads_what_is_read() -> None:
 
 def test_frames_with_other_lengths_stand_in_their_places() -> None:
     """A batch of layouts by length comes out in the order of the file."""
-    frames = [
-        CanFrame(
-            time_ns=number,
-            bus="can0",
-            identifier=number,
-            is_extended=True,
-            is_remote=False,
-            is_error=False,
-            is_fd=number % 3 == 0,
-            bitrate_switch=False,
-            error_state_indicator=False,
-            dlc=number % 9,
-            data=bytes(number % 9),
-        )
-        for number in range(300)
-    ]
+    frames = [can_frame(number, number, bytes(number % 9), is_fd=number % 3 == 0) for number in range(300)]
     rows = rows_of(batches_of(numbered_log([channel_of(CanFrame)], [[(1, encoded(frame)) for frame in frames]])))
     assert [row["identifier"] for row in rows] == list(range(300))
     assert [row["is_fd"] for row in rows] == [frame.is_fd for frame in frames]

@@ -7,15 +7,10 @@ from recorder.review.timeline.entries import EntryKind
 from recorder.review.timeline.health_changes import FAILURES_IN_WORDS, risen
 from schemas.decisions import Severity
 from schemas.messages import ControllerState, FrameHealth, GatewayHealth, Variant
+from tests.support.messages import HEALTH
 
-FRAME = FrameHealth("Auto_GearFeedBack", 100.0, 50, 0, 0, 0, 0, silent=False, alive_faults=0, failures=[])
-WELL = GatewayHealth(
-    time_ns=0, sequence=0, gateway_version="1", uptime_s=1.0, bus="can0", bus_up=True, bus_detail="", bus_losses=0,
-    bus_drops=0, controller=ControllerState.UNKNOWN, zenoh_peers=1, publish_failures=0, inbox_drops=0,
-    variant=Variant.COARSE, frames=630, frames_per_s=630.0, faults={}, unknown_identifiers={}, feedback=[FRAME],
-    tick_lateness_p50_ms=0.0, tick_lateness_p99_ms=0.0, tick_lateness_max_ms=0.0, tick_lateness_worst_ms=0.0,
-    cpu_percent=5.0,
-)  # fmt: skip
+FRAME = msgspec.structs.replace(HEALTH.feedback[0], valid=50)
+WELL = msgspec.structs.replace(HEALTH, faults={}, feedback=[FRAME])
 
 
 def health(**changes: object) -> GatewayHealth:

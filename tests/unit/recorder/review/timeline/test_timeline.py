@@ -22,13 +22,13 @@ from schemas.decisions import (
     SafetyEvent,
     SafetyState,
     Severity,
-    Verdict,
 )
 from schemas.messages import Message
 from schemas.reasons import Reason
 from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, RecordGap
 from tests.support.logs import Log
-from tests.support.messages import MS, ROBOT, SECOND, STANDBY, WALL_NS, gear, sample_of
+from tests.support.messages import MS, ROBOT, SECOND, STANDBY, WALL_NS, gear, safety_event, sample_of
+from tests.support.messages import refusal as refused
 from tests.support.rigs import scenarios
 from tests.support.rigs.recorded import RecordedRig
 from tests.support.rigs.scenarios import SCENARIOS, Scenario, acted, recorded
@@ -73,26 +73,18 @@ def state(tick: int, sequence: int, ahead_ns: int = 0, **changes: Any) -> Safety
 
 def event(tick: int, sequence: int, kind: EventKind = EventKind.RESET, text: str = "") -> SafetyEvent:
     """An event."""
-    return SafetyEvent(
-        at(tick),
-        sequence,
-        FIRST_TICK + tick,
-        Severity.INFO,
-        kind,
-        Reason.NONE,
-        "operator-1",
-        text or str(sequence),
+    made = safety_event(kind, Severity.INFO, sequence)
+    words = text or str(sequence)
+    return msgspec.structs.replace(
+        made, time_ns=at(tick), tick=FIRST_TICK + tick, operator="operator-1", text=words
     )
 
 
 def refusal(tick: int, sequence: int, reason: Reason = Reason.TOO_OLD, operator: str = "operator-1") -> Decision:
     """A drive command that was refused."""
-    return Decision(
-        time_ns=at(tick), sequence=sequence, tick=FIRST_TICK + tick, request="drive", operator=operator, lease=1,
-        request_sequence=sequence, age_ms=500.0, verdict=Verdict.REFUSED, reason=reason,
-        detail=f"detail {sequence}", bound_by=[], requested_speed_mps=0.5, requested_angle_deg=0.0,
-        output_speed_mps=0.0, output_angle_deg=0.0, frames_sent=5,
-    )  # fmt: skip
+    said = {"time_ns": at(tick), "tick": FIRST_TICK + tick, "age_ms": 500.0, "frames_sent": 5}
+    detail = f"detail {sequence}"
+    return refused(sequence, operator=operator, reason=reason, detail=detail, requested_speed_mps=0.5, **said)
 
 
 def log_of(said: Iterable[tuple[int, Message]]) -> bytes:
