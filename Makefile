@@ -24,8 +24,9 @@ test: $(STAMP)  ## the whole test suite
 test-unit: $(STAMP)  ## what needs no process and no socket: two minutes
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/unit
 
-nightly: $(STAMP)  ## what takes too long for every day: the gate's whole domain, and 10,000 random scenarios; an hour
+nightly: $(STAMP)  ## what takes too long for every day: the gate's whole domain, properties sixfold, and 10,000 random scenarios; an hour
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/nightly
+	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal -m hypothesis --hypothesis-profile nightly --timeout 600 tests/unit
 	$(BIN)/python -m tests.system.scenarios --count 10000 --jobs 2 --seed 1
 
 test-socketcan: $(STAMP)  ## the gateway on a real SocketCAN interface; boots user-mode Linux where the kernel has none

@@ -11,8 +11,10 @@ from hypothesis import settings
 
 from tests.support.logs import small_log
 
-settings.register_profile("patient", deadline=None)  # How long an example takes says how busy the machine is.
-settings.load_profile("patient")
+# How long an example takes says how busy the machine is. `make nightly` looks six times as far.
+settings.register_profile("daily", deadline=None, max_examples=50)
+settings.register_profile("nightly", deadline=None, max_examples=300)
+settings.load_profile("daily")
 
 # Started in the background of a shell, this process ignores Ctrl-C, and so would all that a test starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)

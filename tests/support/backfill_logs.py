@@ -6,7 +6,6 @@ from io import BytesIO
 from pathlib import Path
 
 import msgspec
-from hypothesis import settings
 from mcap.reader import make_reader
 
 from recorder.backfill.excerpt import Excerpt, LogCopy
@@ -26,9 +25,6 @@ GAP = "fleet/@recorder/depot/gap"
 START_NS = 1_800_000_000_000_000_000
 MS = 1_000_000
 SECOND = 1_000_000_000
-
-UNTIMED = settings(deadline=None)
-"""How long an example takes says more of the machine than of the code."""
 
 _KINDS: dict[str, type[msgspec.Struct]] = {
     GEAR: Gear,

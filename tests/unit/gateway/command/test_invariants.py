@@ -10,6 +10,7 @@ from schemas.decisions import ArbiterState
 from schemas.messages import Mode, Variant
 from schemas.reasons import Reason
 from tests.support.rigs.gateway import GatewayRig, Operator
+from tests.support.strategies import VARIANTS
 
 FEEDBACK = (
     "Auto_GearFeedBack",
@@ -26,14 +27,18 @@ operators = st.integers(0, 1)
 
 
 class Machine(RuleBasedStateMachine):
-    """Two operators, a chassis with faults, a bus that is full, and a loop that is late."""
+    """Two operators, a chassis of either firmware with faults, a bus that is full, and a loop that is late."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.rig = GatewayRig()
+    rig: GatewayRig
+    people: list[Operator]
+
+    @initialize(variant=st.sampled_from(VARIANTS), speed_mps=speeds)
+    def begin_by_driving(self, variant: Variant, speed_mps: float) -> None:
+        self.rig = GatewayRig(variant)
         self.rig.run(0.6)
         self.people = [Operator(self.rig, "first"), Operator(self.rig, "second")]
         self.driver: Operator | None = None
+        self.engage_as_one_should(0, speed_mps)
 
     @rule(who=operators, verb=st.sampled_from(["acquire", "take"]), override=st.booleans())
     def want_the_lease(self, who: int, verb: str, override: bool) -> None:  # noqa: FBT001 - drawn
@@ -47,10 +52,6 @@ class Machine(RuleBasedStateMachine):
     def engage(self, who: int, limit_mps: float | None) -> None:
         self.people[who].ask("engage", speed_limit_mps=limit_mps)
         self.rig.tick(4)
-
-    @initialize(speed_mps=speeds)
-    def begin_by_driving(self, speed_mps: float) -> None:
-        self.engage_as_one_should(0, speed_mps)
 
     @rule(who=operators, speed_mps=speeds)
     def engage_as_one_should(self, who: int, speed_mps: float) -> None:
@@ -195,18 +196,5 @@ class Machine(RuleBasedStateMachine):
         assert abs(self.rig.speed_mps) <= max(told_mps, 0.4 if "sticks 0.4 3" in self.rig.faults else 0.0) + 0.01
 
 
-class FineMachine(Machine):
-    """The same with the other firmware."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.rig = GatewayRig(Variant.FINE)
-        self.rig.run(0.6)
-        self.people = [Operator(self.rig, "first"), Operator(self.rig, "second")]
-
-
-SETTINGS = settings(max_examples=60, stateful_step_count=25, suppress_health_check=[HealthCheck.too_slow])
-TestCoarse = Machine.TestCase
-TestCoarse.settings = SETTINGS
-TestFine = FineMachine.TestCase
-TestFine.settings = SETTINGS
+TestGateway = Machine.TestCase
+TestGateway.settings = settings(stateful_step_count=25, suppress_health_check=[HealthCheck.too_slow])

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
@@ -814,7 +814,6 @@ ACTUATIONS = st.builds(
 )
 
 
-@settings(max_examples=60)
 @given(
     ACTUATIONS,
     st.sampled_from([Variant.COARSE, Variant.FINE]),
@@ -848,7 +847,6 @@ def test_whatever_the_heartbeat_says_the_stop_passes_the_gate(
     assert "the robot stands" in rig.lines[-1]
 
 
-@settings(max_examples=60)
 @given(st.lists(st.integers(1, 8), min_size=1, max_size=40))
 def test_the_guard_never_sends_while_the_loop_lives(pauses_ticks: list[int]) -> None:
     """The loop may be late by up to 80 ms, as often as it likes."""

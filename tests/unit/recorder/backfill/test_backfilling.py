@@ -23,7 +23,6 @@ from tests.support.backfill_logs import (
     RX,
     SECOND,
     START_NS,
-    UNTIMED,
     Recorder,
     Row,
     excerpt,
@@ -105,7 +104,7 @@ def sample(one: Row) -> tuple[str, int]:
 SAMPLES = sorted({sample(one) for one in ROBOT_ROWS if one.topic != CAMERA})
 
 
-@settings(UNTIMED, max_examples=50)
+@settings(max_examples=50)
 @given(
     st.sets(st.sampled_from(SAMPLES), max_size=60), st.lists(st.integers(1, 40), max_size=3), st.integers(1, 50)
 )
@@ -134,7 +133,7 @@ def test_exactly_what_is_missing_comes_back(
     assert found_in(log_of(late(own)), log_of(depot.written)).holes() == []
 
 
-@settings(UNTIMED, max_examples=30)
+@settings(max_examples=30)
 @given(st.integers(1000, 4_000), st.integers(2500, 6000))
 def test_a_cut_is_filled_with_all_that_was_said(from_ms: int, length_ms: int) -> None:
     """Also with what has no sequence."""
@@ -256,7 +255,6 @@ def pieces_of(rows: list[Row]) -> list[BackfillPiece]:
     return excerpt([log_of(rows)])
 
 
-@UNTIMED
 @given(st.data())
 def test_a_piece_that_was_changed_on_the_way_is_not_believed(data: st.DataObject) -> None:
     """Its bytes are untrusted: it is what was sent, or nothing."""
@@ -271,7 +269,6 @@ def test_a_piece_that_was_changed_on_the_way_is_not_believed(data: st.DataObject
     assert read_piece(changed, 0, START_NS) in (None, good)
 
 
-@UNTIMED
 @given(st.binary(max_size=300))
 def test_garbage_is_no_piece(garbage: bytes) -> None:
     """Never an exception."""

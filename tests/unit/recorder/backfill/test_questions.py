@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from recorder.backfill.holes import Hole, HoleKind
 from recorder.backfill.questions import WIDEN_NS, BackfillQuestion, questions
-from tests.support.backfill_logs import CAMERA, GEAR, HEALTH, ROBOT, RX, SECOND, UNTIMED
+from tests.support.backfill_logs import CAMERA, GEAR, HEALTH, ROBOT, RX, SECOND
 
 ALL = f"{ROBOT}/**"
 TOPICS = {ROBOT: {GEAR, RX, HEALTH, f"{ROBOT}/state"}, "fleet/cruiser-2": {"fleet/cruiser-2/state", "x"}}
@@ -22,7 +22,6 @@ def asked(*holes: Hole) -> list[tuple[str, float, float]]:
     return [(one.key, one.from_ns / SECOND, one.to_ns / SECOND) for one in questions(holes, TOPICS)]
 
 
-@UNTIMED
 @given(
     st.lists(
         st.builds(

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.backfill.ranges import Range, merged, overlaps, without
-from tests.support.backfill_logs import UNTIMED
 
 RANGES = st.lists(
     st.tuples(st.integers(0, 60), st.integers(1, 9)).map(lambda one: (one[0], one[0] + one[1])), max_size=8
@@ -18,7 +17,6 @@ def instants(ranges: list[Range]) -> set[int]:
     return {time for from_ns, to_ns in ranges for time in range(from_ns, to_ns)}
 
 
-@UNTIMED
 @given(RANGES)
 def test_merged_ranges_hold_the_same_and_do_not_touch(ranges: list[Range]) -> None:
     """In order."""
@@ -27,7 +25,6 @@ def test_merged_ranges_hold_the_same_and_do_not_touch(ranges: list[Range]) -> No
     assert all(one[1] < other[0] for one, other in itertools.pairwise(found))
 
 
-@UNTIMED
 @given(RANGES, RANGES)
 def test_what_is_left_is_what_was_not_taken(ranges: list[Range], taken: list[Range]) -> None:
     """Instant by instant."""
@@ -36,7 +33,6 @@ def test_what_is_left_is_what_was_not_taken(ranges: list[Range], taken: list[Ran
     assert sum(to_ns - from_ns for from_ns, to_ns in left) == len(instants(left))
 
 
-@UNTIMED
 @given(RANGES, st.integers(0, 60), st.integers(1, 9))
 def test_an_overlap_is_an_instant_in_common(ranges: list[Range], from_ns: int, length: int) -> None:
     """Ends are not in."""

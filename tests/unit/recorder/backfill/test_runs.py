@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from recorder.backfill import runs
 from recorder.backfill.runs import Cover, SequenceLine
 from recorder.encoding.key_counters import SEQUENCE_SPAN
-from tests.support.backfill_logs import UNTIMED
 
 SECOND = 1_000_000_000
 
@@ -22,7 +21,6 @@ def gaps_of(messages: list[tuple[int, int]]) -> list[tuple[int, int, int | None]
     return [(before.last, after.first, missing) for before, after, missing in line.gaps()]
 
 
-@UNTIMED
 @given(st.sets(st.integers(0, 120), min_size=1), st.integers(0, SEQUENCE_SPAN - 1), st.randoms())
 def test_what_is_missing_is_found_in_any_order(there: set[int], start: int, chooser: object) -> None:
     """Each gap, its ends and its size, across the end of the numbers too."""
@@ -102,7 +100,6 @@ def test_runs_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(list(cover.silences())) == 6399
 
 
-@UNTIMED
 @given(st.lists(st.integers(0, 200), min_size=1))
 def test_a_silence_is_longer_than_it_has_to_be(times: list[int]) -> None:
     """Whatever the order in which the messages come."""

@@ -19,7 +19,6 @@ from tests.support.backfill_logs import (
     RX,
     SECOND,
     START_NS,
-    UNTIMED,
     Row,
     gear_rows,
     log_of,
@@ -126,7 +125,6 @@ def test_a_flipped_bit_costs_at_most_its_chunk_or_channel(data: bytes) -> None:
         assert chart.damaged or found == ROWS[: len(found)] or place in CHUNKS
 
 
-@UNTIMED
 @given(st.binary(min_size=1, max_size=200), st.integers(0, len(OPEN) - 1))
 def test_garbage_anywhere_never_raises_and_never_invents(garbage: bytes, place: int) -> None:
     """Overwritten, as by a bad block."""
@@ -134,7 +132,6 @@ def test_garbage_anywhere_never_raises_and_never_invents(garbage: bytes, place: 
     assert [one for one in rows_of(data, map_of(data)) if one not in ROWS] == []
 
 
-@UNTIMED
 @given(st.binary(max_size=500))
 def test_what_is_no_log_holds_nothing(data: bytes) -> None:
     """Never an exception."""

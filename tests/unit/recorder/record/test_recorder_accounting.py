@@ -249,9 +249,7 @@ class Machine(RuleBasedStateMachine):
         assert sum(health.dropped.values()) == dropped
 
 
-Machine.TestCase.settings = settings(
-    max_examples=100, stateful_step_count=30, suppress_health_check=list(HealthCheck)
-)
+Machine.TestCase.settings = settings(stateful_step_count=30, suppress_health_check=list(HealthCheck))
 
 
 TestRecording = Machine.TestCase
