@@ -25,7 +25,8 @@ from gateway.chassis.cruiser.layout import load
 from gateway.zenoh.client import close_session, open_session
 from schemas.messages import Variant
 from schemas.settings import CanSettings, ZenohSettings
-from tests.bench.processes import Empty, empty_loop, free_port, quantile, start
+from tests.bench.processes import Empty, empty_loop, quantile, start
+from tests.support.fakes.peer import free_endpoint
 
 ROBOT: Final = "fleet/cruiser-1/"
 COMMAND: Final = f"{ROBOT}@cmd/bench/"
@@ -193,7 +194,7 @@ class Road(NamedTuple):
 @contextmanager
 def on_the_road(*command: str) -> Iterator[Road]:
     """Chassis, gateway (or this command in its place), witness and operator."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     os.environ["CRUISER_GATEWAY_ACCEPT_UNGUARDED"] = "true"
     with ExitStack() as stack:
         sim = ["-m", "gateway", "sim", "--listen", "127.0.0.1:0", "--variant", "fine"]

@@ -30,7 +30,7 @@ from gateway.zenoh.node import ZenohNode
 from schemas.dbc_files import dbc_text
 from schemas.messages import Variant
 from schemas.settings import TICK_NS, ChassisSettings, Settings, ZenohSettings
-from tests.bench.processes import free_port
+from tests.support.fakes.peer import free_endpoint
 from tests.support.frames import WALL_NS, Feedback
 
 ROUNDS = 15
@@ -61,7 +61,7 @@ class PathCost(msgspec.Struct, frozen=True):
 
 def measure(rounds: int = ROUNDS) -> PathCost:
     """Measure both in turns."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     session = open_session(ZenohSettings(), [], [endpoint])
     subscriber = subprocess.Popen(
         [sys.executable, "-c", SUBSCRIBER, endpoint], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True

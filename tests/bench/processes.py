@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import socket
 import subprocess
 import sys
 import tempfile
@@ -25,6 +24,7 @@ from schemas.messages import Message
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_NAME
 from tests.bench.empty_loop import KEY as EMPTY_KEY
+from tests.support.fakes.peer import free_endpoint
 
 NOMINAL_FRAMES_PER_S = 630
 WARM_UP_S = 2.0
@@ -70,14 +70,6 @@ def quantile(values: list[float], share: float) -> float:
     return values[min(len(values) - 1, int(share * len(values)))] if values else float("nan")
 
 
-def free_port() -> int:
-    """A TCP port of 127.0.0.1 that nobody holds."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
 def run_load(frames_per_s: float, seconds: float, vcan: str = "") -> Load:
     """Run the three for this long, after a warm-up, and read the log.
 
@@ -86,7 +78,7 @@ def run_load(frames_per_s: float, seconds: float, vcan: str = "") -> Load:
         seconds: without the warm-up.
         vcan: a SocketCAN interface that is up; without one the bus is the socketcand protocol over loopback.
     """
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         multiplier = str(frames_per_s / NOMINAL_FRAMES_PER_S)
@@ -142,7 +134,7 @@ def run_load(frames_per_s: float, seconds: float, vcan: str = "") -> Load:
 def empty_loop() -> Iterator[Empty]:
     """Run an empty loop meanwhile; what it showed is there afterwards."""
     empty = Empty()
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
 
     def receive(sample: zenoh.Sample) -> None:
         empty.put_us.append((time.time_ns() - int.from_bytes(sample.payload.to_bytes(), "big")) / 1000)

@@ -24,8 +24,8 @@ from mcap.records import Channel, Statistics
 from mcap.stream_reader import StreamReader
 
 from schemas.exit_codes import ExitCode
-from tests.bench.processes import free_port
 from tests.bench.recorder_load import Fed
+from tests.support.fakes.peer import free_endpoint
 
 OURS: Final = "recorder"
 """The receiver that is ``cruiser record``; the others are those of ``recorder_peers``."""
@@ -109,7 +109,7 @@ def run(receiver: str, robots: int, ticks: int, *, is_paced: bool) -> Run:
         is_paced: at the robots' pace, and with the queue that a recorder has by itself; else as fast as it is
             taken, and nothing is too much to wait.
     """
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     load = ["-m", "tests.bench.recorder_load", endpoint, "--robots", str(robots), "--ticks", str(ticks)]
     queue = {} if is_paced else {"CRUISER_RECORDER_QUEUE_BYTES": str(QUEUE_BYTES)}
     with TemporaryDirectory() as name:

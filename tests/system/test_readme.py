@@ -23,7 +23,7 @@ from typing import Final
 import msgspec
 import pytest
 
-from tests.bench.processes import free_port
+from tests.support.fakes.peer import free_endpoint
 from tests.support.waiting import wait_until
 
 ROOT: Final = Path(__file__).parents[2]
@@ -210,13 +210,13 @@ class Newcomer:
         self.home = home
         self._become = _become_nobody()
         self._running: dict[str, tuple[Start, Terminal]] = {}
-        self._chassis = f"127.0.0.1:{free_port()}"
-        self._endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self._chassis = free_endpoint().removeprefix("tcp/")
+        self._endpoint = free_endpoint()
         # Where the page says a port, or where the default is one.
         self._ports = {
             "127.0.0.1:29536": self._chassis,
             "tcp/127.0.0.1:7447": self._endpoint,
-            "tcp/127.0.0.1:7450": f"tcp/127.0.0.1:{free_port()}",
+            "tcp/127.0.0.1:7450": free_endpoint(),
             'Robot.connect("cruiser-1")': 'Robot.connect("cruiser-1", settings=SETTINGS)',
         }
 
