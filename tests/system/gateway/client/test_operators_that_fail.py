@@ -39,7 +39,7 @@ class Scene:
         settings = Settings(zenoh=ZenohSettings(connect=[self.endpoint]))
         self.second = stack.enter_context(Robot.connect("cruiser-1", "second", settings, 30))
         self.program = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.operator_session", self.endpoint, "first"],
+            [sys.executable, "-m", "tests.support.processes.operator_session", self.endpoint, "first"],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
