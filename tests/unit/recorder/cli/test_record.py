@@ -2,10 +2,10 @@
 
 import argparse
 import os
+import pkgutil
 import signal
 from collections.abc import Iterator
-from importlib import import_module
-from types import ModuleType
+from pkgutil import resolve_name
 
 import pytest
 
@@ -85,13 +85,13 @@ def test_a_hangup_ends_no_recorder_that_is_only_beginning(monkeypatch: pytest.Mo
         assert callable(signal.getsignal(signal.SIGHUP))
         raise ReachedError
 
-    def import_late(name: str) -> ModuleType:
+    def import_late(name: str) -> object:
         assert callable(signal.getsignal(signal.SIGHUP))
         os.kill(os.getpid(), signal.SIGHUP)
-        return import_module(name)
+        return resolve_name(name)
 
     monkeypatch.setattr(record, "ZenohSource", connect)
-    monkeypatch.setattr(main, "import_module", import_late)
+    monkeypatch.setattr(pkgutil, "resolve_name", import_late)
     with pytest.raises(ReachedError):
         main.main(["record"])
 
