@@ -28,7 +28,7 @@ from gateway.chassis.faults import FaultKind
 from gateway.chassis.frame import ERROR, Frame
 from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.request import RawRequest
-from gateway.command.snapshot import QUIET_NS, Snapshot, is_at_rest, restore, snapshot
+from gateway.command.snapshot import QUIET_NS, Snapshot, as_array, is_at_rest, restore, snapshot
 from gateway.journal import FRAME, LINKS, JournalWriter
 from gateway.telemetry.chassis_tracker import ChassisTracker
 from gateway.telemetry.feedback import FeedbackStream
@@ -149,18 +149,9 @@ class Core:
         """A request came. It is judged at the next tick."""
         if self._journal is None:
             return
-        self._journal.add(
-            (
-                Kind.REQUEST,
-                now_ns,
-                request.handle,
-                request.verb,
-                request.operator,
-                request.payload,
-                request.size,
-                request.fault,
-            )
-        )
+        said = (request.handle, request.verb, request.operator, request.payload, request.size, request.fault)
+        proof = () if request.credentials is None else (request.attachment, request.credentials)
+        self._journal.add((Kind.REQUEST, now_ns, *said, *proof))
         self._requests.append(request)
 
     def update_links(self, links: Links, now_ns: int) -> None:
@@ -252,6 +243,29 @@ class Core:
             self._journal.add((Kind.WARNING, now_ns, words))
             self.command.arbiter.outbox.add_event(Severity.WARNING, EventKind.FAULT, Reason.NONE, words)
 
+    def end_lease(self, reason: Reason, detail: str, now_ns: int) -> None:
+        """Take the lease from its holder, whose grant does not hold any more."""
+        if self.command is not None and self._journal is not None:
+            self._journal.add((Kind.END_LEASE, now_ns, reason, detail))
+            self.command.arbiter.end_lease(reason, detail, now_ns)
+
+    def bar(self, bars: dict[Reason, str], now_ns: int) -> None:
+        """Nobody may engage the robot for these reasons, each with its words; none lets them again."""
+        if self.command is not None and self._journal is not None:
+            self._journal.add((Kind.BARS, now_ns, bars))
+            self.command.arbiter.engagement.bars = bars
+
+    @property
+    def bars(self) -> dict[Reason, str]:
+        """Why nobody may engage the robot, found outside the command flow, each reason with its words."""
+        return {} if self.command is None else self.command.arbiter.engagement.bars
+
+    def challenge_age_ns(self, challenge: bytes, now_ns: int) -> int | Reason:
+        """The time since a challenge was published, or why it is not known."""
+        if self.command is None:
+            return Reason.CHALLENGE_UNKNOWN
+        return self.command.arbiter.link.challenges.age_ns(challenge, now_ns)
+
     def shut_down(self, now_ns: int) -> None:
         """The gateway is to end: bring the robot to rest. ``is_at_rest`` says when that is done."""
         if self.command is not None and self._journal is not None:
@@ -306,7 +320,7 @@ class Core:
         if is_at_rest(command, now_ns):
             self._rest_due_ns = now_ns + REST_PERIOD_NS
             controller = self._health.controller.value
-            journal.add((Kind.REST, now_ns, snapshot(command), controller, *_told(self._links)))
+            journal.add((Kind.REST, now_ns, as_array(snapshot(command)), controller, *_told(self._links)))
 
     def _take_batches(self, samples: list[Sample], wall_ns: int) -> None:
         for subject, batch in ((RX, self._received), (TX, self._sent)):

@@ -13,6 +13,7 @@ from typing import Final, Protocol
 
 import msgspec
 
+from gateway.authority.robot_authority import Kept, RobotAuthority
 from gateway.chassis.frame import Frame
 from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.lease_numbers import LeaseNumbers
@@ -80,6 +81,10 @@ class SampleSink(Protocol):
         """Nodes connected directly."""
         ...
 
+    def outside(self) -> tuple[str, ...]:
+        """The other ends of connections that leave this machine."""
+        ...
+
     def answer(self, reply: Callable[[], bytes]) -> None:
         """Answer the queries that wait, a bounded number."""
         ...
@@ -104,8 +109,42 @@ class RequestInbox(Protocol):
         """
         ...
 
+    def statements(self) -> list[RawRequest]:
+        """The statements of an authority that wait, a bounded number."""
+        ...
+
     def reply(self, reply: PendingReply) -> None:
         """Answer who waits for it."""
+        ...
+
+
+class Admission(Protocol):
+    """What stands between the inbox and the core: it knows what the core and the journal must not."""
+
+    def number_of(self, lease_id: int) -> int:
+        """The number that the holder's requests carry; 0 if no such lease was given."""
+        ...
+
+    def admit(self, raw: RawRequest, now_ns: int) -> RawRequest:
+        """The request as the core may know it, with what is proven of its sender."""
+        ...
+
+    def reply(self, reply: PendingReply) -> PendingReply:
+        """The reply as its receiver gets it."""
+        ...
+
+
+class SignedModePort(Protocol):
+    """What a gateway in signed mode has besides.
+
+    Attributes:
+        authority: as the robot knows it.
+    """
+
+    authority: RobotAuthority
+
+    def save(self, kept: Kept) -> None:
+        """Keep this across a restart. It never waits."""
         ...
 
 
@@ -151,6 +190,7 @@ class LoopPorts(msgspec.Struct):
     note: Note | None = None
     former_guard: FormerGuardView | None = None
     has_realtime: Callable[[], bool] = lambda: False
+    signed: SignedModePort | None = None
 
 
 @contextmanager
@@ -181,7 +221,10 @@ def run(ports: LoopPorts, core: Core, info: Callable[[], bytes], stopped: Callab
     reader = Reader(ports, core)
     due_ns = monotonic_ns() + TICK_NS
     links = Links()
-    numbers = LeaseNumbers(lambda: secrets.randbelow(LEASE_MAX) + 1)
+    signed = ports.signed
+    admission: Admission = (
+        LeaseNumbers(lambda: secrets.randbelow(LEASE_MAX) + 1) if signed is None else signed.authority.admission
+    )
     complained_ns = 0
     ticks = 0
     end_ns: int | None = None
@@ -210,7 +253,7 @@ def run(ports: LoopPorts, core: Core, info: Callable[[], bytes], stopped: Callab
         if ports.former_guard is not None:
             links = _with_former(links, ports.former_guard, hears_commands=core.hears_commands(now_ns))
         ticks += 1
-        _tick(ports, core, numbers, links, now_ns, late_ns)
+        _tick(ports, core, admission, links, now_ns, late_ns)
         sink.answer(info)
         due_ns += TICK_NS * (1 + (now_ns - due_ns) // TICK_NS)
     if ports.guard is not None and core.command is not None:
@@ -220,14 +263,18 @@ def run(ports: LoopPorts, core: Core, info: Callable[[], bytes], stopped: Callab
         sink.publish(sample)
 
 
-def _tick(ports: LoopPorts, core: Core, numbers: LeaseNumbers, links: Links, now_ns: int, late_ns: int) -> None:
+def _tick(ports: LoopPorts, core: Core, admission: Admission, links: Links, now_ns: int, late_ns: int) -> None:
     """Requests in; frames first, then everything else out."""
     monotonic_ns, inbox = time.monotonic_ns, ports.inbox
     core.update_links(links, now_ns)
+    said = [] if ports.signed is None else _follow_authority(ports.signed, core, inbox, now_ns)
+    if ports.signed is None and links.outside and not core.bars:
+        # In open mode nobody knows who commands from there.
+        core.bar({Reason.UNAUTHENTICATED: f"connected with {', '.join(links.outside)}"}, now_ns)
     if inbox is not None:
-        lease = numbers.number_of(core.lease_id)
+        lease = admission.number_of(core.lease_id)
         for request in inbox.drain(core.lease_holder, lease, core.last_sequence):
-            core.receive_request(numbers.redact(request), now_ns)
+            core.receive_request(admission.admit(request, now_ns), now_ns)
     due = core.tick(now_ns, time.time_ns(), late_ns, os.urandom(CHALLENGE_BYTES))
     # Asked once more, right before: this process may have been stopped since, for longer than the guard needs.
     guard = ports.guard.look() if ports.guard is not None else NO_GUARD
@@ -240,13 +287,28 @@ def _tick(ports: LoopPorts, core: Core, numbers: LeaseNumbers, links: Links, now
         ports.note.follow(is_latched=Reason.GUARD in core.command.arbiter.latches.details)
     if inbox is not None:
         for reply in due.replies:
-            inbox.reply(numbers.disclose(reply))
-    for sample in due.samples:
-        ports.sink.publish(sample)
-    for sample in samples:
+            inbox.reply(admission.reply(reply))
+    for sample in (*due.samples, *samples, *said):
         ports.sink.publish(sample)
     for event in due.events:
         log.log(LEVELS[event.severity], "%s", event.text)
+
+
+def _follow_authority(signed: SignedModePort, core: Core, inbox: RequestInbox | None, now_ns: int) -> list[Sample]:
+    """Take over what the authority states, and act by what follows. Returns what is to be published."""
+    boot_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+    authority = signed.authority
+    if inbox is not None:
+        for statement in inbox.statements():
+            inbox.reply(authority.receive(statement, now_ns, boot_ns))
+    effects = authority.tick(now_ns, boot_ns, time.time_ns())
+    if effects.bars is not None:
+        core.bar(effects.bars, now_ns)
+    if effects.ended is not None and core.lease_id == authority.admission.lease:
+        core.end_lease(effects.ended.reason, effects.ended.detail, now_ns)
+    if effects.kept is not None:
+        signed.save(effects.kept)
+    return effects.samples
 
 
 class Reader:
@@ -319,6 +381,7 @@ def _read_links(ports: LoopPorts, before: Links, *, is_behind: bool, is_full: bo
         is_behind=is_behind,
         realtime=ports.has_realtime() if is_full else before.realtime,
         inbox_drops=ports.inbox.drops if ports.inbox is not None else 0,
+        outside=sink.outside() if is_full else before.outside,
     )
 
 

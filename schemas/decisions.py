@@ -20,7 +20,7 @@ from schemas.messages import (
     unit_keyword,
 )
 from schemas.reasons import Reason
-from schemas.requests import Challenge, LeaseNumber, Role, Tick
+from schemas.requests import Challenge, LeaseNumber, PublicKey, Role, Tick
 
 AccelerationMps2 = Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("m/s2"))]
 AngleRateDegps = Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("deg/s"))]
@@ -51,10 +51,22 @@ class LeaseReply(Reply, frozen=True):
     Attributes:
         lease: every further request carries it; 0 when refused.
         expires_s: the lease expires after this time unless it is renewed.
+        public_key: the robot's for this lease, X25519; in signed mode alone.
     """
 
     lease: LeaseNumber = 0
     expires_s: DurationS = 0.0
+    public_key: PublicKey | None = None
+
+
+class StatementReply(Reply, frozen=True):
+    """The reply to a statement of the authority that was shown to the robot.
+
+    Attributes:
+        own: the chain of the robot's own grant, which has its public key.
+    """
+
+    own: str = ""
 
 
 class Verdict(Enum):
@@ -285,3 +297,38 @@ class Journal(Message, frozen=True):
     count: Count
     inputs: bytes
     rules: Count = 0
+
+
+class SignedStatement(Message, frozen=True):
+    """A statement of the authority, with its chain and signatures, that the robot has taken over.
+
+    Attributes:
+        text: as it was received: see docs/proof.md.
+    """
+
+    text: str
+
+
+class ChainHead(msgspec.Struct, frozen=True):
+    """The head of the chain of one subject: see ``schemas.authority.chain``.
+
+    Attributes:
+        count: samples in the chain: the next one has this sequence.
+    """
+
+    subject: str
+    count: Count
+    head: Annotated[bytes, Meta(min_length=32, max_length=32)]
+
+
+class ChainHeads(Message, frozen=True):
+    """The signed heads of a robot's chains, once a second.
+
+    Attributes:
+        boot: random, of the gateway's run.
+        signature: the robot's, Ed25519, over ``schemas.authority.chain.heads_text``.
+    """
+
+    boot: Annotated[bytes, Meta(min_length=8, max_length=8)]
+    heads: list[ChainHead]
+    signature: Annotated[bytes, Meta(min_length=64, max_length=64)]

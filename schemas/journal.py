@@ -12,7 +12,8 @@ class Kind(IntEnum):
     """[can_id, data, wall_ns, fd_flags, remote_length]"""
     REQUEST = 1
     """handle, verb, operator, payload, size, fault; in journals of before without the fault. The payload names the
-    lease by its identifier: see ``gateway.command.lease_numbers``."""
+    lease by its identifier: see ``gateway.command.lease_numbers``. In signed mode the payload is as it was
+    received, and attachment and credentials follow: see ``gateway.command.request``."""
     LINKS = 2
     """Those that ``gateway.journal.LINKS`` names, in its order; only when one of them has changed"""
     TICK = 3
@@ -27,3 +28,7 @@ class Kind(IntEnum):
     """words: the guard stopped the robot before this start, and nobody has reset that"""
     WARNING = 8
     """words: what was found at the start and a person should know"""
+    END_LEASE = 9
+    """reason, words: the grant of who holds the lease does not hold any more"""
+    BARS = 10
+    """{reason: words}: why nobody may engage the robot, whoever asks; empty again when that is over"""

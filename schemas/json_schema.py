@@ -16,12 +16,12 @@ from typing import Any, Final
 
 import msgspec
 
-from schemas.decisions import Reply
+from schemas.decisions import Reply, StatementReply
 from schemas.docstrings import attribute_texts, plain_text, summary
 from schemas.messages import UNIT_KEYWORD, Message
 from schemas.recording import BackfillPiece, RecorderReply
 from schemas.requests import Request
-from schemas.subjects import ALL_SUBJECTS, ALL_VERBS, COMMANDS, SUBJECTS
+from schemas.subjects import ALL_SUBJECTS, ALL_VERBS, COMMANDS, STATEMENT_REPLY, SUBJECTS
 
 DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 DIRECTORY: Final = Path(__file__).parent / "json"
@@ -42,6 +42,7 @@ KINDS: Final[dict[str, Kind]] = (
     {subject.schema_name: subject.type for subject in ALL_SUBJECTS}
     | {verb.schema_name: verb.request for verb in ALL_VERBS}
     | {verb.reply_schema_name: verb.reply for verb in ALL_VERBS}
+    | {STATEMENT_REPLY: StatementReply}
 )
 """Every class that goes over Zenoh, by its schema's name."""
 

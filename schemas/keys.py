@@ -12,7 +12,15 @@ from typing import Final
 
 import msgspec
 
-from schemas.subjects import COMMAND_CHUNK, LIVELINESS_CHUNK, RECORDER_CHUNK, RECORDER_SUBJECTS, SUBJECTS, Subject
+from schemas.subjects import (
+    AUTHORITY_CHUNK,
+    COMMAND_CHUNK,
+    LIVELINESS_CHUNK,
+    RECORDER_CHUNK,
+    RECORDER_SUBJECTS,
+    SUBJECTS,
+    Subject,
+)
 
 ROBOT_PATTERN: Final = r"[a-z0-9-]+"
 BUS_PATTERN: Final = r"[A-Za-z0-9_.-]+"
@@ -152,6 +160,15 @@ def command(root: str, robot: str, operator: str, verb: str) -> str:
     if operator != ALL:
         _check("operator", operator, OPERATOR_PATTERN)
     return f"{root}/{robot}/{COMMAND_CHUNK}/{operator}/{verb}"
+
+
+def authority(root: str, robot: str) -> str:
+    """The key of the query that shows a robot, or all with ALL, a statement of its authority.
+
+    Raises:
+        ValueError: a part is not of its form.
+    """
+    return command(root, robot, ALL, ALL).removesuffix(f"{COMMAND_CHUNK}/{ALL}/{ALL}") + AUTHORITY_CHUNK
 
 
 _COMMAND: Final = re.compile(rf".+/{COMMAND_CHUNK}/([^/]+)/([^/]+)")

@@ -79,6 +79,18 @@ class Reason(Enum):
     STEERING = "steering"
     FEEDBACK_FROZEN = "feedback_frozen"
 
+    # Who may command: see docs/authority.md.
+    UNAUTHENTICATED = "unauthenticated"
+    SELF_TEST = "self_test"
+    AUTHORITY_STALE = "authority_stale"
+    PROOF_MISSING = "proof_missing"
+    PROOF_WRONG = "proof_wrong"
+    REPLAYED = "replayed"
+    GRANT_UNKNOWN = "grant_unknown"
+    GRANT_EXPIRED = "grant_expired"
+    GRANT_REVOKED = "grant_revoked"
+    NOT_GRANTED = "not_granted"
+
 
 class Text(msgspec.Struct, frozen=True):
     """A reason in words.
@@ -232,6 +244,33 @@ TEXTS: Final[dict[Reason, Text]] = {
         "the mileage stands still although the robot drives: its frame, which has bumpers and mode, is frozen",
         _RESET,
     ),
+    Reason.UNAUTHENTICATED: Text(
+        "the gateway can be reached from other machines, and does not know who commands it",
+        "give it keys with 'cruiser provision robot', and set authority.mode to signed; or let it listen on and "
+        "connect to 127.0.0.1 alone",
+    ),
+    Reason.SELF_TEST: Text(
+        "the gateway's own test of its access control has failed",
+        "mend what the detail names, then start the gateway again",
+    ),
+    Reason.AUTHORITY_STALE: Text(
+        "nothing was heard from the authority for too long, so what was revoked meanwhile is not known",
+        "connect the robot to its site; 'cruiser provision time' answers it",
+    ),
+    Reason.PROOF_MISSING: Text(
+        "the request is not signed", "command it with an operator's key: see docs/authority.md"
+    ),
+    Reason.PROOF_WRONG: Text(
+        "the signature does not fit the request",
+        "send it with the key of the grant, to this robot, as it was signed: see docs/authority.md",
+    ),
+    Reason.REPLAYED: Text("the same was received before", "sign each request anew"),
+    Reason.GRANT_UNKNOWN: Text(
+        "the robot does not know the grant, or its authority", "show it the grant with its chain (@auth/grant)"
+    ),
+    Reason.GRANT_EXPIRED: Text("the grant is over, or has not begun", "get a new grant from the site"),
+    Reason.GRANT_REVOKED: Text("the grant was revoked", "ask the fleet's authority"),
+    Reason.NOT_GRANTED: Text("the grant does not allow it", "get a grant that does"),
 }
 """Every reason in words; a test holds that none is missing."""
 

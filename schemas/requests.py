@@ -31,6 +31,9 @@ Challenge = Annotated[
         description=f"{CHALLENGE_BYTES} random bytes, drawn anew for each safety/state.",
     ),
 ]
+PublicKey = Annotated[
+    bytes, Meta(min_length=32, max_length=32, description="X25519, drawn for this lease: see docs/proof.md.")
+]
 DeadmanS = Annotated[float, Meta(ge=0.05, le=1.0, extra_json_schema=unit_keyword("s"))]
 CurvatureInverseM = Annotated[
     float, Meta(description="One over the radius; left is positive.", extra_json_schema=unit_keyword("1/m"))
@@ -57,20 +60,28 @@ class Request(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Acquire(Request, frozen=True, forbid_unknown_fields=True):
-    """Ask for the lease of a robot that nobody holds."""
+    """Ask for the lease of a robot that nobody holds.
+
+    Attributes:
+        role: the sender's; in signed mode the grant's counts instead.
+        public_key: the sender's for this lease; in signed mode alone.
+    """
 
     role: Role = Role.OPERATOR
+    public_key: PublicKey | None = None
 
 
 class Take(Request, frozen=True, forbid_unknown_fields=True):
     """Take the lease from whoever holds it; it is told to the one who loses it.
 
     Attributes:
+        role, public_key: see ``Acquire``.
         override: take it although the robot moves; it is stopped first.
     """
 
     role: Role = Role.OPERATOR
     override: bool = False
+    public_key: PublicKey | None = None
 
 
 class Leased(Request, frozen=True, forbid_unknown_fields=True):

@@ -426,6 +426,24 @@ class CommandSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     lateral_acceleration_mps2: Annotated[float, Meta(ge=0.2, le=3.0)] = 1.5
 
 
+class AuthoritySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Who may command: see docs/authority.md.
+
+    Attributes:
+        mode: open: whoever reaches the gateway commands it, so it arms only where nothing but this machine reaches
+            it; signed: people and robots are proven by their keys
+        directory: directory of keys and grants, as 'cruiser provision' made it; auto: $XDG_CONFIG_HOME/cruiser,
+            else ~/.config/cruiser
+        max_offline_h: h; so long after its start a robot is engaged without a word of its authority
+        require_fresh: engage only after a word of the authority since the start: against thieves
+    """
+
+    mode: Literal["open", "signed"] = "open"
+    directory: str = "auto"
+    max_offline_h: Annotated[float, Meta(ge=0.1, le=720)] = 24.0
+    require_fresh: bool = False
+
+
 class SimSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The virtual chassis.
 
@@ -449,3 +467,4 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     command: CommandSettings = CommandSettings()
     recorder: RecorderSettings = RecorderSettings()
     sim: SimSettings = SimSettings()
+    authority: AuthoritySettings = AuthoritySettings()

@@ -174,6 +174,20 @@ SUBJECTS: Final[tuple[Subject, ...]] = (
         Qos(Priority.DATA_LOW, kept_bytes=JOURNAL_KEPT_BYTES),
     ),
     Subject(
+        "authority/heads",
+        decisions.ChainHeads,
+        "the signed heads of the chains over journal, decisions and events; in signed mode alone",
+        "1 Hz",
+        Qos(Priority.DATA_HIGH, history=1),
+    ),
+    Subject(
+        "authority/statement",
+        decisions.SignedStatement,
+        "grants and revocations that the robot has taken over, with their signatures; in signed mode alone",
+        "each, and every minute those in use",
+        Qos(Priority.DATA_LOW, history=64),
+    ),
+    Subject(
         "gateway/health",
         messages.GatewayHealth,
         "frame rates, losses, faults by kind, bus and Zenoh connection, loop lateness",
@@ -277,6 +291,13 @@ RecorderCommand = Verb[recording.RecorderReply | recording.BackfillPiece]
 
 COMMAND_CHUNK: Final = "@cmd"
 """A verbatim chunk of Zenoh: no wildcard reaches a command by accident."""
+
+AUTHORITY_CHUNK: Final = "@auth"
+"""A verbatim chunk of Zenoh: the query ``{root}/{robot}/@auth`` shows a robot a statement of its authority."""
+
+STATEMENT_REPLY: Final = f"{SCHEMA_PREFIX}.{decisions.StatementReply.__name__}"
+
+STATEMENT_REPLY_ENCODING: Final = f"application/msgpack;{STATEMENT_REPLY}/{decisions.StatementReply.version}"
 
 STOP_VERB: Final = "stop"
 """The verb that is taken from anyone, as a put too."""

@@ -25,6 +25,7 @@ from gateway.host.guard_process import GuardLink, start_guard
 from gateway.host.guard_run import stop_alone
 from gateway.host.log_queue import logging_aside
 from gateway.host.realtime import has_realtime, request_realtime
+from gateway.host.signed_mode import SignedMode
 from gateway.host.stop_note import NoteClearer, StopNote
 from gateway.loop import LoopPorts
 from gateway.loop import run as run_loop
@@ -92,12 +93,15 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         # First, since it takes a second, and ended last.
         guard = start_guard(settings)
         closing.callback(guard.close)
-        node, place = open_node(settings)
+        signed = _signed_mode(settings, core, closing)
+        node, place = open_node(settings, None if signed is None else signed.authority.signer)
         closing.callback(node.close)
-        inbox = None if core.command is None else open_inbox(settings, place)
+        is_proven = None if signed is None else signed.authority.admission.is_holders
+        inbox = None if core.command is None else open_inbox(settings, place, is_proven)
         if inbox is not None:
             closing.callback(inbox.close)
             node.disregard(inbox.node)
+        _warn_of_bars(core, settings, place)
         info = _info(settings, core, place)
         # The bus comes last: frames that wait while the rest starts would come in one burst, too late.
         bus = ReconnectingBus(lambda: _open_bus(settings), _first_bus(settings))
@@ -122,7 +126,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         request_realtime(settings.gateway.realtime_priority)
         if inbox is not None and not has_realtime():
             log.warning("%s", _without_realtime(settings))
-        ports = LoopPorts(bus, node, inbox, guard, note, former_guard, has_realtime)
+        ports = LoopPorts(bus, node, inbox, guard, note, former_guard, has_realtime, signed)
         try:
             with logging_aside():
                 run_loop(ports, core, info, ending_after(stopped, arguments.seconds, time.monotonic))
@@ -130,6 +134,27 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             _stop_unguarded(core, bus, guard, settings)
             raise
     return int(ExitCode.OK)
+
+
+def _signed_mode(settings: Settings, core: Core, closing: ExitStack) -> SignedMode | None:
+    """The authority of a robot in signed mode. Without its keys telemetry runs, and nothing arms."""
+    if settings.authority.mode != "signed":
+        return None
+    try:
+        signed = SignedMode(settings, core)
+    except CommandError as error:
+        core.bar({Reason.SELF_TEST: str(error)}, time.monotonic_ns())
+        return None
+    closing.callback(signed.close)
+    return signed
+
+
+def _warn_of_bars(core: Core, settings: Settings, place: ZenohPlace) -> None:
+    """Say why nobody can engage this robot. In open mode it arms where this machine alone reaches it."""
+    if core.command is not None and settings.authority.mode == "open" and place.outside:
+        core.bar({Reason.UNAUTHENTICATED: f"by {', '.join(place.outside)}"}, time.monotonic_ns())
+    for reason, words in core.bars.items():
+        log.warning("nobody can engage this robot: %s: %s; %s", TEXTS[reason].means, words, TEXTS[reason].cure)
 
 
 def _stop_unguarded(core: Core, bus: ReconnectingBus, guard: GuardLink, settings: Settings) -> None:

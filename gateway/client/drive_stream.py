@@ -42,6 +42,8 @@ SENT_KEPT: Final = 128
 BEGAN_ANEW: Final = "the robot's gateway has begun anew, and knows nothing of the lease"
 """It died, or was restarted: its ticks are those of another run."""
 
+GRANT_ENDS: Final = frozenset({Reason.GRANT_EXPIRED, Reason.GRANT_REVOKED})
+
 ROUNDING: Final = 1e-6
 """m/s and deg: no target that was asked for differs by less."""
 
@@ -176,7 +178,7 @@ class DriveStream:
             if state.lease_holder:
                 self.lose(Reason.LEASE_TAKEN, f"by {state.lease_holder}")
             else:
-                self.lose(Reason.NO_LEASE if self._is_of_other_run(state) else Reason.LEASE_EXPIRED)
+                self.lose(_loss_of(state) if not self._is_of_other_run(state) else Reason.NO_LEASE)
         if not self._is_wanted:
             return
         if state.state is ArbiterState.ENGAGED:
@@ -242,3 +244,8 @@ class DriveStream:
         self.ending = ending
         self._is_wanted = self._is_asked = self.engaged = False
         self._set_point = None
+
+
+def _loss_of(state: SafetyState) -> Reason:
+    """Return why nobody holds the lease any more, as far as the robot's last stop says it."""
+    return state.stop_reason if state.stop_reason in GRANT_ENDS else Reason.LEASE_EXPIRED

@@ -12,16 +12,18 @@ from typing import Final
 import msgspec
 
 from gateway.client.drive_stream import PERIOD_S, SILENT_NS, DriveStream
+from gateway.client.link_proof import LinkProof
 from gateway.client.payloads import BY_REQUEST, CONTRADICTION, contradict, encode_request, read_reply, read_sample
-from gateway.client.refusal import Unreachable, refused
+from gateway.client.refusal import Refused, Unreachable, refused
 from gateway.client.remote_stop import Seen
 from gateway.telemetry.received import Missed, Received
 from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort, SafetyListener
 from schemas.codec import PayloadFault
-from schemas.decisions import Reply, SafetyEvent, SafetyState
+from schemas.decisions import LeaseReply, Reply, SafetyEvent, SafetyState
 from schemas.exit_codes import CommandError
 from schemas.messages import GatewayHealth, RobotState
+from schemas.reasons import TEXTS, Reason
 from schemas.requests import Release, Renew, Request
 
 log = logging.getLogger(__name__)
@@ -63,9 +65,13 @@ class RobotLink:
         unreadable: why the last sample that could not be read could not; empty if all could.
     """
 
-    def __init__(self, commands: CommandPort, listener: SafetyListener, robot: str) -> None:
+    def __init__(
+        self, commands: CommandPort, listener: SafetyListener, robot: str, proof: LinkProof | None = None
+    ) -> None:
         self.robot = robot
         self.commands = commands
+        self.commands.prover = proof
+        self._proof = proof
         self.heard = threading.Condition(threading.RLock())
         self.unreadable = ""
         self._listener = listener
@@ -143,7 +149,24 @@ class RobotLink:
             Refused: it is a refusal.
             Unreachable: there is none, it cannot be read, or there are several that contradict each other.
         """
-        command = BY_REQUEST[type(request)]
+        try:
+            return self._ask(request, timeout_s)
+        except Refused as refusal:
+            if self._proof is None or refusal.reason is not Reason.GRANT_UNKNOWN:
+                raise
+            # It was restarted, or has met many others since.
+            self.meet()
+            return self._ask(request, timeout_s)
+
+    def meet(self) -> str:
+        """Show the robot the operator's grant. Returns why it does not take it; empty if it does."""
+        refusal = None if self._proof is None else self._proof.meet(self.commands)
+        return "" if refusal is None else "; ".join(filter(None, (TEXTS[refusal.reason].means, refusal.detail)))
+
+    def _ask(self, request: Request, timeout_s: float) -> Reply:
+        command, proof = BY_REQUEST[type(request)], self._proof
+        if proof is not None:
+            request = proof.with_key(request)
         received = self.commands.ask(command.verb, encode_request(request), timeout_s)
         if not received:
             raise Unreachable(f"{self.robot} did not answer {command.verb}")
@@ -155,7 +178,9 @@ class RobotLink:
             raise Unreachable(f"{self.robot}: {command.verb}: {reply.detail}")
         if not reply.ok:
             raise refused(self.robot, command.verb, reply)
-        return reply
+        if proof is None or not isinstance(reply, LeaseReply) or proof.begin_lease(reply, received[0].attachment):
+            return reply
+        raise Unreachable(f"{self.robot}: {command.verb}: the reply has no key for the lease")
 
     def begin_stream(self, stream: DriveStream, expires_s: float) -> None:
         """A lease is held from now on: keep it."""
@@ -195,6 +220,8 @@ class RobotLink:
         for one in received:
             if isinstance(one, Missed):
                 self._seen = [one]
+            elif self._proof is not None and not self._proof.believes(one):
+                self.unreadable = f"{one.key} is not signed by the robot"
             else:
                 self._hear(one, time.monotonic_ns())
         if received:
@@ -206,6 +233,8 @@ class RobotLink:
         match message:
             case SafetyState():
                 self._state, self._state_ns = message, now_ns
+                if self._proof is not None:
+                    self._proof.challenge = message.challenge
                 self._keep((now_ns, self.robot, message))
                 if self._stream is not None:
                     self._stream.see(message, now_ns)

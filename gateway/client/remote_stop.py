@@ -16,6 +16,7 @@ from typing import Final
 import msgspec
 
 from gateway.client.evidence import Evidence
+from gateway.client.link_proof import StopProof, stop_proof
 from gateway.client.payloads import CONTRADICTION, contradict, read_reply, read_sample
 from gateway.client.roll import RollCall
 from gateway.telemetry.received import Arrival, Missed, Received
@@ -81,23 +82,27 @@ def stop_from_here(
     root = settings.robot.root
     with ExitStack() as stack:
         port = stack.enter_context(CommandPort.open(settings, robot, operator))
+        port.prover = proof = stop_proof(settings, port)
         listeners: list[RobotListener] = []
 
         def look() -> Iterator[Seen | Missed]:
             if not listeners:  # Only now: the stop has been sent.
                 name = "" if robot == keys.ALL else robot
                 listeners.append(stack.enter_context(RobotListener.open(settings, name)))
-            return _read(listeners[0].drain())
+            if proof is not None:
+                proof.meet()
+            return _read(listeners[0].drain(), proof)
 
         return stop(port, root, robot, timeout_s, look, stopped)
 
 
-def _read(heard: Iterable[Arrival]) -> Iterator[Seen | Missed]:
+def _read(heard: Iterable[Arrival], proof: StopProof | None) -> Iterator[Seen | Missed]:
     for one in heard:
         now_ns = time.monotonic_ns()
         if isinstance(one, Missed):
             yield one
-        sample = read_sample(one) if isinstance(one, Received) else None
+        is_believed = isinstance(one, Received) and (proof is None or proof.believes(one))
+        sample = read_sample(one) if isinstance(one, Received) and is_believed else None
         if sample is not None and isinstance(sample[1], SafetyState | RobotState):
             yield now_ns, sample[0].robot, sample[1]
 

@@ -23,6 +23,7 @@ from typing import Final, Self
 from gateway.client import remote_stop
 from gateway.client.drive_stream import HOLD_S, DriveStream, SetPoint
 from gateway.client.link import RobotLink, Sighting
+from gateway.client.link_proof import LinkProof, operator_proof
 from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
 from gateway.client.remote_stop import StopReport
 from gateway.zenoh.client import place
@@ -100,20 +101,24 @@ class Robot:
             CommandError: a name or an endpoint is not of its form.
         """
         settings = settings or Settings()
-        operator = operator or login_operator()
+        proof = operator_proof(settings)
+        operator = operator or (login_operator() if proof is None else proof.name)
         commands = CommandPort.open(settings, name, operator)
         try:
             listener = SafetyListener.open(settings, name)
         except CommandError:
             commands.close()
             raise
-        link = RobotLink(commands, listener, name)
+        link = RobotLink(commands, listener, name, None if proof is None else LinkProof(proof, name))
         deadline_s = time.monotonic() + timeout_s
-        while not (link.is_heard and commands.reaches()):
+        stranger = "" if proof is None else "it was not met"
+        while stranger or not (link.is_heard and commands.reaches()):
             if stopped() or time.monotonic() >= deadline_s:
-                problem = _problem(link)
+                problem = _problem(link, stranger)
                 link.close()
                 raise Unreachable(f"{problem} within {timeout_s:g} s at {place(settings.zenoh)}")
+            if stranger and commands.reaches():
+                stranger = link.meet()
             time.sleep(0.01)
         return cls(link, operator, settings.robot.root)
 
@@ -365,9 +370,11 @@ def stop_all(
     return remote_stop.stop_from_here(settings or Settings(), keys.ALL, operator or login_operator(), timeout_s)
 
 
-def _problem(link: RobotLink) -> str:
+def _problem(link: RobotLink, stranger: str) -> str:
     if not link.commands.connected():
         return "no Zenoh node answered"
+    if stranger and link.commands.reaches():
+        return f"robot {link.robot!r} is reached, but not met: {stranger};"
     if link.unreadable:
         return f"{link.robot} cannot be read ({link.unreadable}), and nothing else of it was heard"
     if not link.is_heard and link.hears_chassis:

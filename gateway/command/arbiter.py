@@ -22,7 +22,7 @@ from gateway.command.request import Judged, RawRequest, Ruling
 from gateway.command.verbs import Verbs
 from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity
 from schemas.messages import Mode, Variant
-from schemas.reasons import Reason
+from schemas.reasons import TEXTS, Reason
 from schemas.settings import Settings
 
 _NS_PER_S: Final = 1_000_000_000
@@ -60,7 +60,7 @@ class Arbiter:
         self.handover = self.engagement.handover
         self.latches = self.engagement.latches
         self.outbox = self.engagement.outbox
-        self._verbs = Verbs(command, self.leases, self.link, self.engagement)
+        self._verbs = Verbs(settings, self.leases, self.link, self.engagement)
         self._notices = Notices()
         self._speed_limit_without_realtime_mps = command.speed_limit_without_realtime_mps
         self._guard_stops: int | None = None
@@ -95,6 +95,17 @@ class Arbiter:
         # Lamps, horn and odometer go with the five; standing by the gateway is silent.
         auxiliary = [] if output.actuation is None else self.auxiliary.frames(now_ns)
         return TickOutcome(output.actuation, auxiliary, judged, *self.outbox.take())
+
+    def end_lease(self, reason: Reason, detail: str, now_ns: int) -> None:
+        """Take the lease from its holder, whose grant does not hold any more, and stop the robot."""
+        lease = self.leases.held
+        if lease is None:
+            return
+        self.leases.end(reason)
+        text = f"{lease.operator} loses the lease: {TEXTS[reason].means}; {detail}"
+        self.outbox.add_event(Severity.WARNING, EventKind.LEASE, reason, text, lease.operator)
+        if self.state in COMMANDING:
+            self.engagement.begin_stop(reason, now_ns, detail, lease.operator)
 
     # What is asked.
 

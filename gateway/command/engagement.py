@@ -44,6 +44,7 @@ class Engagement:
         engage_until_ns: while engaging, when the chassis must read auto, monotonic.
         is_closing: the gateway is to end; nothing is engaged any more.
         needs_guard: nothing is commanded that no guard watches.
+        bars: why nobody may engage the robot, found outside the command flow, each with its words.
     """
 
     def __init__(self, settings: CommandSettings, *, needs_guard: bool) -> None:
@@ -61,6 +62,7 @@ class Engagement:
         self.engage_until_ns = 0
         self.is_closing = False
         self.needs_guard = needs_guard
+        self.bars: dict[Reason, str] = {}
         self._is_brake_missed = False
         self._stray_ns: int | None = None
 
@@ -75,7 +77,7 @@ class Engagement:
             Reason.HAND_TRANSMITTER: chassis.mode is Mode.REMOTE,
             Reason.OTHER_COMMANDER: monitor.is_commanded_by_other(now_ns),
         }
-        blockers = [*self.latches.details]
+        blockers = [*self.latches.details, *self.bars]
         blockers += [reason for reason, holds in conditions.items() if holds and reason not in blockers]
         faults = monitor.chassis_faults()
         blockers += faults

@@ -25,11 +25,12 @@ from schemas.settings import MUTE_FAILURES, Settings
 
 
 class PendingReply(msgspec.Struct, frozen=True):
-    """A reply that is due: to whom, and what."""
+    """A reply that is due: to whom, and what. Its proof is attached by whoever sends it."""
 
     handle: int
     verb: str
     payload: bytes
+    attachment: bytes = b""
 
 
 class CommandEffects(msgspec.Struct, frozen=True):

@@ -40,11 +40,12 @@ class LeaseNumbers:
         self._draw = draw
         self._ids: dict[int, int] = {}
 
-    def redact(self, raw: RawRequest) -> RawRequest:
+    def admit(self, raw: RawRequest, _now_ns: int = 0) -> RawRequest:
         """The request as the core may know it, and the journal may keep it.
 
         What the core needs not read, and what cannot be read, is left out: a number could be anywhere in it.
         """
+        raw = msgspec.structs.replace(raw, attachment=b"") if raw.attachment else raw
         command = BY_VERB.get(raw.verb)
         if command is None or raw.verb == STOP_VERB or raw.size > REQUEST_MAX_BYTES:
             return msgspec.structs.replace(raw, payload=b"")
@@ -55,7 +56,7 @@ class LeaseNumbers:
             request = msgspec.structs.replace(request, lease=self._ids.get(request.lease, UNKNOWN_LEASE))
         return msgspec.structs.replace(raw, payload=_ENCODER.encode(request))
 
-    def disclose(self, reply: PendingReply) -> PendingReply:
+    def reply(self, reply: PendingReply) -> PendingReply:
         """The reply as its receiver gets it: the lease that it gives by its number, which is drawn here."""
         command = BY_VERB.get(reply.verb)
         if command is None or command.reply is not LeaseReply:

@@ -6,6 +6,25 @@ import msgspec
 
 from gateway.command.motion import Target
 from schemas.reasons import TEXTS, Reason
+from schemas.requests import Role
+
+
+class Credentials(msgspec.Struct, frozen=True, array_like=True):
+    """What was proven of a request's sender before the arbiter got it. In the journal it is an array.
+
+    Attributes:
+        reason: NONE if the proof holds; else why it does not, and all below is empty.
+        detail: figures that the reason's own text does not have.
+        serial: the grant's, for people.
+        role, override, speed_limit_mps: what the grant allows.
+    """
+
+    reason: Reason
+    detail: str = ""
+    serial: int = 0
+    role: Role = Role.PROGRAM
+    override: bool = False
+    speed_limit_mps: float | None = None
 
 
 class RawRequest(msgspec.Struct, frozen=True):
@@ -18,6 +37,8 @@ class RawRequest(msgspec.Struct, frozen=True):
         payload: the bytes, or nothing if there are more of them than any request has.
         size: how many there were.
         fault: why the payload cannot be read, where that was found before the core got it; it is left out then.
+        attachment: the bytes that came beside the payload; see ``schemas.authority.proof``.
+        credentials: what they prove; None where nothing has to be proven.
     """
 
     handle: int
@@ -26,6 +47,8 @@ class RawRequest(msgspec.Struct, frozen=True):
     payload: bytes
     size: int
     fault: str = ""
+    attachment: bytes = b""
+    credentials: Credentials | None = None
 
     @property
     def is_query(self) -> bool:

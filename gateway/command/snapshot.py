@@ -32,6 +32,7 @@ class Snapshot(msgspec.Struct, frozen=True, array_like=True):
         sequences: the next sequence of each message of the arbiter, by the class's name.
         state_due_ns: when the next safety/state is due, monotonic.
         sent: the last alive counter of each command frame that was ever sent, by identifier.
+        bars: why nobody may engage the robot, each reason with its words; left out if there is none.
     """
 
     tick_number: int
@@ -46,6 +47,7 @@ class Snapshot(msgspec.Struct, frozen=True, array_like=True):
     sequences: dict[str, int]
     state_due_ns: int
     sent: dict[int, int]
+    bars: dict[str, str] = {}
 
 
 def is_at_rest(flow: CommandFlow, now_ns: int) -> bool:
@@ -83,7 +85,14 @@ def snapshot(flow: CommandFlow) -> Snapshot:
         sequences=dict(flow.reporter.sequences),
         state_due_ns=flow.reporter.state_due_ns,
         sent=dict(flow.gate.counters),
+        bars={reason.value: words for reason, words in arbiter.engagement.bars.items()},
     )
+
+
+def as_array(kept: Snapshot) -> tuple[object, ...]:
+    """The snapshot as the journal holds it; as before there were bars, if there are none."""
+    values = msgspec.structs.astuple(kept)
+    return values if kept.bars else values[:-1]
 
 
 def restore(flow: CommandFlow, kept: Snapshot, now_ns: int) -> None:
@@ -99,6 +108,7 @@ def restore(flow: CommandFlow, kept: Snapshot, now_ns: int) -> None:
     arbiter.link.challenges.restore(kept.challenges)
     arbiter.leases.restore(kept.leases, [(number, Reason(reason)) for number, reason in kept.ended])
     arbiter.engagement.stop_reason, arbiter.engagement.stop_detail = Reason(kept.stop_reason), kept.stop_detail
+    arbiter.engagement.bars = {Reason(reason): words for reason, words in kept.bars.items()}
     arbiter.setpoint.parked = kept.parked
     arbiter.setpoint.target = Target(kept.target_speed_mps, kept.target_angle_deg)
     flow.maker.restore(kept.sent)

@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final
 
+import msgspec
+
 from gateway.command.engagement import Engagement
 from gateway.command.lease import HeldLease, Leases
 from gateway.command.limits import steering_angle_deg
 from gateway.command.motion import Target
 from gateway.command.operator_link import OperatorLink
-from gateway.command.request import RawRequest, Ruling
+from gateway.command.request import Credentials, RawRequest, Ruling
 from schemas import codec, requests
 from schemas.codec import PayloadFault
 from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity
 from schemas.messages import ControllerState, Mode
 from schemas.reasons import Reason
-from schemas.settings import REQUEST_MAX_BYTES, RESET_MIN_NS, SEQUENCE_STEP_MAX, CommandSettings
+from schemas.settings import REQUEST_MAX_BYTES, RESET_MIN_NS, SEQUENCE_STEP_MAX, Settings
 from schemas.subjects import BY_VERB, STOP_VERB, Asking
 
 _BY_STATE: Final = {
@@ -39,10 +41,9 @@ _ENGAGED_ONLY: Final = frozenset(
 class Verbs:
     """Rules on each request, and acts on the states that its verb concerns."""
 
-    def __init__(
-        self, settings: CommandSettings, leases: Leases, link: OperatorLink, engagement: Engagement
-    ) -> None:
-        self._max_age_s = settings.max_age_s
+    def __init__(self, settings: Settings, leases: Leases, link: OperatorLink, engagement: Engagement) -> None:
+        self._max_age_s = settings.command.max_age_s
+        self._is_signed = settings.authority.mode == "signed"
         self._leases = leases
         self._link = link
         self._engagement = engagement
@@ -71,7 +72,20 @@ class Verbs:
         """Rule on a request. Whatever its bytes are, this does not raise."""
         if raw.verb == STOP_VERB:
             # Served before anything is read: from anyone, whatever its payload holds.
-            return self._stop(raw.operator, now_ns)
+            return self._stop(raw, now_ns)
+        request = self._read(raw)
+        if isinstance(request, Ruling):
+            return request
+        if isinstance(request, requests.Leased):
+            refusal = self._leases.refusal(request.lease, raw.operator)
+            if refusal is not None:
+                return Ruling(refusal, lease=request.lease)
+            if type(request) in _ENGAGED_ONLY and self._engagement.state is not ArbiterState.ENGAGED:
+                return Ruling(Reason.NOT_ENGAGED, lease=request.lease)
+        return self._rules[type(request)](request, raw.operator, now_ns)
+
+    def _read(self, raw: RawRequest) -> requests.Request | Ruling:
+        """The typed request, with what its sender was granted; or why it is none."""
         command = BY_VERB.get(raw.verb)
         if command is None or raw.is_query is not (command.asking is Asking.QUERY):
             return Ruling(Reason.UNKNOWN_VERB, f"{raw.verb[:32]!a} as a {'query' if raw.is_query else 'put'}")
@@ -82,19 +96,15 @@ class Verbs:
             return Ruling(Reason.MALFORMED, request.detail[:200])
         if not raw.operator:
             return Ruling(Reason.MALFORMED, "the operator's chunk of the key is not of its form")
-        if isinstance(request, requests.Leased):
-            refusal = self._leases.refusal(request.lease, raw.operator)
-            if refusal is not None:
-                return Ruling(refusal, lease=request.lease)
-            if type(request) in _ENGAGED_ONLY and self._engagement.state is not ArbiterState.ENGAGED:
-                return Ruling(Reason.NOT_ENGAGED, lease=request.lease)
-        return self._rules[type(request)](request, raw.operator, now_ns)
+        return _as_granted(request, raw.credentials or _NOTHING_PROVEN) if self._is_signed else request
 
-    def _stop(self, operator: str, now_ns: int) -> Ruling:
+    def _stop(self, raw: RawRequest, now_ns: int) -> Ruling:
         """Latch a stop in any case. Where it cannot be carried out, the reply says so, and what the robot does."""
-        self._engagement.begin_stop(
-            Reason.REMOTE_STOP, now_ns, f"by {operator or 'an unnamed operator'}", operator
+        is_proven = raw.credentials is not None and raw.credentials.reason is Reason.NONE
+        who = (raw.operator or "an unnamed operator") + (
+            " (unproven)" if self._is_signed and not is_proven else ""
         )
+        self._engagement.begin_stop(Reason.REMOTE_STOP, now_ns, f"by {who}", raw.operator)
         chassis = self._monitor.chassis
         speed_mps = chassis.fastest_mps
         moves = (
@@ -169,7 +179,7 @@ class Verbs:
         if blockers:
             chassis = self._monitor.chassis
             what = {Reason.FEEDBACK_MISSING: chassis.missing, Reason.FEEDBACK_FAULTY: chassis.faulty}
-            named = ", ".join(what.get(blockers[0], ()))
+            named = ", ".join(what.get(blockers[0], ())) or self._engagement.bars.get(blockers[0], "")
             others = ", ".join(blocker.value for blocker in blockers[1:])
             detail = "; ".join(filter(None, (named, f"and {others}" if others else "")))
             return Ruling(blockers[0], detail, lease=request.lease)
@@ -301,3 +311,21 @@ class Verbs:
             return ruled(_DRIVE_REFUSALS[self._engagement.state])
         self._link.age.accept(request.seq, age_ns, now_ns)
         return ruled(Reason.NONE)
+
+
+_NOTHING_PROVEN: Final = Credentials(Reason.PROOF_MISSING)
+
+
+def _as_granted(request: requests.Request, credentials: Credentials) -> requests.Request | Ruling:
+    """The request with what its sender's grant says in place of what the sender says; or why it is refused."""
+    if credentials.reason is not Reason.NONE:
+        return Ruling(credentials.reason, credentials.detail)
+    match request:
+        case requests.Take(override=True) if not credentials.override:
+            return Ruling(Reason.NOT_GRANTED, "override is not among it")
+        case requests.Acquire() | requests.Take():
+            return msgspec.structs.replace(request, role=credentials.role)
+        case requests.Engage():
+            limits_mps = [one for one in (request.speed_limit_mps, credentials.speed_limit_mps) if one is not None]
+            return msgspec.structs.replace(request, speed_limit_mps=min(limits_mps, default=None))
+    return request

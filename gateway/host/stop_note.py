@@ -17,12 +17,11 @@ from queue import SimpleQueue
 from typing import Final, Self
 
 from gateway.host.realtime import request_realtime
+from gateway.host.state_directory import state_directory
 from schemas.printable import plain
 from schemas.settings import Settings
 
 log = logging.getLogger(__name__)
-
-AUTO: Final = "auto"
 
 NOTE_MAX_BYTES: Final = 2048
 """A longer note is neither extended nor read to its end: its first lines say what happened."""
@@ -47,7 +46,7 @@ class StopNote:
     @classmethod
     def of(cls, settings: Settings, environment: Mapping[str, str] = os.environ) -> Self:
         """The note of the robot that the settings name."""
-        directory = _directory(settings.gateway.state_dir, environment)
+        directory = state_directory(settings.gateway.state_dir, environment)
         robot = f"{settings.robot.root}/{settings.robot.name}".replace("/", ".")
         return cls(None if directory is None else directory / f"{robot}.guard-stop")
 
@@ -192,19 +191,6 @@ class NoteClearer:
             self._note.clear()
         except OSError as error:
             log.warning("the note %s cannot be removed: %s", self._note.path, error.strerror)
-
-
-def _directory(setting: str, environment: Mapping[str, str]) -> Path | None:
-    if setting != AUTO:
-        return Path(setting) if setting else None
-    given = environment.get("STATE_DIRECTORY", "").partition(":")[0]
-    if given:
-        return Path(given)
-    state = environment.get("XDG_STATE_HOME", "")
-    home = environment.get("HOME", "")
-    if state.startswith("/"):
-        return Path(state) / "cruiser"
-    return Path(home) / ".local" / "state" / "cruiser" if home else None
 
 
 def _is_whole(line: str) -> bool:

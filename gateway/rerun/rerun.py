@@ -10,7 +10,7 @@ from typing import Any, Final
 import msgspec
 
 from gateway.chassis.frame import Frame
-from gateway.command.request import RawRequest
+from gateway.command.request import Credentials, RawRequest
 from gateway.command.snapshot import Snapshot
 from gateway.core import Core, TickEffects
 from gateway.journal import LINKS, BrokenJournalError, Input, follow, inputs_of
@@ -20,6 +20,7 @@ from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Journal
 from schemas.journal import Kind
 from schemas.messages import ControllerState
+from schemas.reasons import Reason
 from schemas.requests import CHALLENGE_BYTES
 from schemas.settings import Settings
 
@@ -149,6 +150,19 @@ def _frame(core: Core, now_ns: int, frame: list[Any]) -> list[Sample]:
     return [] if sample is None else [sample]
 
 
+_SAID: Final = 6
+"""So many values of a request are the sender's; what follows is what they prove."""
+
+
+def _as_request(values: Sequence[Any]) -> RawRequest:
+    raw = RawRequest(*values[:_SAID])
+    if len(values) <= _SAID:
+        return raw
+    attachment, credentials = values[_SAID:]
+    proven = msgspec.convert(credentials, Credentials)
+    return msgspec.structs.replace(raw, attachment=attachment, credentials=proven)
+
+
 _NOT_YET_TOLD: Final = {"realtime": True}
 """What holds for a journal that does not say it."""
 
@@ -164,7 +178,7 @@ def _tick(core: Core, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes 
 
 _GIVE: Final[dict[int, Callable[..., TickEffects | list[Sample] | None]]] = {
     Kind.FRAME: _frame,
-    Kind.REQUEST: lambda core, now_ns, *request: core.receive_request(RawRequest(*request), now_ns),
+    Kind.REQUEST: lambda core, now_ns, *request: core.receive_request(_as_request(request), now_ns),
     Kind.LINKS: lambda core, now_ns, *told: core.update_links(_as_links(told), now_ns),
     Kind.TICK: _tick,
     Kind.SENT: lambda core, now_ns, count, wall_ns: core.sent(count, now_ns, wall_ns),
@@ -172,4 +186,6 @@ _GIVE: Final[dict[int, Callable[..., TickEffects | list[Sample] | None]]] = {
     Kind.REST: lambda *_: None,
     Kind.GUARD_STOP: lambda core, now_ns, words: core.latch_guard_stop(words, now_ns),
     Kind.WARNING: lambda core, now_ns, words: core.warn(words, now_ns),
+    Kind.END_LEASE: lambda core, now_ns, reason, detail: core.end_lease(Reason(reason), detail, now_ns),
+    Kind.BARS: lambda core, now_ns, bars: core.bar({Reason(key): words for key, words in bars.items()}, now_ns),
 }

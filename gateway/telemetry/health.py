@@ -33,6 +33,7 @@ class Links(msgspec.Struct, frozen=True):
         is_behind: frames come faster than they can be read.
         realtime: the loop has real-time priority.
         inbox_drops: requests that were dropped unread because too many came, since the start.
+        outside: the other ends of Zenoh connections that leave this machine.
     """
 
     bus_up: bool = False
@@ -49,6 +50,7 @@ class Links(msgspec.Struct, frozen=True):
     is_behind: bool = False
     realtime: bool = False
     inbox_drops: int = 0
+    outside: tuple[str, ...] = ()
 
 
 class HealthMeter:

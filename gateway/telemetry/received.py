@@ -11,6 +11,7 @@ class Received(msgspec.Struct, frozen=True):
     key: str
     encoding: str
     payload: bytes
+    attachment: bytes = b""
 
 
 class Missed(msgspec.Struct, frozen=True):

@@ -228,7 +228,13 @@ class PendingQuery:
         timed_out: it ended before everybody who was asked had answered.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, accepts: Callable[[Received], bool] | None = None) -> None:
+        """No reply has come yet.
+
+        Args:
+            accepts: is a reply of whom it should be? One that is not counts as none.
+        """
+        self._accepts = accepts
         self.is_over = False
         self.timed_out = False
         self._arrived: deque[zenoh.Reply] = deque(maxlen=REPLIES_WAITING)
@@ -247,7 +253,9 @@ class PendingQuery:
             reply = self._arrived.popleft()
             sample = reply.ok
             if sample is not None:
-                found.append(Received(str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes()))
+                received = received_of(sample)
+                if self._accepts is None or self._accepts(received):
+                    found.append(received)
             elif reply.err is not None and reply.err.payload.to_bytes() == _TIMEOUT:
                 self.timed_out = True
         self.is_over = is_over
@@ -266,6 +274,12 @@ def call_roll(session: zenoh.Session, key: str, timeout_s: float) -> PendingQuer
     return question
 
 
+def received_of(sample: zenoh.Sample) -> Received:
+    """A sample, out of Zenoh's hands."""
+    attachment = b"" if sample.attachment is None else sample.attachment.to_bytes()
+    return Received(str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes(), attachment)
+
+
 def receive(try_recv: Callable[[], zenoh.Sample | None], waiting: int) -> Iterator[Received | Missed]:
     """The samples that wait in a ring. They end, however fast more come.
 
@@ -277,7 +291,7 @@ def receive(try_recv: Callable[[], zenoh.Sample | None], waiting: int) -> Iterat
         if (sample := try_recv()) is None:
             return
         if sample.kind == zenoh.SampleKind.PUT:
-            yield Received(str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes())
+            yield received_of(sample)
     yield Missed()
 
 

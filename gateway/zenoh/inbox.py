@@ -22,6 +22,7 @@ from gateway.command.request import RawRequest
 from gateway.zenoh.client import close_session, open_session
 from gateway.zenoh.node import BLOCK_MAX_US, Replier, ZenohPlace
 from schemas import keys
+from schemas.authority.statement import TEXT_MAX_BYTES
 from schemas.exit_codes import CommandError
 from schemas.settings import (
     DRIVES_PER_TICK,
@@ -30,7 +31,7 @@ from schemas.settings import (
     VERBS_PER_TICK,
     Settings,
 )
-from schemas.subjects import BY_VERB, COMMAND_CHUNK, STOP_VERB
+from schemas.subjects import BY_VERB, COMMAND_CHUNK, STATEMENT_REPLY_ENCODING, STOP_VERB
 from schemas.zenoh_link import own_endpoint
 
 log = logging.getLogger(__name__)
@@ -39,6 +40,17 @@ STOPS_WAITING: Final = 64
 VERBS_WAITING: Final = 256
 DRIVES_WAITING: Final = 1024
 """Requests that may wait between two ticks; beyond it the oldest go, uncounted."""
+
+STATEMENTS_WAITING: Final = 16
+"""Statements of an authority that may wait; beyond it the oldest go."""
+
+STATEMENTS_PER_TICK: Final = 1
+"""Each may have several signatures, of 0.1 ms each."""
+
+ATTACHMENT_MAX_BYTES: Final = 128
+"""No proof is longer."""
+
+Proof = Callable[[str, bytes, bytes], bool]
 
 OWN_LINK_TIMEOUT_S: Final = 3.0
 """The gateway's own two sessions are connected within this time, or something is wrong with the endpoint."""
@@ -65,9 +77,17 @@ class CommandInbox:
         drops: requests that were dropped unread since the start, because too many came.
     """
 
-    def __init__(self, session: zenoh.Session, settings: Settings) -> None:
-        """Subscribe on a session, which the inbox then owns."""
+    def __init__(self, session: zenoh.Session, settings: Settings, is_proven: Proof | None = None) -> None:
+        """Subscribe on a session, which the inbox then owns.
+
+        Args:
+            session: an open session.
+            settings: where the robot's name and root are.
+            is_proven: does a request come from the lease's holder, by verb, payload and attachment? None where
+                nothing is signed.
+        """
         self.drops = 0
+        self._is_proven = is_proven
         self._session = session
         self._root, self._robot = settings.robot.root, settings.robot.name
         self._queries: dict[int, zenoh.Query] = {}
@@ -79,6 +99,10 @@ class CommandInbox:
         self._stop_queries = session.declare_queryable(stop, ring(STOPS_WAITING), complete=True)
         self._verbs = session.declare_queryable(verbs, ring(VERBS_WAITING), complete=True)
         self._drives = session.declare_subscriber(drive, ring(DRIVES_WAITING))
+        self._statements: Any = None
+        if is_proven is not None:
+            authority = keys.authority(self._root, self._robot)
+            self._statements = session.declare_queryable(authority, ring(STATEMENTS_WAITING), complete=True)
 
     @property
     def node(self) -> str:
@@ -99,7 +123,12 @@ class CommandInbox:
         holders = f"/{COMMAND_CHUNK}/{holder}/" if holder else ""
 
         def is_holders(arrived: Any) -> bool:  # noqa: ANN401 - a sample or a query
-            return bool(holders) and holders in str(arrived.key_expr) and _fits(arrived.payload, lease, after)
+            return (
+                bool(holders)
+                and holders in (key := str(arrived.key_expr))
+                and _fits(arrived.payload, lease, after)
+                and (self._is_proven is None or self._is_proven(key.rpartition("/")[2], *_bytes_of(arrived)))
+            )
 
         verbs = self._newest(_take(self._verbs.try_recv, VERBS_WAITING), VERBS_PER_TICK, is_holders)
         # A wildcard query for a stop reaches this ring too; the stops' own has it already.
@@ -107,6 +136,12 @@ class CommandInbox:
         drives = self._newest(_take(self._drives.try_recv, DRIVES_WAITING), DRIVES_PER_TICK, is_holders)
         requests += [self._put(sample) for sample in drives]
         return requests
+
+    def statements(self) -> list[RawRequest]:
+        """The statements of an authority that wait, a bounded number."""
+        if self._statements is None:
+            return []
+        return [self._query(query) for query in _take(self._statements.try_recv, STATEMENTS_PER_TICK)]
 
     def reply(self, reply: PendingReply) -> None:
         """Answer who waits for it."""
@@ -118,7 +153,10 @@ class CommandInbox:
         command = BY_VERB.get(reply.verb)
         # The query's own key may hold a wildcard for the robot.
         key = self._key(operator, verb) if operator and verb == reply.verb and "*" not in verb else asked
-        self._replier.send(query, key, [reply.payload], command.reply_encoding if command else PLAIN_REPLY)
+        if not reply.verb:
+            key = keys.authority(self._root, self._robot)
+        encoding = command.reply_encoding if command else PLAIN_REPLY if reply.verb else STATEMENT_REPLY_ENCODING
+        self._replier.send(query, key, [reply.payload], encoding, reply.attachment)
 
     def close(self) -> None:
         """Leave Zenoh. Never raises."""
@@ -145,20 +183,28 @@ class CommandInbox:
 
     def _put(self, sample: zenoh.Sample) -> RawRequest:
         operator, verb = keys.parse_command(str(sample.key_expr))
-        return _raw(0, verb, operator, sample.payload)
+        return _raw(0, verb, operator, sample)
 
     def _query(self, query: zenoh.Query) -> RawRequest:
         self._last_handle += 1
         self._queries[self._last_handle] = query
         operator, verb = keys.parse_command(str(query.key_expr))
-        return _raw(self._last_handle, verb, operator, query.payload)
+        return _raw(self._last_handle, verb, operator, query)
 
 
-def _raw(handle: int, verb: str, operator: str, payload: zenoh.ZBytes | None) -> RawRequest:
-    size = 0 if payload is None else len(payload)
-    # What is larger than any request is not even copied.
-    data = b"" if payload is None or size > REQUEST_MAX_BYTES or verb == STOP_VERB else payload.to_bytes()
-    return RawRequest(handle, verb, operator, data, size)
+def _raw(handle: int, verb: str, operator: str, arrived: zenoh.Sample | zenoh.Query) -> RawRequest:
+    size = 0 if arrived.payload is None else len(arrived.payload)
+    data, attachment = _bytes_of(arrived, REQUEST_MAX_BYTES if verb else TEXT_MAX_BYTES)
+    return RawRequest(handle, verb, operator, data, size, attachment=attachment)
+
+
+def _bytes_of(arrived: zenoh.Sample | zenoh.Query, most: int = REQUEST_MAX_BYTES) -> tuple[bytes, bytes]:
+    """Payload and attachment. What is larger than any can be is not even copied."""
+    payload, attachment = arrived.payload, arrived.attachment
+    return (
+        b"" if payload is None or len(payload) > most else payload.to_bytes(),
+        b"" if attachment is None or len(attachment) > ATTACHMENT_MAX_BYTES else attachment.to_bytes(),
+    )
 
 
 def _fits(payload: zenoh.ZBytes | None, lease: int, after: int) -> bool:
@@ -182,7 +228,7 @@ def _take(try_recv: Callable[[], Any], most: int) -> list[Any]:
     return taken
 
 
-def open_inbox(settings: Settings, place: ZenohPlace) -> CommandInbox:
+def open_inbox(settings: Settings, place: ZenohPlace, is_proven: Proof | None = None) -> CommandInbox:
     """Open the session for commands, beside that for telemetry.
 
     It connects where that one does, and to that one where it listens: who connects there reaches this session too.
@@ -204,7 +250,7 @@ def open_inbox(settings: Settings, place: ZenohPlace) -> CommandInbox:
             "nor stop it; is there a certificate to connect with?",
             ", ".join(own),
         )
-    return CommandInbox(session, settings)
+    return CommandInbox(session, settings, is_proven)
 
 
 def _finds(session: zenoh.Session, node: str) -> bool:

@@ -16,6 +16,7 @@ import msgspec
 import zenoh
 from zenoh import ext
 
+from gateway.authority.signer import RobotSigner
 from gateway.telemetry.kept_samples import KeptSamples
 from gateway.telemetry.sample import Sample
 from gateway.zenoh.client import (
@@ -28,11 +29,12 @@ from gateway.zenoh.client import (
     with_free_ports,
 )
 from schemas import keys
+from schemas.authority.proof import SIGNED
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import DEFAULT_ENDPOINT, Settings, ZenohSettings
 from schemas.subjects import BY_NAME, KEPT_FIRST, SUBJECTS, Pattern, Qos, Subject
-from schemas.zenoh_link import ANY_LOCAL_PORT, next_ports
+from schemas.zenoh_link import ANY_LOCAL_PORT, is_loopback, next_ports
 
 log = logging.getLogger(__name__)
 
@@ -40,6 +42,7 @@ QUERIES_WAITING: Final = 16
 """Queries on gateway/info that may wait; beyond it the oldest go."""
 
 QUERIES_PER_TICK: Final = 2
+
 
 LONGEST_SEQUENCE: Final = 10
 """No sequence has more digits."""
@@ -85,15 +88,17 @@ class Replier:
 
     def __init__(self, name: str) -> None:
         self.drops = 0
-        self._replies: Queue[tuple[zenoh.Query, str, list[bytes], str]] = Queue(REPLIES_WAITING)
+        self._replies: Queue[tuple[zenoh.Query, str, list[bytes], str, bytes]] = Queue(REPLIES_WAITING)
         self._ends = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
-    def send(self, query: zenoh.Query, key: str, payloads: list[bytes], encoding: str) -> None:
+    def send(
+        self, query: zenoh.Query, key: str, payloads: list[bytes], encoding: str, attachment: bytes = b""
+    ) -> None:
         """Reply to a query, soon, each payload for itself. Never waits."""
         try:
-            self._replies.put_nowait((query, key, payloads, encoding))
+            self._replies.put_nowait((query, key, payloads, encoding, attachment))
         except Full:
             self.drops += 1
             log.debug("too many replies wait: one is dropped")
@@ -111,7 +116,7 @@ class Replier:
     def _run(self) -> None:
         while True:
             try:
-                query, key, payloads, encoding = self._replies.get(timeout=LOOK_S)
+                query, key, payloads, encoding, attachment = self._replies.get(timeout=LOOK_S)
             except Empty:
                 if self._ends.is_set():
                     return
@@ -119,7 +124,7 @@ class Replier:
             try:
                 with query:
                     for payload in payloads:
-                        query.reply(key, payload, encoding=encoding)
+                        query.reply(key, payload, encoding=encoding, attachment=attachment or None)
             except zenoh.ZError as error:
                 log.debug("Zenoh did not take a reply: %s", error)
 
@@ -149,13 +154,21 @@ class ZenohNode:
         warning: what a person should know of its start; empty if nothing.
     """
 
-    def __init__(self, session: zenoh.Session, settings: Settings) -> None:
+    def __init__(self, session: zenoh.Session, settings: Settings, signer: RobotSigner | None = None) -> None:
+        """Declare everything on a session, which the node then owns.
+
+        Args:
+            session: an open session.
+            settings: where the robot's name and root are.
+            signer: signs the arbiter's state; None where nothing is signed.
+        """
         robot = settings.robot
+        self._signer = signer
         self.failures = 0
         self.warning = ""
         self._session = session
         self._own: set[str] = set()
-        self._puts: dict[str, Callable[[bytes], Any]] = {}
+        self._puts: dict[str, Callable[..., Any]] = {}
         self._declared: list[Any] = []
         self._kept: dict[str, _Kept] = {}
         for subject in SUBJECTS:
@@ -168,6 +181,7 @@ class ZenohNode:
                 if subject.qos.kept_bytes:
                     self._kept[subject.name] = kept = _Kept(session, key, subject)
                     self._declared.append(kept.queries)
+        self._signed_keys = {name: keys.build(robot.root, robot.name, BY_NAME[name]) for name in SIGNED}
         info = BY_NAME["gateway/info"]
         self._info_encoding = info.encoding
         self._info_key = keys.build(robot.root, robot.name, info)
@@ -185,7 +199,10 @@ class ZenohNode:
         if kept is not None:
             kept.samples.add(sample.payload)
         try:
-            self._puts[sample.subject](sample.payload)
+            if self._signer is None:
+                self._puts[sample.subject](sample.payload)
+            else:
+                self._publish_signed(self._signer, sample)
         except zenoh.ZError as error:
             self._fail(error)
 
@@ -193,6 +210,11 @@ class ZenohNode:
         """Nodes connected directly, but for our own."""
         info = self._session.info
         return sum(str(node) not in self._own for node in (*info.peers_zid(), *info.routers_zid()))
+
+    def outside(self) -> tuple[str, ...]:
+        """The other ends of connections that leave this machine."""
+        ends = (str(link.dst) for link in self._session.info.links())
+        return tuple(sorted(end for end in ends if not is_loopback(end)))
 
     def disregard(self, node: str) -> None:
         """This node is one of our own: who is connected is everybody else."""
@@ -221,6 +243,16 @@ class ZenohNode:
             log.debug("leaving Zenoh: %s", error)
         close_session(self._session)
 
+    def _publish_signed(self, signer: RobotSigner, sample: Sample) -> None:
+        """States with their proof; all else as it is, and what is chained as a link of its chain."""
+        signer.record(sample.subject, sample.payload)
+        key = self._signed_keys.get(sample.subject)
+        if key is None:
+            self._puts[sample.subject](sample.payload)
+        else:
+            attachment = signer.publication(key, BY_NAME[sample.subject].encoding, sample.payload)
+            self._puts[sample.subject](sample.payload, attachment=attachment)
+
     def _fail(self, error: zenoh.ZError) -> None:
         self.failures += 1
         log.debug("Zenoh did not take a sample: %s", error)
@@ -243,6 +275,11 @@ class ZenohPlace(msgspec.Struct, frozen=True):
     command_listen: list[str] = []
     is_client: bool = False
 
+    @property
+    def outside(self) -> list[str]:
+        """Endpoints by which another machine may reach it."""
+        return [one for one in (*self.listen, *self.command_listen, *self.connect) if not is_loopback(one)]
+
     def __str__(self) -> str:
         parts = [f"listens on {', '.join(self.listen) or 'nothing'}"]
         if self.command_listen:
@@ -252,7 +289,7 @@ class ZenohPlace(msgspec.Struct, frozen=True):
         return plain(", ".join(parts))
 
 
-def open_node(settings: Settings) -> tuple[ZenohNode, ZenohPlace]:
+def open_node(settings: Settings, signer: RobotSigner | None = None) -> tuple[ZenohNode, ZenohPlace]:
     """Open the gateway's node. Returns it and where it is.
 
     Raises:
@@ -266,7 +303,7 @@ def open_node(settings: Settings) -> tuple[ZenohNode, ZenohPlace]:
     except CommandError:
         close_session(session)
         raise
-    node = ZenohNode(session, settings)
+    node = ZenohNode(session, settings, signer)
     node.warning = warning
     return node, place
 

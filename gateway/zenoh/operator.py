@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Iterator
-from typing import Any, Final, Self
+from typing import Any, Final, Protocol, Self
 
 import zenoh
 from zenoh import ext
@@ -46,8 +46,24 @@ POLL_S: Final = 0.002
 """How often a reply is looked for."""
 
 
+class Prover(Protocol):
+    """Proves an operator's commands, and knows whose a reply is."""
+
+    def attach(self, verb: str, payload: bytes) -> bytes:
+        """The attachment of a command; empty if there is none."""
+        ...
+
+    def is_reply(self, received: Received, request: bytes) -> bool:
+        """Is it a reply of the robot that was asked, to the request that had this attachment?"""
+        ...
+
+
 class CommandPort(SessionOwner):
-    """Sends an operator's commands to one robot, or to all. Owns its session."""
+    """Sends an operator's commands to one robot, or to all. Owns its session.
+
+    Attributes:
+        prover: proves the commands, in signed mode.
+    """
 
     def __init__(self, session: zenoh.Session, root: str, robot: str, operator: str) -> None:
         """Use a session that nothing else uses.
@@ -56,6 +72,8 @@ class CommandPort(SessionOwner):
             ValueError: a part of the keys is not of its form.
         """
         super().__init__(session)
+        self.prover: Prover | None = None
+        self._authority = keys.authority(root, robot)
         self._keys = {verb: keys.command(root, robot, operator, verb) for verb in BY_VERB}
         self._roll = keys.liveliness(root, robot)
         self._qos: dict[str, Any] = {
@@ -88,8 +106,11 @@ class CommandPort(SessionOwner):
 
     def put(self, verb: str, payload: bytes) -> None:
         """Send without waiting for anything. It goes out or is dropped: this neither blocks nor raises."""
+        attachment = None if self.prover is None else self.prover.attach(verb, payload) or None
         try:
-            self._session.put(self._keys[verb], payload, encoding=BY_VERB[verb].encoding, **self._qos)
+            self._session.put(
+                self._keys[verb], payload, encoding=BY_VERB[verb].encoding, attachment=attachment, **self._qos
+            )
         except zenoh.ZError as error:
             log.debug("Zenoh did not take %s: %s", verb, error)
 
@@ -99,13 +120,31 @@ class CommandPort(SessionOwner):
         Raises:
             CommandError: the session is closed.
         """
-        question = PendingQuery()
+        prover = self.prover
+        if prover is None:
+            return self._get(self._keys[verb], PendingQuery(), payload, BY_VERB[verb].encoding, b"", timeout_s)
+        attachment = prover.attach(verb, payload)
+        question = PendingQuery(lambda received: prover.is_reply(received, attachment))
+        return self._get(self._keys[verb], question, payload, BY_VERB[verb].encoding, attachment, timeout_s)
+
+    def show(self, statement: bytes, timeout_s: float) -> list[Received]:
+        """Show a statement of the authority. Returns the replies that came, not verified."""
+        return _wait(self.begin_to_show(statement, timeout_s), timeout_s)
+
+    def begin_to_show(self, statement: bytes, timeout_s: float) -> PendingQuery:
+        """Show a statement of the authority, and come back for the replies later."""
+        return self._get(self._authority, PendingQuery(), statement, "text/plain", b"", timeout_s)
+
+    def _get(
+        self, key: str, question: PendingQuery, payload: bytes, encoding: str, attachment: bytes, timeout_s: float
+    ) -> PendingQuery:
         try:
             self._session.get(
-                self._keys[verb],
+                key,
                 handler=question.handler,
                 payload=payload,
-                encoding=BY_VERB[verb].encoding,
+                encoding=encoding,
+                attachment=attachment or None,
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 timeout=timeout_s,
@@ -121,23 +160,27 @@ class CommandPort(SessionOwner):
         Raises:
             CommandError: the session is closed.
         """
-        question = self.begin(verb, payload, timeout_s)
-        deadline_s = time.monotonic() + timeout_s
-        replies: list[Received] = []
-        while True:
-            # Asked first: what came before the end is then among what is polled.
-            is_over = question.is_over or time.monotonic() >= deadline_s
-            found = question.poll()
-            if found and not replies:
-                deadline_s = min(deadline_s, time.monotonic() + FURTHER_S)
-            replies += found
-            if is_over:
-                return replies
-            time.sleep(POLL_S)
+        return _wait(self.begin(verb, payload, timeout_s), timeout_s)
 
     def call_roll(self, timeout_s: float) -> PendingQuery:
         """Ask for the liveliness tokens of the robots that are connected."""
         return call_roll(self._session, self._roll, timeout_s)
+
+
+def _wait(question: PendingQuery, timeout_s: float) -> list[Received]:
+    """All replies to a question; after the first, others have ``FURTHER_S`` to come."""
+    deadline_s = time.monotonic() + timeout_s
+    replies: list[Received] = []
+    while True:
+        # Asked first: what came before the end is then among what is polled.
+        is_over = question.is_over or time.monotonic() >= deadline_s
+        found = question.poll()
+        if found and not replies:
+            deadline_s = min(deadline_s, time.monotonic() + FURTHER_S)
+        replies += found
+        if is_over:
+            return replies
+        time.sleep(POLL_S)
 
 
 class SafetyListener(SessionOwner):

@@ -5,11 +5,11 @@ import msgspec
 from gateway.command.arbiter import Arbiter
 from gateway.command.chassis_state import ChassisState
 from gateway.command.outcome import Event, TickOutcome
-from gateway.command.request import RawRequest, Ruling
+from gateway.command.request import Credentials, RawRequest, Ruling
 from schemas.decisions import ArbiterState, EventKind
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
 from schemas.requests import CHALLENGE_BYTES
-from schemas.settings import CommandSettings, GatewaySettings, Settings
+from schemas.settings import AuthoritySettings, CommandSettings, GatewaySettings, Settings
 
 MS = 1_000_000
 STANDING = ChassisState(
@@ -42,16 +42,25 @@ class ArbiterRig:
 
     Attributes:
         changes: fields that differ from those of a chassis that follows at once.
+        credentials: what is proven of who asks; None in open mode.
     """
 
-    def __init__(self, command: CommandSettings | None = None, *, accept_unguarded: bool = False) -> None:
+    def __init__(
+        self,
+        command: CommandSettings | None = None,
+        *,
+        accept_unguarded: bool = False,
+        credentials: Credentials | None = None,
+    ) -> None:
         self.arbiter = Arbiter(
             Settings(
                 command=command or CommandSettings(),
                 gateway=GatewaySettings(accept_unguarded=accept_unguarded),
+                authority=AuthoritySettings(mode="open" if credentials is None else "signed"),
             ),
             7,
         )
+        self.credentials = credentials
         self.now_ns = 0
         self.changes: dict[str, object] = {}
         self.outcome: TickOutcome | None = None
@@ -103,7 +112,8 @@ class ArbiterRig:
     ) -> Ruling:
         """A request by its bytes; its ruling."""
         length = len(payload) if size is None else size
-        return self.tick([RawRequest(handle, verb, operator, payload, length)]).judged[0].ruling
+        raw = RawRequest(handle, verb, operator, payload, length, credentials=self.credentials)
+        return self.tick([raw]).judged[0].ruling
 
     def ask(self, verb: str, operator: str = "first", **fields: object) -> Ruling:
         """A query of the holder, with the bench's lease unless it names another."""

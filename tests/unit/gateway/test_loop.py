@@ -96,6 +96,9 @@ class FakeZenoh:
     def publish(self, sample: Sample) -> None:
         self.samples.append(sample)
 
+    def outside(self) -> tuple[str, ...]:
+        return ()
+
     def peers(self) -> int:
         self.asked += 1
         return self.connected
@@ -329,6 +332,9 @@ class FakeInbox:
         self.holders.append((holder, lease, after))
         waiting, self.waiting = self.waiting, []
         return waiting
+
+    def statements(self) -> list[RawRequest]:
+        return []
 
     def reply(self, reply: PendingReply) -> None:
         self.order.append("reply")

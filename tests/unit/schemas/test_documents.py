@@ -94,7 +94,7 @@ def test_a_request_in_one_line_tells_what_may_be_left_out() -> None:
     assert "`speed_mps` m/s, [`angle_deg` deg], [`curvature_1pm` 1/m]" in rows["drive"]
     assert "| none |" in rows["drive"]
     assert "| nothing | Reply |" in rows["stop"]
-    assert "[`role` Role] | LeaseReply |" in rows["acquire"]
+    assert "[`role` Role], [`public_key` bytes] | LeaseReply |" in rows["acquire"]
 
 
 def test_every_request_and_reply_has_its_fields() -> None:

@@ -60,7 +60,13 @@ def test_a_late_joiner_gets_the_last_of_what_is_said_seldom() -> None:
     A cached health would make a hung gateway look well: none is kept.
     """
     history = {subject.name: subject.qos.history for subject in SUBJECTS if subject.qos.history}
-    assert history == {"safety/state": 1, "safety/decision": 1000, "safety/event": 1000}
+    assert history == {
+        "safety/state": 1,
+        "safety/decision": 1000,
+        "safety/event": 1000,
+        "authority/heads": 1,
+        "authority/statement": 64,
+    }
 
 
 def test_the_verbs_are_those_of_the_contract() -> None:

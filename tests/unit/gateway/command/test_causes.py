@@ -62,6 +62,8 @@ def test_what_is_a_controlled_stop() -> None:
         Reason.LEASE_EXPIRED,
         Reason.LEASE_RELEASED,
         Reason.LEASE_TAKEN,
+        Reason.GRANT_EXPIRED,
+        Reason.GRANT_REVOKED,
         Reason.NOT_CONFIRMED,
         Reason.FOUND_MOVING,
         Reason.SHUTDOWN,

@@ -39,7 +39,7 @@ def reply(verb: str, lease: int, *, ok: bool = True) -> PendingReply:
 def held() -> LeaseNumbers:
     """Lease 77 was given, by the number that its holder knows."""
     numbers = LeaseNumbers(iter([NUMBER]).__next__)
-    told = msgspec.msgpack.decode(numbers.disclose(reply("acquire", ID)).payload)
+    told = msgspec.msgpack.decode(numbers.reply(reply("acquire", ID)).payload)
     assert (told["lease"], told["expires_s"], told["ok"]) == (NUMBER, 2.0, True)
     return numbers
 
@@ -55,7 +55,7 @@ def shows(request: RawRequest) -> bool:
 def test_the_core_gets_the_identifier_for_the_number(verb: str) -> None:
     """All else of the request is as it was sent."""
     sent = {"lease": NUMBER, **FIELDS.get(verb, {})}
-    got = held().redact(raw(verb, msgspec.msgpack.encode(sent)))
+    got = held().admit(raw(verb, msgspec.msgpack.encode(sent)))
     assert not shows(got)
     read = msgspec.msgpack.decode(got.payload)
     assert {name: read[name] for name in sent} == sent | {"lease": ID}
@@ -66,7 +66,7 @@ def test_the_core_gets_the_identifier_for_the_number(verb: str) -> None:
 @pytest.mark.parametrize("verb", LEASED)
 def test_no_other_number_is_a_lease(verb: str, number: int) -> None:
     """Above all not its identifier, which everybody may read."""
-    got = held().redact(raw(verb, msgspec.msgpack.encode({"lease": number, **FIELDS.get(verb, {})})))
+    got = held().admit(raw(verb, msgspec.msgpack.encode({"lease": number, **FIELDS.get(verb, {})})))
     assert msgspec.msgpack.decode(got.payload)["lease"] == 0
 
 
@@ -81,12 +81,12 @@ def test_a_request_that_nobody_can_read_does_not_show_it(
 ) -> None:
     """A holder's client with a fault in it gives nothing away: bytes behind, a wrong type, field or verb."""
     payload = msgspec.msgpack.encode({"lease": lease, **FIELDS.get(verb, {}), **more}) + tail
-    assert not shows(held().redact(raw(verb, payload)))
+    assert not shows(held().admit(raw(verb, payload)))
 
 
 def test_what_cannot_be_read_is_refused_in_the_same_words() -> None:
     """The sender learns what is wrong with it, though the core never sees it."""
-    got = held().redact(raw("renew", msgspec.msgpack.encode({"lease": -1})))
+    got = held().admit(raw("renew", msgspec.msgpack.encode({"lease": -1})))
     assert (got.payload, got.size) == (b"", 7 + 1)
     assert "$.lease" in got.fault
 
@@ -94,25 +94,25 @@ def test_what_cannot_be_read_is_refused_in_the_same_words() -> None:
 @pytest.mark.parametrize("payload", [b"", b"help", b"\x81\xa5lease", msgspec.msgpack.encode({"lease": NUMBER})])
 def test_a_stop_is_one_whatever_is_in_it(payload: bytes) -> None:
     """Row '`stop` {} or any bytes': nothing in it can make it a request that cannot be read."""
-    got = held().redact(raw("stop", payload))
+    got = held().admit(raw("stop", payload))
     assert (got.verb, got.payload, got.fault) == ("stop", b"", "")
 
 
 def test_what_is_too_large_stays_so() -> None:
     """Its size is told; its bytes are not even read."""
-    got = held().redact(raw("renew", msgspec.msgpack.encode({"lease": NUMBER}), 5000))
+    got = held().admit(raw("renew", msgspec.msgpack.encode({"lease": NUMBER}), 5000))
     assert (got.payload, got.size, got.fault) == (b"", 5000, "")
 
 
 def test_a_renewal_tells_the_same_number_and_a_refusal_none() -> None:
     """A number is drawn once for each lease."""
     numbers = held()
-    assert msgspec.msgpack.decode(numbers.disclose(reply("renew", ID)).payload)["lease"] == NUMBER
+    assert msgspec.msgpack.decode(numbers.reply(reply("renew", ID)).payload)["lease"] == NUMBER
     refused = reply("take", 0, ok=False)
-    assert numbers.disclose(refused) == refused
+    assert numbers.reply(refused) == refused
     plain = Reply(ok=True, reason=Reason.NONE, detail="", cure="")
     engaged = PendingReply(5, "engage", msgspec.msgpack.encode(plain))
-    assert numbers.disclose(engaged) == engaged
+    assert numbers.reply(engaged) == engaged
 
 
 def test_the_lease_in_force_and_those_before_it_are_remembered() -> None:
@@ -120,8 +120,8 @@ def test_the_lease_in_force_and_those_before_it_are_remembered() -> None:
     drawn = count(1000)
     numbers = LeaseNumbers(lambda: next(drawn))
     for lease in range(1, 501):
-        numbers.disclose(reply("acquire", lease))
+        numbers.reply(reply("acquire", lease))
     renewals = [raw("renew", msgspec.msgpack.encode({"lease": number})) for number in range(1000, 1500)]
-    known = [msgspec.msgpack.decode(numbers.redact(one).payload)["lease"] for one in renewals]
+    known = [msgspec.msgpack.decode(numbers.admit(one).payload)["lease"] for one in renewals]
     assert known[-17:] == list(range(484, 501))
     assert set(known[:-32]) == {0}

@@ -1,0 +1,264 @@
+"""The door of a robot in signed mode: who sent a request, and what that person may do. Pure.
+
+``admit`` goes before the arbiter and gives it a verdict; ``reply`` goes behind it and signs. The arbiter, and the
+journal, hold verdicts and public keys alone. A remote stop needs no proof: with one the record says who it was.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import Final
+
+import msgspec
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
+
+from gateway.authority.lease_key import DriveTags, lease_key, public_bytes
+from gateway.authority.signer import RobotSigner
+from gateway.command.flow import PendingReply
+from gateway.command.request import Credentials, RawRequest
+from schemas import codec, keys
+from schemas.authority.proof import DriveProof, RequestProof
+from schemas.authority.statement import GrantRole, Signed
+from schemas.authority.trust import HeldGrant, Objection, Trust, fits
+from schemas.decisions import LeaseReply
+from schemas.reasons import Reason
+from schemas.requests import Acquire, Role, Take
+from schemas.settings import Settings
+from schemas.subjects import BY_VERB, STOP_VERB
+
+CHALLENGE_MAX_NS: Final = 2_000_000_000
+"""A verb that echoes an older challenge is too old. Zenoh delivers it again, or late, for less."""
+
+NONCE_KEPT_NS: Final = 4_000_000_000
+"""Longer than a challenge is taken: what is forgotten is too old by then."""
+
+GRANTS_KEPT: Final = 256
+"""Grants that are known at a time; beyond it the one that was not used for longest goes."""
+
+TAGS_PER_TICK: Final = 256
+"""Tags that are checked in a tick at most, 1 ms, to put the holder's drive commands before others'."""
+
+SIGNATURES_PER_TICK: Final = 4
+"""Signatures that are checked in a tick at most, 0.5 ms; the rest is refused as busy."""
+
+DRIVE: Final = "drive"
+
+ROLES: Final = {
+    GrantRole.PROGRAM: Role.PROGRAM,
+    GrantRole.OPERATOR: Role.OPERATOR,
+    GrantRole.SUPERVISOR: Role.SUPERVISOR,
+}
+"""Who may hold a lease, and as what."""
+
+
+class _Sender(msgspec.Struct, frozen=True):
+    """Who asked for a lease, until the reply is known: the grant, and the public key for the lease."""
+
+    grant: HeldGrant
+    public_key: bytes | None
+
+
+class SignedAdmission:
+    """Judges the proofs of requests.
+
+    Attributes:
+        trust: the authority, as it is known now.
+        now_s: the time by which grants are judged, seconds since 1970; it is kept from outside.
+        challenge_age_ns: the age of a challenge, or why it is not known.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        trust: Trust,
+        signer: RobotSigner,
+        challenge_age_ns: Callable[[bytes, int], int | Reason],
+        new_private_key: Callable[[], X25519PrivateKey] = X25519PrivateKey.generate,
+    ) -> None:
+        """With no grant known and no lease given.
+
+        Args:
+            settings: where the robot's name and root are.
+            trust: the authority.
+            signer: signs what the robot says.
+            challenge_age_ns: the age of a challenge, or why it is not known.
+            new_private_key: draws the robot's key for one lease.
+        """
+        self.trust = trust
+        self.now_s = 0
+        self._root, self._robot = settings.robot.root, settings.robot.name
+        self._signer = signer
+        self.challenge_age_ns = challenge_age_ns
+        self._new_private_key = new_private_key
+        self._grants: OrderedDict[bytes, HeldGrant] = OrderedDict()
+        self._nonces: OrderedDict[tuple[bytes, bytes], int] = OrderedDict()
+        self._asking: dict[int, tuple[RawRequest, _Sender | None]] = {}
+        self._tags: DriveTags | None = None
+        self._holder: HeldGrant | None = None
+        self._left = SIGNATURES_PER_TICK
+        self._tags_left = TAGS_PER_TICK
+
+    # Grants.
+
+    @property
+    def lease(self) -> int:
+        """The last lease that was given; 0 before the first."""
+        return 0 if self._tags is None else self._tags.lease
+
+    @property
+    def holder_id(self) -> bytes | None:
+        """The identifier of the grant under which the last lease was given; None before the first."""
+        return None if self._holder is None else self._holder.id
+
+    def introduce(self, chain: list[Signed]) -> HeldGrant | Objection:
+        """Somebody shows a grant with its chain. From anyone: what counts are the signatures."""
+        if self._left <= 0:
+            return Objection(Reason.BUSY)
+        held = self._grants.get(chain[0].id)
+        if held is not None and self.trust.objection(held, self.now_s) is None:
+            return held
+        self._left -= len(chain)
+        held_or_not = self.trust.judge(chain, self.now_s)
+        if isinstance(held_or_not, Objection):
+            return held_or_not
+        if not held_or_not.grant.covers(self._robot):
+            return Objection(Reason.NOT_GRANTED, f"it is not for {self._robot}")
+        self._grants[held_or_not.id] = held_or_not
+        if len(self._grants) > GRANTS_KEPT:
+            self._grants.popitem(last=False)
+        return held_or_not
+
+    def holder_objection(self) -> Objection | None:
+        """Why the grant under which the last lease was given does not hold any more; None if it does."""
+        return None if self._holder is None else self.trust.objection(self._holder, self.now_s)
+
+    # Requests.
+
+    def begin_tick(self, now_ns: int) -> None:
+        """A tick begins: a bounded number of signatures can be checked again."""
+        self._left, self._tags_left = SIGNATURES_PER_TICK, TAGS_PER_TICK
+        while self._nonces and now_ns - next(iter(self._nonces.values())) > NONCE_KEPT_NS:
+            self._nonces.popitem(last=False)
+
+    def number_of(self, lease_id: int) -> int:
+        """The number of a lease in its holder's requests: its identifier, for the key is the secret here."""
+        return lease_id
+
+    def is_holders(self, verb: str, payload: bytes, attachment: bytes) -> bool:
+        """Does it come from the holder of the lease? Of a verb only its signature says so for certain."""
+        if verb == DRIVE:
+            self._tags_left -= 1
+            return self._tags_left >= 0 and self._tags is not None and self._tags.fits(attachment, payload)
+        return self._holder is not None and attachment[1:9] == self._holder.id
+
+    def admit(self, raw: RawRequest, now_ns: int) -> RawRequest:
+        """The request with what is proven of its sender. A stop is served in any case; its proof says by whom."""
+        held = self._judge_drive(raw) if raw.verb == DRIVE else self._judge_verb(raw, now_ns)
+        if raw.is_query:
+            sender = None if isinstance(held, Objection) else _Sender(held, _public_key_in(raw))
+            self._asking[raw.handle] = raw, sender
+        return msgspec.structs.replace(raw, credentials=_credentials(held))
+
+    def _judge_drive(self, raw: RawRequest) -> HeldGrant | Objection:
+        proof = DriveProof.read(raw.attachment)
+        if proof is None:
+            return Objection(Reason.PROOF_MISSING)
+        if self._tags is None or self._holder is None or proof.lease != self._tags.lease:
+            return Objection(Reason.NO_LEASE)
+        if DRIVE not in self._holder.grant.verbs:
+            return Objection(Reason.NOT_GRANTED, f"{DRIVE} is not among its verbs")
+        return self._holder if self._tags.fits(raw.attachment, raw.payload) else Objection(Reason.PROOF_WRONG)
+
+    def _judge_verb(self, raw: RawRequest, now_ns: int) -> HeldGrant | Objection:
+        """Judge a signed verb, the cheapest question first: the signature takes a hundred times as long."""
+        command, proof = BY_VERB.get(raw.verb), RequestProof.read(raw.attachment)
+        if proof is None or command is None:
+            return Objection(Reason.PROOF_MISSING)
+        held = self._freshness(proof, now_ns) or self._granted(raw, proof)
+        if isinstance(held, Objection):
+            return held
+        if self._left <= 0:
+            return Objection(Reason.BUSY)
+        self._left -= 1
+        key = keys.command(self._root, self._robot, raw.operator, raw.verb)
+        if not fits(held.key, proof.signature, proof.signed(key, command.encoding, raw.payload)):
+            return Objection(Reason.PROOF_WRONG)
+        self._nonces[proof.grant, proof.nonce] = now_ns
+        self._grants.move_to_end(proof.grant)
+        return held
+
+    def _freshness(self, proof: RequestProof, now_ns: int) -> Objection | None:
+        age_ns = self.challenge_age_ns(proof.challenge, now_ns)
+        if isinstance(age_ns, Reason):
+            return Objection(age_ns)
+        if age_ns > CHALLENGE_MAX_NS:
+            return Objection(Reason.TOO_OLD, f"{age_ns / 1e6:.0f} ms, at most {CHALLENGE_MAX_NS / 1e6:.0f} ms")
+        return Objection(Reason.REPLAYED) if (proof.grant, proof.nonce) in self._nonces else None
+
+    def _granted(self, raw: RawRequest, proof: RequestProof) -> HeldGrant | Objection:
+        """The grant that a request names, if it allows what is asked."""
+        held = self._grants.get(proof.grant)
+        if held is None:
+            return Objection(Reason.GRANT_UNKNOWN)
+        objection = self.trust.objection(held, self.now_s)
+        if objection is not None:
+            return objection
+        if held.grant.name != raw.operator or held.grant.role not in ROLES:
+            return Objection(Reason.NOT_GRANTED, f"it is of {held.grant.name}, {held.grant.role.value}")
+        if raw.verb != STOP_VERB and raw.verb not in held.grant.verbs:
+            return Objection(Reason.NOT_GRANTED, f"{raw.verb} is not among its verbs")
+        return held
+
+    # Replies.
+
+    def reply(self, pending: PendingReply) -> PendingReply:
+        """The reply as its receiver gets it: signed, and with the robot's key if it gives a lease."""
+        raw, sender = self._asking.pop(pending.handle, (None, None))
+        if raw is None:
+            return pending
+        command = BY_VERB.get(raw.verb)
+        if command is None:
+            return pending
+        payload = pending.payload
+        if sender is not None and raw.verb in {"acquire", "take"}:
+            payload = self._give_lease(raw, sender, payload)
+        key = keys.command(self._root, self._robot, raw.operator, raw.verb)
+        attachment = self._signer.reply(key, command.reply_encoding, payload, raw.attachment)
+        return msgspec.structs.replace(pending, payload=payload, attachment=attachment)
+
+    def _give_lease(self, raw: RawRequest, sender: _Sender, payload: bytes) -> bytes:
+        """Agree with a new holder on the key of its lease, if the reply gives it one."""
+        said = _LEASE_REPLY.decode(payload)
+        if not said.ok or sender.public_key is None:
+            return payload
+        private = self._new_private_key()
+        drive = keys.command(self._root, self._robot, raw.operator, DRIVE)
+        key = lease_key(private, sender.public_key, self._signer.boot, said.lease, drive)
+        if key is None:
+            return payload
+        self._tags = DriveTags(key, said.lease, drive, BY_VERB[DRIVE].encoding)
+        self._holder = sender.grant
+        return _ENCODER.encode(msgspec.structs.replace(said, public_key=public_bytes(private)))
+
+
+def _credentials(held: HeldGrant | Objection) -> Credentials:
+    if isinstance(held, Objection):
+        return Credentials(held.reason, held.detail)
+    return Credentials(
+        Reason.NONE,
+        serial=held.grant.serial,
+        role=ROLES[held.grant.role],
+        override=held.grant.override,
+        speed_limit_mps=held.speed_limit_mps,
+    )
+
+
+def _public_key_in(raw: RawRequest) -> bytes | None:
+    """The public key that a request for a lease carries."""
+    request = codec.decode_request(BY_VERB[raw.verb], raw.payload)
+    return request.public_key if isinstance(request, Acquire | Take) else None
+
+
+_ENCODER: Final = msgspec.msgpack.Encoder()
+_LEASE_REPLY: Final = msgspec.msgpack.Decoder(LeaseReply)

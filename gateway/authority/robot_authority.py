@@ -1,0 +1,274 @@
+"""All that a robot in signed mode knows of its authority, and what follows from it in each tick. Pure.
+
+Statements come from anyone, by the query ``@auth``: what counts are their signatures. Grants are kept in memory;
+revocations, rotations and the floor of time outlive a restart.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+
+from gateway.authority.admission import GRANTS_KEPT, SignedAdmission
+from gateway.authority.floor import TimeFloor
+from gateway.authority.signer import RobotSigner
+from gateway.command.flow import PendingReply
+from gateway.command.request import RawRequest, Ruling
+from gateway.telemetry.sample import Sample
+from schemas import codec, keys
+from schemas.authority.chain import HEAD_PERIOD_NS
+from schemas.authority.statement import (
+    Grant,
+    GrantRole,
+    Revocations,
+    Rotation,
+    Signed,
+    StatementFault,
+    TimeStatement,
+    chain_text,
+    read_chain,
+)
+from schemas.authority.trust import Objection, Trust
+from schemas.decisions import SignedStatement, StatementReply
+from schemas.messages import SEQUENCE_MAX
+from schemas.reasons import TEXTS, Reason
+from schemas.settings import Settings
+from schemas.subjects import STATEMENT_REPLY_ENCODING
+
+REPEAT_NS: Final = 60_000_000_000
+"""Period at which the grants in use are published again, so that every log holds them."""
+
+SAVE_NS: Final = 60_000_000_000
+"""Period at which the floor of time is saved."""
+
+ANSWER_MAX_NS: Final = 2_000_000_000
+"""A statement of the time answers a challenge no older than this."""
+
+_NS_PER_H: Final = 3_600_000_000_000
+
+
+class Kept(msgspec.Struct, frozen=True):
+    """What outlives a restart.
+
+    Attributes:
+        own: the chain of the robot's own grant, if it was renewed since it was provisioned.
+        revocations: the newest list, signed; empty if there was none.
+        rotations: all that were taken over, signed, in their order.
+        floor_s: the floor of time, seconds since 1970.
+    """
+
+    own: str = ""
+    revocations: str = ""
+    rotations: list[str] = []
+    floor_s: int = 0
+
+
+def trust_of(trust: Trust, kept: Kept) -> Trust | Objection:
+    """The trust that a robot was provisioned with, after all that it has taken over since."""
+    for text in (*kept.rotations, *filter(None, [kept.revocations])):
+        chain = read_chain(text.encode())
+        if isinstance(chain, StatementFault):
+            return Objection(Reason.MALFORMED, chain.detail)
+        is_rotation = isinstance(chain[0].statement, Rotation)
+        newer = trust.rotate(chain[0]) if is_rotation else trust.revoke(chain[0])
+        if isinstance(newer, Objection):
+            return newer
+        trust = newer
+    return trust
+
+
+class AuthorityEffects(msgspec.Struct):
+    """What is to be done in a tick.
+
+    Attributes:
+        samples: to be published.
+        bars: why nobody may engage, if that has changed.
+        ended: why the holder's grant does not hold any more.
+        kept: to be saved.
+    """
+
+    samples: list[Sample]
+    bars: dict[Reason, str] | None = None
+    ended: Objection | None = None
+    kept: Kept | None = None
+
+
+class RobotAuthority:
+    """The authority, as a robot knows it.
+
+    Attributes:
+        admission: judges requests, signs replies.
+        signer: signs states and heads of chains.
+        self_test: why the gateway's own test has not passed; empty if it has.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        admission: SignedAdmission,
+        signer: RobotSigner,
+        floor: TimeFloor,
+        own: list[Signed],
+        kept: Kept,
+    ) -> None:
+        """As it was kept.
+
+        Args:
+            settings: the robot's name, and how long it does without a word of the authority.
+            admission: judges requests; its trust is replaced as statements come.
+            signer: the robot's.
+            floor: the time.
+            own: the chain of the robot's own grant.
+            kept: what was saved last.
+        """
+        self.admission = admission
+        self.signer = signer
+        self.self_test = ""
+        self._offline_max_ns = round(settings.authority.max_offline_h * _NS_PER_H)
+        self._requires_fresh = settings.authority.require_fresh
+        self._key = keys.authority(settings.robot.root, settings.robot.name)
+        self._floor = floor
+        self._own = own
+        self._kept = kept
+        self._is_changed = False
+        self._word_ns: int | None = None
+        self._bars: dict[Reason, str] = {}
+        self._new: list[str] = []
+        self._known: dict[bytes, str] = {}
+        self._sequence = 0
+        self._heads_due_ns = self._repeat_due_ns = self._save_due_ns = 0
+
+    def receive(self, raw: RawRequest, now_ns: int, boot_ns: int) -> PendingReply:
+        """Somebody shows a statement. Returns the reply, which says why it is not taken over, or that it is.
+
+        Args:
+            raw: its payload is the statement, signed, with its chain.
+            now_ns: monotonic.
+            boot_ns: since the machine's start.
+        """
+        refusal = self._take_over(raw.payload, now_ns, boot_ns)
+        ruling = Ruling() if refusal is None else Ruling(refusal.reason, refusal.detail)
+        accepted, cure = ruling.reason is Reason.NONE, TEXTS[ruling.reason].cure
+        said = StatementReply(accepted, ruling.reason, ruling.text, cure, own=chain_text(self._own))
+        payload = _ENCODER.encode(said)
+        attachment = self.signer.reply(self._key, STATEMENT_REPLY_ENCODING, payload, b"")
+        return PendingReply(raw.handle, raw.verb, payload, attachment)
+
+    def _take_over(self, text: bytes, now_ns: int, boot_ns: int) -> Objection | None:
+        chain = read_chain(text)
+        if isinstance(chain, StatementFault):
+            return Objection(Reason.MALFORMED, chain.detail)
+        match chain[0].statement:
+            case Grant():
+                return self._introduce(chain)
+            case TimeStatement():
+                return self._state_time(chain, now_ns, boot_ns)
+            case Revocations() | Rotation() as statement:
+                return self._replace_trust(chain[0], statement, boot_ns)
+
+    def tick(self, now_ns: int, boot_ns: int, wall_ns: int) -> AuthorityEffects:
+        """Every 10 ms: what follows from the authority now.
+
+        Args:
+            now_ns: monotonic.
+            boot_ns: since the machine's start.
+            wall_ns: since 1970.
+        """
+        admission = self.admission
+        admission.now_s = self._floor.now_s(boot_ns, wall_ns // 1_000_000_000)
+        admission.begin_tick(now_ns)
+        effects = AuthorityEffects(self._statements(now_ns, wall_ns), ended=admission.holder_objection())
+        if now_ns >= self._heads_due_ns:
+            self._heads_due_ns = now_ns + HEAD_PERIOD_NS
+            effects.samples.append(Sample("authority/heads", codec.encode(self.signer.heads(wall_ns))))
+            # Once a second is soon enough: what ends in mid-drive ends by ``ended``.
+            bars = self._bars_now(boot_ns)
+            if bars != self._bars:
+                self._bars = effects.bars = bars
+        if self._is_changed or now_ns >= self._save_due_ns:
+            self._is_changed, self._save_due_ns = False, now_ns + SAVE_NS
+            self._kept = msgspec.structs.replace(self._kept, floor_s=self._floor.least_s(boot_ns))
+            effects.kept = self._kept
+        return effects
+
+    def _introduce(self, chain: list[Signed]) -> Objection | None:
+        held = self.admission.introduce(chain)
+        if isinstance(held, Objection):
+            return held
+        text = chain_text(chain)
+        if held.key == self.signer.public_key and held.grant.role is GrantRole.ROBOT:
+            self._own, self._is_changed = chain, True
+            self._kept = msgspec.structs.replace(self._kept, own=text)
+        if self._known.get(held.id) != text:
+            self._known[held.id] = text
+            self._new.append(text)
+        if len(self._known) > GRANTS_KEPT:
+            del self._known[next(iter(self._known))]
+        return None
+
+    def _state_time(self, chain: list[Signed], now_ns: int, boot_ns: int) -> Objection | None:
+        statement = chain[0].statement
+        challenge = bytes.fromhex(statement.challenge) if isinstance(statement, TimeStatement) else b""
+        age_ns = self.admission.challenge_age_ns(challenge, now_ns)
+        if isinstance(age_ns, Reason):
+            return Objection(age_ns)
+        if age_ns > ANSWER_MAX_NS:
+            return Objection(Reason.TOO_OLD)
+        at_s = self.admission.trust.time_of(chain, challenge, self.admission.now_s)
+        if isinstance(at_s, Objection):
+            return at_s
+        self._note_word(at_s, boot_ns)
+        return None
+
+    def _replace_trust(self, signed: Signed, statement: Revocations | Rotation, boot_ns: int) -> Objection | None:
+        trust = self.admission.trust
+        is_rotation = isinstance(statement, Rotation)
+        newer = trust.rotate(signed) if is_rotation else trust.revoke(signed)
+        if isinstance(newer, Objection):
+            return newer
+        self.admission.trust = newer
+        text = signed.text()
+        if is_rotation:
+            self._kept = msgspec.structs.replace(self._kept, rotations=[*self._kept.rotations, text])
+        else:
+            self._kept = msgspec.structs.replace(self._kept, revocations=text)
+        self._new.append(text)
+        self._note_word(statement.at, boot_ns)
+        return None
+
+    def _note_word(self, at_s: int, boot_ns: int) -> None:
+        """The authority was heard, and it said what time it is."""
+        self._word_ns = boot_ns
+        self._floor.lift(at_s, boot_ns)
+        self._is_changed = True
+
+    def _bars_now(self, boot_ns: int) -> dict[Reason, str]:
+        bars = {Reason.SELF_TEST: self.self_test} if self.self_test else {}
+        own = self.admission.trust.judge(self._own, self.admission.now_s)
+        if isinstance(own, Objection):
+            bars[own.reason] = f"the robot's own; {own.detail}"
+        if self._word_ns is None and self._requires_fresh:
+            bars[Reason.AUTHORITY_STALE] = "none since the start (authority.require_fresh)"
+        elif boot_ns - (self._word_ns or 0) > self._offline_max_ns:
+            hours = (boot_ns - (self._word_ns or 0)) / _NS_PER_H
+            bars[Reason.AUTHORITY_STALE] = f"none for {hours:.1f} h (authority.max_offline_h)"
+        return bars
+
+    def _statements(self, now_ns: int, wall_ns: int) -> list[Sample]:
+        """The statements that are new; once a minute also those in use, for logs that begin now."""
+        texts, self._new = self._new, []
+        if now_ns >= self._repeat_due_ns:
+            self._repeat_due_ns = now_ns + REPEAT_NS
+            holder = self.admission.holder_id
+            in_use = self._known.get(holder) if holder is not None else None
+            texts += [text for text in (chain_text(self._own), in_use, self._kept.revocations) if text]
+        return [self._sample(text, wall_ns) for text in texts]
+
+    def _sample(self, text: str, wall_ns: int) -> Sample:
+        sequence, self._sequence = self._sequence, (self._sequence + 1) & SEQUENCE_MAX
+        message = SignedStatement(time_ns=wall_ns, sequence=sequence, text=text)
+        return Sample("authority/statement", codec.encode(message))
+
+
+_ENCODER: Final = msgspec.msgpack.Encoder()

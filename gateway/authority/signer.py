@@ -1,0 +1,59 @@
+"""The robot's own signature: replies, states, and the heads of the chains over what it records. Pure."""
+
+from __future__ import annotations
+
+import msgspec
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from schemas.authority.chain import CHAINED, first_link, heads_text, next_link
+from schemas.authority.proof import RobotProof
+from schemas.decisions import ChainHead, ChainHeads
+
+
+class RobotSigner:
+    """Signs in the robot's name.
+
+    Attributes:
+        boot: random, of this run of the gateway, 8 bytes.
+        public_key: the robot's, Ed25519, 32 bytes.
+    """
+
+    def __init__(self, private: Ed25519PrivateKey, boot: bytes) -> None:
+        self.boot = boot
+        self.public_key = private.public_key().public_bytes_raw()
+        self._private = private
+        self._unsigned = RobotProof(boot)
+        self._heads = {subject: (0, first_link(boot, subject)) for subject in CHAINED}
+        self._sequence = 0
+
+    def reply(self, key: str, encoding: str, payload: bytes, request: bytes) -> bytes:
+        """The attachment of a reply to the request that had this attachment."""
+        return self._proof(self._unsigned.signed_reply(key, encoding, payload, request))
+
+    def publication(self, key: str, encoding: str, payload: bytes) -> bytes:
+        """The attachment of a published sample."""
+        return self._proof(self._unsigned.signed_publication(key, encoding, payload))
+
+    def record(self, subject: str, payload: bytes) -> None:
+        """A sample is published: it becomes a link of its subject's chain, if that has one."""
+        if subject in self._heads:
+            count, head = self._heads[subject]
+            self._heads[subject] = count + 1, next_link(head, payload)
+
+    def heads(self, time_ns: int) -> ChainHeads:
+        """The heads of the chains as they are now, signed.
+
+        Args:
+            time_ns: since 1970.
+        """
+        self._sequence += 1
+        return ChainHeads(
+            time_ns=time_ns,
+            sequence=self._sequence - 1,
+            boot=self.boot,
+            heads=[ChainHead(subject, count, head) for subject, (count, head) in self._heads.items()],
+            signature=self._private.sign(heads_text(self.boot, time_ns, self._heads)),
+        )
+
+    def _proof(self, text: bytes) -> bytes:
+        return msgspec.structs.replace(self._unsigned, signature=self._private.sign(text)).attachment()

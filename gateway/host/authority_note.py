@@ -1,0 +1,78 @@
+"""What a robot has learnt of its authority since it was provisioned: a file that outlives a restart."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Final, Self
+
+import msgspec
+
+from gateway.authority.robot_authority import Kept
+from gateway.host.state_directory import state_directory
+from schemas.settings import Settings
+
+log = logging.getLogger(__name__)
+
+WRITE_TIMEOUT_S: Final = 2.0
+"""The longest wait of a gateway that ends for a disk that stalls."""
+
+
+class AuthorityNote:
+    """The file, written by a thread of its own: a disk that stalls must not hold up the loop."""
+
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+        self._kept: SimpleQueue[Kept | None] = SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="authority-note", daemon=True)
+        self._thread.start()
+
+    @classmethod
+    def of(cls, settings: Settings, environment: Mapping[str, str] = os.environ) -> Self:
+        """The file of the robot that the settings name."""
+        directory = state_directory(settings.gateway.state_dir, environment)
+        robot = f"{settings.robot.root}/{settings.robot.name}".replace("/", ".")
+        return cls(None if directory is None else directory / f"{robot}.authority.json")
+
+    def read(self) -> Kept | str:
+        """What was saved last; nothing if there is no file. Words that say why it cannot be read."""
+        if self.path is None:
+            return "nothing can be kept: gateway.state_dir is empty, and what is revoked must outlive a restart"
+        try:
+            return msgspec.json.decode(self.path.read_bytes(), type=Kept)
+        except FileNotFoundError:
+            return Kept()
+        except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
+            return f"{self.path} is damaged, and so is what was revoked: {error}; 'cruiser provision robot' anew"
+
+    def save(self, kept: Kept) -> None:
+        """Have this written, without waiting."""
+        self._kept.put(kept)
+
+    def close(self) -> None:
+        """Wait until all is written, or until the disk has had its time."""
+        self._kept.put(None)
+        self._thread.join(WRITE_TIMEOUT_S)
+
+    def _run(self) -> None:
+        while (kept := self._kept.get()) is not None:
+            try:
+                self._write(kept)
+            except OSError as error:
+                log.warning("%s cannot be written: %s", self.path, error.strerror)
+
+    def _write(self, kept: Kept) -> None:
+        if self.path is None:
+            return
+        self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        unfinished = self.path.with_suffix(".unfinished")
+        descriptor = os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600)
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(msgspec.json.encode(kept))
+            file.flush()
+            os.fsync(file.fileno())
+        unfinished.replace(self.path)

@@ -1,0 +1,81 @@
+"""What a gateway in signed mode needs: its keys, its authority, and what it has learnt of it since."""
+
+from __future__ import annotations
+
+import os
+import time
+from typing import Final
+
+from gateway.authority.admission import SignedAdmission
+from gateway.authority.floor import TimeFloor
+from gateway.authority.robot_authority import Kept, RobotAuthority, trust_of
+from gateway.authority.signer import RobotSigner
+from gateway.core import Core
+from gateway.host.authority_note import AuthorityNote
+from gateway.host.key_files import directory_of, read_identity
+from schemas.authority.statement import GrantRole, Signed, read_chain
+from schemas.authority.trust import Objection
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.reasons import TEXTS
+from schemas.settings import Settings
+
+BOOT_BYTES: Final = 8
+
+
+class SignedMode:
+    """The authority of a robot, and where it keeps what it learns.
+
+    Attributes:
+        authority: what the robot knows of it.
+    """
+
+    def __init__(self, settings: Settings, core: Core) -> None:
+        """Read the keys.
+
+        Raises:
+            CommandError: a file is missing or wrong; the text names it, and the cure.
+        """
+        directory = directory_of(settings.authority)
+        identity = read_identity(directory, "robot")
+        self._note = AuthorityNote.of(settings)
+        kept = self._note.read()
+        if isinstance(kept, str):
+            raise CommandError(kept, ExitCode.USAGE)
+        trust = trust_of(identity.trust, kept)
+        if isinstance(trust, Objection):
+            raise CommandError(
+                f"{self._note.path}: {TEXTS[trust.reason].means}: {trust.detail}; 'cruiser provision robot' anew",
+                ExitCode.USAGE,
+            )
+        signer = RobotSigner(identity.private, os.urandom(BOOT_BYTES))
+        boot_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+        self.authority = RobotAuthority(
+            settings,
+            SignedAdmission(settings, trust, signer, core.challenge_age_ns),
+            signer,
+            TimeFloor(kept.floor_s, boot_ns),
+            _own(identity.chain, kept, settings),
+            kept,
+        )
+
+    def save(self, kept: Kept) -> None:
+        """Keep this across a restart, without waiting for the disk."""
+        self._note.save(kept)
+
+    def close(self) -> None:
+        """Wait for what is being saved."""
+        self._note.close()
+
+
+def _own(provisioned: list[Signed], kept: Kept, settings: Settings) -> list[Signed]:
+    """The chain of the robot's own grant, the one that it was given last."""
+    renewed = read_chain(kept.own.encode()) if kept.own else provisioned
+    chain = renewed if isinstance(renewed, list) else provisioned
+    grant = chain[0].statement
+    if getattr(grant, "role", None) is not GrantRole.ROBOT or getattr(grant, "name", "") != settings.robot.name:
+        raise CommandError(
+            f"{directory_of(settings.authority)}/robot.grant is not of a robot called {settings.robot.name}: "
+            "'cruiser provision robot' makes it",
+            ExitCode.USAGE,
+        )
+    return chain

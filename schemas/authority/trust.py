@@ -1,0 +1,230 @@
+"""Who is believed: the fleet's authority, whom it granted what, and what was revoked.
+
+A grant holds where the signatures of its chain hold up to the authority's active key, where no grant is wider than
+the one above it, and where nothing of the chain is over, revoked or of an old epoch.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import inf
+from typing import Final
+
+import msgspec
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+
+from schemas.authority.statement import Grant, GrantRole, Revocations, Rotation, Signed, TimeStatement
+from schemas.reasons import Reason
+
+KEYS_KEPT: Final = 512
+"""Public keys that are kept as objects; to make one takes 20 us."""
+
+BY_AUTHORITY_ALONE: Final = frozenset({GrantRole.ROBOT, GrantRole.RECORDER})
+"""No site grants these: who can make a robot can pass for one."""
+
+
+class Objection(msgspec.Struct, frozen=True):
+    """Why a proof is not accepted: a reason, and what it does not say by itself."""
+
+    reason: Reason
+    detail: str = ""
+
+
+class HeldGrant(msgspec.Struct, frozen=True):
+    """A grant whose chain was verified: what it allows, all that stands above it considered.
+
+    Attributes:
+        id: the grant's identifier.
+        grant: itself.
+        key: the holder's public key.
+        speed_limit_mps: the lowest of the chain; none if no grant has one.
+        not_before, not_after: when all of the chain holds, seconds since 1970.
+        chain: identifiers and holders' keys of all grants of the chain.
+        root: the authority's key that the chain ends at.
+    """
+
+    id: bytes
+    grant: Grant
+    key: bytes
+    speed_limit_mps: float | None
+    not_before: int
+    not_after: int
+    chain: frozenset[bytes]
+    root: bytes
+
+
+class Trust(msgspec.Struct, frozen=True):
+    """The authority as it is known here. It is replaced by a newer one, never changed.
+
+    Attributes:
+        active: the key that signs grants and revocations.
+        standby: the key that signs nothing but revocations and a rotation.
+        rotation: the serial of the last rotation; 0 before the first.
+        list_serial: that of the newest list of revocations; 0 before the first.
+        revoked: identifiers of grants, and keys.
+        epoch: no grant of a lower one counts. It never falls, whatever a newer list says.
+    """
+
+    active: bytes
+    standby: bytes
+    rotation: int = 0
+    list_serial: int = 0
+    revoked: frozenset[bytes] = frozenset()
+    epoch: int = 0
+
+    def judge(self, chain: list[Signed], now_s: int) -> HeldGrant | Objection:
+        """The grant that begins a chain, if it holds.
+
+        Args:
+            chain: the grant, that of its signer, and so on; the last one is signed by the authority.
+            now_s: seconds since 1970.
+        """
+        refusal = self._structure(chain) if chain else Objection(Reason.GRANT_UNKNOWN)
+        if refusal is not None:
+            return refusal
+        held = _held(chain, self.active)
+        return self.objection(held, now_s) or held
+
+    def objection(self, held: HeldGrant, now_s: int) -> Objection | None:
+        """Why a grant that was verified once does not hold now; None if it does."""
+        if held.root != self.active:
+            return Objection(Reason.GRANT_REVOKED, "its authority was replaced")
+        if held.grant.epoch < self.epoch:
+            return Objection(Reason.GRANT_REVOKED, f"epoch {held.grant.epoch} is over")
+        if not self.revoked.isdisjoint(held.chain):
+            return Objection(Reason.GRANT_REVOKED, f"by list {self.list_serial}")
+        if now_s > held.not_after:
+            return Objection(Reason.GRANT_EXPIRED, f"{now_s - held.not_after} s ago")
+        if now_s < held.not_before:
+            return Objection(Reason.GRANT_EXPIRED, f"it begins in {held.not_before - now_s} s")
+        return None
+
+    def revoke(self, signed: Signed) -> Trust | Objection:
+        """The trust after a list of revocations; a refusal if it is no newer one of the authority."""
+        new = signed.statement
+        if not isinstance(new, Revocations):
+            return Objection(Reason.MALFORMED, "it is no list of revocations")
+        if signed.signer not in {self.active, self.standby} or not is_signed(signed):
+            return Objection(Reason.PROOF_WRONG, "the list is not the authority's")
+        if new.serial <= self.list_serial:
+            return Objection(Reason.REPLAYED, f"list {new.serial} after {self.list_serial}")
+        revoked = frozenset(map(bytes.fromhex, (*new.grants, *new.keys)))
+        return msgspec.structs.replace(
+            self, list_serial=new.serial, revoked=revoked, epoch=max(self.epoch, new.epoch)
+        )
+
+    def rotate(self, signed: Signed) -> Trust | Objection:
+        """The trust after a rotation; a refusal if it is no newer one of the standby key."""
+        new = signed.statement
+        if not isinstance(new, Rotation):
+            return Objection(Reason.MALFORMED, "it is no rotation")
+        if signed.signer != self.standby or not is_signed(signed):
+            return Objection(Reason.PROOF_WRONG, "it is not signed by the standby key")
+        if new.serial <= self.rotation:
+            return Objection(Reason.REPLAYED, f"rotation {new.serial} after {self.rotation}")
+        return msgspec.structs.replace(
+            self,
+            active=bytes.fromhex(new.active),
+            standby=bytes.fromhex(new.standby),
+            rotation=new.serial,
+            epoch=max(self.epoch, new.epoch),
+        )
+
+    def time_of(self, chain: list[Signed], challenge: bytes, now_s: int) -> int | Objection:
+        """The time that a site, or the authority, states in answer to a challenge.
+
+        Args:
+            chain: the statement, then the grant of the site that signed it.
+            challenge: what was drawn for the question.
+            now_s: seconds since 1970, as far as it is known.
+        """
+        said, above = chain[0], chain[1:]
+        if not isinstance(said.statement, TimeStatement):
+            return Objection(Reason.MALFORMED, "it is no statement of the time")
+        if said.statement.challenge != challenge.hex():
+            return Objection(Reason.REPLAYED, "it answers another question")
+        if not is_signed(said):
+            return Objection(Reason.PROOF_WRONG, "the signature of the time does not fit")
+        if not above and said.signer == self.active:
+            return said.statement.at
+        site = self.judge(above, now_s)
+        if isinstance(site, Objection):
+            return site
+        if site.key != said.signer or site.grant.role is not GrantRole.SITE:
+            return Objection(Reason.NOT_GRANTED, "only a site states the time")
+        # A site that lies can end no more than it was granted.
+        return min(said.statement.at, site.not_after)
+
+    def _structure(self, chain: list[Signed]) -> Objection | None:
+        """What is wrong with a chain whenever it is looked at."""
+        for depth, (one, above) in enumerate(zip(chain, [*chain[1:], None], strict=True)):
+            if not isinstance(one.statement, Grant):
+                return Objection(Reason.MALFORMED, "a chain is of grants alone")
+            if above is None:
+                if one.signer != self.active:
+                    return Objection(Reason.GRANT_UNKNOWN, "its chain does not end at this robot's authority")
+            elif not isinstance(above.statement, Grant) or bytes.fromhex(above.statement.key) != one.signer:
+                return Objection(Reason.PROOF_WRONG, "the next grant of the chain is not its signer's")
+            elif (detail := _widening(one.statement, above.statement, depth)) is not None:
+                return Objection(Reason.NOT_GRANTED, detail)
+            if not is_signed(one):
+                return Objection(Reason.PROOF_WRONG, "the signature of a grant does not fit")
+        return None
+
+
+def is_signed(signed: Signed) -> bool:
+    """Does the signature of a statement fit its body and the key that it names?"""
+    return fits(signed.signer, signed.signature, signed.signed)
+
+
+def fits(key: bytes, signature: bytes, text: bytes) -> bool:
+    """Is it the Ed25519 signature of this key over this text? Never raises."""
+    try:
+        _public_key(key).verify(signature, text)
+    except (InvalidSignature, ValueError):
+        return False
+    return True
+
+
+@lru_cache(KEYS_KEPT)
+def _public_key(key: bytes) -> Ed25519PublicKey:
+    return Ed25519PublicKey.from_public_bytes(key)
+
+
+def _held(chain: list[Signed], root: bytes) -> HeldGrant:
+    grants = [one.statement for one in chain if isinstance(one.statement, Grant)]
+    limits = [grant.speed_limit_mps for grant in grants if grant.speed_limit_mps is not None]
+    return HeldGrant(
+        id=chain[0].id,
+        grant=msgspec.structs.replace(grants[0], epoch=min(grant.epoch for grant in grants)),
+        key=bytes.fromhex(grants[0].key),
+        speed_limit_mps=min(limits) if limits else None,
+        not_before=max(grant.not_before for grant in grants),
+        not_after=min(grant.not_after for grant in grants),
+        chain=frozenset({one.id for one in chain} | {bytes.fromhex(grant.key) for grant in grants}),
+        root=root,
+    )
+
+
+def _widening(grant: Grant, above: Grant, depth: int) -> str | None:
+    """How a grant is wider than the one that its signer holds; None if it is not.
+
+    A pattern is held against the pattern above it letter for letter, ``*`` being one letter of it: so ``*`` above
+    allows ``a*``, and ``a*`` above does not allow ``*``.
+    """
+    if above.role is not GrantRole.SITE or above.may_delegate <= depth:
+        return f"{above.name} may not grant"
+    if grant.role in BY_AUTHORITY_ALONE:
+        return f"the authority alone grants a {grant.role.value}"
+    if not all(above.covers(pattern) for pattern in grant.robots):
+        return "it names robots that its signer was not granted"
+    if not set(grant.verbs) <= set(above.verbs):
+        return "it names verbs that its signer was not granted"
+    if grant.override and not above.override:
+        return "its signer may not override"
+    if (grant.speed_limit_mps or inf) > (above.speed_limit_mps or inf):
+        return "its speed limit is above its signer's"
+    if grant.may_delegate >= above.may_delegate:
+        return "it may delegate as far as its signer"
+    return None

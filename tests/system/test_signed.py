@@ -1,0 +1,233 @@
+"""A robot in signed mode, as its people and its enemies meet it: real processes, real Zenoh, real keys."""
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgspec
+import pytest
+import zenoh
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+
+from gateway.client.refusal import LeaseLost, Refused, Unreachable
+from gateway.client.robot import Lease, Robot
+from gateway.zenoh.client import close_session, open_session
+from schemas import keys
+from schemas.authority.statement import GrantRole, chain_text
+from schemas.decisions import Reply, StatementReply
+from schemas.exit_codes import CommandError
+from schemas.reasons import Reason
+from schemas.requests import Drive
+from schemas.settings import AuthoritySettings, Settings, ZenohSettings
+from schemas.subjects import BY_VERB
+from tests.support.authority import DAY_S, Fleet, Party
+from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.gateway import Running, chassis, gateway
+from tests.support.waiting import wait_until
+
+ROOT, ROBOT, OPERATOR = "fleet", "cruiser-1", "ann"
+LIMIT_MPS, WANTED_MPS = 0.4, 0.8
+
+
+class Site:
+    """A fleet with one robot and one operator, their files, and where the robot is reached."""
+
+    def __init__(self, directory: Path) -> None:
+        self.fleet = Fleet()
+        self.directory = directory
+        self.endpoint = free_endpoint()
+        self.robot, self.operator = Party(ROBOT), Party(OPERATOR)
+        now_s = int(time.time())
+        self.holds = {"not_before": now_s - 60, "not_after": now_s + DAY_S}
+        self.fleet.authority.grant(self.robot, role=GrantRole.ROBOT, robots=[ROBOT], **self.holds)
+        self.fleet.authority.grant(self.operator, speed_limit_mps=LIMIT_MPS, **self.holds)
+        self.robot_settings = self.write("robot", self.robot)
+        self.settings = self.settings_of("operator", self.operator)
+
+    def write(self, who: str, party: Party) -> str:
+        """Somebody's files, and a configuration that names them; its path."""
+        directory = self.directory / f"{who}-{party.name}"
+        directory.mkdir()
+        key = directory / f"{who}.key"
+        key.touch(0o600)
+        key.write_bytes(party.private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+        (directory / f"{who}.grant").write_text(chain_text(party.chain))
+        authority = {"active": self.fleet.authority.key.hex(), "standby": self.fleet.standby.key.hex()}
+        (directory / "authority.json").write_text(json.dumps(authority))
+        configuration = directory / "cruiser.toml"
+        configuration.write_text(
+            f'[authority]\nmode = "signed"\ndirectory = "{directory}"\n'
+            f'[gateway]\nstate_dir = "{self.directory / "state"}"\n'
+        )
+        return str(configuration)
+
+    def settings_of(self, who: str, party: Party) -> Settings:
+        """The settings of somebody's library."""
+        directory = str(Path(self.write(who, party)).parent)
+        return Settings(
+            zenoh=ZenohSettings(connect=[self.endpoint]),
+            authority=AuthoritySettings(mode="signed", directory=directory),
+        )
+
+    def show(self, session: zenoh.Session, text: str) -> StatementReply:
+        """Shows the robot a statement, until it answers."""
+        replies: list[StatementReply] = []
+
+        def answered() -> bool:
+            asked = session.get(keys.authority(ROOT, ROBOT), payload=text, timeout=1.0)
+            payloads = [reply.ok.payload.to_bytes() for reply in asked if reply.ok is not None]
+            replies.extend(msgspec.msgpack.decode(payload, type=StatementReply) for payload in payloads)
+            return bool(replies)
+
+        wait_until(answered)
+        return replies[0]
+
+
+@contextmanager
+def running(site: Site) -> Iterator[Running]:
+    """The robot's gateway, on a virtual chassis."""
+    with chassis() as (_, address), gateway(address, site.endpoint, "--config", site.robot_settings) as process:
+        yield process
+
+
+@contextmanager
+def stranger(site: Site) -> Iterator[zenoh.Session]:
+    """A session of somebody who is on the network and has no key."""
+    session = open_session(ZenohSettings(), [site.endpoint], [])
+    try:
+        yield session
+    finally:
+        close_session(session)
+
+
+@contextmanager
+def driving(site: Site) -> Iterator[tuple[Robot, Lease]]:
+    """The operator, whose robot is engaged and drives."""
+    with Robot.connect(ROBOT, settings=site.settings) as robot, robot.lease() as lease:
+        lease.engage()
+        lease.unpark()
+        wait_until(lambda: speed_of(robot) > LIMIT_MPS / 2, lambda: lease.drive(WANTED_MPS))
+        yield robot, lease
+
+
+def speed_of(robot: Robot) -> float:
+    """The measured speed, m/s."""
+    seen = robot.state().chassis
+    return 0.0 if seen is None or seen.speed_mps is None else seen.speed_mps
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Site:
+    """A fleet of this test."""
+    return Site(tmp_path)
+
+
+def test_an_operator_drives_within_the_grant_until_it_is_revoked(site: Site) -> None:
+    """The speed limit is the grant's. A revocation in mid-drive stops the robot, and outlives a restart."""
+    revoked = site.fleet.authority.revoke(1, keys=(site.operator.key,)).text()
+    with running(site) as process, stranger(site) as session:
+        with driving(site) as (robot, lease):
+            assert robot.operator == OPERATOR
+            assert robot.state().state.speed_limit_mps == LIMIT_MPS
+            assert site.show(session, revoked).ok
+            with pytest.raises(LeaseLost) as lost:
+                wait_until(lambda: False, lambda: lease.drive(WANTED_MPS))
+            assert lost.value.reason is Reason.GRANT_REVOKED
+        process.wait_says("stopping: the grant was revoked")
+        process.wait_says("stopped: the robot is told nothing, and stands")
+    with running(site), pytest.raises(Unreachable, match="the grant was revoked"):
+        Robot.connect(ROBOT, settings=site.settings)
+
+
+def test_nothing_that_a_stranger_sends_moves_the_robot_but_a_stop(site: Site) -> None:
+    """Verbs and drives without proof, and those of the holder again; the stop of anybody is served."""
+    with running(site) as process, stranger(site) as session, driving(site) as (robot, lease):
+        kept = session.declare_subscriber(f"{ROOT}/{ROBOT}/@cmd/*/drive", zenoh.handlers.RingChannel(64))
+        wait_until(lambda: bool(refusals(session, "release", lease)))
+        assert refusals(session, "release", lease) <= {Reason.PROOF_MISSING}
+        for _ in range(50):
+            payload = msgspec.msgpack.encode(
+                Drive(
+                    lease=lease.number,
+                    seq=10**6,
+                    challenge=robot.state().state.challenge,
+                    speed_mps=2.0,
+                    angle_deg=20.0,
+                )
+            )
+            key = keys.command(ROOT, ROBOT, OPERATOR, "drive")
+            session.put(key, payload, encoding=BY_VERB["drive"].encoding)
+            while (heard := kept.try_recv()) is not None:
+                if heard.attachment is not None:
+                    session.put(key, heard.payload, encoding=heard.encoding, attachment=heard.attachment)
+            lease.drive(WANTED_MPS)
+            state = robot.state().state
+            assert abs(state.target_speed_mps) <= WANTED_MPS
+            assert state.target_angle_deg == 0.0
+        session.put(keys.command(ROOT, ROBOT, "anybody", "stop"), b"")
+        process.wait_says(r"a remote stop was received; by anybody \(unproven\)")
+
+
+def refusals(session: zenoh.Session, verb: str, lease: Lease) -> set[Reason]:
+    """The reasons for which the robot refuses a verb that nobody signed, in the holder's name."""
+    payload = msgspec.msgpack.encode({"lease": lease.number})
+    replies = session.get(keys.command(ROOT, ROBOT, OPERATOR, verb), payload=payload, timeout=1.0)
+    return {
+        msgspec.msgpack.decode(reply.ok.payload.to_bytes(), type=Reply).reason
+        for reply in replies
+        if reply.ok is not None
+    }
+
+
+def test_an_impostor_is_not_believed(site: Site) -> None:
+    """Neither a gateway of another fleet under the robot's name, nor an operator of one."""
+    (site.directory / "other").mkdir()
+    other = Site(site.directory / "other")
+    other.endpoint = site.endpoint
+    with running(other), pytest.raises(Unreachable, match="not met"):
+        Robot.connect(ROBOT, settings=site.settings, timeout_s=3.0)
+    with running(site):
+        settings = msgspec.structs.replace(other.settings, zenoh=site.settings.zenoh)
+        with pytest.raises(Unreachable, match="not met"):
+            Robot.connect(ROBOT, settings=settings, timeout_s=3.0)
+
+
+def test_a_grant_without_a_verb_gets_the_others(site: Site) -> None:
+    """A viewer-like grant may hold no lease; what it lacks is named."""
+    bob = Party("bob")
+    site.fleet.authority.grant(bob, verbs=["acquire", "release", "renew"], **site.holds)
+    with running(site), Robot.connect(ROBOT, settings=site.settings_of("operator", bob)) as robot:
+        assert robot.operator == "bob"
+        with robot.lease() as lease, pytest.raises(Refused) as refused:
+            lease.engage()
+        assert refused.value.reason is Reason.NOT_GRANTED
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda files: (files / "robot.key").unlink(), "robot.key is not there"),
+        (lambda files: (files / "robot.key").chmod(0o644), "can be read by others: chmod 600"),
+        (lambda files: (files / "robot.grant").write_text("x"), "robot.grant is no grant"),
+        (lambda files: (files / "authority.json").write_text("{}"), "authority.json is damaged"),
+    ],
+)
+def test_a_robot_whose_files_are_wrong_publishes_and_does_not_arm(site: Site, damage: object, said: str) -> None:
+    """The line in its log names the file and the cure; so does the refusal to engage."""
+    assert callable(damage)
+    damage(Path(site.robot_settings).parent)
+    with running(site) as process, stranger(site) as session:
+        process.wait_says(said)
+        state = session.declare_subscriber(f"{ROOT}/{ROBOT}/state", zenoh.handlers.RingChannel(1))
+        wait_until(lambda: state.try_recv() is not None)
+        with pytest.raises(Unreachable, match="not met"):
+            Robot.connect(ROBOT, settings=site.settings, timeout_s=2.0)
+
+
+def test_an_operator_without_a_key_is_told_which_file_is_missing(tmp_path: Path) -> None:
+    """Before anything is sent."""
+    settings = Settings(authority=AuthoritySettings(mode="signed", directory=str(tmp_path)))
+    with pytest.raises(CommandError, match=r"operator\.key is not there; 'cruiser provision operator' makes it"):
+        Robot.connect(ROBOT, settings=settings)

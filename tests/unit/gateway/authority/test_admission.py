@@ -1,0 +1,471 @@
+"""The door of a robot in signed mode. The rules are those of docs/authority.md; every attack has to be refused."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Final
+
+import msgspec
+import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.authority.admission import GRANTS_KEPT, SIGNATURES_PER_TICK, SignedAdmission
+from gateway.authority.lease_key import DriveTags, lease_key, public_bytes
+from gateway.authority.signer import RobotSigner
+from gateway.command.flow import PendingReply
+from gateway.command.request import Credentials, RawRequest
+from schemas import keys
+from schemas.authority.proof import RobotProof
+from schemas.authority.statement import GrantRole
+from schemas.authority.trust import HeldGrant, Objection, fits
+from schemas.decisions import LeaseReply
+from schemas.messages import Message
+from schemas.reasons import Reason
+from schemas.requests import Acquire, Drive, Request, Role
+from schemas.settings import Settings
+from schemas.subjects import BY_VERB
+from tests.support.authority import NOW_S, VERBS, Fleet, Party
+
+ROOT, ROBOT = "fleet", "cruiser-1"
+CHALLENGE: Final = b"newest.."
+LATE: Final = b"too.late"
+AGES_NS: Final = {CHALLENGE: 20_000_000, LATE: 2_000_000_001}
+LEASE: Final = 4711
+MS: Final = 1_000_000
+
+
+def key_of(operator: str, verb: str, robot: str = ROBOT) -> str:
+    """The key expression of a verb."""
+    return keys.command(ROOT, robot, operator, verb)
+
+
+def encode(said: Request | LeaseReply) -> bytes:
+    """Its payload."""
+    return msgspec.msgpack.encode(said)
+
+
+class Door:
+    """A robot's door, and people in front of it. All doors know one challenge, the worst case."""
+
+    def __init__(self, fleet: Fleet | None = None) -> None:
+        self.fleet = fleet or Fleet()
+        self.robot = Ed25519PrivateKey.generate()
+        self.signer = RobotSigner(self.robot, b"boot no1")
+        self.admission = SignedAdmission(Settings(), self.fleet.trust, self.signer, self._age)
+        self.admission.now_s = NOW_S
+        self.now_ns = 0
+        self._handle = 0
+        self._next_tick()
+
+    @staticmethod
+    def _age(challenge: bytes, _now_ns: int) -> int | Reason:
+        return AGES_NS.get(challenge, Reason.CHALLENGE_UNKNOWN)
+
+    def _next_tick(self) -> None:
+        self.now_ns += 10 * MS
+        self.admission.begin_tick(self.now_ns)
+
+    def introduce(self, party: Party) -> HeldGrant | Objection:
+        self._next_tick()
+        return self.admission.introduce(party.chain)
+
+    def raw(
+        self, operator: str, verb: str, payload: bytes, attachment: bytes, *, query: bool = True
+    ) -> RawRequest:
+        self._handle += 1
+        handle = self._handle if query else 0
+        return RawRequest(handle, verb, operator, payload, len(payload), attachment=attachment)
+
+    def admit(self, raw: RawRequest) -> Credentials:
+        self._next_tick()
+        credentials = self.admission.admit(raw, self.now_ns).credentials
+        assert credentials is not None
+        return credentials
+
+    def ask(self, party: Party, verb: str, sent: bytes = b"", **changes: Any) -> Credentials:  # noqa: ANN401 - what is signed
+        """What becomes of a signed verb, where what arrives was changed on its way."""
+        signed = {"key": key_of(party.name, verb), "encoding": BY_VERB[verb].encoding, "payload": sent}
+        signed |= {"challenge": CHALLENGE}
+        attachment = party.prove(**(signed | changes))
+        return self.admit(self.raw(party.name, verb, sent, attachment))
+
+
+def known(**changes: Any) -> tuple[Door, Party]:  # noqa: ANN401 - fields of a grant
+    """A door that knows an operator's grant."""
+    door = Door()
+    ann = door.fleet.operator(**changes)
+    assert isinstance(door.introduce(ann), HeldGrant)
+    return door, ann
+
+
+class Holder:
+    """An operator who has acquired the lease, and the key that it agreed on with the robot."""
+
+    def __init__(self, door: Door, party: Party, lease: int = LEASE) -> None:
+        self.door, self.party = door, party
+        private = X25519PrivateKey.generate()
+        payload = encode(Acquire(public_key=public_bytes(private)))
+        self.request = party.prove(key_of(party.name, "acquire"), BY_VERB["acquire"].encoding, payload, CHALLENGE)
+        raw = door.raw(party.name, "acquire", payload, self.request)
+        self.credentials = door.admit(raw)
+        said = encode(LeaseReply(ok=True, reason=Reason.NONE, detail="", cure="", lease=lease, expires_s=2.0))
+        self.reply = door.admission.reply(PendingReply(raw.handle, "acquire", said))
+        robot = msgspec.msgpack.decode(self.reply.payload, type=LeaseReply).public_key
+        assert robot is not None
+        drive = key_of(party.name, "drive")
+        key = lease_key(private, robot, door.signer.boot, lease, drive)
+        assert key is not None
+        self.tags = DriveTags(key, lease, drive, BY_VERB["drive"].encoding)
+
+    @staticmethod
+    def payload(seq: int = 1) -> bytes:
+        return encode(Drive(lease=LEASE, seq=seq, challenge=CHALLENGE, speed_mps=0.3, angle_deg=0.0))
+
+    def drive(self, payload: bytes, attachment: bytes | None = None, operator: str = "") -> Credentials:
+        sent = self.tags.attachment(payload) if attachment is None else attachment
+        return self.door.admit(self.door.raw(operator or self.party.name, "drive", payload, sent, query=False))
+
+
+# Grants.
+
+
+def test_a_grant_is_taken_from_anyone_for_its_signatures() -> None:
+    """One of another fleet, for another robot or of yesterday is refused."""
+    door = Door()
+    assert isinstance(door.introduce(door.fleet.operator()), HeldGrant)
+    for party, reason in (
+        (Fleet().operator(), Reason.GRANT_UNKNOWN),
+        (door.fleet.operator(robots=["truck-*"]), Reason.NOT_GRANTED),
+        (door.fleet.operator(not_after=NOW_S - 1), Reason.GRANT_EXPIRED),
+    ):
+        outcome = door.introduce(party)
+        assert isinstance(outcome, Objection)
+        assert outcome.reason is reason
+
+
+def test_so_many_grants_are_kept_and_the_one_unused_for_longest_goes() -> None:
+    """Grants that nobody uses push out none that is used."""
+    door, ann = known()
+    others = [door.fleet.operator(f"other-{n}") for n in range(GRANTS_KEPT)]
+    for one in others[: GRANTS_KEPT - 1]:
+        door.introduce(one)
+    assert door.ask(ann, "renew").reason is Reason.NONE
+    door.introduce(others[-1])
+    assert door.ask(ann, "renew").reason is Reason.NONE
+    assert door.ask(others[0], "renew").reason is Reason.GRANT_UNKNOWN
+
+
+# Verbs.
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_a_signed_verb_is_its_signers(verb: str) -> None:
+    """Role, override and speed limit are the grant's."""
+    if verb == "drive":
+        return
+    door, ann = known(role=GrantRole.SUPERVISOR, override=True, speed_limit_mps=0.7, serial=9)
+    assert door.ask(ann, verb, b"any") == Credentials(Reason.NONE, "", 9, Role.SUPERVISOR, True, 0.7)  # noqa: FBT003
+
+
+@pytest.mark.parametrize("length", [0, 1, 24, 25, 73, 88, 90, 200])
+def test_without_a_proof_nothing_is_proven(length: int) -> None:
+    """Bytes of any other length are no proof."""
+    door, ann = known()
+    credentials = door.admit(door.raw(ann.name, "engage", b"", os.urandom(length)))
+    assert credentials.reason is Reason.PROOF_MISSING
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"payload": b"other"},
+        {"payload": b""},
+        {"encoding": "application/msgpack"},
+        {"key": key_of("ann", "release")},
+        {"key": key_of("bob", "engage")},
+        {"key": key_of("ann", "engage", "cruiser-2")},
+        {"key": key_of("*", "engage")},
+        {"key": key_of("ann", "engage", "*")},
+        {"key": "other/cruiser-1/@cmd/ann/engage"},
+    ],
+)
+def test_a_signature_is_for_one_payload_encoding_robot_operator_and_verb(changes: dict[str, Any]) -> None:
+    """Whatever of these is another, the signature does not fit; a wildcard never does."""
+    door, ann = known()
+    assert door.ask(ann, "engage", b"payload").reason is Reason.NONE
+    assert door.ask(ann, "engage", b"payload", **changes).reason is Reason.PROOF_WRONG
+
+
+@given(place=st.integers(0, 88), bit=st.integers(0, 7))
+def test_no_bit_of_an_attachment_can_be_changed(place: int, bit: int) -> None:
+    """Version, grant, challenge, nonce and signature are all covered."""
+    payload = b"payload"
+    attachment = bytearray(ANN.prove(key_of("ann", "engage"), BY_VERB["engage"].encoding, payload, CHALLENGE))
+    attachment[place] ^= 1 << bit
+    assert DOOR.admit(DOOR.raw("ann", "engage", payload, bytes(attachment))).reason is not Reason.NONE
+
+
+DOOR, ANN = known()
+
+
+def test_a_name_is_the_grants() -> None:
+    """Whoever signs with a key of its own under another's name is refused."""
+    door, ann = known()
+    mallory = door.fleet.operator("mallory")
+    door.introduce(mallory)
+    key = key_of(ann.name, "engage")
+    attachment = mallory.prove(key, BY_VERB["engage"].encoding, b"", CHALLENGE)
+    assert door.admit(door.raw(ann.name, "engage", b"", attachment)).reason is Reason.NOT_GRANTED
+    stolen_id = msgspec.structs.replace(ann.chain[0])
+    mallory.chain = [stolen_id]
+    attachment = mallory.prove(key, BY_VERB["engage"].encoding, b"", CHALLENGE)
+    assert door.admit(door.raw(ann.name, "engage", b"", attachment)).reason is Reason.PROOF_WRONG
+
+
+def test_a_verb_that_was_not_granted_is_refused_but_for_the_stop() -> None:
+    """A stop needs no grant of its own."""
+    door, ann = known(verbs=["acquire"])
+    assert door.ask(ann, "acquire").reason is Reason.NONE
+    assert door.ask(ann, "engage").reason is Reason.NOT_GRANTED
+    assert door.ask(ann, "stop").reason is Reason.NONE
+
+
+@pytest.mark.parametrize("role", [GrantRole.SITE, GrantRole.ROBOT, GrantRole.RECORDER])
+def test_who_is_no_person_and_no_program_commands_nothing(role: GrantRole) -> None:
+    """Sites grant, robots and recorders report: none of them drives."""
+    door, ann = known(role=role)
+    assert door.ask(ann, "engage").reason is Reason.NOT_GRANTED
+
+
+def test_a_request_that_was_kept_back_or_comes_again_is_refused() -> None:
+    """Again in the same and in the next tick; with a challenge that is old, unknown, or of another run."""
+    door, ann = known()
+    attachment = ann.prove(key_of("ann", "engage"), BY_VERB["engage"].encoding, b"", CHALLENGE)
+    raw = door.raw("ann", "engage", b"", attachment)
+    assert [door.admit(raw).reason for _ in range(3)] == [Reason.NONE, Reason.REPLAYED, Reason.REPLAYED]
+    assert door.ask(ann, "engage", challenge=LATE).reason is Reason.TOO_OLD
+    assert door.ask(ann, "engage", challenge=b"tomorrow").reason is Reason.CHALLENGE_UNKNOWN
+
+
+def test_a_nonce_is_kept_longer_than_a_challenge_is_taken() -> None:
+    """So there is no moment at which a replay passes."""
+    door, ann = known()
+    attachment = ann.prove(key_of("ann", "engage"), BY_VERB["engage"].encoding, b"", CHALLENGE)
+    raw = door.raw("ann", "engage", b"", attachment)
+    assert door.admit(raw).reason is Reason.NONE
+    door.now_ns += 2_100 * MS
+    assert door.admit(raw).reason is Reason.REPLAYED
+
+
+def test_a_request_for_another_robot_is_none_for_this_one() -> None:
+    """Although both robots know the operator and the challenge."""
+    fleet, ann = Fleet(), Party("ann")
+    fleet.authority.grant(ann)
+    door, other = Door(fleet), Door(fleet)
+    for one in (door, other):
+        one.introduce(ann)
+    attachment = ann.prove(key_of("ann", "engage", "cruiser-2"), BY_VERB["engage"].encoding, b"", CHALLENGE)
+    assert door.admit(door.raw("ann", "engage", b"", attachment)).reason is Reason.PROOF_WRONG
+
+
+def test_a_revoked_or_expired_grant_is_refused_at_once() -> None:
+    """The next request under it is refused."""
+    door, ann = known()
+    grant = door.introduce(ann)
+    assert isinstance(grant, HeldGrant)
+    door.admission.now_s = grant.not_after + 1
+    assert door.ask(ann, "engage").reason is Reason.GRANT_EXPIRED
+    door.admission.now_s = NOW_S
+    trust = door.admission.trust.revoke(door.fleet.authority.revoke(1, grant))
+    assert not isinstance(trust, Objection)
+    door.admission.trust = trust
+    assert door.ask(ann, "engage").reason is Reason.GRANT_REVOKED
+
+
+def test_a_flood_of_forged_signatures_costs_a_bounded_time() -> None:
+    """What comes after so many in one tick is refused as busy, and judged in the next."""
+    door, ann = known()
+    forged = [
+        door.raw("ann", "engage", b"", ann.prove(key_of("ann", "release"), "", b"", CHALLENGE)) for _ in range(10)
+    ]
+    door.admission.begin_tick(door.now_ns)
+    reasons = [door.admission.admit(raw, door.now_ns).credentials for raw in forged]
+    judged = [one.reason for one in reasons if one is not None]
+    assert judged == [Reason.PROOF_WRONG] * SIGNATURES_PER_TICK + [Reason.BUSY] * (10 - SIGNATURES_PER_TICK)
+    assert door.ask(ann, "engage").reason is Reason.NONE
+
+
+# The lease and the drive stream.
+
+
+def test_the_holder_drives_under_the_key_of_its_lease() -> None:
+    """The speed limit of the grant comes with each command."""
+    holder = Holder(*known(speed_limit_mps=0.4))
+    assert holder.credentials.reason is Reason.NONE
+    driven = holder.drive(holder.payload())
+    assert (driven.reason, driven.speed_limit_mps) == (Reason.NONE, 0.4)
+
+
+@given(place=st.integers(0, 24), bit=st.integers(0, 7))
+def test_no_bit_of_a_drives_attachment_can_be_changed(place: int, bit: int) -> None:
+    """Version, lease and tag are all covered."""
+    payload = HOLDER.payload()
+    attachment = bytearray(HOLDER.tags.attachment(payload))
+    attachment[place] ^= 1 << bit
+    assert HOLDER.drive(payload, bytes(attachment)).reason is not Reason.NONE
+
+
+@given(place=st.integers(0, 10_000), bit=st.integers(0, 7))
+def test_no_bit_of_a_drive_can_be_changed(place: int, bit: int) -> None:
+    """Nor added or left out: its length is covered too."""
+    payload = bytearray(HOLDER.payload())
+    attachment = HOLDER.tags.attachment(bytes(payload))
+    payload[place % len(payload)] ^= 1 << bit
+    assert HOLDER.drive(bytes(payload), attachment).reason is Reason.PROOF_WRONG
+
+
+HOLDER = Holder(*known())
+
+
+def test_the_key_of_a_lease_is_for_one_lease_robot_run_and_operator() -> None:
+    """A drive that was recorded under one lease is nothing under the next, nor elsewhere."""
+    door, ann = known()
+    first = Holder(door, ann)
+    payload = first.payload()
+    kept = first.tags.attachment(payload)
+    assert first.drive(payload, kept).reason is Reason.NONE
+    second = Holder(door, ann)
+    assert second.drive(payload, kept).reason is Reason.PROOF_WRONG
+    third = Holder(door, ann, lease=LEASE + 1)
+    assert third.drive(payload, kept).reason is Reason.NO_LEASE
+    assert third.drive(payload, b"").reason is Reason.PROOF_MISSING
+    assert third.drive(payload, os.urandom(25)).reason is not Reason.NONE
+    private, other = X25519PrivateKey.generate(), public_bytes(X25519PrivateKey.generate())
+    contexts = [(b"boot no1", 1, "a/drive"), (b"boot no2", 1, "a/drive"), (b"boot no1", 2, "a/drive")]
+    contexts.append((b"boot no1", 1, "b/drive"))
+    assert len({lease_key(private, other, *context) for context in contexts}) == len(contexts)
+
+
+def test_before_a_lease_is_given_nobody_drives() -> None:
+    """There is no key yet."""
+    door, _ = known()
+    raw = door.raw("ann", "drive", Holder.payload(), b"\x01" + bytes(24), query=False)
+    assert door.admit(raw).reason is Reason.NO_LEASE
+
+
+def test_a_grant_without_drive_drives_nothing() -> None:
+    """Holding the lease is not enough."""
+    holder = Holder(*known(verbs=["acquire", "take", "release"]))
+    assert holder.drive(holder.payload()).reason is Reason.NOT_GRANTED
+
+
+@pytest.mark.parametrize("public_key", [None, bytes(32), b"\x01" + bytes(31)])
+def test_a_request_without_a_usable_key_gets_no_key(public_key: bytes | None) -> None:
+    """None, and points of small order, with which anybody would know the key."""
+    door, ann = known()
+    payload = encode(Acquire(public_key=public_key))
+    attachment = ann.prove(key_of("ann", "acquire"), BY_VERB["acquire"].encoding, payload, CHALLENGE)
+    raw = door.raw("ann", "acquire", payload, attachment)
+    assert door.admit(raw).reason is Reason.NONE
+    reply = door.admission.reply(
+        PendingReply(
+            raw.handle, "acquire", encode(LeaseReply(ok=True, reason=Reason.NONE, detail="", cure="", lease=LEASE))
+        )
+    )
+    assert msgspec.msgpack.decode(reply.payload, type=LeaseReply).public_key is None
+    assert door.admit(door.raw("ann", "drive", b"", b"\x01" + bytes(24), query=False)).reason is Reason.NO_LEASE
+
+
+def test_a_refused_lease_changes_no_key() -> None:
+    """Who holds it goes on driving."""
+    door, ann = known()
+    holder = Holder(door, ann)
+    bob = door.fleet.operator("bob")
+    door.introduce(bob)
+    payload = encode(Acquire(public_key=public_bytes(X25519PrivateKey.generate())))
+    attachment = bob.prove(key_of("bob", "acquire"), BY_VERB["acquire"].encoding, payload, CHALLENGE)
+    raw = door.raw("bob", "acquire", payload, attachment)
+    assert door.admit(raw).reason is Reason.NONE
+    said = LeaseReply(ok=False, reason=Reason.LEASE_HELD, detail="", cure="")
+    reply = door.admission.reply(PendingReply(raw.handle, "acquire", encode(said)))
+    assert msgspec.msgpack.decode(reply.payload, type=LeaseReply) == said
+    assert holder.drive(holder.payload()).reason is Reason.NONE
+
+
+def test_only_the_holders_are_put_first() -> None:
+    """By its tag, which nobody else can make; of verbs, by the grant that they name."""
+    door, ann = known()
+    holder = Holder(door, ann)
+    payload = holder.payload()
+    tagged = holder.tags.attachment(payload)
+    is_holders = door.admission.is_holders
+    assert is_holders("drive", payload, tagged)
+    assert not is_holders("drive", payload + b"x", tagged)
+    assert not is_holders("drive", payload, b"")
+    assert is_holders("renew", b"", ann.prove("", "", b"", CHALLENGE))
+    assert not is_holders("renew", b"", b"")
+    assert not Door().admission.is_holders("drive", payload, tagged)
+    assert not Door().admission.is_holders("renew", b"", tagged)
+
+
+def test_the_end_of_the_holders_grant_is_seen() -> None:
+    """The loop asks in each tick."""
+    door, ann = known()
+    assert door.admission.holder_objection() is None
+    Holder(door, ann)
+    assert door.admission.holder_objection() is None
+    grant = door.introduce(ann)
+    assert isinstance(grant, HeldGrant)
+    trust = door.admission.trust.revoke(door.fleet.authority.revoke(1, grant))
+    assert not isinstance(trust, Objection)
+    door.admission.trust = trust
+    objection = door.admission.holder_objection()
+    assert objection is not None
+    assert objection.reason is Reason.GRANT_REVOKED
+
+
+# What the robot says.
+
+
+def test_a_reply_answers_one_request() -> None:
+    """The signature covers the attachment of the request: a reply that was kept answers nothing else."""
+    door, ann = known()
+    holder = Holder(door, ann)
+    proof = RobotProof.read(holder.reply.attachment)
+    assert proof is not None
+    public = door.robot.public_key().public_bytes_raw()
+    key, encoding = key_of("ann", "acquire"), BY_VERB["acquire"].reply_encoding
+
+    def is_robots(payload: bytes, request: bytes, key: str = key) -> bool:
+        return fits(public, proof.signature, proof.signed_reply(key, encoding, payload, request))
+
+    assert is_robots(holder.reply.payload, holder.request)
+    assert not is_robots(holder.reply.payload + b"x", holder.request)
+    assert not is_robots(holder.reply.payload, ann.prove(key, "", b"", CHALLENGE))
+    assert not is_robots(holder.reply.payload, holder.request, key_of("bob", "acquire"))
+
+
+def test_the_reply_to_a_stop_that_nobody_signed_is_the_robots_too() -> None:
+    """Only then is a stop confirmed to a person."""
+    door, _ = known()
+    raw = door.raw("anybody", "stop", b"", b"")
+    door.admission.admit(raw, door.now_ns)
+    reply = door.admission.reply(PendingReply(raw.handle, "stop", b"done"))
+    proof = RobotProof.read(reply.attachment)
+    assert proof is not None
+    text = proof.signed_reply(key_of("anybody", "stop"), BY_VERB["stop"].reply_encoding, b"done", b"")
+    assert fits(door.robot.public_key().public_bytes_raw(), proof.signature, text)
+
+
+def test_what_nobody_asked_is_not_signed() -> None:
+    """A reply without its request proves nothing."""
+    door, _ = known()
+    assert door.admission.reply(PendingReply(99, "engage", b"")).attachment == b""
+
+
+def test_messages_have_a_common_root() -> None:
+    """The heads of the chains are a message like any other."""
+    assert isinstance(RobotSigner(Ed25519PrivateKey.generate(), bytes(8)).heads(1), Message)

@@ -1,0 +1,166 @@
+"""The operator's half against the robot's: what each believes of the other, and what neither does."""
+
+import msgspec
+import pytest
+
+from gateway.authority.operator_proof import OperatorProof, new_lease_key
+from gateway.authority.robot_authority import RobotAuthority
+from gateway.command.flow import PendingReply
+from gateway.command.request import Credentials, RawRequest
+from gateway.telemetry.received import Received
+from schemas.authority.trust import Objection
+from schemas.codec import encode
+from schemas.decisions import LeaseReply, StatementReply
+from schemas.reasons import Reason
+from schemas.requests import Acquire, Drive
+from schemas.subjects import BY_NAME, BY_VERB, STATEMENT_REPLY_ENCODING
+from tests.support.authority import CHALLENGE, NOW_S, AuthorityBench, Fleet, Party
+
+STATE = BY_NAME["safety/state"]
+STATE_KEY = "fleet/cruiser-1/safety/state"
+AUTH = "fleet/cruiser-1/@auth"
+
+
+class Pair:
+    """An operator and a robot of one fleet, with nothing but bytes between them."""
+
+    def __init__(self) -> None:
+        self.bench = AuthorityBench()
+        self.ann = self.bench.fleet.operator()
+        self.proof = self.proof_of(self.ann)
+
+    def proof_of(self, party: Party, fleet: Fleet | None = None) -> OperatorProof:
+        """The operator's half for somebody."""
+        trust = (fleet or self.bench.fleet).trust
+        return OperatorProof(party.private, party.chain, trust, "fleet", lambda: NOW_S)
+
+    @property
+    def robot(self) -> RobotAuthority:
+        return self.bench.authority
+
+    def shown(self) -> Received:
+        """The robot's reply to the operator's statement."""
+        raw = RawRequest(1, "", "", self.proof.statement, len(self.proof.statement))
+        reply = self.robot.receive(raw, self.bench.now_ns, self.bench.now_ns)
+        return Received(AUTH, STATEMENT_REPLY_ENCODING, reply.payload, reply.attachment)
+
+    def ask(self, verb: str, payload: bytes, said: bytes = b"") -> tuple[Credentials, Received, bytes]:
+        """A verb, what the robot makes of it, its reply, and the attachment of the request."""
+        self.bench.tick()
+        attachment = self.proof.request("cruiser-1", verb, payload, CHALLENGE)
+        admission = self.robot.admission
+        raw = admission.admit(RawRequest(7, verb, "ann", payload, len(payload), attachment=attachment), 0)
+        assert raw.credentials is not None
+        reply = admission.reply(PendingReply(7, verb, said))
+        key = f"fleet/cruiser-1/@cmd/ann/{verb}"
+        received = Received(key, BY_VERB[verb].reply_encoding, reply.payload, reply.attachment)
+        return raw.credentials, received, attachment
+
+    def drives(self, lease: int) -> Credentials:
+        """What the robot makes of a drive command."""
+        payload = msgspec.msgpack.encode(
+            Drive(lease=lease, seq=1, challenge=CHALLENGE, speed_mps=0.1, angle_deg=0)
+        )
+        raw = RawRequest(0, "drive", "ann", payload, len(payload), attachment=self.proof.drive(payload))
+        credentials = self.robot.admission.admit(raw, 0).credentials
+        assert credentials is not None
+        return credentials
+
+
+def given(lease: int) -> bytes:
+    """The arbiter's reply that gives a lease."""
+    return msgspec.msgpack.encode(
+        LeaseReply(ok=True, reason=Reason.NONE, detail="", cure="", lease=lease, expires_s=2.0)
+    )
+
+
+def test_both_meet_and_agree_on_the_key_of_a_lease() -> None:
+    """Grant, signed verb, signed reply, and a stream under a key that only these two know."""
+    pair = Pair()
+    assert pair.proof.meet("cruiser-1", pair.shown()) is None
+    private, public = new_lease_key()
+    credentials, reply, request = pair.ask("acquire", msgspec.msgpack.encode(Acquire(public_key=public)), given(9))
+    assert credentials.reason is Reason.NONE
+    assert pair.proof.is_reply("cruiser-1", reply, request)
+    said = msgspec.msgpack.decode(reply.payload, type=LeaseReply)
+    assert pair.proof.begin_lease("cruiser-1", private, said, reply.attachment)
+    assert pair.drives(9).reason is Reason.NONE
+    assert pair.drives(8).reason is Reason.NONE  # whose lease it is, the arbiter says by the payload
+    assert pair.proof_of(pair.ann).drive(b"") == b""
+
+
+def test_a_robot_that_was_not_met_is_not_believed() -> None:
+    """Neither its replies nor its states."""
+    pair = Pair()
+    _, reply, request = pair.ask("renew", b"", b"done")
+    assert not pair.proof.is_reply("cruiser-1", reply, request)
+    assert not pair.proof.has_met("cruiser-1")
+    pair.proof.meet("cruiser-1", pair.shown())
+    assert pair.proof.has_met("cruiser-1")
+
+
+def test_an_impostor_is_not_met() -> None:
+    """A robot of another fleet, another robot, somebody who repeats a robot's grant without its key."""
+    pair = Pair()
+    shown = pair.shown()
+    for robot, received in (
+        ("cruiser-1", msgspec.structs.replace(shown, attachment=b"")),
+        ("cruiser-1", msgspec.structs.replace(shown, payload=shown.payload[:-1] + b" ")),
+        ("cruiser-1", msgspec.structs.replace(shown, payload=b"")),
+        ("cruiser-1", msgspec.structs.replace(shown, attachment=shown.attachment[:-1] + b"x")),
+        ("cruiser-2", shown),
+        ("cruiser-1", Pair().shown()),
+    ):
+        proof = pair.proof_of(pair.ann)
+        assert isinstance(proof.meet(robot, received), Objection)
+        assert not proof.has_met(robot)
+    person = StatementReply(True, Reason.NONE, "", "", own=pair.proof.statement.decode())  # noqa: FBT003
+    posing = msgspec.structs.replace(shown, payload=msgspec.msgpack.encode(person))
+    refusal = pair.proof_of(pair.ann).meet("ann", posing)
+    assert isinstance(refusal, Objection)
+    assert refusal.reason is Reason.NOT_GRANTED
+
+
+def test_a_robot_that_refuses_the_grant_is_known_all_the_same() -> None:
+    """So that a person without a grant can see who stops."""
+    pair = Pair()
+    pair.bench.fleet.authority.grant(pair.ann, not_after=NOW_S - 1)
+    pair.proof = pair.proof_of(pair.ann)
+    refusal = pair.proof.meet("cruiser-1", pair.shown())
+    assert isinstance(refusal, Objection)
+    assert refusal.reason is Reason.GRANT_EXPIRED
+    assert pair.proof.has_met("cruiser-1")
+
+
+def test_a_reply_is_believed_for_the_request_that_it_answers() -> None:
+    """Not for another request, nor with another key, encoding or payload."""
+    pair = Pair()
+    pair.proof.meet("cruiser-1", pair.shown())
+    _, reply, request = pair.ask("renew", b"", b"done")
+    assert pair.proof.is_reply("cruiser-1", reply, request)
+    assert not pair.proof.is_reply("cruiser-1", reply, pair.proof.request("cruiser-1", "renew", b"", CHALLENGE))
+    assert not pair.proof.is_reply("cruiser-2", reply, request)
+    for changed in (
+        {"payload": b"not done"},
+        {"key": "fleet/cruiser-1/@cmd/ann/engage"},
+        {"key": "fleet/cruiser-2/@cmd/ann/renew"},
+        {"encoding": "other"},
+        {"attachment": b""},
+    ):
+        assert not pair.proof.is_reply("cruiser-1", msgspec.structs.replace(reply, **changed), request)
+
+
+@pytest.mark.parametrize(
+    "changed", [{"payload": b"\x81"}, {"attachment": b""}, {"key": "fleet/cruiser-2/safety/state"}]
+)
+def test_a_state_is_believed_from_the_robot_alone(changed: dict[str, bytes]) -> None:
+    """Not when another publishes it, or another key carries it."""
+    pair = Pair()
+    pair.proof.meet("cruiser-1", pair.shown())
+    payload = encode(pair.bench.signer.heads(1))  # any bytes will do
+    state = Received(
+        STATE_KEY, STATE.encoding, payload, pair.bench.signer.publication(STATE_KEY, STATE.encoding, payload)
+    )
+    assert pair.proof.is_state("cruiser-1", state)
+    assert not pair.proof.is_state("cruiser-1", msgspec.structs.replace(state, **changed))
+    assert not pair.proof.is_state("cruiser-2", state)

@@ -1,0 +1,288 @@
+"""Who is believed: every wider, older, revoked or foreign grant is refused."""
+
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from schemas.authority.statement import (
+    STATEMENTS_MAX,
+    Grant,
+    GrantRole,
+    Signed,
+    StatementFault,
+    TimeStatement,
+    chain_text,
+    read_chain,
+)
+from schemas.authority.trust import HeldGrant, Objection
+from schemas.reasons import Reason
+from tests.support.authority import DAY_S, NOW_S, Fleet, Party
+
+
+def reason_of(outcome: object) -> Reason:
+    """Why something was refused; NONE if it was not."""
+    return outcome.reason if isinstance(outcome, Objection) else Reason.NONE
+
+
+def held(outcome: HeldGrant | Objection) -> HeldGrant:
+    """A grant that has to hold."""
+    assert isinstance(outcome, HeldGrant), outcome
+    return outcome
+
+
+def test_a_grant_of_the_authority_holds() -> None:
+    """With the key and the limits that it names."""
+    fleet = Fleet()
+    ann = fleet.operator(speed_limit_mps=0.8)
+    grant = held(fleet.trust.judge(ann.chain, NOW_S))
+    assert (grant.key, grant.speed_limit_mps, grant.grant.name) == (ann.key, 0.8, "ann")
+
+
+def test_a_site_grants_within_what_it_was_granted() -> None:
+    """The lowest speed and the shortest time of the chain count."""
+    fleet, ann = Fleet(), Party("ann")
+    site = fleet.site(speed_limit_mps=1.0, not_after=NOW_S + 100)
+    site.grant(ann, speed_limit_mps=0.5, not_after=NOW_S + 200)
+    grant = held(fleet.trust.judge(ann.chain, NOW_S))
+    assert (grant.speed_limit_mps, grant.not_after) == (0.5, NOW_S + 100)
+    site.grant(ann, speed_limit_mps=1.0)
+    assert held(fleet.trust.judge(ann.chain, NOW_S)).speed_limit_mps == 1.0
+
+
+@pytest.mark.parametrize(
+    ("site", "person"),
+    [
+        ({"robots": ["a-*"]}, {"robots": ["*"]}),
+        ({"robots": ["a-*"]}, {"robots": ["a-1", "b-1"]}),
+        ({"robots": ["a-1"]}, {"robots": ["a-*"]}),
+        ({"verbs": ["acquire"]}, {"verbs": ["acquire", "engage"]}),
+        ({"override": False}, {"override": True}),
+        ({"speed_limit_mps": 0.5}, {"speed_limit_mps": 0.51}),
+        ({"speed_limit_mps": 0.5}, {}),
+        ({"role": GrantRole.OPERATOR}, {}),
+        ({"may_delegate": 0}, {}),
+        ({}, {"may_delegate": 1}),
+        ({}, {"role": GrantRole.ROBOT}),
+        ({}, {"role": GrantRole.RECORDER}),
+    ],
+)
+def test_no_grant_is_wider_than_the_one_above_it(site: dict[str, Any], person: dict[str, Any]) -> None:
+    """Neither in robots, verbs, speed, override nor delegation; and only sites grant."""
+    fleet, ann = Fleet(), Party("ann")
+    fleet.site(**site).grant(ann, **person)
+    assert reason_of(fleet.trust.judge(ann.chain, NOW_S)) is Reason.NOT_GRANTED
+
+
+def test_a_chain_delegates_twice_and_no_further() -> None:
+    """Fleet to region to depot to person."""
+    fleet = Fleet()
+    region, depot, shift, ann = Party("region"), Party("depot"), Party("shift"), Party("ann")
+    fleet.authority.grant(region, role=GrantRole.SITE, may_delegate=2)
+    region.grant(depot, role=GrantRole.SITE, may_delegate=1)
+    depot.grant(ann)
+    assert len(ann.chain) == STATEMENTS_MAX
+    assert reason_of(fleet.trust.judge(ann.chain, NOW_S)) is Reason.NONE
+    depot.grant(shift, role=GrantRole.SITE)
+    shift.grant(ann)
+    assert reason_of(fleet.trust.judge(ann.chain, NOW_S)) is Reason.NOT_GRANTED
+
+
+def test_what_the_authority_did_not_sign_is_not_believed() -> None:
+    """Another authority; the standby key, which signs no grants; a site that signed for another; a cut chain."""
+    fleet, ann = Fleet(), Party("ann")
+    Fleet().authority.grant(ann)
+    assert reason_of(fleet.trust.judge(ann.chain, NOW_S)) is Reason.GRANT_UNKNOWN
+    fleet.standby.grant(ann)
+    assert reason_of(fleet.trust.judge(ann.chain, NOW_S)) is Reason.GRANT_UNKNOWN
+    site, other = fleet.site(), fleet.site()
+    site.grant(ann)
+    assert reason_of(fleet.trust.judge([ann.chain[0], *other.chain], NOW_S)) is Reason.PROOF_WRONG
+    assert reason_of(fleet.trust.judge(ann.chain[:1], NOW_S)) is Reason.GRANT_UNKNOWN
+    assert reason_of(fleet.trust.judge([], NOW_S)) is Reason.GRANT_UNKNOWN
+
+
+@given(
+    depth=st.integers(0, 1),
+    place=st.integers(0, 10_000),
+    bit=st.integers(0, 7),
+    part=st.sampled_from(["body", "signature"]),
+)
+def test_a_bit_that_is_changed_anywhere_ends_a_chain(depth: int, place: int, bit: int, part: str) -> None:
+    """In a body or in a signature, of the grant or of the one above it."""
+    chain = list(SITE_CHAIN)
+    one = chain[depth]
+    changed = bytearray(getattr(one, part))
+    changed[place % len(changed)] ^= 1 << bit
+    chain[depth] = msgspec.structs.replace(one, **{part: bytes(changed)})
+    outcome = FLEET.trust.judge(chain, NOW_S)
+    assert isinstance(outcome, Objection)
+
+
+FLEET = Fleet()
+ANN = Party("ann")
+SITE_CHAIN = FLEET.site().grant(ANN)
+
+
+@pytest.mark.parametrize("offset_s", [-1, 0, DAY_S, DAY_S + 1])
+def test_a_grant_holds_from_its_first_to_its_last_second(offset_s: int) -> None:
+    """Both included."""
+    fleet = Fleet()
+    ann = fleet.operator(not_before=NOW_S, not_after=NOW_S + DAY_S)
+    expected = Reason.NONE if 0 <= offset_s <= DAY_S else Reason.GRANT_EXPIRED
+    assert reason_of(fleet.trust.judge(ann.chain, NOW_S + offset_s)) is expected
+
+
+def test_a_revoked_grant_ends_with_all_below_it() -> None:
+    """By its identifier, by its holder's key, by its signer's, or by epoch."""
+    fleet, ann = Fleet(), Party("ann")
+    site = fleet.site()
+    site.grant(ann)
+    sites, anns = (held(fleet.trust.judge(party.chain, NOW_S)) for party in (site, ann))
+    for revoked in (
+        fleet.authority.revoke(1, anns),
+        fleet.authority.revoke(1, sites),
+        fleet.authority.revoke(1, keys=(ann.key,)),
+        fleet.standby.revoke(1, keys=(site.key,)),
+        fleet.authority.revoke(1, epoch=1),
+    ):
+        trust = fleet.trust.revoke(revoked)
+        assert not isinstance(trust, Objection)
+        assert reason_of(trust.judge(ann.chain, NOW_S)) is Reason.GRANT_REVOKED
+        assert reason_of(trust.objection(anns, NOW_S)) is Reason.GRANT_REVOKED
+    other = fleet.operator("bob", epoch=1)
+    trust = fleet.trust.revoke(fleet.authority.revoke(1, sites, epoch=1))
+    assert not isinstance(trust, Objection)
+    assert reason_of(trust.judge(other.chain, NOW_S)) is Reason.NONE
+
+
+def test_a_list_of_revocations_is_the_authoritys_and_newer() -> None:
+    """An older list, the same again and one of anybody else change nothing; an epoch never falls."""
+    fleet = Fleet()
+    trust = fleet.trust.revoke(fleet.authority.revoke(7, epoch=3))
+    assert not isinstance(trust, Objection)
+    assert trust.epoch == 3
+    for serial in (6, 7):
+        assert reason_of(trust.revoke(fleet.authority.revoke(serial))) is Reason.REPLAYED
+    assert reason_of(trust.revoke(fleet.site().revoke(8))) is Reason.PROOF_WRONG
+    forged = msgspec.structs.replace(fleet.authority.revoke(8), signature=bytes(64))
+    assert reason_of(trust.revoke(forged)) is Reason.PROOF_WRONG
+    newer = trust.revoke(fleet.authority.revoke(8))
+    assert not isinstance(newer, Objection)
+    assert newer.epoch == 3
+
+
+def test_the_standby_key_replaces_a_stolen_authority() -> None:
+    """All that the old key signed ends; nobody but the standby key can do it."""
+    fleet, active, standby = Fleet(), Party("active"), Party("standby")
+    ann = fleet.operator()
+    anns = held(fleet.trust.judge(ann.chain, NOW_S))
+    assert reason_of(fleet.trust.rotate(fleet.authority.rotate(1, active, standby))) is Reason.PROOF_WRONG
+    forged = msgspec.structs.replace(fleet.standby.rotate(1, active, standby), signature=bytes(64))
+    assert reason_of(fleet.trust.rotate(forged)) is Reason.PROOF_WRONG
+    rotation = fleet.standby.rotate(1, active, standby)
+    trust = fleet.trust.rotate(rotation)
+    assert not isinstance(trust, Objection)
+    assert reason_of(trust.objection(anns, NOW_S)) is Reason.GRANT_REVOKED
+    assert reason_of(trust.judge(ann.chain, NOW_S)) is Reason.GRANT_UNKNOWN
+    active.grant(ann)
+    assert reason_of(trust.judge(ann.chain, NOW_S)) is Reason.NONE
+    assert reason_of(trust.rotate(rotation)) is Reason.PROOF_WRONG  # the old standby is nobody now
+    assert reason_of(trust.rotate(standby.rotate(1, active, standby))) is Reason.REPLAYED
+
+
+def test_statements_of_another_kind_do_nothing() -> None:
+    """A grant revokes nothing, a list grants nothing."""
+    fleet, ann = Fleet(), Fleet().operator()
+    trust = fleet.trust
+    assert reason_of(trust.revoke(ann.chain[0])) is Reason.MALFORMED
+    assert reason_of(trust.rotate(ann.chain[0])) is Reason.MALFORMED
+    assert reason_of(trust.judge([fleet.authority.revoke(1)], NOW_S)) is Reason.MALFORMED
+    assert reason_of(trust.time_of(ann.chain, bytes(8), NOW_S)) is Reason.MALFORMED
+
+
+def time_chain(signer: Party, challenge: bytes, at: int) -> list[Signed]:
+    """The time as somebody states it."""
+    return [signer.sign(TimeStatement(challenge=challenge.hex(), at=at)), *signer.chain]
+
+
+def test_a_site_states_the_time_to_who_asked_and_no_later_than_it_is_granted() -> None:
+    """Anybody else, and an answer to another question, is refused."""
+    fleet, asked = Fleet(), b"question"
+    site = fleet.site(not_after=NOW_S + 50)
+    trust = fleet.trust
+    assert trust.time_of(time_chain(site, asked, NOW_S + 7), asked, NOW_S) == NOW_S + 7
+    assert trust.time_of(time_chain(site, asked, NOW_S + DAY_S), asked, NOW_S) == NOW_S + 50
+    assert trust.time_of(time_chain(fleet.authority, asked, NOW_S + 7), asked, NOW_S) == NOW_S + 7
+    assert reason_of(trust.time_of(time_chain(site, b"another!", NOW_S), asked, NOW_S)) is Reason.REPLAYED
+    forged = time_chain(site, asked, NOW_S)
+    forged[0] = msgspec.structs.replace(forged[0], signature=bytes(64))
+    assert reason_of(trust.time_of(forged, asked, NOW_S)) is Reason.PROOF_WRONG
+    assert reason_of(trust.time_of(time_chain(fleet.operator(), asked, NOW_S), asked, NOW_S)) is Reason.NOT_GRANTED
+    mixed = [time_chain(fleet.site(), asked, NOW_S)[0], *site.chain]
+    assert reason_of(trust.time_of(mixed, asked, NOW_S)) is Reason.NOT_GRANTED
+    assert reason_of(trust.time_of(time_chain(Party(), asked, NOW_S), asked, NOW_S)) is Reason.GRANT_UNKNOWN
+    expired = fleet.site(not_after=NOW_S - 1)
+    assert reason_of(trust.time_of(time_chain(expired, asked, NOW_S), asked, NOW_S)) is Reason.GRANT_EXPIRED
+
+
+def test_a_chain_is_read_as_it_was_written() -> None:
+    """Comments and blank lines say nothing."""
+    assert read_chain(chain_text(SITE_CHAIN).encode()) == SITE_CHAIN
+    assert read_chain(b"# of Ann\n\n" + chain_text(SITE_CHAIN).encode()) == SITE_CHAIN
+
+
+@given(st.binary(max_size=400))
+def test_whatever_is_no_chain_is_a_fault_and_no_exception(text: bytes) -> None:
+    """It comes from anyone."""
+    assert isinstance(read_chain(text), StatementFault)
+
+
+@given(st.integers(0, 10_000), st.binary(max_size=3))
+def test_a_damaged_chain_never_raises_nor_holds(place: int, instead: bytes) -> None:
+    """Wherever it is damaged."""
+    text = chain_text(SITE_CHAIN).encode()
+    at = place % len(text)
+    damaged = text[:at] + instead + text[at + max(1, len(instead)) :]
+    chain = read_chain(damaged)
+    if chain != SITE_CHAIN and not isinstance(chain, StatementFault):
+        assert isinstance(FLEET.trust.judge(chain, NOW_S), Objection)
+
+
+@pytest.mark.parametrize(
+    ("text", "detail"),
+    [
+        (chain_text(SITE_CHAIN) * 2, "more than 3"),
+        ("x" * 20_000, "longer than"),
+        ('{"kind":"grant"}\n', "pairs"),
+        ('{"kind":"grant"}\ned25519 00 00\n', "not followed by its signature"),
+        (chain_text(SITE_CHAIN).replace('"serial":1', '"serial":1,"only_on_sundays":true'), "only_on_sundays"),
+    ],
+)
+def test_what_is_wrong_with_a_text_is_said(text: str, detail: str) -> None:
+    """A field that is not known is an error: it may restrict."""
+    fault = read_chain(text.encode())
+    assert isinstance(fault, StatementFault)
+    assert detail in fault.detail
+
+
+@pytest.mark.parametrize(
+    ("pattern", "robot", "is_covered"),
+    [
+        ("*", "cruiser-1", True),
+        ("cruiser-1", "cruiser-1", True),
+        ("cruiser-1", "cruiser-10", False),
+        ("cruiser-*", "cruiser-10", True),
+        ("cruiser-*", "truck-1", False),
+        ("*-1", "cruiser-1", True),
+        ("*-1", "cruiser-12", False),
+        ("c*-*1", "cruiser-21", True),
+        ("", "cruiser-1", False),
+    ],
+)
+def test_a_pattern_covers_whole_names(pattern: str, robot: str, *, is_covered: bool) -> None:
+    """The star stands for any letters, nothing else for any other."""
+    fields = {"serial": 1, "name": "a", "key": "", "role": GrantRole.OPERATOR, "not_before": 0, "not_after": 0}
+    assert Grant(robots=[pattern], **fields).covers(robot) is is_covered  # type: ignore[arg-type]
