@@ -246,8 +246,8 @@ TEXTS: Final[dict[Reason, Text]] = {
     ),
     Reason.UNAUTHENTICATED: Text(
         "the gateway can be reached from other machines, and does not know who commands it",
-        "give it keys with 'cruiser provision robot', and set authority.mode to signed; or let it listen on and "
-        "connect to 127.0.0.1 alone",
+        "give it keys with 'cruiser provision robot ROBOT', and set authority.mode to signed; or let it listen "
+        "on and connect to 127.0.0.1 alone",
     ),
     Reason.SELF_TEST: Text(
         "the gateway's own test of its access control has failed",
@@ -255,7 +255,7 @@ TEXTS: Final[dict[Reason, Text]] = {
     ),
     Reason.AUTHORITY_STALE: Text(
         "nothing was heard from the authority for too long, so what was revoked meanwhile is not known",
-        "connect the robot to its site; 'cruiser provision time' answers it",
+        "connect the robot to its site; 'cruiser provision time --robot ROBOT' answers it",
     ),
     Reason.PROOF_MISSING: Text(
         "the request is not signed", "command it with an operator's key: see docs/authority.md"

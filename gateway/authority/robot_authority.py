@@ -65,17 +65,31 @@ class Kept(msgspec.Struct, frozen=True):
 
 
 def trust_of(trust: Trust, kept: Kept) -> Trust | Objection:
-    """The trust that a robot was provisioned with, after all that it has taken over since."""
+    """The trust that a robot was provisioned with, after all that it has taken over since.
+
+    The list of revocations came before, between or after the rotations: it belongs where its signer counted.
+    """
+    steps: list[Signed] = []
     for text in (*kept.rotations, *filter(None, [kept.revocations])):
         chain = read_chain(text.encode())
         if isinstance(chain, StatementFault):
             return Objection(Reason.MALFORMED, chain.detail)
-        is_rotation = isinstance(chain[0].statement, Rotation)
-        newer = trust.rotate(chain[0]) if is_rotation else trust.revoke(chain[0])
+        steps.append(chain[0])
+    revocations = steps.pop() if kept.revocations else None
+    refusal: Objection | None = None
+    for rotation in (None, *steps):
+        newer = trust if rotation is None else trust.rotate(rotation)
         if isinstance(newer, Objection):
             return newer
         trust = newer
-    return trust
+        if revocations is None:
+            continue
+        revoked = trust.revoke(revocations)
+        if isinstance(revoked, Objection):
+            refusal = revoked
+        else:
+            trust, revocations = revoked, None
+    return trust if revocations is None or refusal is None else refusal
 
 
 class AuthorityEffects(msgspec.Struct):

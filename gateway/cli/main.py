@@ -42,6 +42,8 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "light": ("gateway.cli.verbs:LIGHT", "headlamp and indicators"),
     "horn": ("gateway.cli.verbs:HORN", "sound the horn"),
     "odometer": ("gateway.cli.verbs:ODOMETER", "set the total mileage to zero"),
+    "router": ("gateway.cli.router", "where robots and people meet: a Zenoh router with access by role"),
+    "provision": ("gateway.cli.provision", "keys, certificates and grants: who is who, and who may do what"),
     "decode": ("gateway.cli.decode", "candump lines to JSON lines"),
     "review": ("recorder.cli.review.command", "turn a log into answers"),
 }

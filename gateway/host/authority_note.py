@@ -34,9 +34,7 @@ class AuthorityNote:
     @classmethod
     def of(cls, settings: Settings, environment: Mapping[str, str] = os.environ) -> Self:
         """The file of the robot that the settings name."""
-        directory = state_directory(settings.gateway.state_dir, environment)
-        robot = f"{settings.robot.root}/{settings.robot.name}".replace("/", ".")
-        return cls(None if directory is None else directory / f"{robot}.authority.json")
+        return cls(note_path(settings, environment))
 
     def read(self) -> Kept | str:
         """What was saved last; nothing if there is no file. Words that say why it cannot be read."""
@@ -76,3 +74,10 @@ class AuthorityNote:
             file.flush()
             os.fsync(file.fileno())
         unfinished.replace(self.path)
+
+
+def note_path(settings: Settings, environment: Mapping[str, str]) -> Path | None:
+    """Where the file of the robot that the settings name is; None if there is no directory for it."""
+    directory = state_directory(settings.gateway.state_dir, environment)
+    robot = f"{settings.robot.root}/{settings.robot.name}".replace("/", ".")
+    return None if directory is None else directory / f"{robot}.authority.json"

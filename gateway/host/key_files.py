@@ -16,7 +16,8 @@ from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
-from schemas.authority.statement import KeyHex, Signed, StatementFault, read_chain
+from gateway.authority.enrolment import AuthorityKeys
+from schemas.authority.statement import Signed, StatementFault, read_chain
 from schemas.authority.trust import Trust
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import AuthoritySettings
@@ -27,13 +28,6 @@ KEY_FILE, GRANT_FILE, AUTHORITY_FILE = "{who}.key", "{who}.grant", "authority.js
 
 OTHERS: Final = stat.S_IRWXG | stat.S_IRWXO
 """Permissions that nobody but the owner may have on a private key."""
-
-
-class AuthorityKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The fleet's authority, as a machine was told of it when it was provisioned: ``authority.json``."""
-
-    active: KeyHex
-    standby: KeyHex
 
 
 class Identity(msgspec.Struct, frozen=True):

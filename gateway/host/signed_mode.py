@@ -14,7 +14,7 @@ from gateway.core import Core
 from gateway.host.authority_note import AuthorityNote
 from gateway.host.key_files import directory_of, read_identity
 from schemas.authority.statement import GrantRole, Signed, read_chain
-from schemas.authority.trust import Objection
+from schemas.authority.trust import Objection, Trust
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.reasons import TEXTS
 from schemas.settings import Settings
@@ -54,7 +54,7 @@ class SignedMode:
             SignedAdmission(settings, trust, signer, core.challenge_age_ns),
             signer,
             TimeFloor(kept.floor_s, boot_ns),
-            _own(identity.chain, kept, settings),
+            _own(identity.chain, kept, trust, settings),
             kept,
         )
 
@@ -67,10 +67,16 @@ class SignedMode:
         self._note.close()
 
 
-def _own(provisioned: list[Signed], kept: Kept, settings: Settings) -> list[Signed]:
-    """The chain of the robot's own grant, the one that it was given last."""
+def _own(provisioned: list[Signed], kept: Kept, trust: Trust, settings: Settings) -> list[Signed]:
+    """The chain of the robot's own grant: of what it was shown and what was installed, what holds, and longer."""
     renewed = read_chain(kept.own.encode()) if kept.own else provisioned
-    chain = renewed if isinstance(renewed, list) else provisioned
+    now_s = int(time.time())
+
+    def worth(chain: list[Signed]) -> tuple[bool, int]:
+        held = trust.judge(chain, now_s)
+        return (False, 0) if isinstance(held, Objection) else (True, held.not_after)
+
+    chain = max(renewed, provisioned, key=worth) if isinstance(renewed, list) else provisioned
     grant = chain[0].statement
     if getattr(grant, "role", None) is not GrantRole.ROBOT or getattr(grant, "name", "") != settings.robot.name:
         raise CommandError(

@@ -115,7 +115,11 @@ class Trust(msgspec.Struct, frozen=True):
         )
 
     def rotate(self, signed: Signed) -> Trust | Objection:
-        """The trust after a rotation; a refusal if it is no newer one of the standby key."""
+        """The trust after a rotation; a refusal if it is no newer one of the standby key.
+
+        What a former authority revoked ends with what it granted: a thief of its key may have signed a list that
+        revokes all robots, under the highest serial and the highest epoch that there are.
+        """
         new = signed.statement
         if not isinstance(new, Rotation):
             return Objection(Reason.MALFORMED, "it is no rotation")
@@ -123,12 +127,15 @@ class Trust(msgspec.Struct, frozen=True):
             return Objection(Reason.PROOF_WRONG, "it is not signed by the standby key")
         if new.serial <= self.rotation:
             return Objection(Reason.REPLAYED, f"rotation {new.serial} after {self.rotation}")
+        is_former = self.active != bytes.fromhex(new.active)
         return msgspec.structs.replace(
             self,
+            list_serial=0 if is_former else self.list_serial,
+            revoked=frozenset() if is_former else self.revoked,
             active=bytes.fromhex(new.active),
             standby=bytes.fromhex(new.standby),
             rotation=new.serial,
-            epoch=max(self.epoch, new.epoch),
+            epoch=new.epoch if is_former else max(self.epoch, new.epoch),
         )
 
     def time_of(self, chain: list[Signed], challenge: bytes, now_s: int) -> int | Objection:

@@ -72,3 +72,14 @@ def test_the_recorder_records_into_the_directory_that_it_may_write_to() -> None:
     assert directory == f"/var/lib/{recorder['StateDirectory']}"
     assert recorder["Restart"] == "always"
     assert recorder["ExecReload"].split()[1:] == ["-HUP", "$MAINPID"]
+
+
+def test_the_routers_command_exists() -> None:
+    """With the directory that its first lines say how to fill; it comes back whatever ended it."""
+    service = section("cruiser-router.service")
+    program, command, *words = service["ExecStart"].split()
+    assert (program, command) == ("/opt/cruiser/bin/cruiser", "router")
+    parser = argparse.ArgumentParser()
+    import_module(COMMANDS[command][0]).add_arguments(parser)
+    assert vars(parser.parse_args(words))["authority.directory"] == "/etc/cruiser"
+    assert service["Restart"] == "always"

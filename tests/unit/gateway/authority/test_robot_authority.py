@@ -81,6 +81,19 @@ def test_a_rotation_is_kept_and_ends_the_robots_own_grant_until_it_gets_a_new_on
     assert trust.active == active.key
 
 
+@pytest.mark.parametrize("first", ["authority", "standby", "new"])
+def test_a_restart_finds_what_was_revoked_before_and_after_a_rotation(first: str) -> None:
+    """Whoever signed the list: the authority of before, the standby, or the new authority."""
+    bench, active, standby = AuthorityBench(), Party(), Party()
+    signer = {"authority": bench.fleet.authority, "standby": bench.fleet.standby, "new": active}[first]
+    shown = [bench.fleet.standby.rotate(1, active, standby), signer.revoke(5, keys=(standby.key,))]
+    for signed in shown if first == "new" else reversed(shown):
+        assert bench.show(signed.text()).ok
+    effects = bench.tick()
+    assert effects.kept is not None
+    assert trust_of(bench.fleet.trust, effects.kept) == bench.authority.admission.trust
+
+
 @pytest.mark.parametrize("kept", [Kept(revocations="x"), Kept(rotations=["x"])])
 def test_a_damaged_note_is_no_trust(kept: Kept) -> None:
     """Nor is one that somebody else wrote."""

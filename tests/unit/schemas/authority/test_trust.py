@@ -193,6 +193,34 @@ def test_the_standby_key_replaces_a_stolen_authority() -> None:
     assert reason_of(trust.rotate(standby.rotate(1, active, standby))) is Reason.REPLAYED
 
 
+def test_a_thief_of_the_authority_bars_nobody_from_the_next_one() -> None:
+    """Its list revokes the robot under the highest serial and epoch; after the rotation none of it counts."""
+    fleet, active, standby, robot = Fleet(), Party("active"), Party("standby"), Party("cruiser-1")
+    highest = 2**53 - 1
+    stolen = fleet.trust.revoke(fleet.authority.revoke(highest, keys=(robot.key,), epoch=highest))
+    assert not isinstance(stolen, Objection)
+    trust = stolen.rotate(fleet.standby.rotate(1, active, standby))
+    assert not isinstance(trust, Objection)
+    active.grant(robot, role=GrantRole.ROBOT, robots=["cruiser-1"])
+    assert reason_of(trust.judge(robot.chain, NOW_S)) is Reason.NONE
+    revoked = trust.revoke(active.revoke(1, keys=(robot.key,)))
+    assert not isinstance(revoked, Objection)
+    assert reason_of(revoked.judge(robot.chain, NOW_S)) is Reason.GRANT_REVOKED
+    assert reason_of(revoked.revoke(fleet.authority.revoke(highest))) is Reason.PROOF_WRONG
+
+
+def test_a_new_standby_ends_nothing() -> None:
+    """Where the authority stays, so does what it revoked, and its epoch."""
+    fleet, standby = Fleet(), Party("standby")
+    ann = fleet.operator()
+    revoked = fleet.trust.revoke(fleet.authority.revoke(7, keys=(ann.key,), epoch=3))
+    assert not isinstance(revoked, Objection)
+    trust = revoked.rotate(fleet.standby.rotate(1, fleet.authority, standby))
+    assert not isinstance(trust, Objection)
+    assert (trust.list_serial, trust.epoch, trust.standby) == (7, 3, standby.key)
+    assert reason_of(trust.judge(ann.chain, NOW_S)) is Reason.GRANT_REVOKED
+
+
 def test_statements_of_another_kind_do_nothing() -> None:
     """A grant revokes nothing, a list grants nothing."""
     fleet, ann = Fleet(), Fleet().operator()

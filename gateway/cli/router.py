@@ -1,0 +1,75 @@
+"""``cruiser router``: where robots and people meet. It passes on what each role may say, and nothing else."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from gateway.host.key_files import directory_of
+from gateway.host.tls_files import check_tls_files
+from gateway.zenoh.client import close_session
+from gateway.zenoh.router import open_router
+from schemas.arguments import ending_after, seconds
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
+from schemas.settings import Settings
+
+EXAMPLE: Final = """\
+  cruiser router
+  cruiser router --zenoh-config router.json5 --listen tls/0.0.0.0:7447
+  zenohd -c ~/.config/cruiser/router.json5         the same, with Zenoh's own router"""
+
+log = logging.getLogger(__name__)
+
+FILE: Final = "router.json5"
+
+POLL_S: Final = 0.1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    parser.add_argument(
+        "--zenoh-config",
+        dest="zenoh.config",
+        metavar="FILE",
+        help=f"its Zenoh file ({FILE} of the directory, as 'cruiser provision' made it)",
+    )
+    parser.add_argument(
+        "--directory",
+        dest="authority.directory",
+        metavar="DIR",
+        help="of keys and certificates (~/.config/cruiser)",
+    )
+    parser.add_argument(
+        "--listen", dest="zenoh.listen", metavar="ENDPOINT", action="append", help="instead of the file's"
+    )
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after this time")
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Route until it is stopped.
+
+    Raises:
+        CommandError: the file is missing or wrong, or an endpoint cannot be used.
+    """
+    file = Path(settings.zenoh.config) if settings.zenoh.config else directory_of(settings.authority) / FILE
+    if not file.is_file():
+        raise CommandError(f"{plain(str(file))} is not there; 'cruiser provision router' makes it", ExitCode.USAGE)
+    warning = check_tls_files(file, "router", time.time())
+    if warning:
+        log.warning("%s", warning)
+    session, endpoints = open_router(file, list(settings.zenoh.listen))
+    try:
+        sys.stderr.write(f"router: listens on {plain(', '.join(endpoints))}\n")
+        sys.stderr.flush()
+        ends = ending_after(stopped, arguments.seconds, time.monotonic)
+        while not ends():
+            time.sleep(POLL_S)
+    finally:
+        close_session(session)
+    return int(ExitCode.OK)

@@ -1,0 +1,157 @@
+"""``cruiser provision show`` and ``time``: what the authority states, shown to robots, and what they answer."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import msgspec
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from gateway.authority.enrolment import AuthorityKeys, EnrolmentError, chain_of
+from gateway.authority.operator_proof import OperatorProof
+from gateway.host.issuer import Issuer
+from gateway.host.key_files import AUTHORITY_FILE
+from gateway.host.key_store import KeyStore, read_input
+from gateway.host.machine_keys import ZENOH_FILE
+from gateway.telemetry.received import Received
+from gateway.zenoh.statements import StatementPort
+from schemas.authority.statement import Revocations, Rotation, Signed, chain_text
+from schemas.codec import PAYLOAD_ERRORS
+from schemas.decisions import StatementReply
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
+from schemas.reasons import TEXTS, Reason
+from schemas.settings import Settings
+
+SENDERS: Final = ("desk", "operator")
+"""Whose certificate is used for it, where the settings say none."""
+
+Stopped = Callable[[], bool]
+
+
+class _Answer(msgspec.Struct, frozen=True):
+    """What became of a statement at one robot."""
+
+    text: str
+    code: ExitCode
+
+
+def run_show(arguments: argparse.Namespace, settings: Settings, store: KeyStore, stopped: Stopped) -> ExitCode:
+    """Show robots a statement, once or again and again.
+
+    Raises:
+        CommandError: the file holds no statement, or Zenoh cannot be opened.
+    """
+    file = Path(arguments.statement)
+    try:
+        chain = chain_of(read_input(file))
+    except EnrolmentError as error:
+        raise CommandError(f"{plain(str(file))}: {error}", ExitCode.USAGE) from error
+
+    def show(port: StatementPort, robot: str) -> _Answer:
+        reply = port.show(robot, chain_text(chain).encode(), arguments.timeout)
+        return _judge(reply, robot, chain, settings, store)
+
+    return _round(arguments, _reaching(settings, store), stopped, show)
+
+
+def run_time(arguments: argparse.Namespace, settings: Settings, store: KeyStore, stopped: Stopped) -> ExitCode:
+    """Tell robots the time, once or again and again.
+
+    Raises:
+        CommandError: neither an authority nor a site is here, or Zenoh cannot be opened.
+    """
+    issuer = Issuer.open(store)
+
+    def tell(port: StatementPort, robot: str) -> _Answer:
+        challenge = port.challenge(robot, arguments.timeout, stopped)
+        if challenge is None:
+            return _Answer("publishes no state", ExitCode.UNREACHABLE)
+        chain = issuer.state_time(challenge, int(time.time()))
+        return _judge(
+            port.show(robot, chain_text(chain).encode(), arguments.timeout), robot, chain, settings, store
+        )
+
+    return _round(arguments, _reaching(settings, store), stopped, tell)
+
+
+def _round(
+    arguments: argparse.Namespace,
+    settings: Settings,
+    stopped: Stopped,
+    act: Callable[[StatementPort, str], _Answer],
+) -> ExitCode:
+    with StatementPort.open(settings) as port:
+        while True:
+            robots = arguments.robot or port.robots(arguments.timeout)
+            answers = {robot: act(port, robot) for robot in robots if not stopped()}
+            for robot, answer in answers.items():
+                sys.stdout.write(f"{robot}: {plain(answer.text)}\n")
+            if not robots:
+                sys.stderr.write("no robot is connected\n")
+            sys.stdout.flush()
+            if arguments.every is None or stopped():
+                return _code([answer.code for answer in answers.values()])
+            next_s = time.monotonic() + arguments.every
+            while time.monotonic() < next_s and not stopped():
+                time.sleep(0.1)
+            if stopped():
+                return ExitCode.OK
+
+
+def _code(codes: list[ExitCode]) -> ExitCode:
+    if not codes:
+        return ExitCode.UNREACHABLE
+    return codes[0] if len(set(codes)) == 1 else ExitCode.PARTIAL
+
+
+def _judge(
+    reply: Received | None, robot: str, chain: list[Signed], settings: Settings, store: KeyStore
+) -> _Answer:
+    if reply is None:
+        return _Answer("does not answer", ExitCode.UNREACHABLE)
+    try:
+        said = msgspec.msgpack.decode(reply.payload, type=StatementReply)
+    except PAYLOAD_ERRORS as error:
+        return _Answer(f"its answer cannot be read: {error}", ExitCode.FAILURE)
+    doubt = _doubt(reply, robot, chain, said, settings, store)
+    if doubt:
+        return _Answer(f"{'yes' if said.ok else 'no'}, and the answer is not proven: {doubt}", ExitCode.FAILURE)
+    if said.ok:
+        return _Answer("taken over", ExitCode.OK)
+    if said.reason is Reason.REPLAYED and isinstance(chain[0].statement, Revocations | Rotation):
+        return _Answer(f"has it, or a newer one ({said.detail})", ExitCode.OK)
+    return _Answer(f"refused: {said.detail}; {said.cure}", ExitCode.REFUSED)
+
+
+def _doubt(
+    reply: Received, robot: str, chain: list[Signed], said: StatementReply, settings: Settings, store: KeyStore
+) -> str:
+    """Why the answer may be somebody else's; empty if the robot signed it."""
+    if not store.has(AUTHORITY_FILE):
+        return f"{store.path(AUTHORITY_FILE)} is not there"
+    trust = store.read_as(AUTHORITY_FILE, AuthorityKeys, "'cruiser provision install' writes it").trust()
+    # A key of its own: nothing is signed with it.
+    proof = OperatorProof(
+        Ed25519PrivateKey.generate(), chain, trust, settings.robot.root, lambda: int(time.time())
+    )
+    refusal = proof.meet(robot, reply)
+    if refusal is None or (not said.ok and refusal.reason is said.reason and refusal.detail == said.detail):
+        return ""
+    return f"{TEXTS[refusal.reason].means}: {refusal.detail}"
+
+
+def _reaching(settings: Settings, store: KeyStore) -> Settings:
+    """The settings, with the Zenoh file of who is provisioned here where they name none."""
+    if settings.zenoh.config:
+        return settings
+    found = [name for who in SENDERS if store.has(name := ZENOH_FILE.format(who=who))]
+    if not found:
+        return settings
+    zenoh = msgspec.structs.replace(settings.zenoh, config=str(store.path(found[0])))
+    return msgspec.structs.replace(settings, zenoh=zenoh)

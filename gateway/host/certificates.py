@@ -1,0 +1,266 @@
+"""Certificates of the network: its authority (CA), requests, and certificates of nodes. X.509 on P-256.
+
+The common name (CN) is the node's role, by which access is ruled; its names, of hosts or nodes, are the subject's
+alternative names (SAN). A role that only dials out gets a certificate that no client accepts from a server.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from typing import Final
+
+import msgspec
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.hashes import SHA256
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from gateway.authority.transport import LISTENING, TransportRole
+
+LEAF_DAYS: Final = 30
+"""Life of a node's certificate."""
+
+RENEW_S: Final = LEAF_DAYS * 86_400 / 3
+"""It is time to renew when no more than this is left."""
+
+CA_DAYS: Final = 3653
+
+BACKDATED: Final = timedelta(minutes=5)
+"""A certificate counts from a little before: no two clocks are the same."""
+
+SITE: Final = "site"
+"""Common name of a site's own authority, which makes certificates for people alone."""
+
+NAME_PATTERN: Final = r"[A-Za-z0-9_.:-]{1,64}"
+
+_CLIENT, _SERVER = ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH
+
+
+class CertificateError(ValueError):
+    """A request, certificate or key that cannot be used. The text says why, for a person."""
+
+
+class Applicant(msgspec.Struct, frozen=True):
+    """What a request for a certificate says, its signature checked.
+
+    Attributes:
+        role: the common name.
+        names: of hosts or of the node.
+    """
+
+    role: str
+    names: list[str]
+
+
+def new_key() -> ec.EllipticCurvePrivateKey:
+    """A key on P-256, the curve that every TLS library has."""
+    return ec.generate_private_key(ec.SECP256R1())
+
+
+def new_authority(key: ec.EllipticCurvePrivateKey, now_s: int) -> str:
+    """The certificate of a new authority, self-signed, PEM."""
+    name = _name("cruiser transport authority")
+    builder = _builder(name, name, key.public_key(), now_s, now_s + CA_DAYS * 86_400)
+    made = _as_authority(builder, 1).sign(key, SHA256())
+    return _pem(made)
+
+
+def new_request(key: ec.EllipticCurvePrivateKey, role: str, names: Sequence[str]) -> str:
+    """A request (CSR, PKCS #10) for a certificate, PEM: signed by the key that it is for."""
+    builder = x509.CertificateSigningRequestBuilder().subject_name(_name(role))
+    return _pem(builder.add_extension(_alternatives(names), critical=False).sign(key, SHA256()))
+
+
+def read_request(text: str) -> Applicant:
+    """Who asks for a certificate.
+
+    Raises:
+        CertificateError: it is no request, or not signed by its own key.
+    """
+    return _applicant(_request(text))
+
+
+def issue(text: str, role: TransportRole, certificates: str, key: ec.EllipticCurvePrivateKey, now_s: int) -> str:
+    """The certificate that is asked for, followed by those of the authorities between it and the CA, PEM.
+
+    Args:
+        text: the request. Its names and its key are taken over; what else it wants is not.
+        role: what the node is.
+        certificates: of the authority that signs, and of those above it.
+        key: of the authority that signs.
+        now_s: seconds since 1970.
+
+    Raises:
+        CertificateError: the request, or the authority's certificate, cannot be used.
+    """
+    request, above = _request(text), read_certificates(certificates)
+    usage = [_SERVER, _CLIENT] if role in LISTENING else [_CLIENT]
+    until_s = min(now_s + LEAF_DAYS * 86_400, expires_s(above[0]))
+    builder = _builder(_name(role.value), above[0].subject, _public_key(request), now_s, until_s)
+    builder = (
+        builder.add_extension(_alternatives(_applicant(request).names), critical=False)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(x509.ExtendedKeyUsage(usage), critical=False)
+    )
+    made = _identified(builder, _public_key(request), above[0], key).sign(key, SHA256())
+    return "".join(map(_pem, (made, *_between(above))))
+
+
+def issue_site(text: str, certificates: str, key: ec.EllipticCurvePrivateKey, now_s: int, until_s: int) -> str:
+    """The certificate of a site's authority, PEM: it may make certificates that are a client's, no further CA.
+
+    Raises:
+        CertificateError: see ``issue``.
+    """
+    request, above = _request(text), read_certificates(certificates)
+    name = _name(f"{SITE} {_applicant(request).names[0]}")
+    builder = _builder(name, above[0].subject, _public_key(request), now_s, min(until_s, expires_s(above[0])))
+    builder = _as_authority(builder, 0).add_extension(x509.ExtendedKeyUsage([_CLIENT]), critical=False)
+    made = _identified(builder, _public_key(request), above[0], key).sign(key, SHA256())
+    return "".join(map(_pem, (made, *_between(above))))
+
+
+def read_certificates(text: str) -> list[x509.Certificate]:
+    """The certificates of a PEM file, at least one.
+
+    Raises:
+        CertificateError: there is none, or one is damaged.
+    """
+    try:
+        return x509.load_pem_x509_certificates(text.encode())
+    except (ValueError, UnsupportedAlgorithm) as error:
+        raise CertificateError("it is no certificate") from error
+
+
+def fits(certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> bool:
+    """Is it the certificate of this key?"""
+    return _raw(certificate.public_key()) == _raw(key.public_key())
+
+
+def expires_s(certificate: x509.Certificate) -> int:
+    """The end of a certificate, seconds since 1970."""
+    return int(certificate.not_valid_after_utc.timestamp())
+
+
+def names_of(certificate: x509.Certificate) -> list[str]:
+    """The alternative names of a certificate: host names and addresses."""
+    try:
+        found = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except x509.ExtensionNotFound:
+        return []
+    return _names(found)
+
+
+def _request(text: str) -> x509.CertificateSigningRequest:
+    try:
+        request = x509.load_pem_x509_csr(text.encode())
+        is_signed = request.is_signature_valid
+    except (ValueError, UnsupportedAlgorithm, InvalidSignature) as error:
+        raise CertificateError("it holds no request for a certificate") from error
+    if not is_signed:
+        raise CertificateError("the request for a certificate is not signed by its own key")
+    _public_key(request)
+    return request
+
+
+def _applicant(request: x509.CertificateSigningRequest) -> Applicant:
+    commons = request.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    try:
+        names = _names(request.extensions.get_extension_for_class(x509.SubjectAlternativeName).value)
+    except (x509.ExtensionNotFound, ValueError) as error:
+        raise CertificateError("the request for a certificate has no name") from error
+    if len(commons) != 1 or not names or not all(re.fullmatch(NAME_PATTERN, name) for name in names):
+        raise CertificateError("the request for a certificate has no role or no name")
+    return Applicant(str(commons[0].value), names)
+
+
+def _public_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePublicKey:
+    key = request.public_key()
+    if not isinstance(key, ec.EllipticCurvePublicKey) or not isinstance(key.curve, ec.SECP256R1):
+        raise CertificateError("the request for a certificate is not of a key on P-256")
+    return key
+
+
+def _names(found: x509.SubjectAlternativeName) -> list[str]:
+    hosts = found.get_values_for_type(x509.DNSName)
+    return [*hosts, *map(str, found.get_values_for_type(x509.IPAddress))]
+
+
+def _alternatives(names: Sequence[str]) -> x509.SubjectAlternativeName:
+    return x509.SubjectAlternativeName([_general_name(name) for name in names])
+
+
+def _general_name(name: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(name))
+    except ValueError:
+        return x509.DNSName(name)
+
+
+def _name(common: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common)])
+
+
+def _builder(
+    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey, now_s: int, until_s: int
+) -> x509.CertificateBuilder:
+    if until_s <= now_s:
+        raise CertificateError("the certificate of the authority is over")
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(datetime.fromtimestamp(now_s, UTC) - BACKDATED)
+        .not_valid_after(datetime.fromtimestamp(until_s, UTC))
+    )
+
+
+def _as_authority(builder: x509.CertificateBuilder, path_length: int) -> x509.CertificateBuilder:
+    usage = x509.KeyUsage(
+        digital_signature=False,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=True,
+        crl_sign=True,
+        encipher_only=False,
+        decipher_only=False,
+    )
+    constraints = x509.BasicConstraints(ca=True, path_length=path_length)
+    return builder.add_extension(constraints, critical=True).add_extension(usage, critical=True)
+
+
+def _identified(
+    builder: x509.CertificateBuilder,
+    key: ec.EllipticCurvePublicKey,
+    above: x509.Certificate,
+    signer: ec.EllipticCurvePrivateKey,
+) -> x509.CertificateBuilder:
+    if not fits(above, signer):
+        raise CertificateError("the authority's key is not that of its certificate")
+    own = x509.SubjectKeyIdentifier.from_public_key(key)
+    authority = x509.AuthorityKeyIdentifier.from_issuer_public_key(signer.public_key())
+    return builder.add_extension(own, critical=False).add_extension(authority, critical=False)
+
+
+def _between(certificates: list[x509.Certificate]) -> list[x509.Certificate]:
+    """Those that are no root: who checks a certificate has the root, and nothing below it."""
+    return [one for one in certificates if one.subject != one.issuer]
+
+
+def _raw(key: object) -> bytes:
+    if not isinstance(key, ec.EllipticCurvePublicKey):
+        return b""
+    return key.public_bytes(Encoding.X962, PublicFormat.UncompressedPoint)
+
+
+def _pem(made: x509.Certificate | x509.CertificateSigningRequest) -> str:
+    return made.public_bytes(Encoding.PEM).decode()

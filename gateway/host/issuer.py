@@ -1,0 +1,388 @@
+"""Who lets others in: the authority of a fleet, or a site. Signs bundles, revocations, rotations and the time."""
+
+from __future__ import annotations
+
+from typing import Final, Self
+
+import msgspec
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from gateway.authority.enrolment import (
+    BY_SITES,
+    AuthorityKeys,
+    Bundle,
+    EnrolmentRequest,
+    EnrolmentRole,
+    FleetPlace,
+    bundle_text,
+)
+from gateway.authority.transport import CA_FILE
+from gateway.host.certificates import (
+    CertificateError,
+    issue,
+    issue_site,
+    new_authority,
+    new_key,
+    read_request,
+)
+from gateway.host.key_files import AUTHORITY_FILE
+from gateway.host.key_store import KeyStore
+from gateway.host.machine_keys import FLEET_FILE, SITE_CA_FILE, SITE_CA_KEY
+from schemas.authority.proof import ProofKind, signed_bytes
+from schemas.authority.statement import (
+    Grant,
+    GrantRole,
+    Revocations,
+    Rotation,
+    Signed,
+    Statement,
+    StatementFault,
+    TimeStatement,
+    body_of,
+    chain_text,
+    read_chain,
+)
+from schemas.authority.trust import Objection
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.reasons import TEXTS
+
+AUTHORITY_KEY, CA_KEY, SITE_KEY, SITE_GRANT = "authority.key", "ca.key", "site.key", "site.grant"
+STANDBY_KEY, STANDBY_FILE = "standby.key", "standby.pub"
+SERIALS_FILE, ISSUED_FILE, REVOCATIONS_FILE = "serials.json", "issued.jsonl", "revocations.statement"
+
+BACKDATED_S: Final = 300
+"""A grant counts from a little before: no two clocks are the same."""
+
+SITE_MAX_S: Final = 12 * 3600
+"""A site lets nobody in for longer."""
+
+_ROLES: Final = {
+    EnrolmentRole.SITE: GrantRole.SITE,
+    EnrolmentRole.ROBOT: GrantRole.ROBOT,
+    EnrolmentRole.RECORDER: GrantRole.RECORDER,
+}
+_AUTHORITY_CURE: Final = "'cruiser provision authority' makes it"
+_SITE_CURE: Final = "'cruiser provision site' makes it"
+
+
+class Serials(msgspec.Struct, frozen=True):
+    """The last numbers that were given. They never go back.
+
+    Attributes:
+        grant, revocations, rotation: of statements of each kind.
+        epoch: of new grants.
+    """
+
+    grant: int = 0
+    revocations: int = 0
+    rotation: int = 0
+    epoch: int = 0
+
+
+class Issued(msgspec.Struct, frozen=True):
+    """A line of ``issued.jsonl``: who was let in."""
+
+    at: int
+    role: EnrolmentRole
+    name: str
+    key: str = ""
+    grant: str = ""
+    until: int = 0
+    body: str = ""
+
+
+class Wanted(msgspec.Struct, frozen=True):
+    """What somebody is to be granted.
+
+    Attributes:
+        verbs, robots, override, speed_limit_mps, may_delegate: as in a grant.
+        role: of a person.
+        lasts_s: seconds.
+    """
+
+    verbs: list[str]
+    robots: list[str]
+    lasts_s: int
+    role: GrantRole = GrantRole.OPERATOR
+    override: bool = False
+    speed_limit_mps: float | None = None
+    may_delegate: int = 0
+
+
+class Issuer:
+    """An authority or a site, with its keys.
+
+    Attributes:
+        store: where its files are.
+        chain: of a site; empty for the authority.
+    """
+
+    def __init__(self, store: KeyStore, private: Ed25519PrivateKey, chain: list[Signed]) -> None:
+        self.store = store
+        self.chain = chain
+        self._private = private
+
+    @classmethod
+    def open(cls, store: KeyStore) -> Self:
+        """The authority whose keys are here, or else the site.
+
+        Raises:
+            CommandError: neither is here, or a file of it is wrong.
+        """
+        if store.has(AUTHORITY_KEY):
+            return cls(store, store.ed25519(AUTHORITY_KEY, _AUTHORITY_CURE), [])
+        if not store.has(SITE_KEY):
+            raise CommandError(
+                f"neither an authority's key nor a site's is in {store.directory}: --directory says where it is",
+                ExitCode.USAGE,
+            )
+        chain = read_chain(store.read(SITE_GRANT, "'cruiser provision install' writes it"))
+        if isinstance(chain, StatementFault):
+            raise CommandError(f"{store.path(SITE_GRANT)} is no grant: {chain.detail}", ExitCode.USAGE)
+        return cls(store, store.ed25519(SITE_KEY, _SITE_CURE), chain)
+
+    @property
+    def is_site(self) -> bool:
+        """Is it a site?"""
+        return bool(self.chain)
+
+    @property
+    def authority(self) -> AuthorityKeys:
+        """The fleet's authority."""
+        return self.store.read_as(AUTHORITY_FILE, AuthorityKeys, _AUTHORITY_CURE)
+
+    def sign(self, request: EnrolmentRequest, wanted: Wanted, now_s: int) -> tuple[bytes, Grant | None]:
+        """Let somebody in. Returns the bundle and the grant that is in it.
+
+        Raises:
+            CommandError: the request contradicts itself, or asks a site for what it may not give.
+        """
+        name, role = request.names[0], request.role
+        try:
+            applicant = read_request(request.csr)
+        except CertificateError as error:
+            raise CommandError(str(error), ExitCode.USAGE) from error
+        if applicant.role != role.value or sorted(applicant.names) != sorted(request.names):
+            raise CommandError("the request and its certificate's request name different people", ExitCode.USAGE)
+        if self.is_site and role not in BY_SITES:
+            raise CommandError(f"the authority alone lets a {role.value} in", ExitCode.USAGE)
+        if self.is_site and wanted.lasts_s > SITE_MAX_S:
+            raise CommandError(f"a site lets nobody in for more than {SITE_MAX_S // 3600} h", ExitCode.USAGE)
+        chain = self._grant(request, wanted, now_s) if role.is_granted else []
+        fleet = self.store.read_as(FLEET_FILE, FleetPlace, _AUTHORITY_CURE)
+        bundle = Bundle(
+            role=role,
+            name=name,
+            authority=self.authority,
+            fleet=fleet,
+            certificate=self._certify(request, now_s, wanted),
+            ca=self.store.read(CA_FILE, _AUTHORITY_CURE).decode(),
+            chain=chain_text(chain),
+            signer=chain_text(self.chain),
+        )
+        grant = chain[0].statement if chain else None
+        entry = Issued(
+            now_s,
+            role,
+            name,
+            request.key or "",
+            chain[0].id.hex() if chain else "",
+            getattr(grant, "not_after", 0),
+            chain[0].body.decode() if chain else "",
+        )
+        self.store.append(ISSUED_FILE, msgspec.json.encode(entry).decode())
+        return bundle_text(bundle, self._private), grant if isinstance(grant, Grant) else None
+
+    def last_grant(self, request: EnrolmentRequest) -> Grant | None:
+        """What the same key was granted last, as the same; None if nothing."""
+        found = [one for one in self.issued() if one.key == request.key and one.role is request.role and one.body]
+        if not found or found[-1].name != request.names[0]:
+            return None
+        return msgspec.json.decode(found[-1].body, type=Grant)
+
+    def issued(self) -> list[Issued]:
+        """Everybody who was let in, the first one first.
+
+        Raises:
+            CommandError: the file is damaged.
+        """
+        if not self.store.has(ISSUED_FILE):
+            return []
+        lines = self.store.read(ISSUED_FILE, "").splitlines()
+        try:
+            return [msgspec.json.decode(line, type=Issued) for line in lines]
+        except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+            path = self.store.path(ISSUED_FILE)
+            raise CommandError(f"{path} is damaged: {error}", ExitCode.USAGE) from error
+
+    def revoke(self, keys: list[str], grants: list[str], now_s: int, *, raise_epoch: bool) -> Signed:
+        """A new list of all that is revoked: what was, and this.
+
+        Raises:
+            CommandError: it is a site, or a file is damaged.
+        """
+        if self.is_site:
+            raise CommandError("the authority alone revokes; a site's grants end by themselves", ExitCode.USAGE)
+        before, serials = self._revoked(), self._serials()
+        serial = max(serials.revocations, before.serial, now_s) + 1
+        epoch = max(serials.epoch, before.epoch) + raise_epoch
+        signed = self._state(
+            Revocations(
+                serial=serial,
+                at=now_s,
+                grants=sorted({*before.grants, *grants}),
+                keys=sorted({*before.keys, *keys}),
+                epoch=epoch,
+            )
+        )
+        self._save(msgspec.structs.replace(serials, revocations=serial, epoch=epoch))
+        self.store.write({REVOCATIONS_FILE: signed.text()}, replace=True)
+        return signed
+
+    def state_time(self, challenge: bytes, now_s: int) -> list[Signed]:
+        """A statement of the time, in answer to a challenge."""
+        return [self._state(TimeStatement(challenge=challenge.hex(), at=now_s)), *self.chain]
+
+    def _grant(self, request: EnrolmentRequest, wanted: Wanted, now_s: int) -> list[Signed]:
+        serials, name = self._serials(), request.names[0]
+        is_robot = request.role is EnrolmentRole.ROBOT
+        site_grant = self.chain[0].statement if self.chain else None
+        grant = Grant(
+            serial=serials.grant + 1,
+            name=name,
+            key=request.key or "",
+            role=_ROLES.get(request.role, wanted.role),
+            robots=[name] if is_robot else wanted.robots,
+            verbs=[] if is_robot else wanted.verbs,
+            override=wanted.override,
+            speed_limit_mps=wanted.speed_limit_mps,
+            not_before=now_s - BACKDATED_S,
+            not_after=now_s + wanted.lasts_s,
+            epoch=site_grant.epoch if isinstance(site_grant, Grant) else serials.epoch,
+            may_delegate=wanted.may_delegate,
+        )
+        chain = [self._state(grant), *self.chain]
+        held = self.authority.trust().judge(chain, now_s)
+        if isinstance(held, Objection):
+            raise CommandError(
+                f"this cannot be granted here: {TEXTS[held.reason].means}: {held.detail}", ExitCode.USAGE
+            )
+        self._save(msgspec.structs.replace(serials, grant=grant.serial))
+        return chain
+
+    def _certify(self, request: EnrolmentRequest, now_s: int, wanted: Wanted) -> str:
+        names = (SITE_CA_KEY, SITE_CA_FILE, _SITE_CURE) if self.is_site else (CA_KEY, CA_FILE, _AUTHORITY_CURE)
+        key_name, certificate_name, cure = names
+        key = self.store.p256(key_name, cure)
+        certificates = self.store.read(certificate_name, cure).decode()
+        transport = request.role.transport
+        try:
+            if transport is None:
+                return issue_site(request.csr, certificates, key, now_s, now_s + wanted.lasts_s)
+            return issue(request.csr, transport, certificates, key, now_s)
+        except CertificateError as error:
+            raise CommandError(f"{self.store.path(certificate_name)}: {error}", ExitCode.USAGE) from error
+
+    def _state(self, statement: Statement) -> Signed:
+        return state(self._private, statement)
+
+    def _serials(self) -> Serials:
+        return serials_of(self.store)
+
+    def _save(self, serials: Serials) -> None:
+        save_serials(self.store, serials)
+
+    def _revoked(self) -> Revocations:
+        if not self.store.has(REVOCATIONS_FILE):
+            return Revocations(serial=0, at=0)
+        chain = read_chain(self.store.read(REVOCATIONS_FILE, ""))
+        statement = None if isinstance(chain, StatementFault) else chain[0].statement
+        if not isinstance(statement, Revocations):
+            path = self.store.path(REVOCATIONS_FILE)
+            raise CommandError(f"{path} is damaged: what was revoked must stay so", ExitCode.USAGE)
+        return statement
+
+
+def make_standby(store: KeyStore, *, replace: bool) -> str:
+    """Make the standby key of an authority. Returns its public half, hexadecimal.
+
+    Raises:
+        CommandError: it is there already.
+    """
+    private = Ed25519PrivateKey.generate()
+    public = private.public_key().public_bytes_raw().hex()
+    files = {STANDBY_KEY: store.pem(private, is_protected=True), STANDBY_FILE: f"{public}\n"}
+    store.write(files, replace=replace)
+    return public
+
+
+def make_authority(
+    store: KeyStore, standby: str, fleet: FleetPlace, now_s: int, *, replace: bool
+) -> AuthorityKeys:
+    """Make the authority of a fleet, and that of its network.
+
+    Args:
+        store: where its files are to be.
+        standby: public half of the standby key, hexadecimal.
+        fleet: where the fleet is.
+        now_s: seconds since 1970.
+        replace: over what is there.
+
+    Raises:
+        CommandError: it is there already.
+    """
+    private, ca = Ed25519PrivateKey.generate(), new_key()
+    authority = AuthorityKeys(private.public_key().public_bytes_raw().hex(), standby)
+    store.write(
+        {
+            AUTHORITY_KEY: store.pem(private, is_protected=True),
+            CA_KEY: store.pem(ca, is_protected=True),
+            CA_FILE: new_authority(ca, now_s),
+            AUTHORITY_FILE: msgspec.json.encode(authority).decode() + "\n",
+            FLEET_FILE: msgspec.json.encode(fleet).decode() + "\n",
+        },
+        replace=replace,
+        cure="--replace makes another authority, which no robot of before knows",
+    )
+    return authority
+
+
+def rotate(store: KeyStore, authority: AuthorityKeys, now_s: int) -> Signed:
+    """A rotation to another authority, signed by the standby key.
+
+    Raises:
+        CommandError: the standby key is not here.
+    """
+    private = store.ed25519(STANDBY_KEY, "'cruiser provision standby' makes it")
+    serials = serials_of(store)
+    serial = max(serials.rotation, now_s) + 1
+    rotation = Rotation(serial=serial, at=now_s, active=authority.active, standby=authority.standby)
+    save_serials(store, msgspec.structs.replace(serials, rotation=serial))
+    return state(private, rotation)
+
+
+def state(private: Ed25519PrivateKey, statement: Statement) -> Signed:
+    """A statement, signed."""
+    body = body_of(statement)
+    signature = private.sign(signed_bytes(ProofKind.STATEMENT, body))
+    return Signed(body, private.public_key().public_bytes_raw(), signature, statement)
+
+
+def serials_of(store: KeyStore) -> Serials:
+    """The last numbers that were given.
+
+    Raises:
+        CommandError: the file is damaged.
+    """
+    if not store.has(SERIALS_FILE):
+        return Serials()
+    return store.read_as(SERIALS_FILE, Serials, "numbers must not go back: restore it from a copy")
+
+
+def save_serials(store: KeyStore, serials: Serials) -> None:
+    """Keep the numbers.
+
+    Raises:
+        CommandError: they cannot be written.
+    """
+    store.write({SERIALS_FILE: msgspec.json.encode(serials).decode() + "\n"}, replace=True)

@@ -1,0 +1,263 @@
+"""The keys of a machine or a person: made where they stay, with a request; certified and granted by a bundle."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from typing import Final
+
+import msgspec
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from gateway.authority.enrolment import (
+    AuthorityKeys,
+    Bundle,
+    EnrolmentError,
+    EnrolmentRequest,
+    EnrolmentRole,
+    new_request,
+)
+from gateway.authority.transport import (
+    CA_FILE,
+    CERTIFICATE_FILE,
+    LISTENING,
+    TLS_KEY_FILE,
+    TransportRole,
+    zenoh_configuration,
+)
+from gateway.host.certificates import (
+    NAME_PATTERN,
+    CertificateError,
+    expires_s,
+    fits,
+    names_of,
+    new_key,
+    read_certificates,
+)
+from gateway.host.certificates import new_request as certificate_request
+from gateway.host.key_files import AUTHORITY_FILE, GRANT_FILE, KEY_FILE
+from gateway.host.key_store import KeyStore
+from schemas.authority.statement import Grant, StatementFault, read_chain
+from schemas.exit_codes import CommandError, ExitCode
+
+FLEET_FILE: Final = "fleet.json"
+ZENOH_FILE, SETTINGS_FILE = "{who}.json5", "{who}.toml"
+SITE_CA_KEY, SITE_CA_FILE = "site-ca.key", "site-ca.pem"
+
+SHARED: Final = (AUTHORITY_FILE, CA_FILE, FLEET_FILE)
+"""Files that are the same for all of a fleet. One machine may be several: a desk, and a site."""
+
+
+def make_keys(store: KeyStore, role: EnrolmentRole, names: list[str], *, replace: bool) -> EnrolmentRequest:
+    """Make the keys of a machine or a person. Returns the request to be let in.
+
+    Raises:
+        CommandError: keys are there already and not to be replaced, or a name is not of its form.
+    """
+    wrong = next((name for name in names if re.fullmatch(NAME_PATTERN, name) is None), None)
+    if wrong is not None:
+        raise CommandError(f"{wrong!a} cannot be a name: it is not of the form {NAME_PATTERN}", ExitCode.USAGE)
+    tls, tls_name = new_key(), tls_key_name(role)
+    keys = {tls_name: store.pem(tls, is_protected=False)}
+    private = None
+    if role.is_granted:
+        private = Ed25519PrivateKey.generate()
+        keys[KEY_FILE.format(who=role.value)] = store.pem(private, is_protected=False)
+    try:
+        request = new_request(role, names, certificate_request(tls, role.value, names), private)
+    except (EnrolmentError, ValueError) as error:
+        raise CommandError(f"{', '.join(names)!a}: {error}", ExitCode.USAGE) from error
+    cure = f"'cruiser provision renew {role.value}' asks anew with these keys, --replace makes new ones"
+    store.write(keys, replace=replace, cure=cure)
+    return request
+
+
+def names_here(store: KeyStore, role: EnrolmentRole) -> list[str]:
+    """The names under which somebody was let in here.
+
+    Raises:
+        CommandError: the grant or the certificate is missing or wrong.
+    """
+    return _granted_names(store, role) if role.is_granted else _certified_names(store, role)
+
+
+def ask_again(store: KeyStore, role: EnrolmentRole, names: list[str]) -> EnrolmentRequest:
+    """A request with the keys that are there.
+
+    Raises:
+        CommandError: a key is missing or wrong.
+    """
+    cure = _made_by(role)
+    tls = store.p256(tls_key_name(role), cure)
+    private = store.ed25519(KEY_FILE.format(who=role.value), cure) if role.is_granted else None
+    try:
+        return new_request(role, names, certificate_request(tls, role.value, names), private)
+    except EnrolmentError as error:
+        raise CommandError(str(error), ExitCode.USAGE) from error
+
+
+class Installed(msgspec.Struct, frozen=True):
+    """What was written.
+
+    Attributes:
+        files: names of the files.
+        certificate_until_s: seconds since 1970.
+        is_new_authority: another authority was replaced.
+    """
+
+    files: list[str]
+    certificate_until_s: int
+    is_new_authority: bool
+
+
+def install(store: KeyStore, bundle: Bundle, *, replace: bool) -> Installed:
+    """Write what a bundle holds, if it is for the keys that are here.
+
+    Args:
+        store: where the keys are.
+        bundle: was checked against the authority that it names.
+        replace: over what is there.
+
+    Raises:
+        CommandError: it is for other keys, of another authority, or something is there already.
+    """
+    role, who = bundle.role, bundle.role.value
+    until_s = _check_certificate(store, bundle)
+    if role.is_granted:
+        _check_grant(store, bundle)
+    shared = {
+        AUTHORITY_FILE: _json(bundle.authority),
+        CA_FILE: bundle.ca,
+        FLEET_FILE: _json(bundle.fleet),
+    }
+    changed = [name for name in SHARED if store.has(name) and store.read(name, "").decode() != shared[name]]
+    is_new = AUTHORITY_FILE in changed
+    if changed and not replace:
+        what = "another authority's" if is_new else "different"
+        raise CommandError(
+            f"{store.path(changed[0])} is {what}; --replace changes over to that of the bundle", ExitCode.USAGE
+        )
+    own = dict(_own_files(store, bundle))
+    settings = SETTINGS_FILE.format(who=who)
+    if store.has(settings):
+        # Whoever has it may have added to it.
+        own.pop(settings, None)
+    store.write(own, replace=replace)
+    store.write(shared, replace=True)
+    return Installed([*own, *shared], until_s, is_new)
+
+
+def tls_key_name(role: EnrolmentRole) -> str:
+    """The file of the key of its certificate."""
+    return SITE_CA_KEY if role is EnrolmentRole.SITE else TLS_KEY_FILE.format(who=role.value)
+
+
+def _certificate_name(role: EnrolmentRole) -> str:
+    return SITE_CA_FILE if role is EnrolmentRole.SITE else CERTIFICATE_FILE.format(who=role.value)
+
+
+def _made_by(role: EnrolmentRole) -> str:
+    return f"'cruiser provision {role.value}' makes it"
+
+
+def _granted_names(store: KeyStore, role: EnrolmentRole) -> list[str]:
+    name = GRANT_FILE.format(who=role.value)
+    chain = read_chain(store.read(name, "'cruiser provision install' writes it"))
+    if isinstance(chain, StatementFault) or not isinstance(chain[0].statement, Grant):
+        raise CommandError(f"{store.path(name)} is no grant; {_made_by(role)}", ExitCode.USAGE)
+    return [chain[0].statement.name]
+
+
+def _certified_names(store: KeyStore, role: EnrolmentRole) -> list[str]:
+    name = _certificate_name(role)
+    try:
+        return names_of(read_certificates(store.read(name, "'cruiser provision install' writes it").decode())[0])
+    except (CertificateError, UnicodeDecodeError) as error:
+        raise CommandError(f"{store.path(name)}: {error}; {_made_by(role)}", ExitCode.USAGE) from error
+
+
+def _check_certificate(store: KeyStore, bundle: Bundle) -> int:
+    try:
+        certificate = read_certificates(bundle.certificate)[0]
+        read_certificates(bundle.ca)
+    except CertificateError as error:
+        raise CommandError(f"the bundle's certificate: {error}", ExitCode.USAGE) from error
+    name = tls_key_name(bundle.role)
+    if not fits(certificate, store.p256(name, _made_by(bundle.role))):
+        raise CommandError(f"the bundle is not for {store.path(name)}: it answers another request", ExitCode.USAGE)
+    return expires_s(certificate)
+
+
+def _check_grant(store: KeyStore, bundle: Bundle) -> None:
+    name = KEY_FILE.format(who=bundle.role.value)
+    public = store.ed25519(name, _made_by(bundle.role)).public_key().public_bytes_raw().hex()
+    chain = read_chain(bundle.chain.encode())
+    if isinstance(chain, StatementFault) or getattr(chain[0].statement, "key", "") != public:
+        raise CommandError(f"the bundle is not for {store.path(name)}: it answers another request", ExitCode.USAGE)
+
+
+def _own_files(store: KeyStore, bundle: Bundle) -> Mapping[str, str]:
+    role, who = bundle.role, bundle.role.value
+    files = {_certificate_name(role): bundle.certificate}
+    if role.is_granted:
+        files[GRANT_FILE.format(who=who)] = bundle.chain
+    transport = role.transport
+    if transport is None:
+        return files
+    names = names_of(read_certificates(bundle.certificate)[0])
+    endpoints = bundle.fleet.routers
+    if transport in LISTENING and transport is TransportRole.ROUTER:
+        endpoints = _listening(bundle.fleet.routers, names)
+    robot = bundle.name if role is EnrolmentRole.ROBOT else ""
+    zenoh = zenoh_configuration(transport, bundle.fleet.root, store.directory, endpoints, robot)
+    files[ZENOH_FILE.format(who=who)] = json.dumps(zenoh, indent=1) + "\n"
+    if transport is not TransportRole.ROUTER:
+        files[SETTINGS_FILE.format(who=who)] = _settings(store, bundle)
+    return files
+
+
+def _listening(routers: list[str], names: list[str]) -> list[str]:
+    """Where a router listens: on its machine's addresses, at the ports that the fleet's endpoints for it have.
+
+    Where it is reached by an address of this machine alone, it listens there alone.
+    """
+    found: list[str] = []
+    for endpoint in routers:
+        protocol, _, place = endpoint.partition("/")
+        host, _, port = place.rpartition(":")
+        if host.strip("[]") in names:
+            own = host if host in _LOOPBACK else "[::]"
+            found.append(f"{protocol}/{own}:{port}")
+    if not found:
+        raise CommandError(
+            f"the fleet's routers are {', '.join(routers)}, and the certificate is for {', '.join(names)}: "
+            "ask with one of these hosts",
+            ExitCode.USAGE,
+        )
+    return list(dict.fromkeys(found))
+
+
+_LOOPBACK: Final = ("127.0.0.1", "[::1]", "localhost")
+
+
+def _settings(store: KeyStore, bundle: Bundle) -> str:
+    """Settings by which every command is this machine's or this person's: ``--config``, or CRUISER_CONFIG."""
+    role, who = bundle.role, bundle.role.value
+    robot = f"name = {_quoted(bundle.name)}\n" if role is EnrolmentRole.ROBOT else ""
+    mode = 'mode = "signed"\n' if role.is_granted else ""
+    return (
+        "# Written by 'cruiser provision install', which leaves it alone once it is there: add what you like.\n"
+        f"[robot]\nroot = {_quoted(bundle.fleet.root)}\n{robot}\n"
+        f"[authority]\n{mode}directory = {_quoted(str(store.directory))}\n\n"
+        f"[zenoh]\nconfig = {_quoted(str(store.path(ZENOH_FILE.format(who=who))))}\n"
+    )
+
+
+def _quoted(text: str) -> str:
+    """A basic string of TOML, whose escapes are those of JSON."""
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _json(struct: AuthorityKeys | msgspec.Struct) -> str:
+    return msgspec.json.encode(struct).decode() + "\n"

@@ -1,0 +1,134 @@
+"""Shows robots statements of their authority, and answers their challenges. Its session is its own."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Final, Self
+
+import msgspec
+import zenoh
+
+from gateway.telemetry.received import Received
+from gateway.zenoh.client import call_roll, close_session, open_towards_robots
+from schemas import keys
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import Settings
+from schemas.subjects import BY_NAME
+from schemas.zenoh_link import reason
+
+STATES_WAITING: Final = 64
+
+POLL_S: Final = 0.01
+
+
+class _Asked(msgspec.Struct, frozen=True):
+    """What a state asks for."""
+
+    challenge: bytes
+
+
+_ASKED: Final = msgspec.msgpack.Decoder(_Asked)
+
+
+class StatementPort:
+    """Where statements go out, and the robots' answers come in."""
+
+    def __init__(self, session: zenoh.Session, root: str) -> None:
+        """Use a session, which the port then owns.
+
+        Args:
+            session: an open session.
+            root: first chunks of every key.
+        """
+        self._session = session
+        self._root = root
+
+    @classmethod
+    def open(cls, settings: Settings) -> Self:
+        """Open a session to where the settings say.
+
+        Raises:
+            CommandError: see ``open_session``.
+        """
+        return cls(open_towards_robots(settings.zenoh), settings.robot.root)
+
+    def robots(self, timeout_s: float) -> list[str]:
+        """The robots that are connected, by their liveliness tokens."""
+        question = call_roll(self._session, keys.liveliness(self._root), timeout_s)
+        found: set[str] = set()
+        while not question.is_over:
+            time.sleep(POLL_S)
+            for reply in question.poll():
+                robot = keys.robot_of_liveliness(self._root, reply.key)
+                if robot is not None:
+                    found.add(robot)
+        return sorted(found)
+
+    def show(self, robot: str, text: bytes, timeout_s: float) -> Received | None:
+        """Show a robot a statement. Returns its answer; None if none comes.
+
+        Raises:
+            CommandError: the session is closed.
+        """
+        try:
+            replies: Any = self._session.get(
+                keys.authority(self._root, robot),
+                payload=text,
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                congestion_control=zenoh.CongestionControl.DROP,
+                timeout=timeout_s,
+            )
+        except zenoh.ZError as error:
+            raise CommandError(f"cannot ask: {reason(str(error))}", ExitCode.UNREACHABLE) from error
+        for reply in replies:
+            sample = reply.ok
+            if sample is not None:
+                attachment = sample.attachment
+                return Received(
+                    str(sample.key_expr),
+                    str(sample.encoding),
+                    sample.payload.to_bytes(),
+                    b"" if attachment is None else attachment.to_bytes(),
+                )
+        return None
+
+    def challenge(self, robot: str, timeout_s: float, stopped: Callable[[], bool]) -> bytes | None:
+        """The newest challenge of a robot; None if it publishes no state."""
+        ring: Any = zenoh.handlers.RingChannel(STATES_WAITING)
+        states: Any = self._session.declare_subscriber(
+            keys.build(self._root, robot, BY_NAME["safety/state"]), ring
+        )
+        deadline_s = time.monotonic() + timeout_s
+        try:
+            while time.monotonic() < deadline_s and not stopped():
+                newest = None
+                while (sample := states.try_recv()) is not None:
+                    newest = sample
+                if newest is not None and (challenge := _challenge(newest.payload.to_bytes())) is not None:
+                    return challenge
+                time.sleep(POLL_S)
+        finally:
+            states.undeclare()
+        return None
+
+    def close(self) -> None:
+        """Leave Zenoh."""
+        close_session(self._session)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _challenge(payload: bytes) -> bytes | None:
+    try:
+        return _ASKED.decode(payload).challenge
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        return None

@@ -1,0 +1,82 @@
+"""``cruiser provision`` in this process, and fleets that it makes."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+import msgspec
+
+from gateway.authority.enrolment import Bundle
+from gateway.cli import provision
+from gateway.cli.configuration_file import load_settings
+from schemas.authority.statement import Grant, Signed, StatementFault, read_chain
+
+ENDPOINT = "tls/127.0.0.1:47447"
+
+
+def run(*words: str | Path) -> int:
+    """Run ``cruiser provision`` with these words. Returns its exit code.
+
+    Raises:
+        CommandError: as the command does.
+        SystemExit: the words are wrong.
+    """
+    parser = argparse.ArgumentParser(prog="cruiser provision")
+    provision.add_arguments(parser)
+    arguments = parser.parse_args(list(map(str, words)))
+    flags = {key: value for key, value in vars(arguments).items() if "." in key and value is not None}
+    return provision.run(arguments, load_settings(None, os.environ, flags), lambda: False)
+
+
+class ProvisionedFleet:
+    """Directories of a fleet below one directory: standby and authority, and whom they let in.
+
+    Attributes:
+        place: the directory.
+    """
+
+    def __init__(self, place: Path, endpoint: str = ENDPOINT) -> None:
+        self.place = place
+        run("standby", "--directory", place / "standby", "--no-passphrase")
+        standby = place / "standby" / "standby.pub"
+        run(
+            *("authority", "--directory", place / "authority", "--standby", standby),
+            *("--router", endpoint, "--no-passphrase"),
+        )
+
+    def request(self, role: str, name: str, place: str = "") -> Path:
+        """The request of somebody new, whose keys are in a directory of its own, or in that place."""
+        file = self.place / f"{role}-{name}.request"
+        run(role, name, "--directory", self.place / (place or name), "-o", file)
+        return file
+
+    def sign(self, request: Path, *words: str, by: str = "authority") -> Path:
+        """The bundle that answers a request."""
+        run("sign", request, "--directory", self.place / by, *words)
+        return request.with_suffix(".bundle")
+
+    def let_in(self, role: str, name: str, *words: str, by: str = "authority") -> Path:
+        """Everything for somebody new. Returns the directory of the keys."""
+        bundle = self.sign(self.request(role, name), *words, by=by)
+        run("install", bundle, "--directory", self.place / name)
+        return self.place / name
+
+    def grant(self, name: str, role: str = "operator") -> Grant:
+        """What somebody is granted."""
+        statement = chain(self.place / name / f"{role}.grant")[0].statement
+        assert isinstance(statement, Grant)
+        return statement
+
+
+def chain(file: Path) -> list[Signed]:
+    """The statements of a file."""
+    found = read_chain(file.read_bytes())
+    assert not isinstance(found, StatementFault), found
+    return found
+
+
+def bundle_of(file: Path) -> Bundle:
+    """A bundle, unchecked."""
+    return msgspec.json.decode(file.read_bytes().partition(b"\n")[0], type=Bundle)

@@ -1,0 +1,64 @@
+"""A network with certificates and access control, as ``cruiser provision`` would make it, for one test."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import zenoh
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+
+from gateway.authority.transport import (
+    CA_FILE,
+    CERTIFICATE_FILE,
+    TLS_KEY_FILE,
+    TransportRole,
+    zenoh_configuration,
+)
+from gateway.host.certificates import issue, new_authority, new_key, new_request
+
+ROOT = "fleet"
+
+
+class Network:
+    """A transport authority, and directories of nodes below one directory."""
+
+    def __init__(self, directory: Path, endpoint: str) -> None:
+        self.directory = directory
+        self.endpoint = endpoint
+        self.key = new_key()
+        self.certificate = new_authority(self.key, int(time.time()))
+
+    def node(self, role: TransportRole, name: str, robot: str = "", born_s: int | None = None) -> Path:
+        """The directory of a new node: its key, its certificate, of then or now, and its Zenoh file."""
+        place = self.directory / f"{role.value}-{name}"
+        place.mkdir()
+        key = new_key()
+        now_s = int(time.time()) if born_s is None else born_s
+        certificate = issue(new_request(key, role.value, [name]), role, self.certificate, self.key, now_s)
+        write(place / TLS_KEY_FILE.format(who=role.value), pem(key))
+        write(place / CERTIFICATE_FILE.format(who=role.value), certificate)
+        write(place / CA_FILE, self.certificate)
+        file = zenoh_configuration(role, ROOT, place, [self.endpoint], robot)
+        write(place / f"{role.value}.json5", json.dumps(file))
+        return place
+
+    def session(self, role: TransportRole, name: str, robot: str = "", **entries: object) -> zenoh.Session:
+        """A session of a new node, with entries of its Zenoh configuration by path (``__`` for a slash)."""
+        config = zenoh.Config.from_file(str(self.node(role, name, robot) / f"{role.value}.json5"))
+        for path, value in entries.items():
+            config.insert_json5(path.replace("__", "/"), json.dumps(value))
+        return zenoh.open(config)
+
+
+def pem(key: ec.EllipticCurvePrivateKey) -> str:
+    """A private key as a file holds it."""
+    return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()).decode()
+
+
+def write(path: Path, text: str) -> None:
+    """Write a file that is its owner's alone."""
+    path.write_text(text, "utf-8")
+    path.chmod(0o600)

@@ -1,0 +1,229 @@
+"""``cruiser provision show`` and ``time`` against robots on loopback, which judge as the gateway does."""
+
+from __future__ import annotations
+
+import argparse
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+import zenoh
+
+from gateway.authority.admission import SignedAdmission
+from gateway.authority.floor import TimeFloor
+from gateway.authority.robot_authority import Kept, RobotAuthority
+from gateway.authority.signer import RobotSigner
+from gateway.cli import provision
+from gateway.cli.configuration_file import load_settings
+from gateway.command.request import RawRequest
+from gateway.host.key_files import read_identity
+from schemas.authority.statement import TEXT_MAX_BYTES
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.reasons import Reason
+from schemas.settings import AuthoritySettings, RobotSettings, Settings
+from schemas.subjects import STATEMENT_REPLY_ENCODING
+from tests.support.fakes.peer import Peer, free_endpoint
+from tests.support.provisioning import ProvisionedFleet, run
+
+CHALLENGE = b"newest.."
+
+
+class FakeRobot:
+    """A robot's authority on Zenoh: its token, its challenge, and its answers to statements.
+
+    Attributes:
+        authority: what it knows.
+    """
+
+    def __init__(self, session: zenoh.Session, directory: Path, name: str) -> None:
+        identity = read_identity(directory, "robot")
+        settings = Settings(robot=RobotSettings(name=name), authority=AuthoritySettings(mode="signed"))
+        signer = RobotSigner(identity.private, b"boot no1")
+        admission = SignedAdmission(settings, identity.trust, signer, self._age)
+        floor = TimeFloor(0, time.monotonic_ns())
+        self.authority = RobotAuthority(settings, admission, signer, floor, identity.chain, Kept())
+        self.name = name
+        self._tick()
+        self._ends = threading.Event()
+        self._session = session
+        self._token = session.liveliness().declare_token(f"fleet/{name}/gateway")
+        self._queries = session.declare_queryable(
+            f"fleet/{name}/@auth", zenoh.handlers.RingChannel(16), complete=True
+        )
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def word_s(self) -> int:
+        """The earliest that it can be, as far as the robot knows."""
+        return self.authority._floor.least_s(time.monotonic_ns())
+
+    def close(self) -> None:
+        self._ends.set()
+        self._thread.join()
+        self._token.undeclare()
+        self._queries.undeclare()
+
+    @staticmethod
+    def _age(challenge: bytes, _now_ns: int) -> int | Reason:
+        return 0 if challenge == CHALLENGE else Reason.CHALLENGE_UNKNOWN
+
+    def _tick(self) -> None:
+        now_ns = time.monotonic_ns()
+        self.authority.tick(now_ns, now_ns, time.time_ns())
+
+    def _run(self) -> None:
+        state = msgspec.msgpack.encode({"challenge": CHALLENGE})
+        while not self._ends.wait(0.01):
+            self._tick()
+            self._session.put(f"fleet/{self.name}/safety/state", state)
+            query = self._queries.try_recv()
+            if query is None:
+                continue
+            with query:
+                payload = b"" if query.payload is None else query.payload.to_bytes()
+                raw = RawRequest(1, "", "", payload, min(len(payload), TEXT_MAX_BYTES))
+                now_ns = time.monotonic_ns()
+                reply = self.authority.receive(raw, now_ns, now_ns)
+                query.reply(
+                    f"fleet/{self.name}/@auth",
+                    reply.payload,
+                    encoding=STATEMENT_REPLY_ENCODING,
+                    attachment=reply.attachment,
+                )
+
+
+class Fleet(ProvisionedFleet):
+    """A fleet with two robots on Zenoh, and ann, who is an operator."""
+
+    def __init__(self, place: Path, endpoint: str, session: zenoh.Session) -> None:
+        super().__init__(place)
+        self.endpoint = endpoint
+        self.ann = self.let_in("operator", "ann")
+        names = ("cruiser-1", "cruiser-2")
+        self.robots = {name: FakeRobot(session, self.let_in("robot", name), name) for name in names}
+
+
+@pytest.fixture
+def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
+    """On plain TCP: who may send is tested elsewhere."""
+    monkeypatch.chdir(tmp_path)
+    endpoint = free_endpoint()
+    with Peer(endpoint) as peer:
+        found = Fleet(tmp_path, endpoint, peer.session)
+        # The certificates' file names a router that is not there.
+        for file in tmp_path.rglob("operator.json5"):
+            file.unlink()
+        try:
+            yield found
+        finally:
+            for robot in found.robots.values():
+                robot.close()
+
+
+def tell(fleet: Fleet, *words: str, where: str = "ann") -> int:
+    """Run one of the two actions."""
+    return run(*words, "--connect", fleet.endpoint, "--directory", fleet.place / where, "--timeout", "2")
+
+
+def test_each_robot_says_what_became_of_it(fleet: Fleet, capsys: pytest.CaptureFixture[str]) -> None:
+    """Taken over; known already; refused, with the cure; no answer: each with its exit code."""
+    run("revoke", "ann", "--directory", fleet.place / "authority", "-o", "one.statement")
+    run("revoke", "--grant", "0" * 16, "--directory", fleet.place / "authority", "-o", "two.statement")
+    capsys.readouterr()
+    assert tell(fleet, "show", "operator-ann.bundle", "--all") == ExitCode.OK
+    assert capsys.readouterr().out == "cruiser-1: taken over\ncruiser-2: taken over\n"
+    assert tell(fleet, "show", "two.statement", "--robot", "cruiser-1") == ExitCode.OK
+    assert tell(fleet, "show", "one.statement", "--all") == ExitCode.OK
+    out = capsys.readouterr().out
+    assert "cruiser-1: has it, or a newer one" in out
+    assert "cruiser-2: taken over" in out
+    assert tell(fleet, "show", "operator-ann.bundle", "--all") == ExitCode.REFUSED
+    assert "cruiser-1: refused: the grant was revoked" in capsys.readouterr().out
+    assert tell(fleet, "show", "two.statement", "--robot", "cruiser-9") == ExitCode.UNREACHABLE
+    both = ("--robot", "cruiser-1", "--robot", "cruiser-9")
+    assert tell(fleet, "show", "two.statement", *both) == ExitCode.PARTIAL
+
+
+def test_a_rotation_is_believed_from_the_standby_alone(fleet: Fleet, capsys: pytest.CaptureFixture[str]) -> None:
+    """That of a stranger changes nothing."""
+    new = ProvisionedFleet(fleet.place / "new")
+    authority = new.place / "authority" / "authority.json"
+    run("rotate", authority, "--directory", new.place / "standby", "-o", "foreign.statement")
+    assert tell(fleet, "show", "foreign.statement", "--all") == ExitCode.REFUSED
+    assert "not signed by the standby key" in capsys.readouterr().out
+    run("rotate", authority, "--directory", fleet.place / "standby")
+    assert tell(fleet, "show", "rotation.statement", "--all") == ExitCode.OK
+    active = read_identity(fleet.ann, "operator").trust.active
+    assert {robot.authority.admission.trust.active for robot in fleet.robots.values()} != {active}
+
+
+@pytest.mark.parametrize("where", ["authority", "depot"])
+def test_a_robot_is_told_the_time_in_answer_to_its_challenge(fleet: Fleet, where: str) -> None:
+    """By the authority or a site: from then on it is at least so late."""
+    if where == "depot":
+        fleet.let_in("site", "depot")
+    before_s = int(time.time())
+    assert fleet.robots["cruiser-1"].word_s() < before_s
+    assert tell(fleet, "time", "--all", where=where) == ExitCode.OK
+    assert all(robot.word_s() >= before_s for robot in fleet.robots.values())
+
+
+def test_a_robot_without_a_state_is_told_no_time(fleet: Fleet, capsys: pytest.CaptureFixture[str]) -> None:
+    """It asked for none."""
+    words = ("time", "--robot", "cruiser-9", "--timeout", "0.2")
+    options = ("--connect", fleet.endpoint, "--directory", fleet.place / "authority")
+    assert run(*words, *options) == ExitCode.UNREACHABLE
+    assert "cruiser-9: publishes no state" in capsys.readouterr().out
+
+
+def test_an_answer_that_is_not_the_robots_is_not_believed(
+    fleet: Fleet, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Somebody who answers in its place, with a key of another fleet, is found out."""
+    fleet.robots.pop("cruiser-2").close()
+    stranger = ProvisionedFleet(fleet.place / "foreign")
+    foreign = stranger.let_in("robot", "cruiser-2")
+    session = fleet.robots["cruiser-1"]._session
+    fleet.robots["cruiser-2"] = FakeRobot(session, foreign, "cruiser-2")
+    assert tell(fleet, "show", "operator-ann.bundle", "--robot", "cruiser-2") == ExitCode.FAILURE
+    assert "cruiser-2: no, and the answer is not proven" in capsys.readouterr().out
+
+
+def test_it_goes_on_until_it_is_stopped(fleet: Fleet, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every so often, and to robots that came in between."""
+    run("revoke", "ann", "--directory", fleet.place / "authority")
+    parser = argparse.ArgumentParser()
+    provision.add_arguments(parser)
+    arguments = parser.parse_args(["show", "revocations.statement", "--all", "--every", "0.1", "--timeout", "1"])
+    flags = {"zenoh.connect": [fleet.endpoint], "authority.directory": str(fleet.ann)}
+    assert provision.run(arguments, load_settings(None, {}, flags), after(6, capsys)) == ExitCode.OK
+
+
+def after(lines: int, capsys: pytest.CaptureFixture[str]) -> Callable[[], bool]:
+    """Stopped, once so many lines about robots were read."""
+    found: list[str] = []
+
+    def stopped() -> bool:
+        found.extend(line for line in capsys.readouterr().out.splitlines() if line.startswith("cruiser-"))
+        return len(found) >= lines
+
+    return stopped
+
+
+@pytest.mark.parametrize("text", ["", "no", "{}", "\0"])
+def test_what_is_no_statement_is_shown_to_nobody(tmp_path: Path, text: str) -> None:
+    """One line names the file."""
+    file = tmp_path / "some.statement"
+    file.write_text(text)
+    with pytest.raises(CommandError, match=r"some\.statement: it holds no statement"):
+        run("show", file, "--all", "--directory", tmp_path)
+
+
+def test_a_bundle_without_a_grant_is_shown_to_nobody(fleet: Fleet) -> None:
+    """A viewer has none."""
+    fleet.let_in("viewer", "hall")
+    with pytest.raises(CommandError, match="the bundle holds no grant"):
+        run("show", "viewer-hall.bundle", "--all", "--directory", fleet.ann)

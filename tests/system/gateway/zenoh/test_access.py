@@ -1,0 +1,576 @@
+"""Access by role, subject by key by operation, through a real router-mode session with mutual TLS on loopback.
+
+The oracle is the table of docs/authority.md. Whoever attacks has a certificate of some role, and a Zenoh file
+without the rules that it was given.
+"""
+
+from __future__ import annotations
+
+import socket
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+import zenoh
+from zenoh import ext
+
+from gateway.authority.transport import COMMAND_MAX_BYTES, TransportRole, zenoh_configuration
+from gateway.host.certificates import LEAF_DAYS, issue, issue_site, new_key, new_request
+from gateway.zenoh.router import open_router
+from tests.support.secured import Network, pem, write
+from tests.support.waiting import wait_until
+
+ROBOT, OTHER, OPERATOR, VIEWER, RECORDER, DESK = "robot", "other", "operator", "viewer", "recorder", "desk"
+ROLES: Final = {
+    ROBOT: TransportRole.ROBOT,
+    OTHER: TransportRole.ROBOT,
+    OPERATOR: TransportRole.OPERATOR,
+    VIEWER: TransportRole.VIEWER,
+    RECORDER: TransportRole.RECORDER,
+    DESK: TransportRole.DESK,
+}
+PEOPLE: Final = {OPERATOR, VIEWER, DESK}
+COMMANDING: Final = {OPERATOR, DESK}
+ROBOTS: Final = {ROBOT, OTHER}
+NOBODY: Final[set[str]] = set()
+
+R: Final = "fleet/cruiser-1"
+TELEMETRY: Final = (
+    "state",
+    "chassis/gear",
+    "can/can0/rx",
+    "safety/state",
+    "safety/decision",
+    "journal",
+    "authority/heads",
+    "authority/statement",
+    "gateway/health",
+)
+KEPT: Final = ("journal", "safety/decision", "gateway/info", "safety/event/@adv/pub/1/2/_")
+VERB: Final = f"{R}/@cmd/ann/acquire"
+DRIVE: Final = f"{R}/@cmd/ann/drive"
+STOP: Final = f"{R}/@cmd/ann/stop"
+STOP_ALL: Final = "fleet/*/@cmd/ann/stop"
+ORDER: Final = "fleet/@recorder/depot/@cmd/ann/split"
+BACKFILL: Final = "fleet/@recorder/depot/@cmd/ann/backfill"
+
+# A robot's certificate says that it is a robot, not which: forged telemetry of another shows in the signed chains.
+PUTS: Final = {f"{R}/{name}": ROBOTS for name in TELEMETRY} | {
+    DRIVE: COMMANDING,
+    VERB: NOBODY,
+    f"{R}/@cmd/ann/engage": NOBODY,
+    f"{R}/@cmd/*/*": NOBODY,
+    f"{R}/@cmd/ann/*": NOBODY,
+    f"{R}/@cmd/**": NOBODY,
+    f"{R}/@cmd/ann/stop/further": NOBODY,
+    f"{R}/@auth": NOBODY,
+    "fleet/*/state": ROBOTS,
+    "fleet/**": NOBODY,
+    "fleet/cruiser-1": NOBODY,
+    f"{R}/other": NOBODY,
+    "other/cruiser-1/state": NOBODY,
+    f"{R}/gateway": NOBODY,
+    "fleet/@recorder/depot/health": {RECORDER},
+    ORDER: NOBODY,
+    STOP: PEOPLE,
+    STOP_ALL: COMMANDING,
+}
+"""Who may put on which key; ``PUTS_REACHED`` are those of them that a robot subscribes to."""
+
+PUTS_REACHED: Final = {DRIVE, STOP, STOP_ALL}
+
+QUERIES: Final = {f"{R}/{name}": PEOPLE | {RECORDER} for name in KEPT} | {
+    "fleet/*/gateway/info": PEOPLE | {RECORDER, OTHER},
+    f"{R}/gateway/info": PEOPLE | {RECORDER, OTHER},
+    VERB: COMMANDING,
+    f"{R}/@cmd/ann/reset": COMMANDING,
+    f"{R}/@cmd/*/*": NOBODY,
+    f"{R}/@cmd/**": NOBODY,
+    f"{R}/**": NOBODY,
+    "fleet/**": NOBODY,
+    "fleet/*/@cmd/ann/acquire": NOBODY,
+    DRIVE: NOBODY,
+    STOP: PEOPLE,
+    STOP_ALL: COMMANDING,
+    f"{R}/@auth": COMMANDING,
+    "fleet/*/@auth": COMMANDING,
+}
+"""Whose query on which key reaches the robot, and is answered."""
+
+SUBSCRIPTIONS: Final = {f"fleet/*/{name}": PEOPLE | {RECORDER} for name in TELEMETRY} | {
+    f"{R}/chassis/*": PEOPLE | {RECORDER},
+    "fleet/**": {RECORDER},
+    f"{R}/**": {RECORDER},
+    "**": NOBODY,
+    f"{R}/@cmd/*/*": ROBOTS,
+    f"{R}/@cmd/**": NOBODY,
+    "fleet/*/@cmd/*/*": ROBOTS,
+    "fleet/@recorder/*/health": PEOPLE | {RECORDER},
+}
+"""Who receives anything under which subscription."""
+
+IMPOSTORS: Final = {
+    f"{R}/gateway/info": ROBOTS,
+    VERB: ROBOTS,
+    f"{R}/@cmd/*/*": ROBOTS,
+    f"{R}/@auth": ROBOTS,
+    ORDER: {RECORDER},
+}
+"""Whose replies on which key reach an operator."""
+
+TOKENS: Final = {
+    "fleet/ghost/gateway": ROBOTS,
+    "fleet/@recorder/ghost": {RECORDER},
+    "fleet/ghost": NOBODY,
+    "operators/ghost": NOBODY,
+}
+"""Whose liveliness tokens are seen."""
+
+
+def free_endpoint() -> str:
+    """An endpoint that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tls/127.0.0.1:{probe.getsockname()[1]}"
+
+
+class Secured:
+    """A router, and one session for each role: those that attack, and an honest robot and an honest operator."""
+
+    def __init__(self, directory: Path) -> None:
+        self.network = Network(directory, free_endpoint())
+        router = self.network.node(TransportRole.ROUTER, "127.0.0.1")
+        self.router, _ = open_router(router / "router.json5", [])
+        self.attackers = {
+            name: self.network.session(role, name, access_control__enabled=False) for name, role in ROLES.items()
+        }
+        self.robot = self.network.session(TransportRole.ROBOT, "cruiser-1", "cruiser-1")
+        self.operator = self.network.session(TransportRole.OPERATOR, "ann")
+        self.recorder = self.network.session(TransportRole.RECORDER, "depot")
+
+    def close(self) -> None:
+        """End all of them, the router last."""
+        for session in (*self.attackers.values(), self.robot, self.operator, self.recorder, self.router):
+            session.close()
+
+
+@pytest.fixture(scope="module")
+def secured() -> Iterator[Secured]:
+    """The network of all tests here: they leave nothing on it."""
+    with tempfile.TemporaryDirectory() as directory:
+        network = Secured(Path(directory))
+        try:
+            yield network
+        finally:
+            network.close()
+
+
+class Arrivals:
+    """What samples or queries arrived: the sender and the key, as the payload names them."""
+
+    def __init__(self) -> None:
+        self.found: set[tuple[str, str]] = set()
+        self.kinds: set[str] = set()
+
+    def sample(self, sample: zenoh.Sample) -> None:
+        self.kinds.add(str(sample.kind))
+        attachment = sample.attachment
+        if attachment is not None:
+            self._note(attachment)
+
+    def query(self, query: zenoh.Query) -> None:
+        if query.attachment is not None:
+            self._note(query.attachment)
+
+    def answering(self, own: str) -> Callable[[zenoh.Query], None]:
+        """Note a query, and reply to it under a key of one's own."""
+
+        def answer(query: zenoh.Query) -> None:
+            self.query(query)
+            key = str(query.key_expr)
+            query.reply(own if "*" in key else key, b"yes", attachment=query.attachment)
+
+        return answer
+
+    def _note(self, attachment: zenoh.ZBytes) -> None:
+        sender, _, key = attachment.to_bytes().decode().partition(" ")
+        self.found.add((sender, key))
+
+
+def allowed(table: dict[str, set[str]]) -> set[tuple[str, str]]:
+    """Sender and key of all that a table allows."""
+    return {(sender, key) for key, senders in table.items() for sender in senders}
+
+
+def fence(secured: Secured, arrivals: Arrivals) -> None:
+    """Wait until what every attacker sent before has arrived: a put of its own that is allowed comes after it.
+
+    A recorder's has a key that robots do not subscribe to, and a robot's too: they end at the router.
+    """
+    keys = (
+        dict.fromkeys(PEOPLE, STOP)
+        | {RECORDER: "fleet/@recorder/depot/health"}
+        | dict.fromkeys(ROBOTS, f"{R}/state")
+    )
+    for name, session in secured.attackers.items():
+        session.put(keys[name], b"", attachment=f"{name} fence", congestion_control=zenoh.CongestionControl.BLOCK)
+    wait_until(lambda: all((name, "fence") in arrivals.found for name in ROLES))
+
+
+def observe(secured: Secured, arrivals: Arrivals) -> list[Any]:
+    """Subscribe at the router itself to all that passes it."""
+    everything = ("**", "fleet/*/@cmd/**", "fleet/*/@auth/**", "fleet/@recorder/**", "fleet/@recorder/*/@cmd/**")
+    return [secured.router.declare_subscriber(key, arrivals.sample) for key in everything]
+
+
+def undeclare(declared: list[Any]) -> None:
+    """Leave nothing behind."""
+    for one in declared:
+        one.undeclare()
+
+
+def test_who_may_put_on_which_key(secured: Secured) -> None:
+    """A put passes the router where the table says so, and reaches the robot where it subscribes, no other."""
+    passed, reached = Arrivals(), Arrivals()
+    declared = observe(secured, passed)
+    declared += [
+        secured.robot.declare_subscriber(f"{R}/@cmd/*/{verb}", reached.sample) for verb in ("stop", "drive")
+    ]
+    wait_until(lambda: reaches(secured, reached))
+    for name, session in secured.attackers.items():
+        for key in PUTS:
+            session.put(key, b"", attachment=f"{name} {key}", congestion_control=zenoh.CongestionControl.BLOCK)
+    fence(secured, passed)
+    wait_until(lambda: {(name, "fence") for name in PEOPLE} <= reached.found)
+    undeclare(declared)
+    assert {one for one in passed.found if one[1] in PUTS} == allowed(PUTS)
+    expected = {(name, key) for name, key in allowed(PUTS) if key in PUTS_REACHED}
+    assert {one for one in reached.found if one[1] in PUTS} == expected
+
+
+def reaches(secured: Secured, arrivals: Arrivals) -> bool:
+    """Send the robot a stop of its operator's: has one come?"""
+    secured.operator.put(STOP, b"", attachment="honest operator")
+    return ("honest", "operator") in arrivals.found
+
+
+def test_nobody_deletes_anything(secured: Secured) -> None:
+    """No DELETE passes, by any role on any key."""
+    passed = Arrivals()
+    declared = observe(secured, passed)
+    for session in secured.attackers.values():
+        for key in PUTS:
+            session.delete(key, congestion_control=zenoh.CongestionControl.BLOCK)
+    fence(secured, passed)
+    undeclare(declared)
+    assert passed.kinds == {str(zenoh.SampleKind.PUT)}
+
+
+def test_whose_queries_reach_the_robot(secured: Secured) -> None:
+    """A query arrives, and its reply comes back, where the table says so."""
+    arrivals, answered = Arrivals(), set()
+    own = {
+        **{f"{R}/{name}": f"{R}/{name}" for name in KEPT},
+        f"{R}/@cmd/*/*": STOP,
+        f"{R}/@auth": f"{R}/@auth",
+    }
+    declared: list[Any] = [
+        secured.robot.declare_queryable(key, arrivals.answering(reply), complete=True)
+        for key, reply in own.items()
+    ]
+    wait_until(lambda: any(one.ok for one in secured.operator.get(f"{R}/@auth", timeout=1)))
+    pending = [
+        (name, key, session.get(key, attachment=f"{name} {key}", timeout=2, target=zenoh.QueryTarget.ALL))
+        for name, session in secured.attackers.items()
+        for key in QUERIES
+    ]
+    for name, key, replies in pending:
+        if any(reply.ok is not None for reply in replies):
+            answered.add((name, key))
+    undeclare(declared)
+    expected = allowed(QUERIES) | {(ROBOT, key) for key in QUERIES if key.endswith("gateway/info")}
+    assert arrivals.found == expected
+    assert answered == expected
+
+
+def round_trip(session: zenoh.Session) -> None:
+    """Return when all that this session sent before has been routed, and what the robot sent has arrived."""
+    wait_until(lambda: any(reply.ok for reply in session.get(f"{R}/gateway/info", timeout=1)))
+
+
+@pytest.mark.parametrize("key", SUBSCRIPTIONS)
+def test_who_receives_what(secured: Secured, key: str) -> None:
+    """A subscription brings something where the table says so: nobody but robots sees a command."""
+    answer = secured.robot.declare_queryable(f"{R}/gateway/info", Arrivals().answering(f"{R}/gateway/info"))
+    found: set[str] = set()
+    declared: list[Any] = [answer]
+    for name, session in secured.attackers.items():
+
+        def note(_sample: zenoh.Sample, name: str = name) -> None:
+            found.add(name)
+
+        declared.append(session.declare_subscriber(key, note))
+        round_trip(session)
+    publishers = {"fleet/@recorder/depot/health": secured.recorder, STOP: secured.operator} | {
+        f"{R}/{name}": secured.robot for name in TELEMETRY
+    }
+
+    def publish() -> None:
+        for published, session in publishers.items():
+            session.put(published, b"", congestion_control=zenoh.CongestionControl.BLOCK)
+
+    wait_until(lambda: found >= SUBSCRIPTIONS[key], publish)
+    publish()
+    for session in (secured.operator, secured.recorder, *secured.attackers.values()):
+        round_trip(session)
+    undeclare(declared)
+    assert found == SUBSCRIPTIONS[key]
+
+
+@pytest.mark.parametrize("key", IMPOSTORS)
+def test_whose_replies_reach_an_operator(secured: Secured, key: str) -> None:
+    """Who declares a robot's queryable without being one is neither asked nor believed."""
+    asked = Arrivals()
+    declared: list[Any] = []
+    for name, session in secured.attackers.items():
+
+        def answer(query: zenoh.Query, name: str = name) -> None:
+            asked.found.add((name, key))
+            query.reply(str(query.key_expr), name.encode())
+
+        declared.append(session.declare_queryable(key, answer, complete=True))
+    found: set[str] = set()
+    question = VERB if key == f"{R}/@cmd/*/*" else key
+
+    def ask() -> None:
+        replies = secured.operator.get(
+            question, timeout=2, target=zenoh.QueryTarget.ALL, consolidation=zenoh.ConsolidationMode.NONE
+        )
+        found.update(reply.ok.payload.to_string() for reply in replies if reply.ok is not None)
+
+    wait_until(lambda: found >= IMPOSTORS[key], ask)
+    undeclare(declared)
+    assert found == IMPOSTORS[key]
+    assert {name for name, _ in asked.found} == IMPOSTORS[key]
+
+
+def test_whose_liveliness_tokens_are_seen(secured: Secured) -> None:
+    """A ghost of a robot wants a robot's certificate."""
+    declared: list[Any] = []
+    found: set[tuple[str, str]] = set()
+    for name, session in secured.attackers.items():
+        for key in TOKENS:
+            chunks = key.split("/")
+            own = "/".join(f"{chunk}-{name}" if chunk == "ghost" else chunk for chunk in chunks)
+            declared.append(session.liveliness().declare_token(own))
+
+    def look() -> None:
+        for expression in ("fleet/*/gateway", "fleet/@recorder/*", "fleet/*", "operators/*"):
+            for reply in secured.router.liveliness().get(expression, timeout=2):
+                if reply.ok is not None and "ghost-" in (key := str(reply.ok.key_expr)):
+                    name = next(one for one in ROLES if f"ghost-{one}" in key)
+                    found.add((name, key.replace(f"-{name}", "")))
+
+    wait_until(lambda: found >= allowed(TOKENS), look)
+    undeclare(declared)
+    assert found == allowed(TOKENS)
+
+
+def test_who_sees_which_robots_are_there(secured: Secured) -> None:
+    """People and recorders list robots by the tokens; nobody lists more by a wider question."""
+    token = secured.robot.liveliness().declare_token(f"{R}/gateway")
+    seen: dict[str, set[str]] = {name: set() for name in ROLES}
+
+    def look() -> None:
+        for name, session in secured.attackers.items():
+            for expression in ("fleet/*/gateway", "fleet/**", "**"):
+                for reply in session.liveliness().get(expression, timeout=1):
+                    if reply.ok is not None and str(reply.ok.key_expr) == f"{R}/gateway":
+                        seen[name].add(expression)
+
+    wait_until(lambda: all(seen.values()), look)
+    token.undeclare()
+    assert seen == {name: {"fleet/*/gateway"} for name in ROLES}
+
+
+def test_a_stop_passes_whatever_its_size(secured: Secured) -> None:
+    """Sizes are limited by the verb; a stop is never filtered."""
+    reached = Arrivals()
+    declared = [
+        secured.robot.declare_subscriber(f"{R}/@cmd/*/{verb}", reached.sample) for verb in ("stop", "drive")
+    ]
+    large = bytes(COMMAND_MAX_BYTES + 1)
+    operator = secured.attackers[OPERATOR]
+
+    def send() -> None:
+        operator.put(DRIVE, large, attachment="drive large")
+        operator.put(DRIVE, large[: COMMAND_MAX_BYTES // 2], attachment="drive small")
+        operator.put(STOP, large, attachment="stop large")
+
+    wait_until(lambda: {("stop", "large"), ("drive", "small")} <= reached.found, send)
+    undeclare(declared)
+    assert ("drive", "large") not in reached.found
+
+
+def test_a_robot_refuses_what_a_router_without_rules_sends(secured: Secured) -> None:
+    """Its own file holds for the router too: commands under its own name, and a stop of all, reach it."""
+    network = Network(Path(tempfile.mkdtemp(dir=secured.network.directory)), free_endpoint())
+    config = zenoh.Config.from_file(str(network.node(TransportRole.ROUTER, "127.0.0.1") / "router.json5"))
+    config.insert_json5("access_control/enabled", "false")
+    with zenoh.open(config) as router, network.session(TransportRole.ROBOT, "cruiser-1", "cruiser-1") as robot:
+        reached = Arrivals()
+        for key in (f"{R}/@cmd/*/*", "fleet/*/@cmd/*/*", "fleet/**", f"{R}/@auth"):
+            robot.declare_subscriber(key, reached.sample)
+        wrong = ("fleet/*/@cmd/ann/drive", "fleet/cruiser-2/state", f"{R}/state", f"{R}/@auth", f"{R}/@cmd/*/*")
+
+        def send() -> None:
+            for key in (*wrong, DRIVE, STOP_ALL):
+                router.put(key, b"", attachment=f"router {key}")
+
+        wait_until(lambda: {("router", DRIVE), ("router", STOP_ALL)} <= reached.found, send)
+        assert reached.found == {("router", DRIVE), ("router", STOP_ALL)}
+
+
+def test_a_late_joiner_gets_what_was_published_before(secured: Secured) -> None:
+    """An operator the history of a subject, a recorder what the gateway kept: the rules let both through."""
+    key, kept = f"{R}/safety/event", f"{R}/journal"
+    publisher = ext.declare_advanced_publisher(
+        secured.robot, key, cache=ext.CacheConfig(10), publisher_detection=True
+    )
+    queries = secured.robot.declare_queryable(kept, Arrivals().answering(kept), complete=True)
+    for number in range(3):
+        publisher.put(str(number))
+    received: list[str] = []
+    subscriber = ext.declare_advanced_subscriber(
+        secured.operator,
+        key,
+        lambda sample: received.append(sample.payload.to_string()),
+        history=ext.HistoryConfig(detect_late_publishers=True),
+    )
+    wait_until(lambda: len(received) == 3)
+    wait_until(lambda: any(reply.ok for reply in secured.recorder.get(f"{kept}?first=0", timeout=1)))
+    assert received == ["0", "1", "2"]
+    undeclare([subscriber, publisher, queries])
+
+
+def test_a_link_ends_with_its_certificate(tmp_path: Path) -> None:
+    """In the middle of a session; and who comes with one that is over does not connect."""
+    network = Network(tmp_path, free_endpoint())
+    router = network.node(TransportRole.ROUTER, "127.0.0.1")
+    lives_s = 5
+    ann = network.node(TransportRole.OPERATOR, "ann", born_s=int(time.time()) - LEAF_DAYS * 86_400 + lives_s)
+    file = str(ann / "operator.json5")
+    with open_router(router / "router.json5", [])[0]:
+        with zenoh.open(zenoh.Config.from_file(file)) as session:
+            assert session.info.routers_zid()
+            wait_until(lambda: not session.info.routers_zid())
+        assert not opens(zenoh.Config.from_file(file))
+
+
+def opens(config: zenoh.Config) -> bool:
+    """Does a client's session with this configuration find anybody?"""
+    try:
+        session = zenoh.open(config)
+    except zenoh.ZError:
+        return False
+    try:
+        return bool(session.info.routers_zid())
+    finally:
+        session.close()
+
+
+def configuration(network: Network, role: TransportRole, name: str) -> zenoh.Config:
+    """The Zenoh configuration of a new node."""
+    return zenoh.Config.from_file(str(network.node(role, name) / f"{role.value}.json5"))
+
+
+def test_who_has_no_certificate_of_the_authority_does_not_connect(secured: Secured, tmp_path: Path) -> None:
+    """Without a certificate, with one of a foreign authority, in plain TCP; the same node with its own does."""
+    network = secured.network
+    right = configuration(network, TransportRole.OPERATOR, "bea")
+    assert opens(right)
+    bare = configuration(network, TransportRole.OPERATOR, "without")
+    for entry in ("connect_certificate", "connect_private_key"):
+        bare.insert_json5(f"transport/link/tls/{entry}", "null")
+    bare.insert_json5("transport/link/tls/enable_mtls", "false")
+    assert not opens(bare)
+    foreign = Network(tmp_path, network.endpoint)
+    stranger = configuration(foreign, TransportRole.OPERATOR, "stranger")
+    ours = str(network.directory / "operator-bea" / "ca.pem")
+    stranger.insert_json5("transport/link/tls/root_ca_certificate", f'"{ours}"')
+    assert not opens(stranger)
+    plain = configuration(network, TransportRole.OPERATOR, "plain")
+    plain.insert_json5("transport/link/protocols", '["tcp"]')
+    plain.insert_json5("connect/endpoints", f'["{network.endpoint.replace("tls/", "tcp/")}"]')
+    assert not opens(plain)
+
+
+@pytest.mark.parametrize("role", [TransportRole.OPERATOR, TransportRole.RECORDER, TransportRole.ROBOT])
+def test_a_certificate_that_only_dials_out_serves_nobody(tmp_path: Path, role: TransportRole) -> None:
+    """Who puts up a router with an operator's certificate is refused by every client."""
+    network = Network(tmp_path, free_endpoint())
+    router = network.node(TransportRole.ROUTER, "127.0.0.1")
+    impostor = network.node(role, "127.0.0.1")
+    config = zenoh.Config.from_file(str(router / "router.json5"))
+    for end in ("listen", "connect"):
+        for kind, suffix in (("certificate", "pem"), ("private_key", "key")):
+            file = impostor / f"{role.value}-tls.{suffix}"
+            config.insert_json5(f"transport/link/tls/{end}_{kind}", f'"{file}"')
+    with zenoh.open(config):
+        assert not opens(configuration(network, TransportRole.ROBOT, "cruiser-1"))
+    with open_router(router / "router.json5", [])[0]:
+        assert opens(configuration(network, TransportRole.ROBOT, "cruiser-2"))
+
+
+def test_what_a_site_certifies_serves_nobody(tmp_path: Path) -> None:
+    """Who has a site's key makes certificates of clients: its own limits all below it, whatever they say."""
+    network = Network(tmp_path, free_endpoint())
+    router = network.node(TransportRole.ROUTER, "127.0.0.1")
+    now_s, site, key = int(time.time()), new_key(), new_key()
+    above = issue_site(new_request(site, "site", ["depot"]), network.certificate, network.key, now_s, now_s + 3600)
+    operator = network.node(TransportRole.OPERATOR, "bea")
+    request = new_request(key, "operator", ["bea"])
+    write(operator / "operator-tls.key", pem(key))
+    write(operator / "operator-tls.pem", issue(request, TransportRole.OPERATOR, above, site, now_s))
+    with open_router(router / "router.json5", [])[0]:
+        assert opens(zenoh.Config.from_file(str(operator / "operator.json5")))
+    request = new_request(key, "router", ["127.0.0.1"])
+    write(router / "router-tls.key", pem(key))
+    write(router / "router-tls.pem", issue(request, TransportRole.ROUTER, above, site, now_s))
+    with open_router(router / "router.json5", [])[0]:
+        assert not opens(configuration(network, TransportRole.ROBOT, "cruiser-1"))
+
+
+def test_a_desk_that_plays_the_router_commands_nobody(tmp_path: Path) -> None:
+    """Its certificate serves, and says desk: a robot takes nothing from it, and gives it nothing."""
+    network = Network(tmp_path, free_endpoint())
+    router = network.node(TransportRole.ROUTER, "127.0.0.1")
+    desk = network.node(TransportRole.DESK, "127.0.0.1")
+    config = zenoh.Config.from_file(str(router / "router.json5"))
+    config.insert_json5("access_control/enabled", "false")
+    for end in ("listen", "connect"):
+        for kind, suffix in (("certificate", "pem"), ("private_key", "key")):
+            config.insert_json5(f"transport/link/tls/{end}_{kind}", f'"{desk}/desk-tls.{suffix}"')
+    with zenoh.open(config) as impostor, network.session(TransportRole.ROBOT, "cruiser-1", "cruiser-1") as robot:
+        wait_until(
+            lambda: bool(impostor.info.peers_zid() or impostor.info.routers_zid() or list(impostor.info.links()))
+        )
+        reached, leaked, inner = Arrivals(), Arrivals(), Arrivals()
+        robot.declare_subscriber(f"{R}/@cmd/*/*", reached.sample)
+        impostor.declare_subscriber("fleet/**", leaked.sample)
+        impostor.declare_subscriber("fleet/*/own", inner.sample)
+        for number in range(50):
+            impostor.put(DRIVE, b"", attachment=f"desk {number}")
+            robot.put(f"{R}/state", b"", attachment=f"robot {number}")
+        # A query that comes back empty went both ways after all of these.
+        assert not [reply for reply in robot.get(f"{R}/gateway/info", timeout=1) if reply.ok is not None]
+        assert (reached.found, leaked.found) == (set(), set())
+
+
+def test_an_endpoint_without_certificates_is_refused() -> None:
+    """Plain TCP in a provisioned file would let anybody in."""
+    with pytest.raises(ValueError, match="tls and quic"):
+        zenoh_configuration(TransportRole.ROBOT, "fleet", Path(), ["tcp/127.0.0.1:7447"], "cruiser-1")

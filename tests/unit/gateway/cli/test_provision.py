@@ -1,0 +1,576 @@
+"""``cruiser provision``: who is let in, what is written, and one clear line for all that is wrong."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+import tomllib
+from pathlib import Path
+
+import msgspec
+import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
+from gateway.authority.enrolment import bundle_text
+from gateway.host.certificates import expires_s, read_certificates
+from gateway.host.key_files import read_identity
+from schemas.authority.statement import Grant, GrantRole, Revocations, Rotation
+from schemas.authority.trust import HeldGrant, Objection
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.reasons import Reason
+from schemas.requests import Role
+from tests.support.provisioning import ENDPOINT, ProvisionedFleet, bundle_of, chain, run
+
+DAY_S = 86_400
+
+
+@pytest.fixture
+def fleet(tmp_path: Path) -> ProvisionedFleet:
+    """A standby and an authority, which has let nobody in."""
+    return ProvisionedFleet(tmp_path)
+
+
+@pytest.fixture(autouse=True)
+def _home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing outside of the test's own directory is touched."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+
+
+def refused(*words: str | Path) -> str:
+    """The line with which it ends."""
+    with pytest.raises(CommandError) as caught:
+        run(*words)
+    assert caught.value.code in {ExitCode.USAGE, ExitCode.FAILURE}
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
+
+
+# What is made.
+
+
+def test_a_robot_and_a_person_hold_grants_of_the_authority(fleet: ProvisionedFleet) -> None:
+    """What the gateway and an operator's commands read is what was installed."""
+    robot, ann = fleet.let_in("robot", "cruiser-1"), fleet.let_in("operator", "ann", "--speed-limit", "0.8")
+    identity = read_identity(robot, "robot")
+    held = identity.trust.judge(identity.chain, int(time.time()))
+    assert isinstance(held, HeldGrant)
+    assert (held.grant.role, held.grant.name, held.grant.robots) == (GrantRole.ROBOT, "cruiser-1", ["cruiser-1"])
+    person = read_identity(ann, "operator")
+    held = identity.trust.judge(person.chain, int(time.time()))
+    assert isinstance(held, HeldGrant)
+    assert (held.grant.role, held.grant.name, held.speed_limit_mps) == (GrantRole.OPERATOR, "ann", 0.8)
+    assert abs(held.not_after - time.time() - DAY_S / 2) < 600
+
+
+def test_everything_is_its_owners_alone(fleet: ProvisionedFleet) -> None:
+    """Keys, and all that lies beside them: files 0600, directories 0700."""
+    for role, name in (("robot", "cruiser-1"), ("operator", "ann"), ("router", "127.0.0.1"), ("site", "depot")):
+        fleet.let_in(role, name)
+    directories = [path for path in fleet.place.iterdir() if path.is_dir() and path.name != "config"]
+    assert len(directories) == 6
+    assert {path.stat().st_mode & 0o777 for path in directories} == {0o700}
+    files = [file for directory in directories for file in directory.iterdir()]
+    files += [*fleet.place.glob("*.request"), *fleet.place.glob("*.bundle")]
+    assert {file.stat().st_mode & 0o777 for file in files} == {0o600}
+    assert not [file for file in files if "unfinished" in file.name]
+
+
+def test_no_private_key_travels(fleet: ProvisionedFleet) -> None:
+    """Neither a request nor a bundle holds one."""
+    robot = fleet.let_in("robot", "cruiser-1")
+    travelled = [*fleet.place.glob("*.request"), *fleet.place.glob("*.bundle")]
+    assert len(travelled) == 2
+    assert not [file for file in travelled if b"PRIVATE" in file.read_bytes()]
+    assert b"PRIVATE" in (robot / "robot.key").read_bytes()
+
+
+def test_a_machine_gets_settings_that_any_command_takes(fleet: ProvisionedFleet) -> None:
+    """The robot's name, signed mode, its directory and its Zenoh file; a viewer signs nothing."""
+    robot, hall = fleet.let_in("robot", "cruiser-1"), fleet.let_in("viewer", "hall")
+    settings = tomllib.loads((robot / "robot.toml").read_text())
+    assert settings == {
+        "robot": {"root": "fleet", "name": "cruiser-1"},
+        "authority": {"mode": "signed", "directory": str(robot)},
+        "zenoh": {"config": str(robot / "robot.json5")},
+    }
+    zenoh = json.loads((robot / "robot.json5").read_text())
+    assert (zenoh["mode"], zenoh["connect"]["endpoints"], zenoh["listen"]["endpoints"]) == (
+        "client",
+        [ENDPOINT],
+        [],
+    )
+    assert "mode" not in tomllib.loads((hall / "viewer.toml").read_text())["authority"]
+    assert not (hall / "viewer.key").exists()
+
+
+def test_settings_that_somebody_added_to_stay(fleet: ProvisionedFleet) -> None:
+    """A renewal replaces certificates and grants, and no settings."""
+    robot = fleet.let_in("robot", "cruiser-1")
+    file = robot / "robot.toml"
+    file.write_text(file.read_text() + '\n[can]\nchannel = "can1"\n')
+    run("renew", "robot", "--directory", robot, "-o", "again.request")
+    run("install", fleet.sign(fleet.place / "again.request"), "--directory", robot, "--replace")
+    assert 'channel = "can1"' in file.read_text()
+
+
+def test_a_router_listens_where_the_fleet_finds_it(fleet: ProvisionedFleet) -> None:
+    """On the loopback where that is its address, on all addresses for a name; for no other host."""
+    router = fleet.let_in("router", "127.0.0.1")
+    assert json.loads((router / "router.json5").read_text())["listen"]["endpoints"] == [ENDPOINT]
+    bundle = fleet.sign(fleet.request("router", "other.example"))
+    assert "ask with one of these hosts" in refused(
+        "install", bundle, "--directory", fleet.place / "other.example"
+    )
+    named = ProvisionedFleet(fleet.place / "named", "tls/router.example:7447")
+    file = named.let_in("router", "router.example") / "router.json5"
+    assert json.loads(file.read_text())["listen"]["endpoints"] == ["tls/[::]:7447"]
+
+
+def test_the_authoritys_keys_are_under_a_passphrase(tmp_path: Path) -> None:
+    """Without one they open nothing; without a terminal and a file there is none."""
+    secret = tmp_path / "secret"
+    secret.write_text("correct horse\n")
+    key = ("--passphrase-file", secret)
+    run("standby", "--directory", tmp_path / "s", *key)
+    run("authority", "--directory", tmp_path / "a", "--standby", "s/standby.pub", "--router", ENDPOINT, *key)
+    for name in ("s/standby.key", "a/authority.key", "a/ca.key"):
+        assert b"BEGIN ENCRYPTED PRIVATE KEY" in (tmp_path / name).read_bytes()
+    run("viewer", "hall", "--directory", tmp_path / "hall")
+    run("sign", "viewer-hall.request", "--directory", tmp_path / "a", *key)
+    sign = ("sign", "viewer-hall.request", "--directory", tmp_path / "a", "--replace")
+    assert "--passphrase-file" in refused(*sign)
+    secret.write_text("wrong\n")
+    assert "passphrase is wrong" in refused(*sign, *key)
+    secret.write_text("\n")
+    assert "an empty passphrase" in refused("standby", "--directory", tmp_path / "t", *key)
+    assert "cannot be read" in refused(
+        "standby", "--directory", tmp_path / "t", "--passphrase-file", tmp_path / "no"
+    )
+
+
+# Grants.
+
+
+def test_what_is_said_is_granted(fleet: ProvisionedFleet) -> None:
+    """Robots, verbs, role, override, speed limit, life."""
+    fleet.let_in(
+        *("operator", "ann", "--robots", "depot-*", "--robots", "hall-1", "--verbs", "acquire,drive"),
+        *("--role", "supervisor", "--override", "--speed-limit", "0.5", "--hours", "2"),
+    )
+    grant = fleet.grant("ann")
+    assert (grant.robots, grant.verbs, grant.role) == (
+        ["depot-*", "hall-1"],
+        ["acquire", "drive"],
+        GrantRole.SUPERVISOR,
+    )
+    assert (grant.override, grant.speed_limit_mps) == (True, 0.5)
+    assert abs(grant.not_after - time.time() - 7200) < 600
+    assert {role.value for role in Role} == {"program", "operator", "supervisor"}
+
+
+def test_a_renewal_grants_the_same_again(fleet: ProvisionedFleet) -> None:
+    """Unless something else is said. The key stays, the grant is another."""
+    ann = fleet.let_in("operator", "ann", "--verbs", "acquire,drive", "--speed-limit", "0.5")
+    before = fleet.grant("ann")
+    run("renew", "operator", "--directory", ann, "-o", "again.request")
+    bundle = fleet.sign(fleet.place / "again.request", "--robots", "depot-*")
+    assert "is there already" in refused("install", bundle, "--directory", ann)
+    run("install", bundle, "--directory", ann, "--replace")
+    after = fleet.grant("ann")
+    assert (after.key, after.verbs, after.speed_limit_mps) == (before.key, before.verbs, 0.5)
+    assert (after.robots, after.serial) == (["depot-*"], before.serial + 1)
+
+
+def test_a_site_lets_people_in_for_half_a_day(fleet: ProvisionedFleet) -> None:
+    """Their grants and certificates hold up to the authority; nobody else, nothing wider, nothing longer."""
+    depot = fleet.let_in("site", "depot", "--robots", "depot-*", "--speed-limit", "1")
+    bea = fleet.let_in("operator", "bea", "--robots", "depot-1", "--speed-limit", "0.5", by="depot")
+    person = read_identity(bea, "operator")
+    assert len(person.chain) == 2
+    assert isinstance(person.trust.judge(person.chain, int(time.time())), HeldGrant)
+    certificates = read_certificates((bea / "operator-tls.pem").read_text())
+    assert [one.issuer.rfc4514_string() for one in certificates] == [
+        "CN=site depot",
+        "CN=cruiser transport authority",
+    ]
+    request = fleet.request("operator", "eve")
+    by_site = ("--directory", depot, "-o", "eve.bundle")
+    assert "robots that its signer" in refused("sign", request, *by_site)
+    assert "more than 12 h" in refused("sign", request, *by_site, "--robots", "depot-1", "--hours", "13")
+    limits = ("--robots", "depot-1", "--speed-limit", "2")
+    assert "speed limit is above" in refused("sign", request, *by_site, *limits)
+    override = ("--robots", "depot-1", "--speed-limit", "1", "--override")
+    assert "may not override" in refused("sign", request, *by_site, *override)
+    for role in ("robot", "recorder", "site", "router", "desk"):
+        other = fleet.request(role, f"{role}-9")
+        assert "the authority alone" in refused("sign", other, *by_site)
+    assert "the authority alone revokes" in refused("revoke", "bea", "--directory", depot)
+
+
+def test_who_was_let_in_is_written_down(fleet: ProvisionedFleet) -> None:
+    """A line each, readable in less."""
+    fleet.let_in("operator", "ann")
+    fleet.let_in("viewer", "hall")
+    lines = (fleet.place / "authority" / "issued.jsonl").read_text().splitlines()
+    assert [(json.loads(line)["role"], json.loads(line)["name"]) for line in lines] == [
+        ("operator", "ann"),
+        ("viewer", "hall"),
+    ]
+
+
+# Revocation and rotation.
+
+
+def test_a_list_of_revocations_holds_all_of_before(fleet: ProvisionedFleet) -> None:
+    """Its serial rises, also where the clock was set back, and the robots take it over."""
+    ann, bea = fleet.let_in("operator", "ann"), fleet.let_in("operator", "bea")
+    authority = ("--directory", fleet.place / "authority")
+    run("revoke", "ann", *authority)
+    first = chain(fleet.place / "revocations.statement")[0]
+    run("revoke", "bea", *authority, "--replace")
+    second = chain(fleet.place / "revocations.statement")[0]
+    assert isinstance(first.statement, Revocations)
+    assert isinstance(second.statement, Revocations)
+    assert second.statement.serial > first.statement.serial
+    assert set(second.statement.keys) == {fleet.grant(name).key for name in ("ann", "bea")}
+    trust = read_identity(ann, "operator").trust.revoke(first)
+    assert not isinstance(trust, Objection)
+    refusal = trust.judge(chain(ann / "operator.grant"), int(time.time()))
+    assert isinstance(refusal, Objection)
+    assert refusal.reason is Reason.GRANT_REVOKED
+    assert isinstance(trust.judge(chain(bea / "operator.grant"), int(time.time())), HeldGrant)
+    assert isinstance(trust.revoke(first), Objection)
+
+
+def test_a_serial_survives_a_lost_file_and_a_clock_set_back(
+    fleet: ProvisionedFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is kept beside the key, in the last list, and never below the time: one of the three is enough."""
+    authority = fleet.place / "authority"
+    fleet.let_in("operator", "ann")
+    serials: list[int] = []
+    for forget in ("", "serials.json", "revocations.statement"):
+        if forget:
+            (authority / forget).unlink()
+        monkeypatch.setattr(time, "time", lambda: 1_000_000_000.0 - len(serials))
+        run("revoke", "ann", "--directory", authority, "--replace")
+        statement = chain(fleet.place / "revocations.statement")[0].statement
+        assert isinstance(statement, Revocations)
+        serials.append(statement.serial)
+    assert serials == sorted(set(serials))
+
+
+def test_raising_the_epoch_ends_all_grants_of_before(fleet: ProvisionedFleet) -> None:
+    """New ones hold again."""
+    ann = fleet.let_in("operator", "ann")
+    run("revoke", "--epoch", "--directory", fleet.place / "authority")
+    trust = read_identity(ann, "operator").trust.revoke(chain(fleet.place / "revocations.statement")[0])
+    assert not isinstance(trust, Objection)
+    assert isinstance(trust.judge(chain(ann / "operator.grant"), int(time.time())), Objection)
+    bea = fleet.let_in("operator", "bea")
+    assert isinstance(trust.judge(chain(bea / "operator.grant"), int(time.time())), HeldGrant)
+
+
+def test_the_standby_replaces_a_stolen_authority(fleet: ProvisionedFleet) -> None:
+    """What the old one granted is over, what the new one grants holds, and the old one cannot come back."""
+    ann = fleet.let_in("operator", "ann")
+    new = ProvisionedFleet(fleet.place / "new")
+    run("rotate", new.place / "authority" / "authority.json", "--directory", fleet.place / "standby")
+    signed = chain(fleet.place / "rotation.statement")[0]
+    assert isinstance(signed.statement, Rotation)
+    trust = read_identity(ann, "operator").trust.rotate(signed)
+    assert not isinstance(trust, Objection)
+    assert isinstance(trust.judge(chain(ann / "operator.grant"), int(time.time())), Objection)
+    bea = new.let_in("operator", "bea")
+    assert isinstance(trust.judge(chain(bea / "operator.grant"), int(time.time())), HeldGrant)
+    run("revoke", "ann", "--directory", fleet.place / "authority")
+    assert isinstance(trust.revoke(chain(fleet.place / "revocations.statement")[0]), Objection)
+    assert isinstance(trust.rotate(signed), Objection)
+
+
+def test_a_machine_changes_over_to_another_authority_only_when_it_is_said(
+    fleet: ProvisionedFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With it goes what the robot learnt of the former one: it would not start on that."""
+    state = fleet.place / "state"
+    monkeypatch.setenv("XDG_STATE_HOME", str(state))
+    robot = fleet.let_in("robot", "cruiser-1")
+    note = state / "cruiser" / "fleet.cruiser-1.authority.json"
+    note.parent.mkdir(parents=True)
+    note.write_text("{}")
+    run("renew", "robot", "--directory", robot, "-o", "again.request")
+    again = fleet.sign(fleet.place / "again.request")
+    run("install", again, "--directory", robot, "--replace")
+    assert note.exists()
+    new = ProvisionedFleet(fleet.place / "new")
+    run("sign", "again.request", "--directory", new.place / "authority", "-o", "new.bundle")
+    assert "another authority's" in refused("install", "new.bundle", "--directory", robot)
+    run("install", "new.bundle", "--directory", robot, "--replace")
+    assert not note.exists()
+
+
+# Nothing is overwritten.
+
+
+@pytest.mark.parametrize("role", ["site", "robot", "operator", "viewer", "recorder", "router", "desk"])
+def test_keys_are_not_made_twice(fleet: ProvisionedFleet, role: str) -> None:
+    """The same command again says how to go on, and changes nothing."""
+    fleet.request(role, "one")
+    before = {file: file.read_bytes() for file in (fleet.place / "one").iterdir()}
+    text = refused(role, "one", "--directory", fleet.place / "one", "-o", "other.request")
+    assert f"provision renew {role}" in text
+    assert {file: file.read_bytes() for file in (fleet.place / "one").iterdir()} == before
+    run(role, "one", "--directory", fleet.place / "one", "-o", "other.request", "--replace")
+    assert {file: file.read_bytes() for file in (fleet.place / "one").iterdir()} != before
+
+
+def test_nothing_is_written_over(fleet: ProvisionedFleet) -> None:
+    """Standby, authority, requests, bundles, statements, what is installed: each says what is there."""
+    ann = fleet.let_in("operator", "ann")
+    request, bundle = fleet.place / "operator-ann.request", fleet.place / "operator-ann.bundle"
+    authority = ("--directory", fleet.place / "authority")
+    run("revoke", "ann", *authority)
+    standby = fleet.place / "standby" / "standby.pub"
+    before = {file: file.read_bytes() for file in fleet.place.rglob("*") if file.is_file()}
+    for words in (
+        ("standby", "--directory", fleet.place / "standby", "--no-passphrase"),
+        ("authority", *authority, "--standby", standby, "--router", ENDPOINT, "--no-passphrase"),
+        ("operator", "ann", "--directory", ann, "-o", request),
+        ("renew", "operator", "--directory", ann, "-o", request),
+        ("sign", request, *authority),
+        ("install", bundle, "--directory", ann),
+        ("revoke", "ann", *authority),
+    ):
+        assert "is there already" in refused(*words)
+    assert {file: file.read_bytes() for file in fleet.place.rglob("*") if file.is_file()} == before
+
+
+def test_what_cannot_be_written_is_seen_before_keys_are_made(fleet: ProvisionedFleet) -> None:
+    """And before anything is signed, numbered or written down."""
+    nowhere = fleet.place / "no" / "file"
+    assert "cannot be written" in refused("operator", "ann", "--directory", fleet.place / "ann", "-o", nowhere)
+    assert not (fleet.place / "ann").exists()
+    request, authority = fleet.request("operator", "ann"), fleet.place / "authority"
+    before = {file: file.read_bytes() for file in authority.iterdir()}
+    assert "cannot be written" in refused("sign", request, "--directory", authority, "-o", nowhere)
+    fleet.sign(request)
+    signed = {file: file.read_bytes() for file in authority.iterdir()}
+    assert signed != before
+    assert "cannot be written" in refused("revoke", "ann", "--directory", authority, "-o", nowhere)
+    assert {file: file.read_bytes() for file in authority.iterdir()} == signed
+
+
+def test_nothing_is_written_through_a_link(fleet: ProvisionedFleet, tmp_path: Path) -> None:
+    """Who may write beside it leads no key elsewhere."""
+    victim = tmp_path / "victim"
+    victim.write_text("mine")
+    (tmp_path / "link.request").symlink_to(victim)
+    assert "is there already" in refused("viewer", "hall", "--directory", tmp_path / "hall", "-o", "link.request")
+    assert victim.read_text() == "mine"
+    assert fleet.place == tmp_path
+
+
+# What is wrong.
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("robot", "Cruiser 1"), "'Cruiser 1' cannot be a name"),
+        (("router", "\u00fc.example"), "'\\xfc.example' cannot be a name"),
+        (("robot", "cruiser_1"), "one name, of the form"),
+        (("operator", "ann/bea"), "ann/bea"),
+        (("viewer", "x" * 65), "x" * 65),
+        (("renew", "robot"), "robot.grant is not there; 'cruiser provision install' writes it"),
+        (("renew", "viewer"), "viewer-tls.pem is not there; 'cruiser provision install' writes it"),
+        (("sign", "no.request"), "no.request is not there"),
+        (("install", "no.bundle"), "no.bundle is not there"),
+        (("authority", "--standby", "no.pub", "--router", ENDPOINT), "'cruiser provision standby' makes it"),
+        (("rotate", "no.json"), "no.json is not there"),
+        (("revoke",), "what is to be revoked?"),
+        (("revoke", "ann"), "neither an authority's key nor a site's"),
+    ],
+)
+def test_what_is_missing_or_misspelt_is_one_line(words: tuple[str, ...], says: str) -> None:
+    """It names what is wrong, and what makes what is missing."""
+    assert says in refused(*words)
+
+
+@pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:7447", "router.example:7447", "tls/router.example", ""])
+def test_an_endpoint_without_tls_is_refused(fleet: ProvisionedFleet, endpoint: str) -> None:
+    """Before any key is made."""
+    standby = fleet.place / "standby" / "standby.pub"
+    words = ("authority", "--directory", fleet.place / "other", "--standby", standby, "--router", endpoint)
+    assert "tls/HOST:PORT" in refused(*words, "--no-passphrase")
+    assert not (fleet.place / "other").exists()
+
+
+def test_a_changed_request_is_refused(fleet: ProvisionedFleet) -> None:
+    """Each field of it, and the fingerprint of another: nothing is signed."""
+    file = fleet.request("robot", "cruiser-1")
+    other = json.loads(fleet.request("robot", "cruiser-2").read_text())
+    request = json.loads(file.read_text())
+    wrong = [
+        request | {"names": ["cruiser-2"]},
+        request | {"role": "operator"},
+        request | {"role": "router", "key": None, "proof": None},
+        request | {"csr": other["csr"]},
+        request | {"key": other["key"]},
+        request | {"proof": other["proof"]},
+        request | {"proof": None},
+        request | {"names": []},
+        request | {"names": ["cruiser-1", "cruiser-2"]},
+        request | {"more": 1},
+    ]
+    changed = fleet.place / "changed.request"
+    for one in wrong:
+        changed.write_text(json.dumps(one))
+        assert refused("sign", changed, "--directory", fleet.place / "authority").startswith(str(changed))
+    for text in ("", "no", "[]", "\0", "{}", "x" * 100_000):
+        changed.write_text(text)
+        assert "it is no request" in refused("sign", changed, "--directory", fleet.place / "authority")
+    assert "another request" in refused(
+        "sign", file, "--directory", fleet.place / "authority", "--fingerprint", "0000"
+    )
+    assert not (fleet.place / "authority" / "issued.jsonl").exists()
+
+
+def test_a_request_without_a_grant_is_held_against_its_certificates(fleet: ProvisionedFleet) -> None:
+    """A viewer has no key but that of the certificate: role and name stand under it."""
+    file = fleet.request("viewer", "hall")
+    request = json.loads(file.read_text())
+    for wrong in ({"names": ["yard"]}, {"names": ["hall", "yard"]}, {"role": "desk"}):
+        file.write_text(json.dumps(request | wrong))
+        assert "name different people" in refused("sign", file, "--directory", fleet.place / "authority")
+
+
+def test_a_bundle_is_held_against_both_keys(fleet: ProvisionedFleet) -> None:
+    """A certificate for these keys with a grant for others, and the other way, is refused."""
+    authority = read_key(fleet.place / "authority" / "authority.key")
+    mine = fleet.sign(fleet.request("operator", "ann"))
+    run("operator", "ann", "--directory", fleet.place / "other", "-o", fleet.place / "other.request")
+    others = fleet.sign(fleet.place / "other.request")
+    one, two = bundle_of(mine), bundle_of(others)
+    for mixed in (
+        msgspec.structs.replace(one, chain=two.chain),
+        msgspec.structs.replace(one, certificate=two.certificate),
+    ):
+        mine.write_bytes(bundle_text(mixed, authority))
+        assert "answers another request" in refused("install", mine, "--directory", fleet.place / "ann")
+
+
+def read_key(file: Path) -> Ed25519PrivateKey:
+    """A key without a passphrase."""
+    key = load_pem_private_key(file.read_bytes(), None)
+    assert isinstance(key, Ed25519PrivateKey)
+    return key
+
+
+def test_a_changed_bundle_is_refused(fleet: ProvisionedFleet) -> None:
+    """Bytes all over it, the signature among them; one of a stranger that names this authority."""
+    file = fleet.sign(fleet.request("operator", "ann"))
+    robot = ("--directory", fleet.place / "ann")
+    whole = file.read_bytes()
+    changed = fleet.place / "changed.bundle"
+    for place in range(0, len(whole) - 1, 97):
+        changed.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        refused("install", changed, *robot)
+    for text in (b"", b"no", b"{}\n{}", whole.partition(b"\n")[0]):
+        changed.write_bytes(text)
+        refused("install", changed, *robot)
+    forged = bundle_text(bundle_of(file), Ed25519PrivateKey.generate())
+    changed.write_bytes(forged)
+    assert "not signed by the authority that it names" in refused("install", changed, *robot)
+    assert sorted(path.name for path in (fleet.place / "ann").iterdir()) == ["operator-tls.key", "operator.key"]
+    assert "of the authority" in refused("install", file, *robot, "--fingerprint", "0000")
+
+
+def test_a_person_makes_no_bundle(fleet: ProvisionedFleet) -> None:
+    """A grant that is no site's signs nothing."""
+    ann = fleet.let_in("operator", "ann")
+    file = fleet.sign(fleet.request("viewer", "hall"))
+    bundle = msgspec.structs.replace(bundle_of(file), signer=(ann / "operator.grant").read_text())
+    file.write_bytes(bundle_text(bundle, read_identity(ann, "operator").private))
+    assert "signed by nobody who may" in refused("install", file, "--directory", fleet.place / "hall")
+
+
+def test_a_bundle_for_other_keys_is_refused(fleet: ProvisionedFleet) -> None:
+    """Swapped between two robots, or come after the keys were made anew."""
+    one, two = fleet.request("robot", "cruiser-1"), fleet.request("robot", "cruiser-2")
+    fleet.sign(two)
+    bundle = fleet.sign(one)
+    assert "answers another request" in refused("install", bundle, "--directory", fleet.place / "cruiser-2")
+    assert "'cruiser provision robot' makes it" in refused(
+        "install", bundle, "--directory", fleet.place / "nobody"
+    )
+    assert not (fleet.place / "cruiser-2" / "robot.grant").exists()
+
+
+def test_a_key_that_others_may_read_is_refused(fleet: ProvisionedFleet) -> None:
+    """As is a directory that others may write to, a damaged key, and one of another kind."""
+    robot = fleet.let_in("robot", "cruiser-1")
+    again = ("renew", "robot", "--directory", robot, "-o", "again.request")
+    key = robot / "robot.key"
+    key.chmod(0o640)
+    assert f"chmod 600 {key}" in refused(*again)
+    key.chmod(0o600)
+    key.write_bytes((robot / "robot-tls.key").read_bytes())
+    assert "another kind of key" in refused(*again)
+    key.write_text("no key")
+    assert re.search(r"robot\.key: no private key; 'cruiser provision robot' makes it", refused(*again))
+    bundle = fleet.sign(fleet.request("viewer", "hall"))
+    (fleet.place / "hall").chmod(0o770)
+    assert "chmod 700" in refused("install", bundle, "--directory", fleet.place / "hall")
+
+
+@pytest.mark.parametrize("name", ["serials.json", "authority.json", "fleet.json", "ca.pem", "issued.jsonl"])
+def test_a_damaged_file_of_the_authority_is_named(fleet: ProvisionedFleet, name: str) -> None:
+    """Nothing is signed with numbers that may have been given, nor under an unknown certificate."""
+    request = fleet.request("operator", "ann")
+    (fleet.place / "authority" / name).write_text("damaged")
+    assert name in refused("sign", request, "--directory", fleet.place / "authority")
+
+
+def test_flags_that_a_role_has_no_use_for_are_refused(fleet: ProvisionedFleet) -> None:
+    """A speed limit on a viewer would protect nobody."""
+    request = fleet.request("viewer", "hall")
+    text = refused("sign", request, "--directory", fleet.place / "authority", "--speed-limit", "1", "--override")
+    assert text == "--override, --speed-limit: nothing of that is for a viewer"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--verbs", "drive,fly"),
+        ("--role", "robot"),
+        ("--speed-limit", "0"),
+        ("--speed-limit", "101"),
+        ("--robots", "Depot"),
+        ("--hours", "0"),
+        ("--days", "4000"),
+        ("--delegate", "3"),
+    ],
+)
+def test_what_cannot_be_granted_is_refused_as_usage(
+    fleet: ProvisionedFleet, words: tuple[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before anything is read."""
+    with pytest.raises(SystemExit, match="2"):
+        run("sign", "some.request", "--directory", fleet.place / "authority", *words)
+    assert words[0] in capsys.readouterr().err
+
+
+def test_certificates_end_after_thirty_days(fleet: ProvisionedFleet) -> None:
+    """Those of nodes; the network's authority after ten years."""
+    robot = fleet.let_in("robot", "cruiser-1")
+    ends_s = {
+        name: expires_s(read_certificates((robot / name).read_text())[0]) - time.time()
+        for name in ("robot-tls.pem", "ca.pem")
+    }
+    assert abs(ends_s["robot-tls.pem"] - 30 * DAY_S) < 600
+    assert abs(ends_s["ca.pem"] - 3653 * DAY_S) < 600
+    assert isinstance(chain(robot / "robot.grant")[0].statement, Grant)

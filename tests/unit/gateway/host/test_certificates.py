@@ -1,0 +1,190 @@
+"""Certificates of nodes: what is in them, who may use them for what, and requests that are refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec, ed25519
+from cryptography.hazmat.primitives.hashes import SHA256
+from cryptography.hazmat.primitives.serialization import Encoding
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from gateway.authority.transport import TransportRole
+from gateway.host.certificates import (
+    RENEW_S,
+    CertificateError,
+    expires_s,
+    issue,
+    issue_site,
+    names_of,
+    new_authority,
+    new_key,
+    new_request,
+    read_certificates,
+    read_request,
+)
+from gateway.host.tls_files import check_tls_files
+from schemas.exit_codes import CommandError
+from tests.support.secured import Network
+
+NOW_S = 1_795_000_000
+DAY_S = 86_400
+
+
+@pytest.mark.parametrize("role", list(TransportRole))
+def test_a_certificate_says_role_and_name_and_what_it_is_for(role: TransportRole) -> None:
+    """Only a router's and a desk's serves; none may sign others."""
+    ca, key = new_key(), new_key()
+    authority = new_authority(ca, NOW_S)
+    made = issue(new_request(key, role.value, ["one.example", "10.0.0.5", "::1"]), role, authority, ca, NOW_S)
+    (certificate,) = read_certificates(made)
+    commons = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    assert [common.value for common in commons] == [role.value]
+    assert names_of(certificate) == ["one.example", "10.0.0.5", "::1"]
+    usage = set(certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value)
+    serves = role in {TransportRole.ROUTER, TransportRole.DESK}
+    expected = {ExtendedKeyUsageOID.CLIENT_AUTH} | ({ExtendedKeyUsageOID.SERVER_AUTH} if serves else set())
+    assert usage == expected
+    assert certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca is False
+    assert expires_s(certificate) == NOW_S + 30 * DAY_S
+    certificate.verify_directly_issued_by(read_certificates(authority)[0])
+
+
+def test_a_certificate_does_not_outlive_its_authority() -> None:
+    """One that is over signs nothing."""
+    ca, key = new_key(), new_key()
+    authority = new_authority(ca, NOW_S)
+    end_s = expires_s(read_certificates(authority)[0])
+    request = new_request(key, "viewer", ["hall"])
+    late = issue(request, TransportRole.VIEWER, authority, ca, end_s - DAY_S)
+    assert expires_s(read_certificates(late)[0]) == end_s
+    with pytest.raises(CertificateError, match="is over"):
+        issue(request, TransportRole.VIEWER, authority, ca, end_s)
+
+
+def test_a_sites_certificates_are_clients() -> None:
+    """Its own may sign no further authority, and is for clients alone, which binds all below it."""
+    ca, site, key = new_key(), new_key(), new_key()
+    authority = new_authority(ca, NOW_S)
+    made = issue_site(new_request(site, "site", ["depot"]), authority, ca, NOW_S, NOW_S + 90 * DAY_S)
+    certificate = read_certificates(made)[0]
+    constraints = certificate.extensions.get_extension_for_class(x509.BasicConstraints).value
+    assert (constraints.ca, constraints.path_length) == (True, 0)
+    assert list(certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value) == [
+        ExtendedKeyUsageOID.CLIENT_AUTH
+    ]
+    leaf, above = read_certificates(
+        issue(new_request(key, "operator", ["bea"]), TransportRole.OPERATOR, made, site, NOW_S)
+    )
+    leaf.verify_directly_issued_by(above)
+    above.verify_directly_issued_by(read_certificates(authority)[0])
+
+
+def test_a_key_that_is_not_the_authoritys_signs_nothing() -> None:
+    """Two directories were mixed up."""
+    with pytest.raises(CertificateError, match="not that of its certificate"):
+        issue(
+            new_request(new_key(), "viewer", ["hall"]),
+            TransportRole.VIEWER,
+            new_authority(new_key(), NOW_S),
+            new_key(),
+            NOW_S,
+        )
+
+
+def made_by_hand(key: ec.EllipticCurvePrivateKey | ed25519.Ed25519PrivateKey, *, named: bool, common: str) -> str:
+    """A request as somebody else's tool would make it."""
+    builder = x509.CertificateSigningRequestBuilder().subject_name(
+        x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common)])
+    )
+    if named:
+        builder = builder.add_extension(x509.SubjectAlternativeName([x509.DNSName("hall")]), critical=False)
+    algorithm = None if isinstance(key, ed25519.Ed25519PrivateKey) else SHA256()
+    return builder.sign(key, algorithm).public_bytes(Encoding.PEM).decode()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "no request"),
+        ("-----BEGIN CERTIFICATE REQUEST-----\nAAAA\n-----END CERTIFICATE REQUEST-----\n", "no request"),
+        (made_by_hand(new_key(), named=False, common="viewer"), "no name"),
+        (made_by_hand(ed25519.Ed25519PrivateKey.generate(), named=True, common="viewer"), "P-256"),
+        (made_by_hand(ec.generate_private_key(ec.SECP384R1()), named=True, common="viewer"), "P-256"),
+    ],
+)
+def test_a_request_that_is_none_is_refused(text: str, says: str) -> None:
+    """Each with its reason."""
+    with pytest.raises(CertificateError, match=says):
+        read_request(text)
+
+
+def test_a_request_is_signed_by_its_own_key() -> None:
+    """A byte that is changed anywhere is seen."""
+    der = bytearray(
+        x509.load_pem_x509_csr(new_request(new_key(), "viewer", ["hall"]).encode()).public_bytes(Encoding.DER)
+    )
+    assert b"hall" in der
+    der[der.index(b"hall")] = ord("b")
+    text = x509.load_der_x509_csr(bytes(der)).public_bytes(Encoding.PEM).decode()
+    with pytest.raises(CertificateError, match="not signed by its own key"):
+        read_request(text)
+
+
+# The files that a Zenoh file names.
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """The Zenoh file of a router, with all that belongs to it."""
+    return Network(tmp_path, "tls/127.0.0.1:47447").node(TransportRole.ROUTER, "127.0.0.1") / "router.json5"
+
+
+def ends_s(file: Path) -> int:
+    """When the router's certificate ends."""
+    return expires_s(read_certificates(file.with_name("router-tls.pem").read_text())[0])
+
+
+def test_files_that_fit_are_taken_and_an_end_that_is_near_is_said(file: Path) -> None:
+    """From two thirds of a certificate's life on."""
+    assert check_tls_files(file, "router", ends_s(file) - RENEW_S - 60) == ""
+    assert "'cruiser provision renew router'" in check_tls_files(file, "router", ends_s(file) - RENEW_S + 60)
+
+
+@pytest.mark.parametrize("name", ["router-tls.key", "router-tls.pem", "ca.pem"])
+def test_a_file_that_is_missing_or_damaged_is_named(file: Path, name: str) -> None:
+    """Zenoh says that some file or directory is not there."""
+    wrong, now_s = file.with_name(name), ends_s(file) - DAY_S
+    wrong.write_text("damaged")
+    wrong.chmod(0o600)
+    with pytest.raises(CommandError, match=name):
+        check_tls_files(file, "router", now_s)
+    wrong.unlink()
+    with pytest.raises(CommandError, match=f"{name} is not there; 'cruiser provision"):
+        check_tls_files(file, "router", now_s)
+
+
+def test_a_certificate_of_another_key_and_one_that_is_over_are_named(file: Path, tmp_path: Path) -> None:
+    """With the first nobody connects, and with the second neither; Zenoh opens with both."""
+    with pytest.raises(
+        CommandError, match=r"router-tls\.pem ended 1\.0 days ago; 'cruiser provision renew router'"
+    ):
+        check_tls_files(file, "router", ends_s(file) + DAY_S)
+    (tmp_path / "other").mkdir()
+    other = Network(tmp_path / "other", "tls/127.0.0.1:47447").node(TransportRole.ROUTER, "127.0.0.1")
+    file.with_name("router-tls.pem").write_bytes((other / "router-tls.pem").read_bytes())
+    with pytest.raises(CommandError, match="is not the certificate of"):
+        check_tls_files(file, "router", ends_s(file) - DAY_S)
+    file.with_name("router-tls.key").chmod(0o644)
+    with pytest.raises(CommandError, match="chmod 600"):
+        check_tls_files(file, "router", ends_s(file) - DAY_S)
+
+
+@pytest.mark.parametrize("text", ["{mode: 'router'}", "[]", "{}", '{"transport": {"link": {"tls": 1}}}'])
+def test_of_a_file_by_hand_nothing_is_said(tmp_path: Path, text: str) -> None:
+    """Zenoh reads it, and says what it thinks of it."""
+    file = tmp_path / "own.json5"
+    file.write_text(text)
+    assert check_tls_files(file, "router", NOW_S) == ""

@@ -1,0 +1,86 @@
+"""What a robot in signed mode starts with: what was installed, and what it was shown since."""
+
+from __future__ import annotations
+
+import secrets
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from gateway.authority.robot_authority import Kept
+from gateway.core import Core
+from gateway.host.authority_note import note_path
+from gateway.host.signed_mode import SignedMode
+from schemas.authority.statement import chain_text
+from schemas.exit_codes import CommandError
+from schemas.settings import AuthoritySettings, RobotSettings, Settings
+from tests.support.provisioning import ProvisionedFleet, chain, run
+
+
+@pytest.fixture
+def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ProvisionedFleet:
+    """With one robot."""
+    monkeypatch.chdir(tmp_path)
+    found = ProvisionedFleet(tmp_path)
+    found.let_in("robot", "cruiser-1", "--days", "20")
+    return found
+
+
+def started(fleet: ProvisionedFleet, name: str = "cruiser-1") -> str:
+    """The robot's own grant after a start, as it publishes it."""
+    settings = settings_of(fleet, name)
+    signed = SignedMode(settings, Core(settings, "0", 0, secrets.randbits(53)))
+    signed.close()
+    return chain_text(signed.authority._own)
+
+
+def settings_of(fleet: ProvisionedFleet, name: str = "cruiser-1") -> Settings:
+    """The robot's."""
+    directory = str(fleet.place / "cruiser-1")
+    return Settings(
+        robot=RobotSettings(name=name), authority=AuthoritySettings(mode="signed", directory=directory)
+    )
+
+
+def renewed(fleet: ProvisionedFleet, days: str) -> Path:
+    """A bundle with another grant for the same keys."""
+    run("renew", "robot", "--directory", fleet.place / "cruiser-1", "-o", f"{days}.request")
+    return fleet.sign(Path(f"{days}.request"), "--days", days)
+
+
+@pytest.mark.parametrize("days", ["10", "40"])
+def test_of_a_grant_that_was_shown_and_one_that_was_installed_the_longer_one_holds(
+    fleet: ProvisionedFleet, days: str
+) -> None:
+    """Whichever came last: an installation does not end sooner than what it replaces, nor the other way."""
+    installed = (fleet.place / "cruiser-1" / "robot.grant").read_text()
+    assert started(fleet) == installed
+    bundle = renewed(fleet, days)
+    shown = msgspec.json.decode(bundle.read_bytes().partition(b"\n")[0])["chain"]
+    note = note_path(settings_of(fleet), {"XDG_STATE_HOME": str(fleet.place / "state")})
+    assert note is not None
+    note.parent.mkdir(parents=True)
+    note.write_bytes(msgspec.json.encode(Kept(own=shown)))
+    assert started(fleet) == (shown if days == "40" else installed)
+
+
+def test_a_shown_grant_that_does_not_hold_any_more_gives_way(fleet: ProvisionedFleet) -> None:
+    """However long it would last: the authority was replaced."""
+    bundle = renewed(fleet, "400")
+    shown = msgspec.json.decode(bundle.read_bytes().partition(b"\n")[0])["chain"]
+    new = ProvisionedFleet(fleet.place / "new")
+    run("sign", "400.request", "--directory", new.place / "authority", "-o", "new.bundle", "--days", "5")
+    run("install", "new.bundle", "--directory", fleet.place / "cruiser-1", "--replace")
+    note = note_path(settings_of(fleet), {"XDG_STATE_HOME": str(fleet.place / "state")})
+    assert note is not None
+    note.parent.mkdir(parents=True)
+    note.write_bytes(msgspec.json.encode(Kept(own=shown)))
+    installed = fleet.place / "cruiser-1" / "robot.grant"
+    assert started(fleet) == chain_text(chain(installed))
+
+
+def test_another_robots_keys_start_nothing(fleet: ProvisionedFleet) -> None:
+    """The line names the file and the cure."""
+    with pytest.raises(CommandError, match=r"robot\.grant is not of a robot called cruiser-2: 'cruiser provision"):
+        started(fleet, "cruiser-2")
