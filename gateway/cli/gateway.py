@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from importlib.metadata import version
+from pathlib import Path
 
 from gateway.can.bus_claim import BusClaim
 from gateway.can.can_bus import Bus, BusLost
@@ -27,6 +28,7 @@ from gateway.host.log_queue import logging_aside
 from gateway.host.realtime import has_realtime, request_realtime
 from gateway.host.signed_mode import SignedMode
 from gateway.host.stop_note import NoteClearer, StopNote
+from gateway.host.tls_files import check_tls_files
 from gateway.loop import LoopPorts
 from gateway.loop import run as run_loop
 from gateway.zenoh.inbox import open_inbox
@@ -142,10 +144,14 @@ def _signed_mode(settings: Settings, core: Core, closing: ExitStack) -> SignedMo
         return None
     try:
         signed = SignedMode(settings, core)
+        closing.callback(signed.close)
+        if settings.zenoh.config:
+            warning = check_tls_files(Path(settings.zenoh.config), "robot", time.time())
+            if warning:
+                log.warning("%s", warning)
     except CommandError as error:
         core.bar({Reason.SELF_TEST: str(error)}, time.monotonic_ns())
         return None
-    closing.callback(signed.close)
     return signed
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from pathlib import Path
 from typing import Final
 
 import msgspec
@@ -11,6 +12,7 @@ from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from gateway.authority.operator_proof import KnownRobots, OperatorProof, new_lease_key
 from gateway.host.key_files import directory_of, read_identity, read_trust
+from gateway.host.tls_files import check_tls_files
 from gateway.telemetry.received import Received
 from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort
@@ -36,6 +38,10 @@ def operator_proof(settings: Settings) -> OperatorProof | None:
     if settings.authority.mode != "signed":
         return None
     identity = read_identity(directory_of(settings.authority), "operator")
+    if settings.zenoh.config:
+        warning = check_tls_files(Path(settings.zenoh.config), "operator", time.time())
+        if warning:
+            log.warning("%s", warning)
     return OperatorProof(
         identity.private, identity.chain, identity.trust, settings.robot.root, lambda: int(time.time())
     )
