@@ -7,8 +7,10 @@ BIN := $(VENV)/bin
 # What is installed: what the product needs (113 MB), and with it what its development needs (828 MB).
 DEMO := $(VENV)/demo
 STAMP := $(VENV)/installed
+# Tools that the product's environment shall not have: fuzzer, mutation testing, bill of materials, the maker of constraints.
+TOOLS := .venv-tools/bin
 
-.PHONY: help install demo test test-unit nightly test-socketcan readers lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation clean
+.PHONY: help install demo test test-unit nightly test-socketcan readers lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -24,17 +26,18 @@ test: $(STAMP)  ## the whole test suite
 test-unit: $(STAMP)  ## what needs no process and no socket: two minutes
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/unit
 
-nightly: $(STAMP)  ## what takes too long for every day: the gate's whole domain, properties sixfold, and 10,000 random scenarios; an hour
+nightly: $(STAMP) .venv-tools/installed  ## what takes too long for every day: the gate's whole domain, properties sixfold, 10,000 random scenarios, the fuzzer; two hours
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/nightly
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal -m hypothesis --hypothesis-profile nightly --timeout 600 tests/unit
 	$(BIN)/python -m tests.system.scenarios --count 10000 --jobs 2 --seed 1
+	$(TOOLS)/python -m tests.fuzz --seconds 1200 --jobs 2
 
 test-socketcan: $(STAMP)  ## the gateway on a real SocketCAN interface; boots user-mode Linux where the kernel has none
 	tests/socketcan/run
 
 readers: $(STAMP)  ## logs as rerun reads them, in an environment of its own: it takes 800 MB
 	@test -x .venv-readers/bin/rerun || { $(PYTHON) -m venv .venv-readers && \
-		.venv-readers/bin/pip install -q --disable-pip-version-check 'rerun-sdk==0.41.0'; }
+		.venv-readers/bin/python $(PINNED) constraints-readers.txt; }
 	READERS_PYTHON=.venv-readers/bin/python $(BIN)/python -m pytest tests/readers
 
 install: $(STAMP)  ## the environment of the development, in .venv
@@ -69,27 +72,52 @@ bench-review: $(STAMP)  ## of these the review alone, on a log of 1 GB
 bench-recorder: $(STAMP)  ## of these the recorder alone, against other writers, with five minutes of load
 	$(BIN)/python -m tests.bench.recorder_rate --sustain-s 300
 
-mutation: $(STAMP)  ## mutation testing of gateway/command, in an environment of its own; a quarter of an hour
-	@test -x .venv-mutation/bin/mutmut || { $(PYTHON) -m venv .venv-mutation && \
-		.venv-mutation/bin/pip install -q -c constraints.txt -e '.[dev]' 'mutmut==3.8.1'; }
-	.venv-mutation/bin/mutmut run --max-children 2
-	.venv-mutation/bin/mutmut results
+mutation: .venv-tools/installed  ## mutation testing of the command flow and of the proofs; half an hour
+	$(TOOLS)/mutmut run --max-children 2
+	$(TOOLS)/mutmut results
 
-INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
+fuzz: .venv-tools/installed  ## everything that parses what strangers send, SECONDS=60 in all; x86-64 only
+	$(TOOLS)/python -m tests.fuzz --seconds $(or $(SECONDS),60)
+
+# What is pinned stays so, unless UPGRADE=--upgrade: then everything moves to the newest that pyproject.toml admits.
+COMPILE = $(TOOLS)/uv pip compile --quiet --universal --python-version 3.11 --fork-strategy fewest --generate-hashes \
+	--custom-compile-command 'make constraints' $(UPGRADE)
+constraints: .venv-tools/installed  ## versions and hashes of all packages, anew from pyproject.toml
+	$(COMPILE) pyproject.toml --extra dev --group build -o constraints.txt
+	$(COMPILE) pyproject.toml --group build --constraints constraints.txt -o constraints-run.txt
+	$(COMPILE) --group readers --constraints constraints.txt -o constraints-readers.txt
+	$(COMPILE) --group tools --constraints constraints.txt -o constraints-tools.txt
+
+sbom: .venv-tools/installed  ## what an installation consists of, as CycloneDX: build/sbom.json
+	$(TOOLS)/python deploy/sbom.py
+
+# Only what has the hash that is written down here, and nothing that would have to be built. The project itself has no
+# hash: it brings no package along, and what builds it is among those with one.
+PIP = -m pip install --quiet --disable-pip-version-check
+PINNED = $(PIP) --require-hashes --only-binary :all: --requirement
+PROJECT = $(PIP) --no-deps --no-build-isolation --editable .
 
 # Debian and Ubuntu keep ensurepip, which venv needs, in a package of its own: root gets it, others are told.
-$(DEMO): pyproject.toml constraints.txt
+$(DEMO): pyproject.toml constraints-run.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "needs Python 3.11 or later" >&2; exit 1; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { test "$$(id -u)" = 0 && command -v apt-get >/dev/null \
 		&& apt-get update -qq && apt-get install -y -qq --no-install-recommends python3-venv; } \
 		|| { echo "python3 has no venv: sudo apt-get install python3-venv" >&2; exit 1; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(INSTALL) .
+	$(BIN)/python $(PINNED) constraints-run.txt
+	$(BIN)/python $(PROJECT)
 	@touch $@
 
-$(STAMP): $(DEMO)
-	$(INSTALL) '.[dev]'
+$(STAMP): $(DEMO) constraints.txt
+	$(BIN)/python $(PINNED) constraints.txt
+	@touch $@
+
+.venv-tools/installed: $(STAMP) constraints-tools.txt
+	@test -x $(TOOLS)/python || $(PYTHON) -m venv .venv-tools
+	$(TOOLS)/python $(PINNED) constraints.txt
+	$(TOOLS)/python $(PINNED) constraints-tools.txt
+	$(TOOLS)/python $(PROJECT)
 	@touch $@
 
 clean:  ## remove the environment and the demo's logs
-	rm -rf $(VENV) demo-log demo-log-*
+	rm -rf $(VENV) build demo-log demo-log-*

@@ -121,4 +121,4 @@ def test_the_demo_installs_no_more_than_the_product_needs() -> None:
         check=True,
     )
     installs = [line for line in done.stdout.splitlines() if "pip install" in line]
-    assert [line.split()[-1] for line in installs] == ["."]
+    assert [line.split()[-1] for line in installs] == ["constraints-run.txt", "."]

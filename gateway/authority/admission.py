@@ -218,7 +218,8 @@ class SignedAdmission:
         if raw is None:
             return pending
         command = BY_VERB.get(raw.verb)
-        if command is None:
+        if command is None or not raw.operator:
+            # Asked under a key that is no command's: there is no expression to sign the reply for.
             return pending
         payload = pending.payload
         if sender is not None and raw.verb in {"acquire", "take"}:

@@ -14,6 +14,7 @@ import zstandard
 from mcap import records
 
 from recorder.mcap.framing import (
+    CHECK_OPCODE,
     FIRST_RECORD,
     MAGIC,
     MESSAGE_HEADER,
@@ -103,9 +104,12 @@ def survey(stream: BinaryIO, size: int) -> FileSurvey:
 def copy_good(stream: BinaryIO, size: int, sink: Sink, library: str) -> None:
     """Write a whole file with all that is good in a damaged one."""
     rebuild = _Rebuild(sink)
-    rebuild.put(MAGIC + checked(encode(records.Header(profile="", library=library))))
-    for found in Scanner(stream, size).scan():
-        if isinstance(found, ProvenChunk | ProvenRecord):
+    scanner = Scanner(stream, size)
+    header = encode(records.Header(profile="", library=library))
+    # A check behind one record says that all have one: so all of the copy have it, or none.
+    rebuild.put(MAGIC + (checked(header) if scanner.has_checks else header))
+    for found in scanner.scan():
+        if isinstance(found, ProvenChunk) or (isinstance(found, ProvenRecord) and found.raw[0] != CHECK_OPCODE):
             rebuild.take(found)
     sink.write(rebuild.ending())
 
@@ -188,6 +192,9 @@ class _Rebuild:
         if lost:
             self.faults.append(f"byte {piece.offset}: the channels of {lost} messages are lost")
             content = self._known(content)
+            if not content:
+                # The checksum of nothing is 0, which is MCAP's word for none.
+                return
             index, _ = index_content(content)
             chunk = _chunk_of(content, index)
         elif not piece.has_true_head:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from enum import Enum
+from fnmatch import fnmatchcase
 from typing import Annotated, Final
 
 import msgspec
@@ -83,7 +84,9 @@ class Grant(_Statement, frozen=True, forbid_unknown_fields=True, tag="grant", kw
 
     def covers(self, robot: str) -> bool:
         """Is a robot of this name among its robots?"""
-        return any(_matches(pattern, robot) for pattern in self.robots)
+        # ``*`` is the only sign that a pattern may hold which means something to fnmatch; it takes no time that
+        # grows with a power of the stars, as a plain regular expression would.
+        return any(fnmatchcase(robot, pattern) for pattern in self.robots)
 
 
 class Revocations(_Statement, frozen=True, forbid_unknown_fields=True, tag="revocations", kw_only=True):
@@ -203,10 +206,6 @@ def read_chain(text: bytes) -> list[Signed] | StatementFault:
 def chain_text(chain: list[Signed]) -> str:
     """The text of a chain, as it is kept in files and sent."""
     return "".join(signed.text() for signed in chain)
-
-
-def _matches(pattern: str, name: str) -> bool:
-    return re.fullmatch(".*".join(map(re.escape, pattern.split("*"))), name) is not None
 
 
 _PROOF: Final = re.compile(rb"ed25519 ([0-9a-f]{64}) ([0-9a-f]{128})")

@@ -63,7 +63,7 @@ class Trust(msgspec.Struct, frozen=True):
         rotation: the serial of the last rotation; 0 before the first.
         list_serial: that of the newest list of revocations; 0 before the first.
         revoked: identifiers of grants, and keys.
-        epoch: no grant of a lower one counts. It never falls, whatever a newer list says.
+        epoch: no grant of a lower one counts. It never falls under one authority.
     """
 
     active: bytes
@@ -164,19 +164,24 @@ class Trust(msgspec.Struct, frozen=True):
         return min(said.statement.at, site.not_after)
 
     def _structure(self, chain: list[Signed]) -> Objection | None:
-        """What is wrong with a chain whenever it is looked at."""
-        for depth, (one, above) in enumerate(zip(chain, [*chain[1:], None], strict=True)):
-            if not isinstance(one.statement, Grant):
+        """What is wrong with a chain whenever it is looked at.
+
+        From the authority downwards: nothing that a grant says is considered before all above it are verified.
+        """
+        above: Grant | None = None
+        for depth, one in reversed(list(enumerate(chain))):
+            grant = one.statement
+            if not isinstance(grant, Grant):
                 return Objection(Reason.MALFORMED, "a chain is of grants alone")
-            if above is None:
-                if one.signer != self.active:
-                    return Objection(Reason.GRANT_UNKNOWN, "its chain does not end at this robot's authority")
-            elif not isinstance(above.statement, Grant) or bytes.fromhex(above.statement.key) != one.signer:
+            if above is None and one.signer != self.active:
+                return Objection(Reason.GRANT_UNKNOWN, "its chain does not end at this robot's authority")
+            if above is not None and bytes.fromhex(above.key) != one.signer:
                 return Objection(Reason.PROOF_WRONG, "the next grant of the chain is not its signer's")
-            elif (detail := _widening(one.statement, above.statement, depth)) is not None:
-                return Objection(Reason.NOT_GRANTED, detail)
             if not is_signed(one):
                 return Objection(Reason.PROOF_WRONG, "the signature of a grant does not fit")
+            if above is not None and (detail := _widening(grant, above, depth)) is not None:
+                return Objection(Reason.NOT_GRANTED, detail)
+            above = grant
         return None
 
 

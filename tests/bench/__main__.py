@@ -19,6 +19,7 @@ from typing import Final
 import msgspec
 
 from tests.bench import (
+    authority,
     command_latency,
     flood,
     guard_latency,
@@ -43,6 +44,7 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
         kills: of the gateway, at 2 m/s.
         held_s: of robots at their own pace, each number of them; at most as a load.
         path_rounds, recorder_rounds, export_rounds: paired runs of ours and others.
+        authority_rounds: of each step of a proof.
         drives, stops, ticks, floods: of commands.
         link_s, goal_s: simulated, of each bad link, and of the one with a goal.
         review_mb, review_minutes, export_messages: sizes of the logs.
@@ -51,6 +53,7 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
     seconds: float = 20.0
     kills: int = 10
     path_rounds: int = path_cost.ROUNDS
+    authority_rounds: int = authority.ROUNDS
     drives: int = 500
     stops: int = 10
     ticks: int = 3000
@@ -69,6 +72,7 @@ SHORT: Final = Extent(
     seconds=1.0,
     kills=2,
     path_rounds=1,
+    authority_rounds=1,
     drives=50,
     stops=2,
     ticks=300,
@@ -125,6 +129,7 @@ def measure(extent: Extent) -> tuple[list[Row], list[str]]:
             "commands",
             lambda: command_rows(command_latency.measure(extent.drives, extent.stops, extent.ticks)),
         ),
+        ("authority", lambda: authority.rows(extent.authority_rounds)),
         ("floods", lambda: flood_rows(flood.measure(extent.floods))),
         ("the guard", lambda: [row for one in guard_latency.measure(extent.kills) for row in guard_rows(one)]),
         ("bad links", lambda: links.rows(extent.link_s, extent.goal_s)),

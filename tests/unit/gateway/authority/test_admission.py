@@ -12,7 +12,14 @@ from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.authority.admission import GRANTS_KEPT, SIGNATURES_PER_TICK, SignedAdmission
+from gateway.authority.admission import (
+    CHALLENGE_MAX_NS,
+    GRANTS_KEPT,
+    NONCE_KEPT_NS,
+    SIGNATURES_PER_TICK,
+    TAGS_PER_TICK,
+    SignedAdmission,
+)
 from gateway.authority.lease_key import DriveTags, lease_key, public_bytes
 from gateway.authority.signer import RobotSigner
 from gateway.command.flow import PendingReply
@@ -24,7 +31,7 @@ from schemas.authority.trust import HeldGrant, Objection, fits
 from schemas.decisions import LeaseReply
 from schemas.messages import Message
 from schemas.reasons import Reason
-from schemas.requests import Acquire, Drive, Request, Role
+from schemas.requests import Acquire, Drive, Request, Role, Take
 from schemas.settings import Settings
 from schemas.subjects import BY_VERB
 from tests.support.authority import NOW_S, VERBS, Fleet, Party
@@ -466,6 +473,114 @@ def test_what_nobody_asked_is_not_signed() -> None:
     assert door.admission.reply(PendingReply(99, "engage", b"")).attachment == b""
 
 
+@pytest.mark.parametrize("verb", ["stop", "renew", "nonsense", ""])
+def test_a_query_under_a_wildcard_is_answered_and_breaks_nothing(verb: str) -> None:
+    """Its key names no operator, so there is nothing to sign for; anybody can send such a query."""
+    door, _ = known()
+    raw = door.raw("", verb, b"", b"")
+    assert door.admit(raw).reason is not Reason.NONE
+    pending = PendingReply(raw.handle, verb, b"refused")
+    assert door.admission.reply(pending) == pending
+
+
 def test_messages_have_a_common_root() -> None:
     """The heads of the chains are a message like any other."""
     assert isinstance(RobotSigner(Ed25519PrivateKey.generate(), bytes(8)).heads(1), Message)
+
+
+# Bounds and words.
+
+
+@pytest.mark.parametrize("verb", ["acquire", "take"])
+def test_a_lease_comes_with_a_key_however_it_is_asked_for(verb: str) -> None:
+    """Who takes a lease drives under a key of its own too."""
+    door, ann = known()
+    private = X25519PrivateKey.generate()
+    payload = encode((Take if verb == "take" else Acquire)(public_key=public_bytes(private)))
+    attachment = ann.prove(key_of(ann.name, verb), BY_VERB[verb].encoding, payload, CHALLENGE)
+    raw = door.raw(ann.name, verb, payload, attachment)
+    assert door.admit(raw).reason is Reason.NONE
+    said = encode(LeaseReply(ok=True, reason=Reason.NONE, detail="", cure="", lease=LEASE))
+    reply = door.admission.reply(PendingReply(raw.handle, verb, said))
+    assert msgspec.msgpack.decode(reply.payload, type=LeaseReply).public_key is not None
+    assert door.admission.lease == LEASE
+    assert door.admission.holder_id == ann.chain[0].id
+
+
+def test_so_many_tags_are_checked_in_a_tick_to_find_the_holders() -> None:
+    """Beyond them nobody's drive goes first until the next tick."""
+    holder = Holder(*known())
+    payload = holder.payload()
+    tagged = holder.tags.attachment(payload)
+    admission = holder.door.admission
+    admission.begin_tick(0)
+    found = [admission.is_holders("drive", payload, tagged) for _ in range(TAGS_PER_TICK + 2)]
+    assert found == [True] * TAGS_PER_TICK + [False] * 2
+    admission.begin_tick(0)
+    assert admission.is_holders("drive", payload, tagged)
+
+
+def test_grants_are_judged_within_the_signatures_of_a_tick() -> None:
+    """Each statement of a chain counts; one that is known costs nothing; then the door is busy."""
+    door = Door()
+    people = [door.fleet.operator(f"p{number}") for number in range(SIGNATURES_PER_TICK + 1)]
+    door.admission.begin_tick(0)
+    outcomes = [door.admission.introduce(one.chain) for one in people]
+    assert [isinstance(one, HeldGrant) for one in outcomes] == [True] * SIGNATURES_PER_TICK + [False]
+    assert outcomes[-1] == Objection(Reason.BUSY)
+    site, ann, bob = door.fleet.site(), Party("ann"), Party("bob")
+    site.grant(ann)
+    site.grant(bob)
+    door.admission.begin_tick(0)
+    for _ in range(SIGNATURES_PER_TICK):
+        assert isinstance(door.admission.introduce(people[0].chain), HeldGrant)
+    assert isinstance(door.admission.introduce(ann.chain), HeldGrant)
+    assert isinstance(door.admission.introduce(bob.chain), HeldGrant)
+    assert door.admission.introduce(people[-1].chain) == Objection(Reason.BUSY)
+
+
+def test_a_challenge_of_two_seconds_is_taken_and_its_age_is_that_of_now() -> None:
+    """The age is asked for the time of the request."""
+    door, ann = known()
+    asked: list[tuple[bytes, int]] = []
+
+    def age(challenge: bytes, now_ns: int) -> int | Reason:
+        asked.append((challenge, now_ns))
+        return CHALLENGE_MAX_NS
+
+    door.admission.challenge_age_ns = age
+    assert door.ask(ann, "engage").reason is Reason.NONE
+    assert asked == [(CHALLENGE, door.now_ns)]
+
+
+def test_nonces_are_forgotten_when_their_challenges_are_too_old_by_far() -> None:
+    """The oldest first, and none before its time."""
+    door, ann = known()
+    attachments = [
+        ann.prove(key_of("ann", "engage"), BY_VERB["engage"].encoding, b"", CHALLENGE) for _ in range(2)
+    ]
+    first, second = (door.raw("ann", "engage", b"", one) for one in attachments)
+    assert door.admit(first).reason is Reason.NONE
+    began_ns = door.now_ns
+    door.now_ns += 1000 * MS
+    assert door.admit(second).reason is Reason.NONE
+    door.now_ns = began_ns + NONCE_KEPT_NS - 10 * MS
+    assert door.admit(first).reason is Reason.REPLAYED
+    assert (
+        door.admit(first).reason is Reason.NONE
+    )  # by then its challenge is too old, which this door does not see
+    assert door.admit(second).reason is Reason.REPLAYED
+
+
+def test_refusals_say_what_is_wrong() -> None:
+    """In words that an operator reads, with the figures."""
+    door, ann = known(verbs=["acquire"])
+    assert door.ask(ann, "engage").detail == "engage is not among its verbs"
+    assert door.ask(ann, "acquire", challenge=LATE).detail == "2000 ms, at most 2000 ms"
+    key = key_of("bob", "acquire")
+    as_bob = ann.prove(key, BY_VERB["acquire"].encoding, b"", CHALLENGE)
+    assert door.admit(door.raw("bob", "acquire", b"", as_bob)).detail == "it is of ann, operator"
+    elsewhere = door.introduce(door.fleet.operator(robots=["truck-*"]))
+    assert elsewhere == Objection(Reason.NOT_GRANTED, "it is not for cruiser-1")
+    holder = Holder(door, ann)
+    assert holder.drive(holder.payload()).detail == "drive is not among its verbs"

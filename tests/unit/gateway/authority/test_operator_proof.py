@@ -164,3 +164,50 @@ def test_a_state_is_believed_from_the_robot_alone(changed: dict[str, bytes]) -> 
     assert pair.proof.is_state("cruiser-1", state)
     assert not pair.proof.is_state("cruiser-1", msgspec.structs.replace(state, **changed))
     assert not pair.proof.is_state("cruiser-2", state)
+
+
+def test_why_a_robot_is_not_met_is_said() -> None:
+    """In words, each with its reason."""
+    pair = Pair()
+    shown = pair.shown()
+    malformed = pair.proof.meet("cruiser-1", msgspec.structs.replace(shown, payload=b""))
+    assert malformed == Objection(Reason.MALFORMED, "Input data was truncated")
+    unsigned = msgspec.structs.replace(shown, attachment=b"")
+    assert pair.proof.meet("cruiser-1", unsigned) == Objection(Reason.PROOF_MISSING, "the reply is not signed")
+    changed = msgspec.structs.replace(shown, attachment=shown.attachment[:-1] + b"x")
+    assert pair.proof.meet("cruiser-1", changed) == Objection(Reason.PROOF_WRONG, "the reply is not the robot's")
+    other = Objection(Reason.NOT_GRANTED, "the reply is of cruiser-1, not of cruiser-2")
+    assert pair.proof.meet("cruiser-2", shown) == other
+    pair.bench.fleet.authority.grant(pair.ann, not_after=NOW_S - 3)
+    pair.proof = pair.proof_of(pair.ann)
+    refused = pair.proof.meet("cruiser-1", pair.shown())
+    assert isinstance(refused, Objection)
+    assert refused.detail.endswith("3 s ago")
+
+
+def test_no_key_is_agreed_on_where_one_half_is_missing() -> None:
+    """No proof in the reply, no key of the robot, or one with which anybody would know the secret."""
+    pair = Pair()
+    private, public = new_lease_key()
+    _, reply, _ = pair.ask("acquire", msgspec.msgpack.encode(Acquire(public_key=public)), given(9))
+    pair.proof.meet("cruiser-1", pair.shown())
+    said = LeaseReply(ok=True, reason=Reason.NONE, detail="", cure="", lease=9, public_key=public)
+    assert not pair.proof.begin_lease("cruiser-1", private, said, b"")
+    for key in (None, bytes(32)):
+        without = msgspec.structs.replace(said, public_key=key)
+        assert not pair.proof.begin_lease("cruiser-1", private, without, reply.attachment)
+        assert pair.proof.drive(b"") == b""
+
+
+def test_every_request_has_a_nonce_of_its_own() -> None:
+    """Eight random bytes."""
+    asked: list[int] = []
+
+    def nonce(count: int) -> bytes:
+        asked.append(count)
+        return bytes(count)
+
+    pair = Pair()
+    proof = OperatorProof(pair.ann.private, pair.ann.chain, pair.bench.fleet.trust, "fleet", lambda: NOW_S, nonce)
+    proof.request("cruiser-1", "renew", b"", CHALLENGE)
+    assert asked == [8]

@@ -2,14 +2,19 @@
 
 import pytest
 
-from gateway.authority.robot_authority import AuthorityEffects, Kept, trust_of
+from gateway.authority.admission import GRANTS_KEPT
+from gateway.authority.operator_proof import new_lease_key
+from gateway.authority.robot_authority import ANSWER_MAX_NS, AuthorityEffects, Kept, trust_of
+from gateway.command.flow import PendingReply
+from gateway.command.request import RawRequest
 from schemas.authority.statement import GrantRole, TimeStatement, chain_text
 from schemas.authority.trust import Objection
-from schemas.codec import decode
-from schemas.decisions import SignedStatement
+from schemas.codec import decode, encode
+from schemas.decisions import ChainHeads, LeaseReply, SignedStatement
 from schemas.messages import Message
 from schemas.reasons import Reason
-from schemas.subjects import BY_NAME
+from schemas.requests import Acquire
+from schemas.subjects import BY_NAME, BY_VERB
 from tests.support.authority import CHALLENGE, DAY_S, NOW_S, AuthorityBench, Fleet, Party, S
 
 HOUR = 3600 * S
@@ -178,3 +183,151 @@ def test_heads_are_published_once_a_second() -> None:
     bench = AuthorityBench()
     subjects = [sample.subject for _ in range(300) for sample in bench.tick(10_000_000).samples]
     assert subjects.count("authority/heads") == 3
+
+
+def test_a_refusal_says_what_is_wrong_and_the_reply_goes_to_who_asked() -> None:
+    """With the figures; handle and verb are the request's."""
+    bench = AuthorityBench()
+    assert "it is not pairs of lines" in bench.show("x").detail
+    assert "it is not for cruiser-1" in bench.show(chain_text(bench.fleet.operator(robots=["a"]).chain)).detail
+    pending = bench.authority.receive(RawRequest(41, "", "", b"", 0), 0, 0)
+    assert (pending.handle, pending.verb) == (41, "")
+
+
+def test_a_damaged_note_is_named() -> None:
+    """By what is wrong with its text."""
+    refusal = trust_of(Fleet().trust, Kept(revocations="x"))
+    assert refusal == Objection(Reason.MALFORMED, "it is not pairs of lines, a statement and its signature")
+
+
+def test_why_a_robot_does_not_arm_is_said_in_words() -> None:
+    """Its own grant, the authority's silence, the setting that asks for a word."""
+    bench = AuthorityBench(max_offline_h=2)
+    bench.fleet.authority.grant(bench.robot, role=GrantRole.ROBOT, robots=["*"], not_after=NOW_S + 5)
+    bench.show(chain_text(bench.robot.chain))
+    bench.wall_s = NOW_S + 15
+    bench.tick(3 * HOUR)
+    assert bench.bars() == {
+        Reason.GRANT_EXPIRED: "the robot's own; 10 s ago",
+        Reason.AUTHORITY_STALE: "none for 3.0 h (authority.max_offline_h)",
+    }
+    assert bench.show(bench.fleet.authority.revoke(1).text()).ok
+    bench.tick(HOUR)
+    bench.tick(HOUR)
+    assert bench.bars()[Reason.AUTHORITY_STALE] == "none for 2.0 h (authority.max_offline_h)"
+    fresh = AuthorityBench(require_fresh=True)
+    assert fresh.bars() == {Reason.AUTHORITY_STALE: "none since the start (authority.require_fresh)"}
+
+
+class Holding:
+    """A robot whose lease somebody holds."""
+
+    def __init__(self) -> None:
+        self.bench = AuthorityBench()
+        self.ann = self.bench.fleet.operator()
+        assert self.bench.show(chain_text(self.ann.chain)).ok
+        payload = encode(Acquire(public_key=new_lease_key()[1]))
+        attachment = self.ann.prove(KEY, BY_VERB["acquire"].encoding, payload, CHALLENGE)
+        admission = self.bench.authority.admission
+        admission.admit(RawRequest(1, "acquire", "ann", payload, len(payload), attachment=attachment), 0)
+        said = LeaseReply(ok=True, reason=Reason.NONE, detail="", cure="", lease=7)
+        admission.reply(PendingReply(1, "acquire", encode(said)))
+        assert admission.lease == 7
+
+
+KEY = "fleet/cruiser-1/@cmd/ann/acquire"
+
+
+def test_the_tick_says_that_the_holders_grant_has_ended() -> None:
+    """The loop stops the robot by it."""
+    holding = Holding()
+    assert holding.bench.tick().ended is None
+    assert holding.bench.show(holding.bench.fleet.authority.revoke(1, keys=(holding.ann.key,)).text()).ok
+    assert holding.bench.tick().ended == Objection(Reason.GRANT_REVOKED, "by list 1")
+
+
+def test_the_holders_grant_is_published_again_with_what_is_new() -> None:
+    """Also in the minute in which another statement came; the grants of others are not."""
+    holding = Holding()
+    bob, cyd = (chain_text(holding.bench.fleet.operator(name).chain) for name in ("bob", "cyd"))
+    assert holding.bench.show(bob).ok
+    holding.bench.tick()
+    assert holding.bench.show(cyd).ok
+    own, held = chain_text(holding.bench.robot.chain), chain_text(holding.ann.chain)
+    assert statements(holding.bench.tick(61 * S)) == [cyd, own, held]
+
+
+def test_statements_are_numbered_and_heads_are_those_of_the_signer() -> None:
+    """So that a log shows which is missing."""
+    bench = AuthorityBench()
+    numbers = []
+    for name in ("ann", "bob", "cyd"):
+        assert bench.show(chain_text(bench.fleet.operator(name).chain)).ok
+        samples = bench.tick().samples
+        numbers += [
+            message.sequence
+            for sample in samples
+            if isinstance(message := decode(BY_NAME[sample.subject], sample.payload), SignedStatement)
+        ]
+        heads = [decode(BY_NAME[one.subject], one.payload) for one in samples if one.subject == "authority/heads"]
+        assert all(isinstance(one, ChainHeads) and one.time_ns == bench.wall_s * S for one in heads)
+        assert len(heads) == 1
+    assert numbers == [numbers[0] + step for step in range(3)]
+
+
+def test_what_has_changed_is_saved_once_and_the_floor_once_a_minute() -> None:
+    """A disk is not written in each tick."""
+    bench = AuthorityBench()
+    assert [bench.tick().kept for _ in range(3)] == [None] * 3
+    assert bench.show(bench.fleet.authority.revoke(1).text()).ok
+    saved = [bench.tick(10_000_000).kept is not None for _ in range(3)]
+    assert saved == [True, False, False]
+    assert bench.tick(61 * S).kept is not None
+    assert bench.tick(10_000_000).kept is None
+
+
+def test_another_robots_grant_is_not_this_ones() -> None:
+    """Nor is one of this robot's key that is for something else."""
+    bench = AuthorityBench()
+    own = chain_text(bench.robot.chain)
+    other = Party("cruiser-2")
+    bench.fleet.authority.grant(other, role=GrantRole.ROBOT, robots=["*"])
+    assert bench.show(chain_text(other.chain)).own == own
+    as_operator = Party("cruiser-1")
+    as_operator.private = bench.robot.private
+    bench.fleet.authority.grant(as_operator)
+    assert bench.show(chain_text(as_operator.chain)).own == own
+
+
+def test_the_grants_of_so_many_people_are_remembered_as_text() -> None:
+    """The oldest go; one that was forgotten is published again when it is shown."""
+    bench = AuthorityBench()
+    first = chain_text(bench.fleet.operator("first").chain)
+    assert bench.show(first).ok
+    for number in range(GRANTS_KEPT - 1):
+        bench.tick()
+        assert bench.show(chain_text(bench.fleet.operator(f"p{number}").chain)).ok
+    bench.tick()
+    assert bench.show(first).ok
+    assert first not in statements(bench.tick())
+    assert bench.show(chain_text(bench.fleet.operator("one-more").chain)).ok
+    bench.tick()
+    assert bench.show(first).ok
+    assert first in statements(bench.tick())
+
+
+@pytest.mark.parametrize(("age_ns", "reason"), [(ANSWER_MAX_NS, Reason.NONE), (ANSWER_MAX_NS + 1, Reason.TOO_OLD)])
+def test_the_time_is_stated_soon_after_the_question(age_ns: int, reason: Reason) -> None:
+    """The question's age is that at which the answer came."""
+    bench = AuthorityBench()
+    asked: list[int] = []
+
+    def age(_challenge: bytes, now_ns: int) -> int | Reason:
+        asked.append(now_ns)
+        return age_ns
+
+    bench.authority.admission.challenge_age_ns = age
+    said = TimeStatement(challenge=CHALLENGE.hex(), at=NOW_S)
+    site = bench.fleet.site()
+    assert bench.show(chain_text([site.sign(said), *site.chain])).reason is reason
+    assert asked == [bench.now_ns]

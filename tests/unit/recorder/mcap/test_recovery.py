@@ -18,7 +18,7 @@ from recorder.mcap.recovery import FileSurvey, copy_good, survey
 from recorder.mcap.writer import McapFile
 from recorder.review.check import check_stream
 from schemas.messages import Gear
-from tests.support.logs import sealed, small_log
+from tests.support.logs import foreign_log, gear_message, own_log, sealed, small_log
 
 Row = tuple[str, str, bytes, int, int, int, bytes]
 LOG = small_log()
@@ -71,6 +71,25 @@ def chunks_of(count: int, each: int = 3) -> tuple[bytes, list[int]]:
 ROWS = rows(LOG)
 OTHERS = others(LOG)
 CHUNKS, ENDS = chunks_of(4)
+
+
+def test_a_chunk_of_which_nothing_is_left_is_left_out() -> None:
+    """All its channels are lost: an empty chunk has the checksum 0, which would look like damage again."""
+    channels = [LogChannel(number, f"t/{number}", "cruiser.Gear", descriptor_set(Gear)) for number in (1, 2)]
+    log = own_log([[gear_message(0, 10, 1)], [gear_message(1, 20, 2)]], channels)
+    _, result = repaired(log.replace(b"t/1", b"t/0", 1))
+    assert [one[0] for one in rows(result)] == ["t/2"]
+    assert survey(BytesIO(result), len(result)).fault_count == 0
+
+
+def test_a_copy_can_be_recovered_again() -> None:
+    """Also that of a log that is not ours, or that has lost its beginning: it loses no message the second time."""
+    for data in (foreign_log(), LOG[:8] + b"\xff" * 600 + LOG[608:]):
+        copy, again = BytesIO(), BytesIO()
+        copy_good(BytesIO(data), len(data), copy, "test")
+        copy_good(copy, len(copy.getvalue()), again, "test")
+        assert rows(again.getvalue()) == rows(copy.getvalue()) != []
+        assert survey(copy, len(copy.getvalue())).fault_count == 0
 
 
 def test_a_whole_log_is_left_alone() -> None:

@@ -76,6 +76,16 @@ def test_no_grant_is_wider_than_the_one_above_it(site: dict[str, Any], person: d
     assert reason_of(fleet.trust.judge(ann.chain, NOW_S)) is Reason.NOT_GRANTED
 
 
+def test_what_nobody_signed_costs_no_more_than_a_signature() -> None:
+    """Patterns are compared only below what is signed, and in no time that grows with a power of their stars."""
+    fleet, ann, site = Fleet(), Party("ann"), Party("site")
+    fleet.authority.grant(site, role=GrantRole.SITE, may_delegate=1, robots=["*a" * 31 + "*b"])
+    site.grant(ann, robots=["a" * 64])
+    assert reason_of(fleet.trust.judge(ann.chain, NOW_S)) is Reason.NOT_GRANTED
+    forged = [msgspec.structs.replace(one, signature=bytes(64)) for one in ann.chain]
+    assert reason_of(fleet.trust.judge(forged, NOW_S)) is Reason.PROOF_WRONG
+
+
 def test_a_chain_delegates_twice_and_no_further() -> None:
     """Fleet to region to depot to person."""
     fleet = Fleet()

@@ -1,0 +1,79 @@
+"""``make sbom``: the software bill of materials of an installation, as CycloneDX 1.6 in build/sbom.json.
+
+An empty environment gets what constraints-run.txt pins, as a robot does. Versions and licences are read from what
+is installed there; hashes are those of the files that pip downloaded and verified.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from cyclonedx.schema import SchemaVersion
+from cyclonedx.validation.json import JsonStrictValidator
+
+ROOT = Path(__file__).parents[1]
+BUILD = ROOT / "build"
+
+LICENCES = {"protobuf": "BSD-3-Clause"}
+"""Of packages whose metadata names none: as the file LICENSE inside of them says."""
+
+
+def main() -> None:
+    """Write the bill, or end with what is missing in it."""
+    environment = BUILD / "sbom-environment"
+    shutil.rmtree(environment, ignore_errors=True)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", environment], check=True)
+    python = environment / "bin" / "python"
+    report = BUILD / "installed.json"
+    constraints = ["--require-hashes", "--only-binary", ":all:", "--requirement", ROOT / "constraints-run.txt"]
+    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "--python", python]
+    subprocess.run([*pip, "install", "--report", report, *constraints], check=True)
+    bill = BUILD / "sbom.json"
+    reader = [Path(sys.executable).with_name("cyclonedx-py"), "environment", python, "--spec-version", "1.6"]
+    project = ["--pyproject", ROOT / "pyproject.toml", "--mc-type", "application"]
+    subprocess.run([*reader, *project, "--output-file", bill], check=True)
+
+    said = json.loads(bill.read_text("utf-8"))
+    complete(said, json.loads(report.read_text("utf-8")))
+    text = json.dumps(said, indent=2)
+    faults = missing(said) or JsonStrictValidator(SchemaVersion.V1_6).validate_str(text)
+    if faults:
+        bill.unlink()
+        sys.exit(f"build/sbom.json: {faults}")
+    bill.write_text(text + "\n", "utf-8")
+    print(f"{bill.relative_to(ROOT)}: {len(said['components'])} packages")
+
+
+def complete(bill: dict[str, Any], report: dict[str, Any]) -> None:
+    """Add to each component the hash of the file that it came from, and the licence that it does not name."""
+    files = {one["metadata"]["name"].lower(): one["download_info"] for one in report["install"]}
+    for component in bill["components"]:
+        info = files.get(component["name"].lower())
+        if info is not None:
+            component["hashes"] = [{"alg": "SHA-256", "content": info["archive_info"]["hashes"]["sha256"]}]
+        if not component.get("licenses") and component["name"] in LICENCES:
+            component["licenses"] = [{"license": {"id": LICENCES[component["name"]]}}]
+
+
+def missing(bill: dict[str, Any]) -> str:
+    """What a bill lacks that it is for; empty if nothing."""
+    wanted = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["dependencies"]
+    names = {component["name"].lower() for component in bill["components"]}
+    lacks = [f"no {name}" for name in (one.partition(">")[0] for one in wanted) if name.lower() not in names]
+    lacks += [
+        f"{component['name']} has no {what}"
+        for component in bill["components"]
+        for what in ("version", "hashes", "licenses")
+        if not component.get(what)
+    ]
+    return ", ".join(lacks)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,227 @@
+"""Every refusal of the authority says in words what is wrong: an operator reads them, and a log keeps them."""
+
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import pytest
+
+from schemas.authority.statement import (
+    STATEMENTS_MAX,
+    TEXT_MAX_BYTES,
+    Grant,
+    GrantRole,
+    Signed,
+    StatementFault,
+    TimeStatement,
+    chain_text,
+    read_chain,
+)
+from schemas.authority.trust import HeldGrant, Objection, Trust
+from schemas.reasons import Reason
+from tests.support.authority import DAY_S, NOW_S, Fleet, Party
+
+QUESTION = b"question"
+
+
+def below_a_site(site: dict[str, Any], person: dict[str, Any]) -> Callable[[Fleet], list[Signed]]:
+    """The chain of somebody whom a site grants something."""
+
+    def chain(fleet: Fleet) -> list[Signed]:
+        ann = Party("ann")
+        fleet.site(**site).grant(ann, **person)
+        return ann.chain
+
+    return chain
+
+
+def forged(fleet: Fleet) -> list[Signed]:
+    """A grant with a signature of zeros."""
+    return [msgspec.structs.replace(fleet.operator().chain[0], signature=bytes(64))]
+
+
+def swapped(fleet: Fleet) -> list[Signed]:
+    """The grant of one site under that of another."""
+    ann = Party("ann")
+    fleet.site().grant(ann)
+    return [ann.chain[0], *fleet.site().chain]
+
+
+@pytest.mark.parametrize(
+    ("chain", "reason", "detail"),
+    [
+        (lambda _: [], Reason.GRANT_UNKNOWN, ""),
+        (lambda fleet: [fleet.authority.revoke(1)], Reason.MALFORMED, "a chain is of grants alone"),
+        (
+            lambda _: Fleet().operator().chain,
+            Reason.GRANT_UNKNOWN,
+            "its chain does not end at this robot's authority",
+        ),
+        (forged, Reason.PROOF_WRONG, "the signature of a grant does not fit"),
+        (swapped, Reason.PROOF_WRONG, "the next grant of the chain is not its signer's"),
+        (below_a_site({"may_delegate": 0}, {}), Reason.NOT_GRANTED, "depot may not grant"),
+        (below_a_site({"role": GrantRole.OPERATOR}, {}), Reason.NOT_GRANTED, "depot may not grant"),
+        (
+            below_a_site({}, {"role": GrantRole.ROBOT}),
+            Reason.NOT_GRANTED,
+            "the authority alone grants a robot",
+        ),
+        (
+            below_a_site({"robots": ["a-*"]}, {}),
+            Reason.NOT_GRANTED,
+            "it names robots that its signer was not granted",
+        ),
+        (
+            below_a_site({"verbs": ["renew"]}, {}),
+            Reason.NOT_GRANTED,
+            "it names verbs that its signer was not granted",
+        ),
+        (
+            below_a_site({"override": False}, {"override": True}),
+            Reason.NOT_GRANTED,
+            "its signer may not override",
+        ),
+        (
+            below_a_site({"speed_limit_mps": 1.0}, {"speed_limit_mps": 1.1}),
+            Reason.NOT_GRANTED,
+            "its speed limit is above its signer's",
+        ),
+        (
+            below_a_site({"may_delegate": 1}, {"may_delegate": 1}),
+            Reason.NOT_GRANTED,
+            "it may delegate as far as its signer",
+        ),
+        (lambda fleet: fleet.operator(not_after=NOW_S - 7).chain, Reason.GRANT_EXPIRED, "7 s ago"),
+        (lambda fleet: fleet.operator(not_before=NOW_S + 9).chain, Reason.GRANT_EXPIRED, "it begins in 9 s"),
+    ],
+)
+def test_a_chain_that_does_not_hold(chain: Callable[[Fleet], list[Signed]], reason: Reason, detail: str) -> None:
+    """What is wrong with it, in words."""
+    fleet = Fleet()
+    assert fleet.trust.judge(chain(fleet), NOW_S) == Objection(reason, detail)
+
+
+def test_a_site_that_was_granted_one_delegation_grants_a_site_no_person() -> None:
+    """The depth of a chain counts from its lower end."""
+    fleet, depot, ann = Fleet(), Party("depot"), Party("ann")
+    region = fleet.site(may_delegate=1)
+    region.grant(depot, role=GrantRole.SITE, may_delegate=0)
+    assert isinstance(fleet.trust.judge(depot.chain, NOW_S), HeldGrant)
+    depot.grant(ann)
+    assert fleet.trust.judge(ann.chain, NOW_S) == Objection(Reason.NOT_GRANTED, "depot may not grant")
+
+
+def changed(outcome: Trust | Objection) -> Trust:
+    """A trust that a statement has changed."""
+    assert isinstance(outcome, Trust)
+    return outcome
+
+
+def test_what_held_once_and_does_not_now() -> None:
+    """By a list, by an epoch, by another authority."""
+    fleet = Fleet()
+    held = fleet.trust.judge(fleet.operator(epoch=2).chain, NOW_S)
+    assert isinstance(held, HeldGrant)
+    listed = changed(fleet.trust.revoke(fleet.authority.revoke(8, held)))
+    assert listed.objection(held, NOW_S) == Objection(Reason.GRANT_REVOKED, "by list 8")
+    later = changed(fleet.trust.revoke(fleet.authority.revoke(8, epoch=3)))
+    assert later.objection(held, NOW_S) == Objection(Reason.GRANT_REVOKED, "epoch 2 is over")
+    rotated = changed(fleet.trust.rotate(fleet.standby.rotate(1, Party(), Party())))
+    assert rotated.objection(held, NOW_S) == Objection(Reason.GRANT_REVOKED, "its authority was replaced")
+
+
+def test_the_lowest_epoch_of_a_chain_counts() -> None:
+    """A site of an old epoch gives nobody a new one."""
+    fleet, ann = Fleet(), Party("ann")
+    fleet.site(epoch=1).grant(ann, epoch=5)
+    trust = changed(fleet.trust.revoke(fleet.authority.revoke(1, epoch=2)))
+    assert trust.judge(ann.chain, NOW_S) == Objection(Reason.GRANT_REVOKED, "epoch 1 is over")
+
+
+def test_an_epoch_never_falls_under_one_authority() -> None:
+    """Neither by a newer list nor by a rotation that keeps the active key; both may raise it.
+
+    Another authority begins with an epoch of its own: all that the former one granted has ended with it.
+    """
+    fleet, active, standby = Fleet(), Party(), Party()
+    trust = changed(fleet.trust.revoke(fleet.authority.revoke(1, epoch=5)))
+    trust = changed(trust.revoke(fleet.authority.revoke(2, epoch=4)))
+    assert trust.epoch == 5
+    trust = changed(trust.rotate(fleet.standby.rotate(1, fleet.authority, standby, epoch=3)))
+    assert trust.epoch == 5
+    assert changed(trust.rotate(standby.rotate(2, fleet.authority, standby, epoch=6))).epoch == 6
+    assert changed(trust.rotate(standby.rotate(2, active, standby, epoch=1))).epoch == 1
+
+
+def test_lists_and_rotations_that_are_refused() -> None:
+    """Another statement, another signer, an older one."""
+    fleet, stranger = Fleet(), Party()
+    trust = changed(fleet.trust.revoke(fleet.authority.revoke(3)))
+    trust = changed(trust.rotate(fleet.standby.rotate(2, fleet.authority, fleet.standby)))
+    grant = fleet.operator().chain[0]
+    malformed, wrong, replayed = Reason.MALFORMED, Reason.PROOF_WRONG, Reason.REPLAYED
+    assert trust.revoke(grant) == Objection(malformed, "it is no list of revocations")
+    assert trust.revoke(stranger.revoke(4)) == Objection(wrong, "the list is not the authority's")
+    assert trust.revoke(fleet.authority.revoke(3)) == Objection(replayed, "list 3 after 3")
+    assert trust.rotate(grant) == Objection(malformed, "it is no rotation")
+    by_stranger = stranger.rotate(3, stranger, stranger)
+    assert trust.rotate(by_stranger) == Objection(wrong, "it is not signed by the standby key")
+    again = fleet.standby.rotate(2, stranger, stranger)
+    assert trust.rotate(again) == Objection(replayed, "rotation 2 after 2")
+
+
+def test_statements_of_the_time_that_are_refused() -> None:
+    """Another statement, another question, a wrong signature, somebody who is no site."""
+    fleet = Fleet()
+    ann = fleet.operator()
+    said = TimeStatement(challenge=QUESTION.hex(), at=NOW_S)
+    right = fleet.authority.sign(said)
+    assert fleet.trust.time_of([right], QUESTION, NOW_S) == NOW_S
+    forged = msgspec.structs.replace(right, signature=bytes(64))
+    for chain, reason, detail in (
+        (ann.chain, Reason.MALFORMED, "it is no statement of the time"),
+        (
+            [fleet.authority.sign(TimeStatement(challenge="0" * 16, at=1))],
+            Reason.REPLAYED,
+            "it answers another question",
+        ),
+        ([forged], Reason.PROOF_WRONG, "the signature of the time does not fit"),
+        ([ann.sign(said), *ann.chain], Reason.NOT_GRANTED, "only a site states the time"),
+    ):
+        assert fleet.trust.time_of(chain, QUESTION, NOW_S) == Objection(reason, detail)
+
+
+def test_a_site_states_the_time_while_its_grant_holds() -> None:
+    """Judged by the time that is known so far, and no later than its end."""
+    fleet = Fleet()
+    site = fleet.site()
+    chain = [site.sign(TimeStatement(challenge=QUESTION.hex(), at=NOW_S + 9 * DAY_S)), *site.chain]
+    assert fleet.trust.time_of(chain, QUESTION, NOW_S) == NOW_S + DAY_S
+    assert fleet.trust.time_of(chain, QUESTION, NOW_S + DAY_S + 2) == Objection(Reason.GRANT_EXPIRED, "2 s ago")
+
+
+def test_texts_that_are_no_chain() -> None:
+    """What is wrong with them, in words; the longest text and the longest chain that are read are read."""
+    line = Fleet().operator().chain[0].text()
+    assert isinstance(read_chain(line.encode() * STATEMENTS_MAX), list)
+    assert isinstance(read_chain(line.encode() + b"\n" * (TEXT_MAX_BYTES - len(line))), list)
+    unsigned = "it is not pairs of lines, a statement and its signature"
+    for text, detail in (
+        (b"", unsigned),
+        (b"{}\n", unsigned),
+        (b"{}\n{}\n", "a statement is not followed by its signature"),
+        (line.encode() * (STATEMENTS_MAX + 1), f"it has more than {STATEMENTS_MAX} statements"),
+        (b" " * (TEXT_MAX_BYTES + 1), f"it is longer than {TEXT_MAX_BYTES} bytes"),
+    ):
+        assert read_chain(text) == StatementFault(detail)
+    long = line.replace('"kind":"grant"', f'"kind":"{"x" * 400}"')
+    fault = read_chain(long.encode())
+    assert isinstance(fault, StatementFault)
+    assert len(fault.detail) == 200
+
+
+def test_a_chain_is_told_from_its_text() -> None:
+    """Comments and blank lines say nothing."""
+    chain = Fleet().operator().chain
+    assert read_chain(f"# ann\n\n{chain_text(chain)}".encode()) == chain
+    assert isinstance(chain[0].statement, Grant)
