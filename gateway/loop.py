@@ -259,8 +259,15 @@ def run(ports: LoopPorts, core: Core, info: Callable[[], bytes], stopped: Callab
     if ports.guard is not None and core.command is not None:
         # The last word: nothing is told any more, so nothing is left to stop.
         ports.guard.beat(monotonic_ns(), core.command)
+    _publish_last(ports, core)
+
+
+def _publish_last(ports: LoopPorts, core: Core) -> None:
+    """What has not been published yet; in signed mode the heads of the chains last, so that they prove all."""
     for sample in core.last_batches(time.time_ns()):
-        sink.publish(sample)
+        ports.sink.publish(sample)
+    if ports.signed is not None:
+        ports.sink.publish(ports.signed.authority.heads(time.time_ns()))
 
 
 def _tick(ports: LoopPorts, core: Core, admission: Admission, links: Links, now_ns: int, late_ns: int) -> None:

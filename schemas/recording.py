@@ -71,6 +71,7 @@ class RecorderHealth(Message, frozen=True):
         disk_used_bytes: by this directory's logs, incidents among them.
         incident_bytes: by those that are incidents.
         cpu_percent: processor time of this process over the last second; 100 is one core.
+        challenge: in signed mode an order echoes it within 5 s; empty in open mode.
     """
 
     recorder: str
@@ -96,6 +97,7 @@ class RecorderHealth(Message, frozen=True):
     disk_used_bytes: Bytes
     incident_bytes: Bytes
     cpu_percent: Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("%"))]
+    challenge: Annotated[bytes, Meta(max_length=8)] = b""
 
 
 class RecorderEvent(Message, frozen=True):

@@ -100,6 +100,9 @@ SAFETY_KEPT_BYTES: Final = 2_000_000
 JOURNAL_KEPT_BYTES: Final = 16_000_000
 """The last ten minutes at the nominal load of a bus, the last minute at a saturated one."""
 
+AUTHORITY_KEPT_BYTES: Final = 1_000_000
+"""Chain heads of the last 50 minutes; statements of an hour, those in use among them."""
+
 KEPT_FIRST: Final = "first"
 """A query ``{key}?first=N`` on what is kept gives the samples from sequence N on, or from the oldest."""
 
@@ -178,14 +181,14 @@ SUBJECTS: Final[tuple[Subject, ...]] = (
         decisions.ChainHeads,
         "the signed heads of the chains over journal, decisions and events; in signed mode alone",
         "1 Hz",
-        Qos(Priority.DATA_HIGH, history=1),
+        Qos(Priority.DATA_HIGH, history=1, kept_bytes=AUTHORITY_KEPT_BYTES),
     ),
     Subject(
         "authority/statement",
         decisions.SignedStatement,
         "grants and revocations that the robot has taken over, with their signatures; in signed mode alone",
         "each, and every minute those in use",
-        Qos(Priority.DATA_LOW, history=64),
+        Qos(Priority.DATA_LOW, history=64, kept_bytes=AUTHORITY_KEPT_BYTES),
     ),
     Subject(
         "gateway/health",

@@ -19,7 +19,7 @@ from msgspec import Meta
 from gateway.authority.transport import TransportRole
 from schemas.authority.proof import ProofKind, signed_bytes
 from schemas.authority.statement import ALGORITHM, GrantRole, KeyHex, Signed, StatementFault, read_chain
-from schemas.authority.trust import HeldGrant, Objection, Trust, fits
+from schemas.authority.trust import AuthorityKeys, HeldGrant, Objection, Trust, fits
 from schemas.keys import OPERATOR_PATTERN, ROBOT_PATTERN, ROOT_PATTERN
 from schemas.reasons import TEXTS
 
@@ -92,17 +92,6 @@ class EnrolmentRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
         """The text under the proof."""
         parts = (self.role.value, *self.names, self.csr)
         return signed_bytes(ProofKind.STATEMENT, b"request", *(part.encode() for part in parts))
-
-
-class AuthorityKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The public keys of a fleet's authority: the content of ``authority.json``."""
-
-    active: KeyHex
-    standby: KeyHex
-
-    def trust(self) -> Trust:
-        """What begins with these keys."""
-        return Trust(bytes.fromhex(self.active), bytes.fromhex(self.standby))
 
 
 class FleetPlace(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -200,7 +189,7 @@ def read_bundle(text: bytes, now_s: int) -> Bundle:
     signer, signature = (bytes.fromhex(part.decode()) for part in match.groups())
     if not fits(signer, signature, _signed(body)):
         raise EnrolmentError("it was changed after it was signed")
-    trust = bundle.authority.trust()
+    trust = bundle.authority.trust
     if not bundle.signer and signer != trust.active:
         raise EnrolmentError("it is not signed by the authority that it names")
     if bundle.signer:

@@ -1,8 +1,8 @@
 """The time, as far as it is proven: a robot has no clock that it can trust.
 
-The floor is the newest time in any statement that was verified. It is kept across restarts and never falls. From
-there the time since start-up is counted. A wall clock that is set back revives nothing; one that is set forward
-only ends what would end later.
+The floor is the newest time in any statement that was verified. It is kept across restarts and never falls, but
+where a new authority takes the place of the former. From there the time since start-up is counted. A wall clock
+that is set back revives nothing; one that is set forward only ends what would end later.
 """
 
 from __future__ import annotations
@@ -30,6 +30,10 @@ class TimeFloor:
     def now_s(self, boot_ns: int, wall_s: int) -> int:
         """The time by which grants are judged: the later of the floor and the wall clock."""
         return max(self.least_s(boot_ns), wall_s)
+
+    def restart(self, at_s: int, boot_ns: int) -> None:
+        """A new authority says what time it is: a thief of the former one's key may have said anything."""
+        self._floor_s, self._since_ns = at_s, boot_ns
 
     def lift(self, at_s: int, boot_ns: int) -> None:
         """A statement that was verified says that it is so late at least."""

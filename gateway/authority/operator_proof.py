@@ -17,6 +17,7 @@ from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 from gateway.authority.lease_key import DriveTags, lease_key, public_bytes
 from gateway.telemetry.received import Received
 from schemas import keys
+from schemas.authority.identity import prove_request
 from schemas.authority.proof import SIGNED, RequestProof, RobotProof
 from schemas.authority.statement import Grant, GrantRole, Signed, StatementFault, chain_text, read_chain
 from schemas.authority.trust import Objection, Trust, fits
@@ -140,8 +141,8 @@ class OperatorProof(KnownRobots):
             challenge: the newest one that the robot published.
         """
         proof = RequestProof(self._grant, challenge, self._nonce(NONCE_BYTES))
-        text = proof.signed(keys.command(self._root, robot, self.name, verb), BY_VERB[verb].encoding, payload)
-        return msgspec.structs.replace(proof, signature=self._private.sign(text)).attachment()
+        key = keys.command(self._root, robot, self.name, verb)
+        return prove_request(self._private, proof, key, BY_VERB[verb].encoding, payload)
 
     def begin_lease(self, robot: str, private: X25519PrivateKey, reply: LeaseReply, attachment: bytes) -> bool:
         """Agree with the robot on the key of a lease; False if its reply has no key.

@@ -55,12 +55,14 @@ class Kept(msgspec.Struct, frozen=True):
         own: the chain of the robot's own grant, if it was renewed since it was provisioned.
         revocations: the newest list, signed; empty if there was none.
         rotations: all that were taken over, signed, in their order.
+        epoch: no grant of a lower one counts, whatever the newest list says.
         floor_s: the floor of time, seconds since 1970.
     """
 
     own: str = ""
     revocations: str = ""
     rotations: list[str] = []
+    epoch: int = 0
     floor_s: int = 0
 
 
@@ -89,7 +91,9 @@ def trust_of(trust: Trust, kept: Kept) -> Trust | Objection:
             refusal = revoked
         else:
             trust, revocations = revoked, None
-    return trust if revocations is None or refusal is None else refusal
+    if revocations is not None and refusal is not None:
+        return refusal
+    return msgspec.structs.replace(trust, epoch=max(trust.epoch, kept.epoch))
 
 
 class AuthorityEffects(msgspec.Struct):
@@ -195,7 +199,7 @@ class RobotAuthority:
         effects = AuthorityEffects(self._statements(now_ns, wall_ns), ended=admission.holder_objection())
         if now_ns >= self._heads_due_ns:
             self._heads_due_ns = now_ns + HEAD_PERIOD_NS
-            effects.samples.append(Sample("authority/heads", codec.encode(self.signer.heads(wall_ns))))
+            effects.samples.append(self.heads(wall_ns))
             # Once a second is soon enough: what ends in mid-drive ends by ``ended``.
             bars = self._bars_now(boot_ns)
             if bars != self._bars:
@@ -205,6 +209,10 @@ class RobotAuthority:
             self._kept = msgspec.structs.replace(self._kept, floor_s=self._floor.least_s(boot_ns))
             effects.kept = self._kept
         return effects
+
+    def heads(self, wall_ns: int) -> Sample:
+        """The signed heads of the chains, over all that was published so far: each second, and at the end."""
+        return Sample("authority/heads", codec.encode(self.signer.heads(wall_ns)))
 
     def _introduce(self, chain: list[Signed]) -> Objection | None:
         held = self.admission.introduce(chain)
@@ -243,6 +251,9 @@ class RobotAuthority:
             return newer
         self.admission.trust = newer
         text = signed.text()
+        self._kept = msgspec.structs.replace(self._kept, epoch=newer.epoch)
+        if newer.active != trust.active:
+            self._floor.restart(statement.at, boot_ns)
         if is_rotation:
             self._kept = msgspec.structs.replace(self._kept, rotations=[*self._kept.rotations, text])
         else:

@@ -15,7 +15,6 @@ from typing import Final
 import msgspec
 
 from gateway.authority.enrolment import (
-    AuthorityKeys,
     Bundle,
     EnrolmentError,
     EnrolmentRequest,
@@ -42,6 +41,7 @@ from gateway.host.key_store import KeyStore, Passphrase, read_input, write_priva
 from gateway.host.machine_keys import ask_again, install, make_keys, names_here
 from schemas.arguments import add_zenoh_arguments, robot_name, seconds
 from schemas.authority.statement import STATEMENTS_MAX, Grant, GrantRole, Signed
+from schemas.authority.trust import AuthorityKeys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings

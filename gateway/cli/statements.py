@@ -12,15 +12,16 @@ from typing import Final
 import msgspec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from gateway.authority.enrolment import AuthorityKeys, EnrolmentError, chain_of
+from gateway.authority.enrolment import EnrolmentError, chain_of
 from gateway.authority.operator_proof import OperatorProof
 from gateway.host.issuer import Issuer
-from gateway.host.key_files import AUTHORITY_FILE
 from gateway.host.key_store import KeyStore, read_input
 from gateway.host.machine_keys import ZENOH_FILE
 from gateway.telemetry.received import Received
 from gateway.zenoh.statements import StatementPort
+from schemas.authority.identity import AUTHORITY_FILE
 from schemas.authority.statement import Revocations, Rotation, Signed, chain_text
+from schemas.authority.trust import AuthorityKeys
 from schemas.codec import PAYLOAD_ERRORS
 from schemas.decisions import StatementReply
 from schemas.exit_codes import CommandError, ExitCode
@@ -135,7 +136,7 @@ def _doubt(
     """Why the answer may be somebody else's; empty if the robot signed it."""
     if not store.has(AUTHORITY_FILE):
         return f"{store.path(AUTHORITY_FILE)} is not there"
-    trust = store.read_as(AUTHORITY_FILE, AuthorityKeys, "'cruiser provision install' writes it").trust()
+    trust = store.read_as(AUTHORITY_FILE, AuthorityKeys, "'cruiser provision install' writes it").trust
     # A key of its own: nothing is signed with it.
     proof = OperatorProof(
         Ed25519PrivateKey.generate(), chain, trust, settings.robot.root, lambda: int(time.time())

@@ -9,7 +9,6 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from gateway.authority.enrolment import (
     BY_SITES,
-    AuthorityKeys,
     Bundle,
     EnrolmentRequest,
     EnrolmentRole,
@@ -25,9 +24,9 @@ from gateway.host.certificates import (
     new_key,
     read_request,
 )
-from gateway.host.key_files import AUTHORITY_FILE
 from gateway.host.key_store import KeyStore
 from gateway.host.machine_keys import FLEET_FILE, SITE_CA_FILE, SITE_CA_KEY
+from schemas.authority.identity import AUTHORITY_FILE
 from schemas.authority.proof import ProofKind, signed_bytes
 from schemas.authority.statement import (
     Grant,
@@ -42,7 +41,7 @@ from schemas.authority.statement import (
     chain_text,
     read_chain,
 )
-from schemas.authority.trust import Objection
+from schemas.authority.trust import AuthorityKeys, Objection
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.reasons import TEXTS
 
@@ -262,7 +261,7 @@ class Issuer:
             may_delegate=wanted.may_delegate,
         )
         chain = [self._state(grant), *self.chain]
-        held = self.authority.trust().judge(chain, now_s)
+        held = self.authority.trust.judge(chain, now_s)
         if isinstance(held, Objection):
             raise CommandError(
                 f"this cannot be granted here: {TEXTS[held.reason].means}: {held.detail}", ExitCode.USAGE

@@ -11,7 +11,6 @@ import msgspec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from gateway.authority.enrolment import (
-    AuthorityKeys,
     Bundle,
     EnrolmentError,
     EnrolmentRequest,
@@ -36,9 +35,10 @@ from gateway.host.certificates import (
     read_certificates,
 )
 from gateway.host.certificates import new_request as certificate_request
-from gateway.host.key_files import AUTHORITY_FILE, GRANT_FILE, KEY_FILE
 from gateway.host.key_store import KeyStore
+from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, KEY_FILE
 from schemas.authority.statement import Grant, StatementFault, read_chain
+from schemas.authority.trust import AuthorityKeys
 from schemas.exit_codes import CommandError, ExitCode
 
 FLEET_FILE: Final = "fleet.json"

@@ -16,6 +16,7 @@ from recorder.backfill.backfilling import fill_holes
 from recorder.backfill.excerpt import LoggedBytes
 from recorder.backfill.filling import Filled, Filling
 from recorder.backfill.holes import HoleFinder, HoleKind
+from recorder.cli.remote import order_proof
 from recorder.cli.show import show
 from recorder.disk.backfill_file import BackfillFiles
 from recorder.disk.log_directory import safe_name
@@ -141,10 +142,10 @@ def _ask(
     filling: Filling,
 ) -> tuple[list[str], list[Path], list[str]]:
     """Ask the other recorders, and write what is missing. Return who answered, the files, their other words."""
-    operator = arguments.operator or login_operator()
+    operator, proof = arguments.operator or login_operator(), order_proof(arguments, settings)
     library = f"cruiser-gateway {version('cruiser-gateway')}"
     with (
-        closing(RecorderClient(settings.zenoh, settings.robot.root, operator, stopped)) as client,
+        closing(RecorderClient(settings.zenoh, settings.robot.root, operator, stopped, proof)) as client,
         closing(BackfillFiles(library)) as files,
     ):
         there = client.recorders(arguments.recorder or keys.ALL, arguments.timeout)

@@ -22,10 +22,13 @@ import msgspec
 
 from recorder.cli import backfill, remote
 from recorder.disk.keeper import DiskKeeper
+from recorder.disk.key_files import read_trust
 from recorder.disk.leftovers import LeftoverThread
 from recorder.disk.log_directory import LogDirectory
 from recorder.disk.log_writer import QUEUE_BYTES, LogWriter
+from recorder.disk.order_note import read_note, save_note
 from recorder.loop import Recorded, RecorderLoop
+from recorder.record.admission import OrderAdmission
 from recorder.record.health import HealthReport
 from recorder.record.inbox import SampleInbox
 from recorder.record.orders import OperatorRequest
@@ -136,7 +139,9 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
     with ExitStack() as stack:
         ring_samples = recorder.queue_bytes // RING_SAMPLE_BYTES
         source = stack.enter_context(closing(ZenohSource(settings.zenoh, expressions, ring_samples)))
-        control = stack.enter_context(closing(RemoteControl(settings)))
+        control = stack.enter_context(
+            closing(RemoteControl(settings, _door(settings, path), partial(save_note, path)))
+        )
         writer = LogWriter(directory, library, QUEUE_BYTES + recorder.incident_ring_bytes)
         known = known_robots(settings, expressions)
         limits = DiskLimits(recorder.budget_bytes, recorder.floor_bytes, known, recorder.keep_s)
@@ -169,6 +174,18 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
         sys.stdout.flush()
         os._exit(code)
     return code
+
+
+def _door(settings: Settings, logs: Path) -> Callable[[str], OrderAdmission] | None:
+    """What judges orders in signed mode.
+
+    Raises:
+        CommandError: the authority's file, or what was learnt of it, cannot be read.
+    """
+    if settings.authority.mode != "signed":
+        return None
+    trust, note = read_trust(settings.authority, "recorder"), read_note(logs)
+    return lambda name: OrderAdmission(trust, settings.robot.root, name, note, os.urandom)
 
 
 def _answer_backfill(server: BackfillServer, asked: OperatorRequest) -> None:

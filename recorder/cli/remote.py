@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -12,6 +13,8 @@ from typing import Final
 
 import msgspec
 
+from recorder.disk.key_files import read_identity
+from recorder.record.admission import OrderProof
 from recorder.zenoh.recorder_client import RecorderClient
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, operator_name, recorder_name, robot_name, seconds
@@ -68,8 +71,9 @@ def add_arguments(parser: argparse.ArgumentParser, action: str) -> None:
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Ask, and print the replies. ``status`` asks all recorders, the others one."""
     action: str = arguments.action
+    proof = None if action == "status" else order_proof(arguments, settings)
     operator = arguments.operator or login_operator()
-    with closing(RecorderClient(settings.zenoh, settings.robot.root, operator)) as client:
+    with closing(RecorderClient(settings.zenoh, settings.robot.root, operator, stopped, proof)) as client:
         found = _find(client, arguments, stopped)
         if action == "status":
             replies = found
@@ -82,6 +86,20 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     for name, reply in sorted(replies, key=lambda one: one[0]):
         sys.stdout.write(_as_json(name, reply) if arguments.json else describe(name, action, reply) + "\n")
     return int(ExitCode.OK if all(reply.ok for _, reply in replies) else ExitCode.REFUSED)
+
+
+def order_proof(arguments: argparse.Namespace, settings: Settings) -> OrderProof | None:
+    """The operator's key and grant, in signed mode.
+
+    Raises:
+        CommandError: a file is missing or wrong, or the grant is somebody else's.
+    """
+    if settings.authority.mode != "signed":
+        return None
+    proof = OrderProof(read_identity(settings.authority, "operator"), settings.robot.root, os.urandom)
+    if arguments.operator not in {None, proof.name}:
+        raise CommandError(f"the grant is of {proof.name}: leave --operator out", ExitCode.USAGE)
+    return proof
 
 
 def _find(client: RecorderClient, arguments: argparse.Namespace, stopped: Callable[[], bool]) -> Replies:

@@ -15,7 +15,7 @@ SECOND_NS: Final = 1_000_000_000
 
 
 class Vitals(msgspec.Struct, frozen=True):
-    """Figures from the disk and the inbox, which ``RecorderHealth`` has under the same names."""
+    """Figures from the disk, the inbox and the door, which ``RecorderHealth`` has under the same names."""
 
     files: int = 0
     files_ended: int = 0
@@ -25,6 +25,7 @@ class Vitals(msgspec.Struct, frozen=True):
     disk_free_bytes: int = 0
     disk_used_bytes: int = 0
     incident_bytes: int = 0
+    challenge: bytes = b""
 
 
 class HealthReport:

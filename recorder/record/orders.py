@@ -36,12 +36,14 @@ class OperatorRequest(msgspec.Struct, frozen=True):
         request: what is asked, or what is wrong with the payload.
         reply: sends a reply; several may follow each other.
         done: says that no more will come; whoever answers must call it.
+        is_backfill: the verb was ``backfill``, whatever is wrong with the request: its replies are pieces.
     """
 
     operator: str
     request: Request | PayloadFault
     reply: Callable[[RecorderReply | BackfillPiece], None]
     done: Callable[[], None]
+    is_backfill: bool = False
 
 
 class _Pending(msgspec.Struct):
@@ -146,7 +148,7 @@ class Orders:
         asked.done()
 
     def _refuse(self, asked: OperatorRequest, detail: str) -> None:
-        if isinstance(asked.request, Backfill):
+        if asked.is_backfill or isinstance(asked.request, Backfill):
             asked.reply(refusal(detail))
         else:
             asked.reply(RecorderReply(ok=False, detail=detail, files=[], health=self._health()))

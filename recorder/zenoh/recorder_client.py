@@ -14,13 +14,14 @@ from typing import Any, Final
 import msgspec
 import zenoh
 
+from recorder.record.admission import OPEN_TO_ALL, OrderProof
 from recorder.zenoh.session import open_session
 from schemas import codec, keys
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.recording import Backfill, BackfillPiece, RecorderReply
+from schemas.recording import Backfill, BackfillPiece, RecorderReply, Status
 from schemas.requests import Request
 from schemas.settings import ZenohSettings
-from schemas.subjects import RECORDER_BY_VERB, RECORDER_CHUNK
+from schemas.subjects import AUTHORITY_CHUNK, RECORDER_BY_VERB, RECORDER_CHUNK
 from schemas.zenoh_link import reason
 
 log = logging.getLogger(__name__)
@@ -40,6 +41,9 @@ LOOK_S: Final = 0.3
 PAUSE_S: Final = 0.5
 """Before a backfill is asked for again that was refused, or that nobody answered: the link may come back."""
 
+PROOF_S: Final = 2.0
+"""How long a recorder may take to give a challenge, and to take over a grant."""
+
 POLL_S: Final = 0.002
 """How often a reply is looked for."""
 
@@ -55,16 +59,23 @@ class RecorderClient:
         root: the first chunks of the recorders' keys.
         operator: who asks.
         stopped: give up waiting.
+        proof: signs what is asked, for recorders in signed mode, in the name of its grant; None signs nothing.
 
     Raises:
         CommandError: the session cannot be opened.
     """
 
     def __init__(
-        self, settings: ZenohSettings, root: str, operator: str, stopped: Callable[[], bool] = lambda: False
+        self,
+        settings: ZenohSettings,
+        root: str,
+        operator: str,
+        stopped: Callable[[], bool] = lambda: False,
+        proof: OrderProof | None = None,
     ) -> None:
         self._root = root
-        self._operator = operator
+        self._operator = operator if proof is None else proof.name
+        self._proof = proof
         self._stopped = stopped
         self._name = re.compile(rf"{re.escape(root)}/{RECORDER_CHUNK}/({keys.ROBOT_PATTERN})/.+")
         self._session = open_session(settings)
@@ -151,12 +162,29 @@ class RecorderClient:
     def _key(self, recorder: str, verb: str) -> str:
         return keys.recorder_command(self._root, recorder, self._operator, verb)
 
+    def _attachment(self, recorder: str, verb: str, payload: bytes) -> bytes | None:
+        """The proof of an order: the recorder is shown the grant, and gives the challenge to echo."""
+        if self._proof is None or verb in OPEN_TO_ALL or recorder == keys.ALL:
+            return None
+        replies = self.ask(recorder, "status", Status(), PROOF_S)
+        challenge = next((reply.health.challenge for _, reply in replies if reply.health.challenge), b"")
+        if not challenge:
+            return None  # It is in open mode, or does not answer: then nor will it what is asked.
+        key = keys.of_recorder(self._root, recorder, AUTHORITY_CHUNK)
+        handler: Any = zenoh.handlers.FifoChannel(REPLIES_WAITING)
+        for _ in self._samples(self._session.get(key, handler, payload=self._proof.statement, timeout=PROOF_S)):
+            break
+        return self._proof.attachment(recorder, verb, payload, challenge)
+
     def _query(self, recorder: str, verb: str, request: Request | Backfill, **how: Any) -> Iterator[zenoh.Sample]:  # noqa: ANN401 - the options of Zenoh's get
+        payload = codec.encode(request)
+        attachment = self._attachment(recorder, verb, payload)
         try:
             replies: Any = self._session.get(
                 self._key(recorder, verb),
                 zenoh.handlers.FifoChannel(REPLIES_WAITING),
-                payload=codec.encode(request),
+                payload=payload,
+                attachment=attachment,
                 encoding=RECORDER_BY_VERB[verb].encoding,
                 # Several replies may have one key, and all of them count.
                 consolidation=zenoh.ConsolidationMode.NONE,

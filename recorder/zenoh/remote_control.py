@@ -20,16 +20,21 @@ from typing import Any, Final
 import msgspec
 import zenoh
 
+from recorder.record.admission import OrderAdmission, OrderNote, SignedOrder, refusal_text
 from recorder.record.orders import OperatorRequest
 from recorder.zenoh.session import listen_beside, open_session
 from schemas import codec, keys
+from schemas.authority.statement import TEXT_MAX_BYTES
+from schemas.authority.trust import Objection
 from schemas.codec import PayloadFault
+from schemas.decisions import StatementReply
 from schemas.messages import Message
 from schemas.printable import plain
+from schemas.reasons import TEXTS, Reason
 from schemas.recording import BackfillPiece, RecorderReply
 from schemas.requests import Request
 from schemas.settings import Settings
-from schemas.subjects import RECORDER_BY_VERB, RECORDER_SUBJECTS
+from schemas.subjects import AUTHORITY_CHUNK, RECORDER_BY_VERB, RECORDER_SUBJECTS, STATEMENT_REPLY_ENCODING
 
 log = logging.getLogger(__name__)
 
@@ -60,12 +65,19 @@ class RemoteControl:
 
     Args:
         settings: of the session, the root, and the recorder's name.
+        door: makes what judges orders in signed mode, for a recorder of this name; None lets everybody give them.
+        save: keeps what the door has learnt across a restart; it may wait for the disk.
 
     Raises:
         CommandError: the session cannot be opened.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        door: Callable[[str], OrderAdmission] | None = None,
+        save: Callable[[OrderNote], None] = lambda _: None,
+    ) -> None:
         self._root = settings.robot.root
         self.listen = listen_beside(settings.zenoh)
         """Where it listens."""
@@ -77,6 +89,12 @@ class RemoteControl:
             keys.recorder_command(self._root, self.name, keys.ALL, keys.ALL),
             zenoh.handlers.RingChannel(QUERIES_WAITING),
             complete=True,
+        )
+        self._door = None if door is None else door(self.name)
+        self._save = save
+        self._statements_key = keys.of_recorder(self._root, self.name, AUTHORITY_CHUNK)
+        self._statements = self._session.declare_queryable(
+            self._statements_key, zenoh.handlers.RingChannel(QUERIES_WAITING), complete=True
         )
         self._loop_thread = 0
         self._replier = ThreadPoolExecutor(1, "replies")
@@ -99,9 +117,14 @@ class RemoteControl:
         except zenoh.ZError as error:
             log.debug("Zenoh does not take it: %s", error)
 
+    def challenge(self) -> bytes:
+        """The challenge that an order has to echo; empty in open mode."""
+        return b"" if self._door is None else self._door.challenge(time.monotonic_ns())
+
     def drain(self) -> Iterator[OperatorRequest]:
-        """The requests that have come in."""
+        """The requests that have come in. Statements of the authority are taken over first."""
         self._loop_thread = threading.get_ident()
+        self._take_statements()
         for _ in range(REQUESTS_PER_PASS):
             query = self._queries.try_recv()
             if query is None:
@@ -125,12 +148,14 @@ class RemoteControl:
         payload = query.payload
         key = keys.recorder_command(self._root, self.name, operator, name)
         request: Request | PayloadFault
+        attachment = b"" if query.attachment is None else query.attachment.to_bytes()
         if name not in FOR_ALL and str(query.key_expr) != key:
             request = PayloadFault(f"{name} must name one recorder, without a wildcard")
         elif payload is not None and len(payload) > REQUEST_MAX_BYTES:
             request = PayloadFault(f"a request has at most {REQUEST_MAX_BYTES} bytes")
         else:
-            request = codec.decode_request(verb, b"" if payload is None else payload.to_bytes())
+            content = b"" if payload is None else payload.to_bytes()
+            request = self._admitted(name, operator, content, attachment)
 
         def send(answer: RecorderReply | BackfillPiece) -> None:
             try:
@@ -142,7 +167,44 @@ class RemoteControl:
         def reply(answer: RecorderReply | BackfillPiece) -> None:
             self._off_the_loop(partial(send, answer))
 
-        return OperatorRequest(operator, request, reply, partial(self._off_the_loop, query.drop))
+        done = partial(self._off_the_loop, query.drop)
+        return OperatorRequest(operator, request, reply, done, is_backfill=verb.reply is BackfillPiece)
+
+    def _admitted(self, verb: str, operator: str, payload: bytes, attachment: bytes) -> Request | PayloadFault:
+        """The request, or why it is not carried out."""
+        request = codec.decode_request(RECORDER_BY_VERB[verb], payload)
+        if self._door is None or isinstance(request, PayloadFault):
+            return request
+        order = SignedOrder(verb, operator, payload, attachment, request)
+        refusal = self._door.judge(order, time.monotonic_ns(), int(time.time()))
+        return request if refusal is None else PayloadFault(refusal_text(refusal))
+
+    def _take_statements(self) -> None:
+        for _ in range(REQUESTS_PER_PASS):
+            query = self._statements.try_recv()
+            if query is None:
+                return
+            self._off_the_loop(partial(self._reply_to_statement, query, self._show(query)))
+
+    def _show(self, query: zenoh.Query) -> StatementReply:
+        door = self._door
+        if door is None:
+            return _reply_of(None)
+        before = door.note
+        payload = query.payload
+        # A longer one is refused for its length, wherever that is cut.
+        text = b"" if payload is None else payload.to_bytes()[: TEXT_MAX_BYTES + 1]
+        refusal = door.show(text, int(time.time()))
+        if door.note is not before:
+            self._replier.submit(self._save, door.note)
+        return _reply_of(refusal)
+
+    def _reply_to_statement(self, query: zenoh.Query, said: StatementReply) -> None:
+        try:
+            query.reply(self._statements_key, msgspec.msgpack.encode(said), encoding=STATEMENT_REPLY_ENCODING)
+        except zenoh.ZError as error:
+            log.debug("nobody waits for the reply any more: %s", error)
+        query.drop()
 
     def _off_the_loop(self, work: Callable[[], None]) -> None:
         """Do what may wait for somebody's link: where the loop asks for it, on a thread that may."""
@@ -178,6 +240,14 @@ class RemoteControl:
         for reply in replies:
             if reply.ok is not None:
                 yield str(reply.ok.key_expr).rpartition("/")[2]
+
+
+def _reply_of(refusal: Objection | None) -> StatementReply:
+    """The reply to a statement. In open mode there is nothing to refuse."""
+    if refusal is None:
+        return StatementReply(ok=True, reason=Reason.NONE, detail="", cure="")
+    detail, cure = refusal_text(refusal), TEXTS[refusal.reason].cure
+    return StatementReply(ok=False, reason=refusal.reason, detail=detail, cure=cure)
 
 
 def host_name() -> str:

@@ -48,6 +48,7 @@ class ProofKind(Enum):
     PUBLICATION = b"P"
     HEAD = b"H"
     LEASE = b"L"
+    EVIDENCE = b"E"
 
 
 def signed_bytes(kind: ProofKind, *parts: bytes) -> bytes:

@@ -14,7 +14,7 @@ import msgspec
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
-from schemas.authority.statement import Grant, GrantRole, Revocations, Rotation, Signed, TimeStatement
+from schemas.authority.statement import Grant, GrantRole, KeyHex, Revocations, Rotation, Signed, TimeStatement
 from schemas.reasons import Reason
 
 KEYS_KEPT: Final = 512
@@ -183,6 +183,18 @@ class Trust(msgspec.Struct, frozen=True):
                 return Objection(Reason.NOT_GRANTED, detail)
             above = grant
         return None
+
+
+class AuthorityKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The fleet's authority, as a machine was told of it when it was provisioned: ``authority.json``."""
+
+    active: KeyHex
+    standby: KeyHex
+
+    @property
+    def trust(self) -> Trust:
+        """The trust that begins with these keys."""
+        return Trust(bytes.fromhex(self.active), bytes.fromhex(self.standby))
 
 
 def is_signed(signed: Signed) -> bool:

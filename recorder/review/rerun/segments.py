@@ -78,14 +78,19 @@ class Plan(msgspec.Struct, frozen=True):
     segments: list[RunSegment]
 
 
-class _Lateness:
-    """The least and the most time between publication and receipt of the journals."""
+class JournalLateness:
+    """The least and the most time between publication and receipt of the journals.
+
+    Attributes:
+        least_ns, most_ns: of those that were watched so far.
+    """
 
     def __init__(self) -> None:
         self.least_ns = END_OF_TIME_NS
         self.most_ns = -END_OF_TIME_NS
 
     def watch(self, rows: Iterator[Row]) -> Iterator[Row]:
+        """The same rows, looked at."""
         for row in rows:
             late_ns = row.log_ns - row.publish_ns
             self.least_ns = min(self.least_ns, late_ns)
@@ -102,7 +107,7 @@ def plan(rows: Iterator[Row], rests: Rests, length_ns: int, faults: Faults) -> P
         length_ns: a segment is at least so long.
         faults: takes what cannot be read.
     """
-    lateness = _Lateness()
+    lateness = JournalLateness()
     tape = Tape(lateness.watch(rows), lambda _: None, faults)
     parts: list[PartEnd] = []
     cuts: list[int] = []
@@ -128,7 +133,7 @@ def plan(rows: Iterator[Row], rests: Rests, length_ns: int, faults: Faults) -> P
     return Plan(parts, _segments(cuts, lateness) if is_steady else [WHOLE])
 
 
-def _segments(cuts: list[int], lateness: _Lateness) -> list[RunSegment]:
+def _segments(cuts: list[int], lateness: JournalLateness) -> list[RunSegment]:
     segments = [WHOLE]
     for cut_ns in cuts:
         first_ns, last_ns = cut_ns - BEFORE_NS, cut_ns + BEHIND_NS

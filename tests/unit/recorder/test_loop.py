@@ -293,6 +293,9 @@ class FakeControl:
     def is_served(self) -> bool:
         return all(asked.is_done for asked in self.asked)
 
+    def challenge(self) -> bytes:
+        return b"newest.."
+
     def drain(self) -> list[OperatorRequest]:
         if self._sent < len(self.asked) and all(asked.is_done for asked in self.asked[: self._sent]):
             self._sent += 1

@@ -250,7 +250,7 @@ def test_who_has_gone_meanwhile_is_no_fault(pair: Pair) -> None:
 class HungQuery:
     """A query of somebody who does not read: a reply waits until the test lets it go."""
 
-    payload = None
+    payload = attachment = None
 
     def __init__(self, key: str) -> None:
         self.key_expr = key

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from gateway.authority.enrolment import (
     TEXT_MAX_BYTES,
-    AuthorityKeys,
     Bundle,
     EnrolmentError,
     EnrolmentRole,
@@ -25,7 +24,7 @@ from gateway.authority.enrolment import (
 )
 from schemas.authority.proof import ProofKind, signed_bytes
 from schemas.authority.statement import GrantRole, chain_text
-from schemas.authority.trust import fits
+from schemas.authority.trust import AuthorityKeys, fits
 from tests.support.authority import NOW_S, Fleet, Party
 
 GRANTED = {

@@ -331,3 +331,28 @@ def test_the_time_is_stated_soon_after_the_question(age_ns: int, reason: Reason)
     site = bench.fleet.site()
     assert bench.show(chain_text([site.sign(said), *site.chain])).reason is reason
     assert asked == [bench.now_ns]
+
+
+def test_an_epoch_outlives_a_restart_although_a_newer_list_says_a_lower_one() -> None:
+    """Only the newest list is kept, and a robot that was switched off would believe old grants again."""
+    bench = AuthorityBench()
+    assert bench.show(bench.fleet.authority.revoke(1, epoch=5).text()).ok
+    assert bench.show(bench.fleet.authority.revoke(2).text()).ok
+    effects = bench.tick()
+    assert effects.kept is not None
+    trust = trust_of(bench.fleet.trust, effects.kept)
+    assert not isinstance(trust, Objection)
+    assert (trust.list_serial, trust.epoch) == (2, 5)
+
+
+def test_a_new_authority_says_what_time_it_is() -> None:
+    """Whoever stole the former one's key may have stated the year 3000, by which every grant is over."""
+    bench, active, standby = AuthorityBench(), Party(), Party()
+    late = TimeStatement(challenge=CHALLENGE.hex(), at=NOW_S + 10**10)
+    assert bench.show(bench.fleet.authority.sign(late).text()).ok
+    assert bench.bars().keys() == {Reason.GRANT_EXPIRED}
+    assert bench.show(bench.fleet.standby.rotate(1, active, standby).text()).ok
+    active.grant(bench.robot, role=GrantRole.ROBOT, robots=["cruiser-1"])
+    bench.tick()
+    assert bench.show(chain_text(bench.robot.chain)).ok
+    assert bench.bars() == {}

@@ -11,7 +11,8 @@ from tests.support.messages import MS, SECOND
 
 JOURNAL = "fleet/cruiser-1/journal"
 EVENT = "fleet/cruiser-1/safety/event"
-FIRSTS = {JOURNAL, EVENT, "fleet/cruiser-1/safety/decision"}
+PROOFS = {"fleet/cruiser-1/authority/heads", "fleet/cruiser-1/authority/statement"}
+FIRSTS = {JOURNAL, EVENT, "fleet/cruiser-1/safety/decision", *PROOFS}
 
 
 class Robot:
@@ -55,7 +56,7 @@ class Robot:
             self.counted += was_counted
 
 
-def test_the_journal_the_decisions_and_the_events_are_kept() -> None:
+def test_what_has_to_be_whole_and_its_proofs_are_kept() -> None:
     """Of nothing else the past is worth asking for."""
     assert {f"fleet/cruiser-1/{subject.name}" for subject in KEPT_SUBJECTS} == FIRSTS
 

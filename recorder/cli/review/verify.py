@@ -1,0 +1,216 @@
+"""``cruiser review verify``: who commanded when, with which grant, and is anything missing or changed?"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
+
+import msgspec
+
+from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
+from recorder.reading.times import in_words
+from recorder.review.evidence import EvidenceCheck, read_evidence
+from recorder.review.verify import RobotProofReport, RunProof, verify_logs
+from recorder.review.verifying.authority import GrantInfo, ShownStatement
+from recorder.review.verifying.commands import RefusedProof
+from recorder.review.verifying.findings import ProofFault
+from schemas.authority.trust import AuthorityKeys, Trust
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
+from schemas.settings import Settings
+
+EXAMPLE: Final = (
+    "  cruiser review verify logs --authority authority.json\n"
+    "  cruiser review verify incident.zip --authority authority.json"
+)
+DESCRIPTION: Final = (
+    "Holds logs of robots in signed mode against their signatures: whether anything between two chain heads is "
+    "missing or changed, who commanded when and with which grant, whether each signed verb and each grant holds "
+    "up to the fleet's authority. Exit code 0 if all holds; 1 if anything is missing, changed, wrongly signed or "
+    "was not granted; 3 if something cannot be read, or nothing can prove it, as in open mode."
+)
+JSON_HELP: Final = "print a JSON object a line, one for each robot"
+
+ARCHIVE: Final = ".zip"
+"""Ends the name of an archive of evidence."""
+
+VERBS_SHOWN: Final = 200
+"""Signed verbs that people are told one by one; ``--json`` has all."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    add_logs(parser, json_help=JSON_HELP)
+    parser.add_argument(
+        "--authority",
+        type=Path,
+        metavar="FILE",
+        help="the fleet's authority.json; without it nobody vouches for the authority that a log names",
+    )
+
+
+def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Verify."""
+    trust = None if arguments.authority is None else read_authority(arguments.authority)
+    archives = [path for path in arguments.logs if path.suffix == ARCHIVE]
+    logs = [path for path in arguments.logs if path.suffix != ARCHIVE]
+    codes = [_verify_archive(path, trust, arguments, stopped) for path in archives]
+    if logs:
+        arguments.logs = logs
+        codes.append(_verify(arguments, trust, (), stopped))
+    return int(max(codes, key=_GRAVITY.index))
+
+
+def _verify_archive(
+    path: Path, trust: Trust | None, arguments: argparse.Namespace, stopped: Callable[[], bool]
+) -> ExitCode:
+    with TemporaryDirectory(prefix="cruiser-evidence-") as name:
+        found = read_evidence(path, Path(name))
+        said = describe_archive(path, found)
+        sys.stdout.write(f"{msgspec.json.encode(found).decode() if arguments.json else said}\n")
+        logs = sorted(Path(name).glob("*.mcap"))
+        unpacked = argparse.Namespace(**{**vars(arguments), "logs": logs})
+        code = _verify(unpacked, trust, found.statements, stopped) if logs else ExitCode.FAILURE
+        return ExitCode.FAILURE if found.findings else code
+
+
+def _verify(
+    arguments: argparse.Namespace,
+    trust: Trust | None,
+    statements: Sequence[ShownStatement],
+    stopped: Callable[[], bool],
+) -> ExitCode:
+    asked = find(arguments, with_covered=True)
+    codes = []
+    with progress_bar("verifying", asked.bytes, stopped, prints=True) as progress:
+        for report in verify_logs(asked.logs, asked.faults, trust, statements, progress):
+            codes.append(code_of(report))
+            text = msgspec.json.encode(report).decode() if arguments.json else describe(report)
+            sys.stdout.write(f"{text}\n")
+    codes.append(ExitCode(end_with(asked.faults)))
+    if len(codes) == 1:
+        sys.stderr.write("cruiser review: no robot is in it, so there is nothing to verify\n")
+        return ExitCode.PARTIAL
+    return max(codes, key=_GRAVITY.index)
+
+
+def describe_archive(path: Path, found: EvidenceCheck) -> str:
+    """An archive for people."""
+    manifest = found.manifest
+    lines = [
+        f"{path}: evidence of {in_words(manifest.incident_ns)}",
+        f"  from {in_words(manifest.from_ns)} to {in_words(manifest.to_ns)}",
+        f"  signed by {found.signer}" if found.signer else "  not signed: nobody vouches for what was put in",
+        *([] if found.findings else [f"  all {len(manifest.files)} files are those of the manifest"]),
+        *(f"  {one.fault.value.replace('_', ' ')}: {one.what}" for one in found.findings),
+        *(f"  missing, as it says: {one}" for one in manifest.missing),
+    ]
+    return "\n".join(map(plain, lines))
+
+
+_GRAVITY: Final = (ExitCode.OK, ExitCode.PARTIAL, ExitCode.FAILURE)
+
+
+def code_of(report: RobotProofReport) -> ExitCode:
+    """The exit code that a robot's report asks for."""
+    if report.is_broken:
+        return ExitCode.FAILURE
+    return ExitCode.OK if report.is_proven else ExitCode.PARTIAL
+
+
+def read_authority(path: Path) -> Trust:
+    """The fleet's authority, as a file has it.
+
+    Raises:
+        CommandError: it cannot be read, or is none.
+    """
+    shown = plain(str(path))
+    try:
+        keys = msgspec.json.decode(path.read_bytes(), type=AuthorityKeys)
+    except OSError as error:
+        raise CommandError(f"cannot read {shown}: {error.strerror or error}", ExitCode.USAGE) from error
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise CommandError(
+            f"{shown} is no authority.json: {plain(str(error))}; 'cruiser provision authority' makes it",
+            ExitCode.USAGE,
+        ) from error
+    return keys.trust
+
+
+def describe(report: RobotProofReport) -> str:
+    """What is proven of a robot, for people."""
+    # A log's names come from anywhere, and may try to rule the terminal.
+    return "\n".join(map(plain, _lines(report)))
+
+
+def _lines(report: RobotProofReport) -> Iterator[str]:
+    if report.is_broken:
+        verdict = "NOT AS IT WAS SIGNED"
+    else:
+        verdict = "all holds" if report.is_proven else "not all of it can be proven"
+    yield f"{report.robot}: {verdict}"
+    if report.authority:
+        vouched = "as given" if report.is_vouched else "by the log alone: nobody vouches for it (--authority)"
+        yield f"  authority {report.authority}, {vouched}"
+    if report.robot_key:
+        yield f"  robot's key {report.robot_key}"
+    for run in report.runs:
+        yield from _run_lines(run)
+    yield from (f"  grant {_grant(one)}" for one in report.grants)
+    names = {one.id: f"{one.name}, {one.role}, serial {one.serial}" for one in report.grants}
+    for holder in report.holders:
+        under = names.get(holder.grant, holder.grant) or "the log does not show its grant"
+        yield (
+            f"  {holder.operator} held lease {holder.lease} from {in_words(holder.from_ns)} to "
+            f"{in_words(holder.to_ns)}, {holder.drives} drive commands; grant: {under}"
+        )
+    yield from table(
+        ("signed verb", "operator", "time", "grant", ""),
+        [
+            (one.verb, one.operator, in_words(one.time_ns), one.grant, "holds" if one.holds else one.detail)
+            for one in report.verbs[:VERBS_SHOWN]
+        ],
+        words=5,
+    )
+    more = len(report.verbs) - VERBS_SHOWN + report.verbs_untold
+    if more > 0:
+        yield f"  and {more} more signed verbs"
+    yield from (f"  refused: {_refused(one)}" for one in report.refused)
+    yield from (f"  unproven stop: {_refused(one)}" for one in report.unproven_stops)
+    for finding in report.findings:
+        word = "cannot be told" if finding.fault is ProofFault.UNPROVEN else finding.fault.value.replace("_", " ")
+        at = "" if finding.time_ns is None else f", first at {in_words(finding.time_ns)}"
+        yield f"  {word}: {finding.what} ({finding.count}{at})"
+
+
+def _run_lines(run: RunProof) -> Iterator[str]:
+    yield f"  run {run.boot}: {run.heads} chain heads, {in_words(run.first_ns)} to {in_words(run.last_ns)}"
+    for subject, count in run.subjects.items():
+        text = f"    {subject}: {count.proven} samples proven"
+        if count.from_ns is not None:
+            text += f" from {in_words(count.from_ns) if count.from_ns else 'the first'} on"
+        others = (
+            (count.missing, "missing"),
+            (count.broken, "broken"),
+            (count.before, "before that"),
+            (count.absent, "not in the log before that"),
+            (count.after, "after the last head"),
+            (count.repeated, "there twice"),
+        )
+        yield text + "".join(f", {number} {what}" for number, what in others if number)
+
+
+def _grant(one: GrantInfo) -> str:
+    by = " < ".join([*one.signers, "authority"])
+    until = f"{in_words(one.not_before * 1_000_000_000)} to {in_words(one.not_after * 1_000_000_000)}"
+    fault = f"; DOES NOT HOLD: {one.objection}" if one.objection else ""
+    return f"{one.id}: {one.name}, {one.role}, serial {one.serial}, by {by}, {until}{fault}"
+
+
+def _refused(one: RefusedProof) -> str:
+    until = "" if one.first_ns == one.last_ns else f" to {in_words(one.last_ns)}"
+    return f"{one.count} x {one.verb} of {one.operator}: {one.reason}, {in_words(one.first_ns)}{until}"

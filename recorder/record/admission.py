@@ -1,0 +1,256 @@
+"""The door of a recorder in signed mode: who sent an order, and may that person give it? Pure.
+
+As with robots, anyone shows grants and revocations, by the query ``@auth``: what counts are their signatures. An
+order echoes a challenge of the recorder's own, which its health and each reply to ``status`` hold, so that nobody
+can keep one for later. ``status`` needs no proof.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import Final
+
+import msgspec
+
+from schemas import keys
+from schemas.authority.identity import Identity, prove_request
+from schemas.authority.proof import ID_BYTES, RequestProof
+from schemas.authority.statement import (
+    Grant,
+    GrantRole,
+    Revocations,
+    Rotation,
+    StatementFault,
+    chain_text,
+    read_chain,
+)
+from schemas.authority.trust import HeldGrant, Objection, Trust, fits
+from schemas.reasons import TEXTS, Reason
+from schemas.recording import Backfill, Mark
+from schemas.requests import Request
+from schemas.subjects import RECORDER_BY_VERB
+
+CHALLENGE_NS: Final = 1_000_000_000
+"""A new challenge is drawn so often."""
+
+CHALLENGE_MAX_NS: Final = 5_000_000_000
+"""An order that echoes a challenge drawn before that is too old."""
+
+GRANTS_KEPT: Final = 256
+"""Grants that are known at a time; beyond it the one that was not used for longest goes."""
+
+OPEN_TO_ALL: Final = frozenset({"status"})
+"""Verbs that need no proof."""
+
+ROLES: Final = frozenset({GrantRole.PROGRAM, GrantRole.OPERATOR, GrantRole.SUPERVISOR, GrantRole.RECORDER})
+"""Who may give a recorder orders; another recorder asks for what it lacks."""
+
+
+class OrderNote(msgspec.Struct, frozen=True):
+    """What outlives a restart of a recorder.
+
+    Attributes:
+        statements: the rotations and lists of revocations that were taken over, signed, in their order; of lists
+            that follow each other the newest, and those of a higher epoch, which never falls.
+    """
+
+    statements: list[str] = []
+
+
+class SignedOrder(msgspec.Struct, frozen=True):
+    """A request to a recorder as it came.
+
+    Attributes:
+        operator: by the key expression.
+        payload, attachment: the bytes.
+        request: what the payload says.
+    """
+
+    verb: str
+    operator: str
+    payload: bytes
+    attachment: bytes
+    request: Request
+
+
+class OrderAdmission:
+    """Judges orders to one recorder.
+
+    Attributes:
+        note: what has to outlive a restart.
+    """
+
+    def __init__(
+        self, trust: Trust, root: str, recorder: str, note: OrderNote, draw: Callable[[int], bytes]
+    ) -> None:
+        """No grant is known yet.
+
+        Args:
+            trust: the fleet's authority, as the recorder was provisioned with it.
+            root: first chunks of the recorder's keys.
+            recorder: its name.
+            note: what was kept last.
+            draw: random bytes, so many.
+        """
+        self.note = OrderNote()
+        self._trust = trust
+        self._floor_s = 0
+        for text in note.statements:
+            self.show(text.encode(), 0)
+        self._root, self._recorder, self._draw = root, recorder, draw
+        self._challenges: OrderedDict[bytes, int] = OrderedDict()
+        self._grants: OrderedDict[bytes, HeldGrant] = OrderedDict()
+        self._nonces: OrderedDict[tuple[bytes, bytes], int] = OrderedDict()
+
+    def challenge(self, now_ns: int) -> bytes:
+        """The challenge to echo now."""
+        while self._challenges and now_ns - next(iter(self._challenges.values())) > CHALLENGE_MAX_NS:
+            self._challenges.popitem(last=False)
+        newest = next(reversed(self._challenges), None)
+        if newest is None or now_ns - self._challenges[newest] >= CHALLENGE_NS:
+            newest = self._draw(ID_BYTES)
+            self._challenges[newest] = now_ns
+        return newest
+
+    def show(self, text: bytes, now_s: int) -> Objection | None:
+        """Somebody shows a statement. Returns why it is not taken over; None if it is.
+
+        Args:
+            text: the statement, signed, with its chain.
+            now_s: the time, seconds since 1970.
+        """
+        chain = read_chain(text)
+        if isinstance(chain, StatementFault):
+            return Objection(Reason.MALFORMED, chain.detail)
+        statement = chain[0].statement
+        if isinstance(statement, Grant):
+            held = self._trust.judge(chain, max(now_s, self._floor_s))
+            if isinstance(held, Objection):
+                return held
+            self._grants[held.id] = held
+            if len(self._grants) > GRANTS_KEPT:
+                self._grants.popitem(last=False)
+            return None
+        if not isinstance(statement, Revocations | Rotation):
+            return Objection(Reason.NOT_GRANTED, "a recorder takes no time from anybody")
+        is_rotation = isinstance(statement, Rotation)
+        newer = self._trust.rotate(chain[0]) if is_rotation else self._trust.revoke(chain[0])
+        if isinstance(newer, Objection):
+            return newer
+        self._trust, self._floor_s = newer, max(self._floor_s, statement.at)
+        kept = [text for text in self.note.statements if is_rotation or not _is_superseded(text, statement)]
+        self.note = OrderNote([*kept, chain[0].text()])
+        return None
+
+    def judge(self, order: SignedOrder, now_ns: int, now_s: int) -> Objection | None:
+        """Judge an order. Returns why it is not obeyed; None if it is.
+
+        Args:
+            order: as it came.
+            now_ns: monotonic.
+            now_s: the time, seconds since 1970.
+        """
+        if order.verb in OPEN_TO_ALL:
+            return None
+        proof = RequestProof.read(order.attachment)
+        if proof is None:
+            return Objection(Reason.PROOF_MISSING)
+        refusal = self._freshness(proof, now_ns)
+        if refusal is not None:
+            return refusal
+        held = self._grants.get(proof.grant)
+        refusal = Objection(Reason.GRANT_UNKNOWN) if held is None else self._not_granted(held, order, now_s)
+        if held is None or refusal is not None:
+            return refusal
+        key = keys.recorder_command(self._root, self._recorder, order.operator, order.verb)
+        encoding = RECORDER_BY_VERB[order.verb].encoding
+        if not fits(held.key, proof.signature, proof.signed(key, encoding, order.payload)):
+            return Objection(Reason.PROOF_WRONG)
+        self._nonces[proof.grant, proof.nonce] = now_ns
+        self._grants.move_to_end(proof.grant)
+        return None
+
+    def _freshness(self, proof: RequestProof, now_ns: int) -> Objection | None:
+        while self._nonces and now_ns - next(iter(self._nonces.values())) > CHALLENGE_MAX_NS:
+            self._nonces.popitem(last=False)
+        drawn_ns = self._challenges.get(proof.challenge)
+        if drawn_ns is None:
+            return Objection(Reason.CHALLENGE_UNKNOWN)
+        if now_ns - drawn_ns > CHALLENGE_MAX_NS:
+            return Objection(Reason.TOO_OLD)
+        return Objection(Reason.REPLAYED) if (proof.grant, proof.nonce) in self._nonces else None
+
+    def _not_granted(self, held: HeldGrant, order: SignedOrder, now_s: int) -> Objection | None:
+        objection = self._trust.objection(held, max(now_s, self._floor_s))
+        if objection is not None:
+            return objection
+        grant = held.grant
+        if grant.name != order.operator or grant.role not in ROLES:
+            return Objection(Reason.NOT_GRANTED, f"it is of {grant.name}, {grant.role.value}")
+        if order.verb not in grant.verbs:
+            return Objection(Reason.NOT_GRANTED, f"{order.verb} is not among its verbs")
+        robot = _robot_of(order.request, self._root)
+        if robot and not grant.covers(robot):
+            return Objection(Reason.NOT_GRANTED, f"it is not for {robot}")
+        return None
+
+
+def _is_superseded(text: str, newer: Revocations | Rotation) -> bool:
+    """Is it a list of revocations of which nothing is left in force after a newer one?"""
+    chain = read_chain(text.encode())
+    older = None if isinstance(chain, StatementFault) else chain[0].statement
+    return isinstance(older, Revocations) and older.epoch <= newer.epoch
+
+
+def _robot_of(request: Request, root: str) -> str:
+    """The robot, or the pattern of robots, that an order names; empty if it names none."""
+    if isinstance(request, Mark):
+        return request.robot
+    if isinstance(request, Backfill):
+        # A pattern is held against the grant's letter for letter: '*' needs a grant for all.
+        rest = request.key.removeprefix(f"{root}/")
+        return rest.partition("/")[0].replace("**", "*") if rest != request.key else "*"
+    return ""
+
+
+def refusal_text(refusal: Objection) -> str:
+    """A refusal in words, with the reason's name and the cure."""
+    text = TEXTS[refusal.reason]
+    said = "; ".join(filter(None, (text.means, refusal.detail)))
+    return f"{said} ({refusal.reason.value}). Cure: {text.cure}"
+
+
+class OrderProof:
+    """The operator's side: signs orders.
+
+    Attributes:
+        name: under which the grant lets its holder give orders.
+        statement: the grant with its chain, to be shown to recorders.
+    """
+
+    def __init__(self, identity: Identity, root: str, nonce: Callable[[int], bytes]) -> None:
+        """With an operator's key and grant.
+
+        Args:
+            identity: whose orders these are.
+            root: first chunks of the recorders' keys.
+            nonce: random bytes, so many.
+        """
+        grant = identity.chain[0].statement
+        self.name = grant.name if isinstance(grant, Grant) else ""
+        self.statement = chain_text(identity.chain).encode()
+        self._identity, self._root, self._nonce = identity, root, nonce
+
+    def attachment(self, recorder: str, verb: str, payload: bytes, challenge: bytes) -> bytes:
+        """The attachment of an order.
+
+        Args:
+            recorder: its name.
+            verb: what is asked.
+            payload: the bytes that are sent.
+            challenge: the newest one that the recorder gave.
+        """
+        proof = RequestProof(self._identity.chain[0].id, challenge, self._nonce(ID_BYTES))
+        key = keys.recorder_command(self._root, recorder, self.name, verb)
+        return prove_request(self._identity.private, proof, key, RECORDER_BY_VERB[verb].encoding, payload)

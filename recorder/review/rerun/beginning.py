@@ -1,0 +1,50 @@
+"""Where a part of a log has to begin, so that its runs can be run again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+from recorder.reading.faults import Faults
+from recorder.reading.rows import Row
+from recorder.reading.topics import UNREADABLE
+from recorder.review.rerun.segments import BEFORE_NS, JournalLateness, Rests
+from recorder.review.rerun.tapes import Tape
+
+MARGIN_NS: Final = 1_000_000_000
+"""What is published in batches is of a little before."""
+
+
+def beginning(rows: Iterator[Row], rests: Rests, until_ns: int, incident_ns: int, faults: Faults) -> int | None:
+    """The log time from which on a robot's run can be run again up to an incident; None if there is none.
+
+    Args:
+        rows: the robot's journals, by log time.
+        rests: finds the places of rest.
+        until_ns: the log time by which it should begin; where it cannot, it begins as soon as it can.
+        incident_ns: the log time by which it has to begin.
+        faults: takes what cannot be read.
+    """
+    lateness = JournalLateness()
+    tape = Tape(lateness.watch(rows), lambda _: None, faults)
+    places: list[int] = []
+    while tape.next_part():
+        part_ns: int | None = None
+        for journal in tape.journals():
+            if part_ns is None:
+                part_ns = journal.time_ns
+                if part_ns + lateness.least_ns <= incident_ns:
+                    # Behind a gap nothing of before is of use.
+                    places.clear()
+                if journal.first == 0:
+                    places.append(part_ns)
+            try:
+                found = rests(journal)
+            except UNREADABLE as error:
+                faults.add(f"a journal that cannot be read: {error}")
+                continue
+            places += [place_ns - BEFORE_NS for place_ns in found if place_ns - BEFORE_NS >= part_ns]
+    begins = [place_ns + lateness.least_ns - MARGIN_NS for place_ns in places]
+    early = [begin_ns for begin_ns in begins if begin_ns <= until_ns]
+    late = [begin_ns for begin_ns in begins if until_ns < begin_ns <= incident_ns]
+    return max(early) if early else min(late, default=None)

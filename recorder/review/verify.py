@@ -1,0 +1,301 @@
+"""The proof of a robot's logs: who commanded when, with which grant, and whether anything is missing or changed.
+
+Proven are the journal, the decisions and the events of a gateway in signed mode: by hash chains whose heads the
+robot signs each second, and each verb by the signature of who asked. All else follows from the journal, which has
+each frame and each request: see ``rerun``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Sequence
+from typing import Final
+
+import msgspec
+
+from recorder.encoding.key_counters import SEQUENCE_SPAN
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import Progress, Row, Selection, read_rows
+from recorder.reading.survey import survey
+from recorder.reading.topics import UNREADABLE, Topic
+from recorder.review.verifying.authority import GrantInfo, LogAuthority, ShownStatement, in_words
+from recorder.review.verifying.chains import ChainLink, ProvenCount, RobotChains, RunChains
+from recorder.review.verifying.commands import CommandRecord, Holder, RefusedProof, SignedVerb
+from recorder.review.verifying.findings import ProofFault, ProofFinding
+from recorder.review.verifying.links import LinkEncoder, link_encoder
+from schemas import keys
+from schemas.authority.chain import CHAINED, heads_text
+from schemas.authority.trust import Objection, Trust, fits
+from schemas.decisions import ChainHeads, Decision, Journal, SafetyEvent, SignedStatement, is_same_run
+from schemas.messages import Message
+
+HEADS: Final = "authority/heads"
+STATEMENT: Final = "authority/statement"
+
+FINDINGS_MAX: Final = 1000
+"""Findings that wait to be put together; those that are alike are one."""
+
+
+class RunProof(msgspec.Struct, frozen=True):
+    """A run of a gateway in signed mode.
+
+    Attributes:
+        boot: the run's random number, hexadecimal.
+        first_ns, last_ns: the times of the first and the last chain head, by the robot's clock.
+        heads: chain heads in the logs.
+        subjects: the samples of each chained subject.
+    """
+
+    boot: str
+    first_ns: int
+    last_ns: int
+    heads: int
+    subjects: dict[str, ProvenCount]
+
+
+class RobotProofReport(msgspec.Struct, frozen=True):
+    """What is proven of a robot's logs.
+
+    Attributes:
+        authority: the key of the fleet's authority, hexadecimal; empty if the logs name none.
+        is_vouched: the authority was given by who asks; else nobody vouches for it.
+        robot_key: the robot's, hexadecimal; empty if the logs do not hold its grant.
+        runs: those of which chain heads are there.
+        unsigned_runs: runs without any, in open mode: nothing proves them.
+        grants: those that were used.
+        holders: who held the lease.
+        verbs: signed verbs that the robot accepted the proof of; ``verbs_untold`` more.
+        refused: requests that it refused for their proof.
+        unproven_stops: stops that nobody signed. A stop is served in any case.
+        findings: what is wrong, or cannot be told.
+    """
+
+    robot: str
+    authority: str
+    is_vouched: bool
+    robot_key: str
+    runs: list[RunProof]
+    unsigned_runs: int
+    grants: list[GrantInfo]
+    holders: list[Holder]
+    verbs: list[SignedVerb]
+    verbs_untold: int
+    refused: list[RefusedProof]
+    unproven_stops: list[RefusedProof]
+    findings: list[ProofFinding]
+
+    @property
+    def is_broken(self) -> bool:
+        """Something is missing, changed, wrongly signed, or was not granted."""
+        return any(one.fault is not ProofFault.UNPROVEN for one in self.findings)
+
+    @property
+    def is_proven(self) -> bool:
+        """All that is there holds."""
+        return bool(self.runs) and not self.unsigned_runs and not self.findings
+
+
+def verify_logs(
+    logs: Sequence[LogFile],
+    faults: Faults,
+    trust: Trust | None = None,
+    statements: Sequence[ShownStatement] = (),
+    progress: Progress = lambda _: None,
+) -> Iterator[RobotProofReport]:
+    """What is proven of each robot in logs.
+
+    Args:
+        logs: in the order of their beginnings.
+        faults: takes what cannot be read.
+        trust: the fleet's authority; without it the one that the logs name is believed.
+        statements: grants and revocations that are not in the logs.
+        progress: is told of bytes that were read, for each robot anew.
+    """
+    for robot in survey(logs, faults).robots:
+        own = [one for one in statements if one.robot == robot]
+        yield _Verification(robot, logs, faults, trust, own).run(progress)
+
+
+def shown_statements(
+    logs: Sequence[LogFile], faults: Faults, progress: Progress = lambda _: None
+) -> list[ShownStatement]:
+    """All grants and revocations that logs hold, by their log time; each text once for each robot."""
+    found: dict[tuple[str, str], ShownStatement] = {}
+    wanted = Selection(lambda topic: topic.subject == STATEMENT)
+    for row, message in _messages(read_rows(logs, wanted, faults, progress), faults):
+        if isinstance(message, SignedStatement):
+            robot = row.topic.robot
+            found.setdefault((robot, message.text), ShownStatement(robot, message.time_ns, message.text))
+    return list(found.values())
+
+
+class _Verification:
+    def __init__(
+        self,
+        robot: str,
+        logs: Sequence[LogFile],
+        faults: Faults,
+        trust: Trust | None,
+        statements: Sequence[ShownStatement],
+    ) -> None:
+        self._robot, self._logs, self._faults = robot, logs, faults
+        self._trust, self._statements = trust, list(statements)
+        self._findings: list[ProofFinding] = []
+        self._encoders: dict[Topic, LinkEncoder | None] = {}
+        self._ticks: list[int] = []
+        self._unsigned: dict[tuple[str, Hashable], int] = {}
+        self._signed_without_heads: dict[Hashable, int] = {}
+        self._root = ""
+        self._robot_key = b""
+
+    def run(self, progress: Progress) -> RobotProofReport:
+        """Read the logs twice: statements and heads, and then what they prove."""
+        heads = self._read_proofs()
+        name = self._robot.rpartition("/")[2]
+        authority = LogAuthority(name, self._trust, self._statements)
+        chains = RobotChains(self._signed(heads, authority))
+        record = CommandRecord(self._root, name, authority)
+        self._read_links(chains, record, progress)
+        for run in chains.runs:
+            self._findings += run.close()
+        self._judge_unsigned()
+        return RobotProofReport(
+            robot=self._robot,
+            authority=authority.root.hex(),
+            is_vouched=authority.is_vouched,
+            robot_key=self._robot_key.hex(),
+            runs=list(map(_as_proof, chains.runs)),
+            unsigned_runs=sum(subject == "journal" for subject, _ in self._unsigned),
+            grants=authority.grants,
+            holders=record.holders(),
+            verbs=sorted(record.verbs, key=lambda one: one.time_ns),
+            verbs_untold=record.verbs_untold,
+            refused=record.refused,
+            unproven_stops=record.unproven_stops,
+            findings=_merged([*authority.findings, *self._findings, *record.findings]),
+        )
+
+    def _rows(self, subjects: Sequence[str], progress: Progress) -> Iterator[tuple[Row, Message]]:
+        wanted = Selection(lambda topic: topic.robot == self._robot and topic.subject in subjects)
+        for row, message in _messages(read_rows(self._logs, wanted, self._faults, progress), self._faults):
+            parts = keys.parse(row.topic.name)
+            self._root = self._root or ("" if parts is None else parts.root)
+            if row.publish_ns != message.time_ns or row.sequence != message.sequence % SEQUENCE_SPAN:
+                what = f"{row.topic.subject}: samples that the log gives another time, or another place"
+                self._find(ProofFault.CHANGED, what, message.time_ns)
+            yield row, message
+
+    def _read_proofs(self) -> list[ChainHeads]:
+        heads: dict[tuple[bytes, int], ChainHeads] = {}
+        for _, message in self._rows((HEADS, STATEMENT), lambda _: None):
+            if isinstance(message, SignedStatement):
+                self._statements.append(ShownStatement(self._robot, message.time_ns, message.text))
+            elif isinstance(message, ChainHeads):
+                known = heads.setdefault((message.boot, message.sequence), message)
+                if known != message:
+                    self._find(ProofFault.CHANGED, "chain heads that contradict each other", message.time_ns)
+        return list(heads.values())
+
+    def _signed(self, heads: Sequence[ChainHeads], authority: LogAuthority) -> Iterator[ChainHeads]:
+        """The heads whose signature is the robot's."""
+        robot_keys = authority.robot_keys
+        if heads and not robot_keys:
+            what = "the logs do not hold the robot's grant: whose chain heads these are cannot be told"
+            self._find(ProofFault.UNPROVEN, what, heads[0].time_ns)
+            yield from heads
+            return
+        for one in heads:
+            said = {entry.subject: (entry.count, entry.head) for entry in one.heads}
+            text = heads_text(one.boot, one.time_ns, said)
+            signer = next((key for key in robot_keys if fits(key, one.signature, text)), None)
+            if signer is None:
+                self._find(ProofFault.WRONGLY_SIGNED, "chain heads that the robot did not sign", one.time_ns)
+                continue
+            held = authority.judge(robot_keys[signer], one.time_ns)
+            if isinstance(held, Objection):
+                what = f"the robot's own grant does not hold: {in_words(held)}"
+                self._find(ProofFault.NOT_GRANTED, what, one.time_ns)
+            self._robot_key = signer
+            yield one
+
+    def _read_links(self, chains: RobotChains, record: CommandRecord, progress: Progress) -> None:
+        for row, message in self._rows(CHAINED, progress):
+            if row.topic not in self._encoders:
+                self._encoders[row.topic] = link_encoder(row.topic)
+            encode = self._encoders[row.topic]
+            if encode is None:
+                what = f"{row.topic.subject} has fields of a newer version: verify it with that one"
+                self._find(ProofFault.UNPROVEN, what, message.time_ns)
+                continue
+            run_id = self._run_of(message)
+            link = ChainLink(message.sequence, message.time_ns, run_id, encode(message))
+            run, is_new = chains.add(row.topic.subject, link)
+            if run is None:
+                self._unsigned.setdefault((row.topic.subject, run_id), message.time_ns)
+            if not is_new:
+                continue
+            if isinstance(message, Decision):
+                record.take_decision(message)
+            elif isinstance(message, Journal) and record.take_journal(message) and run is None:
+                self._signed_without_heads.setdefault(run_id, message.time_ns)
+
+    def _run_of(self, message: Message) -> Hashable:
+        """What tells a run's samples from others': a journal's number, or one for all ticks of a run."""
+        if isinstance(message, Journal):
+            return message.run
+        tick = message.tick if isinstance(message, Decision | SafetyEvent) else 0
+        for one in self._ticks:
+            if is_same_run(one, tick):
+                return one
+        self._ticks.append(tick)
+        return tick
+
+    def _judge_unsigned(self) -> None:
+        for time_ns in self._signed_without_heads.values():
+            what = "chain heads of a whole run, whose requests are those of signed mode"
+            self._find(ProofFault.MISSING, what, time_ns)
+        for (subject, run_id), time_ns in self._unsigned.items():
+            if subject == "journal" and run_id not in self._signed_without_heads:
+                what = "a run without chain heads, as in open mode: nothing proves it"
+                self._find(ProofFault.UNPROVEN, what, time_ns)
+        if not any(subject == "journal" for subject, _ in self._unsigned):
+            for (subject, _), time_ns in self._unsigned.items():
+                what = f"{subject}: samples of a run that has no chain heads and no journal"
+                self._find(ProofFault.UNPROVEN, what, time_ns)
+
+    def _find(self, fault: ProofFault, what: str, time_ns: int) -> None:
+        self._findings.append(ProofFinding(fault, what, time_ns))
+        if len(self._findings) > FINDINGS_MAX:
+            self._findings = _merged(self._findings)
+
+
+def _messages(rows: Iterator[Row], faults: Faults) -> Iterator[tuple[Row, Message]]:
+    for row in rows:
+        try:
+            message = None if row.topic.decode is None else row.topic.decode(row.data)
+        except UNREADABLE as error:
+            faults.add(f"{row.topic.name}: a message that cannot be read: {error}")
+            continue
+        if isinstance(message, Message):
+            yield row, message
+
+
+def _as_proof(run: RunChains) -> RunProof:
+    return RunProof(
+        boot=run.boot.hex(),
+        first_ns=run.first_ns,
+        last_ns=run.last_ns,
+        heads=run.heads,
+        subjects={subject: chain.counts for subject, chain in run.subjects.items()},
+    )
+
+
+def _merged(findings: Sequence[ProofFinding]) -> list[ProofFinding]:
+    """What is wrong, each once, the earliest first."""
+    merged: dict[tuple[ProofFault, str], ProofFinding] = {}
+    for one in findings:
+        known = merged.get((one.fault, one.what))
+        count = one.count + (0 if known is None else known.count)
+        times = [other.time_ns for other in (known, one) if other is not None and other.time_ns is not None]
+        merged[one.fault, one.what] = ProofFinding(one.fault, one.what, min(times, default=None), count)
+    return sorted(merged.values(), key=lambda one: one.time_ns or 0)

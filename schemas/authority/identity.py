@@ -1,0 +1,151 @@
+"""Who a machine, or the person at it, is: private key, grant and authority, as their files say. Pure.
+
+Everything that is wrong is one line that names the file and the cure. Who reads the files is whoever has a disk.
+"""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Mapping
+from pathlib import PurePath
+from typing import Final
+
+import msgspec
+from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
+from schemas.authority.proof import RequestProof
+from schemas.authority.statement import Signed, StatementFault, read_chain
+from schemas.authority.trust import AuthorityKeys, Trust
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import AuthoritySettings
+
+AUTO: Final = "auto"
+
+KEY_FILE, GRANT_FILE, AUTHORITY_FILE = "{who}.key", "{who}.grant", "authority.json"
+
+OTHERS: Final = stat.S_IRWXG | stat.S_IRWXO
+"""Permissions that nobody but the owner may have on a private key."""
+
+
+class FoundFile(msgspec.Struct, frozen=True):
+    """A file as it was found.
+
+    Attributes:
+        path: where it is.
+        content: all of it.
+        mode: type and permissions, as of ``stat``.
+        is_own: it belongs to who reads it, or to root.
+    """
+
+    path: PurePath
+    content: bytes
+    mode: int
+    is_own: bool
+
+
+class Identity(msgspec.Struct, frozen=True):
+    """Who this machine, or the person at it, is.
+
+    Attributes:
+        private: the private key.
+        chain: the grant, and those of its signers.
+        trust: the fleet's authority.
+    """
+
+    private: Ed25519PrivateKey
+    chain: list[Signed]
+    trust: Trust
+
+
+def directory_of(settings: AuthoritySettings, environment: Mapping[str, str], home: PurePath) -> PurePath:
+    """The directory that the settings name; auto is ``$XDG_CONFIG_HOME/cruiser``, or ``~/.config/cruiser``."""
+    if settings.directory != AUTO:
+        return PurePath(settings.directory)
+    configured = environment.get("XDG_CONFIG_HOME", "")
+    return (PurePath(configured) if configured else home / ".config") / "cruiser"
+
+
+def identity_of(key: FoundFile, grant: FoundFile, authority: FoundFile, who: str) -> Identity:
+    """Read the key and the grant of somebody, and check that they belong together.
+
+    Args:
+        key: the private key.
+        grant: the grant, with those of its signers.
+        authority: the fleet's authority.
+        who: ``robot``, ``operator``, ``recorder``: the files' name.
+
+    Raises:
+        CommandError: one is readable for others, or not what it should be.
+    """
+    private = private_key(key, again(who))
+    chain = read_chain(grant.content)
+    if isinstance(chain, StatementFault):
+        raise CommandError(f"{grant.path} is no grant: {chain.detail}; {again(who)}", ExitCode.USAGE)
+    public = private.public_key().public_bytes_raw().hex()
+    if getattr(chain[0].statement, "key", "") != public:
+        raise CommandError(
+            f"{grant.path} is not the grant of {key.path}: one of them is somebody else's; {again(who)}",
+            ExitCode.USAGE,
+        )
+    return Identity(private, chain, trust_of(authority, who))
+
+
+def trust_of(authority: FoundFile, who: str) -> Trust:
+    """The trust that begins with the fleet's authority, as a file has it.
+
+    Raises:
+        CommandError: the file is no authority's.
+    """
+    try:
+        return msgspec.json.decode(authority.content, type=AuthorityKeys).trust
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise CommandError(f"{authority.path} is damaged: {error}; {again(who)}", ExitCode.USAGE) from error
+
+
+def private_key(file: FoundFile, cure: str) -> Ed25519PrivateKey:
+    """The private key that a file holds.
+
+    Raises:
+        CommandError: it is none, or others can read it.
+    """
+    try:
+        key = load_pem_private_key(file.content, None)
+    except (ValueError, TypeError, UnsupportedAlgorithm) as error:
+        raise CommandError(f"{file.path} is no private key: {error}; {cure}", ExitCode.USAGE) from error
+    if file.mode & OTHERS:
+        raise CommandError(f"{file.path} can be read by others: chmod 600 {file.path}", ExitCode.USAGE)
+    if not file.is_own:
+        raise CommandError(f"{file.path} belongs to another user: chown it to yours", ExitCode.USAGE)
+    if not isinstance(key, Ed25519PrivateKey):
+        raise CommandError(f"{file.path} is no Ed25519 key; {cure}", ExitCode.USAGE)
+    return key
+
+
+def not_found(path: PurePath, error: OSError, cure: str) -> CommandError:
+    """The line for a file that cannot be read."""
+    if isinstance(error, FileNotFoundError):
+        return CommandError(f"{path} is not there; {cure}", ExitCode.USAGE)
+    return CommandError(f"{path} cannot be read: {error.strerror}", ExitCode.USAGE)
+
+
+def again(who: str) -> str:
+    """The cure for files that are missing or wrong."""
+    return f"'cruiser provision {who}' makes it"
+
+
+def prove_request(
+    private: Ed25519PrivateKey, proof: RequestProof, key: str, encoding: str, payload: bytes
+) -> bytes:
+    """The attachment of a request, signed.
+
+    Args:
+        private: the sender's key.
+        proof: grant, challenge and nonce.
+        key: the key expression to which it goes.
+        encoding: the table's for its verb.
+        payload: the bytes that are sent.
+    """
+    signature = private.sign(proof.signed(key, encoding, payload))
+    return msgspec.structs.replace(proof, signature=signature).attachment()

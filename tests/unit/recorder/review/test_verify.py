@@ -1,0 +1,528 @@
+"""The proof of logs: what a robot signed, and what somebody made of it."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from gateway.command.request import Credentials
+from recorder.encoding.transcode import compile_encoder
+from recorder.mcap.writer import McapFile
+from recorder.reading.faults import Faults
+from recorder.reading.logs import find_logs
+from recorder.review.cut import cut
+from recorder.review.merge import merge
+from recorder.review.verify import RobotProofReport, shown_statements, verify_logs
+from recorder.review.verifying.findings import ProofFault
+from schemas import keys
+from schemas.authority.chain import heads_text
+from schemas.authority.statement import GrantRole, chain_text
+from schemas.authority.trust import Trust
+from schemas.decisions import ChainHeads, Decision, Journal, SafetyEvent, SignedStatement
+from schemas.exit_codes import CommandError
+from schemas.messages import Message
+from schemas.reasons import Reason
+from schemas.subjects import BY_VERB
+from tests.support.authority import DAY_S, NOW_S, Fleet, Party, S
+from tests.support.commands import review
+from tests.support.logs import Disk, channel_of, foreign_log, saved, sealed
+from tests.support.messages import ROBOT, key_of
+from tests.support.signed_run import (
+    CHAINED_KINDS,
+    LEASE,
+    PER_SECOND,
+    SignedRun,
+    credentials_of,
+    driven,
+    log_of,
+    of,
+    replaced,
+    without,
+)
+
+FLEET = Fleet()
+RUN, ANN = driven(FLEET)
+SAMPLES = tuple(RUN.samples)
+GIVEN = object()
+CHAINED = [message for message in SAMPLES if type(message) in CHAINED_KINDS]
+
+
+def verified(directory: Path, *logs: bytes, trust: Any = GIVEN) -> RobotProofReport:  # noqa: ANN401 - a trust or None
+    """What is proven of one robot's logs; nothing in them is unreadable."""
+    paths = [saved(directory / f"log-{number}.mcap", data) for number, data in enumerate(logs)]
+    return verified_files(paths, FLEET.trust if trust is GIVEN else trust)
+
+
+def verified_files(paths: Sequence[Path], trust: Trust | None, **given: Any) -> RobotProofReport:  # noqa: ANN401
+    """The same, of files."""
+    faults = Faults()
+    (report,) = verify_logs(find_logs(paths, faults), faults, trust, **given)
+    assert not faults, faults.told
+    return report
+
+
+def faults_of(report: RobotProofReport) -> set[ProofFault]:
+    """The kinds of what is wrong."""
+    return {one.fault for one in report.findings}
+
+
+def words_of(report: RobotProofReport) -> str:
+    """What is wrong, for people."""
+    return "\n".join(one.what for one in report.findings)
+
+
+def test_a_run_as_it_was_holds_to_its_last_head(tmp_path: Path) -> None:
+    """Every sample is proven, and by whom it was commanded."""
+    report = verified(tmp_path, log_of(SAMPLES))
+    assert not report.findings
+    assert report.is_proven
+    assert report.is_vouched
+    assert report.authority == FLEET.authority.key.hex()
+    assert report.robot_key == RUN.robot.key.hex()
+    (run,) = report.runs
+    assert sum(count.proven for count in run.subjects.values()) == len(CHAINED)
+    assert [(verb.verb, verb.operator, verb.holds) for verb in report.verbs] == [
+        ("acquire", "ann", True),
+        ("engage", "ann", True),
+    ]
+    (holder,) = report.holders
+    assert (holder.lease, holder.operator, holder.grant) == (LEASE, "ann", ANN.chain[0].id.hex())
+    assert holder.drives == len(of(SAMPLES, Decision)) - 2
+    assert {grant.name for grant in report.grants} == {"ann", ROBOT}
+
+
+@pytest.mark.parametrize("kind", CHAINED_KINDS)
+@pytest.mark.parametrize("number", [0, 2, -2])
+def test_a_sample_that_is_missing_is_found(tmp_path: Path, kind: type[Message], number: int) -> None:
+    """Wherever it stood between the beginning and the last head; but a log may begin after a run has begun."""
+    report = verified(tmp_path, log_of(without(SAMPLES, of(SAMPLES, kind)[number])))
+    if number == 0:
+        assert sum(count.absent for count in report.runs[0].subjects.values()) == 1
+        assert sum(count.proven for count in report.runs[0].subjects.values()) < len(CHAINED)
+        return
+    assert faults_of(report) == {ProofFault.MISSING}
+    assert sum(count.missing for count in report.runs[0].subjects.values()) == 1
+
+
+CHANGES: dict[type[Message], dict[str, Any]] = {
+    Journal: {"inputs": b"\x90"},
+    Decision: {"operator": "bob"},
+    SafetyEvent: {"text": "otherwise"},
+}
+
+
+@pytest.mark.parametrize("kind", CHAINED_KINDS)
+@pytest.mark.parametrize("number", [0, 3, -1])
+def test_a_sample_that_was_changed_is_found(tmp_path: Path, kind: type[Message], number: int) -> None:
+    """Whatever was changed, and wherever."""
+    report = verified(tmp_path, log_of(replaced(SAMPLES, of(SAMPLES, kind)[number], **CHANGES[kind])))
+    assert faults_of(report) == {ProofFault.CHANGED}
+
+
+@pytest.mark.parametrize("kind", CHAINED_KINDS)
+def test_samples_that_changed_places_are_found(tmp_path: Path, kind: type[Message]) -> None:
+    """Each with the sequence and the time of the other."""
+    one, other = of(SAMPLES, kind)[2:4]
+    places = [{"sequence": SAMPLES[place].sequence, "time_ns": SAMPLES[place].time_ns} for place in (one, other)]
+    swapped = replaced(replaced(SAMPLES, one, **places[1]), other, **places[0])
+    assert ProofFault.CHANGED in faults_of(verified(tmp_path, log_of(swapped)))
+
+
+@pytest.mark.parametrize("kind", CHAINED_KINDS)
+def test_a_second_sample_of_one_place_is_found(tmp_path: Path, kind: type[Message]) -> None:
+    """The robot signed one of them; before it or behind it, the other was put in."""
+    place = of(SAMPLES, kind)[2]
+    other = msgspec.structs.replace(SAMPLES[place], **CHANGES[kind])
+    for at in (place, place + 1, len(SAMPLES)):
+        report = verified(tmp_path, log_of([*SAMPLES[:at], other, *SAMPLES[at:]]))
+        assert faults_of(report) == {ProofFault.CHANGED}, at
+        assert "contradict" in words_of(report)
+        assert sum(count.proven for count in report.runs[0].subjects.values()) == len(CHAINED)
+
+
+def test_a_copy_says_nothing_new_and_counts_once(tmp_path: Path) -> None:
+    """A log and its incident hold the same, and so do two recorders' logs."""
+    place = of(SAMPLES, Decision)[2]
+    report = verified(tmp_path, log_of([*SAMPLES, SAMPLES[place]]))
+    assert report.is_proven
+    assert report.runs[0].subjects["safety/decision"].repeated == 1
+    twice = verified(tmp_path, log_of(SAMPLES), log_of(SAMPLES))
+    assert twice.is_proven
+    assert twice.holders == report.holders
+    assert twice.verbs == report.verbs
+
+
+@pytest.mark.parametrize("number", [1, 3, -2])
+def test_a_head_that_is_missing_is_found(tmp_path: Path, number: int) -> None:
+    """And what the next one proves is proven all the same."""
+    report = verified(tmp_path, log_of(without(SAMPLES, of(SAMPLES, ChainHeads)[number])))
+    assert faults_of(report) == {ProofFault.MISSING}
+    assert words_of(report) == "chain heads"
+    assert sum(count.proven for count in report.runs[0].subjects.values()) == len(CHAINED)
+
+
+def test_a_run_whose_last_heads_were_cut_off_is_found(tmp_path: Path) -> None:
+    """What comes so long after the last head is not what the robot left unsigned."""
+    run, _ = driven(FLEET, 12)
+    heads = of(run.samples, ChainHeads)
+    report = verified(tmp_path, log_of(without(run.samples, *heads[4:])))
+    assert faults_of(report) == {ProofFault.MISSING}
+
+
+def test_a_run_whose_heads_were_all_cut_out_is_found(tmp_path: Path) -> None:
+    """Its journal says that requests had to be signed."""
+    report = verified(tmp_path, log_of(without(SAMPLES, *of(SAMPLES, ChainHeads))))
+    assert ProofFault.MISSING in faults_of(report)
+
+
+@pytest.mark.parametrize("number", [0, 3])
+def test_a_head_that_somebody_else_signed_is_found(tmp_path: Path, number: int) -> None:
+    """Over exactly what the robot had signed."""
+    place = of(SAMPLES, ChainHeads)[number]
+    head = SAMPLES[place]
+    assert isinstance(head, ChainHeads)
+    text = heads_text(head.boot, head.time_ns, {one.subject: (one.count, one.head) for one in head.heads})
+    report = verified(tmp_path, log_of(replaced(SAMPLES, place, signature=Party().private.sign(text))))
+    assert ProofFault.WRONGLY_SIGNED in faults_of(report)
+
+
+def test_a_whole_run_of_somebody_elses_making_is_found(tmp_path: Path) -> None:
+    """It holds in itself; its authority is not the fleet's. Who is not given the fleet's is told so."""
+    forger = Fleet()
+    run, _ = driven(forger)
+    report = verified(tmp_path, log_of(run.samples))
+    assert ProofFault.NOT_GRANTED in faults_of(report)
+    believed = verified(tmp_path, log_of(run.samples), trust=None)
+    assert not believed.findings
+    assert not believed.is_vouched
+    assert believed.authority == forger.authority.key.hex()
+
+
+def test_a_log_joined_from_two_runs_is_found(tmp_path: Path) -> None:
+    """Seconds of one run stand in the place of another's, with their sequences."""
+    other, _ = driven(FLEET, robot=RUN.robot, boot=b"boot no2")
+    begin, end = NOW_S * S + 2 * S, NOW_S * S + 4 * S
+    part = [one for one in other.samples if begin < one.time_ns <= end and type(one) in CHAINED_KINDS]
+    rest = [one for one in SAMPLES if not begin < one.time_ns <= end or type(one) not in CHAINED_KINDS]
+    joined = sorted([*rest, *part], key=lambda one: one.time_ns)
+    assert ProofFault.MISSING in faults_of(verified(tmp_path, log_of(joined)))
+
+
+def test_two_runs_of_one_robot_hold_each_for_itself(tmp_path: Path) -> None:
+    """In one log, or in one each; the second gateway may have begun right behind the first."""
+    second, _ = driven(FLEET, robot=RUN.robot, boot=b"boot no2", at_s=NOW_S + 7)
+    for logs in ([log_of([*SAMPLES, *second.samples])], [log_of(SAMPLES), log_of(second.samples)]):
+        report = verified(tmp_path, *logs)
+        assert report.is_proven, words_of(report)
+        assert [run.boot for run in report.runs] == [b"boot no1".hex(), b"boot no2".hex()]
+
+
+def test_what_the_log_says_of_a_sample_is_held_against_the_sample(tmp_path: Path) -> None:
+    """Other questions go by the log's own times and sequences."""
+    place = of(SAMPLES, SafetyEvent)[2]
+    at_ns = SAMPLES[place].time_ns
+    log = saved(tmp_path / "log.mcap", log_of_shifted(SAMPLES, place))
+    report = verified_files([log], FLEET.trust)
+    assert faults_of(report) == {ProofFault.CHANGED}
+    assert "another time" in words_of(report)
+    assert report.findings[0].time_ns == at_ns
+
+
+def log_of_shifted(samples: Sequence[Message], place: int) -> bytes:
+    """The log of these samples, one of them at another publish time."""
+    kinds = list(dict.fromkeys(type(one) for one in samples))
+    disk = Disk()
+    file = McapFile(disk, "test")
+    for number, kind in enumerate(kinds, start=1):
+        file.add_channel(channel_of(kind, number, key_of(kind)))
+    rows = [
+        (
+            kinds.index(type(one)) + 1,
+            one.sequence,
+            one.time_ns,
+            one.time_ns + (number == place),
+            compile_encoder(type(one))(one),
+        )
+        for number, one in enumerate(samples)
+    ]
+    file.write_chunk(sealed(rows))
+    file.finish()
+    return disk.getvalue()
+
+
+# A log may begin and end anywhere.
+
+
+def test_a_log_that_begins_in_mid_run_holds_from_its_first_head_on(tmp_path: Path) -> None:
+    """What is before it hangs on nothing, and that is said, with figures; it is no fault."""
+    begin = of(SAMPLES, ChainHeads)[3] - 7
+    report = verified(
+        tmp_path, log_of([*(SAMPLES[place] for place in of(SAMPLES, SignedStatement)), *SAMPLES[begin:]])
+    )
+    assert not report.findings
+    journal = report.runs[0].subjects["journal"]
+    assert journal.before == 5
+    assert journal.absent == 3 * PER_SECOND - 5
+    assert journal.proven == 3 * PER_SECOND
+    assert journal.from_ns == SAMPLES[of(SAMPLES, ChainHeads)[3]].time_ns
+
+
+def test_a_log_that_ends_in_mid_run_has_no_proof_of_its_end_yet(tmp_path: Path) -> None:
+    """That is said as well."""
+    end = of(SAMPLES, ChainHeads)[4] + 5
+    report = verified(tmp_path, log_of(SAMPLES[:end]))
+    assert not report.findings
+    assert report.runs[0].subjects["journal"].after == 4
+
+
+def test_several_logs_of_one_run_hold_together(tmp_path: Path) -> None:
+    """They are cut anywhere, and read in one go; without the one in the middle something is missing."""
+    cuts = [SAMPLES[:40], SAMPLES[40:81], SAMPLES[81:]]
+    logs = [log_of(part) for part in cuts]
+    assert verified(tmp_path, *logs).is_proven
+    assert ProofFault.MISSING in faults_of(verified(tmp_path / "some", logs[0], logs[2]))
+
+
+def test_samples_that_a_recorder_asked_for_later_count(tmp_path: Path) -> None:
+    """They stand behind newer ones in the log."""
+    heads = of(SAMPLES, ChainHeads)
+    late = [*SAMPLES[heads[2] :], *SAMPLES[: heads[2]]]
+    assert verified(tmp_path, log_of(late)).is_proven
+
+
+def test_a_cut_log_and_a_merged_one_hold(tmp_path: Path) -> None:
+    """A part of a log holds from its first head on, as long as it is told the grants."""
+    whole = saved(tmp_path / "whole.mcap", log_of(SAMPLES))
+    other = saved(tmp_path / "other.mcap", log_of(SAMPLES[60:]))
+    faults = Faults()
+    logs = find_logs([whole, other], faults)
+    merge(logs, tmp_path / "merged.mcap", faults)
+    assert verified_files([tmp_path / "merged.mcap"], FLEET.trust).is_proven
+    period = NOW_S * S + 2 * S + S // 2, NOW_S * S + 5 * S
+    cut(logs, tmp_path / "cut.mcap", period, [], faults)
+    assert faults_of(verified_files([tmp_path / "cut.mcap"], FLEET.trust)) == {ProofFault.UNPROVEN}
+    told = shown_statements(logs, faults)
+    report = verified_files([tmp_path / "cut.mcap"], FLEET.trust, statements=told)
+    assert not report.findings
+    assert report.runs[0].subjects["journal"].proven == PER_SECOND
+    assert not faults
+
+
+def test_a_run_in_open_mode_has_nothing_to_verify(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It says so, and the exit code is not that of a log that holds."""
+    run = SignedRun(FLEET)
+    run.seconds(3)
+    opened = [one for one in run.samples if type(one) in CHAINED_KINDS]
+    path = saved(tmp_path / "open.mcap", log_of(opened))
+    report = verified_files([path], None)
+    assert report.unsigned_runs == 1
+    assert faults_of(report) == {ProofFault.UNPROVEN}
+    assert review("verify", str(path)) == 3
+    assert "open mode" in capsys.readouterr().out
+
+
+# Who commanded.
+
+
+def asked(tmp_path: Path, verb: str = "engage", *, by: Party = ANN, **how: Any) -> RobotProofReport:  # noqa: ANN401
+    """A run in which one more request is journaled."""
+    run, _ = driven(FLEET, robot=RUN.robot)
+    run.show(chain_text(by.chain))
+    run.ask(verb, by, **how)
+    run.seconds(1)
+    return verified(tmp_path, log_of(run.samples))
+
+
+def test_a_verb_that_its_operator_signed_holds(tmp_path: Path) -> None:
+    """The oracle of the tests below: the same without a fault."""
+    assert asked(tmp_path).is_proven
+
+
+def _signed_for(verb: str, operator: str = "ann", robot: str = ROBOT, payload: bytes = b"\x80") -> bytes:
+    """Ann's proof, for something else."""
+    return ANN.prove(keys.command("fleet", robot, operator, verb), BY_VERB[verb].encoding, payload, b"challeng")
+
+
+@pytest.mark.parametrize(
+    "attachment",
+    [
+        b"",
+        _signed_for("engage")[:-1],
+        _signed_for("engage")[:-1] + b"\0",
+        _signed_for("park"),
+        _signed_for("engage", operator="bob"),
+        _signed_for("engage", robot="cruiser-2"),
+        _signed_for("engage", payload=b"\x81"),
+    ],
+    ids=["none", "short", "last byte", "other verb", "other operator", "other robot", "other payload"],
+)
+def test_a_verb_that_was_accepted_and_not_signed_is_found(tmp_path: Path, attachment: bytes) -> None:
+    """A robot that says that it was has been tampered with itself."""
+    assert faults_of(asked(tmp_path, attachment=attachment)) == {ProofFault.WRONGLY_SIGNED}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"robots": ["cruiser-2"]},
+        {"verbs": ["acquire"]},
+        {"not_after": NOW_S - 1},
+        {"not_before": NOW_S + DAY_S // 2},
+        {"role": GrantRole.RECORDER},
+    ],
+)
+def test_a_verb_that_its_grant_did_not_allow_is_found(tmp_path: Path, changes: dict[str, Any]) -> None:
+    """Though the robot took it."""
+    bob = FLEET.operator("bob", **changes)
+    credentials = Credentials(Reason.NONE, serial=1)
+    report = asked(tmp_path, by=bob, credentials=credentials)
+    assert faults_of(report) == {ProofFault.NOT_GRANTED}
+
+
+def test_a_verb_under_somebody_elses_grant_is_found(tmp_path: Path) -> None:
+    """The key expression names another operator than the grant; the holder of the grant signed it so."""
+    report = asked(tmp_path, operator="carl", attachment=_signed_for("engage", operator="carl"))
+    assert faults_of(report) == {ProofFault.NOT_GRANTED}
+
+
+@pytest.mark.parametrize(
+    "changes", [{"serial": 2}, {"override": True}, {"speed_limit_mps": None}, {"speed_limit_mps": 2.0}]
+)
+def test_a_robot_that_allowed_more_than_the_grant_is_found(tmp_path: Path, changes: dict[str, Any]) -> None:
+    """Role, override and speed limit are the grant's."""
+    assert faults_of(asked(tmp_path, credentials=credentials_of(ANN, **changes))) == {ProofFault.NOT_GRANTED}
+
+
+def test_a_verb_after_its_grant_was_revoked_is_found(tmp_path: Path) -> None:
+    """One before it holds, in the same log."""
+    fleet = Fleet()
+    run, ann = driven(fleet)
+    run.show(fleet.authority.revoke(1, keys=(ann.key,)).text())
+    run.seconds(1)
+    assert verified(tmp_path, log_of(run.samples), trust=fleet.trust).is_proven
+    run.ask("engage", ann)
+    run.seconds(1)
+    report = verified(tmp_path, log_of(run.samples), trust=fleet.trust)
+    assert faults_of(report) == {ProofFault.NOT_GRANTED}
+    assert [verb.holds for verb in report.verbs] == [True, True, False]
+
+
+def test_a_list_of_revocations_that_the_authority_did_not_sign_is_found(tmp_path: Path) -> None:
+    """And revokes nothing."""
+    run, _ = driven(FLEET, robot=RUN.robot)
+    run.show(Party().revoke(1, keys=(ANN.key,)).text())
+    run.seconds(1)
+    assert faults_of(verified(tmp_path, log_of(run.samples))) == {ProofFault.WRONGLY_SIGNED}
+
+
+def test_after_a_rotation_the_new_authority_is_believed(tmp_path: Path) -> None:
+    """By whoever knew the standby key before."""
+    fleet, active, standby = Fleet(), Party("new"), Party("next")
+    run, _ = driven(fleet)
+    run.show(fleet.standby.rotate(1, active, standby).text())
+    active.grant(run.robot, role=GrantRole.ROBOT, robots=[ROBOT])
+    run.robot.chain = run.robot.chain[:1]
+    run.show(chain_text(run.robot.chain))
+    bob = Party("bob")
+    active.grant(bob)
+    run.show(chain_text(bob.chain))
+    run.ask("acquire", bob)
+    run.seconds(2)
+    report = verified(tmp_path, log_of(run.samples), trust=fleet.trust)
+    assert [(verb.operator, verb.holds) for verb in report.verbs][-1] == ("bob", True)
+    assert not [one for one in report.findings if "bob" in one.what]
+
+
+def test_a_verb_whose_grant_is_not_in_the_log_cannot_be_told(tmp_path: Path) -> None:
+    """That is no proof that it was wrong."""
+    run, ann = SignedRun(FLEET), FLEET.operator("ann")
+    run.ask("acquire", ann)
+    run.seconds(1)
+    report = verified(tmp_path, log_of(run.samples))
+    assert faults_of(report) == {ProofFault.UNPROVEN}
+    assert not report.is_broken
+
+
+def test_stops_that_nobody_signed_and_refused_requests_are_listed(tmp_path: Path) -> None:
+    """They are no fault of the log."""
+    run, ann = driven(FLEET, robot=RUN.robot)
+    for _ in range(3):
+        run.ask("stop", ann, operator="zoe", attachment=b"", credentials=Credentials(Reason.PROOF_MISSING))
+    run.ask("engage", ann, operator="zoe", attachment=b"x", credentials=Credentials(Reason.PROOF_MISSING))
+    run.ask("stop", ann)
+    run.seconds(1)
+    report = verified(tmp_path, log_of(run.samples))
+    assert report.is_proven
+    assert [(one.operator, one.count, one.reason) for one in report.unproven_stops] == [
+        ("zoe", 3, "proof_missing")
+    ]
+    assert [(one.operator, one.verb, one.count) for one in report.refused] == [("zoe", "engage", 1)]
+    assert [verb.verb for verb in report.verbs] == ["acquire", "engage", "stop"]
+
+
+# The command.
+
+
+def authority_file(directory: Path, fleet: Fleet = FLEET) -> Path:
+    """The fleet's authority.json."""
+    said = {"active": fleet.authority.key.hex(), "standby": fleet.standby.key.hex()}
+    return saved(directory / "authority.json", json.dumps(said).encode())
+
+
+def test_the_command_says_that_all_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With exit code 0, and in JSON the report itself."""
+    log = str(saved(tmp_path / "log.mcap", log_of(SAMPLES)))
+    words = ["verify", log, "--authority", str(authority_file(tmp_path))]
+    assert review(*words) == 0
+    out = capsys.readouterr().out
+    assert "all holds" in out
+    assert "ann held lease 77" in out
+    assert review(*words, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["robot_key"] == RUN.robot.key.hex()
+
+
+def test_the_command_says_that_nobody_vouches(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Where it is not given the authority."""
+    assert review("verify", str(saved(tmp_path / "log.mcap", log_of(SAMPLES)))) == 0
+    assert "nobody vouches" in capsys.readouterr().out
+
+
+def test_the_command_ends_with_1_for_a_log_that_was_changed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And says first that it is not as it was signed."""
+    changed = replaced(SAMPLES, of(SAMPLES, Decision)[3], operator="bob")
+    log = str(saved(tmp_path / "log.mcap", log_of(changed)))
+    assert review("verify", log, "--authority", str(authority_file(tmp_path))) == 1
+    assert "NOT AS IT WAS SIGNED" in capsys.readouterr().out.splitlines()[0]
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b"\xff", b'{"active": "1", "standby": "2"}'])
+def test_an_authority_that_is_none_is_named_with_the_cure(tmp_path: Path, content: bytes) -> None:
+    """Before a log is read."""
+    log = str(saved(tmp_path / "log.mcap", log_of(SAMPLES[:5])))
+    path = saved(tmp_path / "authority.json", content)
+    with pytest.raises(CommandError, match=r"authority\.json.*cruiser provision") as raised:
+        review("verify", log, "--authority", str(path))
+    assert raised.value.code == 2
+
+
+def test_a_log_without_robots_has_nothing_to_verify(tmp_path: Path) -> None:
+    """Exit code 3: nothing was proven."""
+    assert review("verify", str(saved(tmp_path / "log.mcap", foreign_log()))) == 3
+
+
+def test_what_is_no_journal_is_no_failure_of_ours(tmp_path: Path) -> None:
+    """Whatever stands in the inputs of a journal that somebody made."""
+    run, ann = driven(FLEET, robot=RUN.robot)
+    junk = [(1, 1, 1, 2, 3, 4, 5, 6, 7, 8), (1, 1, 1, "engage", "ann", b"", 0, "", b"", []), (1,) * 10]
+    run.waiting += junk
+    run.ask("engage", ann, attachment=os.urandom(89))
+    run.seconds(1)
+    assert verified(tmp_path, log_of(run.samples)).is_broken
