@@ -18,11 +18,10 @@ from gateway.chassis.cruiser.frames import (
     speaker_signals,
 )
 from gateway.chassis.decode import Signals
-from schemas.requests import Light
 from schemas.settings import ODOMETER_TIMEOUT_NS, TAIL_NS
 
 _NEVER: Final = -1
-_DARK: Final = Light(lease=0)
+_DARK: Final = light_signals()
 CLEARED_KM: Final = 0.0005
 """Below this the mileage, 0.001 km a bit, reads zero."""
 
@@ -38,7 +37,9 @@ class Auxiliary:
     """The lamps, the horn and the odometer, as asked for."""
 
     def __init__(self) -> None:
-        self._light = _DARK
+        self._lamps = _DARK
+        # Since they were last told off by a stop. That repeats the off of whoever put them out before.
+        self._are_lamps_set = False
         self._horn = False
         self._light_until_ns = self._horn_until_ns = self._odometer_until_ns = _NEVER
         self._clearing_until_ns: int | None = None
@@ -50,11 +51,12 @@ class Auxiliary:
 
     def is_off(self, now_ns: int) -> bool:
         """Nothing is asked for, and no frame is left to say off."""
-        return self._light == _DARK and not self._horn and not self.is_clearing and not self.frames(now_ns)
+        return not self.frames(now_ns)
 
-    def set_light(self, light: Light, now_ns: int) -> None:
+    def set_light(self, *, headlamp: bool, left: bool, right: bool, now_ns: int) -> None:
         """Set the lamps."""
-        self._light = light
+        self._lamps = light_signals(headlamp=headlamp, left=left, right=right)
+        self._are_lamps_set = True
         self._light_until_ns = now_ns + TAIL_NS
 
     def set_horn(self, *, on: bool, now_ns: int) -> None:
@@ -83,18 +85,21 @@ class Auxiliary:
         """The robot stops: all of it ends, each with its frames that say off."""
         if self._horn:
             self.set_horn(on=False, now_ns=now_ns)
-        if self._light != _DARK:
-            self.set_light(_DARK, now_ns)
+        if self._are_lamps_set:
+            self.set_light(headlamp=False, left=False, right=False, now_ns=now_ns)
+            self._are_lamps_set = False
         if self.is_clearing:
             self._end_clearing(now_ns)
+
+    def leave(self) -> None:
+        """Somebody else commands the chassis: what it was told last stays. Dark lamps need no other off."""
+        self._are_lamps_set = self._lamps != _DARK
 
     def frames(self, now_ns: int) -> list[AuxiliaryFrame]:
         """The frames of this tick."""
         due: list[AuxiliaryFrame] = []
-        light = self._light
-        if light.headlamp or light.left or light.right or now_ns < self._light_until_ns:
-            lamps = light_signals(headlamp=light.headlamp, left=light.left, right=light.right)
-            due.append(AuxiliaryFrame(LIGHT_COMMAND, lamps))
+        if self._lamps != _DARK or now_ns < self._light_until_ns:
+            due.append(AuxiliaryFrame(LIGHT_COMMAND, self._lamps))
         if self._horn or now_ns < self._horn_until_ns:
             due.append(AuxiliaryFrame(SPEAKER_COMMAND, speaker_signals(horn=self._horn)))
         if self.is_clearing or now_ns < self._odometer_until_ns:

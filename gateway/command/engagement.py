@@ -193,6 +193,7 @@ class Engagement:
         self._go(Trigger.YIELD)
         told = output.actuation if output.actuation is not None else Actuation(parking=self.setpoint.parked)
         self.handover.leave(told, reason, chassis, now_ns)
+        self.auxiliary.leave()
         output.cease()
         self.stop_reason, self.stop_detail = reason, ""
         self.outbox.refuse_pending(reason, "")

@@ -263,7 +263,7 @@ class Verbs:
         return Ruling(lease=request.lease)
 
     def _light(self, request: requests.Light, _operator: str, now_ns: int) -> Ruling:
-        self._auxiliary.set_light(request, now_ns)
+        self._auxiliary.set_light(headlamp=request.headlamp, left=request.left, right=request.right, now_ns=now_ns)
         return Ruling(lease=request.lease)
 
     def _horn(self, request: requests.Horn, _operator: str, now_ns: int) -> Ruling:

@@ -118,6 +118,22 @@ def test_whatever_goes_on_is_no_rest(disturb: Callable[[GatewayRig], None]) -> N
     assert not is_at_rest(flow_of(rig), rig.now_ns)
 
 
+def test_lamps_that_were_put_out_before_a_takeover_keep_nobody_from_rest() -> None:
+    """Those that shine do: the chassis has them on, and the next engagement puts them out."""
+    for is_left_on in (False, True):
+        rig, operator = ready()
+        operator.engage()
+        assert operator.reason("light", headlamp=True) is Reason.NONE
+        assert operator.reason("light", headlamp=is_left_on) is Reason.NONE
+        rig.fault("transmitter remote")
+        rig.run(0.5)
+        assert operator.reason("release") is Reason.NONE
+        # Another computer commands the chassis for a moment: what it was left on is past.
+        rig.fault("foreign 18C4D3D0 every 10ms for 50ms")
+        rig.run(QUIET_NS / 1e9 + 1)
+        assert is_at_rest(flow_of(rig), rig.now_ns) is not is_left_on
+
+
 def test_before_the_variant_is_known_there_is_no_rest() -> None:
     """Who begins there could not know it either."""
     rig = GatewayRig(Variant.COARSE)
