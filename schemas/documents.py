@@ -185,7 +185,8 @@ def request_tables() -> str:
     blocks = ["## Requests", "### In every request that wants the lease", field_table(lease, {})]
     for command in COMMANDS:
         schema = json_schema.schema(command.schema_name)
-        wants = " Wants the lease." if issubclass(command.request, Leased) else ""
+        needs = " Wants the lease, and an engaged robot." if command.engaged_only else " Wants the lease."
+        wants = needs if issubclass(command.request, Leased) else ""
         blocks += [f"### {command.verb}", schema["description"] + wants]
         own = {name: part for name, part in schema["properties"].items() if name not in lease}
         if own:

@@ -134,11 +134,11 @@ class Reset(Leased, frozen=True, forbid_unknown_fields=True):
 
 
 class Park(Leased, frozen=True, forbid_unknown_fields=True):
-    """Apply the parking brake of an engaged robot, at any speed, while the commanded speed is zero."""
+    """Apply the parking brake, at any speed, while the commanded speed is zero."""
 
 
 class Unpark(Leased, frozen=True, forbid_unknown_fields=True):
-    """Allow drive commands to release the parking brake of an engaged robot, while the commanded speed is zero."""
+    """Allow drive commands to release the parking brake, while the commanded speed is zero."""
 
 
 class Light(Leased, frozen=True, forbid_unknown_fields=True):

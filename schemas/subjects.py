@@ -257,6 +257,7 @@ class Verb(msgspec.Struct, Generic[ReplyType], frozen=True):
         reply: the class of the reply to a query.
         about: what it does, for people.
         asking: how it is sent.
+        engaged_only: refused as long as the robot is not engaged.
     """
 
     verb: str
@@ -264,6 +265,7 @@ class Verb(msgspec.Struct, Generic[ReplyType], frozen=True):
     reply: type[ReplyType]
     about: str
     asking: Asking = Asking.QUERY
+    engaged_only: bool = False
 
     @property
     def schema_name(self) -> str:
@@ -318,11 +320,19 @@ COMMANDS: Final[tuple[Command, ...]] = (
     Command("disengage", requests.Disengage, _Reply, "stop in a controlled way and give up command"),
     Command(STOP_VERB, requests.Stop, _Reply, "the remote stop, from anyone; latched", Asking.EITHER),
     Command("reset", requests.Reset, _Reply, "clear what is latched"),
-    Command("park", requests.Park, _Reply, "apply the parking brake, at any speed"),
-    Command("unpark", requests.Unpark, _Reply, "allow drive commands to release the parking brake"),
-    Command("light", requests.Light, _Reply, "headlamp and indicators"),
-    Command("horn", requests.Horn, _Reply, "the horn"),
-    Command("clear_odometer", requests.ClearOdometer, _Reply, "total mileage to zero; replies when it reads so"),
+    Command("park", requests.Park, _Reply, "apply the parking brake, at any speed", engaged_only=True),
+    Command(
+        "unpark", requests.Unpark, _Reply, "allow drive commands to release the parking brake", engaged_only=True
+    ),
+    Command("light", requests.Light, _Reply, "headlamp and indicators", engaged_only=True),
+    Command("horn", requests.Horn, _Reply, "the horn", engaged_only=True),
+    Command(
+        "clear_odometer",
+        requests.ClearOdometer,
+        _Reply,
+        "total mileage to zero; replies when it reads so",
+        engaged_only=True,
+    ),
     Command("drive", requests.Drive, _Reply, "the stream that moves the robot, 10 to 50 Hz", Asking.PUT),
 )
 

@@ -33,10 +33,6 @@ _DRIVE_REFUSALS: Final = {
     ArbiterState.STOPPING: Reason.STOPPING,
 }
 
-_ENGAGED_ONLY: Final = frozenset(
-    {requests.Park, requests.Unpark, requests.Light, requests.Horn, requests.ClearOdometer}
-)
-
 
 class Verbs:
     """Rules on each request, and acts on the states that its verb concerns."""
@@ -80,7 +76,7 @@ class Verbs:
             refusal = self._leases.refusal(request.lease, raw.operator)
             if refusal is not None:
                 return Ruling(refusal, lease=request.lease)
-            if type(request) in _ENGAGED_ONLY and self._engagement.state is not ArbiterState.ENGAGED:
+            if BY_VERB[raw.verb].engaged_only and self._engagement.state is not ArbiterState.ENGAGED:
                 return Ruling(Reason.NOT_ENGAGED, lease=request.lease)
         return self._rules[type(request)](request, raw.operator, now_ns)
 
