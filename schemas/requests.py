@@ -142,7 +142,12 @@ class Unpark(Leased, frozen=True, forbid_unknown_fields=True):
 
 
 class Light(Leased, frozen=True, forbid_unknown_fields=True):
-    """Set the lamps that are the upper layer's. All false ends it."""
+    """Set the lamps that are the upper layer's. All false puts them out.
+
+    Every stop puts them out too, that of the deadman and that of the guard included. Where the remote control
+    takes over, or the bus is lost, nothing is sent any more: they stay as they are until the robot is engaged
+    again or stopped.
+    """
 
     headlamp: bool = False
     left: bool = False
@@ -150,7 +155,11 @@ class Light(Leased, frozen=True, forbid_unknown_fields=True):
 
 
 class Horn(Leased, frozen=True, forbid_unknown_fields=True):
-    """Sound the horn, or end it."""
+    """Sound the horn, or end it.
+
+    Every stop ends it too, that of the deadman and that of the guard included. Where the remote control takes
+    over, or the bus is lost, nothing is sent any more: it sounds on until the robot is engaged again or stopped.
+    """
 
     on: bool
 
