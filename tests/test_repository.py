@@ -8,6 +8,10 @@ from typing import Final
 
 import pytest
 
+from gateway.cli.main import COMMANDS
+from recorder.cli.review.command import QUESTIONS
+from schemas.subjects import BY_VERB
+
 ROOT: Final = Path(__file__).parents[1]
 PAGES: Final = [
     ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md") if (ROOT / name).exists()
@@ -74,6 +78,28 @@ def test_every_place_in_the_tree_that_a_page_names_is_there(page: Path) -> None:
         r"`((?:deploy|docs|gateway|recorder|schemas|tests)/(?:[\w./-]*(?:/|\.\w+))?)`", prose(page)
     )
     assert [place for place in places if not (ROOT / place).exists()] == []
+
+
+@pytest.mark.parametrize("verb", BY_VERB)
+def test_the_page_of_commands_names_every_verb(verb: str) -> None:
+    """With a text of its own, beside the table that is generated."""
+    page = (ROOT / "docs" / "commands.md").read_text("utf-8")
+    assert f"\n### {verb}\n" in page
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_tour_or_the_readme_names_every_command(command: str) -> None:
+    """As it is typed, or in a list of those that begin with ``cruiser``."""
+    text = "".join((ROOT / page).read_text("utf-8") for page in ("README.md", "docs/tour.md"))
+    assert re.search(rf"cruiser {command}\b|`{command}`", text)
+
+
+@pytest.mark.parametrize("question", QUESTIONS)
+def test_the_page_of_the_review_has_a_section_on_every_question(question: str) -> None:
+    """With a command line that asks it."""
+    page = (ROOT / "docs" / "review.md").read_text("utf-8")
+    assert re.search(rf"^## {question}\b", page, flags=re.MULTILINE)
+    assert f"    cruiser review {question} " in page
 
 
 def test_the_readme_is_short() -> None:

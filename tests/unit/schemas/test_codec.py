@@ -10,6 +10,7 @@ from schemas.codec import PayloadFault, decode, decode_request, encode
 from schemas.messages import Gear, GearPosition, Message
 from schemas.requests import Acquire, Drive, Request, Role
 from schemas.subjects import BY_TYPE, BY_VERB, COMMANDS, SUBJECTS, Command, Subject
+from tests.support.requests import REQUESTS
 from tests.support.strategies import ANYTHING, commands_and_requests, subjects_and_messages
 
 GEAR = Gear(time_ns=1, sequence=2, alive_counter=3, active=True, gear_position=GearPosition.DRIVE)
@@ -101,7 +102,7 @@ def test_a_missing_field_is_a_fault_that_names_it() -> None:
 
 
 CHALLENGE = b"challeng"
-DRIVE: dict[str, object] = {"lease": 1, "seq": 2, "challenge": CHALLENGE, "speed_mps": 0.5, "angle_deg": 1.0}
+DRIVE = REQUESTS["drive"]
 
 
 def judge(verb: str, fields: object) -> Request | PayloadFault:
@@ -185,7 +186,7 @@ def test_a_whole_number_has_bounds(field: str, number: object) -> None:
 @pytest.mark.parametrize("challenge", [b"", bytes(7), bytes(9), "challeng", 8, [8]])
 def test_a_challenge_is_eight_bytes(verb: str, challenge: object) -> None:
     """Row 'command age, by echo': nothing else is one."""
-    fields = DRIVE if verb == "drive" else {"lease": 1}
+    fields = REQUESTS[verb]
     fault = judge(verb, fields | {"challenge": challenge})
     assert isinstance(fault, PayloadFault)
     assert "challenge" in fault.detail
@@ -195,9 +196,7 @@ def test_a_challenge_is_eight_bytes(verb: str, challenge: object) -> None:
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
 def test_a_request_with_a_field_that_is_not_known_is_refused(command: Command) -> None:
     """Who sent it meant something by it: a command is not obeyed in part."""
-    own: dict[str, dict[str, object]] = {"acquire": {}, "take": {}, "stop": {}, "drive": DRIVE}
-    own["engage"] = {"lease": 1, "challenge": CHALLENGE}
-    fields = own.get(command.verb, {"lease": 1} | ({"on": True} if command.verb == "horn" else {}))
+    fields = REQUESTS[command.verb]
     assert isinstance(judge(command.verb, fields), command.request)
     fault = judge(command.verb, fields | {"novelty": 1})
     assert isinstance(fault, PayloadFault)

@@ -13,16 +13,11 @@ from gateway.command.request import RawRequest
 from schemas.decisions import LeaseReply, Reply
 from schemas.reasons import Reason
 from schemas.requests import LEASE_MAX
-from schemas.subjects import COMMANDS
+from tests.support.requests import LEASED, REQUESTS
 
 ID = 77
 NUMBER = 0x1A_2B3C_4D5E_6F70
-FIELDS: dict[str, dict[str, object]] = {
-    "engage": {"challenge": bytes(8)},
-    "drive": {"challenge": bytes(8), "seq": 1, "speed_mps": 0.5, "angle_deg": 1.0},
-    "horn": {"on": True},
-}
-LEASED = sorted(verb.verb for verb in COMMANDS if verb.verb not in {"acquire", "take", "stop"})
+VERBS = [command.verb for command in LEASED]
 
 
 def raw(verb: str, payload: bytes, size: int | None = None) -> RawRequest:
@@ -51,10 +46,10 @@ def shows(request: RawRequest) -> bool:
     return any(form in part for form in forms for part in (request.payload, request.fault.encode()))
 
 
-@pytest.mark.parametrize("verb", LEASED)
+@pytest.mark.parametrize("verb", VERBS)
 def test_the_core_gets_the_identifier_for_the_number(verb: str) -> None:
     """All else of the request is as it was sent."""
-    sent = {"lease": NUMBER, **FIELDS.get(verb, {})}
+    sent = REQUESTS[verb] | {"lease": NUMBER}
     got = held().admit(raw(verb, msgspec.msgpack.encode(sent)))
     assert not shows(got)
     read = msgspec.msgpack.decode(got.payload)
@@ -63,15 +58,15 @@ def test_the_core_gets_the_identifier_for_the_number(verb: str) -> None:
 
 
 @pytest.mark.parametrize("number", [ID, 0, 1, NUMBER - 1, NUMBER + 1, LEASE_MAX])
-@pytest.mark.parametrize("verb", LEASED)
+@pytest.mark.parametrize("verb", VERBS)
 def test_no_other_number_is_a_lease(verb: str, number: int) -> None:
     """Above all not its identifier, which everybody may read."""
-    got = held().admit(raw(verb, msgspec.msgpack.encode({"lease": number, **FIELDS.get(verb, {})})))
+    got = held().admit(raw(verb, msgspec.msgpack.encode(REQUESTS[verb] | {"lease": number})))
     assert msgspec.msgpack.decode(got.payload)["lease"] == 0
 
 
 @given(
-    verb=st.sampled_from([*LEASED, "acquire", "take", "stop", "dirve", ""]),
+    verb=st.sampled_from([*VERBS, "acquire", "take", "stop", "dirve", ""]),
     lease=st.sampled_from([NUMBER, float(NUMBER), str(NUMBER), str(NUMBER).encode(), [NUMBER], {"a": NUMBER}]),
     more=st.dictionaries(st.sampled_from(["role", "x"]), st.just(NUMBER)),
     tail=st.binary(max_size=3),
@@ -80,7 +75,7 @@ def test_a_request_that_nobody_can_read_does_not_show_it(
     verb: str, lease: object, more: dict[str, int], tail: bytes
 ) -> None:
     """A holder's client with a fault in it gives nothing away: bytes behind, a wrong type, field or verb."""
-    payload = msgspec.msgpack.encode({"lease": lease, **FIELDS.get(verb, {}), **more}) + tail
+    payload = msgspec.msgpack.encode(REQUESTS.get(verb, {}) | {"lease": lease, **more}) + tail
     assert not shows(held().admit(raw(verb, payload)))
 
 

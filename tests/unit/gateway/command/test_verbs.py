@@ -12,10 +12,9 @@ from schemas.decisions import ArbiterState, Bound, EventKind
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.reasons import Reason
 from schemas.settings import CommandSettings
-from schemas.subjects import COMMANDS, Asking
+from schemas.subjects import COMMANDS, Asking, Command
+from tests.support.requests import LEASED, REQUESTS
 from tests.support.rigs.arbiter import MS, ArbiterRig, engaged
-
-LEASED = [command for command in COMMANDS if command.verb not in {"acquire", "take", "stop"}]
 
 
 def stopped(bench: ArbiterRig) -> None:
@@ -29,9 +28,8 @@ def stopped(bench: ArbiterRig) -> None:
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
-def test_a_verb_is_asked_for_in_its_own_way(command: object) -> None:
+def test_a_verb_is_asked_for_in_its_own_way(command: Command) -> None:
     """A query where it is one, a put where it is one; stop either way."""
-    assert isinstance(command, type(COMMANDS[0]))
     bench = ArbiterRig()
     wrong = 0 if command.asking is Asking.QUERY else 1
     ruling = bench.send(command.verb, b"\x80", handle=wrong)
@@ -95,17 +93,10 @@ def test_an_operator_without_a_name_may_only_stop() -> None:
 
 
 @pytest.mark.parametrize("command", LEASED, ids=lambda command: command.verb)
-def test_every_other_verb_wants_the_lease_in_force(command: object) -> None:
+def test_every_other_verb_wants_the_lease_in_force(command: Command) -> None:
     """Row 'lease: exclusive'."""
-    assert isinstance(command, type(COMMANDS[0]))
     bench = engaged()
-    fields: dict[str, object] = {"lease": bench.lease + 1}
-    if command.verb == "drive":
-        fields |= {"seq": 99, "challenge": bench.challenge(), "speed_mps": 1.0, "angle_deg": 0.0}
-    if command.verb == "horn":
-        fields["on"] = True
-    if command.verb == "engage":
-        fields["challenge"] = bench.challenge()
+    fields = REQUESTS[command.verb] | {"lease": bench.lease + 1}
     payload = msgspec.msgpack.encode(fields)
     handle = int(command.asking is Asking.QUERY)
     ruling = bench.send(command.verb, payload, handle=handle)
@@ -113,6 +104,16 @@ def test_every_other_verb_wants_the_lease_in_force(command: object) -> None:
     own = msgspec.msgpack.encode(fields | {"lease": bench.lease})
     assert bench.send(command.verb, own, "second", handle=handle).reason is Reason.NO_LEASE
     assert bench.arbiter.state is ArbiterState.ENGAGED
+
+
+@pytest.mark.parametrize("command", [one for one in LEASED if one.engaged_only], ids=lambda command: command.verb)
+def test_what_only_an_engaged_robot_does_is_refused_before(command: Command) -> None:
+    """Frames go out only together with the five."""
+    bench = ArbiterRig()
+    bench.ask("acquire")
+    ruling = bench.send(command.verb, msgspec.msgpack.encode(REQUESTS[command.verb] | {"lease": bench.lease}))
+    assert ruling.reason is Reason.NOT_ENGAGED
+    assert bench.tick().auxiliary == []
 
 
 @settings(max_examples=200)
