@@ -2,7 +2,7 @@
 
 - ``series``      numbers over time, reduced while they stream in, so that spikes survive
 - ``spans``       what was so from when to when
-- ``odometry``    the path, from speed and steering angle
+- ``odometry``    the way from speeds, and the path from speeds and steering angles
 - ``account``     all of one robot, from its rows
 - ``event_log``   what happened to it, from the entries of the timeline
 - ``versions``    which gateways it had, and what was otherwise

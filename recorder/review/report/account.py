@@ -20,7 +20,7 @@ from recorder.review.report.findings import (
     RobotSummary,
     Unwritten,
 )
-from recorder.review.report.odometry import GAP_NS, Path
+from recorder.review.report.odometry import GAP_NS, Odometer
 from recorder.review.report.series import Series
 from recorder.review.report.spans import Spans
 from recorder.review.report.versions import Versions
@@ -81,7 +81,7 @@ class Account:
         self.event_log = EventLog()
         self._start_ns, self._end_ns = 2**64, 0
         self._clock = RobotClock()
-        self._path = Path()
+        self._odometer = Odometer()
         self._lines = {line: Series(GAP_NS) for line in LINES}
         self._bands = {band: Spans(GAP_NS) for band in BANDS}
         self._seen: dict[type[Message], Repeats] = {}
@@ -173,7 +173,7 @@ class Account:
         if not self._end_ns:
             return None
         happened = self.event_log
-        path = self._path
+        speeds = self._odometer.speeds
         drivers = [Driver(name, seconds, metres) for name, (seconds, metres) in self._driven.items()]
         refusals = [Refusal(*about, *counted) for about, counted in self._refusals.items()]
         refused = self._verdicts[Verdict.REFUSED]
@@ -182,11 +182,11 @@ class Account:
             key=self.key,
             start_ns=self._start_ns,
             end_ns=self._end_ns,
-            distance_m=path.distance_m,
-            moving_s=path.moving_ns / 1e9,
-            known_s=path.known_ns / 1e9,
-            top_mps=path.top_mps,
-            top_ns=path.top_ns,
+            distance_m=speeds.distance_m,
+            moving_s=speeds.moving_ns / 1e9,
+            known_s=speeds.known_ns / 1e9,
+            top_mps=speeds.top_mps,
+            top_ns=speeds.top_ns,
             stops=dict(happened.stops.most_common()),
             outages=happened.outages,
             more_outages=happened.more_outages,
@@ -197,9 +197,9 @@ class Account:
             refused=refused,
             refusals=sorted(refusals, key=lambda one: -one.count),
             other_refusals=refused - sum(one.count for one in refusals),
-            gaps=path.gaps,
-            gap_s=path.gap_ns / 1e9,
-            stale=path.stale,
+            gaps=speeds.gaps,
+            gap_s=speeds.gap_ns / 1e9,
+            stale=speeds.stale,
             silences=happened.silences,
             more_silences=happened.more_silences,
             health={name: count for name, count in self._health.items() if count},
@@ -212,7 +212,7 @@ class Account:
         return RobotReport(summary, self._draw())
 
     def _draw(self) -> RobotCharts:
-        places = self._path.end()
+        places = self._odometer.end()
         ordered = sorted(places, key=lambda place: place.time_ns)
         return RobotCharts(
             lines={name: series.points() for name, series in self._lines.items()},
@@ -224,7 +224,7 @@ class Account:
         )
 
     def _take_state(self, state: RobotState, time_ns: int) -> None:
-        grew_m = self._path.add(time_ns, state.speed_mps, state.angle_deg)
+        grew_m = self._odometer.add(time_ns, state.speed_mps, state.angle_deg)
         self._draw_on("speed_mps", time_ns, state.speed_mps)
         self._draw_on("angle_deg", time_ns, state.angle_deg)
         self._bands["mode"].add(time_ns, "" if state.mode is Mode.UNDEFINED else state.mode.value)
