@@ -20,6 +20,16 @@ settings.load_profile("daily")
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """By day leave out what is marked ``night``: see ``tests/support/nights.py``."""
+    if config.getoption("--hypothesis-profile") == "nightly":
+        return
+    left_out = [item for item in items if item.get_closest_marker("night")]
+    if left_out:
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if not item.get_closest_marker("night")]
+
+
 @pytest.fixture(autouse=True)
 def _state_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A stop by the guard in one test is latched in no other, nor for whoever runs them."""

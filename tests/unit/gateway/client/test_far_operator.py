@@ -6,8 +6,12 @@ from gateway.sim.links import FAR, LINKS, LinkProfile
 from schemas.decisions import ArbiterState
 from schemas.reasons import TEXTS, Reason
 from tests.support.lossy_link import LossyLink
+from tests.support.nights import by_night
 from tests.support.rigs.far_operator import FarOperator, trip
 from tests.support.rigs.gateway import GatewayRig
+
+BY_DAY = ("Wi-Fi", "LTE bad", "satellite")
+"""A link that stalls, one that loses much too, and the slowest."""
 
 
 def test_over_200_ms_one_way_it_hardly_ever_stops() -> None:
@@ -18,7 +22,11 @@ def test_over_200_ms_one_way_it_hardly_ever_stops() -> None:
     assert made.reached_mps == pytest.approx(0.5, abs=0.04)
 
 
-@pytest.mark.parametrize("profile", LINKS, ids=lambda profile: profile.name)
+@pytest.mark.parametrize(
+    "profile",
+    [profile if profile.name in BY_DAY else by_night(profile) for profile in LINKS],
+    ids=lambda profile: profile.name,
+)
 def test_every_link_of_the_table_can_be_driven_over(profile: LinkProfile) -> None:
     """With the deadman that it needs; and a cut costs no more than the travel delay and the way to rest."""
     made = trip(profile, speed_mps=2.2, seconds=20)

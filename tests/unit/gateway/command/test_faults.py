@@ -1,7 +1,7 @@
 """Every fault that the chassis, the bus, the link or an operator may have, each against the whole command flow."""
 
 from collections.abc import Iterator
-from itertools import combinations
+from itertools import combinations, product
 
 import msgspec
 import pytest
@@ -20,6 +20,7 @@ from schemas.messages import Variant
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import ChassisSettings
 from tests.support.frames import STANDING, Feedback
+from tests.support.nights import by_night
 from tests.support.rigs.gateway import GUARDED, MS, GatewayRig, Operator, driving, ready
 from tests.support.strategies import VARIANTS, with_checksum
 
@@ -27,6 +28,9 @@ YEAR_NS = 365 * 24 * 3600 * 10**9
 REQUIRED = ChassisSettings().required_feedback
 FAST = ("Auto_GearFeedBack", "Auto_SteeringFeedBack", "Auto_DriveFeedBack")
 CAN_IDS = {message.name: message.can_id for message in load(Variant.COARSE).feedback}
+SCALED = ("Auto_DriveFeedBack", "Auto_WheelSpdFeedback")
+"""Their speeds are of the one scale or the other; other frames are the same in both."""
+
 NAMES = {can_id: name for name, can_id in CAN_IDS.items()}
 
 
@@ -86,8 +90,13 @@ def test_the_checksum_refuses_eight_of_nine_pairs_of_bits(variant: Variant) -> N
         assert len(passed) == 224
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
-@pytest.mark.parametrize("name", STANDING)
+@pytest.mark.parametrize(
+    ("name", "variant"),
+    [
+        (name, variant) if variant is Variant.COARSE or name in SCALED else by_night(name, variant)
+        for name, variant in product(STANDING, VARIANTS)
+    ],
+)
 def test_two_flipped_bits_never_move_the_robot_more_than_its_command(name: str, variant: Variant) -> None:
     """Each of the 224 pairs that pass, once while it drives: no faster than commanded, and no other way.
 

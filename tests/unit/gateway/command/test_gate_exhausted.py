@@ -2,7 +2,8 @@
 
 Exhausted here: every pattern of six of the eight frames, every value of every signal, all counters, all standard
 identifiers, every speed and angle step, every combination of the discrete signals of two bursts. ``make nightly``
-exhausts the patterns of the other two frames, and takes every step through the gate as a whole.
+exhausts the patterns of the other two frames, tries speeds far beyond the bound, every step of the fine
+ones, and takes every step through the gate as a whole.
 
 Not exhausted, and why what is tried suffices. Bits without a meaning are looked at through one mask, and a mask
 that lets no single bit pass lets no set of them pass. No rule relates speed, angle and pedal to one another
@@ -46,9 +47,15 @@ from tests.support.gate_domain import (
     wrong_checksums,
     wrong_steps,
 )
+from tests.support.nights import by_night
 
 SMALL = [identifier for identifier in PICTURES if identifier not in {DRIVE, STEERING}]
 SCALES = list(BIT_UMPS)
+FEW = 400
+"""Of the fine speeds by day: many times what the speed may rise in a step."""
+
+NEAR = 3_000
+"""Of the 2^16 raw speeds by day: beyond every bound."""
 
 
 @pytest.mark.parametrize("identifier", SMALL)
@@ -115,11 +122,14 @@ def test_no_other_identifier() -> None:
         assert fault.detail == "this identifier is not sent"
 
 
-@pytest.mark.parametrize("variant", SCALES)
-def test_every_value_of_every_signal(variant: Variant) -> None:
-    """2^16 speeds, 2^12 angles, 2^8 pedals and 2^3 gears: in gear, in neutral, parked and disabled."""
+@pytest.mark.parametrize(
+    ("variant", "speeds"),
+    [*((scale, NEAR) for scale in SCALES), *(by_night(scale, 1 << 16) for scale in SCALES)],
+)
+def test_every_value_of_every_signal(variant: Variant, speeds: int) -> None:
+    """2^12 angles, 2^8 pedals, 2^3 gears, by night 2^16 speeds: in gear, in neutral, parked and disabled."""
     contexts = [Raw(), Raw(parking=1), Raw(gear=N, parking=1), Raw(0, N, parking=1)]
-    raws = [Raw(speed=speed) for speed in range(1 << 16)]
+    raws = [Raw(speed=speed) for speed in range(speeds)]
     raws += [raw._replace(angle=angle) for raw in contexts for angle in range(1 << 12)]
     raws += [
         raw._replace(pedal=pedal, speed=speed) for raw in contexts for pedal in range(256) for speed in (0, 1)
@@ -143,10 +153,13 @@ def test_every_combination_of_two_bursts(variant: Variant) -> None:
     assert admitted > len(befores)
 
 
-@pytest.mark.parametrize("variant", SCALES)
-def test_every_speed_step(variant: Variant) -> None:
-    """2,223 x 2,223 fine ones, 56 x 56 coarse ones, each as a stop and not; and out of the parking brake."""
-    speeds = [Raw(speed=speed) for speed in SPEEDS[variant]]
+@pytest.mark.parametrize(
+    ("variant", "raws"),
+    [*((scale, SPEEDS[scale][:FEW]) for scale in SCALES), by_night(Variant.FINE, SPEEDS[Variant.FINE])],
+)
+def test_every_speed_step(variant: Variant, raws: range) -> None:
+    """56 x 56 coarse ones, by night 2,223 x 2,223 fine ones, as a stop and not; and out of the parking brake."""
+    speeds = [Raw(speed=speed) for speed in raws]
     assert wrong_steps([*speeds, Raw(parking=1)], speeds, variant) == []
 
 

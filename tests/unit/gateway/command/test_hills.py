@@ -1,7 +1,5 @@
 """Row 'slopes': every rule holds on 20 deg up and down, empty and loaded, whatever the brake pedal does."""
 
-from itertools import product
-
 import pytest
 
 from gateway.chassis.cruiser.layout import load
@@ -12,12 +10,13 @@ from gateway.sim.parameters import Conditions
 from schemas.decisions import ArbiterState, EventKind
 from schemas.messages import Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
+from tests.support.nights import every_pair
 from tests.support.rigs.gateway import GatewayRig, Operator, driving
 
 SLOPES = (-20.0, -8.0, 3.0, 8.0, 15.0, 20.0)
 PAYLOADS = (0.0, 100.0)
 PEDALS = (0.0, 0.3, 1.0)
-HILLS = list(product(SLOPES, PAYLOADS, PEDALS))
+CAUSES = ("stop", "silence", "disengage", "bumper front on", "silence Auto_DriveFeedBack")
 
 RELEASE_MAX_M = 0.10
 STOP_MAX_M = 0.30
@@ -57,8 +56,9 @@ class Hill(GatewayRig):
                 self.rolled_back_m = max(self.rolled_back_m, self._furthest_m - way_m)
 
 
-@pytest.mark.parametrize(("slope_deg", "payload_kg", "pedal_gain"), HILLS)
-@pytest.mark.parametrize("speed_mps", [0.5, -0.5])
+@pytest.mark.parametrize(
+    ("slope_deg", "payload_kg", "pedal_gain", "speed_mps"), every_pair(SLOPES, PAYLOADS, PEDALS, (0.5, -0.5))
+)
 def test_a_robot_that_is_let_go_on_a_slope_does_not_roll_back(
     slope_deg: float, payload_kg: float, pedal_gain: float, speed_mps: float
 ) -> None:
@@ -72,10 +72,7 @@ def test_a_robot_that_is_let_go_on_a_slope_does_not_roll_back(
     assert hill.chassis.state.parking_status is ParkingStatus.APPLIED
 
 
-@pytest.mark.parametrize(("slope_deg", "payload_kg"), list(product(SLOPES, PAYLOADS)))
-@pytest.mark.parametrize(
-    "cause", ["stop", "silence", "disengage", "bumper front on", "silence Auto_DriveFeedBack"]
-)
+@pytest.mark.parametrize(("slope_deg", "payload_kg", "cause"), every_pair(SLOPES, PAYLOADS, CAUSES))
 def test_a_stop_on_a_slope_ends_parked(slope_deg: float, payload_kg: float, cause: str) -> None:
     """Whatever the cause: it does not roll back, and stands under its parking brake in the end."""
     hill = Hill(slope_deg, payload_kg)

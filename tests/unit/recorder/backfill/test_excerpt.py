@@ -330,7 +330,7 @@ def test_memory_does_not_grow_with_the_log_or_the_answer(tmp_path: Path, monkeyp
     """Neither with a long one, nor where all of it is published at the same time, or nearly."""
     monkeypatch.setattr(module, "GATHER_BYTES", 1_000_000)
     path = tmp_path / "long.mcap"
-    for period_ns, count in ((MS, 25_000), (1, 25_000), (0, 10_000)):
+    for period_ns, count in ((MS, 8_000), (1, 8_000), (0, 8_000)):
         _write_long(path, count, period_ns)
         stream = path.open("rb")
         with stream:
@@ -344,7 +344,7 @@ def test_memory_does_not_grow_with_the_log_or_the_answer(tmp_path: Path, monkeyp
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert messages == count
-        assert path.stat().st_size > 250 * count
+        assert path.stat().st_size > 900 * count
         assert peak < 2 * module.GATHER_BYTES + 3_000_000
 
 
@@ -372,8 +372,8 @@ def _noise() -> Iterator[bytes]:
     chooser = random.Random(1)  # noqa: S311 - reproducible, not secret
     block = chooser.randbytes(1 << 20)
     while True:
-        start = chooser.randrange(len(block) - 300)
-        yield block[start : start + 150] + chooser.randbytes(150)
+        start = chooser.randrange(len(block) - 1000)
+        yield block[start : start + 500] + chooser.randbytes(500)
 
 
 def test_long_silences_cost_nothing() -> None:

@@ -19,6 +19,7 @@ from recorder.mcap.writer import McapFile
 from recorder.review.check import check_stream
 from schemas.messages import Gear
 from tests.support.logs import foreign_log, gear_message, own_log, sealed, small_log
+from tests.support.nights import by_night
 
 Row = tuple[str, str, bytes, int, int, int, bytes]
 LOG = small_log()
@@ -131,12 +132,13 @@ def test_a_recovery_that_was_broken_off_is_done_again() -> None:
         assert repaired(result[:size])[1] == result
 
 
+@pytest.mark.parametrize("step", [23, by_night(5)])
 @pytest.mark.parametrize("is_finished", [True, False])
-def test_a_flipped_bit_is_never_silently_wrong_data(is_finished: bool) -> None:  # noqa: FBT001 - pytest gives it
-    """Every fifth byte: what can be read is what was written, and what cannot is told or was the torn end."""
+def test_a_flipped_bit_is_never_silently_wrong_data(*, is_finished: bool, step: int) -> None:
+    """Each so many bytes: what can be read is what was written, and what cannot is told or was the torn end."""
     data = LOG if is_finished else LOG[: LOG.rindex(b"\x0f\x04\x00\x00\x00\x00\x00\x00\x00")]
     chooser = random.Random(7)  # noqa: S311 - reproducible, not secret
-    for place in range(is_finished, len(data), 5):
+    for place in range(is_finished, len(data), step):
         flipped = bytearray(data)
         flipped[place] ^= 1 << chooser.randrange(8)
         found, result = repaired(bytes(flipped))

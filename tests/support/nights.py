@@ -1,0 +1,34 @@
+"""Matrices of tests: by day a selection of their rows, all of them in ``make nightly``.
+
+A row that is marked ``night`` runs with ``--hypothesis-profile nightly`` alone: see ``tests/conftest.py``.
+"""
+
+from collections.abc import Sequence
+from itertools import combinations, product
+from typing import Any
+
+import pytest
+
+
+def by_night(*values: Any) -> Any:  # noqa: ANN401 - whatever a test is given, and what pytest makes of it
+    """A row of a parametrised test that is tried by night alone."""
+    return pytest.param(*values, marks=pytest.mark.night)
+
+
+def every_pair(*factors: Sequence[Any]) -> list[Any]:
+    """Every combination of these values; by day as few as have each two values together at least once."""
+    rows = list(product(*map(range, map(len, factors))))
+    missing = {pair for row in rows for pair in _pairs(row)}
+    by_day = set()
+    while missing:
+        best = max(rows, key=lambda row: len(missing & _pairs(row)))
+        by_day.add(best)
+        missing -= _pairs(best)
+    return [
+        values if row in by_day else by_night(*values) for row, values in zip(rows, product(*factors), strict=True)
+    ]
+
+
+def _pairs(row: tuple[int, ...]) -> set[tuple[tuple[int, int], tuple[int, int]]]:
+    """Each two factors with their values: ``((0, 2), (1, 0))``."""
+    return set(combinations(enumerate(row), 2))
