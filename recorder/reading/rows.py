@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from heapq import merge
 from operator import attrgetter
-from typing import BinaryIO, Final
+from typing import Any, BinaryIO, Final
 
 import msgspec
 from mcap import records
@@ -18,7 +18,7 @@ from recorder.mcap.reader import DamagedError, Fault, Index, LoggedMessage, Mess
 from recorder.mcap.summary_reader import read_summary
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
-from recorder.reading.topics import Declared, Topic
+from recorder.reading.topics import UNREADABLE, Declared, Topic
 
 END_OF_TIME_NS: Final = 2**64
 """Later than every log time."""
@@ -93,6 +93,26 @@ def read_rows(
         # Only what overlaps in time needs to be open at the same time.
         rows = (_rows_from(log, selection, faults, progress) for log in group)
         yield from merge(*rows, key=attrgetter("log_ns"))
+
+
+def decoded_rows(
+    logs: Sequence[LogFile],
+    selection: Selection,
+    faults: Faults,
+    progress: Progress = lambda _: None,
+) -> Iterator[tuple[Row, Any]]:
+    """Read the rows of logs, as ``read_rows`` does, each with its message; None where nobody here can read such.
+
+    What is not of its schema is a fault, and left out.
+    """
+    for row in read_rows(logs, selection, faults, progress):
+        decode = row.topic.decode
+        try:
+            message = None if decode is None else decode(row.data)
+        except UNREADABLE as error:
+            faults.add(f"{row.topic.name}: a message that cannot be read: {error}")
+        else:
+            yield row, message
 
 
 def _rows_from(log: LogFile, selection: Selection, faults: Faults, progress: Progress) -> Iterator[Row]:

@@ -11,7 +11,7 @@ from recorder.encoding.transcode import compile_encoder
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.logs import find_logs
-from recorder.reading.rows import END_OF_TIME_NS, Row, Selection, read_rows
+from recorder.reading.rows import Row, Selection, read_rows
 from recorder.reading.topics import Topic, topic_of
 from recorder.review.report.findings import Report
 from recorder.review.report.survey import read_report
@@ -73,4 +73,4 @@ def raw_row(of: Topic, raw: RawSample) -> Row:
 def report_of(*paths: Path, faults: Faults | None = None) -> Report:
     """The report of these logs."""
     told = Faults() if faults is None else faults
-    return read_report(find_logs(paths, told), 0, END_OF_TIME_NS, told, version="0.1.0")
+    return read_report(find_logs(paths, told), Selection(), told, version="0.1.0")

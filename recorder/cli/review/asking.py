@@ -15,7 +15,7 @@ import msgspec
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.logs import find_logs
-from recorder.reading.rows import END_OF_TIME_NS, Progress
+from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
 from recorder.reading.times import FORMS, in_words, time_of
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
@@ -49,6 +49,11 @@ class Asked(msgspec.Struct):
     end_ns: int
     from_ns: int
     to_ns: int
+
+    @property
+    def selection(self) -> Selection:
+        """All topics of the time that is asked about."""
+        return Selection(from_ns=self.from_ns, to_ns=self.to_ns)
 
     @property
     def bytes(self) -> int:

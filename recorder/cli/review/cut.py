@@ -42,9 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
     """Cut."""
     asked = find(arguments)
-    period = asked.from_ns, asked.to_ns
     with progress_bar("cutting", asked.bytes, stopped) as progress:
-        joined = cut(asked.logs, arguments.out, period, arguments.topics, asked.faults, progress)
+        joined = cut(asked.logs, arguments.out, asked.selection, arguments.topics, asked.faults, progress)
     if arguments.topics and not joined.channels:
         sys.stderr.write("cruiser review: no topic is of these patterns\n")
     show(joined, describe(joined), as_json=arguments.json)

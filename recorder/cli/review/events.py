@@ -14,7 +14,7 @@ from recorder.reading.faults import Faults
 from recorder.reading.survey import survey
 from recorder.reading.times import in_words
 from recorder.review.timeline.entries import Entry, EntryKind
-from recorder.review.timeline.timeline import Question, read_events
+from recorder.review.timeline.timeline import read_events
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.reasons import TEXTS, Reason
@@ -53,12 +53,10 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     """Print the timeline as it is read."""
     asked = find(arguments)
     _check_robots(arguments.robot, asked)
-    question = Question(
-        asked.from_ns, asked.to_ns, frozenset(arguments.robot), frozenset(map(EntryKind, arguments.kind))
-    )
+    robots, kinds = frozenset(arguments.robot), frozenset(map(EntryKind, arguments.kind))
     show = _as_json if arguments.json else _as_table
     with progress_bar("events", asked.bytes, stopped, prints=True) as progress:
-        entries = read_events(asked.logs, question, asked.faults, progress)
+        entries = read_events(asked.logs, asked.selection, asked.faults, progress, robots=robots, kinds=kinds)
         for line in show(_until(entries, stopped), asked):
             sys.stdout.write(f"{line}\n")
     return end_with(asked.faults)

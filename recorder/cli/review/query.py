@@ -14,7 +14,6 @@ import msgspec
 
 from recorder.cli.review.asking import JSON_HELP, add_period, end_with, find, needing_extra, progress_bar, table
 from recorder.cli.show import show
-from recorder.reading.rows import Selection
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings
@@ -74,7 +73,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
         _ask(query, dataset_source.DatasetSource(arguments.logs[0], manifest), sql, arguments, stopped)
         return int(ExitCode.OK)
     asked = find(arguments)
-    selection = Selection(from_ns=asked.from_ns, to_ns=asked.to_ns)
+    selection = asked.selection
     with progress_bar("reading", asked.bytes, stopped, prints=True, is_bounded=False) as progress:
         source = log_source.LogSource(asked.logs, selection, asked.faults, progress)
         try:

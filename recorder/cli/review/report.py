@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     asked = find(arguments)
     with progress_bar("report", asked.bytes, stopped) as progress:
         report = read_report(
-            asked.logs, asked.from_ns, asked.to_ns, asked.faults, progress, version=version("cruiser-gateway")
+            asked.logs, asked.selection, asked.faults, progress, version=version("cruiser-gateway")
         )
     if not report.robots:
         end_with(asked.faults)

@@ -34,7 +34,7 @@ class Table(msgspec.Struct, eq=False):
     topics: dict[int, set[str]]
 
 
-def tables_of(logs: Sequence[LogFile], faults: Faults, wanted: Selection) -> list[Table]:
+def tables_of(logs: Sequence[LogFile], selection: Selection, faults: Faults) -> list[Table]:
     """The tables of logs, by name; those of our own subjects are there in any case, if only without a row.
 
     Topics of one name whose columns differ get a number: ``odometry_2``.
@@ -44,7 +44,7 @@ def tables_of(logs: Sequence[LogFile], faults: Faults, wanted: Selection) -> lis
         _table_of(found, columns)
     for place, log in enumerate(logs):
         for topic in topics_of(log, faults):
-            if wanted.wants(topic):
+            if selection.wants(topic):
                 columns = columns_of(topic)
                 _table_of(found, columns).topics.setdefault(place, set()).add(topic.name)
     return sorted(found.values(), key=lambda table: table.name)
@@ -90,7 +90,7 @@ class LogSource:
         self._faults = faults
         self._told: set[str] = set()
         self._progress = progress
-        self._tables = tables_of(logs, faults, selection)
+        self._tables = tables_of(logs, selection, faults)
 
     @property
     def directories(self) -> list[str]:

@@ -10,12 +10,11 @@ import msgspec
 
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
-from recorder.reading.rows import END_OF_TIME_NS, Progress, Row, Selection, read_rows
-from recorder.reading.topics import UNREADABLE
+from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection, decoded_rows, read_rows
 from recorder.review.reasoning.window import EvidenceWindow, Heard, is_other_run
 from recorder.review.timeline.clock import NEAR_NS
 from recorder.review.timeline.entries import STOPS, Entry, EntryKind, EntrySource
-from recorder.review.timeline.timeline import Question, Timeline, read_events
+from recorder.review.timeline.timeline import Timeline, read_events
 from schemas.decisions import ArbiterState, SafetyEvent, SafetyState, Severity, is_same_run
 from schemas.reasons import Reason
 from schemas.recording import RecorderEvent
@@ -133,7 +132,7 @@ def derived(robot: str, logs: Sequence[LogFile], faults: Faults, progress: Progr
     """The story where events are missing: what the states tell too. All of a log is read for it."""
     kinds = EntryKind.LATCH, EntryKind.RESET, EntryKind.STOPPED, EntryKind.ENGAGED, EntryKind.GATEWAY
     wanted = frozenset({*STOPS, *kinds})
-    return Story(read_events(logs, Question(0, END_OF_TIME_NS, frozenset({robot}), wanted), faults, progress))
+    return Story(read_events(logs, Selection(), faults, progress, robots=frozenset({robot}), kinds=wanted))
 
 
 class RunEnding(msgspec.Struct, frozen=True):
@@ -161,24 +160,15 @@ def endings(robot: str, logs: Sequence[LogFile], from_ns: int, faults: Faults, p
     died: Heard[SafetyState] | None = None
     last: Heard[SafetyState] | None = None
     selection = Selection(lambda topic: topic.robot == robot and topic.kind is SafetyState, from_ns)
-    for row in read_rows(logs, selection, faults, lambda _: progress(0)):
-        one = _heard(row, faults)
-        if one is None:
+    for row, state in decoded_rows(logs, selection, faults, lambda _: progress(0)):
+        if not isinstance(state, SafetyState):
             continue
+        # At the robot's time, or at that of its receipt where the two clocks differ.
+        is_near = abs(row.log_ns - row.publish_ns) <= NEAR_NS
+        one = Heard(row.publish_ns if is_near else row.log_ns, state)
         if died is not None and not is_other_run(died.said, one.said):
             died = None  # It lives: two gateways speak for this robot.
         if last is not None and is_other_run(last.said, one.said) and last.said.state is not ArbiterState.STANDBY:
             died = last
         last = one
     return RunEnding(died, last)
-
-
-def _heard(row: Row, faults: Faults) -> Heard[SafetyState] | None:
-    """A state, at the robot's time, or at that of its receipt where the two clocks differ."""
-    try:
-        state = row.topic.decode(row.data) if row.topic.decode is not None else None
-    except UNREADABLE as error:
-        faults.add(f"{row.topic.name}: a message that cannot be read: {error}")
-        return None
-    is_near = abs(row.log_ns - row.publish_ns) <= NEAR_NS
-    return Heard(row.publish_ns if is_near else row.log_ns, state) if isinstance(state, SafetyState) else None

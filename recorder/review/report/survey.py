@@ -9,14 +9,14 @@ import msgspec
 
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile, logs_of
-from recorder.reading.rows import END_OF_TIME_NS, Progress, Row, Selection, read_rows
-from recorder.reading.topics import UNREADABLE, Topic
+from recorder.reading.rows import END_OF_TIME_NS, Progress, Row, Selection, decoded_rows
+from recorder.reading.topics import Topic
 from recorder.review.report.account import TAKEN, Account
 from recorder.review.report.findings import Report, ReportedFile, RobotReport
 from recorder.review.report.margins import Margins, of_robot, read_margins, versions_of
 from recorder.review.report.versions import Versions
 from recorder.review.timeline.entries import Entry
-from recorder.review.timeline.timeline import BEFORE_NS, Question, Timeline
+from recorder.review.timeline.timeline import BEFORE_NS, Timeline, is_within
 from schemas.decisions import SafetyState
 from schemas.messages import GatewayInfo
 from schemas.recording import RecorderEvent, RecordGap
@@ -33,8 +33,7 @@ _OF_RECORDERS: Final = frozenset({RecordGap, RecorderEvent})
 
 def read_report(
     logs: Sequence[LogFile],
-    from_ns: int,
-    to_ns: int,
+    selection: Selection,
     faults: Faults,
     progress: Progress = lambda _: None,
     *,
@@ -44,31 +43,29 @@ def read_report(
 
     Args:
         logs: as ``find_logs`` gives them.
-        from_ns: the first log time...
-        to_ns: ...and the first one that is too late.
+        selection: what is wanted; of the time before it the states are read too.
         faults: takes what cannot be read; the rest is read all the same.
         progress: is told of bytes that were read.
         version: of the program, which the report names.
     """
     versions: dict[str, Versions] = {}
     margins = [read_margins(log, versions) for log in logs]
-    fleet = _Fleet(logs, Question(from_ns, to_ns), versions, faults)
+    fleet = _Fleet(logs, selection, versions, faults)
     # The states before tell whether the first one is of another gateway.
-    selection = Selection(_is_wanted, max(0, from_ns - BEFORE_NS), to_ns)
-    for row in read_rows(logs, selection, faults, progress):
-        try:
-            message: Any = None if row.topic.decode is None else row.topic.decode(row.data)
-        except UNREADABLE:
-            faults.add(f"a message of {row.topic.name} at {row.log_ns} ns that cannot be read")
-            continue
-        if row.log_ns >= from_ns:
+    looked_at = Selection(
+        lambda topic: _is_wanted(topic) and selection.wants(topic),
+        max(0, selection.from_ns - BEFORE_NS),
+        selection.to_ns,
+    )
+    for row, message in decoded_rows(logs, looked_at, faults, progress):
+        if row.log_ns >= selection.from_ns:
             fleet.take(row, message)
         elif isinstance(message, SafetyState):
             fleet.look_back(row, message)
     return Report(
         files=[_reported(log, margin) for log, margin in zip(logs, margins, strict=True)],
-        from_ns=from_ns,
-        to_ns=None if to_ns == END_OF_TIME_NS else to_ns,
+        from_ns=selection.from_ns,
+        to_ns=None if selection.to_ns == END_OF_TIME_NS else selection.to_ns,
         robots=sorted(fleet.end(margins), key=lambda one: one.summary.name),
         more_robots=len(fleet.others),
         faults=faults.told,
@@ -82,7 +79,7 @@ class _Fleet:
 
     Args:
         logs: that are read.
-        asked: the period that is asked about.
+        asked: what is asked about.
         versions: what is known of the robots' gateways, by their keys.
         faults: takes what cannot be read.
 
@@ -91,7 +88,7 @@ class _Fleet:
     """
 
     def __init__(
-        self, logs: Sequence[LogFile], asked: Question, versions: dict[str, Versions], faults: Faults
+        self, logs: Sequence[LogFile], asked: Selection, versions: dict[str, Versions], faults: Faults
     ) -> None:
         self.others: set[str] = set()
         self._logs = logs
@@ -126,7 +123,7 @@ class _Fleet:
     def end(self, margins: Sequence[Margins]) -> list[RobotReport]:
         """No more rows come: all robots of which something is known."""
         for ending in self._timeline.endings(self._logs, self._asked.to_ns):
-            if self._asked.takes(ending.entry):
+            if is_within(ending.entry, self._asked):
                 for account in self._named(ending.entry.robot):
                     account.end(ending)
         self._note(self._timeline.end())
@@ -162,9 +159,10 @@ class _Fleet:
         return event if account is None else msgspec.structs.replace(event, robot=account.name)
 
     def _note(self, entries: Iterable[Entry]) -> None:
-        for entry in filter(self._asked.takes, entries):
-            for account in self._named(entry.robot):
-                account.take_entry(entry)
+        for entry in entries:
+            if is_within(entry, self._asked):
+                for account in self._named(entry.robot):
+                    account.take_entry(entry)
 
     def _named(self, robot: str) -> list[Account]:
         """The accounts of the robot of this name; all where it has none."""

@@ -6,7 +6,7 @@ what was asked for later, and stands behind newer messages, is told in its place
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from heapq import heappop, heappush
 from typing import Any, Final
 
@@ -14,8 +14,8 @@ import msgspec
 
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile, logs_of
-from recorder.reading.rows import END_OF_TIME_NS, Progress, Row, Selection, read_rows
-from recorder.reading.topics import UNREADABLE, Topic
+from recorder.reading.rows import Progress, Row, Selection, read_rows
+from recorder.reading.topics import UNREADABLE
 from recorder.review.timeline.ending import SILENT_NS, LogEnding, ending
 from recorder.review.timeline.entries import OF_EVENT, Entry, EntryKind, EntrySource
 from recorder.review.timeline.health_changes import risen
@@ -47,57 +47,49 @@ _EXPECTED: Final = frozenset({Reason.STOPPING, Reason.ENGAGING, Reason.ALREADY_E
 """A stream goes on for a while: such a refusal is nobody's fault."""
 
 
-class Question(msgspec.Struct, frozen=True):
-    """Which entries are wanted.
-
-    Attributes:
-        from_ns: the first time, in nanoseconds since 1970...
-        to_ns: ...and the one after the last.
-        robots: of these alone, and what is about all; empty is every robot.
-        kinds: of these alone; empty is every kind.
-    """
-
-    from_ns: int = 0
-    to_ns: int = END_OF_TIME_NS
-    robots: frozenset[str] = frozenset()
-    kinds: frozenset[EntryKind] = frozenset()
-
-    def takes(self, entry: Entry) -> bool:
-        """Report whether this one is wanted."""
-        return (
-            entry.time_ns < self.to_ns
-            and entry.last_ns >= self.from_ns
-            and (not self.kinds or entry.kind in self.kinds)
-            and (not self.robots or not entry.robot or entry.robot in self.robots)
-        )
+def is_within(entry: Entry, selection: Selection) -> bool:
+    """Report whether an entry is of the time of a selection."""
+    return entry.time_ns < selection.to_ns and entry.last_ns >= selection.from_ns
 
 
 def read_events(
     logs: Sequence[LogFile],
-    question: Question,
+    selection: Selection,
     faults: Faults,
     progress: Progress = lambda _: None,
+    *,
+    robots: Collection[str] = (),
+    kinds: Collection[EntryKind] = (),
 ) -> Iterator[Entry]:
     """The entries, by their time.
 
     Args:
         logs: in the order of their beginnings, as ``find_logs`` gives them.
-        question: which are wanted.
+        selection: of which time, by which topics.
         faults: takes what cannot be read; the rest is told all the same.
         progress: is told of bytes that were read or passed over.
+        robots: of these alone, and what is about all; empty is every robot.
+        kinds: of these alone; empty is every kind.
     """
 
-    def wants(topic: Topic) -> bool:
-        return topic.kind in _TAKES and (not question.robots or not topic.robot or topic.robot in question.robots)
+    def is_of(robot: str) -> bool:
+        return not robots or not robot or robot in robots
 
-    selection = Selection(wants, max(0, question.from_ns - BEFORE_NS), question.to_ns + LATER_NS)
+    def is_wanted(entry: Entry) -> bool:
+        return is_within(entry, selection) and (not kinds or entry.kind in kinds) and is_of(entry.robot)
+
+    looked_at = Selection(
+        lambda topic: topic.kind in _TAKES and is_of(topic.robot) and selection.wants(topic),
+        max(0, selection.from_ns - BEFORE_NS),
+        selection.to_ns + LATER_NS,
+    )
     timeline = Timeline(faults)
-    for row in read_rows(logs, selection, faults, progress):
+    for row in read_rows(logs, looked_at, faults, progress):
         timeline.take(row)
-        yield from filter(question.takes, timeline.tell())
-    for _ in timeline.endings(logs, selection.to_ns):
+        yield from filter(is_wanted, timeline.tell())
+    for _ in timeline.endings(logs, looked_at.to_ns):
         pass
-    yield from filter(question.takes, timeline.end())
+    yield from filter(is_wanted, timeline.end())
 
 
 class Timeline:

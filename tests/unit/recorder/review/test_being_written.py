@@ -9,12 +9,12 @@ import pytest
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.logs import find_logs
-from recorder.reading.rows import END_OF_TIME_NS, Selection, read_rows
+from recorder.reading.rows import Selection, read_rows
 from recorder.reading.survey import survey
 from recorder.review.columns.reader import read_batches
 from recorder.review.querying.log_source import topics_of
 from recorder.review.report.survey import read_report
-from recorder.review.timeline.timeline import Question, read_events
+from recorder.review.timeline.timeline import read_events
 from recorder.review.why import explain
 from tests.support.messages import ROBOT
 from tests.support.rigs.recorded import RecordedRig
@@ -23,9 +23,9 @@ QUESTIONS: dict[str, Callable[[Sequence[LogFile], Faults], object]] = {
     "rows": lambda logs, faults: list(read_rows(logs, Selection(lambda _: True), faults)),
     "columns": lambda logs, faults: list(read_batches(logs[0], Selection(lambda _: True), faults)),
     "topics": lambda logs, faults: topics_of(logs[0], faults),
-    "events": lambda logs, faults: list(read_events(logs, Question(), faults)),
+    "events": lambda logs, faults: list(read_events(logs, Selection(), faults)),
     "why": lambda logs, faults: explain(ROBOT, logs, survey(logs, faults), None, faults),
-    "report": lambda logs, faults: read_report(logs, 0, END_OF_TIME_NS, faults),
+    "report": lambda logs, faults: read_report(logs, Selection(), faults),
 }
 
 

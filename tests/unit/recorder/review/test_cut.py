@@ -8,7 +8,7 @@ from recorder.encoding.protobuf_schema import descriptor_set, schema_name
 from recorder.mcap.channel import LogChannel
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
-from recorder.reading.rows import END_OF_TIME_NS
+from recorder.reading.rows import END_OF_TIME_NS, Selection
 from recorder.review.check import check_log
 from recorder.review.cut import cut
 from recorder.review.info import CUT_NAME, read_info
@@ -35,7 +35,13 @@ def part(directory: Path, data: bytes, period: tuple[int, int] = ALWAYS, *topics
     """A part of a file with this content; and what the mcap package reads of it."""
     faults = Faults()
     out = directory / "out.mcap"
-    joined = cut(find_logs([saved(directory / "log.mcap", data)], faults), out, period, topics, faults)
+    joined = cut(
+        find_logs([saved(directory / "log.mcap", data)], faults),
+        out,
+        Selection(from_ns=period[0], to_ns=period[1]),
+        topics,
+        faults,
+    )
     assert not faults
     assert check_log(out).whole
     return joined, Read(out)

@@ -10,9 +10,10 @@ import pytest
 from gateway.chassis.frame import Frame
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
+from recorder.reading.rows import Selection
 from recorder.review.reasoning.chain import Step
 from recorder.review.timeline.entries import STOPS, Entry, EntryKind
-from recorder.review.timeline.timeline import Question, read_events
+from recorder.review.timeline.timeline import read_events
 from recorder.review.why import Explanation
 from schemas.decisions import ArbiterState, Severity
 from schemas.messages import Variant
@@ -40,7 +41,7 @@ def path(tmp_path: Path) -> Path:
 def _entries(path: Path, *kinds: EntryKind) -> list[Entry]:
     """What ``events`` tells of these kinds."""
     faults = Faults()
-    return list(read_events(find_logs([path], faults), Question(kinds=frozenset(kinds)), faults))
+    return list(read_events(find_logs([path], faults), Selection(), faults, kinds=frozenset(kinds)))
 
 
 def data_of(explanation: Explanation, step: Step, name: str) -> object:

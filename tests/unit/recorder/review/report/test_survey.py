@@ -7,6 +7,7 @@ import pytest
 
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
+from recorder.reading.rows import Selection
 from recorder.record.robot_log import LogPlan
 from recorder.review.report import survey
 from recorder.review.report.findings import Outage
@@ -138,7 +139,7 @@ def test_a_period_knows_of_a_gateway_that_died_in_it(
     faults = Faults()
     logs = find_logs([died(tmp_path / "a.mcap")], faults)
     period = WALL_NS + from_number * PERIOD_NS, WALL_NS + to_number * PERIOD_NS
-    (robot,) = read_report(logs, *period, faults).robots
+    (robot,) = read_report(logs, Selection(from_ns=period[0], to_ns=period[1]), faults).robots
     assert [one.began_ns is not None for one in robot.summary.outages] == ([] if is_again is None else [is_again])
     assert len(robot.summary.in_force) == in_force
     assert not robot.summary.ends_commanding
@@ -210,7 +211,7 @@ def test_the_period_that_is_asked_about(tmp_path: Path) -> None:
     """What is outside of it is not in the report."""
     faults = Faults()
     logs = find_logs([write_messages(tmp_path / "a.mcap", drive_messages(200))], faults)
-    report = read_report(logs, WALL_NS + 2 * SECOND, WALL_NS + 4 * SECOND, faults)
+    report = read_report(logs, Selection(from_ns=WALL_NS + 2 * SECOND, to_ns=WALL_NS + 4 * SECOND), faults)
     (robot,) = report.robots
     assert (robot.summary.start_ns, robot.summary.end_ns) == (
         WALL_NS + 2 * SECOND,

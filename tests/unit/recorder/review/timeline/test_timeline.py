@@ -1,7 +1,7 @@
 """What happened, in order."""
 
 import random
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from recorder.reading.rows import Selection, read_rows
 from recorder.review.reasoning.signals import BY_IDENTIFIER
 from recorder.review.timeline import timeline as events
 from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
-from recorder.review.timeline.timeline import Question, read_events
+from recorder.review.timeline.timeline import read_events
 from schemas.decisions import (
     ArbiterState,
     Decision,
@@ -45,11 +45,13 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "log.mcap"
 
 
-def told(path: Path, data: bytes, question: Question | None = None) -> list[Entry]:
+def told(
+    path: Path, data: bytes, selection: Selection | None = None, kinds: Collection[EntryKind] = ()
+) -> list[Entry]:
     """The entries of a log with this content."""
     path.write_bytes(data)
     faults = Faults()
-    entries = list(read_events(find_logs([path], faults), question or Question(), faults))
+    entries = list(read_events(find_logs([path], faults), selection or Selection(), faults, kinds=kinds))
     assert not faults, faults.told
     return entries
 
@@ -173,7 +175,7 @@ def test_what_is_there_twice_is_told_once(tmp_path: Path) -> None:
     for name in ("one.mcap", "two.mcap"):
         (tmp_path / name).write_bytes(data)
     faults = Faults()
-    twice = list(read_events(find_logs([tmp_path], faults), Question(), faults))
+    twice = list(read_events(find_logs([tmp_path], faults), Selection(), faults))
     assert twice == told(tmp_path / "one.mcap", data)
 
 
@@ -184,10 +186,10 @@ def test_several_robots_stand_side_by_side(tmp_path: Path) -> None:
     (tmp_path / "two.mcap").write_bytes(two.log(robot="cruiser-2"))
     faults = Faults()
     logs = find_logs([tmp_path], faults)
-    both = list(read_events(logs, Question(), faults))
+    both = list(read_events(logs, Selection(), faults))
     assert {entry.robot for entry in both} == {ROBOT, "cruiser-2"}
     assert [entry.time_ns for entry in both] == sorted(entry.time_ns for entry in both)
-    alone = list(read_events(logs, Question(robots=frozenset({"cruiser-2"})), faults))
+    alone = list(read_events(logs, Selection(), faults, robots={"cruiser-2"}))
     assert alone == [entry for entry in both if entry.robot == "cruiser-2"]
 
 
@@ -196,10 +198,10 @@ def test_a_question_bounds_time_and_kind(path: Path) -> None:
     data = recorded(scenarios.front_bumper)
     every = told(path, data)
     middle_ns = next(one.time_ns for one in every if one.kind is EntryKind.STOP)
-    assert told(path, data, Question(to_ns=middle_ns)) == [one for one in every if one.time_ns < middle_ns]
-    assert told(path, data, Question(from_ns=middle_ns)) == [one for one in every if one.last_ns >= middle_ns]
+    assert told(path, data, Selection(to_ns=middle_ns)) == [one for one in every if one.time_ns < middle_ns]
+    assert told(path, data, Selection(from_ns=middle_ns)) == [one for one in every if one.last_ns >= middle_ns]
     kinds = frozenset({EntryKind.STOP})
-    assert told(path, data, Question(kinds=kinds)) == [one for one in every if one.kind in kinds]
+    assert told(path, data, kinds=kinds) == [one for one in every if one.kind in kinds]
 
 
 @pytest.mark.parametrize("ahead_ns", [3600 * SECOND, -3600 * SECOND, 5 * SECOND])
@@ -356,7 +358,7 @@ def test_a_damaged_log_never_raises(path: Path) -> None:
             damaged[chance.randrange(8, len(damaged))] ^= 1 << chance.randrange(8)
         path.write_bytes(damaged)
         faults = Faults()
-        list(read_events(find_logs([path], faults), Question(), faults))
+        list(read_events(find_logs([path], faults), Selection(), faults))
 
 
 def test_a_message_that_cannot_be_read_is_a_fault(path: Path) -> None:
@@ -397,7 +399,7 @@ def test_two_runs_of_a_gateway_in_one_log(path: Path) -> None:
     second.run(1)
     other.write_bytes(second.log())
     faults = Faults()
-    entries = list(read_events(find_logs([path, other], faults), Question(), faults))
+    entries = list(read_events(find_logs([path, other], faults), Selection(), faults))
     assert EntryKind.GATEWAY in {one.kind for one in entries}
     assert not [one for one in entries if one.kind is EntryKind.GAP and "safety/event" in one.text]
 
@@ -431,7 +433,7 @@ def test_a_gateway_that_was_told_to_end_did_not_fall_silent(tmp_path: Path, is_t
     (tmp_path / "one.mcap").write_bytes(first.log())
     (tmp_path / "two.mcap").write_bytes(second.log())
     faults = Faults()
-    entries = list(read_events(find_logs([tmp_path], faults), Question(), faults))
+    entries = list(read_events(find_logs([tmp_path], faults), Selection(), faults))
     silences = [entry for entry in entries if "fell silent" in entry.text]
     assert bool(silences) is not is_told
     gateway = [(entry.severity, entry.reason) for entry in entries if entry.kind is EntryKind.GATEWAY]
