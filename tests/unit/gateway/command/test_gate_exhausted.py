@@ -52,7 +52,7 @@ from tests.support.nights import by_night
 SMALL = [identifier for identifier in PICTURES if identifier not in {DRIVE, STEERING}]
 SCALES = list(BIT_UMPS)
 FEW = 400
-"""Of the fine speeds by day: many times what the speed may rise in a step."""
+"""Of the fine speeds, and of the angles, by day: many times what they may change in a step."""
 
 NEAR = 3_000
 """Of the 2^16 raw speeds by day: beyond every bound."""
@@ -163,18 +163,20 @@ def test_every_speed_step(variant: Variant, raws: range) -> None:
     assert wrong_steps([*speeds, Raw(parking=1)], speeds, variant) == []
 
 
-def test_every_angle_step() -> None:
-    """1,093 x 1,093, each as a stop and not."""
-    angles = [Raw(angle=angle) for angle in ANGLES]
+@pytest.mark.parametrize("raws", [ANGLES[:FEW], by_night(ANGLES)], ids=len)
+def test_every_angle_step(raws: range) -> None:
+    """By night 1,093 x 1,093, each as a stop and not."""
+    angles = [Raw(angle=angle) for angle in raws]
     assert wrong_steps(angles, angles, Variant.COARSE) == []
 
 
+@pytest.mark.parametrize("angles", [ANGLES[::21], by_night(ANGLES)], ids=len)
 @pytest.mark.parametrize("variant", SCALES)
-def test_a_stop_in_place_is_always_admitted(variant: Variant) -> None:
-    """After every admitted burst: each angle, each speed, each combination of the rest; and out of silence."""
+def test_a_stop_in_place_is_always_admitted(variant: Variant, angles: range) -> None:
+    """After every admitted burst: angles (by night each), speeds, all combinations of the rest; and silence."""
     speeds = SPEEDS[variant]
     kinds = possible(discrete((0, speeds[-1]), (0, 255)), variant)
-    befores = [raw._replace(angle=angle) for raw in kinds for angle in ANGLES]
+    befores = [raw._replace(angle=angle) for raw in kinds for angle in angles]
     befores += [Raw(gear=gear, speed=speed) for gear in (R, D) for speed in speeds]
     out_of_silence = gate_after(None, variant)
     for before in befores:

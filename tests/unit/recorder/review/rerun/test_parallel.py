@@ -176,9 +176,13 @@ def test_a_log_that_ends_in_a_drive_has_the_same_end(seed: int, tmp_path: Path) 
 def test_a_short_log_of_one_robot_needs_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It would take longer."""
     monkeypatch.setattr(parallel_module, "processes", None)
-    path = changed(tmp_path / NAME, Change(1).nothing)
+    change = Change(0)
+    change.end_ns = DRIVEN_NS - 30 * SECOND
+    path = changed(tmp_path / NAME, change.ends)
     faults = Faults()
-    assert list(rerun_in_parallel(find_logs([path], faults), faults, 2)) == alone(path)[0]
+    [run] = rerun_in_parallel(find_logs([path], faults), faults, 2)
+    assert [run] == alone(path)[0]
+    assert run.inputs
 
 
 def result(run: int = 1, start_s: int = 0, end_s: int = 100, **more: Any) -> RerunResult:  # noqa: ANN401 - its fields
