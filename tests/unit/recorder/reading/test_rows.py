@@ -15,7 +15,7 @@ from recorder.mcap.reader import PackedChunk, read_pieces
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.logs import find_logs
-from recorder.reading.rows import END_OF_TIME_NS, LogReader, Row, Selection, read_rows
+from recorder.reading.rows import END_OF_TIME_NS, LogReader, Row, Selection, decoded_rows, read_rows
 from schemas.messages import Drive, Gear
 from tests.support.logs import GEAR_TOPIC, foreign_log, gears, own_log, saved
 
@@ -51,6 +51,20 @@ def test_every_row_has_its_topic_and_its_times(tmp_path: Path) -> None:
     assert (first.sequence, first.log_ns, first.publish_ns) == (0, 100, 100)
     assert first.topic.decode is not None
     assert first.topic.decode(first.data).sequence == 0
+
+
+def test_what_is_not_of_its_schema_is_a_fault_and_left_out(tmp_path: Path) -> None:
+    """The rows before and behind it come with their messages."""
+    path = saved(
+        tmp_path / "log.mcap", own_log([[*gears(0, 1, 5), (1, 1, 6, b"\xff"), *gears(2, 1, 7)]], CHANNELS)
+    )
+    faults = Faults()
+    found = list(decoded_rows(find_logs([path], faults), Selection(), faults))
+    assert [(row.log_ns, type(message), message.sequence) for row, message in found] == [
+        (5, Gear, 0),
+        (7, Gear, 2),
+    ]
+    assert [line.partition(":")[0] for line in faults.told] == [GEAR_TOPIC]
 
 
 def test_rows_of_several_files_come_by_log_time(tmp_path: Path) -> None:
