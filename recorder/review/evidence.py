@@ -127,7 +127,7 @@ def gather(
         raise CommandError(f"{plain(str(path))} exists, and is not overwritten")
     with TemporaryDirectory(prefix=".evidence-", dir=path.parent) as name:
         directory = Path(name)
-        cut(logs, directory / INCIDENT, period, [], faults, progress)
+        cut(logs, directory / INCIDENT, _within(*period), [], faults, progress)
         missing = _cut_rerun(logs, directory, at_ns, period, faults, progress)
         commands = [f"cruiser review verify {plain(path.name)} --authority authority.json"]
         if (directory / RERUN).exists():
@@ -186,8 +186,12 @@ def _cut_rerun(
         else:
             begins.append(begin_ns)
     if begins:
-        cut(logs, directory / RERUN, (min(begins), period[1]), RERUN_TOPICS, faults, progress)
+        cut(logs, directory / RERUN, _within(min(begins), period[1]), RERUN_TOPICS, faults, progress)
     return missing
+
+
+def _within(from_ns: int, to_ns: int) -> Selection:
+    return Selection(from_ns=from_ns, to_ns=to_ns)
 
 
 def read_evidence(path: Path, directory: Path) -> EvidenceCheck:

@@ -16,6 +16,7 @@ from recorder.encoding.transcode import compile_encoder
 from recorder.mcap.writer import McapFile
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
+from recorder.reading.rows import Selection
 from recorder.review.cut import cut
 from recorder.review.merge import merge
 from recorder.review.verify import RobotProofReport, shown_statements, verify_logs
@@ -304,7 +305,7 @@ def test_a_cut_log_and_a_merged_one_hold(tmp_path: Path) -> None:
     logs = find_logs([whole, other], faults)
     merge(logs, tmp_path / "merged.mcap", faults)
     assert verified_files([tmp_path / "merged.mcap"], FLEET.trust).is_proven
-    period = NOW_S * S + 2 * S + S // 2, NOW_S * S + 5 * S
+    period = Selection(from_ns=NOW_S * S + 2 * S + S // 2, to_ns=NOW_S * S + 5 * S)
     cut(logs, tmp_path / "cut.mcap", period, [], faults)
     assert faults_of(verified_files([tmp_path / "cut.mcap"], FLEET.trust)) == {ProofFault.UNPROVEN}
     told = shown_statements(logs, faults)

@@ -18,7 +18,7 @@ from tests.support.commands import review
 from tests.support.logs import gears, own_log, saved
 from tests.support.rigs import scenarios as log_scenarios
 
-OTHERS = {"query", "recover", "replay", "rerun"}
+OTHERS = {"evidence", "query", "recover", "replay", "rerun"}
 """What these do with such logs, their own tests say."""
 
 READERS = [question for question in QUESTIONS if question not in OTHERS]
