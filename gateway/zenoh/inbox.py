@@ -195,7 +195,8 @@ class CommandInbox:
 def _raw(handle: int, verb: str, operator: str, arrived: zenoh.Sample | zenoh.Query) -> RawRequest:
     size = 0 if arrived.payload is None else len(arrived.payload)
     data, attachment = _bytes_of(arrived, REQUEST_MAX_BYTES if verb else TEXT_MAX_BYTES)
-    return RawRequest(handle, verb, operator, data, size, attachment=attachment)
+    # That of a stop is never read: whoever signs one signs it without.
+    return RawRequest(handle, verb, operator, b"" if verb == STOP_VERB else data, size, attachment=attachment)
 
 
 def _bytes_of(arrived: zenoh.Sample | zenoh.Query, most: int = REQUEST_MAX_BYTES) -> tuple[bytes, bytes]:
