@@ -80,7 +80,7 @@ class CanBus:
     def __init__(self, bus: can.BusABC) -> None:
         self.drops = 0
         self._bus = bus
-        self._socket = _stream_socket(bus)
+        self._socket = stream_socket(bus)
         if self._socket is not None:
             _tune(self._socket)
         self._full_since_s: float | None = None
@@ -158,7 +158,7 @@ def first_line(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
-def _stream_socket(bus: can.BusABC) -> socket.socket | None:
+def stream_socket(bus: can.BusABC) -> socket.socket | None:
     """The TCP socket of a bus that has one.
 
     python-can's socketcand reads an end of stream as "no message" for ever; only the socket itself can tell.

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import logging
+import select
 import socket
 from collections.abc import Collection
 from typing import Any, Final
 
 import can
+from can.interfaces.socketcand import SocketCanDaemonBus
 
-from gateway.can.can_bus import Bus, BusLost, CanBus, first_line
+from gateway.can.can_bus import Bus, BusLost, CanBus, first_line, stream_socket
 from gateway.can.socketcan import SocketCanBus, check_up
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import CanSettings
@@ -17,8 +19,8 @@ from schemas.settings import CanSettings
 CONNECT_TIMEOUT_S: Final = 1.0
 HANDSHAKE_TIMEOUT_S: Final = 5.0
 
-
 SOCKETCAN: Final = "socketcan"
+SOCKETCAND: Final = "socketcand"
 
 
 def open_bus(settings: CanSettings, identifiers: Collection[int] = ()) -> Bus:
@@ -40,7 +42,8 @@ def open_bus(settings: CanSettings, identifiers: Collection[int] = ()) -> Bus:
     if "host" in arguments:
         _probe(arguments["host"], arguments["port"])
     try:
-        bus = can.Bus(**arguments, ignore_config=True)
+        driver = _SocketcandBus if settings.interface == SOCKETCAND else can.Bus
+        bus = driver(**arguments, ignore_config=True)
     except (can.CanInterfaceNotImplementedError, ImportError, TypeError, NotImplementedError) as error:
         cure = "; pip install 'cruiser-gateway[serial]'" if "serial module" in str(error) else ""
         raise CommandError(
@@ -67,7 +70,7 @@ def _bus_arguments(settings: CanSettings) -> dict[str, Any]:
     arguments: dict[str, Any] = {"interface": settings.interface, **settings.options}
     if settings.bitrate:
         arguments["bitrate"] = settings.bitrate
-    if settings.interface != "socketcand":
+    if settings.interface != SOCKETCAND:
         return arguments | {"channel": settings.channel}
     address, _, name = settings.channel.partition("/")
     host, colon, port = address.rpartition(":")
@@ -87,6 +90,18 @@ def _probe(host: str, port: int) -> None:
                 raise BusLost(f"{host}:{port} does not speak the socketcand protocol")
     except (OSError, UnicodeError) as error:  # A host name that cannot be one is a UnicodeError.
         raise BusLost(f"no socketcand server at {host}:{port}: {error}") from error
+
+
+class _SocketcandBus(SocketCanDaemonBus):
+    """python-can's socketcand client, which gives up a server that does not answer its handshake."""
+
+    def _expect_msg(self, msg: str) -> None:
+        # python-can receives without a timeout.
+        stream = stream_socket(self)
+        if stream is not None and not select.select([stream], [], [], HANDSHAKE_TIMEOUT_S)[0]:
+            stream.close()
+            raise TimeoutError(f"the server did not answer with {msg!r} within {HANDSHAKE_TIMEOUT_S:g} s")
+        super()._expect_msg(msg)  # type: ignore[no-untyped-call]
 
 
 def _is_library_missing(error: Exception) -> bool:

@@ -48,8 +48,8 @@ def test_no_server_is_a_lost_bus() -> None:
 
 
 @contextmanager
-def server(greeting: bytes) -> Iterator[tuple[str, Callable[[], None]]]:
-    """A TCP server that greets, answers every line with ok, and hangs up when told to."""
+def server(greeting: bytes, answers: int = 2) -> Iterator[tuple[str, Callable[[], None]]]:
+    """A TCP server that greets, answers so many lines with ok, and hangs up when told to."""
     hang_up = threading.Event()
 
     def serve() -> None:
@@ -61,11 +61,14 @@ def server(greeting: bytes) -> Iterator[tuple[str, Callable[[], None]]]:
             client.settimeout(0.02)
             with client, suppress(ConnectionError):
                 client.sendall(greeting)
+                answered = 0
                 while not hang_up.is_set():
                     try:
                         if not client.recv(256):
                             break
-                        client.sendall(b"< ok >")
+                        if answered < answers:
+                            client.sendall(b"< ok >")
+                            answered += 1
                     except TimeoutError:
                         continue
 
@@ -85,6 +88,18 @@ def test_a_server_that_does_not_speak_socketcand_is_told() -> None:
     with (
         server(b"SSH-2.0-OpenSSH_9.2\r\n") as (channel, _),
         pytest.raises(BusLost, match="does not speak the socketcand protocol"),
+    ):
+        open_bus(CanSettings(interface="socketcand", channel=channel))
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("answers", [0, 1])
+def test_a_server_that_falls_silent_is_a_lost_bus(monkeypatch: pytest.MonkeyPatch, answers: int) -> None:
+    """It greets, and then answers the handshake not at all, or not to its end: nobody waits for ever."""
+    monkeypatch.setattr("gateway.can.open_bus.HANDSHAKE_TIMEOUT_S", 0.5)
+    with (
+        server(b"< hi >", answers) as (channel, _),
+        pytest.raises(BusLost, match=f"{channel}: the server did not answer with '< ok >' within 0.5 s"),
     ):
         open_bus(CanSettings(interface="socketcand", channel=channel))
 
