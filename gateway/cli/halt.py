@@ -34,7 +34,7 @@ from schemas.settings import (
 )
 
 EXAMPLE: Final = """\
-  cruiser halt --interface socketcan --channel can0"""
+  cruiser halt --interface socketcan --channel can0 --robot cruiser-7"""
 
 log = logging.getLogger(__name__)
 
@@ -48,6 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "parking brake, then silence. It waits for a guard at work, and for a remote control "
         "that has the robot: the chassis would obey its last command again afterwards. A gateway that starts "
         "afterwards wants a reset first. Not an emergency stop: that is the button on the robot."
+    )
+    parser.add_argument(
+        "--robot", dest="robot.name", metavar="NAME", help="the gateway's: its note keeps the stop latched"
     )
     parser.add_argument("--interface", dest="can.interface", metavar="NAME", help="python-can interface")
     parser.add_argument("--channel", dest="can.channel", metavar="CHANNEL", help="the interface's channel")
