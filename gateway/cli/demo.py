@@ -197,8 +197,8 @@ def _record(
         )
         recorder.wait_ready()
         link = next(link for link in LINKS if link.slug == arguments.link)
-        drive = DemoDrive(settings, endpoint.removeprefix("tcp/"), chassis.type, link)
-        problem = _drive(arguments.seconds, drive, [chassis, gateway, recorder], stopped, tell)
+        drive = DemoDrive(settings, endpoint.removeprefix("tcp/"), chassis.type, link, stopped)
+        problem = _drive(arguments.seconds, drive, [chassis, gateway, recorder], tell)
         # The recorder ends first: what it has not heard by then was not meant for the log.
         result: dict[str, Any] = json.loads(recorder.end())
         gateway.end()
@@ -210,7 +210,6 @@ def _drive(
     seconds: float,
     drive: DemoDrive,
     children: Sequence[Child],
-    stopped: Callable[[], bool],
     tell: Callable[[TimelineEntry], None],
 ) -> CommandError | None:
     """Let the operators drive on a thread of their own, and tell what happens. Returns what interrupted them."""
@@ -219,7 +218,7 @@ def _drive(
     except CommandError as error:
         return error
     with observer, ThreadPoolExecutor(1, "operators") as pool:
-        driven = pool.submit(drive.run, observer, seconds, stopped)
+        driven = pool.submit(drive.run, observer, seconds)
         is_over = False
         while not is_over:
             # Once more after the end.

@@ -15,7 +15,7 @@ from gateway.client.refusal import Refused, RobotError, Stopped, Unreachable
 from gateway.client.robot import Lease, Robot
 from gateway.sim.links import LINKS, LinkProfile
 from schemas.decisions import ArbiterState, SafetyEvent, SafetyState
-from schemas.exit_codes import CommandError
+from schemas.exit_codes import CommandError, ExitCode
 from schemas.reasons import Reason
 from schemas.settings import Settings
 
@@ -59,6 +59,13 @@ FIXED_S: Final = 17.0
 """The time of the stops, the reset and the stalled link, however long the demo is."""
 
 
+class Interrupted(CommandError):  # noqa: N818 - it is named for what happened
+    """Somebody ended the demo before its time."""
+
+    def __init__(self) -> None:
+        super().__init__("interrupted", ExitCode.PARTIAL)
+
+
 class TimelineEntry(msgspec.Struct, frozen=True):
     """An event of the demo, and its time since the beginning.
 
@@ -79,12 +86,19 @@ class DemoDrive:
         endpoint: the gateway's, as HOST:PORT.
         type_line: types a line into the virtual chassis.
         link: the first operator's.
+        stopped: the demo is to end.
     """
 
     def __init__(
-        self, settings: Settings, endpoint: str, type_line: Callable[[str], None], link: LinkProfile
+        self,
+        settings: Settings,
+        endpoint: str,
+        type_line: Callable[[str], None],
+        link: LinkProfile,
+        stopped: Callable[[], bool],
     ) -> None:
         self._link = link
+        self._stopped = stopped
         self._settings = settings
         self._endpoint = endpoint
         self._type = type_line
@@ -106,24 +120,30 @@ class DemoDrive:
             entries.append(self._told.popleft())
         return sorted(entries, key=lambda entry: entry.at_s)
 
-    def run(self, observer: Robot, seconds: float, stopped: Callable[[], bool]) -> None:
+    def run(self, observer: Robot, seconds: float) -> None:
         """Drive.
 
         Raises:
+            Interrupted: the demo is to end; the robot was stopped.
             CommandError: the robot does something that this script does not expect.
         """
         host, _, port = self._endpoint.rpartition(":")
         # Where that is in vain, engage says why.
-        observer.wait_for(_waits_for_its_operator, GUARD_TIMEOUT_S)
+        observer.wait_for(lambda state: self._stopped() or _waits_for_its_operator(state), GUARD_TIMEOUT_S)
         random = Random()  # noqa: S311 - the weather of a link keeps no secret
-        with Relay(host, int(port), lambda: self._link.delay_s(random)) as relay:
-            with self._connect(FIRST, relay.endpoint) as robot:
-                self._first(robot, relay, max(2.0, seconds - FIXED_S), stopped)
-            with self._connect(SECOND, self._endpoint) as robot:
-                self._second(robot, stopped)
+        try:
+            with Relay(host, int(port), lambda: self._link.delay_s(random)) as relay:
+                with self._connect(FIRST, relay.endpoint) as robot:
+                    self._first(robot, relay, max(2.0, seconds - FIXED_S))
+                with self._connect(SECOND, self._endpoint) as robot:
+                    self._second(robot)
+        except Interrupted:
+            # The lease was given back, which stops the robot.
+            self._rest(observer)
+            raise
         self._rest(observer)
 
-    def _first(self, robot: Robot, relay: Relay, seconds: float, stopped: Callable[[], bool]) -> None:
+    def _first(self, robot: Robot, relay: Relay, seconds: float) -> None:
         """A figure of eight, a bumper hit, a deliberate reset, away from it, and then the link stalls."""
         is_stalled = False
         try:
@@ -131,21 +151,21 @@ class DemoDrive:
                 self._engage(robot, lease)
                 self._tell(FIRST, "drives a figure of eight")
                 for angle_deg in (EIGHT_ANGLE_DEG, -EIGHT_ANGLE_DEG):
-                    self._drive(robot, lease, (EIGHT_SPEED_MPS, angle_deg), seconds / 2, stopped)
+                    self._drive(robot, lease, (EIGHT_SPEED_MPS, angle_deg), seconds / 2)
                 self._tell("chassis", "the front bumper is hit, and stays pressed")
                 self._type("bumper front on")
                 self._drive_until_stopped(lease, EIGHT_SPEED_MPS)
                 self._rest(robot)
-                time.sleep(1.0)
+                self._pause(1.0)
                 self._engage(robot, lease)
                 self._tell(FIRST, "drives away from the hit side")
-                self._drive(robot, lease, (-0.5, 0.0), 1.5, stopped)
+                self._drive(robot, lease, (-0.5, 0.0), 1.5)
                 self._type("bumper front off")
-                self._drive(robot, lease, (-0.5, 0.0), 0.5, stopped)
+                self._drive(robot, lease, (-0.5, 0.0), 0.5)
                 self._tell("link", f"of {FIRST} stalls while the robot moves")
                 is_stalled = True
                 relay.stall()
-                time.sleep(STALL_S)
+                self._pause(STALL_S)
                 self._tell("link", f"of {FIRST} carries again, all that waited at once")
                 relay.resume()
                 self._drive_until_stopped(lease, -0.5)
@@ -155,13 +175,13 @@ class DemoDrive:
                 # A bad link may end the drive anywhere. A good one does not.
                 raise
 
-    def _second(self, robot: Robot, stopped: Callable[[], bool]) -> None:
+    def _second(self, robot: Robot) -> None:
         """Another operator takes over, drives a little and gives the robot back."""
         robot.wait_for(lambda state: not state.lease_holder, LEASE_TIMEOUT_S)
         with robot.lease() as lease:
             self._engage(robot, lease)
             self._tell(SECOND, "drives on")
-            self._drive(robot, lease, (0.5, 0.0), 1.5, stopped)
+            self._drive(robot, lease, (0.5, 0.0), 1.5)
             lease.disengage()
             self._rest(robot)
 
@@ -179,22 +199,15 @@ class DemoDrive:
                 if error.reason not in HELD_UP or time.monotonic() > end_s:
                     raise
                 self._tell(robot.operator, f"is told: {error}; tries again")
-                time.sleep(RETRY_S)
+                self._pause(RETRY_S)
             else:
                 return
 
-    def _drive(
-        self,
-        robot: Robot,
-        lease: Lease,
-        set_point: tuple[float, float],
-        seconds: float,
-        stopped: Callable[[], bool],
-    ) -> None:
+    def _drive(self, robot: Robot, lease: Lease, set_point: tuple[float, float], seconds: float) -> None:
         """Drive at this speed in m/s and angle in degrees; begin again where a busy machine stops the robot."""
         speed_mps, angle_deg = set_point
         end_s = time.monotonic() + seconds
-        while time.monotonic() < end_s and not stopped():
+        while time.monotonic() < end_s:
             try:
                 lease.drive(speed_mps, angle_deg=angle_deg)
             except Stopped as error:
@@ -204,7 +217,7 @@ class DemoDrive:
                 self._tell(robot.operator, f"is told: {error}; engages again")
                 self._engage(robot, lease)
                 end_s = time.monotonic() + left_s
-            time.sleep(RENEWED_S)
+            self._pause(RENEWED_S)
 
     def _drive_until_stopped(self, lease: Lease, speed_mps: float) -> None:
         """Go on asking until the robot obeys no more, because of its front bumper. Other reasons are raised."""
@@ -212,13 +225,21 @@ class DemoDrive:
         try:
             while time.monotonic() < end_s:
                 lease.drive(speed_mps, angle_deg=0.0)
-                time.sleep(RENEWED_S)
+                self._pause(RENEWED_S)
         except RobotError as error:
             if error.reason is not Reason.FRONT_BUMPER:
                 raise
             self._tell(FIRST, f"is told: {error}")
             return
         raise CommandError("the robot did not stop")
+
+    def _pause(self, seconds: float) -> None:
+        """Wait. Raises Interrupted as soon as the demo is to end."""
+        end_s = time.monotonic() + seconds
+        while not self._stopped() and (left_s := end_s - time.monotonic()) > 0:
+            time.sleep(min(left_s, RENEWED_S))
+        if self._stopped():
+            raise Interrupted
 
     def _rest(self, robot: Robot) -> None:
         if not robot.wait_for(lambda state: state.state is ArbiterState.STANDBY, STOPPED_TIMEOUT_S):

@@ -218,6 +218,25 @@ def test_a_success_warns_of_nothing(held_up: HeldUp) -> None:
     assert "WARNING" not in held_up.errors
 
 
+def test_ctrl_c_stops_the_robot_and_ends_the_demo(tmp_path: Path) -> None:
+    """Soon, with a whole log of what was until then; what was left of the drive does not follow."""
+    words = [sys.executable, "-m", "gateway", "demo", "--out", str(tmp_path / "log")]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            for line in process.stdout or ():
+                if "drives a figure of eight" in line:
+                    break
+            process.send_signal(signal.SIGINT)
+            told, errors = process.communicate(timeout=20)
+        finally:
+            process.kill()
+    assert process.returncode == 3, errors
+    (log,) = (tmp_path / "log").glob("*.mcap")
+    assert f"cruiser demo: interrupted. The log: {log}" in errors
+    assert_in_order(told, ["first-operator gave the lease back", "stopped"])
+    assert "bumper" not in told
+
+
 def test_a_child_that_did_only_a_part_has_a_result() -> None:
     """As a recorder that dropped samples on a busy machine."""
     with Child("decode", []) as child:
