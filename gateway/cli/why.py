@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         sys.stdout.writelines(f"  slowed by {reason_line(reason, robot.name)}\n" for reason in slowed_by)
         if events:
             sys.stdout.write("lately:\n")
-            now_ns = time.time_ns()
+            now_ns = state.time_ns + round(sighting.age_s * 1e9)
             sys.stdout.writelines(f"  {event_line(event, now_ns)}\n" for event in events)
     return int(ExitCode.OK if is_idle(state.blocked_by) else ExitCode.FAILURE)
 

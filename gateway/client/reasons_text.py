@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from datetime import UTC, datetime
+from typing import Final
 
 from schemas.decisions import COMMANDING, SafetyEvent, SafetyState, StopPhase
 from schemas.printable import plain
 from schemas.reasons import Reason, Text, cure_of, of_a_robot
+
+NEWER_S: Final = 1.0
+"""An event may be so much newer than the state that was seen last."""
 
 
 def text_of(reason: Reason, robot: str, beside: Collection[Reason] = ()) -> Text:
@@ -74,7 +79,15 @@ def holder_line(state: SafetyState) -> str:
 
 
 def event_line(event: SafetyEvent, now_ns: int) -> str:
-    """An event and how long ago it was, by the clock of the robot against this one's (both in wall time)."""
+    """An event and how long ago it was; or, where the robot's clock was set back since, its time.
+
+    Args:
+        event: what happened.
+        now_ns: by the robot's clock, which need not be this machine's.
+    """
     ago_s = (now_ns - event.time_ns) / 1e9
+    when = f"{max(0.0, ago_s):.1f} s ago"
+    if ago_s < -NEWER_S:
+        when = f"at {datetime.fromtimestamp(event.time_ns // 10**9, UTC):%H:%M:%S} UTC by the robot's clock"
     by = f" ({plain(event.operator)})" if event.operator and event.operator not in event.text else ""
-    return f"{ago_s:.1f} s ago: {event.severity.value}: {plain(event.text)}{by}"
+    return f"{when}: {event.severity.value}: {plain(event.text)}{by}"
