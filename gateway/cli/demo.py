@@ -37,7 +37,7 @@ ATTEMPTS: Final = 10
 
 VIEWERS: Final = """\
 open it with
-  Foxglove or Lichtblick   "Open local file"; plot e.g. /{robot}/state.speed_mps
+  Foxglove or Lichtblick   "Open local file"; plot e.g. "{robot}/state".speed_mps
   PlotJuggler              drag the file into the window
   rerun                    rerun {path}
   mcap command             mcap info {path}"""
