@@ -155,7 +155,8 @@ class CanBus:
 
 def first_line(error: Exception) -> str:
     """What an error says; python-can puts whole tracebacks behind it."""
-    return (str(error).splitlines() or [type(error).__name__])[0]
+    message = str(error).partition("Traceback (most recent call last)")[0].strip()
+    return (message.splitlines() or [type(error).__name__])[0]
 
 
 def stream_socket(bus: can.BusABC) -> socket.socket | None:

@@ -213,4 +213,6 @@ def _address(place: CanPlace) -> tuple[str, int, str]:
 
 
 def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
+    # python-can puts whole tracebacks behind it.
+    message = str(error).partition("Traceback (most recent call last)")[0].strip()
+    return (message.splitlines() or [type(error).__name__])[0]

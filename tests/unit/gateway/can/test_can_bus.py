@@ -93,9 +93,11 @@ class FailingDriver(can.BusABC):
         raise self.error
 
 
-def test_a_frame_that_the_driver_does_not_take_is_full_and_a_failing_receive_is_a_loss() -> None:
+@pytest.mark.parametrize("separator", ["\n", "  "])
+def test_a_frame_that_the_driver_does_not_take_is_full_and_a_failing_receive_is_a_loss(separator: str) -> None:
     """A full transmit buffer and a lost cable look alike to who sends; ``receive`` tells them apart."""
-    bus = CanBus(FailingDriver(can.CanOperationError("Transmit buffer full\nTraceback ...")))
+    said = f"Transmit buffer full{separator}Traceback (most recent call last):\n  File ..."
+    bus = CanBus(FailingDriver(can.CanOperationError(said)))
     try:
         with pytest.raises(BusFull, match=r"^Transmit buffer full$"):
             bus.send(FRAME)
