@@ -139,7 +139,10 @@ def _fresh(directory: Path) -> Path:
         yield directory
         yield from (directory.parent / f"{directory.name}-{number}" for number in count(2))
 
-    return next(path for path in candidates() if not path.exists() or not any(path.iterdir()))
+    try:
+        return next(path for path in candidates() if not path.exists() or not any(path.iterdir()))
+    except OSError as error:
+        raise CommandError(f"cannot write in {error.filename or directory}: {error.strerror}") from error
 
 
 def _is_held_up(problem: CommandError) -> bool:

@@ -34,7 +34,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "list": ("gateway.cli.list_robots", "the robots that are connected, and their health"),
     "drive": ("gateway.cli.drive", "drive a robot with the keys of a terminal, or from a script"),
     "stop": ("gateway.cli.stop", "the remote stop of a robot, or of all"),
-    "why": ("gateway.cli.why", "why does the robot not move?"),
+    "why": ("gateway.cli.why", "why the robot does not move"),
     "reset": ("gateway.cli.reset", "clear what is latched"),
     "lease": ("gateway.cli.lease", "who may command the robot; acquire, take and keep the right to"),
     "park": ("gateway.cli.verbs:PARK", "apply the parking brake"),

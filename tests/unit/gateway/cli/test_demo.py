@@ -1,6 +1,11 @@
 """``cruiser demo``: what it prints."""
 
-from gateway.cli.demo import describe
+from pathlib import Path
+
+import pytest
+
+from gateway.cli.demo import _fresh, describe
+from schemas.exit_codes import CommandError
 
 
 def test_a_viewer_is_given_the_path_of_a_topic_in_the_log() -> None:
@@ -17,3 +22,11 @@ def test_a_viewer_is_given_the_path_of_a_topic_in_the_log() -> None:
         "samples_missed": 0,
     }
     assert 'plot e.g. "fleet/cruiser-1/state".speed_mps\n' in describe(summary, "fleet/cruiser-1")
+
+
+def test_an_out_that_is_no_directory_is_named(tmp_path: Path) -> None:
+    """Not only what is wrong, but with what."""
+    path = tmp_path / "file"
+    path.touch()
+    with pytest.raises(CommandError, match=rf"^cannot write in {path}: Not a directory$"):
+        _fresh(path)
