@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import stat
 from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
@@ -81,10 +82,14 @@ def open_log(path: Path) -> Generator[tuple[BinaryIO, int], None, None]:
     """The file, and its length in bytes.
 
     Raises:
-        CommandError: it cannot be read, is empty, or is no MCAP file.
+        CommandError: it cannot be read, is no file (a FIFO, a device), is empty, or is no MCAP file.
     """
     shown = plain(str(path))
     try:
+        # Before it is opened: opening a FIFO waits for somebody who writes to it.
+        mode = path.stat().st_mode
+        if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+            raise CommandError(f"{shown} is no regular file")
         with path.open("rb") as stream:
             size = os.fstat(stream.fileno()).st_size
             if size == 0:

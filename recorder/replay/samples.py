@@ -31,6 +31,9 @@ _PLAIN: Final = re.compile(r"[^/*$?#]+(/[^/*$?#]+)*")
 _RAW_ENDING: Final = f"/{RAW_CHUNK}"
 _LAST_NS: Final = 2**63 - 1
 
+ENCODING_BYTES_MAX: Final = 255
+"""Zenoh takes no longer encoding: its session panics over one, and sends nothing from then on."""
+
 DELETED: Final = "deleted"
 """The reason with which the recorder keeps a sample that deletes its key."""
 
@@ -137,7 +140,8 @@ class Samples:
         faults: takes what cannot be decoded.
 
     Attributes:
-        withheld: samples that must not be published: commands, and keys that name more than one thing.
+        withheld: samples that must not be published: commands, keys that name more than one thing,
+            and what has an encoding that is too long for Zenoh.
     """
 
     def __init__(self, new_key: KeyMap, wants: Wants, faults: Faults) -> None:
@@ -182,7 +186,7 @@ class Samples:
         if not self._wants(raw.key):
             return None
         key = self._new_key(raw.key)
-        if key is None:
+        if key is None or len(raw.encoding.encode()) > ENCODING_BYTES_MAX:
             self.withheld += 1
             return None
         return ReplaySample(

@@ -26,11 +26,13 @@ from recorder.mcap.reader import (
 )
 from recorder.reading.logs import is_being_written, open_log
 from recorder.reading.rows import Progress
+from recorder.review.checking.alive import ClockStep
 from recorder.review.checking.channel import Channel, ChannelCheck
 from recorder.review.checking.findings import About, Finding, Findings
 from recorder.review.checking.frames import FrameInfo
 from recorder.review.checking.proofs import faults_of_schema
 from recorder.review.checking.structure import Structure
+from schemas import keys
 
 WAITING_BYTES_MAX: Final = 16_000_000
 """Size at which the messages that wait are judged together."""
@@ -86,6 +88,11 @@ def check_stream(stream: BinaryIO, size: int, path: str, progress: Progress = la
     return _Check(stream, size, path).run(progress)
 
 
+def _robot_of(topic: str) -> str:
+    parts = keys.parse(topic)
+    return "" if parts is None else f"{parts.root}/{parts.robot}"
+
+
 class _Check:
     def __init__(self, stream: BinaryIO, size: int, path: str, *, is_being_written: bool = False) -> None:
         self._is_being_written = is_being_written
@@ -119,7 +126,10 @@ class _Check:
     def _sum_up(self) -> LogCheck:
         findings = self._findings
         by_topic = sorted(self._channels.values(), key=lambda one: one.topic)
-        channels = [channel.sum_up() for channel in by_topic]
+        steps: dict[str, list[ClockStep]] = {}
+        for channel in by_topic:
+            steps.setdefault(_robot_of(channel.topic), []).extend(channel.clock_steps)
+        channels = [channel.sum_up(steps[_robot_of(channel.topic)]) for channel in by_topic]
         frames = [info for channel in by_topic if channel.frames for info in channel.frames.info(channel.topic)]
         return LogCheck(
             path=self._path,

@@ -63,7 +63,12 @@ def describe(found: LogCheck) -> Iterator[str]:
     yield from (f"    {_finding(one)}" for one in about_file)
     if found.untold:
         yield f"    and {found.untold} more"
-    yield "  the data:" if about_data else "  the data: nothing is missing that could be told"
+    if about_data:
+        yield "  the data:"
+    elif about_file and not found.messages:
+        yield "  the data: no message could be read, so nothing is known of it"
+    else:
+        yield "  the data: nothing is missing that could be told"
     yield from (f"    {line}" for line in _alike(about_data))
     unread = [one.encoding or "no encoding" for one in found.channels if one.messages and not one.is_read]
     if unread:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -16,7 +17,7 @@ from recorder.cli.show import show
 from recorder.layouts.attached import RobotKeys, layouts
 from recorder.review.layouts import robots_of
 from schemas.exit_codes import CommandError
-from schemas.printable import plain
+from schemas.printable import plain, short
 from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser review layouts logs -o layouts"
@@ -55,12 +56,21 @@ def run(arguments: argparse.Namespace, _settings: Settings, _stopped: Callable[[
         raise CommandError("there is no topic of a robot in these logs, so no layout for it")
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)
-        written = [one for robot in robots for one in _write(robot, _name_of(robot, robots), arguments.out)]
     except OSError as error:
         raise CommandError(f"cannot write in {plain(str(arguments.out))}: {error.strerror or error}") from error
+    written: list[Written] = []
+    for robot in robots:
+        try:
+            written += _write(robot, _name_of(robot, robots), arguments.out)
+        except OSError as error:
+            failure = f"cannot write in {plain(str(arguments.out))}: {error.strerror or error}"
+            if error.errno != errno.ENAMETOOLONG:
+                raise CommandError(failure) from error
+            # A name that no file can have is one robot's alone.
+            asked.faults.add(f"no layout of {short(plain(robot.key))}: {failure}")
     for one in written:
         show(one, [f"{one.robot}: {one.path}"], as_json=arguments.json)
-    if not any(one.path.endswith(".rbl") for one in written):
+    if written and not any(one.path.endswith(".rbl") for one in written):
         sys.stderr.write("cruiser review: no blueprint for rerun: pip install 'cruiser-gateway[rerun]'\n")
     return end_with(asked.faults)
 

@@ -75,7 +75,8 @@ class Replayed(msgspec.Struct, frozen=True):
     Attributes:
         to: where it went.
         sent: samples, or frames; ``failed`` were not taken.
-        withheld: those that are not to be sent, by why; of Zenoh commands and keys that name several things.
+        withheld: those that are not to be sent, by why; of Zenoh commands, keys that name several things,
+            and encodings that are too long.
         loops: how often it was begun.
         took_s: how long it took.
         lateness_p50_ms, lateness_p99_ms, lateness_max_ms: how late they were sent; 0 at the speed 'max'.
@@ -210,7 +211,7 @@ def _to_zenoh(
         replayed, halt = _play(player, outlet, f"{root}/**", stopped, takes_keys=True, is_now=arguments.now)
     # Who listens has guests that come and go.
     was_alone = outlet.was_alone and not settings.zenoh.listen
-    withheld = {"commands and unfit keys": samples.withheld} if samples.withheld else {}
+    withheld = {"commands, and keys or encodings that are unfit": samples.withheld} if samples.withheld else {}
     return msgspec.structs.replace(replayed, withheld=withheld, was_alone=was_alone), halt
 
 

@@ -7,6 +7,8 @@ from functools import cache, reduce
 from operator import sub, xor
 from typing import Final
 
+import msgspec
+
 from schemas.alive_counter import COUNTER_SPAN, UnseenRounds
 from schemas.can_word import IDENTIFIER_MASK
 from schemas.dbc_files import DbcFrame, dbc_text, frames
@@ -16,6 +18,12 @@ FRAME_BYTES: Final = 8
 
 COUNTER_AT: Final = 6
 """The byte whose upper half is the counter."""
+
+FAR_NS: Final = 60_000_000_000
+"""A gap of this length may be a step of the robot's clock."""
+
+FAR_MAX: Final = 1000
+"""Such gaps that are remembered; further ones count as gaps."""
 
 _UPPER_HALF: Final = bytes(byte >> 4 for byte in range(256))
 _CYCLE: Final = bytes(range(COUNTER_SPAN))
@@ -32,6 +40,17 @@ def feedback_frames() -> dict[int, DbcFrame]:
     }
 
 
+class ClockStep(msgspec.Struct, frozen=True):
+    """The robot's wall clock was set between these two of its times."""
+
+    before_ns: int
+    after_ns: int
+
+    def is_between(self, before_ns: int, after_ns: int) -> bool:
+        """Report whether it may be what lies between two times of the same clock."""
+        return max(before_ns, self.before_ns) < min(after_ns, self.after_ns)
+
+
 class AliveCount:
     """Follows the alive counter of one identifier.
 
@@ -42,7 +61,7 @@ class AliveCount:
         corrupt: frames with a wrong checksum; their counter is not read.
         outages: gaps in time in which the counter may have gone round, and steps back of the clock.
         unseen: frames lost in outages beyond those that the counter passed over: 16 for each time that it went
-            round.
+            round. Not those of outages that are left out.
         first_ns: when each of these was seen for the first time, by the name of the count.
     """
 
@@ -50,7 +69,11 @@ class AliveCount:
         self.name = frame.name
         self.frames = self.lost = self.repeated = self.corrupt = self.outages = 0
         self.first_ns: dict[str, int] = {}
+        self._period_ns = frame.period_ns
         self._rounds = UnseenRounds(frame.period_ns)
+        self._unseen_before = 0
+        # Of each far gap the times of the frames around it, and the judgement of it alone.
+        self._far: list[tuple[int, int, UnseenRounds]] = []
         self._counter = 0
         self._time_ns = 0
         self._is_first = True
@@ -58,7 +81,20 @@ class AliveCount:
     @property
     def unseen(self) -> int:
         """As above; what is not judged yet counts by what has come so far."""
-        return self._rounds.lost_so_far
+        return self._unseen_before + self._rounds.lost_so_far
+
+    def leave_out(self, steps: Sequence[ClockStep]) -> int:
+        """Take what seemed lost over steps of the robot's clock out of ``unseen``. Returns how many gaps."""
+        gaps = [one for one in self._far if any(step.is_between(one[0], one[1]) for step in steps)]
+        self._far = [one for one in self._far if one not in gaps]
+        self._unseen_before -= sum(rounds.lost_so_far for _, _, rounds in gaps)
+        return len(gaps)
+
+    def _judge_apart(self) -> UnseenRounds:
+        """What comes from here on is judged by itself."""
+        self._unseen_before += self._rounds.lost_so_far
+        self._rounds = UnseenRounds(self._period_ns)
+        return self._rounds
 
     def begin_anew(self) -> None:
         """Another gateway receives the frames from here on: what came between the two was not lost on the way."""
@@ -108,6 +144,10 @@ class AliveCount:
             elif steps > 1 and elapsed_ns >= 0:
                 self.lost += steps - 1
                 self.first_ns.setdefault("lost", time_ns)
+            if is_outage and elapsed_ns > FAR_NS and len(self._far) < FAR_MAX:
+                self._far.append((self._time_ns, time_ns, self._judge_apart()))
+            elif is_outage and self._far and self._rounds is self._far[-1][2]:
+                self._judge_apart()
             if is_outage or self._rounds.is_waiting:
                 self._rounds.follow(time_ns, elapsed_ns, steps)
         self._is_first = False

@@ -16,10 +16,12 @@ from recorder.encoding.key_counters import SEQUENCE_SPAN
 from recorder.encoding.protobuf_schema import schema_name
 from recorder.mcap.columns import ChannelMessages
 from recorder.reading.topics import UNREADABLE, typed_decoder
+from recorder.review.checking.alive import FAR_NS, ClockStep
 from recorder.review.checking.findings import Findings
 from recorder.review.checking.frames import FrameCount
 from recorder.review.checking.proofs import Proof, proof_of
 from recorder.review.checking.sequences import sequence_count
+from schemas.decisions import Journal
 from schemas.messages import CanFrame
 from schemas.recording import RecordGap
 
@@ -27,7 +29,14 @@ WAITING_MAX: Final = 1024
 """Messages of a channel that wait at most, but for the rest of their chunk."""
 
 _CAN_FRAME: Final = schema_name(CanFrame)
+_JOURNAL: Final = schema_name(Journal)
 _RECORD_GAP: Final = schema_name(RecordGap)
+
+_AGREE_NS: Final = 1_000_000_000
+"""Times that differ by no more agree: a journal is published some milliseconds after what stands in it."""
+
+STEPS_MAX: Final = 1000
+"""Steps of the clock that are remembered."""
 
 _FRAME_FAULTS: Final = {
     "lost": "frames lost, by the alive counter",
@@ -74,6 +83,9 @@ class Channel:
         self.frames = FrameCount() if is_protobuf and self._schema == _CAN_FRAME else None
         self._proof: Proof | None = self.frames.take if self.frames else proof_of(record, schema)
         self._sequence = sequence_count(self._schema) if is_protobuf else None
+        self._is_journal = is_protobuf and self._schema == _JOURNAL
+        self._last_journal: tuple[int, bytes] | None = None
+        self.clock_steps: list[ClockStep] = []
         self._is_gaps = is_protobuf and self._schema == _RECORD_GAP
         self._messages = self._unreadable = 0
         self._newest = 0
@@ -93,6 +105,8 @@ class Channel:
             self._sequences += messages.sequences
             self._publish_ns += messages.publish_ns
             self._log_ns += messages.log_ns
+        if self._is_journal:
+            self._look_for_clock_steps(messages)
         if self._proof is not None:
             self._offsets.append((len(self._datas), offset))
             self._datas += messages.datas
@@ -115,8 +129,18 @@ class Channel:
                 self._tell_gaps()
             self._datas, self._offsets = [], []
 
-    def sum_up(self) -> ChannelCheck:
-        """All of it, and what is missing."""
+    def _look_for_clock_steps(self, messages: ChannelMessages) -> None:
+        """Hold the journal's wall times against its monotonic ones, where there is a far gap between two."""
+        for publish_ns, data in zip(messages.publish_ns, messages.datas, strict=True):
+            last, self._last_journal = self._last_journal, (publish_ns, data)
+            if last is None or publish_ns - last[0] <= FAR_NS or len(self.clock_steps) >= STEPS_MAX:
+                continue
+            passed_ns = _passed_ns(last[1], data)
+            if passed_ns is not None and publish_ns - last[0] - passed_ns > _AGREE_NS:
+                self.clock_steps.append(ClockStep(last[0], publish_ns))
+
+    def sum_up(self, clock_steps: Sequence[ClockStep] = ()) -> ChannelCheck:
+        """All of it, and what is missing; ``clock_steps`` are those of the robot's clock."""
         self.judge()
         missed, missed_ns = (None, None) if self._sequence is None else self._sequence.missed()
         if missed:
@@ -125,6 +149,9 @@ class Channel:
             what = "times without a gateway, whose frames nobody received: another one began then"
             self._findings.data(what, self.topic, self._begun_anew, self._begun_anew_ns)
         for _, alive in self.frames.counts if self.frames else ():
+            if left_out := alive.leave_out(clock_steps):
+                what = "steps of the robot's clock, over which whole rounds of the alive counter are not judged"
+                self._findings.data(f"{alive.name}: {what}", self.topic, left_out, clock_steps[0].before_ns)
             for name, what in _FRAME_FAULTS.items():
                 count = getattr(alive, name)
                 if count:
@@ -172,3 +199,13 @@ class Channel:
                 continue
             what = f"not in the log, as its recorder says ({gap.reason.value})"
             self._findings.data(what, gap.key, gap.count, gap.first_ns)
+
+
+def _passed_ns(before: bytes, after: bytes) -> int | None:
+    """The monotonic time between two messages of one run's journal; None if they do not tell."""
+    try:
+        first, second = (typed_decoder(Journal)(data) for data in (before, after))
+        last_input, next_input = (msgspec.msgpack.decode(one.inputs)[-1] for one in (first, second))
+        return next_input[1] - last_input[1] if first.run == second.run else None
+    except (*UNREADABLE, msgspec.DecodeError):
+        return None

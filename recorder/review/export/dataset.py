@@ -150,7 +150,8 @@ def _export(
         for fault in one.faults:
             faults.add(fault)
         faults.count += one.fault_count - len(one.faults)
-    return Exported(str(directory), inputs, files, [str(log.path) for log in logs if hashes[log] in known])
+    were_known = [plain(str(log.path)) for log in logs if hashes[log] in known]
+    return Exported(plain(str(directory)), inputs, files, were_known)
 
 
 @contextmanager

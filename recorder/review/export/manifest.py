@@ -41,7 +41,7 @@ class Input(msgspec.Struct, frozen=True):
     """A log that was read.
 
     Attributes:
-        path: as it was given.
+        path: as it was given; with escapes where it cannot be printed.
         sha256: of the whole file, in hexadecimal.
         rows: of it that are in the dataset.
         repeats: messages that were left out, because a log before it holds them.

@@ -14,6 +14,7 @@ from recorder.review.columns.reader import read_batches
 from recorder.review.export.known_rows import KnownRows
 from recorder.review.export.manifest import Column, Input, Part
 from recorder.review.export.parts import Parts
+from schemas.printable import plain
 
 
 class ExportRange(msgspec.Struct, frozen=True):
@@ -83,12 +84,12 @@ def export_log(task: ExportTask, progress: Progress = lambda _: None) -> ExportO
         parts.abandon()
     return ExportOutcome(
         input=Input(
-            path=str(task.log.path),
+            path=plain(str(task.log.path)),
             bytes=task.log.bytes,
             sha256=task.sha256,
             rows=sum(part.rows for part in parts.closed),
             repeats=known.repeats,
-            faults=faults.told,
+            faults=list(map(plain, faults.told)),
             fault_count=faults.count,
         ),
         parts=parts.closed,

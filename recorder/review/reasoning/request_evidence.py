@@ -20,6 +20,18 @@ _FRESH: Final = frozenset({Reason.NONE, Reason.NOT_ENGAGED, Reason.ENGAGING, Rea
 _RENEWING: Final = frozenset({"acquire", "take", "renew", "engage", "reset"})
 """Requests that keep the lease, once accepted."""
 
+_LATCHED_THOUGH_REFUSED: Final = frozenset(
+    {
+        Reason.BUS_DOWN,
+        Reason.BUS_OFF,
+        Reason.SEND_FAILED,
+        Reason.HAND_TRANSMITTER,
+        Reason.OTHER_COMMANDER,
+        Reason.FEEDBACK_MISSING,
+    }
+)
+"""Refusals of a stop that was latched all the same: it could not be carried out, or was not seen to be."""
+
 LATELY_NS: Final = 3_000_000_000
 """A refusal that was longer ago is none of the moment's."""
 
@@ -130,18 +142,22 @@ def lease_expired(window: EvidenceWindow) -> list[Link]:
 
 
 def asked(window: EvidenceWindow, *verbs: str) -> list[Link]:
-    """The accepted request that did it."""
-    last = _last(window, lambda said: said.request in verbs and _is_accepted(said), later_ns=3 * TICK_NS)
+    """The request that did it: one that was accepted, or a stop that was latched although it was refused."""
+
+    def did_it(said: Decision) -> bool:
+        return said.request in verbs and (_is_accepted(said) or _is_latched_though_refused(said))
+
+    last = _last(window, did_it, later_ns=3 * TICK_NS)
     if last is None:
         words = " or ".join(verbs)
         return [missing(f"the request itself ({words}) is not in the log"), *_holes(window)]
     said = last.said
     text = f"the request was {said.request}, of {_who(said)}, judged in tick {said.tick}"
     text += f", {window.ago(last.time_ns)}" if abs(last.time_ns - window.at_ns) > TICK_NS else ""
+    if not _is_accepted(said):
+        text += f"; it was refused: {said.detail or TEXTS[said.reason].means}"
     others = [
-        one
-        for one in window.during(Decision)
-        if one.said.request in verbs and _is_accepted(one.said) and last.time_ns < one.time_ns < window.over_ns
+        one for one in window.during(Decision) if did_it(one.said) and last.time_ns < one.time_ns < window.over_ns
     ]
     text += f"; {count(len(others), 'more came', 'more came')} after it" if others else ""
     return [evidence(text, last.time_ns, **_numbers(said))]
@@ -205,6 +221,10 @@ def _last(window: EvidenceWindow, test: Test, later_ns: int = 0) -> Heard[Decisi
 
 def _is_accepted(said: Decision) -> bool:
     return said.verdict is Verdict.ACCEPTED
+
+
+def _is_latched_though_refused(said: Decision) -> bool:
+    return said.request == "stop" and said.reason in _LATCHED_THOUGH_REFUSED
 
 
 def _is_obeyed(said: Decision) -> bool:

@@ -14,7 +14,7 @@ import msgspec
 
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile, logs_of
-from recorder.reading.rows import Progress, Row, Selection, read_rows
+from recorder.reading.rows import Progress, Row, Selection, Wants, read_rows
 from recorder.reading.topics import UNREADABLE
 from recorder.review.timeline.ending import SILENT_NS, LogEnding, ending
 from recorder.review.timeline.entries import OF_EVENT, Entry, EntryKind, EntrySource
@@ -87,6 +87,7 @@ def read_events(
     for row in read_rows(logs, looked_at, faults, progress):
         timeline.take(row)
         yield from filter(is_wanted, timeline.tell())
+    timeline.hear_behind_silence(logs, looked_at.to_ns)
     for _ in timeline.endings(logs, looked_at.to_ns):
         pass
     yield from filter(is_wanted, timeline.end())
@@ -143,6 +144,24 @@ class Timeline:
         while len(self._held) > HELD_MAX:
             yield from self._next()
 
+    def hear_behind_silence(self, logs: Sequence[LogFile], to_ns: int) -> None:
+        """Read the next state of each robot that is silent up to a time.
+
+        Its tick tells whether the gateway is the same, and how long it was silent: a clock that is set forward
+        leaves a hole in the log times, too.
+
+        Args:
+            logs: that were read.
+            to_ns: the first log time that was not.
+        """
+        for robot in list(self._robots.values()):
+            found = _ending_of(robot, logs, to_ns)
+            if found is not None and found.is_silent:
+                behind = Selection(_states_of(robot.name), to_ns)
+                row = next(read_rows(logs, behind, self._faults), None)
+                if row is not None:
+                    self.take(row)
+
     def endings(self, logs: Sequence[LogFile], to_ns: int) -> Iterator[LogEnding]:
         """No more rows come: how the logs of each robot end; ``end`` tells so, too.
 
@@ -151,7 +170,7 @@ class Timeline:
             to_ns: the first log time that was not.
         """
         for robot in self._robots.values():
-            found = ending(robot, [(log.start_ns, log.end_ns) for log in logs_of(robot.name, logs)], to_ns)
+            found = _ending_of(robot, logs, to_ns)
             if found is not None:
                 self._hold(found.entry)
                 yield found
@@ -352,6 +371,14 @@ def _plain(
     return Entry(
         time_ns=time_ns, last_ns=time_ns, robot=robot, kind=kind, severity=severity, source=source, text=text
     )
+
+
+def _ending_of(robot: RobotTrack, logs: Sequence[LogFile], to_ns: int) -> LogEnding | None:
+    return ending(robot, [(log.start_ns, log.end_ns) for log in logs_of(robot.name, logs)], to_ns)
+
+
+def _states_of(robot: str) -> Wants:
+    return lambda topic: topic.robot == robot and topic.kind is SafetyState
 
 
 def _says(state: SafetyState) -> tuple[object, ...]:

@@ -8,6 +8,7 @@ import msgspec
 from gateway.telemetry.health import Links
 from schemas.reasons import Reason
 from schemas.settings import CommandSettings
+from tests.support.messages import SECOND
 from tests.support.rigs.gateway import GUARDED, MS, Operator
 from tests.support.rigs.recorded import RecordedRig
 
@@ -118,6 +119,16 @@ def remote_stop() -> RecordedRig:
     rig.put("desk", "stop", b"")
     rig.tick()
     rig.rest()
+    return rig
+
+
+def stepped_clock(*, steps_recorder: bool) -> RecordedRig:
+    """In mid-drive the robot's wall clock is set an hour forward, and the recorder's, if it is the same."""
+    rig, operator = RecordedRig.driving()
+    operator.drive(0.6, 0.0, 2.0)
+    rig.wall_ns += 3600 * SECOND
+    rig.recorder_ns += 3600 * SECOND if steps_recorder else 0
+    operator.drive(0.6, 0.0, 2.0)
     return rig
 
 

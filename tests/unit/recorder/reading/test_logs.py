@@ -1,5 +1,6 @@
 """Which files a question is about."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -128,6 +129,18 @@ def test_one_of_several_that_is_none_is_told(tmp_path: Path) -> None:
     found = find_logs([good, tmp_path / "none.mcap", saved(tmp_path / "b.mcap", b"hello, hello")], faults)
     assert [one.path for one in found] == [good]
     assert ["No such file" in faults.told[0], "is no MCAP file" in faults.told[1]] == [True, True]
+
+
+@pytest.mark.parametrize("is_directory", [False, True])
+def test_a_fifo_is_no_log(tmp_path: Path, *, is_directory: bool) -> None:
+    """It is not opened, which would wait for a writer; the logs beside it are found."""
+    fifo = tmp_path / "x.mcap"
+    os.mkfifo(fifo)
+    faults = Faults()
+    good = saved(tmp_path / "a.mcap", log(1))
+    found = find_logs([tmp_path] if is_directory else [good, fifo], faults)
+    assert [one.path for one in found] == [good]
+    assert faults.told == [f"{fifo} is no regular file"]
 
 
 def test_nothing_to_read_is_an_error(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from recorder.reading.faults import Faults
 from recorder.reading.rows import Row
 from recorder.replay.rows import By, ReplayRun, runs, topics_of
 from recorder.replay.samples import (
+    ENCODING_BYTES_MAX,
     KeyMap,
     ReplaySample,
     Samples,
@@ -119,6 +120,18 @@ def test_a_command_is_never_published() -> None:
     rows = [raw_row(of, RawSample(0, key, "", b"", b"", "")) for key in commands]
     assert list(samples.of(ReplayRun(WALL_NS, of, [row]) for row in rows)) == []
     assert samples.withheld == len(commands)
+
+
+def test_an_encoding_that_is_too_long_for_zenoh_is_withheld() -> None:
+    """In bytes, not in characters."""
+    of = topic("fleet/thing/@raw", RawSample)
+    samples = Samples(KeyMap("replay", ["fleet"]), every_key, Faults())
+    longest = "x" * ENCODING_BYTES_MAX
+    said = [RawSample(0, "fleet/thing", one, b"", b"", "") for one in (longest, f"{longest}x", f"{longest[1:]}é")]
+    assert [one.encoding for one in samples.of(ReplayRun(WALL_NS, of, [raw_row(of, raw)]) for raw in said)] == [
+        longest
+    ]
+    assert samples.withheld == 2
 
 
 @pytest.mark.parametrize("key", ["**", "fleet/*/state", "fleet/$*/x", "", "/x", "x/", "x//y", "x?y", "x#y"])

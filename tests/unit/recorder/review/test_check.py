@@ -37,6 +37,7 @@ from tests.support.logs import (
     small_log,
 )
 from tests.support.messages import MS, SECOND, WALL_NS, FakeSample, batch, feedback, gear, sample_of
+from tests.support.rigs import scenarios
 
 LOG = own_log([gears(0, 5, 100), gears(5, 5, 200)], metadata=[("m", {"a": "b"})], attachments=[("n", b"abc")])
 
@@ -544,3 +545,13 @@ def test_the_progress_comes_to_the_length_of_the_file(tmp_path: Path) -> None:
     check_log(saved(tmp_path / "log.mcap", LOG), told.append)
     assert sum(told) == len(LOG)
     assert min(told) >= 0
+
+
+@pytest.mark.parametrize("steps_recorder", [False, True])
+def test_a_step_of_the_robots_clock_is_no_loss(*, steps_recorder: bool) -> None:
+    """The journal's monotonic times tell it; without them nobody can know."""
+    rig = scenarios.stepped_clock(steps_recorder=steps_recorder)
+    found = check(rig.log())
+    assert (found.frames_lost, found.frames[0].outages) == (0, 1)
+    assert any("steps of the robot's clock" in what for what in said(found))
+    assert check(rig.log(without=("journal",))).frames_lost > 2_000_000

@@ -158,6 +158,21 @@ def test_a_latch_of_long_ago_is_traced_to_its_frame(path: Path) -> None:
     assert "one engage request of operator-1 was refused" in texts(explanation, Step.COMMAND)
 
 
+def test_a_stop_that_could_not_be_carried_out_is_the_request(path: Path) -> None:
+    """The remote control has the robot: the stop is refused, and latched."""
+    rig, _ = RecordedRig.driving()
+    rig.fault("transmitter remote for 9s")
+    rig.run(1.0)
+    rig.put("desk", "stop", b"")
+    rig.tick()
+    rig.run(1.0)
+    explanation = ask(path, rig.log(), rig.at_ns)
+    assert "the request itself" not in texts(explanation, Step.MISSING)
+    said = texts(explanation, Step.EVIDENCE)
+    assert "the request was stop, of desk" in said
+    assert "; it was refused: the hand transmitter has the robot; latched; not carried out" in said
+
+
 def test_another_latch_than_that_of_the_stop_has_evidence_of_its_own(path: Path) -> None:
     """A remote stop that came to a stopped robot is found although it stopped nothing."""
     rig, _ = RecordedRig.driving()

@@ -60,6 +60,22 @@ def test_what_cannot_be_judged_is_told(tmp_path: Path, capsys: pytest.CaptureFix
     assert "not read: messages of 1 channels" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("is_cut", [False, True])
+def test_where_no_message_can_be_read_nothing_is_claimed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], *, is_cut: bool
+) -> None:
+    """Of a file that is cut off in its only chunk, or has a bit flipped there."""
+    data = bytearray(own_log([gears(0, 3, 10)]))
+    at = data.index(b"\x28\xb5\x2f\xfd") + 20  # within the chunk: how a frame of zstd begins
+    data[at] ^= 1
+    log = saved(tmp_path / "a.mcap", bytes(data[:at] if is_cut else data))
+    assert review("check", str(log)) == ExitCode.FAILURE
+    out = capsys.readouterr().out
+    assert ": 0 messages" in out
+    assert "the data: no message could be read, so nothing is known of it" in out
+    assert "nothing is missing" not in out
+
+
 def test_incidents_are_checked_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Though all of them is in the logs."""
     for name in ("r-1.mcap", "r-2.incident.mcap"):

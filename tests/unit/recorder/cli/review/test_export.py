@@ -1,6 +1,7 @@
 """``cruiser review export``."""
 
 import json
+import os
 import sys
 from functools import partial
 from pathlib import Path
@@ -72,6 +73,20 @@ def test_json_says_all_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert run("--json", "-o", tmp_path / "out", saved(tmp_path / "1.mcap", drive_log())) == ExitCode.OK
     done = json.loads(capsys.readouterr().out)
     assert done["inputs"][0]["rows"] == sum(part["rows"] for part in done["files"]) == 29
+
+
+def test_a_name_that_is_not_utf_8_is_escaped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In the manifest, and in what is printed, also of a log that is damaged."""
+    log = saved(Path(os.fsdecode(bytes(tmp_path) + b"/\xff.mcap")), drive_log())
+    cut = saved(Path(os.fsdecode(bytes(tmp_path) + b"/\xfe.mcap")), drive_log(count=10)[:-100])
+    assert run("--json", "-o", tmp_path / "out", log, cut) == ExitCode.PARTIAL
+    assert run("--json", "--add", "-o", tmp_path / "out", log) == ExitCode.OK
+    first, again = map(json.loads, capsys.readouterr().out.splitlines())
+    escaped = str(tmp_path / r"\udcff.mcap")
+    assert escaped in {one["path"] for one in first["inputs"]}
+    assert again["known"] == [escaped]
+    manifest = json.loads((tmp_path / "out" / "manifest.json").read_bytes())
+    assert escaped in {one["path"] for one in manifest["inputs"]}
 
 
 @pytest.mark.parametrize(("form", "suffix"), [("candump", "log"), ("asc", "asc"), ("blf", "blf")])

@@ -66,6 +66,23 @@ def test_robots_of_one_name_under_two_roots_have_files_of_their_own(tmp_path: Pa
     ]
 
 
+def test_a_robot_whose_name_is_too_long_costs_no_other_its_layouts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is named; exit code as for whatever is not all of the answer."""
+    log = Log()
+    long = "a" * 250
+    for robot in (long, "cruiser-1"):
+        log.receive(sample_of(gear(0), robot), sample_of(info(), robot))
+    (tmp_path / "a.mcap").write_bytes(log.close())
+    assert run(tmp_path / "a.mcap", "-o", tmp_path / "out") == ExitCode.PARTIAL
+    assert len(list((tmp_path / "out").glob("cruiser-1.layout.*"))) == 2
+    said = capsys.readouterr()
+    assert said.out.count("fleet/cruiser-1: ") == 2
+    assert f"no layout of fleet/{long}: " in said.err
+    assert "File name too long" in said.err
+
+
 def test_a_log_of_no_robot_has_none(tmp_path: Path) -> None:
     """A clear line."""
     log = Log()

@@ -29,7 +29,7 @@ from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, Recor
 from tests.support.logs import Log
 from tests.support.messages import MS, ROBOT, SECOND, STANDBY, WALL_NS, gear, safety_event, sample_of
 from tests.support.messages import refusal as refused
-from tests.support.rigs import scenarios
+from tests.support.rigs import gateway, scenarios
 from tests.support.rigs.recorded import RecordedRig
 from tests.support.rigs.scenarios import SCENARIOS, Scenario, acted, recorded
 
@@ -260,6 +260,18 @@ def test_a_clock_that_is_found_to_be_wrong_later_is_no_silence(path: Path) -> No
     """It takes some seconds until one that is 5 s behind is believed to be so."""
     entries = told(path, log_of([(n * 5, state(n * 5, n, -5 * SECOND)) for n in range(200)]))
     assert [one.kind for one in entries] == [EntryKind.CLOCK]
+
+
+@pytest.mark.parametrize("steps_recorder", [False, True])
+def test_a_gateway_behind_a_step_of_the_clock_did_not_fall_silent(path: Path, *, steps_recorder: bool) -> None:
+    """Also where all that is read ends in the hole of the log times: the next state is of the same gateway."""
+    rig = scenarios.stepped_clock(steps_recorder=steps_recorder)
+    start_ns = gateway.WALL_NS
+    found = told(path, rig.log(), Selection(from_ns=start_ns + SECOND, to_ns=start_ns + 6 * SECOND))
+    assert not [one.text for one in found if "fell silent" in one.text]
+    if steps_recorder:
+        (gap,) = [one for one in found if one.kind is EntryKind.GAP]
+        assert gap.text == "nothing of the arbiter for 3600.0 s: the gateway made 2 ticks meanwhile"
 
 
 def test_a_gateway_that_dies_is_a_silence(path: Path) -> None:
