@@ -26,7 +26,7 @@ test: $(STAMP)  ## the whole test suite
 test-unit: $(STAMP)  ## what needs no process and no socket: two minutes
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/unit
 
-nightly: $(STAMP) .venv-tools/installed  ## what takes too long for every day: the gate's whole domain, whole matrices, properties sixfold, 10,000 random scenarios, the fuzzer; two hours
+nightly: $(STAMP) .venv-tools/installed  ## what takes too long for every day: the gate's whole domain, whole matrices, properties twelvefold, 10,000 random scenarios, the fuzzer; two hours
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/nightly
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal -m "hypothesis or night" --hypothesis-profile nightly --timeout 600 tests/unit
 	$(BIN)/python -m tests.system.scenarios --count 10000 --jobs 2 --seed 1

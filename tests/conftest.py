@@ -11,8 +11,8 @@ from hypothesis import settings
 
 from tests.support.logs import small_log
 
-# How long an example takes says how busy the machine is. `make nightly` looks six times as far.
-settings.register_profile("daily", deadline=None, max_examples=50)
+# How long an example takes says how busy the machine is. `make nightly` looks twelve times as far.
+settings.register_profile("daily", deadline=None, max_examples=25)
 settings.register_profile("nightly", deadline=None, max_examples=300)
 settings.load_profile("daily")
 

@@ -86,7 +86,7 @@ def is_whole(directory: Path) -> bool:
 
 
 def test_a_recorder_that_is_there_first_misses_nothing(tmp_path: Path) -> None:
-    """The gateway begins before the two are linked; the log has it all, to its last frame."""
+    """The gateway begins before the two are linked: its journal comes whole, and all frames since then."""
     endpoint = free_endpoint()
     with recorder(endpoint, tmp_path) as recording, chassis() as (_, address):
         recording.wait_says("waiting")
@@ -97,7 +97,8 @@ def test_a_recorder_that_is_there_first_misses_nothing(tmp_path: Path) -> None:
         log = ReadBack(close(recording, tmp_path))
     sent = [(identifier, data) for _, identifier, data in log.sent]
     assert len(sent) > 100
-    assert check(log) == sent
+    # Raw frames are not kept for who comes late: a busy machine may send the first before they are linked.
+    assert check(log)[-len(sent) :] == sent
 
 
 def test_a_recorder_that_comes_after_the_drive_gets_the_journal_of_before(tmp_path: Path) -> None:
