@@ -28,9 +28,9 @@ from gateway.host.log_queue import logging_aside
 from gateway.host.realtime import has_realtime, request_realtime
 from gateway.host.signed_mode import SignedMode
 from gateway.host.stop_note import NoteClearer, StopNote
-from gateway.host.tls_files import check_tls_files
 from gateway.loop import LoopPorts
 from gateway.loop import run as run_loop
+from gateway.provisioning.tls_files import check_tls_files
 from gateway.zenoh.inbox import open_inbox
 from gateway.zenoh.node import ZenohPlace, open_node
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds

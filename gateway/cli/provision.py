@@ -27,7 +27,7 @@ from gateway.authority.enrolment import (
 )
 from gateway.cli.statements import run_show, run_time
 from gateway.host.authority_note import note_path
-from gateway.host.issuer import (
+from gateway.provisioning.issuer import (
     ISSUED_FILE,
     STANDBY_FILE,
     Issuer,
@@ -36,9 +36,9 @@ from gateway.host.issuer import (
     make_standby,
     rotate,
 )
-from gateway.host.key_files import directory_of
-from gateway.host.key_store import KeyStore, Passphrase, read_input, write_private
-from gateway.host.machine_keys import ask_again, install, make_keys, names_here
+from gateway.provisioning.key_files import directory_of
+from gateway.provisioning.key_store import KeyStore, Passphrase, read_input, write_private
+from gateway.provisioning.machine_keys import ask_again, install, make_keys, names_here
 from schemas.arguments import add_zenoh_arguments, robot_name, seconds
 from schemas.authority.statement import STATEMENTS_MAX, Grant, GrantRole, Signed
 from schemas.authority.trust import AuthorityKeys

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from gateway.host.key_files import directory_of
-from gateway.host.tls_files import check_tls_files
+from gateway.provisioning.key_files import directory_of
+from gateway.provisioning.tls_files import check_tls_files
 from gateway.zenoh.client import close_session
 from gateway.zenoh.router import open_router
 from schemas.arguments import ending_after, seconds

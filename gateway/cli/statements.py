@@ -14,9 +14,9 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from gateway.authority.enrolment import EnrolmentError, chain_of
 from gateway.authority.operator_proof import OperatorProof
-from gateway.host.issuer import Issuer
-from gateway.host.key_store import KeyStore, read_input
-from gateway.host.machine_keys import ZENOH_FILE
+from gateway.provisioning.issuer import Issuer
+from gateway.provisioning.key_store import KeyStore, read_input
+from gateway.provisioning.machine_keys import ZENOH_FILE
 from gateway.telemetry.received import Received
 from gateway.zenoh.statements import StatementPort
 from schemas.authority.identity import AUTHORITY_FILE

@@ -11,8 +11,8 @@ import msgspec
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from gateway.authority.operator_proof import KnownRobots, OperatorProof, new_lease_key
-from gateway.host.key_files import directory_of, read_identity, read_trust
-from gateway.host.tls_files import check_tls_files
+from gateway.provisioning.key_files import directory_of, read_identity, read_trust
+from gateway.provisioning.tls_files import check_tls_files
 from gateway.telemetry.received import Received
 from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort

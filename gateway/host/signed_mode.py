@@ -12,7 +12,7 @@ from gateway.authority.robot_authority import Kept, RobotAuthority, trust_of
 from gateway.authority.signer import RobotSigner
 from gateway.core import Core
 from gateway.host.authority_note import AuthorityNote
-from gateway.host.key_files import directory_of, read_identity
+from gateway.provisioning.key_files import directory_of, read_identity
 from schemas.authority.statement import GrantRole, Signed, read_chain
 from schemas.authority.trust import Objection, Trust
 from schemas.exit_codes import CommandError, ExitCode

@@ -17,7 +17,7 @@ from gateway.authority.transport import (
     TransportRole,
     zenoh_configuration,
 )
-from gateway.host.certificates import issue, new_authority, new_key, new_request
+from gateway.provisioning.certificates import issue, new_authority, new_key, new_request
 
 ROOT = "fleet"
 

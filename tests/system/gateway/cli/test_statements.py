@@ -19,7 +19,7 @@ from gateway.authority.signer import RobotSigner
 from gateway.cli import provision
 from gateway.cli.configuration_file import load_settings
 from gateway.command.request import RawRequest
-from gateway.host.key_files import read_identity
+from gateway.provisioning.key_files import read_identity
 from schemas.authority.statement import TEXT_MAX_BYTES
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.reasons import Reason

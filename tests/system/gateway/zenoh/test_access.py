@@ -18,7 +18,7 @@ import zenoh
 from zenoh import ext
 
 from gateway.authority.transport import COMMAND_MAX_BYTES, TransportRole, zenoh_configuration
-from gateway.host.certificates import LEAF_DAYS, issue, issue_site, new_key, new_request
+from gateway.provisioning.certificates import LEAF_DAYS, issue, issue_site, new_key, new_request
 from gateway.zenoh.router import open_router
 from tests.support.secured import Network, pem, write
 from tests.support.waiting import wait_until

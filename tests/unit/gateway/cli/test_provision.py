@@ -14,8 +14,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
 from gateway.authority.enrolment import bundle_text
-from gateway.host.certificates import expires_s, read_certificates
-from gateway.host.key_files import read_identity
+from gateway.provisioning.certificates import expires_s, read_certificates
+from gateway.provisioning.key_files import read_identity
 from schemas.authority.statement import Grant, GrantRole, Revocations, Rotation
 from schemas.authority.trust import HeldGrant, Objection
 from schemas.exit_codes import CommandError, ExitCode

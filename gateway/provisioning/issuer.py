@@ -16,7 +16,7 @@ from gateway.authority.enrolment import (
     bundle_text,
 )
 from gateway.authority.transport import CA_FILE
-from gateway.host.certificates import (
+from gateway.provisioning.certificates import (
     CertificateError,
     issue,
     issue_site,
@@ -24,8 +24,8 @@ from gateway.host.certificates import (
     new_key,
     read_request,
 )
-from gateway.host.key_store import KeyStore
-from gateway.host.machine_keys import FLEET_FILE, SITE_CA_FILE, SITE_CA_KEY
+from gateway.provisioning.key_store import KeyStore
+from gateway.provisioning.machine_keys import FLEET_FILE, SITE_CA_FILE, SITE_CA_KEY
 from schemas.authority.identity import AUTHORITY_FILE
 from schemas.authority.proof import ProofKind, signed_bytes
 from schemas.authority.statement import (

@@ -25,7 +25,7 @@ from gateway.authority.transport import (
     TransportRole,
     zenoh_configuration,
 )
-from gateway.host.certificates import (
+from gateway.provisioning.certificates import (
     NAME_PATTERN,
     CertificateError,
     expires_s,
@@ -34,8 +34,8 @@ from gateway.host.certificates import (
     new_key,
     read_certificates,
 )
-from gateway.host.certificates import new_request as certificate_request
-from gateway.host.key_store import KeyStore
+from gateway.provisioning.certificates import new_request as certificate_request
+from gateway.provisioning.key_store import KeyStore
 from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, KEY_FILE
 from schemas.authority.statement import Grant, StatementFault, read_chain
 from schemas.authority.trust import AuthorityKeys

@@ -6,8 +6,8 @@ import json
 from pathlib import Path
 from typing import Final
 
-from gateway.host.certificates import RENEW_S, CertificateError, expires_s, fits, read_certificates
-from gateway.host.key_store import KeyStore, read_input
+from gateway.provisioning.certificates import RENEW_S, CertificateError, expires_s, fits, read_certificates
+from gateway.provisioning.key_store import KeyStore, read_input
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 

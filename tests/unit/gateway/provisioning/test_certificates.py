@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from gateway.authority.transport import TransportRole
-from gateway.host.certificates import (
+from gateway.provisioning.certificates import (
     RENEW_S,
     CertificateError,
     expires_s,
@@ -25,7 +25,7 @@ from gateway.host.certificates import (
     read_certificates,
     read_request,
 )
-from gateway.host.tls_files import check_tls_files
+from gateway.provisioning.tls_files import check_tls_files
 from schemas.exit_codes import CommandError
 from tests.support.secured import Network
 
