@@ -266,7 +266,7 @@ TEXTS: Final[dict[Reason, Text]] = {
     ),
     Reason.REPLAYED: Text("the same was received before", "sign each request anew"),
     Reason.GRANT_UNKNOWN: Text(
-        "the robot does not know the grant, or its authority", "show it the grant with its chain (@auth/grant)"
+        "the robot does not know the grant, or its authority", "show it the grant with its chain (query @auth)"
     ),
     Reason.GRANT_EXPIRED: Text("the grant is over, or has not begun", "get a new grant from the site"),
     Reason.GRANT_REVOKED: Text("the grant was revoked", "ask the fleet's authority"),

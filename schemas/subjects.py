@@ -305,6 +305,7 @@ STATEMENT_REPLY: Final = f"{SCHEMA_PREFIX}.{decisions.StatementReply.__name__}"
 STATEMENT_REPLY_ENCODING: Final = f"application/msgpack;{STATEMENT_REPLY}/{decisions.StatementReply.version}"
 
 STOP_VERB: Final = "stop"
+DRIVE_VERB: Final = "drive"
 """The verb that is taken from anyone, as a put too."""
 
 COMMAND_QOS: Final = Qos(Priority.INTERACTIVE_HIGH, express=True)
@@ -333,7 +334,7 @@ COMMANDS: Final[tuple[Command, ...]] = (
         "total mileage to zero; replies when it reads so",
         engaged_only=True,
     ),
-    Command("drive", requests.Drive, _Reply, "the stream that moves the robot, 10 to 50 Hz", Asking.PUT),
+    Command(DRIVE_VERB, requests.Drive, _Reply, "the stream that moves the robot, 10 to 50 Hz", Asking.PUT),
 )
 
 BY_VERB: Final = {command.verb: command for command in COMMANDS}

@@ -25,7 +25,7 @@ from schemas.decisions import LeaseReply
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Role, Take
 from schemas.settings import Settings
-from schemas.subjects import BY_VERB, STOP_VERB
+from schemas.subjects import BY_VERB, DRIVE_VERB, STOP_VERB
 
 CHALLENGE_MAX_NS: Final = 2_000_000_000
 """A verb that echoes an older challenge is too old. Zenoh delivers it again, or late, for less."""
@@ -42,8 +42,6 @@ TAGS_PER_TICK: Final = 256
 SIGNATURES_PER_TICK: Final = 4
 """Signatures that are checked in a tick at most, 0.5 ms; the rest is refused as busy."""
 
-DRIVE: Final = "drive"
-
 ROLES: Final = {
     GrantRole.PROGRAM: Role.PROGRAM,
     GrantRole.OPERATOR: Role.OPERATOR,
@@ -52,11 +50,25 @@ ROLES: Final = {
 """Who may hold a lease, and as what."""
 
 
-class _Sender(msgspec.Struct, frozen=True):
-    """Who asked for a lease, until the reply is known: the grant, and the public key for the lease."""
+class _Asked(msgspec.Struct, frozen=True):
+    """A query until its reply is known, with the grant of who sent it, if that was proven."""
 
-    grant: HeldGrant
-    public_key: bytes | None
+    raw: RawRequest
+    sender: HeldGrant | None
+
+
+class GivenLease(msgspec.Struct, frozen=True):
+    """A lease as it was given.
+
+    Attributes:
+        id: its number.
+        holder: the grant under which it was asked for.
+        tags: of its drive commands; None if the holder sent no public key that can be used, so that nobody drives.
+    """
+
+    id: int
+    holder: HeldGrant
+    tags: DriveTags | None
 
 
 class SignedAdmission:
@@ -64,6 +76,7 @@ class SignedAdmission:
 
     Attributes:
         trust: the authority, as it is known now.
+        lease: the last one that was given; None before the first.
         now_s: the time by which grants are judged, seconds since 1970; it is kept from outside.
         challenge_age_ns: the age of a challenge, or why it is not known.
     """
@@ -86,6 +99,7 @@ class SignedAdmission:
             new_private_key: draws the robot's key for one lease.
         """
         self.trust = trust
+        self.lease: GivenLease | None = None
         self.now_s = 0
         self._root, self._robot = settings.robot.root, settings.robot.name
         self._signer = signer
@@ -93,45 +107,46 @@ class SignedAdmission:
         self._new_private_key = new_private_key
         self._grants: OrderedDict[bytes, HeldGrant] = OrderedDict()
         self._nonces: OrderedDict[tuple[bytes, bytes], int] = OrderedDict()
-        self._asking: dict[int, tuple[RawRequest, _Sender | None]] = {}
-        self._tags: DriveTags | None = None
-        self._holder: HeldGrant | None = None
+        self._asking: dict[int, _Asked] = {}
         self._left = SIGNATURES_PER_TICK
         self._tags_left = TAGS_PER_TICK
 
     # Grants.
 
-    @property
-    def lease(self) -> int:
-        """The last lease that was given; 0 before the first."""
-        return 0 if self._tags is None else self._tags.lease
-
-    @property
-    def holder_id(self) -> bytes | None:
-        """The identifier of the grant under which the last lease was given; None before the first."""
-        return None if self._holder is None else self._holder.id
-
     def introduce(self, chain: list[Signed]) -> HeldGrant | Objection:
-        """Somebody shows a grant with its chain. From anyone: what counts are the signatures."""
+        """Somebody shows a grant with its chain. From anyone: what counts are the signatures.
+
+        Returns:
+            The grant as it is known from now on: the same object if nothing is new. Of two chains that end with
+            the same grant the one that holds for longer is kept, so nobody goes back by showing an old one.
+        """
         if self._left <= 0:
             return Objection(Reason.BUSY)
-        held = self._grants.get(chain[0].id)
-        if held is not None and self.trust.objection(held, self.now_s) is None:
-            return held
+        known = self._grants.get(chain[0].id)
+        if known is not None and self.trust.objection(known, self.now_s) is not None:
+            known = None
+        if known is not None and known.chain == tuple(chain):
+            return known
         self._left -= len(chain)
-        held_or_not = self.trust.judge(chain, self.now_s)
-        if isinstance(held_or_not, Objection):
-            return held_or_not
-        if not held_or_not.grant.covers(self._robot):
+        held = self.trust.judge(chain, self.now_s)
+        if isinstance(held, Objection):
+            return held
+        if not held.grant.covers(self._robot):
             return Objection(Reason.NOT_GRANTED, f"it is not for {self._robot}")
-        self._grants[held_or_not.id] = held_or_not
+        if known is not None and known.not_after >= held.not_after:
+            return known
+        self._grants[held.id] = held
         if len(self._grants) > GRANTS_KEPT:
             self._grants.popitem(last=False)
-        return held_or_not
+        return held
 
-    def holder_objection(self) -> Objection | None:
+    def known(self, grant_id: bytes) -> HeldGrant | None:
+        """The grant of this identifier, if its chain was verified."""
+        return self._grants.get(grant_id)
+
+    def objection_to_holder(self) -> Objection | None:
         """Why the grant under which the last lease was given does not hold any more; None if it does."""
-        return None if self._holder is None else self.trust.objection(self._holder, self.now_s)
+        return None if self.lease is None else self.trust.objection(self.lease.holder, self.now_s)
 
     # Requests.
 
@@ -145,30 +160,32 @@ class SignedAdmission:
         """The number of a lease in its holder's requests: its identifier, for the key is the secret here."""
         return lease_id
 
-    def is_holders(self, verb: str, payload: bytes, attachment: bytes) -> bool:
-        """Does it come from the holder of the lease? Of a verb only its signature says so for certain."""
-        if verb == DRIVE:
-            self._tags_left -= 1
-            return self._tags_left >= 0 and self._tags is not None and self._tags.fits(attachment, payload)
-        return self._holder is not None and attachment[1:9] == self._holder.id
+    def may_be_holders(self, verb: str, payload: bytes, attachment: bytes) -> bool:
+        """Can it come from the lease's holder? A drive is known by its tag; a verb's signature is not checked."""
+        if self.lease is None:
+            return False
+        if verb != DRIVE_VERB:
+            return attachment[1:9] == self.lease.holder.id
+        self._tags_left -= 1
+        tags = self.lease.tags
+        return self._tags_left >= 0 and tags is not None and tags.fits(attachment, payload)
 
     def admit(self, raw: RawRequest, now_ns: int) -> RawRequest:
         """The request with what is proven of its sender. A stop is served in any case; its proof says by whom."""
-        held = self._judge_drive(raw) if raw.verb == DRIVE else self._judge_verb(raw, now_ns)
+        held = self._judge_drive(raw) if raw.verb == DRIVE_VERB else self._judge_verb(raw, now_ns)
         if raw.is_query:
-            sender = None if isinstance(held, Objection) else _Sender(held, _public_key_in(raw))
-            self._asking[raw.handle] = raw, sender
+            self._asking[raw.handle] = _Asked(raw, None if isinstance(held, Objection) else held)
         return msgspec.structs.replace(raw, credentials=_credentials(held))
 
     def _judge_drive(self, raw: RawRequest) -> HeldGrant | Objection:
-        proof = DriveProof.read(raw.attachment)
+        proof, lease = DriveProof.read(raw.attachment), self.lease
         if proof is None:
             return Objection(Reason.PROOF_MISSING)
-        if self._tags is None or self._holder is None or proof.lease != self._tags.lease:
+        if lease is None or lease.tags is None or proof.lease != lease.id:
             return Objection(Reason.NO_LEASE)
-        if DRIVE not in self._holder.grant.verbs:
-            return Objection(Reason.NOT_GRANTED, f"{DRIVE} is not among its verbs")
-        return self._holder if self._tags.fits(raw.attachment, raw.payload) else Objection(Reason.PROOF_WRONG)
+        if DRIVE_VERB not in lease.holder.grant.verbs:
+            return Objection(Reason.NOT_GRANTED, f"{DRIVE_VERB} is not among its verbs")
+        return lease.holder if lease.tags.fits(raw.attachment, raw.payload) else Objection(Reason.PROOF_WRONG)
 
     def _judge_verb(self, raw: RawRequest, now_ns: int) -> HeldGrant | Objection:
         """Judge a signed verb, the cheapest question first: the signature takes a hundred times as long."""
@@ -214,32 +231,36 @@ class SignedAdmission:
 
     def reply(self, pending: PendingReply) -> PendingReply:
         """The reply as its receiver gets it: signed, and with the robot's key if it gives a lease."""
-        raw, sender = self._asking.pop(pending.handle, (None, None))
-        if raw is None:
+        asked = self._asking.pop(pending.handle, None)
+        if asked is None:
             return pending
+        raw = asked.raw
         command = BY_VERB.get(raw.verb)
         if command is None or not raw.operator:
             # Asked under a key that is no command's: there is no expression to sign the reply for.
             return pending
         payload = pending.payload
-        if sender is not None and raw.verb in {"acquire", "take"}:
-            payload = self._give_lease(raw, sender, payload)
+        if asked.sender is not None:
+            payload = self._give_lease(raw, asked.sender, payload)
         key = keys.command(self._root, self._robot, raw.operator, raw.verb)
         attachment = self._signer.reply(key, command.reply_encoding, payload, raw.attachment)
         return msgspec.structs.replace(pending, payload=payload, attachment=attachment)
 
-    def _give_lease(self, raw: RawRequest, sender: _Sender, payload: bytes) -> bytes:
-        """Agree with a new holder on the key of its lease, if the reply gives it one."""
+    def _give_lease(self, raw: RawRequest, sender: HeldGrant, payload: bytes) -> bytes:
+        """Note who holds the lease that the reply gives, and agree with the holder on its key."""
+        request = codec.decode_request(BY_VERB[raw.verb], raw.payload)
+        if not isinstance(request, Acquire | Take):
+            return payload
         said = _LEASE_REPLY.decode(payload)
-        if not said.ok or sender.public_key is None:
+        if not said.ok:
             return payload
         private = self._new_private_key()
-        drive = keys.command(self._root, self._robot, raw.operator, DRIVE)
-        key = lease_key(private, sender.public_key, self._signer.boot, said.lease, drive)
-        if key is None:
+        drive = keys.command(self._root, self._robot, raw.operator, DRIVE_VERB)
+        key = lease_key(private, request.public_key or b"", self._signer.boot, said.lease, drive)
+        tags = None if key is None else DriveTags(key, said.lease, drive, BY_VERB[DRIVE_VERB].encoding)
+        self.lease = GivenLease(said.lease, sender, tags)
+        if tags is None:
             return payload
-        self._tags = DriveTags(key, said.lease, drive, BY_VERB[DRIVE].encoding)
-        self._holder = sender.grant
         return _ENCODER.encode(msgspec.structs.replace(said, public_key=public_bytes(private)))
 
 
@@ -253,12 +274,6 @@ def _credentials(held: HeldGrant | Objection) -> Credentials:
         override=held.grant.override,
         speed_limit_mps=held.speed_limit_mps,
     )
-
-
-def _public_key_in(raw: RawRequest) -> bytes | None:
-    """The public key that a request for a lease carries."""
-    request = codec.decode_request(BY_VERB[raw.verb], raw.payload)
-    return request.public_key if isinstance(request, Acquire | Take) else None
 
 
 _ENCODER: Final = msgspec.msgpack.Encoder()

@@ -24,11 +24,11 @@ from schemas.authority.trust import Objection, Trust, fits
 from schemas.codec import PAYLOAD_ERRORS
 from schemas.decisions import LeaseReply, StatementReply
 from schemas.reasons import Reason
-from schemas.subjects import BY_VERB, STATEMENT_REPLY_ENCODING
+from schemas.subjects import BY_VERB, DRIVE_VERB, STATEMENT_REPLY_ENCODING
 
 NONCE_BYTES: Final = 8
 
-DRIVE: Final = BY_VERB["drive"]
+DRIVE: Final = BY_VERB[DRIVE_VERB]
 
 
 class KnownRobots:

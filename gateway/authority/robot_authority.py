@@ -10,7 +10,7 @@ from typing import Final
 
 import msgspec
 
-from gateway.authority.admission import GRANTS_KEPT, SignedAdmission
+from gateway.authority.admission import SignedAdmission
 from gateway.authority.floor import TimeFloor
 from gateway.authority.signer import RobotSigner
 from gateway.command.flow import PendingReply
@@ -29,7 +29,7 @@ from schemas.authority.statement import (
     chain_text,
     read_chain,
 )
-from schemas.authority.trust import Objection, Trust
+from schemas.authority.trust import HeldGrant, Objection, Trust
 from schemas.decisions import SignedStatement, StatementReply
 from schemas.messages import SEQUENCE_MAX
 from schemas.reasons import TEXTS, Reason
@@ -148,12 +148,12 @@ class RobotAuthority:
         self._key = keys.authority(settings.robot.root, settings.robot.name)
         self._floor = floor
         self._own = own
+        self._own_held: HeldGrant | None = None
         self._kept = kept
         self._is_changed = False
         self._word_ns: int | None = None
         self._bars: dict[Reason, str] = {}
         self._new: list[str] = []
-        self._known: dict[bytes, str] = {}
         self._sequence = 0
         self._heads_due_ns = self._repeat_due_ns = self._save_due_ns = 0
 
@@ -196,7 +196,7 @@ class RobotAuthority:
         admission = self.admission
         admission.now_s = self._floor.now_s(boot_ns, wall_ns // 1_000_000_000)
         admission.begin_tick(now_ns)
-        effects = AuthorityEffects(self._statements(now_ns, wall_ns), ended=admission.holder_objection())
+        effects = AuthorityEffects(self._statements(now_ns, wall_ns), ended=admission.objection_to_holder())
         if now_ns >= self._heads_due_ns:
             self._heads_due_ns = now_ns + HEAD_PERIOD_NS
             effects.samples.append(self.heads(wall_ns))
@@ -215,19 +215,28 @@ class RobotAuthority:
         return Sample("authority/heads", codec.encode(self.signer.heads(wall_ns)))
 
     def _introduce(self, chain: list[Signed]) -> Objection | None:
+        known = self.admission.known(chain[0].id)
         held = self.admission.introduce(chain)
         if isinstance(held, Objection):
             return held
-        text = chain_text(chain)
+        if held is not known:
+            self._new.append(chain_text(held.chain))
         if held.key == self.signer.public_key and held.grant.role is GrantRole.ROBOT:
-            self._own, self._is_changed = chain, True
-            self._kept = msgspec.structs.replace(self._kept, own=text)
-        if self._known.get(held.id) != text:
-            self._known[held.id] = text
-            self._new.append(text)
-        if len(self._known) > GRANTS_KEPT:
-            del self._known[next(iter(self._known))]
+            own = self._own_grant()
+            if isinstance(own, Objection) or held.not_after > own.not_after:
+                self._own, self._own_held, self._is_changed = list(held.chain), held, True
+                self._kept = msgspec.structs.replace(self._kept, own=chain_text(held.chain))
         return None
+
+    def _own_grant(self) -> HeldGrant | Objection:
+        """The robot's own grant, if it holds now. Its signatures are verified until they fit once."""
+        trust, now_s = self.admission.trust, self.admission.now_s
+        if self._own_held is None:
+            judged = trust.judge(self._own, now_s)
+            if isinstance(judged, Objection):
+                return judged
+            self._own_held = judged
+        return trust.objection(self._own_held, now_s) or self._own_held
 
     def _state_time(self, chain: list[Signed], now_ns: int, boot_ns: int) -> Objection | None:
         statement = chain[0].statement
@@ -270,7 +279,7 @@ class RobotAuthority:
 
     def _bars_now(self, boot_ns: int) -> dict[Reason, str]:
         bars = {Reason.SELF_TEST: self.self_test} if self.self_test else {}
-        own = self.admission.trust.judge(self._own, self.admission.now_s)
+        own = self._own_grant()
         if isinstance(own, Objection):
             bars[own.reason] = f"the robot's own; {own.detail}"
         if self._word_ns is None and self._requires_fresh:
@@ -285,8 +294,8 @@ class RobotAuthority:
         texts, self._new = self._new, []
         if now_ns >= self._repeat_due_ns:
             self._repeat_due_ns = now_ns + REPEAT_NS
-            holder = self.admission.holder_id
-            in_use = self._known.get(holder) if holder is not None else None
+            lease = self.admission.lease
+            in_use = "" if lease is None else chain_text(lease.holder.chain)
             texts += [text for text in (chain_text(self._own), in_use, self._kept.revocations) if text]
         return [self._sample(text, wall_ns) for text in texts]
 

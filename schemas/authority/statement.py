@@ -10,6 +10,7 @@ signed by the fleet's authority itself is followed by the grant of who signed it
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from enum import Enum
 from fnmatch import fnmatchcase
 from typing import Annotated, Final
@@ -203,7 +204,7 @@ def read_chain(text: bytes) -> list[Signed] | StatementFault:
     return chain
 
 
-def chain_text(chain: list[Signed]) -> str:
+def chain_text(chain: Iterable[Signed]) -> str:
     """The text of a chain, as it is kept in files and sent."""
     return "".join(signed.text() for signed in chain)
 

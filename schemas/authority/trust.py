@@ -40,7 +40,8 @@ class HeldGrant(msgspec.Struct, frozen=True):
         key: the holder's public key.
         speed_limit_mps: the lowest of the chain; none if no grant has one.
         not_before, not_after: when all of the chain holds, seconds since 1970.
-        chain: identifiers and holders' keys of all grants of the chain.
+        chain: the grants as they were verified, this one first.
+        revocable: identifiers and holders' keys of all of them.
         root: the authority's key that the chain ends at.
     """
 
@@ -50,7 +51,8 @@ class HeldGrant(msgspec.Struct, frozen=True):
     speed_limit_mps: float | None
     not_before: int
     not_after: int
-    chain: frozenset[bytes]
+    chain: tuple[Signed, ...]
+    revocable: frozenset[bytes]
     root: bytes
 
 
@@ -92,7 +94,7 @@ class Trust(msgspec.Struct, frozen=True):
             return Objection(Reason.GRANT_REVOKED, "its authority was replaced")
         if held.grant.epoch < self.epoch:
             return Objection(Reason.GRANT_REVOKED, f"epoch {held.grant.epoch} is over")
-        if not self.revoked.isdisjoint(held.chain):
+        if not self.revoked.isdisjoint(held.revocable):
             return Objection(Reason.GRANT_REVOKED, f"by list {self.list_serial}")
         if now_s > held.not_after:
             return Objection(Reason.GRANT_EXPIRED, f"{now_s - held.not_after} s ago")
@@ -226,7 +228,8 @@ def _held(chain: list[Signed], root: bytes) -> HeldGrant:
         speed_limit_mps=min(limits) if limits else None,
         not_before=max(grant.not_before for grant in grants),
         not_after=min(grant.not_after for grant in grants),
-        chain=frozenset({one.id for one in chain} | {bytes.fromhex(grant.key) for grant in grants}),
+        chain=tuple(chain),
+        revocable=frozenset({one.id for one in chain} | {bytes.fromhex(grant.key) for grant in grants}),
         root=root,
     )
 

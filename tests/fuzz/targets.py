@@ -230,7 +230,7 @@ def requests(data: bytes) -> None:
     attachment, payload = data[3 : 3 + data[2]], data[3 + data[2] :]
     raw = RawRequest(7, verb, operator, payload, len(payload), attachment=attachment)
     DOOR.begin_tick()
-    DOOR.admission.is_holders(verb, payload, attachment)
+    DOOR.admission.may_be_holders(verb, payload, attachment)
     credentials = DOOR.admission.admit(raw, DOOR.now_ns).credentials
     assert credentials is not None
     is_proven = (verb, operator, attachment, payload) in PROVEN

@@ -21,12 +21,11 @@ from schemas.authority.trust import HeldGrant, Objection, fits
 from schemas.decisions import Decision, Journal, Verdict
 from schemas.journal import Kind
 from schemas.reasons import Reason
-from schemas.subjects import BY_VERB, STOP_VERB
+from schemas.subjects import BY_VERB, DRIVE_VERB, STOP_VERB
 
 SIGNED_INPUT: Final = bytes([0x9A, Kind.REQUEST])
 """A request of signed mode begins so in MessagePack: an array of ten, and the kind."""
 
-DRIVE: Final = "drive"
 
 LEASING: Final = frozenset({"acquire", "take"})
 
@@ -149,14 +148,14 @@ class CommandRecord:
             return
         holder = self._holders.get(decision.lease)
         if holder is None:
-            if decision.request not in LEASING | {DRIVE, "renew", "engage"}:
+            if decision.request not in LEASING | {DRIVE_VERB, "renew", "engage"}:
                 return
             at_ns = decision.time_ns
             holder = Holder(decision.lease, decision.operator, "", at_ns, at_ns, 0)
             self._holders[decision.lease] = holder
         holder.from_ns = min(holder.from_ns, decision.time_ns)
         holder.to_ns = max(holder.to_ns, decision.time_ns)
-        holder.drives += decision.request == DRIVE
+        holder.drives += decision.request == DRIVE_VERB
 
     def take_journal(self, journal: Journal) -> bool:
         """A message of the journal. Returns whether it holds requests of signed mode."""
@@ -197,7 +196,7 @@ class CommandRecord:
             refused = self._refused.setdefault(key, RefusedProof(*key, 0, at_ns, at_ns))
             refused.count += 1
             refused.first_ns, refused.last_ns = min(refused.first_ns, at_ns), max(refused.last_ns, at_ns)
-        elif verb != DRIVE:
+        elif verb != DRIVE_VERB:
             proof = RequestProof.read(attachment)
             found = self._judge(verb, operator, payload, proof, credentials, at_ns)
             if isinstance(found, ProofFinding):

@@ -18,6 +18,7 @@ from gateway.authority.admission import (
     NONCE_KEPT_NS,
     SIGNATURES_PER_TICK,
     TAGS_PER_TICK,
+    GivenLease,
     SignedAdmission,
 )
 from gateway.authority.lease_key import DriveTags, lease_key, public_bytes
@@ -27,14 +28,14 @@ from gateway.command.request import Credentials, RawRequest
 from schemas import keys
 from schemas.authority.proof import RobotProof
 from schemas.authority.statement import GrantRole
-from schemas.authority.trust import HeldGrant, Objection, fits
+from schemas.authority.trust import HeldGrant, Objection, Trust, fits
 from schemas.decisions import LeaseReply
 from schemas.messages import Message
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Drive, Request, Role, Take
 from schemas.settings import Settings
 from schemas.subjects import BY_VERB
-from tests.support.authority import NOW_S, VERBS, Fleet, Party
+from tests.support.authority import DAY_S, NOW_S, VERBS, Fleet, Party
 
 ROOT, ROBOT = "fleet", "cruiser-1"
 CHALLENGE: Final = b"newest.."
@@ -386,6 +387,65 @@ def test_a_request_without_a_usable_key_gets_no_key(public_key: bytes | None) ->
     assert door.admit(door.raw("ann", "drive", b"", b"\x01" + bytes(24), query=False)).reason is Reason.NO_LEASE
 
 
+def test_a_lease_without_a_key_ends_the_former_holders_and_ends_with_its_own_grant() -> None:
+    """Nobody drives under it; but it engages, so a revocation has to end it."""
+    door, ann = known()
+    former = Holder(door, ann)
+    bob = door.fleet.operator("bob")
+    grant = door.introduce(bob)
+    assert isinstance(grant, HeldGrant)
+    payload = encode(Take())
+    raw = door.raw(
+        "bob", "take", payload, bob.prove(key_of("bob", "take"), BY_VERB["take"].encoding, payload, CHALLENGE)
+    )
+    assert door.admit(raw).reason is Reason.NONE
+    said = LeaseReply(ok=True, reason=Reason.NONE, detail="", cure="", lease=LEASE + 1)
+    door.admission.reply(PendingReply(raw.handle, "take", encode(said)))
+    assert door.admission.lease == GivenLease(LEASE + 1, grant, None)
+    assert former.drive(former.payload()).reason is Reason.NO_LEASE
+    assert not door.admission.may_be_holders("drive", former.payload(), former.tags.attachment(former.payload()))
+    trust = door.admission.trust.revoke(door.fleet.authority.revoke(1, grant))
+    assert isinstance(trust, Trust)
+    door.admission.trust = trust
+    assert door.admission.objection_to_holder() == Objection(Reason.GRANT_REVOKED, "by list 1")
+
+
+def test_a_chain_is_known_by_all_that_is_in_it() -> None:
+    """What was verified before is not verified again; a grant that is known, under other signatures, is."""
+    door = Door()
+    site = door.fleet.site()
+    ann = Party("ann")
+    site.grant(ann)
+    held = door.introduce(ann)
+    assert isinstance(held, HeldGrant)
+    assert door.introduce(ann) is held
+    for place in range(2):
+        ann.chain[place] = msgspec.structs.replace(ann.chain[place], signature=bytes(64))
+        refusal = door.introduce(ann)
+        assert isinstance(refusal, Objection)
+        assert refusal.reason is Reason.PROOF_WRONG
+        ann.chain = list(held.chain)
+    assert door.introduce(ann) is held
+
+
+def test_of_two_chains_that_end_with_one_grant_the_longer_lasting_is_kept() -> None:
+    """Whoever has kept the former grant of a site does not shorten those of its people."""
+    door = Door()
+    site = door.fleet.site(not_after=NOW_S + 60)
+    ann = Party("ann")
+    site.grant(ann)
+    short = door.introduce(ann)
+    former, site.chain = ann.chain, []
+    door.fleet.authority.grant(site, role=GrantRole.SITE, may_delegate=1, override=True)
+    ann.chain = [former[0], *site.chain]
+    longer = door.introduce(ann)
+    assert isinstance(short, HeldGrant)
+    assert isinstance(longer, HeldGrant)
+    assert (short.not_after, longer.not_after) == (NOW_S + 60, NOW_S + DAY_S)
+    ann.chain = former
+    assert door.introduce(ann) is longer
+
+
 def test_a_refused_lease_changes_no_key() -> None:
     """Who holds it goes on driving."""
     door, ann = known()
@@ -408,28 +468,28 @@ def test_only_the_holders_are_put_first() -> None:
     holder = Holder(door, ann)
     payload = holder.payload()
     tagged = holder.tags.attachment(payload)
-    is_holders = door.admission.is_holders
-    assert is_holders("drive", payload, tagged)
-    assert not is_holders("drive", payload + b"x", tagged)
-    assert not is_holders("drive", payload, b"")
-    assert is_holders("renew", b"", ann.prove("", "", b"", CHALLENGE))
-    assert not is_holders("renew", b"", b"")
-    assert not Door().admission.is_holders("drive", payload, tagged)
-    assert not Door().admission.is_holders("renew", b"", tagged)
+    may_be_holders = door.admission.may_be_holders
+    assert may_be_holders("drive", payload, tagged)
+    assert not may_be_holders("drive", payload + b"x", tagged)
+    assert not may_be_holders("drive", payload, b"")
+    assert may_be_holders("renew", b"", ann.prove("", "", b"", CHALLENGE))
+    assert not may_be_holders("renew", b"", b"")
+    assert not Door().admission.may_be_holders("drive", payload, tagged)
+    assert not Door().admission.may_be_holders("renew", b"", tagged)
 
 
 def test_the_end_of_the_holders_grant_is_seen() -> None:
     """The loop asks in each tick."""
     door, ann = known()
-    assert door.admission.holder_objection() is None
+    assert door.admission.objection_to_holder() is None
     Holder(door, ann)
-    assert door.admission.holder_objection() is None
+    assert door.admission.objection_to_holder() is None
     grant = door.introduce(ann)
     assert isinstance(grant, HeldGrant)
     trust = door.admission.trust.revoke(door.fleet.authority.revoke(1, grant))
     assert not isinstance(trust, Objection)
     door.admission.trust = trust
-    objection = door.admission.holder_objection()
+    objection = door.admission.objection_to_holder()
     assert objection is not None
     assert objection.reason is Reason.GRANT_REVOKED
 
@@ -503,8 +563,9 @@ def test_a_lease_comes_with_a_key_however_it_is_asked_for(verb: str) -> None:
     said = encode(LeaseReply(ok=True, reason=Reason.NONE, detail="", cure="", lease=LEASE))
     reply = door.admission.reply(PendingReply(raw.handle, verb, said))
     assert msgspec.msgpack.decode(reply.payload, type=LeaseReply).public_key is not None
-    assert door.admission.lease == LEASE
-    assert door.admission.holder_id == ann.chain[0].id
+    lease = door.admission.lease
+    assert lease is not None
+    assert (lease.id, lease.holder.id) == (LEASE, ann.chain[0].id)
 
 
 def test_so_many_tags_are_checked_in_a_tick_to_find_the_holders() -> None:
@@ -514,10 +575,10 @@ def test_so_many_tags_are_checked_in_a_tick_to_find_the_holders() -> None:
     tagged = holder.tags.attachment(payload)
     admission = holder.door.admission
     admission.begin_tick(0)
-    found = [admission.is_holders("drive", payload, tagged) for _ in range(TAGS_PER_TICK + 2)]
+    found = [admission.may_be_holders("drive", payload, tagged) for _ in range(TAGS_PER_TICK + 2)]
     assert found == [True] * TAGS_PER_TICK + [False] * 2
     admission.begin_tick(0)
-    assert admission.is_holders("drive", payload, tagged)
+    assert admission.may_be_holders("drive", payload, tagged)
 
 
 def test_grants_are_judged_within_the_signatures_of_a_tick() -> None:

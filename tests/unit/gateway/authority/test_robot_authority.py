@@ -1,5 +1,6 @@
 """What a robot in signed mode takes over of its authority, and what follows in each tick."""
 
+import msgspec
 import pytest
 
 from gateway.authority.admission import GRANTS_KEPT
@@ -74,7 +75,7 @@ def test_a_rotation_is_kept_and_ends_the_robots_own_grant_until_it_gets_a_new_on
     """The new authority grants it without anybody touching the robot."""
     bench, active, standby = AuthorityBench(), Party(), Party()
     assert bench.show(bench.fleet.standby.rotate(1, active, standby).text()).ok
-    assert bench.bars().keys() == {Reason.GRANT_UNKNOWN}
+    assert bench.bars().keys() == {Reason.GRANT_REVOKED}
     active.grant(bench.robot, role=GrantRole.ROBOT, robots=["cruiser-1"])
     assert bench.show(chain_text(bench.robot.chain)).ok
     effects = bench.tick()
@@ -203,9 +204,9 @@ def test_a_damaged_note_is_named() -> None:
 def test_why_a_robot_does_not_arm_is_said_in_words() -> None:
     """Its own grant, the authority's silence, the setting that asks for a word."""
     bench = AuthorityBench(max_offline_h=2)
-    bench.fleet.authority.grant(bench.robot, role=GrantRole.ROBOT, robots=["*"], not_after=NOW_S + 5)
+    bench.fleet.authority.grant(bench.robot, role=GrantRole.ROBOT, robots=["*"], not_after=NOW_S + 2 * DAY_S)
     bench.show(chain_text(bench.robot.chain))
-    bench.wall_s = NOW_S + 15
+    bench.wall_s = NOW_S + 2 * DAY_S + 10
     bench.tick(3 * HOUR)
     assert bench.bars() == {
         Reason.GRANT_EXPIRED: "the robot's own; 10 s ago",
@@ -232,7 +233,8 @@ class Holding:
         admission.admit(RawRequest(1, "acquire", "ann", payload, len(payload), attachment=attachment), 0)
         said = LeaseReply(ok=True, reason=Reason.NONE, detail="", cure="", lease=7)
         admission.reply(PendingReply(1, "acquire", encode(said)))
-        assert admission.lease == 7
+        assert admission.lease is not None
+        assert admission.lease.id == 7
 
 
 KEY = "fleet/cruiser-1/@cmd/ann/acquire"
@@ -297,6 +299,31 @@ def test_another_robots_grant_is_not_this_ones() -> None:
     as_operator.private = bench.robot.private
     bench.fleet.authority.grant(as_operator)
     assert bench.show(chain_text(as_operator.chain)).own == own
+
+
+def test_nobody_takes_the_robots_own_grant_away() -> None:
+    """It is public: whoever shows it again under other signatures, or the one before it, changes nothing."""
+    bench = AuthorityBench()
+    former = bench.robot.chain
+    bench.robot.chain = []
+    bench.fleet.authority.grant(
+        bench.robot, role=GrantRole.ROBOT, robots=["cruiser-1"], not_after=NOW_S + 2 * DAY_S
+    )
+    own = chain_text(bench.robot.chain)
+    assert bench.show(own).own == own
+    kept = bench.tick().kept
+    assert kept is not None
+    assert kept.own == own
+    forged = chain_text([msgspec.structs.replace(bench.robot.chain[0], signature=bytes(64))])
+    said = bench.show(forged)
+    assert (said.ok, said.reason, said.own) == (False, Reason.PROOF_WRONG, own)
+    bench.tick()
+    said = bench.show(chain_text(former))
+    assert (said.ok, said.own) == (True, own)
+    effects = bench.tick()
+    assert effects.kept is None
+    assert forged not in statements(effects)
+    assert bench.bars() == {}
 
 
 def test_the_grants_of_so_many_people_are_remembered_as_text() -> None:
