@@ -23,7 +23,7 @@ from gateway.guard.beat import GuardView
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas.decisions import Severity
-from schemas.reasons import Reason
+from schemas.reasons import TEXTS, Reason
 from schemas.requests import CHALLENGE_BYTES, LEASE_MAX
 from schemas.settings import BEHIND_NS, LATE_NS, LATE_TOLD_NS, LOOP_LATE_STOP_NS, REST_TIMEOUT_NS, TICK_NS
 
@@ -301,6 +301,12 @@ def _tick(ports: LoopPorts, core: Core, admission: Admission, links: Links, now_
         log.log(LEVELS[event.severity], "%s", event.text)
 
 
+def warn_of_bars(bars: dict[Reason, str]) -> None:
+    """Say why nobody can engage this robot."""
+    for reason, words in bars.items():
+        log.warning("nobody can engage this robot: %s: %s; %s", TEXTS[reason].means, words, TEXTS[reason].cure)
+
+
 def _follow_authority(signed: SignedModePort, core: Core, inbox: RequestInbox | None, now_ns: int) -> list[Sample]:
     """Take over what the authority states, and act by what follows. Returns what is to be published."""
     boot_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
@@ -311,7 +317,9 @@ def _follow_authority(signed: SignedModePort, core: Core, inbox: RequestInbox | 
     effects = authority.tick(now_ns, boot_ns, time.time_ns())
     if effects.bars is not None:
         core.bar(effects.bars, now_ns)
-    if effects.ended is not None and core.lease_id == authority.admission.lease:
+        warn_of_bars(effects.bars)
+    lease = authority.admission.lease
+    if effects.ended is not None and lease is not None and core.lease_id == lease.id:
         core.end_lease(effects.ended.reason, effects.ended.detail, now_ns)
     if effects.kept is not None:
         signed.save(effects.kept)

@@ -28,7 +28,7 @@ from gateway.host.log_queue import logging_aside
 from gateway.host.realtime import has_realtime, request_realtime
 from gateway.host.signed_mode import SignedMode
 from gateway.host.stop_note import NoteClearer, StopNote
-from gateway.loop import LoopPorts
+from gateway.loop import LoopPorts, warn_of_bars
 from gateway.loop import run as run_loop
 from gateway.provisioning.tls_files import check_tls_files
 from gateway.zenoh.inbox import open_inbox
@@ -98,7 +98,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         signed = _signed_mode(settings, core, closing)
         node, place = open_node(settings, None if signed is None else signed.authority.signer)
         closing.callback(node.close)
-        is_proven = None if signed is None else signed.authority.admission.is_holders
+        is_proven = None if signed is None else signed.authority.admission.may_be_holders
         inbox = None if core.command is None else open_inbox(settings, place, is_proven)
         if inbox is not None:
             closing.callback(inbox.close)
@@ -159,8 +159,7 @@ def _warn_of_bars(core: Core, settings: Settings, place: ZenohPlace) -> None:
     """Say why nobody can engage this robot. In open mode it arms where this machine alone reaches it."""
     if core.command is not None and settings.authority.mode == "open" and place.outside:
         core.bar({Reason.UNAUTHENTICATED: f"by {', '.join(place.outside)}"}, time.monotonic_ns())
-    for reason, words in core.bars.items():
-        log.warning("nobody can engage this robot: %s: %s; %s", TEXTS[reason].means, words, TEXTS[reason].cure)
+    warn_of_bars(core.bars)
 
 
 def _stop_unguarded(core: Core, bus: ReconnectingBus, guard: GuardLink, settings: Settings) -> None:

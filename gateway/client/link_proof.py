@@ -22,6 +22,7 @@ from schemas.exit_codes import CommandError
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Request, Take
 from schemas.settings import Settings
+from schemas.subjects import DRIVE_VERB
 
 log = logging.getLogger(__name__)
 
@@ -85,7 +86,7 @@ class LinkProof:
 
     def attach(self, verb: str, payload: bytes) -> bytes:
         """The attachment of a command. Before the first challenge there is none: a stop needs none."""
-        if verb == "drive":
+        if verb == DRIVE_VERB:
             return self._proof.drive(payload)
         return self._proof.request(self._robot, verb, payload, self.challenge) if self.challenge else b""
 

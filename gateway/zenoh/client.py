@@ -38,6 +38,12 @@ from schemas.zenoh_link import (
 
 log = logging.getLogger(__name__)
 
+FURTHER_S: Final = 0.2
+"""Who else answers has so long after the first reply. The reply of a robot that is alone ends the question."""
+
+POLL_S: Final = 0.002
+"""How often a reply is looked for."""
+
 SAMPLES_WAITING: Final = 16_384
 """Samples of one subscription that may wait to be drained; beyond it the oldest go.
 
@@ -260,6 +266,21 @@ class PendingQuery:
                 self.timed_out = True
         self.is_over = is_over
         return found
+
+    def wait(self, timeout_s: float, further_s: float = FURTHER_S) -> list[Received]:
+        """All replies. After the first, others have ``further_s`` to come."""
+        deadline_s = time.monotonic() + timeout_s
+        replies: list[Received] = []
+        while True:
+            # Asked first: what came before the end is then among what is polled.
+            is_over = self.is_over or time.monotonic() >= deadline_s
+            found = self.poll()
+            if found and not replies:
+                deadline_s = min(deadline_s, time.monotonic() + further_s)
+            replies += found
+            if is_over:
+                return replies
+            time.sleep(POLL_S)
 
 
 def links_of(session: zenoh.Session) -> frozenset[str]:

@@ -31,7 +31,7 @@ from schemas.settings import (
     VERBS_PER_TICK,
     Settings,
 )
-from schemas.subjects import BY_VERB, COMMAND_CHUNK, STATEMENT_REPLY_ENCODING, STOP_VERB
+from schemas.subjects import BY_VERB, COMMAND_CHUNK, DRIVE_VERB, STATEMENT_REPLY_ENCODING, STOP_VERB
 from schemas.zenoh_link import own_endpoint
 
 log = logging.getLogger(__name__)
@@ -56,8 +56,6 @@ OWN_LINK_TIMEOUT_S: Final = 3.0
 """The gateway's own two sessions are connected within this time, or something is wrong with the endpoint."""
 
 PLAIN_REPLY: Final = BY_VERB[STOP_VERB].reply_encoding
-
-DRIVE: Final = "drive"
 
 
 class _Said(msgspec.Struct, frozen=True):
@@ -94,7 +92,7 @@ class CommandInbox:
         self._last_handle = 0
         self._replier = Replier("command-replies")
         ring = zenoh.handlers.RingChannel
-        stop, drive, verbs = (self._key(keys.ALL, verb) for verb in (STOP_VERB, DRIVE, keys.ALL))
+        stop, drive, verbs = (self._key(keys.ALL, verb) for verb in (STOP_VERB, DRIVE_VERB, keys.ALL))
         self._stop_puts = session.declare_subscriber(stop, ring(STOPS_WAITING))
         self._stop_queries = session.declare_queryable(stop, ring(STOPS_WAITING), complete=True)
         self._verbs = session.declare_queryable(verbs, ring(VERBS_WAITING), complete=True)

@@ -7,7 +7,6 @@ Python of ours runs on Zenoh's threads: replies and samples wait until they are 
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Iterator
 from typing import Any, Final, Protocol, Self
 
@@ -38,12 +37,6 @@ EVENTS_WAITING: Final = 4096
 
 EVENTS_OF_BEFORE: Final = 50
 """This many events of before it listened are heard too."""
-
-FURTHER_S: Final = 0.2
-"""Who else answers has so long after the first reply. The reply of a robot that is alone ends the question."""
-
-POLL_S: Final = 0.002
-"""How often a reply is looked for."""
 
 
 class Prover(Protocol):
@@ -129,7 +122,7 @@ class CommandPort(SessionOwner):
 
     def show(self, statement: bytes, timeout_s: float) -> list[Received]:
         """Show a statement of the authority. Returns the replies that came, not verified."""
-        return _wait(self.begin_to_show(statement, timeout_s), timeout_s)
+        return self.begin_to_show(statement, timeout_s).wait(timeout_s)
 
     def begin_to_show(self, statement: bytes, timeout_s: float) -> PendingQuery:
         """Show a statement of the authority, and come back for the replies later."""
@@ -160,27 +153,11 @@ class CommandPort(SessionOwner):
         Raises:
             CommandError: the session is closed.
         """
-        return _wait(self.begin(verb, payload, timeout_s), timeout_s)
+        return self.begin(verb, payload, timeout_s).wait(timeout_s)
 
     def call_roll(self, timeout_s: float) -> PendingQuery:
         """Ask for the liveliness tokens of the robots that are connected."""
         return call_roll(self._session, self._roll, timeout_s)
-
-
-def _wait(question: PendingQuery, timeout_s: float) -> list[Received]:
-    """All replies to a question; after the first, others have ``FURTHER_S`` to come."""
-    deadline_s = time.monotonic() + timeout_s
-    replies: list[Received] = []
-    while True:
-        # Asked first: what came before the end is then among what is polled.
-        is_over = question.is_over or time.monotonic() >= deadline_s
-        found = question.poll()
-        if found and not replies:
-            deadline_s = min(deadline_s, time.monotonic() + FURTHER_S)
-        replies += found
-        if is_over:
-            return replies
-        time.sleep(POLL_S)
 
 
 class SafetyListener(SessionOwner):

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any, Final, Self
 
 import msgspec
 import zenoh
 
 from gateway.telemetry.received import Received
-from gateway.zenoh.client import call_roll, close_session, open_towards_robots
+from gateway.zenoh.client import POLL_S, PendingQuery, SessionOwner, call_roll, open_towards_robots
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
@@ -19,8 +18,6 @@ from schemas.subjects import BY_NAME
 from schemas.zenoh_link import reason
 
 STATES_WAITING: Final = 64
-
-POLL_S: Final = 0.01
 
 
 class _Asked(msgspec.Struct, frozen=True):
@@ -32,7 +29,7 @@ class _Asked(msgspec.Struct, frozen=True):
 _ASKED: Final = msgspec.msgpack.Decoder(_Asked)
 
 
-class StatementPort:
+class StatementPort(SessionOwner):
     """Where statements go out, and the robots' answers come in."""
 
     def __init__(self, session: zenoh.Session, root: str) -> None:
@@ -42,7 +39,7 @@ class StatementPort:
             session: an open session.
             root: first chunks of every key.
         """
-        self._session = session
+        super().__init__(session)
         self._root = root
 
     @classmethod
@@ -56,15 +53,9 @@ class StatementPort:
 
     def robots(self, timeout_s: float) -> list[str]:
         """The robots that are connected, by their liveliness tokens."""
-        question = call_roll(self._session, keys.liveliness(self._root), timeout_s)
-        found: set[str] = set()
-        while not question.is_over:
-            time.sleep(POLL_S)
-            for reply in question.poll():
-                robot = keys.robot_of_liveliness(self._root, reply.key)
-                if robot is not None:
-                    found.add(robot)
-        return sorted(found)
+        replies = call_roll(self._session, keys.liveliness(self._root), timeout_s).wait(timeout_s, timeout_s)
+        found = {keys.robot_of_liveliness(self._root, reply.key) for reply in replies}
+        return sorted(robot for robot in found if robot is not None)
 
     def show(self, robot: str, text: bytes, timeout_s: float) -> Received | None:
         """Show a robot a statement. Returns its answer; None if none comes.
@@ -72,9 +63,11 @@ class StatementPort:
         Raises:
             CommandError: the session is closed.
         """
+        question = PendingQuery()
         try:
-            replies: Any = self._session.get(
+            self._session.get(
                 keys.authority(self._root, robot),
+                question.handler,
                 payload=text,
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
@@ -83,17 +76,7 @@ class StatementPort:
             )
         except zenoh.ZError as error:
             raise CommandError(f"cannot ask: {reason(str(error))}", ExitCode.UNREACHABLE) from error
-        for reply in replies:
-            sample = reply.ok
-            if sample is not None:
-                attachment = sample.attachment
-                return Received(
-                    str(sample.key_expr),
-                    str(sample.encoding),
-                    sample.payload.to_bytes(),
-                    b"" if attachment is None else attachment.to_bytes(),
-                )
-        return None
+        return next(iter(question.wait(timeout_s)), None)
 
     def challenge(self, robot: str, timeout_s: float, stopped: Callable[[], bool]) -> bytes | None:
         """The newest challenge of a robot; None if it publishes no state."""
@@ -113,18 +96,6 @@ class StatementPort:
         finally:
             states.undeclare()
         return None
-
-    def close(self) -> None:
-        """Leave Zenoh."""
-        close_session(self._session)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _challenge(payload: bytes) -> bytes | None:

@@ -11,6 +11,7 @@ import pytest
 import zenoh
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
+from gateway.client.reasons_text import is_idle
 from gateway.client.refusal import LeaseLost, Refused, Unreachable
 from gateway.client.robot import Lease, Robot
 from gateway.zenoh.client import close_session, open_session
@@ -106,6 +107,7 @@ def stranger(site: Site) -> Iterator[zenoh.Session]:
 def driving(site: Site) -> Iterator[tuple[Robot, Lease]]:
     """The operator, whose robot is engaged and drives."""
     with Robot.connect(ROBOT, settings=site.settings) as robot, robot.lease() as lease:
+        robot.wait_for(lambda state: is_idle(state.blocked_by), 30)
         lease.engage()
         lease.unpark()
         wait_until(lambda: speed_of(robot) > LIMIT_MPS / 2, lambda: lease.drive(WANTED_MPS))
