@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import msgspec
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.command.request import RawRequest
@@ -116,7 +116,6 @@ def test_what_only_an_engaged_robot_does_is_refused_before(command: Command) -> 
     assert bench.tick().auxiliary == []
 
 
-@settings(max_examples=200)
 @given(
     verb=st.sampled_from([command.verb for command in COMMANDS]), payload=st.binary(max_size=60), put=st.booleans()
 )

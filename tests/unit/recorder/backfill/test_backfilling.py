@@ -4,7 +4,7 @@ import io
 from collections.abc import Sequence
 from functools import partial
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.backfill import answers
@@ -104,7 +104,6 @@ def sample(one: Row) -> tuple[str, int]:
 SAMPLES = sorted({sample(one) for one in ROBOT_ROWS if one.topic != CAMERA})
 
 
-@settings(max_examples=50)
 @given(
     st.sets(st.sampled_from(SAMPLES), max_size=60), st.lists(st.integers(1, 40), max_size=3), st.integers(1, 50)
 )
@@ -133,7 +132,6 @@ def test_exactly_what_is_missing_comes_back(
     assert found_in(log_of(late(own)), log_of(depot.written)).holes() == []
 
 
-@settings(max_examples=30)
 @given(st.integers(1000, 4_000), st.integers(2500, 6000))
 def test_a_cut_is_filled_with_all_that_was_said(from_ms: int, length_ms: int) -> None:
     """Also with what has no sequence."""

@@ -181,7 +181,7 @@ def test_the_progress_comes_to_the_length_of_the_file(tmp_path: Path) -> None:
     assert sum(told) == len(LOG)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=50)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.binary(max_size=200), st.integers(0, 10_000))
 def test_nothing_that_a_file_may_hold_raises(tmp_path: Path, noise: bytes, place: int) -> None:
     """Noise in place of a file's bytes."""

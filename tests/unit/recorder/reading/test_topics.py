@@ -5,7 +5,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mcap import records
 from msgspec import inspect
@@ -58,7 +58,6 @@ def topic(
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=schema_name)
-@settings(max_examples=25)
 @given(data=st.data())
 def test_what_was_written_is_read_as_what_it_was(kind: type[msgspec.Struct], data: st.DataObject) -> None:
     """Every class that may be a record, with every value: numbers, flags, enumerations, absent and nested ones."""
@@ -68,7 +67,6 @@ def test_what_was_written_is_read_as_what_it_was(kind: type[msgspec.Struct], dat
     assert type(again) is kind
 
 
-@settings(max_examples=50)
 @given(st.binary(max_size=60))
 def test_bytes_that_are_no_message_raise_what_is_told(noise: bytes) -> None:
     """And nothing else."""

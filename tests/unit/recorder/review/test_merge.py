@@ -54,7 +54,7 @@ def test_messages_come_in_the_order_of_their_log_times(tmp_path: Path) -> None:
     assert joined.bytes == (tmp_path / "out.mcap").stat().st_size
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.lists(st.lists(st.lists(st.integers(0, 50), min_size=1, max_size=6), max_size=5), min_size=1, max_size=3)
 )

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.review.report.findings import Outage, Report
@@ -138,7 +138,6 @@ def test_a_gateway_that_dies_without_end_fills_no_page(report: Report) -> None:
     assert "more such; see the events" in html
 
 
-@settings(max_examples=40)
 @given(st.recursive(st.text(), lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner)))
 def test_json_in_a_script_stays_json_and_ends_no_script(value: object) -> None:
     """Whatever is in it."""
