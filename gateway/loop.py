@@ -139,9 +139,11 @@ class SignedModePort(Protocol):
 
     Attributes:
         authority: as the robot knows it.
+        certificate_ends_s: when the gateway's certificate ends, seconds since 1970; None if it has none.
     """
 
     authority: RobotAuthority
+    certificate_ends_s: int | None
 
     def save(self, kept: Kept) -> None:
         """Keep this across a restart. It never waits."""
@@ -397,6 +399,8 @@ def _read_links(ports: LoopPorts, before: Links, *, is_behind: bool, is_full: bo
         realtime=ports.has_realtime() if is_full else before.realtime,
         inbox_drops=ports.inbox.drops if ports.inbox is not None else 0,
         outside=sink.outside() if is_full else before.outside,
+        certificate_ends_s=None if ports.signed is None else ports.signed.certificate_ends_s,
+        grant_ends_s=None if ports.signed is None else ports.signed.authority.grant_ends_s,
     )
 
 

@@ -329,6 +329,8 @@ class GatewayHealth(Message, frozen=True):
         tick_lateness_worst_ms: the latest since the start.
         cpu_percent: processor time of this process over the last second; 100 is one core.
         realtime: the loop runs with real-time priority. Without it a lower speed limit is in force.
+        certificate_ends_ns: when the certificate ends that the gateway connects with; null where it has none.
+        grant_ends_ns: when the robot's own grant ends, with those above it; null in open mode.
     """
 
     gateway_version: str
@@ -354,6 +356,8 @@ class GatewayHealth(Message, frozen=True):
     tick_lateness_worst_ms: DurationMs
     cpu_percent: Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("%"))]
     realtime: bool = True
+    certificate_ends_ns: TimeNs | None = None
+    grant_ends_ns: TimeNs | None = None
 
 
 class GatewayInfo(Message, frozen=True):

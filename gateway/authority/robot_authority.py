@@ -185,6 +185,13 @@ class RobotAuthority:
             case Revocations() | Rotation() as statement:
                 return self._replace_trust(chain[0], statement, boot_ns)
 
+    @property
+    def grant_ends_s(self) -> int | None:
+        """When the first grant of the robot's own chain ends, seconds since 1970."""
+        return min(
+            (one.statement.not_after for one in self._own if isinstance(one.statement, Grant)), default=None
+        )
+
     def tick(self, now_ns: int, boot_ns: int, wall_ns: int) -> AuthorityEffects:
         """Every 10 ms: what follows from the authority now.
 

@@ -13,6 +13,7 @@ from gateway.authority.signer import RobotSigner
 from gateway.core import Core
 from gateway.host.authority_note import AuthorityNote
 from gateway.provisioning.key_files import directory_of, read_identity
+from gateway.provisioning.tls_files import certificate_ends_s
 from schemas.authority.statement import GrantRole, Signed, read_chain
 from schemas.authority.trust import Objection, Trust
 from schemas.exit_codes import CommandError, ExitCode
@@ -27,6 +28,7 @@ class SignedMode:
 
     Attributes:
         authority: what the robot knows of it.
+        certificate_ends_s: when the certificate ends that the gateway connects with, seconds since 1970.
     """
 
     def __init__(self, settings: Settings, core: Core) -> None:
@@ -37,6 +39,7 @@ class SignedMode:
         """
         directory = directory_of(settings.authority)
         identity = read_identity(directory, "robot")
+        self.certificate_ends_s = certificate_ends_s(settings.zenoh)
         self._note = AuthorityNote.of(settings)
         kept = self._note.read()
         if isinstance(kept, str):

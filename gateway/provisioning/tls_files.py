@@ -10,6 +10,7 @@ from gateway.provisioning.certificates import RENEW_S, CertificateError, expires
 from gateway.provisioning.key_store import KeyStore, read_input
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
+from schemas.settings import ZenohSettings
 
 ENDS: Final = ("connect", "listen")
 
@@ -31,12 +32,9 @@ def check_tls_files(file: Path, who: str, now_s: float) -> str:
         CommandError: a file is missing, wrong, or over.
     """
     cure = f"'cruiser provision renew {who}' asks for another"
-    try:
-        tls = json.loads(read_input(file))["transport"]["link"]["tls"]
-        names = {end: (tls.get(f"{end}_certificate"), tls.get(f"{end}_private_key")) for end in ENDS}
-        ca = tls.get("root_ca_certificate")
-    except (ValueError, LookupError, TypeError, AttributeError):
-        return ""
+    tls = _tls_of(file)
+    names = {end: (tls.get(f"{end}_certificate"), tls.get(f"{end}_private_key")) for end in ENDS}
+    ca = tls.get("root_ca_certificate")
     if isinstance(ca, str):
         _certificate(Path(ca), now_s, "'cruiser provision install' writes it")
     warning = ""
@@ -51,6 +49,26 @@ def check_tls_files(file: Path, who: str, now_s: float) -> str:
         if left_s < RENEW_S:
             warning = f"{plain(certificate)} ends in {left_s / _DAY_S:.1f} days; {cure}"
     return warning
+
+
+def certificate_ends_s(settings: ZenohSettings) -> int | None:
+    """Return when the certificate ends that a session connects with, seconds since 1970; None if none is found."""
+    try:
+        path = _tls_of(Path(settings.config)).get("connect_certificate") if settings.config else None
+        if not isinstance(path, str):
+            return None
+        return expires_s(read_certificates(read_input(Path(path)).decode(errors="replace"))[0])
+    except (CommandError, CertificateError):
+        return None
+
+
+def _tls_of(file: Path) -> dict[str, object]:
+    """The TLS part of a Zenoh file as it was provisioned; nothing of one that somebody wrote in JSON5."""
+    try:
+        tls = json.loads(read_input(file))["transport"]["link"]["tls"]
+    except (ValueError, LookupError, TypeError):
+        return {}
+    return tls if isinstance(tls, dict) else {}
 
 
 def _certificate(path: Path, now_s: float, cure: str) -> float:

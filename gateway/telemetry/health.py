@@ -34,6 +34,8 @@ class Links(msgspec.Struct, frozen=True):
         realtime: the loop has real-time priority.
         inbox_drops: requests that were dropped unread because too many came, since the start.
         outside: the other ends of Zenoh connections that leave this machine.
+        certificate_ends_s, grant_ends_s: the end of the gateway's certificate and of the robot's grant, seconds
+            since 1970; None where there is none.
     """
 
     bus_up: bool = False
@@ -51,6 +53,8 @@ class Links(msgspec.Struct, frozen=True):
     realtime: bool = False
     inbox_drops: int = 0
     outside: tuple[str, ...] = ()
+    certificate_ends_s: int | None = None
+    grant_ends_s: int | None = None
 
 
 class HealthMeter:
@@ -119,6 +123,8 @@ class HealthMeter:
             tick_lateness_worst_ms=round(self._worst_ns / 1e6, 3),
             cpu_percent=round((links.cpu_ns - self._reported_cpu_ns) / elapsed_s / 1e7, 1),
             realtime=links.realtime,
+            certificate_ends_ns=_ns(links.certificate_ends_s),
+            grant_ends_ns=_ns(links.grant_ends_s),
         )
         self._reported_ns = now_ns
         self._reported_frames = frames
@@ -131,3 +137,7 @@ class HealthMeter:
 def _quantile_ms(sorted_ns: list[int], share: float) -> float:
     index = min(len(sorted_ns) - 1, int(share * len(sorted_ns)))
     return round(sorted_ns[index] / 1e6, 3)
+
+
+def _ns(time_s: int | None) -> int | None:
+    return None if time_s is None else time_s * 1_000_000_000

@@ -12,9 +12,10 @@ from gateway.authority.robot_authority import Kept
 from gateway.core import Core
 from gateway.host.authority_note import note_path
 from gateway.host.signed_mode import SignedMode
-from schemas.authority.statement import chain_text
+from gateway.provisioning.certificates import expires_s, read_certificates
+from schemas.authority.statement import Grant, chain_text
 from schemas.exit_codes import CommandError
-from schemas.settings import AuthoritySettings, RobotSettings, Settings
+from schemas.settings import AuthoritySettings, RobotSettings, Settings, ZenohSettings
 from tests.support.provisioning import ProvisionedFleet, chain, run
 
 
@@ -84,3 +85,15 @@ def test_another_robots_keys_start_nothing(fleet: ProvisionedFleet) -> None:
     """The line names the file and the cure."""
     with pytest.raises(CommandError, match=r"robot\.grant is not of a robot called cruiser-2: 'cruiser provision"):
         started(fleet, "cruiser-2")
+
+
+def test_the_ends_of_the_robots_certificate_and_grant_are_known(fleet: ProvisionedFleet) -> None:
+    """Of the certificate that the Zenoh file names, and of the first grant of the chain that ends."""
+    place = fleet.place / "cruiser-1"
+    settings = msgspec.structs.replace(settings_of(fleet), zenoh=ZenohSettings(config=str(place / "robot.json5")))
+    signed = SignedMode(settings, Core(settings, "0", 0, secrets.randbits(53)))
+    signed.close()
+    grants = [one.statement for one in chain(place / "robot.grant")]
+    assert signed.authority.grant_ends_s == min(one.not_after for one in grants if isinstance(one, Grant))
+    certificate = read_certificates((place / "robot-tls.pem").read_text())[0]
+    assert signed.certificate_ends_s == expires_s(certificate)

@@ -25,8 +25,9 @@ from gateway.provisioning.certificates import (
     read_certificates,
     read_request,
 )
-from gateway.provisioning.tls_files import check_tls_files
+from gateway.provisioning.tls_files import certificate_ends_s, check_tls_files
 from schemas.exit_codes import CommandError
+from schemas.settings import ZenohSettings
 from tests.support.secured import Network
 
 NOW_S = 1_795_000_000
@@ -188,3 +189,15 @@ def test_of_a_file_by_hand_nothing_is_said(tmp_path: Path, text: str) -> None:
     file = tmp_path / "own.json5"
     file.write_text(text)
     assert check_tls_files(file, "router", NOW_S) == ""
+    assert certificate_ends_s(ZenohSettings(config=str(file))) is None
+
+
+def test_the_end_of_the_certificate_in_force_is_found(file: Path) -> None:
+    """Whether it is over or not; where there is none, or a damaged one, nothing is said."""
+    settings = ZenohSettings(config=str(file))
+    assert certificate_ends_s(settings) == ends_s(file)
+    file.with_name("router-tls.pem").write_text("damaged")
+    assert certificate_ends_s(settings) is None
+    file.with_name("router-tls.pem").unlink()
+    assert certificate_ends_s(settings) is None
+    assert certificate_ends_s(ZenohSettings()) is None

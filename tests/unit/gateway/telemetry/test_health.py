@@ -45,3 +45,13 @@ def test_strangers_are_counted_by_name_up_to_a_number() -> None:
     assert len(counted) == UNKNOWN_IDENTIFIERS_MAX + 1
     assert counted[OTHER_IDENTIFIERS] == 10
     assert sum(counted.values()) == UNKNOWN_IDENTIFIERS_MAX + 11
+
+
+def test_the_ends_of_certificate_and_grant_are_told_where_there_are_any() -> None:
+    """In nanoseconds, like every time of a message; in open mode both are null."""
+    meter = HealthMeter("0", "can0", 0)
+    links = Links(certificate_ends_s=1_800_000_000, grant_ends_s=1_800_000_001)
+    health = meter.report(SECOND_NS, 0, links, Variant.COARSE, 0, [])
+    assert (health.certificate_ends_ns, health.grant_ends_ns) == (1_800_000_000 * 10**9, 1_800_000_001 * 10**9)
+    health = report(meter, 2 * SECOND_NS)
+    assert (health.certificate_ends_ns, health.grant_ends_ns) == (None, None)
