@@ -10,7 +10,7 @@ STAMP := $(VENV)/installed
 # Tools that the product's environment shall not have: fuzzer, mutation testing, bill of materials, the maker of constraints.
 TOOLS := .venv-tools/bin
 
-.PHONY: help install demo test test-unit nightly test-socketcan readers lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom clean
+.PHONY: help install demo test test-unit nightly test-socketcan metrics-rules readers lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -34,6 +34,9 @@ nightly: $(STAMP) .venv-tools/installed  ## what takes too long for every day: t
 
 test-socketcan: $(STAMP)  ## the gateway on a real SocketCAN interface; boots user-mode Linux where the kernel has none
 	tests/socketcan/run
+
+metrics-rules: $(STAMP)  ## alert rules, dashboard and metrics, as promtool of Debian's prometheus sees them
+	tests/promtool/run
 
 readers: $(STAMP)  ## logs as rerun reads them, in an environment of its own: it takes 800 MB
 	@test -x .venv-readers/bin/rerun || { $(PYTHON) -m venv .venv-readers && \
@@ -84,7 +87,7 @@ COMPILE = $(TOOLS)/uv pip compile --quiet --universal --python-version 3.11 --fo
 	--custom-compile-command 'make constraints' $(UPGRADE)
 constraints: .venv-tools/installed  ## versions and hashes of all packages, anew from pyproject.toml
 	$(COMPILE) pyproject.toml --extra dev --group build -o constraints.txt
-	$(COMPILE) pyproject.toml --group build --constraints constraints.txt -o constraints-run.txt
+	$(COMPILE) pyproject.toml --extra metrics --group build --constraints constraints.txt -o constraints-run.txt
 	$(COMPILE) --group readers --constraints constraints.txt -o constraints-readers.txt
 	$(COMPILE) --group tools --constraints constraints.txt -o constraints-tools.txt
 

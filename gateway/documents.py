@@ -1,7 +1,7 @@
 """All generated parts of README.md and docs/*.md: ``python -m gateway.documents`` rewrites them.
 
 Most are made from the tables of ``schemas``, by ``schemas.documents``. Those of this module are made from the
-arbiter's and the gate's own tables, which ``schemas`` knows nothing of.
+arbiter's, the gate's and the metrics' own tables, which ``schemas`` knows nothing of.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from gateway.chassis.frame import hex_identifier
 from gateway.command import gate
 from gateway.command.causes import STOPS
 from gateway.command.states import diagram
+from gateway.metrics.measures import PREFIXES, measures
 from schemas import documents
 from schemas.documents import Part
 from schemas.messages import Variant
@@ -167,9 +168,20 @@ def _speeds() -> str:
     return "; ".join([*texts, f"scale unknown: {gate_table.SPEED_RAW_MAX[Variant.UNKNOWN]}"])
 
 
+def metric_table() -> str:
+    """Every metric that is made of a field of a message."""
+    rows = [
+        (f"`{measure.shown_name}`", measure.label and f"`{measure.label}`", f"`{kind.__name__}.{measure.field}`")
+        for kind, prefix in PREFIXES.items()
+        for measure in measures(kind, prefix)
+    ]
+    return documents.table(("metric", "label", "field"), rows)
+
+
 PARTS: Final[dict[str, Part]] = {
     "bus-frames": bus_frame_table,
     "bus-rules": bus_rule_table,
+    "metrics": metric_table,
     "states": state_diagram,
     "stops": stop_table,
 }

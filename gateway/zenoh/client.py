@@ -20,8 +20,9 @@ from gateway.telemetry.received import Arrival, Missed, Received, TokenChange
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
+from schemas.recording import RecorderHealth
 from schemas.settings import DEFAULT_ENDPOINT, RobotSettings, Settings, ZenohSettings
-from schemas.subjects import BY_NAME
+from schemas.subjects import BY_NAME, BY_TYPE
 from schemas.zenoh_link import (
     LEASE,
     PROTOCOLS,
@@ -388,3 +389,14 @@ class RobotListener(SessionOwner):
             yield TokenChange(str(token.key_expr), present=token.kind == zenoh.SampleKind.PUT)
         for subscriber in self._samples:
             yield from receive(subscriber.try_recv, SAMPLES_WAITING)
+
+
+class FleetListener(RobotListener):
+    """Receives the health of all recorders too."""
+
+    def __init__(self, session: zenoh.Session, robot: RobotSettings, name: str = "") -> None:
+        """Subscribe on a session, which the listener then owns; see ``RobotListener``."""
+        super().__init__(session, robot, name)
+        key = keys.of_recorder(robot.root, keys.ALL, BY_TYPE[RecorderHealth].name)
+        health = session.declare_subscriber(key, zenoh.handlers.RingChannel(SAMPLES_WAITING))
+        self._samples = (*self._samples, health)

@@ -52,8 +52,8 @@ def test_every_package_is_of_one_version_and_has_hashes(file: str) -> None:
 @pytest.mark.parametrize(
     ("file", "names"),
     [
-        (RUN, ("product", "build", "backend")),
-        (ALL, ("product", "build", "backend", "review", "daft", "dev")),
+        (RUN, ("product", "metrics", "build", "backend")),
+        (ALL, ("product", "build", "backend", "review", "daft", "metrics", "dev")),
         (TOOLS, ("tools",)),
         (READERS, ("readers",)),
     ],

@@ -47,6 +47,13 @@ def test_the_diagram_has_an_arrow_for_every_transition() -> None:
     assert {line for line in lines if "-->" in line} == {"[*] --> standby", *arrows}
 
 
+def test_every_metric_has_a_row() -> None:
+    """With its label, and the field that it is made of."""
+    lines = documents.metric_table().splitlines()
+    assert "| `cruiser_safety_latched` | `reason` | `SafetyState.latched` |" in lines
+    assert "| `cruiser_feedback_lost_total` |  | `FrameHealth.lost` |" in lines
+
+
 def test_every_cause_to_stop_has_a_row() -> None:
     """With how hard it stops, and whether it is latched."""
     rows = documents.stop_table().splitlines()[2:]

@@ -1,0 +1,180 @@
+"""``cruiser metrics`` over real Zenoh and HTTP, in open mode and with certificates."""
+
+from __future__ import annotations
+
+import argparse
+import socket
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from gateway.authority.transport import TransportRole
+from gateway.cli.metrics import add_arguments, run
+from gateway.cli.metrics_server import MetricsServer
+from gateway.metrics.fleet_metrics import FleetMetrics
+from gateway.provisioning.certificates import expires_s, read_certificates
+from gateway.zenoh.client import close_session
+from gateway.zenoh.router import open_router
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import Settings, ZenohSettings
+from tests.support.fakes.gateway import FakeGateway
+from tests.support.fakes.peer import free_endpoint
+from tests.support.messages import HEALTH, recorder_health
+from tests.support.metrics import fleet, received
+from tests.support.processes.gateway import Running
+from tests.support.secured import Network
+from tests.support.waiting import StopWhen
+
+UP = ("cruiser_up", "robot", "cruiser-1")
+RECORDER_UP = ("cruiser_recorder_up", "recorder", "depot")
+
+
+def scrape(address: str) -> dict[tuple[str, str, str], float]:
+    """The values by name and the first label."""
+    with urllib.request.urlopen(address, timeout=10) as answer:  # noqa: S310 - it begins with http
+        text = answer.read().decode()
+    return {
+        (sample.name, *next(iter(sample.labels.items()), ("", ""))): sample.value
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+    }
+
+
+def shows(
+    capsys: pytest.CaptureFixture[str], settings: Settings, said: Callable[[], None]
+) -> dict[tuple[str, str, str], float]:
+    """Run the command in this process until robot and recorder are there. What it shows then."""
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    where: list[str] = []
+    found: dict[tuple[str, str, str], float] = {}
+
+    def look() -> bool:
+        where.extend(word.rstrip(",") for word in capsys.readouterr().err.split() if word.startswith("http"))
+        found.update(scrape(where[0]))
+        return found.get(UP) == found.get(RECORDER_UP) == 1
+
+    assert run(parser.parse_args(["--listen", "127.0.0.1:0"]), settings, StopWhen(look, said)) == 0
+    with pytest.raises(urllib.error.URLError):
+        scrape(where[0])
+    return found
+
+
+def test_a_fleet_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    """A robot and a recorder of the same network, by name."""
+    with FakeGateway("cruiser-1") as gateway:
+        recorder = received(recorder_health())
+
+        def speak() -> None:
+            gateway.say(HEALTH)
+            gateway._session.put(recorder.key, recorder.payload, encoding=recorder.encoding)
+
+        found = shows(capsys, Settings(zenoh=ZenohSettings(connect=[gateway.listen])), speak)
+    assert found["cruiser_gateway_connected", "robot", "cruiser-1"] == 1
+    assert found["cruiser_exporter_connected", "", ""] == 1
+    assert found["cruiser_gateway_frames_total", "robot", "cruiser-1"] == HEALTH.frames
+    assert found["process_resident_memory_bytes", "", ""] > 0
+
+
+@pytest.mark.parametrize("role", [TransportRole.VIEWER, TransportRole.RECORDER])
+def test_a_certificate_of_a_viewer_or_a_recorder_is_enough(
+    role: TransportRole, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Through a router that denies everything else; when the certificate ends is shown too."""
+    network = Network(tmp_path, free_endpoint().replace("tcp/", "tls/"))
+    router, _ = open_router(network.node(TransportRole.ROUTER, "127.0.0.1") / "router.json5", [])
+    sessions = [
+        network.session(TransportRole.ROBOT, "cruiser-1"),
+        network.session(TransportRole.RECORDER, "depot"),
+    ]
+    token = sessions[0].liveliness().declare_token("fleet/cruiser-1/gateway")
+    samples = [received(HEALTH), received(recorder_health())]
+
+    def speak() -> None:
+        for session, sample in zip(sessions, samples, strict=True):
+            session.put(sample.key, sample.payload, encoding=sample.encoding)
+
+    place = network.node(role, "watching")
+    try:
+        settings = Settings(zenoh=ZenohSettings(config=str(place / f"{role.value}.json5")))
+        found = shows(capsys, settings, speak)
+    finally:
+        token.undeclare()
+        for session in (*sessions, router):
+            close_session(session)
+    certificate = read_certificates((place / f"{role.value}-tls.pem").read_text())[0]
+    assert found["cruiser_exporter_certificate_ends_timestamp_seconds", "", ""] == expires_s(certificate)
+    assert found["cruiser_gateway_connected", "robot", "cruiser-1"] == 1
+
+
+def test_as_a_process_it_ends_when_it_is_told_to() -> None:
+    """With exit code 0; until then it shows that nobody is connected."""
+    with Running("metrics", "--connect", free_endpoint(), "--listen", "127.0.0.1:0") as running:
+        address = running.wait_says(r"metrics: (http://127\.0\.0\.1:\d+/metrics), robots at tcp/")[1]
+        assert scrape(address)["cruiser_exporter_connected", "", ""] == 0
+        assert running.stop() == 0
+
+
+def test_an_address_that_is_taken_is_named() -> None:
+    """In one line, and exit code 4."""
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(
+            CommandError, match=f"cannot listen on 127.0.0.1:{port}: Address already in use"
+        ) as error:
+            MetricsServer(fleet(), "127.0.0.1", port)
+    assert error.value.code is ExitCode.UNREACHABLE
+
+
+def test_that_others_can_ask_is_said(caplog: pytest.LogCaptureFixture) -> None:
+    """Not where this machine alone can. The second address is nobody's."""
+    with MetricsServer(fleet(), "127.0.0.1", 0):
+        assert not caplog.records
+    with pytest.raises(CommandError, match=r"cannot listen on 192\.0\.2\.1:9747"):
+        MetricsServer(fleet(), "192.0.2.1", 9747)
+    assert "whoever reaches 192.0.2.1:9747 reads how the robots are" in caplog.text
+
+
+def test_who_asks_and_says_nothing_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Others are answered meanwhile, and it is cut off."""
+    monkeypatch.setattr("gateway.cli.metrics_server._Handler.timeout", 0.5)
+    with MetricsServer(fleet(), "127.0.0.1", 0) as server:
+        port = int(server.where.split(":")[2].partition("/")[0])
+        with socket.create_connection(("127.0.0.1", port), 10) as idle:
+            assert scrape(server.where)["cruiser_exporter_connected", "", ""] == 1
+            assert idle.recv(1) == b""
+
+
+def test_what_waited_while_it_was_held_up_is_not_new(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process that was stopped for a while shows no robot that fell silent meanwhile."""
+    metrics = FleetMetrics("fleet", "1")
+    clock = [10**12]
+    monkeypatch.setattr(time, "monotonic_ns", lambda: clock[0])
+
+    class Waiting:
+        """A listener in which a health waits when it is looked at for the second time."""
+
+        looks = 0
+
+        def drain(self) -> list[object]:
+            self.looks += 1
+            return [received(HEALTH)] if self.looks == 2 else []
+
+        def connected(self) -> bool:
+            return True
+
+    waiting = Waiting()
+
+    def ends() -> bool:
+        if waiting.looks == 1:
+            clock[0] += 60 * 10**9
+        return waiting.looks == 2
+
+    with MetricsServer(metrics, "127.0.0.1", 0) as server:
+        server.follow(waiting, ends)  # type: ignore[arg-type]
+        assert scrape(server.where)[UP] == 0

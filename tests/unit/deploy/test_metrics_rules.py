@@ -1,0 +1,79 @@
+"""Alerts, their tests, the page that explains them, the dashboard and the exporter name the same things.
+
+That they are right PromQL, and fire when they should, is seen by ``make metrics-rules``.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+from prometheus_client.parser import text_string_to_metric_families
+
+from schemas.reasons import Reason
+from tests.support.metrics import DASHBOARD, RULES, full_exposition, names_in, queries
+
+ROOT = Path(__file__).parents[3]
+
+
+def alerts() -> list[str]:
+    """The alerts, in their order."""
+    return re.findall(r"^ +- alert: (\w+)$", RULES.read_text("utf-8"), flags=re.MULTILINE)
+
+
+def expressions() -> str:
+    """The rules without what they say to people."""
+    return re.sub(r"^ +(annotations:|#|- alert:).*$|^#.*$", "", RULES.read_text("utf-8"), flags=re.MULTILINE)
+
+
+def served() -> dict[str, set[str]]:
+    """The labels of each metric that the exporter serves."""
+    found: dict[str, set[str]] = {}
+    for family in text_string_to_metric_families(full_exposition()):
+        for sample in family.samples:
+            found.setdefault(sample.name, set()).update(sample.labels)
+    return found
+
+
+def test_every_alert_has_a_heading_on_the_page_and_every_heading_an_alert() -> None:
+    """In the same order, below the heading of the alerts."""
+    page = (ROOT / "docs" / "operate.md").read_text("utf-8").partition("\n## Alerts\n")[2].partition("\n## ")[0]
+    assert re.findall(r"^### (\w+)$", page, flags=re.MULTILINE) == alerts()
+    assert len(alerts()) == len(set(alerts()))
+
+
+def test_every_alert_is_tested() -> None:
+    """That it stays silent, and that it fires."""
+    text = (RULES.parent / "cruiser.rules.test.yml").read_text("utf-8")
+    for alert in alerts():
+        assert re.search(rf"alertname: {alert}, exp_alerts: \[\]", text), alert
+        assert re.search(rf"alertname: {alert}\n +exp_alerts:\n +- exp_labels", text), alert
+
+
+def test_every_metric_that_is_asked_for_is_served() -> None:
+    """By the rules, by their tests and by the dashboard; with the labels that they stand on."""
+    asked = names_in(expressions()) | names_in(" ".join(queries()))
+    asked |= names_in((RULES.parent / "cruiser.rules.test.yml").read_text("utf-8"))
+    assert len(asked) > 30
+    assert asked - served().keys() == set()
+    for text in (expressions(), *queries()):
+        for name, matchers in re.findall(r"\b(cruiser_\w+)\s*\{([^}]*)\}", text):
+            assert set(re.findall(r"(\w+)\s*(?:=~|!=|=)", matchers)) <= served()[name], name
+
+
+def test_every_reason_that_a_rule_names_exists() -> None:
+    """One of another name would never fire."""
+    named = {reason for text in re.findall(r'reason=~"([^"]+)"', expressions()) for reason in text.split("|")}
+    assert named
+    assert named <= {reason.value for reason in Reason}
+
+
+def test_the_dashboard_takes_any_prometheus() -> None:
+    """Its source of data is a variable, and each panel has another place."""
+    said = json.loads(DASHBOARD.read_text("utf-8"))
+    assert {entry["name"]: entry["type"] for entry in said["templating"]["list"]}["datasource"] == "datasource"
+    assert set(re.findall(r'"uid": "(\$[^"]*)"', DASHBOARD.read_text("utf-8"))) == {"${datasource}"}
+    places = [(panel["gridPos"]["x"], panel["gridPos"]["y"]) for panel in said["panels"]]
+    assert len(places) == len(set(places)) > 20
+    assert len({panel["id"] for panel in said["panels"]}) == len(places)

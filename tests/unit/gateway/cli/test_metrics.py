@@ -1,0 +1,51 @@
+"""``cruiser metrics``: where it listens, and what it needs."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+import pytest
+
+from gateway.cli.metrics import add_arguments, run
+from schemas.exit_codes import CommandError
+from schemas.settings import Settings
+
+
+def parsed(*words: str) -> argparse.Namespace:
+    """The arguments of a command line."""
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    return parser.parse_args(list(words))
+
+
+@pytest.mark.parametrize(
+    ("words", "address"),
+    [
+        ([], ("127.0.0.1", 9747)),
+        (["--listen", "192.0.2.1:1"], ("192.0.2.1", 1)),
+        (["--listen", "[::1]:0"], ("::1", 0)),
+    ],
+)
+def test_it_listens_on_this_machine_unless_asked(words: list[str], address: tuple[str, int]) -> None:
+    """By address and port."""
+    assert parsed(*words).listen == address
+
+
+@pytest.mark.parametrize("text", ["9747", "localhost:9747", "127.0.0.1:", "127.0.0.1:65536", "127.0.0.1:-1", ""])
+def test_what_is_no_address_is_refused(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """With an example of one."""
+    with pytest.raises(SystemExit):
+        parsed("--listen", text)
+    assert "is not an address and a port, such as 0.0.0.0:9747" in capsys.readouterr().err
+
+
+def test_without_its_library_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The product does not need it otherwise."""
+    for name in [name for name in sys.modules if name.startswith("prometheus_client")]:
+        monkeypatch.delitem(sys.modules, name)
+    for name in ("gateway.cli.metrics_server", "gateway.metrics.fleet_metrics"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setitem(sys.modules, "prometheus_client", None)
+    with pytest.raises(CommandError, match=r"prometheus_client: pip install 'cruiser-gateway\[metrics\]'"):
+        run(parsed(), Settings(), lambda: True)
