@@ -26,9 +26,10 @@ from tests.support.fakes.gateway import FakeGateway
 from tests.support.fakes.peer import free_endpoint
 from tests.support.messages import HEALTH, recorder_health
 from tests.support.metrics import fleet, received
-from tests.support.processes.gateway import Running
+from tests.support.processes.gateway import Running, chassis
+from tests.support.provisioning import ProvisionedFleet
 from tests.support.secured import Network
-from tests.support.waiting import StopWhen
+from tests.support.waiting import StopWhen, wait_until
 
 UP = ("cruiser_up", "robot", "cruiser-1")
 RECORDER_UP = ("cruiser_recorder_up", "recorder", "depot")
@@ -107,9 +108,41 @@ def test_a_certificate_of_a_viewer_or_a_recorder_is_enough(
         token.undeclare()
         for session in (*sessions, router):
             close_session(session)
-    certificate = read_certificates((place / f"{role.value}-tls.pem").read_text())[0]
-    assert found["cruiser_exporter_certificate_ends_timestamp_seconds", "", ""] == expires_s(certificate)
+    ends_s = certificate_end(place / f"{role.value}-tls.pem")
+    assert found["cruiser_exporter_certificate_ends_timestamp_seconds", "", ""] == ends_s
     assert found["cruiser_gateway_connected", "robot", "cruiser-1"] == 1
+
+
+def test_a_robot_in_signed_mode_says_when_its_keys_end(tmp_path: Path) -> None:
+    """All of it real, with the files that ``cruiser provision`` makes for a robot, a router and a viewer."""
+    made = ProvisionedFleet(tmp_path, free_endpoint().replace("tcp/", "tls/"))
+    router, robot, viewer = (
+        made.let_in(*who) for who in (("router", "127.0.0.1"), ("robot", "cruiser-1"), ("viewer", "metrics"))
+    )
+    with Running("router", "--directory", str(router)) as routing, chassis() as (_, address):
+        routing.wait_says("listens on")
+        bus = ["--interface", "socketcand", "--channel", address]
+        with (
+            Running("gateway", "--config", str(robot / "robot.toml"), *bus) as gateway,
+            Running("metrics", "--config", str(viewer / "viewer.toml"), "--listen", "127.0.0.1:0") as metrics,
+        ):
+            gateway.wait_says("gateway: ")
+            where = metrics.wait_says(r"(http://[^,]+)")[1]
+            wait_until(lambda: scrape(where).get(UP) == 1)
+            found = scrape(where)
+    ends = {
+        "cruiser_gateway_certificate_ends_timestamp_seconds": certificate_end(robot / "robot-tls.pem"),
+        "cruiser_gateway_grant_ends_timestamp_seconds": made.grant("cruiser-1", "robot").not_after,
+    }
+    assert {name: found.get((name, *UP[1:])) for name in ends} == ends
+    assert found["cruiser_exporter_certificate_ends_timestamp_seconds", "", ""] == certificate_end(
+        viewer / "viewer-tls.pem"
+    )
+
+
+def certificate_end(file: Path) -> int:
+    """When a certificate ends, seconds since 1970."""
+    return expires_s(read_certificates(file.read_text())[0])
 
 
 def test_as_a_process_it_ends_when_it_is_told_to() -> None:
