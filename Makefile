@@ -10,13 +10,16 @@ STAMP := $(VENV)/installed
 # Tools that the product's environment shall not have: fuzzer, mutation testing, bill of materials, the maker of constraints.
 TOOLS := .venv-tools/bin
 
-.PHONY: help install demo test test-unit nightly test-socketcan metrics-rules readers lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom clean
+.PHONY: help install demo demo-fleet test test-unit nightly test-socketcan metrics-rules readers lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 demo: $(DEMO)  ## chassis, gateway, recorder and two operators, for half a minute
 	$(BIN)/cruiser demo --seconds 30 --out demo-log
+
+demo-fleet: $(DEMO)  ## a fleet with keys: let in, driven, attacked, its operator locked out; what was seen
+	$(BIN)/cruiser demo-fleet --out demo-fleet
 
 # Many tests wait for processes, so one more runs than there are processors. Those of the system come first, file by
 # file: beside tests that only reckon, their processes would come too late.
@@ -122,5 +125,5 @@ $(STAMP): $(DEMO) constraints.txt
 	$(TOOLS)/python $(PROJECT)
 	@touch $@
 
-clean:  ## remove the environment and the demo's logs
-	rm -rf $(VENV) build demo-log demo-log-*
+clean:  ## remove the environment and what the demos left
+	rm -rf $(VENV) build demo-log demo-log-* demo-fleet demo-fleet-*

@@ -1,13 +1,17 @@
-"""One of our own commands as a child process, for commands that run several."""
+"""Our own commands as child processes, for commands that run several."""
 
 from __future__ import annotations
 
 import os
+import re
+import socket
 import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import count
+from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
@@ -18,17 +22,34 @@ END_TIMEOUT_S: Final = 20.0
 LINES_KEPT: Final = 50
 
 
-class Child:
-    """One of our own commands in a process of its own. It says that it is ready with its first line on stderr."""
+CRUISER: Final = (sys.executable, "-m", "gateway")
+"""How the ``cruiser`` of this very installation is run."""
 
-    def __init__(self, name: str, words: Sequence[str], **environment: str) -> None:
+
+class Child:
+    """One of our own commands in a process of its own. It says that it is ready with its first line on stderr.
+
+    Args:
+        name: of the command.
+        words: its arguments.
+        cwd: its working directory; None for ours.
+        environment: all of its environment.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        words: Sequence[str],
+        cwd: Path | None = None,
+        environment: Mapping[str, str] = os.environ,
+    ) -> None:
         self._name = name
-        command = [sys.executable, "-m", "gateway", name, *words]
         self._process = subprocess.Popen(  # noqa: S603 - our own command
             # Ctrl-C is for the demo, which ends its children in their order.
-            command,
+            [*CRUISER, name, *words],
             start_new_session=True,
-            env=os.environ | environment,
+            cwd=cwd,
+            env=environment,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -78,6 +99,19 @@ class Child:
         known = {exit_code.value for exit_code in ExitCode} - {ExitCode.OK.value}
         raise CommandError(last, ExitCode(code) if code in known else ExitCode.FAILURE)
 
+    def wait(self) -> tuple[int, str]:
+        """Wait for its end. Returns its exit code, and its last line on stderr.
+
+        Raises:
+            CommandError: it does not end.
+        """
+        try:
+            self._process.wait(END_TIMEOUT_S)
+        except subprocess.TimeoutExpired as error:
+            raise CommandError(f"{self._name} does not end") from error
+        self._thread.join()
+        return self._process.returncode, self._said[-1] if self._said else ""
+
     def type(self, line: str) -> None:
         """Type a line into it."""
         if self._process.stdin is not None:
@@ -112,3 +146,45 @@ class Child:
             self._said.append(line.rstrip("\n"))
             self._spoke.set()
         self._spoke.set()
+
+
+def address_of(chassis: Child) -> str:
+    """Where a virtual chassis that was told to listen on a free port listens, HOST:PORT.
+
+    Raises:
+        CommandError: it does not say.
+    """
+    ready = re.search(r" on (127\.0\.0\.1:\d+)", chassis.wait_ready())
+    if ready is None:
+        raise CommandError("the virtual chassis does not say where it is")
+    return ready[1]
+
+
+def free_port() -> int:
+    """A port of 127.0.0.1 that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def fresh(directory: Path) -> Path:
+    """The first of DIR, DIR-2, DIR-3 and so on that holds nothing yet.
+
+    Raises:
+        CommandError: it cannot be looked at.
+    """
+
+    def candidates() -> Iterator[Path]:
+        yield directory
+        yield from (directory.parent / f"{directory.name}-{number}" for number in count(2))
+
+    try:
+        return next(path for path in candidates() if not path.exists() or not any(path.iterdir()))
+    except OSError as error:
+        raise CommandError(f"cannot write in {error.filename or directory}: {error.strerror}") from error
+
+
+def load() -> str:
+    """The load of the machine, in words."""
+    return f"its load is {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors"

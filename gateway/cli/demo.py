@@ -6,21 +6,18 @@ import argparse
 import json
 import logging
 import os
-import re
-import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
-from gateway.cli.child import Child
+from gateway.cli.child import CRUISER, Child, address_of, free_port, fresh, load
 from gateway.cli.demo_drive import HELD_UP, DemoDrive, TimelineEntry
 from gateway.client.refusal import RobotError, Unreachable
 from gateway.sim.links import LINKS
@@ -69,7 +66,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if arguments.log_level == "warning":
         # What the operators' library warns of is what is shown here, and the timeline has it.
         logging.getLogger("gateway.client").setLevel(logging.ERROR)
-    directory = _fresh(arguments.out)
+    directory = fresh(arguments.out)
     sys.stderr.write(
         f"demo: starts chassis, gateway and recorder; two operators drive for about {arguments.seconds:g} s; "
         f"the log goes to {directory}\n"
@@ -88,9 +85,9 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             break
         if not _is_held_up(problem) or stopped():
             raise CommandError(f"{problem}. The log: {path}", problem.code)
-        kept = _fresh(directory.parent / f"{directory.name}-interrupted")
+        kept = fresh(directory.parent / f"{directory.name}-interrupted")
         directory.rename(kept)
-        interrupted = f"{problem}. That happens on a busy machine: {_load()}. The log until then is in {kept}"
+        interrupted = f"{problem}. That happens on a busy machine: {load()}. The log until then is in {kept}"
         if attempt == ATTEMPTS:
             raise CommandError(f"interrupted {ATTEMPTS} times, at last: {interrupted}", problem.code)
         sys.stderr.write(f"demo: interrupted: {interrupted}. Once more, {attempt + 1} of {ATTEMPTS}\n")
@@ -124,7 +121,7 @@ def describe(summary: dict[str, Any], robot: str) -> str:
         "(by the alive counters in the log)\n"
         f"{summary['messages']} messages on {summary['channels']} channels, {summary['samples_missed']} missed, "
         f"{summary['bytes']} bytes\n"
-        + (f"what is late counts as lost, and on a busy machine much is late: {_load()}\n" if lost else "")
+        + (f"what is late counts as lost, and on a busy machine much is late: {load()}\n" if lost else "")
         + f"log: {summary['path']}\n"
         + "".join(f"incident: {path}\n" for path in summary["incidents"])
         + VIEWERS.format(path=summary["path"], robot=robot)
@@ -132,27 +129,9 @@ def describe(summary: dict[str, Any], robot: str) -> str:
     )
 
 
-def _fresh(directory: Path) -> Path:
-    """The first of DIR, DIR-2, DIR-3 and so on that holds nothing yet."""
-
-    def candidates() -> Iterator[Path]:
-        yield directory
-        yield from (directory.parent / f"{directory.name}-{number}" for number in count(2))
-
-    try:
-        return next(path for path in candidates() if not path.exists() or not any(path.iterdir()))
-    except OSError as error:
-        raise CommandError(f"cannot write in {error.filename or directory}: {error.strerror}") from error
-
-
 def _is_held_up(problem: CommandError) -> bool:
     """Report whether a busy machine explains the problem, so that another attempt may succeed."""
     return problem.reason in HELD_UP if isinstance(problem, RobotError) else isinstance(problem, Unreachable)
-
-
-def _load() -> str:
-    """Return the load of the machine, in words."""
-    return f"its load is {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors"
 
 
 def _seconds(text: str) -> float:
@@ -174,19 +153,16 @@ def _record(
     All three read the configuration that the demo was given; only where they find each other is the demo's own.
     """
     robot = settings.robot
-    endpoint = f"tcp/127.0.0.1:{_free_port()}"
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
     configuration = [] if arguments.config is None else ["--config", arguments.config]
     with ExitStack() as stack:
         chassis = stack.enter_context(Child("sim", [*configuration, "--listen", "127.0.0.1:0"]))
-        ready = re.search(r" on (127\.0\.0\.1:\d+)", chassis.wait_ready())
-        if ready is None:
-            raise CommandError("the virtual chassis does not say where it is")
-        bus = ["--interface", "socketcand", "--channel", ready[1]]
+        bus = ["--interface", "socketcand", "--channel", address_of(chassis)]
         # A stop by the guard in another run must not latch the demo's robot, nor the other way round.
         words = [*configuration, *bus, "--listen", endpoint]
         # The port after that of a free endpoint may be taken.
         own = {"CRUISER_GATEWAY_STATE_DIR": "", "CRUISER_ZENOH_COMMAND_LISTEN": ANY_LOCAL_PORT}
-        gateway = stack.enter_context(Child("gateway", words, **own))
+        gateway = stack.enter_context(Child("gateway", words, environment=os.environ | own))
         gateway.wait_ready()
         recorder = stack.enter_context(
             Child(
@@ -239,16 +215,9 @@ def _drive(
 
 def _review(question: str, path: Path) -> dict[str, Any]:
     """Return the answer to a question about the log; that something is wrong or missing is an answer too."""
-    command = [sys.executable, "-m", "gateway", "review", question, "--json", str(path)]
+    command = [*CRUISER, "review", question, "--json", str(path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603 - our own command
     if not done.stdout:
         raise CommandError(f"the log cannot be read: {done.stderr.strip()}")
     answer: dict[str, Any] = json.loads(done.stdout)
     return answer
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

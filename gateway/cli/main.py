@@ -25,6 +25,7 @@ from typing import Final
 
 COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "demo": ("gateway.cli.demo", "chassis, gateway and recorder together, then a summary"),
+    "demo-fleet": ("gateway.cli.demo_fleet", "a first fleet in signed mode: let in, driven, attacked, locked out"),
     "sim": ("gateway.cli.sim", "a virtual chassis on a CAN bus"),
     "fault": ("gateway.cli.sim_fault", "cause a fault in a running virtual chassis"),
     "gateway": ("gateway.cli.gateway", "put a chassis on Zenoh"),

@@ -77,6 +77,7 @@ PICTURE: Final = (
 COMMANDS: Final[dict[str, Run | Start | str]] = {
     PICTURE: "a picture",
     "make demo": Run(r"second-operator gave the lease back(.|\n)*log: demo-log/"),
+    "make demo-fleet": "tests/system/gateway/cli/test_demo_fleet.py runs it",
     "make test": "runs this test",
     # Five minutes.
     "cruiser sim": Start(r" on 127\.0\.0\.1:", stays=True),

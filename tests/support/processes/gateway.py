@@ -1,6 +1,7 @@
 """Our own commands as real processes."""
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -81,10 +82,15 @@ def gateway(address: str, endpoint: str, *words: str) -> Iterator[Running]:
         yield running
 
 
-def run(words: Sequence[str], timeout_s: float = 100) -> subprocess.CompletedProcess[str]:
+def run(words: Sequence[str], timeout_s: float = 100, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run a command to its end."""
     return subprocess.run(
-        [sys.executable, "-m", "gateway", *words], capture_output=True, text=True, check=False, timeout=timeout_s
+        [sys.executable, "-m", "gateway", *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=timeout_s,
+        env=os.environ | environment,
     )
 
 

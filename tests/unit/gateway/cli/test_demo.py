@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.cli.demo import _fresh, describe
+from gateway.cli.child import fresh
+from gateway.cli.demo import describe
 from schemas.exit_codes import CommandError
 
 
@@ -29,4 +30,4 @@ def test_an_out_that_is_no_directory_is_named(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.touch()
     with pytest.raises(CommandError, match=rf"^cannot write in {path}: Not a directory$"):
-        _fresh(path)
+        fresh(path)
