@@ -20,6 +20,7 @@ from gateway.authority.transport import TransportRole
 from schemas.authority.proof import ProofKind, signed_bytes
 from schemas.authority.statement import ALGORITHM, GrantRole, KeyHex, Signed, StatementFault, read_chain
 from schemas.authority.trust import AuthorityKeys, HeldGrant, Objection, Trust, fits
+from schemas.exit_codes import CommandError, ExitCode
 from schemas.keys import OPERATOR_PATTERN, ROBOT_PATTERN, ROOT_PATTERN
 from schemas.reasons import TEXTS
 
@@ -67,8 +68,11 @@ Endpoint = Annotated[str, Meta(pattern=r"^(tls|quic)/[^\s]+:[0-9]+$", max_length
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_.:-]{1,64}$")]
 
 
-class EnrolmentError(ValueError):
-    """A request or a bundle that cannot be used. The text says why, for a person."""
+class EnrolmentError(CommandError):
+    """A request or a bundle that cannot be used: one line, to which who read the file adds its name."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(message, ExitCode.USAGE)
 
 
 class EnrolmentRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -283,8 +283,8 @@ class FleetStory:
         self._judge_refused(
             "the operator's drive ends", Done(code, last), ExitCode.FAILURE, Reason.GRANT_REVOKED.value
         )
-        words = ("drive", robot.name, "--speed", "0.3", "--seconds", "1", "--timeout", "2")
-        again = self._machines.run(*words, *self._as(OPERATOR, "operator"))
+        once_more = ("drive", robot.name, "--speed", "0.3", "--seconds", "1", "--timeout", "2")
+        again = self._machines.run(*once_more, *self._as(OPERATOR, "operator"))
         self._judge_refused("the operator drives again", again, ExitCode.UNREACHABLE, "revoked")
         self.judge(
             "speed",

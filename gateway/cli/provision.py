@@ -15,8 +15,8 @@ from typing import Final
 import msgspec
 
 from gateway.authority.enrolment import (
+    BY_SITES,
     Bundle,
-    EnrolmentError,
     EnrolmentRequest,
     EnrolmentRole,
     FleetPlace,
@@ -37,7 +37,7 @@ from gateway.provisioning.issuer import (
     rotate,
 )
 from gateway.provisioning.key_files import directory_of
-from gateway.provisioning.key_store import KeyStore, Passphrase, read_input, write_private
+from gateway.provisioning.key_store import KeyStore, Passphrase, naming, read_input, write_private
 from gateway.provisioning.machine_keys import ask_again, install, make_keys, names_here
 from schemas.arguments import add_zenoh_arguments, robot_name, seconds
 from schemas.authority.statement import STATEMENTS_MAX, Grant, GrantRole, Signed
@@ -57,14 +57,8 @@ docs/authority.md begins a fleet, and says what to do about what was lost or sto
 
 HOUR_S, DAY_S = 3600, 86_400
 
-LASTS_S: Final = {
-    EnrolmentRole.SITE: 90 * DAY_S,
-    EnrolmentRole.ROBOT: 90 * DAY_S,
-    EnrolmentRole.RECORDER: 90 * DAY_S,
-}
-"""How long a grant lasts unless it is said; a person's 12 h."""
-
-PERSON_S: Final = 12 * HOUR_S
+PERSON_S, OTHERS_S = 12 * HOUR_S, 90 * DAY_S
+"""How long a grant lasts unless it is said."""
 
 ROBOT_VERBS: Final = [verb for verb in BY_VERB if verb != STOP_VERB]
 """Verbs that want a grant: a stop wants none."""
@@ -94,16 +88,7 @@ Stopped = Callable[[], bool]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the actions and their flags."""
     actions = parser.add_subparsers(title="actions", dest="action", metavar="ACTION", required=True)
-    add = _adder(actions)
-    _add_makers(add)
-    _add_signers(add)
-    _add_statements(add)
 
-
-Add = Callable[[str, str], argparse.ArgumentParser]
-
-
-def _adder(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> Add:
     def add(name: str, about: str) -> argparse.ArgumentParser:
         action = actions.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
         action.add_argument(
@@ -114,18 +99,27 @@ def _adder(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> Add:
         )
         return action
 
-    return add
+    _add_makers(add)
+    _add_signers(add)
+    _add_statements(add)
+
+
+Add = Callable[[str, str], argparse.ArgumentParser]
 
 
 def _add_output(action: argparse.ArgumentParser, what: str) -> None:
     action.add_argument("-o", "--output", metavar="FILE", help=f"where the {what} goes")
+    _add_replace(action)
+
+
+def _add_replace(action: argparse.ArgumentParser) -> None:
     action.add_argument("--replace", action="store_true", help="write over what is there")
 
 
 def _add_makers(add: Add) -> None:
     """What makes keys."""
     standby = add("standby", "the key that replaces a lost or stolen authority; made first, kept elsewhere")
-    standby.add_argument("--replace", action="store_true", help="write over what is there")
+    _add_replace(standby)
     _add_passphrase(standby, makes_keys=True)
     authority = add("authority", "the keys that everything else hangs on; keep them offline")
     authority.add_argument("--standby", required=True, metavar="FILE", help=f"its {STANDBY_FILE}")
@@ -137,7 +131,7 @@ def _add_makers(add: Add) -> None:
         help="where robots and people find the router, tls/HOST:PORT; may be repeated",
     )
     authority.add_argument("--root", dest="robot.root", metavar="ROOT", help="first chunks of every key")
-    authority.add_argument("--replace", action="store_true", help="write over what is there")
+    _add_replace(authority)
     _add_passphrase(authority, makes_keys=True)
 
     for role, about in ABOUT.items():
@@ -166,7 +160,7 @@ def _add_signers(add: Add) -> None:
     install_ = add("install", "take over a bundle, where the keys are that it is for")
     install_.add_argument("bundle", metavar="BUNDLE", help="the file")
     install_.add_argument("--fingerprint", metavar="F", help="refuse the bundle of another authority")
-    install_.add_argument("--replace", action="store_true", help="write over what is there")
+    _add_replace(install_)
 
 
 def _add_statements(add: Add) -> None:
@@ -272,53 +266,53 @@ def _request_file(arguments: argparse.Namespace, role: EnrolmentRole, names: Seq
 
 
 def _write_request(file: Path, request: EnrolmentRequest, arguments: argparse.Namespace) -> None:
-    _write(file, msgspec.json.format(msgspec.json.encode(request), indent=1).decode() + "\n", arguments)
+    text = msgspec.json.format(msgspec.json.encode(request), indent=1).decode()
+    write_private(file, f"{text}\n", replace=arguments.replace)
     _say(f"{file}: {request.role.value} {', '.join(request.names)}, fingerprint {request_fingerprint(request)}")
     _say(f"'cruiser provision sign {file.name}' at the authority answers it")
 
 
 def _sign(arguments: argparse.Namespace, store: KeyStore) -> None:
     file = Path(arguments.request)
-    shown = plain(str(file))
-    try:
-        request = read_request(read_input(file))
-    except EnrolmentError as error:
-        raise CommandError(f"{shown}: {error}", ExitCode.USAGE) from error
+    text = read_input(file)
+    with naming(file):
+        request = read_request(text)
     fingerprint = request_fingerprint(request)
-    if arguments.fingerprint is not None and arguments.fingerprint != fingerprint:
-        raise CommandError(f"{shown} has the fingerprint {fingerprint}: it is another request", ExitCode.USAGE)
+    if arguments.fingerprint not in (None, fingerprint):
+        raise CommandError(
+            f"{plain(str(file))} has the fingerprint {fingerprint}: it is another request", ExitCode.USAGE
+        )
     issuer = Issuer.open(store)
     wanted = _wanted(arguments, request, issuer.last_grant(request))
     output = Path(arguments.output) if arguments.output else file.with_suffix(".bundle")
     _check_free(output, arguments)
-    try:
+    with naming(file):
         bundle, grant = issuer.sign(request, wanted, _now_s())
-    except CommandError as error:
-        raise CommandError(f"{shown}: {error}", error.code) from error
-    _write(output, bundle.decode(), arguments)
+    write_private(output, bundle.decode(), replace=arguments.replace)
     _say(f"{output}: {request.role.value} {', '.join(request.names)}, fingerprint {fingerprint}")
     if grant is not None:
         _say(f"  {_words(grant)}")
 
 
 def _install(arguments: argparse.Namespace, store: KeyStore, settings: Settings) -> None:
-    shown = plain(arguments.bundle)
-    try:
-        bundle = read_bundle(read_input(Path(arguments.bundle)), _now_s())
-    except EnrolmentError as error:
-        raise CommandError(f"{shown}: {error}", ExitCode.USAGE) from error
+    text = read_input(Path(arguments.bundle))
+    with naming(arguments.bundle):
+        bundle = read_bundle(text, _now_s())
     fingerprint = key_fingerprint(bundle.authority.active)
-    if arguments.fingerprint is not None and arguments.fingerprint != fingerprint:
-        raise CommandError(f"{shown} is of the authority {fingerprint}, not of that one", ExitCode.USAGE)
+    if arguments.fingerprint not in (None, fingerprint):
+        raise CommandError(
+            f"{plain(arguments.bundle)} is of the authority {fingerprint}, not of that one", ExitCode.USAGE
+        )
     try:
         done = install(store, bundle, replace=arguments.replace)
     except ValueError as error:
-        raise CommandError(f"{shown}: {error}", ExitCode.USAGE) from error
+        raise CommandError(f"{plain(arguments.bundle)}: {error}", ExitCode.USAGE) from error
     if done.is_new_authority and bundle.role is EnrolmentRole.ROBOT:
         _forget(settings, bundle)
     _say(f"{store.directory}: {', '.join(done.files)}")
     _say(f"{bundle.role.value} {plain(bundle.name)} of authority {fingerprint}")
-    _say(f"certificate until {_utc(done.certificate_until_s)}; {_AFTER[bundle.role].format(store.directory)}")
+    after = _AFTER.get(bundle.role, f"export CRUISER_CONFIG={{}}/{bundle.role.value}.toml").format(store.directory)
+    _say(f"certificate until {_utc(done.certificate_until_s)}; {after}")
 
 
 def _forget(settings: Settings, bundle: Bundle) -> None:
@@ -372,7 +366,7 @@ def _rotate(arguments: argparse.Namespace, store: KeyStore) -> None:
 
 
 def _write_statement(output: Path, signed: Signed, arguments: argparse.Namespace) -> None:
-    _write(output, signed.text(), arguments)
+    write_private(output, signed.text(), replace=arguments.replace)
     _say(f"{output}: 'cruiser provision show {output.name} --all' shows it to the robots")
 
 
@@ -383,18 +377,22 @@ def _wanted(arguments: argparse.Namespace, request: EnrolmentRequest, last: Gran
         flags = ", ".join(f"--{name.replace('_', '-')}" for name in given)
         raise CommandError(f"{flags}: nothing of that is for a {request.role.value}", ExitCode.USAGE)
     is_site = request.role is EnrolmentRole.SITE
-    lasts_s = round(arguments.lasts) if arguments.lasts is not None else LASTS_S.get(request.role, PERSON_S)
+    lasts_s = round(arguments.lasts) if arguments.lasts is not None else _usual_s(request.role)
     usual = ALL_VERBS if is_site else [] if request.role is EnrolmentRole.RECORDER else USUAL_VERBS
-    verbs = arguments.verbs or (last.verbs if last else usual)
+    last_role = last.role if last and last.role in PERSONS else GrantRole.OPERATOR
     return Wanted(
-        verbs=verbs,
+        verbs=arguments.verbs or (last.verbs if last else usual),
         robots=arguments.robots or (last.robots if last else ["*"]),
         lasts_s=lasts_s,
-        role=arguments.role or (last.role if last and last.role in PERSONS else GrantRole.OPERATOR),
+        role=GrantRole(arguments.role) if arguments.role else last_role,
         override=arguments.override or (last is not None and last.override),
         speed_limit_mps=arguments.speed_limit or (last.speed_limit_mps if last else None),
         may_delegate=(arguments.delegate or (last.may_delegate if last else 0) or 1) if is_site else 0,
     )
+
+
+def _usual_s(role: EnrolmentRole) -> int:
+    return PERSON_S if role in BY_SITES else OTHERS_S
 
 
 _GRANT_FLAGS: Final = ("robots", "verbs", "role", "override", "speed_limit", "delegate")
@@ -408,7 +406,7 @@ def _add_grant(parser: argparse.ArgumentParser) -> None:
     grant.add_argument(
         "--robots",
         action="append",
-        type=_pattern,
+        type=_matching("[a-z0-9*-]{1,64}", "no pattern of robots: lower case, digits, '-' and '*'"),
         metavar="PATTERN",
         help="such as 'depot-*'; may be repeated (all)",
     )
@@ -416,7 +414,10 @@ def _add_grant(parser: argparse.ArgumentParser) -> None:
         "--verbs", type=_verbs, metavar="LIST", help="with commas; 'all' (all of a robot's, and a recorder's mark)"
     )
     grant.add_argument(
-        "--role", type=_person, metavar="ROLE", help="operator (the default), program or supervisor"
+        "--role",
+        choices=[role.value for role in PERSONS],
+        metavar="ROLE",
+        help="operator (the default), program or supervisor",
     )
     grant.add_argument("--override", action="store_true", help="may take the lease of a robot that moves")
     grant.add_argument("--speed-limit", type=_speed, metavar="M/S", help="no robot drives faster for this holder")
@@ -438,10 +439,13 @@ def _add_passphrase(parser: argparse.ArgumentParser, *, makes_keys: bool = False
         parser.add_argument("--no-passphrase", action="store_true", help="the keys have none")
 
 
-def _pattern(text: str) -> str:
-    if re.fullmatch(r"[a-z0-9*-]{1,64}", text) is None:
-        raise argparse.ArgumentTypeError(f"{text!a} is no pattern of robots: lower case, digits, '-' and '*'")
-    return text
+def _matching(pattern: str, what: str) -> Callable[[str], str]:
+    def checked(text: str) -> str:
+        if re.fullmatch(pattern, text) is None:
+            raise argparse.ArgumentTypeError(f"{text!a} is {what}")
+        return text
+
+    return checked
 
 
 def _verbs(text: str) -> list[str]:
@@ -450,13 +454,6 @@ def _verbs(text: str) -> list[str]:
     if unknown:
         raise argparse.ArgumentTypeError(f"{unknown[0]!a} is no verb; there are {', '.join(ALL_VERBS)}")
     return names
-
-
-def _person(text: str) -> GrantRole:
-    known = {role.value: role for role in PERSONS}
-    if text not in known:
-        raise argparse.ArgumentTypeError(f"{text!a} is none of {', '.join(known)}")
-    return known[text]
 
 
 def _speed(text: str) -> float:
@@ -472,12 +469,10 @@ _HOSTS: Final = {EnrolmentRole.ROUTER, EnrolmentRole.DESK}
 _AFTER: Final = {
     EnrolmentRole.SITE: "'cruiser provision sign' lets people in",
     EnrolmentRole.ROBOT: "cruiser gateway --config {}/robot.toml",
-    EnrolmentRole.OPERATOR: "export CRUISER_CONFIG={}/operator.toml",
-    EnrolmentRole.VIEWER: "export CRUISER_CONFIG={}/viewer.toml",
     EnrolmentRole.RECORDER: "cruiser record --config {}/recorder.toml",
     EnrolmentRole.ROUTER: "cruiser router --directory {}",
-    EnrolmentRole.DESK: "export CRUISER_CONFIG={}/desk.toml",
 }
+"""What is done next; a person's commands find their settings by the environment."""
 
 
 def _times(unit_s: int) -> Callable[[str], float]:
@@ -491,12 +486,7 @@ def _times(unit_s: int) -> Callable[[str], float]:
 
 
 def _hex(length: int) -> Callable[[str], str]:
-    def text_of(text: str) -> str:
-        if re.fullmatch(f"[0-9a-f]{{{length}}}", text) is None:
-            raise argparse.ArgumentTypeError(f"{text!a} is not {length} hexadecimal digits")
-        return text
-
-    return text_of
+    return _matching(f"[0-9a-f]{{{length}}}", f"not {length} hexadecimal digits")
 
 
 def _words(grant: Grant) -> str:
@@ -519,10 +509,6 @@ def _check_free(output: Path, arguments: argparse.Namespace) -> None:
         raise CommandError(
             f"{plain(str(output))} cannot be written: no such directory, or not yours", ExitCode.USAGE
         )
-
-
-def _write(output: Path, text: str, arguments: argparse.Namespace) -> None:
-    write_private(output, text, replace=arguments.replace)
 
 
 def _utc(time_s: int) -> str:

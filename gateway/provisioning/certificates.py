@@ -21,6 +21,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from gateway.authority.transport import LISTENING, TransportRole
+from schemas.exit_codes import CommandError, ExitCode
 
 LEAF_DAYS: Final = 30
 """Life of a node's certificate."""
@@ -41,8 +42,11 @@ NAME_PATTERN: Final = r"[A-Za-z0-9_.:-]{1,64}"
 _CLIENT, _SERVER = ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH
 
 
-class CertificateError(ValueError):
-    """A request, certificate or key that cannot be used. The text says why, for a person."""
+class CertificateError(CommandError):
+    """A request, certificate or key that cannot be used: one line, to which who read the file adds its name."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(message, ExitCode.USAGE)
 
 
 class Applicant(msgspec.Struct, frozen=True):
@@ -100,15 +104,13 @@ def issue(text: str, role: TransportRole, certificates: str, key: ec.EllipticCur
     """
     request, above = _request(text), read_certificates(certificates)
     usage = [_SERVER, _CLIENT] if role in LISTENING else [_CLIENT]
-    until_s = min(now_s + LEAF_DAYS * 86_400, expires_s(above[0]))
-    builder = _builder(_name(role.value), above[0].subject, _public_key(request), now_s, until_s)
+    builder = _below(above, key, request, role.value, now_s, now_s + LEAF_DAYS * 86_400)
     builder = (
         builder.add_extension(_alternatives(_applicant(request).names), critical=False)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(x509.ExtendedKeyUsage(usage), critical=False)
     )
-    made = _identified(builder, _public_key(request), above[0], key).sign(key, SHA256())
-    return "".join(map(_pem, (made, *_between(above))))
+    return _chain(builder, above, key)
 
 
 def issue_site(text: str, certificates: str, key: ec.EllipticCurvePrivateKey, now_s: int, until_s: int) -> str:
@@ -118,11 +120,9 @@ def issue_site(text: str, certificates: str, key: ec.EllipticCurvePrivateKey, no
         CertificateError: see ``issue``.
     """
     request, above = _request(text), read_certificates(certificates)
-    name = _name(f"{SITE} {_applicant(request).names[0]}")
-    builder = _builder(name, above[0].subject, _public_key(request), now_s, min(until_s, expires_s(above[0])))
+    builder = _below(above, key, request, f"{SITE} {_applicant(request).names[0]}", now_s, until_s)
     builder = _as_authority(builder, 0).add_extension(x509.ExtendedKeyUsage([_CLIENT]), critical=False)
-    made = _identified(builder, _public_key(request), above[0], key).sign(key, SHA256())
-    return "".join(map(_pem, (made, *_between(above))))
+    return _chain(builder, above, key)
 
 
 def read_certificates(text: str) -> list[x509.Certificate]:
@@ -238,22 +238,30 @@ def _as_authority(builder: x509.CertificateBuilder, path_length: int) -> x509.Ce
     return builder.add_extension(constraints, critical=True).add_extension(usage, critical=True)
 
 
-def _identified(
-    builder: x509.CertificateBuilder,
-    key: ec.EllipticCurvePublicKey,
-    above: x509.Certificate,
+def _below(
+    above: list[x509.Certificate],
     signer: ec.EllipticCurvePrivateKey,
+    request: x509.CertificateSigningRequest,
+    common: str,
+    now_s: int,
+    until_s: int,
 ) -> x509.CertificateBuilder:
-    if not fits(above, signer):
+    """A certificate that is signed by the first of those above it, and lasts no longer."""
+    if not fits(above[0], signer):
         raise CertificateError("the authority's key is not that of its certificate")
+    key = _public_key(request)
+    builder = _builder(_name(common), above[0].subject, key, now_s, min(until_s, expires_s(above[0])))
     own = x509.SubjectKeyIdentifier.from_public_key(key)
     authority = x509.AuthorityKeyIdentifier.from_issuer_public_key(signer.public_key())
     return builder.add_extension(own, critical=False).add_extension(authority, critical=False)
 
 
-def _between(certificates: list[x509.Certificate]) -> list[x509.Certificate]:
-    """Those that are no root: who checks a certificate has the root, and nothing below it."""
-    return [one for one in certificates if one.subject != one.issuer]
+def _chain(
+    builder: x509.CertificateBuilder, above: list[x509.Certificate], signer: ec.EllipticCurvePrivateKey
+) -> str:
+    """The certificate and those above it, but for the root: who checks them has that, and nothing below it."""
+    between = [one for one in above if one.subject != one.issuer]
+    return "".join(map(_pem, (builder.sign(signer, SHA256()), *between)))
 
 
 def _raw(key: object) -> bytes:

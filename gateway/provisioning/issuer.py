@@ -135,9 +135,7 @@ class Issuer:
                 f"neither an authority's key nor a site's is in {store.directory}: --directory says where it is",
                 ExitCode.USAGE,
             )
-        chain = read_chain(store.read(SITE_GRANT, "'cruiser provision install' writes it"))
-        if isinstance(chain, StatementFault):
-            raise CommandError(f"{store.path(SITE_GRANT)} is no grant: {chain.detail}", ExitCode.USAGE)
+        chain = store.chain(SITE_GRANT, "'cruiser provision install' writes it")
         return cls(store, store.ed25519(SITE_KEY, _SITE_CURE), chain)
 
     @property
@@ -157,10 +155,7 @@ class Issuer:
             CommandError: the request contradicts itself, or asks a site for what it may not give.
         """
         name, role = request.names[0], request.role
-        try:
-            applicant = read_request(request.csr)
-        except CertificateError as error:
-            raise CommandError(str(error), ExitCode.USAGE) from error
+        applicant = read_request(request.csr)
         if applicant.role != role.value or sorted(applicant.names) != sorted(request.names):
             raise CommandError("the request and its certificate's request name different people", ExitCode.USAGE)
         if self.is_site and role not in BY_SITES:
@@ -222,28 +217,29 @@ class Issuer:
         """
         if self.is_site:
             raise CommandError("the authority alone revokes; a site's grants end by themselves", ExitCode.USAGE)
-        before, serials = self._revoked(), self._serials()
+        before, serials = self._revoked(), serials_of(self.store)
         serial = max(serials.revocations, before.serial, now_s) + 1
         epoch = max(serials.epoch, before.epoch) + raise_epoch
-        signed = self._state(
+        signed = state(
+            self._private,
             Revocations(
                 serial=serial,
                 at=now_s,
                 grants=sorted({*before.grants, *grants}),
                 keys=sorted({*before.keys, *keys}),
                 epoch=epoch,
-            )
+            ),
         )
-        self._save(msgspec.structs.replace(serials, revocations=serial, epoch=epoch))
+        save_serials(self.store, msgspec.structs.replace(serials, revocations=serial, epoch=epoch))
         self.store.write({REVOCATIONS_FILE: signed.text()}, replace=True)
         return signed
 
     def state_time(self, challenge: bytes, now_s: int) -> list[Signed]:
         """A statement of the time, in answer to a challenge."""
-        return [self._state(TimeStatement(challenge=challenge.hex(), at=now_s)), *self.chain]
+        return [state(self._private, TimeStatement(challenge=challenge.hex(), at=now_s)), *self.chain]
 
     def _grant(self, request: EnrolmentRequest, wanted: Wanted, now_s: int) -> list[Signed]:
-        serials, name = self._serials(), request.names[0]
+        serials, name = serials_of(self.store), request.names[0]
         is_robot = request.role is EnrolmentRole.ROBOT
         site_grant = self.chain[0].statement if self.chain else None
         grant = Grant(
@@ -260,13 +256,13 @@ class Issuer:
             epoch=site_grant.epoch if isinstance(site_grant, Grant) else serials.epoch,
             may_delegate=wanted.may_delegate,
         )
-        chain = [self._state(grant), *self.chain]
+        chain = [state(self._private, grant), *self.chain]
         held = self.authority.trust.judge(chain, now_s)
         if isinstance(held, Objection):
             raise CommandError(
                 f"this cannot be granted here: {TEXTS[held.reason].means}: {held.detail}", ExitCode.USAGE
             )
-        self._save(msgspec.structs.replace(serials, grant=grant.serial))
+        save_serials(self.store, msgspec.structs.replace(serials, grant=grant.serial))
         return chain
 
     def _certify(self, request: EnrolmentRequest, now_s: int, wanted: Wanted) -> str:
@@ -281,15 +277,6 @@ class Issuer:
             return issue(request.csr, transport, certificates, key, now_s)
         except CertificateError as error:
             raise CommandError(f"{self.store.path(certificate_name)}: {error}", ExitCode.USAGE) from error
-
-    def _state(self, statement: Statement) -> Signed:
-        return state(self._private, statement)
-
-    def _serials(self) -> Serials:
-        return serials_of(self.store)
-
-    def _save(self, serials: Serials) -> None:
-        save_serials(self.store, serials)
 
     def _revoked(self) -> Revocations:
         if not self.store.has(REVOCATIONS_FILE):

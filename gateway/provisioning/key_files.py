@@ -9,8 +9,9 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from gateway.provisioning.key_store import find
 from schemas.authority import identity
-from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, KEY_FILE, FoundFile, Identity
+from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, KEY_FILE, Identity
 from schemas.authority.trust import Trust
 from schemas.settings import AuthoritySettings
 
@@ -31,7 +32,8 @@ def read_identity(directory: Path, who: str) -> Identity:
         CommandError: a file is missing, unreadable, readable for others, or not what it should be.
     """
     key, grant, authority = (
-        _found(directory / name.format(who=who), who) for name in (KEY_FILE, GRANT_FILE, AUTHORITY_FILE)
+        find(directory / name.format(who=who), identity.again(who))
+        for name in (KEY_FILE, GRANT_FILE, AUTHORITY_FILE)
     )
     return identity.identity_of(key, grant, authority, who)
 
@@ -42,13 +44,4 @@ def read_trust(directory: Path, who: str = "viewer") -> Trust:
     Raises:
         CommandError: the file is missing, unreadable or damaged.
     """
-    return identity.trust_of(_found(directory / AUTHORITY_FILE, who), who)
-
-
-def _found(path: Path, who: str) -> FoundFile:
-    try:
-        with path.open("rb") as file:
-            status = os.fstat(file.fileno())
-            return FoundFile(path, file.read(), status.st_mode, status.st_uid in {0, os.geteuid()})
-    except OSError as error:
-        raise identity.not_found(path, error, identity.again(who)) from error
+    return identity.trust_of(find(directory / AUTHORITY_FILE, identity.again(who)), who)

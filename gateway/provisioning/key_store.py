@@ -9,8 +9,9 @@ import getpass
 import os
 import stat
 import sys
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path, PurePath
 from typing import Final, TypeVar
 
 import msgspec
@@ -26,6 +27,8 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_private_key,
 )
 
+from schemas.authority.identity import FoundFile, check_owner, not_found
+from schemas.authority.statement import Signed, StatementFault, read_chain
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 
@@ -33,8 +36,6 @@ PrivateKey = Ed25519PrivateKey | EllipticCurvePrivateKey
 _T = TypeVar("_T")
 
 FILE_MAX_BYTES: Final = 4_000_000
-
-OTHERS: Final = stat.S_IRWXG | stat.S_IRWXO
 
 
 class Passphrase:
@@ -176,6 +177,19 @@ class KeyStore:
                 f"{plain(str(self.path(name)))} is damaged: {error}; {cure}", ExitCode.USAGE
             ) from error
 
+    def chain(self, name: str, cure: str) -> list[Signed]:
+        """A file of statements.
+
+        Raises:
+            CommandError: it is missing, or holds none.
+        """
+        chain = read_chain(self.read(name, cure))
+        if isinstance(chain, StatementFault):
+            raise CommandError(
+                f"{plain(str(self.path(name)))} is no grant: {chain.detail}; {cure}", ExitCode.USAGE
+            )
+        return chain
+
     def pem(self, private: PrivateKey, *, is_protected: bool) -> str:
         """A private key as a file holds it, under the passphrase if it is to be protected.
 
@@ -208,26 +222,15 @@ class KeyStore:
         return key
 
     def _key(self, name: str, cure: str) -> object:
-        path, content = self.path(name), self.read(name, cure)
-        shown = plain(str(path))
+        file = find(self.path(name), cure)
+        check_owner(file)
+        is_protected = b"BEGIN ENCRYPTED PRIVATE KEY" in file.content
+        password = self._passphrase.of(self.path(name)) if is_protected else None
         try:
-            found = path.stat()
-        except OSError as error:
-            raise CommandError(f"{shown} cannot be read: {error.strerror}", ExitCode.USAGE) from error
-        if found.st_mode & OTHERS:
-            raise CommandError(f"{shown} can be read by others: chmod 600 {shown}", ExitCode.USAGE)
-        if found.st_uid not in {0, os.geteuid()}:
-            raise CommandError(f"{shown} belongs to another user: chown it to yours", ExitCode.USAGE)
-        password = self._passphrase.of(path) if b"BEGIN ENCRYPTED PRIVATE KEY" in content else None
-        try:
-            return load_pem_private_key(content, password)
+            return load_pem_private_key(file.content, password)
         except (ValueError, TypeError, UnsupportedAlgorithm) as error:
-            why = (
-                "the passphrase is wrong, or the file damaged"
-                if password is not None
-                else f"no private key; {cure}"
-            )
-            raise CommandError(f"{shown}: {why}", ExitCode.USAGE) from error
+            why = "the passphrase is wrong, or the file damaged" if is_protected else f"no private key; {cure}"
+            raise CommandError(f"{plain(str(file.path))}: {why}", ExitCode.USAGE) from error
 
     def _other_kind(self, name: str, cure: str) -> CommandError:
         return CommandError(f"{plain(str(self.path(name)))} is another kind of key; {cure}", ExitCode.USAGE)
@@ -240,23 +243,39 @@ class KeyStore:
             raise CommandError(f"{shown} can be written by others: chmod 700 {shown}", ExitCode.USAGE)
 
 
-def read_input(path: Path, cure: str = "") -> bytes:
-    """The content of a file, which is not large.
+def find(path: Path, cure: str = "") -> FoundFile:
+    """A file, which is not large, with what it takes to judge whose it is.
 
     Raises:
         CommandError: it is missing, too large, or cannot be read.
     """
-    shown = plain(str(path))
     try:
         with path.open("rb") as file:
+            status = os.fstat(file.fileno())
             content = file.read(FILE_MAX_BYTES + 1)
-    except FileNotFoundError as error:
-        raise CommandError(f"{shown} is not there{cure and f'; {cure}'}", ExitCode.USAGE) from error
     except OSError as error:
-        raise CommandError(f"{shown} cannot be read: {error.strerror}", ExitCode.USAGE) from error
+        raise not_found(path, error, cure) from error
     if len(content) > FILE_MAX_BYTES:
-        raise CommandError(f"{shown} is too large to be what it should be", ExitCode.USAGE)
-    return content
+        raise CommandError(f"{plain(str(path))} is too large to be what it should be", ExitCode.USAGE)
+    return FoundFile(path, content, status.st_mode, status.st_uid in {0, os.geteuid()})
+
+
+def read_input(path: Path, cure: str = "") -> bytes:
+    """The content of a file.
+
+    Raises:
+        CommandError: see ``find``.
+    """
+    return find(path, cure).content
+
+
+@contextmanager
+def naming(path: str | PurePath, cure: str = "") -> Iterator[None]:
+    """Begin what is said to be wrong with a file's content with its name, and end it with the cure."""
+    try:
+        yield
+    except CommandError as error:
+        raise CommandError(f"{plain(str(path))}: {error}{cure and f'; {cure}'}", error.code) from error
 
 
 def write_private(path: Path, text: str, *, replace: bool) -> None:

@@ -20,14 +20,12 @@ from gateway.authority.enrolment import (
 from gateway.authority.transport import (
     CA_FILE,
     CERTIFICATE_FILE,
-    LISTENING,
     TLS_KEY_FILE,
     TransportRole,
     zenoh_configuration,
 )
 from gateway.provisioning.certificates import (
     NAME_PATTERN,
-    CertificateError,
     expires_s,
     fits,
     names_of,
@@ -35,7 +33,7 @@ from gateway.provisioning.certificates import (
     read_certificates,
 )
 from gateway.provisioning.certificates import new_request as certificate_request
-from gateway.provisioning.key_store import KeyStore
+from gateway.provisioning.key_store import KeyStore, naming
 from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, KEY_FILE
 from schemas.authority.statement import Grant, StatementFault, read_chain
 from schemas.authority.trust import AuthorityKeys
@@ -79,7 +77,16 @@ def names_here(store: KeyStore, role: EnrolmentRole) -> list[str]:
     Raises:
         CommandError: the grant or the certificate is missing or wrong.
     """
-    return _granted_names(store, role) if role.is_granted else _certified_names(store, role)
+    if role.is_granted:
+        name = GRANT_FILE.format(who=role.value)
+        statement = store.chain(name, _INSTALLED)[0].statement
+        if not isinstance(statement, Grant):
+            raise CommandError(f"{store.path(name)} is no grant; {_made_by(role)}", ExitCode.USAGE)
+        return [statement.name]
+    name = _certificate_name(role)
+    text = store.read(name, _INSTALLED).decode(errors="replace")
+    with naming(store.path(name), _made_by(role)):
+        return names_of(read_certificates(text)[0])
 
 
 def ask_again(store: KeyStore, role: EnrolmentRole, names: list[str]) -> EnrolmentRequest:
@@ -91,10 +98,7 @@ def ask_again(store: KeyStore, role: EnrolmentRole, names: list[str]) -> Enrolme
     cure = _made_by(role)
     tls = store.p256(tls_key_name(role), cure)
     private = store.ed25519(KEY_FILE.format(who=role.value), cure) if role.is_granted else None
-    try:
-        return new_request(role, names, certificate_request(tls, role.value, names), private)
-    except EnrolmentError as error:
-        raise CommandError(str(error), ExitCode.USAGE) from error
+    return new_request(role, names, certificate_request(tls, role.value, names), private)
 
 
 class Installed(msgspec.Struct, frozen=True):
@@ -148,6 +152,9 @@ def install(store: KeyStore, bundle: Bundle, *, replace: bool) -> Installed:
     return Installed([*own, *shared], until_s, is_new)
 
 
+_INSTALLED: Final = "'cruiser provision install' writes it"
+
+
 def tls_key_name(role: EnrolmentRole) -> str:
     """The file of the key of its certificate."""
     return SITE_CA_KEY if role is EnrolmentRole.SITE else TLS_KEY_FILE.format(who=role.value)
@@ -161,28 +168,10 @@ def _made_by(role: EnrolmentRole) -> str:
     return f"'cruiser provision {role.value}' makes it"
 
 
-def _granted_names(store: KeyStore, role: EnrolmentRole) -> list[str]:
-    name = GRANT_FILE.format(who=role.value)
-    chain = read_chain(store.read(name, "'cruiser provision install' writes it"))
-    if isinstance(chain, StatementFault) or not isinstance(chain[0].statement, Grant):
-        raise CommandError(f"{store.path(name)} is no grant; {_made_by(role)}", ExitCode.USAGE)
-    return [chain[0].statement.name]
-
-
-def _certified_names(store: KeyStore, role: EnrolmentRole) -> list[str]:
-    name = _certificate_name(role)
-    try:
-        return names_of(read_certificates(store.read(name, "'cruiser provision install' writes it").decode())[0])
-    except (CertificateError, UnicodeDecodeError) as error:
-        raise CommandError(f"{store.path(name)}: {error}; {_made_by(role)}", ExitCode.USAGE) from error
-
-
 def _check_certificate(store: KeyStore, bundle: Bundle) -> int:
-    try:
+    with naming("the bundle's certificate"):
         certificate = read_certificates(bundle.certificate)[0]
         read_certificates(bundle.ca)
-    except CertificateError as error:
-        raise CommandError(f"the bundle's certificate: {error}", ExitCode.USAGE) from error
     name = tls_key_name(bundle.role)
     if not fits(certificate, store.p256(name, _made_by(bundle.role))):
         raise CommandError(f"the bundle is not for {store.path(name)}: it answers another request", ExitCode.USAGE)
@@ -205,10 +194,9 @@ def _own_files(store: KeyStore, bundle: Bundle) -> Mapping[str, str]:
     transport = role.transport
     if transport is None:
         return files
-    names = names_of(read_certificates(bundle.certificate)[0])
     endpoints = bundle.fleet.routers
-    if transport in LISTENING and transport is TransportRole.ROUTER:
-        endpoints = _listening(bundle.fleet.routers, names)
+    if transport is TransportRole.ROUTER:
+        endpoints = _listening(endpoints, names_of(read_certificates(bundle.certificate)[0]))
     robot = bundle.name if role is EnrolmentRole.ROBOT else ""
     zenoh = zenoh_configuration(transport, bundle.fleet.root, store.directory, endpoints, robot)
     files[ZENOH_FILE.format(who=who)] = json.dumps(zenoh, indent=1) + "\n"

@@ -19,6 +19,7 @@ from schemas.authority.proof import RequestProof
 from schemas.authority.statement import Signed, StatementFault, read_chain
 from schemas.authority.trust import AuthorityKeys, Trust
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
 from schemas.settings import AuthoritySettings
 
 AUTO: Final = "auto"
@@ -110,24 +111,35 @@ def private_key(file: FoundFile, cure: str) -> Ed25519PrivateKey:
     Raises:
         CommandError: it is none, or others can read it.
     """
+    check_owner(file)
     try:
         key = load_pem_private_key(file.content, None)
     except (ValueError, TypeError, UnsupportedAlgorithm) as error:
         raise CommandError(f"{file.path} is no private key: {error}; {cure}", ExitCode.USAGE) from error
-    if file.mode & OTHERS:
-        raise CommandError(f"{file.path} can be read by others: chmod 600 {file.path}", ExitCode.USAGE)
-    if not file.is_own:
-        raise CommandError(f"{file.path} belongs to another user: chown it to yours", ExitCode.USAGE)
     if not isinstance(key, Ed25519PrivateKey):
         raise CommandError(f"{file.path} is no Ed25519 key; {cure}", ExitCode.USAGE)
     return key
 
 
-def not_found(path: PurePath, error: OSError, cure: str) -> CommandError:
+def check_owner(file: FoundFile) -> None:
+    """Check that a private key is its owner's alone.
+
+    Raises:
+        CommandError: others can read it, or it is somebody else's.
+    """
+    shown = plain(str(file.path))
+    if file.mode & OTHERS:
+        raise CommandError(f"{shown} can be read by others: chmod 600 {shown}", ExitCode.USAGE)
+    if not file.is_own:
+        raise CommandError(f"{shown} belongs to another user: chown it to yours", ExitCode.USAGE)
+
+
+def not_found(path: PurePath, error: OSError, cure: str = "") -> CommandError:
     """The line for a file that cannot be read."""
+    shown = plain(str(path))
     if isinstance(error, FileNotFoundError):
-        return CommandError(f"{path} is not there; {cure}", ExitCode.USAGE)
-    return CommandError(f"{path} cannot be read: {error.strerror}", ExitCode.USAGE)
+        return CommandError(f"{shown} is not there{cure and f'; {cure}'}", ExitCode.USAGE)
+    return CommandError(f"{shown} cannot be read: {error.strerror}", ExitCode.USAGE)
 
 
 def again(who: str) -> str:
