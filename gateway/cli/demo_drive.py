@@ -129,7 +129,7 @@ class DemoDrive:
         """
         host, _, port = self._endpoint.rpartition(":")
         # Where that is in vain, engage says why.
-        observer.wait_for(lambda state: self._stopped() or waits_for_its_operator(state), GUARD_TIMEOUT_S)
+        observer.wait_for(lambda state: self._stopped() or _waits_for_its_operator(state), GUARD_TIMEOUT_S)
         random = Random()  # noqa: S311 - the weather of a link keeps no secret
         try:
             with Relay(host, int(port), lambda: self._link.delay_s(random)) as relay:
@@ -260,7 +260,7 @@ class DemoDrive:
         return TimelineEntry((event.time_ns - self._begin_ns) / 1e9, "robot", event.text)
 
 
-def waits_for_its_operator(state: SafetyState) -> bool:
+def _waits_for_its_operator(state: SafetyState) -> bool:
     """A guard watches, the robot was seen to stand, and nothing else bars engaging it; or something is latched."""
     return bool(state.latched) or (
         state.guarded and set(state.blocked_by) <= {Reason.NO_LEASE, Reason.NOT_ENGAGED}

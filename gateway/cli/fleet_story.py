@@ -13,7 +13,7 @@ from typing import Any, Final
 import msgspec
 
 from gateway.cli.child import Child
-from gateway.cli.demo_drive import HELD_UP, Interrupted, waits_for_its_operator
+from gateway.cli.demo_drive import HELD_UP, Interrupted
 from gateway.cli.fleet_machines import (
     INTRUDER,
     OPERATOR,
@@ -25,6 +25,7 @@ from gateway.cli.fleet_machines import (
     FleetMachines,
 )
 from gateway.client.payloads import encode_request
+from gateway.client.reasons_text import is_idle
 from gateway.client.robot import Robot
 from gateway.zenoh.client import open_towards_robots
 from gateway.zenoh.operator import CommandPort
@@ -391,7 +392,7 @@ class FleetStory:
 
 
 def _waits(robot: Robot) -> bool:
-    return waits_for_its_operator(robot.state().state)
+    return is_idle(robot.state().state.blocked_by)
 
 
 def _forged(number: int, challenge: bytes) -> Drive:

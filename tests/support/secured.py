@@ -15,6 +15,7 @@ from gateway.authority.transport import (
     CERTIFICATE_FILE,
     TLS_KEY_FILE,
     TransportRole,
+    tls_configuration,
     zenoh_configuration,
 )
 from gateway.provisioning.certificates import issue, new_authority, new_key, new_request
@@ -25,7 +26,7 @@ ROOT = "fleet"
 class Network:
     """A transport authority, and directories of nodes below one directory."""
 
-    def __init__(self, directory: Path, endpoint: str) -> None:
+    def __init__(self, directory: Path, endpoint: str = "") -> None:
         self.directory = directory
         self.endpoint = endpoint
         self.key = new_key()
@@ -33,16 +34,29 @@ class Network:
 
     def node(self, role: TransportRole, name: str, robot: str = "", born_s: int | None = None) -> Path:
         """The directory of a new node: its key, its certificate, of then or now, and its Zenoh file."""
+        place = self._certified(role, name, int(time.time()) if born_s is None else born_s)
+        file = zenoh_configuration(role, ROOT, place, [self.endpoint], robot)
+        write(place / f"{role.value}.json5", json.dumps(file))
+        return place
+
+    def tls_file(self, name: str, **entries: object) -> str:
+        """A Zenoh file of a node that speaks TLS alone, both ways, and has no rules; with further entries."""
+        role = TransportRole.DESK
+        place = self._certified(role, name, int(time.time()))
+        link = {"protocols": ["tls"], "tls": tls_configuration(role, place)}
+        file = place / "tls.json5"
+        write(file, json.dumps({"transport": {"link": link}, **entries}))
+        return str(file)
+
+    def _certified(self, role: TransportRole, name: str, now_s: int) -> Path:
+        """The directory of a node that has a new key and a certificate."""
         place = self.directory / f"{role.value}-{name}"
-        place.mkdir()
+        place.mkdir(exist_ok=True)
         key = new_key()
-        now_s = int(time.time()) if born_s is None else born_s
         certificate = issue(new_request(key, role.value, [name]), role, self.certificate, self.key, now_s)
         write(place / TLS_KEY_FILE.format(who=role.value), pem(key))
         write(place / CERTIFICATE_FILE.format(who=role.value), certificate)
         write(place / CA_FILE, self.certificate)
-        file = zenoh_configuration(role, ROOT, place, [self.endpoint], robot)
-        write(place / f"{role.value}.json5", json.dumps(file))
         return place
 
     def session(self, role: TransportRole, name: str, robot: str = "", **entries: object) -> zenoh.Session:

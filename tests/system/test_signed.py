@@ -1,6 +1,5 @@
 """A robot in signed mode, as its people and its enemies meet it: real processes, real Zenoh, real keys."""
 
-import json
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,14 +8,13 @@ from pathlib import Path
 import msgspec
 import pytest
 import zenoh
-from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
 from gateway.client.reasons_text import is_idle
 from gateway.client.refusal import LeaseLost, Refused, Unreachable
 from gateway.client.robot import Lease, Robot
 from gateway.zenoh.client import close_session, open_session
 from schemas import keys
-from schemas.authority.statement import GrantRole, chain_text
+from schemas.authority.statement import GrantRole
 from schemas.decisions import Reply, StatementReply
 from schemas.exit_codes import CommandError
 from schemas.reasons import Reason
@@ -26,6 +24,7 @@ from schemas.subjects import BY_VERB
 from tests.support.authority import DAY_S, Fleet, Party
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.gateway import Running, chassis, gateway
+from tests.support.provisioned import provision
 from tests.support.waiting import wait_until
 
 ROOT, ROBOT, OPERATOR = "fleet", "cruiser-1", "ann"
@@ -49,14 +48,7 @@ class Site:
 
     def write(self, who: str, party: Party) -> str:
         """Somebody's files, and a configuration that names them; its path."""
-        directory = self.directory / f"{who}-{party.name}"
-        directory.mkdir()
-        key = directory / f"{who}.key"
-        key.touch(0o600)
-        key.write_bytes(party.private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
-        (directory / f"{who}.grant").write_text(chain_text(party.chain))
-        authority = {"active": self.fleet.authority.key.hex(), "standby": self.fleet.standby.key.hex()}
-        (directory / "authority.json").write_text(json.dumps(authority))
+        directory = provision(self.directory / f"{who}-{party.name}", who, party, self.fleet)
         configuration = directory / "cruiser.toml"
         configuration.write_text(
             f'[authority]\nmode = "signed"\ndirectory = "{directory}"\n'

@@ -14,9 +14,9 @@ from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import GatewayInfo
 from schemas.settings import ZenohSettings
 from tests.support.fakes.peer import free_endpoint
-from tests.support.processes.certificates import Authority
 from tests.support.processes.gateway import Running, chassis, gateway, run, wait_for_chassis
 from tests.support.processes.listening import listening
+from tests.support.secured import Network
 from tests.support.waiting import wait_until
 
 EVERY = ("tcp/127.0.0.1:{}", "tcp/0.0.0.0:{}", "tcp/[::]:{}")
@@ -142,17 +142,17 @@ def test_a_file_says_where_to_connect_and_to_listen(tmp_path: Path) -> None:
 
 def test_a_gateway_that_speaks_tls_alone(tmp_path: Path) -> None:
     """It listens on its two ports; with a certificate one stops the robot there, without one nobody connects."""
-    authority = Authority(tmp_path)
+    network = Network(tmp_path)
     port = port_of(free_endpoint())
     listen, commands = (f"tls/0.0.0.0:{one}" for one in (port, port + 1))
     # Its certificate carries a name, not the addresses that it listens on.
-    with dialling("--zenoh-config", authority.zenoh_file("localhost"), "--listen", listen) as running:
+    with dialling("--zenoh-config", network.tls_file("localhost"), "--listen", listen) as running:
         assert listening(running.process.pid) == sockets([listen, commands])
         assert "cannot command" not in "".join(running.said)
         ends = [f"tls/localhost:{one}" for one in (port, port + 1)]
         for mode, connect in (("client", ends[:1]), ("peer", ends)):
             flags = [word for one in connect for word in ("--connect", one)]
-            stop_at(flags.pop(), *flags[:-1], "--zenoh-config", authority.zenoh_file("desk", mode=mode))
+            stop_at(flags.pop(), *flags[:-1], "--zenoh-config", network.tls_file("desk", mode=mode))
         for one in (port, port + 1):
             with pytest.raises(CommandError, match="cannot open Zenoh"):
                 open_session(ZenohSettings(mode="client"), [f"tcp/localhost:{one}"], [])
@@ -160,9 +160,9 @@ def test_a_gateway_that_speaks_tls_alone(tmp_path: Path) -> None:
 
 def test_a_gateway_and_a_recorder_that_speak_tls_alone_dial_out(tmp_path: Path) -> None:
     """Neither listens on anything, the robot is stopped through the router, and the recorder records it."""
-    authority = Authority(tmp_path)
-    robot, desk = (authority.zenoh_file(name) for name in ("robot", "desk"))
-    with router(authority.zenoh_file("localhost"), "tls", "localhost") as endpoint:
+    network = Network(tmp_path)
+    robot, desk = (network.tls_file(name) for name in ("robot", "desk"))
+    with router(network.tls_file("localhost"), "tls", "localhost") as endpoint:
         there = ["--connect", endpoint, "--zenoh-config"]
         with (
             dialling(*there, robot) as running,
@@ -179,7 +179,7 @@ def test_a_gateway_and_a_recorder_that_speak_tls_alone_dial_out(tmp_path: Path) 
 
 def test_where_only_tls_is_allowed_somebody_has_to_say_where(tmp_path: Path) -> None:
     """The endpoint that a gateway listens on by itself is none of TLS: it is told, and nothing else is tried."""
-    file = Authority(tmp_path).zenoh_file("robot")
+    file = Network(tmp_path).tls_file("robot")
     done = run(["gateway", "--interface", "virtual", "--zenoh-config", file])
     assert done.returncode == ExitCode.USAGE
     assert "does not allow; say --listen or --connect" in done.stderr
