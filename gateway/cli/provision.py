@@ -7,17 +7,14 @@ import os
 import re
 import sys
 import time
-from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
 import msgspec
 
 from gateway.authority.enrolment import (
-    BY_SITES,
     Bundle,
-    EnrolmentRequest,
     EnrolmentRole,
     FleetPlace,
     key_fingerprint,
@@ -25,13 +22,13 @@ from gateway.authority.enrolment import (
     read_request,
     request_fingerprint,
 )
+from gateway.cli.grant_arguments import add_grant_arguments, grant_line, in_utc, matching, wanted_grant
 from gateway.cli.statements import run_show, run_time
 from gateway.host.authority_note import note_path
 from gateway.provisioning.issuer import (
     ISSUED_FILE,
     STANDBY_FILE,
     Issuer,
-    Wanted,
     make_authority,
     make_standby,
     rotate,
@@ -40,12 +37,11 @@ from gateway.provisioning.key_files import directory_of
 from gateway.provisioning.key_store import KeyStore, Passphrase, naming, read_input, write_private
 from gateway.provisioning.machine_keys import ask_again, install, make_keys, names_here
 from schemas.arguments import add_zenoh_arguments, robot_name, seconds
-from schemas.authority.statement import STATEMENTS_MAX, Grant, GrantRole, Signed
+from schemas.authority.statement import Signed
 from schemas.authority.trust import AuthorityKeys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings
-from schemas.subjects import BY_VERB, RECORDER_BY_VERB, STOP_VERB
 
 EXAMPLE: Final = """\
   cruiser provision robot cruiser-1                         on the robot: keys, and a request
@@ -54,21 +50,6 @@ EXAMPLE: Final = """\
   cruiser provision revoke ann                              at the authority: a statement
   cruiser provision show revocations.statement --all        from where the robots are reached
 docs/authority.md begins a fleet, and says what to do about what was lost or stolen."""
-
-HOUR_S, DAY_S = 3600, 86_400
-
-PERSON_S, OTHERS_S = 12 * HOUR_S, 90 * DAY_S
-"""How long a grant lasts unless it is said."""
-
-ROBOT_VERBS: Final = [verb for verb in BY_VERB if verb != STOP_VERB]
-"""Verbs that want a grant: a stop wants none."""
-
-ALL_VERBS: Final = [*ROBOT_VERBS, *RECORDER_BY_VERB]
-
-USUAL_VERBS: Final = [*ROBOT_VERBS, "mark"]
-"""What a person may do unless it is said: all of a robot's, and marking an incident at a recorder."""
-
-PERSONS: Final = (GrantRole.OPERATOR, GrantRole.PROGRAM, GrantRole.SUPERVISOR)
 
 TIMEOUT_S: Final = 3.0
 
@@ -153,7 +134,7 @@ def _add_signers(add: Add) -> None:
     sign = add("sign", "let somebody in, at the authority or at a site: a bundle answers the request")
     sign.add_argument("request", metavar="REQUEST", help="the file")
     sign.add_argument("--fingerprint", metavar="F", help="refuse a request of another one")
-    _add_grant(sign)
+    add_grant_arguments(sign)
     _add_output(sign, "bundle")
     _add_passphrase(sign)
 
@@ -209,11 +190,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Stopped) -> 
             _standby(arguments, store)
         case "authority":
             _authority(arguments, store, settings)
-        case "renew":
-            role = EnrolmentRole(arguments.role)
-            names = names_here(store, role)
-            output = _request_file(arguments, role, names)
-            _write_request(output, ask_again(store, role, names), arguments)
         case "sign":
             _sign(arguments, store)
         case "install":
@@ -226,10 +202,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Stopped) -> 
             return int(run_show(arguments, settings, store, stopped))
         case "time":
             return int(run_time(arguments, settings, store, stopped))
-        case action:
-            role, names = EnrolmentRole(action), list(arguments.names)
-            output = _request_file(arguments, role, names)
-            _write_request(output, make_keys(store, role, names, replace=arguments.replace), arguments)
+        case _:
+            _request(arguments, store)
     return int(ExitCode.OK)
 
 
@@ -257,19 +231,32 @@ def _authority(arguments: argparse.Namespace, store: KeyStore, settings: Setting
     _say("its fingerprint is the first thing to compare wherever a bundle is installed")
 
 
-def _request_file(arguments: argparse.Namespace, role: EnrolmentRole, names: Sequence[str]) -> Path:
-    """Where the request goes: it can be written there, before keys are made for it."""
-    name = re.sub(r"[^A-Za-z0-9_.-]", "-", names[0])
-    file = Path(arguments.output or f"{role.value}-{name}.request")
-    _check_free(file, arguments)
-    return file
+class _Output:
+    """A file that travels, and can be written: that is seen before anything is made, signed or numbered for it."""
+
+    def __init__(self, arguments: argparse.Namespace, usual: Path) -> None:
+        self.path = Path(arguments.output) if arguments.output else usual
+        self._replace = arguments.replace
+        shown = plain(str(self.path))
+        if os.path.lexists(self.path) and not self._replace:
+            raise CommandError(f"{shown} is there already; --replace writes over", ExitCode.USAGE)
+        if not os.access(self.path.parent, os.W_OK | os.X_OK):
+            raise CommandError(f"{shown} cannot be written: no such directory, or not yours", ExitCode.USAGE)
+
+    def write(self, text: str) -> None:
+        write_private(self.path, text, replace=self._replace)
 
 
-def _write_request(file: Path, request: EnrolmentRequest, arguments: argparse.Namespace) -> None:
-    text = msgspec.json.format(msgspec.json.encode(request), indent=1).decode()
-    write_private(file, f"{text}\n", replace=arguments.replace)
-    _say(f"{file}: {request.role.value} {', '.join(request.names)}, fingerprint {request_fingerprint(request)}")
-    _say(f"'cruiser provision sign {file.name}' at the authority answers it")
+def _request(arguments: argparse.Namespace, store: KeyStore) -> None:
+    """Ask to be let in: with new keys, or with those that are here."""
+    is_new = arguments.action != "renew"
+    role = EnrolmentRole(arguments.action if is_new else arguments.role)
+    names = list(arguments.names) if is_new else names_here(store, role)
+    output = _Output(arguments, Path(f"{role.value}-{re.sub(r'[^A-Za-z0-9_.-]', '-', names[0])}.request"))
+    request = make_keys(store, role, names, replace=arguments.replace) if is_new else ask_again(store, role, names)
+    output.write(msgspec.json.format(msgspec.json.encode(request), indent=1).decode() + "\n")
+    _say(f"{output.path}: {role.value} {', '.join(names)}, fingerprint {request_fingerprint(request)}")
+    _say(f"'cruiser provision sign {output.path.name}' at the authority answers it")
 
 
 def _sign(arguments: argparse.Namespace, store: KeyStore) -> None:
@@ -283,15 +270,14 @@ def _sign(arguments: argparse.Namespace, store: KeyStore) -> None:
             f"{plain(str(file))} has the fingerprint {fingerprint}: it is another request", ExitCode.USAGE
         )
     issuer = Issuer.open(store)
-    wanted = _wanted(arguments, request, issuer.last_grant(request))
-    output = Path(arguments.output) if arguments.output else file.with_suffix(".bundle")
-    _check_free(output, arguments)
+    wanted = wanted_grant(arguments, request, issuer.last_grant(request))
+    output = _Output(arguments, file.with_suffix(".bundle"))
     with naming(file):
         bundle, grant = issuer.sign(request, wanted, _now_s())
-    write_private(output, bundle.decode(), replace=arguments.replace)
-    _say(f"{output}: {request.role.value} {', '.join(request.names)}, fingerprint {fingerprint}")
+    output.write(bundle.decode())
+    _say(f"{output.path}: {request.role.value} {', '.join(request.names)}, fingerprint {fingerprint}")
     if grant is not None:
-        _say(f"  {_words(grant)}")
+        _say(f"  {grant_line(grant)}")
 
 
 def _install(arguments: argparse.Namespace, store: KeyStore, settings: Settings) -> None:
@@ -312,7 +298,7 @@ def _install(arguments: argparse.Namespace, store: KeyStore, settings: Settings)
     _say(f"{store.directory}: {', '.join(done.files)}")
     _say(f"{bundle.role.value} {plain(bundle.name)} of authority {fingerprint}")
     after = _AFTER.get(bundle.role, f"export CRUISER_CONFIG={{}}/{bundle.role.value}.toml").format(store.directory)
-    _say(f"certificate until {_utc(done.certificate_until_s)}; {after}")
+    _say(f"certificate until {in_utc(done.certificate_until_s)}; {after}")
 
 
 def _forget(settings: Settings, bundle: Bundle) -> None:
@@ -346,12 +332,11 @@ def _revoke(arguments: argparse.Namespace, store: KeyStore) -> None:
             )
         keys += sorted(found)
         revoked += [f"{found[key]} {name}, key {key_fingerprint(key)}" for key in sorted(found)]
-    output = Path(arguments.output or "revocations.statement")
-    _check_free(output, arguments)
+    output = _Output(arguments, Path("revocations.statement"))
     signed = issuer.revoke(keys, list(arguments.grant), _now_s(), raise_epoch=arguments.epoch)
     for line in revoked:
         _say(f"revoked: {line}")
-    _write_statement(output, signed, arguments)
+    _write_statement(output, signed)
 
 
 def _rotate(arguments: argparse.Namespace, store: KeyStore) -> None:
@@ -360,77 +345,13 @@ def _rotate(arguments: argparse.Namespace, store: KeyStore) -> None:
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         shown = plain(arguments.authority)
         raise CommandError(f"{shown} is no authority.json of a new authority: {error}", ExitCode.USAGE) from error
-    output = Path(arguments.output or "rotation.statement")
-    _check_free(output, arguments)
-    _write_statement(output, rotate(store, authority, _now_s()), arguments)
+    output = _Output(arguments, Path("rotation.statement"))
+    _write_statement(output, rotate(store, authority, _now_s()))
 
 
-def _write_statement(output: Path, signed: Signed, arguments: argparse.Namespace) -> None:
-    write_private(output, signed.text(), replace=arguments.replace)
-    _say(f"{output}: 'cruiser provision show {output.name} --all' shows it to the robots")
-
-
-def _wanted(arguments: argparse.Namespace, request: EnrolmentRequest, last: Grant | None) -> Wanted:
-    """What is to be granted: what is said; of what is not, what the same key had, or else what is usual."""
-    given = [name for name in _GRANT_FLAGS if getattr(arguments, name) not in (None, False)]
-    if request.role not in {EnrolmentRole.OPERATOR, EnrolmentRole.SITE} and set(given) - _FOR_ALL:
-        flags = ", ".join(f"--{name.replace('_', '-')}" for name in given)
-        raise CommandError(f"{flags}: nothing of that is for a {request.role.value}", ExitCode.USAGE)
-    is_site = request.role is EnrolmentRole.SITE
-    lasts_s = round(arguments.lasts) if arguments.lasts is not None else _usual_s(request.role)
-    usual = ALL_VERBS if is_site else [] if request.role is EnrolmentRole.RECORDER else USUAL_VERBS
-    last_role = last.role if last and last.role in PERSONS else GrantRole.OPERATOR
-    return Wanted(
-        verbs=arguments.verbs or (last.verbs if last else usual),
-        robots=arguments.robots or (last.robots if last else ["*"]),
-        lasts_s=lasts_s,
-        role=GrantRole(arguments.role) if arguments.role else last_role,
-        override=arguments.override or (last is not None and last.override),
-        speed_limit_mps=arguments.speed_limit or (last.speed_limit_mps if last else None),
-        may_delegate=(arguments.delegate or (last.may_delegate if last else 0) or 1) if is_site else 0,
-    )
-
-
-def _usual_s(role: EnrolmentRole) -> int:
-    return PERSON_S if role in BY_SITES else OTHERS_S
-
-
-_GRANT_FLAGS: Final = ("robots", "verbs", "role", "override", "speed_limit", "delegate")
-_FOR_ALL: Final = {"robots"}
-
-
-def _add_grant(parser: argparse.ArgumentParser) -> None:
-    grant = parser.add_argument_group(
-        "grant", "what is not said is as in the last grant of the same key, or usual"
-    )
-    grant.add_argument(
-        "--robots",
-        action="append",
-        type=_matching("[a-z0-9*-]{1,64}", "no pattern of robots: lower case, digits, '-' and '*'"),
-        metavar="PATTERN",
-        help="such as 'depot-*'; may be repeated (all)",
-    )
-    grant.add_argument(
-        "--verbs", type=_verbs, metavar="LIST", help="with commas; 'all' (all of a robot's, and a recorder's mark)"
-    )
-    grant.add_argument(
-        "--role",
-        choices=[role.value for role in PERSONS],
-        metavar="ROLE",
-        help="operator (the default), program or supervisor",
-    )
-    grant.add_argument("--override", action="store_true", help="may take the lease of a robot that moves")
-    grant.add_argument("--speed-limit", type=_speed, metavar="M/S", help="no robot drives faster for this holder")
-    lasts = grant.add_mutually_exclusive_group()
-    lasts.add_argument("--hours", dest="lasts", type=_times(HOUR_S), metavar="H", help="a person's life (12)")
-    lasts.add_argument("--days", dest="lasts", type=_times(DAY_S), metavar="D", help="all others' (90)")
-    grant.add_argument(
-        "--delegate",
-        type=int,
-        choices=range(1, STATEMENTS_MAX),
-        metavar="N",
-        help="of a site: how many grants may stand below it (1)",
-    )
+def _write_statement(output: _Output, signed: Signed) -> None:
+    output.write(signed.text())
+    _say(f"{output.path}: 'cruiser provision show {output.path.name} --all' shows it to the robots")
 
 
 def _add_passphrase(parser: argparse.ArgumentParser, *, makes_keys: bool = False) -> None:
@@ -439,32 +360,6 @@ def _add_passphrase(parser: argparse.ArgumentParser, *, makes_keys: bool = False
         parser.add_argument("--no-passphrase", action="store_true", help="the keys have none")
 
 
-def _matching(pattern: str, what: str) -> Callable[[str], str]:
-    def checked(text: str) -> str:
-        if re.fullmatch(pattern, text) is None:
-            raise argparse.ArgumentTypeError(f"{text!a} is {what}")
-        return text
-
-    return checked
-
-
-def _verbs(text: str) -> list[str]:
-    names = ALL_VERBS if text == "all" else list(dict.fromkeys(text.split(",")))
-    unknown = [name for name in names if name not in ALL_VERBS]
-    if unknown:
-        raise argparse.ArgumentTypeError(f"{unknown[0]!a} is no verb; there are {', '.join(ALL_VERBS)}")
-    return names
-
-
-def _speed(text: str) -> float:
-    value = seconds(text)
-    if value > _SPEED_MAX_MPS:
-        raise argparse.ArgumentTypeError(f"{text!r} is no speed in m/s")
-    return value
-
-
-_SPEED_MAX_MPS: Final = 100
-_LIFE_MAX_S: Final = 3653 * DAY_S
 _HOSTS: Final = {EnrolmentRole.ROUTER, EnrolmentRole.DESK}
 _AFTER: Final = {
     EnrolmentRole.SITE: "'cruiser provision sign' lets people in",
@@ -475,44 +370,8 @@ _AFTER: Final = {
 """What is done next; a person's commands find their settings by the environment."""
 
 
-def _times(unit_s: int) -> Callable[[str], float]:
-    def life(text: str) -> float:
-        value = seconds(text) * unit_s
-        if not 1 <= value <= _LIFE_MAX_S:
-            raise argparse.ArgumentTypeError(f"{text!r} is longer than anything is granted")
-        return value
-
-    return life
-
-
 def _hex(length: int) -> Callable[[str], str]:
-    return _matching(f"[0-9a-f]{{{length}}}", f"not {length} hexadecimal digits")
-
-
-def _words(grant: Grant) -> str:
-    limit = "" if grant.speed_limit_mps is None else f", at most {grant.speed_limit_mps:g} m/s"
-    override = ", may override" if grant.override else ""
-    verbs = "" if not grant.verbs else f", verbs {_verb_words(grant.verbs)}"
-    until = _utc(grant.not_after)
-    return f"{grant.role.value} on {', '.join(grant.robots)}{verbs}{limit}{override}, until {until}"
-
-
-def _verb_words(verbs: Sequence[str]) -> str:
-    return "all" if set(verbs) == set(ALL_VERBS) else ", ".join(verbs)
-
-
-def _check_free(output: Path, arguments: argparse.Namespace) -> None:
-    """Before anything is signed or numbered."""
-    if os.path.lexists(output) and not arguments.replace:
-        raise CommandError(f"{plain(str(output))} is there already; --replace writes over", ExitCode.USAGE)
-    if not os.access(output.parent, os.W_OK | os.X_OK):
-        raise CommandError(
-            f"{plain(str(output))} cannot be written: no such directory, or not yours", ExitCode.USAGE
-        )
-
-
-def _utc(time_s: int) -> str:
-    return datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%d %H:%M UTC")
+    return matching(f"[0-9a-f]{{{length}}}", f"not {length} hexadecimal digits")
 
 
 def _now_s() -> int:

@@ -1,0 +1,152 @@
+"""The flags by which ``cruiser provision sign`` says what is granted, and a grant in words."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Callable
+from datetime import UTC, datetime
+from typing import Final
+
+from gateway.authority.enrolment import BY_SITES, EnrolmentRequest, EnrolmentRole
+from gateway.provisioning.issuer import Wanted
+from schemas.arguments import seconds
+from schemas.authority.statement import STATEMENTS_MAX, Grant, GrantRole
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.subjects import BY_VERB, RECORDER_BY_VERB, STOP_VERB
+
+HOUR_S, DAY_S = 3600, 86_400
+
+PERSON_S, OTHERS_S = 12 * HOUR_S, 90 * DAY_S
+"""How long a grant lasts unless it is said."""
+
+ROBOT_VERBS: Final = [verb for verb in BY_VERB if verb != STOP_VERB]
+"""Verbs that want a grant: a stop wants none."""
+
+ALL_VERBS: Final = [*ROBOT_VERBS, *RECORDER_BY_VERB]
+
+USUAL_VERBS: Final = [*ROBOT_VERBS, "mark"]
+"""What a person may do unless it is said: all of a robot's, and marking an incident at a recorder."""
+
+PERSONS: Final = (GrantRole.OPERATOR, GrantRole.PROGRAM, GrantRole.SUPERVISOR)
+
+_SPEED_MAX_MPS: Final = 100
+_LIFE_MAX_S: Final = 3653 * DAY_S
+
+_GRANT_FLAGS: Final = ("robots", "verbs", "role", "override", "speed_limit", "delegate")
+_FOR_ALL: Final = {"robots"}
+
+
+def add_grant_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags that ``wanted_grant`` reads."""
+    grant = parser.add_argument_group(
+        "grant", "what is not said is as in the last grant of the same key, or usual"
+    )
+    grant.add_argument(
+        "--robots",
+        action="append",
+        type=matching("[a-z0-9*-]{1,64}", "no pattern of robots: lower case, digits, '-' and '*'"),
+        metavar="PATTERN",
+        help="such as 'depot-*'; may be repeated (all)",
+    )
+    grant.add_argument(
+        "--verbs", type=_verbs, metavar="LIST", help="with commas; 'all' (all of a robot's, and a recorder's mark)"
+    )
+    grant.add_argument(
+        "--role",
+        choices=[role.value for role in PERSONS],
+        metavar="ROLE",
+        help="operator (the default), program or supervisor",
+    )
+    grant.add_argument("--override", action="store_true", help="may take the lease of a robot that moves")
+    grant.add_argument("--speed-limit", type=_speed, metavar="M/S", help="no robot drives faster for this holder")
+    lasts = grant.add_mutually_exclusive_group()
+    lasts.add_argument("--hours", dest="lasts", type=_times(HOUR_S), metavar="H", help="a person's life (12)")
+    lasts.add_argument("--days", dest="lasts", type=_times(DAY_S), metavar="D", help="all others' (90)")
+    grant.add_argument(
+        "--delegate",
+        type=int,
+        choices=range(1, STATEMENTS_MAX),
+        metavar="N",
+        help="of a site: how many grants may stand below it (1)",
+    )
+
+
+def wanted_grant(arguments: argparse.Namespace, request: EnrolmentRequest, last: Grant | None) -> Wanted:
+    """What is to be granted: what is said; of what is not, what the same key had, or else what is usual.
+
+    Args:
+        arguments: as ``add_grant_arguments`` declares them.
+        request: who asks.
+        last: what the same key was granted last; None if nothing.
+
+    Raises:
+        CommandError: a flag is not for who asks.
+    """
+    given = [name for name in _GRANT_FLAGS if getattr(arguments, name) not in (None, False)]
+    if request.role not in {EnrolmentRole.OPERATOR, EnrolmentRole.SITE} and set(given) - _FOR_ALL:
+        flags = ", ".join(f"--{name.replace('_', '-')}" for name in given)
+        raise CommandError(f"{flags}: nothing of that is for a {request.role.value}", ExitCode.USAGE)
+    is_site = request.role is EnrolmentRole.SITE
+    usual_s = PERSON_S if request.role in BY_SITES else OTHERS_S
+    usual = ALL_VERBS if is_site else [] if request.role is EnrolmentRole.RECORDER else USUAL_VERBS
+    last_role = last.role if last and last.role in PERSONS else GrantRole.OPERATOR
+    return Wanted(
+        verbs=arguments.verbs or (last.verbs if last else usual),
+        robots=arguments.robots or (last.robots if last else ["*"]),
+        lasts_s=usual_s if arguments.lasts is None else round(arguments.lasts),
+        role=GrantRole(arguments.role) if arguments.role else last_role,
+        override=arguments.override or (last is not None and last.override),
+        speed_limit_mps=arguments.speed_limit or (last.speed_limit_mps if last else None),
+        may_delegate=(arguments.delegate or (last.may_delegate if last else 0) or 1) if is_site else 0,
+    )
+
+
+def grant_line(grant: Grant) -> str:
+    """A grant, for people."""
+    limit = "" if grant.speed_limit_mps is None else f", at most {grant.speed_limit_mps:g} m/s"
+    override = ", may override" if grant.override else ""
+    verbs = "all" if set(grant.verbs) == set(ALL_VERBS) else ", ".join(grant.verbs)
+    may = f"{grant.role.value} on {', '.join(grant.robots)}" + (f", verbs {verbs}" if verbs else "")
+    return f"{may}{limit}{override}, until {in_utc(grant.not_after)}"
+
+
+def in_utc(time_s: int) -> str:
+    """Seconds since 1970 as a person reads them."""
+    return datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def matching(pattern: str, what: str) -> Callable[[str], str]:
+    """An argument that matches a pattern; of another one is said what it is."""
+
+    def checked(text: str) -> str:
+        if re.fullmatch(pattern, text) is None:
+            raise argparse.ArgumentTypeError(f"{text!a} is {what}")
+        return text
+
+    return checked
+
+
+def _verbs(text: str) -> list[str]:
+    names = ALL_VERBS if text == "all" else list(dict.fromkeys(text.split(",")))
+    unknown = [name for name in names if name not in ALL_VERBS]
+    if unknown:
+        raise argparse.ArgumentTypeError(f"{unknown[0]!a} is no verb; there are {', '.join(ALL_VERBS)}")
+    return names
+
+
+def _speed(text: str) -> float:
+    value = seconds(text)
+    if value > _SPEED_MAX_MPS:
+        raise argparse.ArgumentTypeError(f"{text!r} is no speed in m/s")
+    return value
+
+
+def _times(unit_s: int) -> Callable[[str], float]:
+    def life(text: str) -> float:
+        value = seconds(text) * unit_s
+        if not 1 <= value <= _LIFE_MAX_S:
+            raise argparse.ArgumentTypeError(f"{text!r} is longer than anything is granted")
+        return value
+
+    return life
