@@ -298,12 +298,12 @@ class FleetStory:
         words = ("recorder/log", "--authority", "authority/authority.json")
         done = self._machines.run("review", "verify", "--json", *words)
         try:
-            reports: dict[str, Any] = {
-                report["robot"]: report for report in map(json.loads, done.text.splitlines())
-            }
+            found = [json.loads(line) for line in done.text.splitlines()]
+            reports: dict[str, Any] = {robot: one for robot in ROBOTS for one in found if one["robot"] == robot}
+            driven = reports[ROBOTS[0]]
         except (ValueError, LookupError, TypeError) as error:
             raise CommandError(f"cruiser review verify: {done.last}") from error
-        for robot, report in sorted(reports.items()):
+        for robot, report in reports.items():
             counts = [count for run in report["runs"] for count in run["subjects"].values()]
             proven = sum(count["proven"] for count in counts)
             lost = sum(count["missing"] + count["broken"] for count in counts)
@@ -313,18 +313,22 @@ class FleetStory:
                 f"{proven} samples proven by {heads} chain heads, {lost} missing or changed",
                 proven > 0 and not lost and not report["findings"],
             )
-        signers = {
-            one["id"]: f"{one['name']} by {' by '.join([*one['signers'], 'the authority'])}"
-            for one in reports[ROBOTS[0]]["grants"]
-        }
-        holders = [one for one in reports[ROBOTS[0]]["holders"] if one["drives"]]
+        # The operator's own, of after the revocation, are no forged ones.
+        own = Reason.GRANT_REVOKED.value
+        forged = sum(one["count"] for one in driven["refused"] if one["reason"] != own)
+        stops = sum(one["count"] for one in driven["unproven_stops"])
         self.judge(
-            f"who drove {ROBOTS[0]}",
-            "; ".join(
-                f"{one['drives']} drive commands of {signers.get(one['grant'], 'nobody known')}" for one in holders
-            ),
-            [one["operator"] for one in holders] == [OPERATOR],
+            f"what reached {ROBOTS[0]} of the forged commands",
+            f"{forged} verbs and drives, {stops} stops, by its log",
+            not forged and not stops,
         )
+        signers = {
+            one["id"]: " by ".join([one["name"], *one["signers"], "the authority"]) for one in driven["grants"]
+        }
+        holders = [one for one in driven["holders"] if one["drives"]]
+        drives = [f"{one['drives']} drive commands of {signers.get(one['grant'], 'nobody')}" for one in holders]
+        by_whom = [one["operator"] for one in holders]
+        self.judge(f"who drove {ROBOTS[0]}", "; ".join(drives), by_whom == [OPERATOR])
         self.judge("cruiser review verify", f"exit code {done.code}", done.code == ExitCode.OK)
 
     def _judge_refused(self, what: str, done: Done, code: ExitCode, because: str = "") -> None:

@@ -34,6 +34,7 @@ SEEN = {
     "speed": "0.5 granted",
     "the log of cruiser-1": "0 missing or changed",
     "the log of cruiser-2": "0 missing or changed",
+    "what reached cruiser-1 of the forged commands": "0 verbs and drives, 0 stops",
     "who drove cruiser-1": "ann by depot by the authority",
     "cruiser review verify": "exit code 0",
 }
