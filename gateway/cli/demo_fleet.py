@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
             sys.stdout.flush()
 
     if arguments.hold:
-        return _hold(_machines(arguments.out, tell), arguments, stopped)
+        return _hold(_machines(arguments.out, tell, stopped), arguments, stopped)
     begin_s = time.monotonic()
     machines, facts = _play(arguments.out, stopped, tell)
     if arguments.json:
@@ -92,7 +92,7 @@ def _play(
 ) -> tuple[FleetMachines, Sequence[Fact]]:
     """Play the story, once more where a busy machine has stopped the robot. Returns the last of them."""
     for attempt in range(1, ATTEMPTS + 1):
-        machines = _machines(out, tell)
+        machines = _machines(out, tell, stopped)
         story = FleetStory(machines, stopped, tell)
         try:
             story.play()
@@ -107,8 +107,8 @@ def _play(
     return machines, story.facts
 
 
-def _machines(out: Path, tell: Callable[[str], None]) -> FleetMachines:
-    machines = FleetMachines(fresh(out), tell)
+def _machines(out: Path, tell: Callable[[str], None], stopped: Callable[[], bool]) -> FleetMachines:
+    machines = FleetMachines(fresh(out), tell, stopped)
     tell(f"each machine has its files in a directory of its own; all commands run in {machines.directory}")
     return machines
 

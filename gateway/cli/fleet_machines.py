@@ -17,6 +17,7 @@ import msgspec
 
 from gateway.cli.child import CRUISER, Child, address_of, free_port
 from gateway.cli.configuration_file import load_settings
+from gateway.cli.demo_drive import Interrupted
 from schemas.exit_codes import CommandError
 from schemas.settings import Settings
 
@@ -67,11 +68,12 @@ class FleetMachines:
         children: what runs until the end, by its name, in the order in which it was started.
     """
 
-    def __init__(self, directory: Path, tell: Callable[[str], None]) -> None:
+    def __init__(self, directory: Path, tell: Callable[[str], None], stopped: Callable[[], bool]) -> None:
         self.directory = directory.absolute()
         self.endpoint = f"tls/{HOST}:{free_port()}"
         self.children: dict[str, Child] = {}
         self._tell = tell
+        self._stopped = stopped
         # What is set for another robot, or another fleet, is not meant for this one.
         self._environment = {name: text for name, text in os.environ.items() if not name.startswith("CRUISER_")}
         try:
@@ -80,7 +82,14 @@ class FleetMachines:
             raise CommandError(f"cannot write in {directory}: {error.strerror}") from error
 
     def run(self, *words: str) -> Done:
-        """Run a command to its end."""
+        """Run a command to its end.
+
+        Raises:
+            Interrupted: somebody has ended all of it.
+            CommandError: it does not end.
+        """
+        if self._stopped():
+            raise Interrupted
         self._tell(f"  $ cruiser {shlex.join(words)}")
         try:
             done = subprocess.run(  # noqa: S603 - our own command

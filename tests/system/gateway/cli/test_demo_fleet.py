@@ -78,6 +78,23 @@ def test_a_fleet_that_is_held_serves_clients_until_ctrl_c(tmp_path: Path) -> Non
     assert ended.returncode == 4, ended.stdout
 
 
+def test_ctrl_c_ends_it_while_people_are_let_in(tmp_path: Path) -> None:
+    """Soon, without the rest of the story."""
+    words = [sys.executable, "-m", "gateway", "demo-fleet", "--out", str(tmp_path / "fleet")]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            for line in process.stdout or ():
+                if "provision authority" in line:
+                    break
+            process.send_signal(signal.SIGINT)
+            told, errors = process.communicate(timeout=60)
+        finally:
+            process.kill()
+    assert process.returncode == 3
+    assert errors == "cruiser demo-fleet: interrupted\n"
+    assert "provision sign" not in told
+
+
 def test_a_directory_that_cannot_be_written_is_one_clear_line() -> None:
     """Nothing starts."""
     done = run(["demo-fleet", "--out", "/proc/nowhere"])
