@@ -22,7 +22,6 @@ from schemas.authority.statement import ALGORITHM, GrantRole, KeyHex, Signed, St
 from schemas.authority.trust import AuthorityKeys, HeldGrant, Objection, Trust, fits
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.keys import OPERATOR_PATTERN, ROBOT_PATTERN, ROOT_PATTERN
-from schemas.reasons import TEXTS
 
 _T = TypeVar("_T")
 
@@ -247,7 +246,7 @@ def _judged(trust: Trust, chain_text: str, now_s: int, what: str) -> HeldGrant:
         raise EnrolmentError(f"{what} cannot be read: {chain.detail}")
     held = trust.judge(chain, now_s)
     if isinstance(held, Objection):
-        raise EnrolmentError(f"{what} does not hold: {TEXTS[held.reason].means}: {held.detail}")
+        raise EnrolmentError(f"{what} does not hold: {held.text}")
     return held
 
 

@@ -17,7 +17,7 @@ import msgspec
 from gateway.cli.child import fresh, load
 from gateway.cli.demo_drive import Interrupted
 from gateway.cli.fleet_machines import OPERATOR, OPERATOR_LIMIT_MPS, ROBOTS, VIEWER, FleetMachines
-from gateway.cli.fleet_story import Fact, FleetStory, line_of
+from gateway.cli.fleet_story import FleetStory, JudgedFact, line_of
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
 
@@ -75,12 +75,12 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     return int(code_of(facts))
 
 
-def code_of(facts: Sequence[Fact]) -> ExitCode:
+def code_of(facts: Sequence[JudgedFact]) -> ExitCode:
     """The exit code that the facts ask for."""
     return ExitCode.OK if facts and all(fact.holds for fact in facts) else ExitCode.FAILURE
 
 
-def describe(facts: Sequence[Fact]) -> str:
+def describe(facts: Sequence[JudgedFact]) -> str:
     """What was seen, for people."""
     wrong = sum(not fact.holds for fact in facts)
     verdict = f"{wrong} of {len(facts)} NOT AS THEY SHOULD BE" if wrong else "all of it as it should be"
@@ -89,7 +89,7 @@ def describe(facts: Sequence[Fact]) -> str:
 
 def _play(
     out: Path, stopped: Callable[[], bool], tell: Callable[[str], None]
-) -> tuple[FleetMachines, Sequence[Fact]]:
+) -> tuple[FleetMachines, Sequence[JudgedFact]]:
     """Play the story, once more where a busy machine has stopped the robot. Returns the last of them."""
     for attempt in range(1, ATTEMPTS + 1):
         machines = _machines(out, tell, stopped)

@@ -58,7 +58,7 @@ TIGHT_S: Final = "1"
 """How long a command that is to be refused in silence waits for an answer."""
 
 
-class Fact(msgspec.Struct, frozen=True):
+class JudgedFact(msgspec.Struct, frozen=True):
     """Something that was seen.
 
     Attributes:
@@ -80,7 +80,7 @@ class FleetStory:
     """
 
     def __init__(self, machines: FleetMachines, stopped: Callable[[], bool], tell: Callable[[str], None]) -> None:
-        self.facts: list[Fact] = []
+        self.facts: list[JudgedFact] = []
         self._machines = machines
         self._stopped = stopped
         self._tell = tell
@@ -123,7 +123,7 @@ class FleetStory:
 
     def judge(self, what: str, seen: str, holds: bool) -> None:  # noqa: FBT001 - it reads as a sentence
         """Keep a fact, and say it."""
-        fact = Fact(what, seen, holds)
+        fact = JudgedFact(what, seen, holds)
         self.facts.append(fact)
         self._tell(line_of(fact))
 
@@ -403,6 +403,6 @@ def _forged(number: int, challenge: bytes) -> Drive:
     return Drive(lease=1, seq=number, challenge=challenge, speed_mps=WANTED_MPS, angle_deg=FORGED_ANGLE_DEG)
 
 
-def line_of(fact: Fact) -> str:
+def line_of(fact: JudgedFact) -> str:
     """A fact, for people."""
     return f"  {'ok ' if fact.holds else 'NOT AS IT SHOULD BE '} {fact.what}: {fact.seen}"

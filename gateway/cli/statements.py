@@ -26,7 +26,7 @@ from schemas.codec import PAYLOAD_ERRORS
 from schemas.decisions import StatementReply
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
-from schemas.reasons import TEXTS, Reason
+from schemas.reasons import Reason
 from schemas.settings import Settings
 
 SENDERS: Final = ("desk", "operator")
@@ -144,7 +144,7 @@ def _doubt(
     refusal = proof.meet(robot, reply)
     if refusal is None or (not said.ok and refusal.reason is said.reason and refusal.detail == said.detail):
         return ""
-    return f"{TEXTS[refusal.reason].means}: {refusal.detail}"
+    return refusal.text
 
 
 def _reaching(settings: Settings, store: KeyStore) -> Settings:

@@ -23,7 +23,7 @@ from schemas.codec import PayloadFault
 from schemas.decisions import LeaseReply, Reply, SafetyEvent, SafetyState
 from schemas.exit_codes import CommandError
 from schemas.messages import GatewayHealth, RobotState
-from schemas.reasons import TEXTS, Reason
+from schemas.reasons import Reason
 from schemas.requests import Release, Renew, Request
 
 log = logging.getLogger(__name__)
@@ -161,7 +161,7 @@ class RobotLink:
     def meet(self) -> str:
         """Show the robot the operator's grant. Returns why it does not take it; empty if it does."""
         refusal = None if self._proof is None else self._proof.meet(self.commands)
-        return "" if refusal is None else "; ".join(filter(None, (TEXTS[refusal.reason].means, refusal.detail)))
+        return "" if refusal is None else refusal.text
 
     def _ask(self, request: Request, timeout_s: float) -> Reply:
         command, proof = BY_REQUEST[type(request)], self._proof

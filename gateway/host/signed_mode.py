@@ -17,7 +17,6 @@ from gateway.provisioning.tls_files import certificate_ends_s
 from schemas.authority.statement import GrantRole, Signed, read_chain
 from schemas.authority.trust import Objection, Trust
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.reasons import TEXTS
 from schemas.settings import Settings
 
 BOOT_BYTES: Final = 8
@@ -47,7 +46,7 @@ class SignedMode:
         trust = trust_of(identity.trust, kept)
         if isinstance(trust, Objection):
             raise CommandError(
-                f"{self._note.path}: {TEXTS[trust.reason].means}: {trust.detail}; 'cruiser provision robot' anew",
+                f"{self._note.path}: {trust.text}; 'cruiser provision robot' anew",
                 ExitCode.USAGE,
             )
         signer = RobotSigner(identity.private, os.urandom(BOOT_BYTES))

@@ -43,7 +43,6 @@ from schemas.authority.statement import (
 )
 from schemas.authority.trust import AuthorityKeys, Objection
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.reasons import TEXTS
 
 AUTHORITY_KEY, CA_KEY, SITE_KEY, SITE_GRANT = "authority.key", "ca.key", "site.key", "site.grant"
 STANDBY_KEY, STANDBY_FILE = "standby.key", "standby.pub"
@@ -259,9 +258,7 @@ class Issuer:
         chain = [state(self._private, grant), *self.chain]
         held = self.authority.trust.judge(chain, now_s)
         if isinstance(held, Objection):
-            raise CommandError(
-                f"this cannot be granted here: {TEXTS[held.reason].means}: {held.detail}", ExitCode.USAGE
-            )
+            raise CommandError(f"this cannot be granted here: {held.text}", ExitCode.USAGE)
         save_serials(self.store, msgspec.structs.replace(serials, grant=grant.serial))
         return chain
 

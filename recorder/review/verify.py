@@ -18,7 +18,7 @@ from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Progress, Row, Selection, read_rows
 from recorder.reading.survey import survey
 from recorder.reading.topics import UNREADABLE, Topic
-from recorder.review.verifying.authority import GrantInfo, LogAuthority, ShownStatement, in_words
+from recorder.review.verifying.authority import GrantInfo, LogAuthority, ShownStatement
 from recorder.review.verifying.chains import ChainLink, ProvenCount, RobotChains, RunChains
 from recorder.review.verifying.commands import CommandRecord, Holder, RefusedProof, SignedVerb
 from recorder.review.verifying.findings import ProofFault, ProofFinding
@@ -213,7 +213,7 @@ class _Verification:
                 continue
             held = authority.judge(robot_keys[signer], one.time_ns)
             if isinstance(held, Objection):
-                what = f"the robot's own grant does not hold: {in_words(held)}"
+                what = f"the robot's own grant does not hold: {held.text}"
                 self._find(ProofFault.NOT_GRANTED, what, one.time_ns)
             self._robot_key = signer
             yield one

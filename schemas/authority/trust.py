@@ -15,7 +15,7 @@ from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from schemas.authority.statement import Grant, GrantRole, KeyHex, Revocations, Rotation, Signed, TimeStatement
-from schemas.reasons import Reason
+from schemas.reasons import TEXTS, Reason
 
 KEYS_KEPT: Final = 512
 """Public keys that are kept as objects; to make one takes 20 us."""
@@ -29,6 +29,12 @@ class Objection(msgspec.Struct, frozen=True):
 
     reason: Reason
     detail: str = ""
+
+    @property
+    def text(self) -> str:
+        """The reason in words, with the detail. What a robot replies as a detail has the words already."""
+        means = TEXTS[self.reason].means
+        return self.detail if self.detail.startswith(means) else "; ".join(filter(None, (means, self.detail)))
 
 
 class HeldGrant(msgspec.Struct, frozen=True):

@@ -19,7 +19,7 @@ from schemas.authority.statement import (
     read_chain,
 )
 from schemas.authority.trust import HeldGrant, Objection, Trust
-from schemas.reasons import TEXTS, Reason
+from schemas.reasons import Reason
 
 _NOBODY: Final = bytes(32)
 """The standby key of an authority that is not known: nobody has it."""
@@ -154,11 +154,6 @@ class LogAuthority:
         self.findings.append(ProofFinding(fault, what, time_ns))
 
 
-def in_words(refusal: Objection) -> str:
-    """A refusal for people."""
-    return "; ".join(filter(None, (TEXTS[refusal.reason].means, refusal.detail)))
-
-
 def _info(chain: Sequence[Signed], grant: Grant, held: HeldGrant | Objection) -> GrantInfo:
     above = [one.statement for one in chain if isinstance(one.statement, Grant)]
     return GrantInfo(
@@ -171,5 +166,5 @@ def _info(chain: Sequence[Signed], grant: Grant, held: HeldGrant | Objection) ->
         not_after=min(one.not_after for one in above),
         signers=[one.name for one in above[1:]],
         root=chain[-1].signer.hex(),
-        objection=in_words(held) if isinstance(held, Objection) else "",
+        objection=held.text if isinstance(held, Objection) else "",
     )

@@ -12,7 +12,7 @@ from typing import Any, Final
 import msgspec
 
 from recorder.reading.topics import UNREADABLE
-from recorder.review.verifying.authority import LogAuthority, in_words
+from recorder.review.verifying.authority import LogAuthority
 from recorder.review.verifying.findings import ProofFault, ProofFinding
 from schemas import keys
 from schemas.authority.proof import RequestProof
@@ -226,7 +226,7 @@ class CommandRecord:
             return ProofFinding(ProofFault.UNPROVEN, f"{what}: its grant is not in the log", at_ns)
         held = self._authority.judge(chain, at_ns)
         if isinstance(held, Objection):
-            return ProofFinding(ProofFault.NOT_GRANTED, f"{what} was accepted: {in_words(held)}", at_ns)
+            return ProofFinding(ProofFault.NOT_GRANTED, f"{what} was accepted: {held.text}", at_ns)
         text = proof.signed(keys.command(self._root, self._robot, operator, verb), command.encoding, payload)
         if not fits(held.key, proof.signature, text):
             return ProofFinding(ProofFault.WRONGLY_SIGNED, f"{what}: its signature does not fit", at_ns)

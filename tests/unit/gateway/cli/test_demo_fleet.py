@@ -2,11 +2,11 @@
 
 from gateway.cli.demo_fleet import code_of, describe
 from gateway.cli.fleet_machines import Done
-from gateway.cli.fleet_story import Fact
+from gateway.cli.fleet_story import JudgedFact
 from schemas.exit_codes import ExitCode
 
-SEEN = Fact("the viewer lists robots", "cruiser-1, cruiser-2 connected", holds=True)
-WRONG = Fact("an intruder without a certificate", "exit code 0: cruiser-1 connected", holds=False)
+SEEN = JudgedFact("the viewer lists robots", "cruiser-1, cruiser-2 connected", holds=True)
+WRONG = JudgedFact("an intruder without a certificate", "exit code 0: cruiser-1 connected", holds=False)
 
 
 def test_one_fact_that_is_not_as_it_should_be_is_a_failure() -> None:
