@@ -10,7 +10,7 @@ STAMP := $(VENV)/installed
 # Tools that the product's environment shall not have: fuzzer, mutation testing, bill of materials, the maker of constraints.
 TOOLS := .venv-tools/bin
 
-.PHONY: help install demo demo-fleet test test-unit nightly test-socketcan metrics-rules readers lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom clean
+.PHONY: help install demo demo-fleet test test-unit nightly test-socketcan metrics-rules readers clients drive-clients lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -29,11 +29,12 @@ test: $(STAMP)  ## the whole test suite
 test-unit: $(STAMP)  ## what needs no process and no socket: two minutes
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/unit
 
-nightly: $(STAMP) .venv-tools/installed  ## what takes too long for every day: the gate's whole domain, whole matrices, properties twelvefold, 10,000 random scenarios, the fuzzer; two hours
+nightly: $(STAMP) .venv-tools/installed  ## what takes too long for every day: the gate's whole domain, whole matrices, properties twelvefold, 10,000 random scenarios, the fuzzer, clients of other languages; two hours
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/nightly
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal -m "hypothesis or night" --hypothesis-profile nightly --timeout 600 tests/unit
 	$(BIN)/python -m tests.system.scenarios --count 10000 --jobs 2 --seed 1
 	$(TOOLS)/python -m tests.fuzz --seconds 1200 --jobs 2
+	$(MAKE) drive-clients
 
 test-socketcan: $(STAMP)  ## the gateway on a real SocketCAN interface; boots user-mode Linux where the kernel has none
 	tests/socketcan/run
@@ -45,6 +46,20 @@ readers: $(STAMP)  ## logs as rerun reads them, in an environment of its own: it
 	@test -x .venv-readers/bin/rerun || { $(PYTHON) -m venv .venv-readers && \
 		.venv-readers/bin/python $(PINNED) constraints-readers.txt; }
 	READERS_PYTHON=.venv-readers/bin/python $(BIN)/python -m pytest tests/readers
+
+# Their packages are not among the constraints: they are the examples' own, and nothing of the product needs them.
+CARGO := CARGO_TARGET_DIR=$(CURDIR)/build/rust cargo
+BRIDGE := $(CURDIR)/build/bridge
+NPM_INSTALL := npm install --ignore-scripts --no-package-lock --no-audit --no-fund --loglevel error
+clients:  ## the proofs of the clients in Rust and TypeScript, by the test vectors; Rust 1.85 and Node.js 20
+	$(CARGO) test --quiet --manifest-path docs/examples/rust/proof/Cargo.toml
+	cd docs/examples/typescript && $(NPM_INSTALL) && npm test --silent
+
+drive-clients: $(STAMP) clients  ## these clients drive robots in open and in signed mode; builds Zenoh for ten minutes
+	$(CARGO) build --manifest-path docs/examples/rust/Cargo.toml
+	test -x $(BRIDGE)/bin/zenoh-bridge-remote-api || $(CARGO) install --locked --root $(BRIDGE) zenoh-bridge-remote-api
+	RUST_CLIENT=$(CURDIR)/build/rust/debug/drive BRIDGE=$(BRIDGE)/bin/zenoh-bridge-remote-api \
+		$(BIN)/python -m pytest tests/clients
 
 install: $(STAMP)  ## the environment of the development, in .venv
 

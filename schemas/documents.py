@@ -165,7 +165,7 @@ def command_table() -> str:
             f"`{command.verb}`",
             command.asking.value,
             _request_fields(command),
-            command.reply.__name__ if command.asking is not Asking.PUT else "none",
+            *_schemas(command),
             command.about,
         )
         for command in COMMANDS
@@ -173,10 +173,25 @@ def command_table() -> str:
     notes = (
         f"Every key is `{{root}}/{{robot}}/{COMMAND_CHUNK}/{{operator}}/{{verb}}`; the operator is "
         f"`{keys.OPERATOR_PATTERN}`. QoS: {_qos(COMMAND_QOS)}. A request is a MessagePack map; a field in "
-        "brackets may be left out, and a field that the verb does not have is refused. The Zenoh encoding is "
-        f"`{COMMANDS[0].encoding}`, and so on; a reply's is `{COMMANDS[0].reply_encoding}`."
+        f"brackets may be left out, and a field that the verb does not have is refused. {_encodings(COMMANDS[0])}"
     )
-    return f"{table(('verb', 'sent as', 'request', 'reply', 'what it does'), rows)}\n\n{notes}"
+    return f"{table(('verb', 'sent as', 'request', 'its schema', 'reply', 'what it does'), rows)}\n\n{notes}"
+
+
+def _schemas(command: Verb[Any]) -> tuple[str, str]:
+    """The last part of the encodings of request and reply, as a table has them."""
+    request, reply = (
+        f"`{encoding.rpartition('.')[2]}`" for encoding in (command.encoding, command.reply_encoding)
+    )
+    return request, "none" if command.asking is Asking.PUT else reply
+
+
+def _encodings(first: Verb[Any]) -> str:
+    """Where the Zenoh encodings of requests and replies stand."""
+    return (
+        f"The Zenoh encoding of a request is made of its schema, `{first.encoding}`, and so is that of a reply, "
+        f"`{first.reply_encoding}`."
+    )
 
 
 def request_tables() -> str:
@@ -206,13 +221,12 @@ def _replies(commands: Iterable[Verb[Any]]) -> list[str]:
 
 def recorder_command_tables() -> str:
     """Every verb of a recorder, then its requests and replies."""
-    rows = [(f"`{one.verb}`", _request_fields(one), one.reply.__name__, one.about) for one in RECORDER_COMMANDS]
+    rows = [(f"`{one.verb}`", _request_fields(one), *_schemas(one), one.about) for one in RECORDER_COMMANDS]
     blocks = [
-        table(("verb", "request", "reply", "what it does"), rows),
+        table(("verb", "request", "its schema", "reply", "what it does"), rows),
         (
-            f"Every key is `{{root}}/{RECORDER_CHUNK}/{{recorder}}/{COMMAND_CHUNK}/{{operator}}/{{verb}}`. The "
-            f"Zenoh encoding is `{RECORDER_COMMANDS[0].encoding}`, and so on; a reply's is "
-            f"`{RECORDER_COMMANDS[0].reply_encoding}`."
+            f"Every key is `{{root}}/{RECORDER_CHUNK}/{{recorder}}/{COMMAND_CHUNK}/{{operator}}/{{verb}}`. "
+            f"{_encodings(RECORDER_COMMANDS[0])}"
         ),
     ]
     for one in RECORDER_COMMANDS:

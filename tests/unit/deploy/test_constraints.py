@@ -78,11 +78,16 @@ def test_a_package_has_one_version_and_the_same_hashes_in_all_files() -> None:
 
 
 def test_make_installs_nothing_that_has_no_hash() -> None:
-    """But the project itself, without its dependencies and without an environment for its build."""
+    """But the project itself, without its dependencies and without an environment for its build.
+
+    Clients in other languages are examples: what they need goes into their own directories, and runs no script of
+    its own when it is installed from npm.
+    """
     makefile = (ROOT / "Makefile").read_text("utf-8")
     variables = dict(re.findall(r"^(\w+) = (.*)$", makefile, flags=re.MULTILINE))
     assert variables["PINNED"].startswith("$(PIP) --require-hashes --only-binary :all: ")
     assert "--no-deps --no-build-isolation" in variables["PROJECT"]
     recipes = [line for line in makefile.splitlines() if "install" in line and line.startswith("\t")]
-    others = [line for line in recipes if "apt-get" not in line]
+    assert re.search("^NPM_INSTALL := npm install --ignore-scripts ", makefile, flags=re.MULTILINE)
+    others = [line for line in recipes if "apt-get" not in line and "$(CARGO) install --locked" not in line]
     assert others == [], "use PINNED or PROJECT"

@@ -89,12 +89,12 @@ def test_a_row_says_what_a_late_joiner_gets() -> None:
 
 
 def test_a_request_in_one_line_tells_what_may_be_left_out() -> None:
-    """Units where there are any, brackets around what has a start value; a put has no reply."""
+    """Units where there are any, brackets around what has a start value, schemas; a put has no reply."""
     rows = {line.split(" | ")[0].strip("| `"): line for line in documents.command_table().splitlines()}
     assert "`speed_mps` m/s, [`angle_deg` deg], [`curvature_1pm` 1/m]" in rows["drive"]
-    assert "| none |" in rows["drive"]
-    assert "| nothing | Reply |" in rows["stop"]
-    assert "[`role` Role], [`public_key` bytes] | LeaseReply |" in rows["acquire"]
+    assert "| `Drive/2` | none |" in rows["drive"]
+    assert "| nothing | `Stop/1` | `Reply/1` |" in rows["stop"]
+    assert "[`role` Role], [`public_key` bytes] | `Acquire/1` | `LeaseReply/1` |" in rows["acquire"]
 
 
 def test_every_request_and_reply_has_its_fields() -> None:

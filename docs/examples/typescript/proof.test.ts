@@ -1,0 +1,168 @@
+// SPDX-License-Identifier: Apache-2.0
+// Every vector of schemas/vectors/proof.json, and what must not be believed.
+
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { test } from "node:test";
+
+import { decode } from "@msgpack/msgpack";
+
+import {
+  type Bytes,
+  type Message,
+  Lease,
+  Operator,
+  Robot,
+  firstHead,
+  fits,
+  headsText,
+  hexBytes,
+  isAhead,
+  messageText,
+  nextHead,
+  privateKeyOfPem,
+  signedText,
+  statementId,
+  utf8,
+} from "./proof.js";
+
+const VECTORS = JSON.parse(readFileSync(new URL("../../../../schemas/vectors/proof.json", import.meta.url), "utf8"));
+const RUN = Uint8Array.of(1, 2, 3, 4, 5, 6, 7, 8);
+const LEASE = 4711;
+
+const bytes = (part: string, name: string): Bytes => hexBytes(VECTORS[part][name]);
+
+function message(part: string): Message {
+  const { key, encoding } = VECTORS[part];
+  return { key, encoding, payload: bytes(part, "payload") };
+}
+
+/** A private key of the vectors as PKCS8 (RFC 8410): 0x6e is X25519, 0x70 Ed25519. */
+const pkcs8 = (name: string, algorithm: number): Bytes =>
+  hexBytes(`302e020100300506032b65${algorithm.toString(16)}04220420${VECTORS.keys[name]}`);
+
+const pem = (name: string): string =>
+  `-----BEGIN PRIVATE KEY-----\n${Buffer.from(pkcs8(name, 0x70)).toString("base64")}\n-----END PRIVATE KEY-----\n`;
+
+/** Public and private half of a key of the vectors. */
+async function pair(name: string, algorithm: "Ed25519" | "X25519"): Promise<[Bytes, CryptoKey]> {
+  const [number, uses] = algorithm === "Ed25519" ? [0x70, ["sign"] as const] : [0x6e, ["deriveKey"] as const];
+  const key = await crypto.subtle.importKey("pkcs8", pkcs8(name, number), algorithm, true, uses);
+  const { x } = await crypto.subtle.exportKey("jwk", key);
+  return [Uint8Array.from(Buffer.from(x ?? "", "base64url")), key];
+}
+
+const publicHex = async (name: string): Promise<string> => Buffer.from((await pair(name, "Ed25519"))[0]).toString("hex");
+
+/** A robot's grant from 10 to 30. */
+async function own(signer: string, role: string, name: string): Promise<string> {
+  const key = await publicHex("cruiser-1");
+  const body = JSON.stringify({ kind: "grant", name, key, role, not_before: 10, not_after: 30 });
+  const signature = await crypto.subtle.sign("Ed25519", (await pair(signer, "Ed25519"))[1], signedText("A", utf8(body)));
+  return `${body}\ned25519 ${await publicHex(signer)} ${Buffer.from(signature).toString("hex")}\n`;
+}
+
+const robot = async (): Promise<Robot> =>
+  Robot.ofChain(await own("authority", "robot", "cruiser-1"), "cruiser-1", await publicHex("authority"), 20);
+
+test("a statement is signed by the authority", async () => {
+  const { body, text, signature } = VECTORS.statement;
+  const signed = signedText("A", utf8(body));
+  assert.deepEqual(signed, bytes("statement", "signed"));
+  assert.ok(await fits(await publicHex("authority"), hexBytes(signature), signed));
+  assert.deepEqual(await statementId(body), bytes("statement", "id"));
+  assert.equal(text, `${body}\ned25519 ${await publicHex("authority")} ${signature}\n`);
+});
+
+test("a request has the same bytes", async () => {
+  const operator = await Operator.create(await privateKeyOfPem(pem("ann")), VECTORS.statement.text, "");
+  assert.equal(operator.name, "ann");
+  const attachment = await operator.attach(message("request"), utf8("challeng"), utf8("nonce-01"));
+  assert.deepEqual(messageText("S", message("request"), attachment.slice(0, 25)), bytes("request", "signed"));
+  assert.deepEqual(attachment, bytes("request", "attachment"));
+});
+
+test("a reply is of the robot and to this request", async () => {
+  const [reply, attachment, request] = [message("reply"), bytes("reply", "attachment"), bytes("request", "attachment")];
+  const met = await robot();
+  assert.deepEqual(messageText("R", reply, attachment.slice(0, 9), request), bytes("reply", "signed"));
+  assert.ok(await met.isReply(reply, attachment, request));
+  assert.ok(!(await met.isReply(reply, attachment, new Uint8Array())), "it replies to another request");
+  assert.ok(!(await met.isPublication(reply, attachment, RUN)), "it is a reply");
+  assert.ok(!(await met.isReply({ ...reply, payload: new Uint8Array() }, attachment, request)), "another payload");
+  for (let at = 0; at < attachment.length; at++) {
+    const other = attachment.map((byte, place) => (place === at ? byte ^ 1 : byte));
+    assert.ok(!(await met.isReply(reply, other, request)), `byte ${at} is another`);
+    assert.ok(!(await met.isReply(reply, attachment.slice(0, at), request)), `it has ${at} bytes`);
+  }
+});
+
+test("a drive command is proven by the lease", async () => {
+  const drive = message("drive");
+  const [[ours, key], [theirs]] = [await pair("lease of ann", "X25519"), await pair("lease of robot", "X25519")];
+  const agree = (other: Bytes) => Lease.agree(key, ours, other, bytes("reply", "attachment"), LEASE, drive.key);
+  const attachment = await (await agree(theirs)).attach(drive);
+  assert.deepEqual(attachment, bytes("drive", "attachment"));
+  const hmac = { name: "HMAC", hash: "SHA-256" };
+  const known = await crypto.subtle.importKey("raw", bytes("drive", "lease_key"), hmac, false, ["sign"]);
+  const tag = new Uint8Array(await crypto.subtle.sign("HMAC", known, messageText("M", drive, attachment.slice(0, 9))));
+  assert.deepEqual(tag.slice(0, 16), attachment.slice(9));
+  await assert.rejects(agree(new Uint8Array(32)), "a key of small order");
+  await assert.rejects(agree(new Uint8Array(31).fill(7)), "a key that is too short");
+});
+
+test("a state is of the robot", async () => {
+  const [state, attachment, met] = [message("publication"), bytes("publication", "attachment"), await robot()];
+  assert.deepEqual(messageText("P", state, attachment.slice(0, 9)), bytes("publication", "signed"));
+  assert.ok(await met.isPublication(state, attachment, RUN));
+  assert.ok(!(await met.isPublication(state, attachment, new Uint8Array(8))), "another run");
+  assert.ok(!(await met.isPublication({ ...state, key: "fleet/cruiser-2/safety/state" }, attachment, RUN)));
+});
+
+test("a sequence rises and begins again", () => {
+  const last = 2 ** 32 - 1;
+  assert.ok(isAhead(0) && isAhead(8, 7) && isAhead(0, last) && isAhead(2 ** 31 - 1, 0));
+  assert.ok(!isAhead(7, 7) && !isAhead(6, 7) && !isAhead(last, 0) && !isAhead(2 ** 31, 0));
+});
+
+test("the heads of the chains are signed", async () => {
+  const head = await nextHead(await firstHead(RUN, "journal"), utf8("first"));
+  assert.deepEqual(head, bytes("heads", "journal_after_first"));
+  assert.deepEqual(await nextHead(head, utf8("second")), bytes("heads", "journal_after_second"));
+  const said = decode(bytes("heads", "message"), { useBigInt64: true }) as {
+    time_ns: bigint;
+    boot: Uint8Array;
+    heads: { subject: string; count: number; head: Uint8Array }[];
+    signature: Uint8Array;
+  };
+  const text = headsText(said.boot, said.time_ns, said.heads);
+  assert.deepEqual(text, bytes("heads", "signed"));
+  assert.ok(await fits(await publicHex("cruiser-1"), said.signature, text));
+});
+
+test("a robot is believed by the authority alone", async () => {
+  const authority = await publicHex("authority");
+  const met = (text: string, nowS = 20) => Robot.ofChain(text, "cruiser-1", authority, nowS);
+  const good = await own("authority", "robot", "cruiser-1");
+  await met(good, 10);
+  await met(good, 30.5);
+  const bad: [string, string, number?][] = [
+    ["not begun", good, 9.9],
+    ["over", good, 31],
+    ["another text", good.replace('"not_after":30', '"not_after":31')],
+    ["no robot", await own("authority", "operator", "cruiser-1")],
+    ["another robot", await own("authority", "robot", "cruiser-2")],
+    ["another authority", await own("ann", "robot", "cruiser-1")],
+    ["another signer", good.replace(authority, await publicHex("ann"))],
+    ["nothing", ""],
+    ["two statements", good + good],
+  ];
+  for (const [why, text, nowS] of bad) await assert.rejects(met(text, nowS), Error, why);
+});
+
+test("keys cannot be taken out again", async () => {
+  assert.equal((await privateKeyOfPem(pem("ann"))).extractable, false);
+  const [lease, half] = await Lease.newKey();
+  assert.equal(lease.privateKey.extractable, false);
+  assert.equal(half.length, 32);
+});

@@ -1,0 +1,260 @@
+"""The clients of docs/examples in Rust and TypeScript drive robots in open mode and in signed mode.
+
+In signed mode through a router, with the files that ``cruiser provision`` makes. ``make drive-clients`` builds the
+clients, and says where they are: ``RUST_CLIENT``, and ``BRIDGE`` from WebSocket to Zenoh.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import msgspec
+import pytest
+import zenoh
+
+from tests.support.fakes.peer import free_endpoint
+from tests.support.fakes.robot import FakeRobot
+from tests.support.processes import gateway as commands
+from tests.support.processes.gateway import Running, chassis
+from tests.support.provisioning import ProvisionedFleet
+from tests.support.waiting import wait_until
+
+EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
+ROBOT = "fleet/cruiser-1"
+CLIENTS = pytest.mark.parametrize("client", ["rust", "typescript"])
+
+STANDS = {"no_lease", "not_engaged"}
+"""Why a robot stands that nobody drives, and nothing else."""
+
+Done = subprocess.CompletedProcess[str]
+
+
+def run(*words: str) -> Done:
+    """Run a client to its end."""
+    return subprocess.run(
+        words, cwd=EXAMPLES / "typescript", capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+@contextmanager
+def bridge(*words: str) -> Iterator[str]:
+    """Zenoh's bridge for WebSockets, with the words that lead it to Zenoh; where it listens."""
+    place = free_endpoint().removeprefix("tcp/")
+    words = (os.environ["BRIDGE"], "--ws-port", place, *words)
+    said: list[str] = []
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        assert process.stdout is not None
+        try:
+            for line in process.stdout:
+                said.append(line)
+                if "Finished loading plugins" in line:
+                    break
+            assert process.poll() is None, said
+            yield f"ws/{place}"
+        finally:
+            process.kill()
+
+
+def drive_open(client: str, endpoint: str) -> Done:
+    """Drive a robot that listens there."""
+    if client == "rust":
+        return run(os.environ["RUST_CLIENT"], endpoint, ROBOT)
+    with bridge("--mode", "client", "--connect", endpoint) as place:
+        return run("npm", "start", "--silent", "--", place, ROBOT)
+
+
+def drive_signed(client: str, directory: Path) -> Done:
+    """Drive a robot as the operator whose files are in a directory."""
+    if client == "rust":
+        return run(os.environ["RUST_CLIENT"], str(directory), ROBOT)
+    with bridge("--config", str(directory / "operator.json5")) as place:
+        return run("npm", "start", "--silent", "--", place, ROBOT, str(directory))
+
+
+class SignedRobot:
+    """A robot in signed mode behind a router; ``fleet`` lets people in, ``gateway`` is its process."""
+
+    def __init__(self, fleet: ProvisionedFleet, gateway: Running) -> None:
+        self.fleet = fleet
+        self.gateway = gateway
+
+
+@pytest.fixture
+def signed(tmp_path: Path) -> Iterator[SignedRobot]:
+    """The robot, connected with its router."""
+    endpoint = free_endpoint().replace("tcp/", "tls/")
+    fleet = ProvisionedFleet(tmp_path / "fleet", endpoint)
+    router, robot = fleet.let_in("router", "127.0.0.1"), fleet.let_in("robot", "cruiser-1")
+    with Running("router", "--directory", str(router)) as running, chassis() as (_, address):
+        running.wait_says("listens on")
+        bus = ["--interface", "socketcand", "--channel", address]
+        with Running("gateway", "--config", str(robot / "robot.toml"), *bus) as gateway:
+            gateway.wait_says("a Zenoh node is connected")
+            yield SignedRobot(fleet, gateway)
+
+
+def wait_until_ready(operator: Path) -> None:
+    """Wait until the robot that this operator sees could be engaged: chassis seen, guard there."""
+
+    def is_ready() -> bool:
+        words = ["watch", "cruiser-1", "--seconds", "0.5", "--json", "--config", str(operator / "operator.toml")]
+        states = [json.loads(line)["safety"] for line in commands.run(words).stdout.splitlines()]
+        return any(state is not None and not set(state["blocked_by"]) - STANDS for state in states)
+
+    wait_until(is_ready)
+
+
+@CLIENTS
+def test_a_client_drives_a_robot_in_open_mode(client: str) -> None:
+    """Half a metre a second, and the lease is free afterwards."""
+    with FakeRobot() as fake:
+        done = drive_open(client, fake.listen)
+        assert done.returncode == 0, done
+        assert done.stdout.endswith("driven\n")
+        assert max(one.output_speed_mps for one in fake.accepted("drive")) == 0.5
+        assert fake.accepted("release")
+
+
+@CLIENTS
+def test_a_client_drives_a_robot_in_signed_mode(client: str, signed: SignedRobot) -> None:
+    """Under the name of its grant: the robot obeys nobody whom it cannot check."""
+    ann = signed.fleet.let_in("operator", "ann")
+    wait_until_ready(ann)
+    done = drive_signed(client, ann)
+    assert done.returncode == 0, done
+    assert done.stdout.endswith("driven\n")
+    signed.gateway.wait_says("ann has acquired the lease as operator")
+    signed.gateway.wait_says("engaged: the chassis reads auto")
+    signed.gateway.wait_says("ann gave the lease back")
+
+
+@CLIENTS
+def test_a_client_commands_no_robot_of_another_authority(client: str, signed: SignedRobot, tmp_path: Path) -> None:
+    """Whoever lets it connect: nothing that this robot says is believed, and nothing is asked of it."""
+    ann = signed.fleet.let_in("operator", "ann")
+    other = ProvisionedFleet(tmp_path / "other").let_in("operator", "ann")
+    for name in ("authority.json", "operator.key", "operator.grant"):
+        shutil.copy(other / name, ann / name)
+    done = drive_signed(client, ann)
+    assert done.returncode == 1, done
+    assert "the robot's grant is of another authority" in done.stdout + done.stderr
+    assert not [line for line in signed.gateway.said if "lease" in line]
+
+
+@CLIENTS
+def test_a_client_whose_grant_was_made_by_another_gets_no_lease(
+    client: str, signed: SignedRobot, tmp_path: Path
+) -> None:
+    """A grant that this authority did not sign: the client says why, in the robot's words."""
+    ann = signed.fleet.let_in("operator", "ann")
+    other = ProvisionedFleet(tmp_path / "other").let_in("operator", "ann")
+    for name in ("operator.key", "operator.grant"):
+        shutil.copy(other / name, ann / name)
+    done = drive_signed(client, ann)
+    assert done.returncode == 1, done
+    assert "its chain does not end at this robot's authority" in done.stdout + done.stderr
+    assert not [line for line in signed.gateway.said if "lease" in line]
+
+
+class Impostor:
+    """A robot that was taken over, and speaks as another: unsigned, and with what that one signed a while ago."""
+
+    def __init__(self, directory: Path, own: str) -> None:
+        """Connect with the files of a directory; ``own`` is the chain of the other's grant, which is no secret."""
+        self._own = own
+        config = zenoh.Config.from_file(str(directory / "robot.json5"))
+        config.insert_json5("access_control", '{"enabled": false}')
+        self._session = zenoh.open(config)
+        self._states = self._session.declare_publisher(f"{ROBOT}/safety/state")
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._speak)
+        self._kept: zenoh.Sample
+        self.asked: list[str] = []
+
+    def __enter__(self) -> Self:
+        for key in (f"{ROBOT}/@auth", f"{ROBOT}/@cmd/*/*"):
+            self._session.declare_queryable(key, self._reply, complete=True)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._is_over.set()
+        self._thread.join()
+        self._session.close()
+
+    def keep(self, sample: zenoh.Sample) -> None:
+        """Have a sample of the robot, to be sent again and again."""
+        self._kept = sample
+
+    def _reply(self, query: zenoh.Query) -> None:
+        """Say yes to a statement and no to a verb, and that it is an error."""
+        key = str(query.key_expr)
+        self.asked.append(key)
+        said = {
+            "ok": key.endswith("@auth"),
+            "reason": "busy",
+            "detail": "forged",
+            "cure": "none",
+            "own": self._own,
+        }
+        with query:
+            query.reply(key, msgspec.msgpack.encode(said), attachment=b"\1" * 73)
+            query.reply_err(b"forged")
+
+    def _speak(self) -> None:
+        """State that the robot is stopped, with a challenge that nobody knows."""
+        forged = msgspec.msgpack.decode(self._kept.payload.to_bytes())
+        forged |= {"engaged": False, "challenge": bytes(8), "sequence": forged["sequence"] + 1000}
+        while not self._is_over.wait(0.02):
+            self._states.put(msgspec.msgpack.encode(forged), attachment=self._kept.attachment)
+            self._states.put(self._kept.payload, encoding=self._kept.encoding, attachment=self._kept.attachment)
+
+
+@CLIENTS
+def test_a_client_believes_no_impostor(client: str, signed: SignedRobot) -> None:
+    """It passes over states and replies that the robot did not sign, or signed before, and drives."""
+    ann, other = signed.fleet.let_in("operator", "ann"), signed.fleet.let_in("robot", "cruiser-2")
+    wait_until_ready(ann)
+    config = zenoh.Config.from_file(str(ann / "operator.json5"))
+    with zenoh.open(config) as session:
+        states = session.declare_subscriber(f"{ROBOT}/safety/state", zenoh.handlers.RingChannel(1))
+        impostor = Impostor(other, (signed.fleet.place / "cruiser-1" / "robot.grant").read_text())
+        impostor.keep(states.recv())
+        with impostor:
+            wait_until(lambda: "forged" in errors_of(session))
+            impostor.asked.clear()
+            done = drive_signed(client, ann)
+    assert done.returncode == 0, done
+    assert done.stdout.endswith("driven\n")
+    assert {key.rpartition("/")[2] for key in impostor.asked} == {
+        "@auth",
+        "acquire",
+        "engage",
+        "unpark",
+        "release",
+    }
+
+
+def errors_of(session: zenoh.Session) -> set[str]:
+    """The errors with which a statement is replied to."""
+    replies = session.get(f"{ROBOT}/@auth", target=zenoh.QueryTarget.ALL, timeout=1.0)
+    return {reply.err.payload.to_string() for reply in replies if reply.err is not None}
+
+
+@CLIENTS
+def test_a_client_is_refused_what_its_grant_lacks(client: str, signed: SignedRobot) -> None:
+    """The verb that it may not ask is refused with a cure, and the robot stands."""
+    done = drive_signed(client, signed.fleet.let_in("operator", "bea", "--verbs", "acquire,renew,release"))
+    assert done.returncode == 1, done
+    assert "Cure: get a grant that does" in done.stdout + done.stderr
+    wait_until(lambda: any("bea has acquired" in line for line in signed.gateway.said))
+    assert not [line for line in signed.gateway.said if "engaged" in line]
