@@ -196,7 +196,8 @@ class Core:
             self._health_due_ns = _next_due(self._health_due_ns, HEALTH_PERIOD_NS, now_ns)
             streams = list(self._streams.values())
             frames = self._received.received
-            health = self._health.report(now_ns, wall_ns, self._links, self.variant, frames, streams)
+            barred = [f"{reason.value}: {words}" for reason, words in self.bars.items()]
+            health = self._health.report(now_ns, wall_ns, self._links, self.variant, frames, streams, barred)
             due.samples.append(_sample(health))
         return due
 
@@ -292,6 +293,10 @@ class Core:
     def last_sequence(self) -> int:
         """Of the last drive that was accepted under the lease in force."""
         return self.command.arbiter.link.last_sequence if self.command is not None else -1
+
+    def may_start_again(self, now_ns: int) -> bool:
+        """Would another start of the gateway forget nothing, and hold up nobody?"""
+        return self.command is None or is_at_rest(self.command, now_ns)
 
     @property
     def is_at_rest(self) -> bool:

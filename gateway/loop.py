@@ -193,6 +193,7 @@ class LoopPorts(msgspec.Struct):
     former_guard: FormerGuardView | None = None
     has_realtime: Callable[[], bool] = lambda: False
     signed: SignedModePort | None = None
+    notes: Callable[[], tuple[str, ...]] = tuple
 
 
 @contextmanager
@@ -401,6 +402,7 @@ def _read_links(ports: LoopPorts, before: Links, *, is_behind: bool, is_full: bo
         outside=sink.outside() if is_full else before.outside,
         certificate_ends_s=None if ports.signed is None else ports.signed.certificate_ends_s,
         grant_ends_s=None if ports.signed is None else ports.signed.authority.grant_ends_s,
+        notes=ports.notes() if is_full else before.notes,
     )
 
 

@@ -331,6 +331,8 @@ class GatewayHealth(Message, frozen=True):
         realtime: the loop runs with real-time priority. Without it a lower speed limit is in force.
         certificate_ends_ns: when the certificate ends that the gateway connects with; null where it has none.
         grant_ends_ns: when the robot's own grant ends, with those above it; null in open mode.
+        notes: what somebody has to see to: why nobody may engage the robot, and certificates that end soon, each
+            with the file and the cure.
     """
 
     gateway_version: str
@@ -358,6 +360,7 @@ class GatewayHealth(Message, frozen=True):
     realtime: bool = True
     certificate_ends_ns: TimeNs | None = None
     grant_ends_ns: TimeNs | None = None
+    notes: list[str] = []
 
 
 class GatewayInfo(Message, frozen=True):

@@ -117,6 +117,7 @@ class Bundle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         authority: the fleet's.
         fleet: where it is.
         certificate: for the TLS key, and of who signed it, PEM.
+        shut_out: the same of the role ``nothing``, by which a robot tests its network; empty for all others.
         ca: the network's authority, PEM.
         chain: the grant, and those of its signers; empty where none is wanted.
         signer: the chain of the site that made the bundle; empty if the authority did.
@@ -127,6 +128,7 @@ class Bundle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     authority: AuthorityKeys
     fleet: FleetPlace
     certificate: str
+    shut_out: str = ""
     ca: str
     chain: str = ""
     signer: str = ""

@@ -208,9 +208,9 @@ class RobotAuthority:
             self._heads_due_ns = now_ns + HEAD_PERIOD_NS
             effects.samples.append(self.heads(wall_ns))
             # Once a second is soon enough: what ends in mid-drive ends by ``ended``.
-            bars = self._bars_now(boot_ns)
-            if bars != self._bars:
-                self._bars = effects.bars = bars
+            effects.bars = self._bars_changed(boot_ns)
+        elif self.self_test != self._bars.get(Reason.SELF_TEST, ""):
+            effects.bars = self._bars_changed(boot_ns)
         if self._is_changed or now_ns >= self._save_due_ns:
             self._is_changed, self._save_due_ns = False, now_ns + SAVE_NS
             self._kept = msgspec.structs.replace(self._kept, floor_s=self._floor.least_s(boot_ns))
@@ -283,6 +283,13 @@ class RobotAuthority:
         self._word_ns = boot_ns
         self._floor.lift(at_s, boot_ns)
         self._is_changed = True
+
+    def _bars_changed(self, boot_ns: int) -> dict[Reason, str] | None:
+        bars = self._bars_now(boot_ns)
+        if bars == self._bars:
+            return None
+        self._bars = bars
+        return bars
 
     def _bars_now(self, boot_ns: int) -> dict[Reason, str]:
         bars = {Reason.SELF_TEST: self.self_test} if self.self_test else {}

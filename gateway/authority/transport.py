@@ -36,7 +36,10 @@ from schemas.zenoh_link import WITH_NAMES, Json, session_settings
 
 
 class TransportRole(Enum):
-    """What a node of the network is: the common name of its certificate."""
+    """What a node of the network is: the common name of its certificate.
+
+    Nobody is ``nothing``: no row of the table has this role. A robot tests with it that it is shut out.
+    """
 
     ROBOT = "robot"
     OPERATOR = "operator"
@@ -44,6 +47,7 @@ class TransportRole(Enum):
     RECORDER = "recorder"
     DESK = "desk"
     ROUTER = "router"
+    NOTHING = "nothing"
 
 
 _R = TransportRole
@@ -224,6 +228,8 @@ def tls_configuration(role: TransportRole, directory: PurePath) -> dict[str, Jso
 
 
 TLS_KEY_FILE, CERTIFICATE_FILE, CA_FILE = "{who}-tls.key", "{who}-tls.pem", "ca.pem"
+SHUT_OUT_FILE: Final = CERTIFICATE_FILE.format(who=_R.NOTHING.value)
+"""A robot's certificate without any right, for the key of its other one."""
 
 
 def _published(robot: str) -> tuple[str, ...]:

@@ -26,13 +26,15 @@ from gateway.host.guard_process import GuardLink, start_guard
 from gateway.host.guard_run import stop_alone
 from gateway.host.log_queue import logging_aside
 from gateway.host.realtime import has_realtime, request_realtime
+from gateway.host.renewal import Renewal
+from gateway.host.self_test import Reached, SelfTest
 from gateway.host.signed_mode import SignedMode
 from gateway.host.stop_note import NoteClearer, StopNote
 from gateway.loop import LoopPorts, warn_of_bars
 from gateway.loop import run as run_loop
 from gateway.provisioning.tls_files import check_tls_files
-from gateway.zenoh.inbox import open_inbox
-from gateway.zenoh.node import ZenohPlace, open_node
+from gateway.zenoh.inbox import CommandInbox, open_inbox
+from gateway.zenoh.node import ZenohNode, ZenohPlace, open_node
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.codec import encode
 from schemas.configuration import to_toml
@@ -89,7 +91,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Run the gateway until it is stopped."""
+    """Run the gateway until it is stopped. Where its keys were renewed, it starts again meanwhile."""
+    ends = ending_after(stopped, arguments.seconds, time.monotonic)
+    while _run_once(settings, ends):
+        log.info("starting again with the renewed files")
+    return int(ExitCode.OK)
+
+
+def _run_once(settings: Settings, ends: Callable[[], bool]) -> bool:
+    """Run the gateway until it is stopped, or its files were renewed. Returns whether it is to start again."""
+    # Before anything is read: what is replaced meanwhile is new.
+    renewal = Renewal(settings)
     core = Core(settings, version("cruiser-gateway"), time.monotonic_ns(), secrets.randbits(RUN_BITS))
     with ExitStack() as closing:
         # First, since it takes a second, and ended last.
@@ -128,14 +140,49 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         request_realtime(settings.gateway.realtime_priority)
         if inbox is not None and not has_realtime():
             log.warning("%s", _without_realtime(settings))
-        ports = LoopPorts(bus, node, inbox, guard, note, former_guard, has_realtime, signed)
+        closing.callback(_begin_self_test(settings, signed, place, node, inbox))
+        renewal.begin(place.connect)
+        closing.callback(renewal.close)
+        ports = LoopPorts(bus, node, inbox, guard, note, former_guard, has_realtime, signed, renewal.notes)
         try:
             with logging_aside():
-                run_loop(ports, core, info, ending_after(stopped, arguments.seconds, time.monotonic))
+                run_loop(ports, core, info, _ending(ends, renewal, core))
         except Exception:
             _stop_unguarded(core, bus, guard, settings)
             raise
-    return int(ExitCode.OK)
+    return renewal.is_taken and not ends()
+
+
+def _begin_self_test(
+    settings: Settings, signed: SignedMode | None, place: ZenohPlace, node: ZenohNode, inbox: CommandInbox | None
+) -> Callable[[], None]:
+    """Begin the test without which nobody engages the robot. Returns what ends it.
+
+    A robot that cannot be engaged in any case is not tested.
+    """
+    if signed is None or inbox is None:
+        return lambda: None
+    authority = signed.authority
+
+    def report(verdict: str) -> None:
+        authority.self_test = verdict
+
+    reached = Reached(place.connect, [*place.listen, *place.command_listen])
+    test = SelfTest(settings, reached, node, inbox, report)
+    test.begin(authority.admission.trust)
+    return test.close
+
+
+def _ending(ends: Callable[[], bool], renewal: Renewal, core: Core) -> Callable[[], bool]:
+    """The end of the loop: when it is stopped, or when it may start again and has a reason to."""
+
+    def is_over() -> bool:
+        if renewal.is_ready and core.may_start_again(time.monotonic_ns()):
+            core.warn("the gateway starts again, with renewed keys and certificates", time.monotonic_ns())
+            renewal.is_taken = True
+        return renewal.is_taken or ends()
+
+    return is_over
 
 
 def _signed_mode(settings: Settings, core: Core, closing: ExitStack) -> SignedMode | None:
@@ -146,9 +193,7 @@ def _signed_mode(settings: Settings, core: Core, closing: ExitStack) -> SignedMo
         signed = SignedMode(settings, core)
         closing.callback(signed.close)
         if settings.zenoh.config:
-            warning = check_tls_files(Path(settings.zenoh.config), "robot", time.time())
-            if warning:
-                log.warning("%s", warning)
+            check_tls_files(Path(settings.zenoh.config), "robot", time.time())
     except CommandError as error:
         core.bar({Reason.SELF_TEST: str(error)}, time.monotonic_ns())
         return None

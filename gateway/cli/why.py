@@ -13,6 +13,7 @@ import msgspec
 from gateway.cli.operator_arguments import add_robot_arguments, connect
 from gateway.client.reasons_text import event_line, is_idle, link_line, reason_line, state_line, text_of
 from schemas.exit_codes import ExitCode
+from schemas.printable import plain
 from schemas.reasons import Reason
 from schemas.settings import Settings
 
@@ -51,6 +52,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         events = robot.events()[-EVENTS_SHOWN:]
     state, health = sighting.state, sighting.health
     slowed_by = [Reason.NO_REALTIME] if health is not None and not health.realtime else []
+    notes = health.notes if health is not None else []
     travel_mps = state.travel_speed_limit_mps
     if travel_mps is not None and travel_mps < min(state.speed_limit_mps, abs(state.target_speed_mps)):
         slowed_by.insert(0, Reason.LINK_TOO_SLOW)
@@ -61,6 +63,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             "state": state,
             "blocked_by": _in_words(state.blocked_by, robot.name),
             "slowed_by": _in_words(slowed_by, robot.name),
+            "notes": notes,
             "events": events,
         }
         sys.stdout.write(f"{msgspec.json.encode(record).decode()}\n")
@@ -74,6 +77,9 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             sys.stdout.write("  nothing keeps it from moving: it does what its operator's drive commands say\n")
         elif is_idle(state.blocked_by):
             sys.stdout.write("  nothing is wrong: it waits for somebody who drives it\n")
+        sys.stdout.writelines(
+            f"  see to: {plain(note)}\n" for note in (health.notes if health is not None else ())
+        )
         sys.stdout.writelines(f"  slowed by {reason_line(reason, robot.name)}\n" for reason in slowed_by)
         if events:
             sys.stdout.write("lately:\n")

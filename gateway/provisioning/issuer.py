@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Final, Self
 
 import msgspec
+from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from gateway.authority.enrolment import (
@@ -15,7 +17,7 @@ from gateway.authority.enrolment import (
     FleetPlace,
     bundle_text,
 )
-from gateway.authority.transport import CA_FILE
+from gateway.authority.transport import CA_FILE, TransportRole
 from gateway.provisioning.certificates import (
     CertificateError,
     issue,
@@ -169,6 +171,7 @@ class Issuer:
             authority=self.authority,
             fleet=fleet,
             certificate=self._certify(request, now_s, wanted),
+            shut_out=self._shut_out(request, now_s),
             ca=self.store.read(CA_FILE, _AUTHORITY_CURE).decode(),
             chain=chain_text(chain),
             signer=chain_text(self.chain),
@@ -263,17 +266,31 @@ class Issuer:
         return chain
 
     def _certify(self, request: EnrolmentRequest, now_s: int, wanted: Wanted) -> str:
-        names = (SITE_CA_KEY, SITE_CA_FILE, _SITE_CURE) if self.is_site else (CA_KEY, CA_FILE, _AUTHORITY_CURE)
-        key_name, certificate_name, cure = names
-        key = self.store.p256(key_name, cure)
-        certificates = self.store.read(certificate_name, cure).decode()
         transport = request.role.transport
+        key, certificates, path = self._network()
         try:
             if transport is None:
                 return issue_site(request.csr, certificates, key, now_s, now_s + wanted.lasts_s)
             return issue(request.csr, transport, certificates, key, now_s)
         except CertificateError as error:
-            raise CommandError(f"{self.store.path(certificate_name)}: {error}", ExitCode.USAGE) from error
+            raise CommandError(f"{path}: {error}", ExitCode.USAGE) from error
+
+    def _shut_out(self, request: EnrolmentRequest, now_s: int) -> str:
+        """A robot's certificate without any right, for the same key: it tests the network with it."""
+        if request.role is not EnrolmentRole.ROBOT:
+            return ""
+        key, certificates, _ = self._network()
+        return issue(request.csr, TransportRole.NOTHING, certificates, key, now_s)
+
+    def _network(self) -> tuple[EllipticCurvePrivateKey, str, Path]:
+        """The key that signs certificates, its own certificates, and where these are."""
+        names = (SITE_CA_KEY, SITE_CA_FILE, _SITE_CURE) if self.is_site else (CA_KEY, CA_FILE, _AUTHORITY_CURE)
+        key_name, certificate_name, cure = names
+        return (
+            self.store.p256(key_name, cure),
+            self.store.read(certificate_name, cure).decode(),
+            self.store.path(certificate_name),
+        )
 
     def _revoked(self) -> Revocations:
         if not self.store.has(REVOCATIONS_FILE):

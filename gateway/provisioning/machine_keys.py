@@ -20,6 +20,7 @@ from gateway.authority.enrolment import (
 from gateway.authority.transport import (
     CA_FILE,
     CERTIFICATE_FILE,
+    SHUT_OUT_FILE,
     TLS_KEY_FILE,
     TransportRole,
     zenoh_configuration,
@@ -189,6 +190,8 @@ def _check_grant(store: KeyStore, bundle: Bundle) -> None:
 def _own_files(store: KeyStore, bundle: Bundle) -> Mapping[str, str]:
     role, who = bundle.role, bundle.role.value
     files = {_certificate_name(role): bundle.certificate}
+    if role is EnrolmentRole.ROBOT:
+        files[SHUT_OUT_FILE] = bundle.shut_out
     if role.is_granted:
         files[GRANT_FILE.format(who=who)] = bundle.chain
     transport = role.transport

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Final
 
+from gateway.authority.transport import SHUT_OUT_FILE, TLS_KEY_FILE
 from gateway.provisioning.certificates import RENEW_S, CertificateError, expires_s, fits, read_certificates
 from gateway.provisioning.key_store import KeyStore, read_input
 from schemas.exit_codes import CommandError, ExitCode
@@ -82,3 +83,31 @@ def _certificate(path: Path, now_s: float, cure: str) -> float:
     if left_s <= 0:
         raise CommandError(f"{shown} ended {-left_s / _DAY_S:.1f} days ago; {cure}", ExitCode.USAGE)
     return left_s
+
+
+def tls_files(file: Path) -> list[Path]:
+    """The certificates and keys that a Zenoh file names, if it is as it was provisioned."""
+    try:
+        tls = _tls_of(file)
+    except CommandError:
+        return []
+    names = ("root_ca_certificate", *(f"{end}_{what}" for end in ENDS for what in ("certificate", "private_key")))
+    return [Path(found) for name in names if isinstance(found := tls.get(name), str)]
+
+
+def check_shut_out(directory: Path, now_s: float) -> None:
+    """Hold the certificate with which a robot tests its network against its key and the time.
+
+    Args:
+        directory: of the robot's keys.
+        now_s: seconds since 1970.
+
+    Raises:
+        CommandError: it is missing, wrong, or over.
+    """
+    cure = "'cruiser provision renew robot' asks for it"
+    path = directory / SHUT_OUT_FILE
+    _certificate(path, now_s, cure)
+    key = KeyStore(directory).p256(TLS_KEY_FILE.format(who="robot"), "'cruiser provision robot' makes it")
+    if not fits(read_certificates(read_input(path).decode())[0], key):
+        raise CommandError(f"{plain(str(path))} is not of the key beside it; {cure}", ExitCode.USAGE)

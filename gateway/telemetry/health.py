@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from typing import Final
 
 import msgspec
@@ -36,6 +37,7 @@ class Links(msgspec.Struct, frozen=True):
         outside: the other ends of Zenoh connections that leave this machine.
         certificate_ends_s, grant_ends_s: the end of the gateway's certificate and of the robot's grant, seconds
             since 1970; None where there is none.
+        notes: what somebody has to see to, in words.
     """
 
     bus_up: bool = False
@@ -55,6 +57,7 @@ class Links(msgspec.Struct, frozen=True):
     outside: tuple[str, ...] = ()
     certificate_ends_s: int | None = None
     grant_ends_s: int | None = None
+    notes: tuple[str, ...] = ()
 
 
 class HealthMeter:
@@ -92,9 +95,26 @@ class HealthMeter:
         self._worst_ns = max(self._worst_ns, late_ns)
 
     def report(
-        self, now_ns: int, wall_ns: int, links: Links, variant: Variant, frames: int, streams: list[FeedbackStream]
+        self,
+        now_ns: int,
+        wall_ns: int,
+        links: Links,
+        variant: Variant,
+        frames: int,
+        streams: list[FeedbackStream],
+        barred: Iterable[str] = (),
     ) -> GatewayHealth:
-        """The health of the time since the last report; ``frames`` have been received since the start."""
+        """The health of the time since the last report.
+
+        Args:
+            now_ns: monotonic.
+            wall_ns: since 1970.
+            links: the bus, Zenoh and the guard.
+            variant: the one in force.
+            frames: received since the start.
+            streams: the feedback.
+            barred: why nobody may engage the robot, each reason with its words.
+        """
         elapsed_s = max(now_ns - self._reported_ns, 1) / 1e9
         late_ns = sorted(self._lateness_ns) or [0]
         health = GatewayHealth(
@@ -125,6 +145,7 @@ class HealthMeter:
             realtime=links.realtime,
             certificate_ends_ns=_ns(links.certificate_ends_s),
             grant_ends_ns=_ns(links.grant_ends_s),
+            notes=[*barred, *links.notes],
         )
         self._reported_ns = now_ns
         self._reported_frames = frames

@@ -10,7 +10,7 @@ import logging
 import socket
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Final, Self
 
 import msgspec
@@ -68,20 +68,25 @@ _WAIT_BEFORE_CLOSE: Final = "transport/link/tx/queue/congestion_control/block/wa
 
 
 def open_session(
-    settings: ZenohSettings, connect: list[str], listen: list[str], block_max_us: int | None = None
+    settings: ZenohSettings,
+    connect: list[str],
+    listen: list[str],
+    block_max_us: int | None = None,
+    changes: Mapping[str, Json] | None = None,
 ) -> zenoh.Session:
     """Open a session.
 
     A peer's session opens although nobody answers, and goes on trying in the background. Where none are given
     here, it connects to the endpoints of the Zenoh configuration file. It listens on those given here and on no
     others. ``block_max_us`` cuts off whoever takes nothing for this time while somebody waits to send to it;
-    Zenoh's own is 5 s.
+    Zenoh's own is 5 s. ``changes`` are entries of Zenoh's configuration by path, over all else.
 
     Raises:
         CommandError: an endpoint or the configuration file is wrong, the client finds nobody to connect to, or an
             endpoint to listen on is taken.
     """
     config = _configuration(settings, connect, listen)
+    _enter(config, changes or {})
     if block_max_us is not None:
         config.insert_json5(_WAIT_BEFORE_CLOSE, str(block_max_us))
         if _of_file(config, _MAX_MESSAGE) is None:
@@ -183,9 +188,12 @@ def close_session(session: zenoh.Session) -> None:
 
 def _configuration(settings: ZenohSettings, connect: list[str], listen: list[str]) -> zenoh.Config:
     config = base_configuration(settings)
-    for path, value in session_settings(
-        settings, connect, listen, lambda path: _of_file(config, path) is not None
-    ).items():
+    _enter(config, session_settings(settings, connect, listen, lambda path: _of_file(config, path) is not None))
+    return config
+
+
+def _enter(config: zenoh.Config, entries: Mapping[str, Json]) -> None:
+    for path, value in entries.items():
         try:
             config.insert_json5(path, json.dumps(value))
         except zenoh.ZError as error:
@@ -193,7 +201,6 @@ def _configuration(settings: ZenohSettings, connect: list[str], listen: list[str
             raise CommandError(
                 f"Zenoh does not take {path} = {shown}: {reason(str(error))}", ExitCode.USAGE
             ) from error
-    return config
 
 
 def _of_file(config: zenoh.Config, path: str) -> Json:

@@ -206,6 +206,15 @@ class ZenohNode:
         except zenoh.ZError as error:
             self._fail(error)
 
+    @property
+    def session(self) -> zenoh.Session:
+        """The session, for the gateway's test of itself."""
+        return self._session
+
+    def routers(self) -> frozenset[str]:
+        """The routers that it is connected to. One that was started again is another."""
+        return frozenset(map(str, self._session.info.routers_zid()))
+
     def peers(self) -> int:
         """Nodes connected directly, but for our own."""
         info = self._session.info

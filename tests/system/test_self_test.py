@@ -1,0 +1,284 @@
+"""The gateway's test of itself before anybody engages the robot, and its renewal: real processes."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+from gateway.cli.configuration_file import load_settings
+from gateway.client.reasons_text import is_idle
+from gateway.client.refusal import Refused
+from gateway.client.robot import Robot
+from schemas.reasons import Reason
+from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.gateway import Running, chassis, run
+from tests.support.provisioning import ProvisionedFleet
+from tests.support.provisioning import run as provision
+from tests.support.waiting import wait_until
+
+ROBOT: Final = "cruiser-1"
+
+REFUSING: Final = {Reason.SELF_TEST, Reason.NO_LEASE, Reason.NOT_ENGAGED}
+
+Damage = Callable[[Any], None]
+"""A change to a Zenoh file."""
+
+
+class Fleet(ProvisionedFleet):
+    """A router, a robot and an operator, on loopback."""
+
+    def __init__(self, place: Path) -> None:
+        super().__init__(place, free_endpoint().replace("tcp/", "tls/"))
+        self.let_in("router", "127.0.0.1")
+        self.let_in("robot", ROBOT)
+        self.let_in("operator", "ann")
+
+    @property
+    def router_file(self) -> Path:
+        return self.place / "127.0.0.1" / "router.json5"
+
+    @property
+    def robot_files(self) -> Path:
+        return self.place / ROBOT
+
+    @property
+    def operator_file(self) -> Path:
+        return self.place / "ann" / "operator.toml"
+
+    @contextmanager
+    def router(self) -> Iterator[Running]:
+        """Its router."""
+        with Running("router", "--directory", str(self.router_file.parent)) as running:
+            running.wait_says("router: listens")
+            yield running
+
+    @contextmanager
+    def gateway(self, *words: str) -> Iterator[Running]:
+        """The robot's gateway, on a virtual chassis."""
+        with chassis() as (_, address):
+            bus = ["--interface", "socketcand", "--channel", address]
+            with Running("gateway", "--config", str(self.robot_files / "robot.toml"), *bus, *words) as running:
+                running.wait_says("gateway: ")
+                yield running
+
+    @contextmanager
+    def running(self) -> Iterator[Running]:
+        """Router and gateway."""
+        with self.router(), self.gateway() as running:
+            yield running
+
+    def connect(self) -> Robot:
+        """The operator's library."""
+        return Robot.connect(ROBOT, settings=load_settings(str(self.operator_file), {}, {}), timeout_s=10.0)
+
+    def why(self) -> str:
+        """What ``cruiser why`` says."""
+        return run(["why", ROBOT, "--config", str(self.operator_file)]).stdout
+
+    def engages(self) -> None:
+        """The operator engages the robot, and lets it go."""
+        with self.connect() as robot:
+            waits(robot)
+            with robot.lease() as lease:
+                lease.engage()
+
+    def refuses(self) -> None:
+        """Nobody engages the robot."""
+        with self.connect() as robot:
+            wait_until(lambda: set(robot.state().state.blocked_by) <= REFUSING)
+            with robot.lease() as lease, pytest.raises(Refused) as refused:
+                lease.engage()
+        assert refused.value.reason is Reason.SELF_TEST
+
+
+@pytest.fixture
+def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fleet:
+    """A fleet of this test."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    return Fleet(tmp_path)
+
+
+def waits(robot: Robot) -> None:
+    """Wait until the robot waits for a driver alone: its guard watches, and its test has passed."""
+    wait_until(lambda: is_idle(robot.state().state.blocked_by))
+
+
+def change(file: Path, damage: Damage) -> None:
+    """Change a Zenoh file."""
+    said = json.loads(file.read_text("utf-8"))
+    damage(said)
+    file.write_text(json.dumps(said), "utf-8")
+
+
+def switched_off(said: Any) -> None:  # noqa: ANN401 - JSON
+    """Zenoh asks nobody."""
+    said["access_control"]["enabled"] = False
+
+
+def allowing(said: Any) -> None:  # noqa: ANN401 - JSON
+    """What is in no rule passes."""
+    said["access_control"]["default_permission"] = "allow"
+
+
+def without_names(said: Any) -> None:  # noqa: ANN401 - JSON
+    """Every subject is everybody."""
+    for subject in said["access_control"]["subjects"]:
+        del subject["cert_common_names"]
+
+
+def to_any_router(said: Any) -> None:  # noqa: ANN401 - JSON
+    """Any machine of the network passes for the router."""
+    said["transport"]["link"]["tls"]["verify_name_on_connect"] = False
+
+
+def test_a_robot_that_is_shut_to_whom_it_should_be_is_engaged(fleet: Fleet) -> None:
+    """The test is under way at first, and passes."""
+    with fleet.running():
+        fleet.engages()
+        assert "see to" not in fleet.why()
+
+
+@pytest.mark.parametrize("damage", [switched_off, allowing, without_names])
+def test_a_router_that_shuts_nobody_out_keeps_the_robot_from_being_engaged(fleet: Fleet, damage: Damage) -> None:
+    """An open router is silent. The robot finds it, says which file of which machine it is, and publishes on."""
+    change(fleet.router_file, damage)
+    with fleet.running() as process:
+        process.wait_says("its test of itself has not passed: a certificate without any right is not shut out")
+        fleet.refuses()
+        said = fleet.why()
+        assert "self_test:" in said
+        assert "see to: self_test: a certificate without any right is not shut out: " in said
+        assert "has to run from the router.json5 that 'cruiser provision install' writes there" in said
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (switched_off, "access_control.enabled is not true"),
+        (allowing, "access_control.default_permission is not deny"),
+        (without_names, "the subject 'router' of access_control has no cert_common_names, and so is everybody"),
+        (to_any_router, "transport.link.tls.verify_name_on_connect is not true"),
+    ],
+)
+def test_a_robot_whose_own_file_lets_anybody_in_is_not_engaged(fleet: Fleet, damage: Damage, words: str) -> None:
+    """What the file says is found before anything is tried."""
+    file = fleet.robot_files / "robot.json5"
+    change(file, damage)
+    cure = "'cruiser provision install --replace' writes it"
+    with fleet.running() as process:
+        process.wait_says(words)
+        fleet.refuses()
+        assert f"see to: self_test: {file}: {words}; {cure}" in fleet.why()
+
+
+def test_a_robot_without_the_certificate_to_test_with_is_not_engaged_until_it_has_it(fleet: Fleet) -> None:
+    """One that was provisioned before there was any. When it is there, the gateway starts again by itself."""
+    file = fleet.robot_files / "nothing-tls.pem"
+    text = file.read_text()
+    file.unlink()
+    with fleet.running() as process:
+        fleet.refuses()
+        assert (
+            f"see to: self_test: {file} is not there; 'cruiser provision renew robot' asks for it" in fleet.why()
+        )
+        file.write_text(text)
+        process.wait_says("starting again with the renewed files")
+        fleet.engages()
+
+
+def test_a_router_that_is_open_when_it_returns_keeps_the_robot_from_being_engaged_anew(fleet: Fleet) -> None:
+    """A robot that lost its router stays as it was; another router is tested."""
+    with ExitStack() as first:
+        first.enter_context(fleet.router())
+        with fleet.gateway() as process:
+            fleet.engages()
+            first.close()
+            process.wait_says("no Zenoh node is connected any more")
+            change(fleet.router_file, switched_off)
+            with fleet.router():
+                process.wait_says("its test of itself has not passed")
+                fleet.refuses()
+
+
+def test_a_gateway_that_finds_no_router_tests_itself_when_it_has_one(fleet: Fleet) -> None:
+    """Until then it says for what it waits."""
+    with (fleet.robot_files / "robot.toml").open("a") as file:
+        file.write('mode = "peer"\n')
+    with fleet.gateway() as process:
+        process.wait_says(r"it waits for tls/127\.0\.0\.1:\d+, where no node answers; it is tried on")
+        with fleet.router():
+            process.wait_says("the test of itself has passed")
+
+
+def test_renewed_files_are_taken_over_while_the_robot_stands_and_nobody_holds_its_lease(fleet: Fleet) -> None:
+    """Not before: a gateway that starts again would let the robot go."""
+    certificate = fleet.robot_files / "robot-tls.pem"
+    with fleet.running() as process:
+        with fleet.connect() as robot:
+            waits(robot)
+            with robot.lease() as lease:
+                lease.engage()
+                before = certificate.read_text()
+                renew(fleet)
+                assert certificate.read_text() != before
+                process.wait_says("the gateway starts again with them once the robot stands")
+                lease.unpark()
+                began_s = time.monotonic()
+                wait_until(lambda: time.monotonic() - began_s > 3, lambda: lease.drive(0.3))
+                assert robot.state().state.engaged
+        assert not any("starting again" in line for line in process.said)
+        process.wait_says("starting again with the renewed files")
+        fleet.engages()
+        assert process.stop() == 0
+
+
+def test_a_latched_stop_outlives_a_renewal(fleet: Fleet) -> None:
+    """A new start would forget it: the gateway waits until somebody has reset it."""
+    with fleet.running() as process, fleet.connect() as robot:
+        waits(robot)
+        robot.stop()
+        renew(fleet)
+        process.wait_says("the gateway starts again with them once the robot stands")
+        began_s = time.monotonic()
+        wait_until(lambda: time.monotonic() - began_s > 8)
+        assert Reason.REMOTE_STOP in robot.state().state.latched
+        assert not any("starting again" in line for line in process.said)
+        with robot.lease() as lease:
+            lease.reset()
+        process.wait_says("starting again with the renewed files")
+
+
+def test_renewed_files_that_nobody_accepts_are_not_used(fleet: Fleet, tmp_path: Path) -> None:
+    """Neither a certificate of another network, nor half a renewal: the gateway goes on with what it has."""
+    certificate = fleet.robot_files / "robot-tls.pem"
+    with fleet.running() as process:
+        fleet.engages()
+        certificate.write_text(fleet.router_file.with_name("router-tls.pem").read_text())
+        process.wait_says(rf"the renewed files are not used: {certificate} is not the certificate of")
+        assert "see to: the renewed files are not used" in fleet.why()
+        renew(fleet)
+        (fleet.robot_files / "ca.pem").write_text(other_ca(tmp_path / "other"))
+        process.wait_says("the renewed files are not used: cannot open Zenoh")
+        fleet.engages()
+        assert not any("starting again" in line for line in process.said)
+
+
+def renew(fleet: Fleet) -> None:
+    """Renew the robot's certificates and its grant, as docs/authority.md says."""
+    request = fleet.place / "again.request"
+    provision("renew", "robot", "--directory", fleet.robot_files, "-o", request)
+    bundle = fleet.sign(request)
+    provision("install", bundle, "--directory", fleet.robot_files, "--replace")
+
+
+def other_ca(place: Path) -> str:
+    """The transport authority of another fleet."""
+    place.mkdir()
+    ProvisionedFleet(place)
+    return (place / "authority" / "ca.pem").read_text()
