@@ -14,7 +14,7 @@ from typing import Final
 
 from gateway.authority.transport import SHUT_OUT_FILE
 from gateway.provisioning.key_files import directory_of, read_identity
-from gateway.provisioning.tls_files import check_tls_files, tls_files
+from gateway.provisioning.tls_files import check_shut_out, check_tls_files, tls_files
 from gateway.zenoh.client import close_session, open_session
 from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, KEY_FILE
 from schemas.exit_codes import CommandError
@@ -111,9 +111,12 @@ class Renewal:
 
     def _fault(self) -> str:
         """Why the files that are there now cannot be used; empty if they can."""
+        directory = directory_of(self._settings.authority)
         try:
-            read_identity(directory_of(self._settings.authority), ROBOT)
+            read_identity(directory, ROBOT)
             self._check_tls()
+            if (directory / SHUT_OUT_FILE).exists():
+                check_shut_out(directory, time.time())
             if self._connect:
                 # Somebody who accepts them: a gateway that starts again and finds none would be away.
                 close_session(open_session(self._settings.zenoh, self._connect, [], changes={MODE: "client"}))

@@ -188,7 +188,10 @@ def intrude(
         sessions: the gateway's, for telemetry and for commands.
         pause: waits for so many seconds.
     """
-    wires = Tripwires(settings, *sessions)
+    try:
+        wires = Tripwires(settings, *sessions)
+    except zenoh.ZError:  # The gateway ends.
+        return Attempt(is_connected=False)
     try:
         with Intruder.open(settings, endpoint, certificate, key, wires) as intruder:
             return Attempt(intruder.connected(), intruder.act(pause))

@@ -213,7 +213,10 @@ class ZenohNode:
 
     def routers(self) -> frozenset[str]:
         """The routers that it is connected to. One that was started again is another."""
-        return frozenset(map(str, self._session.info.routers_zid()))
+        try:
+            return frozenset(map(str, self._session.info.routers_zid()))
+        except zenoh.ZError:  # It is closed.
+            return frozenset()
 
     def peers(self) -> int:
         """Nodes connected directly, but for our own."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -214,6 +215,34 @@ def test_a_gateway_that_finds_no_router_tests_itself_when_it_has_one(fleet: Flee
         process.wait_says(r"it waits for tls/127\.0\.0\.1:\d+, where no node answers; it is tried on")
         with fleet.router():
             process.wait_says("the test of itself has passed")
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        ("", "the test of itself has passed"),
+        (
+            "#enable_mtls=false",
+            "has not passed: {0} lets in who shows no certificate: leave out what the endpoint {0}#",
+        ),
+    ],
+)
+def test_a_gateway_that_listens_itself_tests_its_own_endpoints(fleet: Fleet, option: str, said: str) -> None:
+    """An endpoint can take back what the file says."""
+    desk = fleet.let_in("desk", "localhost")
+
+    def listens(file: Any) -> None:  # noqa: ANN401 - JSON
+        tls = file["transport"]["link"]["tls"]
+        tls["listen_certificate"], tls["listen_private_key"] = (
+            str(desk / "desk-tls.pem"),
+            str(desk / "desk-tls.key"),
+        )
+        file["mode"], file["connect"] = "peer", {}
+
+    change(fleet.robot_files / "robot.json5", listens)
+    endpoint = free_endpoint().replace("tcp/", "tls/")
+    with fleet.gateway("--listen", f"{endpoint}{option}") as process:
+        process.wait_says(re.escape(said.format(endpoint)))
 
 
 def test_renewed_files_are_taken_over_while_the_robot_stands_and_nobody_holds_its_lease(fleet: Fleet) -> None:

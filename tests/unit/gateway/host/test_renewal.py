@@ -116,6 +116,7 @@ def test_renewed_files_are_ready_once_somebody_accepts_them(robot: Robot, watche
         ("robot.key", "robot.key is no private key"),
         ("robot.grant", "robot.grant is no grant"),
         ("robot-tls.pem", "robot-tls.pem: "),
+        ("nothing-tls.pem", "nothing-tls.pem: "),
     ],
 )
 def test_damaged_files_are_not_used(robot: Robot, watched: Renewal, name: str, said: str) -> None:

@@ -10,6 +10,7 @@ import pytest
 from gateway.host import self_test
 from gateway.host.self_test import UNDER_WAY, Reached, SelfTest
 from gateway.zenoh.intruder import Attempt
+from schemas.exit_codes import CommandError
 from schemas.settings import AuthoritySettings, Settings, ZenohSettings
 from tests.support.authority import Fleet
 from tests.support.provisioning import ProvisionedFleet
@@ -181,6 +182,33 @@ def test_an_own_listener_that_is_open_names_the_robots_own_file(settings: Settin
     wait_until(lambda: len(network.verdicts) > 2)
     test.close()
     assert network.verdicts[-1] == (
-        f"tcp/127.0.0.1:7447 lets in who shows no certificate: {file} has to say "
-        f"transport.link.tls.enable_mtls = true; {cure}"
+        "tcp/127.0.0.1:7447 lets in who shows no certificate: leave out what the endpoint tls/127.0.0.1:7447 says "
+        f"against {file}"
     )
+
+
+def test_a_router_that_may_be_anybody_fails(settings: Settings, network: Network) -> None:
+    """What the file says can be taken back by an endpoint."""
+    endpoint = f"{ROUTER}#verify_name_on_connect=false"
+    begun(settings, network, Reached([endpoint], [])).close()
+    assert network.verdicts == [f"{endpoint} is whoever answers there: leave out verify_name_on_connect=false"]
+
+
+def test_a_file_that_cannot_be_read_any_more_is_named(
+    settings: Settings, network: Network, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The test does not end by it: it is made again."""
+    wrong = "Zenoh configuration file 'robot.json5': no such file"
+
+    def enters(*_given: object) -> str:
+        if network.entrance:
+            raise CommandError(network.entrance)
+        return ""
+
+    monkeypatch.setattr(self_test, "enters_without_certificate", enters)
+    network.entrance = wrong
+    test = begun(settings, network, Reached([], ["tls/127.0.0.1:7447"]))
+    wait_until(lambda: network.verdicts[-1] == wrong)
+    network.entrance = ""
+    wait_until(lambda: network.verdicts[-1] == "")
+    test.close()
