@@ -29,7 +29,7 @@ from schemas.authority.statement import (
     chain_text,
     read_chain,
 )
-from schemas.authority.trust import HeldGrant, Objection, Trust
+from schemas.authority.trust import AuthorityKeys, HeldGrant, Objection, Trust
 from schemas.decisions import SignedStatement, StatementReply
 from schemas.messages import SEQUENCE_MAX
 from schemas.reasons import TEXTS, Reason
@@ -57,6 +57,7 @@ class Kept(msgspec.Struct, frozen=True):
         rotations: all that were taken over, signed, in their order.
         epoch: no grant of a lower one counts, whatever the newest list says.
         floor_s: the floor of time, seconds since 1970.
+        since: the authority that was provisioned when the first of it was learnt.
     """
 
     own: str = ""
@@ -64,6 +65,35 @@ class Kept(msgspec.Struct, frozen=True):
     rotations: list[str] = []
     epoch: int = 0
     floor_s: int = 0
+    since: AuthorityKeys | None = None
+
+
+def resume(provisioned: Trust, kept: Kept) -> tuple[Trust, Kept] | Objection:
+    """The trust at a start, and what was kept, as far as it is of this authority.
+
+    A robot that took over a rotation is given the keys of the new authority by the next bundle: what it learnt
+    still holds. Keys of another authority, which somebody installed on the robot itself, begin anew.
+
+    Args:
+        provisioned: the trust that begins with the keys that are installed now.
+        kept: what was saved last.
+    """
+    since = provisioned if kept.since is None else kept.since.trust
+    trust = trust_of(since, kept)
+    here = (provisioned.active, provisioned.standby)
+    begins = AuthorityKeys(provisioned.active.hex(), provisioned.standby.hex())
+    if here == (since.active, since.standby):
+        return trust if isinstance(trust, Objection) else (trust, msgspec.structs.replace(kept, since=begins))
+    if not isinstance(trust, Objection) and here in _led_to(kept.rotations):
+        return trust, kept
+    return provisioned, Kept(since=begins)
+
+
+def _led_to(rotations: list[str]) -> set[tuple[bytes, bytes]]:
+    """The keys of each authority that rotations led to; they were verified."""
+    chains = (read_chain(text.encode()) for text in rotations)
+    found = (chain[0].statement for chain in chains if not isinstance(chain, StatementFault))
+    return {(bytes.fromhex(one.active), bytes.fromhex(one.standby)) for one in found if isinstance(one, Rotation)}
 
 
 def trust_of(trust: Trust, kept: Kept) -> Trust | Objection:

@@ -14,7 +14,6 @@ from typing import Final
 import msgspec
 
 from gateway.authority.enrolment import (
-    Bundle,
     EnrolmentRole,
     FleetPlace,
     key_fingerprint,
@@ -24,7 +23,6 @@ from gateway.authority.enrolment import (
 )
 from gateway.cli.grant_arguments import add_grant_arguments, grant_line, in_utc, matching, wanted_grant
 from gateway.cli.statements import run_show, run_time
-from gateway.host.authority_note import note_path
 from gateway.provisioning.issuer import (
     ISSUED_FILE,
     STANDBY_FILE,
@@ -280,7 +278,7 @@ def _sign(arguments: argparse.Namespace, store: KeyStore) -> None:
         _say(f"  {grant_line(grant)}")
 
 
-def _install(arguments: argparse.Namespace, store: KeyStore, settings: Settings) -> None:
+def _install(arguments: argparse.Namespace, store: KeyStore, _settings: Settings) -> None:
     text = read_input(Path(arguments.bundle))
     with naming(arguments.bundle):
         bundle = read_bundle(text, _now_s())
@@ -293,27 +291,10 @@ def _install(arguments: argparse.Namespace, store: KeyStore, settings: Settings)
         done = install(store, bundle, replace=arguments.replace)
     except ValueError as error:
         raise CommandError(f"{plain(arguments.bundle)}: {error}", ExitCode.USAGE) from error
-    if done.is_new_authority and bundle.role is EnrolmentRole.ROBOT:
-        _forget(settings, bundle)
     _say(f"{store.directory}: {', '.join(done.files)}")
     _say(f"{bundle.role.value} {plain(bundle.name)} of authority {fingerprint}")
     after = _AFTER.get(bundle.role, f"export CRUISER_CONFIG={{}}/{bundle.role.value}.toml").format(store.directory)
     _say(f"certificate until {in_utc(done.certificate_until_s)}; {after}")
-
-
-def _forget(settings: Settings, bundle: Bundle) -> None:
-    """What a robot learnt of a former authority says nothing of this one, and would keep it from starting."""
-    robot = msgspec.structs.replace(settings.robot, root=bundle.fleet.root, name=bundle.name)
-    note = note_path(msgspec.structs.replace(settings, robot=robot), os.environ)
-    if note is None or not note.exists():
-        return
-    try:
-        note.unlink()
-    except OSError as error:
-        raise CommandError(
-            f"{note} is of the former authority, and cannot be deleted: {error.strerror}"
-        ) from error
-    _say(f"{note}, of the former authority, is deleted")
 
 
 def _revoke(arguments: argparse.Namespace, store: KeyStore) -> None:

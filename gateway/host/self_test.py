@@ -204,9 +204,7 @@ class SelfTest:
     def _give(self, verdict: str) -> None:
         if verdict == self._verdict:
             return
-        if verdict and verdict != UNDER_WAY:
-            log.warning("nobody can engage this robot: its test of itself has not passed: %s", verdict)
-        elif not verdict and self._verdict is not None:
+        if not verdict and self._verdict is not None:
             log.info("the test of itself has passed")
         self._verdict = verdict
         self._report(verdict)

@@ -8,7 +8,7 @@ from typing import Final
 
 from gateway.authority.admission import SignedAdmission
 from gateway.authority.floor import TimeFloor
-from gateway.authority.robot_authority import Kept, RobotAuthority, trust_of
+from gateway.authority.robot_authority import Kept, RobotAuthority, resume
 from gateway.authority.signer import RobotSigner
 from gateway.core import Core
 from gateway.host.authority_note import AuthorityNote
@@ -43,12 +43,12 @@ class SignedMode:
         kept = self._note.read()
         if isinstance(kept, str):
             raise CommandError(kept, ExitCode.USAGE)
-        trust = trust_of(identity.trust, kept)
-        if isinstance(trust, Objection):
+        resumed = resume(identity.trust, kept)
+        if isinstance(resumed, Objection):
             raise CommandError(
-                f"{self._note.path}: {trust.text}; 'cruiser provision robot' anew",
-                ExitCode.USAGE,
+                f"{self._note.path}: {resumed.text}; 'cruiser provision robot' anew", ExitCode.USAGE
             )
+        trust, kept = resumed
         signer = RobotSigner(identity.private, os.urandom(BOOT_BYTES))
         boot_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
         self.authority = RobotAuthority(

@@ -150,7 +150,7 @@ def test_a_router_that_shuts_nobody_out_keeps_the_robot_from_being_engaged(fleet
     """An open router is silent. The robot finds it, says which file of which machine it is, and publishes on."""
     change(fleet.router_file, damage)
     with fleet.running() as process:
-        process.wait_says("its test of itself has not passed: a certificate without any right is not shut out")
+        process.wait_says("access control has not passed: a certificate without any right is not shut out")
         fleet.refuses()
         said = fleet.why()
         assert "self_test:" in said
@@ -203,7 +203,7 @@ def test_a_router_that_is_open_when_it_returns_keeps_the_robot_from_being_engage
             process.wait_says("no Zenoh node is connected any more")
             change(fleet.router_file, switched_off)
             with fleet.router():
-                process.wait_says("its test of itself has not passed")
+                process.wait_says("access control has not passed")
                 fleet.refuses()
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from gateway.authority.admission import GRANTS_KEPT
 from gateway.authority.operator_proof import new_lease_key
-from gateway.authority.robot_authority import ANSWER_MAX_NS, AuthorityEffects, Kept, trust_of
+from gateway.authority.robot_authority import ANSWER_MAX_NS, AuthorityEffects, Kept, resume, trust_of
 from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest
 from schemas.authority.statement import GrantRole, TimeStatement, chain_text
@@ -107,6 +107,52 @@ def test_a_damaged_note_is_no_trust(kept: Kept) -> None:
     assert isinstance(trust_of(fleet.trust, kept), Objection)
     foreign = Kept(revocations=Fleet().authority.revoke(1).text())
     assert isinstance(trust_of(fleet.trust, foreign), Objection)
+
+
+def learnt(fleet: Fleet, new: Fleet) -> Kept:
+    """What a robot of the first fleet has learnt: a rotation to the other, and what that one revoked."""
+    bench = AuthorityBench(fleet, since(fleet))
+    assert bench.show(fleet.standby.rotate(1, new.authority, new.standby).text()).ok
+    assert bench.show(new.authority.revoke(1, keys=(b"x" * 32,)).text()).ok
+    kept = bench.tick().kept
+    assert kept is not None
+    return kept
+
+
+def since(fleet: Fleet) -> Kept:
+    """Nothing was learnt yet."""
+    resumed = resume(fleet.trust, Kept())
+    assert not isinstance(resumed, Objection)
+    assert resumed[0] == fleet.trust
+    return resumed[1]
+
+
+def test_keys_that_a_rotation_led_to_go_on_with_what_was_learnt() -> None:
+    """A bundle of the new authority comes after its rotation; what it revoked meanwhile stays revoked."""
+    fleet, new = Fleet(), Fleet()
+    kept = learnt(fleet, new)
+    for provisioned in (fleet.trust, new.trust):
+        resumed = resume(provisioned, kept)
+        assert not isinstance(resumed, Objection)
+        trust, still = resumed
+        assert (trust.active, trust.revoked, still) == (new.authority.key, frozenset({b"x" * 32}), kept)
+
+
+def test_keys_of_another_authority_begin_anew() -> None:
+    """Whoever installs them has the robot in his hands. What the former authority said ends with it."""
+    kept, other = learnt(Fleet(), Fleet()), Fleet()
+    damaged = msgspec.structs.replace(kept, revocations="x")
+    for found in (kept, damaged):
+        assert resume(other.trust, found) == (other.trust, since(other))
+
+
+def test_a_damaged_note_does_not_begin_anew() -> None:
+    """Under the keys that it is of, what was revoked must not be forgotten."""
+    fleet, new = Fleet(), Fleet()
+    kept = learnt(fleet, new)
+    change = msgspec.structs.replace
+    for damaged in (change(kept, revocations="x"), change(kept, rotations=["x"]), change(kept, rotations=[])):
+        assert isinstance(resume(fleet.trust, damaged), Objection)
 
 
 def test_nobody_engages_before_the_self_test_has_passed() -> None:

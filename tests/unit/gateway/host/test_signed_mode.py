@@ -14,6 +14,7 @@ from gateway.host.authority_note import note_path
 from gateway.host.signed_mode import SignedMode
 from gateway.provisioning.certificates import expires_s, read_certificates
 from schemas.authority.statement import Grant, chain_text
+from schemas.authority.trust import AuthorityKeys
 from schemas.exit_codes import CommandError
 from schemas.settings import AuthoritySettings, RobotSettings, Settings, ZenohSettings
 from tests.support.provisioning import ProvisionedFleet, chain, run
@@ -79,6 +80,24 @@ def test_a_shown_grant_that_does_not_hold_any_more_gives_way(fleet: ProvisionedF
     note.write_bytes(msgspec.json.encode(Kept(own=shown)))
     installed = fleet.place / "cruiser-1" / "robot.grant"
     assert started(fleet) == chain_text(chain(installed))
+
+
+def test_a_robot_starts_under_another_authority_that_was_installed(fleet: ProvisionedFleet) -> None:
+    """Whatever it learnt of the former one, which a gateway that runs meanwhile saves again."""
+    started(fleet)
+    run("revoke", "cruiser-1", "--directory", fleet.place / "authority")
+    before = msgspec.json.decode((fleet.place / "cruiser-1" / "authority.json").read_bytes(), type=AuthorityKeys)
+    note = note_path(settings_of(fleet), {"XDG_STATE_HOME": str(fleet.place / "state")})
+    assert note is not None
+    note.parent.mkdir(parents=True)
+    note.write_bytes(
+        msgspec.json.encode(Kept(revocations=Path("revocations.statement").read_text(), since=before))
+    )
+    bundle = renewed(fleet, "5")
+    new = ProvisionedFleet(fleet.place / "new")
+    run("sign", "5.request", "--directory", new.place / "authority", "-o", bundle, "--replace")
+    run("install", bundle, "--directory", fleet.place / "cruiser-1", "--replace")
+    assert started(fleet) == chain_text(chain(fleet.place / "cruiser-1" / "robot.grant"))
 
 
 def test_another_robots_keys_start_nothing(fleet: ProvisionedFleet) -> None:
