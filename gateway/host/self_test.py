@@ -2,7 +2,7 @@
 
 What needs no network is tested at once, and everything else on a thread of its own: the loop goes on meanwhile. A
 robot that has no network waits for one, and nobody could engage it either. One that had passed and lost its router
-stays as it was; a router that it has not been connected to before is tested when it is.
+stays as it was; by a router that it was not connected to before, nobody engages it until that one is tested.
 """
 
 from __future__ import annotations
@@ -139,19 +139,23 @@ class SelfTest:
         return endpoint_fault(self._place) or files_fault(self._settings)
 
     def _run(self) -> None:
+        away = plain(", ".join((*self._place.connect, *self._place.listen)))
+        waits = f"it waits for {away}, where no node answers; it is tried on"
+        result: str | None = None
         known: frozenset[str] = frozenset()
-        is_tested, due_s = False, 0.0
+        due_s = 0.0
         while not self._ends.is_set():
             routers = self._node.routers()
-            if not is_tested or routers - known or (self._verdict and time.monotonic() >= due_s):
+            is_new = result is None or bool(routers - known)
+            if is_new and self._verdict == result:
+                # Nobody engages the robot by a router of which nothing is known.
+                self._give(UNDER_WAY)
+            if is_new or (result and time.monotonic() >= due_s):
                 fault = self._network_fault()
                 if fault is not None:
-                    self._give(fault)
-                    is_tested, known = True, known | routers
+                    result, known = fault, known | routers
                     due_s = time.monotonic() + AGAIN_S
-                elif not is_tested:
-                    away = ", ".join((*self._place.connect, *self._place.listen))
-                    self._give(f"it waits for {plain(away)}, where no node answers; it is tried on")
+            self._give(waits if result is None or routers - known else result)
             self._ends.wait(LOOK_S)
 
     def _network_fault(self) -> str | None:

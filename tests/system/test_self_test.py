@@ -203,7 +203,7 @@ def test_a_router_that_is_open_when_it_returns_keeps_the_robot_from_being_engage
             process.wait_says("no Zenoh node is connected any more")
             change(fleet.router_file, switched_off)
             with fleet.router():
-                process.wait_says("access control has not passed")
+                process.wait_says("a certificate without any right is not shut out")
                 fleet.refuses()
 
 
