@@ -2,6 +2,10 @@
 
 Before anything else a robot is met: it is shown the operator's grant, and its reply has the chain of its own
 grant, which ends at the same authority. From then on its replies and states are held against its key.
+
+What a robot signed once can be sent again by anybody who kept it. So the reply to the statement covers bytes that
+were drawn for the question: it names the run that the robot is in now. States of another run are not believed, and
+within the run none that is not newer than the one before.
 """
 
 from __future__ import annotations
@@ -23,16 +27,36 @@ from schemas.authority.statement import Grant, GrantRole, Signed, StatementFault
 from schemas.authority.trust import Objection, Trust, fits
 from schemas.codec import PAYLOAD_ERRORS
 from schemas.decisions import LeaseReply, StatementReply
+from schemas.messages import SEQUENCE_MAX, Sequence
 from schemas.reasons import Reason
 from schemas.subjects import BY_VERB, DRIVE_VERB, STATEMENT_REPLY_ENCODING
 
 NONCE_BYTES: Final = 8
 
+QUESTION_BYTES: Final = 16
+"""Drawn for each question who a robot is: a reply that was kept answers another."""
+
 DRIVE: Final = BY_VERB[DRIVE_VERB]
 
 
+class _Known(msgspec.Struct):
+    """A robot that was met.
+
+    Attributes:
+        key: its public key.
+        boot: the run that it is in, by its newest reply to a question of ours.
+        newest: the sequence of the newest sample that was believed, by subject.
+        is_other_run_seen: it has signed a sample of another run: it was restarted, or somebody repeats an old one.
+    """
+
+    key: bytes
+    boot: bytes
+    newest: dict[str, int]
+    is_other_run_seen: bool = False
+
+
 class KnownRobots:
-    """The keys of the robots that were met: what a viewer needs to believe a robot."""
+    """The robots that were met: what a viewer needs to believe a robot."""
 
     def __init__(self, trust: Trust, root: str, now_s: Callable[[], int]) -> None:
         """No robot is met yet.
@@ -45,10 +69,16 @@ class KnownRobots:
         self._trust = trust
         self._root = root
         self._now_s = now_s
-        self._robots: dict[str, bytes] = {}
+        self._robots: dict[str, _Known] = {}
 
-    def meet(self, robot: str, received: Received) -> Objection | None:
-        """A robot's reply to the statement. Returns why it is no robot of this fleet, or refuses the grant."""
+    def meet(self, robot: str, received: Received, question: bytes) -> Objection | None:
+        """A robot's reply to the statement. Returns why it is no robot of this fleet, or refuses the grant.
+
+        Args:
+            robot: its name.
+            received: the reply.
+            question: the attachment of the query, drawn for it (``new_question``).
+        """
         try:
             said = _STATEMENT_REPLY.decode(received.payload)
         except PAYLOAD_ERRORS as error:
@@ -63,15 +93,24 @@ class KnownRobots:
             return Objection(Reason.NOT_GRANTED, f"the reply is of {held.grant.name}, not of {robot}")
         key = keys.authority(self._root, robot)
         if not fits(
-            held.key, proof.signature, proof.signed_reply(key, STATEMENT_REPLY_ENCODING, received.payload, b"")
+            held.key,
+            proof.signature,
+            proof.signed_reply(key, STATEMENT_REPLY_ENCODING, received.payload, question),
         ):
             return Objection(Reason.PROOF_WRONG, "the reply is not the robot's")
-        self._robots[robot] = held.key
+        known = self._robots.get(robot)
+        newest = known.newest if known is not None and known.boot == proof.boot else {}
+        self._robots[robot] = _Known(held.key, proof.boot, newest)
         return None if said.ok else Objection(said.reason, said.detail)
 
     def has_met(self, robot: str) -> bool:
         """The key of this robot is known."""
         return robot in self._robots
+
+    def is_to_meet_again(self, robot: str) -> bool:
+        """Was a state of another run signed by this robot? Its reply says whether it was restarted."""
+        known = self._robots.get(robot)
+        return known is not None and known.is_other_run_seen
 
     def is_reply(self, robot: str, received: Received, request: bytes) -> bool:
         """Is it this robot's reply to the request that had this attachment?"""
@@ -79,12 +118,36 @@ class KnownRobots:
         if proof is None or known is None:
             return False
         text = proof.signed_reply(received.key, received.encoding, received.payload, request)
-        return received.key.startswith(f"{self._root}/{robot}/") and fits(known, proof.signature, text)
+        return received.key.startswith(f"{self._root}/{robot}/") and fits(known.key, proof.signature, text)
 
     def believes(self, robot: str, received: Received) -> bool:
-        """May a sample of this robot be believed? What people decide by it has to have signed."""
+        """May a sample of this robot be believed?
+
+        What people decide by has to be signed, of the robot's present run, and newer than the one before.
+        """
         subject = received.key.removeprefix(f"{self._root}/{robot}/")
-        return subject not in SIGNED or self.is_state(robot, received)
+        if subject not in SIGNED:
+            return True
+        proof, known, sequence = (
+            RobotProof.read(received.attachment),
+            self._robots.get(robot),
+            _sequence_of(received),
+        )
+        if proof is None or known is None or sequence is None:
+            return False
+        is_of_run = proof.boot == known.boot
+        # The cheap questions first: a flood of what was kept costs no signatures.
+        if is_of_run and not _is_newer(sequence, known.newest.get(subject)):
+            return False
+        if not is_of_run and known.is_other_run_seen:
+            return False
+        if not self.is_state(robot, received):
+            return False
+        if is_of_run:
+            known.newest[subject] = sequence
+        else:
+            known.is_other_run_seen = True
+        return is_of_run
 
     def is_state(self, robot: str, received: Received) -> bool:
         """Did this robot sign what it is said to have published?"""
@@ -92,7 +155,7 @@ class KnownRobots:
         if proof is None or known is None:
             return False
         text = proof.signed_publication(received.key, received.encoding, received.payload)
-        return received.key.startswith(f"{self._root}/{robot}/") and fits(known, proof.signature, text)
+        return received.key.startswith(f"{self._root}/{robot}/") and fits(known.key, proof.signature, text)
 
 
 class OperatorProof(KnownRobots):
@@ -170,6 +233,32 @@ def new_lease_key() -> tuple[X25519PrivateKey, bytes]:
     """A key for one lease: the private half, and the public one for the request."""
     private = X25519PrivateKey.generate()
     return private, public_bytes(private)
+
+
+def new_question() -> bytes:
+    """The attachment of one question who a robot is: random."""
+    return secrets.token_bytes(QUESTION_BYTES)
+
+
+class _Numbered(msgspec.Struct, frozen=True):
+    """Of a sample its number alone."""
+
+    sequence: Sequence
+
+
+_NUMBERED: Final = msgspec.msgpack.Decoder(_Numbered)
+
+
+def _sequence_of(received: Received) -> int | None:
+    try:
+        return _NUMBERED.decode(received.payload).sequence
+    except PAYLOAD_ERRORS:
+        return None
+
+
+def _is_newer(sequence: int, newest: int | None) -> bool:
+    """Is it ahead of the newest by less than half of all numbers? After the last one, 0 follows (RFC 1982)."""
+    return newest is None or 0 < (sequence - newest) & SEQUENCE_MAX <= SEQUENCE_MAX // 2
 
 
 _STATEMENT_REPLY: Final = msgspec.msgpack.Decoder(StatementReply)

@@ -191,7 +191,7 @@ class RobotAuthority:
         """Somebody shows a statement. Returns the reply, which says why it is not taken over, or that it is.
 
         Args:
-            raw: its payload is the statement, signed, with its chain.
+            raw: its payload is the statement, signed, with its chain. Its attachment is covered by the reply.
             now_ns: monotonic.
             boot_ns: since the machine's start.
         """
@@ -200,7 +200,7 @@ class RobotAuthority:
         accepted, cure = ruling.reason is Reason.NONE, TEXTS[ruling.reason].cure
         said = StatementReply(accepted, ruling.reason, ruling.text, cure, own=chain_text(self._own))
         payload = _ENCODER.encode(said)
-        attachment = self.signer.reply(self._key, STATEMENT_REPLY_ENCODING, payload, b"")
+        attachment = self.signer.reply(self._key, STATEMENT_REPLY_ENCODING, payload, raw.attachment)
         return PendingReply(raw.handle, raw.verb, payload, attachment)
 
     def _take_over(self, text: bytes, now_ns: int, boot_ns: int) -> Objection | None:

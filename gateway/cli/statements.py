@@ -7,13 +7,13 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 import msgspec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from gateway.authority.enrolment import EnrolmentError, chain_of
-from gateway.authority.operator_proof import OperatorProof
+from gateway.authority.operator_proof import OperatorProof, new_question
 from gateway.provisioning.issuer import Issuer
 from gateway.provisioning.key_store import KeyStore, read_input
 from gateway.provisioning.machine_keys import ZENOH_FILE
@@ -55,8 +55,7 @@ def run_show(arguments: argparse.Namespace, settings: Settings, store: KeyStore,
         raise CommandError(f"{plain(str(file))}: {error}", ExitCode.USAGE) from error
 
     def show(port: StatementPort, robot: str) -> _Answer:
-        reply = port.show(robot, chain_text(chain).encode(), arguments.timeout)
-        return _judge(reply, robot, chain, settings, store)
+        return _judge(_Shown.to(port, robot, chain, arguments.timeout), robot, chain, settings, store)
 
     return _round(arguments, _reaching(settings, store), stopped, show)
 
@@ -74,9 +73,7 @@ def run_time(arguments: argparse.Namespace, settings: Settings, store: KeyStore,
         if challenge is None:
             return _Answer("publishes no state", ExitCode.UNREACHABLE)
         chain = issuer.state_time(challenge, int(time.time()))
-        return _judge(
-            port.show(robot, chain_text(chain).encode(), arguments.timeout), robot, chain, settings, store
-        )
+        return _judge(_Shown.to(port, robot, chain, arguments.timeout), robot, chain, settings, store)
 
     return _round(arguments, _reaching(settings, store), stopped, tell)
 
@@ -111,16 +108,27 @@ def _code(codes: list[ExitCode]) -> ExitCode:
     return codes[0] if len(set(codes)) == 1 else ExitCode.PARTIAL
 
 
-def _judge(
-    reply: Received | None, robot: str, chain: list[Signed], settings: Settings, store: KeyStore
-) -> _Answer:
+class _Shown(msgspec.Struct, frozen=True):
+    """What a robot answered when it was shown a statement, and the question that its answer has to cover."""
+
+    question: bytes
+    reply: Received | None
+
+    @classmethod
+    def to(cls, port: StatementPort, robot: str, chain: list[Signed], timeout_s: float) -> Self:
+        question = new_question()
+        return cls(question, port.show(robot, chain_text(chain).encode(), question, timeout_s))
+
+
+def _judge(shown: _Shown, robot: str, chain: list[Signed], settings: Settings, store: KeyStore) -> _Answer:
+    reply = shown.reply
     if reply is None:
         return _Answer("does not answer", ExitCode.UNREACHABLE)
     try:
         said = msgspec.msgpack.decode(reply.payload, type=StatementReply)
     except PAYLOAD_ERRORS as error:
         return _Answer(f"its answer cannot be read: {error}", ExitCode.FAILURE)
-    doubt = _doubt(reply, robot, chain, said, settings, store)
+    doubt = _doubt(reply, shown.question, robot, chain, said, settings, store)
     if doubt:
         return _Answer(f"{'yes' if said.ok else 'no'}, and the answer is not proven: {doubt}", ExitCode.FAILURE)
     if said.ok:
@@ -131,7 +139,13 @@ def _judge(
 
 
 def _doubt(
-    reply: Received, robot: str, chain: list[Signed], said: StatementReply, settings: Settings, store: KeyStore
+    reply: Received,
+    question: bytes,
+    robot: str,
+    chain: list[Signed],
+    said: StatementReply,
+    settings: Settings,
+    store: KeyStore,
 ) -> str:
     """Why the answer may be somebody else's; empty if the robot signed it."""
     if not store.has(AUTHORITY_FILE):
@@ -141,7 +155,7 @@ def _doubt(
     proof = OperatorProof(
         Ed25519PrivateKey.generate(), chain, trust, settings.robot.root, lambda: int(time.time())
     )
-    refusal = proof.meet(robot, reply)
+    refusal = proof.meet(robot, reply, question)
     if refusal is None or (not said.ok and refusal.reason is said.reason and refusal.detail == said.detail):
         return ""
     return refusal.text

@@ -221,9 +221,11 @@ class RobotLink:
             if isinstance(one, Missed):
                 self._seen = [one]
             elif self._proof is not None and not self._proof.believes(one):
-                self.unreadable = f"{one.key} is not signed by the robot"
+                self.unreadable = f"{one.key} is not signed by the robot, or was published before"
             else:
                 self._hear(one, time.monotonic_ns())
+        if self._proof is not None:
+            self._proof.meet_again(self.commands)
         if received:
             self.heard.notify_all()
 

@@ -10,7 +10,7 @@ from typing import Final
 import msgspec
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
-from gateway.authority.operator_proof import KnownRobots, OperatorProof, new_lease_key
+from gateway.authority.operator_proof import KnownRobots, OperatorProof, new_lease_key, new_question
 from gateway.provisioning.key_files import directory_of, read_identity, read_trust
 from gateway.provisioning.tls_files import check_tls_files
 from gateway.telemetry.received import Received
@@ -28,6 +28,40 @@ log = logging.getLogger(__name__)
 
 SHOW_TIMEOUT_S: Final = 1.0
 """A robot answers a statement within a few ticks of 10 ms."""
+
+ASK_AGAIN_NS: Final = 250_000_000
+"""Who a robot is, is asked no sooner after the last time: somebody may repeat samples of a former run."""
+
+
+class _Meeting:
+    """Asks robots who they are, without waiting, each time with a question of its own."""
+
+    def __init__(self, robots: KnownRobots, root: str) -> None:
+        self._robots = robots
+        self._root = root
+        self._query: PendingQuery | None = None
+        self._question = b""
+        self._asked_ns = -ASK_AGAIN_NS
+
+    def step(self, commands: CommandPort, statement: bytes, *, is_wanted: bool) -> None:
+        """Read the replies that have come, and ask again if that is wanted, and time."""
+        if self._query is not None:
+            for received in self._query.poll():
+                self._robots.meet(robot_of(received, self._root), received, self._question)
+        now_ns = time.monotonic_ns()
+        is_due = (self._query is None or self._query.is_over) and now_ns - self._asked_ns >= ASK_AGAIN_NS
+        if not is_wanted or not is_due:
+            return
+        self._asked_ns, self._question = now_ns, new_question()
+        try:
+            self._query = commands.begin_to_show(statement, self._question, SHOW_TIMEOUT_S)
+        except CommandError as error:
+            log.debug("who the robots are could not be asked: %s", error)
+
+
+def robot_of(received: Received, root: str) -> str:
+    """The robot that the key of a sample or of a reply names."""
+    return received.key.removeprefix(f"{root}/").partition("/")[0]
 
 
 def operator_proof(settings: Settings) -> OperatorProof | None:
@@ -55,22 +89,28 @@ class LinkProof:
         challenge: the newest one that the robot published; empty before the first.
     """
 
-    def __init__(self, proof: OperatorProof, robot: str) -> None:
+    def __init__(self, proof: OperatorProof, robot: str, root: str) -> None:
         self.challenge = b""
         self._proof = proof
         self._robot = robot
         self._lease_key: X25519PrivateKey | None = None
+        self._meeting = _Meeting(proof, root)
 
     def meet(self, commands: CommandPort) -> Objection | None:
         """Show the robot the operator's grant. Returns why it does not take it, or is no robot of the fleet."""
         refusal: Objection | None = Objection(
             Reason.PROOF_MISSING, "it does not answer on @auth: is it in signed mode?"
         )
-        for received in commands.show(self._proof.statement, SHOW_TIMEOUT_S):
-            refusal = self._proof.meet(self._robot, received)
+        question = new_question()
+        for received in commands.show(self._proof.statement, question, SHOW_TIMEOUT_S):
+            refusal = self._proof.meet(self._robot, received, question)
             if refusal is None:
                 return None
         return refusal
+
+    def meet_again(self, commands: CommandPort) -> None:
+        """Where samples of another run of the robot are seen, ask which is the present one, without waiting."""
+        self._meeting.step(commands, self._proof.statement, is_wanted=self._proof.is_to_meet_again(self._robot))
 
     def with_key(self, request: Request) -> Request:
         """The request, with a new public key if it is for a lease."""
@@ -100,36 +140,29 @@ class LinkProof:
 
 
 class StopProof:
-    """Believes of a stop only what the robots signed. The stop itself needs no proof, and has none."""
+    """Believes of a stop only what the robots signed, and signed for it. The stop itself needs no proof."""
 
     def __init__(self, robots: KnownRobots, root: str, commands: CommandPort) -> None:
         self._robots = robots
         self._root = root
         self._commands = commands
-        self._query: PendingQuery | None = None
+        self._meeting = _Meeting(robots, root)
 
     def meet(self) -> None:
         """Ask the robots who they are, again and again, without waiting."""
-        if self._query is not None:
-            for received in self._query.poll():
-                self._robots.meet(self._robot_of(received), received)
-        if self._query is None or self._query.is_over:
-            self._query = self._commands.begin_to_show(b"", SHOW_TIMEOUT_S)
+        self._meeting.step(self._commands, b"", is_wanted=True)
 
     def attach(self, _verb: str, _payload: bytes) -> bytes:
-        """No attachment: a stop is served from anyone."""
-        return b""
+        """Random bytes, which prove nothing: a stop is served from anyone, and its reply answers no other one."""
+        return new_question()
 
     def is_reply(self, received: Received, request: bytes) -> bool:
         """Is it a reply of the robot whose key it is under?"""
-        return self._robots.is_reply(self._robot_of(received), received, request)
+        return self._robots.is_reply(robot_of(received, self._root), received, request)
 
     def believes(self, received: Received) -> bool:
         """May this sample be believed?"""
-        return self._robots.believes(self._robot_of(received), received)
-
-    def _robot_of(self, received: Received) -> str:
-        return received.key.removeprefix(f"{self._root}/").partition("/")[0]
+        return self._robots.believes(robot_of(received, self._root), received)
 
 
 def stop_proof(settings: Settings, commands: CommandPort) -> StopProof | None:

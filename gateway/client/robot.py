@@ -109,7 +109,9 @@ class Robot:
         except CommandError:
             commands.close()
             raise
-        link = RobotLink(commands, listener, name, None if proof is None else LinkProof(proof, name))
+        link = RobotLink(
+            commands, listener, name, None if proof is None else LinkProof(proof, name, settings.robot.root)
+        )
         deadline_s = time.monotonic() + timeout_s
         stranger = "" if proof is None else "it was not met"
         while stranger or not (link.is_heard and commands.reaches()):

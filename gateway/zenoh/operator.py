@@ -120,13 +120,19 @@ class CommandPort(SessionOwner):
         question = PendingQuery(lambda received: prover.is_reply(received, attachment))
         return self._get(self._keys[verb], question, payload, BY_VERB[verb].encoding, attachment, timeout_s)
 
-    def show(self, statement: bytes, timeout_s: float) -> list[Received]:
+    def show(self, statement: bytes, question: bytes, timeout_s: float) -> list[Received]:
         """Show a statement of the authority. Returns the replies that came, not verified."""
-        return self.begin_to_show(statement, timeout_s).wait(timeout_s)
+        return self.begin_to_show(statement, question, timeout_s).wait(timeout_s)
 
-    def begin_to_show(self, statement: bytes, timeout_s: float) -> PendingQuery:
-        """Show a statement of the authority, and come back for the replies later."""
-        return self._get(self._authority, PendingQuery(), statement, "text/plain", b"", timeout_s)
+    def begin_to_show(self, statement: bytes, question: bytes, timeout_s: float) -> PendingQuery:
+        """Show a statement of the authority, and come back for the replies later.
+
+        Args:
+            statement: text.
+            question: the attachment, drawn for this query: the replies' signatures cover it.
+            timeout_s: how long replies are waited for.
+        """
+        return self._get(self._authority, PendingQuery(), statement, "text/plain", question, timeout_s)
 
     def _get(
         self, key: str, question: PendingQuery, payload: bytes, encoding: str, attachment: bytes, timeout_s: float

@@ -57,8 +57,14 @@ class StatementPort(SessionOwner):
         found = {keys.robot_of_liveliness(self._root, reply.key) for reply in replies}
         return sorted(robot for robot in found if robot is not None)
 
-    def show(self, robot: str, text: bytes, timeout_s: float) -> Received | None:
+    def show(self, robot: str, text: bytes, question: bytes, timeout_s: float) -> Received | None:
         """Show a robot a statement. Returns its answer; None if none comes.
+
+        Args:
+            robot: its name.
+            text: the statement.
+            question: the attachment, drawn for this query: the answer's signature covers it.
+            timeout_s: how long it is waited for.
 
         Raises:
             CommandError: the session is closed.
@@ -69,6 +75,7 @@ class StatementPort(SessionOwner):
                 keys.authority(self._root, robot),
                 question.handler,
                 payload=text,
+                attachment=question,
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 congestion_control=zenoh.CongestionControl.DROP,

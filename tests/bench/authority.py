@@ -71,8 +71,9 @@ class Parties:
         key = keys.authority(ROOT, ROBOT)
         said = StatementReply(ok=True, reason=Reason.NONE, detail="", cure="", own=chain_text(robot.chain))
         payload = codec.encode(said)
-        attachment = self.signer.reply(key, STATEMENT_REPLY_ENCODING, payload, b"")
-        assert self.operator.meet(ROBOT, Received(key, STATEMENT_REPLY_ENCODING, payload, attachment)) is None
+        attachment = self.signer.reply(key, STATEMENT_REPLY_ENCODING, payload, b"who?")
+        reply = Received(key, STATEMENT_REPLY_ENCODING, payload, attachment)
+        assert self.operator.meet(ROBOT, reply, b"who?") is None
         self.acquire()
 
     def begin_tick(self) -> None:

@@ -248,13 +248,14 @@ def _met() -> tuple[OperatorProof, Received]:
     signer = RobotSigner(ROBOT_PARTY.private, BOOT)
     key = keys.authority(ROOT, ROBOT)
     reply = Received(
-        key, STATEMENT_REPLY_ENCODING, payload, signer.reply(key, STATEMENT_REPLY_ENCODING, payload, b"")
+        key, STATEMENT_REPLY_ENCODING, payload, signer.reply(key, STATEMENT_REPLY_ENCODING, payload, QUESTION)
     )
     return OperatorProof(ANN.private, ANN.chain, FLEET.trust, ROOT, lambda: NOW_S), reply
 
 
+QUESTION: Final = b"who?"
 OPERATOR, MEETING = _met()
-assert OPERATOR.meet(ROBOT, MEETING) is None
+assert OPERATOR.meet(ROBOT, MEETING, QUESTION) is None
 STATE: Final = RobotSigner(ROBOT_PARTY.private, BOOT).publication("fleet/cruiser-1/safety/state", "e", b"state")
 
 
@@ -264,7 +265,7 @@ def replies(data: bytes) -> None:
         return
     attachment, payload = data[1 : 1 + data[0]], data[1 + data[0] :]
     newcomer = OperatorProof(ANN.private, ANN.chain, FLEET.trust, ROOT, lambda: NOW_S)
-    newcomer.meet(ROBOT, msgspec.structs.replace(MEETING, payload=payload, attachment=attachment))
+    newcomer.meet(ROBOT, msgspec.structs.replace(MEETING, payload=payload, attachment=attachment), QUESTION)
     assert newcomer.has_met(ROBOT) == ((payload, attachment) == (MEETING.payload, MEETING.attachment))
     state = Received("fleet/cruiser-1/safety/state", "e", payload, attachment)
     assert OPERATOR.is_state(ROBOT, state) == ((payload, attachment) == (b"state", STATE))

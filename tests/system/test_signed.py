@@ -15,12 +15,12 @@ from gateway.client.robot import Lease, Robot
 from gateway.zenoh.client import close_session, open_session
 from schemas import keys
 from schemas.authority.statement import GrantRole
-from schemas.decisions import Reply, StatementReply
+from schemas.decisions import Reply, SafetyState, StatementReply
 from schemas.exit_codes import CommandError
 from schemas.reasons import Reason
 from schemas.requests import Drive
 from schemas.settings import AuthoritySettings, Settings, ZenohSettings
-from schemas.subjects import BY_VERB
+from schemas.subjects import BY_NAME, BY_VERB
 from tests.support.authority import DAY_S, Fleet, Party
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.gateway import Running, chassis, gateway
@@ -162,6 +162,60 @@ def test_nothing_that_a_stranger_sends_moves_the_robot_but_a_stop(site: Site) ->
             assert state.target_angle_deg == 0.0
         session.put(keys.command(ROOT, ROBOT, "anybody", "stop"), b"")
         process.wait_says(r"a remote stop was received; by anybody \(unproven\)")
+
+
+def test_states_that_somebody_repeats_are_not_believed(site: Site) -> None:
+    """Neither those of before, nor those of a former run; a robot that was restarted is believed."""
+    between = free_endpoint()
+    settings = msgspec.structs.replace(
+        site.settings, zenoh=ZenohSettings(connect=[*site.settings.zenoh.connect, between])
+    )
+    state_key = f"{ROOT}/{ROBOT}/safety/state"
+    subject = BY_NAME["safety/state"]
+    session = open_session(ZenohSettings(), [site.endpoint], [between])
+    try:
+        states = session.declare_subscriber(
+            state_key, zenoh.handlers.RingChannel(64), allowed_origin=zenoh.Locality.REMOTE
+        )
+        kept: list[zenoh.Sample] = []
+
+        def keep() -> bool:
+            while (heard := states.try_recv()) is not None:
+                kept.append(heard)
+            return len(kept) >= 20
+
+        seen: list[SafetyState] = []
+
+        def look(robot: Robot) -> None:
+            for one in kept:
+                session.put(state_key, one.payload, encoding=subject.encoding, attachment=one.attachment)
+            # What nobody signed arrives too: who repeats is on the way, and is heard.
+            session.put(state_key, b"", encoding=subject.encoding)
+            seen.append(robot.state().state)
+
+        with running(site) as process, Robot.connect(ROBOT, settings=settings) as robot:
+            wait_until(keep)
+            wait_until(lambda: len({one.tick for one in seen}) > 20, lambda: look(robot))
+            assert [one.tick for one in seen] == sorted(one.tick for one in seen)
+            assert "is not signed by the robot" in robot._link.unreadable
+            process.stop()
+            ended_ns = time.time_ns()
+            with running(site):
+                wait_until(lambda: is_heard_since(robot, ended_ns))
+                del seen[:]
+                wait_until(lambda: len({one.tick for one in seen}) > 20, lambda: look(robot))
+                assert [one.tick for one in seen] == sorted(one.tick for one in seen)
+                assert min(one.time_ns for one in seen) > ended_ns
+    finally:
+        close_session(session)
+
+
+def is_heard_since(robot: Robot, time_ns: int) -> bool:
+    """Is a state believed that was published after this time?"""
+    try:
+        return robot.state().state.time_ns > time_ns
+    except Unreachable:
+        return False
 
 
 def refusals(session: zenoh.Session, verb: str, lease: Lease) -> set[Reason]:

@@ -18,6 +18,7 @@ from gateway.authority.robot_authority import Kept, RobotAuthority
 from gateway.authority.signer import RobotSigner
 from gateway.cli import provision
 from gateway.cli.configuration_file import load_settings
+from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest
 from gateway.provisioning.key_files import read_identity
 from schemas.authority.statement import TEXT_MAX_BYTES
@@ -36,6 +37,7 @@ class FakeRobot:
 
     Attributes:
         authority: what it knows.
+        kept: what it answers in place of anything else: an answer to a question of before.
     """
 
     def __init__(self, session: zenoh.Session, directory: Path, name: str) -> None:
@@ -46,6 +48,7 @@ class FakeRobot:
         floor = TimeFloor(0, time.monotonic_ns())
         self.authority = RobotAuthority(settings, admission, signer, floor, identity.chain, Kept())
         self.name = name
+        self.kept: PendingReply | None = None
         self._tick()
         self._ends = threading.Event()
         self._session = session
@@ -55,6 +58,12 @@ class FakeRobot:
         )
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
+
+    def answer(self, text: bytes, question: bytes) -> PendingReply:
+        """What it says to a statement."""
+        raw = RawRequest(1, "", "", text, min(len(text), TEXT_MAX_BYTES), attachment=question)
+        now_ns = time.monotonic_ns()
+        return self.authority.receive(raw, now_ns, now_ns)
 
     def word_s(self) -> int:
         """The earliest that it can be, as far as the robot knows."""
@@ -84,9 +93,8 @@ class FakeRobot:
                 continue
             with query:
                 payload = b"" if query.payload is None else query.payload.to_bytes()
-                raw = RawRequest(1, "", "", payload, min(len(payload), TEXT_MAX_BYTES))
-                now_ns = time.monotonic_ns()
-                reply = self.authority.receive(raw, now_ns, now_ns)
+                question = b"" if query.attachment is None else query.attachment.to_bytes()
+                reply = self.kept or self.answer(payload, question)
                 query.reply(
                     f"fleet/{self.name}/@auth",
                     reply.payload,
@@ -227,3 +235,12 @@ def test_a_bundle_without_a_grant_is_shown_to_nobody(fleet: Fleet) -> None:
     fleet.let_in("viewer", "hall")
     with pytest.raises(CommandError, match="the bundle holds no grant"):
         run("show", "viewer-hall.bundle", "--all", "--directory", fleet.ann)
+
+
+def test_an_answer_of_before_is_not_believed(fleet: Fleet, capsys: pytest.CaptureFixture[str]) -> None:
+    """Else whoever keeps a revocation from a robot would let it seem to have it."""
+    robot = fleet.robots["cruiser-1"]
+    ann = (fleet.place / "ann" / "operator.grant").read_bytes()
+    robot.kept = robot.answer(ann, b"asked yesterday.")
+    assert tell(fleet, "show", "operator-ann.bundle", "--robot", "cruiser-1") == ExitCode.FAILURE
+    assert "cruiser-1: yes, and the answer is not proven" in capsys.readouterr().out

@@ -3,14 +3,16 @@
 import msgspec
 import pytest
 
-from gateway.authority.operator_proof import OperatorProof, new_lease_key
+from gateway.authority.operator_proof import OperatorProof, new_lease_key, new_question
 from gateway.authority.robot_authority import RobotAuthority
+from gateway.authority.signer import RobotSigner
 from gateway.command.flow import PendingReply
 from gateway.command.request import Credentials, RawRequest
 from gateway.telemetry.received import Received
 from schemas.authority.trust import Objection
 from schemas.codec import encode
 from schemas.decisions import LeaseReply, StatementReply
+from schemas.messages import SEQUENCE_MAX
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Drive
 from schemas.subjects import BY_NAME, BY_VERB, STATEMENT_REPLY_ENCODING
@@ -19,6 +21,7 @@ from tests.support.authority import CHALLENGE, NOW_S, AuthorityBench, Fleet, Par
 STATE = BY_NAME["safety/state"]
 STATE_KEY = "fleet/cruiser-1/safety/state"
 AUTH = "fleet/cruiser-1/@auth"
+QUESTION = b"who are you now?"
 
 
 class Pair:
@@ -38,11 +41,22 @@ class Pair:
     def robot(self) -> RobotAuthority:
         return self.bench.authority
 
-    def shown(self) -> Received:
+    def shown(self, question: bytes = QUESTION) -> Received:
         """The robot's reply to the operator's statement."""
-        raw = RawRequest(1, "", "", self.proof.statement, len(self.proof.statement))
+        raw = RawRequest(1, "", "", self.proof.statement, len(self.proof.statement), attachment=question)
         reply = self.robot.receive(raw, self.bench.now_ns, self.bench.now_ns)
         return Received(AUTH, STATEMENT_REPLY_ENCODING, reply.payload, reply.attachment)
+
+    def state(self, sequence: int, subject: str = "safety/state", boot: bytes = b"boot no1") -> Received:
+        """A state that the robot signed, in this run or another."""
+        known, key = BY_NAME[subject], f"fleet/cruiser-1/{subject}"
+        payload = msgspec.msgpack.encode({"time_ns": 1, "sequence": sequence})
+        signer = RobotSigner(self.bench.robot.private, boot)
+        return Received(key, known.encoding, payload, signer.publication(key, known.encoding, payload))
+
+    def restart(self, boot: bytes) -> None:
+        """The robot's gateway begins another run."""
+        self.robot.signer = RobotSigner(self.bench.robot.private, boot)
 
     def ask(self, verb: str, payload: bytes, said: bytes = b"") -> tuple[Credentials, Received, bytes]:
         """A verb, what the robot makes of it, its reply, and the attachment of the request."""
@@ -77,7 +91,7 @@ def given(lease: int) -> bytes:
 def test_both_meet_and_agree_on_the_key_of_a_lease() -> None:
     """Grant, signed verb, signed reply, and a stream under a key that only these two know."""
     pair = Pair()
-    assert pair.proof.meet("cruiser-1", pair.shown()) is None
+    assert pair.proof.meet("cruiser-1", pair.shown(), QUESTION) is None
     private, public = new_lease_key()
     credentials, reply, request = pair.ask("acquire", msgspec.msgpack.encode(Acquire(public_key=public)), given(9))
     assert credentials.reason is Reason.NONE
@@ -95,7 +109,7 @@ def test_a_robot_that_was_not_met_is_not_believed() -> None:
     _, reply, request = pair.ask("renew", b"", b"done")
     assert not pair.proof.is_reply("cruiser-1", reply, request)
     assert not pair.proof.has_met("cruiser-1")
-    pair.proof.meet("cruiser-1", pair.shown())
+    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
     assert pair.proof.has_met("cruiser-1")
 
 
@@ -112,11 +126,11 @@ def test_an_impostor_is_not_met() -> None:
         ("cruiser-1", Pair().shown()),
     ):
         proof = pair.proof_of(pair.ann)
-        assert isinstance(proof.meet(robot, received), Objection)
+        assert isinstance(proof.meet(robot, received, QUESTION), Objection)
         assert not proof.has_met(robot)
     person = StatementReply(True, Reason.NONE, "", "", own=pair.proof.statement.decode())  # noqa: FBT003
     posing = msgspec.structs.replace(shown, payload=msgspec.msgpack.encode(person))
-    refusal = pair.proof_of(pair.ann).meet("ann", posing)
+    refusal = pair.proof_of(pair.ann).meet("ann", posing, QUESTION)
     assert isinstance(refusal, Objection)
     assert refusal.reason is Reason.NOT_GRANTED
 
@@ -126,7 +140,7 @@ def test_a_robot_that_refuses_the_grant_is_known_all_the_same() -> None:
     pair = Pair()
     pair.bench.fleet.authority.grant(pair.ann, not_after=NOW_S - 1)
     pair.proof = pair.proof_of(pair.ann)
-    refusal = pair.proof.meet("cruiser-1", pair.shown())
+    refusal = pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
     assert isinstance(refusal, Objection)
     assert refusal.reason is Reason.GRANT_EXPIRED
     assert pair.proof.has_met("cruiser-1")
@@ -135,7 +149,7 @@ def test_a_robot_that_refuses_the_grant_is_known_all_the_same() -> None:
 def test_a_reply_is_believed_for_the_request_that_it_answers() -> None:
     """Not for another request, nor with another key, encoding or payload."""
     pair = Pair()
-    pair.proof.meet("cruiser-1", pair.shown())
+    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
     _, reply, request = pair.ask("renew", b"", b"done")
     assert pair.proof.is_reply("cruiser-1", reply, request)
     assert not pair.proof.is_reply("cruiser-1", reply, pair.proof.request("cruiser-1", "renew", b"", CHALLENGE))
@@ -156,7 +170,7 @@ def test_a_reply_is_believed_for_the_request_that_it_answers() -> None:
 def test_a_state_is_believed_from_the_robot_alone(changed: dict[str, bytes]) -> None:
     """Not when another publishes it, or another key carries it."""
     pair = Pair()
-    pair.proof.meet("cruiser-1", pair.shown())
+    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
     payload = encode(pair.bench.signer.heads(1))  # any bytes will do
     state = Received(
         STATE_KEY, STATE.encoding, payload, pair.bench.signer.publication(STATE_KEY, STATE.encoding, payload)
@@ -166,21 +180,129 @@ def test_a_state_is_believed_from_the_robot_alone(changed: dict[str, bytes]) -> 
     assert not pair.proof.is_state("cruiser-2", state)
 
 
+def test_a_reply_that_was_kept_meets_nobody() -> None:
+    """It answers the question that it was made for: who was met is there now, and says which run it is in."""
+    pair = Pair()
+    kept = pair.shown(b"asked yesterday.")
+    for question in (QUESTION, b""):
+        refusal = pair.proof.meet("cruiser-1", kept, question)
+        assert refusal == Objection(Reason.PROOF_WRONG, "the reply is not the robot's")
+    assert not pair.proof.has_met("cruiser-1")
+    assert pair.proof.meet("cruiser-1", kept, b"asked yesterday.") is None
+
+
+def test_every_question_is_another() -> None:
+    """Random, and no longer than a robot reads."""
+    questions = {new_question() for _ in range(100)}
+    assert (len(questions), {len(one) for one in questions}) == (100, {16})
+
+
+@pytest.mark.parametrize("subject", ["safety/state", "state"])
+def test_no_state_is_believed_twice_nor_an_older_one(subject: str) -> None:
+    """Whatever somebody repeats: what is believed of a subject only becomes newer, also over a loss."""
+    pair = Pair()
+    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
+    kept = {number: pair.state(number, subject) for number in range(6)}
+    believed = [number for number in (2, 2, 1, 3, 0, 5, 4, 3, 5) if pair.proof.believes("cruiser-1", kept[number])]
+    assert believed == [2, 3, 5]
+    assert pair.proof.meet("cruiser-1", pair.shown(b"again"), b"again") is None
+    assert not pair.proof.believes("cruiser-1", kept[5])
+    assert pair.proof.believes("cruiser-1", pair.state(6, subject))
+
+
+def test_each_subject_has_numbers_of_its_own() -> None:
+    """A robot's state is no older for what its arbiter says."""
+    pair = Pair()
+    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
+    assert pair.proof.believes("cruiser-1", pair.state(900, "safety/state"))
+    assert pair.proof.believes("cruiser-1", pair.state(3, "state"))
+
+
+def test_the_numbers_go_on_after_the_last_one() -> None:
+    """0 follows; what was published before it stays old."""
+    pair = Pair()
+    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
+    numbers = (
+        SEQUENCE_MAX - 1,
+        SEQUENCE_MAX,
+        0,
+        SEQUENCE_MAX,
+        1,
+        1 + SEQUENCE_MAX // 2 + 1,
+        1 + SEQUENCE_MAX // 2,
+    )
+    believed = [number for number in numbers if pair.proof.believes("cruiser-1", pair.state(number))]
+    assert believed == [SEQUENCE_MAX - 1, SEQUENCE_MAX, 0, 1, 1 + SEQUENCE_MAX // 2]
+
+
+def test_a_forged_state_makes_none_of_the_robots_own_old() -> None:
+    """The number counts where the signature fits, and nowhere else."""
+    pair = Pair()
+    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
+    forged = pair.state(SEQUENCE_MAX // 2)
+    for changed in ({"attachment": pair.state(7).attachment}, {"payload": b""}, {"payload": b"\x80"}):
+        assert not pair.proof.believes("cruiser-1", msgspec.structs.replace(forged, **changed))
+    assert pair.proof.believes("cruiser-1", pair.state(0))
+
+
+def test_states_of_another_run_are_not_believed_until_the_robot_says_that_it_is_in_it() -> None:
+    """A state of a former run is as well signed as that of a restarted robot: its reply to a question decides."""
+    pair = Pair()
+    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
+    assert pair.proof.believes("cruiser-1", pair.state(1))
+    assert not pair.proof.is_to_meet_again("cruiser-1")
+    former, later = pair.state(500, boot=b"boot no0"), pair.state(0, boot=b"boot no2")
+    for other in (former, later, former):
+        assert not pair.proof.believes("cruiser-1", other)
+        assert pair.proof.is_to_meet_again("cruiser-1")
+    # It was no restart: all is as before.
+    assert pair.proof.meet("cruiser-1", pair.shown(b"again"), b"again") is None
+    assert not pair.proof.is_to_meet_again("cruiser-1")
+    assert not pair.proof.believes("cruiser-1", pair.state(1))
+    assert pair.proof.believes("cruiser-1", pair.state(2))
+    # It is one: its numbers begin anew, and what it said before is over.
+    pair.restart(b"boot no2")
+    assert pair.proof.meet("cruiser-1", pair.shown(b"and now"), b"and now") is None
+    assert pair.proof.believes("cruiser-1", later)
+    assert not pair.proof.believes("cruiser-1", pair.state(3))
+    assert not pair.proof.believes("cruiser-1", former)
+
+
+def test_nobody_but_the_robot_has_it_asked_again() -> None:
+    """A sample of another run that it did not sign is noise; so is one of a robot that was not met."""
+    pair = Pair()
+    assert not pair.proof.is_to_meet_again("cruiser-1")
+    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
+    other = pair.state(1, boot=b"boot no2")
+    forged = msgspec.structs.replace(other, attachment=other.attachment[:-1] + b"x")
+    assert not pair.proof.believes("cruiser-1", forged)
+    assert not pair.proof.is_to_meet_again("cruiser-1")
+
+
+def test_what_nobody_decides_by_needs_no_signature() -> None:
+    """Events and health are proven by the heads of the chains, in logs."""
+    assert Pair().proof.believes("cruiser-1", Received("fleet/cruiser-1/gateway/health", "e", b"", b""))
+
+
 def test_why_a_robot_is_not_met_is_said() -> None:
     """In words, each with its reason."""
     pair = Pair()
     shown = pair.shown()
-    malformed = pair.proof.meet("cruiser-1", msgspec.structs.replace(shown, payload=b""))
+    malformed = pair.proof.meet("cruiser-1", msgspec.structs.replace(shown, payload=b""), QUESTION)
     assert malformed == Objection(Reason.MALFORMED, "Input data was truncated")
     unsigned = msgspec.structs.replace(shown, attachment=b"")
-    assert pair.proof.meet("cruiser-1", unsigned) == Objection(Reason.PROOF_MISSING, "the reply is not signed")
+    assert pair.proof.meet("cruiser-1", unsigned, QUESTION) == Objection(
+        Reason.PROOF_MISSING, "the reply is not signed"
+    )
     changed = msgspec.structs.replace(shown, attachment=shown.attachment[:-1] + b"x")
-    assert pair.proof.meet("cruiser-1", changed) == Objection(Reason.PROOF_WRONG, "the reply is not the robot's")
+    assert pair.proof.meet("cruiser-1", changed, QUESTION) == Objection(
+        Reason.PROOF_WRONG, "the reply is not the robot's"
+    )
     other = Objection(Reason.NOT_GRANTED, "the reply is of cruiser-1, not of cruiser-2")
-    assert pair.proof.meet("cruiser-2", shown) == other
+    assert pair.proof.meet("cruiser-2", shown, QUESTION) == other
     pair.bench.fleet.authority.grant(pair.ann, not_after=NOW_S - 3)
     pair.proof = pair.proof_of(pair.ann)
-    refused = pair.proof.meet("cruiser-1", pair.shown())
+    refused = pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
     assert isinstance(refused, Objection)
     assert refused.detail.endswith("3 s ago")
 
@@ -190,7 +312,7 @@ def test_no_key_is_agreed_on_where_one_half_is_missing() -> None:
     pair = Pair()
     private, public = new_lease_key()
     _, reply, _ = pair.ask("acquire", msgspec.msgpack.encode(Acquire(public_key=public)), given(9))
-    pair.proof.meet("cruiser-1", pair.shown())
+    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
     said = LeaseReply(ok=True, reason=Reason.NONE, detail="", cure="", lease=9, public_key=public)
     assert not pair.proof.begin_lease("cruiser-1", private, said, b"")
     for key in (None, bytes(32)):
