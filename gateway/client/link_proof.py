@@ -16,13 +16,15 @@ from gateway.provisioning.tls_files import check_tls_files
 from gateway.telemetry.received import Received
 from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort
+from schemas import keys
+from schemas.authority.identity import KEY_FILE
 from schemas.authority.trust import Objection
 from schemas.decisions import LeaseReply
 from schemas.exit_codes import CommandError
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Request, Take
 from schemas.settings import Settings
-from schemas.subjects import DRIVE_VERB
+from schemas.subjects import DRIVE_VERB, STOP_VERB
 
 log = logging.getLogger(__name__)
 
@@ -31,6 +33,9 @@ SHOW_TIMEOUT_S: Final = 1.0
 
 ASK_AGAIN_NS: Final = 250_000_000
 """Who a robot is, is asked no sooner after the last time: somebody may repeat samples of a former run."""
+
+SIGN_AGAIN_NS: Final = 250_000_000
+"""A stop is signed again for the same robot after this time: a put may be lost."""
 
 
 class _Meeting:
@@ -77,9 +82,7 @@ def operator_proof(settings: Settings) -> OperatorProof | None:
         warning = check_tls_files(Path(settings.zenoh.config), "operator", time.time())
         if warning:
             log.warning("%s", warning)
-    return OperatorProof(
-        identity.private, identity.chain, identity.trust, settings.robot.root, lambda: int(time.time())
-    )
+    return OperatorProof(identity.private, identity.chain, identity.trust, settings.robot.root, _now_s)
 
 
 class LinkProof:
@@ -125,10 +128,12 @@ class LinkProof:
         return private is None or self._proof.begin_lease(self._robot, private, reply, attachment)
 
     def attach(self, verb: str, payload: bytes) -> bytes:
-        """The attachment of a command. Before the first challenge there is none: a stop needs none."""
+        """The attachment of a command. Before the first challenge it proves nothing: a stop needs no proof."""
         if verb == DRIVE_VERB:
             return self._proof.drive(payload)
-        return self._proof.request(self._robot, verb, payload, self.challenge) if self.challenge else b""
+        if not self.challenge:
+            return new_question()
+        return self._proof.request(self._robot, verb, payload, self.challenge)
 
     def is_reply(self, received: Received, request: bytes) -> bool:
         """Is it the robot's reply to the request that had this attachment?"""
@@ -140,17 +145,42 @@ class LinkProof:
 
 
 class StopProof:
-    """Believes of a stop only what the robots signed, and signed for it. The stop itself needs no proof."""
+    """Believes of a stop only what the robots signed, and signed for it.
 
-    def __init__(self, robots: KnownRobots, root: str, commands: CommandPort) -> None:
+    The stop itself goes out without a proof, at once. Who has a key and a grant signs it besides, as soon as a
+    robot says a challenge: so the record says who it was. Nothing here raises, or is waited for.
+
+    Attributes:
+        name: of the operator, by the grant; empty without one.
+    """
+
+    def __init__(self, robots: KnownRobots, root: str, signer: OperatorProof | None = None) -> None:
+        """With no robot met.
+
+        Args:
+            robots: what is believed; the signer itself, if there is one.
+            root: first chunks of every key.
+            signer: the operator's key and grant.
+        """
+        self.name = "" if signer is None else signer.name
         self._robots = robots
+        self._signer = signer
         self._root = root
-        self._commands = commands
         self._meeting = _Meeting(robots, root)
+        self._signed_ns: dict[str, int] = {}
 
-    def meet(self) -> None:
-        """Ask the robots who they are, again and again, without waiting."""
-        self._meeting.step(self._commands, b"", is_wanted=True)
+    def meet(self, commands: CommandPort) -> None:
+        """Ask the robots who they are, again and again, and show them the grant, if there is one."""
+        self._meeting.step(commands, b"" if self._signer is None else self._signer.statement, is_wanted=True)
+
+    def sign(self, commands: CommandPort, robot: str, challenge: bytes) -> None:
+        """Send a robot a signed stop, now and then: it published this challenge."""
+        now_ns = time.monotonic_ns()
+        if self._signer is None or now_ns - self._signed_ns.get(robot, -SIGN_AGAIN_NS) < SIGN_AGAIN_NS:
+            return
+        self._signed_ns[robot] = now_ns
+        attachment = self._signer.request(robot, STOP_VERB, b"", challenge)
+        commands.put_signed(keys.command(self._root, robot, self.name, STOP_VERB), STOP_VERB, b"", attachment)
 
     def attach(self, _verb: str, _payload: bytes) -> bytes:
         """Random bytes, which prove nothing: a stop is served from anyone, and its reply answers no other one."""
@@ -165,14 +195,35 @@ class StopProof:
         return self._robots.believes(robot_of(received, self._root), received)
 
 
-def stop_proof(settings: Settings, commands: CommandPort) -> StopProof | None:
-    """What a stop is believed by, in signed mode. Without the authority's keys it is believed as in open mode."""
+def stop_proof(settings: Settings) -> StopProof | None:
+    """What a stop is believed and signed by, in signed mode. Whatever the files are, a stop goes out.
+
+    Without the authority's keys it is believed as in open mode; without an operator's key or grant, not signed.
+    """
     if settings.authority.mode != "signed":
         return None
+    directory, root = directory_of(settings.authority), settings.robot.root
     try:
-        trust = read_trust(directory_of(settings.authority))
+        trust = read_trust(directory)
     except CommandError as error:
         log.warning("what robots answer to the stop is not proven: %s", error)
         return None
-    robots = KnownRobots(trust, settings.robot.root, lambda: int(time.time()))
-    return StopProof(robots, settings.robot.root, commands)
+    signer = _stop_signer(directory, root)
+    return StopProof(signer or KnownRobots(trust, root, _now_s), root, signer)
+
+
+def _stop_signer(directory: Path, root: str) -> OperatorProof | None:
+    if not (directory / KEY_FILE.format(who="operator")).exists():
+        return None  # A viewer has none.
+    try:
+        identity = read_identity(directory, "operator")
+        signer = OperatorProof(identity.private, identity.chain, identity.trust, root, _now_s)
+        keys.command(root, keys.ALL, signer.name, STOP_VERB)
+    except (CommandError, ValueError) as error:
+        log.warning("the stop is not signed: %s", error)
+        return None
+    return signer
+
+
+def _now_s() -> int:
+    return int(time.time())

@@ -2,6 +2,7 @@
 
 It needs no lease, no answer and no state of the robot; it goes out as a put and as a query. Anyone can answer the
 query in the robot's place: so a stop is believed when all replies agree, and the robot is seen to stand, latched.
+In signed mode only what the robots signed counts of all this, and a signed stop follows the one without a proof.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from schemas import keys
 from schemas.codec import PayloadFault
 from schemas.decisions import Reply, SafetyState
 from schemas.messages import RobotState
+from schemas.operator_name import login_operator
 from schemas.reasons import Reason
 from schemas.settings import STANDSTILL_MPS, Settings
 from schemas.subjects import BY_VERB, STOP_VERB
@@ -76,13 +78,21 @@ def stop_from_here(
 ) -> StopReport:
     """Stop a robot, or all with ``keys.ALL``, over sessions of our own.
 
+    Args:
+        settings: where the robots are, and in signed mode where keys and grant are.
+        robot: its name.
+        operator: who stops; if empty, the name of the grant, or else the login name.
+        timeout_s: how long to wait.
+        stopped: gives up when it turns true.
+
     Raises:
         CommandError: a name or an endpoint is not of its form.
     """
-    root = settings.robot.root
+    root, proof = settings.robot.root, stop_proof(settings)
+    name = operator or (proof.name if proof is not None else "") or login_operator()
     with ExitStack() as stack:
-        port = stack.enter_context(CommandPort.open(settings, robot, operator))
-        port.prover = proof = stop_proof(settings, port)
+        port = stack.enter_context(CommandPort.open(settings, robot, name))
+        port.prover = proof
         listeners: list[RobotListener] = []
 
         def look() -> Iterator[Seen | Missed]:
@@ -90,8 +100,11 @@ def stop_from_here(
                 name = "" if robot == keys.ALL else robot
                 listeners.append(stack.enter_context(RobotListener.open(settings, name)))
             if proof is not None:
-                proof.meet()
-            return _read(listeners[0].drain(), proof)
+                proof.meet(port)
+            for one in _read(listeners[0].drain(), proof):
+                if proof is not None and not isinstance(one, Missed) and isinstance(one[2], SafetyState):
+                    proof.sign(port, one[1], one[2].challenge)
+                yield one
 
         return stop(port, root, robot, timeout_s, look, stopped)
 

@@ -369,7 +369,7 @@ def stop_all(
     Raises:
         CommandError: a name or an endpoint is not of its form.
     """
-    return remote_stop.stop_from_here(settings or Settings(), keys.ALL, operator or login_operator(), timeout_s)
+    return remote_stop.stop_from_here(settings or Settings(), keys.ALL, operator, timeout_s)
 
 
 def _problem(link: RobotLink, stranger: str) -> str:

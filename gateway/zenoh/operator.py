@@ -99,11 +99,15 @@ class CommandPort(SessionOwner):
 
     def put(self, verb: str, payload: bytes) -> None:
         """Send without waiting for anything. It goes out or is dropped: this neither blocks nor raises."""
-        attachment = None if self.prover is None else self.prover.attach(verb, payload) or None
+        self.put_signed(
+            self._keys[verb], verb, payload, b"" if self.prover is None else self.prover.attach(verb, payload)
+        )
+
+    def put_signed(self, key: str, verb: str, payload: bytes, attachment: bytes) -> None:
+        """Send under a key of one's own, with its proof, and as ``put`` does."""
+        encoding = BY_VERB[verb].encoding
         try:
-            self._session.put(
-                self._keys[verb], payload, encoding=BY_VERB[verb].encoding, attachment=attachment, **self._qos
-            )
+            self._session.put(key, payload, encoding=encoding, attachment=attachment or None, **self._qos)
         except zenoh.ZError as error:
             log.debug("Zenoh did not take %s: %s", verb, error)
 

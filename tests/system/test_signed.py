@@ -1,7 +1,7 @@
 """A robot in signed mode, as its people and its enemies meet it: real processes, real Zenoh, real keys."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -9,14 +9,17 @@ import msgspec
 import pytest
 import zenoh
 
+from gateway.client import remote_stop
 from gateway.client.reasons_text import is_idle
 from gateway.client.refusal import LeaseLost, Refused, Unreachable
 from gateway.client.robot import Lease, Robot
 from gateway.zenoh.client import close_session, open_session
-from schemas import keys
-from schemas.authority.statement import GrantRole
-from schemas.decisions import Reply, SafetyState, StatementReply
+from schemas import codec, keys
+from schemas.authority.statement import GrantRole, chain_text
+from schemas.decisions import Journal, Reply, SafetyState, StatementReply
 from schemas.exit_codes import CommandError
+from schemas.journal import Kind
+from schemas.messages import RobotState
 from schemas.reasons import Reason
 from schemas.requests import Drive
 from schemas.settings import AuthoritySettings, Settings, ZenohSettings
@@ -251,6 +254,92 @@ def test_a_grant_without_a_verb_gets_the_others(site: Site) -> None:
         with robot.lease() as lease, pytest.raises(Refused) as refused:
             lease.engage()
         assert refused.value.reason is Reason.NOT_GRANTED
+
+
+def test_a_stop_of_somebody_with_a_grant_is_signed(site: Site) -> None:
+    """After one without a proof, which waits for nothing: the journal says who it was, and what proves it."""
+    with standing(site) as session:
+        report = remote_stop.stop_from_here(site.settings, ROBOT, "", 30)
+        assert (report.stopped, report.refused, report.unconfirmed) == ([ROBOT], {}, {})
+        reasons = stops_in_the_journal(session)
+        assert set(reasons) == {OPERATOR}
+        assert reasons[OPERATOR][0] is Reason.PROOF_MISSING
+        assert Reason.NONE in reasons[OPERATOR]
+
+
+@contextmanager
+def standing(site: Site) -> Iterator[zenoh.Session]:
+    """The robot, whose wheels are seen to stand, and a session of somebody without a key."""
+    with running(site), stranger(site) as session:
+        states = session.declare_subscriber(f"{ROOT}/{ROBOT}/state", zenoh.handlers.RingChannel(1))
+
+        def stands() -> bool:
+            sample = states.try_recv()
+            state = None if sample is None else codec.decode(BY_NAME["state"], sample.payload.to_bytes())
+            return isinstance(state, RobotState) and state.speed_mps == 0.0
+
+        wait_until(stands)
+        yield session
+
+
+def stops_in_the_journal(session: zenoh.Session) -> dict[str, list[Reason]]:
+    """What became of the proofs of the stops that the robot received, in their order, by operator."""
+    found: dict[str, list[Reason]] = {}
+    first = 0
+    while pieces := journal_from(session, first):
+        first = pieces[-1].sequence + 1
+        for journal in pieces:
+            for kind, *said in msgspec.msgpack.decode(journal.inputs):
+                if kind == Kind.REQUEST and said[2] == "stop":
+                    found.setdefault(said[3], []).append(Reason(said[-1][0]))
+    return found
+
+
+def journal_from(session: zenoh.Session, first: int) -> list[Journal]:
+    """A piece of the journal, from this sequence on; empty where it ends."""
+    key = f"{ROOT}/{ROBOT}/journal?first={first}"
+    replies = session.get(key, consolidation=zenoh.ConsolidationMode.NONE, timeout=5.0)
+    payloads = [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+    return [found for one in payloads if isinstance(found := codec.decode(BY_NAME["journal"], one), Journal)]
+
+
+def _in_other_hands(files: Path) -> None:
+    (files / "operator.grant").write_text(chain_text(Party("bob").grant(Party("bob"))))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda files: (files / "operator.key").unlink(),
+        lambda files: (files / "operator.key").chmod(0o644),
+        lambda files: (files / "operator.key").write_text("x"),
+        lambda files: (files / "operator.grant").unlink(),
+        lambda files: (files / "operator.grant").write_text("x"),
+        _in_other_hands,
+        lambda files: (files / "authority.json").unlink(),
+        lambda files: (files / "authority.json").write_text("{}"),
+    ],
+)
+def test_a_stop_fails_for_no_file(site: Site, damage: Callable[[Path], None]) -> None:
+    """It goes out, stops the robot, and is seen to."""
+    damage(Path(site.settings.authority.directory))
+    with standing(site) as session:
+        assert remote_stop.stop_from_here(site.settings, ROBOT, "desk", 30).stopped == [ROBOT]
+        reasons = stops_in_the_journal(session)
+        assert set(reasons) == {"desk"}
+        assert Reason.NONE not in reasons["desk"]
+
+
+@pytest.mark.parametrize(("from_s", "until_s"), [(-DAY_S, -60), (3600, DAY_S)])
+def test_a_stop_fails_for_no_grant_that_is_over_and_for_no_clock(site: Site, from_s: int, until_s: int) -> None:
+    """Its proof is refused, and the robot stops."""
+    now_s = int(time.time())
+    site.fleet.authority.grant(site.operator, not_before=now_s + from_s, not_after=now_s + until_s)
+    grant = Path(site.settings.authority.directory) / "operator.grant"
+    grant.write_text(chain_text(site.operator.chain[:1]))
+    with standing(site) as session:
+        assert remote_stop.stop_from_here(site.settings, ROBOT, "", 30).stopped == [ROBOT]
+        assert Reason.NONE not in stops_in_the_journal(session)[OPERATOR]
 
 
 @pytest.mark.parametrize(

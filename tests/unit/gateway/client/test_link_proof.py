@@ -1,0 +1,179 @@
+from typing import Any
+
+import msgspec
+import pytest
+
+from gateway.authority.operator_proof import KnownRobots, OperatorProof
+from gateway.authority.signer import RobotSigner
+from gateway.client.link_proof import ASK_AGAIN_NS, SIGN_AGAIN_NS, LinkProof, StopProof
+from gateway.telemetry.received import Received
+from schemas.authority.proof import RequestProof
+from schemas.authority.statement import GrantRole, chain_text
+from schemas.authority.trust import fits
+from schemas.decisions import StatementReply
+from schemas.reasons import Reason
+from schemas.subjects import BY_NAME, BY_VERB, STATEMENT_REPLY_ENCODING
+from tests.support.authority import CHALLENGE, NOW_S, Fleet, Party
+
+STOP = BY_VERB["stop"]
+STATE = "fleet/cruiser-1/safety/state"
+
+
+class FakeQuery:
+    """A query whose replies are put here."""
+
+    def __init__(self) -> None:
+        self.replies: list[Received] = []
+        self.is_over = False
+
+    def poll(self) -> list[Received]:
+        replies, self.replies = self.replies, []
+        return replies
+
+
+class FakePort:
+    """Keeps what is asked and sent."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[bytes, bytes, FakeQuery]] = []
+        self.sent: list[tuple[str, str, bytes, bytes]] = []
+
+    def begin_to_show(self, statement: bytes, question: bytes, _timeout_s: float) -> FakeQuery:
+        self.asked.append((statement, question, FakeQuery()))
+        return self.asked[-1][2]
+
+    def put_signed(self, key: str, verb: str, payload: bytes, attachment: bytes) -> None:
+        self.sent.append((key, verb, payload, attachment))
+
+
+class Scene:
+    """Somebody who stops, a robot of the same fleet, and the clock."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_ns = 0
+        monkeypatch.setattr("gateway.client.link_proof.time.monotonic_ns", lambda: self.now_ns)
+        self.fleet, self.robot = Fleet(), Party("cruiser-1")
+        self.fleet.authority.grant(self.robot, role=GrantRole.ROBOT, robots=["cruiser-1"])
+        self.ann = self.fleet.operator()
+        self.port: Any = FakePort()
+
+    def operator(self) -> OperatorProof:
+        return OperatorProof(self.ann.private, self.ann.chain, self.fleet.trust, "fleet", lambda: NOW_S)
+
+    def signer(self, boot: bytes = b"boot no1") -> RobotSigner:
+        return RobotSigner(self.robot.private, boot)
+
+    def reply(self, question: bytes, boot: bytes = b"boot no1") -> Received:
+        """The robot's reply to a statement."""
+        said = StatementReply(ok=True, reason=Reason.NONE, detail="", cure="", own=chain_text(self.robot.chain))
+        payload, key = msgspec.msgpack.encode(said), "fleet/cruiser-1/@auth"
+        attachment = self.signer(boot).reply(key, STATEMENT_REPLY_ENCODING, payload, question)
+        return Received(key, STATEMENT_REPLY_ENCODING, payload, attachment)
+
+    def state(self, sequence: int, boot: bytes = b"boot no1") -> Received:
+        """A state of the robot."""
+        encoding, payload = BY_NAME["safety/state"].encoding, msgspec.msgpack.encode({"sequence": sequence})
+        return Received(STATE, encoding, payload, self.signer(boot).publication(STATE, encoding, payload))
+
+
+@pytest.fixture
+def scene(monkeypatch: pytest.MonkeyPatch) -> Scene:
+    """Of this test."""
+    return Scene(monkeypatch)
+
+
+def test_a_stop_is_signed_for_each_robot_under_the_name_of_the_grant(scene: Scene) -> None:
+    """Over the robot's own key and its newest challenge; again after a while, for a put may be lost."""
+    proof = StopProof(signer := scene.operator(), "fleet", signer)
+    assert proof.name == "ann"
+    for robot in ("cruiser-1", "cruiser-2", "cruiser-1"):
+        proof.sign(scene.port, robot, CHALLENGE)
+    scene.now_ns += SIGN_AGAIN_NS - 1
+    proof.sign(scene.port, "cruiser-1", b"another.")
+    scene.now_ns += 1
+    proof.sign(scene.port, "cruiser-1", b"another.")
+    assert [key for key, *_ in scene.port.sent] == [f"fleet/cruiser-{n}/@cmd/ann/stop" for n in (1, 2, 1)]
+    challenges = []
+    for key, verb, payload, attachment in scene.port.sent:
+        said = RequestProof.read(attachment)
+        assert said is not None
+        assert (verb, payload, said.grant) == ("stop", b"", scene.ann.chain[0].id)
+        assert fits(scene.ann.key, said.signature, said.signed(key, STOP.encoding, payload))
+        challenges.append(said.challenge)
+    assert challenges == [CHALLENGE, CHALLENGE, b"another."]
+
+
+def test_who_has_no_key_signs_nothing(scene: Scene) -> None:
+    """A viewer's stop is as good."""
+    proof = StopProof(KnownRobots(scene.fleet.trust, "fleet", lambda: NOW_S), "fleet")
+    proof.sign(scene.port, "cruiser-1", CHALLENGE)
+    assert (proof.name, scene.port.sent) == ("", [])
+    proof.meet(scene.port)
+    assert scene.port.asked[0][0] == b""
+
+
+def test_the_reply_to_another_stop_is_none_to_this_one(scene: Scene) -> None:
+    """Though neither has a proof: each carries bytes of its own."""
+    proof = StopProof(signer := scene.operator(), "fleet", signer)
+    proof.meet(scene.port)
+    scene.port.asked[0][2].replies = [scene.reply(scene.port.asked[0][1])]
+    proof.meet(scene.port)
+    yesterday, today = proof.attach("stop", b""), proof.attach("stop", b"")
+    assert RequestProof.read(today) is None
+    key, payload = "fleet/cruiser-1/@cmd/ann/stop", b"\x80"
+    attachment = scene.signer().reply(key, STOP.reply_encoding, payload, yesterday)
+    reply = Received(key, STOP.reply_encoding, payload, attachment)
+    assert proof.is_reply(reply, yesterday)
+    assert not proof.is_reply(reply, today)
+
+
+def test_robots_are_asked_who_they_are_with_another_question_each_time(scene: Scene) -> None:
+    """One at a time, and now and then; the reply to a former question meets nobody."""
+    proof = StopProof(signer := scene.operator(), "fleet", signer)
+    proof.meet(scene.port)
+    proof.meet(scene.port)
+    ((_, former, query),) = scene.port.asked
+    query.is_over = True
+    scene.now_ns += ASK_AGAIN_NS - 1
+    proof.meet(scene.port)
+    assert len(scene.port.asked) == 1
+    scene.now_ns += 1
+    proof.meet(scene.port)
+    assert len(scene.port.asked) == 2
+    statement, question, query = scene.port.asked[1]
+    assert (statement, question != former) == (signer.statement, True)
+    query.replies = [scene.reply(former)]
+    proof.meet(scene.port)
+    assert not signer.has_met("cruiser-1")
+    query.replies = [scene.reply(question)]
+    proof.meet(scene.port)
+    assert signer.has_met("cruiser-1")
+
+
+def test_a_robot_is_asked_again_where_another_run_is_seen(scene: Scene) -> None:
+    """And believed as soon as its reply says that it is in this run."""
+    operator = scene.operator()
+    operator.meet("cruiser-1", scene.reply(b"who?"), b"who?")
+    proof = LinkProof(operator, "cruiser-1", "fleet")
+    assert proof.believes(scene.state(5))
+    proof.meet_again(scene.port)
+    assert not scene.port.asked
+    restarted = scene.state(0, b"boot no2")
+    assert not proof.believes(restarted)
+    proof.meet_again(scene.port)
+    ((statement, question, query),) = scene.port.asked
+    assert statement == operator.statement
+    query.replies, query.is_over = [scene.reply(question, b"boot no2")], True
+    proof.meet_again(scene.port)
+    assert proof.believes(restarted)
+    assert not proof.believes(scene.state(6))
+
+
+def test_before_the_first_challenge_a_request_proves_nothing(scene: Scene) -> None:
+    """A stop is served so; its reply answers it alone."""
+    proof = LinkProof(scene.operator(), "cruiser-1", "fleet")
+    first, second = proof.attach("stop", b""), proof.attach("stop", b"")
+    assert first != second
+    assert RequestProof.read(first) is None
+    proof.challenge = CHALLENGE
+    assert RequestProof.read(proof.attach("stop", b"")) is not None
