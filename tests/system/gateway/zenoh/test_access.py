@@ -1,5 +1,7 @@
 """Access by role, subject by key by operation, through a real router-mode session with mutual TLS on loopback.
 
+Whoever attacks is a client, a peer, or another router; or is connected with the robot itself.
+
 The oracle is the table of docs/authority.md. Whoever attacks has a certificate of some role, and a Zenoh file
 without the rules that it was given.
 """
@@ -9,7 +11,7 @@ from __future__ import annotations
 import socket
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,7 +21,10 @@ from zenoh import ext
 
 from gateway.authority.transport import COMMAND_MAX_BYTES, TransportRole, zenoh_configuration
 from gateway.provisioning.certificates import LEAF_DAYS, issue, issue_site, new_key, new_request
+from gateway.zenoh.client import open_session
 from gateway.zenoh.router import open_router
+from schemas.exit_codes import CommandError
+from schemas.settings import ZenohSettings
 from tests.support.secured import Network, pem, write
 from tests.support.waiting import wait_until
 
@@ -130,6 +135,10 @@ TOKENS: Final = {
 """Whose liveliness tokens are seen."""
 
 
+MODES: Final = ("client", "peer")
+"""Of the sessions that attack: their files are their owners'. Who should be there is a client, as provisioned."""
+
+
 def free_endpoint() -> str:
     """An endpoint that nobody listens on."""
     with socket.socket() as probe:
@@ -140,12 +149,13 @@ def free_endpoint() -> str:
 class Secured:
     """A router, and one session for each role: those that attack, and an honest robot and an honest operator."""
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, mode: str) -> None:
         self.network = Network(directory, free_endpoint())
         router = self.network.node(TransportRole.ROUTER, "127.0.0.1")
         self.router, _ = open_router(router / "router.json5", [])
         self.attackers = {
-            name: self.network.session(role, name, access_control__enabled=False) for name, role in ROLES.items()
+            name: self.network.session(role, name, mode=mode, access_control__enabled=False)
+            for name, role in ROLES.items()
         }
         self.robot = self.network.session(TransportRole.ROBOT, "cruiser-1", "cruiser-1")
         self.operator = self.network.session(TransportRole.OPERATOR, "ann")
@@ -157,11 +167,11 @@ class Secured:
             session.close()
 
 
-@pytest.fixture(scope="module")
-def secured() -> Iterator[Secured]:
+@pytest.fixture(scope="module", params=MODES)
+def secured(request: pytest.FixtureRequest) -> Iterator[Secured]:
     """The network of all tests here: they leave nothing on it."""
     with tempfile.TemporaryDirectory() as directory:
-        network = Secured(Path(directory))
+        network = Secured(Path(directory), request.param)
         try:
             yield network
         finally:
@@ -485,6 +495,138 @@ def opens(config: zenoh.Config) -> bool:
 def configuration(network: Network, role: TransportRole, name: str) -> zenoh.Config:
     """The Zenoh configuration of a new node."""
     return zenoh.Config.from_file(str(network.node(role, name) / f"{role.value}.json5"))
+
+
+HONEST: Final = b"of a robot or an operator"
+
+
+def subscribe(session: zenoh.Session, name: str, keys: Iterable[str], received: set[tuple[str, str]]) -> None:
+    """Subscribe to these keys, and note what comes that is not an attacker's own."""
+
+    def note(sample: zenoh.Sample) -> None:
+        if sample.attachment is not None and sample.attachment.to_bytes() == HONEST:
+            received.add((name, str(sample.key_expr)))
+
+    for key in keys:
+        session.declare_subscriber(key, note)
+
+
+def may_receive(name: str, key: str) -> bool:
+    """Does a subscription that this role may have include the key?"""
+    allowed_keys = (expression for expression, names in SUBSCRIPTIONS.items() if name in names)
+    return any(zenoh.KeyExpr(one).includes(zenoh.KeyExpr(key)) for one in allowed_keys)
+
+
+def say_everything(session: zenoh.Session, name: str) -> None:
+    """Delete, put and ask under every key of the tables."""
+    for key in PUTS:
+        session.delete(key)
+        session.put(key, b"", attachment=f"{name} {key}")
+    for key in QUERIES:
+        session.get(key, lambda _reply: None, attachment=f"{name} {key}", target=zenoh.QueryTarget.ALL)
+
+
+def test_who_plays_a_router_gets_no_more(tmp_path: Path) -> None:
+    """A second router with the certificate of any role: whatever it says or asks for, the table holds."""
+    network = Secured(tmp_path, "router")
+    passed, reached, asked = Arrivals(), Arrivals(), Arrivals()
+    received: set[tuple[str, str]] = set()
+    for key, reply in {f"{R}/@cmd/*/*": STOP, f"{R}/@auth": f"{R}/@auth"}.items():
+        network.robot.declare_queryable(key, asked.answering(reply), complete=True)
+    observe(network, passed)
+    for verb in ("stop", "drive"):
+        network.robot.declare_subscriber(f"{R}/@cmd/*/{verb}", reached.sample)
+    for name, session in network.attackers.items():
+        subscribe(session, name, SUBSCRIPTIONS, received)
+
+    def attack() -> None:
+        for name, session in network.attackers.items():
+            say_everything(session, name)
+        for key in TELEMETRY:
+            network.robot.put(f"{R}/{key}", b"", attachment=HONEST)
+        network.operator.put(STOP, b"", attachment=HONEST)
+
+    stops, verbs = ({(name, key) for name in who} for who, key in ((PEOPLE, STOP), (COMMANDING, VERB)))
+    seen = {(name, f"{R}/state") for name in PEOPLE}
+    wait_until(lambda: stops <= reached.found and verbs <= asked.found and seen <= received, attack)
+    attack()
+    # What was sent after all of it has arrived.
+    last = f"{OPERATOR} last"
+    wait_until(
+        lambda: (OPERATOR, "last") in reached.found,
+        lambda: network.attackers[OPERATOR].put(STOP, b"", attachment=last),
+    )
+    network.close()
+    assert passed.kinds == {str(zenoh.SampleKind.PUT)}
+    assert {one for one in passed.found if one[1] in PUTS} <= allowed(PUTS)
+    assert {one for one in reached.found if one[1] in PUTS} <= allowed(PUTS)
+    assert {one for one in asked.found if one[1] in QUERIES} <= allowed(QUERIES)
+    assert [one for one in received if not may_receive(*one)] == []
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_robot_that_listens_in_spite_of_its_file_obeys_a_router_alone(tmp_path: Path, mode: str) -> None:
+    """With a certificate that serves: who connects to it directly gets nothing in and nothing out, by any role."""
+    network = Network(tmp_path, free_endpoint())
+    serving = network.node(TransportRole.ROUTER, "127.0.0.1")
+    config = configuration(network, TransportRole.ROBOT, "cruiser-1")
+    for path, value in {
+        "mode": '"peer"',
+        "connect/endpoints": "[]",
+        "listen/endpoints": f'["{network.endpoint}"]',
+        "transport/link/tls/listen_certificate": f'"{serving}/router-tls.pem"',
+        "transport/link/tls/listen_private_key": f'"{serving}/router-tls.key"',
+    }.items():
+        config.insert_json5(path, value)
+    reached = Arrivals()
+    received: set[tuple[str, str]] = set()
+    roles = ROLES | {"router": TransportRole.ROUTER}
+    with zenoh.open(config) as robot:
+        for verb in ("stop", "drive"):
+            robot.declare_subscriber(f"{R}/@cmd/*/{verb}", reached.sample)
+        for key in (f"{R}/@cmd/*/*", f"{R}/@auth", f"{R}/gateway/info"):
+            robot.declare_queryable(key, reached.query, complete=True)
+        sessions = {
+            name: network.session(
+                role,
+                f"{name}-direct",
+                mode=mode,
+                access_control__enabled=False,
+                connect__endpoints=[network.endpoint],
+                listen__endpoints=[],
+            )
+            for name, role in roles.items()
+        }
+        for name, session in sessions.items():
+            subscribe(session, name, (f"{R}/state", "fleet/**"), received)
+
+        def attack() -> None:
+            for name, session in sessions.items():
+                say_everything(session, name)
+            robot.put(f"{R}/state", b"", attachment=HONEST)
+
+        expected = {("router", key) for key in (DRIVE, STOP, VERB, f"{R}/@auth")}
+        wait_until(lambda: expected <= reached.found and bool(received), attack)
+        attack()
+        wait_until(
+            lambda: ("router", "last") in reached.found,
+            lambda: sessions["router"].put(STOP, b"", attachment="router last"),
+        )
+        for session in sessions.values():
+            session.close()
+    assert {name for name, _ in reached.found | received} == {"router"}
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "tls"])
+def test_a_robot_cannot_listen_by_its_settings(tmp_path: Path, protocol: str) -> None:
+    """Its file allows TLS alone, and has no certificate to listen with."""
+    network = Network(tmp_path, free_endpoint())
+    file = network.node(TransportRole.ROBOT, "cruiser-1", "cruiser-1") / "robot.json5"
+    listen = free_endpoint().replace("tls/", f"{protocol}/")
+    for given in ((), ("mode",)):
+        settings = ZenohSettings(config=str(file), mode="peer", given=frozenset(given))
+        with pytest.raises(CommandError, match="cannot open Zenoh"):
+            open_session(settings, [], [listen])
 
 
 def test_who_has_no_certificate_of_the_authority_does_not_connect(secured: Secured, tmp_path: Path) -> None:
