@@ -142,6 +142,9 @@ def access_table(root: str, robot: str = keys.ALL) -> list[AccessRow]:
             (*tokens, recorders),
         ),
         AccessRow("people-find", people, "egress", ("liveliness_token",), (*tokens, recorders)),
+        # Anybody asks a robot who it is, to believe it: it is shown a statement, or nothing.
+        AccessRow("people-show", people, "ingress", ("query",), (all_statements,)),
+        AccessRow("people-are-told", people, "egress", ("reply", queryable), (all_statements,)),
         # Anybody stops a robot; who may command them, all at once.
         AccessRow("viewer-stops-one", viewers, "ingress", ("put", "query"), tuple(_single(root, STOP_VERB))),
         AccessRow("people-reach", people, "egress", told, (all_commands,)),
@@ -149,8 +152,6 @@ def access_table(root: str, robot: str = keys.ALL) -> list[AccessRow]:
         AccessRow("operator-sends", commanding, "ingress", ("put",), all_puts),
         AccessRow("operator-asks", commanding, "ingress", ("query",), all_asked),
         AccessRow("operator-is-answered", commanding, "egress", ("reply",), (all_commands,)),
-        AccessRow("operator-shows", commanding, "ingress", ("query",), (all_statements,)),
-        AccessRow("operator-is-told", commanding, "egress", ("reply", queryable), (all_statements,)),
         AccessRow("operator-orders", commanding, "ingress", ("query",), (orders,)),
         AccessRow("operator-is-obeyed", commanding, "egress", ("reply", queryable), (orders,)),
         # A recorder receives everything but commands, and fetches what it lacks from robots and other recorders.

@@ -236,7 +236,8 @@ def _settings(store: KeyStore, bundle: Bundle) -> str:
     """Settings by which every command is this machine's or this person's: ``--config``, or CRUISER_CONFIG."""
     role, who = bundle.role, bundle.role.value
     robot = f"name = {_quoted(bundle.name)}\n" if role is EnrolmentRole.ROBOT else ""
-    mode = 'mode = "signed"\n' if role.is_granted else ""
+    # Who has no key signs nothing, and believes what robots sign all the same.
+    mode = "" if role is EnrolmentRole.ROUTER else 'mode = "signed"\n'
     return (
         "# Written by 'cruiser provision install', which leaves it alone once it is there: add what you like.\n"
         f"[robot]\nroot = {_quoted(bundle.fleet.root)}\n{robot}\n"

@@ -10,13 +10,12 @@ import pytest
 import zenoh
 
 from gateway.client import remote_stop
-from gateway.client.reasons_text import is_idle
 from gateway.client.refusal import LeaseLost, Refused, Unreachable
 from gateway.client.robot import Lease, Robot
 from gateway.zenoh.client import close_session, open_session
 from schemas import codec, keys
-from schemas.authority.statement import GrantRole, chain_text
-from schemas.decisions import Journal, Reply, SafetyState, StatementReply
+from schemas.authority.statement import chain_text
+from schemas.decisions import Journal, Reply, SafetyState
 from schemas.exit_codes import CommandError
 from schemas.journal import Kind
 from schemas.messages import RobotState
@@ -24,61 +23,11 @@ from schemas.reasons import Reason
 from schemas.requests import Drive
 from schemas.settings import AuthoritySettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME, BY_VERB
-from tests.support.authority import DAY_S, Fleet, Party
+from tests.support.authority import DAY_S, Party
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.gateway import Running, chassis, gateway
-from tests.support.provisioned import provision
+from tests.support.signed_site import LIMIT_MPS, OPERATOR, ROBOT, ROOT, WANTED_MPS, Site, driving
 from tests.support.waiting import wait_until
-
-ROOT, ROBOT, OPERATOR = "fleet", "cruiser-1", "ann"
-LIMIT_MPS, WANTED_MPS = 0.4, 0.8
-
-
-class Site:
-    """A fleet with one robot and one operator, their files, and where the robot is reached."""
-
-    def __init__(self, directory: Path) -> None:
-        self.fleet = Fleet()
-        self.directory = directory
-        self.endpoint = free_endpoint()
-        self.robot, self.operator = Party(ROBOT), Party(OPERATOR)
-        now_s = int(time.time())
-        self.holds = {"not_before": now_s - 60, "not_after": now_s + DAY_S}
-        self.fleet.authority.grant(self.robot, role=GrantRole.ROBOT, robots=[ROBOT], **self.holds)
-        self.fleet.authority.grant(self.operator, speed_limit_mps=LIMIT_MPS, **self.holds)
-        self.robot_settings = self.write("robot", self.robot)
-        self.settings = self.settings_of("operator", self.operator)
-
-    def write(self, who: str, party: Party) -> str:
-        """Somebody's files, and a configuration that names them; its path."""
-        directory = provision(self.directory / f"{who}-{party.name}", who, party, self.fleet)
-        configuration = directory / "cruiser.toml"
-        configuration.write_text(
-            f'[authority]\nmode = "signed"\ndirectory = "{directory}"\n'
-            f'[gateway]\nstate_dir = "{self.directory / "state"}"\n'
-        )
-        return str(configuration)
-
-    def settings_of(self, who: str, party: Party) -> Settings:
-        """The settings of somebody's library."""
-        directory = str(Path(self.write(who, party)).parent)
-        return Settings(
-            zenoh=ZenohSettings(connect=[self.endpoint]),
-            authority=AuthoritySettings(mode="signed", directory=directory),
-        )
-
-    def show(self, session: zenoh.Session, text: str) -> StatementReply:
-        """Shows the robot a statement, until it answers."""
-        replies: list[StatementReply] = []
-
-        def answered() -> bool:
-            asked = session.get(keys.authority(ROOT, ROBOT), payload=text, timeout=1.0)
-            payloads = [reply.ok.payload.to_bytes() for reply in asked if reply.ok is not None]
-            replies.extend(msgspec.msgpack.decode(payload, type=StatementReply) for payload in payloads)
-            return bool(replies)
-
-        wait_until(answered)
-        return replies[0]
 
 
 @contextmanager
@@ -96,23 +45,6 @@ def stranger(site: Site) -> Iterator[zenoh.Session]:
         yield session
     finally:
         close_session(session)
-
-
-@contextmanager
-def driving(site: Site) -> Iterator[tuple[Robot, Lease]]:
-    """The operator, whose robot is engaged and drives."""
-    with Robot.connect(ROBOT, settings=site.settings) as robot, robot.lease() as lease:
-        robot.wait_for(lambda state: is_idle(state.blocked_by), 30)
-        lease.engage()
-        lease.unpark()
-        wait_until(lambda: speed_of(robot) > LIMIT_MPS / 2, lambda: lease.drive(WANTED_MPS))
-        yield robot, lease
-
-
-def speed_of(robot: Robot) -> float:
-    """The measured speed, m/s."""
-    seen = robot.state().chassis
-    return 0.0 if seen is None or seen.speed_mps is None else seen.speed_mps
 
 
 @pytest.fixture

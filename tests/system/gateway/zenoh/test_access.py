@@ -100,8 +100,8 @@ QUERIES: Final = {f"{R}/{name}": PEOPLE | {RECORDER} for name in KEPT} | {
     DRIVE: NOBODY,
     STOP: PEOPLE,
     STOP_ALL: COMMANDING,
-    f"{R}/@auth": COMMANDING,
-    "fleet/*/@auth": COMMANDING,
+    f"{R}/@auth": PEOPLE,
+    "fleet/*/@auth": PEOPLE,
 }
 """Whose query on which key reaches the robot, and is answered."""
 

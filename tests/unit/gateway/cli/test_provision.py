@@ -89,7 +89,7 @@ def test_no_private_key_travels(fleet: ProvisionedFleet) -> None:
 
 
 def test_a_machine_gets_settings_that_any_command_takes(fleet: ProvisionedFleet) -> None:
-    """The robot's name, signed mode, its directory and its Zenoh file; a viewer signs nothing."""
+    """Name, signed mode, directory, Zenoh file; a viewer signs nothing, and believes what robots sign."""
     robot, hall = fleet.let_in("robot", "cruiser-1"), fleet.let_in("viewer", "hall")
     settings = tomllib.loads((robot / "robot.toml").read_text())
     assert settings == {
@@ -103,7 +103,7 @@ def test_a_machine_gets_settings_that_any_command_takes(fleet: ProvisionedFleet)
         [ENDPOINT],
         [],
     )
-    assert "mode" not in tomllib.loads((hall / "viewer.toml").read_text())["authority"]
+    assert tomllib.loads((hall / "viewer.toml").read_text())["authority"]["mode"] == "signed"
     assert not (hall / "viewer.key").exists()
 
 

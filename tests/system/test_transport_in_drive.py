@@ -1,0 +1,253 @@
+"""A drive whose connection is attacked, or ends: real processes, mutual TLS, and a witness on the bus."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import pytest
+
+from gateway.authority.transport import TransportRole
+from gateway.can.open_bus import open_bus
+from gateway.chassis.frame import EXTENDED
+from gateway.client import remote_stop
+from gateway.client.refusal import LeaseLost, Stopped, Unreachable
+from gateway.client.robot import Lease, Robot
+from gateway.provisioning.certificates import LEAF_DAYS
+from schemas.exit_codes import CommandError
+from schemas.reasons import TEXTS, Reason
+from schemas.settings import AuthoritySettings, CanSettings, ZenohSettings
+from tests.support import bus_rules
+from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.gateway import Running, chassis
+from tests.support.provisioned import write_authority
+from tests.support.secured import Network
+from tests.support.signed_site import LIMIT_MPS, ROBOT, WANTED_MPS, Site, driving
+from tests.support.waiting import wait_until
+
+LIFE_S: Final = 20
+"""Of the certificate that ends: the drive begins within it, on a busy machine too."""
+
+BIT_MPS: Final = bus_rules.COARSE_UMPS / 1e6
+"""Of the virtual chassis."""
+
+FLOODERS: Final = 3
+HANDSHAKES: Final = 120
+"""Of each flooder; one that is not answered within half a second is left open."""
+
+FLOODER: Final = """
+import os, socket, ssl, sys
+host, port, count = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+context = ssl.create_default_context()
+context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+opened = []
+for number in range(count):
+    try:
+        link = socket.create_connection((host, port), 0.5)
+        if number % 3 == 0:
+            link = context.wrap_socket(link)
+        elif number % 3 == 1:
+            link.sendall(b"\\x16\\x03\\x01\\x02\\x00" + os.urandom(200))
+        opened.append(link)
+    except OSError:
+        pass
+    if len(opened) > 50:
+        opened.pop(0).close()
+print("done", flush=True)
+"""
+"""Handshakes without a certificate, with garbage, and ones that are begun and left open; 50 at a time."""
+
+
+class Witness:
+    """Another client of the bus: what the chassis is told.
+
+    Attributes:
+        speeds: of each frame with a speed, in their order, signed; in ``BIT_MPS``.
+    """
+
+    def __init__(self, address: str) -> None:
+        self.speeds: list[int] = []
+        self._bus = open_bus(CanSettings(interface="socketcand", channel=address))
+        self._ends = threading.Event()
+        self._thread = threading.Thread(target=self._listen)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._ends.set()
+        self._thread.join()
+        self._bus.close()
+
+    def _listen(self) -> None:
+        while not self._ends.is_set():
+            frame = self._bus.receive(0.05)
+            if frame is not None and frame.can_id == bus_rules.DRIVE | EXTENDED:
+                raw = bus_rules.value(bus_rules.DRIVE, "v", frame.data)
+                self.speeds.append(raw - 2**16 if raw >= 2**15 else raw)
+
+
+class SecuredSite(Site):
+    """The fleet behind a router with certificates."""
+
+    def __init__(self, directory: Path) -> None:
+        super().__init__(directory)
+        place = directory / "network"
+        place.mkdir()
+        self.network = Network(place, free_endpoint().replace("tcp/", "tls/"))
+        self.router_file = self.network.node(TransportRole.ROUTER, "127.0.0.1") / "router.json5"
+        robot = self.network.node(TransportRole.ROBOT, ROBOT, ROBOT) / "robot.json5"
+        with Path(self.robot_settings).open("a") as file:
+            file.write(f'[zenoh]\nconfig = "{robot}"\n')
+        self.connect_operator("ann", int(time.time()))
+
+    def connect_operator(self, name: str, born_s: int) -> None:
+        """The operator has a certificate from then on."""
+        node = self.network.node(TransportRole.OPERATOR, name, born_s=born_s)
+        self.settings = msgspec.structs.replace(
+            self.settings, zenoh=ZenohSettings(config=str(node / "operator.json5"))
+        )
+
+
+@contextmanager
+def running(site: SecuredSite) -> Iterator[tuple[Running, Witness]]:
+    """Router, chassis, gateway, and a witness on the bus."""
+    with ExitStack() as stack:
+        router = stack.enter_context(Running("router", "--zenoh-config", str(site.router_file)))
+        router.wait_says("listens on")
+        _, address = stack.enter_context(chassis())
+        bus = ("--interface", "socketcand", "--channel", address)
+        gateway = stack.enter_context(Running("gateway", *bus, "--config", site.robot_settings))
+        gateway.wait_says("gateway: ")
+        witness = Witness(address)
+        stack.callback(witness.close)
+        yield gateway, witness
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> SecuredSite:
+    """The fleet of this test."""
+    return SecuredSite(tmp_path)
+
+
+def assert_lawful(speeds: list[int]) -> None:
+    """No speed is above the grant's, and none jumps: up by one bit at most, in each burst."""
+    limit = round(LIMIT_MPS / BIT_MPS)
+    assert speeds
+    assert 0 <= min(speeds) <= max(speeds) <= limit
+    assert all(later - former <= 1 for former, later in pairwise(speeds))
+
+
+def test_a_certificate_that_ends_in_mid_drive_ends_the_drive_in_a_controlled_stop(site: SecuredSite) -> None:
+    """The link goes, the deadman stops the robot along its ramp, and who drove cannot come back with it."""
+    with running(site) as (gateway, witness):
+        site.connect_operator("ends-soon", int(time.time()) - LEAF_DAYS * 86_400 + LIFE_S)
+        with driving(site) as (_, lease):
+            with pytest.raises((Stopped, Unreachable, LeaseLost)):
+                wait_until(lambda: False, lambda: lease.drive(WANTED_MPS))
+            gateway.wait_says(f"stopping: {TEXTS[Reason.DEADMAN].means}")
+            gateway.wait_says("stopped: the robot is told nothing, and stands")
+        told = list(witness.speeds)
+        assert_lawful(told)
+        assert max(told) * BIT_MPS > LIMIT_MPS / 2
+        ramp = told[len(told) - told[::-1].index(max(told)) :]
+        assert ramp == sorted(ramp, reverse=True)
+        assert len({speed for speed in ramp if speed}) > 2
+        assert ramp[-1] == 0
+        with pytest.raises(CommandError, match=r"operator-tls\.pem ended .* days ago; 'cruiser provision renew"):
+            Robot.connect(ROBOT, settings=site.settings, timeout_s=2.0)
+
+
+def test_a_flood_of_handshakes_moves_no_robot_and_ends_no_fleet(site: SecuredSite) -> None:
+    """Under it the robot drives, or stands by its rules; afterwards it drives, engaged anew if need be."""
+    host, _, port = site.network.endpoint.removeprefix("tls/").partition(":")
+    with running(site) as (_, witness), ExitStack() as stack:
+        drive = _Drive(site, stack)
+        drive.until(LIMIT_MPS * 0.9)
+        flooders = [
+            stack.enter_context(
+                subprocess.Popen(
+                    [sys.executable, "-c", FLOODER, host, port, str(HANDSHAKES)], stdout=subprocess.PIPE, text=True
+                )
+            )
+            for _ in range(FLOODERS)
+        ]
+        for flooder in flooders:
+            stack.callback(flooder.kill)
+        while any(flooder.poll() is None for flooder in flooders):
+            drive.step()
+        assert [flooder.communicate()[0] for flooder in flooders] == ["done\n"] * FLOODERS
+        before = len(witness.speeds)
+        drive.until(LIMIT_MPS * 0.9)
+        wait_until(lambda: max(witness.speeds[before:], default=0) * BIT_MPS > LIMIT_MPS / 2, drive.step)
+        assert_lawful(witness.speeds)
+
+
+def test_a_viewers_stop_is_seen_to_be_carried_out(site: SecuredSite) -> None:
+    """Without a key, by what the robot signs."""
+    node = site.network.node(TransportRole.VIEWER, "vic")
+    write_authority(node, site.fleet)
+    settings = msgspec.structs.replace(
+        site.settings,
+        zenoh=ZenohSettings(config=str(node / "viewer.json5")),
+        authority=AuthoritySettings(mode="signed", directory=str(node)),
+    )
+    with running(site) as (gateway, _), driving(site):
+        report = remote_stop.stop_from_here(settings, ROBOT, "vic", 30)
+        gateway.wait_says(r"a remote stop was received; by vic \(unproven\)")
+    assert (report.stopped, report.silent) == ([ROBOT], [])
+
+
+class _Drive:
+    """Somebody who drives, and engages anew where the robot was stopped."""
+
+    def __init__(self, site: SecuredSite, stack: ExitStack) -> None:
+        self._site = site
+        self._stack = stack
+        self._now = self._begin()
+
+    def step(self) -> None:
+        """Ask for the speed; where the robot has stopped by its rules, begin again."""
+        try:
+            self._now[1].drive(WANTED_MPS)
+        except (Stopped, Unreachable, LeaseLost):
+            self._end()
+            self._now = self._begin()
+        time.sleep(0.02)
+
+    def until(self, speed_mps: float) -> None:
+        """Drive until the chassis is this fast."""
+
+        def is_fast() -> bool:
+            try:
+                seen = self._now[0].state().chassis
+            except Unreachable:
+                return False
+            return seen is not None and (seen.speed_mps or 0.0) >= speed_mps
+
+        wait_until(is_fast, self.step)
+
+    def _begin(self) -> tuple[Robot, Lease]:
+        self._scope = ExitStack()
+        self._stack.callback(self._end)
+        found: list[tuple[Robot, Lease]] = []
+
+        def engaged() -> bool:
+            try:
+                found.append(self._scope.enter_context(driving(self._site)))
+            except (Stopped, Unreachable, LeaseLost):
+                self._end()
+            return bool(found)
+
+        wait_until(engaged)
+        return found[0]
+
+    def _end(self) -> None:
+        self._scope.close()
