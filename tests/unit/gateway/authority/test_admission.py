@@ -24,6 +24,7 @@ from gateway.authority.admission import (
 from gateway.authority.lease_key import DriveTags, lease_key, public_bytes
 from gateway.authority.signer import RobotSigner
 from gateway.command.flow import PendingReply
+from gateway.command.freshness import ChallengeLog
 from gateway.command.request import Credentials, RawRequest
 from schemas import keys
 from schemas.authority.proof import RobotProof
@@ -277,6 +278,32 @@ def test_a_request_for_another_robot_is_none_for_this_one() -> None:
         one.introduce(ann)
     attachment = ann.prove(key_of("ann", "engage", "cruiser-2"), BY_VERB["engage"].encoding, b"", CHALLENGE)
     assert door.admit(door.raw("ann", "engage", b"", attachment)).reason is Reason.PROOF_WRONG
+
+
+def test_what_was_signed_for_a_former_run_is_refused_after_a_restart() -> None:
+    """No nonce is remembered then, and no lease: the challenge, and the key of a lease, are of one run."""
+    fleet, ann = Fleet(), Party("ann")
+    fleet.authority.grant(ann)
+    former, later = Door(fleet), Door(fleet)
+    challenges = {door: ChallengeLog() for door in (former, later)}
+    for door, drawn in ((former, CHALLENGE), (later, b"drawn..2")):
+        challenges[door].publish(drawn, door.now_ns)
+        door.admission.challenge_age_ns = challenges[door].age_ns
+        door.introduce(ann)
+    holder = Holder(former, ann)
+    drive = holder.payload()
+    kept = [
+        former.raw(
+            "ann", verb, b"", ann.prove(key_of("ann", verb), BY_VERB[verb].encoding, b"", CHALLENGE), query=True
+        )
+        for verb in BY_VERB
+        if verb not in {"drive", "stop"}
+    ]
+    assert {former.admit(raw).reason for raw in kept} == {Reason.NONE}
+    assert holder.drive(drive).reason is Reason.NONE
+    assert {later.admit(raw).reason for raw in kept} == {Reason.CHALLENGE_UNKNOWN}
+    again = later.raw("ann", "drive", drive, holder.tags.attachment(drive), query=False)
+    assert later.admit(again).reason is Reason.NO_LEASE
 
 
 def test_a_revoked_or_expired_grant_is_refused_at_once() -> None:
