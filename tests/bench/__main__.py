@@ -28,6 +28,7 @@ from tests.bench import (
     recorder_rate,
     review_export,
     review_rate,
+    signed_latency,
 )
 from tests.bench.loads import Row, beside, load_rows, print_table
 from tests.bench.on_vcan import vcan
@@ -45,6 +46,7 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
         held_s: of robots at their own pace, each number of them; at most as a load.
         path_rounds, recorder_rounds, export_rounds: paired runs of ours and others.
         authority_rounds: of each step of a proof.
+        turns, turn_drives: of open and signed mode, and the drive commands of each.
         drives, stops, ticks, floods: of commands.
         link_s, goal_s: simulated, of each bad link, and of the one with a goal.
         review_mb, review_minutes, export_messages: sizes of the logs.
@@ -54,6 +56,8 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
     kills: int = 10
     path_rounds: int = path_cost.ROUNDS
     authority_rounds: int = authority.ROUNDS
+    turns: int = 2
+    turn_drives: int = signed_latency.DRIVES
     drives: int = 500
     stops: int = 10
     ticks: int = 3000
@@ -73,6 +77,8 @@ SHORT: Final = Extent(
     kills=2,
     path_rounds=1,
     authority_rounds=1,
+    turns=1,
+    turn_drives=30,
     drives=50,
     stops=2,
     ticks=300,
@@ -130,6 +136,7 @@ def measure(extent: Extent) -> tuple[list[Row], list[str]]:
             lambda: command_rows(command_latency.measure(extent.drives, extent.stops, extent.ticks)),
         ),
         ("authority", lambda: authority.rows(extent.authority_rounds)),
+        ("commands in signed mode", lambda: signed_latency.rows(extent.turns, extent.turn_drives)),
         ("floods", lambda: flood_rows(flood.measure(extent.floods))),
         ("the guard", lambda: [row for one in guard_latency.measure(extent.kills) for row in guard_rows(one)]),
         ("bad links", lambda: links.rows(extent.link_s, extent.goal_s)),

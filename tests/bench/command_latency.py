@@ -130,11 +130,21 @@ class Driver:
 
     def ask(self, verb: str, **fields: object) -> dict[str, Any]:
         """A verb's reply."""
-        for reply in self.session.get(COMMAND + verb, payload=msgspec.msgpack.encode(fields), timeout=5):
+        payload = msgspec.msgpack.encode(fields)
+        attachment = self.prove(verb, payload)
+        for reply in self.session.get(COMMAND + verb, payload=payload, attachment=attachment, timeout=5):
             if reply.ok is not None:
                 answer: dict[str, Any] = msgspec.msgpack.decode(reply.ok.payload.to_bytes())
                 return answer
         raise RuntimeError(f"no reply to {verb}")
+
+    def prove(self, _verb: str, _payload: bytes) -> bytes | None:
+        """The attachment of a command; in open mode none."""
+        return None
+
+    def take(self) -> int:
+        """Take the lease. Returns its number."""
+        return int(self._must("take", role="supervisor")["lease"])
 
     def _must(self, verb: str, **fields: object) -> dict[str, Any]:
         reply = self.ask(verb, **fields)
@@ -148,7 +158,14 @@ class Driver:
         fields = {"lease": self._lease, "seq": self._sequence, "challenge": self.look()["challenge"]}
         payload = msgspec.msgpack.encode(fields | {"speed_mps": speed_mps, "angle_deg": angle_deg})
         put_s = time.monotonic()
-        self.session.put(f"{COMMAND}drive", payload, express=True, priority=zenoh.Priority.INTERACTIVE_HIGH)
+        attachment = self.prove("drive", payload)
+        self.session.put(
+            f"{COMMAND}drive",
+            payload,
+            attachment=attachment,
+            express=True,
+            priority=zenoh.Priority.INTERACTIVE_HIGH,
+        )
         return put_s
 
     def stop(self) -> float:
@@ -161,7 +178,7 @@ class Driver:
         """From rest, whatever is latched, to a steady speed."""
         overcome = {"no_lease", "not_engaged", "remote_stop"}
         until(lambda: self.look()["state"] == "standby" and set(self.state["blocked_by"]) <= overcome)
-        self._lease, self._sequence = self._must("take", role="supervisor")["lease"], 0
+        self._lease, self._sequence = self.take(), 0
         self._must("reset", lease=self._lease)
         self._must("engage", lease=self._lease, challenge=self.look()["challenge"])
         self._must("unpark", lease=self._lease)
@@ -192,8 +209,8 @@ class Road(NamedTuple):
 
 
 @contextmanager
-def on_the_road(*command: str) -> Iterator[Road]:
-    """Chassis, gateway (or this command in its place), witness and operator."""
+def on_the_road(*command: str, driver_at: Callable[[str], Driver] = Driver) -> Iterator[Road]:
+    """Chassis, gateway (or this command in its place), witness and operator, at the gateway's endpoint."""
     endpoint = free_endpoint()
     os.environ["CRUISER_GATEWAY_ACCEPT_UNGUARDED"] = "true"
     with ExitStack() as stack:
@@ -205,7 +222,7 @@ def on_the_road(*command: str) -> Iterator[Road]:
         gateway, _ = start(stack, [*(command or ("-m", "gateway", "gateway")), *bus], "gateway: ")
         witness = Witness(address[0])
         stack.callback(witness.close)
-        driver = Driver(endpoint)
+        driver = driver_at(endpoint)
         stack.callback(driver.close)
         until(lambda: bool(driver.look()))
         yield Road(driver, witness, endpoint, gateway)
@@ -214,20 +231,26 @@ def on_the_road(*command: str) -> Iterator[Road]:
 def measure(drives: int = 500, stops: int = 20, ticks: int = 3000) -> CommandLatency:
     """Put so many of each."""
     random = Random(0)  # noqa: S311 - to hit every place between two ticks
-    drive_us: list[float] = []
     with on_the_road() as (driver, witness, *_), empty_loop() as empty:
-        driver.get_going()
-        for number in range(drives):
-            left = bool(number % 2)
-            put_s = driver.drive(SPEED_MPS, ANGLES_DEG[left])
-            if number:
-                drive_us.append(witness.first_us(put_s, STEERING_ID, is_left if left else is_right))
-            time.sleep(random.uniform(0.015, 0.035))
+        drive_us = drives_us(driver, witness, drives, random)
         stop_us = [stop_under_way_us(driver, witness, random)]
         for _ in range(stops - 1):
             driver.get_going()
             stop_us.append(stop_under_way_us(driver, witness, random))
     return CommandLatency(sorted(drive_us), sorted(stop_us), measure_ticks_us(ticks), empty)
+
+
+def drives_us(driver: Driver, witness: Witness, count: int, random: Random) -> list[float]:
+    """So many drive commands, from the robot's rest: microseconds from each put but the first to its frame."""
+    found: list[float] = []
+    driver.get_going()
+    for number in range(count):
+        left = bool(number % 2)
+        put_s = driver.drive(SPEED_MPS, ANGLES_DEG[left])
+        if number:
+            found.append(witness.first_us(put_s, STEERING_ID, is_left if left else is_right))
+        time.sleep(random.uniform(0.015, 0.035))
+    return found
 
 
 def stop_under_way_us(driver: Driver, witness: Witness, random: Random) -> float:

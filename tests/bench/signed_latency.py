@@ -1,0 +1,144 @@
+"""From a put on Zenoh to the frame on the bus in signed mode, beside open mode: in turns, on one machine.
+
+Usage: python -m tests.bench.signed_latency
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from pathlib import Path
+from random import Random
+from statistics import median
+from tempfile import mkdtemp
+from typing import Final
+from unittest.mock import patch
+
+import msgspec
+
+from gateway.authority.operator_proof import OperatorProof, new_lease_key, new_question
+from gateway.zenoh.client import received_of
+from schemas.authority.statement import GrantRole
+from schemas.decisions import LeaseReply
+from tests.bench.command_latency import COMMAND, Driver, drives_us, on_the_road, until
+from tests.bench.loads import Row, print_table
+from tests.bench.processes import quantile
+from tests.support.authority import DAY_S, Fleet, Party
+from tests.support.provisioned import provision
+
+TURNS: Final = 6
+DRIVES: Final = 250
+"""In each turn of each mode."""
+
+ROOT, ROBOT, NAME = "fleet", "cruiser-1", "bench"
+
+
+class SignedDriver(Driver):
+    """An operator who proves what it sends. What it hears it believes: only the way to the bus counts."""
+
+    def __init__(self, endpoint: str, proof: OperatorProof) -> None:
+        super().__init__(endpoint)
+        self._proof = proof
+        until(self._is_met, pause_s=0.1)
+
+    def prove(self, verb: str, payload: bytes) -> bytes | None:
+        if verb == "drive":
+            return self._proof.drive(payload)
+        return self._proof.request(ROBOT, verb, payload, self.look()["challenge"])
+
+    def take(self) -> int:
+        private, public = new_lease_key()
+        payload = msgspec.msgpack.encode({"role": "supervisor", "public_key": public})
+        attachment = self.prove("take", payload)
+        for reply in self.session.get(f"{COMMAND}take", payload=payload, attachment=attachment, timeout=5):
+            if reply.ok is not None:
+                received = received_of(reply.ok)
+                said = msgspec.msgpack.decode(received.payload, type=LeaseReply)
+                if not self._proof.begin_lease(ROBOT, private, said, received.attachment):
+                    raise RuntimeError(f"take: {said}")
+                return said.lease
+        raise RuntimeError("no reply to take")
+
+    def _is_met(self) -> bool:
+        question = new_question()
+        for reply in self.session.get(
+            f"{ROOT}/{ROBOT}/@auth", payload=self._proof.statement, attachment=question, timeout=1
+        ):
+            if reply.ok is not None and self._proof.meet(ROBOT, received_of(reply.ok), question) is None:
+                return True
+        return False
+
+
+class Keys:
+    """Keys and grants of a robot and an operator, below a directory."""
+
+    def __init__(self, directory: Path) -> None:
+        fleet, robot, self._operator = Fleet(), Party(ROBOT), Party(NAME)
+        now_s = int(time.time())
+        holds = {"not_before": now_s - 60, "not_after": now_s + DAY_S}
+        fleet.authority.grant(robot, role=GrantRole.ROBOT, robots=[ROBOT], **holds)
+        fleet.authority.grant(self._operator, role=GrantRole.SUPERVISOR, **holds)
+        self._trust = fleet.trust
+        provision(directory, "robot", robot, fleet)
+        self.configuration = directory / "robot.toml"
+        self.configuration.write_text(f'[authority]\nmode = "signed"\ndirectory = "{directory}"\n', "utf-8")
+
+    def driver(self, endpoint: str) -> SignedDriver:
+        """The operator, at a gateway."""
+        party = self._operator
+        proof = OperatorProof(party.private, party.chain, self._trust, ROOT, lambda: int(time.time()))
+        return SignedDriver(endpoint, proof)
+
+
+def measure(turns: int = TURNS, drives: int = DRIVES) -> list[tuple[list[float], list[float]]]:
+    """Of each turn, open and signed: microseconds from put to frame, sorted. They begin alternately."""
+    found: list[tuple[list[float], list[float]]] = []
+    with tempfile.TemporaryDirectory() as directory:
+        keys = Keys(Path(directory) / "keys")
+        for turn in range(turns):
+            pair: dict[bool, list[float]] = {}
+            for is_signed in (False, True) if turn % 2 == 0 else (True, False):
+                command = ("-m", "gateway", "gateway", "--config", str(keys.configuration)) if is_signed else ()
+                road = on_the_road(*command, driver_at=keys.driver if is_signed else Driver)
+                # What a robot knows of the authority has to be kept somewhere.
+                with (
+                    patch.dict(os.environ, CRUISER_GATEWAY_STATE_DIR=mkdtemp(dir=directory)),
+                    road as (
+                        driver,
+                        witness,
+                        *_,
+                    ),
+                ):
+                    # The same places between two ticks in both.
+                    pair[is_signed] = sorted(drives_us(driver, witness, drives, Random(turn)))  # noqa: S311
+            found.append((pair[False], pair[True]))
+    return found
+
+
+def rows(turns: int = TURNS, drives: int = DRIVES) -> list[Row]:
+    """Both modes, and what signed mode adds."""
+    measured = measure(turns, drives)
+    opened, signed = (sorted(one for pair in measured for one in pair[mode]) for mode in (0, 1))
+    added_ms = [(quantile(signed_, 0.99) - quantile(open_, 0.99)) / 1000 for open_, signed_ in measured]
+    whole_ms = (quantile(signed, 0.99) - quantile(opened, 0.99)) / 1000
+    middle_ms = (quantile(signed, 0.5) - quantile(opened, 0.5)) / 1000
+    return [
+        ("drive put to first CAN frame, open mode, p50 p99", _ms(opened), ""),
+        ("  signed mode, with the making of the proof", _ms(signed), ""),
+        ("  the difference at p50", f"{middle_ms:+.2f} ms", ""),
+        ("  the difference at p99", f"{whole_ms:+.2f} ms", "under 1 ms"),
+        (
+            f"  of {len(measured)} turns: the median, least, most",
+            f"{median(added_ms):+.2f} {min(added_ms):+.2f} {max(added_ms):+.2f} ms",
+            "",
+        ),
+    ]
+
+
+def _ms(values_us: list[float]) -> str:
+    return f"{quantile(values_us, 0.5) / 1000:.2f} {quantile(values_us, 0.99) / 1000:.2f} ms, of {len(values_us)}"
+
+
+if __name__ == "__main__":
+    print_table(rows())
