@@ -69,11 +69,11 @@ class StatementPort(SessionOwner):
         Raises:
             CommandError: the session is closed.
         """
-        question = PendingQuery()
+        pending = PendingQuery()
         try:
             self._session.get(
                 keys.authority(self._root, robot),
-                question.handler,
+                pending.handler,
                 payload=text,
                 attachment=question,
                 target=zenoh.QueryTarget.ALL,
@@ -83,7 +83,7 @@ class StatementPort(SessionOwner):
             )
         except zenoh.ZError as error:
             raise CommandError(f"cannot ask: {reason(str(error))}", ExitCode.UNREACHABLE) from error
-        return next(iter(question.wait(timeout_s)), None)
+        return next(iter(pending.wait(timeout_s)), None)
 
     def challenge(self, robot: str, timeout_s: float, stopped: Callable[[], bool]) -> bytes | None:
         """The newest challenge of a robot; None if it publishes no state."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,16 +9,16 @@ from pathlib import Path
 
 import msgspec
 import zenoh
-from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
 from gateway.client.reasons_text import is_idle
 from gateway.client.robot import Lease, Robot
 from schemas import keys
-from schemas.authority.statement import GrantRole, chain_text
+from schemas.authority.statement import GrantRole
 from schemas.decisions import StatementReply
 from schemas.settings import AuthoritySettings, Settings, ZenohSettings
 from tests.support.authority import DAY_S, Fleet, Party
 from tests.support.fakes.peer import free_endpoint
+from tests.support.provisioned import provision
 from tests.support.waiting import wait_until
 
 ROOT, ROBOT, OPERATOR = "fleet", "cruiser-1", "ann"
@@ -43,14 +42,7 @@ class Site:
 
     def write(self, who: str, party: Party) -> str:
         """Somebody's files, and a configuration that names them; its path."""
-        directory = self.directory / f"{who}-{party.name}"
-        directory.mkdir()
-        key = directory / f"{who}.key"
-        key.touch(0o600)
-        key.write_bytes(party.private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
-        (directory / f"{who}.grant").write_text(chain_text(party.chain))
-        authority = {"active": self.fleet.authority.key.hex(), "standby": self.fleet.standby.key.hex()}
-        (directory / "authority.json").write_text(json.dumps(authority))
+        directory = provision(self.directory / f"{who}-{party.name}", who, party, self.fleet)
         configuration = directory / "cruiser.toml"
         configuration.write_text(
             f'[authority]\nmode = "signed"\ndirectory = "{directory}"\n'
@@ -84,8 +76,8 @@ class Site:
 def driving(site: Site) -> Iterator[tuple[Robot, Lease]]:
     """The operator, whose robot is engaged and drives."""
     with Robot.connect(ROBOT, settings=site.settings) as robot, robot.lease() as lease:
-        # Its guard, and what it knows of the chassis, come a moment after its Zenoh.
-        wait_until(lambda: is_idle(robot.state().state.blocked_by))
+        # Its guard, its self-test, and what it knows of the chassis, come a moment after its Zenoh.
+        robot.wait_for(lambda state: is_idle(state.blocked_by), 30)
         lease.engage()
         lease.unpark()
         wait_until(lambda: speed_of(robot) > LIMIT_MPS / 2, lambda: lease.drive(WANTED_MPS))

@@ -35,7 +35,7 @@ import {
 } from "@eclipse-zenoh/zenoh-ts";
 import { decode, encode } from "@msgpack/msgpack";
 
-import { Lease, type Message, Operator, Robot, isAhead, privateKeyOfPem, runOf } from "./proof.js";
+import { Lease, type Message, Operator, Robot, isAhead, privateKeyOfPem, random, runOf } from "./proof.js";
 
 const OPERATOR = "typescript-example"; // in open mode; in signed mode the grant has the name
 const SPEED_MPS = 0.5;
@@ -133,8 +133,9 @@ interface Proof {
 /** Shows the robot the operator's grant. Its reply proves who it is. */
 async function meet(session: Session, robot: string, operator: Operator): Promise<Proof> {
   const key = `${robot}/@auth`;
+  const question = random(16); // a reply that somebody kept answers another one
   let reason: unknown = "no reply";
-  for await (const reply of await replies(session, key, { payload: operator.statement })) {
+  for await (const reply of await replies(session, key, { payload: operator.statement, attachment: question })) {
     const sample = reply.result();
     if (sample instanceof ReplyError) continue;
     const payload = sample.payload().toBytes();
@@ -142,7 +143,7 @@ async function meet(session: Session, robot: string, operator: Operator): Promis
       const answer = decode(payload) as Answer;
       const met = await Robot.ofChain(answer.own ?? "", robot.split("/").pop() ?? "", operator.authority);
       const [message, attachment] = [{ key, encoding: STATEMENT_REPLY, payload }, attachmentOf(sample)];
-      if (!(await met.isReply(message, attachment, NOTHING))) throw new Error("the reply is not the robot's");
+      if (!(await met.isReply(message, attachment, question))) throw new Error("the reply is not the robot's");
       agreed(answer);
       return { operator, robot: met, run: runOf(attachment) };
     } catch (error) {

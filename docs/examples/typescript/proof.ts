@@ -209,7 +209,7 @@ function bigEndian(value: number | bigint, bytes: number): Bytes {
   return hexBytes(value.toString(16).padStart(2 * bytes, "0"));
 }
 
-function random(bytes: number): Bytes {
+export function random(bytes: number): Bytes {
   return crypto.getRandomValues(new Uint8Array(bytes));
 }
 

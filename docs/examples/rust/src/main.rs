@@ -244,7 +244,9 @@ async fn meet(session: &Session, robot: &str, operator: Operator) -> Outcome<Pro
     let key = format!("{robot}/@auth");
     let name = robot.rsplit('/').next().unwrap_or_default();
     let now_s = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH)?.as_secs();
-    let query = session.get(&key).payload(operator.statement.as_str()).timeout(PATIENCE);
+    let mut question = [0; 16]; // a reply that somebody kept answers another one
+    getrandom::fill(&mut question)?;
+    let query = session.get(&key).payload(operator.statement.as_str()).attachment(&question).timeout(PATIENCE);
     let replies = query.target(QueryTarget::All).consolidation(ConsolidationMode::None).await?;
     let mut reason = "no reply".to_string();
     while let Ok(reply) = replies.recv_async().await {
@@ -255,7 +257,7 @@ async fn meet(session: &Session, robot: &str, operator: Operator) -> Outcome<Pro
             Ok(met) => {
                 let message = Message { key: &key, encoding: STATEMENT_REPLY, payload: &payload };
                 let attachment = attachment_of(&sample);
-                if met.is_reply(&message, &attachment, b"") {
+                if met.is_reply(&message, &attachment, &question) {
                     answer.agreed()?;
                     return Ok(Proof { operator, robot: met, run: run_of(&attachment)?, newest: None });
                 }
