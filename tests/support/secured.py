@@ -13,6 +13,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from gateway.authority.transport import (
     CA_FILE,
     CERTIFICATE_FILE,
+    SHUT_OUT_FILE,
     TLS_KEY_FILE,
     TransportRole,
     tls_configuration,
@@ -53,7 +54,11 @@ class Network:
         place = self.directory / f"{role.value}-{name}"
         place.mkdir(exist_ok=True)
         key = new_key()
-        certificate = issue(new_request(key, role.value, [name]), role, self.certificate, self.key, now_s)
+        request = new_request(key, role.value, [name])
+        certificate = issue(request, role, self.certificate, self.key, now_s)
+        if role is TransportRole.ROBOT:
+            shut_out = issue(request, TransportRole.NOTHING, self.certificate, self.key, now_s)
+            write(place / SHUT_OUT_FILE, shut_out)
         write(place / TLS_KEY_FILE.format(who=role.value), pem(key))
         write(place / CERTIFICATE_FILE.format(who=role.value), certificate)
         write(place / CA_FILE, self.certificate)

@@ -99,9 +99,7 @@ class SecuredSite(Site):
 
     def __init__(self, directory: Path) -> None:
         super().__init__(directory)
-        place = directory / "network"
-        place.mkdir()
-        self.network = Network(place, free_endpoint().replace("tcp/", "tls/"))
+        self.network = Network(directory, free_endpoint().replace("tcp/", "tls/"))
         self.router_file = self.network.node(TransportRole.ROUTER, "127.0.0.1") / "router.json5"
         robot = self.network.node(TransportRole.ROBOT, ROBOT, ROBOT) / "robot.json5"
         with Path(self.robot_settings).open("a") as file:
