@@ -182,6 +182,21 @@ class FormerGuardView(Protocol):
     says: str
 
 
+class Manager(Protocol):
+    """The service manager, as the loop sees it: it never fails and never blocks."""
+
+    def alive(self, status: str) -> None:
+        """The loop gets round, and this is its state, for people."""
+        ...
+
+
+class NoManager:
+    """Nobody manages this process."""
+
+    def alive(self, status: str) -> None:
+        """Nobody listens."""
+
+
 class LoopPorts(msgspec.Struct):
     """The ports of the loop. ``inbox``, ``guard`` and ``note`` are None for a gateway that only listens."""
 
@@ -194,6 +209,7 @@ class LoopPorts(msgspec.Struct):
     has_realtime: Callable[[], bool] = lambda: False
     signed: SignedModePort | None = None
     notes: Callable[[], tuple[str, ...]] = tuple
+    manager: Manager = msgspec.field(default_factory=NoManager)
 
 
 @contextmanager
@@ -258,11 +274,20 @@ def run(ports: LoopPorts, core: Core, info: Callable[[], bytes], stopped: Callab
         ticks += 1
         _tick(ports, core, admission, links, now_ns, late_ns)
         sink.answer(info)
+        # Last in the round, so that only one that was done feeds the watchdog.
+        if ticks % SELDOM_TICKS == 0:
+            ports.manager.alive(_status(core, links))
         due_ns += TICK_NS * (1 + (now_ns - due_ns) // TICK_NS)
     if ports.guard is not None and core.command is not None:
         # The last word: nothing is told any more, so nothing is left to stop.
         ports.guard.beat(monotonic_ns(), core.command)
     _publish_last(ports, core)
+
+
+def _status(core: Core, links: Links) -> str:
+    state = "listening only" if core.command is None else core.command.arbiter.state.value
+    bus = "bus up" if links.bus_up else f"no bus: {links.bus_detail}"
+    return f"{state}, {bus}, {'guarded' if links.guarded else 'not guarded'}"
 
 
 def _publish_last(ports: LoopPorts, core: Core) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import logging
+import os
 import secrets
 import sys
 import time
@@ -28,6 +29,7 @@ from gateway.host.log_queue import logging_aside
 from gateway.host.realtime import has_realtime, request_realtime
 from gateway.host.renewal import Renewal
 from gateway.host.self_test import Reached, SelfTest
+from gateway.host.service_manager import ServiceManager
 from gateway.host.signed_mode import SignedMode
 from gateway.host.stop_note import NoteClearer, StopNote
 from gateway.loop import LoopPorts, warn_of_bars
@@ -144,6 +146,10 @@ def _run_once(settings: Settings, ends: Callable[[], bool]) -> bool:
         renewal.begin(place.connect)
         closing.callback(renewal.close)
         ports = LoopPorts(bus, node, inbox, guard, note, former_guard, has_realtime, signed, renewal.notes)
+        manager = ServiceManager.of(os.environ)
+        if manager is not None:
+            ports.manager = manager
+            closing.callback(manager.close)
         try:
             with logging_aside():
                 run_loop(ports, core, info, _ending(ends, renewal, core))

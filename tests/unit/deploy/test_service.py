@@ -8,14 +8,15 @@ from pathlib import Path
 import pytest
 
 from gateway.cli.main import COMMANDS
-from schemas.settings import HALT_LISTEN_NS, HALT_YIELD_NS, REST_TIMEOUT_NS, Settings
+from schemas.settings import GUARD_LATE_NS, HALT_LISTEN_NS, HALT_YIELD_NS, REST_TIMEOUT_NS, Settings
 
 DEPLOY = Path(__file__).parents[3] / "deploy"
 
 
 def section(name: str) -> dict[str, str]:
     """A unit's service section; names as systemd spells them."""
-    unit = configparser.ConfigParser(delimiters=["="], interpolation=None)
+    # Of a key that is given more than once this has the last.
+    unit = configparser.ConfigParser(delimiters=["="], interpolation=None, strict=False)
     unit.optionxform = str  # type: ignore[assignment,method-assign]
     unit.read(DEPLOY / name, encoding="utf-8")
     return dict(unit["Service"])
@@ -74,6 +75,13 @@ def test_the_recorder_records_into_the_directory_that_it_may_write_to() -> None:
     assert recorder["ExecReload"].split()[1:] == ["-HUP", "$MAINPID"]
 
 
+def test_a_gateway_that_hangs_is_begun_again_after_its_guard_has_acted(service: dict[str, str]) -> None:
+    """By the watchdog; a loop that is late for as long as floods have made it is not ended."""
+    assert (service["Type"], service["Restart"]) == ("notify", "on-failure")
+    assert int(service["WatchdogSec"]) * 1e9 > 50 * GUARD_LATE_NS + 5e9
+    assert int(service["TimeoutAbortSec"]) < int(service["TimeoutStopSec"])
+
+
 def test_the_routers_command_exists() -> None:
     """With the directory that its first lines say how to fill; it comes back whatever ended it."""
     service = section("cruiser-router.service")
@@ -81,5 +89,5 @@ def test_the_routers_command_exists() -> None:
     assert (program, command) == ("/opt/cruiser/bin/cruiser", "router")
     parser = argparse.ArgumentParser()
     import_module(COMMANDS[command][0]).add_arguments(parser)
-    assert vars(parser.parse_args(words))["authority.directory"] == "/etc/cruiser"
+    assert vars(parser.parse_args(words))["authority.directory"] == "/etc/cruiser/router"
     assert service["Restart"] == "always"

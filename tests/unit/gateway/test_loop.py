@@ -4,6 +4,7 @@ import gc
 import logging
 import time
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from typing import cast
 
 import msgspec
@@ -128,6 +129,31 @@ def test_frames_come_out_as_samples_and_ticks_go_on() -> None:
     assert (health.frames, health.zenoh_peers, health.bus_up) == (200, 3, True)
     assert zenoh.answered > 1
     assert len(zenoh.of("state")) > 1
+
+
+def test_the_service_manager_is_fed_by_each_tenth_round_that_was_done() -> None:
+    """A loop that stands still feeds nothing."""
+    fed: list[tuple[int, str]] = []
+
+    class FakeManager:
+        """Notes when it is fed."""
+
+        def alive(self, status: str) -> None:
+            fed.append((clock.now_ns, status))
+
+    class StallingBus(FakeBus):
+        """Holds the loop once, for a second."""
+
+        def receive(self, timeout_s: float) -> Frame | None:
+            clock.sleep(1.0 if len(fed) == 3 and fed[-1][0] > clock.now_ns - 20 * MS else timeout_s)
+            return None
+
+    bus = StallingBus([])
+    run(LoopPorts(bus, FakeZenoh(), manager=FakeManager()), core(), lambda: b"", lambda: len(fed) >= 5)
+    pauses_ms = [(after[0] - before[0]) / MS for before, after in pairwise(fed[:5])]
+    assert pauses_ms[:2] == [100, 100]
+    assert pauses_ms[2] > 1000
+    assert fed[0][1] == "standby, bus up, not guarded"
 
 
 def test_a_lost_bus_ends_nothing(caplog: pytest.LogCaptureFixture) -> None:

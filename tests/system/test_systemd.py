@@ -1,0 +1,100 @@
+"""systemd reads the units without a word, and calls none of them exposed; users and directories come to be."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+DEPLOY = Path(__file__).parents[2] / "deploy"
+UNITS = sorted(path.name.replace("@.", "@can0.") for path in DEPLOY.glob("*.service"))
+EXPOSURE_MAX = 20
+"""Of systemd-analyze's hundred."""
+
+BY_GROUP = ("CPUWeight", "CPUQuota", "StartupCPUWeight")
+"""Where the kernel schedules real-time by group, one unit with one of these takes it from all."""
+
+pytestmark = pytest.mark.skipif(
+    shutil.which("systemd-analyze") is None, reason="systemd-analyze is not here (Debian: systemd)"
+)
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tree with systemd's own units, ours, and something at each path that they start."""
+    root = tmp_path_factory.mktemp("root")
+    shutil.copytree("/usr/lib/systemd/system", root / "usr/lib/systemd/system", symlinks=True)
+    for unit in DEPLOY.glob("*.service"):
+        shutil.copy(unit, root / "usr/lib/systemd/system")
+    shutil.copytree(DEPLOY / "etc", root / "etc")
+    for program in ("opt/cruiser/bin/cruiser", "usr/bin/python3", "bin/kill"):
+        path = root / program
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch(mode=0o755)
+    return root
+
+
+def analyze(root: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """systemd-analyze, on the tree."""
+    program = shutil.which("systemd-analyze") or ""
+    return subprocess.run([program, *words, f"--root={root}", *UNITS], capture_output=True, text=True, check=False)
+
+
+def test_systemd_understands_every_line(root: Path) -> None:
+    """It ends with 0 also for a key that it does not know: it must say nothing at all."""
+    done = analyze(root, "verify", "--man=no")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_systemd_names_a_line_that_it_does_not_understand(root: Path) -> None:
+    """So the test above can fail."""
+    unit = root / "usr/lib/systemd/system" / UNITS[0].replace("@can0.", "@.")
+    right = unit.read_text(encoding="utf-8")
+    unit.write_text(right.replace("UMask=", "Umaskk="), encoding="utf-8")
+    try:
+        assert "Unknown key" in analyze(root, "verify", "--man=no").stderr
+    finally:
+        unit.write_text(right, encoding="utf-8")
+
+
+def test_no_unit_is_exposed(root: Path) -> None:
+    """Each below 2.0, by systemd's own measure."""
+    done = analyze(root, "security", "--offline=true", f"--threshold={EXPOSURE_MAX}", "--no-pager")
+    assert done.returncode == 0, done.stdout
+    assert done.stdout.count("Overall exposure level") == len(UNITS)
+
+
+@pytest.mark.parametrize("unit", sorted(DEPLOY.glob("*.service")), ids=lambda path: path.name)
+def test_no_unit_turns_group_scheduling_on(unit: Path) -> None:
+    """And each has a user of its own, but for the early stop, whose note is the gateway's."""
+    lines = unit.read_text(encoding="utf-8").splitlines()
+    assert not [line for line in lines if line.startswith(BY_GROUP)]
+    name = unit.name.partition(".")[0].replace("cruiser-early-stop@", "cruiser-gateway")
+    assert f"User={name}" in lines
+
+
+def test_the_gateway_comes_and_goes_with_its_interface(root: Path) -> None:
+    """Enabled, it is started by the interface that the drop-in names, and by that alone."""
+    program = shutil.which("systemctl")
+    assert program is not None
+    subprocess.run([program, f"--root={root}", "enable", "cruiser-gateway"], check=True, capture_output=True)
+    wanted = [path.parent.name for path in (root / "etc/systemd/system").glob("*.wants/*")]
+    assert wanted == ["sys-subsystem-net-devices-can0.device.wants"]
+
+
+def test_each_service_has_a_user_and_a_directory_for_its_keys(tmp_path: Path) -> None:
+    """Nobody but its owner may look into that."""
+    (tmp_path / "etc").mkdir()
+    for name in ("passwd", "group"):
+        shutil.copy(f"/etc/{name}", tmp_path / "etc")
+    for program, file in (("systemd-sysusers", "sysusers.conf"), ("systemd-tmpfiles", "tmpfiles.conf")):
+        words = [program, f"--root={tmp_path}", *(["--create"] if program == "systemd-tmpfiles" else []), "-"]
+        text = (DEPLOY / file).read_text(encoding="utf-8")
+        done = subprocess.run(words, input=text, text=True, capture_output=True, check=False)
+        if "Failed to" in done.stderr and "permit" in done.stderr:
+            pytest.skip("only root gives files away")
+        assert done.returncode == 0, done.stderr
+    users = {line.split(":")[0] for line in (tmp_path / "etc/passwd").read_text(encoding="utf-8").splitlines()}
+    for service in ("gateway", "recorder", "router", "metrics"):
+        assert f"cruiser-{service}" in users
+        assert (tmp_path / "etc/cruiser" / service).stat().st_mode & 0o777 == 0o700
