@@ -32,7 +32,7 @@ from gateway.host.self_test import Reached, SelfTest
 from gateway.host.service_manager import ServiceManager
 from gateway.host.signed_mode import SignedMode
 from gateway.host.stop_note import NoteClearer, StopNote
-from gateway.loop import LoopPorts, warn_of_bars
+from gateway.loop import LoopPorts, Manager, NoManager, warn_of_bars
 from gateway.loop import run as run_loop
 from gateway.provisioning.tls_files import check_tls_files
 from gateway.zenoh.inbox import CommandInbox, open_inbox
@@ -146,10 +146,7 @@ def _run_once(settings: Settings, ends: Callable[[], bool]) -> bool:
         renewal.begin(place.connect)
         closing.callback(renewal.close)
         ports = LoopPorts(bus, node, inbox, guard, note, former_guard, has_realtime, signed, renewal.notes)
-        manager = ServiceManager.of(os.environ)
-        if manager is not None:
-            ports.manager = manager
-            closing.callback(manager.close)
+        ports.manager = _manager(closing)
         try:
             with logging_aside():
                 run_loop(ports, core, info, _ending(ends, renewal, core))
@@ -157,6 +154,15 @@ def _run_once(settings: Settings, ends: Callable[[], bool]) -> bool:
             _stop_unguarded(core, bus, guard, settings)
             raise
     return renewal.is_taken and not ends()
+
+
+def _manager(closing: ExitStack) -> Manager:
+    """The service manager that started this process, if one did."""
+    manager = ServiceManager.of(os.environ)
+    if manager is None:
+        return NoManager()
+    closing.callback(manager.close)
+    return manager
 
 
 def _begin_self_test(

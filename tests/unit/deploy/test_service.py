@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from gateway.cli.main import COMMANDS
+from gateway.host import early_stop
 from schemas.settings import GUARD_LATE_NS, HALT_LISTEN_NS, HALT_YIELD_NS, REST_TIMEOUT_NS, Settings
 
 DEPLOY = Path(__file__).parents[3] / "deploy"
@@ -91,3 +92,14 @@ def test_the_routers_command_exists() -> None:
     import_module(COMMANDS[command][0]).add_arguments(parser)
     assert vars(parser.parse_args(words))["authority.directory"] == "/etc/cruiser/router"
     assert service["Restart"] == "always"
+
+
+def test_the_early_stop_is_started_by_each_can_interface() -> None:
+    """Before anything that a boot waits for, with nothing but Python; it has time for its watch and for a stop."""
+    early = section("cruiser-early-stop@.service")
+    assert early["ExecStart"] == "/usr/bin/python3 -I -S -E /opt/cruiser/lib/early_stop.py %I"
+    assert int(early["RuntimeMaxSec"]) * 1e9 > early_stop.WATCH_NS + early_stop.GIVES_UP_NS
+    assert int(early["CPUSchedulingPriority"]) == Settings().gateway.realtime_priority + 1
+    assert early["Environment"] == "STATE_DIRECTORY=/var/lib/cruiser/gateway"
+    rule = (DEPLOY / "60-cruiser.rules").read_text(encoding="utf-8")
+    assert 'ENV{SYSTEMD_WANTS}+="cruiser-early-stop@%k.service"' in rule
