@@ -10,7 +10,7 @@ STAMP := $(VENV)/installed
 # Tools that the product's environment shall not have: fuzzer, mutation testing, bill of materials, the maker of constraints.
 TOOLS := .venv-tools/bin
 
-.PHONY: help install demo demo-fleet test test-unit nightly test-socketcan metrics-rules readers clients drive-clients lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom clean
+.PHONY: help install demo demo-fleet test test-unit nightly test-socketcan metrics-rules readers clients drive-clients lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom deb clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -111,6 +111,9 @@ constraints: .venv-tools/installed  ## versions and hashes of all packages, anew
 
 sbom: .venv-tools/installed  ## what an installation consists of, as CycloneDX: build/sbom.json
 	$(TOOLS)/python deploy/sbom.py
+
+deb: $(DEMO)  ## Debian packages, for Debian 12 and 13 and Ubuntu 24.04, amd64 and arm64: build/deb
+	$(BIN)/python deploy/deb.py $(if $(RELEASE),--release $(RELEASE)) $(if $(ARCHITECTURE),--architecture $(ARCHITECTURE))
 
 # Only what has the hash that is written down here, and nothing that would have to be built. The project itself has no
 # hash: it brings no package along, and what builds it is among those with one.

@@ -439,7 +439,10 @@ class EarlyNote:
 
 def note_path(interface: str) -> str:
     """The note of the robot that the gateway's settings name; empty if that is on another interface."""
-    import tomllib  # noqa: PLC0415 - not before it is needed: it takes longer than all the rest
+    try:
+        import tomllib  # noqa: PLC0415 - not before it is needed: it takes longer than all the rest
+    except ImportError:
+        return ""  # Python 3.10, of a system where the gateway runs in a container
 
     path = os.environ.get("CRUISER_CONFIG", SETTINGS_FILE)
     tables = {}

@@ -1,0 +1,177 @@
+"""The Debian package: its scripts never touch a robot that moves, and it has what its units run."""
+
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SCRIPTS = ROOT / "deploy" / "debian"
+PACKAGES = sorted((ROOT / "build" / "deb").glob("*.deb"))
+
+MOVES, FAILS = 5, 1
+
+
+class Machine:
+    """A machine with the package on it, as its scripts see one: their paths lead into a directory."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.calls = root / "calls"
+        self.calls.touch()
+        for place in ("sys/class/net/can0", "sys/class/net/eth0", "run/systemd/system", "opt/cruiser/lib", "bin"):
+            (root / place).mkdir(parents=True)
+        (root / "sys/class/net/can0/type").write_text("280\n", "ascii")
+        (root / "sys/class/net/eth0/type").write_text("1\n", "ascii")
+        (root / "opt/cruiser/lib/early_stop.py").touch()
+        self.program("find", "exit 0")
+        self.set()
+
+    def set(self, *, look: int = 0, status: str = "standby, bus up, guarded") -> None:
+        """What a look at the bus finds, and what the gateway says; nothing, if it is dead."""
+        self.program("python3", f"exit {look}")
+        self.program(
+            "systemctl",
+            f'case "$1" in show) echo "{status}" ;; is-active) [ "$3" != cruiser-router.service ] ;; esac',
+        )
+
+    def program(self, name: str, text: str) -> None:
+        """A program that notes how it is called."""
+        path = self.root / "bin" / name
+        path.write_text(f'#!/bin/sh\necho "{name} $*" >>"{self.calls}"\n{text}\n', "ascii")
+        path.chmod(0o755)
+
+    def run(self, script: str, *words: str) -> subprocess.CompletedProcess[str]:
+        """A script of the package, as dpkg runs it."""
+        text = (SCRIPTS / script).read_text("utf-8")
+        for place in ("/sys/class/net", "/run/", "/opt/cruiser"):
+            text = text.replace(place, f"{self.root}{place}")
+        return subprocess.run(
+            ["/bin/sh", "-c", text, script, *words],
+            env={"PATH": f"{self.root / 'bin'}:/usr/bin:/bin"},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    @property
+    def stopped(self) -> list[str]:
+        """The services that were told to stop, in their order."""
+        calls = self.calls.read_text("ascii").splitlines()
+        return [call.removeprefix("systemctl stop ") for call in calls if call.startswith("systemctl stop ")]
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Machine:
+    """One whose robot stands."""
+    return Machine(tmp_path)
+
+
+@pytest.mark.parametrize("action", ["upgrade", "failed-upgrade", "remove", "deconfigure"])
+@pytest.mark.parametrize(
+    "state",
+    [
+        {"look": MOVES},
+        {"look": MOVES, "status": ""},
+        {"status": "engaged, bus up, guarded"},
+        {"status": "stopping, no bus: gone, not guarded"},
+    ],
+    ids=lambda state: str(sorted(state)),
+)
+def test_while_the_robot_moves_nothing_is_changed(machine: Machine, action: str, state: dict[str, object]) -> None:
+    """By one clear line; with a gateway that lives or is dead, by the old script and by the new."""
+    machine.set(**state)  # type: ignore[arg-type] # each by its name
+    done = machine.run("prerm", action, "1.0")
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "Stop the robot, then try again" in done.stderr
+    assert machine.stopped == []
+
+
+@pytest.mark.parametrize(
+    "state", [{}, {"status": ""}, {"look": FAILS}, {"status": "listening only, bus up"}], ids=str
+)
+def test_while_it_stands_the_services_are_stopped(machine: Machine, state: dict[str, object]) -> None:
+    """Those that run, the gateway first; also where the look itself fails: a broken package can be replaced."""
+    machine.set(**state)  # type: ignore[arg-type] # each by its name
+    assert machine.run("prerm", "upgrade", "1.0").returncode == 0
+    running = ["cruiser-gateway.service", "cruiser-recorder.service", "cruiser-metrics.service"]
+    assert machine.stopped == running
+    assert (machine.root / "run/cruiser-restart").read_text("ascii").split() == running
+    assert "--look can0\n" in machine.calls.read_text("ascii")
+
+
+def test_what_ran_is_started_again(machine: Machine) -> None:
+    """By the script of the package that came, or of the one that stayed; once."""
+    for name in ("systemd-sysusers", "systemd-tmpfiles", "udevadm"):
+        machine.program(name, "exit 0")
+    machine.run("prerm", "upgrade", "1.0")
+    assert machine.run("postinst", "configure", "0.9").returncode == 0
+    started = [call for call in machine.calls.read_text("ascii").splitlines() if "systemctl start" in call]
+    assert started == ["systemctl start cruiser-gateway.service cruiser-metrics.service cruiser-recorder.service"]
+    assert not (machine.root / "run/cruiser-restart").exists()
+    machine.run("prerm", "remove")
+    assert not (machine.root / "run/cruiser-restart").exists()
+
+
+@pytest.mark.parametrize("script", sorted(SCRIPTS.iterdir()), ids=lambda path: path.name)
+def test_a_shell_reads_each_script(script: Path) -> None:
+    """Debian's own, which is no bash."""
+    assert subprocess.run(["/bin/sh", "-n", script], check=False).returncode == 0
+
+
+# What `make deb` built, if it did.
+
+packages = pytest.mark.parametrize("package", PACKAGES, ids=lambda path: path.name)
+built = pytest.mark.skipif(not PACKAGES or shutil.which("dpkg-deb") is None, reason="no package: make deb")
+
+
+@pytest.fixture
+def listed() -> Callable[[Path], dict[str, list[str]]]:
+    """The files of a package: mode, owner, and where a link leads."""
+
+    def read(package: Path) -> dict[str, list[str]]:
+        words = ["dpkg-deb", "--contents", str(package)]
+        lines = subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()
+        rows = [line.split(None, 5) for line in lines]
+        return {row[5].partition(" -> ")[0].removeprefix("."): [*row[:2], row[5]] for row in rows}
+
+    return read
+
+
+@built
+@packages
+def test_a_package_has_what_its_units_run(package: Path, listed: Callable[[Path], dict[str, list[str]]]) -> None:
+    """Everything is root's, nobody else writes to it, and what an administrator edits is told to dpkg."""
+    files = listed(package)
+    for name, (mode, owner, _) in files.items():
+        assert owner == "root/root", name
+        assert mode[0] == "l" or (mode[5], mode[8]) == ("-", "-"), name
+    for unit in (ROOT / "deploy").glob("*.service"):
+        assert f"/usr/lib/systemd/system/{unit.name}" in files
+    for name in (
+        "/opt/cruiser/bin/cruiser",
+        "/usr/lib/udev/rules.d/60-cruiser.rules",
+        "/opt/cruiser/lib/early_stop.py",
+    ):
+        assert name in files
+    target = files["/opt/cruiser/lib/early_stop.py"][2].partition(" -> ")[2]
+    assert f"/opt/cruiser/lib/{target}" in files
+    assert not [name for name in files if "/site-packages/bin/" in name or "hatchling" in name]
+    words = ["dpkg-deb", "--info", str(package), "conffiles"]
+    said = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert said.stdout.split() == sorted(name for name in files if name.startswith("/etc/") and name[-1] != "/")
+
+
+@built
+@packages
+def test_a_package_is_for_one_python(package: Path) -> None:
+    """That of its release, which its name says."""
+    words = ["dpkg-deb", "--field", str(package), "Depends", "Architecture", "Version"]
+    said = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    python = {"deb12": 11, "deb13": 13, "ubuntu24.04": 12}[package.name.split("~")[1].rsplit("_", 1)[0]]
+    assert f"python3 (>= 3.{python}), python3 (<< 3.{python + 1})" in said
+    assert "procps" in said
+    assert f"Architecture: {package.stem.rsplit('_', 1)[1]}\n" in said
