@@ -72,13 +72,21 @@ MOVING_FRAMES = 3
 WATCH_NS = 120_000 * MS
 """So long after the interface came up it watches, where no gateway comes."""
 
-LOOK_NS = 500 * MS
+LOOKS = 25
 MOVES = 5
 """Exit code of a look that finds a robot in motion, or under command."""
 
 LINK_POLL_S = 0.02
+APPEAR_S = 60.0
+"""So long it waits for an interface that is not there yet."""
+
 CLAIM_POLL_NS = 200 * MS
-POLL_NS = 5 * MS
+POLL_S = 0.005
+WATCH_POLL_S = 0.02
+"""While nothing is to be sent: looked at more often, a busy bus would take a processor that others start on."""
+
+WAITING_MAX_FRAMES = 10_000
+FRAME = struct.Struct("=IB3x8s")
 SEND_BUFFER_BYTES = 3_400
 SETTINGS_FILE = "/etc/cruiser/cruiser.toml"
 FOUND = "early stop: the chassis was found in auto and moving, and nobody commanded it: stopping the robot"
@@ -361,7 +369,7 @@ class Interface:
     """A CAN interface of the kernel's, which may be down, or go."""
 
     def __init__(self, name: str) -> None:
-        """Wait until it is up.
+        """Bind to it, up or down.
 
         Raises:
             OSError: there is no such interface.
@@ -381,21 +389,24 @@ class Interface:
         request = struct.pack("@16sh14x", self._name.encode(), 0)
         return bool(struct.unpack("@16sh14x", fcntl.ioctl(self._socket, 0x8913, request))[1] & 1)
 
-    def receive(self, timeout_s: float) -> Command | None:
-        """The next frame, or None if there was none in time. Raises OSError: the interface is down, or gone."""
-        self._socket.settimeout(max(timeout_s, 0.0))
+    def waiting(self) -> list[Command]:
+        """The frames that wait, a bounded number. Raises OSError: the interface is down, or gone."""
+        frames: list[Command] = []
         try:
-            content = self._socket.recv(72)
-        except (BlockingIOError, TimeoutError):
-            return None
-        can_id, length, data = struct.unpack("=IB3x8s", content[:16])
-        return can_id, data[:length] if len(content) == 16 else b""
+            while len(frames) < WAITING_MAX_FRAMES:
+                content = self._socket.recv(72, socket.MSG_DONTWAIT)
+                if len(content) == FRAME.size:
+                    can_id, length, data = FRAME.unpack(content)
+                    frames.append((can_id, data[:length]))
+        except BlockingIOError:
+            pass
+        return frames
 
     def send(self, frames: list[Command]) -> int:
         """Hand frames to the interface. Returns how many it took."""
         for count, (can_id, data) in enumerate(frames):
             try:
-                self._socket.send(struct.pack("=IB3x8s", can_id, 8, data), socket.MSG_DONTWAIT)
+                self._socket.send(FRAME.pack(can_id, 8, data), socket.MSG_DONTWAIT)
             except OSError:
                 return count
         return len(frames)
@@ -487,6 +498,7 @@ class Watch:
         self._looked_ns = self._asked_ns = time.monotonic_ns()
         self._end_ns = self._looked_ns + watch_ns
         self._stop = EarlyStop(self._looked_ns)
+        self._is_announced = False
 
     def run(self) -> None:
         """Watch; a stop that has begun is brought to its end.
@@ -494,19 +506,16 @@ class Watch:
         Raises:
             OSError: the interface is down, or gone.
         """
-        monotonic_ns, receive, chassis = time.monotonic_ns, self._interface.receive, self._stop.chassis
-        while not self._is_over(monotonic_ns()):
-            self._act(monotonic_ns())
-            until_ns = self._looked_ns + POLL_NS
-            while (now_ns := monotonic_ns()) < until_ns:
-                frame = receive((until_ns - now_ns) / 1e9)
-                if frame is not None:
-                    chassis.receive(*frame, monotonic_ns())
-            if now_ns - until_ns > GUARD_SILENT_NS:
-                # What came while this process stood still is old.
-                while receive(0) is not None:
-                    pass
+        while not self._is_over(time.monotonic_ns()):
+            self._act(time.monotonic_ns())
+            time.sleep(POLL_S if self._stop.is_sending else WATCH_POLL_S)
+            now_ns = time.monotonic_ns()
+            is_old = now_ns - self._looked_ns > GUARD_SILENT_NS
             self._looked_ns = now_ns
+            for frame in self._interface.waiting():
+                # What came while this process stood still is old.
+                if not is_old:
+                    self._stop.chassis.receive(*frame, now_ns)
 
     def _is_over(self, now_ns: int) -> bool:
         if self._stop.is_sending:
@@ -519,7 +528,7 @@ class Watch:
                 return True
         if is_needed:
             self._stop.begin(now_ns)
-            self._announce(FOUND)
+            self._is_announced = False
         elif now_ns > self._end_ns:
             say("no gateway has come; watching no longer")
             return True
@@ -532,12 +541,16 @@ class Watch:
         frames = stop.tick(now_ns)
         if frames:
             stop.sent(self._interface.send(frames), now_ns)
+        if not self._is_announced:
+            # First the deed: a line may have to wait for who reads it.
+            self._is_announced = True
+            self._announce(FOUND)
         if not stop.is_sending:
             self._announce(f"done: {stop.outcome}; {stop.frames} frames sent")
 
     def _announce(self, line: str) -> None:
         """A line for the journal, and for the note."""
-        say(line)
+        say(line.removeprefix("early stop: "))
         self._note.add(line)
 
 
@@ -546,17 +559,18 @@ def look(names: list[str]) -> int:
     code = 0
     for name in names:
         chassis = Chassis()
-        end_ns = time.monotonic_ns() + LOOK_NS
         try:
             interface = Interface(name)
-            while (now_ns := time.monotonic_ns()) < end_ns:
-                frame = interface.receive((end_ns - now_ns) / 1e9)
-                if frame is not None:
+            for _ in range(LOOKS):
+                time.sleep(WATCH_POLL_S)
+                now_ns = time.monotonic_ns()
+                for frame in interface.waiting():
                     chassis.receive(*frame, now_ns)
         except OSError:
             continue  # It is down, or gone: nothing can be known, and nothing is commanded from here.
-        if chassis.moves(end_ns) or chassis.is_commanded(end_ns):
-            say(f"the robot on {name} {'moves' if chassis.moves(end_ns) else 'is being commanded'}")
+        now_ns = time.monotonic_ns()
+        if chassis.moves(now_ns) or chassis.is_commanded(now_ns):
+            say(f"the robot on {name} {'moves' if chassis.moves(now_ns) else 'is being commanded'}")
             code = MOVES
     return code
 
@@ -568,8 +582,8 @@ def main(words: list[str]) -> int:
     (name,) = words
     note = EarlyNote(name)
     try:
-        interface = Interface(name)
-        while True:
+        interface = appeared(name)
+        while interface is not None:
             while not interface.is_up:
                 time.sleep(LINK_POLL_S)
             try:
@@ -583,6 +597,24 @@ def main(words: list[str]) -> int:
     finally:
         note.close()
     return 0
+
+
+def appeared(name: str) -> Interface | None:
+    """The interface, as soon as it is there: this is started before. None if it does not come.
+
+    Raises:
+        OSError: it cannot be used.
+    """
+    end_s = time.monotonic() + APPEAR_S
+    while time.monotonic() < end_s:
+        try:
+            return Interface(name)
+        except OSError as error:
+            if error.errno not in {errno.ENODEV, errno.EAFNOSUPPORT}:
+                raise
+        time.sleep(LINK_POLL_S)
+    say(f"there is no {name}; udev starts another where it comes later")
+    return None
 
 
 def say(line: str) -> None:

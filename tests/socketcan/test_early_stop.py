@@ -114,6 +114,17 @@ def test_where_a_gateway_is_there_it_ends(vcan: Vcan) -> None:
         assert "a gateway is there" in said
 
 
+def test_it_waits_for_an_interface_that_is_not_there_yet(vcan: Vcan) -> None:
+    """It begins with the boot, before the network."""
+    vcan.remove()
+    with early(vcan.name) as process:
+        vcan.create()
+        with gateway(vcan.name, free_endpoint()):
+            _, said = process.communicate(timeout=30)
+        assert process.returncode == 0
+        assert "a gateway is there" in said
+
+
 def note(directory: Path) -> str:
     """What is in the note."""
     return "".join(path.read_text("utf-8") for path in directory.glob("*.guard-stop"))
