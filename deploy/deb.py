@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -25,6 +26,10 @@ PACKAGE: Final = "cruiser-gateway"
 REVISION: Final = 1
 MAINTAINER: Final = "Cruiser Gateway <root@localhost>"
 PROJECT: Final = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+
+
+EXTRA: Final = "metrics"
+"""Of what pyproject.toml offers besides: its service is in the package."""
 
 
 class Release(NamedTuple):
@@ -129,7 +134,7 @@ def install_environment(stage: Path, python: str, architecture: str, project: Pa
     target += [word for tag in TAGS for word in ("--platform", f"{tag}_{machine}")]
     # First everything that is pinned, checked by its hash; then of that what the product needs.
     pinned: list[str | Path] = ["--no-deps", "--require-hashes", "--requirement", ROOT / "constraints-run.txt"]
-    pip("download", *target, *pinned, "--dest", wheels)
+    pip("download", *target, *pinned, "--requirement", pinned_extras(), "--dest", wheels)
     opt = stage / "opt/cruiser"
     packages = opt / f"lib/python{python}/site-packages"
     found: list[str | Path] = [
@@ -142,7 +147,7 @@ def install_environment(stage: Path, python: str, architecture: str, project: Pa
         "--target",
         packages,
     ]
-    pip("install", *target, *found, PROJECT["name"])
+    pip("install", *target, *found, f"{PROJECT['name']}[{EXTRA}]")
     # Programs of the dependencies, which name this machine's Python; the product calls none of them.
     shutil.rmtree(packages / "bin", ignore_errors=True)
     (opt / "bin").mkdir()
@@ -159,6 +164,16 @@ def install_environment(stage: Path, python: str, architecture: str, project: Pa
         words = [interpreter, "-m", "compileall", "-q", "-s", str(stage), "-p", "/"]
         subprocess.run([*words, "--invalidation-mode", "unchecked-hash", str(packages)], check=True)
         (opt / "lib/compiled").touch()
+
+
+def pinned_extras() -> Path:
+    """What the extra wants besides, as constraints.txt pins it."""
+    text = (ROOT / "constraints.txt").read_text("utf-8")
+    names = [re.split(r"[<>=]", wanted)[0] for wanted in PROJECT["optional-dependencies"][EXTRA]]
+    file = BUILD / "extras.txt"
+    rows = [re.search(rf"^{name}==.*\n(?:    --.*\n)+", text, re.MULTILINE) for name in names]
+    file.write_text("".join(row[0] for row in rows if row), "utf-8")
+    return file
 
 
 def placed() -> Iterator[tuple[Path, str]]:

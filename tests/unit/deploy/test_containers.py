@@ -29,7 +29,7 @@ def test_what_is_copied_is_in_the_tree_and_let_through() -> None:
         for name in line.split()
     ]
     assert lines[0] == "*"
-    assert len(sources) == 7
+    assert len(sources) == 8
     for name in sources:
         assert (ROOT / name).exists()
         assert any(fnmatch.fnmatch(name, each) for each in passes)
@@ -39,20 +39,21 @@ def test_the_image_runs_as_nobody_special() -> None:
     """From its last USER on; and it accepts no package whose hash is not written down."""
     assert CONTAINERFILE.rpartition("USER ")[2].split()[0] == "cruiser"
     assert "--require-hashes --only-binary :all: --requirement constraints-run.txt" in CONTAINERFILE
+    assert CONTAINERFILE.count("pip install") == 2
     assert "python:3.12-slim" in CONTAINERFILE
 
 
 @pytest.mark.parametrize(("service", "command"), SERVICES)
 def test_each_service_runs_a_command_that_exists(service: str, command: str) -> None:
     """With flags that it has."""
-    name, *words = command.split(", ")
+    name, *words = command.replace('"', "").split(", ")
     parser = argparse.ArgumentParser()
     parser.add_argument("--config")
     import_module(COMMANDS[name][0]).add_arguments(parser)
     parser.parse_args(words)
-    assert {"router": "router", "recorder": "record", "gateway": "gateway"}[service] == name
+    assert name == {"recorder": "record"}.get(service, service)
 
 
 def test_every_service_was_found() -> None:
     """By the expression above."""
-    assert len(SERVICES) == 3
+    assert len(SERVICES) == 4

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from gateway.cli.configuration_file import load_settings
 from gateway.cli.main import COMMANDS
 from gateway.host import early_stop
 from schemas.settings import GUARD_LATE_NS, HALT_LISTEN_NS, HALT_YIELD_NS, REST_TIMEOUT_NS, Settings
@@ -104,3 +105,21 @@ def test_the_early_stop_begins_with_the_boot_and_with_each_can_interface() -> No
     assert early["Environment"] == "STATE_DIRECTORY=/var/lib/cruiser/gateway"
     rule = (DEPLOY / "60-cruiser.rules").read_text(encoding="utf-8")
     assert 'ENV{SYSTEMD_WANTS}+="cruiser-early-stop@%k.service"' in rule
+
+
+def test_the_exporters_command_exists() -> None:
+    """With settings of its own: what serves a fleet is no robot's."""
+    service = section("cruiser-metrics.service")
+    program, command, *words = service["ExecStart"].split()
+    assert (program, command, words) == (
+        "/opt/cruiser/bin/cruiser",
+        "metrics",
+        ["--config", "/etc/cruiser/metrics.toml"],
+    )
+    assert command in COMMANDS
+
+
+@pytest.mark.parametrize("file", sorted(DEPLOY.glob("etc/cruiser/*.toml")), ids=lambda file: file.name)
+def test_the_settings_that_come_along_are_right(file: Path) -> None:
+    """The product reads each."""
+    load_settings(str(file), {}, {})
