@@ -112,8 +112,9 @@ constraints: .venv-tools/installed  ## versions and hashes of all packages, anew
 sbom: .venv-tools/installed  ## what an installation consists of, as CycloneDX: build/sbom.json
 	$(TOOLS)/python deploy/sbom.py
 
-deb: $(DEMO)  ## Debian packages, for Debian 12 and 13 and Ubuntu 24.04, amd64 and arm64: build/deb
+deb: $(STAMP)  ## Debian packages, for Debian 12 and 13 and Ubuntu 24.04, amd64 and arm64: build/deb
 	$(BIN)/python deploy/deb.py $(if $(RELEASE),--release $(RELEASE)) $(if $(ARCHITECTURE),--architecture $(ARCHITECTURE))
+	$(BIN)/python -m pytest tests/debian
 
 # Only what has the hash that is written down here, and nothing that would have to be built. The project itself has no
 # hash: it brings no package along, and what builds it is among those with one.
