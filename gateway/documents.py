@@ -18,6 +18,7 @@ from gateway.chassis.frame import hex_identifier
 from gateway.command import gate
 from gateway.command.causes import STOPS
 from gateway.command.states import diagram
+from gateway.doctor.checks import CHECKS
 from gateway.metrics.measures import PREFIXES, measures
 from schemas import documents
 from schemas.documents import Part
@@ -178,9 +179,19 @@ def metric_table() -> str:
     return documents.table(("metric", "label", "field"), rows)
 
 
+def finding_table() -> str:
+    """Every finding of ``cruiser doctor``, with its cure; a note is said to be one."""
+    rows = [
+        (f"`{check.name}`{' (note)' if check.is_note else ''}", check.about, check.means, check.cure)
+        for check in CHECKS
+    ]
+    return documents.table(("finding", "looked at", "it means", "cure"), rows)
+
+
 PARTS: Final[dict[str, Part]] = {
     "bus-frames": bus_frame_table,
     "bus-rules": bus_rule_table,
+    "findings": finding_table,
     "metrics": metric_table,
     "states": state_diagram,
     "stops": stop_table,

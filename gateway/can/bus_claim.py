@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import socket
+from pathlib import Path
 from typing import Final, Self
 
 from gateway.can.open_bus import describe
@@ -13,6 +14,12 @@ from schemas.settings import CanSettings
 _PREFIX: Final = "\0cruiser-gateway/"
 """A name of this machine's kernel, of which each network namespace has its own, as it has of CAN interfaces. It is
 free as soon as its process has ended, in whatever way."""
+
+SOCKETS: Final = Path("/proc/net/unix")
+"""The kernel's list of names, of this network namespace."""
+
+CLAIMS_MAX: Final = 8
+"""Gateways on one bus that are counted."""
 
 
 class BusClaim:
@@ -24,15 +31,34 @@ class BusClaim:
 
     def __init__(self, settings: CanSettings) -> None:
         self.is_shared = False
-        digest = hashlib.sha256(describe(settings).encode()).hexdigest()[:32]
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        try:
-            self._socket.bind(f"{_PREFIX}{digest}")
-        except OSError as error:
-            self.is_shared = error.errno == errno.EADDRINUSE
+        # Those that come later have a name each, too: 'cruiser doctor' counts them.
+        for name in _names(settings):
+            try:
+                self._socket.bind(name)
+            except OSError as error:
+                if error.errno != errno.EADDRINUSE:
+                    return
+                self.is_shared = True
+            else:
+                return
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_raised: object) -> None:
         self._socket.close()
+
+
+def count_claims(settings: CanSettings) -> int:
+    """Count the gateways of this machine that command a bus."""
+    try:
+        taken = {line.rpartition(" ")[2].strip() for line in SOCKETS.read_text().splitlines()}
+    except OSError:
+        return 0
+    return sum(name.replace("\0", "@") in taken for name in _names(settings))
+
+
+def _names(settings: CanSettings) -> list[str]:
+    digest = hashlib.sha256(describe(settings).encode()).hexdigest()[:32]
+    return [f"{_PREFIX}{digest}", *(f"{_PREFIX}{digest}/{number}" for number in range(2, CLAIMS_MAX + 1))]

@@ -19,6 +19,7 @@ import zenoh
 from gateway.telemetry.received import Arrival, Missed, Received, TokenChange
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.messages import GatewayInfo
 from schemas.printable import plain
 from schemas.recording import RecorderHealth
 from schemas.settings import DEFAULT_ENDPOINT, RobotSettings, Settings, ZenohSettings
@@ -370,6 +371,7 @@ class RobotListener(SessionOwner):
             )
             for subject in ("state", "safety/state", "gateway/health")
         )
+        self._info = f"{robot.root}/{chunk}/{BY_TYPE[GatewayInfo].name}"
         self._roll = keys.liveliness(robot.root, chunk)
         self._tokens = session.liveliness().declare_subscriber(
             self._roll, zenoh.handlers.RingChannel(SAMPLES_WAITING), history=True
@@ -387,6 +389,18 @@ class RobotListener(SessionOwner):
     def call_roll(self, timeout_s: float) -> PendingQuery:
         """Ask for the liveliness tokens; the robots that have one are heard by ``drain`` as well."""
         return call_roll(self._session, self._roll, timeout_s)
+
+    def ask_info(self, timeout_s: float) -> PendingQuery:
+        """Ask for ``gateway/info``: each gateway replies, also where several have one name."""
+        question = PendingQuery()
+        self._session.get(
+            self._info,
+            question.handler,
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=timeout_s,
+        )
+        return question
 
     def drain(self) -> Iterator[Arrival]:
         """What has arrived since the last time, a bounded number: more may come while it is read."""

@@ -1,0 +1,232 @@
+"""``cruiser doctor``: what is wrong with a robot, and what cures it. It listens and asks, and sends no command."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable, Iterable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from gateway.can.bus_claim import count_claims
+from gateway.cli.configuration_file import load_settings
+from gateway.client.payloads import read_sample
+from gateway.doctor.checks import Diagnosis, diagnose, summary
+from gateway.doctor.facts import Facts, ZenohReport
+from gateway.host.bus_look import listen, look_at_interface
+from gateway.host.computer_look import (
+    earliest_s,
+    is_synchronised,
+    look_at_credentials,
+    look_at_disk,
+    look_at_units,
+    run_program,
+)
+from gateway.provisioning.key_files import directory_of
+from gateway.telemetry.received import Received, TokenChange
+from gateway.zenoh.client import FleetListener, PendingQuery, place
+from schemas.arguments import add_zenoh_arguments, seconds
+from schemas.decisions import SafetyState
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.messages import GatewayHealth, GatewayInfo, Message, RobotState
+from schemas.recording import RecorderHealth
+from schemas.setting_table import CONFIG_VARIABLE
+from schemas.settings import Settings, ZenohSettings
+
+EXAMPLE: Final = """\
+  cruiser doctor
+  cruiser doctor --config /etc/cruiser/cruiser.toml --json | jq -r '.findings[].cure'"""
+
+SYSTEM_FILE: Final = Path("/etc/cruiser/cruiser.toml")
+"""Read where neither --config nor CRUISER_CONFIG names a file, and it is there."""
+
+HEARS_S: Final = 1.3
+"""Health comes once a second: who has said nothing for so long says nothing."""
+
+POLL_S: Final = 0.02
+
+SEEING: Final = ("viewer.json5", "recorder.json5", "operator.json5", "desk.json5")
+"""Zenoh files of roles that see telemetry."""
+
+INSTALLED: Final = (
+    "gateway/robot.json5",
+    "recorder/recorder.json5",
+    "router/router.json5",
+    "metrics/viewer.json5",
+)
+"""Zenoh files of the services, below /etc/cruiser."""
+
+ROBOT_FILE: Final = "robot.json5"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    parser.description = (
+        "Listens to the bus, asks the gateway and the recorder, and looks at this computer. One line a finding, "
+        "with its cure; exit code 1 if something must be done. It sends no command."
+    )
+    parser.add_argument("--robot", dest="robot.name", metavar="NAME", help="the robot")
+    parser.add_argument("--interface", dest="can.interface", metavar="NAME", help="python-can interface")
+    parser.add_argument("--channel", dest="can.channel", metavar="CHANNEL", help="the interface's channel")
+    parser.add_argument(
+        "--bitrate", dest="can.bitrate", metavar="BIT/S", type=int, help="that the interface should have"
+    )
+    parser.add_argument("--logs", dest="recorder.directory", metavar="DIR", help="where the logs go")
+    parser.add_argument(
+        "--timeout", type=seconds, default=3.0, metavar="S", help="how long to wait for the gateway (3)"
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object: ok, summary, findings")
+    add_zenoh_arguments(parser)
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Say what is wrong. Exit code 0 if nothing is, or nothing that has to be done.
+
+    Raises:
+        CommandError: a setting cannot be used at all.
+    """
+    if arguments.config is None and not os.environ.get(CONFIG_VARIABLE) and SYSTEM_FILE.exists():
+        flags = {key: value for key, value in vars(arguments).items() if "." in key and value is not None}
+        settings = load_settings(str(SYSTEM_FILE), os.environ, flags)
+    facts = look(settings, arguments.timeout, stopped)
+    return int(report(facts, diagnose(facts), as_json=arguments.json))
+
+
+def look(settings: Settings, timeout_s: float, stopped: Callable[[], bool]) -> Facts:
+    """Look at everything.
+
+    Raises:
+        CommandError: a setting cannot be used at all.
+    """
+    now_s = time.time()
+    zenoh = ask(settings, timeout_s, stopped)
+    return Facts(
+        settings,
+        version("cruiser-gateway"),
+        now_s,
+        earliest_s(settings),
+        is_synchronised(),
+        look_at_interface(settings, run_program),
+        count_claims(settings.can),
+        None if zenoh.health is not None else listen(settings, stopped),
+        zenoh,
+        look_at_disk(Path(settings.recorder.directory)),
+        look_at_units(),
+        look_at_credentials(settings, _zenoh_files(settings), now_s),
+    )
+
+
+def report(facts: Facts, found: list[Diagnosis], *, as_json: bool) -> ExitCode:
+    """Print what was found, and return the exit code for it."""
+    is_well = all(one.is_note for one in found)
+    text = summary(facts) if is_well else ""
+    if as_json:
+        record = {"ok": is_well, "summary": text, "findings": found}
+        sys.stdout.write(f"{msgspec.json.encode(record).decode()}\n")
+    else:
+        sys.stdout.writelines(f"{one.line}\n" for one in found)
+        if is_well:
+            sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+    return ExitCode.OK if is_well else ExitCode.FAILURE
+
+
+def ask(settings: Settings, timeout_s: float, stopped: Callable[[], bool]) -> ZenohReport:
+    """Ask the gateway and the recorders, as far as anything here may."""
+    zenoh = _asking(settings)
+    settings = msgspec.structs.replace(settings, zenoh=zenoh)
+    is_blind = Path(zenoh.config).name == ROBOT_FILE
+    where = "the place of the Zenoh file"
+    try:
+        where = place(zenoh)
+        with FleetListener.open(settings, settings.robot.name) as listener:
+            return _ask(listener, where, timeout_s, stopped, is_blind=is_blind)
+    except CommandError as error:
+        return ZenohReport(where, str(error), is_blind)
+
+
+def _ask(
+    listener: FleetListener, where: str, timeout_s: float, stopped: Callable[[], bool], *, is_blind: bool
+) -> ZenohReport:
+    newest: dict[type[Message], Message] = {}
+    recorders: dict[str, RecorderHealth] = {}
+    is_named, ahead_s = False, 0.0
+    question: PendingQuery | None = None
+    runs: set[int] = set()
+    linked_s: float | None = None
+    end_s = time.monotonic() + timeout_s
+    while not stopped() and (now_s := time.monotonic()) < end_s:
+        if linked_s is None and listener.links():
+            linked_s, question = now_s, listener.ask_info(timeout_s)
+        for arrival in listener.drain():
+            is_named = arrival.present if isinstance(arrival, TokenChange) else is_named
+            message = _message(arrival) if isinstance(arrival, Received) else None
+            if isinstance(message, RecorderHealth):
+                recorders[message.recorder] = message
+            elif message is not None:
+                newest[type(message)] = message
+                if isinstance(message, GatewayHealth):
+                    ahead_s = (message.time_ns - time.time_ns()) / 1e9
+        runs |= _runs(question.poll() if question is not None else ())
+        is_answered = GatewayHealth in newest or (is_blind and bool(runs))
+        if linked_s is not None and is_answered and now_s - linked_s > HEARS_S:
+            break
+        time.sleep(POLL_S)
+    why_not = "" if linked_s is not None else f"no Zenoh node answers within {timeout_s:g} s"
+    health, safety, state = (newest.get(kind) for kind in (GatewayHealth, SafetyState, RobotState))
+    return ZenohReport(
+        where,
+        why_not,
+        is_blind,
+        is_named,
+        len(runs),
+        health if isinstance(health, GatewayHealth) else None,
+        safety if isinstance(safety, SafetyState) else None,
+        state if isinstance(state, RobotState) else None,
+        ahead_s,
+        [recorders[name] for name in sorted(recorders)],
+    )
+
+
+def _message(received: Received) -> Message | None:
+    sample = read_sample(received)
+    return sample[1] if sample is not None and isinstance(sample[1], Message) else None
+
+
+def _runs(replies: Iterable[Received]) -> set[int]:
+    """When the gateways that replied were started: each run once."""
+    found = (_message(reply) for reply in replies)
+    return {info.started_ns for info in found if isinstance(info, GatewayInfo)}
+
+
+def _asking(settings: Settings) -> ZenohSettings:
+    """The settings to ask with: a robot's own certificate sees nothing, and a gateway may listen elsewhere."""
+    zenoh = settings.zenoh
+    own = Path(zenoh.config)
+    if own.name == ROBOT_FILE:
+        beside = [own.parent / name for name in SEEING]
+        services = [own.parent.parent / name for name in INSTALLED if Path(name).name in SEEING]
+        seeing = next((file for file in (*beside, *services) if file.exists()), own)
+        return msgspec.structs.replace(zenoh, config=str(seeing))
+    if zenoh.listen and not zenoh.connect:
+        return msgspec.structs.replace(zenoh, connect=[_loopback(one) for one in zenoh.listen], listen=[])
+    return zenoh
+
+
+def _loopback(endpoint: str) -> str:
+    for anywhere, here in (("0.0.0.0", "127.0.0.1"), ("[::]", "[::1]")):  # noqa: S104 - nothing listens here
+        endpoint = endpoint.replace(f"/{anywhere}:", f"/{here}:")
+    return endpoint
+
+
+def _zenoh_files(settings: Settings) -> list[Path]:
+    """Zenoh files with certificates that are installed here."""
+    base = directory_of(settings.authority).parent
+    found = [Path(settings.zenoh.config)] if settings.zenoh.config else []
+    found += [file for file in (base / name for name in INSTALLED) if file.exists()]
+    return list(dict.fromkeys(found))

@@ -1,0 +1,775 @@
+"""The checks of ``cruiser doctor``: one table. A row says what it looks at, what it may find, and the cure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from datetime import UTC, datetime
+from typing import Final, NamedTuple
+
+import msgspec
+
+from gateway.doctor.facts import CanInterface, Facts
+from schemas.messages import ControllerState, GatewayHealth, Variant
+from schemas.printable import plain
+from schemas.reasons import TEXTS, Reason, cure_of, of_a_robot
+from schemas.recording import RecorderHealth, RecorderState
+from schemas.settings import STANDSTILL_MPS
+
+QUEUE_MAX_FRAMES: Final = 10
+"""A longer transmit queue would deliver stale commands."""
+
+USUAL_BITRATE: Final = 500_000
+"""The manual gives none; this is common for the family."""
+
+CLOCK_MAX_S: Final = 1.0
+"""A robot's clock may be so far from this one: its health is that old when it is read, at most."""
+
+LOST_MAX_SHARE: Final = 0.001
+"""A recorder may miss such a share of the samples before anybody has to look."""
+
+ERROR_FRAME: Final = "error_frame"
+
+CHASSIS_REASONS: Final = frozenset(
+    {
+        Reason.BUS_DOWN,
+        Reason.BUS_OFF,
+        Reason.BUS_ERRORS,
+        Reason.FEEDBACK_MISSING,
+        Reason.FEEDBACK_FAULTY,
+        Reason.VARIANT_UNKNOWN,
+        Reason.OTHER_COMMANDER,
+        Reason.UNGUARDED,
+    }
+)
+"""Reasons for which a robot does not move that have rows of their own here, with more to say."""
+
+USE_REASONS: Final = frozenset(
+    {
+        Reason.NO_LEASE,
+        Reason.NOT_ENGAGED,
+        Reason.ENGAGING,
+        Reason.STOPPING,
+        Reason.MOVING,
+        Reason.PARKED,
+        Reason.GEAR_SHIFTING,
+        Reason.COMMAND_NOT_ZERO,
+        Reason.HAND_TRANSMITTER,
+        Reason.MODE_NOT_AUTO,
+        Reason.SHUTDOWN,
+    }
+)
+"""Those of a robot that is well, and in use or at rest."""
+
+
+class Detail(NamedTuple):
+    """What a check found, besides what its row says.
+
+    Attributes:
+        text: the figures; empty if there are none.
+        cure: what cures just this; empty if it is the row's.
+        means: what it is, where the row cannot say it; empty if it can.
+    """
+
+    text: str = ""
+    cure: str = ""
+    means: str = ""
+
+
+Look = Callable[[Facts], Iterable[Detail]]
+
+
+class Check(msgspec.Struct, frozen=True):
+    """A row.
+
+    Attributes:
+        name: of the finding.
+        about: what is looked at.
+        means: what was found, if anything was.
+        cure: what cures it. ROBOT, CHANNEL and BITRATE stand for the robot's.
+        look: finds it.
+        is_note: the robot works all the same: it is said, and changes no exit code.
+    """
+
+    name: str
+    about: str
+    means: str
+    cure: str
+    look: Look
+    is_note: bool = False
+
+
+class Diagnosis(msgspec.Struct, frozen=True):
+    """What is wrong.
+
+    Attributes:
+        check: the name of the check.
+        text: what is wrong, in one line.
+        cure: what cures it.
+        is_note: the robot works all the same.
+    """
+
+    check: str
+    text: str
+    cure: str
+    is_note: bool
+
+    @property
+    def line(self) -> str:
+        """For people."""
+        return f"{'note: ' if self.is_note else ''}{self.check}: {self.text} -> {self.cure}"
+
+
+def diagnose(facts: Facts) -> list[Diagnosis]:
+    """All that is wrong, in the order of the table: what comes first is the likely cause of what follows."""
+    return [
+        Diagnosis(
+            check.name,
+            plain(": ".join(filter(None, (found.means or check.means, found.text)))),
+            plain(_filled(found.cure or check.cure, facts)),
+            check.is_note,
+        )
+        for check in CHECKS
+        for found in check.look(facts)
+    ]
+
+
+def summary(facts: Facts) -> str:
+    """A robot that is well, in one line."""
+    words = []
+    if facts.state is not None and facts.state.speed_mps is not None:
+        speed_mps = facts.state.speed_mps
+        stands = abs(speed_mps) <= STANDSTILL_MPS
+        words.append("standing" if stands else f"moving at {speed_mps:+.2f} m/s")
+    words += ["feedback complete", "guarded", "recording"]
+    if facts.settings.gateway.listen_only:
+        words[words.index("guarded")] = "commanded by nobody (gateway.listen_only)"
+    end_s = authority_ends_s(facts)
+    signed = facts.settings.authority.mode == "signed" and end_s is not None
+    words.append(f"authority valid until {_utc(end_s)}" if signed and end_s else "open to this machine alone")
+    return ", ".join(words)
+
+
+def authority_ends_s(facts: Facts) -> int | None:
+    """When the first of the robot's certificate and grant ends, seconds since 1970; None if neither is known."""
+    health = facts.zenoh.health
+    ends_ns = [] if health is None else [health.certificate_ends_ns, health.grant_ends_ns]
+    ends = [end // 10**9 for end in ends_ns if end is not None]
+    return min(ends or (one.ends_s for one in facts.credentials if one.ends_s is not None), default=None)
+
+
+def _filled(cure: str, facts: Facts) -> str:
+    can = facts.settings.can
+    cure = cure.replace("CHANNEL", can.channel).replace("BITRATE", str(can.bitrate or USUAL_BITRATE))
+    return cure_of(cure, facts.settings.robot.name)
+
+
+def _found(holds: bool, text: str = "", cure: str = "") -> Iterator[Detail]:  # noqa: FBT001 - the condition
+    if holds:
+        yield Detail(text, cure)
+
+
+def _utc(time_s: float) -> str:
+    return datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+# The bus.
+
+
+def _interface(facts: Facts) -> CanInterface:
+    """The interface; one that is well where there is none to look at."""
+    return facts.interface or CanInterface(is_present=True, is_up=True, is_virtual=True)
+
+
+def _bus_detail(facts: Facts) -> str:
+    """Why the bus is not open; empty if it is, or if the interface itself says why."""
+    interface = _interface(facts)
+    if not (interface.is_present and interface.is_up):
+        return ""
+    health = facts.zenoh.health
+    if health is not None:
+        return "" if health.bus_up else health.bus_detail or "it is being opened"
+    return "" if facts.bus is None else facts.bus.why_not
+
+
+def _open_bus(facts: Facts) -> GatewayHealth | None:
+    """The health of a bus that is open; None if nothing is known of it."""
+    return facts.health if facts.health is not None and facts.health.bus_up else None
+
+
+def _is_heard(health: GatewayHealth) -> bool:
+    """Any frame of the chassis comes."""
+    return any(row.valid and not row.silent for row in health.feedback)
+
+
+def _has_errors(facts: Facts, health: GatewayHealth) -> bool:
+    """The controller is troubled: by its error frames, or by what the kernel says of it."""
+    troubled = health.controller in {ControllerState.BUS_OFF, ControllerState.PASSIVE}
+    return bool(health.faults.get(ERROR_FRAME)) or troubled or _interface(facts).controller in _TROUBLED
+
+
+_TROUBLED: Final = {"BUS-OFF", "ERROR-PASSIVE", "ERROR-WARNING"}
+
+
+def _interface_missing(facts: Facts) -> Iterable[Detail]:
+    return _found(not _interface(facts).is_present, facts.settings.can.channel)
+
+
+def _interface_down(facts: Facts) -> Iterable[Detail]:
+    interface = _interface(facts)
+    virtual = "ip link set CHANNEL up" if interface.is_virtual else ""
+    return _found(interface.is_present and not interface.is_up, facts.settings.can.channel, virtual)
+
+
+def _bus_unreachable(facts: Facts) -> Iterable[Detail]:
+    return _found(bool(detail := _bus_detail(facts)), detail)
+
+
+def _bit_rate(facts: Facts) -> Iterable[Detail]:
+    health, rate = _open_bus(facts), _interface(facts).bitrate
+    if health is not None and not _is_heard(health) and _has_errors(facts, health):
+        errors = health.faults.get(ERROR_FRAME, 0)
+        yield Detail(f"{errors} error frames, and none of the chassis{f', at {rate} bit/s' if rate else ''}")
+
+
+def _bit_rate_differs(facts: Facts) -> Iterable[Detail]:
+    rate, wanted = _interface(facts).bitrate, facts.settings.can.bitrate
+    return _found(bool(rate and wanted and rate != wanted), f"it has {rate} bit/s, can.bitrate is {wanted}")
+
+
+def _bus_silent(facts: Facts) -> Iterable[Detail]:
+    health = _open_bus(facts)
+    silent = health is not None and not health.frames_per_s and not _has_errors(facts, health)
+    return _found(silent and not _bus_commanded(facts), facts.settings.can.channel)
+
+
+def _other_device(facts: Facts) -> Iterable[Detail]:
+    health = _open_bus(facts)
+    if health is None or _is_heard(health) or _has_errors(facts, health) or not health.frames_per_s:
+        return
+    strangers = ", ".join(sorted(health.unknown_identifiers)[:5])
+    yield Detail(f"identifiers {strangers}" if strangers else f"{health.frames_per_s:g} frames/s")
+
+
+def _missing(health: GatewayHealth, facts: Facts) -> list[str]:
+    heard = {row.name for row in health.feedback if row.valid and not row.silent}
+    return [name for name in facts.settings.chassis.required_feedback if name not in heard]
+
+
+def _feedback_missing(facts: Facts) -> Iterable[Detail]:
+    health = _open_bus(facts)
+    if health is not None and _is_heard(health) and (names := _missing(health, facts)):
+        yield Detail(", ".join(names))
+
+
+def _feedback_faulty(facts: Facts) -> Iterable[Detail]:
+    health = _open_bus(facts)
+    failed = [row for row in (health.feedback if health is not None else []) if row.failures and not row.silent]
+    if failed:
+        yield Detail(", ".join(f"{row.name}: {row.checksum_faults} wrong checksums" for row in failed))
+
+
+def _variant_unknown(facts: Facts) -> Iterable[Detail]:
+    health = _open_bus(facts)
+    return _found(health is not None and _is_heard(health) and health.variant is Variant.UNKNOWN)
+
+
+def _queue_long(facts: Facts) -> Iterable[Detail]:
+    frames = _interface(facts).queue_frames
+    is_real = not _interface(facts).is_virtual
+    return _found(is_real and frames > QUEUE_MAX_FRAMES, f"{frames} frames, not {QUEUE_MAX_FRAMES}")
+
+
+def _no_restart(facts: Facts) -> Iterable[Detail]:
+    return _found(_interface(facts).restart_ms == 0)
+
+
+def _bus_commanded(facts: Facts) -> bool:
+    """Somebody commands the bus, and no gateway of this name does."""
+    by_another = facts.zenoh.safety is not None and Reason.OTHER_COMMANDER in facts.zenoh.safety.blocked_by
+    return by_another or (facts.bus is not None and facts.bus.is_commanded)
+
+
+def _other_commander(facts: Facts) -> Iterable[Detail]:
+    return _found(_bus_commanded(facts), facts.settings.can.channel)
+
+
+def _two_gateways(facts: Facts) -> Iterable[Detail]:
+    return _found(facts.claims > 1, f"{facts.claims} on {facts.settings.can.channel}")
+
+
+def _two_of_one_name(facts: Facts) -> Iterable[Detail]:
+    gateways, name = facts.zenoh.gateways, facts.settings.robot.name
+    return _found(gateways > 1, f"{gateways} are called {name}")
+
+
+# Zenoh and the services.
+
+
+def _router(facts: Facts) -> Iterable[Detail]:
+    zenoh = facts.zenoh
+    return _found(bool(zenoh.why_not) and _has_router(facts), f"{zenoh.place}: {zenoh.why_not}")
+
+
+def _has_router(facts: Facts) -> bool:
+    return bool(facts.settings.zenoh.connect or facts.settings.zenoh.config)
+
+
+def _gateway_missing(facts: Facts) -> Iterable[Detail]:
+    zenoh = facts.zenoh
+    known = zenoh.health is not None or zenoh.is_named or zenoh.gateways > 0
+    away = not known and not (zenoh.why_not and _has_router(facts))
+    return _found(away, f"nobody answers as {facts.settings.robot.name} at {zenoh.place}")
+
+
+def _gateway_hangs(facts: Facts) -> Iterable[Detail]:
+    zenoh = facts.zenoh
+    hangs = zenoh.is_named and zenoh.health is None and not (zenoh.is_blind and zenoh.gateways)
+    return _found(hangs, facts.settings.robot.name)
+
+
+def _unasked(facts: Facts) -> Iterable[Detail]:
+    return _found(facts.zenoh.is_blind and not facts.zenoh.why_not)
+
+
+def _service_failed(facts: Facts) -> Iterable[Detail]:
+    for unit in facts.units:
+        if unit.state != "active":
+            why = "" if unit.result == "success" else f", because of {unit.result}"
+            yield Detail(
+                f"{unit.name} is {unit.state}{why}", f"journalctl -u {unit.name}; systemctl start {unit.name}"
+            )
+
+
+def _restarts(facts: Facts) -> Iterable[Detail]:
+    for unit in facts.units:
+        if unit.restarts:
+            text = f"{unit.name}, {unit.restarts} times, last because of {unit.result}"
+            yield Detail(text, f"journalctl -u {unit.name}")
+
+
+def _realtime(facts: Facts) -> Iterable[Detail]:
+    health = facts.zenoh.health
+    return _found(health is not None and not health.realtime, cure=TEXTS[Reason.NO_REALTIME].cure)
+
+
+def _memory(facts: Facts) -> Iterable[Detail]:
+    gateways = [unit for unit in facts.units if unit.name.startswith("cruiser-gateway") and unit.locked_bytes == 0]
+    return _found(bool(gateways) and facts.settings.gateway.realtime_priority > 0)
+
+
+def _versions(facts: Facts) -> Iterable[Detail]:
+    health = facts.zenoh.health
+    others = [] if health is None else [f"gateway {health.gateway_version}"]
+    others += [f"recorder {one.recorder} {one.recorder_version}" for one in facts.zenoh.recorders]
+    other = [text for text in others if text.rpartition(" ")[2] != facts.version]
+    return _found(bool(other), f"{', '.join(other)}; this is {facts.version}")
+
+
+# The arbiter.
+
+
+def _unguarded(facts: Facts) -> Iterable[Detail]:
+    safety = facts.zenoh.safety
+    return _found(safety is not None and not safety.guarded, cure=TEXTS[Reason.UNGUARDED].cure)
+
+
+def _reasons(reasons: Iterable[Reason], facts: Facts) -> Iterator[Detail]:
+    said = list(reasons)
+    stop_detail = "" if facts.zenoh.safety is None else facts.zenoh.safety.stop_detail
+    for reason in said:
+        text = of_a_robot(reason, said)
+        is_last = facts.zenoh.safety is not None and facts.zenoh.safety.stop_reason is reason
+        yield Detail(
+            f"{text.means}{f' ({stop_detail})' if is_last and stop_detail else ''}", text.cure, reason.value
+        )
+
+
+def _latched(facts: Facts) -> Iterable[Detail]:
+    return () if facts.zenoh.safety is None else _reasons(facts.zenoh.safety.latched, facts)
+
+
+def _blocked(facts: Facts) -> Iterable[Detail]:
+    safety = facts.zenoh.safety
+    if safety is None:
+        return ()
+    known = {*safety.latched, *CHASSIS_REASONS, *USE_REASONS}
+    return _reasons((reason for reason in safety.blocked_by if reason not in known), facts)
+
+
+# Time, certificates, disk.
+
+
+def _clock_behind(facts: Facts) -> Iterable[Detail]:
+    text = f"it says {_utc(facts.now_s)}, and it is {_utc(facts.earliest_s)} at least"
+    return _found(facts.now_s < facts.earliest_s, text)
+
+
+def _unsynchronised(facts: Facts) -> Iterable[Detail]:
+    return _found(facts.is_synchronised is False)
+
+
+def _clock_differs(facts: Facts) -> Iterable[Detail]:
+    ahead_s = facts.zenoh.ahead_s
+    return _found(abs(ahead_s) > CLOCK_MAX_S, f"the robot's is {abs(ahead_s):.1f} s {_way(ahead_s)}")
+
+
+def _way(ahead_s: float) -> str:
+    return "ahead" if ahead_s > 0 else "behind"
+
+
+def _split(text: str) -> Detail:
+    """A problem of a file, whose cure stands behind a semicolon."""
+    what, _, cure = text.partition("; ")
+    return Detail("", cure, what)
+
+
+def _credentials(facts: Facts) -> Iterable[Detail]:
+    return [_split(one.problem) for one in facts.credentials if one.problem]
+
+
+def _credentials_end(facts: Facts) -> Iterable[Detail]:
+    return [_split(one.warning) for one in facts.credentials if one.warning and not one.problem]
+
+
+def _unsigned(facts: Facts) -> Iterable[Detail]:
+    wanted = facts.settings.authority.mode == "signed"
+    return _found(wanted and not facts.credentials, facts.settings.robot.name)
+
+
+def _disk_unusable(facts: Facts) -> Iterable[Detail]:
+    disk = facts.disk
+    return _found(disk is not None and bool(disk.why_not) and not disk.is_read_only, disk.why_not if disk else "")
+
+
+def _disk_read_only(facts: Facts) -> Iterable[Detail]:
+    return _found(facts.disk is not None and facts.disk.is_read_only, facts.disk.directory if facts.disk else "")
+
+
+def _disk_full(facts: Facts) -> Iterable[Detail]:
+    disk = facts.disk
+    if disk is None or disk.why_not or not disk.size_bytes:
+        return ()
+    floor = min(facts.settings.recorder.floor_bytes, disk.size_bytes // 10)
+    return _found(disk.free_bytes < floor, f"{disk.directory}: {_mb(disk.free_bytes)} free, not {_mb(floor)}")
+
+
+def _disk_small(facts: Facts) -> Iterable[Detail]:
+    disk, recorder = facts.disk, facts.settings.recorder
+    if disk is None or disk.why_not:
+        return ()
+    room, wanted = disk.free_bytes + disk.used_bytes, recorder.budget_bytes + recorder.floor_bytes
+    small = bool(recorder.budget_bytes) and room < wanted
+    return _found(small, f"{disk.directory} has room for {_mb(room)}, budget and floor are {_mb(wanted)}")
+
+
+def _mb(size: int) -> str:
+    return f"{size / 1e6:,.0f} MB"
+
+
+# The recorder.
+
+
+def _recorder_missing(facts: Facts) -> Iterable[Detail]:
+    return _found(facts.zenoh.health is not None and not facts.zenoh.recorders, facts.zenoh.place)
+
+
+def _recorder_stopped(facts: Facts) -> Iterable[Detail]:
+    recorders = facts.zenoh.recorders
+    if any(one.state is RecorderState.RECORDING for one in recorders):
+        return
+    for one in recorders:
+        full = "let the disk have room" if one.state is RecorderState.FULL else ""
+        yield Detail(f"{one.recorder} is {one.state.value}", full)
+
+
+def _losses(facts: Facts) -> Iterable[Detail]:
+    health = facts.zenoh.health
+    counts = []
+    if health is not None:
+        counts = [
+            ("frames that the gateway did not read in time (bus_drops)", health.bus_drops),
+            ("requests that it dropped unread (inbox_drops)", health.inbox_drops),
+            ("samples that Zenoh did not take (publish_failures)", health.publish_failures),
+            ("losses of the bus (bus_losses)", health.bus_losses),
+        ]
+    for recorder in facts.zenoh.recorders:
+        missed = recorder.missed if recorder.missed > LOST_MAX_SHARE * recorder.received else 0
+        counts.append((f"samples that {recorder.recorder} missed", missed))
+        counts.append((f"samples that {recorder.recorder} dropped", _dropped(recorder)))
+    return [Detail(f"{count} {what}") for what, count in counts if count]
+
+
+def _dropped(recorder: RecorderHealth) -> int:
+    return sum(recorder.dropped.values())
+
+
+_UP: Final = (
+    "ip link set CHANNEL up txqueuelen 10 type can bitrate BITRATE restart-ms 100; at each start: 'cruiser setup'"
+)
+_CABLE: Final = "look at the cable, at its termination (60 ohms between the wires) and at what else sends"
+
+CHECKS: Final = (
+    Check(
+        "interface_missing",
+        "the CAN interface",
+        "the interface is not there",
+        "plug the adapter in, or name another: can.channel; 'ip link' lists them",
+        _interface_missing,
+    ),
+    Check("interface_down", "the CAN interface", "the interface is down", _UP, _interface_down),
+    Check(
+        "bus_unreachable",
+        "the CAN bus",
+        "the bus cannot be opened",
+        "look at can.interface and can.channel, and at what has the interface",
+        _bus_unreachable,
+    ),
+    Check(
+        "bit_rate",
+        "error frames",
+        "the bus runs at another bit rate, or is damaged",
+        "set the chassis's bit rate: 'cruiser setup --bitrate N'; where it is right, " + _CABLE,
+        _bit_rate,
+    ),
+    Check(
+        "bit_rate_differs",
+        "the CAN interface",
+        "the interface has not the bit rate of the settings",
+        "'cruiser setup --bitrate BITRATE', or change can.bitrate",
+        _bit_rate_differs,
+    ),
+    Check(
+        "bus_silent",
+        "frames of a second",
+        "nothing is received on the bus",
+        "look at the chassis's power and button, and at the cable",
+        _bus_silent,
+    ),
+    Check(
+        "other_device",
+        "identifiers",
+        "frames are received, and none is of this chassis",
+        "connect the chassis to this bus, or name its bus: can.channel",
+        _other_device,
+    ),
+    Check(
+        "feedback_missing",
+        "the chassis's feedback",
+        "frames that a gateway needs are missing",
+        "look at the chassis; chassis.required_feedback says which are needed",
+        _feedback_missing,
+    ),
+    Check(
+        "feedback_faulty",
+        "checksums and counters",
+        "frames of the chassis are damaged",
+        _CABLE,
+        _feedback_faulty,
+    ),
+    Check(
+        "variant_unknown",
+        "wheel speed frames",
+        "the firmware variant, and with it the scale of speeds, is not known",
+        "let the robot stand still; where it does, chassis.variant is set wrong",
+        _variant_unknown,
+    ),
+    Check(
+        "other_commander",
+        "command frames",
+        "another computer commands the chassis",
+        "end the other one: a chassis takes commands from one alone",
+        _other_commander,
+    ),
+    Check(
+        "two_gateways",
+        "gateways of this machine",
+        "more than one gateway commands the bus",
+        "end one, or give it gateway.listen_only",
+        _two_gateways,
+    ),
+    Check(
+        "two_of_one_name",
+        "replies to gateway/info",
+        "more than one gateway has the robot's name",
+        "give one another name: robot.name",
+        _two_of_one_name,
+    ),
+    Check(
+        "queue_long",
+        "the CAN interface",
+        "the transmit queue is so long that it would deliver stale commands",
+        "ip link set CHANNEL txqueuelen 10",
+        _queue_long,
+    ),
+    Check(
+        "no_restart",
+        "the CAN interface",
+        "a controller that has gone off the bus does not come back by itself",
+        "ip link set CHANNEL type can restart-ms 100, while it is down",
+        _no_restart,
+    ),
+    Check(
+        "router_unreachable",
+        "Zenoh",
+        "the router cannot be reached",
+        "look at the network and at the router: 'systemctl status cruiser-router' there",
+        _router,
+    ),
+    Check(
+        "gateway_missing",
+        "Zenoh",
+        "the gateway does not run",
+        "'systemctl start cruiser-gateway', or 'cruiser gateway'",
+        _gateway_missing,
+    ),
+    Check(
+        "gateway_hangs",
+        "liveliness and health",
+        "the gateway is connected, and sends no health",
+        "wait 10 s, after which systemd starts it again; 'systemctl restart cruiser-gateway'",
+        _gateway_hangs,
+    ),
+    Check(
+        "not_asked",
+        "Zenoh",
+        "nothing here may ask the gateway: a robot's own certificate sees no telemetry",
+        "install a recorder's or a viewer's beside it ('cruiser provision recorder'), or name one: --zenoh-config",
+        _unasked,
+    ),
+    Check(
+        "service_not_active",
+        "systemd",
+        "a service does not run",
+        "journalctl -u cruiser-gateway",
+        _service_failed,
+    ),
+    Check(
+        "service_restarted",
+        "systemd",
+        "systemd has started a service again",
+        "journalctl -u cruiser-gateway",
+        _restarts,
+        is_note=True,
+    ),
+    Check(
+        "realtime",
+        "gateway/health",
+        "the gateway has no real-time priority, and the lower speed limit is in force",
+        "LimitRTPRIO=20",
+        _realtime,
+    ),
+    Check(
+        "memory",
+        "the gateway's process",
+        "the gateway's memory is not locked, so it may have to wait for the disk",
+        "let its unit have LimitMEMLOCK=infinity",
+        _memory,
+    ),
+    Check("unguarded", "safety/state", "no second process watches the gateway", "wait a second", _unguarded),
+    Check("latched", "safety/state", "what has to be reset", "'cruiser reset ROBOT'", _latched),
+    Check("blocked", "safety/state", "why nobody can engage the robot", "'cruiser why ROBOT'", _blocked),
+    Check(
+        "clock_behind",
+        "the clock",
+        "the clock is behind",
+        "set it: 'timedatectl set-time', or a time server; look at its battery",
+        _clock_behind,
+    ),
+    Check(
+        "clock_unsynchronised",
+        "the kernel's clock",
+        "no time server keeps the clock",
+        "let chrony or systemd-timesyncd run, and reach a server: 'timedatectl'",
+        _unsynchronised,
+        is_note=True,
+    ),
+    Check(
+        "clock_differs",
+        "gateway/health",
+        "the robot's clock is not this machine's",
+        "let both be kept by a time server",
+        _clock_differs,
+    ),
+    Check(
+        "credentials_missing",
+        "keys, certificates, grants",
+        "authority.mode is signed, and there are no keys",
+        "'cruiser provision robot ROBOT' makes them, 'cruiser setup --bundle FILE' installs the answer",
+        _unsigned,
+    ),
+    Check(
+        "credentials",
+        "keys, certificates, grants",
+        "a file is missing, wrong, over, or others can read it",
+        "'cruiser provision renew robot' asks for another",
+        _credentials,
+    ),
+    Check(
+        "credentials_end",
+        "keys, certificates, grants",
+        "a certificate or a grant ends soon",
+        "'cruiser provision renew robot' asks for another",
+        _credentials_end,
+        is_note=True,
+    ),
+    Check(
+        "disk_unusable",
+        "the disk of the logs",
+        "logs cannot be written",
+        "make the directory, and let it belong to the recorder's user",
+        _disk_unusable,
+    ),
+    Check(
+        "disk_read_only",
+        "the disk of the logs",
+        "the file system is mounted read-only",
+        "look at the disk ('dmesg'), then mount it anew",
+        _disk_read_only,
+    ),
+    Check(
+        "disk_full",
+        "the disk of the logs",
+        "the disk is full",
+        "copy logs away, or let recorder.budget_bytes be less",
+        _disk_full,
+    ),
+    Check(
+        "disk_small",
+        "the disk of the logs",
+        "the disk is smaller than what may be kept",
+        "let recorder.budget_bytes be less",
+        _disk_small,
+        is_note=True,
+    ),
+    Check(
+        "recorder_missing",
+        "recorders' health",
+        "nobody records",
+        "'systemctl start cruiser-recorder', or 'cruiser record'",
+        _recorder_missing,
+    ),
+    Check(
+        "recorder_stopped",
+        "recorders' health",
+        "a recorder runs, and does not record",
+        "'cruiser record start'",
+        _recorder_stopped,
+    ),
+    Check(
+        "versions",
+        "versions",
+        "not all are of one version",
+        "bring the older ones up to date, while the robot stands",
+        _versions,
+        is_note=True,
+    ),
+    Check(
+        "losses",
+        "counters since the start",
+        "something was lost",
+        "see the alert of that name in docs/operate.md",
+        _losses,
+        is_note=True,
+    ),
+)
+"""Every check. What is looked at first is the likely cause of what follows."""

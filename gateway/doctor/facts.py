@@ -1,0 +1,169 @@
+"""What was found on a robot's computer, on its CAN bus and on Zenoh."""
+
+from __future__ import annotations
+
+import msgspec
+
+from schemas.decisions import SafetyState
+from schemas.messages import GatewayHealth, RobotState
+from schemas.recording import RecorderHealth
+from schemas.settings import Settings
+
+
+class CanInterface(msgspec.Struct, frozen=True):
+    """A CAN interface of the kernel's.
+
+    Attributes:
+        is_present, is_up: it is there; it is up.
+        is_virtual: it has no controller, and so no bit rate: vcan.
+        bitrate: bit/s; None if it has none, or if nobody could be asked.
+        controller: the controller's state in the kernel's words, such as BUS-OFF; empty if it is not known.
+        restart_ms: time after which a controller that is off the bus comes back; None if it is not known.
+        queue_frames: its transmit queue (txqueuelen).
+    """
+
+    is_present: bool = False
+    is_up: bool = False
+    is_virtual: bool = False
+    bitrate: int | None = None
+    controller: str = ""
+    restart_ms: int | None = None
+    queue_frames: int = 0
+
+
+class BusReport(msgspec.Struct, frozen=True):
+    """What was received of a CAN bus in a second, by somebody who sends nothing.
+
+    Attributes:
+        why_not: why it could not be opened; empty if it could.
+        health: the supervision of its frames, as a gateway reports it; None if it could not be opened.
+        state: the chassis as it is seen; the same.
+        is_commanded: somebody commands the chassis: frames that move it were received.
+    """
+
+    why_not: str = ""
+    health: GatewayHealth | None = None
+    state: RobotState | None = None
+    is_commanded: bool = False
+
+
+class ZenohReport(msgspec.Struct, frozen=True):
+    """What was received on Zenoh.
+
+    Attributes:
+        place: where it was connected to, in words.
+        why_not: why nothing is connected there; empty if something is.
+        is_blind: it was asked with the robot's own certificate, which sees no telemetry.
+        is_named: the robot's liveliness token is there.
+        gateways: gateways that answer to the robot's name.
+        health, safety, state: the newest of the robot; None if there was none.
+        ahead_s: the robot's clock against this machine's.
+        recorders: the newest of each recorder.
+    """
+
+    place: str = ""
+    why_not: str = ""
+    is_blind: bool = False
+    is_named: bool = False
+    gateways: int = 0
+    health: GatewayHealth | None = None
+    safety: SafetyState | None = None
+    state: RobotState | None = None
+    ahead_s: float = 0.0
+    recorders: list[RecorderHealth] = []
+
+
+class ServiceUnit(msgspec.Struct, frozen=True):
+    """A unit of systemd's.
+
+    Attributes:
+        name: such as ``cruiser-gateway.service``.
+        state: such as active, failed, inactive.
+        result: why it ended last; success if it did not fail.
+        restarts: how often systemd has started it again since it was started by hand or at boot.
+        locked_bytes: memory that its process has locked; None if it has no process.
+    """
+
+    name: str
+    state: str
+    result: str = "success"
+    restarts: int = 0
+    locked_bytes: int | None = None
+
+
+class LogDisk(msgspec.Struct, frozen=True):
+    """The file system of the logs.
+
+    Attributes:
+        directory: of the logs.
+        why_not: why it cannot be written to; empty if it can.
+        is_read_only: it is mounted so.
+        free_bytes, size_bytes: of the file system.
+        used_bytes: by the logs.
+    """
+
+    directory: str
+    why_not: str = ""
+    is_read_only: bool = False
+    free_bytes: int = 0
+    size_bytes: int = 0
+    used_bytes: int = 0
+
+
+class Credential(msgspec.Struct, frozen=True):
+    """A certificate with its key, or a grant.
+
+    Attributes:
+        name: what it is, and where.
+        problem: what is wrong with it, with its cure, in one line; empty if nothing is.
+        warning: that it ends soon; the same.
+        ends_s: when it ends, seconds since 1970; None if that is not known.
+    """
+
+    name: str
+    problem: str = ""
+    warning: str = ""
+    ends_s: int | None = None
+
+
+class Facts(msgspec.Struct, frozen=True):
+    """All that is judged.
+
+    Attributes:
+        settings: those of the robot.
+        version: of this program.
+        now_s: this machine's clock, seconds since 1970.
+        earliest_s: a time that is past for certain: when this was installed, or the newest that the authority
+            said.
+        is_synchronised: the kernel's clock is kept by a time server; None if the kernel does not say.
+        interface: the CAN interface; None where the bus is none of the kernel's.
+        claims: gateways of this machine that command the bus.
+        bus: what was received of it; None if it was not listened to, because a gateway reports it.
+        zenoh: what was received there.
+        disk: that of the logs; None where no recorder is to run on this machine.
+        units: those of systemd's that are installed.
+        credentials: those that are installed.
+    """
+
+    settings: Settings
+    version: str
+    now_s: float
+    earliest_s: float = 0.0
+    is_synchronised: bool | None = None
+    interface: CanInterface | None = None
+    claims: int = 0
+    bus: BusReport | None = None
+    zenoh: ZenohReport = ZenohReport()
+    disk: LogDisk | None = None
+    units: list[ServiceUnit] = []
+    credentials: list[Credential] = []
+
+    @property
+    def health(self) -> GatewayHealth | None:
+        """The gateway's health; without a gateway that of the bus as it was listened to."""
+        return self.zenoh.health or (None if self.bus is None else self.bus.health)
+
+    @property
+    def state(self) -> RobotState | None:
+        """The chassis, from the same source."""
+        return self.zenoh.state or (None if self.bus is None else self.bus.state)

@@ -1,0 +1,180 @@
+"""Looks at the robot's computer: its clock, the disk of the logs, services, keys and certificates."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+from gateway.authority.robot_authority import Kept
+from gateway.doctor.facts import Credential, LogDisk, ServiceUnit
+from gateway.host.authority_note import AuthorityNote
+from gateway.host.bus_look import Runner
+from gateway.provisioning.key_files import directory_of, read_identity
+from gateway.provisioning.tls_files import certificate_ends_s, check_tls_files
+from schemas.authority.trust import Objection
+from schemas.exit_codes import CommandError
+from schemas.printable import plain
+from schemas.reasons import TEXTS
+from schemas.settings import Settings, ZenohSettings
+
+UNITS: Final = ("cruiser-gateway.service", "cruiser-recorder.service", "cruiser-router.service")
+
+PROGRAM_TIMEOUT_S: Final = 30.0
+
+SYNCHRONISED_US: Final = 16_000_000
+"""The kernel's largest error: from here on no time server has been heard for long. systemd judges by it too."""
+
+GRANT_ENDS_SOON_S: Final = 7 * 86_400
+
+LOGS: Final = ("*.mcap", "*.mcap.part")
+
+_TIMEX_BYTES: Final = 256
+_MAXERROR_AT: Final = 24
+"""Of the kernel's struct timex where a long has 8 bytes."""
+
+
+def run_program(words: Sequence[str]) -> str | None:
+    """Run a program of the system. Returns what it printed; None if it is not there or failed."""
+    try:
+        done = subprocess.run(  # noqa: S603 - programs of the system, named in this tree
+            list(words), capture_output=True, text=True, check=False, timeout=PROGRAM_TIMEOUT_S
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout if done.returncode == 0 else None
+
+
+def is_synchronised() -> bool | None:
+    """Report whether a time server, any, keeps the kernel's clock. None if the kernel does not say."""
+    if sys.maxsize < 2**32:
+        return None
+    timex = ctypes.create_string_buffer(_TIMEX_BYTES)
+    if ctypes.CDLL(None, use_errno=True).adjtimex(timex) < 0:
+        return None
+    error_us = int.from_bytes(timex.raw[_MAXERROR_AT : _MAXERROR_AT + 8], sys.byteorder, signed=True)
+    return error_us < SYNCHRONISED_US
+
+
+def earliest_s(settings: Settings) -> float:
+    """Return a time that is past for certain: of this installation, or of the authority, seconds since 1970."""
+    installed_s = Path(__file__).stat().st_mtime
+    if settings.authority.mode != "signed":
+        return installed_s
+    note = AuthorityNote.of(settings)
+    with owning(note.path):
+        kept = note.read()
+    note.close()
+    return max(installed_s, kept.floor_s if isinstance(kept, Kept) else 0.0)
+
+
+def look_at_disk(directory: Path) -> LogDisk:
+    """Look at the file system of the logs."""
+    shown = plain(str(directory))
+    try:
+        found = os.statvfs(directory)
+        used = sum(one.stat().st_blocks * 512 for kind in LOGS for one in directory.glob(kind))
+    except OSError as error:
+        return LogDisk(shown, f"{shown}: {(error.strerror or str(error)).lower()}")
+    is_read_only = bool(found.f_flag & os.ST_RDONLY)
+    with owning(directory):
+        may_write = os.access(directory, os.W_OK | os.X_OK, effective_ids=True)
+    why_not = "" if may_write else f"{shown} cannot be written to"
+    free, size = found.f_bavail * found.f_frsize, found.f_blocks * found.f_frsize
+    return LogDisk(shown, why_not, is_read_only, free, size, used)
+
+
+def look_at_units(run: Runner = run_program) -> list[ServiceUnit]:
+    """Look at our services, those that are enabled or run; none where there is no systemd."""
+    wanted = "LoadState,ActiveState,UnitFileState,Result,NRestarts,MainPID"
+    units = []
+    for name in UNITS:
+        lines = (run(["systemctl", "show", "--property", wanted, name]) or "").splitlines()
+        said = dict(line.split("=", 1) for line in lines if "=" in line)
+        is_ours = said.get("LoadState") == "loaded"
+        if is_ours and (said.get("UnitFileState", "").startswith("enabled") or said["ActiveState"] != "inactive"):
+            locked = _locked_bytes(said.get("MainPID", "0"))
+            units.append(
+                ServiceUnit(
+                    name,
+                    said.get("ActiveState", ""),
+                    said.get("Result", "success"),
+                    int(said.get("NRestarts", "0") or 0),
+                    locked,
+                )
+            )
+    return units
+
+
+def _locked_bytes(process: str) -> int | None:
+    """Memory that a process has locked; None if there is no such process."""
+    try:
+        lines = Path("/proc", process, "status").read_text().splitlines()
+    except OSError:
+        return None
+    found = next((line.split()[1] for line in lines if line.startswith("VmLck:")), None)
+    return None if found is None else int(found) * 1024
+
+
+def look_at_credentials(settings: Settings, files: Sequence[Path], now_s: float) -> list[Credential]:
+    """Look at certificates, with their keys, and at the robot's grant.
+
+    Args:
+        settings: whose ``authority`` says where the robot's keys are.
+        files: Zenoh configurations as ``cruiser provision`` made them, ``robot.json5`` and the like.
+        now_s: seconds since 1970.
+    """
+    found = [_certificate(file, now_s) for file in files]
+    if settings.authority.mode == "signed":
+        found.append(_grant(directory_of(settings.authority), now_s))
+    return found
+
+
+def _certificate(file: Path, now_s: float) -> Credential:
+    name = f"certificate of {plain(str(file))}"
+    with owning(file):
+        try:
+            warning = check_tls_files(file, file.stem, now_s)
+        except CommandError as error:
+            return Credential(name, str(error))
+        return Credential(name, "", warning, certificate_ends_s(ZenohSettings(config=str(file))))
+
+
+def _grant(directory: Path, now_s: float) -> Credential:
+    name = f"grant in {plain(str(directory))}"
+    cure = "'cruiser provision renew robot' asks for another"
+    with owning(directory):
+        try:
+            identity = read_identity(directory, "robot")
+        except CommandError as error:
+            return Credential(name, str(error))
+    held = identity.trust.judge(identity.chain, int(now_s))
+    if isinstance(held, Objection):
+        return Credential(name, f"{name}: {TEXTS[held.reason].means}; {cure}")
+    left_s = held.not_after - now_s
+    soon = f"{name} ends in {left_s / 86_400:.1f} days; {cure}" if left_s < GRANT_ENDS_SOON_S else ""
+    return Credential(name, "", soon, held.not_after)
+
+
+@contextmanager
+def owning(path: Path | None) -> Iterator[None]:
+    """Be the owner of a file, where root asks: keys are their owner's, and a service can do no more than that."""
+    try:
+        status = None if path is None or os.geteuid() else path.stat()
+    except OSError:
+        status = None
+    if status is None or not status.st_uid:
+        yield
+        return
+    os.setegid(status.st_gid)
+    os.seteuid(status.st_uid)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+        os.setegid(0)

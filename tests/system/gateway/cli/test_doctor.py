@@ -1,0 +1,85 @@
+"""``cruiser doctor`` as a process, with chassis, gateway and recorder as processes."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.gateway import Running, chassis, gateway, run
+
+ELSEWHERE = {"realtime", "clock_unsynchronised"}
+"""Findings that depend on the machine on which the tests run."""
+
+
+@pytest.fixture
+def bus() -> Iterator[str]:
+    """A virtual chassis; where it is."""
+    with chassis() as (_, address):
+        yield address
+
+
+def examine(address: str, *words: str, interface: str = "socketcand") -> tuple[int, dict[str, str], str]:
+    """Exit code, findings by name, and the summary."""
+    done = run(["doctor", "--json", "--interface", interface, "--channel", address, *words])
+    said: dict[str, Any] = json.loads(done.stdout)
+    found = {one["check"]: f"{one['text']} -> {one['cure']}" for one in said["findings"]}
+    must = {one["check"] for one in said["findings"] if not one["is_note"]}
+    assert said["ok"] == (not must) == (done.returncode == 0), done.stderr
+    return done.returncode, {name: text for name, text in found.items() if name not in ELSEWHERE}, said["summary"]
+
+
+def fault(address: str, *words: str) -> None:
+    """Cause a fault in the chassis."""
+    assert run(["fault", "--sim", address, *words]).returncode == 0
+
+
+def test_a_robot_that_runs_and_is_recorded_is_well(bus: str, tmp_path: Path) -> None:
+    """With the gateway asked and not the bus; the last line says so."""
+    endpoint = free_endpoint()
+    words = ["--connect", endpoint, "--logs", str(tmp_path)]
+    with gateway(bus, endpoint), Running("record", "-o", str(tmp_path), "--connect", endpoint) as recorder:
+        recorder.wait_says("record: ")
+        done = run(["doctor", "--interface", "socketcand", "--channel", bus, *words])
+        lines = [line for line in done.stdout.splitlines() if not any(name in line for name in ELSEWHERE)]
+        assert done.stderr == ""
+        if done.returncode == 0:
+            assert lines == ["standing, feedback complete, guarded, recording, open to this machine alone"]
+        else:
+            assert lines == []
+            assert "realtime" in done.stdout
+
+
+def test_without_a_gateway_the_bus_itself_is_listened_to(bus: str, tmp_path: Path) -> None:
+    """A chassis that is well: nothing is missing but the gateway. What is wrong with the bus is found in turn."""
+    logs = ["--logs", str(tmp_path)]
+    connect = ["--connect", free_endpoint()]
+    code, found, summary = examine(bus, *logs)
+    assert (code, list(found), summary) == (1, ["gateway_missing"], "")
+    fault(bus, "silence", "Auto_GearFeedBack")
+    assert "Auto_GearFeedBack" in examine(bus, *logs)[1]["feedback_missing"]
+    fault(bus, "silence", "all")
+    assert list(examine(bus, *logs, *connect)[1]) == ["bus_silent", "router_unreachable"]
+    fault(bus, "foreign", "siblings")
+    assert "identifiers 200, 201, 202" in examine(bus, *logs)[1]["other_device"]
+    fault(bus, "foreign", "004", "error")
+    assert "error frames" in examine(bus, *logs)[1]["bit_rate"]
+
+
+def test_a_bus_that_is_not_there_is_one_line(tmp_path: Path) -> None:
+    """An interface of the kernel, and a server."""
+    logs = ["--logs", str(tmp_path / "nothing")]
+    found = examine("can9", *logs, interface="socketcan")[1]
+    assert list(found) == ["interface_missing", "gateway_missing", "disk_unusable"]
+    assert "127.0.0.1:1" in examine("127.0.0.1:1", *logs)[1]["bus_unreachable"]
+
+
+def test_two_gateways_on_one_bus_are_found(bus: str, tmp_path: Path) -> None:
+    """Each has a name of its own, and neither drives; nobody records."""
+    first, second = free_endpoint(), free_endpoint()
+    with gateway(bus, first), gateway(bus, second, "--robot", "cruiser-2"):
+        found = examine(bus, "--connect", first, "--logs", str(tmp_path))[1]
+    assert "2 on 127.0.0.1" in found["two_gateways"]
+    assert "recorder_missing" in found

@@ -1,0 +1,262 @@
+"""The checks of ``cruiser doctor``: each finding, and nothing else, where its cause is given."""
+
+from collections.abc import Callable
+
+import msgspec
+import pytest
+
+from gateway.doctor.checks import CHECKS, diagnose, summary
+from gateway.doctor.facts import (
+    BusReport,
+    CanInterface,
+    Credential,
+    Facts,
+    LogDisk,
+    ServiceUnit,
+    ZenohReport,
+)
+from schemas.messages import ControllerState, GatewayHealth, Variant
+from schemas.reasons import Reason
+from schemas.recorder_settings import RecorderSettings
+from schemas.recording import RecorderState
+from schemas.settings import (
+    AuthoritySettings,
+    CanSettings,
+    ChassisSettings,
+    Settings,
+    ZenohSettings,
+)
+from tests.support.messages import HEALTH, STANDBY, STATE, recorder_health
+
+replace = msgspec.structs.replace
+DAY_S = 86_400
+NOW_S = 1_800_000_000.0
+
+FEEDBACK = [replace(HEALTH.feedback[0], name=name) for name in ChassisSettings().required_feedback]
+WELL_HEALTH = replace(HEALTH, feedback=FEEDBACK, certificate_ends_ns=round((NOW_S + 20 * DAY_S) * 1e9))
+RECORDER = replace(recorder_health(), recorder_version="0.1.0", received=1_000_000)
+WELL = Facts(
+    Settings(
+        can=CanSettings(bitrate=500_000),
+        zenoh=ZenohSettings(connect=["tls/router.example:7447"]),
+        recorder=RecorderSettings(budget_bytes=20_000_000_000),
+        authority=AuthoritySettings(mode="signed"),
+    ),
+    version="0.1.0",
+    now_s=NOW_S,
+    earliest_s=NOW_S - DAY_S,
+    is_synchronised=True,
+    interface=CanInterface(
+        is_present=True, is_up=True, bitrate=500_000, controller="ERROR-ACTIVE", restart_ms=100, queue_frames=10
+    ),
+    claims=1,
+    zenoh=ZenohReport(
+        "tls/router.example:7447",
+        is_named=True,
+        gateways=1,
+        health=WELL_HEALTH,
+        safety=replace(STANDBY, blocked_by=[Reason.NO_LEASE, Reason.NOT_ENGAGED]),
+        state=replace(STATE, speed_mps=0.0),
+        recorders=[RECORDER],
+    ),
+    disk=LogDisk(
+        "/var/lib/cruiser/logs", free_bytes=40_000_000_000, size_bytes=64_000_000_000, used_bytes=5_000_000_000
+    ),
+    units=[ServiceUnit("cruiser-gateway.service", "active", locked_bytes=60_000_000)],
+    credentials=[Credential("certificate", ends_s=round(NOW_S + 20 * DAY_S))],
+)
+
+SILENT = [replace(row, silent=True) for row in FEEDBACK]
+DEAD = replace(WELL_HEALTH, feedback=SILENT, frames_per_s=0.0, variant=Variant.UNKNOWN)
+
+
+def zenoh(**changes: object) -> Facts:
+    """With something else on Zenoh."""
+    return replace(WELL, zenoh=replace(WELL.zenoh, **changes))
+
+
+def health(**changes: object) -> Facts:
+    """With another health of the gateway."""
+    return zenoh(health=replace(WELL_HEALTH, **changes))
+
+
+def safety(**changes: object) -> Facts:
+    """With another state of the arbiter."""
+    return zenoh(safety=replace(STANDBY, **changes))
+
+
+def interface(**changes: object) -> Facts:
+    """With another interface."""
+    assert WELL.interface is not None
+    return replace(WELL, interface=replace(WELL.interface, **changes))
+
+
+def listened(report: BusReport, **changes: object) -> Facts:
+    """Without a gateway: the bus was listened to."""
+    return replace(WELL, zenoh=ZenohReport("tcp/127.0.0.1:7447"), bus=report, claims=0, **changes)
+
+
+def disk(**changes: object) -> Facts:
+    """With another disk."""
+    assert WELL.disk is not None
+    return replace(WELL, disk=replace(WELL.disk, **changes))
+
+
+def dead(**changes: object) -> GatewayHealth:
+    """Of a bus without the chassis."""
+    return replace(DEAD, **changes)
+
+
+CASES: dict[str, tuple[Facts, str]] = {
+    "interface_missing": (
+        replace(interface(is_present=False), zenoh=replace(WELL.zenoh, health=replace(DEAD, bus_up=False))),
+        "the interface is not there: can0",
+    ),
+    "interface_down": (
+        replace(interface(is_up=False), zenoh=replace(WELL.zenoh, health=replace(DEAD, bus_up=False))),
+        "the interface is down: can0 -> ip link set can0 up txqueuelen 10 type can bitrate 500000",
+    ),
+    "bus_unreachable": (zenoh(health=dead(bus_up=False, bus_detail="no server")), "cannot be opened: no server"),
+    "bit_rate": (
+        zenoh(health=dead(faults={"error_frame": 9})),
+        "9 error frames, and none of the chassis, at 500000",
+    ),
+    "bit_rate_differs": (interface(bitrate=250_000), "it has 250000 bit/s, can.bitrate is 500000"),
+    "bus_silent": (zenoh(health=DEAD), "nothing is received on the bus: can0"),
+    "other_device": (
+        zenoh(health=dead(frames_per_s=90.0, unknown_identifiers={"200": 9, "18FF50E5": 1})),
+        "none is of this chassis: identifiers 18FF50E5, 200",
+    ),
+    "feedback_missing": (health(feedback=FEEDBACK[1:]), "are missing: Auto_GearFeedBack"),
+    "feedback_faulty": (
+        health(feedback=[replace(FEEDBACK[0], failures=["checksum"], checksum_faults=7), *FEEDBACK[1:]]),
+        "Auto_GearFeedBack: 7 wrong checksums",
+    ),
+    "variant_unknown": (health(variant=Variant.UNKNOWN), "firmware variant"),
+    "other_commander": (safety(blocked_by=[Reason.OTHER_COMMANDER]), "another computer commands the chassis"),
+    "two_gateways": (replace(WELL, claims=2), "more than one gateway commands the bus: 2 on can0"),
+    "two_of_one_name": (zenoh(gateways=2), "2 are called cruiser-1"),
+    "queue_long": (interface(queue_frames=1000), "1000 frames, not 10"),
+    "no_restart": (interface(restart_ms=0), "does not come back by itself"),
+    "router_unreachable": (
+        zenoh(why_not="refused", health=None, safety=None, state=None, recorders=[], is_named=False, gateways=0),
+        "the router cannot be reached: tls/router.example:7447: refused",
+    ),
+    "gateway_missing": (
+        zenoh(health=None, safety=None, state=None, recorders=[], is_named=False, gateways=0),
+        "the gateway does not run: nobody answers as cruiser-1",
+    ),
+    "gateway_hangs": (zenoh(health=None, safety=None), "sends no health: cruiser-1"),
+    "not_asked": (zenoh(is_blind=True, health=None, safety=None), "own certificate sees no telemetry"),
+    "service_not_active": (
+        replace(WELL, units=[ServiceUnit("cruiser-recorder.service", "failed", "exit-code")]),
+        "cruiser-recorder.service is failed, because of exit-code -> journalctl -u cruiser-recorder.service",
+    ),
+    "service_restarted": (
+        replace(WELL, units=[ServiceUnit("cruiser-gateway.service", "active", "watchdog", 2)]),
+        "cruiser-gateway.service, 2 times, last because of watchdog",
+    ),
+    "realtime": (health(realtime=False), "no real-time priority"),
+    "memory": (
+        replace(WELL, units=[ServiceUnit("cruiser-gateway.service", "active", locked_bytes=0)]),
+        "LimitMEMLOCK=infinity",
+    ),
+    "unguarded": (safety(guarded=False), "no second process watches"),
+    "latched": (
+        safety(
+            latched=[Reason.ROLLING], blocked_by=[Reason.ROLLING], stop_reason=Reason.ROLLING, stop_detail="0.2"
+        ),
+        "latched: rolling: the robot moves although it is told to stand",
+    ),
+    "blocked": (safety(blocked_by=[Reason.SELF_TEST]), "blocked: self_test: the gateway's own test"),
+    "clock_behind": (replace(WELL, now_s=0.0), "it says 1970-01-01 00:00 UTC, and it is 2027-01-14"),
+    "clock_unsynchronised": (replace(WELL, is_synchronised=False), "no time server keeps the clock"),
+    "clock_differs": (zenoh(ahead_s=-3.25), "the robot's is 3.2 s behind"),
+    "credentials_missing": (replace(WELL, credentials=[]), "there are no keys: cruiser-1"),
+    "credentials": (
+        replace(WELL, credentials=[Credential("c", "robot-tls.pem ended 2.0 days ago; renew it")]),
+        "credentials: robot-tls.pem ended 2.0 days ago -> renew it",
+    ),
+    "credentials_end": (
+        replace(WELL, credentials=[Credential("c", "", "robot-tls.pem ends in 2.0 days; renew it")]),
+        "note: credentials_end: robot-tls.pem ends in 2.0 days -> renew it",
+    ),
+    "disk_unusable": (disk(why_not="logs: no such file"), "logs cannot be written: logs: no such file"),
+    "disk_read_only": (disk(is_read_only=True, why_not="x"), "is mounted read-only: /var/lib/cruiser/logs"),
+    "disk_full": (
+        disk(free_bytes=1_000_000, used_bytes=30_000_000_000),
+        "the disk is full: /var/lib/cruiser/logs: 1 MB free, not 200 MB",
+    ),
+    "disk_small": (disk(free_bytes=4_000_000_000), "has room for 9,000 MB, budget and floor are 20,200 MB"),
+    "recorder_missing": (zenoh(recorders=[]), "nobody records"),
+    "recorder_stopped": (
+        zenoh(recorders=[replace(RECORDER, state=RecorderState.FULL)]),
+        "bench is full -> let the disk have room",
+    ),
+    "versions": (health(gateway_version="0.0.9"), "gateway 0.0.9; this is 0.1.0"),
+    "losses": (health(bus_drops=3), "3 frames that the gateway did not read in time"),
+}
+
+
+def test_a_robot_that_is_well_has_no_finding() -> None:
+    """It is told in one line, with when the first of its papers ends."""
+    assert diagnose(WELL) == []
+    said = "standing, feedback complete, guarded, recording, authority valid until 2027-02-04 08:00 UTC"
+    assert summary(WELL) == said
+
+
+def test_a_robot_in_open_mode_is_open_to_this_machine_alone() -> None:
+    """No end of an authority is made up; and a robot that drives is not said to stand."""
+    settings = replace(WELL.settings, authority=AuthoritySettings())
+    assert summary(replace(WELL, settings=settings)).endswith("recording, open to this machine alone")
+    assert summary(zenoh(state=replace(STATE, speed_mps=-0.5))).startswith("moving at -0.50 m/s, ")
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_each_cause_has_its_finding_and_no_other(name: str) -> None:
+    """One line, with figures and cure."""
+    facts, said = CASES[name]
+    found = diagnose(facts)
+    assert [one.check for one in found] == [name]
+    assert said in found[0].line
+    assert "\n" not in found[0].line
+    assert found[0].cure
+    assert not any(word in found[0].cure for word in ("ROBOT", "CHANNEL", "BITRATE"))
+
+
+def test_every_check_has_a_case() -> None:
+    """And names are said once."""
+    assert [check.name for check in CHECKS] == list(CASES)
+
+
+@pytest.mark.parametrize(
+    ("report", "said"),
+    [
+        (BusReport("no such device"), "bus_unreachable"),
+        (BusReport("", DEAD), "bus_silent"),
+        (BusReport("", dead(controller=ControllerState.PASSIVE)), "bit_rate"),
+        (BusReport("", dead(frames_per_s=90.0)), "other_device"),
+        (BusReport("", WELL_HEALTH, STATE, is_commanded=True), "other_commander"),
+        (BusReport("", WELL_HEALTH, STATE), ""),
+    ],
+)
+def test_without_a_gateway_the_bus_is_judged_as_it_was_heard(report: BusReport, said: str) -> None:
+    """The same rows hold; and the gateway is missing."""
+    settings = replace(WELL.settings, zenoh=ZenohSettings())
+    found = [one.check for one in diagnose(listened(report, settings=settings))]
+    assert found == [*([said] if said else []), "gateway_missing"]
+
+
+def test_a_virtual_interface_has_neither_bit_rate_nor_queue() -> None:
+    """A bench's vcan is brought up without a bit rate, and its queue of 1,000 delays nothing."""
+    virtual = interface(is_virtual=True, bitrate=None, queue_frames=1000, restart_ms=None)
+    assert diagnose(virtual) == []
+    assert virtual.interface is not None
+    down = replace(virtual, interface=replace(virtual.interface, is_up=False), zenoh=zenoh(health=None).zenoh)
+    assert diagnose(down)[0].cure == "ip link set can0 up"
+
+
+def test_text_of_others_is_printed_as_text() -> None:
+    """An escape sequence in what somebody sent is shown, not obeyed."""
+    make: Callable[..., Facts] = health
+    assert r"\x1b[2J" in diagnose(make(gateway_version="\x1b[2J"))[0].text

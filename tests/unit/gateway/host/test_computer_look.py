@@ -1,0 +1,127 @@
+"""What is said of the robot's computer."""
+
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from gateway.doctor.facts import ServiceUnit
+from gateway.host.authority_note import AuthorityNote
+from gateway.host.computer_look import (
+    earliest_s,
+    is_synchronised,
+    look_at_credentials,
+    look_at_disk,
+    look_at_units,
+)
+from schemas.settings import AuthoritySettings, GatewaySettings, Settings
+from tests.support.provisioning import ProvisionedFleet
+
+DAY_S = 86_400
+
+
+class FakeSystemd:
+    """Answers for services; the others are not there."""
+
+    def __init__(self, **units: str) -> None:
+        self._units = units
+
+    def __call__(self, words: Sequence[str]) -> str | None:
+        name = words[-1].removeprefix("cruiser-").removesuffix(".service")
+        return self._units.get(name, "LoadState=not-found\nActiveState=inactive\n").replace(" ", "\n")
+
+
+def test_services_that_are_enabled_or_run_are_looked_at() -> None:
+    """One that is installed and not enabled is not missed; memory is that of its process."""
+    here = f"MainPID={os.getpid()}"
+    systemd = FakeSystemd(
+        gateway=f"LoadState=loaded ActiveState=active UnitFileState=enabled Result=success NRestarts=3 {here}",
+        recorder="LoadState=loaded ActiveState=failed UnitFileState=enabled Result=exit-code NRestarts=0",
+        router="LoadState=loaded ActiveState=inactive UnitFileState=disabled Result=success MainPID=0",
+    )
+    gateway, recorder = look_at_units(systemd)
+    assert (gateway.name, gateway.state, gateway.restarts) == ("cruiser-gateway.service", "active", 3)
+    assert gateway.locked_bytes is not None
+    assert recorder == ServiceUnit("cruiser-recorder.service", "failed", "exit-code")
+    assert look_at_units(lambda _: None) == []
+
+
+def a_file_system(flag: int = 0, free: int = 100) -> SimpleNamespace:
+    """As the kernel describes it."""
+    return SimpleNamespace(f_flag=flag, f_bavail=free, f_blocks=1000, f_frsize=4096)
+
+
+def test_a_disk_is_full_read_only_or_not_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Logs count as what they take."""
+    (tmp_path / "a.mcap").write_bytes(bytes(10_000))
+    (tmp_path / "other.txt").write_bytes(bytes(100_000))
+    missing = look_at_disk(tmp_path / "nothing")
+    assert missing.why_not.endswith("nothing: no such file or directory")
+    monkeypatch.setattr(os, "statvfs", lambda _: a_file_system(os.ST_RDONLY, 7))
+    found = look_at_disk(tmp_path)
+    assert found.is_read_only
+    assert (found.free_bytes, found.size_bytes) == (7 * 4096, 1000 * 4096)
+    assert 10_000 <= found.used_bytes < 20_000
+
+
+def test_the_clock_is_asked_of_the_kernel() -> None:
+    """As systemd does; on a machine of 64 bits it says one or the other."""
+    assert is_synchronised() in {True, False}
+
+
+def test_what_the_authority_said_lately_is_past_for_certain(tmp_path: Path) -> None:
+    """Its newest time outlives a restart; in open mode there is none, and only the installation counts."""
+    settings = Settings(
+        gateway=GatewaySettings(state_dir=str(tmp_path)), authority=AuthoritySettings(mode="signed")
+    )
+    installed_s = earliest_s(settings)
+    assert 0 < installed_s <= time.time()
+    path = AuthorityNote.of(settings).path
+    assert path is not None
+    path.write_text('{"floor_s": 4000000000}')
+    assert earliest_s(settings) == 4_000_000_000
+    assert earliest_s(Settings()) == installed_s
+
+
+def test_certificates_and_grants_say_when_they_end_and_what_is_wrong(tmp_path: Path) -> None:
+    """Those of a robot: well, soon over, over, readable for others, missing."""
+    directory = ProvisionedFleet(tmp_path).let_in("robot", "cruiser-1")
+    settings = Settings(authority=AuthoritySettings(mode="signed", directory=str(directory)))
+    files, now_s = [directory / "robot.json5"], time.time()
+
+    def problems(at_s: float) -> list[str]:
+        return [one.problem for one in look_at_credentials(settings, files, at_s)]
+
+    well = look_at_credentials(settings, files, now_s)
+    assert [(one.problem, one.warning) for one in well] == [("", ""), ("", "")]
+    ends = [one.ends_s for one in well]
+    assert ends == [pytest.approx(now_s + 30 * DAY_S, abs=600), pytest.approx(now_s + 90 * DAY_S, abs=600)]
+    soon = look_at_credentials(settings, files, now_s + 85 * DAY_S)[1]
+    assert "ends in 5.0 days; 'cruiser provision renew robot' asks for another" in soon.warning
+    over = problems(now_s + 91 * DAY_S)
+    assert "ended 61.0 days ago; 'cruiser provision renew robot'" in over[0]
+    assert "the grant is over" in over[1]
+    (directory / "robot-tls.key").chmod(0o644)
+    (directory / "robot.grant").unlink()
+    shown, missing = problems(now_s)
+    assert "can be read by others: chmod 600" in shown
+    assert "robot.grant" in missing
+    assert all("\n" not in one for one in (*over, shown, missing))
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
+def test_root_looks_with_the_owners_eyes(tmp_path: Path) -> None:
+    """Keys are their owner's alone, and a check by root refuses another's; afterwards it is root again."""
+    directory = ProvisionedFleet(tmp_path).let_in("robot", "cruiser-1")
+    for path in (tmp_path, *tmp_path.parents):
+        if path.owner() == "root" and str(path).startswith("/tmp/"):  # noqa: S108 - pytest's own
+            path.chmod(path.stat().st_mode | 0o011)
+    for path in (directory, *directory.iterdir()):
+        os.chown(path, 65534, 65534)
+    settings = Settings(authority=AuthoritySettings(mode="signed", directory=str(directory)))
+    found = look_at_credentials(settings, [directory / "robot.json5"], time.time())
+    assert [one.problem for one in found] == ["", ""]
+    assert os.geteuid() == os.getegid() == 0
