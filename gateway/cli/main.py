@@ -33,6 +33,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "record": ("recorder.cli.record", "write MCAP logs"),
     "watch": ("gateway.cli.watch", "a live view of a robot"),
     "list": ("gateway.cli.list_robots", "the robots that are connected, and their health"),
+    "setup": ("gateway.cli.setup", "make a robot of a computer: settings, keys, services"),
     "doctor": ("gateway.cli.doctor", "what is wrong with a robot, and what cures it"),
     "metrics": ("gateway.cli.metrics", "a fleet's health for Prometheus"),
     "drive": ("gateway.cli.drive", "drive a robot with the keys of a terminal, or from a script"),

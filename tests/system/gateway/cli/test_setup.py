@@ -1,0 +1,373 @@
+"""``cruiser setup`` on a machine below a directory, with a virtual chassis, and services that are processes."""
+
+import argparse
+import os
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import patch
+
+import msgspec
+import pytest
+
+from gateway.cli import setup
+from gateway.cli.configuration_file import load_settings
+from gateway.doctor.facts import BusReport
+from gateway.host.machine import Machine
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import ChassisSettings
+from schemas.zenoh_link import split_endpoint
+from tests.support import provisioning
+from tests.support.fakes.peer import free_endpoint
+from tests.support.messages import HEALTH, STATE
+from tests.support.processes.gateway import Running, chassis, gateway, run
+from tests.support.provisioning import ProvisionedFleet
+
+TOML = "/etc/cruiser/cruiser.toml"
+WELL = "standing, feedback complete, guarded, recording, "
+ELSEWHERE = ("realtime: ", "note: ")
+"""Findings that depend on the machine on which the tests run."""
+
+
+class FakeSystemd:
+    """A machine whose services are processes of this test; their places are below a directory.
+
+    Attributes:
+        lines: what was said.
+        programs: what was run.
+        listen: where the gateway is to be reached, if not where it says itself.
+    """
+
+    def __init__(self, root: Path, processes: ExitStack) -> None:
+        self.root = root
+        self.lines: list[str] = []
+        self.programs: list[str] = []
+        self.listen = ""
+        self._processes = processes
+
+    def machine(self, *, has_systemd: bool = True, is_dry: bool = False) -> Machine:
+        return Machine(self.lines.append, root=self.root, program=self, has_systemd=has_systemd, is_dry=is_dry)
+
+    def __call__(self, words: Sequence[str]) -> str:
+        self.programs.append(" ".join(words))
+        if words[:2] == ["systemctl", "restart"]:
+            self._start(words[2])
+        return ""
+
+    def _start(self, unit: str) -> None:
+        """Start a service with the environment that its unit gives it."""
+        file, keys = str(self.root / TOML[1:]), self.root / "etc/cruiser"
+        listen = ["--listen", self.listen] if self.listen else []
+        words, environment = {
+            "cruiser-gateway.service": (["gateway", "--config", file, "--wait-for-bus", *listen], {}),
+            "cruiser-recorder.service": (
+                ["record", "--config", file],
+                _zenoh_of(keys / "recorder/recorder.json5"),
+            ),
+            "cruiser-router.service": (["router"], _zenoh_of(keys / "router/router.json5")),
+        }[unit]
+        with patch.dict(os.environ, environment):
+            running = self._processes.enter_context(Running(*words))
+        running.wait_says(f"^{words[0]}: ")
+
+
+def _zenoh_of(file: Path) -> dict[str, str]:
+    if not file.exists():
+        return {}
+    return {"CRUISER_ZENOH_CONFIG": str(file), "CRUISER_AUTHORITY_DIRECTORY": str(file.parent)}
+
+
+@pytest.fixture
+def processes() -> Iterator[ExitStack]:
+    """What is started in a test; ended in reverse."""
+    with ExitStack() as stack:
+        yield stack
+
+
+@pytest.fixture
+def bus(processes: ExitStack) -> str:
+    """A virtual chassis; where it is."""
+    return processes.enter_context(chassis())[1]
+
+
+@pytest.fixture
+def systemd(processes: ExitStack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeSystemd:
+    """A machine with nothing but the package; the services' own directories are below it."""
+    root = tmp_path / "root"
+    (root / "var/lib/cruiser/logs").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CRUISER_GATEWAY_STATE_DIR", str(root / "var/lib/cruiser/gateway"))
+    monkeypatch.setenv("CRUISER_RECORDER_DIRECTORY", str(root / "var/lib/cruiser/logs"))
+    return FakeSystemd(root, processes)
+
+
+def set_up(machine: Machine, *words: str) -> ExitCode:
+    """Run the command."""
+    parser = argparse.ArgumentParser()
+    setup.add_arguments(parser)
+    return setup.set_up(parser.parse_args(list(words)), machine, lambda: False)
+
+
+def of(bus: str) -> list[str]:
+    """Flags that name the bus."""
+    return ["--defaults", "--interface", "socketcand", "--channel", bus]
+
+
+def is_well(code: ExitCode, text: str) -> bool:
+    """The examination ends well, but for what the machine of the test lacks."""
+    findings = [line for line in text.splitlines() if " -> " in line and not line.startswith(ELSEWHERE)]
+    return not findings and (code is ExitCode.OK) == (WELL in text)
+
+
+def test_a_bare_machine_becomes_a_robot_that_is_recorded(
+    bus: str, systemd: FakeSystemd, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It listens, writes, starts, and examines; a second time it finds all as it should be."""
+    systemd.listen = free_endpoint()
+    monkeypatch.setenv("CRUISER_ZENOH_CONNECT", systemd.listen)
+    code = set_up(systemd.machine(), *of(bus), "--name", "depot-3")
+    said = capsys.readouterr().out
+    assert is_well(code, said), said
+    assert "the chassis is there, variant coarse; nobody commands it\n" in said
+    settings = load_settings(str(systemd.root / TOML[1:]), {}, {})
+    assert (settings.robot.name, settings.can.channel) == ("depot-3", bus)
+    assert "systemctl restart cruiser-gateway.service" in systemd.programs
+    systemd.lines.clear()
+    # What runs already is no gateway of systemd's here.
+    with pytest.raises(CommandError, match="more than one gateway commands the bus") as caught:
+        set_up(systemd.machine(), *of(bus))
+    assert caught.value.code is ExitCode.REFUSED
+    assert systemd.lines == []
+
+
+def test_a_robot_with_bundles_is_set_up_in_signed_mode(
+    bus: str,
+    systemd: FakeSystemd,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Those that lie here are found, and each installed where its service has its keys."""
+    _, _, port = split_endpoint(free_endpoint())
+    fleet = ProvisionedFleet(tmp_path / "fleet", f"tls/127.0.0.1:{port}")
+    keys = systemd.root / "etc/cruiser"
+    for role, name, service in (
+        ("router", "127.0.0.1", "router"),
+        ("robot", "depot-3", "gateway"),
+        ("recorder", "depot-3-log", "recorder"),
+    ):
+        request = tmp_path / f"{role}-{name}.request"
+        provisioning.run(role, name, "--directory", keys / service, "-o", request)
+        fleet.sign(request)
+    monkeypatch.setenv("CRUISER_ZENOH_CONFIG", str(keys / "gateway/robot.json5"))
+    monkeypatch.setenv("CRUISER_AUTHORITY_DIRECTORY", str(keys / "gateway"))
+    code = set_up(systemd.machine(), *of(bus))
+    said = capsys.readouterr().out
+    assert is_well(code, said), said
+    if code is ExitCode.OK:
+        assert "authority valid until 20" in said
+    text = (systemd.root / TOML[1:]).read_text()
+    assert 'mode = "signed"' in text
+    assert 'name = "depot-3"' in text
+    assert [one for one in systemd.programs if "restart" in one] == [
+        f"systemctl restart cruiser-{name}.service" for name in ("router", "gateway", "recorder")
+    ]
+
+
+def test_nothing_is_written_where_the_bus_is_not_that_of_a_chassis(bus: str, systemd: FakeSystemd) -> None:
+    """One line says what is wrong, with its cure: a silent bus, another device, another bit rate, no bus."""
+    cases = [
+        (["silence", "all"], of(bus), "nothing is received on the bus"),
+        (["foreign", "siblings"], of(bus), "none is of this chassis: identifiers 200, 201, 202"),
+        (["foreign", "004", "error"], of(bus), "another bit rate"),
+        ([], of("127.0.0.1:1"), "the bus cannot be opened"),
+        ([], ["--defaults", "--channel", "can9"], "the interface is not there: can9"),
+    ]
+    for fault, words, says in cases:
+        if fault:
+            assert run(["fault", "--sim", bus, *fault]).returncode == 0
+        with pytest.raises(CommandError, match=says) as caught:
+            set_up(systemd.machine(), *words)
+        assert "\n" not in str(caught.value)
+        assert " -> " in str(caught.value)
+    assert not (systemd.root / "etc").exists()
+    assert systemd.programs == []
+
+
+def test_without_systemd_it_says_what_is_left_to_do(
+    systemd: FakeSystemd, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On a bench without a bus, too. The settings are written."""
+    assert set_up(systemd.machine(has_systemd=False), "--defaults", "--without-bus") is ExitCode.OK
+    said = capsys.readouterr().out
+    assert "    cruiser gateway --config /etc/cruiser/cruiser.toml --wait-for-bus\n" in said
+    assert (systemd.root / TOML[1:]).exists()
+    assert systemd.programs == []
+
+
+def test_another_gateway_on_the_bus_keeps_it_from_being_set_up(bus: str, systemd: FakeSystemd) -> None:
+    """One of this machine that commands nothing yet; nobody learns that later on the road."""
+    with gateway(bus, free_endpoint()), pytest.raises(CommandError, match="more than one gateway"):
+        set_up(systemd.machine(), *of(bus))
+
+
+def test_a_bundle_whose_certificate_is_over_is_refused(
+    bus: str, systemd: FakeSystemd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before anything is written; and one that is no bundle, or is not there."""
+    fleet = ProvisionedFleet(tmp_path / "fleet")
+    bundle = fleet.sign(fleet.request("robot", "depot-3"))
+    now_s = time.time()
+    monkeypatch.setattr(time, "time", lambda: now_s + 40 * 86_400)
+    with pytest.raises(CommandError, match=r"certificate ended 10\.0 days ago -> 'cruiser provision renew robot'"):
+        set_up(systemd.machine(), *of(bus), "--bundle", str(bundle))
+    monkeypatch.undo()
+    for name, says in ((str(tmp_path / "nothing"), "is not there"), (__file__, "test_setup.py: ")):
+        with pytest.raises(CommandError, match=says):
+            set_up(systemd.machine(), *of(bus), "--bundle", name)
+    assert not (systemd.root / "etc/cruiser/cruiser.toml").exists()
+
+
+def test_without_a_terminal_it_wants_defaults(systemd: FakeSystemd) -> None:
+    """It never waits for an answer that cannot come."""
+    with pytest.raises(CommandError, match="--defaults asks nothing"):
+        set_up(systemd.machine(is_dry=True))
+
+
+class FakeLink:
+    """An interface of the kernel's below a directory, which ``ip`` brings up and down."""
+
+    def __init__(self, systemd: FakeSystemd) -> None:
+        self.systemd = systemd
+        self._flags = systemd.root / "sys/class/net/can0/flags"
+        self._flags.parent.mkdir(parents=True)
+        for name, text in (("type", "280"), ("tx_queue_len", "10")):
+            (self._flags.parent / name).write_text(text)
+        self._flags.write_text("0x40080")
+
+    def machine(self, *, has_systemd: bool = False, is_dry: bool = False) -> Machine:
+        return Machine(
+            self.systemd.lines.append, root=self.systemd.root, program=self, has_systemd=has_systemd, is_dry=is_dry
+        )
+
+    def __call__(self, words: Sequence[str]) -> str:
+        self.systemd.programs.append(" ".join(words))
+        if words[:4] == ["ip", "link", "set", "can0"] and words[-1] in {"up", "down"}:
+            self._flags.write_text("0x40081" if words[-1] == "up" else "0x40080")
+        return ""
+
+
+replace = msgspec.structs.replace
+
+FEEDBACK = [replace(HEALTH.feedback[0], name=name) for name in ChassisSettings().required_feedback]
+WELL_HEALTH = replace(HEALTH, feedback=FEEDBACK)
+DEAD = replace(HEALTH, feedback=[], frames_per_s=0.0)
+CHASSIS = BusReport("", WELL_HEALTH, replace(STATE, speed_mps=0.0))
+UP = ["ip link set can0 type can bitrate 500000 restart-ms 100", "ip link set can0 txqueuelen 10 up"]
+
+
+def test_an_interface_that_is_down_is_brought_up_to_listen_before_anything_is_written(
+    systemd: FakeSystemd, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The only CAN interface is taken, whatever it is called; then come networkd and the services."""
+    link = FakeLink(systemd)
+    written_before: list[bool] = []
+
+    def heard(*_: object) -> BusReport:
+        written_before.append((systemd.root / "etc").exists())
+        return CHASSIS
+
+    monkeypatch.setattr(setup, "listen", heard)
+    monkeypatch.setattr(setup, "READY_S", 0.0)
+    set_up(link.machine(has_systemd=True), "--defaults")
+    assert written_before == [False]
+    assert systemd.programs[:2] == UP
+    assert systemd.programs[2:6] == [
+        "systemctl daemon-reload",
+        "systemctl enable --now systemd-networkd.service",
+        "networkctl reload",
+        "networkctl reconfigure can0",
+    ]
+    network = systemd.root / "etc/systemd/network/80-cruiser-can0.network"
+    assert "BitRate=500000" in network.read_text()
+
+
+@pytest.mark.parametrize(
+    ("report", "says", "code"),
+    [
+        (BusReport("", replace(DEAD, faults={"error_frame": 3})), "another bit rate", ExitCode.FAILURE),
+        (replace(CHASSIS, is_commanded=True), "another computer commands the chassis", ExitCode.REFUSED),
+        (replace(CHASSIS, state=replace(STATE, speed_mps=-0.4)), "moves at -0.40 m/s", ExitCode.REFUSED),
+        (BusReport("socketcan can0: Device busy"), "cannot be opened", ExitCode.UNREACHABLE),
+    ],
+)
+def test_an_interface_is_left_as_it_was_found_where_setup_refuses(
+    systemd: FakeSystemd, monkeypatch: pytest.MonkeyPatch, report: BusReport, says: str, code: ExitCode
+) -> None:
+    """It was down: it is taken down again, and no file was written."""
+    link = FakeLink(systemd)
+    monkeypatch.setattr(setup, "listen", lambda *_: report)
+    with pytest.raises(CommandError, match=says) as caught:
+        set_up(link.machine(), "--defaults")
+    assert caught.value.code is code
+    assert systemd.programs == [*UP, "ip link set can0 down"]
+    assert not (systemd.root / "etc").exists()
+
+
+def test_another_bit_rate_is_tried_only_where_nobody_commands_and_given_back(
+    systemd: FakeSystemd, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The interface is up at 250 kbit/s, and 500 is asked for."""
+    link = FakeLink(systemd)
+    link(["ip", "link", "set", "can0", "up"])
+    about = '[{"linkinfo": {"info_kind": "can", "info_data": {"bittiming": {"bitrate": 250000}}}}]'
+    monkeypatch.setattr(setup, "run_program", lambda _: about)
+    words = ["--defaults", "--bitrate", "500000"]
+    monkeypatch.setattr(setup, "listen", lambda *_: replace(CHASSIS, is_commanded=True))
+    systemd.programs.clear()
+    with pytest.raises(CommandError, match="commands the chassis"):
+        set_up(link.machine(), *words)
+    assert systemd.programs == []
+    monkeypatch.setattr(setup, "listen", lambda *_: replace(CHASSIS, health=DEAD))
+    with pytest.raises(CommandError):
+        set_up(link.machine(), *words)
+    was = [UP[0].replace("500000", "250000"), UP[1]]
+    assert systemd.programs == ["ip link set can0 down", *UP, "ip link set can0 down", *was]
+
+
+def test_a_dry_run_touches_nothing(systemd: FakeSystemd, capsys: pytest.CaptureFixture[str]) -> None:
+    """Not even the interface."""
+    link = FakeLink(systemd)
+    assert set_up(link.machine(has_systemd=True, is_dry=True), "--defaults") is ExitCode.OK
+    assert systemd.programs == []
+    assert not (systemd.root / "etc").exists()
+    assert f"would run: {UP[0]}" in systemd.lines
+    assert "would listen to the bus\n" in capsys.readouterr().out
+
+
+def test_a_person_is_asked_what_no_flag_says(systemd: FakeSystemd, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Return takes what was found; an answer that cannot be is asked again."""
+    asked: list[str] = []
+    answers = iter(["Depot 3", "depot-3", "", "fast", "250000", ""])
+
+    def answer(prompt: str) -> str:
+        asked.append(prompt)
+        return next(answers)
+
+    monkeypatch.setattr("builtins.input", answer)
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
+    link = FakeLink(systemd)
+    monkeypatch.setattr(setup, "listen", lambda *_: CHASSIS)
+    set_up(link.machine())
+    assert asked == [
+        "the robot's name [cruiser-1]: ",
+        "the robot's name [cruiser-1]: ",
+        "the CAN interface [can0]: ",
+        "its bit rate [500000]: ",
+        "its bit rate [500000]: ",
+        "routers, with commas (empty: none, this machine alone) []: ",
+    ]
+    found = load_settings(str(systemd.root / TOML[1:]), {}, {})
+    assert (found.robot.name, found.can.bitrate) == ("depot-3", 250_000)
