@@ -138,7 +138,7 @@ def report(facts: Facts, found: list[Diagnosis], *, as_json: bool) -> ExitCode:
 
 def ask(settings: Settings, timeout_s: float, stopped: Callable[[], bool]) -> ZenohReport:
     """Ask the gateway and the recorders, as far as anything here may."""
-    zenoh = _asking(settings)
+    zenoh = settings_to_ask(settings)
     settings = msgspec.structs.replace(settings, zenoh=zenoh)
     is_blind = Path(zenoh.config).name == ROBOT_FILE
     where = "the place of the Zenoh file"
@@ -204,7 +204,7 @@ def _runs(replies: Iterable[Received]) -> set[int]:
     return {info.started_ns for info in found if isinstance(info, GatewayInfo)}
 
 
-def _asking(settings: Settings) -> ZenohSettings:
+def settings_to_ask(settings: Settings) -> ZenohSettings:
     """The settings to ask with: a robot's own certificate sees nothing, and a gateway may listen elsewhere."""
     zenoh = settings.zenoh
     own = Path(zenoh.config)

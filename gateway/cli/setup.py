@@ -85,6 +85,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         CommandError: something is wrong: nothing was written yet, or the text says what could not be.
     """
     del settings  # Those of the file that is to be written count, not those of who asks.
+    if arguments.config is not None:
+        raise CommandError("--config names no file to write: --output does", ExitCode.USAGE)
     return int(set_up(arguments, Machine(_say, is_dry=arguments.dry_run), stopped))
 
 

@@ -29,6 +29,9 @@ LOST_MAX_SHARE: Final = 0.001
 
 ERROR_FRAME: Final = "error_frame"
 
+DAMAGE: Final = frozenset({"checksum", "implausible", "alive_counter"})
+"""Failures of a frame that say that it comes, and is wrong."""
+
 CHASSIS_REASONS: Final = frozenset(
     {
         Reason.BUS_DOWN,
@@ -244,7 +247,9 @@ def _bus_silent(facts: Facts) -> Iterable[Detail]:
 
 def _other_device(facts: Facts) -> Iterable[Detail]:
     health = _open_bus(facts)
-    if health is None or _is_heard(health) or _has_errors(facts, health) or not health.frames_per_s:
+    if health is None or _is_heard(health) or _has_errors(facts, health) or _damaged(health):
+        return
+    if not health.frames_per_s:
         return
     strangers = ", ".join(sorted(health.unknown_identifiers)[:5])
     yield Detail(f"identifiers {strangers}" if strangers else f"{health.frames_per_s:g} frames/s")
@@ -263,9 +268,14 @@ def _feedback_missing(facts: Facts) -> Iterable[Detail]:
 
 def _feedback_faulty(facts: Facts) -> Iterable[Detail]:
     health = _open_bus(facts)
-    failed = [row for row in (health.feedback if health is not None else []) if row.failures and not row.silent]
-    if failed:
-        yield Detail(", ".join(f"{row.name}: {row.checksum_faults} wrong checksums" for row in failed))
+    if health is not None and (damaged := _damaged(health)):
+        yield Detail(", ".join(f"{name} ({', '.join(why)})" for name, why in damaged.items()))
+
+
+def _damaged(health: GatewayHealth) -> dict[str, list[str]]:
+    """Frames that come, and are wrong. One that only comes late may wait on this computer."""
+    found = {row.name: [why for why in row.failures if why in DAMAGE] for row in health.feedback}
+    return {name: why for name, why in found.items() if why}
 
 
 def _variant_unknown(facts: Facts) -> Iterable[Detail]:

@@ -23,7 +23,12 @@ from schemas.printable import plain
 from schemas.reasons import TEXTS
 from schemas.settings import Settings, ZenohSettings
 
-UNITS: Final = ("cruiser-gateway.service", "cruiser-recorder.service", "cruiser-router.service")
+UNITS: Final = (
+    "cruiser-gateway.service",
+    "cruiser-recorder.service",
+    "cruiser-router.service",
+    "cruiser-metrics.service",
+)
 
 PROGRAM_TIMEOUT_S: Final = 30.0
 

@@ -129,8 +129,8 @@ CASES: dict[str, tuple[Facts, str]] = {
     ),
     "feedback_missing": (health(feedback=FEEDBACK[1:]), "are missing: Auto_GearFeedBack"),
     "feedback_faulty": (
-        health(feedback=[replace(FEEDBACK[0], failures=["checksum"], checksum_faults=7), *FEEDBACK[1:]]),
-        "Auto_GearFeedBack: 7 wrong checksums",
+        health(feedback=[replace(FEEDBACK[0], failures=["checksum", "period"]), *FEEDBACK[1:]]),
+        "damaged: Auto_GearFeedBack (checksum) ->",
     ),
     "variant_unknown": (health(variant=Variant.UNKNOWN), "firmware variant"),
     "other_commander": (safety(blocked_by=[Reason.OTHER_COMMANDER]), "another computer commands the chassis"),
@@ -236,6 +236,18 @@ def test_every_check_has_a_case() -> None:
         (BusReport("", DEAD), "bus_silent"),
         (BusReport("", dead(controller=ControllerState.PASSIVE)), "bit_rate"),
         (BusReport("", dead(frames_per_s=90.0)), "other_device"),
+        (
+            BusReport(
+                "", dead(frames_per_s=90.0, feedback=[replace(SILENT[0], failures=["checksum", "silence"])])
+            ),
+            "feedback_faulty",
+        ),
+        (
+            BusReport(
+                "", replace(WELL_HEALTH, feedback=[replace(FEEDBACK[0], failures=["period"]), *FEEDBACK[1:]])
+            ),
+            "",
+        ),
         (BusReport("", WELL_HEALTH, STATE, is_commanded=True), "other_commander"),
         (BusReport("", WELL_HEALTH, STATE), ""),
     ],
