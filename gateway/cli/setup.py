@@ -110,11 +110,12 @@ def set_up(arguments: argparse.Namespace, machine: Machine, stopped: Callable[[]
         return ExitCode.OK
     for name, text in installation.system_files(answers).items():
         machine.write(name, text)
-    try:
-        machine.run(installation.start_services(answers))
-    except CommandError as error:
-        # What keeps a service from starting is what is found below.
-        _say(str(error))
+    for program in installation.start_services(answers):
+        try:
+            machine.run([program])
+        except CommandError as error:
+            # What keeps a service from starting is what is found below.
+            _say(str(error))
     if machine.is_dry:
         return ExitCode.OK
     settings = load_settings(str(file), os.environ, {})

@@ -254,6 +254,8 @@ class FakeLink:
 
     def __call__(self, words: Sequence[str]) -> str:
         self.systemd.programs.append(" ".join(words))
+        if words[0] == "networkctl":
+            return "systemd-networkd is not running"
         if words[:4] == ["ip", "link", "set", "can0"] and words[-1] in {"up", "down"}:
             self._flags.write_text("0x40081" if words[-1] == "up" else "0x40080")
         return ""
@@ -269,9 +271,9 @@ UP = ["ip link set can0 type can bitrate 500000 restart-ms 100", "ip link set ca
 
 
 def test_an_interface_that_is_down_is_brought_up_to_listen_before_anything_is_written(
-    systemd: FakeSystemd, monkeypatch: pytest.MonkeyPatch
+    systemd: FakeSystemd, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The only CAN interface is taken, whatever it is called; then come networkd and the services."""
+    """Then come networkd, which fails here and is said to, and the services all the same."""
     link = FakeLink(systemd)
     written_before: list[bool] = []
 
@@ -290,6 +292,8 @@ def test_an_interface_that_is_down_is_brought_up_to_listen_before_anything_is_wr
         "networkctl reload",
         "networkctl reconfigure can0",
     ]
+    assert "systemctl restart cruiser-gateway.service" in systemd.programs
+    assert "'networkctl reload' failed: systemd-networkd is not running" in capsys.readouterr().out
     network = systemd.root / "etc/systemd/network/80-cruiser-can0.network"
     assert "BitRate=500000" in network.read_text()
 
