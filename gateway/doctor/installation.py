@@ -10,6 +10,7 @@ import msgspec
 from schemas.toml_text import write_key, write_value
 
 CONFIGURATION: Final = "/etc/cruiser/cruiser.toml"
+METRICS: Final = "/etc/cruiser/metrics.toml"
 KEYS: Final = "/etc/cruiser"
 STATE: Final = "/var/lib/cruiser/gateway"
 LOGS: Final = "/var/lib/cruiser/logs"
@@ -148,8 +149,12 @@ def configuration(answers: Answers, before: Mapping[str, Mapping[str, object]]) 
 
 
 def system_files(answers: Answers) -> dict[str, str]:
-    """Files of systemd's, by their paths: the bus, and which Zenoh file each service reads."""
+    """Files besides the settings, by their paths: the bus, and which Zenoh file each service reads."""
     files = {f"{UNITS}/cruiser-gateway.service.d/bus.conf": _bus(answers)}
+    if "metrics" in answers.keys:
+        files[METRICS] = (
+            f"# Settings of cruiser-metrics.\n[zenoh]\nconfig = {write_value(_zenoh_file('metrics'))}\n"
+        )
     if answers.is_signed and "recorder" in answers.keys:
         files[f"{UNITS}/cruiser-recorder.service.d/zenoh.conf"] = (
             "# The settings file names the gateway's.\n"
@@ -227,7 +232,7 @@ def by_hand(answers: Answers) -> list[str]:
         "router": f"cruiser router --directory {KEYS}/router",
         "gateway": f"cruiser gateway --config {CONFIGURATION} --wait-for-bus",
         "recorder": f"cruiser record --config {CONFIGURATION}",
-        "metrics": f"cruiser metrics --config {KEYS}/metrics/viewer.toml",
+        "metrics": f"cruiser metrics --config {METRICS}",
     }
     for name in answers.services:
         before = ""

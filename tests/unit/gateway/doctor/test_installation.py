@@ -1,14 +1,19 @@
 """What ``cruiser setup`` writes and runs."""
 
+import re
 import tomllib
+from configparser import ConfigParser
+from pathlib import Path
 
 import msgspec
 import pytest
 
+from gateway.authority.enrolment import EnrolmentRole
 from gateway.doctor.checks import CHECKS
 from gateway.doctor.installation import (
     PENDING,
     REFUSALS,
+    SERVICES,
     Answers,
     bring_up,
     by_hand,
@@ -19,6 +24,9 @@ from gateway.doctor.installation import (
 )
 from schemas.configuration import TomlSource, merge
 from schemas.settings import Settings
+
+DEPLOY = Path(__file__).parents[4] / "deploy"
+"""Files that the package brings; those below ``etc`` stand as they do on a robot."""
 
 ROBOT = Answers("depot-3", "", "socketcan", "can1", 250_000, free_bytes=100_000_000_000)
 SIGNED = msgspec.structs.replace(ROBOT, root="fleet", keys=frozenset({"gateway", "recorder", "router"}))
@@ -75,6 +83,32 @@ def test_the_bit_rate_is_the_kernels_through_networkd() -> None:
         assert not any("/network/" in name for name in system_files(answers))
         assert not any("network" in word for program in start_services(answers) for word in program)
     assert bring_up(VIRTUAL) == [["ip", "link", "set", "can1", "up"]]
+
+
+def parts(text: str) -> dict[str, dict[str, str]]:
+    """A file of systemd's, without its comments; bit rates as numbers."""
+    file = ConfigParser(delimiters=["="], interpolation=None)
+    file.read_string(re.sub(r"(BitRate=\d+)K", r"\g<1>000", text))
+    return {name: dict(file[name]) for name in file.sections()}
+
+
+def test_what_is_written_for_can0_is_what_the_package_brings() -> None:
+    """So that a computer without the package gets the same; it runs the services that the package has."""
+    usual = Answers("cruiser-1", "", "socketcan", "can0", 500_000, keys=frozenset(SERVICES))
+    written = {name: text for name, text in system_files(usual).items() if "can0" in name or "bus.conf" in name}
+    assert len(written) == 3
+    for name, text in written.items():
+        assert parts(text) == parts((DEPLOY / name[1:]).read_text("utf-8")), name
+    for name, role in SERVICES.items():
+        assert (DEPLOY / f"cruiser-{name}.service").exists()
+        assert EnrolmentRole(role)
+
+
+def test_an_exporter_with_a_certificate_reads_its_zenoh_file() -> None:
+    """The endpoint of the package's own file would hold against it."""
+    answers = msgspec.structs.replace(SIGNED, keys=frozenset({"metrics"}))
+    found = settings(system_files(answers)["/etc/cruiser/metrics.toml"])
+    assert (found.zenoh.config, found.zenoh.connect) == ("/etc/cruiser/metrics/viewer.json5", [])
 
 
 def test_the_gateway_comes_and_goes_with_its_interface() -> None:
