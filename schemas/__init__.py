@@ -1,4 +1,4 @@
-"""What is said, under which key, in which bytes. Pure: no I/O, no clocks, no other package of ours.
+"""Messages, requests, keys and encodings of the wire. Pure: no I/O, no clocks, no other package of ours.
 
 - ``messages``  the typed messages, with units in their names; ``decisions`` those of the arbiter, and its replies
 - ``requests``  what may be asked of a robot, untrusted; ``reasons`` why it is refused, or the robot stopped

@@ -1,4 +1,4 @@
-"""What the command lines of several commands share."""
+"""Command-line options that several commands share."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from schemas.keys import OPERATOR_PATTERN, ROBOT_PATTERN
 
 
 def add_zenoh_arguments(parser: argparse.ArgumentParser) -> None:
-    """Where the robots are."""
+    """Add the options that name the robots' network: the Zenoh options and ``--root``."""
     add_link_arguments(parser)
     parser.add_argument("--root", dest="robot.root", metavar="ROOT", help="first chunks of every key")
 
 
 def add_link_arguments(parser: argparse._ActionsContainer) -> None:
-    """Which Zenoh to join; a parser, or a group of one, takes them."""
+    """Add the options that select the Zenoh network to a parser, or to a group of one."""
     parser.add_argument(
         "--connect",
         dest="zenoh.connect",

@@ -12,7 +12,7 @@ COMMAND_RULES: Final = 4
 """The rules of this version. To be raised, with a row below, by every change that decides something otherwise."""
 
 _UNNUMBERED: Final = 0
-"""What journals hold that were made under the rules 1, before these had a number."""
+"""The number in journals that were made under rules 1, before the rules had numbers."""
 
 CHANGES: Final[dict[int, str]] = {
     2: "a stop ramps down in gear, applies the parking brake and stays in gear while it holds; "
@@ -39,11 +39,11 @@ CHANGES: Final[dict[int, str]] = {
     "five wrong checksums in a second stop the robot, three before; "
     "wheel pulses are counted per period, so that a lost frame makes no slowing robot look steady",
 }
-"""What each version of the rules changed."""
+"""The changes that each version of the rules brought."""
 
 
 def rules_notice(rules: int) -> str:
-    """What to expect of a journal that was made under these rules; empty if they are those of this version."""
+    """Return a warning for a journal that was made under other rules; empty if the rules are those of today."""
     if rules == COMMAND_RULES:
         return ""
     made = max(rules, _UNNUMBERED + 1)

@@ -243,7 +243,7 @@ def _checked(given: Given) -> object:
 
 
 def _bad_text(value: object) -> str:
-    """What makes a text unfit for a file name and for UTF-8, wherever it stands in the value."""
+    """Return why a value, or a text nested in it, is unfit for a file name and for UTF-8; empty if it is fit."""
     match value:
         case str():
             if "\0" in value:

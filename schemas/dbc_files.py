@@ -25,7 +25,7 @@ _SIGNAL_COMMENT: Final = re.compile(r'^CM_ SG_ (\d+) (\w+) "(.*)";$', re.MULTILI
 
 
 class DbcFrame(msgspec.Struct, frozen=True):
-    """What a DBC says of a frame.
+    """A frame as its DBC describes it.
 
     Attributes:
         can_id: identifier with the EXTENDED flag, which a DBC has where linux/can.h has it.

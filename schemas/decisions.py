@@ -1,4 +1,4 @@
-"""What the arbiter says: replies, decisions, its state, events, and the journal of all that it was given."""
+"""Messages of the arbiter: replies, decisions, its state, events, and the journal of all of its input."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class StatementReply(Reply, frozen=True):
 
 
 class Verdict(Enum):
-    """What became of a request."""
+    """The result of a request."""
 
     ACCEPTED = "accepted"
     REFUSED = "refused"
@@ -93,7 +93,7 @@ class Bound(Enum):
 
 
 class ArbiterState(Enum):
-    """Where the arbiter is. ``standby``: it sends nothing, and another computer may own the bus."""
+    """The state of the arbiter. ``standby``: it sends nothing, and another computer may own the bus."""
 
     STANDBY = "standby"
     ENGAGING = "engaging"
@@ -106,9 +106,9 @@ COMMANDING: Final = frozenset({ArbiterState.ENGAGING, ArbiterState.ENGAGED})
 
 
 class StopPhase(Enum):
-    """How far a stop has come: ramp, brake, park, hold, disable. ``idle``: no stop is under way.
+    """The phase of a stop: ramp, brake, park, hold, disable. ``idle``: no stop is under way.
 
-    ``neutral`` stands in logs of before alone. A new one goes to the end: a log holds a phase by its place.
+    ``neutral`` occurs in older logs only. Append new phases at the end: a log stores a phase by its place.
     """
 
     IDLE = "idle"
@@ -121,7 +121,7 @@ class StopPhase(Enum):
 
 
 class Severity(Enum):
-    """How much an event matters to a person."""
+    """The importance of an event to a person."""
 
     INFO = "info"
     WARNING = "warning"
@@ -138,7 +138,7 @@ def is_same_run(tick: int, other: int) -> bool:
 
 
 class EventKind(Enum):
-    """What happened. ``gateway``: it ends, as it was told to; one that says no such thing has died."""
+    """The kind of an event. ``gateway``: it shuts down as requested; without this event it crashed."""
 
     LEASE = "lease"
     ENGAGED = "engaged"
@@ -229,7 +229,7 @@ class SafetyState(Message, frozen=True):
 
 
 class Decision(Message, frozen=True):
-    """What the arbiter made of one request.
+    """The arbiter's decision on one request.
 
     Attributes:
         tick: the arbiter's tick in which it was judged.
@@ -264,7 +264,7 @@ class Decision(Message, frozen=True):
 
 
 class SafetyEvent(Message, frozen=True):
-    """What a person should know.
+    """An event that a person should know about.
 
     Attributes:
         text: what happened, in a sentence.

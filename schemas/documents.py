@@ -54,7 +54,7 @@ _UNBOUNDED: Final = 2**53 - 1
 """From here on an upper bound is only what a number can hold, and says nothing."""
 
 _DETAILS: Final = re.compile(r" (from )?[\d.-]+$| (from )?[\d.-]+(?= or)| or null")
-"""What a type's words hold besides the type."""
+"""The parts of a type's description besides the type: bounds and null."""
 
 FIELDS_LISTED: Final = 7
 """A message with more fields than this has them in its own section of docs/messages.md alone."""
@@ -187,7 +187,7 @@ def _schemas(command: Verb[Any]) -> tuple[str, str]:
 
 
 def _encodings(first: Verb[Any]) -> str:
-    """Where the Zenoh encodings of requests and replies stand."""
+    """Return the sentence that gives the Zenoh encodings of requests and replies."""
     return (
         f"The Zenoh encoding of a request is made of its schema, `{first.encoding}`, and so is that of a reply, "
         f"`{first.reply_encoding}`."
@@ -271,9 +271,9 @@ def _common_properties() -> dict[str, Any]:
 
 
 def _signal_comments() -> dict[str, dict[str, str]]:
-    """What the DBC says of each field: frame name, then field, then comment.
+    """Return the DBC's comment on each field: frame name, then field, then comment.
 
-    A sentence that only one variant's file has is about that variant's scale, not about the field.
+    A sentence that only one variant's file has describes that variant's scale, not the field, and is left out.
     """
     coarse, fine = (
         {key: _sentences(comment) for key, comment in signal_comments(dbc_text(variant)).items()}
@@ -313,7 +313,7 @@ def field_table(properties: dict[str, Any], comments: dict[str, str]) -> str:
 
 
 def _left_out(part: dict[str, Any]) -> str:
-    """What a field is when it is left out, if it may be."""
+    """Return the words for a field's default, or for a field that may be left out; empty if it is required."""
     if "default" not in part:
         return ""
     return "; may be left out" if part["default"] is None else f"; `{_written(part['default'])}` if left out"

@@ -1,4 +1,4 @@
-"""How a command ends: its exit code, and the one line that says why."""
+"""Exit codes of commands, and the error that carries one with a line that gives the cause."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class Kind(IntEnum):
-    """Which method of the core an input was given to."""
+    """The kind of an input of the core: the method that received it."""
 
     FRAME = 0
     """[can_id, data, wall_ns, fd_flags, remote_length]"""

@@ -120,7 +120,7 @@ def _definition(part: Mapping[str, Any], kind: type | None) -> Schema:
 
 
 def _with_every_field(root: Schema) -> Schema:
-    """What the gateway sends has every field, whatever its class would make up for one that is left out."""
+    """Make every field required, without its default: the gateway sends all of them."""
     properties = {
         name: {key: value for key, value in part.items() if key != "default"}
         for name, part in root["properties"].items()

@@ -31,11 +31,11 @@ KEY_MAX_LENGTH: Final = 1000
 """A key that is longer is none of ours. Zenoh allows 64 KiB, which take 35 ms to look through."""
 
 KEYS_KEPT: Final = 4096
-"""What so many keys say is remembered: to find it out takes 20 us, the most of what reading a sample takes."""
+"""Number of parsed keys kept in a cache. Parsing one takes 20 us, most of the time it takes to read a sample."""
 
 
 class KeyParts(msgspec.Struct, frozen=True):
-    """What a key says.
+    """The parts of a key.
 
     Attributes:
         robot: empty where the key is a recorder's.
@@ -85,7 +85,7 @@ _RECORDER: Final = re.compile(
 
 
 def parse(key: str) -> KeyParts | None:
-    """What the key says, or None if it is no key of ours."""
+    """Return the parts of a key, or None if it is no key of ours."""
     return _parse(key) if len(key) <= KEY_MAX_LENGTH else None
 
 

@@ -95,7 +95,7 @@ class ParkingStatus(Enum):
 
 
 class Mode(Enum):
-    """Who commands the chassis. ``undefined``: no value yet, or one that the manual does not define."""
+    """The commander of the chassis. ``undefined``: no value yet, or one that the manual does not define."""
 
     UNDEFINED = "undefined"
     AUTO = "auto"
@@ -122,7 +122,7 @@ class ControllerState(Enum):
 
 
 class Message(msgspec.Struct, frozen=True, gc=False):
-    """What every message begins with.
+    """The fields that every message begins with.
 
     Attributes:
         time_ns: when the fact became known to its sender: for a CAN frame, when the bus delivered it.
@@ -303,7 +303,7 @@ class FrameHealth(msgspec.Struct, frozen=True):
 
 
 class GatewayHealth(Message, frozen=True):
-    """How the gateway is, each second.
+    """The health of the gateway, published each second.
 
     Attributes:
         uptime_s: since the gateway started.
@@ -364,7 +364,7 @@ class GatewayHealth(Message, frozen=True):
 
 
 class GatewayInfo(Message, frozen=True):
-    """What the gateway is: the reply to a query on ``gateway/info``.
+    """The gateway's identity and configuration: the reply to a query on ``gateway/info``.
 
     Attributes:
         robot: its chunk of the key.

@@ -1,4 +1,4 @@
-"""What a recorder says of itself, and what it can be asked.
+"""Messages of a recorder about itself, and the requests that it accepts.
 
 A recorder is no robot: its keys begin ``{root}/@recorder/{recorder}``, a verbatim chunk, so that no wildcard of a
 client of robots reaches it by accident. Its verbs stand below ``@cmd/{operator}`` like a robot's.
@@ -20,7 +20,7 @@ Bytes = Annotated[int, Meta(ge=0, le=2**63 - 1, extra_json_schema=unit_keyword("
 
 
 class RecorderState(Enum):
-    """What a recorder does. ``stopped``: it was told to stop. ``full``: the disk may hold no more."""
+    """The state of a recorder. ``stopped``: by a request. ``full``: it may use no more of the disk."""
 
     RECORDING = "recording"
     STOPPED = "stopped"
@@ -28,7 +28,7 @@ class RecorderState(Enum):
 
 
 class GapReason(Enum):
-    """Why messages are not in a log although they reached the recorder."""
+    """Reasons why messages that reached the recorder are not in a log."""
 
     QUEUE = "queue"
     DISK = "disk"
@@ -37,7 +37,7 @@ class GapReason(Enum):
 
 
 class RecorderEventKind(Enum):
-    """What happened to a recording. ``gateway``: that of a robot is gone, and has not said that it ends."""
+    """The kind of a recorder's event. ``gateway``: a robot's gateway vanished without announcing its end."""
 
     STARTED = "started"
     STOPPED = "stopped"
@@ -51,7 +51,7 @@ class RecorderEventKind(Enum):
 
 
 class RecorderHealth(Message, frozen=True):
-    """How a recorder is, each second.
+    """The health of a recorder, published each second.
 
     Attributes:
         recorder: its chunk of the key.
@@ -101,7 +101,7 @@ class RecorderHealth(Message, frozen=True):
 
 
 class RecorderEvent(Message, frozen=True):
-    """What a person should know of a recording.
+    """An event of a recording that a person should know about.
 
     Attributes:
         robot: which one, or whose log, it is about; empty if it is about all.

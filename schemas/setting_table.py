@@ -54,7 +54,7 @@ class Setting(msgspec.Struct, frozen=True):
 
     @property
     def wants(self) -> str:
-        """Which values are right, in words."""
+        """Return a description of the valid values."""
         return _words(self.kind)
 
     @property

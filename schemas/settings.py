@@ -20,7 +20,7 @@ from schemas.messages import BUS_MAX_LENGTH
 from schemas.recorder_settings import RecorderSettings
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
-"""Where a gateway listens and every other command connects. No router is needed for one robot."""
+"""The endpoint where a gateway listens and every other command connects. One robot needs no router."""
 
 TICK_NS: Final = 10_000_000
 """The loop's tick and the chassis's command period, 10 ms."""
@@ -204,16 +204,16 @@ ODOMETER_TIMEOUT_NS: Final = 2_000_000_000
 """The mileage reads zero within this time of the first clearing frame, or it failed."""
 
 TAIL_NS: Final = 100_000_000
-"""When lamps, horn or odometer are no longer asked for, frames that say so go out for this long."""
+"""Once lamps, horn or odometer are no longer requested, frames that clear them are sent for this long."""
 
 DRIVES_PER_TICK: Final = 16
 """Drive commands judged in a tick at most; the rest wait in their ring, where the oldest go first."""
 
 VERBS_PER_TICK: Final = 8
-"""The same of verbs."""
+"""Verbs judged in a tick at most; the rest wait."""
 
 STOPS_PER_TICK: Final = 16
-"""The same of remote stops. One is enough; the others are answered too."""
+"""Remote stops judged in a tick at most. One is enough to stop; the others are answered too."""
 
 REQUEST_MAX_BYTES: Final = 1024
 """No request is larger."""
@@ -235,7 +235,7 @@ GUARD_POLL_NS: Final = 5_000_000
 """The guard looks at the loop's heartbeat every 5 ms."""
 
 TOLD_LONG_AGO_NS: Final = 100_000_000
-"""What was told longer ago than this counts for no more than what is seen: others may have acted meanwhile."""
+"""A stop held up for longer than this continues from the measured speed, if that is lower than its ramp's."""
 
 MUTE_FAILURES: Final = 20
 """In so many ticks in a row the bus did not take a stop: the guard, which has a way of its own, tries."""
@@ -275,7 +275,7 @@ HALT_YIELD_NS: Final = 15_000_000_000
 
 
 class RobotSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Which robot this is.
+    """Name of this robot, and the root of its keys.
 
     Attributes:
         root: first chunks of every key
@@ -427,7 +427,7 @@ class CommandSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class AuthoritySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Who may command: see docs/authority.md.
+    """Authentication of people and robots: see docs/authority.md.
 
     Attributes:
         mode: open: whoever reaches the gateway commands it, so it arms only where nothing but this machine reaches

@@ -24,14 +24,14 @@ class Priority(Enum):
 
 
 class Pattern(Enum):
-    """How a subject is reached: by subscribing, or by a query."""
+    """The way to read a subject: by subscribing, or by a query."""
 
     PUBLISHED = "published"
     QUERIED = "queried"
 
 
 class Asking(Enum):
-    """How a verb reaches a robot: by a query, whose reply says what became of it, or by a put."""
+    """The way to send a verb to a robot: by a query, whose reply gives the result, or by a put."""
 
     QUERY = "query"
     PUT = "put"
@@ -249,7 +249,7 @@ ReplyType = TypeVar("ReplyType", bound=decisions.Reply | recording.RecorderReply
 
 
 class Verb(msgspec.Struct, Generic[ReplyType], frozen=True):
-    """What can be asked, of a robot or of a recorder: a row of a command table.
+    """A request that a robot or a recorder accepts: a row of a command table.
 
     Attributes:
         verb: the last chunk of the key ``{root}/{robot}/@cmd/{operator}/{verb}``.

@@ -17,7 +17,7 @@ RECONNECT_MIN_MS: Final = 100
 RECONNECT_MAX_MS: Final = 500
 
 OPEN_TIMEOUT_MS: Final = 2000
-"""Who accepts or opens a connection and then says nothing for this long does not speak Zenoh."""
+"""The period in which a new connection must speak Zenoh, or it is closed."""
 
 ACCEPT_PENDING: Final = 500
 """Connections that have not said yet who they are: as many as a stranger must hold open to keep others out."""
@@ -51,7 +51,7 @@ MULTICAST: Final = "scouting/multicast/enabled"
 PROTOCOLS: Final = "transport/link/protocols"
 
 Says = Callable[[str], bool]
-"""Whether a Zenoh configuration file says anything of its own at a path."""
+"""A test of a path: True if the Zenoh configuration file sets a value of its own there."""
 
 
 def nothing_said(_path: str) -> bool:
@@ -62,10 +62,10 @@ def nothing_said(_path: str) -> bool:
 def session_settings(
     zenoh: ZenohSettings, connect: Sequence[str], listen: Sequence[str], says: Says = nothing_said
 ) -> dict[str, Json]:
-    """What to set over the user's Zenoh configuration file, or over Zenoh's start values.
+    """Return our values for Zenoh's configuration, on top of the user's file or of Zenoh's start values.
 
-    What the file says holds, unless a setting of ours says it too: endpoints to connect to that are given here,
-    and a mode or a lease that a source of the settings gave. What is listened on is what is given here, always.
+    The file's values are kept, except for what ours override: the endpoints to connect to if any are given here, a
+    mode or a lease that a source of the settings gave, and always the endpoints to listen on.
 
     Args:
         zenoh: the settings; its own ``connect`` and ``listen`` are not read here.
@@ -87,7 +87,7 @@ def session_settings(
 
 
 class ZenohChoice(NamedTuple):
-    """What the settings, or else a Zenoh configuration file, say of a session."""
+    """A session's mode and endpoints, from the settings or else from a Zenoh configuration file."""
 
     mode: str
     connect: list[str]
@@ -96,12 +96,12 @@ class ZenohChoice(NamedTuple):
 
 
 def said(zenoh: ZenohSettings, of_file: Callable[[str], Json]) -> ZenohChoice:
-    """What is said of a session: a client listens on nothing.
+    """Return a session's mode and endpoints; a client listens on nothing.
 
     Args:
         zenoh: the settings.
-        of_file: what the file says at a path; None if it says nothing of its own there. Zenoh's own start value,
-            which listens on every address, nobody has said.
+        of_file: the file's own value at a path; None if it sets none. Zenoh's start value, which listens on every
+            address, does not count.
     """
     files = of_file(MODE)
     mode = zenoh.mode if "mode" in zenoh.given or files is None else str(files)
@@ -162,7 +162,7 @@ def with_port(endpoint: str, port: int) -> str:
 
 
 def next_ports(listen: list[str]) -> list[str]:
-    """Where a second session listens beside a first one: the same addresses, one port on; port 0 stays.
+    """Return the endpoints for a second session beside a first: the same addresses, one port on; port 0 stays.
 
     Raises:
         ValueError: an endpoint has no port, or none after it.
@@ -192,7 +192,7 @@ def is_loopback(endpoint: str) -> bool:
 
 
 def reason(message: str) -> str:
-    """What a message of Zenoh says, in one line, without the places in Zenoh's own source."""
+    """Return the cause in an error message of Zenoh, in one line, without the places in Zenoh's source."""
     text = " ".join(re.sub(r" at /\S+?\.rs:\d+\.?", "", message).split())
     nested = re.search(r'msg: "([^"]*)', text)
     return plain(nested[1] if nested else text).strip()

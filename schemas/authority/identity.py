@@ -1,6 +1,6 @@
-"""Who a machine, or the person at it, is: private key, grant and authority, as their files say. Pure.
+"""The identity of a machine, or of the person at it: private key, grant and authority, out of their files. Pure.
 
-Everything that is wrong is one line that names the file and the cure. Who reads the files is whoever has a disk.
+Each error is one line that names the file and the cure. The caller reads the files.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class FoundFile(msgspec.Struct, frozen=True):
 
 
 class Identity(msgspec.Struct, frozen=True):
-    """Who this machine, or the person at it, is.
+    """The private key, grant and authority of this machine, or of the person at it.
 
     Attributes:
         private: the private key.

@@ -39,7 +39,7 @@ SIGNED: Final = ("safety/state", "state")
 
 
 class ProofKind(Enum):
-    """What is proven. The values are the byte after the domain."""
+    """The kind of a signed text. The values are the byte after the domain."""
 
     STATEMENT = b"A"
     REQUEST = b"S"

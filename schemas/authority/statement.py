@@ -1,4 +1,4 @@
-"""What an authority states: grants, revocations, new authorities, the time. JSON under a detached signature.
+"""Statements of an authority: grants, revocations, new authorities, the time. JSON under a detached signature.
 
 A signed statement is two lines of text: the JSON, and the signature over exactly these bytes. A grant that is not
 signed by the fleet's authority itself is followed by the grant of who signed it, and so on: its chain.
@@ -40,7 +40,7 @@ Verb = Annotated[str, Meta(pattern=r"^[a-z_]+$", max_length=32)]
 
 
 class GrantRole(Enum):
-    """What the holder of a grant is. The first three are the roles of a lease's holder."""
+    """The role of a grant's holder. The first three are the roles of a lease's holder."""
 
     PROGRAM = "program"
     OPERATOR = "operator"
@@ -55,7 +55,7 @@ class _Statement(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_fi
 
 
 class Grant(_Statement, frozen=True, forbid_unknown_fields=True, tag="grant", kw_only=True):
-    """Who may do what, on which robots, from when until when.
+    """Permission for one holder to use verbs, on some robots, for a limited time.
 
     Attributes:
         serial: rises with each grant of its signer; for people.

@@ -1,4 +1,4 @@
-"""Who is believed: the fleet's authority, whom it granted what, and what was revoked.
+"""Verification of grants against the fleet's authority and its revocations.
 
 A grant holds where the signatures of its chain hold up to the authority's active key, where no grant is wider than
 the one above it, and where nothing of the chain is over, revoked or of an old epoch.
@@ -25,7 +25,7 @@ BY_AUTHORITY_ALONE: Final = frozenset({GrantRole.ROBOT, GrantRole.RECORDER})
 
 
 class Objection(msgspec.Struct, frozen=True):
-    """Why a proof is not accepted: a reason, and what it does not say by itself."""
+    """The reason why a proof is rejected, with the detail that the reason alone does not give."""
 
     reason: Reason
     detail: str = ""
@@ -95,7 +95,7 @@ class Trust(msgspec.Struct, frozen=True):
         return self.objection(held, now_s) or held
 
     def objection(self, held: HeldGrant, now_s: int) -> Objection | None:
-        """Why a grant that was verified once does not hold now; None if it does."""
+        """Return why a grant that was verified once does not hold now; None if it does."""
         if held.root != self.active:
             return Objection(Reason.GRANT_REVOKED, "its authority was replaced")
         if held.grant.epoch < self.epoch:
@@ -172,9 +172,9 @@ class Trust(msgspec.Struct, frozen=True):
         return min(said.statement.at, site.not_after)
 
     def _structure(self, chain: list[Signed]) -> Objection | None:
-        """What is wrong with a chain whenever it is looked at.
+        """Return the first fault in a chain that does not depend on the time; None if it has none.
 
-        From the authority downwards: nothing that a grant says is considered before all above it are verified.
+        It checks from the authority downwards, so that no grant is used before all above it are verified.
         """
         above: Grant | None = None
         for depth, one in reversed(list(enumerate(chain))):
@@ -241,9 +241,9 @@ def _held(chain: list[Signed], root: bytes) -> HeldGrant:
 
 
 def _widening(grant: Grant, above: Grant, depth: int) -> str | None:
-    """How a grant is wider than the one that its signer holds; None if it is not.
+    """Return in which way a grant is wider than its signer's own grant; None if it is not.
 
-    A pattern is held against the pattern above it letter for letter, ``*`` being one letter of it: so ``*`` above
+    A pattern is compared with the pattern above it letter for letter, and ``*`` counts as a letter: so ``*`` above
     allows ``a*``, and ``a*`` above does not allow ``*``.
     """
     if above.role is not GrantRole.SITE or above.may_delegate <= depth:
