@@ -64,7 +64,7 @@ LAST_SAMPLES_NS: Final = 2_000_000_000
 
 
 class SampleSource(Protocol):
-    """Where samples come from."""
+    """A source of samples."""
 
     @property
     def is_asking(self) -> bool:
@@ -95,7 +95,7 @@ class SampleSource(Protocol):
 
 
 class Control(Protocol):
-    """Where operators' requests come from."""
+    """The source of operators' requests, which also publishes the recorder's own messages."""
 
     def drain(self) -> Iterable[OperatorRequest]:
         """The requests that have come in."""

@@ -1,4 +1,4 @@
-"""Which of the answered messages are missing in one's own logs, and what is missing still. Pure."""
+"""Selection of the answered messages that one's own logs lack, and the holes that remain. Pure."""
 
 from __future__ import annotations
 

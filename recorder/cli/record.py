@@ -177,7 +177,7 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
 
 
 def _door(settings: Settings, logs: Path) -> Callable[[str], OrderAdmission] | None:
-    """What judges orders in signed mode.
+    """Return the maker of the judge of orders in signed mode; None in open mode.
 
     Raises:
         CommandError: the authority's file, or what was learnt of it, cannot be read.

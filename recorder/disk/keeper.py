@@ -158,7 +158,7 @@ class DiskKeeper:
             self._notices.append(room)
 
     def _look_for_own(self) -> None:
-        """Where the directory is another one, and lacks what is being written, have that ended where it is."""
+        """If the directory was replaced and lacks the open logs, end these where they are and begin new ones."""
         place, self._place = self._place, _state(self._directory)
         if place is None or _is_same(place, self._place):
             return

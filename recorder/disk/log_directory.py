@@ -38,7 +38,7 @@ NAMESAKES_MAX: Final = 1000
 
 
 class LogDirectory:
-    """Where the logs go. It is made if it does not exist.
+    """The directory of the logs. It is made if it does not exist.
 
     Raises:
         CommandError: it cannot be made or written to.

@@ -1,4 +1,4 @@
-"""What a recorder in signed mode has learnt of its authority: a file beside its logs that outlives a restart."""
+"""The file beside a recorder's logs that keeps its authority's rotations and revocations across a restart."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ NAME: Final = ".authority.json"
 
 
 def read_note(directory: Path) -> OrderNote:
-    """What was saved last; nothing if there is no file.
+    """Return the note that was saved last; an empty one if there is no file.
 
     Raises:
-        CommandError: it cannot be read. Who was revoked would be let in again.
+        CommandError: it cannot be read. With an empty note, revoked holders would be admitted again.
     """
     path = directory / NAME
     try:

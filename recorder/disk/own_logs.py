@@ -60,7 +60,7 @@ class OwnLogs:
 
     @property
     def faults(self) -> list[str]:
-        """What could not be read, in lines for people."""
+        """Return a line for people for each log, or part of one, that could not be read."""
         damaged = [(path, self._charts[path].damaged) for path in self.paths]
         return self.unread + [f"{path}: {count} damaged places were skipped" for path, count in damaged if count]
 

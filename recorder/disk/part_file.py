@@ -247,7 +247,7 @@ class PartFile:
             self._find().unlink()
 
     def _find(self) -> Path:
-        """Where the part is now: somebody may have moved it with its directory, and another be in its place.
+        """Return the part's path now: its directory may have been moved, and another file be in its place.
 
         Raises:
             OSError: it is nowhere to be found.

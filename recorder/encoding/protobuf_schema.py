@@ -79,7 +79,7 @@ def _plain(kind: inspect.Type) -> inspect.Type:
 
 
 def optional_part(kind: inspect.Type) -> inspect.Type | None:
-    """What may be absent: the ``X`` of ``X | None``; None if the type is no such union."""
+    """Return the ``X`` of ``X | None``; None if the type is no union. Raises TypeError for any other union."""
     if not isinstance(kind, inspect.UnionType):
         return None
     parts = [part for part in kind.types if not isinstance(part, inspect.NoneType)]

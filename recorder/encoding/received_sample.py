@@ -27,7 +27,7 @@ class ReceivedSample(Protocol):
 
     @property
     def received_ns(self) -> int:
-        """When it was received, since 1970."""
+        """The time of receipt, nanoseconds since 1970."""
         ...
 
     @property
@@ -47,7 +47,7 @@ class ReceivedSample(Protocol):
 
     @property
     def source(self) -> tuple[str, int] | None:
-        """Who published it, and its place in what that one published on the key; None if it does not tell."""
+        """The publisher's identifier and its sequence number on the key; None if the sample has none."""
         ...
 
     @property

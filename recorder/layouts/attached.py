@@ -31,7 +31,7 @@ COUNT: Final = len(_FILES)
 
 
 class RobotKeys(msgspec.Struct, frozen=True):
-    """Whose log it is.
+    """The robot of a log.
 
     Attributes:
         key: what its keys begin with: root and name.

@@ -42,7 +42,7 @@ _GAPS_MAX: Final = 10_000
 
 
 class Indexed(msgspec.Struct, frozen=True):
-    """What the message indexes behind a chunk say.
+    """The content of the message indexes behind a chunk.
 
     Attributes:
         base: where the chunk's records begin in a row of chunks...
@@ -171,13 +171,13 @@ def _in_order(places: Places) -> Places:
 
 
 def _words(content: Bytes, kind: str, shift: int) -> NDArray[Any]:
-    """What stands so far behind each byte, as a number."""
+    """Return the word at a fixed distance behind each byte, as an array of numbers of this kind."""
     words: NDArray[Any] = np.ndarray((len(content) - DATA_AT + 1,), kind, content, shift, (1,))
     return words
 
 
 def _fills(content: Bytes, size: int, offsets: Numbers, lengths: Numbers) -> bool:
-    """Whether the records, and schemas and channels between them, fill the content without a gap or an overlap."""
+    """Return True if messages, schemas and channels fill the content without a gap or an overlap."""
     order = np.argsort(offsets, kind="stable")
     starts = np.append(offsets[order], size)
     ends = np.concatenate([[0], offsets[order] + lengths[order]])

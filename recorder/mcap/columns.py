@@ -27,7 +27,7 @@ _LENGTHS_MAX: Final = 10_000
 
 
 class _Forms(dict[int, str]):
-    """How a message record of this length, opcode and length included, is unpacked."""
+    """Formats that unpack a message record, by its length with opcode and length field."""
 
     def __missing__(self, length: int) -> str:
         form = f"{MESSAGE_HEADER.format[1:]}{length - MESSAGE_HEADER.size}s"

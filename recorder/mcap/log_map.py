@@ -1,4 +1,4 @@
-"""Where the chunks and channels of a log stand, found without reading the chunks. On any binary stream.
+"""A map of a log's chunks and channels, made without reading the chunks. From any binary stream.
 
 A log may be whole or still being written, and damaged: what cannot be read is skipped and counted, never raised.
 """
@@ -67,9 +67,9 @@ class LogMap:
         self._offset = 0
         self._has_ended = False
         self._sure = 0
-        """Where the last chunk stands, or what was found behind damage..."""
+        """The place of the last chunk, or of the last record found behind damage."""
         self._passed: set[int] = set()
-        """...and the records since: a damaged length may have led past others."""
+        """The records found since then: a damaged length may have skipped others before them."""
         self._offsets = array("Q")
         self._starts = array("Q")
         self._ends = array("Q")

@@ -108,7 +108,7 @@ class MessageBlock(msgspec.Struct, frozen=True):
             yield self._fault(error)
 
     def read_index(self) -> tuple[Index, list[Declared | Fault]]:
-        """Where the messages are, record by record, and all else that is there; a Fault is the last."""
+        """Return the places of the messages, record by record, and all other records; a Fault is the last."""
         index, declared, error = _index_of(self.content)
         return index, [*declared, *([] if error is None else [self._fault(error)])]
 

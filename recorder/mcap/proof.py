@@ -1,4 +1,4 @@
-"""What is whole in a damaged or unfinished MCAP file, piece by piece, each proven by its checksum.
+"""The intact pieces of a damaged or unfinished MCAP file, each proven by its checksum.
 
 A piece is a chunk with its message indexes, or another record with the check behind it. Where the bytes make no
 sense the scan goes on at the next piece that is proven. In a file without checks, which others wrote, a record
@@ -125,7 +125,7 @@ class Scanner:
         self.has_checks = CHECK_MARK in self.file.read(0, LOOK_FOR_CHECKS)
 
     def scan(self) -> Iterator[Found]:
-        """What the file holds, in its order."""
+        """Yield the pieces and faults of the file, in its order."""
         offset: int | None = FIRST_RECORD
         if self.file.read(0, len(MAGIC)) != MAGIC:
             yield Fault(0, "the file does not begin as MCAP does")
@@ -153,7 +153,7 @@ class Scanner:
         )
 
     def is_torn(self, offset: int) -> bool:
-        """Whether what stands from there to the end is but the beginning of one last write, or nothing at all."""
+        """Return True if nothing but the beginning of one last write, or nothing at all, follows there."""
         at = offset
         while at < self._size and (header := self.file.header(at)) is not None:
             opcode, at = header
@@ -162,7 +162,7 @@ class Scanner:
         return True
 
     def _is_blank(self, offset: int) -> bool:
-        """Whether only zeros follow: a power cut leaves them where the length of a file came to the disk first."""
+        """Return True if only zeros follow: after a power cut a file may have its length without its data."""
         while block := self.file.read(offset, SEARCH_BYTES):
             if any(block):
                 return False
@@ -234,7 +234,7 @@ class Scanner:
         return ProvenChunk(offset, chunk_end, end, true, content, declared, index, as_written, has_true_head)
 
     def _message_indexes(self, offset: int, index: Index) -> tuple[bool, int]:
-        """Whether the message indexes there say what the chunk before holds, and where they end."""
+        """Return True if the message indexes there agree with the chunk before, and the offset of their end."""
         expected = encode_indexes(index)
         if self.file.read(offset, len(expected)) == expected:
             return True, offset + len(expected)
@@ -247,7 +247,7 @@ class Scanner:
         return is_all and _in_order(found) == _in_order(index), offset
 
     def next_piece(self, damaged: int) -> int | None:
-        """Where the next proven piece begins, behind a damaged one."""
+        """Return the offset of the next proven piece behind a damaged one; None if there is none."""
         record = self.file.record(damaged)
         if record is not None and self._is_proven(damaged + len(record[1])):
             return damaged + len(record[1])

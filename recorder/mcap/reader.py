@@ -238,7 +238,7 @@ class _Reading:
         return end
 
     def _is_other(self, offset: int) -> bool:
-        """Whether a whole record of another kind follows. Else one of the message indexes may be missing."""
+        """Return True if a whole record of another kind follows. Else a message index may be missing."""
         opcode, end = self._file.header(offset) or (0, 0)
         return not is_no_opcode(opcode) and opcode != Opcode.MESSAGE_INDEX and end <= self._file.size
 

@@ -33,7 +33,7 @@ FAULTS_SHOWN: Final = 20
 
 
 class Sink(Protocol):
-    """Where the bytes of a copy go."""
+    """A destination for the bytes of a copy."""
 
     def write(self, data: bytes, /) -> object:
         """Write all of the data."""
@@ -41,7 +41,7 @@ class Sink(Protocol):
 
 
 class FileSurvey(msgspec.Struct, frozen=True):
-    """What a file comes to.
+    """The result of a scan of a file, as a recovery needs it.
 
     Attributes:
         is_whole: it is closed properly, and nothing in it is wrong.

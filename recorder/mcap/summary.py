@@ -104,7 +104,7 @@ class Summary:
         self._add(Opcode.METADATA_INDEX, encode(index))
 
     def ending(self, data_size: int, data_crc: int) -> bytes:
-        """What makes a file whole whose data has this size and CRC: data end, summary and footer."""
+        """Return the data end, summary and footer that complete a file whose data has this size and CRC."""
         data_end = encode(records.DataEnd(data_crc))
         start = data_size + len(data_end)
         self._encoded[Opcode.STATISTICS] = bytearray(encode(self._statistics()))

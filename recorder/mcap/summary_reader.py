@@ -1,4 +1,4 @@
-"""What the end of an MCAP file repeats of its data, read without the mcap package's object for each chunk.
+"""The summary at the end of an MCAP file, read without the mcap package's object for each chunk.
 
 The index of chunks is most of it: some 300 bytes for each, 200 MB of a log of 10 GB. It is read in blocks, and
 only when it is asked for.
@@ -30,7 +30,7 @@ _REPEATED: Final = frozenset(
 
 
 class IndexedChunk(msgspec.Struct, frozen=True, gc=False):
-    """What the index says of a chunk.
+    """The entry of a chunk in the index.
 
     Attributes:
         start_ns, end_ns: log times of its first and last message.
@@ -52,7 +52,7 @@ class IndexedChunk(msgspec.Struct, frozen=True, gc=False):
     unpacked: int
 
     def place_map(self) -> dict[int, int]:
-        """Where in the file the message index of each channel stands."""
+        """Return the file offset of each channel's message index, by channel."""
         return dict(_MAP_ENTRY.iter_unpack(self.places))
 
     def digest(self) -> int:
@@ -63,7 +63,7 @@ class IndexedChunk(msgspec.Struct, frozen=True, gc=False):
 
 
 def place_entries(places: Mapping[int, int]) -> bytes:
-    """Where the message index of each channel stands, as MCAP's map has it."""
+    """Encode the file offset of each channel's message index as MCAP's map."""
     return b"".join(_MAP_ENTRY.pack(*entry) for entry in places.items())
 
 
@@ -94,7 +94,7 @@ class LogSummary(msgspec.Struct):
     chunks_at: list[tuple[int, int]] = msgspec.field(default_factory=list)
 
     def chunks(self, stream: BinaryIO) -> Iterator[IndexedChunk]:
-        """What the index says of each chunk, in its order.
+        """Return the index entry of each chunk, in the order of the index.
 
         Raises:
             DamagedError: it cannot be read.
@@ -122,7 +122,7 @@ class LogSummary(msgspec.Struct):
 
 
 def read_summary(stream: BinaryIO) -> LogSummary | None:
-    """What the end of a file repeats of it; None if it has none that can be read, or its checksum is wrong."""
+    """Return the summary of a file; None if it has none that can be read, or its checksum is wrong."""
     try:
         summary = _find(stream)
         if summary is None or not _is_intact(stream, summary):

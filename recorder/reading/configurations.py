@@ -1,4 +1,4 @@
-"""Which configuration each run of a gateway had: out of what the gateway told, and of what a recorder attached."""
+"""The configuration of each run of a gateway, from its own messages and from the attachments of recorders."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def configurations_of(robot: str, logs: Sequence[LogFile], found: Survey, faults
 
 
 def attached(robot: str, found: Survey) -> list[tuple[int, str]]:
-    """When recorders attached a robot's configuration, and the text; by the time."""
+    """Return the configurations of a robot that recorders attached, each with its time, in order of time."""
     texts: dict[str, list[tuple[int, str]]] = {}
     for one in found.attachments:
         texts.setdefault(one.name, []).append((one.log_time, one.data.decode("utf-8", "replace")))

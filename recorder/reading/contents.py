@@ -31,7 +31,7 @@ Kind = TypeVar("Kind", records.MessageIndex, records.Metadata)
 
 
 class Contents(msgspec.Struct):
-    """What a file holds.
+    """The contents of a file.
 
     Attributes:
         schemas, channels: by id.
@@ -133,7 +133,7 @@ def tells_all(summary: LogSummary, statistics: records.Statistics) -> bool:
 
 
 def _places(stream: BinaryIO, summary: LogSummary) -> tuple[dict[int, int], dict[int, int]] | None:
-    """Where each channel's first and last message index stand; None if the chunks are not in order of time."""
+    """Return the offsets of each channel's first and last message index; None if chunks are not in time order."""
     first: dict[int, int] = {}
     last: dict[int, int] = {}
     start_ns = end_ns = 0

@@ -1,4 +1,4 @@
-"""Whether an incident can be left out: all of it is in other logs too, and can be read there."""
+"""Selection of logs without the incidents that other logs hold completely."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def without_covered(logs: Sequence[LogFile]) -> list[LogFile]:
 
 
 def _add(held: Times, times: Times) -> None:
-    """What another log holds. Two copies of a message are one."""
+    """Add the messages of another log. Two copies of a message count as one."""
     for topic, more in times.items():
         known = held.get(topic)
         if known is None:
@@ -96,7 +96,7 @@ def _by_topic(found: dict[int, array[int]], declared: Declared) -> Times:
 
 
 def _index(piece: PackedChunk | MessageBlock, windows: Sequence[Window], declared: Declared) -> Index:
-    """Where the messages of a piece are; none of a chunk that lies in no window, or is damaged."""
+    """Return the places of a piece's messages; none for a chunk that lies in no window, or is damaged."""
     if isinstance(piece, PackedChunk):
         if not any(piece.start_ns <= last_ns and first_ns <= piece.end_ns for first_ns, last_ns in windows):
             return {}

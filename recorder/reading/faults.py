@@ -1,4 +1,4 @@
-"""What is wrong with logs: counted, and the first ones told."""
+"""Faults of logs: all are counted, the first ones are listed."""
 
 from __future__ import annotations
 

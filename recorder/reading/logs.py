@@ -1,4 +1,4 @@
-"""Which files a question is about: files and directories, in the order of time."""
+"""Selection of the logs for a question: files and directories, in the order of time."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def open_log(path: Path) -> Generator[tuple[BinaryIO, int], None, None]:
 
 
 def is_being_written(stream: BinaryIO) -> bool:
-    """Whether a recorder is writing the file: it holds a lock on it. False where the file system has no locks."""
+    """Return True if a recorder holds its lock on the file. False where the file system has no locks."""
     try:
         fcntl.flock(stream.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
         fcntl.flock(stream.fileno(), fcntl.LOCK_UN)

@@ -39,7 +39,7 @@ def no_topic(_topic: Topic) -> bool:
 
 
 class Selection(msgspec.Struct, frozen=True):
-    """What is wanted of logs.
+    """A selection of messages by topic and log time.
 
     Attributes:
         wants: whether a topic is wanted.

@@ -1,4 +1,4 @@
-"""What a log holds besides messages: topics, metadata, attachments. No chunk is read for it."""
+"""Topics, metadata and attachments of logs, read without any chunk."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from recorder.reading.topics import Declared, Topic
 
 
 class Survey(msgspec.Struct):
-    """What some logs hold.
+    """Topics, metadata and attachments of some logs.
 
     Attributes:
         topics: by name.
@@ -37,11 +37,11 @@ class Survey(msgspec.Struct):
 
 
 def survey(logs: Sequence[LogFile], faults: Faults) -> Survey:
-    """What logs hold.
+    """Return the topics, metadata and attachments of logs.
 
     Args:
         logs: in the order of their beginnings.
-        faults: takes what cannot be read of them.
+        faults: collects what cannot be read.
     """
     found = Survey({}, {}, [])
     for log in logs:

@@ -12,7 +12,7 @@ FORMS: Final = (
     "seconds since the log's beginning (12.5) or before its end (-12.5), a time of day in UTC (03:04:05.678), "
     "or both date and time (2026-01-02T03:04:05.678Z)"
 )
-"""What ``time_of`` takes."""
+"""The forms of a time that ``time_of`` accepts."""
 
 _NS_PER_S: Final = 1_000_000_000
 _SECONDS: Final = re.compile(r"([+-]?)(\d+)(?:\.(\d{1,9}))?(?: ?s)?")

@@ -1,4 +1,4 @@
-"""What the topics of logs are called where no key can stand: in SQL, and as a directory. Pure."""
+"""Names for topics where a key cannot be used: in SQL, and as a directory. Pure."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def table_of(topic: Topic) -> str:
 
 
 def wants_of(patterns: Sequence[str]) -> Wants:
-    """Whether a topic is wanted: by its name, by what follows the robot in it, or by its table; none wants all."""
+    """Return a test of a topic by its name, its part behind the robot, or its table; without patterns all pass."""
 
     def wants(topic: Topic) -> bool:
         names = (topic.name, place_of(topic)[0], table_of(topic))

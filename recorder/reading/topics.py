@@ -26,7 +26,7 @@ from recorder.mcap.summary_reader import LogSummary
 from schemas import keys
 
 UNREADABLE: Final = (DecodeError, ValueError, TypeError, KeyError, IndexError, RecursionError)
-"""What decoding raises on bytes that are no such message."""
+"""The exceptions that decoding raises on bytes that are no message of the expected type."""
 
 Decode = Callable[[bytes], Any]
 
@@ -136,13 +136,13 @@ def key_of(topic: str) -> tuple[str, str]:
 
 
 def robot_of(parts: keys.KeyParts, namesakes: frozenset[str]) -> str:
-    """What the robot of a key is called: by its name, or by root and name where others have the same name."""
+    """Return the label of a key's robot: its name, or root and name if robots of other roots share the name."""
     return f"{parts.root}/{parts.robot}" if parts.robot in namesakes else parts.robot
 
 
 @cache
 def typed_decoder(kind: type[msgspec.Struct]) -> Decode:
-    """What turns a record's protobuf bytes into the class that it was written from.
+    """Return the decoder of a record's protobuf bytes into the class that it was written from.
 
     Fields that the record lacks, because an older version wrote it, have protobuf's defaults.
     """

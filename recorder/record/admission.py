@@ -44,15 +44,15 @@ OPEN_TO_ALL: Final = frozenset({"status"})
 """Verbs that need no proof."""
 
 ROLES: Final = frozenset({GrantRole.PROGRAM, GrantRole.OPERATOR, GrantRole.SUPERVISOR, GrantRole.RECORDER})
-"""Who may give a recorder orders; another recorder asks for what it lacks."""
+"""Roles that may give a recorder orders; another recorder requests the messages that it lacks."""
 
 
 class OrderNote(msgspec.Struct, frozen=True):
-    """What outlives a restart of a recorder.
+    """The authority's statements that a recorder keeps across a restart.
 
     Attributes:
-        statements: the rotations and lists of revocations that were taken over, signed, in their order; of lists
-            that follow each other the newest, and those of a higher epoch, which never falls.
+        statements: accepted rotations and lists of revocations, signed, in order; of successive lists the newest,
+            and those of a higher epoch, which never falls.
     """
 
     statements: list[str] = []

@@ -48,7 +48,7 @@ class Incidents:
         self._begun_ns = 0
         self._until_ns: int | None = None
         self.about: dict[str, str] = {}
-        """When and why the latest incident was begun, as INCIDENT_NAME has it."""
+        """The start and cause of the latest incident, in the form of INCIDENT_NAME."""
 
     @property
     def is_open(self) -> bool:
@@ -63,7 +63,7 @@ class Incidents:
 
     @property
     def oldest_ns(self) -> int | None:
-        """When the oldest chunk of the ring came; None if the ring is empty."""
+        """The arrival time of the ring's oldest chunk, monotonic nanoseconds; None if the ring is empty."""
         return self._ring[0][0] if self._ring else None
 
     def trim(self, now_ns: int) -> None:

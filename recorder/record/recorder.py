@@ -107,7 +107,7 @@ class Recorder:
             kind: keys.of_recorder(plan.root, plan.recorder, BY_TYPE[kind].name)
             for kind in (RecorderEvent, RecordGap)
         }
-        """Where it publishes each kind of message."""
+        """The topic of each kind of message that it publishes."""
         self._own_keys = frozenset(self._own_topics.values())
         """A sample from there is in the logs already."""
 

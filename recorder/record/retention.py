@@ -162,7 +162,7 @@ def _is_of_stranger(entry: LogEntry, limits: DiskLimits) -> bool:
 
 
 def _in_turn(entries: Iterable[LogEntry], takes: Counter[str], limits: DiskLimits) -> Iterator[LogEntry]:
-    """What may go, in turn: the oldest of the share that takes most. ``takes`` is what is left of each."""
+    """Return the deletable logs in turn: the oldest of the largest share. ``takes`` has the bytes left of each."""
     shares: dict[str, deque[LogEntry]] = defaultdict(deque)
     for entry in sorted(entries, key=_age):
         shares[limits.share_of(entry.robot)].append(entry)

@@ -1,7 +1,7 @@
-"""Which frames of a log may be sent to which CAN bus. Pure; default deny.
+"""Selection of the frames of a log that may be sent to a CAN bus. Pure; default deny.
 
-A chassis obeys the last command for ever. A log holds the commands that a robot was driven with, so a replay to a
-bus that is not virtual could drive a robot, and nobody would stop it. What is not known to be virtual is real.
+The chassis executes the last command indefinitely. A log holds the commands that drove a robot, so a replay to a
+bus that is not virtual could drive one, and nobody would stop it. A bus that is not known to be virtual is real.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ SORTED_MAX: Final = 100_000
 
 
 class By(Enum):
-    """Which time of the log counts: when the recorder received it, or when its source says that it was."""
+    """The time that decides when a message is replayed: the recorder's receipt, or the source's own."""
 
     LOG = "log"
     PUBLISH = "publish"

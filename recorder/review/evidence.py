@@ -1,4 +1,4 @@
-"""What logs hold around an incident, in one archive whose manifest shows whether it was changed since."""
+"""An archive of the logs around an incident, whose manifest shows whether it was changed since."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ INCIDENT, RERUN = "incident.mcap", "rerun.mcap"
 STATEMENTS, PROOF, COMPLETENESS = "statements.json", "proof.json", "completeness.json"
 
 RERUN_TOPICS: Final = ("*/journal", "*/safety/*", "*/can/*/tx", "*/authority/*", "*/gateway/info")
-"""What it takes to run a drive again, and to compare."""
+"""The topics that are needed to run a drive again, and to compare the results."""
 
 UNPACKED_MAX_BYTES: Final = 64_000_000
 """A file of an archive that is compressed is no larger: logs are compressed in themselves."""
@@ -61,7 +61,7 @@ class EvidenceFile(msgspec.Struct, frozen=True):
 
 
 class EvidenceManifest(msgspec.Struct, frozen=True):
-    """What an archive is. Times are nanoseconds since 1970, by the recorder's clock.
+    """The manifest of an archive. Times are nanoseconds since 1970, by the recorder's clock.
 
     Attributes:
         incident_ns: the moment that it is about.

@@ -54,7 +54,7 @@ class RunProof(msgspec.Struct, frozen=True):
 
 
 class RobotProofReport(msgspec.Struct, frozen=True):
-    """What is proven of a robot's logs.
+    """The result of the verification of a robot's logs.
 
     Attributes:
         authority: the key of the fleet's authority, hexadecimal; empty if the logs name none.
@@ -102,14 +102,14 @@ def verify_logs(
     statements: Sequence[ShownStatement] = (),
     progress: Progress = lambda _: None,
 ) -> Iterator[RobotProofReport]:
-    """What is proven of each robot in logs.
+    """Verify the logs of each robot.
 
     Args:
         logs: in the order of their beginnings.
-        faults: takes what cannot be read.
+        faults: collects what cannot be read.
         trust: the fleet's authority; without it the one that the logs name is believed.
         statements: grants and revocations that are not in the logs.
-        progress: is told of bytes that were read, for each robot anew.
+        progress: receives the count of bytes that were read, for each robot anew.
     """
     for robot in survey(logs, faults).robots:
         own = [one for one in statements if one.robot == robot]
@@ -240,7 +240,7 @@ class _Verification:
                 self._signed_without_heads.setdefault(run_id, message.time_ns)
 
     def _run_of(self, message: Message) -> Hashable:
-        """What tells a run's samples from others': a journal's number, or one for all ticks of a run."""
+        """Return an identifier of a message's run: the journal's number, or one tick for all ticks of a run."""
         if isinstance(message, Journal):
             return message.run
         tick = message.tick if isinstance(message, Decision | SafetyEvent) else 0
@@ -291,7 +291,7 @@ def _as_proof(run: RunChains) -> RunProof:
 
 
 def _merged(findings: Sequence[ProofFinding]) -> list[ProofFinding]:
-    """What is wrong, each once, the earliest first."""
+    """Merge equal findings, the earliest first."""
     merged: dict[tuple[ProofFault, str], ProofFinding] = {}
     for one in findings:
         known = merged.get((one.fault, one.what))

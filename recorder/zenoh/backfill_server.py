@@ -31,19 +31,19 @@ REQUESTS_WAITING: Final = 4
 """Requests that may wait besides the one at work; beyond it they are refused."""
 
 REQUEST_S: Final = 30.0
-"""How long one request may take; what is then not answered is to be asked for again."""
+"""The time limit of one request; the rest of its answer has to be requested again."""
 
 CHUNKS_REMEMBERED: Final = 200_000
 """Chunks of logs whose place is remembered for the next request: a day of a robot, some tens of MB at most."""
 
 END_S: Final = 5.0
-"""How long the end waits for an answer that is under way: the disk, or a link, may hang."""
+"""The wait at shutdown for an answer that is under way: the disk, or a link, may hang."""
 
 PAUSE_S: Final = 0.001
 """After each chunk the thread leaves the interpreter to the recorder for so long."""
 
 IDLE_S: Final = 0.2
-"""How soon the thread sees that it is to end."""
+"""The period in which the thread looks for the shutdown."""
 
 Reply = Callable[[BackfillPiece], None]
 Done = Callable[[], None]

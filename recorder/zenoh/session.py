@@ -74,7 +74,7 @@ def key_matches(expression: str, topic: str) -> bool:
 
 
 def said_of(settings: ZenohSettings) -> ZenohChoice:
-    """What is said of a session; it connects to this machine's gateway where nothing is.
+    """Return a session's mode and endpoints; without any it connects to this machine's gateway.
 
     Raises:
         CommandError: the settings are wrong.
@@ -101,7 +101,7 @@ def local_port(settings: ZenohSettings) -> list[str]:
 
 
 def listen_beside(settings: ZenohSettings) -> list[str]:
-    """Where a session listens beside the one that listens as the settings say: one port on, or see ``local_port``.
+    """Return the endpoints of a session beside the first: one port on from the settings', or see ``local_port``.
 
     Raises:
         CommandError: the settings are wrong.
@@ -122,7 +122,7 @@ class _File:
             raise CommandError(f"wrong Zenoh settings: {reason(str(error))}", ExitCode.USAGE) from error
 
     def says(self, path: str) -> Json:
-        """What it says of its own at a path; None if nothing."""
+        """Return the file's own value at a path; None if it sets none."""
         value: Json = json.loads(self.config.get_json(path))
         return None if value == json.loads(zenoh.Config().get_json(path)) else value
 

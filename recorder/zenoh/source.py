@@ -68,7 +68,7 @@ class ZenohSample(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def source(self) -> tuple[str, int] | None:
-        """Who published it, and its place in what that one published on the key; None if it does not tell."""
+        """The publisher's identifier and its sequence number on the key; None if the sample has none."""
         info = self.received.source_info
         return None if info is None else (str(info.source_id), info.source_sn)
 
@@ -99,7 +99,7 @@ class ZenohSource:
         self._expressions = _distinct(key_expressions)
         self._pending: list[tuple[str, _Replies]] = []
         self.listen = said_of(settings).listen
-        """Where it listens."""
+        """The endpoints that it listens on."""
         self._session = open_session(settings, self.listen)
         self._subscribers: list[_Samples] = [
             self._session.declare_subscriber(expression, zenoh.handlers.RingChannel(queue_samples))

@@ -105,7 +105,7 @@ def _alike(findings: Sequence[Finding]) -> Iterator[str]:
 
 
 def _finding(one: Finding) -> str:
-    """What, how many, where."""
+    """Describe a finding in one line: topic, fault, count and first place."""
     place = [f"byte {one.offset}"] if one.offset is not None else []
     place += [in_words(one.time_ns)] if one.time_ns is not None else []
     where = f", first at {' and '.join(place)}" if place else ""

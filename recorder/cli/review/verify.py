@@ -142,7 +142,7 @@ def read_authority(path: Path) -> Trust:
 
 
 def describe(report: RobotProofReport) -> str:
-    """What is proven of a robot, for people."""
+    """Describe for people what is proven of a robot."""
     # A log's names come from anywhere, and may try to rule the terminal.
     return "\n".join(map(plain, _lines(report)))
 

@@ -91,7 +91,7 @@ class AliveCount:
         return len(gaps)
 
     def _judge_apart(self) -> UnseenRounds:
-        """What comes from here on is judged by itself."""
+        """Judge the frames from here on by themselves."""
         self._unseen_before += self._rounds.lost_so_far
         self._rounds = UnseenRounds(self._period_ns)
         return self._rounds

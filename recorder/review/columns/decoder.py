@@ -135,7 +135,7 @@ def _values(field: Field, read: pa.Array, kind: pa.DataType) -> pa.Array:
 
 
 def _handler(fields: tuple[Field, ...]) -> Any:  # noqa: ANN401 - of a class without a name
-    """What reads messages of these fields."""
+    """Return a decoder of messages with these fields."""
     file = FileDescriptorProto(name="columns.proto", syntax="proto3")
     _declare(file.message_type.add(name="Columns"), fields, ".Columns")
     pool = DescriptorPool()

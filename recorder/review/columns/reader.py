@@ -189,7 +189,7 @@ class ColumnReader(BlockReader):
         return {channel: joined(parts) for channel, parts in found.items()}
 
     def _walk(self, block: MessageBlock) -> dict[int, Places]:
-        """Where the messages of each channel are, record by record; declares the channels between them."""
+        """Return the places of each channel's messages, record by record; declares the channels between them."""
         found, others = walked_places(block)
         for one in others:
             self.take(one)

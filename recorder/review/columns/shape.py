@@ -1,4 +1,4 @@
-"""What a class of protobuf messages holds: its fields, and the Arrow type of each.
+"""The fields of a protobuf message class, and the Arrow type of each.
 
 Unsigned numbers of 32 bits become int64, and so do those of 64 bits whose schema bounds them: a difference of two
 is then a number in SQL too. Enumerations become dictionary-encoded strings: of our own classes the values that the
@@ -104,7 +104,7 @@ class Field(msgspec.Struct, frozen=True, eq=False):
 
 
 class Known(msgspec.Struct, frozen=True):
-    """What our own classes tell beyond their descriptors.
+    """Facts about our own classes that their descriptors lack.
 
     Attributes:
         values: of each enumeration the values of its members, in order.

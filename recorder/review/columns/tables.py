@@ -28,7 +28,7 @@ HEAD: Final = (
     pa.field(PUBLISH_TIME, TIME_TYPE, nullable=False),
     pa.field(SEQUENCE, pa.int64(), nullable=False),
 )
-"""What every table begins with: when the recorder received it, when its source says it was, the source's count."""
+"""The first columns of every table: time of receipt, the source's time, and the source's count."""
 
 RESERVED: Final = frozenset({LOG_TIME, PUBLISH_TIME, SEQUENCE, ROBOT, TOPIC, "date"})
 """Names that no field may have, for a dataset's directories are columns too."""
@@ -86,7 +86,7 @@ def _column(field: Field, taken: set[str]) -> pa.Field:
 
 
 def _protobuf(topic: Topic) -> tuple[Callable[[bytes], Any] | None, tuple[Field, ...] | None]:
-    """How a message is read, and its fields; None twice where nobody here can read it."""
+    """Return a topic's decoder and fields; None twice if no decoder is known."""
     if topic.kind is not None:
         # The sequence of a message of ours is that of its record.
         fields = tuple(field for field in own_fields(topic.kind) if field.name != SEQUENCE)

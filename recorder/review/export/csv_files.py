@@ -87,7 +87,7 @@ class _Files:
 
     @property
     def written(self) -> list[CsvFile]:
-        """What was written so far."""
+        """The files written so far."""
         return [CsvFile(str(one.path), one.topic, one.rows) for one in self._files.values()]
 
     def add(self, columns: Columns, rows: pa.RecordBatch) -> None:

@@ -46,7 +46,7 @@ Runner = Callable[[Sequence[ExportTask], Progress], Iterable[ExportOutcome]]
 
 
 class Exported(msgspec.Struct, frozen=True):
-    """What an export has done.
+    """The result of an export.
 
     Attributes:
         inputs: the logs that were read.
@@ -168,7 +168,7 @@ def _locked(directory: Path) -> Generator[None, None, None]:
 
 
 def _manifest_before(directory: Path, *, is_adding: bool) -> Manifest:
-    """What the dataset holds already; what an export before this one has left half done does not count."""
+    """Return the manifest of a dataset to add to, or an empty one. An unfinished export is not in it."""
     found = read_manifest(directory)
     shown = plain(str(directory))
     if found is not None:

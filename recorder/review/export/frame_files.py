@@ -47,7 +47,7 @@ _WRITERS: Final[dict[FrameFormat, Callable[[Path], Any]]] = {
 
 
 class FramesOf(msgspec.Struct, frozen=True):
-    """What was written of a robot.
+    """The file that was written for a robot.
 
     Attributes:
         late: frames that came after later ones had been written.

@@ -1,8 +1,8 @@
-"""What earlier logs hold already: an incident stands in its log too, two recorders may have heard one robot.
+"""Messages that earlier logs hold already: an incident repeats its log, two recorders may record one robot.
 
-Two messages of ours are one if topic, publish time and sequence are the same. Of others nobody knows what their
-times and sequences say: they are one if the log time is the same too. What a recorder says itself is left alone:
-it is counted over all its logs, and each holds what is about it.
+Two messages of ours are one if topic, publish time and sequence are the same. The times and sequences of others
+have no known meaning: such messages are one if the log time is the same too. A recorder's own messages are kept:
+they are counted over all its logs, and each log holds those about itself.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class KnownRows:
         publish_ns: NDArray[np.uint64],
         sequence: NDArray[np.uint32],
     ) -> NDArray[np.bool_] | None:
-        """Which messages are new; None is all. See ``reader.Sift``."""
+        """Return a mask of the messages that are new; None if all are. See ``reader.Sift``."""
         known = self._known.get(_key(topic))
         if known is None:
             return None

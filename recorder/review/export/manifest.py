@@ -1,4 +1,4 @@
-"""What a dataset holds, and what it was made of: ``manifest.json`` in its directory, written last.
+"""The contents and sources of a dataset: ``manifest.json`` in its directory, written last.
 
 A directory without it is no dataset, or one whose export was interrupted.
 """

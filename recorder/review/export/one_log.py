@@ -18,7 +18,7 @@ from schemas.printable import plain
 
 
 class ExportRange(msgspec.Struct, frozen=True):
-    """What is wanted of the logs.
+    """The part of the logs to export.
 
     Attributes:
         topics: patterns of topics; none is all. See ``topic_names.wants_of``.
@@ -55,7 +55,7 @@ class ExportTask(msgspec.Struct, frozen=True):
 
 
 class ExportOutcome(msgspec.Struct, frozen=True):
-    """What became of a log."""
+    """The result of the export of one log."""
 
     input: Input
     parts: list[Part]

@@ -1,4 +1,4 @@
-"""Where in a dataset the rows of a topic are: ``topic=.../robot=.../date=YYYY-MM-DD``, as Hive names directories.
+"""Paths of a topic's rows in a dataset: ``topic=.../robot=.../date=YYYY-MM-DD``, as Hive names directories.
 
 Of a key of ours the topic is what follows the robot, so that all robots' rows of one kind are below one directory.
 Whatever may not stand in a directory's name is escaped as in a URL, and comes back when it is read.

@@ -1,4 +1,4 @@
-"""What ``merge`` and ``cut`` stand on.
+"""The reading and writing that ``merge`` and ``cut`` share.
 
 - ``source``   one log: where its chunks stand, and its messages chunk by chunk
 - ``ordered``  the messages of several logs in the order of their log times

@@ -51,7 +51,7 @@ _LATE: Final = frozenset(subject.schema_name for subject in SUBJECTS if subject.
 
 
 class JoinRange(msgspec.Struct, frozen=True):
-    """What goes into the new file.
+    """The part of the sources that goes into the new file.
 
     Attributes:
         topic: whether a topic is wanted.
@@ -65,7 +65,7 @@ class JoinRange(msgspec.Struct, frozen=True):
 
 
 class Joined(msgspec.Struct, frozen=True):
-    """What became of it.
+    """The result of a merge or a cut.
 
     Attributes:
         path: the new file.
@@ -266,7 +266,7 @@ def _copy_metadata(file: McapFile, sources: Sequence[JoinSource], about: tuple[s
 
 
 def _one_account(several: Sequence[dict[str, str]]) -> dict[str, str]:
-    """Whose logs they are: all robots; what two of them tell differently is that of the later one."""
+    """Merge the recording metadata of several logs: all robots; where two logs differ, the later one counts."""
     robots = {name for one in several for name in one.get("robots", "").split(",") if name}
     return {key: value for one in several for key, value in one.items()} | {"robots": ",".join(sorted(robots))}
 

@@ -18,7 +18,7 @@ HELD_BYTES_MAX: Final = 96_000_000
 """So many bytes of messages are held at most. Where more overlap, the order is given up, and that is told."""
 
 ROW_BYTES: Final = 200
-"""What holding a message takes besides its data."""
+"""Memory that a held message takes besides its data."""
 
 
 class _Held:

@@ -1,1 +1,1 @@
-"""What a statement of SQL may read: the tables of logs, and those of a dataset."""
+"""Tables that a statement of SQL may read: those of logs, and those of a dataset."""

@@ -44,12 +44,12 @@ class DatasetSource:
 
     @property
     def directories(self) -> list[str]:
-        """Where its files are, as DuckDB sees it before and after it looks for patterns."""
+        """Return the directory of its files, as DuckDB sees it before and after it looks for patterns."""
         return [str(self._directory), _unglobbed(str(self._directory))]
 
     @property
     def tables(self) -> list[TableInfo]:
-        """What there is."""
+        """Return the tables of the dataset."""
         return [
             TableInfo(
                 name,

@@ -94,12 +94,12 @@ class LogSource:
 
     @property
     def directories(self) -> list[str]:
-        """What DuckDB itself reads: nothing."""
+        """Return the directories that DuckDB itself reads: none."""
         return []
 
     @property
     def tables(self) -> list[TableInfo]:
-        """What there is; tables without a row are not told."""
+        """Return the tables that have rows."""
         return [
             TableInfo(
                 table.name,
@@ -147,7 +147,7 @@ class LogSource:
 
 
 class _LogTable(ds.InMemoryDataset):  # type: ignore[misc]  # pyarrow has no annotations
-    """What DuckDB takes for a dataset: each time that it scans, it says which columns it wants."""
+    """A dataset in DuckDB's eyes: it asks for a scanner of the wanted columns at each scan."""
 
     def __init__(self, source: LogSource, table: Table) -> None:
         super().__init__([], schema=table.schema)
@@ -163,7 +163,7 @@ class _LogTable(ds.InMemoryDataset):  # type: ignore[misc]  # pyarrow has no ann
 
 
 class _Scan:
-    """What DuckDB takes for a scanner: it reads when it is asked, in the thread of who asks.
+    """A scanner in DuckDB's eyes: it reads on demand, in the thread of its caller.
 
     Arrow's own reads ahead in threads that outlive a statement that ends early, and the interpreter with it.
 

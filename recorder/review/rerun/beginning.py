@@ -1,4 +1,4 @@
-"""Where a part of a log has to begin, so that its runs can be run again."""
+"""The beginning of a part of a log from which its runs can be run again."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from recorder.review.rerun.segments import BEFORE_NS, JournalLateness, Rests
 from recorder.review.rerun.tapes import Tape
 
 MARGIN_NS: Final = 1_000_000_000
-"""What is published in batches is of a little before."""
+"""A batch is published up to this long after the oldest sample in it."""
 
 
 def beginning(rows: Iterator[Row], rests: Rests, until_ns: int, incident_ns: int, faults: Faults) -> int | None:

@@ -50,7 +50,7 @@ class RobotClock:
         self._begin(0)
 
     def _begin(self, log_ns: int) -> None:
-        """What the clock was before tells nothing of the states that come now."""
+        """Begin anew: the clock was set, or restarted, and earlier states say nothing about it."""
         self._least_ns: int | None = None
         self._since_ns = log_ns
         self._states = 0
@@ -103,7 +103,7 @@ class RobotClock:
         self.offset_ns = 0 if 0 <= self._least_ns <= NEAR_NS else self._least_ns
 
     def _news(self) -> str:
-        """How far it is from the recorder's, if that is not what was told before."""
+        """Return a sentence on the offset from the recorder's clock; empty if it is as reported last."""
         if abs(self.offset_ns - self._told_ns) <= NEAR_NS:
             return ""
         self._told_ns = self.offset_ns
@@ -116,9 +116,9 @@ class RobotClock:
         return f"the robot's clock is {seconds:.1f} s {way} the recorder's; the times here are the recorder's"
 
     def place(self, publish_ns: int, log_ns: int, tick: int | None = None) -> int:
-        """When something was that the robot says was at ``publish_ns``, and that was received at ``log_ns``.
+        """Return the recorder's time of an event that the robot dates ``publish_ns``, received at ``log_ns``.
 
-        Never later than it was received.
+        Never later than the receipt.
         """
         set_ns = 0 if tick is None else self._set_by(publish_ns, log_ns, tick)
         return min(publish_ns + self.offset_ns - set_ns, log_ns)

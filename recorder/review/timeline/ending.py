@@ -16,7 +16,7 @@ SILENT_NS: Final = 1_000_000_000
 
 
 class LogEnding(msgspec.Struct, frozen=True):
-    """How it ends.
+    """The end of a robot's log.
 
     Attributes:
         entry: that in words.
@@ -30,7 +30,7 @@ class LogEnding(msgspec.Struct, frozen=True):
 
 
 def ending(robot: RobotTrack, spans: Sequence[tuple[int, int]], to_ns: int) -> LogEnding | None:
-    """What is to be told of the end; None if nothing is.
+    """Return a notable end of a robot's log; None if it ended as it should.
 
     Args:
         robot: all that was read of it.

@@ -14,7 +14,7 @@ from schemas.requests import Tick
 
 
 class EntryKind(Enum):
-    """What an entry is about: the kinds of ``safety/event``, and what else a log tells."""
+    """The kind of an entry: those of ``safety/event``, and others that a log reveals."""
 
     LEASE = "lease"
     ENGAGED = "engaged"
@@ -40,7 +40,7 @@ STOPS: Final = frozenset({EntryKind.STOP, EntryKind.TAKEOVER, EntryKind.GUARD})
 
 
 class EntrySource(Enum):
-    """What of the log an entry was read from.
+    """The part of the log that an entry was read from.
 
     ``state``: no message says so; it was derived from two states of the arbiter, one after the other.
     """
@@ -54,7 +54,7 @@ class EntrySource(Enum):
 
 
 class Entry(msgspec.Struct, frozen=True, kw_only=True):
-    """What happened.
+    """An entry of the timeline.
 
     Attributes:
         time_ns: when, in nanoseconds since 1970, by the robot's clock; by the recorder's where the two differ

@@ -1,4 +1,4 @@
-"""What ``gateway/health``, once a second, tells of what went wrong since the one before."""
+"""Faults that appeared between two messages of ``gateway/health``, which comes once a second."""
 
 from __future__ import annotations
 
@@ -59,10 +59,10 @@ class Risen(msgspec.Struct, frozen=True):
 
 
 def risen(before: GatewayHealth | None, now: GatewayHealth) -> Iterator[Risen]:
-    """What is new.
+    """Return the faults that are new since the message before.
 
     Args:
-        before: the one before of the same run; None if the log holds none, and then only what is so now is told.
+        before: the one before of the same run; None if the log holds none: then the faults of now are returned.
         now: the newest.
     """
     yield from _bus(before, now)

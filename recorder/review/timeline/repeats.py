@@ -1,4 +1,4 @@
-"""What a log holds twice, and what it lacks, by the sequences of the samples."""
+"""Repeated and missing samples of a log, by their sequences."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Sequences:
             del pieces[0]
 
     def holes(self) -> list[SequenceHole]:
-        """What is missing between the first and the last one."""
+        """Return the ranges of missing samples between the first and the last one."""
         return self._told + [_hole(*pair) for pair in zip(self._pieces, self._pieces[1:], strict=False)]
 
     def _join(self, at: int) -> None:

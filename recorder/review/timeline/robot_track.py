@@ -1,4 +1,4 @@
-"""What the log has told of one robot so far, as far as further entries need it."""
+"""The state of one robot as the log gives it so far, as far as further entries need it."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class RobotTrack:
         self._sequences: dict[tuple[str, int], Sequences] = {}
 
     def place(self, row: Row, tick: int | None = None) -> int:
-        """When it was, on the recorder's line of time."""
+        """Return the time of a row's event by the recorder's clock."""
         return self.clock.place(row.publish_ns, row.log_ns, tick)
 
     def count(self, row: Row, tick: int, time_ns: int) -> None:
@@ -75,7 +75,7 @@ class RobotTrack:
 
     @property
     def left(self) -> str:
-        """What the gateway of the newest state did."""
+        """The gateway's state and commanded speed in its newest message, for people."""
         if self.state is None or not self.is_active:
             return "standby"
         return f"{self.state.state.value}, and told {self.state.output_speed_mps:.2f} m/s"
@@ -92,12 +92,12 @@ class RobotTrack:
         self.state_ns, self.state_log_ns = time_ns, log_ns
 
     def holder_at(self, tick: int) -> str:
-        """Who held the lease before this tick; empty if nobody did, or if the log does not tell."""
+        """Return the holder of the lease before this tick; empty if nobody held it, or the log does not say."""
         at = bisect_right(self._holder_ticks, tick - 1)
         return self._holders[at - 1] if at else ""
 
     def holes(self) -> list[Entry]:
-        """What is missing of the events and decisions."""
+        """Return an entry for each range of missing events and decisions."""
         return [
             Entry(
                 time_ns=hole.after_ns,

@@ -1,4 +1,4 @@
-"""What happens again and again is told once, with a count: a drive stream is refused fifty times a second."""
+"""Repeated entries as one entry with a count: a drive stream is refused fifty times a second."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What two states of the arbiter, one after the other, tell of what happened in between.
+"""Events derived from two successive states of the arbiter.
 
-Where the events are in the log, they say it better, and what is derived here is not told. Without them (samples
-were lost, or the gateway is an older one) this is what is left.
+If the log holds the events themselves, they say it better, and the derived ones are dropped. Without them (samples
+were lost, or the gateway is an older one) the derived ones remain.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Change(msgspec.Struct, frozen=True):
 
 
 def changes(before: SafetyState, now: SafetyState) -> Iterator[Change]:
-    """What happened between two states of one run."""
+    """Return the changes between two states of one run."""
     silent_ns = now.time_ns - before.time_ns
     said = ""
     if silent_ns > 4 * SAFETY_STATE_PERIOD_NS:

@@ -1,7 +1,7 @@
-"""What happened, in order: leases, engages, stops, latches, faults, takeovers, refusals, and what the log lacks.
+"""Events in order: leases, engages, stops, latches, faults, takeovers, refusals, and gaps of the log.
 
-One pass over what the arbiter, the gateway and the recorder say. Entries are held back, up to a bound, so that
-what was asked for later, and stands behind newer messages, is told in its place.
+One pass over the messages of arbiter, gateway and recorder. Entries are held back, up to a bound, so that a late
+one, which the log holds behind newer messages, appears in its place.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ HELD_MAX: Final = 20_000
 """Entries that are held back. What comes later than so many newer ones is told out of order, and says so."""
 
 LATER_NS: Final = 15 * 60 * 1_000_000_000
-"""What was asked for later is looked for up to so long behind the time that is asked about."""
+"""The log is read this far beyond the end of the wanted time, for late messages about that time."""
 
 BEFORE_NS: Final = 5 * 1_000_000_000
-"""And the states before it are read for so long, so that a change at its beginning is seen as one."""
+"""The states this long before the wanted time are read too, so that a change at its beginning is seen as one."""
 
 _UNTOLD: Final = frozenset(
     {"drive", "renew", "acquire", "take", "release", "engage", "disengage", "stop", "reset"}
@@ -356,7 +356,7 @@ _TAKES: Final[dict[type[msgspec.Struct] | None, Callable[[Timeline, RobotTrack, 
     RecorderEvent: Timeline._take_recorder_event,  # noqa: SLF001
     RecordGap: Timeline._take_gap,  # noqa: SLF001
 }
-"""What is made of each class; others are not read."""
+"""The handler of each class; other classes are not read."""
 
 
 def _plain(
@@ -382,5 +382,5 @@ def _states_of(robot: str) -> Wants:
 
 
 def _says(state: SafetyState) -> tuple[object, ...]:
-    """What a change is told of."""
+    """Return the part of a state whose changes make entries."""
     return state.state, state.lease_holder, state.latched, state.guarded

@@ -69,7 +69,7 @@ class ProvenCount(msgspec.Struct):
 
 
 class _Segment:
-    """What is between two heads of a subject: places ``first`` up to, but not including, ``end``."""
+    """The samples between two heads of a subject: places ``first`` up to, but not including, ``end``."""
 
     __slots__ = ("digests", "end", "first", "from_ns", "head", "held", "others", "start", "to_ns")
 

@@ -1,7 +1,7 @@
-"""Who commanded, by the requests in the journal: each signed verb's own signature and grant, checked once more.
+"""Commanders by the requests in the journal: each signed verb's signature and grant, checked once more.
 
 The robot judged each request when it came, and the journal has its verdict beside the request. A drive command is
-proven by a key that only the robot and the holder of the lease have: here its lease's holder is what stands.
+proven by a key that only the robot and the holder of the lease have: it is attributed to the lease's holder.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class CommandRecord:
         return [one for one in self._refused.values() if one.verb == STOP_VERB]
 
     def holders(self) -> list[Holder]:
-        """Who held the lease, by the time."""
+        """Return the holders of the lease, in order of time."""
         for holder in self._holders.values():
             asked = [
                 verb
@@ -217,7 +217,7 @@ class CommandRecord:
         credentials: Sequence[Any],
         at_ns: int,
     ) -> ProofFinding | None:
-        """Why a verb should not have been accepted; None if it should."""
+        """Return the finding against a verb that should not have been accepted; None if it should."""
         command, what = BY_VERB.get(verb), f"{verb} of {operator}"
         if proof is None or command is None:
             return ProofFinding(ProofFault.WRONGLY_SIGNED, f"{what} was accepted without a signature", at_ns)
@@ -234,7 +234,7 @@ class CommandRecord:
         return ProofFinding(ProofFault.NOT_GRANTED, f"{what} was accepted: {detail}", at_ns) if detail else None
 
     def _excess(self, held: HeldGrant, verb: str, operator: str, credentials: Sequence[Any]) -> str:
-        """What the robot allowed and the grant does not; empty if nothing."""
+        """Return what the robot allowed beyond the grant; empty if nothing."""
         grant = held.grant
         if grant.name != operator or grant.role not in COMMANDING_ROLES:
             return f"the grant is of {grant.name}, {grant.role.value}"

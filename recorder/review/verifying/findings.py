@@ -1,4 +1,4 @@
-"""What is wrong with the proofs of a log."""
+"""Faults in the proofs of a log."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import msgspec
 
 
 class ProofFault(Enum):
-    """What is wrong. ``unproven``: the log lacks what it takes to tell; all others are wrong for certain."""
+    """The kind of a fault. ``unproven``: the log lacks the evidence; all others are certain."""
 
     MISSING = "missing"
     CHANGED = "changed"
