@@ -258,7 +258,7 @@ class Core:
 
     @property
     def bars(self) -> dict[Reason, str]:
-        """Why nobody may engage the robot, found outside the command flow, each reason with its words."""
+        """The reasons outside the command flow why nobody may engage the robot, each with its words."""
         return {} if self.command is None else self.command.arbiter.engagement.bars
 
     def challenge_age_ns(self, challenge: bytes, now_ns: int) -> int | Reason:

@@ -1,4 +1,4 @@
-"""How somebody gets in: a request, which leaves the machine where the keys stay, and a bundle in answer. Pure.
+"""Enrolment: a request, which leaves the machine where the keys stay, and a bundle in answer. Pure.
 
 A request is JSON, and is proven twice: the request for a certificate in it is signed by the TLS key, and the whole
 by the Ed25519 key that the grant is to be for. A bundle is two lines, like a statement: JSON, and the authority's
@@ -30,7 +30,7 @@ TEXT_MAX_BYTES: Final = 65_536
 
 
 class EnrolmentRole(Enum):
-    """Who asks to be let in."""
+    """The role that an applicant asks for."""
 
     SITE = "site"
     ROBOT = "robot"
@@ -42,7 +42,7 @@ class EnrolmentRole(Enum):
 
     @property
     def transport(self) -> TransportRole | None:
-        """What it is on the network; a site is nobody there, it makes certificates."""
+        """The role on the network; None for a site, which makes certificates and does not connect."""
         return None if self is EnrolmentRole.SITE else TransportRole(self.value)
 
     @property
@@ -58,7 +58,7 @@ _GRANTED: Final = {
     EnrolmentRole.OPERATOR: {GrantRole.OPERATOR, GrantRole.PROGRAM, GrantRole.SUPERVISOR},
     EnrolmentRole.RECORDER: {GrantRole.RECORDER},
 }
-"""Who gets a grant, and of which role."""
+"""The roles of a grant that each role of an applicant may get; all other roles get none."""
 
 BY_SITES: Final = frozenset({EnrolmentRole.OPERATOR, EnrolmentRole.VIEWER})
 """Whom a site lets in: people."""
@@ -98,7 +98,7 @@ class EnrolmentRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
 
 class FleetPlace(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where a fleet is on Zenoh: the content of ``fleet.json``.
+    """The place of a fleet on Zenoh: the content of ``fleet.json``.
 
     Attributes:
         root: first chunks of every key.
@@ -110,7 +110,7 @@ class FleetPlace(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Bundle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What somebody who asked gets.
+    """The answer to an enrolment: certificates, keys of the authority and a grant.
 
     Attributes:
         role, name: of the request.
@@ -227,7 +227,7 @@ def chain_of(text: bytes) -> list[Signed]:
 
 
 def fingerprint(data: bytes) -> str:
-    """What two people compare by voice: the first half of a SHA-256, in groups."""
+    """Return a text that two people compare by voice: the first half of a SHA-256, in groups."""
     digest = hashlib.sha256(data).hexdigest()[:32]
     return "-".join(digest[start : start + 4] for start in range(0, len(digest), 4))
 

@@ -49,7 +49,7 @@ _NS_PER_H: Final = 3_600_000_000_000
 
 
 class Kept(msgspec.Struct, frozen=True):
-    """What outlives a restart.
+    """The state of the authority that is kept across a restart.
 
     Attributes:
         own: the chain of the robot's own grant, if it was renewed since it was provisioned.
@@ -127,7 +127,7 @@ def trust_of(trust: Trust, kept: Kept) -> Trust | Objection:
 
 
 class AuthorityEffects(msgspec.Struct):
-    """What is to be done in a tick.
+    """Actions of one tick.
 
     Attributes:
         samples: to be published.
@@ -217,7 +217,7 @@ class RobotAuthority:
 
     @property
     def grant_ends_s(self) -> int | None:
-        """When the first grant of the robot's own chain ends, seconds since 1970."""
+        """The earliest end in the robot's own chain of grants, seconds since 1970; None if it has none."""
         return min(
             (one.statement.not_after for one in self._own if isinstance(one.statement, Grant)), default=None
         )

@@ -1,4 +1,4 @@
-"""What a robot in signed mode tests of itself before anybody engages it, as far as no network is needed. Pure.
+"""Self-test of a robot in signed mode before anybody engages it, as far as it needs no network. Pure.
 
 An access control that is wrong is silent: Zenoh lets everybody pass where a rule, a name or a switch is missing,
 and says nothing of it. So is a library that verifies anything.
@@ -35,7 +35,7 @@ UNTIL_S: Final = 2**53 - 1
 
 
 def access_fault(access: dict[str, Json], tls: dict[str, Json]) -> str:
-    """What lets anybody pass in the access control and the TLS of a Zenoh configuration; empty if nothing does.
+    """Return the first flaw that lets anybody pass a Zenoh configuration's access control or TLS; empty if none.
 
     Args:
         access: ``access_control``, as Zenoh read it.
@@ -60,7 +60,7 @@ def access_fault(access: dict[str, Json], tls: dict[str, Json]) -> str:
 
 
 def admission_fault(settings: Settings, trust: Trust) -> str:
-    """What a wrongly signed request would get past; empty if nothing.
+    """Return the check that a wrongly signed request would pass; empty if there is none.
 
     Args:
         settings: where the robot's name and root are.
@@ -70,7 +70,7 @@ def admission_fault(settings: Settings, trust: Trust) -> str:
 
 
 def _findings(settings: Settings, trust: Trust) -> Iterator[tuple[bool, str]]:
-    """What has to hold, and what is wrong where it does not.
+    """Run the checks: yield for each True if it holds, and the fault that it is otherwise.
 
     An operator of an authority that nobody else knows asks for a lease, engages and drives: with the right proofs
     where that authority counts, with each of them wrong there, and with the right ones where the robot's counts.

@@ -1,4 +1,4 @@
-"""Who may say what on Zenoh: mutual TLS and access control by role, as a Zenoh configuration. Pure.
+"""Mutual TLS and access control by role, as a Zenoh configuration. Pure.
 
 The role of a node is the common name (CN) of its certificate. One table says what each role sends to the router
 and receives from it; the router's file has all of it, the file of any other node its own rows, with the router at
@@ -36,7 +36,7 @@ from schemas.zenoh_link import WITH_NAMES, Json, session_settings
 
 
 class TransportRole(Enum):
-    """What a node of the network is: the common name of its certificate.
+    """The role of a node of the network: the common name of its certificate.
 
     Nobody is ``nothing``: no row of the table has this role. A robot tests with it that it is shut out.
     """
@@ -64,7 +64,7 @@ COMMAND_MAX_BYTES: Final = 2 * REQUEST_MAX_BYTES
 STATEMENT_MAX_BYTES: Final = TEXT_MAX_BYTES + REQUEST_MAX_BYTES
 
 HISTORY: Final = "@adv/**"
-"""Where advanced publishers answer for what they published before."""
+"""The key suffix where advanced publishers answer queries for earlier samples."""
 
 Flow = Literal["ingress", "egress"]
 _TURNED: Final[dict[str, Flow]] = {"ingress": "egress", "egress": "ingress"}
@@ -234,7 +234,7 @@ SHUT_OUT_FILE: Final = CERTIFICATE_FILE.format(who=_R.NOTHING.value)
 
 
 def _published(robot: str) -> tuple[str, ...]:
-    """What a robot publishes, a key expression for each part of the table, and what it answers for it."""
+    """Return the key expressions that a robot publishes, and those of its histories."""
     parts = (re.sub(r"[^/]+", "*", rest) for rest in (subject.name.partition("/")[2] for subject in SUBJECTS))
     firsts = (subject.name.partition("/")[0] for subject in SUBJECTS)
     names = dict.fromkeys("/".join(filter(None, pair)) for pair in zip(firsts, parts, strict=True))
@@ -248,7 +248,7 @@ def _verbs(robot: str, other: Asking) -> tuple[str, ...]:
 
 
 def _histories(robot: str) -> tuple[str, ...]:
-    """Where late joiners ask for what was published before."""
+    """Return the key expressions where late joiners ask for earlier samples."""
     places = {subject.name.partition("/")[0] for subject in SUBJECTS if subject.qos.history}
     return tuple(f"{robot}/{place}/*/{HISTORY}" for place in sorted(places))
 

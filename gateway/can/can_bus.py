@@ -53,7 +53,7 @@ class BusFull(Exception):  # noqa: N818 - it is named for what happened; the fra
 
 
 class Bus(Protocol):
-    """What the loops need of a bus.
+    """A CAN bus as the loops use it.
 
     Attributes:
         drops: frames that came and were dropped before they were read, since it was opened, if that is known.
@@ -103,10 +103,10 @@ class CanBus:
         return None
 
     def _time_ns(self, timestamp_s: float) -> int:
-        """When a frame was received, since the epoch: by the interface's clock, if that keeps epoch time.
+        """Return a frame's time of receipt since the epoch: by the interface's clock, if that keeps epoch time.
 
-        Some interfaces count from their own start, or give no time. The first frame tells, for as long as the bus
-        is open: judged one by one, frames that waited while this process stood still would be taken for new ones.
+        Some interfaces count from their own start, or give no time. The first frame decides until the bus is
+        closed: judged one by one, frames that waited while this process was suspended would pass for new ones.
         """
         # Not a number, infinite or absurd, as a broken server may send it: no time at all.
         wall_ns = int(timestamp_s * 1e9) if 0 <= timestamp_s < TIMESTAMP_MAX_S else 0
@@ -154,7 +154,7 @@ class CanBus:
 
 
 def first_line(error: Exception) -> str:
-    """What an error says; python-can puts whole tracebacks behind it."""
+    """Return the first line of an error's text; python-can puts whole tracebacks behind it."""
     message = str(error).partition("Traceback (most recent call last)")[0].strip()
     return (message.splitlines() or [type(error).__name__])[0]
 
@@ -177,7 +177,7 @@ def _tune(stream: socket.socket) -> None:
 
 
 def _waiting_bytes(stream: socket.socket) -> int:
-    """What was sent and has not arrived."""
+    """Return the number of sent bytes that have not arrived; 0 if the connection is gone."""
     try:
         answer = fcntl.ioctl(stream, termios.TIOCOUTQ, b"\0" * 4)
     except OSError:

@@ -33,19 +33,19 @@ MAX_CLIENTS: Final = 64
 """Well below the 1024 descriptors that select() can watch."""
 
 MAX_QUEUED_BYTES: Final = 1 << 20
-"""What a client may leave unread here, besides what the kernel holds: about 25 s of nominal feedback."""
+"""The most bytes queued for a slow client, besides the kernel's buffer: about 25 s of nominal feedback."""
 
 MAX_REPLY_BYTES: Final = 64 * 1024
 """A client that asks for more answers than this without reading them is cut off."""
 
 ACCEPT_PAUSE_NS: Final = 1_000_000_000
-"""How long nobody is let in after this process, or the machine, has run out of descriptors or memory."""
+"""The pause in accepting clients after this process, or the machine, has run out of descriptors or memory."""
 
 JOIN_NS: Final = 100_000_000
-"""How long after its handshake a client is on the bus; frames before that are not for it.
+"""The delay from a client's handshake until it receives frames.
 
-python-can's handshake reads up to 256 bytes once and wants them to be exactly ``< ok >``: a frame in the same
-segment would fail it. The kernel gives no sign that an answer has been read, so a pause has to do.
+python-can's handshake reads up to 256 bytes once and expects exactly ``< ok >``: a frame in the same segment would
+fail it. The kernel gives no sign that an answer has been read, so a delay has to do.
 """
 
 _EXHAUSTED: Final = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
@@ -57,7 +57,7 @@ Inject = Callable[[str], str]
 
 
 class _Outbox:
-    """What a client has still to get: whole batches, the oldest frames dropped when it does not read."""
+    """The batches queued for a client; the oldest frames are dropped when it does not read."""
 
     def __init__(self) -> None:
         self._batches: deque[tuple[bytes, int]] = deque()
@@ -160,7 +160,7 @@ class SocketcandServer:
 
     @property
     def clients(self) -> int:
-        """How many are connected."""
+        """The number of connected clients."""
         return len(self._clients)
 
     def wait(self, timeout_s: float) -> None:

@@ -23,7 +23,7 @@ LINES_KEPT: Final = 50
 
 
 CRUISER: Final = (sys.executable, "-m", "gateway")
-"""How the ``cruiser`` of this very installation is run."""
+"""The command that runs the ``cruiser`` of this very installation."""
 
 
 class Child:
@@ -149,10 +149,10 @@ class Child:
 
 
 def address_of(chassis: Child) -> str:
-    """Where a virtual chassis that was told to listen on a free port listens, HOST:PORT.
+    """Return HOST:PORT of a virtual chassis that was started on a free port.
 
     Raises:
-        CommandError: it does not say.
+        CommandError: it does not report its address.
     """
     ready = re.search(r" on (127\.0\.0\.1:\d+)", chassis.wait_ready())
     if ready is None:

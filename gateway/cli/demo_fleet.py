@@ -81,7 +81,7 @@ def code_of(facts: Sequence[JudgedFact]) -> ExitCode:
 
 
 def describe(facts: Sequence[JudgedFact]) -> str:
-    """What was seen, for people."""
+    """Return the facts and the verdict as text for people."""
     wrong = sum(not fact.holds for fact in facts)
     verdict = f"{wrong} of {len(facts)} NOT AS THEY SHOULD BE" if wrong else "all of it as it should be"
     return "\n".join(["\nwhat was seen", *map(line_of, facts), verdict])

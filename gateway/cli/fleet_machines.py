@@ -42,11 +42,11 @@ PEOPLE: Final[tuple[Newcomer, ...]] = (("operator", OPERATOR, OPERATOR), ("viewe
 
 
 class Done(msgspec.Struct, frozen=True):
-    """How a command ended.
+    """The result of a command.
 
     Attributes:
         code: its exit code.
-        text: all that it said.
+        text: all of its output.
     """
 
     code: int
@@ -197,7 +197,7 @@ class FleetMachines:
         )
 
     def _complete(self, robot: str, address: str) -> None:
-        """What a robot's settings do not have of ``install``: its bus, and a place for its memory."""
+        """Add the settings that ``install`` does not write: the robot's bus, and the directory of its state."""
         state = str(self.directory / robot / "state")
         own = {"can": {"interface": "socketcand", "channel": address}, "gateway": {"state_dir": state}}
         self._tell(f"  robot.toml of {robot} gets its bus, {address}")
@@ -211,4 +211,4 @@ _GRANTED: Final = {
     "site": ("--robots", "cruiser-*"),
     "operator": ("--robots", "cruiser-*", "--speed-limit", f"{OPERATOR_LIMIT_MPS:g}"),
 }
-"""What is granted, where it is not all."""
+"""Restrictions of the grants that do not allow everything, as flags, by role."""

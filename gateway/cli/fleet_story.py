@@ -42,7 +42,7 @@ WAIT_S: Final = 20.0
 POLL_S: Final = 0.01
 
 WANTED_MPS: Final = 2.0
-"""What the operator asks for, and the intruder: more than is granted."""
+"""The speed that operator and intruder request: more than is granted."""
 
 FORGED_ANGLE_DEG: Final = 15.0
 
@@ -55,7 +55,7 @@ DEADMAN_S: Final = 1.0
 FORGED_DRIVES: Final = 50
 
 TIGHT_S: Final = "1"
-"""How long a command that is to be refused in silence waits for an answer."""
+"""The wait for an answer of a command that is to be rejected in silence, seconds."""
 
 
 class JudgedFact(msgspec.Struct, frozen=True):

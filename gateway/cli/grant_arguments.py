@@ -18,7 +18,7 @@ from schemas.subjects import BY_VERB, RECORDER_BY_VERB, STOP_VERB
 HOUR_S, DAY_S = 3600, 86_400
 
 PERSON_S, OTHERS_S = 12 * HOUR_S, 90 * DAY_S
-"""How long a grant lasts unless it is said."""
+"""The duration of a grant without ``--lasts``, seconds."""
 
 ROBOT_VERBS: Final = [verb for verb in BY_VERB if verb != STOP_VERB]
 """Verbs that want a grant: a stop wants none."""
@@ -26,7 +26,7 @@ ROBOT_VERBS: Final = [verb for verb in BY_VERB if verb != STOP_VERB]
 ALL_VERBS: Final = [*ROBOT_VERBS, *RECORDER_BY_VERB]
 
 USUAL_VERBS: Final = [*ROBOT_VERBS, "mark"]
-"""What a person may do unless it is said: all of a robot's, and marking an incident at a recorder."""
+"""A person's verbs without ``--verbs``: all of a robot's, and marking an incident at a recorder."""
 
 PERSONS: Final = (GrantRole.OPERATOR, GrantRole.PROGRAM, GrantRole.SUPERVISOR)
 
@@ -73,15 +73,15 @@ def add_grant_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def wanted_grant(arguments: argparse.Namespace, request: EnrolmentRequest, last: Grant | None) -> Wanted:
-    """What is to be granted: what is said; of what is not, what the same key had, or else what is usual.
+    """Return the grant that the flags ask for; where they are silent, as the same key had it, or else the usual.
 
     Args:
         arguments: as ``add_grant_arguments`` declares them.
-        request: who asks.
-        last: what the same key was granted last; None if nothing.
+        request: the applicant's.
+        last: the last grant to the same key; None if there was none.
 
     Raises:
-        CommandError: a flag is not for who asks.
+        CommandError: a flag does not fit the applicant's role.
     """
     given = [name for name in _GRANT_FLAGS if getattr(arguments, name) not in (None, False)]
     if request.role not in {EnrolmentRole.OPERATOR, EnrolmentRole.SITE} and set(given) - _FOR_ALL:

@@ -22,7 +22,7 @@ from schemas.exit_codes import CommandError, ExitCode
 log = logging.getLogger(__name__)
 
 REQUEST_TIMEOUT_S: Final = 10.0
-"""Who asks, and then sends or takes nothing for this time, is cut off."""
+"""A client that then sends or reads nothing for this time is cut off."""
 
 POLL_S: Final = 0.1
 """The period in which arrivals are taken from Zenoh."""

@@ -96,7 +96,7 @@ def _add_replace(action: argparse.ArgumentParser) -> None:
 
 
 def _add_makers(add: Add) -> None:
-    """What makes keys."""
+    """Add the actions that make keys."""
     standby = add("standby", "the key that replaces a lost or stolen authority; made first, kept elsewhere")
     _add_replace(standby)
     _add_passphrase(standby, makes_keys=True)
@@ -128,7 +128,7 @@ def _add_makers(add: Add) -> None:
 
 
 def _add_signers(add: Add) -> None:
-    """What lets somebody in."""
+    """Add the actions that admit applicants."""
     sign = add("sign", "let somebody in, at the authority or at a site: a bundle answers the request")
     sign.add_argument("request", metavar="REQUEST", help="the file")
     sign.add_argument("--fingerprint", metavar="F", help="refuse a request of another one")
@@ -143,7 +143,7 @@ def _add_signers(add: Add) -> None:
 
 
 def _add_statements(add: Add) -> None:
-    """What is said to robots."""
+    """Add the actions that send statements to robots."""
     revoke = add("revoke", "end grants at once: a list of all that is revoked, for the robots")
     revoke.add_argument("names", nargs="*", metavar="NAME", help=f"holders, as in {ISSUED_FILE}")
     revoke.add_argument("--key", action="append", default=[], type=_hex(64), metavar="HEX", help="of a holder")
@@ -348,7 +348,7 @@ _AFTER: Final = {
     EnrolmentRole.RECORDER: "cruiser record --config {}/recorder.toml",
     EnrolmentRole.ROUTER: "cruiser router --directory {}",
 }
-"""What is done next; a person's commands find their settings by the environment."""
+"""The next step after ``install``, by role; a person's commands find their settings by the environment."""
 
 
 def _hex(length: int) -> Callable[[str], str]:

@@ -30,13 +30,13 @@ from schemas.reasons import Reason
 from schemas.settings import Settings
 
 SENDERS: Final = ("desk", "operator")
-"""Whose certificate is used for it, where the settings say none."""
+"""The roles whose certificate is used, in order of preference, if the settings name none."""
 
 Stopped = Callable[[], bool]
 
 
 class _Answer(msgspec.Struct, frozen=True):
-    """What became of a statement at one robot."""
+    """The result of a statement at one robot."""
 
     text: str
     code: ExitCode
@@ -109,7 +109,7 @@ def _code(codes: list[ExitCode]) -> ExitCode:
 
 
 class _Shown(msgspec.Struct, frozen=True):
-    """What a robot answered when it was shown a statement, and the question that its answer has to cover."""
+    """A robot's answer to a statement, and the question that the answer has to cover."""
 
     question: bytes
     reply: Received | None
@@ -147,7 +147,7 @@ def _doubt(
     settings: Settings,
     store: KeyStore,
 ) -> str:
-    """Why the answer may be somebody else's; empty if the robot signed it."""
+    """Return why the answer may be somebody else's; empty if the robot signed it."""
     if not store.has(AUTHORITY_FILE):
         return f"{store.path(AUTHORITY_FILE)} is not there"
     trust = store.read_as(AUTHORITY_FILE, AuthorityKeys, "'cruiser provision install' writes it").trust

@@ -32,7 +32,7 @@ SHOW_TIMEOUT_S: Final = 1.0
 """A robot answers a statement within a few ticks of 10 ms."""
 
 ASK_AGAIN_NS: Final = 250_000_000
-"""Who a robot is, is asked no sooner after the last time: somebody may repeat samples of a former run."""
+"""The shortest time between two queries for a robot's identity: somebody may repeat samples of a former run."""
 
 SIGN_AGAIN_NS: Final = 250_000_000
 """A stop is signed again for the same robot after this time: a put may be lost."""
@@ -112,7 +112,7 @@ class LinkProof:
         return refusal
 
     def meet_again(self, commands: CommandPort) -> None:
-        """Where samples of another run of the robot are seen, ask which is the present one, without waiting."""
+        """If samples of another run of the robot arrive, ask which run is the present one, without waiting."""
         self._meeting.step(commands, self._proof.statement, is_wanted=self._proof.is_to_meet_again(self._robot))
 
     def with_key(self, request: Request) -> Request:
@@ -196,9 +196,10 @@ class StopProof:
 
 
 def stop_proof(settings: Settings) -> StopProof | None:
-    """What a stop is believed and signed by, in signed mode. Whatever the files are, a stop goes out.
+    """Return the keys that sign a stop and verify its replies in signed mode; None in open mode.
 
-    Without the authority's keys it is believed as in open mode; without an operator's key or grant, not signed.
+    A stop is sent whatever the files hold. Without the authority's keys its replies are believed as in open mode;
+    without an operator's key or grant it is not signed.
     """
     if settings.authority.mode != "signed":
         return None

@@ -67,7 +67,7 @@ class Arbiter:
 
     @property
     def state(self) -> ArbiterState:
-        """Where it is in the table of states."""
+        """The state in the arbiter's state table."""
         return self.engagement.state
 
     def tick(self, chassis: ChassisState, requests: list[RawRequest], now_ns: int, late_ns: int) -> TickOutcome:

@@ -10,7 +10,7 @@ from schemas.requests import Role
 
 
 class Credentials(msgspec.Struct, frozen=True, array_like=True):
-    """What was proven of a request's sender before the arbiter got it. In the journal it is an array.
+    """The proven facts about a request's sender, as the arbiter gets them. In the journal it is an array.
 
     Attributes:
         reason: NONE if the proof holds; else why it does not, and all below is empty.

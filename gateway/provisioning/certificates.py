@@ -50,7 +50,7 @@ class CertificateError(CommandError):
 
 
 class Applicant(msgspec.Struct, frozen=True):
-    """What a request for a certificate says, its signature checked.
+    """The applicant in a certificate request whose signature was verified.
 
     Attributes:
         role: the common name.
@@ -81,7 +81,7 @@ def new_request(key: ec.EllipticCurvePrivateKey, role: str, names: Sequence[str]
 
 
 def read_request(text: str) -> Applicant:
-    """Who asks for a certificate.
+    """Return the applicant of a certificate request.
 
     Raises:
         CertificateError: it is no request, or not signed by its own key.

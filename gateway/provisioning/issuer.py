@@ -1,4 +1,4 @@
-"""Who lets others in: the authority of a fleet, or a site. Signs bundles, revocations, rotations and the time."""
+"""Issuers: the authority of a fleet, or a site. They sign bundles, revocations, rotations and the time."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class Issued(msgspec.Struct, frozen=True):
 
 
 class Wanted(msgspec.Struct, frozen=True):
-    """What somebody is to be granted.
+    """The terms of a grant to be issued.
 
     Attributes:
         verbs, robots, override, speed_limit_mps, may_delegate: as in a grant.
@@ -190,7 +190,7 @@ class Issuer:
         return bundle_text(bundle, self._private), grant if isinstance(grant, Grant) else None
 
     def last_grant(self, request: EnrolmentRequest) -> Grant | None:
-        """What the same key was granted last, as the same; None if nothing."""
+        """Return the last grant to the same key in the same role and name; None if there is none."""
         found = [one for one in self.issued() if one.key == request.key and one.role is request.role and one.body]
         if not found or found[-1].name != request.names[0]:
             return None

@@ -39,7 +39,7 @@ FILE_MAX_BYTES: Final = 4_000_000
 
 
 class Passphrase:
-    """Where the passphrase of keys comes from: a file, or the terminal, asked for once.
+    """The source of the keys' passphrase: a file, or the terminal, asked once.
 
     Args:
         file: its first line is the passphrase.
@@ -52,7 +52,7 @@ class Passphrase:
         self._known: bytes | None = None
 
     def new(self) -> KeySerializationEncryption:
-        """How new keys are written.
+        """Return the encryption for new keys.
 
         Raises:
             CommandError: there is nobody to ask, or two answers differ.
@@ -108,7 +108,7 @@ class KeyStore:
         self._passphrase = passphrase or Passphrase()
 
     def path(self, name: str) -> Path:
-        """Where a file is."""
+        """Return the path of a file."""
         return self.directory / name
 
     def has(self, name: str) -> bool:

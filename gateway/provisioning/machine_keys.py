@@ -103,7 +103,7 @@ def ask_again(store: KeyStore, role: EnrolmentRole, names: list[str]) -> Enrolme
 
 
 class Installed(msgspec.Struct, frozen=True):
-    """What was written.
+    """The result of an installation.
 
     Attributes:
         files: names of the files.
@@ -209,9 +209,9 @@ def _own_files(store: KeyStore, bundle: Bundle) -> Mapping[str, str]:
 
 
 def _listening(routers: list[str], names: list[str]) -> list[str]:
-    """Where a router listens: on its machine's addresses, at the ports that the fleet's endpoints for it have.
+    """Return a router's endpoints to listen on: its machine's addresses, with the ports of the fleet's endpoints.
 
-    Where it is reached by an address of this machine alone, it listens there alone.
+    If the fleet reaches it by a loopback address, it listens on that address only.
     """
     found: list[str] = []
     for endpoint in routers:

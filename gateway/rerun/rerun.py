@@ -105,7 +105,7 @@ _REST_BEGINS: Final = msgspec.msgpack.encode([Kind.REST.value, *range(3 + len(LI
 
 
 def rests(journal: Journal) -> list[int]:
-    """When the gateway was at rest, of what a message of the journal holds: nanoseconds since 1970, by its clock.
+    """Return the times in a journal message when the gateway was at rest: nanoseconds since 1970, by its clock.
 
     Raises:
         BrokenJournalError: it cannot be read.
@@ -164,7 +164,7 @@ def _as_request(values: Sequence[Any]) -> RawRequest:
 
 
 _NOT_YET_TOLD: Final = {"realtime": True}
-"""What holds for a journal that does not say it."""
+"""The links' values that older journals lack."""
 
 
 def _as_links(told: Sequence[Any]) -> Links:

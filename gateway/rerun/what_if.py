@@ -36,11 +36,11 @@ _CHALLENGES_KEPT: Final = 500
 """Ten seconds of them. A command that echoes an older one is refused for its age in any case."""
 
 _COUNTED_BYTES: Final = 6
-"""What follows in a command frame is alive counter and checksum (manual V2.0, section 5)."""
+"""Bytes of a command frame before alive counter and checksum (manual V2.0, section 5)."""
 
 
 class GivenOutput(msgspec.Struct, frozen=True, gc=False):
-    """What one of the two runs says.
+    """A sample of one of the two runs.
 
     Attributes:
         sample: the subject's name and the MessagePack payload.
@@ -118,7 +118,7 @@ class _Pair:
         return kind, now_ns, taken, wall_ns
 
     def _compare(self, frames: list[Frame], others: list[Frame], now_ns: int) -> None:
-        """Whether the chassis is told the same in both runs."""
+        """Compare the commands of both runs, and begin or end the stand-in for the chassis accordingly."""
         self._offered, self._offered_other = frames, others
         stand_in = self._stand_in
         if stand_in is None:

@@ -49,7 +49,7 @@ class _Active(msgspec.Struct):
 
 
 _Slot = tuple[str, str | int]
-"""What a fault takes hold of; a later fault of the same slot takes the place of the earlier."""
+"""The target of a fault; a later fault of the same slot replaces the earlier."""
 
 
 class Disturbances:
@@ -77,7 +77,7 @@ class Disturbances:
 
     @property
     def next_foreign_ns(self) -> int:
-        """When the next foreign frame is due; far away if there is none."""
+        """The due time of the next foreign frame; far away if there is none."""
         return min((active.next_ns for active in self._active.values()), default=_NEVER_NS)
 
     def foreign_frames(self, now_ns: int, wall_ns: int) -> list[Frame]:
@@ -90,7 +90,7 @@ class Disturbances:
         return frames
 
     def strike(self, disturbance: Disturbance, message: str) -> int:
-        """Whether this frame of the message is disturbed: 0, or the fault's number. Counts the frame."""
+        """Count a frame of the message, and return the number of the fault that disturbs it; 0 if none does."""
         slot = (disturbance.value, message)
         active = self._active.get(slot)
         if active is None or not isinstance(active.fault, MessageFault):
@@ -126,7 +126,7 @@ class Disturbances:
 
     @property
     def sticks(self) -> Sticks:
-        """What the remote control asks for."""
+        """The demand of the remote control (RC)."""
         active = self._active.get(("sticks", ""))
         return active.fault if active is not None and isinstance(active.fault, Sticks) else Sticks(0.0, 0.0)
 
@@ -153,7 +153,7 @@ class Disturbances:
         return msgspec.structs.replace(start, **changed) if changed else start
 
     def transmitter_lost_for_ns(self, now_ns: int) -> int:
-        """How long the remote control has been lost; 0 if it is not."""
+        """Return the time since the remote control was lost; 0 if it is not lost."""
         active = self._active.get(("lost", ""))
         return now_ns - active.since_ns if active is not None else 0
 

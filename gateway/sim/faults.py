@@ -55,7 +55,7 @@ _WORD_MAX: Final = 40
 
 
 class Disturbance(Enum):
-    """What can be wrong with a feedback frame."""
+    """The kind of damage to a feedback frame."""
 
     SILENCE = "silence"
     CHECKSUM = "checksum"
@@ -114,7 +114,7 @@ class Toggle(msgspec.Struct, frozen=True):
 
 
 class Sticks(msgspec.Struct, frozen=True):
-    """What the remote control asks for: signed speed, and angle with left positive."""
+    """The demand of the remote control (RC): signed speed, and angle with left positive."""
 
     speed_mps: float
     angle_deg: float
@@ -178,7 +178,7 @@ class ScheduledFault(msgspec.Struct, frozen=True):
 
 
 class FaultTextError(msgspec.Struct, frozen=True):
-    """Why a text is no fault. A value: it may come from the network."""
+    """The reason why a text is no fault. A value: the text may come from the network."""
 
     reason: str
 

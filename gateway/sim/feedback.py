@@ -18,7 +18,7 @@ Values = Mapping[str, Value]
 
 _CHECKSUM_BYTE: Final = 7
 _CHECKSUM_ERROR: Final = 0xA5
-"""What a bad checksum is off by. Any bits but none would do."""
+"""The bits that a bad checksum is wrong by. Any but none would do."""
 
 
 class _Row(msgspec.Struct):
@@ -51,7 +51,7 @@ class FeedbackSender:
 
     @property
     def next_ns(self) -> int:
-        """When the next frame is due."""
+        """The due time of the next frame."""
         return min(row.next_ns for row in self._rows)
 
     def due(

@@ -35,7 +35,7 @@ _OTHER: Final = {Variant.COARSE: Variant.FINE, Variant.FINE: Variant.COARSE}
 
 
 class SimulatedState(msgspec.Struct, frozen=True):
-    """How the chassis really is, whatever its frames say. For tests and demonstrations.
+    """The true state of the chassis, whatever its frames report. For tests and demonstrations.
 
     Attributes:
         speed_mps: signed, forward positive.
@@ -132,7 +132,7 @@ class VirtualChassis:
 
     @property
     def next_due_ns(self) -> int:
-        """When ``advance`` has something to do next."""
+        """The time at which ``advance`` has something to do next."""
         return min(self._feedback.next_ns, self._disturbances.next_foreign_ns)
 
     def advance(self, now_ns: int, wall_ns: int = 0) -> list[Frame]:
@@ -150,7 +150,7 @@ class VirtualChassis:
 
     @property
     def state(self) -> SimulatedState:
-        """How the chassis really is."""
+        """The true state of the chassis."""
         motion = self._motion
         return SimulatedState(
             mode=self._mode,
@@ -248,7 +248,7 @@ class VirtualChassis:
         self._other_scale_ratio = other / own
 
     def _drive_scale_ratio(self, *, command: bool) -> float:
-        """What a drive speed in our scale is multiplied by: 1, unless the scale is the other variant's."""
+        """Return the factor for a drive speed in our scale: 1, unless the chassis has the other variant's."""
         if not self._disturbances.wrong_scale:
             return 1.0
         return self._other_scale_ratio if command else 1 / self._other_scale_ratio

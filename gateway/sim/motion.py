@@ -1,4 +1,4 @@
-"""How the chassis moves: a bicycle model on a slope, with a lagging drive, brakes and a steering motor. Pure.
+"""Motion of the chassis: a bicycle model on a slope, with a lagging drive, brakes and a steering motor. Pure.
 
 Axes are those of ISO 8855. The pose is that of the middle of the rear axle.
 """
@@ -37,7 +37,7 @@ _DIRECTION = {GearPosition.DRIVE: 1.0, GearPosition.REVERSE: -1.0}
 
 
 class Demand(msgspec.Struct, frozen=True):
-    """What whoever is in command asks of the chassis.
+    """The demand on the chassis by its present commander.
 
     Attributes:
         gear: drive, reverse or neutral.

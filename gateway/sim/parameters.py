@@ -74,16 +74,16 @@ TRANSMITTER_LOSS_NS: Final = 3_000_000_000
 """In remote mode the chassis stops when the remote control is lost for 3 s (manual V2.0, 6.4)."""
 
 REBOOT_NS: Final = 2_000_000_000
-"""How long the chassis's control unit reboots unless asked otherwise. Chosen."""
+"""The default time that the chassis's control unit takes to reboot. Chosen."""
 
 BOUNCE_NS: Final = tuple(number * 1_000_000 for number in (30, 50, 10, 80, 20, 40))
-"""How long a bouncing contact is closed, open, closed and so on, before it rests. Chosen."""
+"""The times for which a bouncing contact is closed, open, closed and so on, before it rests. Chosen."""
 
 START_MILEAGE_M: Final = 12_345.0
 """Mileage at power-up: not zero, so that clearing it shows. Chosen."""
 
 FOREIGN_PERIOD_NS: Final = 100_000_000
-"""How often a foreign frame is sent unless asked otherwise."""
+"""The default period of a foreign frame."""
 
 SIBLING_PERIOD_NS: Final = 1_000_000_000
 """A sibling chassis's battery frames come once a second."""
@@ -95,7 +95,7 @@ MIN_RATE_MULTIPLIER: Final = 0.1
 
 
 class StopMode(Enum):
-    """What the chassis does in mode stop. The manual does not say."""
+    """The chassis's behaviour in mode stop. The manual does not define it."""
 
     BRAKES = "brakes"
     COASTS = "coasts"
@@ -103,7 +103,7 @@ class StopMode(Enum):
 
 
 class Conditions(msgspec.Struct, frozen=True):
-    """What the manual leaves open, and what differs from place to place.
+    """Conditions that the manual leaves open, or that differ from place to place.
 
     Attributes:
         slope_deg: positive with the nose up, whichever way the robot turns.
@@ -122,12 +122,12 @@ class Conditions(msgspec.Struct, frozen=True):
 
     @property
     def downhill_mps2(self) -> float:
-        """How gravity accelerates the free robot: forward positive."""
+        """The acceleration of the free robot by gravity: forward positive."""
         return -GRAVITY_MPS2 * math.sin(math.radians(self.slope_deg))
 
     @property
     def drive_mps2(self) -> float:
-        """How the motor's greatest force accelerates the robot."""
+        """The acceleration by the motor's greatest force."""
         return self.motor_strength * MAX_DRIVE_FORCE_N / (EMPTY_MASS_KG + self.payload_kg)
 
 

@@ -33,7 +33,7 @@ MAX_MESSAGE_BYTES: Final = 512
 
 _MAX_ERROR_CHARACTERS: Final = 300
 _MAX_SHOWN_BYTES: Final = 60
-"""What an error repeats of a wrong message."""
+"""The part of a wrong message that an error repeats."""
 
 
 class ServerReply(msgspec.Struct, frozen=True):
@@ -78,7 +78,7 @@ class ServerConnection:
         self._buffer = b""
 
     def receive_bytes(self, data: bytes) -> list[Event]:
-        """What these bytes, and those kept from before, say."""
+        """Return the events in these bytes, and in those kept from before."""
         *messages, rest = (self._buffer + data).split(b">")
         events: list[Event] = []
         for message in messages:

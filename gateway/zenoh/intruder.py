@@ -25,7 +25,7 @@ ACCESS: Final = "access_control"
 TLS: Final = "transport/link/tls"
 
 SETTLE_S: Final = 1.0
-"""What is not denied has arrived within this time: it goes to a router and back."""
+"""The time in which a message that is not denied arrives, by way of a router."""
 
 WAITING: Final = 64
 """Samples of a subscription that may wait; one is enough."""
@@ -59,7 +59,7 @@ def access_of(settings: ZenohSettings) -> tuple[dict[str, Json], dict[str, Json]
 
 
 class Tripwires:
-    """Where the gateway's own sessions would receive what an intruder does.
+    """Subscribers and a queryable on the gateway's own sessions that would receive an intruder's messages.
 
     Attributes:
         operator: the name under which it is tried; nobody else has it.
@@ -80,7 +80,7 @@ class Tripwires:
         self._queryable: _Declared = commands.declare_queryable(commanded, zenoh.handlers.RingChannel(WAITING))
 
     def deeds(self) -> list[str]:
-        """What has arrived here, in words."""
+        """Return the messages that have arrived here, in words."""
         found: set[str] = set()
         for subscriber in self._subscribers:
             while (sample := subscriber.try_recv()) is not None:

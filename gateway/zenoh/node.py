@@ -48,26 +48,26 @@ LONGEST_SEQUENCE: Final = 10
 """No sequence has more digits."""
 
 MISS_HEARTBEAT_S: Final = 1.0
-"""How often a subject with a history says how far it is, so that who lost the last sample notices."""
+"""The period in which a subject with a history publishes its last sequence, so that readers notice a loss."""
 
 REPLIES_WAITING: Final = 256
 """Replies that may wait to be sent; beyond it the newest are dropped and counted."""
 
 BLOCK_MAX_US: Final = 20_000
-"""Who takes nothing is cut off after this time.
+"""A link that accepts nothing is closed after this time.
 
 A reply has its query's congestion control, which may be to wait for room on the link, and Zenoh would wait for
-5 s. It holds the link meanwhile: whatever else is to go out on it waits too, the loop's own samples included.
+5 s. Everything else on that link would wait too, the loop's own samples included.
 """
 
 LOOK_S: Final = 0.05
-"""How soon the end is noticed when no reply waits."""
+"""The period in which the thread looks for the shutdown while no reply waits."""
 
 REPLY_TIMEOUT_S: Final = 1.0
-"""How long the end waits for replies that are under way."""
+"""The wait at shutdown for replies that are under way."""
 
 TOKEN_TIMEOUT_S: Final = 1.0
-"""How long the question may take whether a gateway of our name is there."""
+"""The time limit of the query for another gateway of our name."""
 
 INFO_TIMEOUT_S: Final = 1.0
 """A gateway that lives answers within a few ticks of 10 ms."""
@@ -271,7 +271,7 @@ class ZenohNode:
 
 
 class ZenohPlace(msgspec.Struct, frozen=True):
-    """Where a gateway is on Zenoh.
+    """The endpoints of a gateway on Zenoh.
 
     Attributes:
         node: the telemetry session's identifier.
@@ -321,7 +321,7 @@ def open_node(settings: Settings, signer: RobotSigner | None = None) -> tuple[Ze
 
 
 def _wait_for_link(session: zenoh.Session, place: ZenohPlace) -> None:
-    """Who is not connected yet cannot be asked whether our name is free."""
+    """Wait for a neighbour: without one nobody can be asked whether our name is free."""
     deadline_s = time.monotonic() + NEIGHBOUR_TIMEOUT_S
     while place.connect and not links_of(session) and time.monotonic() < deadline_s:
         time.sleep(0.02)
@@ -392,7 +392,7 @@ def _open_default(settings: Settings) -> tuple[zenoh.Session, ZenohPlace]:
 
 
 def _command_listen(settings: Settings, listen: list[str]) -> list[str]:
-    """Where the session for commands listens: where the settings say, or one port after that for telemetry."""
+    """Return the endpoints of the session for commands: the settings', or telemetry's one port on."""
     if settings.gateway.listen_only:
         return []
     try:

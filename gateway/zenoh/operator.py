@@ -212,7 +212,7 @@ class SafetyListener(SessionOwner):
             raise CommandError(str(error), ExitCode.USAGE) from error
 
     def drain(self) -> Iterator[Received | Missed]:
-        """What has arrived since the last time; nothing once it is closed."""
+        """Return the samples that have arrived since the last call; none once it is closed."""
         try:
             for subscriber in self._subscribers:
                 yield from receive(subscriber.try_recv, STATES_WAITING)

@@ -21,7 +21,7 @@ STATES_WAITING: Final = 64
 
 
 class _Asked(msgspec.Struct, frozen=True):
-    """What a state asks for."""
+    """The challenge in a state, which a statement of the time answers."""
 
     challenge: bytes
 
@@ -30,7 +30,7 @@ _ASKED: Final = msgspec.msgpack.Decoder(_Asked)
 
 
 class StatementPort(SessionOwner):
-    """Where statements go out, and the robots' answers come in."""
+    """The session that sends statements to robots and receives their answers."""
 
     def __init__(self, session: zenoh.Session, root: str) -> None:
         """Use a session, which the port then owns.
