@@ -77,13 +77,13 @@ class Core:
     """The gateway without its surroundings."""
 
     def __init__(self, settings: Settings, gateway_version: str, now_ns: int, run: int = 0) -> None:
-        """Standing by.
+        """Begin in standby.
 
         Args:
             settings: all of them; ``gateway.listen_only`` leaves the command flow out.
-            gateway_version: told in ``gateway/health``.
+            gateway_version: published in ``gateway/health``.
             now_ns: monotonic.
-            run: a random number that tells this run from every other.
+            run: a random number that distinguishes this run from every other.
         """
         self._health = HealthMeter(gateway_version, settings.can.bus, now_ns)
         kept = BATCH_MAX_FRAMES if settings.can.raw_frames else 0
@@ -274,7 +274,7 @@ class Core:
             self.command.arbiter.engagement.shut_down(now_ns)
 
     def hears_commands(self, now_ns: int) -> bool:
-        """Somebody else tells the chassis how to move: another computer, or a guard."""
+        """Return True if somebody else commands the chassis: another computer, or a guard."""
         return self._motion_ns is not None and now_ns - self._motion_ns < COMMANDER_NS
 
     @property

@@ -29,7 +29,7 @@ LINKS: Final = (
     "realtime",
     "guard_says",
 )
-"""The links that the command flow decides by. A journal of before holds the first six alone."""
+"""The links that the command flow decides by. Older journals hold the first six only."""
 
 FRAME: Final = Kind.FRAME.value
 """Of all kinds this one is written 7,500 times a second, and a plain integer is encoded in half the time."""

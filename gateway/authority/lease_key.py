@@ -1,4 +1,4 @@
-"""The key of a lease, which its holder and the robot alone know: X25519 (RFC 7748) and HKDF-SHA256 (RFC 5869).
+"""The key of a lease, known only to its holder and the robot: X25519 (RFC 7748) and HKDF-SHA256 (RFC 5869).
 
 The request for the lease carries the holder's public key, the signed reply the robot's. Both are drawn for this
 one lease, so a key that is learnt later opens nothing of before.

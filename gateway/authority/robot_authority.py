@@ -309,7 +309,7 @@ class RobotAuthority:
         return None
 
     def _note_word(self, at_s: int, boot_ns: int) -> None:
-        """The authority was heard, and it said what time it is."""
+        """Note a statement of the authority, received now, and the time in it."""
         self._word_ns = boot_ns
         self._floor.lift(at_s, boot_ns)
         self._is_changed = True

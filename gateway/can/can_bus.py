@@ -162,7 +162,7 @@ def first_line(error: Exception) -> str:
 def stream_socket(bus: can.BusABC) -> socket.socket | None:
     """The TCP socket of a bus that has one.
 
-    python-can's socketcand reads an end of stream as "no message" for ever; only the socket itself can tell.
+    python-can's socketcand reads an end of stream as "no message" for ever; only the socket itself reveals it.
     """
     for value in vars(bus).values():
         if isinstance(value, socket.socket) and value.type == socket.SOCK_STREAM:

@@ -108,6 +108,6 @@ def _is_library_missing(error: Exception) -> bool:
     """Report whether the vendor's library could not be loaded: waiting for the bus is then in vain.
 
     ctypes, and python-can's pcan, say so with an OSError that has no number, as no system call failed. Its kvaser
-    goes on without the library, and stumbles over the first name from it.
+    continues without the library, and fails at the first name from it.
     """
     return (type(error) is OSError and error.errno is None) or isinstance(error, NameError)

@@ -124,7 +124,7 @@ class SocketCanBus:
     def send(self, frame: Frame) -> None:
         """Hand a frame to the interface, without waiting.
 
-        While the controller is off the bus the kernel takes frames and throws them away. Error frames tell that.
+        While the controller is off the bus the kernel accepts frames and discards them. Error frames report that.
 
         Raises:
             BusFull: its queue is full.

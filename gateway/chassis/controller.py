@@ -24,7 +24,7 @@ _ACTIVE: Final = 0x40
 
 
 def controller_state(frame: Frame) -> ControllerState | None:
-    """The state that an error frame tells; None if it tells none."""
+    """Return the state that an error frame reports; None if it reports none."""
     kinds = frame.identifier
     if kinds & _BUS_OFF:
         return ControllerState.BUS_OFF

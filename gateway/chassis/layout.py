@@ -106,7 +106,7 @@ class ChassisLayout(msgspec.Struct, frozen=True):
 
     @property
     def commands(self) -> tuple[MessageLayout, ...]:
-        """The frames that the chassis obeys."""
+        """The frames that the chassis accepts."""
         return tuple(message for message in self.messages.values() if not message.is_feedback)
 
 

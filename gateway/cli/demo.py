@@ -191,7 +191,7 @@ def _drive(
     children: Sequence[Child],
     tell: Callable[[TimelineEntry], None],
 ) -> CommandError | None:
-    """Let the operators drive on a thread of their own, and tell what happens. Returns what interrupted them."""
+    """Let the operators drive on a thread of their own, and report events. Returns what interrupted them."""
     try:
         observer = drive.observe()
     except CommandError as error:

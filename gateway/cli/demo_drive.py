@@ -1,4 +1,4 @@
-"""The demo's drive: two operators, a bumper, a link that stalls; told as a timeline."""
+"""The demo's drive: two operators, a bumper, a link that stalls; printed as a timeline."""
 
 from __future__ import annotations
 
@@ -109,12 +109,12 @@ class DemoDrive:
         """Connect somebody who only watches.
 
         Raises:
-            Unreachable: the robot is not heard.
+            Unreachable: nothing is received from the robot.
         """
         return self._connect(OBSERVER, self._endpoint)
 
     def take(self, observer: Robot) -> list[TimelineEntry]:
-        """Return what was done since the last call, and every event that the robot told, in order."""
+        """Return the actions since the last call, and every event that the robot published, in order."""
         entries = [self._entry(event) for event in observer.events() if event.time_ns >= self._begin_ns]
         while self._told:
             entries.append(self._told.popleft())
@@ -220,7 +220,7 @@ class DemoDrive:
             self._pause(RENEWED_S)
 
     def _drive_until_stopped(self, lease: Lease, speed_mps: float) -> None:
-        """Go on asking until the robot obeys no more, because of its front bumper. Other reasons are raised."""
+        """Keep driving until the robot rejects commands because of its front bumper. Raises other reasons."""
         end_s = time.monotonic() + STOPPED_TIMEOUT_S
         try:
             while time.monotonic() < end_s:

@@ -159,7 +159,7 @@ class _Keys:
         """Until the person leaves. False if the robot was not seen to come to rest then.
 
         Raises:
-            CommandError: the lease is lost, or the robot is not heard any more.
+            CommandError: the lease is lost, or nothing is received from the robot any more.
         """
         # On the other screen, as in 'cruiser watch': nobody reads an old view as the present one.
         with (

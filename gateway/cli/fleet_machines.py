@@ -150,7 +150,7 @@ class FleetMachines:
         shutil.copyfile(ours, theirs)
 
     def start_all(self, stack: ExitStack) -> None:
-        """Start chassis, router, recorder and gateways. The recorder hears the gateways from their first word."""
+        """Start chassis, router, recorder and gateways. The recorder is ready before the gateways' samples."""
         buses = {
             robot: self.start(stack, f"chassis of {robot}", "sim", "--listen", f"{HOST}:0") for robot in ROBOTS
         }
@@ -173,7 +173,7 @@ class FleetMachines:
             child.check()
 
     def end(self) -> None:
-        """Have all end, gateways before the recorder, which hears their last word.
+        """End all of them, the gateways before the recorder, which receives their last samples.
 
         Raises:
             CommandError: one ended before, or does not end.

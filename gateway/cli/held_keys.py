@@ -1,8 +1,8 @@
-"""Hold to move: what the keys that are held ask for. Pure, time as an argument.
+"""Hold to move: the motion that the held keys ask for. Pure, time as an argument.
 
-A terminal that tells releases is believed for as long as it answers: one at the end of a dead link tells nothing.
+A terminal that reports releases is trusted while it answers: one behind a dead link reports nothing.
 In any other, a key is held while it repeats: motion begins with its first repetition, and ends soon after the
-last. A link that stalls delivers strokes of before, in a burst: after a pause or a burst a key must be let go and
+last. A link that stalls delivers old strokes in a burst: after a pause or a burst a key must be let go and
 pressed again.
 """
 
@@ -28,7 +28,7 @@ BURST_STROKES: Final = 6
 """As many strokes of one key in one read have waited somewhere: the fastest keyboards take 15 ms for each."""
 
 ANSWER_NS: Final = 400_000_000
-"""A terminal that tells releases, and did not answer for this long, is not believed any more."""
+"""A terminal that reports releases is no longer trusted when it has not answered for this long."""
 
 
 class Wish(msgspec.Struct, frozen=True):
@@ -55,7 +55,7 @@ BINDINGS: Final[dict[str, Wish]] = {
     ".": Wish(-1, -1),
 }
 """Any other key means: stand. Those that drive a curve are where ROS's teleop_twist_keyboard has them: a terminal
-that tells no releases repeats one key alone, so speed and angle must come from one."""
+that reports no releases repeats one key only, so speed and angle must come from one."""
 
 
 class HeldKeys:
@@ -107,7 +107,7 @@ class HeldKeys:
         return BINDINGS[self._last] if self._last and now_ns < self._until_ns else NOTHING
 
     def release_all(self) -> None:
-        """Whatever was held is so no more: each key must be pressed again."""
+        """Forget all held keys: each must be pressed again."""
         self._held.clear()
         self._last = ""
         self._until_ns = 0
@@ -118,7 +118,7 @@ class HeldKeys:
         self.reports_releases, self._answered_ns = reports_releases, now_ns
 
     def _hold(self, stroke: Stroke) -> None:
-        """In a terminal that tells releases. A repetition holds nothing: what was let go must be pressed again."""
+        """Follow presses and releases in a terminal that reports both. A repetition does not count as a press."""
         if stroke.action is Action.RELEASE and stroke.key in self._held:
             self._held.remove(stroke.key)
         if stroke.action is Action.PRESS and self.reports_releases and stroke.key not in self._held:

@@ -1,7 +1,7 @@
 """Decodes the bytes of a terminal: keys, releases of keys where it reports them, the focus. Pure.
 
 Every terminal sends characters and arrow keys, and repeats those that are held. Some also speak the kitty keyboard
-protocol, which tells each press, repetition and release; and most report whether their window has the focus.
+protocol, which reports each press, repetition and release; and most report whether their window has the focus.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from typing import Final
 import msgspec
 
 KITTY_FLAGS: Final = 0b1011
-"""Tell keys apart, tell repetitions and releases, tell letters in the same way."""
+"""Report keys unambiguously, report repetitions and releases, report letters in the same way."""
 
 BEGIN: Final = f"\x1b[>{KITTY_FLAGS}u\x1b[?1004h\x1b[?u".encode()
 """Ask for the kitty protocol and for the focus, and whether the former is spoken."""
 
 ASK: Final = b"\x1b[?u"
-"""Ask for the flags in force. Whoever answers is there, and has told every release of before."""
+"""Ask for the flags in force. A terminal that answers is there, and has reported every release before it."""
 
 END: Final = b"\x1b[<u\x1b[?1004l"
 
@@ -58,7 +58,7 @@ class Focus(msgspec.Struct, frozen=True):
 
 
 class Flags(msgspec.Struct, frozen=True):
-    """The terminal says what it tells of its keys."""
+    """The terminal's report of its keyboard flags."""
 
     reports_releases: bool
 

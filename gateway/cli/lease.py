@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Show the holder of the lease, or be it until told to stop.
+    """Show the holder of the lease, or hold it until interrupted.
 
     Raises:
         CommandError: it is refused or lost, or nobody answers.

@@ -123,7 +123,7 @@ def live(
     answer: Callable[[str], None],
     seconds: float | None = None,
 ) -> SimSummary:
-    """Lets the chassis live on the bus until it is told to stop.
+    """Run the chassis on the bus until interrupted.
 
     Args:
         chassis: powered up at the clock's monotonic time.
@@ -131,7 +131,7 @@ def live(
         stopped: turns true when the run should end.
         clock: the time.
         lines: faults, one a line.
-        answer: is told what became of each of them.
+        answer: receives the result of each of them.
         seconds: ends the run by itself after this time.
     """
     summary = SimSummary()

@@ -61,7 +61,7 @@ def run_show(arguments: argparse.Namespace, settings: Settings, store: KeyStore,
 
 
 def run_time(arguments: argparse.Namespace, settings: Settings, store: KeyStore, stopped: Stopped) -> ExitCode:
-    """Tell robots the time, once or again and again.
+    """Send robots the time, once or periodically.
 
     Raises:
         CommandError: neither an authority nor a site is here, or Zenoh cannot be opened.

@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Show what the robots say until told to stop.
+    """Show the robots' messages until interrupted.
 
     Raises:
         CommandError: no Zenoh node answers, or the robot does not appear.
@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 class _Watching:
-    """A listener and what was heard from it."""
+    """A listener to one robot, or to all of them."""
 
     def __init__(self, listener: RobotListener, fleet: Fleet, robot: str) -> None:
         self._listener = listener

@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     """Say what blocks the robot. Exit code 1 if something does, 0 if it only waits for somebody who drives it.
 
     Raises:
-        CommandError: the robot is not heard.
+        CommandError: nothing is received from the robot.
     """
     with connect(arguments, settings, stopped) as robot:
         time.sleep(EVENTS_S)

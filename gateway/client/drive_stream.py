@@ -1,6 +1,6 @@
 """The stream of drive commands of one lease: set points that age, the sequence, the echoed challenge. Pure.
 
-What is heard of the robot goes in with ``see``; ``command`` says what to send now, or that nothing is to be sent.
+``see`` accepts the robot's states; ``command`` returns the drive command to send now, or None.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ STALE_NS: Final = 1_000_000_000
 """A command that echoes a challenge received longer ago than this would be refused, so it is not sent."""
 
 SILENT_NS: Final = 1_000_000_000
-"""A robot whose safety/state was not heard for this long is out of reach."""
+"""A robot is out of reach after this time without its safety/state."""
 
 
 FOREIGN_NS: Final = 500_000_000
-"""Commands of somebody else are seen again within this time: between them, our own are obeyed."""
+"""Another sender's commands reappear within this time: between them, our own are executed."""
 
 SENT_KEPT: Final = 128
 """So many commands are remembered: those of the last two seconds and a half."""
@@ -71,7 +71,7 @@ class SetPoint(msgspec.Struct, frozen=True):
 
 
 class DriveEnd(msgspec.Struct, frozen=True):
-    """The reason for which the robot no longer obeys.
+    """The reason why the robot no longer accepts drive commands.
 
     Attributes:
         lease_lost: the lease is gone too; else the robot can be engaged again.
@@ -85,8 +85,8 @@ class DriveEnd(msgspec.Struct, frozen=True):
 class DriveStream:
     """The drive commands of one holder of a lease.
 
-    A single state ends nothing: it may be forged. What the robot itself says it goes on saying, and a forged state
-    stands between others that contradict it.
+    A single state ends nothing: it may be forged. The robot repeats its own states, and a forged one comes
+    between others that contradict it.
 
     Attributes:
         lease: its number.
@@ -135,7 +135,7 @@ class DriveStream:
         return self._set_point is None or not self._set_point.speed_mps
 
     def expect_engaged(self) -> None:
-        """Engage is about to be asked for. What was driven before counts no more."""
+        """Prepare for an engage request. The earlier set point is dropped."""
         self._is_wanted = self._is_asked = True
         self.engaged = False
         self._set_point = None

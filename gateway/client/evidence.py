@@ -11,7 +11,7 @@ from math import inf
 from typing import Final
 
 CONFIRM_NS: Final = 150_000_000
-"""Time over which a robot must say the same to be believed."""
+"""Time over which a robot's states must agree to be believed."""
 
 CONFIRM_SAMPLES: Final = 3
 """Samples in which it must say so: anyone can put a false one between the robot's own."""

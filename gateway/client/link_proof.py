@@ -86,7 +86,7 @@ def operator_proof(settings: Settings) -> OperatorProof | None:
 
 
 class LinkProof:
-    """Proves commands to one robot, and holds against its key what comes of it.
+    """Signs commands to one robot, and verifies its replies and samples.
 
     Attributes:
         challenge: the newest one that the robot published; empty before the first.

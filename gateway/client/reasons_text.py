@@ -54,7 +54,7 @@ def _stop(state: SafetyState) -> str:
 
 
 def link_line(state: SafetyState) -> str:
-    """Return the age of the commands that drive the robot, and its cost; empty while it obeys none."""
+    """Return the age of the commands that drive the robot, and its cost; empty while it executes none."""
     if state.link_age_s is None or state.travel_speed_limit_mps is None:
         return ""
     words = [f"commands {_ms(state.link_age_s)} old"]

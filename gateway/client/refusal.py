@@ -12,7 +12,7 @@ from schemas.reasons import TEXTS, Reason, cure_of
 
 
 class RobotError(CommandError):
-    """The robot does not do what was asked.
+    """The robot does not do what was requested.
 
     Attributes:
         reason: why, one enumeration for all of it.
@@ -37,7 +37,7 @@ class Refused(RobotError):  # noqa: N818 - an outcome's name, as programs read i
 
 
 class Stopped(RobotError):  # noqa: N818 - an outcome's name, as programs read it
-    """The robot was stopped, or gave up its chassis: it obeys no drive command until it is engaged again."""
+    """The robot was stopped, or gave up its chassis: it rejects drive commands until it is engaged again."""
 
 
 class LeaseLost(RobotError):  # noqa: N818 - an outcome's name, as programs read it

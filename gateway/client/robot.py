@@ -8,8 +8,8 @@
             time.sleep(0.1)
         lease.disengage()
 
-A thread of the library hears the robot and keeps the stream of drive commands going. Whatever the robot does not
-do is an exception that carries the reason: ``Refused``, ``Stopped``, ``LeaseLost``, ``Unreachable``.
+A thread of the library receives the robot's states and keeps the stream of drive commands going. Each failure is
+an exception that carries the reason: ``Refused``, ``Stopped``, ``LeaseLost``, ``Unreachable``.
 """
 
 from __future__ import annotations
@@ -58,10 +58,10 @@ ANSWER_TIMEOUT_S: Final = 3.0
 """The slowest verb, clear_odometer, has its answer after 2 s."""
 
 ENGAGED_SEEN_S: Final = 1.0
-"""Between the reply to engage and the safety/state that says the same."""
+"""The time from the reply to engage until safety/state must agree."""
 
 ZERO_SEEN_S: Final = 1.0
-"""Between a drive command of zero speed and the safety/state that says the same."""
+"""The time from a drive command of zero speed until safety/state must agree."""
 
 
 class Robot:
@@ -87,7 +87,7 @@ class Robot:
         timeout_s: float = CONNECT_TIMEOUT_S,
         stopped: Callable[[], bool] = lambda: False,
     ) -> Self:
-        """Connect to a robot, and wait until it is heard and can be asked.
+        """Connect to a robot, and wait until its state arrives and it accepts requests.
 
         Args:
             name: of the robot.
@@ -97,7 +97,7 @@ class Robot:
             stopped: gives up when it turns true.
 
         Raises:
-            Unreachable: it is not heard, or does not take commands.
+            Unreachable: no state arrives, or it does not accept commands.
             CommandError: a name or an endpoint is not of its form.
         """
         settings = settings or Settings()
@@ -125,24 +125,24 @@ class Robot:
         return cls(link, operator, settings.robot.root)
 
     def state(self) -> Sighting:
-        """The newest safety/state, and how old it is.
+        """Return the newest safety/state and its age.
 
         Raises:
-            Unreachable: it was not heard for a second.
+            Unreachable: none arrived for a second.
         """
         return self._link.sighting()
 
     @property
     def link_age_s(self) -> float | None:
-        """The age of drive commands when the robot obeys them, the mean of a second; None while it obeys none.
+        """The age of drive commands when the robot executes them, mean over a second; None while it executes none.
 
         Raises:
-            Unreachable: it was not heard for a second.
+            Unreachable: no state arrived for a second.
         """
         return self._link.sighting().state.link_age_s
 
     def events(self) -> list[SafetyEvent]:
-        """The events that were heard since the last call; at first some of before too."""
+        """Return the events received since the last call; at first some earlier ones too."""
         return self._link.take_events()
 
     def wait_for(self, condition: Callable[[SafetyState], bool], timeout_s: float) -> bool:
@@ -179,11 +179,11 @@ class Robot:
         return Lease(self._link, self.operator, Take(role=role, override=override))
 
     def ask(self, request: Request, timeout_s: float = ANSWER_TIMEOUT_S) -> Reply:
-        """Ask for something, and wait until the robot has done it or says why not.
+        """Send a request, and wait until the robot has done it or gives the reason why not.
 
         Raises:
             Refused: it says why not.
-            Unreachable: it does not answer. It may have heard all the same.
+            Unreachable: it does not answer. It may have received the request all the same.
         """
         return self._link.ask(request, timeout_s)
 
@@ -243,16 +243,16 @@ class Lease:
 
     @property
     def is_engaged(self) -> bool:
-        """The robot obeys drive commands of ours."""
+        """True while the robot executes our drive commands."""
         return self._stream is not None and self._stream.engaged
 
     def check(self) -> None:
-        """Nothing has happened that ends the drive.
+        """Raise if anything has ended the drive.
 
         Raises:
-            Stopped: the robot was engaged and is so no more.
+            Stopped: the robot was engaged and no longer is.
             LeaseLost: somebody has taken the lease, or it expired.
-            Unreachable: the robot is not heard any more.
+            Unreachable: no state arrives any more.
         """
         ending = self._in_force().ending
         if ending is not None:
@@ -297,12 +297,12 @@ class Lease:
         yaw_rate_radps: float | None = None,
         hold_s: float = HOLD_S,
     ) -> None:
-        """Set what the stream asks for; straight on if nothing says how it turns. It holds for ``hold_s``.
+        """Set the stream's set point for ``hold_s``; straight on if no angle, curvature or yaw rate is given.
 
         Raises:
             ValueError: more than one of angle, curvature and yaw rate is given, or a value cannot be.
             Refused: the robot was never engaged.
-            Stopped, LeaseLost, Unreachable: it does not obey any more.
+            Stopped, LeaseLost, Unreachable: it does not accept drive commands any more.
         """
         if angle_deg is None and curvature_1pm is None and yaw_rate_radps is None:
             angle_deg = 0.0

@@ -1,8 +1,8 @@
-"""The safety arbiter: requests and the chassis's state in, what the chassis is told out. Pure.
+"""The safety arbiter: requests and the chassis's state in, commands to the chassis out. Pure.
 
-Read ``tick`` first: what the chassis shows, what is asked, what speaks against it, what the chassis is told. The
-states that the steps act on stand in modules of their own: ``lease``, ``operator_link``, ``chassis_monitor``,
-``setpoint``, ``output``, ``latches``, ``outbox``; ``engagement`` holds those of the robot under command together.
+Read ``tick`` first: the chassis's state, the requests, the causes to stop, the command to the chassis. The states
+that the steps act on have modules of their own: ``lease``, ``operator_link``, ``chassis_monitor``, ``setpoint``,
+``output``, ``latches``, ``outbox``; ``engagement`` holds those of the robot under command together.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ class Arbiter:
     """
 
     def __init__(self, settings: Settings, run: int) -> None:
-        """Standing by.
+        """Begin in standby.
 
         Args:
             settings: limits and times.
-            run: a random number of this run: it tells its leases and ticks from those of another. It is public.
+            run: a random number of this run, which distinguishes its leases and ticks from others'. Public.
         """
         command = settings.command
         random = Random(run)  # noqa: S311 - tells runs apart; it keeps no secret
@@ -71,7 +71,7 @@ class Arbiter:
         return self.engagement.state
 
     def tick(self, chassis: ChassisState, requests: list[RawRequest], now_ns: int, late_ns: int) -> TickOutcome:
-        """Decide what the chassis is told for the next ten milliseconds.
+        """Decide the command to the chassis for the next ten milliseconds.
 
         Args:
             chassis: its state now.
@@ -155,7 +155,7 @@ class Arbiter:
             self._stop_for_lapses(chassis, now_ns)
 
     def _stop_for_strays(self, chassis: ChassisState, now_ns: int) -> None:
-        """Stop a chassis that obeys a command which nobody gives any more. Only while standing by."""
+        """Stop a chassis that executes a command which nobody renews. Only in standby."""
         engagement = self.engagement
         is_taken = self.monitor.is_commanded_by_other(now_ns)
         if self.handover.is_obeyed_again(chassis, now_ns, is_taken=is_taken):

@@ -92,7 +92,7 @@ class Auxiliary:
             self._end_clearing(now_ns)
 
     def leave(self) -> None:
-        """Somebody else commands the chassis: what it was told last stays. Dark lamps need no other off."""
+        """Leave the lamps as they are: somebody else commands the chassis. Dark ones need no clearing frame."""
         self._are_lamps_set = self._lamps != _DARK
 
     def frames(self, now_ns: int) -> list[AuxiliaryFrame]:

@@ -22,14 +22,14 @@ from schemas.settings import (
 
 
 class ChassisMonitor:
-    """Looks at the chassis each tick.
+    """The arbiter's view of the chassis, updated each tick.
 
     Attributes:
         stands: the robot was seen to stand for long enough. False also when that cannot be seen.
         chassis: the chassis at this tick.
         pressed: the bumpers that are pressed, or have not read clear for long enough.
         struck: those that were clear, a tick before.
-        plausibility: does the robot do what it is told.
+        plausibility: compares the robot's motion with its command.
         send_failures: ticks in a row whose frames the bus did not take.
     """
 
@@ -89,7 +89,7 @@ class ChassisMonitor:
         return [reason for reason, is_so in faults if is_so]
 
     def faults(self, told: Actuation, limit_mps: float, late_ns: int, now_ns: int) -> list[Reason]:
-        """The causes to stop a robot that is being told this, under this speed limit."""
+        """Return the causes to stop a robot that has this command, under this speed limit."""
         chassis = self.chassis
         found = self.chassis_faults()
         if chassis.absurd and not set(SCALED_BY_VARIANT).isdisjoint(chassis.absurd):

@@ -26,8 +26,8 @@ class ChassisState(msgspec.Struct, frozen=True):
         fastest_wheel_mps: the faster of the two, a magnitude.
         turns: the raw drive feedback is not zero: the robot moves, in whatever scale.
         pulses: the direction in which the wheel encoders count, 1 forward, -1 backward; 0 while they stand still
-            or are not known. The manual gives no resolution, so they tell a direction and no speed.
-        commander_ns: when another computer's command frame was last heard; None if never.
+            or are not known. The manual gives no resolution, so they give a direction and no speed.
+        commander_ns: when another computer's command frame was last received; None if never.
         guarded: the guard watches this process.
         guard_sends: the guard is stopping the robot in our place.
         guard_stops: how often it has begun to, since the start.

@@ -34,7 +34,7 @@ class Engagement:
         state: where it is in the table of states.
         monitor: the chassis.
         setpoint: what is asked of it, and the limits in force.
-        output: what it is told.
+        output: the commands to it.
         auxiliary: its lamps, horn and odometer.
         handover: who else commands it, and what it was left on.
         latches: what must be reset before it can be engaged.
@@ -113,7 +113,7 @@ class Engagement:
     # Out of motion.
 
     def begin_stop(self, reason: Reason, now_ns: int, detail: str = "", operator: str = "") -> None:
-        """Bring the robot to rest for this cause if it is told anything, and latch what the table latches."""
+        """Bring the robot to rest for this cause if it is under command, and latch what the table latches."""
         rule = STOPS[reason]
         self.latch(reason, detail, now_ns, operator)
         output, chassis = self.output, self.monitor.chassis
@@ -154,9 +154,9 @@ class Engagement:
             self.outbox.add_event(Severity.ERROR, EventKind.LATCH, reason, text, operator)
 
     def refuse_output(self, detail: str, now_ns: int) -> Actuation:
-        """Stop the robot: the gate refused what was to be sent, which is a fault of our own.
+        """Stop the robot: the gate rejected this tick's output, which is a fault of our own.
 
-        Returns what is told in its place: zero speed and the parking brake, and all else as it was told last.
+        Returns the command in its place: zero speed and the parking brake, and all else as commanded last.
         """
         self.output.undo_step()
         last = self._last_told()
@@ -166,7 +166,7 @@ class Engagement:
         return instead
 
     def shut_down(self, now_ns: int) -> None:
-        """Bring the robot to rest, and engage it no more: the gateway is to end."""
+        """Bring the robot to rest, and reject further engage requests: the gateway shuts down."""
         self.is_closing = True
         text = "the gateway ends, as it was told to"
         self.outbox.add_event(Severity.INFO, EventKind.GATEWAY, Reason.SHUTDOWN, text)
@@ -174,7 +174,7 @@ class Engagement:
             self.begin_stop(Reason.SHUTDOWN, now_ns)
 
     def step_stop(self, sequence: StopSequence, now_ns: int, late_ns: int) -> Actuation | None:
-        """Return what the chassis is told in this tick of a stop; None when the stop has ended."""
+        """Return the command to the chassis in this tick of a stop; None when the stop has ended."""
         actuation = self.output.step_stop(sequence, self.monitor, now_ns, late_ns)
         if sequence.lacks_brake(now_ns) and not self._is_brake_missed:
             self._is_brake_missed = True
@@ -203,7 +203,7 @@ class Engagement:
 
     @property
     def is_loose(self) -> bool:
-        """The parking brake reads released, and can be told otherwise."""
+        """True if the parking brake reads released, and can be commanded."""
         chassis = self.monitor.chassis
         return chassis.brake is ParkingStatus.RELEASED and may_be_stopped(chassis)
 
@@ -220,14 +220,14 @@ class Engagement:
         self.outbox.add_event(severity, EventKind.STOPPED, self.stop_reason, text)
 
     def _begin_output(self, last: Actuation) -> None:
-        """Begin to tell the chassis something; ``last`` is what it must have been told before."""
+        """Begin to command the chassis; ``last`` is the command that it must have had before."""
         chassis = self.monitor.chassis
         self.output.begin(chassis.variant)
         self.monitor.plausibility.forget(chassis.wheel_speed_mps or 0.0, last.angle_deg)
         self.handover.begin(chassis)
 
     def _last_told(self) -> Actuation:
-        """Return what the chassis was last told, or must have been told: there a stop begins."""
+        """Return the chassis's last command, known or inferred: a stop begins from it."""
         if self.output.actuation is not None:
             return self.output.actuation
         return inferred_actuation(self.monitor.chassis, self.setpoint.configured_limits, self.handover.left)

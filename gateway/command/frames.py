@@ -48,7 +48,7 @@ class FrameMaker:
         self._names = {message.can_id: message.name for message in commands}
 
     def make(self, actuation: Actuation, auxiliary: list[AuxiliaryFrame], variant: Variant) -> list[Frame]:
-        """The frames of this tick: the five motion frames, then what else is asked for.
+        """Return the frames of this tick: the five motion frames, then others that were requested.
 
         While the variant is not known the frames say zero speed, which is the same in both: a stop must go out
         all the same.

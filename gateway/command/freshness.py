@@ -2,8 +2,8 @@
 
 Each published state of the arbiter carries a challenge: random bytes that nobody can know before. A command
 carries the newest challenge that its sender had seen, so it was made after that was published: its age is at most
-the time since then. This alone tells apart a stalled link, a replay, a sender whose clock is a year off, and a
-command that was made today to be obeyed tomorrow.
+the time since then. Only this can distinguish a stalled link, a replay, a sender whose clock is a year off, and a
+command that was made today for tomorrow.
 """
 
 from __future__ import annotations

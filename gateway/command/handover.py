@@ -1,4 +1,4 @@
-"""The chassis in others' hands: when our output has to cease, and what may be obeyed after that. Pure."""
+"""Handover of the chassis to others: when our output has to cease, and which command remains active. Pure."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from schemas.settings import LEFT_BLIND_NS
 
 
 def may_obey(chassis: ChassisState) -> bool:
-    """The chassis may be in auto and obey an old command, and nobody else sees to it."""
+    """Return True if the chassis may be in auto with an old command, and nobody else stops it."""
     return chassis.bus_up and chassis.mode in {Mode.AUTO, Mode.UNDEFINED} and not chassis.guard_sends
 
 
 def may_be_stopped(chassis: ChassisState) -> bool:
-    """A stop can be told: to a chassis that may obey a command, and to one in mode stop that is not held."""
+    """Return True if a stop can be sent: the chassis may have an old command, or is in mode stop and not held."""
     is_loose = chassis.mode is Mode.STOP and (chassis.moves or chassis.brake is ParkingStatus.RELEASED)
     return may_obey(chassis) or (chassis.bus_up and is_loose and not chassis.guard_sends)
 
 
 class Handover:
-    """The way of a chassis from us to others, and back.
+    """The handover of a chassis to others, and back.
 
     Attributes:
-        left: what the chassis had been told when it was left to somebody else, unless that has been ended since.
-            It may obey that again.
-        is_cut_off: our way to the bus was lost while the chassis was being told something, and is not back. The
-            chassis obeys on: only the guard, which has a way of its own, can stop it.
+        left: the command that the chassis had when it was left to somebody else, unless that has been ended since.
+            It may execute that again.
+        is_cut_off: our way to the bus was lost while the chassis was under command, and is not back. The chassis
+            keeps moving: only the guard, which has a way of its own, can stop it.
     """
 
     def __init__(self) -> None:
@@ -38,7 +38,7 @@ class Handover:
         self._bus_losses = self._guard_stops = 0
 
     def begin(self, chassis: ChassisState) -> None:
-        """From here on we tell the chassis something."""
+        """Note that we command the chassis from here on."""
         self.left = None
         self._was_auto = False
         self._bus_losses = chassis.bus_losses
@@ -59,13 +59,13 @@ class Handover:
         return Reason.NONE
 
     def leave(self, told: Actuation, reason: Reason, chassis: ChassisState, now_ns: int) -> None:
-        """Nothing is told any more, for this reason; lamps and horn stay as they are in the chassis."""
+        """Note that our output ceases, for this reason; lamps and horn stay as they are in the chassis."""
         self.left = told
         self._left_ns = now_ns
         self.is_cut_off = reason is Reason.BUS_DOWN and not chassis.bus_up
 
     def is_obeyed_again(self, chassis: ChassisState, now_ns: int, *, is_taken: bool) -> bool:
-        """Return whether the chassis may obey what it was left on. Asked each tick while nothing is sent.
+        """Return True if the chassis may execute the command it was left with. For each tick without output.
 
         Args:
             chassis: the chassis now.

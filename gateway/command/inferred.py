@@ -22,9 +22,9 @@ def inferred_actuation(chassis: ChassisState, limits: MotionLimits, left: Actuat
     Args:
         chassis: the chassis now.
         limits: the configured ones; no speed is above them.
-        left: what we ourselves left it on, if it may obey that again: no speed is above that one. If it was not
-            us, the parking brake is asked for where the gear is that of a parked robot, or is not seen: released,
-            it may set a standing robot going.
+        left: the command that we left it with, if it may execute that again: no speed is above that one. If
+            others left it, the parking brake is applied where the gear is that of a parked robot, or is not known:
+            released, it may set a standing robot going.
     """
     rolls = chassis.gear in IN_GEAR
     angle_deg = inferred_angle_deg(chassis, limits)

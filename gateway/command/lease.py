@@ -17,14 +17,14 @@ from schemas.requests import Role
 
 _ID_BITS: Final = 48
 _ENDED_KEPT: Final = 16
-"""Leases whose end is remembered, so that who lost one is told how."""
+"""Leases whose end is remembered, so that a former holder learns the cause."""
 
 
 class HeldLease(msgspec.Struct, frozen=True):
     """The right of an operator to command.
 
     Attributes:
-        id: tells it from every other lease of any run. Public.
+        id: distinguishes it from every other lease of any run. Public.
         expires_ns: monotonic time at which it ends unless it is renewed.
     """
 
@@ -61,7 +61,7 @@ class Leases:
         return list(self._ended)
 
     def restore(self, given: int, ended: list[tuple[int, Reason]]) -> None:
-        """A new desk goes on as one that has given and ended these; nobody holds a lease."""
+        """Continue as after these leases were given and ended; nobody holds one."""
         for _ in range(given - self.given):
             self._next_id()
         self._ended.extend(ended)
@@ -86,7 +86,7 @@ class Leases:
         return dict(self._ended).get(lease_id, Reason.NO_LEASE)
 
     def renew(self, now_ns: int) -> None:
-        """The holder has been heard."""
+        """Renew the lease: its holder has sent a request."""
         if self.held is not None:
             self.held = msgspec.structs.replace(self.held, expires_ns=now_ns + self._duration_ns)
 

@@ -50,7 +50,7 @@ class MotionLimits(msgspec.Struct, frozen=True):
         return min(self.speed_mps, sqrt(self.lateral_acceleration_mps2 * WHEELBASE_M / bend))
 
     def angle_at(self, speed_mps: float) -> float:
-        """The furthest steering angle, deg, at this speed, by the same rule."""
+        """Return the largest steering angle, deg, at this speed, by the same rule."""
         square_m2ps2 = speed_mps * speed_mps
         if square_m2ps2 == 0:  # also that of a speed too small to be squared
             return self.steering_deg

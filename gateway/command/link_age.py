@@ -1,6 +1,6 @@
-"""The age of an operator's commands when they are obeyed, and the speed that it allows. Pure.
+"""The age of an operator's commands when they are executed, and the speed that it allows. Pure.
 
-A robot that drives on what its operator saw a while ago, and goes on for the deadman's time when the link is cut,
+A robot that drives on what its operator saw a while ago, and continues for the deadman's time after a link loss,
 covers some metres before it can react. The setting ``command.travel_delay_m`` bounds these metres, and thereby the
 speed.
 """

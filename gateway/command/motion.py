@@ -1,4 +1,4 @@
-"""From what is asked to what the chassis is told: every limit, and the way through standstill to reverse."""
+"""From a target to a command: every limit, and the way through standstill to reverse."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ _GRAVITY = {
 
 
 class Notices:
-    """Looks each tick, and tells what is new."""
+    """Compares the chassis with the tick before, and reports changes as events."""
 
     def __init__(self) -> None:
         self._late_told_ns = -LATE_TOLD_NS

@@ -11,13 +11,13 @@ FIRST_SEQUENCE = -1
 
 
 class OperatorLink:
-    """The drive commands of who holds the lease.
+    """The drive commands of the lease's holder.
 
     Attributes:
         challenges: when each challenge was published.
         age: the age of the holder's commands, the deadman, and the speed that they allow.
         last_sequence: of the last fresh drive command under the lease in force.
-        fresh_ns: when the last drive command came that the engaged robot obeys, or it was engaged, monotonic.
+        fresh_ns: arrival of the last drive command that the engaged robot executes, or its engagement, monotonic.
     """
 
     def __init__(self, settings: CommandSettings) -> None:
@@ -37,7 +37,7 @@ class OperatorLink:
         return LinkAge(self._settings)
 
     def note_drive(self, sequence: int, speed_mps: float, now_ns: int) -> None:
-        """Note a drive command that is fresh and its holder's, whether the robot obeys it or not."""
+        """Note a fresh drive command of the holder, whether the robot executes it or not."""
         self.last_sequence = sequence
         self._last_drive = (speed_mps, now_ns)
 

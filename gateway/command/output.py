@@ -20,19 +20,19 @@ from schemas.settings import TICK_NS, TOLD_LONG_AGO_NS
 _NS_PER_S: Final = 1_000_000_000
 _TICK_S: Final = TICK_NS / _NS_PER_S
 LATE_STEP_S: Final = 10 * _TICK_S
-"""After a pause the speed goes on falling by no greater step than this makes."""
+"""After a pause the speed falls by no greater step than this allows."""
 
 
 class Output:
     """The command that the chassis has.
 
     Attributes:
-        actuation: what it was last told; None while it is told nothing.
-        variant: the one in which it is told speeds; UNKNOWN as soon as there was any doubt, until it is engaged
+        actuation: its last command; None while it is not commanded.
+        variant: the one in which speeds are encoded; UNKNOWN as soon as there was any doubt, until it is engaged
             again.
-        begun: how often it has begun to be told something.
-        told_ns: when a whole burst was last taken by the bus, monotonic.
-        motion: what it is told while engaged.
+        begun: how often commanding it has begun.
+        told_ns: when the bus last accepted a whole burst, monotonic.
+        motion: the motion while engaged.
         sequence: the stop under way, if there is one.
     """
 
@@ -51,25 +51,25 @@ class Output:
         return StopPhase.IDLE if self.sequence is None else self.sequence.phase
 
     def begin(self, variant: Variant) -> None:
-        """Begin to tell the chassis something, in the scale of this variant."""
+        """Begin to command the chassis, in the scale of this variant."""
         self.variant = variant
         self.begun += 1
 
     def cease(self) -> None:
-        """Tell nothing any more. From here on what is measured counts, not what was told."""
+        """Cease commanding. From here on the measured speed counts, not the commanded one."""
         self.actuation = None
         self.sequence = None
 
     def begin_step(self) -> None:
-        """Take the next step on a copy: a burst that the bus does not take was no step."""
+        """Take the next step on a copy: it is undone if the bus does not accept the burst."""
         self._before = (self.motion, self.sequence, self.actuation)
         self.motion, self.sequence = copy(self.motion), copy(self.sequence)
 
     def undo_step(self, *, is_speed_told: bool = False) -> None:
-        """Undo the step of this tick, whose burst the bus did not take, or not the whole of it.
+        """Undo the step of this tick: the bus did not accept its burst, or only a part.
 
-        Otherwise what the chassis is told next would be several steps from what it was told last; or a stop that
-        it never received would go on to neutral. A ramp whose speed was told goes on all the same.
+        Otherwise the chassis's next command would be several steps from its last one; or a stop that it never
+        received would proceed to neutral. A ramp whose speed frame was accepted continues all the same.
         """
         told = self.actuation
         self.motion, self.sequence, self.actuation = self._before
@@ -77,14 +77,14 @@ class Output:
             self.sequence.not_above(told.speed_mps)
 
     def replace_step(self, actuation: Actuation) -> None:
-        """Tell this instead. If the bus does not take it either, the stop that has begun is still to be told."""
+        """Command this instead. If the bus does not accept it either, the stop that has begun is still due."""
         self._before = (self.motion, self.sequence, self._before[2])
         self.actuation = actuation
 
     def step_motion(
         self, target: Target, setpoint: Setpoint, age: LinkAge, monitor: ChassisMonitor, now_ns: int
     ) -> Actuation:
-        """Return what a chassis that is not being stopped is told in this tick.
+        """Return this tick's command to a chassis that is not being stopped.
 
         Args:
             target: what is asked.
@@ -118,7 +118,7 @@ class Output:
     def step_stop(
         self, sequence: StopSequence, monitor: ChassisMonitor, now_ns: int, late_ns: int
     ) -> Actuation | None:
-        """Return what a chassis that is being stopped is told in this tick; None when the stop has ended."""
+        """Return this tick's command to a chassis that is being stopped; None when the stop has ended."""
         if max(now_ns - self.told_ns, late_ns) > TOLD_LONG_AGO_NS:
             # Held up by a pause or by the bus: the robot may have been brought to rest meanwhile.
             sequence.not_above(monitor.chassis.slowest_mps)

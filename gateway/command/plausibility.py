@@ -1,7 +1,7 @@
 """Plausibility of the motion: speeds against the command and each other, direction, steering, the limit.
 
-A chassis whose firmware has the other scale moves 40 times as fast as it is told, or as slow; one on a slope or
-pushed by somebody moves without being told. This notices both, and more.
+A chassis whose firmware has the other scale moves 40 times as fast as commanded, or as slow; one on a slope or
+pushed by somebody moves without a command. This notices both, and more.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Envelope:
         self.left_deg = self.right_deg = angle_deg
 
     def follow(self, told: Actuation, elapsed_s: float) -> None:
-        """Time has passed since the last call, and this is told."""
+        """Advance the expected motion by the time since the last call, under this command."""
         told_mps = told.signed_speed_mps
         self.forward_mps = _fallen(self.forward_mps, max(told_mps, 0.0), elapsed_s)
         self.backward_mps = _fallen(self.backward_mps, max(-told_mps, 0.0), elapsed_s)
@@ -79,7 +79,7 @@ class Envelope:
 
 
 def _fallen(before_mps: float, told_mps: float, elapsed_s: float) -> float:
-    """The speed that a slow chassis may still have, on its way down to the one that it is told."""
+    """Return the speed that a slow chassis may still have, on its way down to the commanded one."""
     lag_mps = (before_mps - told_mps) * min(1.0, elapsed_s / DRIVE_LAG_S)
     return max(told_mps, before_mps - min(lag_mps, REFERENCE_DECELERATION_MPS2 * elapsed_s))
 
@@ -105,11 +105,11 @@ class Plausibility:
         self._checked_ns: int | None = None
 
     def check(self, chassis: ChassisState, told: Actuation, limit_mps: float, now_ns: int) -> list[Reason]:
-        """Return the reasons for which the motion has not been plausible for too long.
+        """Return the reasons why the motion has been implausible for too long.
 
         Args:
             chassis: the chassis now.
-            told: what it was last told.
+            told: its last command.
             limit_mps: the speed limit in force.
             now_ns: monotonic.
         """

@@ -45,7 +45,7 @@ class Reporter:
         self._said: tuple[object, ...] = ()
 
     def restore(self, sequences: dict[str, int], state_due_ns: int, now_ns: int) -> None:
-        """Goes on as one that has said so much, and lastly what the arbiter is now."""
+        """Continue after this many messages, the last one with the arbiter's present state."""
         self.sequences = dict(sequences)
         self.state_due_ns = state_due_ns
         self._said = self._says(self._blocked_by(now_ns))

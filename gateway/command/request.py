@@ -62,7 +62,7 @@ class Ruling(msgspec.Struct, frozen=True):
     Attributes:
         reason: NONE if it was accepted.
         detail: figures that the reason's own text does not have.
-        is_pending: accepted; the reply comes later, when it is known what became of it.
+        is_pending: accepted; the reply comes later, with the result.
         lease: the identifier of what the request names, or of what was given.
         expires_ns: how long the lease lasts from now.
         sequence, asked: a drive command's.

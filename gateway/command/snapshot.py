@@ -16,7 +16,7 @@ from schemas.decisions import ArbiterState
 from schemas.reasons import Reason
 
 QUIET_NS: Final = 5_000_000_000
-"""Nobody has asked anything, and nothing was told, for so long."""
+"""The time without a request or a command after which a snapshot may be taken."""
 
 
 class Snapshot(msgspec.Struct, frozen=True, array_like=True):
@@ -51,7 +51,7 @@ class Snapshot(msgspec.Struct, frozen=True, array_like=True):
 
 
 def is_at_rest(flow: CommandFlow, now_ns: int) -> bool:
-    """Nothing goes on, and nothing is left of what did but what ``snapshot`` holds."""
+    """True if nothing is under way, and ``snapshot`` holds all that remains of what was."""
     arbiter = flow.arbiter
     return (
         arbiter.state is ArbiterState.STANDBY

@@ -1,4 +1,4 @@
-"""The stop sequence: how a robot that is being told something comes to rest, and is then told nothing.
+"""The stop sequence: it brings a robot under command to rest, and then ceases commanding it.
 
 The speed falls to zero in gear, for the motor is the only service brake that the manual promises. The parking
 brake follows as soon as the robot stands, or does not slow down as it should. The gear stays in while it holds,
@@ -27,7 +27,7 @@ from schemas.settings import (
 )
 
 _STEP_MAX_NS: Final = 10 * TICK_NS
-"""After a pause the ramp goes on with no greater step than this."""
+"""After a pause the ramp continues with no greater step than this."""
 
 _DIRECTION: Final = {GearPosition.DRIVE: 1.0, GearPosition.REVERSE: -1.0}
 
@@ -38,8 +38,8 @@ class StopFeedback(msgspec.Struct, frozen=True):
     Attributes:
         stands: the robot is seen to stand; False also when that cannot be seen.
         moves: it is seen to move; False also when that cannot be seen.
-        speed_mps: how fast it may be, a magnitude; None if no sensor tells.
-        wheel_speed_mps: the same by the wheels, forward positive; None if they do not tell.
+        speed_mps: how fast it may be, a magnitude; None if no sensor reports it.
+        wheel_speed_mps: the same by the wheels, forward positive; None if they do not report it.
         is_braked: the parking brake reads applied; None if nothing can be concluded from it.
     """
 
@@ -51,7 +51,7 @@ class StopFeedback(msgspec.Struct, frozen=True):
 
 
 class StopSequence:
-    """One stop, from what the chassis was last told to silence.
+    """One stop, from the chassis's last command to silence.
 
     Attributes:
         phase: how far it has come; IDLE when it has ended.
@@ -61,7 +61,7 @@ class StopSequence:
         """Begin to stop.
 
         Args:
-            last: what the chassis was last told.
+            last: the chassis's last command.
             deceleration_mps2: how fast the commanded speed goes to zero.
             now_ns: monotonic.
         """
@@ -141,7 +141,7 @@ class StopSequence:
 
     @staticmethod
     def _is_blind(feedback: StopFeedback) -> bool:
-        """Nothing tells of motion: at zero speed that is not waited for."""
+        """True if no sensor can report motion: at zero speed the stop then does not wait for standstill."""
         return feedback.speed_mps is None and not feedback.moves
 
     def _runs_away(self, feedback: StopFeedback, now_ns: int) -> bool:

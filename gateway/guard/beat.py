@@ -15,13 +15,13 @@ class Beat(msgspec.Struct, frozen=True):
 
     Attributes:
         now_ns: monotonic, when the loop had sent.
-        is_active: the chassis is being told something, or was in the tick before and that was the end of a stop.
-        told_ns: when a whole burst was last taken by the bus.
-        is_left: the chassis was left to somebody else while it was told ``last``, and may obey that again.
+        is_active: the chassis is under command, or was in the tick before and that was the end of a stop.
+        told_ns: when the bus last accepted a whole burst.
+        is_left: the chassis was left to somebody else with the command ``last``, and may execute that again.
         is_mute: what has to be sent cannot be; the guard has to act at once.
         is_closing: the gateway ends, and nobody will beat any more.
         variant: the one in force.
-        last: what the chassis was last told; at rest if that is over and done.
+        last: the chassis's last command; at rest if that is over and done.
         counters: the next alive counter of each command frame, in the layout's order.
     """
 

@@ -24,8 +24,8 @@ class ChassisView:
     """The newest feedback and commands on the bus.
 
     Attributes:
-        next_counters: what each command frame that was heard would count next, by its name.
-        commander_ns: when a command frame that moves the robot was last heard; None if never.
+        next_counters: the counter that each received command frame would have next, by its name.
+        commander_ns: when a command frame that moves the robot was last received; None if never.
     """
 
     def __init__(self) -> None:
@@ -69,7 +69,7 @@ class ChassisView:
         return any(now_ns - heard_ns < GUARD_SILENT_NS for _, heard_ns in self._latest.values())
 
     def mode(self, now_ns: int) -> Mode:
-        """The mode; UNDEFINED if it is not told, or is remote in a single frame."""
+        """Return the mode; UNDEFINED if none is reported, or remote in a single frame only."""
         data = self._fresh(BODY, now_ns)
         mode = Mode.UNDEFINED if data is None else _mode(self._body(data))
         return Mode.UNDEFINED if mode is Mode.REMOTE and self._remote_frames < REMOTE_FRAMES else mode
@@ -112,7 +112,7 @@ class ChassisView:
         return max((speed for speed in speeds if speed is not None), default=None)
 
     def wheel_speed_mps(self, variant: Variant, now_ns: int) -> float | None:
-        """Mean of the rear wheels, forward positive; None if they do not tell."""
+        """Return the mean speed of the rear wheels, m/s, forward positive; None if they do not report it."""
         wheels = self._wheels_mps(variant, now_ns)
         return None if wheels is None else sum(wheels) / 2
 
@@ -123,7 +123,7 @@ class ChassisView:
         return turns or (self.fastest_mps(variant, now_ns) or 0.0) > STANDSTILL_MPS
 
     def is_braked(self, now_ns: int) -> bool | None:
-        """The parking brake reads applied; None if it is not told."""
+        """True if the parking brake reads applied; None if it is not reported."""
         data = self._fresh(PARKING, now_ns)
         return None if data is None else self._read[Variant.COARSE][PARKING](data)["ParkingStatus"] == "applied"
 
@@ -180,5 +180,5 @@ _MODES: Final = {mode.value: mode for mode in Mode}
 
 
 def _mode(body: Signals) -> Mode:
-    """The mode that a body frame tells; eight zero bytes would read auto, but are not valid."""
+    """Return the mode in a body frame; eight zero bytes would read auto, but are not valid."""
     return _MODES.get(str(body["Mode"]), Mode.UNDEFINED) if body["Valid"] else Mode.UNDEFINED

@@ -58,7 +58,7 @@ class Guardian:
         self._lines: list[str] = []
 
     def ask_to_end(self) -> None:
-        """A signal asks the process to end. While the chassis is being told something that is ignored."""
+        """Note a signal to end. It is ignored while the chassis is under command."""
         self._was_asked_to_end = True
 
     def receive(self, frame: Frame, now_ns: int) -> None:
@@ -66,7 +66,7 @@ class Guardian:
         self.view.receive(frame, now_ns)
 
     def tick(self, beat: Beat | None, now_ns: int, *, parent_lives: bool, bus_up: bool) -> list[Frame]:
-        """Time to look.
+        """Check the heartbeat, and continue or begin a stop.
 
         Args:
             beat: the newest one; None before the first.
@@ -75,7 +75,7 @@ class Guardian:
             bus_up: frames can be sent.
 
         Returns:
-            The frames to send now. ``is_sending`` has to be told to the loop before they are.
+            The frames to send now. ``is_sending`` must be reported to the loop before they are sent.
         """
         cause: Cause | None = None
         paused_ns = 0 if self._ticked_ns is None else now_ns - self._ticked_ns
@@ -108,7 +108,7 @@ class Guardian:
         return frames
 
     def next_look_ns(self, now_ns: int) -> int:
-        """Return when to look again: soon, and right when the heartbeat that was seen last becomes late."""
+        """Return the time of the next check: soon, and right when the newest heartbeat becomes late."""
         due_ns = now_ns + GUARD_POLL_NS
         return min(due_ns, self._late_at_ns) if self._late_at_ns > now_ns else due_ns
 
@@ -127,9 +127,9 @@ class Guardian:
         return lines
 
     def _is_left(self, beat: Beat) -> bool:
-        """The chassis was left on its last command, as where the remote control took it over, and it still is.
+        """Return True if the chassis still has the last command, as after a takeover by the remote control (RC).
 
-        It obeys that for ever, unless somebody else has commanded it since.
+        It executes that indefinitely, unless somebody else has commanded it since.
         """
         commander_ns = self.view.commander_ns
         is_old = commander_ns is not None and commander_ns - beat.now_ns > GUARD_SILENT_NS

@@ -49,15 +49,15 @@ _OFF: Final = (
 """The chassis keeps these for ever too, and nobody else ends them any more."""
 
 _HEARD_AHEAD_MAX: Final = 3
-"""A counter heard on the bus may be this far ahead of the heartbeat's: the gateway died between the two."""
+"""A counter received from the bus may be this far ahead of the heartbeat's: the gateway died between the two."""
 
 
 class Stopper:
-    """Brings the robot to rest, frame by frame, from what it was last told, and never faster than it is seen.
+    """Brings the robot to rest, frame by frame, from its last command, and never faster than its measured speed.
 
-    What was told long ago counts for little: a robot that others have brought to rest meanwhile must not be set
-    going by a ramp from an old speed. So a stop that begins late, or was held up, looks at the chassis first.
-    While the remote control (RC) has the robot it waits: the chassis keeps its last command, and obeys it after.
+    An old command counts for little: a robot that others have brought to rest meanwhile must not be set going by a
+    ramp from an old speed. So a stop that begins late, or was held up, reads the feedback first. While the remote
+    control (RC) has the robot it waits: the chassis keeps its last command, and executes it afterwards.
 
     Attributes:
         is_over: nothing more is to be sent.
@@ -98,11 +98,11 @@ class Stopper:
         """Begin to stop.
 
         Args:
-            last: what the chassis was last told, as far as is known; taken with caution. None if nothing is.
+            last: the chassis's last command, as far as is known; used with caution. None if unknown.
             variant: while it is not known only zero speed is sent.
-            counters: the next alive counters in the layout's order; None if only the bus can tell.
+            counters: the next alive counters in the layout's order; None if they are known from the bus only.
             now_ns: monotonic.
-            told_ns: when ``last`` was told; just now if left out.
+            told_ns: when ``last`` was sent; just now if left out.
         """
         self._variant = variant
         self._told = last
@@ -210,7 +210,7 @@ class Stopper:
         return True
 
     def _seen(self, now_ns: int) -> Actuation:
-        """Infer what the chassis must have been told. One that is not seen may stand, parked."""
+        """Infer the chassis's command from its feedback. One without feedback may stand, parked."""
         gear = self._view.gear(now_ns)
         speed_mps = self._view.speed_mps(self._variant, now_ns)
         return Actuation(
@@ -248,7 +248,7 @@ class Stopper:
         return StopPhase.IDLE if self._sequence is None or self.is_over else self._sequence.phase
 
     def _counters(self, counters: bytes | None, now_ns: int) -> dict[str, int]:
-        """The counters to go on with: those heard on the bus may be a little ahead of those known."""
+        """Return the counters to continue with: those on the bus may be a little ahead of the known ones."""
         names, view = self._maker.counters, self._view
         if counters is None:
             return dict.fromkeys(names, 0) | view.next_counters
@@ -277,7 +277,7 @@ def _possible(last: Actuation, variant: Variant) -> Actuation:
 
 
 def _lower(told_mps: float, slowest_mps: float) -> float:
-    """The lower one; what was told may be no number at all."""
+    """Return the lower speed; zero if the commanded one is not finite."""
     return min(told_mps, slowest_mps) if isfinite(told_mps) else 0.0
 
 
@@ -286,7 +286,7 @@ def _clamped(value: float, low: float, high: float) -> float:
 
 
 def _further(known: int, heard: int | None) -> int:
-    """The counter to go on with: the one that was heard if it is a little ahead, else the one that is known."""
+    """Return the counter to continue with: the received one if it is a little ahead, else the known one."""
     if heard is not None and (heard - known) % COUNTER_SPAN <= _HEARD_AHEAD_MAX:
         return heard
     return known

@@ -32,7 +32,7 @@ RENEW_S: Final = LEAF_DAYS * 86_400 / 3
 CA_DAYS: Final = 3653
 
 BACKDATED: Final = timedelta(minutes=5)
-"""A certificate counts from a little before: no two clocks are the same."""
+"""A certificate is valid from a little earlier: no two clocks agree."""
 
 SITE: Final = "site"
 """Common name of a site's own authority, which makes certificates for people alone."""

@@ -51,7 +51,7 @@ STANDBY_KEY, STANDBY_FILE = "standby.key", "standby.pub"
 SERIALS_FILE, ISSUED_FILE, REVOCATIONS_FILE = "serials.json", "issued.jsonl", "revocations.statement"
 
 BACKDATED_S: Final = 300
-"""A grant counts from a little before: no two clocks are the same."""
+"""A grant is valid from a little earlier: no two clocks agree."""
 
 SITE_MAX_S: Final = 12 * 3600
 """A site lets nobody in for longer."""

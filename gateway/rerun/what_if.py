@@ -1,6 +1,6 @@
-"""A recorded run again, as it was and as it would have been with other settings. Pure.
+"""A recorded run repeated twice: as it was, and as it would have been with other settings. Pure.
 
-Both runs get the same inputs at the same times. Where the other one tells the chassis something else, a virtual
+Both runs get the same inputs at the same times. Where the other one commands the chassis differently, a virtual
 chassis answers in place of the recorded one, until both robots stand again with nobody in command: see
 ``gateway.sim.stand_in``. What people would have done otherwise nobody knows: the requests stay as recorded, but
 for what the arbiter gave out itself, the lease and the challenge to echo.
@@ -134,7 +134,7 @@ class _Pair:
 
 
 class _Echo:
-    """Requests as their senders would have sent them, had they heard the other arbiter.
+    """Requests as their senders would have sent them in answer to the other arbiter.
 
     A drive echoes the newest challenge that was published, and everything names the lease that was given. The two
     arbiters publish in other ticks, and may have given another lease.

@@ -2,7 +2,7 @@
 
 - ``parameters``   its figures, with their units, and the conditions it is in
 - ``motion``       how it moves
-- ``model``        what it obeys and what it reports: ``VirtualChassis``
+- ``model``        the commands it executes and its feedback: ``VirtualChassis``
 - ``feedback``     its frames: order, period, alive counter, checksum
 - ``faults``       the faults that can be asked for, and their words; ``disturbances`` are those in force
 - ``socketcand_protocol`` and ``socketcand``  a CAN bus on a TCP port, for python-can's own ``socketcand``

@@ -102,7 +102,7 @@ class Bumper(msgspec.Struct, frozen=True):
 
 
 class Toggle(msgspec.Struct, frozen=True):
-    """Something holds, or holds no more.
+    """A condition switched on or off.
 
     Attributes:
         name: ``remote``: the remote control's SA switch is on remote, not on command control. ``lost``: its radio

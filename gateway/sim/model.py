@@ -1,7 +1,7 @@
-"""The virtual chassis: what it obeys, what it reports. No I/O, no clock.
+"""The virtual chassis: commands in, feedback out. No I/O, no clock.
 
 It keeps to 'How the chassis behaves' of the protocol notes. Where those are silent, it does what is worst for the
-gateway and still plausible: above all it obeys the last command for ever when commands cease.
+gateway and still plausible: above all it executes the last command indefinitely when commands cease.
 """
 
 from __future__ import annotations

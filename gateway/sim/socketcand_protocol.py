@@ -151,7 +151,7 @@ def frame_line(frame: Frame) -> bytes | None:
 
 
 def error_line(reason: str) -> bytes:
-    """The line that tells a client what was wrong with its message."""
+    """Return the line that reports a client's error to it."""
     text = re.sub(r"[<>\s]+", " ", reason)[:_MAX_ERROR_CHARACTERS].strip()
     return f"< error {text} >".encode("ascii", errors="replace")
 

@@ -1,9 +1,9 @@
-"""The chassis as it would have answered, had it been told something else. Pure.
+"""The chassis as it would have answered to other commands. Pure.
 
-A recorded run holds the chassis's answers to what it was told then. From the moment on at which another run of
-the arbiter tells it something else, those answers no longer fit: this shows frames in their place. They come at
+A recorded run holds the chassis's answers to the recorded commands. As soon as another run of the arbiter
+commands something else, those answers no longer fit: this shows frames in their place. They come at
 the recorded times, with the recorded alive counters, and what was lost, late or broken stays so; speed, steering,
-gear, brakes and mode are those of the virtual chassis, which hears the other commands. What people and the
+gear, brakes and mode are those of the virtual chassis, which receives the other commands. What people and the
 surroundings did stays as recorded: the bumpers, and all that the remote control does.
 """
 
@@ -54,7 +54,7 @@ class StandIn:
         return self._speed_mps() == 0 and (own is None or own.state.speed_mps == 0)
 
     def begin(self, now_ns: int) -> None:
-        """From here on the chassis is told something else: it goes on from where it was recorded last."""
+        """Begin to simulate the chassis, from its last recorded state: its commands differ from here on."""
         if self._chassis is None:
             chassis = self._chassis = VirtualChassis(self._layout, now_ns)
             for frame in self._heard.values():

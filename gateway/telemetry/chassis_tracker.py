@@ -79,7 +79,7 @@ class ChassisTracker:
             links: the bus and the guard.
             controller: the CAN controller's error state.
             variant: the firmware variant in force.
-            commander_ns: when another computer's command frame was last heard.
+            commander_ns: when another computer's command frame was last received.
             now_ns: monotonic.
         """
         wheels, body = self._latest(WHEEL_SPEED, WheelSpeed), self._latest(BODY, Body)

@@ -61,11 +61,11 @@ class Links(msgspec.Struct, frozen=True):
 
 
 class HealthMeter:
-    """Counts what happens and tells it each second.
+    """Counters of the gateway's health, published each second.
 
     Attributes:
         faults: faults since the start, by kind.
-        controller: what the interface's error frames say of it.
+        controller: its state by the interface's error frames.
     """
 
     def __init__(self, gateway_version: str, bus: str, started_ns: int) -> None:

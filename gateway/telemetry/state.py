@@ -48,7 +48,7 @@ class LatestMessages:
 def signed_speed_mps(drive: Drive | None, wheels: WheelSpeed | None, gear: Gear | None) -> float | None:
     """The drive feedback, a magnitude, with the direction of the wheels if they turn, else of the gear.
 
-    None if the robot moves and neither tells the direction: half of the guesses would be wrong.
+    None if the robot moves and neither gives the direction: half of the guesses would be wrong.
     """
     if drive is None:
         return None
@@ -72,7 +72,7 @@ def robot_state(
 ) -> RobotState:
     """The state. A field whose feedback is missing, silent or marked invalid is None, or ``undefined``.
 
-    That holds for the mode too: that of an invalid frame is no evidence that the chassis obeys.
+    That holds for the mode too: that of an invalid frame is no evidence that the chassis accepts commands.
     """
     gear, steering, drive = messages.of(Gear), messages.of(Steering), messages.of(Drive)
     braking, parking, body = messages.of(Braking), messages.of(Parking), messages.of(Body)

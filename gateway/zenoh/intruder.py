@@ -146,7 +146,7 @@ class Intruder(SessionOwner):
         return cls(open_session(settings.zenoh, [endpoint], [], changes=changes), settings, wires)
 
     def act(self, pause: Callable[[float], object]) -> list[str]:
-        """Do what must be denied, and wait for what comes of it. Returns what was not denied, in words."""
+        """Attempt all that must be denied, and wait for its effects. Returns what was not denied, in words."""
         said = self._wires.operator.encode()
         for key in (self._drive, self._state):
             self._session.put(key, said)

@@ -36,7 +36,7 @@ STATES_WAITING: Final = 64
 EVENTS_WAITING: Final = 4096
 
 EVENTS_OF_BEFORE: Final = 50
-"""This many events of before it listened are heard too."""
+"""The number of earlier events that a new listener receives."""
 
 
 class Prover(Protocol):
@@ -171,7 +171,7 @@ class CommandPort(SessionOwner):
 
 
 class SafetyListener(SessionOwner):
-    """Hears what a robot's arbiter says, the robot's state and its gateway's health. Owns its session."""
+    """A listener to a robot's arbiter, its state and its gateway's health. Owns its session."""
 
     def __init__(self, session: zenoh.Session, root: str, robot: str) -> None:
         """Subscribe on a session.
