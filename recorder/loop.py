@@ -182,7 +182,7 @@ class RecorderLoop:
         self._reporters = [one for one in (writer, keeper, leftovers) if one is not None]
 
     def obey(self, control: Control, backfill: Callable[[OperatorRequest], None]) -> None:
-        """Obey operators, and publish events, gaps and health."""
+        """Execute operators' requests, and publish events, gaps and health."""
         self._control = control
         self._orders = Orders(self._recorder, self._health_now, backfill)
 

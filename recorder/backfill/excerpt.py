@@ -142,9 +142,9 @@ class Excerpt:
         return "; ".join(parts + self.faults)
 
     def _in_order(self) -> Iterator[tuple[LoggedBytes | None, int]]:
-        """The messages by their publish time, without repetitions; and up to when all have been given.
+        """Yield the messages by publish time, without repetitions, each with the time up to which all are out.
 
-        The last one is None, and tells how far it went.
+        The last message is None, with the time of the end.
         """
         request, width_ns = self._request, SLICE_NS
         self._logs = [log for log in self._logs if self._wanted[id(log)]]

@@ -64,12 +64,12 @@ class _Holes:
 
 
 class Filling:
-    """Judges what comes.
+    """Judges answered messages against the holes of one's own logs.
 
     Args:
         holes: of one's own logs.
-        is_recorded: whether a topic is one that one's own recorder records; asked of what no hole of a topic's own
-            tells to be missing.
+        is_recorded: True if one's own recorder records a topic; called for topics that no hole of their own
+            reports missing.
     """
 
     def __init__(self, holes: Sequence[Hole], is_recorded: Callable[[str], bool] = lambda _: True) -> None:

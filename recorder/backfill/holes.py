@@ -20,10 +20,10 @@ from schemas.recording import RecordGap
 from schemas.subjects import SCHEMA_PREFIX
 
 SILENCE_NS: Final = 2_000_000_000
-"""A robot of which nothing was heard for longer than this was cut off: it says something each second."""
+"""A robot that was silent for longer than this was cut off: it publishes something each second."""
 
 MARGIN_NS: Final = 2_000_000_000
-"""A recorder tells when it received what it dropped; it was published at most so long before or after."""
+"""A recorder reports when it received a dropped message; it was published at most so long before or after."""
 
 ANY_TOPIC: Final = "/**"
 """Ends the topic of a hole that is a whole robot's: a Zenoh key expression."""
@@ -46,7 +46,7 @@ class HoleKind(Enum):
     DROPPED = "dropped"
     """The recorder says that it dropped messages."""
     SILENCE = "silence"
-    """Nothing at all was heard of a robot, and something of it is known to be missing."""
+    """Nothing at all was received from a robot, and some of its messages are known to be missing."""
 
 
 class Hole(msgspec.Struct, frozen=True):
@@ -57,7 +57,7 @@ class Hole(msgspec.Struct, frozen=True):
         from_ns: they were published at this time or later...
         to_ns: ...and before this one.
         missing: how many samples, or messages that were dropped; None where nobody knows.
-        before, after: the messages around it, if a sequence tells of it.
+        before, after: the messages around it, if a sequence shows it.
     """
 
     topic: str
@@ -89,7 +89,7 @@ class _Topic:
         self.line = SequenceLine()
         self.cover = cover
         self.lag_ns: int | None = None
-        """From publishing to receipt, at least: it tells the two clocks apart."""
+        """The smallest delay from publishing to receipt: it shows the difference of the two clocks."""
 
     def add(self, sequence: int, log_ns: int, publish_ns: int) -> None:
         self.line.add(sequence, publish_ns)
@@ -103,7 +103,7 @@ class HoleFinder:
     """Finds the holes in the messages of all logs there are, added in any order of the logs.
 
     Attributes:
-        topics: what each robot was heard to say, by the beginning of its keys.
+        topics: the topics received from each robot, by the beginning of its keys.
     """
 
     def __init__(self) -> None:
@@ -155,7 +155,7 @@ class HoleFinder:
             self._gaps.append(_Dropped(gap.key, gap.first_ns, gap.last_ns, gap.count))
 
     def _with_dropped(self, holes: list[Hole]) -> Iterator[Hole]:
-        """The holes and what the recorder says that it dropped, where the sequences do not tell the same."""
+        """Yield the holes, and those that the recorder reports as dropped where sequences do not show them."""
         by_topic: dict[str, list[Hole]] = {}
         for hole in holes:
             by_topic.setdefault(hole.topic, []).append(hole)
@@ -174,7 +174,7 @@ class HoleFinder:
             yield from same
 
     def _silences(self, holes: list[Hole]) -> Iterator[Hole]:
-        """The times when nothing of a robot was heard; but only where something is missing there."""
+        """Yield the times when nothing came from a robot; but only where something is missing there."""
         by_robot: dict[str, list[Range]] = {}
         for hole in holes:
             topic = self._topics.get(hole.topic)

@@ -40,7 +40,7 @@ TIMEOUT_S: Final = 3.0
 """The time for which recorders are looked for."""
 
 HOLES_SHOWN: Final = 200
-"""Holes that are told to people one by one; the rest are only counted."""
+"""Holes that are listed one by one; the rest are only counted."""
 
 OTHERS_NAME: Final = "fleet"
 """Begins the name of a log of topics that are no known robot's."""

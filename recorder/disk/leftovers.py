@@ -61,7 +61,7 @@ class Recovery(msgspec.Struct, frozen=True):
         messages, chunks: that it holds.
         cut_bytes: that stood behind its good data.
         kept: where what is not in the result is kept; None if there is nothing worth it.
-        faults: damage; ``fault_count`` of them, the first ones told.
+        faults: damage; ``fault_count`` of them, the first ones listed.
     """
 
     path: str
@@ -232,7 +232,7 @@ class LeftoverThread:
         self._thread = self._begin(sorted(directory.glob(f"*{PART_SUFFIX}")))
 
     def look_again(self) -> None:
-        """Recover what this recorder itself had to leave, as the disk took no more; once at a time.
+        """Recover the files that this recorder itself left while the disk was full; once at a time.
 
         What is being written is locked. The directory is read on the thread: who calls must not wait for it.
         """

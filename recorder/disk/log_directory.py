@@ -28,7 +28,7 @@ INCIDENT_SUFFIX: Final = ".incident"
 """Stands before ``.mcap`` in the name of an incident: such a file is never deleted for want of room."""
 
 SYNC_THREADS: Final = 4
-"""Files that the disk is told to keep at once: a file system takes several in about the time of one."""
+"""Files that are synced at once: a file system syncs several in about the time of one."""
 
 STEM_MAX: Final = 150
 """Characters of a log's name before the time: who makes up a robot may call it longer than a disk takes."""

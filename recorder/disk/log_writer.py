@@ -1,8 +1,8 @@
 """The writer's thread: applies actions to the files of all logs, whatever the disk does, while the loop receives.
 
 When a write fails, the file is cut back to its last whole chunk and ended, and the next one begins with the chunk
-that failed; or, where the disk fails to keep what it had taken, with all that it has not kept. That is held until
-then, and when it is too much no more is written. What is not written waits, up to a bound; beyond that the oldest
+that failed; or, where the disk fails to keep what it had accepted, with all that it has not kept. That is held
+until then, and when it is too much, writing ends. Unwritten data waits, up to a bound; beyond that the oldest
 messages go, and are reported as lost.
 """
 

@@ -1,4 +1,4 @@
-"""Logs on this machine, read message by message; what cannot be read is left out, and told."""
+"""Logs on this machine, read message by message; unreadable parts are left out, and reported."""
 
 from __future__ import annotations
 

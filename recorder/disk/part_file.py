@@ -110,7 +110,7 @@ class PartFile:
         self._disk = disk
         self._changed = threading.Lock()
         self._sync: Future[None] | None = None
-        """The sync that goes on, or waits for a thread; of one file there is but one."""
+        """The sync that runs, or waits for a thread; each file has at most one."""
         self._wants_sync = False
         """Something was written that the present sync may not cover: another is to follow it."""
         self._fault: OSError | None = None
@@ -151,7 +151,7 @@ class PartFile:
 
     @property
     def has_failed(self) -> bool:
-        """A sync has failed, which the next write tells."""
+        """True if a sync has failed, which the next write reports."""
         return self._fault is not None
 
     def begin(self, prologue: Prologue) -> None:
@@ -164,7 +164,7 @@ class PartFile:
             prologue.write_to(self._mcap)
 
     def write(self, action: LogAction) -> None:
-        """Apply an action. A sync goes on beside what is written next, which reports the sync's failure.
+        """Apply an action. A sync runs beside the next write, which reports the sync's failure.
 
         Raises:
             CommandError: the disk does not take it.
@@ -304,7 +304,7 @@ class PartFile:
             raise fault
 
     def _wait_for_sync(self) -> None:
-        """Of the sync that goes on; what has not begun need not: whoever ends the file syncs it himself."""
+        """Wait for the running sync, and cancel one that has not begun: the caller syncs the file itself."""
         with self._changed:
             self._wants_sync = False
             sync = self._sync

@@ -1,8 +1,8 @@
 """The way of nearly every sample into a chunk: one function for each key, compiled for its subject. Pure.
 
-It decodes the payload, sees that the sequence goes on, and appends header and fields of the record in one packing.
-Whatever is not quite so (a gap, a broken payload, a message that the session itself wants to see, a chunk that is
-full) it leaves alone and says so; the session then takes the slow path.
+It decodes the payload, checks that the sequence continues, and appends header and fields of the record in one
+packing. It returns any other case (a gap, a broken payload, a message that the session itself reads, a full chunk)
+untouched, and the session then takes the slow path.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ class KeyCounters:
         missed: samples that never came, by the gaps in ``sequence``, without those that were dropped unread.
         dropped: raw frames that the source itself had to drop, by its own count.
         lost: what reached the recorder and is not in the log, by reason.
-        lost_bus: frames of the chassis that never reached its gateway, by its own count; None if it tells none.
+        lost_bus: frames of the chassis that never reached its gateway, by its own count; None if it reports none.
     """
 
     def __init__(self) -> None:

@@ -1,7 +1,7 @@
 """A blueprint for rerun: the panels of the layout for Foxglove, and the switches, which that one has no chart for.
 
 It can only be made with rerun's own package, which is large; so no recorder attaches it, and it is made from a
-log when it is wanted. It tells by a selector which field of a message is the number or the state to draw; that is
+log when it is wanted. It selects by a path which field of a message is the number or the state to draw; that is
 younger than most of rerun, and may change with it.
 """
 

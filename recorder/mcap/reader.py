@@ -5,7 +5,7 @@
             case PackedChunk():     # .index and times are known; .unpack() reads it, .messages() one by one
             case MessageBlock():    # a message outside of chunks: .messages()
             case records.Schema() | records.Channel() | records.Metadata() | ...:
-            case Fault():           # what is wrong, and where; the reading goes on where it can
+            case Fault():           # what is wrong, and where; the reading continues where it can
             case SummaryStart():    # what follows repeats some of the data
             case End():
 

@@ -29,7 +29,7 @@ from recorder.mcap.summary import Summary
 from recorder.mcap.writer import COMPRESSION, COMPRESSION_LEVEL
 
 FAULTS_SHOWN: Final = 20
-"""Faults that are told one by one; the rest are only counted."""
+"""Faults that are listed one by one; the rest are only counted."""
 
 
 class Sink(Protocol):
@@ -46,7 +46,7 @@ class FileSurvey(msgspec.Struct, frozen=True):
     Attributes:
         is_whole: it is closed properly, and nothing in it is wrong.
         end: the good data ends here, if there are no faults; ``ending`` makes a whole file of it.
-        faults: damage with good data behind it; ``fault_count`` of them, the first ones told.
+        faults: damage with good data behind it; ``fault_count`` of them, the first ones listed.
         is_torn: behind the good data there is but the beginning of one last write, or nothing.
         messages, chunks: that are good.
     """

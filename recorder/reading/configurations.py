@@ -23,18 +23,18 @@ CONFIGURATION: Final = "configuration.toml"
 INFO: Final = "gateway/info"
 
 ANSWERED_NS: Final = 30_000_000_000
-"""A gateway that starts has told a recorder that is there its configuration within this time."""
+"""A gateway that starts publishes its configuration to a running recorder within this time."""
 
 STARTED_NS: Final = 1_000_000_000
 """A run's first journal is published so soon after its gateway was started."""
 
 
 class Configurations(msgspec.Struct, frozen=True):
-    """Those of one robot, as TOML. Times are nanoseconds since 1970.
+    """Configurations of one robot, as TOML. Times are nanoseconds since 1970.
 
     Attributes:
-        told: when each gateway was started that told its configuration, and the text; by the time.
-        attached: when a recorder attached a configuration, and the text; by the time.
+        told: start times of gateways that published their configuration, each with the text; in order of time.
+        attached: times at which a recorder attached a configuration, each with the text; in order of time.
     """
 
     told: list[tuple[int, str]]

@@ -61,7 +61,7 @@ class Contents(msgspec.Struct):
 
 
 def read_contents(stream: BinaryIO) -> Contents | None:
-    """By the summary; None if there is none, or it does not tell all."""
+    """Return the contents by the summary; None if there is none, or it is not complete."""
     summary = read_summary(stream)
     if summary is None or summary.statistics is None or not tells_all(summary, summary.statistics):
         return None
@@ -101,12 +101,12 @@ def read_contents(stream: BinaryIO) -> Contents | None:
 def walk_contents(
     stream: BinaryIO, size: int, progress: Progress = lambda _: None, *, is_being_written: bool = False
 ) -> Contents:
-    """Record by record. Nothing in the file raises.
+    """Return the contents by a scan, record by record. Nothing in the file raises.
 
     Args:
         stream: the file.
         size: its length in bytes.
-        progress: is told of bytes that were read.
+        progress: receives the number of bytes that were read.
         is_being_written: that it has no end yet is no fault.
     """
     contents = Contents()

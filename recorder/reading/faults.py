@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 FAULTS_SHOWN: Final = 20
-"""Faults that are told one by one; the rest are only counted."""
+"""Faults that are listed one by one; the rest are only counted."""
 
 
 KNOWN_MAX: Final = 10_000

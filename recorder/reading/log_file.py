@@ -16,7 +16,7 @@ class LogFile(msgspec.Struct, frozen=True):
     Attributes:
         bytes: its length when it was found.
         start_ns, end_ns: the first and the last log time; both 0 if it holds no message.
-        robots: root and name of each robot, as far as is told outside of chunks.
+        robots: root and name of each robot, as far as they are known outside of chunks.
         is_being_written: a recorder had it open when it was found; that it has no end yet is no fault.
         namesakes: names that robots under several roots have, in this log or one that was found with it.
     """

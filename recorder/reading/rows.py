@@ -79,7 +79,7 @@ def read_rows(
         logs: in the order of their beginnings, as ``find_logs`` gives them.
         selection: what is wanted.
         faults: takes what cannot be read; the rest is read all the same.
-        progress: is told of bytes that were read or passed over.
+        progress: receives the number of bytes that were read or passed over.
     """
     wanted = [log for log in logs if log.start_ns < selection.to_ns and log.end_ns >= selection.from_ns]
     groups: list[list[LogFile]] = []

@@ -56,7 +56,7 @@ def survey(logs: Sequence[LogFile], faults: Faults) -> Survey:
 
 
 def _by_summary(stream: BinaryIO, log: LogFile, found: Survey) -> bool:
-    """Report whether the file's end told all."""
+    """Return True if the file's end gave all."""
     summary = read_summary(stream)
     if summary is None:
         return False

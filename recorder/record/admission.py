@@ -144,7 +144,7 @@ class OrderAdmission:
         return None
 
     def judge(self, order: SignedOrder, now_ns: int, now_s: int) -> Objection | None:
-        """Judge an order. Returns why it is not obeyed; None if it is.
+        """Judge an order. Returns why it is rejected; None if it is accepted.
 
         Args:
             order: as it came.

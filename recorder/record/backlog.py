@@ -1,6 +1,6 @@
 """Samples that gateways still keep and this log lacks: found by gaps in the sequence, queried in pieces. Pure.
 
-A recorder that starts late, or whose link was cut, gets the journal, the decisions and the events of before. One
+A recorder that starts late, or whose link was cut, gets earlier journals, decisions and events. One
 piece is on its way at a time for each key, so that a thin link carries the present first.
 """
 

@@ -100,7 +100,7 @@ class Incidents:
         ]
 
     def link_to(self, file: str) -> list[LogAction]:
-        """Name the file in which the log goes on, if an incident is being written."""
+        """Name the file in which the log continues, if an incident is being written."""
         return [self._link_to(file)] if self.is_open else []
 
     def is_over(self, now_ns: int) -> bool:

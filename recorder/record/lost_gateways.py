@@ -57,7 +57,7 @@ class LostGateways:
         Args:
             key: of the gateway's ``safety/state``.
             latest: the newest of these; it is looked at again when it is due.
-            ended: returns the tick at which the gateway last reported that it was told to end; None if it
+            ended: returns the tick at which the gateway last reported that it shuts down; None if it
                 never did.
             now_ns: monotonic.
         """

@@ -35,7 +35,7 @@ class OperatorRequest(msgspec.Struct, frozen=True):
         operator: who asks.
         request: what is asked, or what is wrong with the payload.
         reply: sends a reply; several may follow each other.
-        done: says that no more will come; whoever answers must call it.
+        done: reports that no more replies will come; whoever answers must call it.
         is_backfill: the verb was ``backfill``, whatever is wrong with the request: its replies are pieces.
     """
 
@@ -58,10 +58,10 @@ class _Pending(msgspec.Struct):
 
 
 class Orders:
-    """Carries requests out on a recorder.
+    """Executes requests on a recorder.
 
     Args:
-        recorder: obeys.
+        recorder: executes them.
         health: returns the recorder's present health.
         backfill: answers a request for a backfill, on a thread of its own.
     """

@@ -263,7 +263,7 @@ class Recorder:
         """Make an incident, of one log or of all.
 
         Returns:
-            Of each log whose incident begins or goes on, the name of the incidents' log and the incident's file,
+            Of each log whose incident begins or continues the name of the incidents' log and the incident's file,
             which is empty until it is opened; and what is to be done. Nothing if there is no such log, or no room.
         """
         if not self.has_incident_room:

@@ -21,7 +21,7 @@ import msgspec
 from schemas.recorder_settings import INCIDENT_FLOOR_SHARE, INCIDENT_SHARE
 
 RESUME_SHARE: Final = 0.02
-"""A recording that has stopped goes on when so much of budget or floor is free beyond it, or it would flutter."""
+"""A stopped recording resumes when so much of budget or floor is free beyond it, or it would flutter."""
 
 ROLL_BYTES: Final = 100_000
 """Logs that are being written are ended, so that they may go, when they take so much together."""

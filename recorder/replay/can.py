@@ -1,4 +1,4 @@
-"""Puts a log's frames on a CAN bus again, through python-can; and tells a virtual bus from a real one."""
+"""Sends a log's frames to a CAN bus, through python-can; and distinguishes virtual buses from real ones."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def refusal(interface: str, *, is_virtual: bool, is_forced: bool) -> str:
 
 
 def is_command(frame: CanFrame) -> bool:
-    """Report whether it is a frame that a chassis of this family obeys."""
+    """Return True if a chassis of this family executes the frame."""
     return frame.is_extended and frame.identifier & COMMAND_MASK == COMMAND_IDENTIFIER
 
 

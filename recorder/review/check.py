@@ -74,7 +74,7 @@ def check_log(path: Path, progress: Progress = lambda _: None) -> LogCheck:
 
     Args:
         path: the file.
-        progress: is told of bytes that were read.
+        progress: receives the number of bytes that were read.
 
     Raises:
         CommandError: there is no such file, or it is no MCAP file.

@@ -29,7 +29,7 @@ def cut(
         selection: its log times are wanted; what topics are, the patterns say.
         topics: patterns, as a shell has them; ``*`` matches any part of a topic. None for all topics.
         faults: takes what cannot be read; all the rest is in the file.
-        progress: is told of bytes that were read.
+        progress: receives the number of bytes that were read.
 
     Raises:
         CommandError: the file is there already, or cannot be written.

@@ -118,7 +118,7 @@ def gather(
         period: the first log time that goes in, and the first one that is too late.
         private: signs the manifest; None leaves it unsigned.
         faults: takes what cannot be read; all the rest is in the archive.
-        progress: is told of bytes that were read.
+        progress: receives the number of bytes that were read.
 
     Raises:
         CommandError: the file is there already, or cannot be written.

@@ -1,4 +1,4 @@
-"""The contents of a log, as its end and its recorder tell: no chunk of a whole log is unpacked.
+"""The contents of a log, from its end and its recorder's records: no chunk of a whole log is unpacked.
 
 A file without such an end (a part, a damaged one, or one of somebody who writes none) is gone through record by
 record, by the heads of its chunks. Whether all of it is true, and nothing missing, is another question: ``check``.
@@ -68,9 +68,9 @@ class LogInfo(msgspec.Struct, frozen=True):
         whole: the file was closed properly. Its data may be damaged all the same: ``check`` looks at it.
         is_being_written: a recorder has it open; that it is not whole yet is no fault.
         source: where all this is from: the summary at the file's end, or its records one by one.
-        faults: what is wrong with the file, as far as that is looked at; ``fault_count``, the first ones told.
-        robots: the robots' names, as its recorder tells, or else its topics.
-        variants: the firmware variant of each robot that has told it.
+        faults: what is wrong with the file, as far as that is looked at; ``fault_count``, the first ones listed.
+        robots: the robots' names, by its recorder, or else by its topics.
+        variants: the firmware variant of each robot that published it.
         versions: of the recorder, and of each robot's gateway.
         metadata: all metadata records by name, the last of each.
         completeness: the recorder's own account of each topic while it wrote this log; empty if it gives none.
@@ -125,7 +125,7 @@ def read_info(path: Path, progress: Progress = lambda _: None) -> LogInfo:
 
     Args:
         path: the file.
-        progress: is told of bytes that were read.
+        progress: receives the number of bytes that were read.
 
     Raises:
         CommandError: there is no such file, or it is no MCAP file.

@@ -22,7 +22,7 @@ def merge(logs: Sequence[LogFile], path: Path, faults: Faults, progress: Progres
         logs: in the order of their beginnings, as ``find_logs`` gives them.
         path: the new file.
         faults: takes what cannot be read; all the rest is in the file.
-        progress: is told of bytes that were read.
+        progress: receives the number of bytes that were read.
 
     Raises:
         CommandError: the file is there already, or cannot be written.

@@ -28,7 +28,7 @@ BATCH_ROWS: Final = 8192
 """Rows of an answer that are handed on at once."""
 
 MESSAGE_MAX: Final = 500
-"""Letters of what is told to a person."""
+"""Length at which a text for people is cut."""
 
 _BESIDES: Final = ("LINE ", "Candidate functions:", "Please try installing")
 
@@ -135,7 +135,7 @@ def _shut_in(connection: duckdb.DuckDBPyConnection, directories: list[str]) -> N
 
 
 def _names_in(connection: duckdb.DuckDBPyConnection, sql: str) -> set[str]:
-    """The tables that a statement names; none where DuckDB cannot tell before it knows them."""
+    """The tables that a statement names; none where DuckDB does not know before it has them."""
     try:
         return {name.lower() for name in connection.get_table_names(sql)}
     except duckdb.Error:

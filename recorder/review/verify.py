@@ -67,7 +67,7 @@ class RobotProofReport(msgspec.Struct, frozen=True):
         verbs: signed verbs that the robot accepted the proof of; ``verbs_untold`` more.
         refused: requests that it refused for their proof.
         unproven_stops: stops that nobody signed. A stop is served in any case.
-        findings: what is wrong, or cannot be told.
+        findings: faults, and facts that cannot be decided.
     """
 
     robot: str

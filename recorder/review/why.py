@@ -44,7 +44,7 @@ STALE_NS: Final = 500_000_000
 """A state that is older says nothing of the moment; it comes every 50 ms."""
 
 LOOKED_AT_NS: Final = 5_000_000_000
-"""For so long before the moment a break in the states is told."""
+"""A break in the states is reported within this time before the moment."""
 
 LATCHES_SHOWN: Final = 3
 """Latches besides that of the stop whose evidence is looked for."""
@@ -55,9 +55,9 @@ class Explanation(msgspec.Struct, frozen=True):
 
     Attributes:
         at_ns: the moment, in nanoseconds since 1970.
-        state: the arbiter's at that moment; None if the log does not tell.
-        reason: that of the stop that is told of; ``none`` if none is.
-        stop_ns: when that stop began; None if none is told of.
+        state: the arbiter's at that moment; None if the log does not have it.
+        reason: that of the stop that is explained; ``none`` if there is none.
+        stop_ns: when that stop began; None if there is none.
         silent_ns: when the gateway fell silent, if another one began after it or a recorder saw it die; None if it
             did not, or long before or after the moment.
         headline: the answer in one sentence.
@@ -75,7 +75,7 @@ class Explanation(msgspec.Struct, frozen=True):
 
     @property
     def is_answered(self) -> bool:
-        """The log tells what the arbiter did."""
+        """True if the log shows what the arbiter did."""
         return self.state is not None or self.stop_ns is not None or self.silent_ns is not None
 
 
@@ -94,9 +94,9 @@ def explain(
         logs: in the order of their beginnings.
         found: what a survey of these logs found.
         at_ns: the moment, in nanoseconds since 1970; if it is None, the last stop of the logs, or when a gateway
-            that died at work was last heard, whichever is later.
+            that died at work was last received, whichever is later.
         faults: takes what cannot be read.
-        progress: is told of bytes that were read.
+        progress: receives the number of bytes that were read.
     """
     reader = WindowReader(robot, logs, attached(robot, found), faults)
     story = stories.told(robot, logs, faults, progress)
@@ -174,7 +174,7 @@ class _Answer:
 
     @property
     def is_told(self) -> bool:
-        """The events tell of the stop that the state tells of, if it does; and their times can be believed."""
+        """True if the events mention the stop that the state mentions, if any; and their times can be believed."""
         state, focus = self._state, self._focus
         if self._story.off_ns(self._now) is None:
             return False
@@ -232,11 +232,11 @@ class _Answer:
 
     @property
     def _is_active(self) -> bool:
-        """The arbiter is at work at the moment, as far as the log tells."""
+        """True if the arbiter is at work at the moment, as far as the log shows."""
         return self._state is not None and self._state.state is not ArbiterState.STANDBY
 
     def _silence_of_gateway(self) -> GatewaySilence | None:
-        """The gateway's silence at the moment or soon after it; or before it, if nothing since tells more."""
+        """Return the gateway's silence at the moment, or soon after it; else before it, if nothing came since."""
         if self._is_active:
             return next_silence(self._now, SOON_NS)
         silence, last = last_silence(self._now), self._now.last(SafetyState)
@@ -257,7 +257,7 @@ class _Answer:
         return death if last is None or last.time_ns <= death.time_ns + STALE_NS else None
 
     def _what_followed(self, death: Entry) -> Iterator[Link]:
-        """The death that a recorder saw; and what came behind it, as far as another gateway tells."""
+        """Yield the death that a recorder saw, and its consequences, as far as another gateway shows them."""
         yield Link(Step.CAUSE, death.text, death.time_ns)
         last = self._now.last(SafetyState)
         after = self._story.next_run(death.time_ns, None if last is None else last.said.tick)
@@ -279,7 +279,7 @@ class _Answer:
         return told if state is None else f"{said} {told}"
 
     def _untold(self, last: Heard[SafetyState] | None) -> Iterator[Link]:
-        """Links for what the log does not tell of the time before the moment and after it."""
+        """Yield links for the gaps of the log before the moment and after it."""
         at_ns, focus = self._now.at_ns, self._focus
         has_ended = self._silence is not None or self._death is not None
         if self._state is None and focus is None and not has_ended:

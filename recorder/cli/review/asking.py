@@ -103,7 +103,7 @@ def progress_bar(
     prints: bool = False,
     is_bounded: bool = True,
 ) -> Generator[Progress, None, None]:
-    """A bar on stderr, if that is a terminal. Gives what is to be told of the bytes that were read.
+    """Show a bar on stderr, if that is a terminal. Yields the function that receives the number of bytes read.
 
     Args:
         about: what is done, in a word.
@@ -170,7 +170,7 @@ def needing_extra() -> Generator[None, None, None]:
 
 
 def end_with(faults: Faults) -> int:
-    """Tells on stderr what could not be read. Returns the exit code."""
+    """Print on stderr what could not be read. Returns the exit code."""
     for fault in faults.told:
         sys.stderr.write(f"cruiser review: {plain(fault)}\n")
     if faults.count > len(faults.told):

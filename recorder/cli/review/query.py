@@ -131,7 +131,7 @@ def _print_csv(rows: Any, stopped: Callable[[], bool]) -> None:  # noqa: ANN401 
 
 
 def _write_csv(text: str) -> None:
-    """Lines of CSV. What a terminal would obey is escaped; tabs and the ends of lines are CSV's own."""
+    """Lines of CSV. Control characters of a terminal are escaped; tabs and the ends of lines are CSV's own."""
     sys.stdout.write(_CONTROLS.sub(lambda found: ascii(found[0])[1:-1], text))
 
 

@@ -43,7 +43,7 @@ DESCRIPTION: Final = (
 )
 
 TOLD: Final = 20
-"""Differences that are told one by one, without --json."""
+"""Differences that are listed one by one, without --json."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

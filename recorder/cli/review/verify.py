@@ -39,7 +39,7 @@ ARCHIVE: Final = ".zip"
 """Ends the name of an archive of evidence."""
 
 VERBS_SHOWN: Final = 200
-"""Signed verbs that people are told one by one; ``--json`` has all."""
+"""Signed verbs that are listed one by one; ``--json`` has all."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -202,7 +202,7 @@ class Channel:
 
 
 def _passed_ns(before: bytes, after: bytes) -> int | None:
-    """The monotonic time between two messages of one run's journal; None if they do not tell."""
+    """Return the monotonic time between two messages of one run's journal; None if they do not give it."""
     try:
         first, second = (typed_decoder(Journal)(data) for data in (before, after))
         last_input, next_input = (msgspec.msgpack.decode(one.inputs)[-1] for one in (first, second))

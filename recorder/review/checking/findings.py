@@ -8,7 +8,7 @@ from typing import Final
 import msgspec
 
 FINDINGS_MAX: Final = 500
-"""Different findings of a file that are told; further ones are only counted."""
+"""Different findings of a file that are listed; further ones are only counted."""
 
 
 class About(Enum):
@@ -47,7 +47,7 @@ class Findings:
         path: the file.
 
     Attributes:
-        told: those that are told.
+        told: those that are listed.
         untold: how many more there are, beyond FINDINGS_MAX.
     """
 
@@ -73,7 +73,7 @@ class Findings:
         self._add(About.DATA, what, topic, count, None, time_ns)
 
     def has(self, about: About) -> bool:
-        """Report whether there is any of this kind; those that are not told are about the file."""
+        """Return True if there is any of this kind; those that are not listed are about the file."""
         return any(one.about is about for one in self._by_kind.values()) or (
             about is About.FILE and self.untold > 0
         )

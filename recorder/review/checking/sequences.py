@@ -74,7 +74,7 @@ class _InFileCount:
 
 
 class _InTimeCount:
-    """Of messages that a recorder may have asked for later: only their publish time tells their place then."""
+    """Counts messages that a recorder may have queried later: only their publish time gives their place then."""
 
     def __init__(self) -> None:
         self._line = SequenceLine()

@@ -153,7 +153,7 @@ class Structure:
             self._findings.file("the file's first and last time are not those of its messages")
 
     def compare_summary(self, stream: BinaryIO) -> None:
-        """The indexes of the summary; one with a wrong checksum has been told of."""
+        """The indexes of the summary; one with a wrong checksum has been reported."""
         summary = read_summary(stream)
         if summary is None:
             return

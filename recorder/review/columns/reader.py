@@ -54,7 +54,7 @@ def read_batches(
         log: the file.
         selection: topics and time.
         faults: takes what cannot be read; the rest is read all the same.
-        progress: is told of bytes that were read or passed over.
+        progress: receives the number of bytes that were read or passed over.
         sift: says of each message by its head whether it is read; None reads all.
         wanted: names of the columns that are wanted; None is all.
     """

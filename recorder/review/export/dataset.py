@@ -90,7 +90,7 @@ def export_dataset(
         faults: takes what cannot be read of the logs; the rest is exported all the same.
         is_adding: a dataset is there already, and gets what it has not.
         run: does the work.
-        progress: is told of bytes that were read.
+        progress: receives the number of bytes that were read.
 
     Raises:
         CommandError: the directory holds something already, or no dataset to add to; or it cannot be written.

@@ -45,7 +45,7 @@ class Input(msgspec.Struct, frozen=True):
         sha256: of the whole file, in hexadecimal.
         rows: of it that are in the dataset.
         repeats: messages that were left out, because a log before it holds them.
-        faults: what could not be read; ``fault_count`` of them, the first ones told.
+        faults: what could not be read; ``fault_count`` of them, the first ones listed.
     """
 
     path: str

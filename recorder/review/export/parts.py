@@ -24,10 +24,10 @@ HELD_BYTES: Final = 32_000_000
 """Bytes of all columns held at which the largest row group is written."""
 
 GROUPS_MAX: Final = 32
-"""A file of so many row groups is ended, and goes on in another part: what it says of them is held until then."""
+"""After so many row groups a file is ended, and continued in another part: their metadata is held until then."""
 
 OPEN_MAX: Final = 64
-"""Files that are open at once; one that is closed goes on in another part."""
+"""Files that are open at once; one that is closed continues in another part."""
 
 WAITING_MAX: Final = 1
 """Row groups that wait to be written."""

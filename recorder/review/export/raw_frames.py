@@ -49,7 +49,7 @@ def read_frames(
         logs: in the order of their beginnings.
         selection: what is wanted; of its topics only those of raw frames count.
         faults: takes what cannot be read.
-        progress: is told of bytes that were read.
+        progress: receives the number of bytes that were read.
     """
     wants = selection.wants
     only_frames = msgspec.structs.replace(selection, wants=lambda topic: is_frames(topic) and wants(topic))

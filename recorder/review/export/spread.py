@@ -24,7 +24,7 @@ QUIET: Final = {
     "SCARF_NO_ANALYTICS": "1",
     "RAY_USAGE_STATS_ENABLED": "0",
 }
-"""Daft tells its makers of every import, and Ray of every cluster, unless these are set before."""
+"""Daft reports every import to its makers, and Ray every cluster, unless these are set before."""
 
 LOCAL: Final = "local"
 

@@ -35,7 +35,7 @@ CHANNELS_MAX: Final = 2**16 - 1
 RECENT_MAX: Final = 400_000
 """Messages that are remembered at least; at most twice as many.
 
-What two recorders heard, or a log and its incident, has nearly the same log time in both.
+A message that two recorders received, or that a log and its incident hold, has nearly the same log time in both.
 """
 
 LATE_MAX: Final = 100_000
@@ -100,7 +100,7 @@ def join(
         wanted: what goes into it. Metadata and attachments all do.
         about: name and entries of a metadata record that says what it is.
         faults: takes what cannot be read; all the rest is in the file.
-        progress: is told of bytes that were read.
+        progress: receives the number of bytes that were read.
 
     Raises:
         CommandError: the file is there already, or cannot be written.

@@ -15,7 +15,7 @@ from recorder.reading.rows import END_OF_TIME_NS, Progress
 from recorder.review.joining.source import JoinSource, Row
 
 HELD_BYTES_MAX: Final = 96_000_000
-"""So many bytes of messages are held at most. Where more overlap, the order is given up, and that is told."""
+"""The most bytes of messages held. Where more overlap, the order is given up, and that is reported."""
 
 ROW_BYTES: Final = 200
 """Memory that a held message takes besides its data."""
@@ -41,8 +41,8 @@ def in_order(
         sources: the logs.
         from_ns: the first log time...
         to_ns: ...and the first one that is too late.
-        faults: is told if too much overlaps.
-        progress: is told of bytes that were read.
+        faults: collects an entry if too much overlaps.
+        progress: receives the number of bytes that were read.
     """
     chunks = merge(*(_chunks(source, number, from_ns, to_ns) for number, source in enumerate(sources)))
     # Each with the time of its next message, and a number that tells those of the same time apart.

@@ -81,7 +81,7 @@ class JoinSource:
         return self._lengths[number]
 
     def rows(self, number: int, from_ns: int, to_ns: int) -> list[Row]:
-        """The wanted messages of a chunk or stretch, by their log times; what cannot be read is told."""
+        """The wanted messages of a chunk or stretch, by their log times; unreadable ones are reported."""
         offset, length = self._offsets[number], self._lengths[number]
         try:
             with self._path.open("rb") as stream:
@@ -125,7 +125,7 @@ class JoinSource:
                 self._take(one)
 
     def _look_at_summary(self, stream: BinaryIO) -> bool:
-        """Report whether the end of the file told all."""
+        """Return True if the end of the file gave all."""
         summary = read_summary(stream)
         statistics = None if summary is None else summary.statistics
         if summary is None or statistics is None or not tells_all(summary, statistics):

@@ -79,7 +79,7 @@ class LogSource:
         logs: in the order of their beginnings.
         selection: topics and time.
         faults: takes what cannot be read, once, however often a statement reads it.
-        progress: is told of bytes that were read.
+        progress: receives the number of bytes that were read.
     """
 
     def __init__(

@@ -62,7 +62,7 @@ def free_name(name: str, taken: Collection[str]) -> str:
 
 
 def shown(columns: Sequence[Column]) -> list[Column]:
-    """Columns as a person is told of them: an enumeration is a text all the same."""
+    """Columns as people see them: an enumeration is a text all the same."""
     return [
         msgspec.structs.replace(one, type="string") if one.type.startswith("dictionary<") else one
         for one in columns

@@ -22,12 +22,12 @@ _FORBIDS: Final = {Reason.FRONT_BUMPER: (1, "forward"), Reason.REAR_BUMPER: (-1,
 
 
 def is_told(state: SafetyState) -> bool:
-    """The chassis is told a speed that would not be shown as none."""
+    """The command to the chassis has a speed that would not be shown as none."""
     return bool(round(state.output_speed_mps, 2))
 
 
 def kept_by(now: EvidenceWindow, state: SafetyState) -> list[Reason]:
-    """The reasons that kept an engaged robot from moving; none if it was told to.
+    """Return the reasons that kept an engaged robot from moving; none if its command was to move.
 
     A pressed bumper forbids one direction alone: it counts if that one was asked for.
     """
@@ -62,7 +62,7 @@ def blocked_words(reason: Reason, state: SafetyState) -> str:
 
 
 def cures(reason: Reason, robot: str, beside: Collection[Reason] = (), *, is_reset: bool) -> Iterator[Link]:
-    """The cure of a reason: of one that is latched no more, what is left to do after the reset.
+    """Return the cure of a reason; if it is no longer latched, the rest that remains after the reset.
 
     Args:
         reason: that of a stop, or one that blocks.

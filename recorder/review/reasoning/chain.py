@@ -11,7 +11,7 @@ from schemas.messages import TimeNs
 
 
 class Step(Enum):
-    """The kind of a link: what was, why, what was done about it, and what the log does not tell."""
+    """The kind of a link: a fact, its cause, the reaction to it, or a gap of the log."""
 
     MOTION = "motion"
     ARBITER = "arbiter"

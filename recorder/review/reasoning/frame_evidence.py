@@ -48,7 +48,7 @@ _ABSURD: Final = {
     "RearRightSpeed": SPEED_PLAUSIBLE_MPS,
 }
 WAITED_NS: Final = 1_000_000
-"""To read a frame takes less; one that waited for longer is told to have waited."""
+"""Reading a frame takes less; one that waited for longer is reported to have waited."""
 
 _TOLD_NS: Final = SAFETY_STATE_PERIOD_NS + TICK_NS
 """Age at which a state of the arbiter may be out of date: it is repeated after its period."""
@@ -285,7 +285,7 @@ def speeds(window: EvidenceWindow, rule: str = _IMPLAUSIBLE) -> list[Link]:
 
 
 def steering(window: EvidenceWindow) -> list[Link]:
-    """The steering angle beside the one that was told."""
+    """Return the steering angle beside the commanded one."""
     seen, state = window.last(Steering), _told_before(window)
     if seen is None or state is None:
         return [missing("the steering angle, or what was told, is not in the log before this")]
@@ -330,7 +330,7 @@ def commanders(window: EvidenceWindow, window_ns: int = COMMANDER_NS) -> list[Li
 
 
 def variant(window: EvidenceWindow) -> list[Link]:
-    """The wheel speed frames that tell the scale, and what the gateway made of them."""
+    """Return the wheel speed frames that show the scale, and the gateway's conclusion from them."""
     found = []
     state = window.last(RobotState)
     if state is not None:

@@ -1,4 +1,4 @@
-"""Evidence from what the gateway tells of itself: its loop, its guard, the bus and its way to it."""
+"""Evidence from the gateway's own reports: its loop, its guard, the bus and its way to it."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def controller(window: EvidenceWindow) -> list[Link]:
 
 
 def _health(window: EvidenceWindow, tells: Callable[[GatewayHealth], bool]) -> Heard[GatewayHealth] | None:
-    """The first health from the moment on that tells it, else the last one before."""
+    """Return the first health from the moment on that reports it, else the last one before."""
     behind = next((one for one in window.after(GatewayHealth) if tells(one.said)), None)
     return behind or next((one for one in window.until(GatewayHealth) if tells(one.said)), None)
 

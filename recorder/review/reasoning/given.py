@@ -78,7 +78,7 @@ def given_until(at_ns: int, journals: Sequence[Journal], shift_ns: int) -> Given
 
 
 def _reaches_back(inputs: Sequence[tuple[Any, ...]]) -> bool:
-    """Report whether these inputs are enough; or so damaged that nothing is told by them."""
+    """Return True if these inputs are enough; or so damaged that they show nothing."""
     match inputs:
         case [(_, int(from_ns), *_), *_, (_, int(now_ns), *_)]:
             return now_ns - from_ns >= REACH_NS

@@ -159,8 +159,8 @@ def headline(
 
     Args:
         now: the moment.
-        state: the arbiter's; None if the log does not tell.
-        focus: the stop that is told of.
+        state: the arbiter's; None if the log does not have it.
+        focus: the stop that is explained.
         latch: the newest one of what is latched.
     """
     if state is None:

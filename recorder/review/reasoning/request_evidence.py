@@ -15,7 +15,7 @@ from schemas.settings import ENGAGE_TIMEOUT_NS, TICK_NS
 _NS_PER_S: Final = 1e9
 
 _FRESH: Final = frozenset({Reason.NONE, Reason.NOT_ENGAGED, Reason.ENGAGING, Reason.STOPPING})
-"""Outcomes of a drive command that is fresh and its holder's: it keeps the lease, obeyed or not."""
+"""Outcomes of a fresh drive command of the holder: it keeps the lease, executed or not."""
 
 _RENEWING: Final = frozenset({"acquire", "take", "renew", "engage", "reset"})
 """Requests that keep the lease, once accepted."""
@@ -43,7 +43,7 @@ Test = Callable[[Decision], bool]
 
 
 def deadman(window: EvidenceWindow) -> list[Link]:
-    """The last acceptable drive command, its age, and what came after it.
+    """Return the last acceptable drive command, its age, and its successors.
 
     A decision is told some time after its tick has begun, from which the arbiter counts: its own figure, in the
     detail, is the right one.
@@ -175,7 +175,7 @@ def not_confirmed(window: EvidenceWindow) -> list[Link]:
 
 
 def last_command(window: EvidenceWindow) -> Heard[Decision] | None:
-    """The last acceptable drive command to a robot that is engaged: one of before it was is none any more."""
+    """Return the last acceptable drive command to an engaged robot: earlier ones do not count."""
     left = _left_or_engaged(window)
     last = _last(window, _is_obeyed)
     return None if last is None or (left is not None and last.said.tick <= left.said.tick) else last
@@ -215,7 +215,7 @@ def _left_or_engaged(window: EvidenceWindow) -> Heard[SafetyEvent] | None:
 
 
 def _last(window: EvidenceWindow, test: Test, later_ns: int = 0) -> Heard[Decision] | None:
-    """The last decision of this sort; one of the moment's own tick is told a bit later than the event."""
+    """Return the last decision of this sort; one of the moment's own tick comes a bit later than the event."""
     return next((one for one in window.until(Decision, window.at_ns + later_ns) if test(one.said)), None)
 
 

@@ -21,7 +21,7 @@ _FRESH_NS: Final = 500_000_000
 
 
 class GatewaySilence(msgspec.Struct, frozen=True):
-    """A gateway that fell silent, and another one.
+    """A gateway that fell silent, and its successor.
 
     It is dated by the last state of its arbiter, as in ``events`` and ``report``. That state names its run; what
     else comes between the two may be the other gateway's, which decodes frames before its arbiter says anything.
@@ -29,9 +29,9 @@ class GatewaySilence(msgspec.Struct, frozen=True):
     Attributes:
         was: the last state of the one.
         then: the first state of the other.
-        speed_mps: the robot's, when the one was last heard; None if the log does not tell.
-        found: the first drive feedback that the other told; None if the log holds none.
-        was_told: the one was told to end, and did so at rest.
+        speed_mps: the robot's, when the first was last received; None if the log does not have it.
+        found: the first drive feedback from the other; None if the log holds none.
+        was_told: the first shut down as requested, at rest.
     """
 
     was: Heard[SafetyState]

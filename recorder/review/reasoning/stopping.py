@@ -22,7 +22,7 @@ _PHASES: Final = {
 }
 
 _DOUBTFUL: Final = frozenset({Reason.IMPLAUSIBLE_SPEED, Reason.VARIANT_UNKNOWN})
-"""Reasons for which the speeds that the chassis tells are not to be believed."""
+"""Reasons for which the reported speeds of the chassis are not to be believed."""
 
 _UNSEEN_NS: Final = 150_000_000
 """Without drive feedback for so long, how far the robot came is not known."""

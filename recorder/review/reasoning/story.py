@@ -129,7 +129,7 @@ def told(robot: str, logs: Sequence[LogFile], faults: Faults, progress: Progress
 
 
 def derived(robot: str, logs: Sequence[LogFile], faults: Faults, progress: Progress) -> Story:
-    """The story where events are missing: what the states tell too. All of a log is read for it."""
+    """Return the story with the changes between states too, where events are missing. Reads all of a log."""
     kinds = EntryKind.LATCH, EntryKind.RESET, EntryKind.STOPPED, EntryKind.ENGAGED, EntryKind.GATEWAY
     wanted = frozenset({*STOPS, *kinds})
     return Story(read_events(logs, Selection(), faults, progress, robots=frozenset({robot}), kinds=wanted))
@@ -148,14 +148,14 @@ class RunEnding(msgspec.Struct, frozen=True):
 
 
 def endings(robot: str, logs: Sequence[LogFile], from_ns: int, faults: Faults, progress: Progress) -> RunEnding:
-    """Read how the runs of a robot's gateways ended from a time on: one that ends at work has died.
+    """Read the ends of the runs of a robot's gateways from a time on: one that ends at work has died.
 
     Args:
         robot: its name.
         logs: in the order of their beginnings.
         from_ns: earlier states are not read.
         faults: takes what cannot be read.
-        progress: is told that the reading goes on, and of no bytes: they have been told of.
+        progress: is called during the reading with no bytes: they have been counted before.
     """
     died: Heard[SafetyState] | None = None
     last: Heard[SafetyState] | None = None

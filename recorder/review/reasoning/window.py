@@ -107,7 +107,7 @@ class EvidenceWindow:
         frames: received ones by identifier, those before the moment and those behind it, each in their order. As
             far as the journal is in the log, those before are what the arbiter had been given.
         waiting: by identifier, those that the bus had before the moment, and the arbiter was given behind it.
-        is_journaled: the journal of the moment is in the log, and tells when the arbiter was given a frame.
+        is_journaled: the journal of the moment is in the log, and shows when the arbiter was given a frame.
         sent: likewise those that the gateway sent.
         received: how many frames were received in the last second before the moment.
         gaps: what the recorder says that it lacks of this time.
@@ -269,7 +269,7 @@ class EvidenceWindow:
 
     @property
     def variant(self) -> Variant:
-        """The chassis's firmware variant at the moment; coarse where the log does not tell."""
+        """The chassis's firmware variant at the moment; coarse where the log does not have it."""
         state = self.last(RobotState)
         return state.said.variant if state and state.said.variant is not Variant.UNKNOWN else Variant.COARSE
 
@@ -387,7 +387,7 @@ class WindowReader:
                 self._faults.add(f"{row.topic.name}: a message that cannot be read: {error}")
 
     def _limits(self, at_ns: int) -> Limits:
-        """By the configuration that was told last, or else next."""
+        """Return the configuration that was published last, or else next."""
         texts = [text for time_ns, text in self._configurations if time_ns <= at_ns][-1:]
         texts += [text for _, text in self._configurations][:1]
         for text in texts:

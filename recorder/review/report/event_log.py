@@ -25,7 +25,7 @@ OUTAGES_MAX: Final = 200
 SILENCES_MAX: Final = 200
 
 RECENT: Final = 50
-"""Silences among which that before a restart is, and stops by the guard that a restart may tell again."""
+"""Silences among which the one before a restart is, and stops by the guard that a restart may report again."""
 
 BEYOND_NS: Final = 24 * 3600 * 1_000_000_000
 """A time that is further from all that the robot said is of no use."""
@@ -40,7 +40,7 @@ _IN_OTHER_TABLES: Final = frozenset({EntryKind.REFUSAL, EntryKind.REQUEST})
 
 
 class EventLog:
-    """Gathers entries, which come in the order of their time, as far as that can be told.
+    """Gathers entries, which come in the order of their time, as far as that is known.
 
     Attributes:
         stops: how often the robot was stopped, by reason.
@@ -111,7 +111,7 @@ class EventLog:
             self._entries.append(entry)
 
     def _take_guard_stop(self, entry: Entry) -> None:
-        """A stop by the guard, which each gateway tells again that finds it latched at its start."""
+        """Add a stop by the guard; each gateway that finds it latched at its start reports it again."""
         noted = _NOTED.search(entry.text)
         began_ns = entry.time_ns if noted is None else round(datetime.fromisoformat(noted[0]).timestamp() * 1e9)
         if not any(abs(began_ns - other_ns) < CLOCKS_APART_NS for other_ns in self._guard_stops_ns):
@@ -127,7 +127,7 @@ class EventLog:
             self.more_silences += 1
 
     def _take_restart(self, entry: Entry) -> None:
-        """Another gateway; the silence before it, if it was a long one, has been told."""
+        """Add another gateway; a long silence before it has been added."""
         heard_ns = entry.time_ns
         before = next((one for one in reversed(self._recent) if one.to_ns == entry.time_ns), None)
         if before is not None:
@@ -147,7 +147,7 @@ class EventLog:
 
 
 def _is_restart(entry: Entry) -> bool:
-    """Another gateway, and the one before was not told to end."""
+    """Note another gateway, whose predecessor did not shut down as requested."""
     is_grave = entry.severity is not Severity.INFO
     return entry.kind is EntryKind.GATEWAY and is_grave and entry.source is not EntrySource.RECORDER
 

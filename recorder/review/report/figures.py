@@ -57,7 +57,7 @@ MARKS: Final = {
     "clock": ("diamond-tall", ORANGE),
     "recorder": ("pentagon-open", GREY),
 }
-"""Symbol and colour of each kind of event; they differ in form too, for who cannot tell colours apart."""
+"""Symbol and colour of each kind of event; the symbols differ too, for people who cannot distinguish colours."""
 
 ON_MAP: Final = frozenset({"stop", "latch", "fault", "guard", "takeover", "gateway", "gap"})
 

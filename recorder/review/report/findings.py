@@ -38,9 +38,9 @@ class Outage(msgspec.Struct, frozen=True):
     """The gateway fell silent, or began anew.
 
     Attributes:
-        heard_ns: when the arbiter was heard last.
-        began_ns: when another one was heard first; None if the log holds none.
-        is_commanding: the chassis was told something when it was heard last.
+        heard_ns: when a message of the arbiter was last received.
+        began_ns: when the first one of another arbiter was received; None if the log holds none.
+        is_commanding: the chassis was under command in the last message.
         is_between_logs: one log ends and another one begins meanwhile; whether it was silent is not known.
     """
 
@@ -115,11 +115,11 @@ class RobotSummary(msgspec.Struct, frozen=True):
         top_mps: its highest speed, negative in reverse; at ``top_ns``.
         stops: how often it was stopped, by reason.
         outages: when the gateway fell silent or began anew; ``more_outages`` are left out.
-        ends_commanding: the log ends while the chassis was told something.
+        ends_commanding: the log ends while the chassis was under command.
         events: how many, by kind.
         drivers: who had it.
         accepted: requests that were; ``refused`` those that were not.
-        refusals: these, with ``other_refusals`` that are too many kinds to tell apart.
+        refusals: these, with ``other_refusals`` of further kinds.
         gaps: how often it is not known how it moved; ``gap_s`` in all.
         stale: states that came late or twice, and are not in the path.
         silences: what else is not in the log; ``more_silences`` are left out.
@@ -127,7 +127,7 @@ class RobotSummary(msgspec.Struct, frozen=True):
         completeness: the recorder's own account of each topic; empty if it gives none.
         unwritten: what reached the recorder and is not in the log.
         facts: variant, bus, versions and hash of the configuration, as the logs' metadata have them at their ends.
-        in_force: all gateways that the logs tell of, one after the other, with their configurations;
+        in_force: all gateways that the logs mention, one after the other, with their configurations;
             ``more_in_force`` are left out.
     """
 
@@ -171,7 +171,7 @@ class RobotCharts(msgspec.Struct, frozen=True):
         bands: by name: what was so from when to when.
         places: the path.
         moments: the events; ``more_moments`` are left out.
-        outages: from when to when nothing was heard of the gateway, before another one began.
+        outages: beginning and end of each silence of the gateway, before another one began.
     """
 
     lines: dict[str, list[Point | None]]

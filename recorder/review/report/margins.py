@@ -39,7 +39,7 @@ class Margins(msgspec.Struct):
 
 
 def read_margins(log: LogFile, versions: dict[str, Versions]) -> Margins:
-    """Chunks are passed over. What is wrong with the file is told by who reads the rows.
+    """Skip the chunks. The faults of the file are reported by the reader of the rows.
 
     Args:
         log: the file.

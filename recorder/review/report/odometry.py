@@ -1,7 +1,7 @@
 """The way of a robot from its speed, and its path from speed and steering angle.
 
 The bicycle model: yaw rate = speed * tan(angle) / wheelbase. Axes are those of ISO 8855, x forward and y left as
-the robot stood at first. Where samples are missing the path breaks off, and goes on from the same place: nobody
+the robot stood at first. Where samples are missing the path breaks off, and continues at the same place: nobody
 knows where the robot was meanwhile.
 """
 

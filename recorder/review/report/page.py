@@ -43,7 +43,7 @@ _LOSS_HEADS: Final = ("sent", "received", "written", "bus", "source", "link", "q
 _RANKS: Final = {"error": -2, "warning": -1}
 _GATEWAY: Final = "cruiser-gateway"
 _OTHER_FACTS: Final = ("bus", "recorder_version")
-"""Facts that a gateway does not tell with its version."""
+"""Facts that a gateway does not report with its version."""
 
 _OPENED: Final = 15
 """A longer table is folded."""

@@ -45,7 +45,7 @@ def read_report(
         logs: as ``find_logs`` gives them.
         selection: what is wanted; of the time before it the states are read too.
         faults: takes what cannot be read; the rest is read all the same.
-        progress: is told of bytes that were read.
+        progress: receives the number of bytes that were read.
         version: of the program, which the report names.
     """
     versions: dict[str, Versions] = {}
@@ -121,7 +121,7 @@ class _Fleet:
         self._note(self._timeline.tell())
 
     def end(self, margins: Sequence[Margins]) -> list[RobotReport]:
-        """No more rows come: all robots of which something is known."""
+        """Return all robots of which something is known. After the last row."""
         for ending in self._timeline.endings(self._logs, self._asked.to_ns):
             if is_within(ending.entry, self._asked):
                 for account in self._named(ending.entry.robot):

@@ -14,7 +14,7 @@ from schemas.messages import GatewayInfo, Variant
 
 STARTS_MAX: Final = 200
 EACH_MAX: Final = 10
-"""Variants, configurations and packages that one and the same gateway may tell of."""
+"""Variants, configurations and packages kept of one gateway."""
 
 TEXTS_MAX: Final = 50
 TEXT_MAX: Final = 100_000
@@ -46,10 +46,10 @@ class _Told(msgspec.Struct):
 
 
 class Versions:
-    """Gathers what gateways told of themselves, and what a recorder noted of that, in any order.
+    """Gathers gateways' own descriptions, and a recorder's notes of them, in any order.
 
     Attributes:
-        left_out: times that something was told for which there was no room.
+        left_out: number of descriptions for which there was no room.
     """
 
     def __init__(self) -> None:

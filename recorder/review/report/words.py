@@ -19,7 +19,7 @@ STANDING_M: Final = 0.05
 """A path that is shorter is the noise of a standing robot."""
 
 SHOWN: Final = 8
-"""Kinds that are told in one line; tables tell all."""
+"""Kinds that are shown in one line; tables show all."""
 
 Line = tuple[str, str]
 """A subject, and what is to be said of it."""

@@ -13,7 +13,7 @@ from typing import Any, Final
 import msgspec
 
 DIFFERENCES_TOLD: Final = 1000
-"""Differences that are told one by one; the rest are only counted."""
+"""Differences that are listed one by one; the rest are only counted."""
 
 WAITING_MAX: Final = 200_000
 """Records and samples that wait for their counterpart; beyond it the oldest are given up, and counted."""
@@ -28,7 +28,7 @@ BATCH_NS: Final = 100_000_000
 """Longest delay of what a gateway says in batches: the end of a run may be missing from them."""
 
 Key = tuple[str, Hashable]
-"""The subject, and what tells its message from every other."""
+"""The subject, and a value that distinguishes its messages."""
 
 
 class RecordedOutput(msgspec.Struct, frozen=True, gc=False):

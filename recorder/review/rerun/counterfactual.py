@@ -1,6 +1,6 @@
-"""A recorded run with other settings: what would have been decided otherwise, and how would the robot have got on?
+"""A recorded run with other settings: the decisions that would differ, and the robot's motion under them.
 
-Where the other run tells the chassis something else, a model of the chassis answers in place of the recorded one.
+Where the other run commands the chassis differently, a model of the chassis answers in place of the recorded one.
 What people would have done otherwise nobody knows: they ask what was recorded.
 """
 
@@ -30,7 +30,7 @@ STOP_TOLERANCE_NS: Final = 2_000_000_000
 """Stops of one reason that lie no further apart are the same stop."""
 
 MOVED_NS: Final = 10_000_000
-"""A stop that is this much sooner or later, a tick of the arbiter, is told."""
+"""A stop that is this much sooner or later, a tick of the arbiter, is reported."""
 
 STATE_GAP_S: Final = 1.0
 """Over a longer gap between two states nothing is known of the way."""
@@ -157,7 +157,7 @@ def what_if_logs(
         settings_of: turns the TOML text of a run's configuration into the settings to try.
         faults: takes what cannot be read.
         what_if: runs both; by default what is installed.
-        progress: is told of bytes that were read, for each robot anew.
+        progress: receives the number of bytes that were read, for each robot anew.
     """
     run_both = what_if or installed("what_if")
     found = survey(logs, faults)
@@ -294,7 +294,7 @@ class _Pair:
                 pass
 
     def _take_decision(self, decision: Decision, *, is_other: bool) -> None:
-        """Both runs judge the same requests in the same order, so the sequence tells which belong together."""
+        """Pair the decisions of both runs by sequence: both judge the same requests in the same order."""
         counterpart = self.sides[not is_other].waiting.pop(decision.sequence, None)
         if counterpart is None:
             self.sides[is_other].waiting[decision.sequence] = decision

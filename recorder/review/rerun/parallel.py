@@ -72,7 +72,7 @@ def rerun_in_parallel(
         faults: takes what cannot be read.
         jobs: so many processes run at once.
         segment_ns: the least length of a segment.
-        progress: is told of bytes, as they are done.
+        progress: receives numbers of bytes, as they are done.
 
     Raises:
         CommandError: no gateway is installed, or a process was killed.
@@ -192,7 +192,7 @@ def run_task(task: RerunTask) -> RerunOutcome:
 
 @contextmanager
 def processes(jobs: int) -> Generator[ProcessPoolExecutor, None, None]:
-    """Processes that end when they are told to, and not by a signal that is meant for this one."""
+    """Processes that end on request, and not by a signal that is meant for this one."""
     context = get_context("spawn")
     stop = context.Event()
     pool = ProcessPoolExecutor(jobs, context, _enter, (stop,))

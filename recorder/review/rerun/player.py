@@ -45,7 +45,7 @@ OTHER_RULES: Final = "made under other rules, it can be run again from its first
 BROKEN_OFF: Final = "the inputs that follow cannot be run again"
 
 DETAIL_MAX: Final = 300
-"""Characters of an error that are told."""
+"""Characters of an error that are shown."""
 
 
 class SampleAgain(Protocol):
@@ -66,7 +66,7 @@ class RerunResult(msgspec.Struct, frozen=True):
 
     Attributes:
         run: its number.
-        first: the place of the first input that was there, from 0: behind a gap a run goes on in another result.
+        first: the place of the first input that was there, from 0: behind a gap a run continues in another result.
         inputs: so many there were without a gap.
         detail: what of the run is missing, or why nothing was run again; empty if all was.
         start_ns, end_ns: of what came out again, nanoseconds since 1970; 0 if nothing did.
@@ -118,7 +118,7 @@ def rerun_logs(
         faults: takes what cannot be read.
         rerun: runs a journal again; by default what is installed.
         settings_of: turns the TOML text of a run's configuration into settings; by default as they are.
-        progress: is told of bytes that were read, for each robot anew.
+        progress: receives the number of bytes that were read, for each robot anew.
     """
     found = survey(logs, faults)
     for robot in found.robots:
@@ -160,7 +160,7 @@ class RerunPlayer:
         logs: in the order of their beginnings.
         configurations: those of its runs.
         faults: takes what cannot be read.
-        progress: is told of bytes that were read.
+        progress: receives the number of bytes that were read.
         segment: the part of its time that is played.
 
     Attributes:
@@ -253,7 +253,7 @@ class RerunPlayer:
 
 
 def key_of(subject: str, sequence: int, time_ns: int, data: bytes) -> Key:
-    """The key that tells a record from every other of its subject, on either side.
+    """Return the key that distinguishes a record of its subject, on either side.
 
     It is the sequence; but batches of sent frames may be cut elsewhere when they come again, so of these it is
     time and identifier: each goes out once in a tick at most.

@@ -86,7 +86,7 @@ class Tape:
         return self._held[min(self._held)].time_ns if self._held else 0
 
     def journals(self) -> Iterator[Journal]:
-        """The journals of the part that has come, in their order; at the end ``end`` tells how far they go."""
+        """Yield the journals of the part that has come, in order; at the end ``end`` describes the part."""
         run = self._run
         if run is None:
             return
@@ -111,7 +111,7 @@ class Tape:
         self.end = msgspec.structs.replace(self.end, inputs=inputs, detail=detail)
 
     def _waits(self) -> bool:
-        """Takes one more journal of the run; False if it has no more, or too many wait already."""
+        """Read one more journal of the run; False if it has no more, or too many wait already."""
         if self._next is not None or len(self._held) >= HELD_MAX:
             return False
         journal = self._read()

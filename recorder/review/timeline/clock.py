@@ -1,8 +1,8 @@
-"""The robot's clock on the recorder's line of time.
+"""The robot's clock in relation to the recorder's.
 
-What a robot says carries its own time. That is the better one, since it is that of the fact and not of the
+Each message of a robot carries its own time. That is the better one, since it is that of the fact and not of the
 receipt, as long as the two clocks agree. Where they do not, or where the robot's was set meanwhile, the arbiter's
-tick tells what was before and what after.
+tick gives the order of events.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SETTLE_NS: Final = 3_000_000_000
 """Time over which they must be received: what waited for the link or the recorder comes in one burst."""
 
 _TICKS_NEAR: Final = 500
-"""Over so many ticks, 5 s, the tick tells time: later ones may have been late."""
+"""Over so many ticks, 5 s, the tick is a measure of time: later ones may have been late."""
 
 
 class RobotClock:
@@ -36,7 +36,7 @@ class RobotClock:
 
     Attributes:
         offset_ns: what is to be added to its times; 0 while it agrees with the recorder's.
-        corrected_ns: by how much the state that was heard last proved the offset wrong: the times of those before
+        corrected_ns: by how much the last received state proved the offset wrong: the times of those before
             it are wrong by so much, too. 0 where the clock was set, and they are right.
     """
 
@@ -46,7 +46,7 @@ class RobotClock:
         self._tick: int | None = None
         self._publish_ns = self._log_ns = 0
         self._told_ns = 0
-        """The offset that was told of last."""
+        """The offset that was reported last."""
         self._begin(0)
 
     def _begin(self, log_ns: int) -> None:
@@ -57,14 +57,14 @@ class RobotClock:
         self._is_settled = False
 
     def is_other_run(self, tick: int) -> bool:
-        """The tick is not of the run that was heard last."""
+        """Return True if the tick is not of the last received run."""
         return self._tick is not None and not is_same_run(tick, self._tick)
 
     def hear(self, tick: int, publish_ns: int, log_ns: int) -> str:
-        """A state of the arbiter, which is never asked for later, came.
+        """Add a state of the arbiter; states are never queried later.
 
         Returns:
-            what it tells of the clock, in words; empty if nothing.
+            a sentence about a change of the clock; empty if there is none.
         """
         self.corrected_ns = 0
         if self._tick is not None and tick <= self._tick and not self.is_other_run(tick):
@@ -88,7 +88,7 @@ class RobotClock:
         return said or self._news()
 
     def _explains(self, off_ns: int) -> bool:
-        """The clock is as it was before the pause, as far as can be told."""
+        """Return True if the clock is as before the pause, as far as is known."""
         return self._is_settled and self._least_ns is not None and 0 <= off_ns - self._least_ns <= NEAR_NS
 
     def _weigh(self, off_ns: int, log_ns: int) -> None:
@@ -124,11 +124,11 @@ class RobotClock:
         return min(publish_ns + self.offset_ns - set_ns, log_ns)
 
     def _is_near(self, tick: int) -> bool:
-        """The tick is so near to that of the last state that it tells time."""
+        """Return True if the tick is so near to the last state's that it is a measure of time."""
         return self._tick is not None and abs(tick - self._tick) <= _TICKS_NEAR
 
     def _set_by(self, publish_ns: int, log_ns: int, tick: int) -> int:
-        """By how much the clock was set since the last state, as far as the ticks tell."""
+        """Return by how much the clock was set since the last state, nanoseconds, as far as the ticks show."""
         if self._tick is None or not self._is_near(tick):
             return 0
         set_ns = publish_ns - self._publish_ns - (tick - self._tick) * TICK_NS

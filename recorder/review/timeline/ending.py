@@ -20,8 +20,8 @@ class LogEnding(msgspec.Struct, frozen=True):
 
     Attributes:
         entry: that in words.
-        is_silent: the gateway fell silent, and the log goes on; else the log ends.
-        is_commanding: the chassis was told something when the gateway was heard last.
+        is_silent: the gateway fell silent, and the log continues; else the log ends.
+        is_commanding: the chassis was under command in the gateway's last message.
     """
 
     entry: Entry

@@ -1,4 +1,4 @@
-"""The entries of the timeline that ``cruiser review events`` tells."""
+"""The entries of the timeline that ``cruiser review events`` shows."""
 
 from __future__ import annotations
 
@@ -58,18 +58,18 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         time_ns: when, in nanoseconds since 1970, by the robot's clock; by the recorder's where the two differ
-            by over a second. Of what ``gateway/health`` tells, which looks once a second, it is the time of the
+            by over a second. Of an entry from ``gateway/health``, which comes once a second, it is the time of the
             health before: what went wrong did so between that and ``last_ns``.
         last_ns: when the last of ``count`` alike ones was, or how long it lasted; else as ``time_ns``.
         robot: whose; empty where it is about all.
-        count: so many alike ones are told together.
+        count: number of alike ones that are shown as one.
         reason: why; ``none`` where nothing is wrong.
         operator: who did it, or asked for it; empty if nobody did.
-        holder: who held the lease then, as far as the log tells; empty if nobody.
+        holder: who held the lease then, as far as the log shows; empty if nobody.
         request: the verb; empty where it is about none.
         tick: the arbiter's; None where there is none.
         text: what happened, in a sentence.
-        is_late: others that happened later have been told before it.
+        is_late: entries that happened later come before it.
     """
 
     time_ns: TimeNs

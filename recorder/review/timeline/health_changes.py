@@ -25,14 +25,14 @@ _COUNTS: Final[tuple[tuple[str, str], ...]] = (
     ("publish_failures", "Zenoh did not take samples"),
     ("inbox_drops", "requests were dropped unread: too many came"),
 )
-"""Counters since the start whose rise is told."""
+"""Counters since the start whose rise makes an entry."""
 
 _FRAME_COUNTS: Final[tuple[tuple[str, str, str], ...]] = (
     ("checksum_faults", "checksum", "frames with a wrong checksum"),
     ("implausible", "implausible", "frames with a value that the chassis cannot have"),
     ("lost", "alive_lost", "frames that should have come, and did not; they are counted when that is known"),
 )
-"""Counters of each frame whose rise is told, and the kind of fault that need not be told besides."""
+"""Counters of each frame whose rise makes an entry, and the kind of fault that then needs none of its own."""
 
 _HARMLESS: Final = frozenset({"unknown_identifier", "remote_frame", "error_frame", "fd_frame"})
 """Frames of others on the bus, mostly."""

@@ -27,7 +27,7 @@ class RobotTrack:
         ticks: of its events.
         state: the arbiter's newest; when it was (``state_ns``) and was received (``state_log_ns``), and its
             ``state_sequence``.
-        ended_tick: when a gateway said last that it ends, as it was told to; None if none did.
+        ended_tick: the tick of the last announcement of a shutdown; None if there was none.
         health: the newest; ``health_ns``, when it was.
     """
 
@@ -60,7 +60,7 @@ class RobotTrack:
 
     @property
     def is_ended(self) -> bool:
-        """The gateway of the newest state was told to end, and did so at rest."""
+        """True if the gateway of the newest state shut down as requested, at rest."""
         return (
             self.state is not None
             and not self.is_active
@@ -70,7 +70,7 @@ class RobotTrack:
 
     @property
     def is_active(self) -> bool:
-        """The gateway of the newest state told the chassis something."""
+        """True if the gateway of the newest state commanded the chassis."""
         return self.state is not None and self.state.state is not ArbiterState.STANDBY
 
     @property

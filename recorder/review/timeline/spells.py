@@ -11,13 +11,13 @@ import msgspec
 from recorder.review.timeline.entries import Entry
 
 SPELL_NS: Final = 2_500_000_000
-"""Alike ones that follow each other within this time are one spell; what is told each second is one, too."""
+"""Alike entries that follow each other within this time are one spell; so are entries that come each second."""
 
 LATE_NS: Final = 60_000_000_000
-"""A spell is told when nothing was added to it for so long: what was asked for later may come out of order."""
+"""A spell ends after this time without an addition: messages that were queried later may come out of order."""
 
 SPELLS_MAX: Final = 10_000
-"""Spells that are under way; of more, the oldest is told."""
+"""Spells that are under way; beyond it the oldest is ended."""
 
 NAMES_MAX: Final = 30
 """Names that a spell remembers; a chassis has ten feedback frames."""

@@ -25,7 +25,7 @@ TICKS_MAX: Final = 100_000
 
 
 class Change(msgspec.Struct, frozen=True):
-    """Something that two states tell.
+    """A change between two states.
 
     Attributes:
         after_tick: the tick of the first of them; what happened, did after it...

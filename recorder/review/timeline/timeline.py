@@ -30,7 +30,7 @@ from schemas.reasons import TEXTS, Reason
 from schemas.recording import RecorderEvent, RecorderEventKind, RecordGap
 
 HELD_MAX: Final = 20_000
-"""Entries that are held back. What comes later than so many newer ones is told out of order, and says so."""
+"""Entries that are held back. One that comes after so many newer ones is shown out of order, and marked so."""
 
 LATER_NS: Final = 15 * 60 * 1_000_000_000
 """The log is read this far beyond the end of the wanted time, for late messages about that time."""
@@ -66,8 +66,8 @@ def read_events(
     Args:
         logs: in the order of their beginnings, as ``find_logs`` gives them.
         selection: of which time, by which topics.
-        faults: takes what cannot be read; the rest is told all the same.
-        progress: is told of bytes that were read or passed over.
+        faults: collects what cannot be read; the rest is shown all the same.
+        progress: receives the number of bytes that were read or passed over.
         robots: of these alone, and what is about all; empty is every robot.
         kinds: of these alone; empty is every kind.
     """
@@ -98,7 +98,7 @@ class Timeline:
 
     Args:
         faults: takes what cannot be read.
-        has_states: the arbiter's states are among the rows. Else the events alone tell of its clock.
+        has_states: the arbiter's states are among the rows. Else the clock is known from the events only.
         kept: so many samples of each topic are known again when they come a second time.
     """
 
@@ -140,14 +140,14 @@ class Timeline:
                 self._hold(entry)
 
     def tell(self) -> Iterator[Entry]:
-        """The entries for which there is no more room."""
+        """Yield the entries for which there is no more room."""
         while len(self._held) > HELD_MAX:
             yield from self._next()
 
     def hear_behind_silence(self, logs: Sequence[LogFile], to_ns: int) -> None:
         """Read the next state of each robot that is silent up to a time.
 
-        Its tick tells whether the gateway is the same, and how long it was silent: a clock that is set forward
+        Its tick shows whether the gateway is the same, and how long it was silent: a clock that is set forward
         leaves a hole in the log times, too.
 
         Args:
@@ -163,7 +163,7 @@ class Timeline:
                     self.take(row)
 
     def endings(self, logs: Sequence[LogFile], to_ns: int) -> Iterator[LogEnding]:
-        """No more rows come: how the logs of each robot end; ``end`` tells so, too.
+        """Yield the ends of each robot's logs, which ``end`` yields as entries too. After the last row.
 
         Args:
             logs: that were read.
@@ -176,7 +176,7 @@ class Timeline:
                 yield found
 
     def end(self) -> Iterator[Entry]:
-        """No more rows come: the rest of the entries."""
+        """Yield the rest of the entries. After the last row."""
         for entry in self._spells.take():
             self._hold(entry)
         for robot in self._robots.values():

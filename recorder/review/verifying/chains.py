@@ -33,7 +33,7 @@ class ChainLink(msgspec.Struct, frozen=True, gc=False):
     Attributes:
         sequence: its place in the chain.
         time_ns: when it was published, by the robot's clock, nanoseconds since 1970.
-        run: tells the samples of one run of the gateway from those of others.
+        run: distinguishes the samples of one run of the gateway from those of others.
         payload: its MessagePack bytes.
     """
 
@@ -266,7 +266,7 @@ class RunChains:
         boot: the run's random number, in the heads.
         heads: how many there are; ``missing_heads`` more by their sequence.
         first_ns, last_ns: times of the first and the last, by the robot's clock, nanoseconds since 1970.
-        series: what tells the samples of this run from others', as far as something of it is proven.
+        series: distinguishes the samples of this run from others', as far as something of it is proven.
     """
 
     def __init__(self, boot: bytes, heads: Sequence[ChainHeads]) -> None:
@@ -327,4 +327,4 @@ FAR_NS: Final = 60_000_000_000
 """A sample so far from all heads is of a run that has none in the logs."""
 
 _SERIES: Final = {subject: "run" if subject == "journal" else "tick" for subject in CHAINED}
-"""By which number a subject's samples tell their run: see ``ChainLink.run``."""
+"""The number by which a subject's samples show their run: see ``ChainLink.run``."""
