@@ -176,7 +176,7 @@ class Core:
         Args:
             now_ns: monotonic.
             wall_ns: since 1970.
-            late_ns: how much after its time this tick begins.
+            late_ns: delay of this tick's beginning.
             challenge: random bytes that were never given before; a command that echoes them was made after this.
         """
         self._health.tick_lateness(late_ns)

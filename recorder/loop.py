@@ -115,7 +115,7 @@ class Recorded(msgspec.Struct, frozen=True):
 
     Attributes:
         path: the newest log; None if there is none.
-        files: how many there are, incidents included; ``bytes`` of them all.
+        files: their number, incidents included; ``bytes`` of them all.
         messages: in the logs.
         lost: samples and messages that were lost after their source: the sum of the next five.
         lost_link: samples that never reached the recorder, by the gaps in their sequence.
@@ -150,9 +150,9 @@ class RecorderLoop:
 
     Args:
         recorder: decides what is written.
-        source: where samples come from.
-        writer: where files are written; it is closed at the end.
-        inbox: where samples wait.
+        source: the source of the samples.
+        writer: writes the files; it is closed at the end.
+        inbox: holds samples that wait.
         health: makes the report of each second.
         keeper: says what room the disk has.
         leftovers: recovers what a fault of the disk left, when the disk takes the logs again.

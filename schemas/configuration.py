@@ -48,7 +48,7 @@ class Given(msgspec.Struct, frozen=True):
     """A value that a source gives for a setting.
 
     Attributes:
-        where: how a message begins: ``robot.toml:3``, ``environment CRUISER_CAN_BUS``, ``flag can.bus``.
+        where: the beginning of a message: ``robot.toml:3``, ``environment CRUISER_CAN_BUS``, ``flag can.bus``.
     """
 
     setting: Setting

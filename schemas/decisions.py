@@ -31,10 +31,10 @@ class Reply(msgspec.Struct, frozen=True):
     """The reply to a verb. A refusal is a reply like any other.
 
     Attributes:
-        ok: what was asked for was done, or is under way.
+        ok: the request was executed, or is under way.
         reason: why not; ``none`` when ok.
         detail: the reason in words, with figures.
-        cure: what would make it succeed.
+        cure: the way to make it succeed.
     """
 
     version: ClassVar[int] = 1
@@ -160,29 +160,29 @@ class SafetyState(Message, frozen=True):
     """The arbiter, at 20 Hz, at 50 Hz while the robot is engaged, and whenever something changes.
 
     Attributes:
-        tick: the arbiter's tick, which people tell states apart by.
-        engaged: drive commands are obeyed.
+        tick: the arbiter's tick, which distinguishes states.
+        engaged: drive commands are executed.
         stop_reason: why the stop that is under way, or the last one, was begun.
-        stop_phase: how far it has come.
+        stop_phase: the phase of the stop.
         lease_holder: the operator who holds the lease; empty if nobody does.
         lease_role: the role in which it is held; program if nobody does.
         lease_expires_s: the lease expires after this time; 0 if nobody holds it.
-        latched: what must be reset before the robot can be engaged.
+        latched: causes that must be reset before the robot can be engaged.
         blocked_by: why the robot stands still, or cannot be engaged, now.
         guarded: a second process watches this one, and stops the robot in its place.
         speed_limit_mps: the limits in force.
-        target_speed_mps: what the last acceptable drive command asks for.
-        output_speed_mps: what the chassis is told; forward is positive.
+        target_speed_mps: the speed of the last acceptable drive command.
+        output_speed_mps: the speed commanded to the chassis; forward is positive.
         output_gear: undefined while nothing is sent.
-        brake_pedal_percent: 0, for the pedal is never pressed; other values stand in logs of before alone.
-        parking: the parking brake is asked for.
-        challenge: echo the newest one in each drive command; it tells the arbiter how old the command can be.
+        brake_pedal_percent: 0, for the pedal is never pressed; other values occur in older logs only.
+        parking: the parking brake is commanded.
+        challenge: echo the newest one in each drive command; it bounds the age of the command.
         link_age_s: the age of the holder's drive commands, the mean of those accepted in the last second.
         link_age_last_s: the age of the last accepted one.
         link_age_p50_s: the median of the last ten seconds.
         link_age_p99_s: the 99th percentile of the last ten seconds.
-        travel_delay_m: how far an engaged robot drives, at the speed that it is told, before it can react to its
-            operator: over the age and the deadman.
+        travel_delay_m: the distance that an engaged robot drives, at the commanded speed, before it can react to
+            its operator: over the age and the deadman.
         travel_speed_limit_mps: the speed limit that the setting ``command.travel_delay_m`` gives for them.
         deadman_s: without an acceptable drive command for this long, an engaged robot is stopped.
         accepted_seq: the ``seq`` of the last drive command that the holder of the lease had accepted.
@@ -234,14 +234,14 @@ class Decision(Message, frozen=True):
     Attributes:
         tick: the arbiter's tick in which it was judged.
         request: the verb.
-        lease: which lease the request names, by a public identifier: the number that requests carry is a secret.
+        lease: public identifier of the request's lease: the number that requests carry is a secret.
             0 if it names none that was given; null if it needs none.
         request_sequence: a drive command's ``seq``; null for every other request.
-        age_ms: at most this old, by the echoed challenge; null if that is not known, or not asked.
-        bound_by: the limits that changed what was asked.
+        age_ms: the greatest possible age, by the echoed challenge; null if that is not known, or not needed.
+        bound_by: the limits that changed the requested motion.
         requested_speed_mps: a drive command's; null for every other request.
         requested_angle_deg: the same, as a steering angle.
-        output_speed_mps: what the chassis was told in this tick.
+        output_speed_mps: the speed commanded to the chassis in this tick.
         output_angle_deg: the same.
         frames_sent: CAN frames that went out in this tick.
     """
@@ -267,8 +267,8 @@ class SafetyEvent(Message, frozen=True):
     """An event that a person should know about.
 
     Attributes:
-        text: what happened, in a sentence.
-        operator: who did it; empty if nobody did.
+        text: the event in a sentence.
+        operator: the operator behind it; empty if there is none.
     """
 
     tick: Tick
@@ -285,7 +285,7 @@ class Journal(Message, frozen=True):
     Attributes:
         run: a random number of this run of the gateway; with it, the identifiers of leases come out the same.
         first: the place of the first input in the order, from 0; a gap between two messages is a loss.
-        count: how many inputs there are.
+        count: number of inputs.
         inputs: a MessagePack array of arrays: the kind, the monotonic time in nanoseconds, and the arguments.
         rules: the number of the command rules by which it was decided; 0 in logs from before they had one.
     """

@@ -112,7 +112,7 @@ class Variant(Enum):
 
 
 class ControllerState(Enum):
-    """A CAN controller's error state (ISO 11898-1), as its error frames tell it; ``unknown``: there were none."""
+    """A CAN controller's error state (ISO 11898-1), by its error frames; ``unknown``: there were none."""
 
     UNKNOWN = "unknown"
     ACTIVE = "active"
@@ -279,7 +279,7 @@ class FrameHealth(msgspec.Struct, frozen=True):
         rate_hz: valid frames per second over the last second.
         valid: valid frames since the start.
         lost: valid frames that should have come since the start and did not, by the alive counter. The period
-            tells how often it went round in a gap, once what came late has come. A frame with a wrong checksum or
+            shows how often it wrapped in a gap, once late frames have come. A frame with a wrong checksum or
             an implausible value is lost too.
         withheld: valid frames that were not published because the scale of their speeds was not known.
         checksum_faults: frames with a wrong checksum since the start.
@@ -287,7 +287,7 @@ class FrameHealth(msgspec.Struct, frozen=True):
             are not published.
         silent: true while the frame is missing or overdue.
         alive_faults: the fault count of the alive counter: +1 for each fault, -1 for each good frame.
-        failures: what is beyond its threshold now: checksum, implausible, alive_counter, period, silence.
+        failures: the checks beyond their threshold now: checksum, implausible, alive_counter, period, silence.
     """
 
     name: str
@@ -315,15 +315,15 @@ class GatewayHealth(Message, frozen=True):
         frames_per_s: the same over the last second.
         faults: number of faults since the start, by kind.
         unknown_identifiers: frames of identifiers that are not in the DBC, by hexadecimal identifier.
-        bus_losses: how often the bus was lost since the start.
-        bus_drops: frames that the kernel dropped since the start, because they were not read in time. It tells
-            that of SocketCAN interfaces alone.
-        controller: the CAN controller, as the last error frame said.
+        bus_losses: number of losses of the bus since the start.
+        bus_drops: frames that the kernel dropped since the start, because they were not read in time. Known
+            of SocketCAN interfaces only.
+        controller: the CAN controller's state, by the last error frame.
         zenoh_peers: Zenoh nodes connected directly to this one.
-        publish_failures: samples that Zenoh did not take.
+        publish_failures: samples that Zenoh did not accept.
         inbox_drops: requests that were dropped unread since the start, because too many came.
         feedback: the supervision of each feedback frame.
-        tick_lateness_p50_ms: how late the ticks of the last second began: the median.
+        tick_lateness_p50_ms: delay of the beginning of the last second's ticks: the median.
         tick_lateness_p99_ms: the same, the 99th percentile.
         tick_lateness_max_ms: the same, the latest.
         tick_lateness_worst_ms: the latest since the start.
@@ -331,8 +331,8 @@ class GatewayHealth(Message, frozen=True):
         realtime: the loop runs with real-time priority. Without it a lower speed limit is in force.
         certificate_ends_ns: when the certificate ends that the gateway connects with; null where it has none.
         grant_ends_ns: when the robot's own grant ends, with those above it; null in open mode.
-        notes: what somebody has to see to: why nobody may engage the robot, and certificates that end soon, each
-            with the file and the cure.
+        notes: things that somebody has to see to: reasons why nobody may engage the robot, and certificates that
+            end soon, each with the file and the cure.
     """
 
     gateway_version: str

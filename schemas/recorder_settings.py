@@ -47,7 +47,7 @@ class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         name: the recorder's chunk of its keys; if empty, the host's name
         keys: key expressions to record; if empty, everything under the root
-        directory: where the logs go
+        directory: the directory of the logs
         per_robot: a log for each robot; else one for all
         standby: write nothing but incidents until `cruiser record start`
         flush_s: s; at most this much of the log is not yet on the disk

@@ -55,10 +55,10 @@ class RecorderHealth(Message, frozen=True):
 
     Attributes:
         recorder: its chunk of the key.
-        state_since_s: since it does that.
+        state_since_s: time in that state.
         files: logs that are being written now, incidents among them.
         files_ended: logs that were ended since the start; ``ended_bytes`` of them.
-        robots: robots that it has heard of; ``keys`` of theirs and of others.
+        robots: robots that it has received from; ``keys`` of theirs and of others.
         received: samples that reached it since the start.
         written: messages that it gave to logs since the start; a batch of raw frames is many.
         missed: samples that never reached it, by the gaps in their sequences, since the start.
@@ -104,10 +104,10 @@ class RecorderEvent(Message, frozen=True):
     """An event of a recording that a person should know about.
 
     Attributes:
-        robot: which one, or whose log, it is about; empty if it is about all.
+        robot: the robot that it is about, or whose log; empty if it is about all.
         file: the log that it is about, without its directory; empty if there is none.
-        operator: who asked for it; empty if nobody did.
-        text: what happened, in a sentence.
+        operator: the operator who requested it; empty if nobody did.
+        text: the event in a sentence.
     """
 
     severity: Severity
@@ -125,7 +125,7 @@ class RecordGap(Message, frozen=True):
         key: the key.
         first_ns: when the first of them was received, or not before.
         last_ns: when the last of them was received, or not after.
-        count: how many: samples where they were dropped unread, messages of the log where the disk lost them.
+        count: number of samples if they were dropped unread, of the log's messages if the disk lost them.
     """
 
     key: str
@@ -139,7 +139,7 @@ class RecorderReply(msgspec.Struct, frozen=True):
     """The reply to a verb of a recorder.
 
     Attributes:
-        ok: what was asked for was done.
+        ok: the request was executed.
         detail: why not, or what was done, in words.
         files: the logs that it is about, without their directory: those ended, or the incidents begun.
         health: the recorder's, as it is now.
@@ -154,11 +154,11 @@ class RecorderReply(msgspec.Struct, frozen=True):
 
 
 class Status(Request, frozen=True, forbid_unknown_fields=True):
-    """Ask how the recorder is."""
+    """Ask for the recorder's health."""
 
 
 class Start(Request, frozen=True, forbid_unknown_fields=True):
-    """Record, after a stop."""
+    """Record again after a stop."""
 
 
 class StopRecording(Request, frozen=True, forbid_unknown_fields=True):
@@ -166,15 +166,15 @@ class StopRecording(Request, frozen=True, forbid_unknown_fields=True):
 
 
 class Split(Request, frozen=True, forbid_unknown_fields=True):
-    """End the logs that are being written, and go on in new ones."""
+    """End the logs that are being written, and continue in new ones."""
 
 
 class Mark(Request, frozen=True, forbid_unknown_fields=True):
     """Keep what was received shortly before now and shortly after as an incident.
 
     Attributes:
-        text: why; it goes into the log.
-        robot: whose; of every robot if it is empty.
+        text: the reason; it goes into the log.
+        robot: the robot to keep it of; every robot if it is empty.
     """
 
     text: Annotated[str, Meta(max_length=1000)] = ""
@@ -182,15 +182,15 @@ class Mark(Request, frozen=True, forbid_unknown_fields=True):
 
 
 class Backfill(Request, frozen=True, forbid_unknown_fields=True):
-    """Ask for what the recorder's logs hold of a key, by the time at which its source published it.
+    """Ask for the messages of a key in the recorder's logs, by the time at which their source published them.
 
     Each reply is one ``BackfillPiece``; the last one says whether there is more.
 
     Attributes:
-        key: a Zenoh key expression: what topics of the logs it matches.
+        key: a Zenoh key expression that matches topics of the logs.
         from_ns: the first publish time...
         to_ns: ...and the one after the last.
-        max_bytes: about so much is answered, before compression; the rest is to be asked for again.
+        max_bytes: about the size of the answer, before compression; ask again for the rest.
     """
 
     key: Annotated[str, Meta(min_length=1, max_length=1000)]

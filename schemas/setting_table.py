@@ -32,7 +32,7 @@ class Setting(msgspec.Struct, frozen=True):
         annotation: the type with its bounds, for msgspec.
         kind: the same type, taken apart.
         start: the value in force when no source gives one.
-        about: what it is, for people.
+        about: its description, for people.
     """
 
     section: str

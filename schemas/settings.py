@@ -98,7 +98,7 @@ DISABLE_NS: Final = 500_000_000
 """After the hold a stop sends disabled frames for 0.5 s, then nothing."""
 
 REST_TIMEOUT_NS: Final = 10_000_000_000
-"""A gateway that is told to end waits this long for the robot to come to rest; the longest stop takes 7 s."""
+"""A gateway that shuts down waits this long for the robot to come to rest; the longest stop takes 7 s."""
 
 NOT_SLOWING_NS: Final = 300_000_000
 """A robot that is not seen to slow down for this long, while it is being stopped, gets its parking brake."""
@@ -107,13 +107,13 @@ SLOWING_MPS: Final = 0.02
 """A robot slows down if it is slower by this than it was."""
 
 BRAKE_UNSEEN_NS: Final = 3_000_000_000
-"""A stop that gets no word of the parking brake waits this long before it goes on."""
+"""A stop without feedback of the parking brake waits this long before it continues."""
 
 SHIFT_TICKS: Final = 10
-"""Each gear is told for 100 ms behind the parking brake before the next step."""
+"""Each gear is commanded for 100 ms behind the parking brake before the next step."""
 
 BRAKE_MAX_NS: Final = 1_000_000_000
-"""A robot that does not stand so long after zero speed was told gets its parking brake, however it slows."""
+"""A robot that still moves so long after a command of zero speed gets its parking brake, however it slows."""
 
 AUTO_HOLD_NS: Final = 1_000_000_000
 """An engaged robot that stands at zero command for this long gets its parking brake."""
@@ -146,7 +146,7 @@ ROLLING_MPS: Final = 0.1
 """A robot that is faster than this, the standstill bound and a noisy bit of the coarse scale, is rolling."""
 
 ROLLING_NS: Final = 100_000_000
-"""Time for which it must be so fast while it is told to stand, or against what it is told."""
+"""Time for which it must be so fast while it is commanded to stand, or against its command."""
 
 CREEPING_NS: Final = 1_000_000_000
 """A robot is rolling too that is over the standstill bound alone for this long, or whose pulses count."""
@@ -158,7 +158,7 @@ OVERSPEED_NS: Final = 300_000_000
 """Time for which a speed must be over the limit, 300 ms."""
 
 STEERING_DEVIATION_DEG: Final = 5.0
-"""A measured steering angle does not follow that is off what was told by more than this."""
+"""A measured steering angle that is off the commanded one by more than this does not follow."""
 
 STEERING_DEVIATION_NS: Final = 300_000_000
 """Time for which an angle must be off, 300 ms."""
@@ -173,28 +173,28 @@ BUMPER_CLEAR_NS: Final = 300_000_000
 """A bumper is released once it has read clear for this long: contacts bounce."""
 
 PULSES_MOVING_FRAMES: Final = 16
-"""Wheel pulses that count the same way in so many frames in a row, 800 ms, tell that the robot moves."""
+"""Wheel pulses that count the same way in so many frames in a row, 800 ms, show that the robot moves."""
 
 PULSES_STEADY: Final = 0.9
 """Share of the first half of these pulses that the second half must reach."""
 
 SEND_FAILURES: Final = 5
-"""This many ticks in a row whose frames the bus did not take are a failure."""
+"""This many ticks in a row whose frames the bus did not accept are a failure."""
 
 LEFT_BLIND_NS: Final = 200_000_000
-"""A chassis that was left while it was being told something, and is not seen, is stopped after this time."""
+"""A chassis that was left under command, and gives no feedback, is stopped after this time."""
 
 BEHIND_NS: Final = 200_000_000
 """Frames that were never all read for this long are coming faster than they can be."""
 
 FOUND_MOVING_NS: Final = 200_000_000
-"""A chassis that is in auto and moves for this long, while nobody is heard to command it, is stopped."""
+"""A chassis that is in auto and moves for this long, while nobody commands it, is stopped."""
 
 REPEATED_NS: Final = 1_000_000_000
-"""A stop out of standing by that follows another one within this time applies the parking brake at once."""
+"""A stop from standby that follows another one within this time applies the parking brake at once."""
 
 COMMANDER_NS: Final = 100_000_000
-"""Another computer commands the chassis if a command frame of it was heard this lately."""
+"""Another computer commands the chassis if a command frame of it was received this lately."""
 
 COMMANDER_QUIET_NS: Final = 1_000_000_000
 """After a pause of this length another computer's commands are news again. Below WARM_UP_NS of a run that is run
@@ -238,7 +238,7 @@ TOLD_LONG_AGO_NS: Final = 100_000_000
 """A stop held up for longer than this continues from the measured speed, if that is lower than its ramp's."""
 
 MUTE_FAILURES: Final = 20
-"""In so many ticks in a row the bus did not take a stop: the guard, which has a way of its own, tries."""
+"""After so many ticks in a row without a stop accepted by the bus the guard tries, by its own way to it."""
 
 GUARD_LATE_NS: Final = 80_000_000
 """A heartbeat older than this, and still so 5 ms later, is late: the guard stops the robot.
@@ -247,22 +247,22 @@ The first stop frame has to be on the bus within 100 ms of the last good one.
 """
 
 GUARD_LOOK_NS: Final = 100_000_000
-"""A stop that begins or goes on late waits this long to see the chassis; what it was told before is old."""
+"""A stop that begins or continues late waits this long for feedback: the last command is old."""
 
 GUARD_RESTART_NS: Final = 5_000_000_000
-"""A guard that is gone is started again while the robot is told nothing, at most this often."""
+"""A guard that is gone is started again while the robot is not commanded, at most this often."""
 
 GUARD_HANGS_TICKS: Final = 100
-"""So is one that gives no sign of life in so many ticks, after it was killed."""
+"""A guard that gives no sign of life in so many ticks is killed and started again."""
 
 REMOTE_FRAMES: Final = 2
 """So many in a row that read remote are believed: one alone may be two flipped bits, and the robot rolls on."""
 
 OFF_BURSTS: Final = 10
-"""A stop tells lamps, horn and odometer off in its first 10 bursts, 100 ms: one may get lost."""
+"""A stop clears lamps, horn and odometer in its first 10 bursts, 100 ms: one may get lost."""
 
 GUARD_SILENT_NS: Final = 200_000_000
-"""A guard that gave no sign for this long, or heard no feedback, does not watch."""
+"""A guard that gave no sign, or received no feedback, for this long does not watch."""
 
 GUARD_GIVES_UP_NS: Final = 30_000_000_000
 """A guard whose gateway is gone, and that gets no bus to stop the robot on, tries for this long."""

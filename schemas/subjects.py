@@ -44,7 +44,7 @@ class Qos(msgspec.Struct, frozen=True):
     Attributes:
         priority: Zenoh's priority.
         express: sent at once instead of batched with others.
-        history: how many last samples a late joiner can still get.
+        history: number of last samples that a late joiner can still get.
         kept_bytes: so many bytes of its newest samples are kept, for queries on the key: see ``KEPT_FIRST``.
     """
 
@@ -60,11 +60,11 @@ class Subject(msgspec.Struct, frozen=True):
     Attributes:
         name: the part of the key after ``{root}/{robot}/``; ``{bus}`` stands for a CAN bus's name.
         type: the message class.
-        about: what it is, for people.
-        rate: how often, for people.
+        about: its description, for people.
+        rate: the rate of samples, for people.
         qos: quality of service.
         dbc_message: the frame of the DBC that it decodes; empty if it decodes none.
-        pattern: how it is reached.
+        pattern: the way to read it.
     """
 
     name: str
@@ -255,8 +255,8 @@ class Verb(msgspec.Struct, Generic[ReplyType], frozen=True):
         verb: the last chunk of the key ``{root}/{robot}/@cmd/{operator}/{verb}``.
         request: the class of its payload.
         reply: the class of the reply to a query.
-        about: what it does, for people.
-        asking: how it is sent.
+        about: its effect, for people.
+        asking: the way to send it.
         engaged_only: refused as long as the robot is not engaged.
     """
 

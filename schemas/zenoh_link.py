@@ -71,7 +71,7 @@ def session_settings(
         zenoh: the settings; its own ``connect`` and ``listen`` are not read here.
         connect: endpoints to connect to; retried for ever, in the background.
         listen: endpoints to listen on; none if it is empty. Failing to is an error at once.
-        says: what the file says.
+        says: True if the file sets a path.
 
     Returns:
         Values by their path in Zenoh's configuration, ``scouting/multicast/enabled``.

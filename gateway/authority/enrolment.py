@@ -115,7 +115,7 @@ class Bundle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     Attributes:
         role, name: of the request.
         authority: the fleet's.
-        fleet: where it is.
+        fleet: its place on Zenoh.
         certificate: for the TLS key, and of who signed it, PEM.
         shut_out: the same of the role ``nothing``, by which a robot tests its network; empty for all others.
         ca: the network's authority, PEM.

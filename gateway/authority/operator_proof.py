@@ -199,7 +199,7 @@ class OperatorProof(KnownRobots):
 
         Args:
             robot: its name.
-            verb: what is asked.
+            verb: the requested one.
             payload: the bytes that are sent.
             challenge: the newest one that the robot published.
         """

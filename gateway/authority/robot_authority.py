@@ -76,7 +76,7 @@ def resume(provisioned: Trust, kept: Kept) -> tuple[Trust, Kept] | Objection:
 
     Args:
         provisioned: the trust that begins with the keys that are installed now.
-        kept: what was saved last.
+        kept: the state that was saved last.
     """
     since = provisioned if kept.since is None else kept.since.trust
     trust = trust_of(since, kept)
@@ -168,7 +168,7 @@ class RobotAuthority:
             signer: the robot's.
             floor: the time.
             own: the chain of the robot's own grant.
-            kept: what was saved last.
+            kept: the state that was saved last.
         """
         self.admission = admission
         self.signer = signer

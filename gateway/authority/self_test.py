@@ -63,7 +63,7 @@ def admission_fault(settings: Settings, trust: Trust) -> str:
     """Return the check that a wrongly signed request would pass; empty if there is none.
 
     Args:
-        settings: where the robot's name and root are.
+        settings: for the robot's name and root.
         trust: the robot's.
     """
     return next((words for holds, words in _findings(settings, trust) if not holds), "")

@@ -183,7 +183,7 @@ def zenoh_configuration(
     Args:
         role: of the node.
         root: first chunks of every key.
-        directory: where its certificate and key are.
+        directory: the place of its certificate and key.
         endpoints: where a router listens; for any other node, where the routers are.
         robot: a robot's name.
 

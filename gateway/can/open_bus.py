@@ -27,7 +27,7 @@ def open_bus(settings: CanSettings, identifiers: Collection[int] = ()) -> Bus:
     """Open the bus of the settings.
 
     Args:
-        settings: where it is.
+        settings: the bus's interface and channel.
         identifiers: with their flags; where the kernel can choose, it hands over no others. If none, all.
 
     Raises:

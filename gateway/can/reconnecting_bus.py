@@ -26,7 +26,7 @@ class ReconnectingBus:
     Attributes:
         is_up: the bus is open.
         detail: why it is not, for people.
-        losses: how often it was lost.
+        losses: number of times that it was lost.
     """
 
     def __init__(

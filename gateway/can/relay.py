@@ -17,7 +17,7 @@ class Relay:
     """Carries every connection to a place, both ways, while it is not stalled.
 
     Attributes:
-        endpoint: where to connect instead, as HOST:PORT.
+        endpoint: the address to connect to instead, as HOST:PORT.
     """
 
     def __init__(self, host: str, port: int, delay_s: Callable[[], float] | None = None) -> None:

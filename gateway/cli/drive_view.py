@@ -20,10 +20,10 @@ class Cockpit(msgspec.Struct, frozen=True):
 
     Attributes:
         lease: its number.
-        speed_mps, angle_deg: what a held key asks for.
+        speed_mps, angle_deg: the target of a held key.
         wish: the keys that are held.
         reports_releases: the terminal does.
-        message: what was last said to the person.
+        message: the last one for the person.
     """
 
     robot: str

@@ -65,7 +65,7 @@ class FleetMachines:
     Attributes:
         directory: absolute.
         endpoint: of the router.
-        children: what runs until the end, by its name, in the order in which it was started.
+        children: the running processes by name, in the order in which they were started.
     """
 
     def __init__(self, directory: Path, tell: Callable[[str], None], stopped: Callable[[], bool]) -> None:

@@ -63,7 +63,7 @@ class JudgedFact(msgspec.Struct, frozen=True):
 
     Attributes:
         what: was tried or looked at.
-        seen: what came of it.
+        seen: the result.
         holds: it is as it should be.
     """
 
@@ -76,7 +76,7 @@ class FleetStory:
     """Plays the story on machines that run.
 
     Attributes:
-        facts: what was seen until now.
+        facts: those that were seen until now.
     """
 
     def __init__(self, machines: FleetMachines, stopped: Callable[[], bool], tell: Callable[[str], None]) -> None:

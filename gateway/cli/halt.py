@@ -96,8 +96,8 @@ class HaltSequence:
     """One halt: listen, judge, send.
 
     Attributes:
-        outcome: how it ended, in words.
-        frames: how many were sent.
+        outcome: its end, in words.
+        frames: number of frames sent.
     """
 
     def __init__(

@@ -39,7 +39,7 @@ class MetricsServer(Collector):
         """Listen.
 
         Args:
-            metrics: what is served; from here on this server's alone.
+            metrics: the served ones; from here on this server's alone.
             host: an IP address.
             port: 0 is a free one.
 

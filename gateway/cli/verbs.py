@@ -34,8 +34,8 @@ class VerbCommand(msgspec.Struct, frozen=True):
         EXAMPLE: for its help.
         request: from its arguments and the number of the lease.
         add_flags: declares those that it alone has.
-        lasts: what it does ends when the robot is disengaged, so there is something to keep.
-        keep_s: how long that is kept by itself; None is until Ctrl-C.
+        lasts: its effect ends when the robot is disengaged, so there is something to keep.
+        keep_s: the default time to keep it; None is until Ctrl-C.
     """
 
     EXAMPLE: str

@@ -158,7 +158,7 @@ class StopProof:
         """With no robot met.
 
         Args:
-            robots: what is believed; the signer itself, if there is one.
+            robots: the trusted robots; the signer itself, if there is one.
             root: first chunks of every key.
             signer: the operator's key and grant.
         """

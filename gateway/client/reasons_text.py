@@ -82,7 +82,7 @@ def event_line(event: SafetyEvent, now_ns: int) -> str:
     """An event and how long ago it was; or, where the robot's clock was set back since, its time.
 
     Args:
-        event: what happened.
+        event: the event to put in words.
         now_ns: by the robot's clock, which need not be this machine's.
     """
     ago_s = (now_ns - event.time_ns) / 1e9

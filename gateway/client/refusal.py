@@ -17,7 +17,7 @@ class RobotError(CommandError):
     Attributes:
         reason: why, one enumeration for all of it.
         detail: the reason in words, with figures.
-        cure: what would make it succeed, with the robot's name.
+        cure: the way to make it succeed, with the robot's name.
     """
 
     code = ExitCode.FAILURE

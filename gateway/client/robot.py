@@ -91,9 +91,9 @@ class Robot:
 
         Args:
             name: of the robot.
-            operator: who commands; the login name if not given.
-            settings: where it is (``zenoh``, ``robot.root``).
-            timeout_s: how long to wait.
+            operator: the commander's name; the login name if not given.
+            settings: its place on Zenoh (``zenoh``, ``robot.root``).
+            timeout_s: the longest wait.
             stopped: gives up when it turns true.
 
         Raises:

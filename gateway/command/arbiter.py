@@ -34,7 +34,7 @@ class Arbiter:
 
     Attributes:
         tick_number: rises with each tick, from a number that differs with each run.
-        leases: who may command.
+        leases: the right to command.
         link: the commands of who holds the lease.
         engagement: the robot under command. Its states are the arbiter's attributes too: ``monitor``,
             ``setpoint``, ``output``, ``auxiliary``, ``handover``, ``latches``, ``outbox``.
@@ -75,9 +75,9 @@ class Arbiter:
 
         Args:
             chassis: its state now.
-            requests: what came in since the last tick, stops first.
+            requests: those received since the last tick, stops first.
             now_ns: monotonic.
-            late_ns: how much after its time this tick begins.
+            late_ns: delay of this tick's beginning.
         """
         self.tick_number += 1
         output = self.output

@@ -13,7 +13,7 @@ class ChassisState(msgspec.Struct, frozen=True):
 
     Attributes:
         bus_up: the bus is open.
-        bus_losses: how often it was lost since the start.
+        bus_losses: number of losses since the start.
         controller: the CAN controller's error state, if that is known.
         missing: required feedback frames that were never seen, are silent, or say that they are not valid.
         faulty: required feedback frames whose checksums or alive counters have failed.
@@ -30,7 +30,7 @@ class ChassisState(msgspec.Struct, frozen=True):
         commander_ns: when another computer's command frame was last received; None if never.
         guarded: the guard watches this process.
         guard_sends: the guard is stopping the robot in our place.
-        guard_stops: how often it has begun to, since the start.
+        guard_stops: number of stops that it has begun since the start.
         guard_says: why it last did, and how that ended; empty if it never did.
         is_behind: frames come faster than they can be read, so what is seen is old.
         realtime: the gateway has real-time priority.

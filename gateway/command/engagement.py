@@ -31,13 +31,13 @@ class Engagement:
     """The robot under command: its states, and every way into and out of motion.
 
     Attributes:
-        state: where it is in the table of states.
+        state: its state in the table of states.
         monitor: the chassis.
-        setpoint: what is asked of it, and the limits in force.
+        setpoint: the requested motion, and the limits in force.
         output: the commands to it.
         auxiliary: its lamps, horn and odometer.
-        handover: who else commands it, and what it was left on.
-        latches: what must be reset before it can be engaged.
+        handover: other commanders, and the command that the chassis was left with.
+        latches: causes that must be reset before it can be engaged.
         outbox: replies and events.
         stop_reason, stop_detail: why the last stop was begun, and its figures.
         owes_stop: a stop could not be carried out, or ended without an applied parking brake.

@@ -9,7 +9,7 @@ class Latches:
     """Latched causes.
 
     Attributes:
-        details: what must be reset, oldest first, with its detail.
+        details: the latched causes, oldest first, each with its detail.
         newest_ns: when the newest of it was latched, monotonic.
     """
 

@@ -39,7 +39,7 @@ class Leases:
 
     Attributes:
         held: the one in force, or None.
-        given: how many were given.
+        given: number of leases given.
     """
 
     def __init__(self, duration_ns: int, random: Random) -> None:
@@ -47,7 +47,7 @@ class Leases:
 
         Args:
             duration_ns: a lease that is not renewed for this long expires.
-            random: where the identifiers come from. It keeps no secret, so that a run can be run again.
+            random: the source of identifiers. It keeps no secret, so that a run can be run again.
         """
         self.held: HeldLease | None = None
         self.given = 0

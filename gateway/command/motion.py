@@ -31,7 +31,7 @@ class MotionConstraints(msgspec.Struct, frozen=True):
         gear, brake: the feedback of gear and parking brake.
         parked: the parking brake is to be applied, whatever is asked.
         speed_mps, angle_deg: as measured, the speed as a magnitude; zero where it is not known.
-        forward, backward: whether motion in this direction is allowed; a bumper that is still pressed forbids it.
+        forward, backward: motion in this direction is allowed; a bumper that is still pressed forbids it.
     """
 
     stands: bool
@@ -84,9 +84,9 @@ class MotionProfile:
         """Return the command of this tick, on the way to the target.
 
         Args:
-            target: what is asked.
+            target: the requested motion.
             limits: those in force.
-            constraints: what else bounds it.
+            constraints: the other bounds.
             dt_s: a tick.
             elapsed_s: time since the last one, if it is late: the speed falls by that, and rises by a tick alone.
         """

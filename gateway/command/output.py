@@ -30,7 +30,7 @@ class Output:
         actuation: its last command; None while it is not commanded.
         variant: the one in which speeds are encoded; UNKNOWN as soon as there was any doubt, until it is engaged
             again.
-        begun: how often commanding it has begun.
+        begun: number of times that commanding it has begun.
         told_ns: when the bus last accepted a whole burst, monotonic.
         motion: the motion while engaged.
         sequence: the stop under way, if there is one.
@@ -87,7 +87,7 @@ class Output:
         """Return this tick's command to a chassis that is not being stopped.
 
         Args:
-            target: what is asked.
+            target: the requested motion.
             setpoint: the limits in force, and whether the parking brake stays applied.
             age: of the holder's commands; it bounds the speed.
             monitor: the chassis.

@@ -88,7 +88,7 @@ class Plausibility:
     """Watches a robot that is being commanded.
 
     Attributes:
-        details: what does not fit, in words, by its reason.
+        details: the contradictions, in words, by reason.
     """
 
     def __init__(self) -> None:

@@ -16,7 +16,7 @@ class Credentials(msgspec.Struct, frozen=True, array_like=True):
         reason: NONE if the proof holds; else why it does not, and all below is empty.
         detail: figures that the reason's own text does not have.
         serial: the grant's, for people.
-        role, override, speed_limit_mps: what the grant allows.
+        role, override, speed_limit_mps: those that the grant allows.
     """
 
     reason: Reason
@@ -35,10 +35,10 @@ class RawRequest(msgspec.Struct, frozen=True):
         verb: the last chunk of the key.
         operator: the chunk before it; empty if it is not of the form of an operator's name.
         payload: the bytes, or nothing if there are more of them than any request has.
-        size: how many there were.
+        size: number of bytes of the whole payload.
         fault: why the payload cannot be read, where that was found before the core got it; it is left out then.
         attachment: the bytes that came beside the payload; see ``schemas.authority.proof``.
-        credentials: what they prove; None where nothing has to be proven.
+        credentials: the proven ones; None where no proof is needed.
     """
 
     handle: int
@@ -64,9 +64,9 @@ class Ruling(msgspec.Struct, frozen=True):
         detail: figures that the reason's own text does not have.
         is_pending: accepted; the reply comes later, with the result.
         lease: the identifier of what the request names, or of what was given.
-        expires_ns: how long the lease lasts from now.
+        expires_ns: the remaining duration of the lease.
         sequence, asked: a drive command's.
-        age_ns: how old it can be at most, where it echoes a challenge that is known.
+        age_ns: the greatest age that it can have, where it echoes a known challenge.
     """
 
     reason: Reason = Reason.NONE

@@ -11,7 +11,7 @@ class Setpoint:
     """The target of the motion, and its limits.
 
     Attributes:
-        target: what the last acceptable drive command asks for.
+        target: the motion of the last acceptable drive command.
         parked: the parking brake stays applied, whatever speed is asked for, until ``unpark``.
         limits: those in force.
         configured_limits: the highest that may be in force.

@@ -25,10 +25,10 @@ class Snapshot(msgspec.Struct, frozen=True, array_like=True):
     Attributes:
         tick_number: of the last tick.
         challenges: those that were published lately, each with its monotonic time.
-        leases: how many leases were given in this run.
+        leases: number of leases given in this run.
         ended: the leases that ended last, and why.
         stop_reason, stop_detail: why the last stop was begun, and its figures.
-        parked, target_speed_mps, target_angle_deg: what was asked last.
+        parked, target_speed_mps, target_angle_deg: the last requested ones.
         sequences: the next sequence of each message of the arbiter, by the class's name.
         state_due_ns: when the next safety/state is due, monotonic.
         sent: the last alive counter of each command frame that was ever sent, by identifier.

@@ -38,7 +38,7 @@ class StopFeedback(msgspec.Struct, frozen=True):
     Attributes:
         stands: the robot is seen to stand; False also when that cannot be seen.
         moves: it is seen to move; False also when that cannot be seen.
-        speed_mps: how fast it may be, a magnitude; None if no sensor reports it.
+        speed_mps: the highest possible one, a magnitude; None if no sensor reports it.
         wheel_speed_mps: the same by the wheels, forward positive; None if they do not report it.
         is_braked: the parking brake reads applied; None if nothing can be concluded from it.
     """
@@ -54,7 +54,7 @@ class StopSequence:
     """One stop, from the chassis's last command to silence.
 
     Attributes:
-        phase: how far it has come; IDLE when it has ended.
+        phase: the present one; IDLE when the stop has ended.
     """
 
     def __init__(self, last: Actuation, deceleration_mps2: float, now_ns: int) -> None:

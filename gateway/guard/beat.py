@@ -18,7 +18,7 @@ class Beat(msgspec.Struct, frozen=True):
         is_active: the chassis is under command, or was in the tick before and that was the end of a stop.
         told_ns: when the bus last accepted a whole burst.
         is_left: the chassis was left to somebody else with the command ``last``, and may execute that again.
-        is_mute: what has to be sent cannot be; the guard has to act at once.
+        is_mute: the output cannot be sent; the guard has to act at once.
         is_closing: the gateway ends, and nobody will beat any more.
         variant: the one in force.
         last: the chassis's last command; at rest if that is over and done.
@@ -62,7 +62,7 @@ class GuardView(msgspec.Struct, frozen=True):
     Attributes:
         is_watching: it lives, has its bus and receives feedback: it would stop the robot in our place.
         is_sending: it does so now, and we must be silent. One that gives no sign of life any more is not.
-        stops: how often it has begun to, since the start.
+        stops: number of stops that it has begun since the start.
         says: why it last did, and how that ended; empty if it never did.
     """
 
@@ -80,9 +80,9 @@ class GuardStatus(msgspec.Struct, frozen=True):
         is_ready: its bus is open and it receives feedback.
         is_sending: it stops the robot; the loop must not send. Also while it waits for the remote control to
             give the robot back.
-        stops: how many stops it has begun since it was started.
+        stops: number of stops that it has begun since it was started.
         cause: of the last one, or of the one under way.
-        outcome: how the last one ended; NONE while one is under way.
+        outcome: the end of the last one; NONE while one is under way.
     """
 
     now_ns: int

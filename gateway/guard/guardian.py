@@ -31,9 +31,9 @@ class Guardian:
         is_ended: nothing is left to guard; the process may leave.
         is_sending: a stop is under way, and the loop has to keep silent. It is carried through also when the loop
             comes back: a loop that has seen this will not take the robot again.
-        stops: how many stops it has begun.
+        stops: number of stops that it has begun.
         cause: of the last one, or of the one under way.
-        outcome: how the last one ended; NONE while one is under way.
+        outcome: the end of the last one; NONE while one is under way.
     """
 
     def __init__(self, settings: CommandSettings) -> None:

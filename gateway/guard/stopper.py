@@ -62,8 +62,8 @@ class Stopper:
     Attributes:
         is_over: nothing more is to be sent.
         is_paused: nothing is sent, for the remote control has the robot.
-        frames: how many were sent.
-        outcome: how it ended, in words; empty before.
+        frames: number of frames sent.
+        outcome: its end, in words; empty before.
     """
 
     def __init__(self, view: ChassisView, settings: CommandSettings) -> None:

@@ -94,7 +94,7 @@ def issue(text: str, role: TransportRole, certificates: str, key: ec.EllipticCur
 
     Args:
         text: the request. Its names and its key are taken over; what else it wants is not.
-        role: what the node is.
+        role: that of the node.
         certificates: of the authority that signs, and of those above it.
         key: of the authority that signs.
         now_s: seconds since 1970.

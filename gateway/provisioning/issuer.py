@@ -113,7 +113,7 @@ class Issuer:
     """An authority or a site, with its keys.
 
     Attributes:
-        store: where its files are.
+        store: the place of its files.
         chain: of a site; empty for the authority.
     """
 
@@ -322,9 +322,9 @@ def make_authority(
     """Make the authority of a fleet, and that of its network.
 
     Args:
-        store: where its files are to be.
+        store: the place for its files.
         standby: public half of the standby key, hexadecimal.
-        fleet: where the fleet is.
+        fleet: the fleet's place on Zenoh.
         now_s: seconds since 1970.
         replace: over what is there.
 

@@ -25,7 +25,7 @@ def read_identity(directory: Path, who: str) -> Identity:
     """Read the key and the grant of somebody, and check that they belong together.
 
     Args:
-        directory: where they are.
+        directory: their place.
         who: ``robot``, ``operator``, ``recorder``: the files' name.
 
     Raises:

@@ -100,7 +100,7 @@ class KeyStore:
     """A directory that is its owner's alone.
 
     Attributes:
-        directory: where it is.
+        directory: its place.
     """
 
     def __init__(self, directory: Path, passphrase: Passphrase | None = None) -> None:
@@ -123,7 +123,7 @@ class KeyStore:
         Args:
             files: texts by name.
             replace: over what is there.
-            cure: what to do where something is there.
+            cure: the advice if a file is there already.
 
         Raises:
             CommandError: a file is there already, or cannot be written.
@@ -157,7 +157,7 @@ class KeyStore:
 
         Args:
             name: of the file.
-            cure: what makes it, where it is missing.
+            cure: the command that makes it, if it is missing.
 
         Raises:
             CommandError: it is missing or cannot be read.

@@ -120,7 +120,7 @@ def install(store: KeyStore, bundle: Bundle, *, replace: bool) -> Installed:
     """Write what a bundle holds, if it is for the keys that are here.
 
     Args:
-        store: where the keys are.
+        store: the place of the keys.
         bundle: was checked against the authority that it names.
         replace: over what is there.
 

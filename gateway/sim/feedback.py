@@ -25,7 +25,7 @@ class _Row(msgspec.Struct):
     """One feedback message.
 
     Attributes:
-        sent: how often it was due so far.
+        sent: number of times that it was due so far.
         counter: the next alive counter, not yet wrapped.
         frozen: the values that it keeps.
     """

@@ -21,7 +21,7 @@ class LinkProfile(msgspec.Struct, frozen=True):
         loss: the share of messages that is lost at first.
         stall_every_s: nothing comes through in either direction every so often, in the mean; 0 is never...
         stall_s: ...for this long.
-        deadman_s: what such a link needs, as it is asked for at engage; None is the configured one.
+        deadman_s: the deadman that such a link needs, as an engage requests it; None is the configured one.
     """
 
     name: str

@@ -74,7 +74,7 @@ class VirtualChassis:
             layout: the firmware variant.
             now_ns: the time of the first ``advance``; the first frames are due one period later.
             rate_multiplier: the feedback comes this many times as often as the DBC says, to load a bus.
-            conditions: where it stands and what it is like, until a fault says otherwise.
+            conditions: its place and properties, until a fault changes them.
         """
         self._first_layout = layout
         self._disturbances = Disturbances(tuple(message.name for message in layout.feedback))

@@ -107,10 +107,10 @@ class Conditions(msgspec.Struct, frozen=True):
 
     Attributes:
         slope_deg: positive with the nose up, whichever way the robot turns.
-        pedal_gain: how much of the service brake the brake pedal applies. The manual calls the pedal reserved.
-        motor_strength: how much of its greatest force the motor has.
-        parking_delay_s: how long the parking brake takes to apply, and to release. Chosen.
-        stop_mode: what the chassis does in mode stop.
+        pedal_gain: share of the service brake that the brake pedal applies. The manual calls the pedal reserved.
+        motor_strength: share of its greatest force that the motor has.
+        parking_delay_s: time that the parking brake takes to apply, and to release. Chosen.
+        stop_mode: the chassis's behaviour in mode stop.
     """
 
     slope_deg: float = 0.0

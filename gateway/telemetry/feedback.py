@@ -17,10 +17,10 @@ class FeedbackStream:
     """The way of one feedback frame from the bus to a sample.
 
     Attributes:
-        decoder: how its data become a message; None while the scale of its speeds is not known.
+        decoder: turns its data into a message; None while the scale of its speeds is not known.
         latest: the newest message; None before the first, while the frame is silent and while it is withheld.
         data: the newest valid frame's bytes, withheld or not; None before the first and while it is silent.
-        supervisor: what is watched about the frame.
+        supervisor: the supervision of the frame.
     """
 
     def __init__(self, decoder: MessageDecoder, faults: Counter[FaultKind]) -> None:

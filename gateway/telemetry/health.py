@@ -29,7 +29,7 @@ class Links(msgspec.Struct, frozen=True):
         cpu_ns: processor time of the process since its start.
         guarded: the guard watches this process.
         guard_sends: the guard is stopping the robot in our place.
-        guard_stops: how often it has begun to, since the start.
+        guard_stops: number of stops that it has begun since the start.
         guard_says: why it last did, and how that ended; empty if it never did.
         is_behind: frames come faster than they can be read.
         realtime: the loop has real-time priority.
@@ -37,7 +37,7 @@ class Links(msgspec.Struct, frozen=True):
         outside: the other ends of Zenoh connections that leave this machine.
         certificate_ends_s, grant_ends_s: the end of the gateway's certificate and of the robot's grant, seconds
             since 1970; None where there is none.
-        notes: what somebody has to see to, in words.
+        notes: things that somebody has to see to, in words.
     """
 
     bus_up: bool = False

@@ -40,7 +40,7 @@ class Attempt(msgspec.Struct, frozen=True):
 
     Attributes:
         is_connected: it has a link. Without one, nothing was tried.
-        deeds: what was not denied, in words.
+        deeds: the attempts that were not denied, in words.
     """
 
     is_connected: bool
@@ -132,7 +132,7 @@ class Intruder(SessionOwner):
             endpoint: a router's, or one of its own.
             certificate: of the role ``nothing``.
             key: the certificate's.
-            wires: where it would be noticed.
+            wires: the subscribers that would notice them.
 
         Raises:
             CommandError: there is nobody, or the certificate is not accepted.
@@ -206,7 +206,7 @@ def enters_without_certificate(settings: ZenohSettings, listener: str) -> str:
 
     Args:
         settings: the gateway's; of its file, the network's authority alone is used.
-        listener: where it listens with certificates.
+        listener: the endpoint that it listens on with certificates.
     """
     own = own_endpoint(listener)
     plain = own.partition("/")[2].partition("#")[0]

@@ -151,7 +151,7 @@ class ZenohNode:
     Attributes:
         failures: samples that Zenoh did not take.
         replier: sends the replies to queries.
-        warning: what a person should know of its start; empty if nothing.
+        warning: a fact about its start that a person should know; empty if there is none.
     """
 
     def __init__(self, session: zenoh.Session, settings: Settings, signer: RobotSigner | None = None) -> None:
@@ -159,7 +159,7 @@ class ZenohNode:
 
         Args:
             session: an open session.
-            settings: where the robot's name and root are.
+            settings: for the robot's name and root.
             signer: signs the arbiter's state; None where nothing is signed.
         """
         robot = settings.robot

@@ -134,7 +134,7 @@ class CommandPort(SessionOwner):
         Args:
             statement: text.
             question: the attachment, drawn for this query: the replies' signatures cover it.
-            timeout_s: how long replies are waited for.
+            timeout_s: the longest wait for replies.
         """
         return self._get(self._authority, PendingQuery(), statement, "text/plain", question, timeout_s)
 

@@ -64,7 +64,7 @@ class StatementPort(SessionOwner):
             robot: its name.
             text: the statement.
             question: the attachment, drawn for this query: the answer's signature covers it.
-            timeout_s: how long it is waited for.
+            timeout_s: the longest wait for it.
 
         Raises:
             CommandError: the session is closed.

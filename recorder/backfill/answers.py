@@ -48,7 +48,7 @@ class Conversation:
 
     Attributes:
         answered_ns: all that was published before this time has come.
-        details: what the recorder said besides.
+        details: other remarks of the recorder.
         is_heard: it has answered at all.
     """
 
@@ -103,9 +103,9 @@ def read_piece(piece: BackfillPiece, number: int, from_ns: int) -> list[LoggedBy
     """The messages of a piece; None if it is damaged, or not the next one.
 
     Args:
-        piece: what came.
+        piece: the received one.
         number: of pieces that came before it in this answer.
-        from_ns: where those ended.
+        from_ns: the end of those.
     """
     if not piece.mcap:
         # The last piece has messages if any has: of an empty one none before it can be lost.

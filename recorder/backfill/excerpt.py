@@ -90,9 +90,9 @@ class Excerpt:
     """Answers one request.
 
     Args:
-        logs: where to look.
-        is_wanted: whether a topic is.
-        request: what is asked for; its key was turned into ``is_wanted``.
+        logs: the logs to search.
+        is_wanted: a test of topics.
+        request: the range; its key was turned into ``is_wanted``.
         is_expired: the time for this answer is over. What is then missing is to be asked for again.
     """
 

@@ -56,7 +56,7 @@ class Hole(msgspec.Struct, frozen=True):
         topic: or, of a silence, the key expression of all that the robot says.
         from_ns: they were published at this time or later...
         to_ns: ...and before this one.
-        missing: how many samples, or messages that were dropped; None where nobody knows.
+        missing: number of samples, or of dropped messages; None where nobody knows.
         before, after: the messages around it, if a sequence shows it.
     """
 

@@ -42,8 +42,8 @@ def questions(holes: Iterable[Hole], topics: Mapping[str, set[str]]) -> list[Bac
     """The questions that bring what is missing, in the order of time.
 
     Args:
-        holes: what is missing.
-        topics: what each robot is known to say, by the beginning of its keys.
+        holes: the missing messages.
+        topics: the known topics of each robot, by the beginning of its keys.
     """
     by_robot: dict[str, dict[str, list[Range]]] = {}
     for hole in holes:

@@ -51,11 +51,11 @@ class Backfilled(msgspec.Struct, frozen=True):
 
     Attributes:
         recorders: that answered.
-        holes: what was missing, and what of it came.
+        holes: the holes, and the messages that filled them.
         asked: messages that they sent; ``filled`` of them were missing.
         files: the logs of those.
         unread: logs that could not be read, or not wholly, and why.
-        details: what the recorders said besides.
+        details: other remarks of the recorders.
     """
 
     recorders: list[str]

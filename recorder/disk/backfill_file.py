@@ -26,10 +26,10 @@ class BackfillFile:
     """One log of what was missing. It is made when it is begun, and locked until it is whole.
 
     Args:
-        directory: where it goes.
+        directory: the directory of the file.
         name: begins its name.
         start_ns: since 1970; goes into its name.
-        library: who writes, for its header.
+        library: the writer's name, for its header.
 
     Raises:
         CommandError: it cannot be made; and so do the methods.
@@ -102,7 +102,7 @@ class BackfillFiles:
     """The logs of one backfill: one for each robot, and another one where schemas of a name differ.
 
     Args:
-        library: who writes.
+        library: the writer's name.
     """
 
     def __init__(self, library: str) -> None:

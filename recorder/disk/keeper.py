@@ -89,7 +89,7 @@ class DiskKeeper:
 
     Args:
         directory: of the logs.
-        limits: what they may take.
+        limits: the space that they may take.
         own: names of the files that are being written here.
     """
 

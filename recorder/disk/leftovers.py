@@ -60,7 +60,7 @@ class Recovery(msgspec.Struct, frozen=True):
         result: the log as it is called now.
         messages, chunks: that it holds.
         cut_bytes: that stood behind its good data.
-        kept: where what is not in the result is kept; None if there is nothing worth it.
+        kept: the file of the parts that are not in the result; None if none is worth keeping.
         faults: damage; ``fault_count`` of them, the first ones listed.
     """
 
@@ -81,7 +81,7 @@ def recover(path: Path, library: str, *, set_aside: bool = False) -> Recovery:
 
     Args:
         path: the log.
-        library: who writes, for the header of a copy.
+        library: the writer's name, for the header of a copy.
         set_aside: rename a file of which nothing can be read, so that nobody tries it again.
     """
     name = str(path)

@@ -12,7 +12,7 @@ class LogQueue:
     """Actions that wait, the oldest first.
 
     Args:
-        limit_bytes: what ``trim`` leaves at most, as far as messages and metadata may go.
+        limit_bytes: the most that ``trim`` leaves, as far as messages and metadata may go.
     """
 
     def __init__(self, limit_bytes: int) -> None:

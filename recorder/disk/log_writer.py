@@ -80,8 +80,8 @@ class LogWriter:
     """Writes the files of several logs on a thread of its own, from its beginning to ``close``.
 
     Args:
-        directory: where files go.
-        library: who writes, for the files' headers.
+        directory: the place of the files.
+        library: the writer's name, for the files' headers.
         queue_bytes: messages that may wait, and be written but not kept yet, of all logs together.
     """
 

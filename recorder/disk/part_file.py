@@ -98,7 +98,7 @@ class PartFile:
         part: the path while it is written.
         path: the path when it is whole.
         stream: the open file, unbuffered.
-        library: who writes.
+        library: the writer's name.
         disk: runs the syncs.
     """
 

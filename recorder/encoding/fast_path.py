@@ -47,7 +47,7 @@ def compile_adder(
     Args:
         kind: the class of its messages.
         counters: counts them.
-        chunk: where the records go.
+        chunk: the destination of the records.
         channel_id: of the records.
         latest: holds the newest message.
     """

@@ -28,7 +28,7 @@ class KeyCounters:
         unwritten: messages of those that are in no log, for whatever reason.
         missed: samples that never came, by the gaps in ``sequence``, without those that were dropped unread.
         dropped: raw frames that the source itself had to drop, by its own count.
-        lost: what reached the recorder and is not in the log, by reason.
+        lost: messages that reached the recorder and are not in the log, by reason.
         lost_bus: frames of the chassis that never reached its gateway, by its own count; None if it reports none.
     """
 

@@ -63,7 +63,7 @@ class Packed(msgspec.Struct, frozen=True):
         layout: of the packing, one character for each argument.
         arguments: of the packing, tags included.
         parts: expressions of the fields that are not packed.
-        names: what the source needs.
+        names: the names that the source needs.
     """
 
     layout: str

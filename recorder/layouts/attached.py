@@ -34,7 +34,7 @@ class RobotKeys(msgspec.Struct, frozen=True):
     """The robot of a log.
 
     Attributes:
-        key: what its keys begin with: root and name.
+        key: the beginning of its keys: root and name.
         bus: the CAN bus's name; empty if it is not known.
     """
 

@@ -45,7 +45,7 @@ class Indexed(msgspec.Struct, frozen=True):
     """The content of the message indexes behind a chunk.
 
     Attributes:
-        base: where the chunk's records begin in a row of chunks...
+        base: the start of the chunk's records in a row of chunks...
         end: ...and where they end.
         index: as ``PackedChunk.index``.
     """

@@ -44,7 +44,7 @@ class ChannelMessages(msgspec.Struct, frozen=True, gc=False):
 
     Attributes:
         channel_id: their channel.
-        starts: where their records begin in the chunk.
+        starts: offsets of their records in the chunk.
         sequences, log_ns, publish_ns, datas: of each.
     """
 
@@ -63,7 +63,7 @@ class Messages(msgspec.Struct, frozen=True):
         by_channel: the messages of each channel, by its id.
         start_ns, end_ns: the first and the last log time.
         first_ns, last_ns: the log times of the first and the last message in the chunk's order.
-        backwards: how often a log time is before the one of the message before it.
+        backwards: number of log times before the one of the message before.
     """
 
     by_channel: list[ChannelMessages]

@@ -60,7 +60,7 @@ class Fault(msgspec.Struct, frozen=True):
     """Something wrong with the file.
 
     Attributes:
-        offset: where in the file, in bytes.
+        offset: its place in the file, in bytes.
         cuts: nothing can be read beyond it.
     """
 
@@ -128,7 +128,7 @@ class MessageBlock(msgspec.Struct, frozen=True):
 
         Args:
             index: as the message indexes behind the chunk say.
-            wanted: what ``make`` is given for each channel; messages of others are passed over.
+            wanted: the argument of ``make`` for each channel; messages of others are passed over.
             make: is given that, sequence, log time, publish time and data of each message.
             from_ns: the first log time.
             to_ns: the first one that is too late.
@@ -185,7 +185,7 @@ class PackedChunk(msgspec.Struct, frozen=True):
         index: of each channel the log time and the offset of each message, in turns, as the message indexes
             behind the chunk say; None if there are none, or some may be missing. Nothing has proven them.
         places: of each channel in ``index`` where in the file its message index stands.
-        end: where in the file the message indexes end.
+        end: the end of the message indexes in the file.
     """
 
     stream: BinaryIO

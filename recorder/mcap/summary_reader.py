@@ -35,7 +35,7 @@ class IndexedChunk(msgspec.Struct, frozen=True, gc=False):
     Attributes:
         start_ns, end_ns: log times of its first and last message.
         offset, length: of its record in the file.
-        places: where the message index of each channel stands, as MCAP's map has it: ``place_map`` reads it.
+        places: offsets of each channel's message index, as MCAP's map: ``place_map`` reads it.
         indexes_length: bytes of these behind the chunk.
         compression: its name.
         packed, unpacked: bytes of its records, as they are in the file and as they were.
@@ -71,14 +71,14 @@ class LogSummary(msgspec.Struct):
     """The summary section.
 
     Attributes:
-        start, end: where in the file it stands; the footer begins at its end.
-        offset_start: where its own offsets begin; 0 if it has none.
+        start, end: its place in the file; the footer begins at its end.
+        offset_start: the beginning of its own offsets; 0 if it has none.
         crc: its checksum, by the footer; 0 if it has none.
         schemas, channels: by id.
         statistics: None if it holds none.
-        attachments, metadata: where they stand.
-        groups: where the records of each kind stand, as it says itself.
-        chunks_at: where records of the index of chunks begin and end, stretch by stretch.
+        attachments, metadata: their places.
+        groups: the place of each kind of record, as it states it.
+        chunks_at: beginning and end of each stretch of the index of chunks.
     """
 
     start: int

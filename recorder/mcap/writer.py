@@ -49,9 +49,9 @@ class McapFile:
     """An MCAP file that is being written.
 
     Args:
-        stream: where the bytes go, from its present beginning on.
-        library: who writes, for the file's header.
-        profile: what the header promises of the channels, by MCAP's registry; ours promise nothing.
+        stream: the destination of the bytes, from its present beginning on.
+        library: the writer's name, for the file's header.
+        profile: the header's promise about the channels, by MCAP's registry; ours promise nothing.
     """
 
     def __init__(self, stream: LogStream, library: str, profile: str = "") -> None:

@@ -58,7 +58,7 @@ def configurations_of(robot: str, logs: Sequence[LogFile], found: Survey, faults
     Args:
         robot: its name.
         logs: in the order of their beginnings.
-        found: what a survey of these logs found.
+        found: the survey of these logs.
         faults: takes what cannot be read.
     """
     told: dict[int, str] = {}

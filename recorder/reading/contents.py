@@ -40,7 +40,7 @@ class Contents(msgspec.Struct):
         start_ns, end_ns: the first and the last log time of all; None if there is no message.
         metadata: name and entries of each record, in the order of the file.
         attachments: name, media type and length of each.
-        faults: what is wrong with the file.
+        faults: those of the file.
         has_ended: it was closed properly.
     """
 

@@ -42,7 +42,7 @@ class Selection(msgspec.Struct, frozen=True):
     """A selection of messages by topic and log time.
 
     Attributes:
-        wants: whether a topic is wanted.
+        wants: a test of topics.
         from_ns: the first log time, in nanoseconds since 1970...
         to_ns: ...and the first one that is too late.
     """
@@ -77,7 +77,7 @@ def read_rows(
 
     Args:
         logs: in the order of their beginnings, as ``find_logs`` gives them.
-        selection: what is wanted.
+        selection: the wanted messages.
         faults: takes what cannot be read; the rest is read all the same.
         progress: receives the number of bytes that were read or passed over.
     """
@@ -128,8 +128,8 @@ class BlockReader:
 
     Args:
         stream: the file.
-        log: which it is.
-        selection: what is wanted.
+        log: the log that the file is.
+        selection: the wanted messages.
         faults: takes what cannot be read.
 
     Attributes:

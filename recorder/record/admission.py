@@ -64,7 +64,7 @@ class SignedOrder(msgspec.Struct, frozen=True):
     Attributes:
         operator: by the key expression.
         payload, attachment: the bytes.
-        request: what the payload says.
+        request: the decoded payload.
     """
 
     verb: str
@@ -78,7 +78,7 @@ class OrderAdmission:
     """Judges orders to one recorder.
 
     Attributes:
-        note: what has to outlive a restart.
+        note: the state to keep across a restart.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class OrderAdmission:
             trust: the fleet's authority, as the recorder was provisioned with it.
             root: first chunks of the recorder's keys.
             recorder: its name.
-            note: what was kept last.
+            note: the one that was kept last.
             draw: random bytes, so many.
         """
         self.note = OrderNote()
@@ -233,7 +233,7 @@ class OrderProof:
         """With an operator's key and grant.
 
         Args:
-            identity: whose orders these are.
+            identity: the sender of these orders.
             root: first chunks of the recorders' keys.
             nonce: random bytes, so many.
         """
@@ -247,7 +247,7 @@ class OrderProof:
 
         Args:
             recorder: its name.
-            verb: what is asked.
+            verb: the requested one.
             payload: the bytes that are sent.
             challenge: the newest one that the recorder gave.
         """

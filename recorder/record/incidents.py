@@ -83,7 +83,7 @@ class Incidents:
         Args:
             now_ns: monotonic time.
             wall_ns: the same instant since 1970.
-            because: what has happened.
+            because: the event.
             file: the log's present file; empty if there is none.
         """
         if self._until_ns is not None:

@@ -32,8 +32,8 @@ class OperatorRequest(msgspec.Struct, frozen=True):
     """A request, and how to answer it.
 
     Attributes:
-        operator: who asks.
-        request: what is asked, or what is wrong with the payload.
+        operator: the sender.
+        request: the request, or the fault of the payload.
         reply: sends a reply; several may follow each other.
         done: reports that no more replies will come; whoever answers must call it.
         is_backfill: the verb was ``backfill``, whatever is wrong with the request: its replies are pieces.

@@ -38,7 +38,7 @@ class LogEntry(msgspec.Struct, frozen=True):
 
     Attributes:
         started: the UTC start in its name, which sorts by time.
-        robot: whose it is, by its name.
+        robot: the log's robot, by its name.
         number: of several files of one name and second; the first has none, which is 1.
         is_open: it is being written, or a recorder left it and it is not recovered yet.
         is_own: this recorder is writing it, and can end it.
@@ -98,7 +98,7 @@ def judge(entries: Sequence[LogEntry], free_bytes: int, limits: DiskLimits, *, i
     Args:
         entries: the recorder's files in the directory.
         free_bytes: of the file system.
-        limits: what may be taken.
+        limits: the space that may be taken.
         is_full: recording has stopped for want of room.
     """
     used = sum(entry.bytes for entry in entries)

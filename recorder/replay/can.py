@@ -110,7 +110,7 @@ class CanOutlet:
     """A bus that frames are sent to, from its beginning to ``close``. Nothing is sent periodically.
 
     Args:
-        place: where it is.
+        place: the address of the bus.
 
     Attributes:
         sent: frames that the bus took...

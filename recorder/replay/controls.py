@@ -45,7 +45,7 @@ class ReplayControls:
     Args:
         takes_keys: keys may interfere.
         read_from: the terminal's keys.
-        write_to: where the line goes.
+        write_to: the destination of the line.
     """
 
     def __init__(self, *, takes_keys: bool, read_from: TextIO = sys.stdin, write_to: TextIO = sys.stderr) -> None:

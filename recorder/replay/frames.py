@@ -96,7 +96,7 @@ class Frames:
     """Makes frames of runs of rows.
 
     Args:
-        rules: what may be sent.
+        rules: the frames that may be sent.
         faults: takes what cannot be decoded.
 
     Attributes:

@@ -129,16 +129,16 @@ class ReplayScheduler(Generic[T]):
     """Plays what a log holds, from its beginning or from a time in it, once or several times.
 
     Args:
-        read: what there is from a log time on; None is the beginning.
+        read: returns the runs from a log time on; None is the beginning.
         pace: when it is due.
-        loops: how often; FOR_EVER does not end.
+        loops: number of times; FOR_EVER does not end.
 
     Attributes:
         pace: as it was given.
         lateness: of what was handed out, if it is paced.
         slipped_ns: by how much the whole has been put off, as it could not keep up: see SLIP_NS.
         time_ns: the log's time of what was handed out last; None before.
-        loop: which time it is being played, from 1.
+        loop: the number of the present loop, from 1.
         is_ended: nothing more will come.
         is_paused: nothing is handed out.
     """

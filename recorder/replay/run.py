@@ -36,8 +36,8 @@ class Outlet(Protocol[T_contra]):
     """The destination of a replay.
 
     Attributes:
-        sent: what was handed over...
-        failed: ...and what was not taken. It is never sent later.
+        sent: number of items that were accepted...
+        failed: ...and of those that were not. They are never sent later.
     """
 
     sent: int
@@ -84,8 +84,8 @@ def play(
     """Play to the end, or until stopped.
 
     Args:
-        player: what is played.
-        outlet: where to.
+        player: plays the log.
+        outlet: the destination.
         clock: the time.
         controls: show where it is, and may interfere.
         stopped: end it.

@@ -46,10 +46,10 @@ class ReplaySample(msgspec.Struct, frozen=True):
 
     Attributes:
         time_ns: when it is due, in the log's time.
-        key: where it goes.
+        key: its destination.
         encoding: Zenoh's, with the schema.
         subject: its row in the table of subjects; None if it has none.
-        message: what it says; None of a sample that was kept as it was.
+        message: its content; None of a sample that was kept as it was.
         raw: the payload of such a sample.
         attachment: likewise; empty if there was none.
         is_delete: it says that the key was deleted.
@@ -90,7 +90,7 @@ class KeyMap:
     name would become one. A key under none of them is put behind the new root whole.
 
     Args:
-        root: where to.
+        root: the destination.
         log_roots: the roots of the robots in the log.
     """
 
@@ -136,7 +136,7 @@ class Samples:
 
     Args:
         new_key: from the key in the log to the new one.
-        wants: whether a key in the log is wanted.
+        wants: a test of keys in the log.
         faults: takes what cannot be decoded.
 
     Attributes:

@@ -47,7 +47,7 @@ class ZenohOutlet:
 
     Args:
         settings: of the session.
-        root: what every key begins with.
+        root: the beginning of every key.
         waits: a subscriber that is too slow holds the replay up, instead of losing samples.
 
     Attributes:

@@ -48,7 +48,7 @@ class LogCheck(msgspec.Struct, frozen=True):
         missed: samples missed on all channels.
         frames_lost: raw frames that never came, by their alive counters; see ``alive.AliveCount``.
         frames: the alive counters of each identifier.
-        findings: what is wrong, about the file first; ``untold`` more are about the file, too.
+        findings: the faults, those of the file first; ``untold`` more are about the file, too.
     """
 
     path: str

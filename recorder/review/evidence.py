@@ -68,7 +68,7 @@ class EvidenceManifest(msgspec.Struct, frozen=True):
         from_ns, to_ns: the part of the logs in ``incident.mcap``.
         sources: names and lengths of the logs that it was made of.
         versions: of the software that ran, as the logs say.
-        missing: what is not there, for people; empty if nothing is known to be.
+        missing: the known gaps of the archive, for people; empty if there is none.
         commands: command lines that ask the archive's own questions again, after it was unpacked.
         files: all other files of the archive.
     """

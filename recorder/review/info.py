@@ -67,8 +67,8 @@ class LogInfo(msgspec.Struct, frozen=True):
     Attributes:
         whole: the file was closed properly. Its data may be damaged all the same: ``check`` looks at it.
         is_being_written: a recorder has it open; that it is not whole yet is no fault.
-        source: where all this is from: the summary at the file's end, or its records one by one.
-        faults: what is wrong with the file, as far as that is looked at; ``fault_count``, the first ones listed.
+        source: the origin of all this: the summary at the file's end, or its records one by one.
+        faults: those of the file, as far as it is read; ``fault_count``, the first ones listed.
         robots: the robots' names, by its recorder, or else by its topics.
         variants: the firmware variant of each robot that published it.
         versions: of the recorder, and of each robot's gateway.
@@ -106,7 +106,7 @@ class SetInfo(msgspec.Struct, frozen=True):
     """Several logs together.
 
     Attributes:
-        files: how many; ``whole`` of them were closed properly.
+        files: their number; ``whole`` of them were closed properly.
         duration_s: from the first message to the last; there may be none in between.
     """
 

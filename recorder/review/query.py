@@ -51,7 +51,7 @@ def answer(
     """The rows that a statement gives, as they come; None if it gives none.
 
     Args:
-        source: what it may read.
+        source: the tables that it may read.
         sql: the statement.
         stopped: turns true when nobody waits for the answer any more. DuckDB heeds no signal by itself, so it
             works in a thread of its own.

@@ -63,7 +63,7 @@ class RobotProofReport(msgspec.Struct, frozen=True):
         runs: those of which chain heads are there.
         unsigned_runs: runs without any, in open mode: nothing proves them.
         grants: those that were used.
-        holders: who held the lease.
+        holders: the lease's holders.
         verbs: signed verbs that the robot accepted the proof of; ``verbs_untold`` more.
         refused: requests that it refused for their proof.
         unproven_stops: stops that nobody signed. A stop is served in any case.

@@ -92,7 +92,7 @@ def explain(
     Args:
         robot: its name.
         logs: in the order of their beginnings.
-        found: what a survey of these logs found.
+        found: the survey of these logs.
         at_ns: the moment, in nanoseconds since 1970; if it is None, the last stop of the logs, or when a gateway
             that died at work was last received, whichever is later.
         faults: takes what cannot be read.

@@ -59,8 +59,8 @@ class BackfillServer:
     """Answers from its beginning to ``close``.
 
     Args:
-        directory: where the logs are.
-        matches: whether a key expression matches a topic.
+        directory: the place of the logs.
+        matches: True if a key expression matches a topic.
         clock_s: the time, for how long a request takes.
     """
 
@@ -83,7 +83,7 @@ class BackfillServer:
         """Take a request; this never waits.
 
         Args:
-            request: what is asked for.
+            request: the requested range.
             reply: called for each piece, on the server's thread, and may wait for the link; or at once, if the
                 request is refused.
             done: called after the last one, whatever happened.

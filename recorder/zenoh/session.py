@@ -43,7 +43,7 @@ def open_session(settings: ZenohSettings, listen: Sequence[str] = ()) -> zenoh.S
 
     Args:
         settings: of the session.
-        listen: where it listens; on nothing if it is empty.
+        listen: the endpoints to listen on; none if it is empty.
 
     Raises:
         CommandError: the settings are wrong, or it cannot be opened.

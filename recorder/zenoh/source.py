@@ -88,7 +88,7 @@ class ZenohSource:
 
     Args:
         settings: of the session.
-        key_expressions: what to subscribe to. A key that several of them match is received once.
+        key_expressions: those to subscribe to. A key that several of them match is received once.
         queue_samples: samples that may wait for each of them; beyond it the oldest go.
 
     Raises:

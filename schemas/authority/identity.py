@@ -34,7 +34,7 @@ class FoundFile(msgspec.Struct, frozen=True):
     """A file as it was found.
 
     Attributes:
-        path: where it is.
+        path: its place.
         content: all of it.
         mode: type and permissions, as of ``stat``.
         is_own: it belongs to who reads it, or to root.

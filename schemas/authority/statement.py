@@ -67,7 +67,7 @@ class Grant(_Statement, frozen=True, forbid_unknown_fields=True, tag="grant", kw
         speed_limit_mps: the robot drives no faster for this holder; none if absent.
         not_before, not_after: it holds from the first to the second, both included.
         epoch: authorities raise it to end all grants of before at once.
-        may_delegate: how many further grants may stand below it in a chain.
+        may_delegate: number of further grants that may stand below it in a chain.
     """
 
     serial: Serial
@@ -127,7 +127,7 @@ class TimeStatement(_Statement, frozen=True, forbid_unknown_fields=True, tag="ti
     """The time, for a robot that asked for it.
 
     Attributes:
-        challenge: what the robot drew for its question.
+        challenge: the one that the robot drew for its question.
         at: the time.
     """
 
@@ -144,7 +144,7 @@ class Signed(msgspec.Struct, frozen=True):
     Attributes:
         body: the signed bytes, JSON.
         signer: the key that the signature is said to be of.
-        statement: what the body says.
+        statement: the decoded body.
     """
 
     body: bytes

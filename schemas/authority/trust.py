@@ -151,7 +151,7 @@ class Trust(msgspec.Struct, frozen=True):
 
         Args:
             chain: the statement, then the grant of the site that signed it.
-            challenge: what was drawn for the question.
+            challenge: the one drawn for the question.
             now_s: seconds since 1970, as far as it is known.
         """
         said, above = chain[0], chain[1:]

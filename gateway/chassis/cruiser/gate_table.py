@@ -66,7 +66,7 @@ class MotionBurst(msgspec.Struct, frozen=True, gc=False):
     """The five frames of a burst, read back from their bytes.
 
     Attributes:
-        enables: how many of the five are set.
+        enables: number of the five that are set.
         gear, angle_raw, speed_raw, pedal_raw: unscaled, as in the bytes.
         parking: the parking request.
     """

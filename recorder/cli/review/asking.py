@@ -37,7 +37,7 @@ class Asked(msgspec.Struct):
 
     Attributes:
         logs: the files, by their beginning.
-        faults: what could not be read of them.
+        faults: those of the parts that could not be read.
         start_ns, end_ns: the first and the last log time of all.
         from_ns: the first log time that is asked about...
         to_ns: ...and the first one that is not any more.
@@ -106,8 +106,8 @@ def progress_bar(
     """Show a bar on stderr, if that is a terminal. Yields the function that receives the number of bytes read.
 
     Args:
-        about: what is done, in a word.
-        total_bytes: how much there is to read.
+        about: the activity, in a word.
+        total_bytes: number of bytes to read.
         stopped: turns true at SIGINT; the reading then ends as KeyboardInterrupt does.
         prints: the answer is printed while it is read. On a terminal it would be printed over the bar.
         is_bounded: give up when it takes far longer than so many bytes should: a log may be made to. Not where the

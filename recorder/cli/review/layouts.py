@@ -32,7 +32,7 @@ class Written(msgspec.Struct, frozen=True):
     """A layout that was written.
 
     Attributes:
-        robot: what its keys begin with.
+        robot: the beginning of its keys.
     """
 
     robot: str

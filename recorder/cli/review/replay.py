@@ -73,12 +73,12 @@ class Replayed(msgspec.Struct, frozen=True):
     """The outcome of a replay.
 
     Attributes:
-        to: where it went.
+        to: the destination.
         sent: samples, or frames; ``failed`` were not taken.
         withheld: those that are not to be sent, by why; of Zenoh commands, keys that name several things,
             and encodings that are too long.
-        loops: how often it was begun.
-        took_s: how long it took.
+        loops: number of times that it was begun.
+        took_s: its duration.
         lateness_p50_ms, lateness_p99_ms, lateness_max_ms: how late they were sent; 0 at the speed 'max'.
         slipped_s: by how much it fell behind altogether, as it could not keep up.
         pauses_cut: pauses of the log that were shortened.

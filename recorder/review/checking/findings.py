@@ -25,9 +25,9 @@ class Finding(msgspec.Struct):
         path: the file.
         about: the file itself (its structure, its checksums, its schemas), or what it lacks of what was said.
         what: in words.
-        count: how often; of samples and frames, how many.
+        count: number of times; of samples and frames, their number.
         topic: the channel that it is about; empty if it is about none.
-        offset: where in the file it is for the first time, in bytes; None if it has no such place.
+        offset: its first place in the file, in bytes; None if it has no such place.
         time_ns: when it is for the first time, by log time or, of frames, by their own; None if it has no time.
     """
 
@@ -48,7 +48,7 @@ class Findings:
 
     Attributes:
         told: those that are listed.
-        untold: how many more there are, beyond FINDINGS_MAX.
+        untold: number of further ones, beyond FINDINGS_MAX.
     """
 
     def __init__(self, path: str) -> None:

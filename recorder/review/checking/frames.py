@@ -51,8 +51,8 @@ class _Form(msgspec.Struct, frozen=True):
     Attributes:
         length: of each.
         same: place and value of each byte that all have in common.
-        time_at, identifier_at, data_at: where the others begin.
-        counts: whether a feedback frame can be among them.
+        time_at, identifier_at, data_at: offsets of the others.
+        counts: a feedback frame can be among them.
     """
 
     length: int

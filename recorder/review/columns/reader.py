@@ -101,8 +101,8 @@ class ColumnReader(BlockReader):
 
     Args:
         stream: the file.
-        log: which it is.
-        selection: what is wanted.
+        log: the log to read.
+        selection: the wanted messages.
         faults: takes what cannot be read.
         columns: names of the columns that are wanted; None is all.
     """

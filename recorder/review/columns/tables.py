@@ -44,7 +44,7 @@ class Columns(msgspec.Struct, frozen=True, eq=False):
 
     Attributes:
         topic: the topic.
-        table: what the table is called in SQL: ``chassis_drive``, ``can_rx``.
+        table: its name in SQL: ``chassis_drive``, ``can_rx``.
         place: the topic without root and robot, if it is a key of ours: ``chassis/drive``, ``can/can0/rx``.
         robot: the robot's name; empty if it is no robot's.
         schema: of the record batches; a field with a unit has it as metadata.

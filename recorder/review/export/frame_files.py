@@ -64,7 +64,7 @@ def write_frames(frames: Iterable[LoggedFrame], directory: Path, form: FrameForm
 
     Args:
         frames: in the order of time.
-        directory: where the files go.
+        directory: the place of the files.
         form: their format.
 
     Raises:

@@ -56,7 +56,7 @@ class KnownRows:
     Args:
         log: the log that is read.
         earlier: those before it, of ``overlapping``.
-        selection: what is wanted of all.
+        selection: the wanted messages.
 
     Attributes:
         repeats: messages so far that were left out.

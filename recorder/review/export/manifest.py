@@ -45,7 +45,7 @@ class Input(msgspec.Struct, frozen=True):
         sha256: of the whole file, in hexadecimal.
         rows: of it that are in the dataset.
         repeats: messages that were left out, because a log before it holds them.
-        faults: what could not be read; ``fault_count`` of them, the first ones listed.
+        faults: parts that could not be read; ``fault_count`` of them, the first ones listed.
     """
 
     path: str
@@ -62,7 +62,7 @@ class Part(msgspec.Struct, frozen=True):
 
     Attributes:
         path: within the dataset.
-        table: what its table is called in SQL.
+        table: its table's name in SQL.
         topic: the log's topic.
         robot: empty if it is no robot's.
         date: of the log times, UTC.
@@ -88,7 +88,7 @@ class Manifest(msgspec.Struct, frozen=True):
     """The manifest.
 
     Attributes:
-        product: who wrote it last.
+        product: the last writer.
         schemas: columns by a hash of them.
     """
 

@@ -43,8 +43,8 @@ class ExportTask(msgspec.Struct, frozen=True):
         log: the log.
         sha256: of it.
         earlier: logs before it that may hold the same messages.
-        directory: where the parts go.
-        wanted: what of it.
+        directory: the place of the parts.
+        wanted: the part of it.
     """
 
     log: LogFile

@@ -64,7 +64,7 @@ class Parts:
 
     Args:
         root: the directory.
-        stem: what files are called before their number: the same for no two logs.
+        stem: the files' name before their number: the same for no two logs.
         sha256: of the log.
 
     Attributes:

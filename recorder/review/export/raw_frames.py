@@ -47,7 +47,7 @@ def read_frames(
 
     Args:
         logs: in the order of their beginnings.
-        selection: what is wanted; of its topics only those of raw frames count.
+        selection: the wanted messages; of its topics only those of raw frames count.
         faults: takes what cannot be read.
         progress: receives the number of bytes that were read.
     """

@@ -54,7 +54,7 @@ class JoinRange(msgspec.Struct, frozen=True):
     """The part of the sources that goes into the new file.
 
     Attributes:
-        topic: whether a topic is wanted.
+        topic: a test of topics.
         from_ns: the first log time, since 1970...
         to_ns: ...and the first one that is too late.
     """
@@ -97,7 +97,7 @@ def join(
     Args:
         logs: in the order of their beginnings.
         path: the new file.
-        wanted: what goes into it. Metadata and attachments all do.
+        wanted: the part that goes into it. Metadata and attachments all do.
         about: name and entries of a metadata record that says what it is.
         faults: takes what cannot be read; all the rest is in the file.
         progress: receives the number of bytes that were read.

@@ -48,7 +48,7 @@ class JoinSource:
         faults: takes what cannot be read.
 
     Attributes:
-        profile: what the header promises.
+        profile: the header's promise.
         metadata: the metadata records, or where they stand in the file...
         attachments: ...and the attachments.
         starts, ends: the first and the last log time of each chunk, or stretch of messages outside of chunks.

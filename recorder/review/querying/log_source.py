@@ -171,7 +171,7 @@ class _Scan:
         rows: with every column that the statement needs.
         schema: of these.
         columns: those that DuckDB wants to see.
-        wanted: which rows, an expression of pyarrow's; None for all.
+        wanted: the wanted rows, an expression of pyarrow's; None for all.
     """
 
     def __init__(

@@ -27,7 +27,7 @@ class TableInfo(msgspec.Struct, frozen=True):
     """A table.
 
     Attributes:
-        topics: whose messages it holds.
+        topics: those whose messages it holds.
     """
 
     name: str

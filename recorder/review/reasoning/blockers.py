@@ -67,7 +67,7 @@ def cures(reason: Reason, robot: str, beside: Collection[Reason] = (), *, is_res
     Args:
         reason: that of a stop, or one that blocks.
         robot: its name.
-        beside: what else blocks.
+        beside: the other reasons that block.
         is_reset: it is not latched any more.
     """
     cure = of_a_robot(reason, beside).cure

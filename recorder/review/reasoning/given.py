@@ -45,7 +45,7 @@ def given_until(at_ns: int, journals: Sequence[Journal], shift_ns: int) -> Given
     Args:
         at_ns: the moment; a tick that is so near to it that it must be meant is one of the moment.
         journals: of one run of a gateway, by their time.
-        shift_ns: what is to be added to the robot's clock.
+        shift_ns: to be added to the robot's clock.
 
     Returns:
         None if the log does not hold the journal of the moment.

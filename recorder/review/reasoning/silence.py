@@ -105,7 +105,7 @@ def guard_links(after: Sequence[Entry]) -> list[Link]:
     """The actions of the guard of a gateway that died, in its own words.
 
     Args:
-        after: what the next gateway said.
+        after: the entries from the next gateway's start on.
     """
     at_first = takewhile(lambda one: one.kind is not EntryKind.ENGAGED, after)
     told = [one for one in at_first if one.tells_of_guard or one.kind is EntryKind.LATCH]
@@ -126,7 +126,7 @@ def links(silence: GatewaySilence, guard: Sequence[Link]) -> Iterator[Link]:
 
     Args:
         silence: of a gateway.
-        guard: what is known of what its guard did.
+        guard: the known actions of its guard.
     """
     said = silence.was.said
     silent_ns = silence.then.time_ns - silence.heard_ns

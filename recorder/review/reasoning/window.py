@@ -102,15 +102,15 @@ class EvidenceWindow:
     Attributes:
         at_ns: the moment.
         what: it is, in words.
-        detail: what the arbiter itself said of it; may be empty.
+        detail: the arbiter's own remark; may be empty.
         limits: the settings in force.
         frames: received ones by identifier, those before the moment and those behind it, each in their order. As
             far as the journal is in the log, those before are what the arbiter had been given.
         waiting: by identifier, those that the bus had before the moment, and the arbiter was given behind it.
         is_journaled: the journal of the moment is in the log, and shows when the arbiter was given a frame.
         sent: likewise those that the gateway sent.
-        received: how many frames were received in the last second before the moment.
-        gaps: what the recorder says that it lacks of this time.
+        received: number of frames received in the last second before the moment.
+        gaps: the gaps of this time that the recorder reports.
     """
 
     def __init__(self, robot: str, at_ns: int, shift_ns: int, limits: Limits) -> None:

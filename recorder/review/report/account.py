@@ -66,8 +66,8 @@ class Account:
     """Gathers what is said of a robot.
 
     Args:
-        name: what it is to be called.
-        key: what its keys begin with.
+        name: its label.
+        key: the beginning of its keys.
         versions: of its gateways, as far as they are known before.
         begins_ns: its logs, or the period that is asked about, begin then. A recorder may have asked a gateway for
             what was before; it is left out.
@@ -166,7 +166,7 @@ class Account:
 
         Args:
             completeness: the recorder's account of this robot's topics.
-            facts: what else the logs say of it.
+            facts: other facts about it in the logs.
             from_ns: gateways that were in force before are left out...
             to_ns: ...and those that came then or later.
         """

@@ -43,10 +43,10 @@ class EventLog:
     """Gathers entries, which come in the order of their time, as far as that is known.
 
     Attributes:
-        stops: how often the robot was stopped, by reason.
+        stops: number of stops, by reason.
         counts: entries by kind.
         outages: when the gateway fell silent or began anew; ``more_outages`` are left out.
-        silences: what else is not in the log; ``more_silences`` are left out.
+        silences: other gaps of the log; ``more_silences`` are left out.
     """
 
     def __init__(self) -> None:

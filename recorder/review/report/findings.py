@@ -16,8 +16,8 @@ class Moment(msgspec.Struct, frozen=True):
     Attributes:
         last_ns: when the last of ``count`` alike ones was, or how long it lasted; else as ``time_ns``.
         kind: stop, latch, takeover, ..., gateway, gap: those of ``cruiser review events``.
-        operator: who did it; empty if nobody did.
-        holder: who held the lease then, as far as the log tells; empty if nobody.
+        operator: the operator behind it; empty if there is none.
+        holder: the lease's holder then, as far as the log shows; empty if nobody.
         x_m, y_m: where, as far as the path is known.
     """
 
@@ -65,8 +65,8 @@ class InForce(msgspec.Struct, frozen=True):
         since_ns: since when: since it was started, as far as it is the first of this start.
         configuration_sha256: of its configuration.
         versions: of its packages.
-        changes: what is otherwise than in the one before, in words.
-        settings: which settings are, as far as the log holds both configurations; in words.
+        changes: the differences from the one before, in words.
+        settings: changed settings, as far as the log holds both configurations; in words.
     """
 
     since_ns: int
@@ -109,23 +109,23 @@ class RobotSummary(msgspec.Struct, frozen=True):
 
     Attributes:
         name: as it is called in this report.
-        key: what its keys begin with.
+        key: the beginning of its keys.
         distance_m: the length of its path, by speed and time.
-        moving_s: how long it moved, of ``known_s`` of which its speed is known.
+        moving_s: the time that it moved, of ``known_s`` of which its speed is known.
         top_mps: its highest speed, negative in reverse; at ``top_ns``.
-        stops: how often it was stopped, by reason.
+        stops: number of stops, by reason.
         outages: when the gateway fell silent or began anew; ``more_outages`` are left out.
         ends_commanding: the log ends while the chassis was under command.
-        events: how many, by kind.
-        drivers: who had it.
+        events: their number, by kind.
+        drivers: its operators.
         accepted: requests that were; ``refused`` those that were not.
         refusals: these, with ``other_refusals`` of further kinds.
-        gaps: how often it is not known how it moved; ``gap_s`` in all.
+        gaps: number of gaps in its known motion; ``gap_s`` in all.
         stale: states that came late or twice, and are not in the path.
-        silences: what else is not in the log; ``more_silences`` are left out.
-        health: what the gateway counted while this log was written: lost frames, faults, losses.
+        silences: other gaps of the log; ``more_silences`` are left out.
+        health: the gateway's counts while this log was written: lost frames, faults, losses.
         completeness: the recorder's own account of each topic; empty if it gives none.
-        unwritten: what reached the recorder and is not in the log.
+        unwritten: messages that reached the recorder and are not in the log.
         facts: variant, bus, versions and hash of the configuration, as the logs' metadata have them at their ends.
         in_force: all gateways that the logs mention, one after the other, with their configurations;
             ``more_in_force`` are left out.
@@ -212,7 +212,7 @@ class Report(msgspec.Struct, frozen=True):
         files: the logs.
         from_ns, to_ns: the log times that were asked about; 0 and None if all were.
         robots: one by one; ``more_robots`` are left out.
-        faults: what could not be read, the first of ``fault_count``.
+        faults: parts that could not be read, the first of ``fault_count``.
         version: of the program that made it.
     """
 

@@ -30,7 +30,7 @@ class Margins(msgspec.Struct):
     """Of one file.
 
     Attributes:
-        facts: what its last metadata say of each robot, by its key, or by its name where that is not known.
+        facts: its last metadata about each robot, by its key, or by its name where that is not known.
         completeness: by topic.
     """
 

@@ -52,11 +52,11 @@ class SpeedMeter:
 
     Attributes:
         distance_m: the length of the way, forward and in reverse.
-        moving_ns: how long the robot was faster than STANDING_MPS.
-        known_ns: how long it is known whether it was.
+        moving_ns: time for which the robot was faster than STANDING_MPS.
+        known_ns: time for which that is known.
         top_mps: the highest speed, in either direction...
         top_ns: ...and when.
-        gaps: how often nothing is known for longer than GAP_NS; ``gap_ns`` in all.
+        gaps: number of times without data for longer than GAP_NS; ``gap_ns`` in all.
         stale: samples that were there before, or came out of order.
         begun_ns: the sample with which the newest time without a gap begins.
         last_ns: the newest known sample; None before the first.
@@ -106,7 +106,7 @@ class Odometer:
 
     Attributes:
         speeds: those with an angle, by which the path grows.
-        x_m, y_m, heading_rad: where the path ends.
+        x_m, y_m, heading_rad: the end of the path.
         places: those that are kept.
     """
 

@@ -57,7 +57,7 @@ def page(report: Report, plotly_js: str) -> str:
     """The page, which is ``page.html`` filled in.
 
     Args:
-        report: what it says.
+        report: its content.
         plotly_js: the library that draws; it is part of the page.
     """
     here = files(__package__)

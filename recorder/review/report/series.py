@@ -24,7 +24,7 @@ class Series:
     """One line of a chart.
 
     Args:
-        break_ns: where samples are further apart in time, the line is broken.
+        break_ns: samples further apart in time break the line.
         limit: buckets at most.
     """
 

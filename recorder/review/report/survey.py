@@ -43,7 +43,7 @@ def read_report(
 
     Args:
         logs: as ``find_logs`` gives them.
-        selection: what is wanted; of the time before it the states are read too.
+        selection: the wanted messages; of the time before it the states are read too.
         faults: takes what cannot be read; the rest is read all the same.
         progress: receives the number of bytes that were read.
         version: of the program, which the report names.
@@ -79,8 +79,8 @@ class _Fleet:
 
     Args:
         logs: that are read.
-        asked: what is asked about.
-        versions: what is known of the robots' gateways, by their keys.
+        asked: the time in question.
+        versions: the known versions of the robots' gateways, by their keys.
         faults: takes what cannot be read.
 
     Attributes:

@@ -105,7 +105,7 @@ class Versions:
         """The gateways, by the time since when they were in force.
 
         Args:
-            offset_ns: what is to be added to the robot's times.
+            offset_ns: to be added to the robot's times.
             from_ns: those that another one followed before are left out...
             to_ns: ...and those that came then or later.
         """

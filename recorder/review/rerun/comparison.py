@@ -64,7 +64,7 @@ class Comparison:
         holds: whether what was published at a time, in nanoseconds since 1970, is compared; by default all is.
 
     Attributes:
-        same: how many messages are equal, by subject.
+        same: number of equal messages, by subject.
         differences: the first ones.
         difference_count: all of them.
         unrecorded: messages that come out again and are not in the log, by subject: it lost them.

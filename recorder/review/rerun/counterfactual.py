@@ -85,7 +85,7 @@ class DecisionChange(msgspec.Struct):
     """Requests of one kind that would have been judged otherwise.
 
     Attributes:
-        count: how many there are; the first came at ``first_ns``, the last at ``last_ns``.
+        count: their number; the first came at ``first_ns``, the last at ``last_ns``.
     """
 
     operator: str
@@ -102,7 +102,7 @@ class Journey(msgspec.Struct):
 
     Attributes:
         distance_m: driven in either direction, by its speed feedback.
-        moving_s: how long it moved.
+        moving_s: the time that it moved.
         top_speed_mps: the highest speed, a magnitude.
         stops: why it was stopped, in order.
     """
@@ -119,7 +119,7 @@ class WhatIfResult(msgspec.Struct, frozen=True):
     Attributes:
         settings: each setting that differs: as it was, and as it is tried.
         first, inputs, detail, rules: as in ``rerun.RerunResult``.
-        decisions: how many both runs made; ``changes`` are those that differ.
+        decisions: number that both runs made; ``changes`` are those that differ.
         stops_avoided: stops that were recorded and would not have been; ``stops_added`` the other way round;
             ``stops_moved`` those of both that would have been sooner or later.
     """

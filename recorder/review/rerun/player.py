@@ -68,9 +68,9 @@ class RerunResult(msgspec.Struct, frozen=True):
         run: its number.
         first: the place of the first input that was there, from 0: behind a gap a run continues in another result.
         inputs: so many there were without a gap.
-        detail: what of the run is missing, or why nothing was run again; empty if all was.
+        detail: the missing part of the run, or why nothing was run again; empty if all was.
         start_ns, end_ns: of what came out again, nanoseconds since 1970; 0 if nothing did.
-        same: how many messages are equal byte for byte, by subject.
+        same: number of messages that are equal byte for byte, by subject.
         unrecorded: messages that come out again and are not in the log.
         difference_count: messages that differ; ``differences`` are the first ones.
         given_up: messages that waited too long for their counterpart to be compared.

@@ -42,7 +42,7 @@ class RunSegment(msgspec.Struct, frozen=True):
     Attributes:
         from_ns, to_ns: messages that were published from then on, and before then, are compared.
         inputs_from_ns, inputs_to_ns: journals that were published then are needed for it.
-        log_from_ns, log_to_ns: what is needed was received then.
+        log_from_ns, log_to_ns: the range of log times that is needed.
     """
 
     from_ns: int = 0

@@ -30,8 +30,8 @@ class PartEnd(msgspec.Struct, frozen=True):
     Attributes:
         run: the run's number.
         first: the place of its first input in the run, from 0.
-        inputs: how many it has.
-        detail: what is missing before or behind it; empty if nothing is.
+        inputs: their number.
+        detail: the gap before or behind it; empty if there is none.
     """
 
     run: int
@@ -44,7 +44,7 @@ class Tape:
     """Plays the rows of one robot: its journals part by part, everything else to whoever takes it.
 
     Attributes:
-        end: how far the part goes that was played last.
+        end: the end of the part that was played last.
 
     Args:
         rows: of one robot, by log time.

@@ -35,7 +35,7 @@ class RobotClock:
     robot's time is the nearest to that of the clocks, and a later one that is smaller proves the offset wrong.
 
     Attributes:
-        offset_ns: what is to be added to its times; 0 while it agrees with the recorder's.
+        offset_ns: to be added to its times; 0 while it agrees with the recorder's.
         corrected_ns: by how much the last received state proved the offset wrong: the times of those before
             it are wrong by so much, too. 0 where the clock was set, and they are right.
     """

@@ -64,11 +64,11 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
         robot: whose; empty where it is about all.
         count: number of alike ones that are shown as one.
         reason: why; ``none`` where nothing is wrong.
-        operator: who did it, or asked for it; empty if nobody did.
-        holder: who held the lease then, as far as the log shows; empty if nobody.
+        operator: the operator behind it; empty if there is none.
+        holder: the lease's holder then, as far as the log shows; empty if nobody.
         request: the verb; empty where it is about none.
         tick: the arbiter's; None where there is none.
-        text: what happened, in a sentence.
+        text: the event in a sentence.
         is_late: entries that happened later come before it.
     """
 

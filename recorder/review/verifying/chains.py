@@ -141,8 +141,8 @@ class SubjectChain:
     """The chain of one subject in one run.
 
     Attributes:
-        counts: what became of its samples; whole after ``close``.
-        findings: what is wrong, likewise.
+        counts: the results of its samples; whole after ``close``.
+        findings: the faults, likewise.
         proven_run: the run of those samples that were proven first; None before.
     """
 
@@ -264,7 +264,7 @@ class RunChains:
 
     Attributes:
         boot: the run's random number, in the heads.
-        heads: how many there are; ``missing_heads`` more by their sequence.
+        heads: their number; ``missing_heads`` more by their sequence.
         first_ns, last_ns: times of the first and the last, by the robot's clock, nanoseconds since 1970.
         series: distinguishes the samples of this run from others', as far as something of it is proven.
     """

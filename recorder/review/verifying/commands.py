@@ -101,7 +101,7 @@ class CommandRecord:
         verbs: those whose proof was accepted, by their time; ``verbs_untold`` more.
         refused: those whose proof was refused.
         unproven_stops: remote stops without a proof that holds. They are served all the same.
-        findings: what is wrong.
+        findings: the faults.
     """
 
     def __init__(self, root: str, robot: str, authority: LogAuthority) -> None:
