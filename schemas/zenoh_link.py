@@ -119,7 +119,7 @@ class Connected(Protocol):
 
 
 def finds_router(connected: Connected, pause: Callable[[float], None]) -> bool:
-    """Is the first node that is connected a router? False where there is none in half a second.
+    """Return True if the first connected node is a router. False if none connects in half a second.
 
     Args:
         connected: which nodes are.
@@ -135,7 +135,7 @@ def finds_router(connected: Connected, pause: Callable[[float], None]) -> bool:
 
 
 def allows(protocols: Json, endpoint: str) -> bool:
-    """Do the protocols of a Zenoh configuration file, which may say none, allow this endpoint?"""
+    """Return True if the protocols of a Zenoh configuration file, which may set none, allow this endpoint."""
     return not isinstance(protocols, list) or endpoint.partition("/")[0] in protocols
 
 
@@ -186,7 +186,7 @@ def own_endpoint(listen: str) -> str:
 
 
 def is_loopback(endpoint: str) -> bool:
-    """Does the endpoint never leave this machine?"""
+    """Return True if the endpoint never leaves this machine."""
     host = endpoint.partition("/")[2].rpartition(":")[0]
     return endpoint.startswith("unix") or bool(_LOOPBACK.fullmatch(host))
 

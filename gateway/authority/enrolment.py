@@ -47,7 +47,7 @@ class EnrolmentRole(Enum):
 
     @property
     def is_granted(self) -> bool:
-        """Does it sign, and so need a key and a grant besides its certificate?"""
+        """True if the role signs, and so needs a key and a grant besides its certificate."""
         return self in _GRANTED
 
 

@@ -72,7 +72,7 @@ class DriveTags:
         return DriveProof(self.lease, self.tag(payload)).attachment()
 
     def fits(self, attachment: bytes, payload: bytes) -> bool:
-        """Was this attachment made for this command, under this lease's key?"""
+        """Return True if the attachment was made for this command, under this lease's key."""
         proof = DriveProof.read(attachment)
         return (
             proof is not None and proof.lease == self.lease and hmac.compare_digest(proof.tag, self.tag(payload))

@@ -108,12 +108,12 @@ class KnownRobots:
         return robot in self._robots
 
     def is_to_meet_again(self, robot: str) -> bool:
-        """Was a state of another run signed by this robot? Its reply says whether it was restarted."""
+        """Return True if this robot signed a state of another run. Its reply shows whether it was restarted."""
         known = self._robots.get(robot)
         return known is not None and known.is_other_run_seen
 
     def is_reply(self, robot: str, received: Received, request: bytes) -> bool:
-        """Is it this robot's reply to the request that had this attachment?"""
+        """Return True if it is this robot's reply to the request that had this attachment."""
         proof, known = RobotProof.read(received.attachment), self._robots.get(robot)
         if proof is None or known is None:
             return False
@@ -121,7 +121,7 @@ class KnownRobots:
         return received.key.startswith(f"{self._root}/{robot}/") and fits(known.key, proof.signature, text)
 
     def believes(self, robot: str, received: Received) -> bool:
-        """May a sample of this robot be believed?
+        """Return True if a sample of this robot may be believed.
 
         What people decide by has to be signed, of the robot's present run, and newer than the one before.
         """
@@ -257,7 +257,7 @@ def _sequence_of(received: Received) -> int | None:
 
 
 def _is_newer(sequence: int, newest: int | None) -> bool:
-    """Is it ahead of the newest by less than half of all numbers? After the last one, 0 follows (RFC 1982)."""
+    """Return True if it is ahead of the newest by less than half of all numbers, modulo their span (RFC 1982)."""
     return newest is None or 0 < (sequence - newest) & SEQUENCE_MAX <= SEQUENCE_MAX // 2
 
 

@@ -136,11 +136,11 @@ class LinkProof:
         return self._proof.request(self._robot, verb, payload, self.challenge)
 
     def is_reply(self, received: Received, request: bytes) -> bool:
-        """Is it the robot's reply to the request that had this attachment?"""
+        """Return True if it is the robot's reply to the request that had this attachment."""
         return self._proof.is_reply(self._robot, received, request)
 
     def believes(self, received: Received) -> bool:
-        """May this sample be believed?"""
+        """Return True if the sample may be believed."""
         return self._proof.believes(self._robot, received)
 
 
@@ -187,11 +187,11 @@ class StopProof:
         return new_question()
 
     def is_reply(self, received: Received, request: bytes) -> bool:
-        """Is it a reply of the robot whose key it is under?"""
+        """Return True if it is a reply of the robot whose key it is under."""
         return self._robots.is_reply(robot_of(received, self._root), received, request)
 
     def believes(self, received: Received) -> bool:
-        """May this sample be believed?"""
+        """Return True if the sample may be believed."""
         return self._robots.believes(robot_of(received, self._root), received)
 
 

@@ -138,7 +138,7 @@ def read_certificates(text: str) -> list[x509.Certificate]:
 
 
 def fits(certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> bool:
-    """Is it the certificate of this key?"""
+    """Return True if it is the certificate of this key."""
     return _raw(certificate.public_key()) == _raw(key.public_key())
 
 

@@ -141,7 +141,7 @@ class Issuer:
 
     @property
     def is_site(self) -> bool:
-        """Is it a site?"""
+        """True if it is a site."""
         return bool(self.chain)
 
     @property

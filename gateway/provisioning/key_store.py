@@ -112,7 +112,7 @@ class KeyStore:
         return self.directory / name
 
     def has(self, name: str) -> bool:
-        """Is the file there?"""
+        """Return True if the file is there."""
         return os.path.lexists(self.path(name))
 
     def write(

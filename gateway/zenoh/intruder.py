@@ -162,7 +162,7 @@ class Intruder(SessionOwner):
         return deeds
 
     def _receives(self, spy: _Declared) -> bool:
-        """Has it received what is not its own?"""
+        """Return True if it has received anything but its own."""
         own = self._wires.operator.encode()
         while (sample := spy.try_recv()) is not None:
             if sample.payload.to_bytes() != own:
@@ -224,5 +224,5 @@ def enters_without_certificate(settings: ZenohSettings, listener: str) -> str:
 
 
 def has_certificates(endpoint: str) -> bool:
-    """Is it of a protocol by which both ends show one?"""
+    """Return True if it is of a protocol by which both ends show a certificate."""
     return endpoint.partition("/")[0] in WITH_NAMES

@@ -47,7 +47,7 @@ class Prover(Protocol):
         ...
 
     def is_reply(self, received: Received, request: bytes) -> bool:
-        """Is it a reply of the robot that was asked, to the request that had this attachment?"""
+        """Return True if it is the asked robot's reply to the request that had this attachment."""
         ...
 
 
@@ -94,7 +94,7 @@ class CommandPort(SessionOwner):
             raise CommandError(str(error), ExitCode.USAGE) from error
 
     def reaches(self) -> bool:
-        """Is somebody there who answers commands to this robot? Of a port to all robots Zenoh does not say."""
+        """Return True if somebody answers this robot's commands. For a port to all robots Zenoh cannot know."""
         return bool(self._querier.matching_status.matching)
 
     def put(self, verb: str, payload: bytes) -> None:

@@ -197,7 +197,7 @@ class OrderAdmission:
 
 
 def _is_superseded(text: str, newer: Revocations | Rotation) -> bool:
-    """Is it a list of revocations of which nothing is left in force after a newer one?"""
+    """Return True if it is a list of revocations of which nothing remains in force after a newer one."""
     chain = read_chain(text.encode())
     older = None if isinstance(chain, StatementFault) else chain[0].statement
     return isinstance(older, Revocations) and older.epoch <= newer.epoch

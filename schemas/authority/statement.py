@@ -84,7 +84,7 @@ class Grant(_Statement, frozen=True, forbid_unknown_fields=True, tag="grant", kw
     may_delegate: Delegations = 0
 
     def covers(self, robot: str) -> bool:
-        """Is a robot of this name among its robots?"""
+        """Return True if a robot of this name is among its robots."""
         # ``*`` is the only sign that a pattern may hold which means something to fnmatch; it takes no time that
         # grows with a power of the stars, as a plain regular expression would.
         return any(fnmatchcase(robot, pattern) for pattern in self.robots)

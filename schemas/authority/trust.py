@@ -206,12 +206,12 @@ class AuthorityKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def is_signed(signed: Signed) -> bool:
-    """Does the signature of a statement fit its body and the key that it names?"""
+    """Return True if the signature of a statement fits its body and the key that it names."""
     return fits(signed.signer, signed.signature, signed.signed)
 
 
 def fits(key: bytes, signature: bytes, text: bytes) -> bool:
-    """Is it the Ed25519 signature of this key over this text? Never raises."""
+    """Return True if it is the Ed25519 signature of this key over this text. Never raises."""
     try:
         _public_key(key).verify(signature, text)
     except (InvalidSignature, ValueError):

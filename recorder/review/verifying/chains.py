@@ -224,7 +224,7 @@ class SubjectChain:
 
     @staticmethod
     def _is_before(segment: _Segment) -> bool:
-        """Do a segment's samples begin somewhere in it, and go on from there without a gap?"""
+        """Return True if a segment's samples begin somewhere in it, and continue from there without a gap."""
         held = segment.best()
         return not held or (segment.first not in held and len(held) == segment.end - min(held))
 
